@@ -1,24 +1,39 @@
 //! drivebench: connect to a motor drive, identify the motor on line, and learn which physical effect its model misses.
 //!
-//! The floors of the house, lowest first; a file uses only what stands on a lower floor. The lower half is a crate of its own,
-//! [`drivebench_core`], which knows no clock, file or terminal; its rooms are shown here beside those above it.
+//! The libraries are crates of their own, lowest floor first; each uses only what stands before it. They are shown here under one
+//! name for those who embed them. Above them stands the program.
 //!
 //! ```text
-//! core:    units < text < sample < signal < numerics < {plant, excitation} < identification < {diagnosis, control}
-//! program: {drive, recording} < emulator < bench < report < workflow < tui < app < cli < main
+//! crates:  model < identify < {diagnose, control};  model < link < emulator;  {identify, control, link, emulator} < bench
+//! program: report < workflow < tui < app < cli < main
+//! ```
+//!
+//! A motor of which the voltage is known is identified, and a run that it gives is explained by its own model:
+//!
+//! ```
+//! use drivebench::identification::scheme::{Data, default_for};
+//! use drivebench::plant::{Model, Motor, Scenario, testing};
+//!
+//! let run = testing::with_rows_lost(&testing::with_a_fan(0), |_| false);
+//! let scenario = Scenario::from_run(&run)?;
+//! let unknown = Model::baseline(Motor::new("unknown"));
+//! let data = Data { run: &run, scenario: &scenario, model: &unknown };
+//! let found = default_for(&scenario).identify(&data)?;
+//! let resistance_ohm = found.parameters.iter().find(|one| one.key == "resistance_ohm");
+//! assert!(resistance_ohm.is_some_and(|one| one.value.is_some()));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-pub use drivebench_core::{
-    config_text, control, diagnosis, excitation, identification, numerics, plant, sample, signal,
-    text, units,
-};
+pub use drivebench_bench::{self as bench, recording};
+pub use drivebench_control as control;
+pub use drivebench_diagnose as diagnosis;
+pub use drivebench_emulator as emulator;
+pub use drivebench_identify as identification;
+pub use drivebench_link as drive;
+pub use drivebench_model::{config_text, excitation, numerics, plant, sample, signal, text, units};
 
 pub mod app;
-pub mod bench;
 pub mod cli;
-pub mod drive;
-pub mod emulator;
-pub mod recording;
 pub mod report;
 pub mod tui;
 pub mod workflow;

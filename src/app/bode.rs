@@ -9,18 +9,18 @@ use super::failure::Failure;
 use super::files::read_model;
 use super::output::{self, quoted};
 use super::progress;
-use crate::identification::frequency_response::{
-    CARRIED, Compared, Departure, FrequencyResponse, Mode, Pathway, PathwayResponse, ResponsePoint,
-    compared, of_model,
-};
-use crate::plant::{Model, Scenario};
-use crate::recording::{LoadedRun, RunFile, RunFolder};
 use crate::report::plot::{
     ResponseChart, ResponseCurve, ResponsePanel, ResponsePlace, Style, standalone,
 };
 use crate::report::{Card, Tone};
-use crate::sample::Channel;
-use crate::text::number::significant;
+use drivebench_bench::recording::{LoadedRun, RunFile, RunFolder};
+use drivebench_identify::frequency_response::{
+    CARRIED, Compared, Departure, FrequencyResponse, Mode, Pathway, PathwayResponse, ResponsePoint,
+    compared, of_model,
+};
+use drivebench_model::plant::{Model, Scenario};
+use drivebench_model::sample::Channel;
+use drivebench_model::text::number::significant;
 
 /// Lines of the magnitude on the card, and what the shortest of them stands for, dB below the smallest.
 const LINES: usize = 12;

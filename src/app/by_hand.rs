@@ -13,13 +13,13 @@ use super::evidence::{EvidenceFiles, Judging, Place, prepare};
 use super::failure::Failure;
 use super::files::{load, model_file};
 use super::{output, pages, signals};
-use crate::diagnosis::{Diagnosis, NextExperiment};
-use crate::identification::frequency_response::{Compared, Pathway};
-use crate::plant::FileHistory;
 use crate::tui::{
     self, DiagnosisScreen, DiagnosisSources, Exit, Opens, ResponseScreen, Screen, StoppedAt,
 };
 use crate::workflow::{Discovery, News, Order};
+use drivebench_diagnose::{Diagnosis, NextExperiment};
+use drivebench_identify::frequency_response::{Compared, Pathway};
+use drivebench_model::plant::FileHistory;
 
 /// Where a model goes for which no name was given.
 const MODEL: &str = "model.toml";
@@ -334,9 +334,9 @@ fn write_new(wanted: &Path, text: &str, gone: &AtomicBool) -> Result<PathBuf, St
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::{DiagnosisVerdict, Evidence};
-    use crate::plant::testing::with_a_fan;
-    use crate::plant::{Model, Motor};
+    use drivebench_diagnose::{DiagnosisVerdict, Evidence};
+    use drivebench_model::plant::testing::with_a_fan;
+    use drivebench_model::plant::{Model, Motor};
 
     #[test]
     fn a_name_that_is_taken_is_left_alone() {

@@ -5,18 +5,18 @@ use super::identify::{Answer, is_usable};
 use super::output::{fitted, quoted};
 use super::run::Whole;
 use super::speed::SpeedResult;
-use crate::bench::{Outcome, RunSummary, SpeedReport, StepFigures, Stop, Tracking, Watched};
-use crate::identification::misfit::Misfit;
-use crate::identification::nameplate::{self, Comparison, Fits};
-use crate::identification::recursive::INERTIA_HAS_CHANGED;
-use crate::identification::repeat::Repeated;
-use crate::plant::{Model, Motor};
-use crate::recording::RunFile;
 use crate::report::page::Table;
 use crate::report::{Card, Tone, conventions, tables};
-use crate::sample::{ParameterEstimate, Verdict};
-use crate::text::number::{fixed, with_std};
 use crate::workflow::EscalationResult;
+use drivebench_bench::recording::RunFile;
+use drivebench_bench::{Outcome, RunSummary, SpeedReport, StepFigures, Stop, Tracking, Watched};
+use drivebench_identify::misfit::Misfit;
+use drivebench_identify::nameplate::{self, Comparison, Fits};
+use drivebench_identify::recursive::INERTIA_HAS_CHANGED;
+use drivebench_identify::repeat::Repeated;
+use drivebench_model::plant::{Model, Motor};
+use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::text::number::{fixed, with_std};
 
 /// Share of a run from which on it is worth a word that the drive's own limit held its output.
 const MUCH_LIMITED_SHARE: f64 = 0.1;

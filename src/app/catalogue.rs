@@ -3,9 +3,9 @@
 use serde_json::{Value, json};
 
 use super::failure::Failure;
-use crate::config_text::help_for_unknown;
-use crate::plant::{Card, Enters, ParameterRole, ParameterSpec, effect};
-use crate::text::lines::wrapped;
+use drivebench_model::config_text::help_for_unknown;
+use drivebench_model::plant::{Card, Enters, ParameterRole, ParameterSpec, effect};
+use drivebench_model::text::lines::wrapped;
 
 /// A card and the parameters that go with it.
 pub(crate) type Entry = (&'static Card, &'static [ParameterSpec]);

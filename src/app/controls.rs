@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crate::bench::{Intent, SnapshotCell};
+use drivebench_bench::{Intent, SnapshotCell};
 
 /// What ties a run to the world. The thread that works has it; whoever ends it holds [`Ends`].
 pub struct Controls {

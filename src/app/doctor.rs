@@ -15,8 +15,8 @@ use super::Tap;
 use super::failure::Failure;
 use super::output::lines;
 use super::survey::{Scan, scan};
-use crate::drive::serial_ports::{SerialPortInfo, describe, latency_file};
-use crate::drive::{
+use drivebench_link::serial_ports::{SerialPortInfo, describe, latency_file};
+use drivebench_link::{
     Framing, LinkError, LoopRates, MeasuredLine, RawClient, RawCounters, RawSettings, ReadRequest,
     RegisterTable, Target, standard_gap_s,
 };
@@ -414,7 +414,7 @@ fn scan_text(scan: &Scan, is_serial: bool) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::drive::{LinkStatistics, standard_gap_s};
+    use drivebench_link::{LinkStatistics, standard_gap_s};
 
     fn findings() -> Findings {
         let framing = Framing::EightNoneOne;

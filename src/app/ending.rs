@@ -19,9 +19,9 @@ use std::time::Duration;
 use super::controls::{Controls, DriveWord, Ends};
 use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP};
 use super::{output, signals};
-use crate::bench::{Level, Notice, SnapshotCell};
 use crate::tui::{Exit, LiveScreen, LiveSources, WorkerCell, is_gone, show};
 use crate::workflow::{LeaningCell, LeaningWatch, ProgressCell};
+use drivebench_bench::{Level, Notice, SnapshotCell};
 
 /// How often it is looked whether the work is over.
 const LOOK: Duration = Duration::from_millis(50);

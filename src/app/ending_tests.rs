@@ -5,12 +5,12 @@ use std::sync::{Arc, Mutex};
 
 use super::*;
 use crate::app::{OpenRig, Recorded, Rig, RigOptions, RunDone, run};
-use crate::bench::{BenchFile, Outcome, VirtualClock, Waivers};
-use crate::drive::offer::Purpose;
-use crate::drive::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
-use crate::emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive};
-use crate::recording::open_run;
-use crate::sample::{Command, Demand, DriveState, Sample};
+use drivebench_bench::recording::open_run;
+use drivebench_bench::{BenchFile, Outcome, VirtualClock, Waivers};
+use drivebench_emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive};
+use drivebench_link::offer::Purpose;
+use drivebench_link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
+use drivebench_model::sample::{Command, Demand, DriveState, Sample};
 
 const SEQUENCE: &str = "\
 [[sequence]]

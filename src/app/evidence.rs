@@ -14,18 +14,19 @@ use serde_json::{Map, Value, json};
 use super::failure::Failure;
 use super::files::{read_model, read_text};
 use super::{output, progress};
-use crate::bench::{BenchFile, bench_for, experiment_limits, next_bench};
-use crate::diagnosis::{
+use crate::workflow::{bench_for, experiment_limits, next_bench};
+use drivebench_bench::BenchFile;
+use drivebench_bench::recording::LoadedRun;
+use drivebench_diagnose::{
     Diagnosis, ErrorOf, Evidence, ExperimentLimits, Fingerprint, HoldoutFrom, Kinship,
     NextExperiment, RecordedChannels, fingerprint, fitted_baseline, matches, recommend,
     shared_samples,
 };
-use crate::identification::sanity::{self, Finding, Kind};
-use crate::identification::{lost_rows, start};
-use crate::numerics::statistics::median;
-use crate::plant::{Input, Model, ModelFile, Motor, Scenario, Slot};
-use crate::recording::LoadedRun;
-use crate::sample::{Channel, ParameterEstimate, Run, Side, Verdict};
+use drivebench_identify::sanity::{self, Finding, Kind};
+use drivebench_identify::{lost_rows, start};
+use drivebench_model::numerics::statistics::median;
+use drivebench_model::plant::{Input, Model, ModelFile, Motor, Scenario, Slot};
+use drivebench_model::sample::{Channel, ParameterEstimate, Run, Side, Verdict};
 
 /// Shortest hold-out, as a share of the run that is fitted, and fewest samples of it: the blocks by which errors are compared.
 const SHORTEST_SHARE: f64 = 0.1;

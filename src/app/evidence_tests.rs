@@ -1,8 +1,8 @@
 //! Tests of the runs that a command judges: later ones that are refused, and models that were fitted on what judges them.
 
 use super::*;
-use crate::plant::{MotorKey, testing};
-use crate::sample::Origin;
+use drivebench_model::plant::{MotorKey, testing};
+use drivebench_model::sample::Origin;
 
 #[test]
 fn a_later_run_that_is_not_fit_to_be_judged_is_said_so() {

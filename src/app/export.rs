@@ -9,12 +9,12 @@ use super::failure::Failure;
 use super::files::read_model;
 use super::output;
 use super::tune::KeptGains;
-use crate::control::{Actuator, Holding, viscous_n_m_s_per_rad};
-use crate::diagnosis::torque_map;
-use crate::identification::noise::NoiseFloor;
-use crate::plant::{MappedTorque, ModelFile, Scenario};
-use crate::recording::{ColumnKind, LoadedRun, RunFolder, write_run};
 use crate::report::export::{Export, ExportError, Regulator, Target, formulas, map_as_c};
+use drivebench_bench::recording::{ColumnKind, LoadedRun, RunFolder, write_run};
+use drivebench_control::{Actuator, Holding, viscous_n_m_s_per_rad};
+use drivebench_diagnose::torque_map;
+use drivebench_identify::noise::NoiseFloor;
+use drivebench_model::plant::{MappedTorque, ModelFile, Scenario};
 
 /// What is asked to be exported.
 pub(crate) struct ExportRequest<'a> {
@@ -193,7 +193,7 @@ pub(crate) fn parquet(
     table: impl std::io::Read,
     kind: impl Fn(&str) -> ColumnKind,
 ) -> Result<Vec<u8>, String> {
-    crate::recording::parquet(table, kind).map_err(|error| error.to_string())
+    drivebench_bench::recording::parquet(table, kind).map_err(|error| error.to_string())
 }
 
 #[cfg(not(feature = "parquet"))]

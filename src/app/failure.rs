@@ -1,18 +1,18 @@
 //! Why a command ended without success: one headline, one help line, one exit status.
 
 use super::output;
-use crate::bench::{BenchFileError, CheckError, InitError, RegulatorError};
-use crate::config_text::ConfigError;
-use crate::control::PlantError;
-use crate::control::tuning::TuningError;
-use crate::drive::{LinkError, ProfileError, TargetError};
-use crate::emulator::EmulatorConfigError;
-use crate::identification::frequency_response::FrequencyResponseError;
-use crate::identification::kalman::LoadError;
-use crate::identification::output_error::FitError;
-use crate::identification::scheme::IdentifyError;
-use crate::plant::{ModelError, ScenarioError};
-use crate::recording::RecordingError;
+use drivebench_bench::recording::RecordingError;
+use drivebench_bench::{BenchFileError, CheckError, InitError, RegulatorError};
+use drivebench_control::PlantError;
+use drivebench_control::tuning::TuningError;
+use drivebench_emulator::EmulatorConfigError;
+use drivebench_identify::frequency_response::FrequencyResponseError;
+use drivebench_identify::kalman::LoadError;
+use drivebench_identify::output_error::FitError;
+use drivebench_identify::scheme::IdentifyError;
+use drivebench_link::{LinkError, ProfileError, TargetError};
+use drivebench_model::config_text::ConfigError;
+use drivebench_model::plant::{ModelError, ScenarioError};
 
 pub(crate) const REFUSED: u8 = 1;
 pub(crate) const USAGE: u8 = 2;

@@ -9,16 +9,16 @@ use serde::Serialize;
 use super::export::samples_as_parquet;
 use super::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP, USAGE};
 use super::output;
-use crate::bench::{BenchFile, OnlineResult, Outcome, RunSummary};
-use crate::diagnosis::{Fitted, Rung};
-use crate::identification::noise::FloorSource;
-use crate::identification::{sanity, speed_from_angle};
-use crate::plant::{FileHistory, FittedValue, ModelFile, Scenario};
-use crate::recording::{
+use crate::report::{EarlyEnd, Tone};
+use drivebench_bench::recording::{
     self, ColumnMap, Kept, KeptLogs, LATEST, LoadedRun, Manifest, RecordingError, RunFile,
     RunFolder, open_run, run_from_memory, write_run,
 };
-use crate::report::{EarlyEnd, Tone};
+use drivebench_bench::{BenchFile, OnlineResult, Outcome, RunSummary};
+use drivebench_diagnose::{Fitted, Rung};
+use drivebench_identify::noise::FloorSource;
+use drivebench_identify::{sanity, speed_from_angle};
+use drivebench_model::plant::{FileHistory, FittedValue, ModelFile, Scenario};
 
 /// Opens a run, prints its warnings, and derives the speed from the angle where there is none.
 pub(crate) fn load(path: &Path, map: Option<&ColumnMap>) -> Result<LoadedRun, Failure> {

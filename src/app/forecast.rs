@@ -4,8 +4,10 @@ use serde::Serialize;
 
 use super::failure::Failure;
 use super::opening::wired_profile;
-use crate::bench::{BenchFile, BenchFileError, Foresight, Plan, Port, Reference, foresee, plan};
-use crate::drive::{DriveProfile, LineBudget, LostReply, offer};
+use drivebench_bench::{
+    BenchFile, BenchFileError, Foresight, Plan, Port, Reference, foresee, plan,
+};
+use drivebench_link::{DriveProfile, LineBudget, LostReply, offer};
 
 /// What can be said of a bench file.
 #[derive(Serialize)]

@@ -4,10 +4,10 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
-use crate::bench::BenchFile;
-use crate::plant::ModelFile;
-use crate::recording::{LATEST, RunFile, read_text};
-use crate::text::shell::quoted_word;
+use drivebench_bench::BenchFile;
+use drivebench_bench::recording::{LATEST, RunFile, read_text};
+use drivebench_model::plant::ModelFile;
+use drivebench_model::text::shell::quoted_word;
 
 /// The commands in the order of the loop, which goes back from `add` until only noise is left.
 const LOOP: &str = "  connect   ports, doctor       what is plugged in; can the line work?

@@ -23,13 +23,14 @@ use super::rig::{Rig, RigOptions};
 use super::run::{CommissionDone, RunDone, escalation_failure, run};
 use super::signals;
 use super::speed::{SpeedRequest, speed};
-use crate::bench::{BenchFile, next_bench};
-use crate::diagnosis::{Diagnosis, recommend};
-use crate::plant::FileHistory;
-use crate::recording::RunFile;
-use crate::text::number::significant;
 use crate::tui::{Exit, Opens};
+use crate::workflow::next_bench;
 use crate::workflow::{ProgressCell, Step};
+use drivebench_bench::BenchFile;
+use drivebench_bench::recording::RunFile;
+use drivebench_diagnose::{Diagnosis, recommend};
+use drivebench_model::plant::FileHistory;
+use drivebench_model::text::number::significant;
 
 const INTERRUPTED: &str = "interrupted; nothing is energised, what was recorded is kept";
 

@@ -12,24 +12,26 @@ use super::evidence::{before_identify, signals};
 use super::failure::Failure;
 use super::files::read_text;
 use super::output;
-use crate::bench::{
+use crate::report::conventions;
+use drivebench_bench::recording::{ColumnMap, LoadedRun, RunFile, RunFolder, RunRows};
+use drivebench_bench::{
     Difference, MotorSection, OnlineResult, OnlineSettings, first_difference, replay,
 };
-use crate::config_text;
-use crate::diagnosis::known_along;
-use crate::identification::added_inertia::{self, Seen};
-use crate::identification::kalman::{LoadTrace, load_torque_trace};
-use crate::identification::misfit::Misfit;
-use crate::identification::nameplate::Comparison;
-use crate::identification::online::OnlineConfig;
-use crate::identification::repeat::Repeated;
-use crate::identification::sanity::Finding;
-use crate::identification::scheme::{self, Data, Identified, Scheme};
-use crate::identification::{claims, lost_rows, physical, sanity, temperature, voltage_departure};
-use crate::plant::{ActiveEffect, FittedValue, Model, ModelFile, Motor, MotorKey, Scenario};
-use crate::recording::{ColumnMap, LoadedRun, RunFile, RunFolder, RunRows};
-use crate::report::conventions;
-use crate::sample::{Channel, ParameterEstimate, Run, Verdict};
+use drivebench_diagnose::known_along;
+use drivebench_identify::added_inertia::{self, Seen};
+use drivebench_identify::kalman::{LoadTrace, load_torque_trace};
+use drivebench_identify::misfit::Misfit;
+use drivebench_identify::nameplate::Comparison;
+use drivebench_identify::online::OnlineConfig;
+use drivebench_identify::repeat::Repeated;
+use drivebench_identify::sanity::Finding;
+use drivebench_identify::scheme::{self, Data, Identified, Scheme};
+use drivebench_identify::{claims, lost_rows, physical, sanity, temperature, voltage_departure};
+use drivebench_model::config_text;
+use drivebench_model::plant::{
+    ActiveEffect, FittedValue, Model, ModelFile, Motor, MotorKey, Scenario,
+};
+use drivebench_model::sample::{Channel, ParameterEstimate, Run, Verdict};
 
 /// Kt over Ke of real direct-current machines: iron loss takes some of the torque (ZK-22FC: 0.85), sensor gains add some
 /// per cent either way.

@@ -11,15 +11,15 @@ use std::time::Instant;
 use super::failure::Failure;
 use super::files::read_text;
 use super::output;
-use crate::bench::{BenchFile, DriveFacts, Port, Protocol, check_signals};
-use crate::drive::serial_ports::holder_names;
-use crate::drive::{
-    self, Anchor, DriveLink, DriveProfile, LinkError, ProfiledLink, TapFile, Target, offer,
-    open_tapped,
-};
-use crate::emulator::{
+use drivebench_bench::{BenchFile, DriveFacts, Port, Protocol, check_signals};
+use drivebench_emulator::{
     EmulatorConfig, Endpoint, ForeignBus, ForeignDrive, Guise, Latency, MemoryLink, ServerHandle,
     SoftDrive, VirtualClock, open_line, spawn_as,
+};
+use drivebench_link::serial_ports::holder_names;
+use drivebench_link::{
+    self as drive, Anchor, DriveLink, DriveProfile, LinkError, ProfiledLink, TapFile, Target,
+    offer, open_tapped,
 };
 
 /// A bench file; the profile beside it is found from wherever the program is started.

@@ -14,9 +14,9 @@ use serde::Serialize;
 use super::failure::{Failure, INTERNAL};
 use super::{progress, signals};
 use crate::report::card::{COLUMNS, Card};
-use crate::text::lines::{folded, wrapped};
+use drivebench_model::text::lines::{folded, wrapped};
 
-pub(crate) use crate::text::shell::{quoted, quoted_word};
+pub(crate) use drivebench_model::text::shell::{quoted, quoted_word};
 
 /// Narrower than any terminal that shows a table.
 const FEWEST_COLUMNS: usize = 40;

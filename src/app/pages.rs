@@ -9,19 +9,19 @@ use super::failure::Failure;
 use super::files::{Recorded, early_end};
 use super::output;
 use super::rig::Rig;
-use crate::bench::{self, BenchFile, Plan, Stop};
-use crate::diagnosis::{Comparison, Diagnosis, EffectCurve, ErrorOf, compare, error_curve};
-use crate::identification::noise::NoiseFloor;
-use crate::identification::output_error;
-use crate::plant::{Input, Model, Motor, Scenario, Trajectory};
-use crate::recording::{LoadedRun, Manifest, RunFile};
 use crate::report::{
     CommissionReport, ComparisonReport, ConfirmRun, Context, Facts, LastSeconds, RunReport,
     SpeedLoop, Target,
 };
-use crate::sample::Channel;
 use crate::tui::StoppedAt;
 use crate::workflow::{CommissionResult, Truth};
+use drivebench_bench::recording::{LoadedRun, Manifest, RunFile};
+use drivebench_bench::{self as bench, BenchFile, Plan, Stop};
+use drivebench_diagnose::{Comparison, Diagnosis, EffectCurve, ErrorOf, compare, error_curve};
+use drivebench_identify::noise::NoiseFloor;
+use drivebench_identify::output_error;
+use drivebench_model::plant::{Input, Model, Motor, Scenario, Trajectory};
+use drivebench_model::sample::Channel;
 
 /// Writes the page of one run into its folder; where there is none that is said.
 pub(crate) fn write_run(

@@ -15,8 +15,8 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use super::output;
-use crate::diagnosis::{Event, Stage};
-use crate::text::number::significant;
+use drivebench_diagnose::{Event, Stage};
+use drivebench_model::text::number::significant;
 
 /// What is over sooner needs no progress.
 const AFTER: Duration = Duration::from_secs(1);

@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::failure::Failure;
 use super::output::{self, lines};
-use crate::drive::{
+use drivebench_link::{
     Batch, LinkError, RawClient, RawCounters, ReadRequest, RegisterTable, WriteFunction,
     read_batch, registers,
 };

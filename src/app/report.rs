@@ -9,12 +9,12 @@ use serde_json::{Map, Value};
 use super::failure::Failure;
 use super::files::read_text;
 use super::{output, pages};
-use crate::bench::{BenchFile, LastSeconds, Stop};
-use crate::plant::{Model, MotorKey};
-use crate::recording::{LoadedRun, Manifest, RunFile, RunFolder};
 use crate::report::page::Tone;
 use crate::report::{EarlyEnd, Page, RunReport, SpeedLoop, plot};
-use crate::sample::{ParameterEstimate, Verdict};
+use drivebench_bench::recording::{LoadedRun, Manifest, RunFile, RunFolder};
+use drivebench_bench::{BenchFile, LastSeconds, Stop};
+use drivebench_model::plant::{Model, MotorKey};
+use drivebench_model::sample::{ParameterEstimate, Verdict};
 
 /// What became of it.
 #[derive(Default, Serialize)]

@@ -16,22 +16,24 @@ use super::opening::{
     wired_profile,
 };
 use super::output;
-use crate::bench::{
+use drivebench_bench::recording::{
+    Event, Layout, Manifest, Record as _, Recorder, RunFolder, utc_stamp,
+};
+use drivebench_bench::{
     Bench, BenchFile, BenchFileError, CheckError, CheckOptions, CheckReport, Clock, FirstMove,
     Guard, Level, LoopDelay, MonotonicClock, Nameplate, Notice, OnlineSettings, Outcome, Plan,
     Port, RATE_CHECK, ReopenBench, ReopenOptions, Reopened, RowEstimator, RunOptions, RunSummary,
     Session, Snapshot, SpeedPilot, Target, Waivers, check, layout, layout_with_reference, manifest,
     measure_delay, plan, reopen, run, stage_session,
 };
-use crate::drive::offer::{self, Purpose};
-use crate::drive::{CutIn, DriveLink, DriveProfile, Identity, open_tapped};
-use crate::emulator::{EmulatorConfig, Guise, ServerHandle, VirtualClock, mystery};
-use crate::identification::escalation::Stage;
-use crate::identification::online::OnlineConfig;
-use crate::numerics::count::whole;
-use crate::plant::{Model, Motor};
-use crate::recording::{Event, Layout, Manifest, Record as _, Recorder, RunFolder, utc_stamp};
-use crate::sample::{Channel, Origin};
+use drivebench_emulator::{EmulatorConfig, Guise, ServerHandle, VirtualClock, mystery};
+use drivebench_identify::escalation::Stage;
+use drivebench_identify::online::OnlineConfig;
+use drivebench_link::offer::{self, Purpose};
+use drivebench_link::{CutIn, DriveLink, DriveProfile, Identity, open_tapped};
+use drivebench_model::numerics::count::whole;
+use drivebench_model::plant::{Model, Motor};
+use drivebench_model::sample::{Channel, Origin};
 
 /// What stands for the emulator's configuration in a bench file that hides it.
 pub(crate) const MYSTERY: &str = "mystery";
@@ -301,7 +303,7 @@ impl Rig {
         self.way.link.burst().is_some()
     }
 
-    fn program(&self, seed: u64) -> Result<crate::excitation::Program, Failure> {
+    fn program(&self, seed: u64) -> Result<drivebench_model::excitation::Program, Failure> {
         let file = self.bench.name.clone();
         let program = self.bench.program(seed);
         program.map_err(|error| BenchFileError::Sequence { file, error }.into())

@@ -14,23 +14,25 @@ use super::files::model_file;
 use super::output::quoted;
 use super::rig::{OpenRig, Rig, RigOptions};
 use super::{output, pages, progress, signals};
-use crate::bench::{CheckReport, Plan, RunSummary, Snapshot, burst_part};
-use crate::diagnosis::{Evidence, Score};
-use crate::drive::offer::Purpose;
-use crate::emulator::mystery::TrueEffect;
-use crate::identification::escalation::Ending;
-use crate::identification::nameplate::Comparison;
-use crate::identification::noise::FloorSource;
-use crate::identification::start;
-use crate::plant::{FileHistory, FittedValue, Model, ModelFile, Motor, MotorKey, Scenario};
-use crate::recording::RunFile;
 use crate::report::card::COLUMNS;
 use crate::report::{Card, CommissionReport};
-use crate::sample::Verdict;
 use crate::workflow::{
     BurstResult, Called, Commission, CommissionResult, Discovery, Escalate, EscalationResult,
     Progress, Role, RunRecord, Task, compared, scaled_sentence,
 };
+use drivebench_bench::recording::RunFile;
+use drivebench_bench::{CheckReport, Plan, RunSummary, Snapshot, burst_part};
+use drivebench_diagnose::{Evidence, Score};
+use drivebench_emulator::mystery::TrueEffect;
+use drivebench_identify::escalation::Ending;
+use drivebench_identify::nameplate::Comparison;
+use drivebench_identify::noise::FloorSource;
+use drivebench_identify::start;
+use drivebench_link::offer::Purpose;
+use drivebench_model::plant::{
+    FileHistory, FittedValue, Model, ModelFile, Motor, MotorKey, Scenario,
+};
+use drivebench_model::sample::Verdict;
 
 /// An end between two runs.
 pub(super) const BETWEEN_RUNS: &str =

@@ -6,9 +6,9 @@ use super::by_hand::{self, Left, Shown};
 use super::evidence::{Place, Prepared};
 use super::failure::Failure;
 use super::pages;
-use crate::diagnosis::ErrorOf;
 use crate::tui::Opens;
 use crate::workflow::Discovery;
+use drivebench_diagnose::ErrorOf;
 
 /// A screen needs a terminal; `help` says what does without one.
 pub(crate) fn needs_terminal(what: &str, help: &str) -> Result<(), Failure> {

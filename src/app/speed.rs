@@ -16,20 +16,20 @@ use super::opening::wired_profile;
 use super::rig::{OpenRig, RigOptions, SpeedAbout, nameplate};
 use super::run::tell_checks;
 use super::{files, output, pages};
-use crate::bench::{
+use crate::report::SpeedLoop;
+use crate::report::page::{Cell, Table};
+use drivebench_bench::recording::RunFile;
+use drivebench_bench::{
     BenchFile, CheckReport, ControllerKind, Design, EMBEDDED_NAME, ForwardUse, Limits, LoopDelay,
     Nameplate, PilotSettings, Reference, Regulator, RegulatorError, RunSummary, SpeedPilot,
     SpeedReport, SpeedSection, loop_timing,
 };
-use crate::control::Actuator;
-use crate::control::tuning::Rule;
-use crate::drive::offer::Purpose;
-use crate::plant::{Model, ModelFile, Motor, TorqueMap};
-use crate::recording::RunFile;
-use crate::report::SpeedLoop;
-use crate::report::page::{Cell, Table};
-use crate::sample::Channel;
-use crate::text::number::{fixed, significant};
+use drivebench_control::Actuator;
+use drivebench_control::tuning::Rule;
+use drivebench_link::offer::Purpose;
+use drivebench_model::plant::{Model, ModelFile, Motor, TorqueMap};
+use drivebench_model::sample::Channel;
+use drivebench_model::text::number::{fixed, significant};
 
 /// Standard deviation of a speed sample below which a sensor is not believed to be quieter, rad/s.
 const LEAST_NOISE_RAD_S: f64 = 0.02;

@@ -8,13 +8,13 @@ use serde::Serialize;
 use super::failure::{Failure, REFUSED};
 use super::opening::{Tap, address, serve};
 use super::output;
-use crate::bench::{MonotonicClock, Port, Told};
-use crate::drive::register_map::Quantity;
-use crate::drive::{
-    self, DriveProfile, Framing, LinkError, ProbeDepth, ProbeReport, ProbeVerdict, RawClient,
-    RawSettings, ReadRequest, Target, open_stream, probe, probe_stream,
+use drivebench_bench::{MonotonicClock, Port, Told};
+use drivebench_emulator::{EmulatorConfig, Guise, ServerHandle};
+use drivebench_link::register_map::Quantity;
+use drivebench_link::{
+    self as drive, DriveProfile, Framing, LinkError, ProbeDepth, ProbeReport, ProbeVerdict,
+    RawClient, RawSettings, ReadRequest, Target, open_stream, probe, probe_stream,
 };
-use crate::emulator::{EmulatorConfig, Guise, ServerHandle};
 
 /// Time for one reply of a drive that is asked for its limits.
 const REPLY_TIMEOUT: Duration = Duration::from_secs(1);

@@ -8,13 +8,13 @@ use serde::{Deserialize, Serialize};
 
 use super::failure::Failure;
 use super::files::{read_text, speed_command};
-use crate::control::tuning::{Request, Tuning, TuningError, tune_over};
-use crate::control::{
+use crate::report::{Card, Tone};
+use drivebench_control::tuning::{Request, Tuning, TuningError, tune_over};
+use drivebench_control::{
     Actuator, LinearPlant, LoopShape, LoopTiming, Margins, PiGains, PlantError, Schedule,
     StepPoint, drawn,
 };
-use crate::plant::{FileHistory, Model, ModelFile};
-use crate::report::{Card, Tone};
+use drivebench_model::plant::{FileHistory, Model, ModelFile};
 
 /// Lines of the predicted step response.
 const LINES: usize = 16;

@@ -9,10 +9,10 @@ use super::evidence::{Prepared, was_fitted_on};
 use super::failure::Failure;
 use super::files::read_model;
 use super::{output, progress};
-use crate::diagnosis::{HoldoutFrom, Versus, versus};
 use crate::report::card::COLUMNS;
-use crate::text::lines::wrapped;
-use crate::text::number::{fit, significant};
+use drivebench_diagnose::{HoldoutFrom, Versus, versus};
+use drivebench_model::text::lines::wrapped;
+use drivebench_model::text::number::{fit, significant};
 
 #[derive(Serialize)]
 pub(crate) struct VersusResult {

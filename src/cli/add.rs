@@ -10,14 +10,14 @@ use super::failure::{Failure, REFUSED};
 use super::{output, progress, signals};
 use crate::app::evidence::Judging;
 use crate::app::files::{model_file, speed_command};
-use crate::config_text::help_for_unknown;
-use crate::diagnosis::{AddResult, AxisMap, Evidence, add, axis_map, remove};
-use crate::identification::output_error;
-use crate::plant::effect::{Axis, DefinitionError};
-use crate::plant::{Effect, FileHistory, Model, ModelError, effect};
 use crate::report::Card;
 use crate::report::comparison::{change_card, change_in_full};
 use crate::workflow::{curve_table, four_digits, hold_what_the_curve_holds};
+use drivebench_diagnose::{AddResult, AxisMap, Evidence, add, axis_map, remove};
+use drivebench_identify::output_error;
+use drivebench_model::config_text::help_for_unknown;
+use drivebench_model::plant::effect::{Axis, DefinitionError};
+use drivebench_model::plant::{Effect, FileHistory, Model, ModelError, effect};
 
 /// Refit a model without one of its effects and show the held-out error before and after
 #[derive(clap::Args)]

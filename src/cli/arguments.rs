@@ -13,12 +13,12 @@ use crate::app::evidence::{EvidenceFiles, Judging, Prepared, prepare};
 use crate::app::export::require_parquet;
 use crate::app::files::{load, read_text};
 use crate::app::{Audience, MYSTERY, RigOptions, Tap};
-use crate::bench::{BenchFile, EMBEDDED_NAME, Port, Waivers};
-use crate::drive::{Framing, RawClient, RawSettings, Target, standard_gap_s};
-use crate::identification::sanity;
-use crate::recording::{ColumnMap, LoadedRun, resolved};
-use crate::sample::{Channel, Origin, Run, Side};
 use crate::workflow::ProgressCell;
+use drivebench_bench::recording::{ColumnMap, LoadedRun, resolved};
+use drivebench_bench::{BenchFile, EMBEDDED_NAME, Port, Waivers};
+use drivebench_identify::sanity;
+use drivebench_link::{Framing, RawClient, RawSettings, Target, standard_gap_s};
+use drivebench_model::sample::{Channel, Origin, Run, Side};
 
 /// A run on the command line; `runs/latest` is the folder that it names now.
 pub(super) fn run_path() -> impl TypedValueParser<Value = PathBuf> {

@@ -8,7 +8,7 @@ use super::{output, progress, signals};
 use crate::app::bode::{Bode, BodeRequest};
 use crate::app::by_hand::show_response;
 use crate::app::screen::needs_terminal;
-use crate::identification::frequency_response::Pathway;
+use drivebench_identify::frequency_response::Pathway;
 
 /// Frequency response of recorded runs: magnitude, phase, coherence; resonances with their damping; a model's beside it
 #[derive(clap::Args)]

@@ -8,9 +8,9 @@ use super::{output, progress, signals};
 use crate::app::evidence::Judging;
 use crate::app::versus::VersusResult;
 use crate::app::{pages, screen};
-use crate::diagnosis::{Comparison, compare};
 use crate::report::SignalFigures;
-use crate::text::number::fit;
+use drivebench_diagnose::{Comparison, compare};
+use drivebench_model::text::number::fit;
 
 /// Compare a model with a run: fit, error, noise floor, and where it fails
 #[derive(clap::Args)]

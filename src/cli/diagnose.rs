@@ -9,12 +9,12 @@ use crate::app::by_hand::{self, Shown};
 use crate::app::evidence::Judging;
 use crate::app::evidence::Place;
 use crate::app::{pages, screen};
-use crate::diagnosis::{Diagnosis, DiagnosisVerdict, diagnose_with};
-use crate::plant::effect::Axis;
 use crate::report::Card;
 use crate::report::card::COLUMNS;
 use crate::tui::Opens;
 use crate::workflow::Discovery;
+use drivebench_diagnose::{Diagnosis, DiagnosisVerdict, diagnose_with};
+use drivebench_model::plant::effect::Axis;
 
 /// Name the physical effect that a model is missing, judged on data the fit has not seen
 #[derive(clap::Args)]

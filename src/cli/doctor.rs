@@ -14,8 +14,8 @@ use super::arguments::{WireArguments, open_line};
 use super::failure::{Failure, LINK};
 use super::output;
 use crate::app::doctor::{Findings, Look, port_text};
-use crate::drive::RawSettings;
-use crate::drive::serial_ports::{SerialPortInfo, list};
+use drivebench_link::RawSettings;
+use drivebench_link::serial_ports::{SerialPortInfo, list};
 
 /// List serial ports: stable name, adapter, driver, who holds them
 #[derive(clap::Args)]

@@ -8,9 +8,11 @@ use serde::Serialize;
 use super::failure::{Failure, LINK, USAGE};
 use super::{opening, output, signals};
 use crate::app::files::read_text;
-use crate::drive::{DriveProfile, Protocol};
-use crate::emulator::mystery::{self, Mystery};
-use crate::emulator::{EmulatorConfig, Endpoint, Guise, Journal, Served, UNIT, ready_line, serve};
+use drivebench_emulator::mystery::{self, Mystery};
+use drivebench_emulator::{
+    EmulatorConfig, Endpoint, Guise, Journal, Served, UNIT, ready_line, serve,
+};
+use drivebench_link::{DriveProfile, Protocol};
 
 /// Serve the software drive on a pseudo-terminal or a TCP port until interrupted
 #[derive(clap::Args)]

@@ -6,9 +6,9 @@ use super::arguments::{MapArguments, run_path};
 use super::failure::Failure;
 use super::output;
 use crate::app::export::{ExportRequest, export, require_parquet, run_as_parquet, torque_map_of};
-use crate::plant::MappedTorque;
-use crate::recording::LoadedRun;
 use crate::report::export::Target;
+use drivebench_bench::recording::LoadedRun;
+use drivebench_model::plant::MappedTorque;
 
 /// Write a model, with the gains of its regulator, as JSON, C, Python, MATLAB/Octave or Modelica; friction or cogging as
 /// runs show it, as CSV or C; or a run as Parquet

@@ -15,13 +15,13 @@ use crate::app::identify::{
     Answer, OneRun, absolute, caution, identify, is_usable, jointly, json_of, plate, schemes,
     trace_load,
 };
-use crate::config_text::help_for_unknown;
-use crate::identification::nameplate;
-use crate::identification::repeat::{self, Repeated};
-use crate::identification::scheme::{self, Identified};
-use crate::plant::{Model, Scenario};
-use crate::recording::LoadedRun;
-use crate::sample::{Channel, ParameterEstimate, Verdict};
+use drivebench_bench::recording::LoadedRun;
+use drivebench_identify::nameplate;
+use drivebench_identify::repeat::{self, Repeated};
+use drivebench_identify::scheme::{self, Identified};
+use drivebench_model::config_text::help_for_unknown;
+use drivebench_model::plant::{Model, Scenario};
+use drivebench_model::sample::{Channel, ParameterEstimate, Verdict};
 
 /// Gearboxes that exist, with room.
 const GEAR_RATIOS: RangeInclusive<f64> = 1e-3..=1e5;

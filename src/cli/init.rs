@@ -14,10 +14,10 @@ use super::{opening, output};
 use crate::app::files::read_text;
 use crate::app::suite::golden;
 use crate::app::survey::told;
-use crate::bench::{InitFile, InitRequest, MotorSection, Port, Reasoned, init_file};
-use crate::config_text::{self, ConfigError};
-use crate::drive::serial_ports::describe;
 use crate::workflow::suite::golden::GoldenLimit;
+use drivebench_bench::{InitFile, InitRequest, MotorSection, Port, Reasoned, init_file};
+use drivebench_link::serial_ports::describe;
+use drivebench_model::config_text::{self, ConfigError};
 
 /// What a bench file is called in the next steps while it has no name.
 const NAMELESS: &str = "bench.toml";

@@ -7,8 +7,8 @@ use super::failure::Failure;
 use super::output::{self, lines};
 use crate::app::files::read_text;
 use crate::app::forecast::{Forecast, Forward, Known, Unknown, forecast};
-use crate::bench::{EMBEDDED_DEFAULT, EMBEDDED_NAME, Plan};
-use crate::drive::LineBudget;
+use drivebench_bench::{EMBEDDED_DEFAULT, EMBEDDED_NAME, Plan};
+use drivebench_link::LineBudget;
 
 /// Predict peak current, speed, travel, heat and duration of a bench file's sequence
 #[derive(clap::Args)]

@@ -15,8 +15,8 @@ use super::opening;
 use super::output::{self, lines};
 use crate::app::Tap;
 use crate::app::survey::{Asking, Survey, far_end, look, survey};
-use crate::drive::{Framing, ProbeReport, ProbeVerdict, ProbedSignal};
-use crate::text::number::{reading, with_unit};
+use drivebench_link::{Framing, ProbeReport, ProbeVerdict, ProbedSignal};
+use drivebench_model::text::number::{reading, with_unit};
 
 /// Time for one reply where a drive is known, and where every profile is tried, ms.
 const TIMEOUT_MS: u64 = 1000;
@@ -251,7 +251,7 @@ fn survey_text(survey: &Survey) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::drive::register_map::Candidate;
+    use drivebench_link::register_map::Candidate;
 
     #[test]
     fn an_implausible_signal_is_followed_by_the_other_ways_of_reading_it() {

@@ -11,7 +11,7 @@ use super::arguments::WireArguments;
 use super::failure::Failure;
 use super::{output, signals};
 use crate::app::registers::{ReadResult, WriteResult, verdict, write_once};
-use crate::drive::{MOST_READ, MOST_WRITTEN, ReadRequest, RegisterTable, read_batch, registers};
+use drivebench_link::{MOST_READ, MOST_WRITTEN, ReadRequest, RegisterTable, read_batch, registers};
 
 /// Read or write raw Modbus registers of any unit, over a serial port or TCP
 #[derive(clap::Args)]

@@ -8,8 +8,8 @@ use super::arguments::run_path;
 use super::failure::{Failure, REFUSED};
 use super::{output, progress, signals};
 use crate::app::identify::{Replayed, replayed};
-use crate::bench::Difference;
-use crate::recording::ColumnMap;
+use drivebench_bench::Difference;
+use drivebench_bench::recording::ColumnMap;
 
 /// Run the on-line estimators over a log again and compare with what they said live
 #[derive(clap::Args)]

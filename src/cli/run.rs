@@ -13,10 +13,10 @@ use crate::app::{
     Audience, Connection, Rig, RigOptions, RunDone, SpeedRequest, by_hand, cards, commission,
     conduct, connect, escalation_failure, run, run_result, speed, speed_result,
 };
-use crate::bench::{ControllerKind, ForwardUse};
-use crate::control::Actuator;
 use crate::report::Card;
 use crate::workflow::{Called, EscalationResult, Progress, ProgressCell, StepState};
+use drivebench_bench::{ControllerKind, ForwardUse};
+use drivebench_control::Actuator;
 
 /// Excite the motor, record the run and identify on line; live screen unless --headless
 #[derive(clap::Args)]

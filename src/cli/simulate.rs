@@ -7,11 +7,11 @@ use super::arguments::{MapArguments, run_path};
 use super::failure::Failure;
 use super::{output, signals};
 use crate::app::files::read_model;
-use crate::identification::noise::NoiseFloor;
-use crate::identification::output_error;
-use crate::plant::Scenario;
-use crate::recording::write_run;
-use crate::sample::{Channel, Origin, Run, RunError};
+use drivebench_bench::recording::write_run;
+use drivebench_identify::noise::NoiseFloor;
+use drivebench_identify::output_error;
+use drivebench_model::plant::Scenario;
+use drivebench_model::sample::{Channel, Origin, Run, RunError};
 
 /// Simulate a model under the voltage of a recorded run and print the result as CSV
 #[derive(clap::Args)]

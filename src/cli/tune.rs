@@ -6,8 +6,8 @@ use super::failure::Failure;
 use super::output;
 use crate::app::files::read_model;
 use crate::app::tune::TuneResult;
-use crate::control::LoopTiming;
-use crate::control::tuning::{NotchUse, Request, Rule};
+use drivebench_control::LoopTiming;
+use drivebench_control::tuning::{NotchUse, Request, Rule};
 
 /// Gains of a speed regulator from an identified model, with reasons, margins and the predicted step response
 #[derive(clap::Args)]

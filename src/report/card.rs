@@ -7,7 +7,7 @@
 //! ```
 
 use super::page::{Table, Tone};
-use crate::text::lines::{cut, wrapped};
+use drivebench_model::text::lines::{cut, wrapped};
 
 /// What a printed card fits into.
 pub const COLUMNS: usize = 100;

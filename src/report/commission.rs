@@ -5,12 +5,12 @@ use super::page::{Page, Table, Tone};
 use super::plot::bars;
 use super::traces::{ConfirmRun, model_names, traces};
 use super::{Context, Target, comparison, findings, tables};
-use crate::diagnosis::{Answer, Comparison, Diagnosis, EffectCurve, HoldoutFrom, Rung};
-use crate::identification::noise::FloorSource;
-use crate::plant::Model;
-use crate::sample::ParameterEstimate;
-use crate::text::lines::capitalised;
-use crate::text::number::{fixed, percent};
+use drivebench_diagnose::{Answer, Comparison, Diagnosis, EffectCurve, HoldoutFrom, Rung};
+use drivebench_identify::noise::FloorSource;
+use drivebench_model::plant::Model;
+use drivebench_model::sample::ParameterEstimate;
+use drivebench_model::text::lines::capitalised;
+use drivebench_model::text::number::{fixed, percent};
 
 /// Parameters that a card shows whatever the room: those of the motor, and of an effect or two.
 const MOST_PARAMETERS: usize = 8;

@@ -6,16 +6,16 @@ use super::page::{Cell, Page, Table, Tone};
 use super::plot::MapChart;
 use super::traces::{ConfirmRun, traces};
 use super::{Context, findings, tables};
-use crate::diagnosis::{
+use drivebench_diagnose::{
     AddResult, Comparison, EffectCurve, FailureLocation, HoldoutFrom, MapCell, MapDigits,
     SignalComparison, SignalScore, Signals,
 };
-use crate::identification::noise::FloorSource;
-use crate::plant::effect;
-use crate::sample::ParameterEstimate;
-use crate::text::lines::capitalised;
-use crate::text::number::{fit, fixed, r_min, share, significant};
-use crate::units::rpm_from_rad_s;
+use drivebench_identify::noise::FloorSource;
+use drivebench_model::plant::effect;
+use drivebench_model::sample::ParameterEstimate;
+use drivebench_model::text::lines::capitalised;
+use drivebench_model::text::number::{fit, fixed, r_min, share, significant};
+use drivebench_model::units::rpm_from_rad_s;
 
 /// Places that are worth a line each.
 const MOST_PLACES: usize = 4;

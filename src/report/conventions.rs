@@ -2,9 +2,9 @@
 
 use serde::Serialize;
 
-use crate::plant::MotorKey;
-use crate::sample::ParameterEstimate;
-use crate::units;
+use drivebench_model::plant::MotorKey;
+use drivebench_model::sample::ParameterEstimate;
+use drivebench_model::units;
 
 /// How the constants of a direct-current machine belong together.
 pub const RELATION: &str = "in SI Ke (V.s/rad) and Kt (N.m/A) are the same number for a DC machine; Kv = 60/(2 pi Ke). \

@@ -3,11 +3,13 @@
 use super::card::Card;
 use super::page::{Cell, Page, Table};
 use super::plot::{AxisChart, PointSet, Style};
-use crate::diagnosis::{AxisMap, Candidate, CurvePoint, Diagnosis, EffectCurve, Reached, Status};
-use crate::plant::effect;
-use crate::sample::{ParameterEstimate, TWO_SIDED_95};
-use crate::text::lines::capitalised;
-use crate::text::number::{fixed, probability, share, significant};
+use drivebench_diagnose::{
+    AxisMap, Candidate, CurvePoint, Diagnosis, EffectCurve, Reached, Status,
+};
+use drivebench_model::plant::effect;
+use drivebench_model::sample::{ParameterEstimate, TWO_SIDED_95};
+use drivebench_model::text::lines::capitalised;
+use drivebench_model::text::number::{fixed, probability, share, significant};
 
 /// Pictures of curves that an error follows, at most.
 const MOST_CURVES: usize = 3;

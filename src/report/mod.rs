@@ -10,7 +10,7 @@
 //! What a command prints is a [`card::Card`] of the same report: a few lines, with the commands that go on.
 //!
 //! Both forms come from the same [`page::Page`], so they cannot say different things. No estimate is printed without its
-//! standard deviation and verdict ([`crate::text::number`]); a value that is missing is a gap or a word, never a zero and
+//! standard deviation and verdict ([`drivebench_model::text::number`]); a value that is missing is a gap or a word, never a zero and
 //! never NaN.
 
 pub mod card;

@@ -3,8 +3,8 @@
 use std::fmt::Write;
 
 use super::plot::{self, Plot};
-use crate::text::lines::{cut, wrapped};
-use crate::text::{columns, number};
+use drivebench_model::text::lines::{cut, wrapped};
+use drivebench_model::text::{columns, number};
 
 /// What is about the pictures, whose own style gives the colours; narrow and printed.
 const STYLE: &str = include_str!("page.css");

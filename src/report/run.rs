@@ -5,10 +5,10 @@ use std::ops::Range;
 use super::page::{Cell, Page, Table, Tone};
 use super::plot::{MOST_POINTS, Panel, Style, TIME, stacked};
 use super::{Context, Facts, tables};
-use crate::plant::Model;
-use crate::sample::{Channel, Origin, ParameterEstimate, Run};
-use crate::text::number::{r_min, significant};
-use crate::units::rpm_from_rad_s;
+use drivebench_model::plant::Model;
+use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Run};
+use drivebench_model::text::number::{r_min, significant};
+use drivebench_model::units::rpm_from_rad_s;
 
 /// Everything that the page of a run is made of.
 #[derive(Clone, Debug)]

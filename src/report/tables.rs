@@ -2,10 +2,10 @@
 
 use super::page::{Cell, Page, Table};
 use super::{Context, Facts, SAFETY_NOTICE};
-use crate::drive::drive_name;
-use crate::plant::Model;
-use crate::sample::ParameterEstimate;
-use crate::text::number;
+use drivebench_link::drive_name;
+use drivebench_model::plant::Model;
+use drivebench_model::sample::ParameterEstimate;
+use drivebench_model::text::number;
 
 /// What the nameplate says of a parameter.
 fn given(nameplate: Option<&Model>, key: &str) -> Option<f64> {
@@ -112,7 +112,7 @@ fn estimate(parameter: Option<ParameterEstimate>, nameplate: Option<f64>) -> [Ce
     if let (Some(found), Some(given)) = (parameter.value, nameplate)
         && given.abs() > 0.0
         && found.is_finite()
-        && parameter.verdict != crate::sample::Verdict::Fixed
+        && parameter.verdict != drivebench_model::sample::Verdict::Fixed
     {
         let difference = number::fixed(100.0 * (found / given - 1.0), 1);
         value = value.with_note(format!("{difference} % off the nameplate"));

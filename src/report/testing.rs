@@ -4,15 +4,15 @@ use std::sync::LazyLock;
 
 use super::card::Card;
 use super::page::{Table, Tone};
-use crate::diagnosis::next_experiment::MenuEntry;
-use crate::diagnosis::{
+use drivebench_diagnose::next_experiment::MenuEntry;
+use drivebench_diagnose::{
     Candidate, Comparison, Diagnosis, DiagnosisVerdict, EquationBalance, ErrorMap, ErrorOf,
     Evidence, FailureLocation, Fitted, HoldoutFrom, NextExperiment, Peak, Reached, ResidualLights,
     Rung, Signals, Status, compare,
 };
-use crate::identification::noise::{FloorSource, NoiseFloor};
-use crate::plant::{Model, Motor, State, effect, testing};
-use crate::sample::ParameterEstimate;
+use drivebench_identify::noise::{FloorSource, NoiseFloor};
+use drivebench_model::plant::{Model, Motor, State, effect, testing};
+use drivebench_model::sample::ParameterEstimate;
 
 /// The motor with these effects, and no more of its fit than a report needs.
 pub(crate) fn fitted(effects: &[&str]) -> Fitted {

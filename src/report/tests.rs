@@ -3,13 +3,13 @@
 use super::page::Page;
 use super::testing::{candidate, comparison, diagnosis, next_experiment, rung};
 use super::*;
-use crate::diagnosis::{
+use drivebench_diagnose::{
     Candidate, Comparison, DiagnosisVerdict, ErrorOf, Evidence, NextExperiment, ResidualLights,
     Status, compare, diagnose,
 };
-use crate::identification::output_error;
-use crate::plant::{Model, Motor, Scenario, Trajectory, testing};
-use crate::sample::{Channel, Origin, ParameterEstimate, Run};
+use drivebench_identify::output_error;
+use drivebench_model::plant::{Model, Motor, Scenario, Trajectory, testing};
+use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Run};
 
 /// Where to write the demonstration pages, to be looked at.
 const DEMO: &str = "DRIVEBENCH_REPORT_DEMO";

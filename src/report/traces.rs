@@ -3,9 +3,9 @@
 
 use super::page::Page;
 use super::plot::{MOST_POINTS, Panel, Style, TIME, stacked};
-use crate::identification::noise::{FloorSource, NoiseFloor};
-use crate::plant::{Input, Scenario, Trajectory};
-use crate::units::rpm_from_rad_s;
+use drivebench_identify::noise::{FloorSource, NoiseFloor};
+use drivebench_model::plant::{Input, Scenario, Trajectory};
+use drivebench_model::units::rpm_from_rad_s;
 
 /// Standard deviations within which 99 of 100 normal residuals lie.
 const BAND_99: f64 = 2.576;

@@ -30,8 +30,8 @@ use signal_hook::consts::SIGCONT;
 
 use super::keys::{Held, Press, press};
 use super::theme;
-use crate::bench::Intent;
 use crate::workflow::Order;
+use drivebench_bench::Intent;
 
 /// Longest time between two looks at what a screen is told: 25 frames a second. A key is answered at once.
 const FRAME: Duration = Duration::from_millis(40);

@@ -8,7 +8,7 @@ use ratatui::widgets::{Block, Borders, Clear, Paragraph, Widget, Wrap};
 
 use super::keys::{self, On};
 use super::theme;
-use crate::text::lines::{cut, wrapped};
+use drivebench_model::text::lines::{cut, wrapped};
 
 /// The smallest screen that can be read.
 const SMALLEST: (u16, u16) = (30, 6);

@@ -6,7 +6,7 @@ use ratatui::layout::Rect;
 use ratatui::style::Style;
 
 use super::theme;
-use crate::text::number::shortest;
+use drivebench_model::text::number::shortest;
 
 /// Columns of the axis labels, with the axis.
 pub(super) const LABELS: u16 = 7;

@@ -4,9 +4,9 @@ use proptest::prelude::*;
 use ratatui::backend::TestBackend;
 use ratatui::{Frame, Terminal};
 
-use crate::diagnosis::{Evidence, RecordedChannels, Traces};
-use crate::plant::testing::with_a_fan;
-use crate::plant::{ActiveEffect, Model, Motor, effect};
+use drivebench_diagnose::{Evidence, RecordedChannels, Traces};
+use drivebench_model::plant::testing::with_a_fan;
+use drivebench_model::plant::{ActiveEffect, Model, Motor, effect};
 
 /// What `view` draws on so many cells.
 pub(super) fn terminal(

@@ -6,8 +6,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use ratatui::buffer::Buffer;
 use ratatui::style::{Color, Style};
 
-use crate::bench::{Level, Target};
-use crate::sample::Verdict;
+use drivebench_bench::{Level, Target};
+use drivebench_model::sample::Verdict;
 
 pub(super) const PLAIN: Style = Style::new();
 pub(super) const DIM: Style = Style::new().dark_gray();

@@ -7,12 +7,12 @@ use std::fmt::Write as _;
 use serde::Serialize;
 
 use super::keyed::with_keys;
-use crate::diagnosis::{Diagnosis, Evidence, Status, diagnose};
-use crate::identification::output_error::FitError;
-use crate::identification::{start, weak_form};
-use crate::plant::{ActiveEffect, Balance, Model, MotorKey, Scenario};
-use crate::sample::{ParameterEstimate, Verdict};
-use crate::text::number::{fixed, with_std};
+use drivebench_diagnose::{Diagnosis, Evidence, Status, diagnose};
+use drivebench_identify::output_error::FitError;
+use drivebench_identify::{start, weak_form};
+use drivebench_model::plant::{ActiveEffect, Balance, Model, MotorKey, Scenario};
+use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::text::number::{fixed, with_std};
 
 /// What one burst said.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -248,10 +248,10 @@ fn rate_hz(burst: &Scenario) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::identification::noise::NoiseFloor;
-    use crate::identification::output_error;
-    use crate::plant::{Motor, testing};
-    use crate::sample::{Channel, Origin, Run};
+    use drivebench_identify::noise::NoiseFloor;
+    use drivebench_identify::output_error;
+    use drivebench_model::plant::{Motor, testing};
+    use drivebench_model::sample::{Channel, Origin, Run};
 
     const RATE_HZ: f64 = 10_000.0;
 

@@ -10,24 +10,25 @@ use super::burst::BurstResult;
 use super::discovery::Discovery;
 use super::guide::{Called, Role, Step};
 use super::keyed::with_keys;
+use super::next_bench::{experiment_limits, next_bench};
 use super::truth::Truth;
-use crate::bench::{
-    BenchFile, CheckReport, Design, Nameplate, Plan, Refusal, Scaled, bounds, experiment_limits,
-    loop_timing, next_bench, scale,
-};
-use crate::control::Actuator;
-use crate::diagnosis::{
-    self, Diagnosis, ErrorOf, Evidence, Recipe, Rung, compare, diagnose_with, recommend,
-};
-use crate::emulator::mystery::TrueEffect;
-use crate::identification::escalation::{Ending, Escalation, Outcome, Stage, StageResult};
-use crate::identification::nameplate::{self, Comparison};
-use crate::identification::output_error::FitError;
-use crate::identification::start;
-use crate::plant::{FittedValue, Model, ModelError, Motor, Scenario, ScenarioError};
 use crate::report::Card;
-use crate::sample::{ParameterEstimate, Run};
-use crate::text::shell::quoted;
+use drivebench_bench::{
+    BenchFile, CheckReport, Design, Nameplate, Plan, Refusal, Scaled, bounds, loop_timing, scale,
+};
+use drivebench_control::Actuator;
+use drivebench_diagnose::{
+    self as diagnosis, Diagnosis, ErrorOf, Evidence, Recipe, Rung, compare, diagnose_with,
+    recommend,
+};
+use drivebench_emulator::mystery::TrueEffect;
+use drivebench_identify::escalation::{Ending, Escalation, Outcome, Stage, StageResult};
+use drivebench_identify::nameplate::{self, Comparison};
+use drivebench_identify::output_error::FitError;
+use drivebench_identify::start;
+use drivebench_model::plant::{FittedValue, Model, ModelError, Motor, Scenario, ScenarioError};
+use drivebench_model::sample::{ParameterEstimate, Run};
+use drivebench_model::text::shell::quoted;
 
 /// What the driver is to do next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -191,7 +192,7 @@ impl Commission {
             plan.peak_current_a,
             plan.peak_current_ratio,
             plan.peak_speed_rad_s,
-            crate::units::turns_from_rad(plan.travel_rad),
+            drivebench_model::units::turns_from_rad(plan.travel_rad),
             plan.duration_s,
         );
         self.step_done(Step::Plan, &line, Task::Record(Role::Fit));

@@ -7,15 +7,15 @@
 //! Pure: it owns a model and its evidence, and knows no thread, file or screen. What has no name yet is held by a learned
 //! curve as an effect of the model.
 
-use crate::diagnosis::{
-    self, AddResult, AxisMap, Comparison, Diagnosis, EffectCurve, ErrorOf, Event, Evidence,
-    ExperimentLimits, Fitted, HoldoutFrom, NextExperiment, RecordedChannels, Rung, Traces, compare,
-    diagnose_with, effect_curve, error_curve, recommend,
+use drivebench_diagnose::{
+    self as diagnosis, AddResult, AxisMap, Comparison, Diagnosis, EffectCurve, ErrorOf, Event,
+    Evidence, ExperimentLimits, Fitted, HoldoutFrom, NextExperiment, RecordedChannels, Rung,
+    Traces, compare, diagnose_with, effect_curve, error_curve, recommend,
 };
-use crate::identification::frequency_response::{Compared, compared, of_model};
-use crate::identification::output_error::FitError;
-use crate::plant::effect::{self, Axis, DefinitionError, ParameterRole};
-use crate::plant::{Effect, Input, Model, Scenario, Slot};
+use drivebench_identify::frequency_response::{Compared, compared, of_model};
+use drivebench_identify::output_error::FitError;
+use drivebench_model::plant::effect::{self, Axis, DefinitionError, ParameterRole};
+use drivebench_model::plant::{Effect, Input, Model, Scenario, Slot};
 
 /// What a person asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -536,9 +536,9 @@ mod tests {
     use std::sync::Mutex;
 
     use super::*;
-    use crate::diagnosis::{Answer, DiagnosisVerdict, Status};
-    use crate::plant::testing::{self, with_a_fan};
-    use crate::plant::{ActiveEffect, Motor};
+    use drivebench_diagnose::{Answer, DiagnosisVerdict, Status};
+    use drivebench_model::plant::testing::{self, with_a_fan};
+    use drivebench_model::plant::{ActiveEffect, Motor};
 
     fn told(discovery: &mut Discovery, order: Order) -> Vec<News> {
         let news = Mutex::new(Vec::new());
@@ -584,7 +584,7 @@ mod tests {
         let settings =
             "equation = \"torque\"\nexpression = \"a*exp(-((w-118)/15)^2)\"\nparameters = [\"a\"]";
         let (bump, _) = effect::define("custom", &settings.parse().unwrap()).unwrap();
-        truth.effects.push(crate::plant::ActiveEffect {
+        truth.effects.push(drivebench_model::plant::ActiveEffect {
             effect: bump,
             values: vec![Some(0.18)],
         });

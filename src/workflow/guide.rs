@@ -1,10 +1,10 @@
 //! The guide through the commissioning loop: what each step needs, what it makes possible, and the command that does the
 //! same by itself.
 
-use crate::bench::{BenchFile, Port};
-use crate::recording::RunFile;
-use crate::text::number::shortest;
-use crate::text::shell::quoted_word;
+use drivebench_bench::recording::RunFile;
+use drivebench_bench::{BenchFile, Port};
+use drivebench_model::text::number::shortest;
+use drivebench_model::text::shell::quoted_word;
 
 /// What a recorded run is for. A model is fitted on the first, chosen by the second, and its error reported from the
 /// third; the fourth repeats the first and tells what the machine itself does not repeat.

@@ -2,7 +2,7 @@
 
 use serde::{Serialize, Serializer};
 
-use crate::sample::ParameterEstimate;
+use drivebench_model::sample::ParameterEstimate;
 
 /// Estimates as a result file lists them: each with its key.
 pub(super) fn with_keys<S: Serializer>(

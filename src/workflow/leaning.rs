@@ -11,12 +11,12 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crate::bench::{Snapshot, TracePoint};
-use crate::diagnosis::{Leaning, lean};
-use crate::identification::noise::NoiseFloor;
-use crate::identification::recursive::INERTIA_HAS_CHANGED;
-use crate::plant::{Input, Model, Motor, MotorKey, Scenario};
-use crate::sample::{Channel, ParameterEstimate};
+use drivebench_bench::{Snapshot, TracePoint};
+use drivebench_diagnose::{Leaning, lean};
+use drivebench_identify::noise::NoiseFloor;
+use drivebench_identify::recursive::INERTIA_HAS_CHANGED;
+use drivebench_model::plant::{Input, Model, Motor, MotorKey, Scenario};
+use drivebench_model::sample::{Channel, ParameterEstimate};
 
 /// Samples that are kept: beyond, every other one is left out.
 const MOST_SAMPLES: usize = 4000;
@@ -185,7 +185,7 @@ impl LeaningWatch {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plant::testing::with_a_fan;
+    use drivebench_model::plant::testing::with_a_fan;
 
     /// A snapshot of a run with a fan up to a sample, with the last `kept` points, as it is published.
     fn snapshot(run: &Scenario, end: usize, kept: usize) -> Snapshot {

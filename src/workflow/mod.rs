@@ -20,6 +20,7 @@ mod discovery;
 mod guide;
 mod keyed;
 mod leaning;
+mod next_bench;
 pub mod suite;
 mod truth;
 
@@ -33,4 +34,5 @@ pub use discovery::{
 };
 pub use guide::{Called, Role, Step};
 pub use leaning::{LeaningCell, LeaningWatch, Provisional};
+pub use next_bench::{bench_for, experiment_limits, next_bench};
 pub use truth::{ORDER, Size, Truth, sizes};

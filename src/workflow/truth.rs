@@ -2,9 +2,9 @@
 
 use serde::Serialize;
 
-use crate::diagnosis::{Diagnosis, DiagnosisVerdict};
-use crate::emulator::mystery::TrueEffect;
-use crate::text::number::{fixed, shortest, with_unit};
+use drivebench_diagnose::{Diagnosis, DiagnosisVerdict};
+use drivebench_emulator::mystery::TrueEffect;
+use drivebench_model::text::number::{fixed, shortest, with_unit};
 
 /// Key of the number of waves in a turn.
 pub const ORDER: &str = "order";
@@ -130,7 +130,7 @@ pub fn sizes<'a>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::emulator::mystery::{TrueValue, draw};
+    use drivebench_emulator::mystery::{TrueValue, draw};
 
     fn hidden(id: &str) -> TrueEffect {
         let mut drawn = (0..2000).filter_map(|seed| draw(seed).truth.effects.pop());

@@ -1,9 +1,10 @@
 //! The recommended run is made, in virtual time: what was promised of it shows, and nothing is promised twice.
 
-use drivebench::bench::{BenchFile, experiment_limits, next_bench};
+use drivebench::bench::BenchFile;
 use drivebench::diagnosis::{Diagnosis, Evidence, Status, diagnose, recommend};
 use drivebench::emulator::EmulatorConfig;
 use drivebench::plant::Model;
+use drivebench::workflow::{experiment_limits, next_bench};
 
 use crate::diagnosis_on_emulator::Specimen;
 

@@ -1,33 +1,48 @@
 //! The plan of the house, held by a test: floors, file sizes, pictures, clocks, and data files that parse.
 //!
 //! ```text
-//! src/**.rs, crates/**.rs -> code without comments -> crate paths -> rooms -> which floor? -> violations (must be none)
+//! manifests, **.rs -> code without comments -> crate paths -> rooms -> which floor? -> violations (must be none)
 //! ```
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Lowest first; rooms on one floor don't see each other.
-const FLOORS: &str = "units config_text < text < sample < signal < numerics < plant excitation < identification \
-    < diagnosis control < drive recording < emulator < bench < report < workflow < tui < app < cli < main studies";
+/// Each library, and the libraries of the house that it may use; Cargo allows no circle. The program uses all of them.
+const CRATES: &[(&str, &str)] = &[
+    ("drivebench-model", ""),
+    ("drivebench-identify", "model"),
+    ("drivebench-diagnose", "model identify"),
+    ("drivebench-control", "model identify"),
+    ("drivebench-link", "model firmware-protocol"),
+    ("drivebench-emulator", "model link firmware-protocol"),
+    ("drivebench-bench", "model identify control link emulator"),
+    // It uses the library of the program.
+    ("drivebench-studies", ""),
+];
 
-/// Lower rooms that a room must not use all the same, outside its tests: screens know no drive.
-const CLOSED: &[(&str, &[&str])] = &[("tui", &["drive", "emulator"])];
+/// Rooms of one crate, lowest first; rooms on one floor don't see each other.
+const FLOORS: &[(&str, &str)] = &[
+    (
+        "crates/drivebench-model/src/",
+        "units config_text < text < sample < signal < numerics < plant excitation",
+    ),
+    ("src/", "report < workflow < tui < app < cli < main"),
+];
 
-/// The folder of the crate that knows no clock, no file and no terminal; the library shows its rooms beside its own.
-const CORE: &str = "src/core/";
+/// Libraries that a room must not use all the same, outside its tests: screens know no drive.
+const CLOSED: &[(&str, &[&str])] = &[("src/tui/", &["drivebench_link", "drivebench_emulator"])];
 
-/// The only rooms that speak the firmware's protocol.
-const FIRMWARE_ROOMS: &[&str] = &["drive", "emulator"];
+/// Folders with code of the house.
+const CODE: &[&str] = &["src", "crates", "firmware-protocol"];
 
 /// The only files that may read a clock.
 const CLOCK_FILES: &[&str] = &[
+    "crates/drivebench-bench/src/clock.rs",
+    "crates/drivebench-emulator/src/server.rs",
+    "crates/drivebench-link/src/waiting.rs",
     "src/app/opening.rs",
     "src/app/progress.rs",
     "src/app/suite/process.rs",
-    "src/bench/clock.rs",
-    "src/drive/waiting.rs",
-    "src/emulator/server.rs",
     "src/tui/application.rs",
 ];
 
@@ -70,22 +85,15 @@ fn read(path: &Path) -> String {
     fs::read_to_string(root().join(path)).expect("a source file is readable text")
 }
 
-/// `src/drive/link.rs` and `src/drive.rs` are in the room `drive`, `src/core/plant/motor.rs` in the room `plant`,
-/// `crates/drivebench-studies/src/page.rs` in the room `studies`.
-fn room_of(path: &str) -> &str {
-    if let Some(of_crate) = path.strip_prefix("crates/drivebench-") {
-        return of_crate.split('/').next().unwrap_or(of_crate);
-    }
-    let inside = path
-        .strip_prefix(CORE)
-        .or(path.strip_prefix("src/"))
-        .unwrap_or(path);
-    let first = inside.split('/').next().unwrap_or(inside);
-    first.strip_suffix(".rs").unwrap_or(first)
+/// The crate's folder, its plan, and the room of a file: `src/report/page.rs` is in the room `report`. None in a crate of one room.
+fn room_of(path: &str) -> Option<(&'static str, &str)> {
+    let (folder, plan) = FLOORS.iter().find(|(folder, _)| path.starts_with(folder))?;
+    let first = path[folder.len()..].split('/').next()?;
+    Some((plan, first.strip_suffix(".rs").unwrap_or(first)))
 }
 
-fn floor_of(room: &str) -> Option<usize> {
-    let mut floors = FLOORS.split('<');
+fn floor_of(plan: &str, room: &str) -> Option<usize> {
+    let mut floors = plan.split('<');
     floors.position(|floor| floor.split_whitespace().any(|there| there == room))
 }
 
@@ -132,12 +140,12 @@ fn identifier(text: &str) -> &str {
     &text[..end.unwrap_or(text.len())]
 }
 
-/// Rooms that a path of the crate's root leads to: `crate::drive::Sample`, `crate::{bench::Plan, plant}`,
+/// Rooms that a path of the crate's root leads to: `crate::sample::Run`, `crate::{text::Table, plant}`,
 /// `super::super::plant`. With their lines.
-fn rooms_used(text: &str) -> Vec<(usize, String)> {
+fn rooms_used(plan: &str, text: &str) -> Vec<(usize, String)> {
     let code = code(text);
     let mut found = Vec::new();
-    for root in ["crate::", "drivebench::", "super::"] {
+    for root in ["crate::", "super::"] {
         for (at, _) in code.match_indices(root) {
             let line = 1 + code[..at].matches('\n').count();
             let rest = &code[at + root.len()..];
@@ -146,7 +154,9 @@ fn rooms_used(text: &str) -> Vec<(usize, String)> {
                 None => vec![identifier(rest)],
             };
             // A relative path may lead to a namesake inside the room; only the names of rooms are of interest.
-            let rooms = names.into_iter().filter(|name| floor_of(name).is_some());
+            let rooms = names
+                .into_iter()
+                .filter(|name| floor_of(plan, name).is_some());
             if root == "super::" && !code[..at].ends_with("super::") {
                 continue;
             }
@@ -178,35 +188,46 @@ fn first_names(group: &str) -> Vec<&str> {
 
 /// What a file does against the plan of the floors.
 fn floor_violations(path: &str, text: &str) -> Vec<String> {
-    let room = room_of(path);
+    let closed = CLOSED
+        .iter()
+        .find(|(folder, _)| path.starts_with(folder) && !is_test_file(path))
+        .map_or(&[][..], |(_, crates)| crates);
+    let code = code(text);
+    let mut violations: Vec<String> = closed
+        .iter()
+        .filter(|name| code.contains(*name))
+        .map(|name| format!("{path}: uses {name}"))
+        .collect();
     // The root only lists the rooms.
-    if room == "lib" {
-        return Vec::new();
-    }
-    let Some(floor) = floor_of(room) else {
+    let Some((plan, room)) = room_of(path).filter(|(_, room)| *room != "lib") else {
+        return violations;
+    };
+    let Some(floor) = floor_of(plan, room) else {
         return vec![format!(
             "{path}: the room {room:?} has no floor in the plan"
         )];
     };
-    let closed = CLOSED
-        .iter()
-        .find(|(from, _)| *from == room && !is_test_file(path))
-        .map_or(&[][..], |(_, rooms)| rooms);
-    let mut violations: Vec<String> = rooms_used(text)
-        .into_iter()
-        .filter(|(_, used)| used != room)
-        .filter(|(_, used)| {
-            floor_of(used).is_none_or(|used| used >= floor) || closed.contains(&used.as_str())
+    let used = rooms_used(plan, text).into_iter();
+    violations.extend(
+        used.filter(|(_, used)| {
+            used != room && floor_of(plan, used).is_none_or(|used| used >= floor)
         })
-        .map(|(line, used)| format!("{path}:{line}: {room} uses {used}"))
-        .collect();
-    if code(text).contains("drivebench_studies") && room != "studies" {
-        violations.push(format!("{path}: {room} uses studies"));
-    }
-    if code(text).contains("firmware_protocol") && !FIRMWARE_ROOMS.contains(&room) {
-        violations.push(format!("{path}: {room} uses firmware_protocol"));
-    }
+        .map(|(line, used)| format!("{path}:{line}: {room} uses {used}")),
+    );
     violations
+}
+
+/// The libraries of the house among the `[dependencies]` of a manifest.
+fn libraries_used(manifest: &str) -> Vec<&str> {
+    let begin = manifest.find("\n[dependencies]\n");
+    let section = begin.map_or("", |begin| &manifest[begin + 17..]);
+    let section = section.split("\n[").next().unwrap_or_default();
+    let names = section
+        .lines()
+        .filter_map(|line| line.split(['.', ' ']).next());
+    names
+        .filter(|name| name.starts_with("drivebench-") || *name == "firmware-protocol")
+        .collect()
 }
 
 fn reads_a_clock(text: &str) -> bool {
@@ -247,7 +268,7 @@ fn placeholders(page: &str) -> Vec<String> {
 
 #[test]
 fn every_arrow_goes_down() {
-    let violations: Vec<String> = rust_files(&["src", "crates"])
+    let violations: Vec<String> = rust_files(CODE)
         .iter()
         .flat_map(|(path, text)| floor_violations(path, text))
         .collect();
@@ -255,59 +276,63 @@ fn every_arrow_goes_down() {
 }
 
 #[test]
+fn every_library_uses_lower_ones_only() {
+    for folder in fs::read_dir(root().join("crates")).expect("there are libraries") {
+        let folder = folder.expect("an entry of a folder can be read").path();
+        let name = folder.file_name().map(|name| name.to_string_lossy());
+        let name = name.expect("a folder has a name");
+        let manifest = read(&folder.join("Cargo.toml"));
+        let may = CRATES.iter().find(|(of, _)| **of == *name);
+        let (_, may) = may.unwrap_or_else(|| panic!("{name} has no floor in the plan"));
+        for used in libraries_used(&manifest) {
+            let short = used.strip_prefix("drivebench-").unwrap_or(used);
+            let allowed = may.split(' ').any(|one| one == short);
+            assert!(allowed, "{name} uses {used}; it may use {may:?}");
+        }
+    }
+    let manifest = "[package]\n[dependencies]\nserde = 1\ndrivebench-bench.workspace = true\n[x]\ndrivebench-y = 1";
+    assert_eq!(libraries_used(manifest), ["drivebench-bench"]);
+}
+
+#[test]
 fn the_check_of_the_floors_can_fail() {
-    for (path, text, arrows) in [
-        ("core/plant/motor.rs", "use crate::sample::Run;", 0),
-        ("core/plant/motor.rs", "use crate::bench::Plan;", 1),
-        ("core/plant/motor.rs", "use crate::drive::Link;", 1),
-        ("core/plant/motor.rs", "use crate::plant::Motor;", 0),
-        ("core/units.rs", "use crate::config_text::E;", 1),
-        ("core/sample/run.rs", "let x = crate::cli::main();", 1),
-        ("core/sample/run.rs", "use super::super::drive::Link;", 1),
+    let model = "crates/drivebench-model/src";
+    for (folder, file, text, arrows) in [
+        (model, "plant/motor.rs", "use crate::sample::Run;", 0),
+        (model, "plant/motor.rs", "use crate::plant::Motor;", 0),
+        (model, "plant/motor.rs", "use crate::excitation::Part;", 1),
+        (model, "units.rs", "use crate::config_text::E;", 1),
+        (model, "sample/a.rs", "use super::super::plant::Motor;", 1),
+        (model, "kitchen/a.rs", "", 1),
+        ("src", "report/a.rs", "let x = crate::cli::main();", 1),
         (
-            "emulator/pty.rs",
-            "use crate::{\n    units::{a, bench},\n    cli::Failure, tui,\n};",
+            "src",
+            "workflow/a.rs",
+            "use crate::{\n    report::{a, b},\n    cli::Failure, tui,\n};",
             2,
         ),
-        ("core/identification/a.rs", "crate::recording::x()", 1),
-        ("tui/a.rs", "use crate::drive::DriveLink;", 1),
-        ("tui/tests/a.rs", "use crate::drive::Link;", 0),
-        ("bench/a.rs", "use firmware_protocol::Map;", 1),
-        ("drive/a.rs", "use firmware_protocol::Map;", 0),
-        ("cli/a.rs", "use drivebench_studies::page;", 1),
-        ("kitchen/a.rs", "", 1),
+        ("src", "tui/a.rs", "use drivebench_link::DriveLink;", 1),
+        ("src", "tui/tests/a.rs", "use drivebench_link::Link;", 0),
         // Words about a room are no arrow.
         (
-            "core/plant/a.rs",
+            "src",
+            "report/a.rs",
             "// crate::cli\n/// crate::cli\nlet a = \"crate::cli\"; let b = '\"';",
             0,
         ),
         (
-            "core/plant/a.rs",
+            "src",
+            "report/a.rs",
             "let b = '\"'; let c = '\\''; use crate::cli; // '\"'",
             1,
         ),
     ] {
-        let found = floor_violations(&format!("src/{path}"), text);
-        assert_eq!(found.len(), arrows, "{path}: {text}: {found:?}");
+        let found = floor_violations(&format!("{folder}/{file}"), text);
+        assert_eq!(found.len(), arrows, "{file}: {text}: {found:?}");
     }
-    let of_studies = "crates/drivebench-studies/src/main.rs";
-    let below = "use drivebench::cli; use drivebench_studies::page;";
-    assert_eq!(floor_violations(of_studies, below).len(), 0);
-    assert_eq!(floor_violations(of_studies, "use crate::main;").len(), 1);
     // The number of a line is that of the path.
-    let told = floor_violations("src/emulator/pty.rs", "\n\nuse crate::cli::Failure;");
-    assert_eq!(told, ["src/emulator/pty.rs:3: emulator uses cli"]);
-}
-
-#[test]
-fn every_floor_has_its_rooms_in_the_library() {
-    let roots = ["src/lib.rs", "src/core/lib.rs"].map(|path| read(Path::new(path)));
-    let lines = roots.iter().flat_map(|text| text.lines());
-    for line in lines.filter_map(|l| l.strip_prefix("pub mod ")) {
-        let room = identifier(line);
-        assert!(floor_of(room).is_some(), "{room} has no floor in the plan");
-    }
+    let found = floor_violations("src/report/a.rs", "\n\nuse crate::cli::Failure;");
+    assert_eq!(found, ["src/report/a.rs:3: report uses cli"]);
 }
 
 #[test]
@@ -321,32 +346,27 @@ fn no_file_is_too_long() {
     }
 }
 
-/// Folders above a file, those of the core counted as beside the rest.
-fn depth(path: &str) -> usize {
-    path.replacen(CORE, "src/", 1).matches('/').count()
-}
-
 #[test]
 fn every_part_opens_with_its_picture() {
     let sources = rust_files(&["src", "crates", "firmware-protocol/src"]);
+    let name = |path: &str| path.rsplit('/').next().unwrap_or(path).to_owned();
     let is_part = |path: &str| {
-        let name = path.rsplit('/').next().unwrap_or(path);
         let beside = path.strip_suffix(".rs").unwrap_or(path);
-        ["mod.rs", "lib.rs", "main.rs"].contains(&name)
-            || depth(path) == 1
+        ["mod.rs", "lib.rs", "main.rs"].contains(&name(path).as_str())
             || root().join(beside).is_dir()
     };
     let parts: Vec<_> = sources.iter().filter(|(path, _)| is_part(path)).collect();
-    assert!(
-        parts.len() > FLOORS.split('<').count() / 2,
-        "only {} parts",
-        parts.len()
-    );
+    assert!(parts.len() > CRATES.len(), "only {} parts", parts.len());
     for (path, text) in parts {
         assert!(text.starts_with("//! "), "{path} does not open with //!");
         let head = text.lines().take_while(|line| line.starts_with("//!"));
         let has_picture = head.into_iter().any(|line| line == "//! ```text");
-        let is_room = depth(path) == 2 && path.ends_with("mod.rs");
+        // The root of a library, and the rooms of the model and of the program.
+        let inside = path.split_once("src/").map_or("", |(_, inside)| inside);
+        let is_room = name(path) == "lib.rs"
+            || room_of(path).is_some()
+                && inside.matches('/').count() == 1
+                && name(path) == "mod.rs";
         assert!(has_picture || !is_room, "{path} has no picture of its part");
     }
 }

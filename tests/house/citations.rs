@@ -134,7 +134,7 @@ fn every_link_of_a_page_leads_somewhere() {
 
 #[test]
 fn the_check_of_citations_can_fail() {
-    let here = Path::new("src/core/plant/mod.rs");
+    let here = Path::new("crates/drivebench-model/src/plant/mod.rs");
     assert!(is_there(here, "docs/physics.md") && is_there(here, "physics.md"));
     assert!(!is_there(here, &["nowhere", "md"].join(".")));
     let text = "see (docs/method.md), `README.md`; .md is none";

@@ -11,17 +11,17 @@ use super::architecture::{is_test_file, root, rust_files};
 /// Folders and files that may hold an id: the two catalogues, the machines of the study and of tests, and a torque map that is
 /// called cogging as well.
 const MAY_NAME_EFFECTS: [&str; 5] = [
-    "src/core/plant/effect/",
-    "src/core/plant/testing.rs",
-    "src/core/plant/torque_map.rs",
-    "src/emulator/",
-    "src/workflow/reproduce/",
+    "crates/drivebench-model/src/plant/effect/",
+    "crates/drivebench-model/src/plant/testing.rs",
+    "crates/drivebench-model/src/plant/torque_map.rs",
+    "crates/drivebench-emulator/src/",
+    "crates/drivebench-studies/",
 ];
 
 /// Catalogues, each with the constant that a file of an effect has for it.
 const CATALOGUES: [(&str, &str); 2] = [
-    ("src/core/plant/effect", "EFFECT"),
-    ("src/emulator/truth/effect", "KIND"),
+    ("crates/drivebench-model/src/plant/effect", "EFFECT"),
+    ("crates/drivebench-emulator/src/truth/effect", "KIND"),
 ];
 
 fn ids() -> BTreeSet<&'static str> {
@@ -63,9 +63,13 @@ fn only_for_tests(files: &[(String, String)]) -> Vec<String> {
 
 #[test]
 fn no_code_beside_the_catalogues_names_an_effect() {
-    let files = rust_files(&["src"]);
+    let files = rust_files(&["src", "crates"]);
     let tests = only_for_tests(&files);
-    assert!(tests.iter().any(|name| name == "src/bench/fault_trials"));
+    assert!(
+        tests
+            .iter()
+            .any(|name| name == "crates/drivebench-bench/src/fault_trials")
+    );
     let is_of_tests = |path: &str| {
         let below = |own: &String| path.strip_prefix(own.as_str());
         let mut below = tests.iter().filter_map(below);
@@ -81,7 +85,8 @@ fn no_code_beside_the_catalogues_names_an_effect() {
             named.map(move |(line, text)| format!("{path}:{line}: {text}"))
         })
         .collect();
-    let help = "put what is true of the effect into its card (src/core/plant/effect)";
+    let help =
+        "put what is true of the effect into its card (crates/drivebench-model/src/plant/effect)";
     assert!(found.is_empty(), "{}\nhelp: {help}", found.join("\n"));
     for (text, named) in [
         ("let a = \"cogging\";", 1),
@@ -95,7 +100,10 @@ fn no_code_beside_the_catalogues_names_an_effect() {
 
 #[test]
 fn an_effect_is_one_file_and_one_line_in_each_catalogue() {
-    let files = rust_files(&["src/core/plant/effect", "src/emulator/truth/effect"]);
+    let files = rust_files(&[
+        "crates/drivebench-model/src/plant/effect",
+        "crates/drivebench-emulator/src/truth/effect",
+    ]);
     for (folder, constant) in CATALOGUES {
         let text_of = |name: &str| {
             let path = format!("{folder}/{name}.rs");

@@ -11,9 +11,9 @@ use super::loops::{
     limited_percent, rms, square, steps,
 };
 use super::machine::made_of;
-use drivebench_core::control::{LoadObservingSettings, LoopTiming, PaperBSettings, TrialPoint};
-use drivebench_core::numerics::count::whole;
-use drivebench_core::plant::Model;
+use drivebench::control::{LoadObservingSettings, LoopTiming, PaperBSettings, TrialPoint};
+use drivebench::numerics::count::whole;
+use drivebench::plant::Model;
 
 /// Mechanical time constants of Figure 6, s; the regulators are made for the first.
 pub const MECHANICAL_S: [f64; 3] = [0.2, 0.05, 1.0];

@@ -4,9 +4,9 @@
 use serde::Serialize;
 
 use super::machine::{COMPLETE, driven, made_of, stamps};
-use drivebench_core::plant::{Input, Model, Plant, State};
-use drivebench_core::sample::Channel;
-use drivebench_core::units::rad_s_from_rpm;
+use drivebench::plant::{Input, Model, Plant, State};
+use drivebench::sample::Channel;
+use drivebench::units::rad_s_from_rpm;
 
 pub(super) const RESISTANCE_OHM: f64 = 3.25;
 const INDUCTANCE_H: f64 = 11.1e-3;

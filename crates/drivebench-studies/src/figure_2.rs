@@ -13,11 +13,11 @@ use serde::{Serialize, Serializer};
 use super::machine::{COMPLETE, ZeroOrderHold, figures, forward, motor, value};
 use super::machine::{RatioOf, SignalToNoise, Spread, random, random_binary, white, with_noise};
 use super::{HOLD, LEVELS_V, NoiseModel, PERIOD_S, SEEDS, SHOWN_SEED, TA_S, TM_S, Trace};
-use drivebench_core::identification::scheme_1::{
+use drivebench::identification::scheme_1::{
     Form, Scheme1, Scheme1Values, Series, instrumental_variables,
 };
-use drivebench_core::numerics::statistics::{median, variance};
-use drivebench_core::plant::{Motor, MotorKey};
+use drivebench::numerics::statistics::{median, variance};
+use drivebench::plant::{Motor, MotorKey};
 
 /// Paper A, Figure 2.
 const FORGETTING: f64 = 0.97;
@@ -68,7 +68,6 @@ impl Method {
 pub(super) const TM: usize = 0;
 pub(super) const TA: usize = 1;
 pub(super) const KE: usize = 2;
-pub(super) const J: usize = 3;
 pub(super) const MC: usize = 4;
 /// Their heads in files.
 pub(super) const COLUMNS: [&str; 5] = [

@@ -8,8 +8,8 @@ use serde::Serialize;
 use super::machine::{SignalToNoise, Spread, random, random_binary, white, with_noise};
 use super::machine::{Turning, forward, motor, value};
 use super::{HOLD, LEVELS_V, NoiseModel, PERIOD_S, SEEDS, SHOWN_SEED, TA_S, TM_S, Trace};
-use drivebench_core::identification::recursive::{CurrentIntegral, Scheme2};
-use drivebench_core::plant::{Motor, MotorKey};
+use drivebench::identification::recursive::{CurrentIntegral, Scheme2};
+use drivebench::plant::{Motor, MotorKey};
 
 /// Paper A, Figure 3.
 const FORGETTING: f64 = 0.98;

@@ -1,6 +1,6 @@
 //! Speed sensor of paper B: Hall edges.
 
-use drivebench_core::control::SpeedSensor;
+use drivebench::control::SpeedSensor;
 
 /// Speed from Hall edges: the angle between two edges over the time between them, held until the next edge.
 ///

@@ -17,10 +17,10 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use drivebench::emulator::truth::{MotorTruth, Plant, Terminals};
-use drivebench_core::identification::{scheme, stamps};
-use drivebench_core::numerics::statistics::median;
-use drivebench_core::plant::{Model, Motor, MotorKey, Scenario};
-use drivebench_core::sample::{Channel, Origin, ParameterEstimate, Run, Verdict};
+use drivebench::identification::{scheme, stamps};
+use drivebench::numerics::statistics::median;
+use drivebench::plant::{Model, Motor, MotorKey, Scenario};
+use drivebench::sample::{Channel, Origin, ParameterEstimate, Run, Verdict};
 
 /// R, L, Ke, J, Mc.
 pub const KEYS: [MotorKey; 5] = [

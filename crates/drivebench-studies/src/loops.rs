@@ -7,15 +7,15 @@
 
 use serde::Serialize;
 
-use drivebench_core::control::tuning::{Request, Tuning, tune};
-use drivebench_core::control::{
+use drivebench::control::tuning::{Request, Tuning, tune};
+use drivebench::control::{
     Actuator, Addc, AddcSettings, AntiWindup, Course, CurrentLimit, Direct, Holding, Limiter,
     LinearPlant, LoadObserving, LoadObservingSettings, LoopTiming, Measured, Mrac, MracScales,
     PaperB, PaperBPlant, PaperBSettings, Pi, Response, SpeedController, SpeedSensor, TrialMachine,
     TrialPoint, response, trial_seen_by,
 };
-use drivebench_core::numerics::count::whole;
-use drivebench_core::plant::{Model, MotorKey};
+use drivebench::numerics::count::whole;
+use drivebench::plant::{Model, MotorKey};
 
 /// The models are written down in this program: what is made of them does not fail.
 const FIXED: &str = "made from a model and settings that are written down here";

@@ -7,10 +7,10 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 use serde::Serialize;
 
-use drivebench_core::numerics::count::whole;
-use drivebench_core::numerics::statistics::variance;
-use drivebench_core::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State, Trajectory};
-use drivebench_core::sample::Channel;
+use drivebench::numerics::count::whole;
+use drivebench::numerics::statistics::variance;
+use drivebench::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State, Trajectory};
+use drivebench::sample::Channel;
 
 /// Resistance, ohm, and back-EMF constant, V.s/rad, of paper A's motor ZK-22FC; the figures' motors differ from it only
 /// in their time constants.

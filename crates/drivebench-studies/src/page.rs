@@ -26,7 +26,7 @@ use std::fmt::{Display, Write as _};
 
 use drivebench::report::page::{Cell, Page, Table, Tone};
 use drivebench::report::plot::{Panel, Plot, Style, TIME, stacked, standalone};
-use drivebench_core::text::number::{fixed, significant};
+use drivebench::text::number::{fixed, significant};
 use serde::Serialize;
 use serde_json::Value;
 

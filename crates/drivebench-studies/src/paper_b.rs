@@ -22,11 +22,11 @@ use super::loops::{
 };
 use super::machine::made_of;
 use super::machine::{random, white};
-use drivebench_core::control::{
+use drivebench::control::{
     self, LoadObservingSettings, LoopTiming, PaperBError, PaperBSettings, TrialPoint,
 };
-use drivebench_core::plant::{Model, MotorKey};
-use drivebench_core::units::rad_s_from_rpm;
+use drivebench::plant::{Model, MotorKey};
+use drivebench::units::rad_s_from_rpm;
 
 /// Chosen: period, friction of what the motor drives, load of Figure 5, speed at which loads are tried.
 const PERIOD_S: f64 = 0.001;

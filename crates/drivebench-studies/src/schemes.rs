@@ -10,12 +10,12 @@ use serde::{Serialize, Serializer};
 use super::machine::{COMPLETE, driven, figures, forward, motor, simulated, stamps, value};
 use super::machine::{SignalToNoise, random, random_binary, white, with_noise};
 use super::{HOLD, LEVELS_V, PERIOD_S, TA_S, TM_S};
-use drivebench_core::identification::scheme::{CATALOGUE, Data, Scheme};
-use drivebench_core::identification::scheme_1::{Form, Scheme1};
-use drivebench_core::numerics::count::whole;
-use drivebench_core::numerics::statistics::median;
-use drivebench_core::plant::{Model, Motor, MotorKey, Scenario, State};
-use drivebench_core::sample::{Channel, Origin, Run};
+use drivebench::identification::scheme::{CATALOGUE, Data, Scheme};
+use drivebench::identification::scheme_1::{Form, Scheme1};
+use drivebench::numerics::count::whole;
+use drivebench::numerics::statistics::median;
+use drivebench::plant::{Model, Motor, MotorKey, Scenario, State};
+use drivebench::sample::{Channel, Origin, Run};
 
 /// Names of the errors, in the order of [`Errors`].
 pub const NAMES: [&str; 5] = ["Ta", "TM", "Ke", "J", "Mc"];

@@ -6,10 +6,10 @@ use serde::Serialize;
 
 use super::machine::{driven, simulated, stamps, value};
 use super::machine::{random, white, with_noise};
-use drivebench_core::identification::recursive::{CurrentIntegral, Scheme2};
-use drivebench_core::numerics::statistics::{mean, variance};
-use drivebench_core::plant::{Motor, MotorKey, State, Trajectory};
-use drivebench_core::sample::Channel;
+use drivebench::identification::recursive::{CurrentIntegral, Scheme2};
+use drivebench::numerics::statistics::{mean, variance};
+use drivebench::plant::{Motor, MotorKey, State, Trajectory};
+use drivebench::sample::Channel;
 
 /// Voltage of the start: the full 110 V would draw 75 A on a motor of 5.7 A; 25 V draws some three times rated.
 pub(super) const VOLTAGE_V: f64 = 25.0;

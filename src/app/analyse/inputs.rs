@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Component, Path, PathBuf};
 
 use super::super::failure::Failure;
-use crate::recording::{RunFile, RunFolder, resolved};
+use drivebench_bench::recording::{RunFile, RunFolder, resolved};
 
 /// Folders below a folder of runs that are looked into: a suite keeps its runs three below its own.
 const DEEPEST: usize = 8;

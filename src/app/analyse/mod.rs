@@ -24,10 +24,10 @@ use serde_json::{Map, Value};
 use super::failure::{Failure, REFUSED, USAGE};
 use super::files::read_model;
 use super::{output, progress};
-use crate::identification::scheme;
-use crate::numerics::checksum::{EMPTY, fnv_1a};
-use crate::plant::{Model, Motor};
-use crate::recording::{ColumnKind, LoadedRun};
+use drivebench_bench::recording::{ColumnKind, LoadedRun};
+use drivebench_identify::scheme;
+use drivebench_model::numerics::checksum::{EMPTY, fnv_1a};
+use drivebench_model::plant::{Model, Motor};
 use row::{Cell, Columns, Status};
 use table::{Table, line_of};
 

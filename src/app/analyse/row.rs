@@ -13,13 +13,15 @@ use super::super::failure::{Failure, INTERNAL};
 use super::super::identify::{OneRun, identify, is_usable};
 use super::super::output;
 use super::AnalysisRequest;
-use crate::diagnosis::{Candidate, Score, diagnose};
-use crate::identification::noise::NoiseFloor;
-use crate::identification::temperature;
-use crate::numerics::checksum::{EMPTY, fnv_1a};
-use crate::plant::{Input, Model, MotorKey, Slot};
-use crate::recording::{ColumnKind, LoadedRun, Machine, Manifest, RunFile, RunFolder, number_text};
-use crate::sample::{Channel, ParameterEstimate, Verdict};
+use drivebench_bench::recording::{
+    ColumnKind, LoadedRun, Machine, Manifest, RunFile, RunFolder, number_text,
+};
+use drivebench_diagnose::{Candidate, Score, diagnose};
+use drivebench_identify::noise::NoiseFloor;
+use drivebench_identify::temperature;
+use drivebench_model::numerics::checksum::{EMPTY, fnv_1a};
+use drivebench_model::plant::{Input, Model, MotorKey, Slot};
+use drivebench_model::sample::{Channel, ParameterEstimate, Verdict};
 
 /// A cell of the table.
 #[derive(Clone, Debug, PartialEq)]

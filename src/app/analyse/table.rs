@@ -16,7 +16,7 @@ use super::super::export::{parquet, require_parquet};
 use super::super::failure::Failure;
 use super::super::{output, signals};
 use super::row::{self, Cell, KNOWN_BY, RUN, STATUS, Status};
-use crate::recording::ColumnKind;
+use drivebench_bench::recording::ColumnKind;
 
 /// Where a row stands and what it is known by.
 #[derive(Clone, Debug)]

@@ -15,12 +15,12 @@ use serde_json::Value;
 use super::process::{self, End};
 use crate::app::failure::Failure;
 use crate::app::files::read_text;
-use crate::identification::drift::{Drift, between, name};
-use crate::identification::temperature;
-use crate::plant::{MotorKey, effect};
-use crate::recording::{Machine, Manifest, RunFile, RunFolder};
-use crate::sample::{ParameterEstimate, Verdict};
 use crate::workflow::suite::{IdentifiedStep, SuiteOutcome};
+use drivebench_bench::recording::{Machine, Manifest, RunFile, RunFolder};
+use drivebench_identify::drift::{Drift, between, name};
+use drivebench_identify::temperature;
+use drivebench_model::plant::{MotorKey, effect};
+use drivebench_model::sample::{ParameterEstimate, Verdict};
 
 /// What a suite is compared with.
 pub(super) struct Baseline {

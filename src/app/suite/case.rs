@@ -14,13 +14,13 @@ use super::process::{self, Done, End, Watch, error_said};
 use crate::app::failure::{INTERRUPTED, REFUSED};
 use crate::app::files::read_text;
 use crate::app::{opening, output};
-use crate::bench::BenchFile;
-use crate::recording::open_run;
-use crate::sample::Channel;
 use crate::workflow::suite::{
     Action, Answered, CASE, Case, CaseOutcome, ChangedFile, Check, Limit, SignalLimit, Step,
     StepOutcome, Verb, Verdict, answered, figure, find, is_written, reference,
 };
+use drivebench_bench::BenchFile;
+use drivebench_bench::recording::open_run;
+use drivebench_model::sample::Channel;
 
 /// What all cases of a suite have in common.
 pub(super) struct Bench<'a> {
@@ -524,7 +524,7 @@ impl Progress<'_> {
             Some(name) => {
                 opening::emulator_config(name).map_err(|failure| wrong(&failure.headline()))?
             }
-            None => crate::emulator::EmulatorConfig::embedded_default(),
+            None => drivebench_emulator::EmulatorConfig::embedded_default(),
         };
         let mut table = toml::Table::try_from(&base).map_err(|error| wrong(&error))?;
         merge(&mut table, &self.changed);

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use super::super::failure::Failure;
 use super::super::files::read_text;
 use super::super::output;
-use crate::recording::{Manifest, resolved};
 use crate::workflow::suite::golden::{Golden, GoldenRun, Place, golden};
+use drivebench_bench::recording::{Manifest, resolved};
 
 /// What was written.
 pub(crate) struct Written {

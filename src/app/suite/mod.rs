@@ -22,13 +22,13 @@ use std::sync::{Mutex, PoisonError};
 use super::failure::{Failure, INTERRUPTED};
 use super::files::read_text;
 use super::{opening, output, signals};
-use crate::bench::Port;
-use crate::recording::utc_stamp;
 use crate::workflow::suite::{
     Action, Case, CaseOutcome, Need, Suite, SuiteOutcome, Verb, Verdict, junit, open_metrics,
 };
 use baseline::Baseline;
 use case::Bench;
+use drivebench_bench::Port;
+use drivebench_bench::recording::utc_stamp;
 use process::Watch;
 
 /// Cases with a software drive of their own that run at once: they mostly wait, and their cycles stay punctual.
@@ -288,7 +288,7 @@ fn consent(cases: usize) -> Result<(), Failure> {
 
 /// A folder for this suite that holds nothing yet.
 fn first_free(root: &Path, stamp: &str, name: &str) -> Result<PathBuf, Failure> {
-    let folder = crate::recording::RunFolder::create(root, stamp, name)?;
+    let folder = drivebench_bench::recording::RunFolder::create(root, stamp, name)?;
     Ok(folder.path().to_owned())
 }
 

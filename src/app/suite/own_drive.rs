@@ -10,7 +10,7 @@ use nix::sys::signal::Signal;
 use serde_json::Value;
 
 use super::process::{self, Watch};
-use crate::drive::Protocol;
+use drivebench_link::Protocol;
 
 /// Longest wait for a drive that can be opened, s.
 const READY_S: f64 = 60.0;

@@ -1,7 +1,7 @@
 //! A measured torque map as a table in C, with a function that reads it.
 
 use super::identifier;
-use crate::plant::{MapBin, MappedTorque, MappedValue, TorqueMap};
+use drivebench_model::plant::{MapBin, MappedTorque, MappedValue, TorqueMap};
 
 /// The map as one C99 header. `title` says what it is and where it comes from.
 pub fn map_as_c(map: &TorqueMap, name: &str, title: &str) -> String {

@@ -19,9 +19,9 @@ use std::fmt::Write as _;
 use notation::{Language, Names};
 use thiserror::Error;
 
-use crate::control::{Holding, PiGains};
-use crate::plant::effect::Place;
-use crate::plant::{
+use drivebench_control::{Holding, PiGains};
+use drivebench_model::plant::effect::Place;
+use drivebench_model::plant::{
     ActiveEffect, Enters, Input, Model, ModelError, MotorKey, Path, Plant, REFERENCE_SUPPLY_V,
 };
 
@@ -108,7 +108,7 @@ pub struct Export {
 struct Term {
     effect: &'static str,
     keys: Vec<&'static str>,
-    formula: crate::plant::effect::Formula,
+    formula: drivebench_model::plant::effect::Formula,
 }
 
 impl Export {

@@ -1,7 +1,7 @@
 //! A formula in the notation of another language, with no more parentheses than it needs.
 
 use super::{SUPPLY_V, Target};
-use crate::plant::effect::{SYMBOLS, Tree};
+use drivebench_model::plant::effect::{SYMBOLS, Tree};
 
 /// What the names of a formula mean where it is written.
 pub(super) struct Names<'a> {

@@ -4,14 +4,14 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use super::*;
-use crate::control::{AntiWindup, Measured, Pi, SpeedController};
-use crate::plant::effect::{self, CATALOGUE, define};
-use crate::plant::testing::held;
-use crate::plant::{
+use drivebench_control::{AntiWindup, Measured, Pi, SpeedController};
+use drivebench_model::plant::effect::{self, CATALOGUE, define};
+use drivebench_model::plant::testing::held;
+use drivebench_model::plant::{
     ActiveEffect, Effect, Motor, ParameterRole, ParameterSpec, Scenario, State, Trajectory,
 };
-use crate::plant::{MapBin, MappedTorque, MappedValue, TorqueMap};
-use crate::sample::Channel;
+use drivebench_model::plant::{MapBin, MappedTorque, MappedValue, TorqueMap};
+use drivebench_model::sample::Channel;
 
 const END_S: f64 = 0.4;
 const ROWS: usize = 201;

@@ -1,6 +1,6 @@
 //! Axes: the range that is shown, and round tick values with their labels.
 
-use crate::text::number::{exponent_of, places};
+use drivebench_model::text::number::{exponent_of, places};
 
 /// The range of values along an axis; always finite and wider than nothing.
 #[derive(Clone, Copy, Debug, PartialEq)]

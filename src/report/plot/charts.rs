@@ -3,8 +3,8 @@
 use super::axis::{Domain, labels, ticks};
 use super::chart::{Along, FOOT, HEAD, LEFT, RIGHT, Scale, Svg, WIDTH, polyline, px, width};
 use super::panels::Style;
-use crate::sample::TWO_SIDED_95;
-use crate::text::number::significant;
+use drivebench_model::sample::TWO_SIDED_95;
+use drivebench_model::text::number::significant;
 
 /// Horizontal bars from zero with a goal line that they ought to reach: the ladder of models and the noise floor. A value
 /// that is not finite has no bar and says so.

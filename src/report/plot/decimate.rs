@@ -1,6 +1,6 @@
 //! Decimation of a line to the columns of a picture: the smallest and the largest of each are kept, and so are gaps.
 
-use crate::numerics::statistics::median_step;
+use drivebench_model::numerics::statistics::median_step;
 
 /// A step in time longer than this multiple of the median is a gap: one lost sample makes a step of two.
 const GAP: f64 = 1.8;

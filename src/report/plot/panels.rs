@@ -7,7 +7,7 @@ use super::chart::{Along, LEFT, Scale, Svg, WIDTH, polyline, px, width};
 use super::decimate::{Pieces, decimate, held, pieces};
 use super::{Plot, detail};
 use crate::report::page::escape;
-use crate::text::number::significant;
+use drivebench_model::text::number::significant;
 
 /// Room for a second unit on the right, above each panel, between panels, and below the last one, px.
 const RIGHT: f64 = 58.0;

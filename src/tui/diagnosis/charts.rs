@@ -9,15 +9,15 @@ use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
 use super::state::State;
-use crate::diagnosis::{AxisMap, CurvePoint, EffectCurve, MapCell, MapDigits, Off};
-use crate::plant::effect::Axis;
-use crate::text::lines::wrapped;
-use crate::text::number::{shortest, significant, with_std};
 use crate::tui::frame::{rows, titled_with};
 use crate::tui::plot::{
     Bounds, LABELS, Stroke, Trace, across, plot, range, round, tick, value_axis,
 };
 use crate::tui::theme;
+use drivebench_diagnose::{AxisMap, CurvePoint, EffectCurve, MapCell, MapDigits, Off};
+use drivebench_model::plant::effect::Axis;
+use drivebench_model::text::lines::wrapped;
+use drivebench_model::text::number::{shortest, significant, with_std};
 
 /// Standard deviations that an error bar reaches to either side.
 const BAR_SIGMAS: f64 = 2.0;

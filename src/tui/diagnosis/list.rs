@@ -7,13 +7,13 @@ use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
 use super::state::State;
-use crate::diagnosis::{Candidate, Status};
-use crate::plant::effect;
-use crate::sample::{ParameterEstimate, TWO_SIDED_95};
-use crate::text::lines::cut;
 use crate::tui::frame::{bar, row as render_row, rows as render_rows, titled_with};
 use crate::tui::live::parameter_name;
 use crate::tui::theme;
+use drivebench_diagnose::{Candidate, Status};
+use drivebench_model::plant::effect;
+use drivebench_model::sample::{ParameterEstimate, TWO_SIDED_95};
+use drivebench_model::text::lines::cut;
 
 /// An effect while the search is under way.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -43,7 +43,7 @@ impl Row<'_> {
     }
 
     /// The effect it stands for, if any.
-    pub(super) fn effect(&self) -> Option<&'static dyn crate::plant::Effect> {
+    pub(super) fn effect(&self) -> Option<&'static dyn drivebench_model::plant::Effect> {
         effect::find(self.key())
     }
 }

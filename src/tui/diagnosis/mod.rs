@@ -31,8 +31,8 @@ use ratatui::layout::{Position, Rect};
 use super::application::{Effect, Exit, Screen};
 use super::keys::Press;
 use super::traces::StoppedAt;
-use crate::diagnosis::ErrorOf;
 use crate::workflow::{News, Order};
+use drivebench_diagnose::ErrorOf;
 use state::{Event, State};
 
 /// With what the screen opens.

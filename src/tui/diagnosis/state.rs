@@ -7,18 +7,18 @@ use std::sync::Arc;
 use super::Opens;
 use super::charts::of_a_map;
 use super::list::{Judged, Row};
-use crate::diagnosis::{
-    AddResult, AxisMap, Candidate, Comparison, Diagnosis, EffectCurve, ErrorOf, Event as Found,
-    NextExperiment,
-};
-use crate::identification::noise::{FloorSource, NoiseFloor};
-use crate::plant::effect::Axis;
 use crate::tui::application::{Effect, Exit};
 use crate::tui::frame::scrolled;
 use crate::tui::keys::Press;
 use crate::tui::response::ResponsePage;
 use crate::tui::traces::{FRAMES, StoppedAt, TracesPage};
 use crate::workflow::{News, Order};
+use drivebench_diagnose::{
+    AddResult, AxisMap, Candidate, Comparison, Diagnosis, EffectCurve, ErrorOf, Event as Found,
+    NextExperiment,
+};
+use drivebench_identify::noise::{FloorSource, NoiseFloor};
+use drivebench_model::plant::effect::Axis;
 
 const LEAVING: &str =
     "leaves when the model is written; Esc stays, Ctrl-C leaves at once without it";

@@ -9,21 +9,21 @@ mod any;
 
 use super::state::{Event, Over, State};
 use super::view::view;
-use crate::diagnosis::{
-    AddResult, AxisMap, Diagnosis, DiagnosisVerdict, EffectCurve, ErrorOf, Event as Found,
-    NextExperiment, Status, effect_curve, error_curve,
-};
-use crate::identification::noise::{FloorSource, NoiseFloor};
-use crate::plant::effect::CATALOGUE;
-use crate::plant::testing::with_a_fan;
 use crate::report::testing::{candidate, comparison, diagnosis, fitted, next_experiment, rung};
-use crate::sample::Channel;
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::Press;
 use crate::tui::screens::Page;
 use crate::tui::testing::{self, fan_model, fan_traces};
 use crate::tui::traces::{FRAMES, StoppedAt};
 use crate::workflow::{News, Order};
+use drivebench_diagnose::{
+    AddResult, AxisMap, Diagnosis, DiagnosisVerdict, EffectCurve, ErrorOf, Event as Found,
+    NextExperiment, Status, effect_curve, error_curve,
+};
+use drivebench_identify::noise::{FloorSource, NoiseFloor};
+use drivebench_model::plant::effect::CATALOGUE;
+use drivebench_model::plant::testing::with_a_fan;
+use drivebench_model::sample::Channel;
 
 /// What is left once the effect is in the model.
 fn nothing_more() -> Diagnosis {

@@ -12,13 +12,7 @@ use ratatui::text::{Line, Span};
 use super::charts;
 use super::list::{candidates, status};
 use super::state::{Over, State, Step};
-use crate::diagnosis::{
-    AddResult, Answer, Comparison, Diagnosis, DiagnosisVerdict, Reached, ResidualLights,
-};
 use crate::report::SignalFigures;
-use crate::sample::TWO_SIDED_95;
-use crate::text::lines::{cut, wrapped};
-use crate::text::number::{fit, probability, significant};
 use crate::tui::frame::{
     help, hint_rows, hints, is_too_small, page, paragraph, row, rows, text, titled,
 };
@@ -26,6 +20,12 @@ use crate::tui::keys::On;
 use crate::tui::response::{self, ResponsePage};
 use crate::tui::theme;
 use crate::tui::traces::{self, TracesPage};
+use drivebench_diagnose::{
+    AddResult, Answer, Comparison, Diagnosis, DiagnosisVerdict, Reached, ResidualLights,
+};
+use drivebench_model::sample::TWO_SIDED_95;
+use drivebench_model::text::lines::{cut, wrapped};
+use drivebench_model::text::number::{fit, probability, significant};
 
 /// Rungs that are shown; the latest ones where there are more.
 const MOST_RUNGS: usize = 5;

@@ -27,8 +27,8 @@ use ratatui::layout::{Position, Rect};
 
 use super::application::{Effect, Exit, Screen};
 use super::keys::Press;
-use crate::bench::{Intent, SnapshotCell};
 use crate::workflow::{LeaningCell, ProgressCell};
+use drivebench_bench::{Intent, SnapshotCell};
 use model::{Event, Model};
 
 pub(super) use view::name as parameter_name;

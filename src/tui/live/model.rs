@@ -5,12 +5,12 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::WorkerState;
-use crate::bench::{Intent, Phase, Snapshot, Target};
-use crate::sample::{DriveState, ParameterEstimate, Verdict};
 use crate::tui::application::{Effect, Exit};
 use crate::tui::frame::scrolled;
 use crate::tui::keys::Press;
 use crate::workflow::{Progress, Provisional, Step};
+use drivebench_bench::{Intent, Phase, Snapshot, Target};
+use drivebench_model::sample::{DriveState, ParameterEstimate, Verdict};
 
 /// Lengths of the time axis that the zoom key goes through, s.
 pub(super) const ZOOM_S: [f64; 5] = [10.0, 5.0, 2.0, 1.0, 0.5];

@@ -7,15 +7,15 @@ use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
-use crate::bench::{Snapshot, TracePoint};
-use crate::sample::Channel;
-use crate::text::number::{MISSING, significant};
 use crate::tui::frame::row;
 use crate::tui::plot::{
     self, Bounds, LABELS, Stroke, Trace, across, longest_step_s, range, round, tick, value_axis,
 };
 use crate::tui::theme;
-use crate::units::rpm_from_rad_s;
+use drivebench_bench::{Snapshot, TracePoint};
+use drivebench_model::sample::Channel;
+use drivebench_model::text::number::{MISSING, significant};
+use drivebench_model::units::rpm_from_rad_s;
 
 /// Rows of a chart at least: its title and two rows of dots.
 const SMALLEST: u16 = 3;

@@ -14,18 +14,18 @@ mod pages;
 use super::model::{Event, Model, Page, ZOOM_S};
 use super::view::view;
 use super::{WorkerCell, WorkerState};
-use crate::bench::{
-    Excitation, InnovationPoint, Intent, Level, Notice, Phase, Snapshot, Stop, Target, Timing,
-    TracePoint, Trip, TripKind,
-};
-use crate::diagnosis::Leaning;
-use crate::drive::LinkStatistics;
-use crate::identification::online::Frozen;
-use crate::sample::{DriveState, ParameterEstimate, Verdict};
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::{CHARACTERS, Press};
 use crate::tui::testing::{self, number};
 use crate::workflow::{Progress, Provisional, Role, Step, StepState, StepView};
+use drivebench_bench::{
+    Excitation, InnovationPoint, Intent, Level, Notice, Phase, Snapshot, Stop, Target, Timing,
+    TracePoint, Trip, TripKind,
+};
+use drivebench_diagnose::Leaning;
+use drivebench_identify::online::Frozen;
+use drivebench_link::LinkStatistics;
+use drivebench_model::sample::{DriveState, ParameterEstimate, Verdict};
 use pages::between_two_values;
 pub(in crate::tui) use pages::pages;
 

@@ -9,14 +9,14 @@ use ratatui::widgets::{Block, BorderType, Clear, Padding, Paragraph, Widget, Wra
 
 use super::model::{Model, Page};
 use super::scope::scope;
-use crate::bench::{Level, Notice, Phase, Snapshot};
-use crate::sample::{DriveState, ParameterEstimate, Verdict};
-use crate::text::lines::{cut, wrapped};
-use crate::text::number::{fixed, shortest};
 use crate::tui::frame::{bar_spans, help, hint_rows, hints, is_too_small, row, rows, text};
 use crate::tui::keys::On;
 use crate::tui::theme;
 use crate::workflow::{Progress, Step, StepState, StepView};
+use drivebench_bench::{Level, Notice, Phase, Snapshot};
+use drivebench_model::sample::{DriveState, ParameterEstimate, Verdict};
+use drivebench_model::text::lines::{cut, wrapped};
+use drivebench_model::text::number::{fixed, shortest};
 
 const STOP: &str = " Space = STOP ";
 /// Longest bar of the progress.

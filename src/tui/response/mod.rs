@@ -20,7 +20,7 @@ use ratatui::layout::{Position, Rect};
 use super::application::{Exit, Screen};
 use super::frame::scrolled;
 use super::keys::Press;
-use crate::identification::frequency_response::{Compared, Pathway, PathwayResponse};
+use drivebench_identify::frequency_response::{Compared, Pathway, PathwayResponse};
 
 pub(super) use view::view;
 

@@ -4,11 +4,11 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use super::*;
-use crate::identification::frequency_response::{
-    Departure, FrequencyResponse, Mode, ModeKind, ResponsePoint,
-};
 use crate::tui::screens::Page;
 use crate::tui::testing;
+use drivebench_identify::frequency_response::{
+    Departure, FrequencyResponse, Mode, ModeKind, ResponsePoint,
+};
 
 /// A shaft with a second inertia: 15.6 Hz against the held motor, 22 Hz against each other; carried from 0.5 to 60 Hz.
 fn points(has_coupling: bool, at: Pathway) -> Vec<ResponsePoint> {

@@ -7,14 +7,14 @@ use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
 use super::{ResponsePage, ResponseScreen};
-use crate::identification::frequency_response::{
-    CARRIED, Compared, Departure, PathwayResponse, ResponsePoint,
-};
-use crate::text::number::{shortest, significant};
 use crate::tui::frame::{help, hint_rows, hints, is_too_small, row, text, titled_with};
 use crate::tui::keys::On;
 use crate::tui::plot::{Bounds, LABELS, Stroke, Trace, plot, range, round, value_axis};
 use crate::tui::theme;
+use drivebench_identify::frequency_response::{
+    CARRIED, Compared, Departure, PathwayResponse, ResponsePoint,
+};
+use drivebench_model::text::number::{shortest, significant};
 
 /// Rows from which on phase and coherence have a panel.
 const WITH_PHASE: u16 = 12;

@@ -19,8 +19,8 @@ use ratatui::layout::Rect;
 
 use super::keys::Press;
 use super::plot::LABELS;
-use crate::diagnosis::{Quantity, RunTraces, SignalTrace, Traces};
-use crate::sample::Channel;
+use drivebench_diagnose::{Quantity, RunTraces, SignalTrace, Traces};
+use drivebench_model::sample::Channel;
 
 pub(super) use view::{strip, view};
 

@@ -5,10 +5,10 @@ use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 
 use super::{FRAMES, Shows, StoppedAt, TracesPage, view};
-use crate::diagnosis::Quantity;
-use crate::sample::Channel;
 use crate::tui::keys::Press;
 use crate::tui::testing::{self, fan_traces};
+use drivebench_diagnose::Quantity;
+use drivebench_model::sample::Channel;
 
 fn page() -> TracesPage {
     let mut page = TracesPage::default();

@@ -7,15 +7,15 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Clear, Paragraph, Widget};
 
 use super::{Panel, Shows, TracesPage, first_panels};
-use crate::diagnosis::{Quantity, RunTraces, SignalTrace};
-use crate::sample::Channel;
-use crate::text::lines::cut;
-use crate::text::number::{MISSING, significant};
 use crate::tui::frame::{row, titled_with};
 use crate::tui::plot::{
     Bounds, LABELS, Stroke, Trace, across, longest_step_s, plot, range, round, value_axis,
 };
 use crate::tui::theme;
+use drivebench_diagnose::{Quantity, RunTraces, SignalTrace};
+use drivebench_model::sample::Channel;
+use drivebench_model::text::lines::cut;
+use drivebench_model::text::number::{MISSING, significant};
 
 /// Rows of a panel at least, and where there is little room: its title and dots.
 const SMALLEST: u16 = 5;

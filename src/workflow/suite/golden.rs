@@ -15,8 +15,8 @@ use serde_json::Value;
 use statrs::distribution::{ChiSquared, ContinuousCDF, Normal, StudentsT};
 
 use super::limit::find;
-use crate::numerics::statistics::{extent, mean, variance};
-use crate::text::number::{significant, with_std};
+use drivebench_model::numerics::statistics::{extent, mean, variance};
+use drivebench_model::text::number::{significant, with_std};
 
 /// Cases of which one fails by chance, where the intervals of the parameters hold.
 pub const FALSE_ALARMS: f64 = 1000.0;

@@ -15,7 +15,7 @@
 use serde_json::Value;
 
 use super::Answered;
-use crate::text::number::significant;
+use drivebench_model::text::number::significant;
 
 /// What a figure or a word has to be.
 #[derive(Clone, Debug, PartialEq)]

@@ -19,8 +19,8 @@ use std::collections::BTreeMap;
 use serde::Deserialize;
 use toml::Spanned;
 
-use crate::config_text::{self, ConfigError, help_for_unknown};
-use crate::sample::Channel;
+use drivebench_model::config_text::{self, ConfigError, help_for_unknown};
+use drivebench_model::sample::Channel;
 pub use limit::{Limit, answered, entry, figure, find};
 pub use outcome::{
     Answered, CaseOutcome, Check, Confusion, IdentifiedStep, Spread, StepOutcome, SuiteOutcome,

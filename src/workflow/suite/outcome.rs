@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::Case;
-use crate::identification::drift::Drift;
-use crate::recording::Machine;
+use drivebench_bench::recording::Machine;
+use drivebench_identify::drift::Drift;
 
 /// How a case ended.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]

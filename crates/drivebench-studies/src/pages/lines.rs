@@ -1,6 +1,6 @@
 //! What a line does to a measurement: a page of its own, and a part of that of the study.
 
-use drivebench_core::text::number::{fixed, significant};
+use drivebench::text::number::{fixed, significant};
 use serde_json::{Value, json};
 
 use crate::lines::{LineRow, LineStudy, ParameterRow};

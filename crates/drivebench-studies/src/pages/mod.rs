@@ -9,9 +9,9 @@ mod paper_a;
 mod paper_b;
 mod study;
 
+use drivebench::control::TrialPoint;
 use drivebench::report::plot::{Panel, Style};
-use drivebench_core::control::TrialPoint;
-use drivebench_core::text::number::fixed;
+use drivebench::text::number::fixed;
 use serde_json::{Value, json};
 
 use crate::loops::{Case, Comparison};

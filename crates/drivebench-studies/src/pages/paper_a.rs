@@ -1,7 +1,7 @@
 //! Paper A: identification (Figures 2 to 4, Table 1, errors against period and noise) and adaptive control (Figures 5 to 7).
 
 use drivebench::report::plot::{CurveChart, CurvePanel, Panel, Style};
-use drivebench_core::text::number::fixed;
+use drivebench::text::number::fixed;
 use serde_json::{Value, json};
 
 use super::{

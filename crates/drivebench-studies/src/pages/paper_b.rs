@@ -1,8 +1,8 @@
 //! Paper B: its figures, its design (where the iterations stop, what Q/R does, what K3 and mu do), and what it does not show
 //! (variance by kind of noise, speed from Hall edges, the back-EMF that it leaves out).
 
+use drivebench::control::TrialPoint;
 use drivebench::report::plot::{CurveChart, CurvePanel, Panel, Style};
-use drivebench_core::control::TrialPoint;
 use serde_json::{Value, json};
 
 use super::{

@@ -2,7 +2,7 @@
 //! `docs/validation.md`.
 
 use drivebench::report::plot::{Claims, reliability};
-use drivebench_core::text::number::{fixed, significant};
+use drivebench::text::number::{fixed, significant};
 use serde_json::{Value, json};
 
 use super::lines;
@@ -436,7 +436,7 @@ fn together<'a>(bins: impl Iterator<Item = &'a Bin>) -> Bounded {
 
 #[cfg(test)]
 mod tests {
-    use drivebench_core::diagnosis::DiagnosisVerdict;
+    use drivebench::diagnosis::DiagnosisVerdict;
 
     use super::*;
     use crate::study::calibration::by_hand::{absent, answer, missed, named};

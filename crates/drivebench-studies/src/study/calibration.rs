@@ -7,11 +7,11 @@ use statrs::distribution::{Beta, ContinuousCDF};
 use super::cases::known;
 use super::{Answer, Finding, Group, GroupCount, Outcome};
 use crate::lines::KEYS;
+use drivebench::diagnosis::{Diagnosis, DiagnosisVerdict, Status};
 use drivebench::emulator::truth::MotorTruth;
-use drivebench_core::diagnosis::{Diagnosis, DiagnosisVerdict, Status};
-use drivebench_core::numerics::statistics::median;
-use drivebench_core::plant::MotorKey;
-use drivebench_core::sample::Verdict;
+use drivebench::numerics::statistics::median;
+use drivebench::plant::MotorKey;
+use drivebench::sample::Verdict;
 
 /// Edges of the bins of probabilities: fine where something is claimed.
 const EDGES: [f64; 7] = [0.0, 0.02, 0.1, 0.5, 0.9, 0.98, 1.0];
@@ -538,7 +538,7 @@ mod tests {
     use super::super::Group;
     use super::by_hand::{absent, answer, missed, named};
     use super::*;
-    use drivebench_core::diagnosis::DiagnosisVerdict;
+    use drivebench::diagnosis::DiagnosisVerdict;
 
     fn of(findings: Vec<Finding>) -> Calibration {
         Calibration::of(&[answer(Group::Single, DiagnosisVerdict::Effect, findings)])

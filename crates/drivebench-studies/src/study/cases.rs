@@ -6,8 +6,8 @@ use serde::Serialize;
 
 use super::Size;
 use drivebench::emulator::truth::effect::HiddenEffect;
-use drivebench_core::numerics::checksum::{EMPTY, fnv_1a};
-use drivebench_core::plant::{ParameterSpec, effect};
+use drivebench::numerics::checksum::{EMPTY, fnv_1a};
+use drivebench::plant::{ParameterSpec, effect};
 
 /// Levels of unmodelled background, as multiples of the emulator's `messy`; level 0 is the single effects themselves.
 const BACKGROUND_LEVELS: [f64; 3] = [0.5, 1.0, 2.0];

@@ -7,10 +7,10 @@ use super::cases::BACKGROUND;
 use super::record::Truth;
 use super::reported::Reported;
 use super::{Case, Group};
-use drivebench_core::diagnosis::{Candidate, Diagnosis, DiagnosisVerdict, Status};
+use drivebench::diagnosis::{Candidate, Diagnosis, DiagnosisVerdict, Status};
 use drivebench::emulator::truth::MotorTruth;
-use drivebench_core::plant::{Model, Slot};
-use drivebench_core::sample::ParameterEstimate;
+use drivebench::plant::{Model, Slot};
+use drivebench::sample::ParameterEstimate;
 use drivebench::workflow::ORDER;
 
 /// Names whose effects are the same but for a little: the delay and the filter of one signal, which are the same to first

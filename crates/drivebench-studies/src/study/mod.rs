@@ -35,8 +35,8 @@ pub use mysteries::{MysteryAnswer, RecordAnswer, files, records};
 
 use super::lines::LineStudy;
 use drivebench::bench::BenchFile;
-use drivebench_core::diagnosis::{Evidence, diagnose};
-use drivebench_core::plant::Model;
+use drivebench::diagnosis::{Evidence, diagnose};
+use drivebench::plant::Model;
 
 /// How large the study is.
 #[derive(Clone, Copy, Debug)]

@@ -11,12 +11,12 @@ use super::calibration::{ParameterFinding, truths};
 use super::judge::{self, Claims};
 use super::reported::Reported;
 use super::{Group, Outcome};
-use drivebench_core::diagnosis::{Diagnosis, Evidence, diagnose};
+use drivebench::diagnosis::{Diagnosis, Evidence, diagnose};
 use drivebench::emulator::mystery::{Truth, draw};
-use drivebench_core::identification::speed_from_angle;
-use drivebench_core::plant::{Model, Motor, MotorKey, Scenario};
+use drivebench::identification::speed_from_angle;
+use drivebench::plant::{Model, Motor, MotorKey, Scenario};
 use drivebench::recording::{ColumnMap, open_run};
-use drivebench_core::sample::Verdict;
+use drivebench::sample::Verdict;
 use drivebench::workflow::{ORDER, sizes};
 
 /// One mystery, commissioned.
@@ -231,7 +231,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use drivebench_core::plant::effect;
+    use drivebench::plant::effect;
 
     fn seed_of(id: &str) -> u64 {
         let hides = |seed: &u64| hidden(&draw(*seed).truth) == id;

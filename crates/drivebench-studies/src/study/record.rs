@@ -19,11 +19,11 @@ use drivebench::emulator::truth::effect::{HiddenEffect, Moment, Site};
 use drivebench::emulator::{
     EmulatorConfig, EmulatorConfigError, Latency, MemoryLink, SoftDrive, VirtualClock,
 };
-use drivebench_core::excitation::{
+use drivebench::excitation::{
     ExcitationError, Output, Prbs, Program, Ramp, Segment, Standstill, Steps, rich,
 };
-use drivebench_core::plant::{Instant, Scenario, ScenarioError, effect};
-use drivebench_core::sample::{Channel, Command, Demand, Origin, Run, RunError, Sample};
+use drivebench::plant::{Instant, Scenario, ScenarioError, effect};
+use drivebench::sample::{Channel, Command, Demand, Origin, Run, RunError, Sample};
 
 /// Spread of the specimens' R, L, Ke, J and Mc about the nameplate.
 const TOLERANCE: f64 = 0.15;

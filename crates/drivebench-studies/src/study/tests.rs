@@ -147,7 +147,7 @@ fn a_line_that_loses_rows_loses_them_of_the_same_run() {
     assert_eq!(whole.truths, lossy.truths);
     let noisy = of(Group::Noisy);
     assert_eq!(whole.truths, noisy.truths);
-    let rest = |run: &drivebench_core::plant::Scenario| {
+    let rest = |run: &drivebench::plant::Scenario| {
         let still = run.speed_rad_s.iter().take(400);
         (still.map(|w| w * w).sum::<f64>() / 400.0).sqrt()
     };

@@ -1,0 +1,489 @@
+//! Before the first energising: who is there, how fast the link is, how quiet the sensors are, whether the drive's own
+//! watchdog works, and whether a small pulse turns the shaft the way and as far as the nameplate says. Each with the
+//! figures that were measured, each a reason to refuse.
+//!
+//! ```text
+//! identity -> limits -> link, standstill, field -> watchdog -> direction -> plausibility       the first failure ends it
+//!                       rest.rs                    rest.rs     first_move.rs, pulse.rs  -> judge.rs
+//! ```
+
+mod first_move;
+mod judge;
+mod pulse;
+mod rest;
+
+pub use first_move::FirstMove;
+pub(super) use rest::{LONGEST_WATCHDOG_S, WATCHDOG};
+
+use serde::Serialize;
+use thiserror::Error;
+
+use self::rest::Still;
+use super::clock::Clock;
+use super::limits::Limits;
+use drivebench_control::Actuator;
+use drivebench_link::offer::{self, Purpose};
+use drivebench_link::{CommandTimes, DriveLink, DriveProfile, Identity, LinkError};
+use drivebench_model::sample::{Channel, Command, Demand, DriveState, Sample};
+
+/// A request that moves nothing is sent again for so long, and so many cycles, where its reply is lost, s.
+const ASKS_S: f64 = 1.0;
+const ASKS_CYCLES: f64 = 3.0;
+
+/// Why the checks could not be carried out.
+#[derive(Debug, Error)]
+pub enum CheckError {
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    /// A person wants to end; nothing is energised any more.
+    #[error("interrupted in the checks; nothing is energised")]
+    Stopped,
+    /// The output was on and the stop is not confirmed; `before`: what had ended the checks, if anything had.
+    #[error("{}stop NOT confirmed by the drive: {stop}", before.as_ref().map_or_else(String::new, |text| format!("{text}; ")))]
+    Unstopped {
+        stop: LinkError,
+        before: Option<String>,
+    },
+}
+
+impl CheckError {
+    pub const fn help(&self) -> &'static str {
+        match self {
+            // It may have run at zero, or turned the shaft a little.
+            Self::Link(LinkError::Gone { .. }) | Self::Unstopped { .. } => {
+                "see that the shaft stands still, then check the cable, the adapter and the drive's power"
+            }
+            Self::Link(error) => error.help(),
+            Self::Stopped => "start again when the shaft may turn",
+        }
+    }
+}
+
+/// Checks that the user goes on without; each is told and recorded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Waivers {
+    pub watchdog: bool,
+    /// No pulse at all, so the nameplate is not held against anything either.
+    pub direction: bool,
+    pub plausibility: bool,
+}
+
+#[derive(Clone, Copy)]
+pub struct CheckOptions<'a> {
+    pub rate_hz: f64,
+    /// This may be real hardware: the user has said so, or sits at the screen.
+    pub hardware_allowed: bool,
+    /// The user has said in so many words that real hardware may move.
+    pub hardware_said: bool,
+    pub waivers: Waivers,
+    /// `None`: the motor is not known, and what finds it begins with steps that are as small.
+    pub first_move: Option<FirstMove<'a>>,
+    /// Whether somebody has asked to stop: from then on nothing is energised.
+    pub stopped: &'a (dyn Fn() -> bool + Send + Sync),
+    /// Clear a fault that the drive has latched, once it is known that this may be done and nobody runs it.
+    pub reset_fault: bool,
+}
+
+/// The check that the line can carry the rate at all: nothing is measured, the bench file asks for too much.
+pub const RATE_CHECK: &str = "rate";
+
+/// One check with its figures.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CheckItem {
+    pub name: &'static str,
+    pub passed: bool,
+    /// What was measured or read, with units; for a failed check also what is allowed.
+    pub text: String,
+    pub help: Option<&'static str>,
+}
+
+/// Mean and standard deviation of a signal with the output disabled.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct NoiseFloor {
+    #[serde(skip)]
+    pub channel: Channel,
+    pub mean: f64,
+    pub std: f64,
+    pub samples: usize,
+}
+
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct CheckReport {
+    pub identity: Identity,
+    pub items: Vec<CheckItem>,
+    pub round_trip_p50_s: f64,
+    pub round_trip_p99_s: f64,
+    pub reachable_rate_hz: f64,
+    /// Silence after which the drive was found stopped, s.
+    pub watchdog_proven_s: Option<f64>,
+    pub noise: Vec<NoiseFloor>,
+    /// Checks that were not passed, or not made, because the user waived them.
+    pub waived: Vec<&'static str>,
+    /// Signals that the drive gave.
+    #[serde(skip)]
+    pub signals: Vec<Channel>,
+    /// What was read at rest with the output off.
+    #[serde(skip)]
+    pub rest: Vec<Sample>,
+    /// Last sequence number that was used.
+    #[serde(skip)]
+    pub last_seq: u64,
+}
+
+impl CheckReport {
+    pub fn passed(&self) -> bool {
+        self.items.iter().all(|item| item.passed)
+    }
+
+    /// The first check that failed: the root cause belongs in the headline.
+    pub fn refusal(&self) -> Option<&CheckItem> {
+        self.items.iter().find(|item| !item.passed)
+    }
+}
+
+/// Whether the signals of a drive can carry what is to be done with it; asked before anything is sent.
+pub fn check_signals(profile: &DriveProfile, purpose: Purpose) -> CheckItem {
+    let refusal = offer::refusal(profile, purpose);
+    CheckItem {
+        name: "signals",
+        passed: refusal.is_none(),
+        help: refusal.as_ref().map(
+            |_| "the profile states what the drive has: docs/drives.md shows how to complete it",
+        ),
+        text: refusal.unwrap_or_else(|| "they carry what is asked".to_owned()),
+    }
+}
+
+/// Carries out every check in order and stops at the first that fails. The output is off on return, unless the drive was
+/// found running: who commands it has to say.
+pub fn check(
+    link: &mut dyn DriveLink,
+    clock: &mut dyn Clock,
+    limits: &Limits,
+    options: CheckOptions<'_>,
+) -> Result<CheckReport, CheckError> {
+    let identity = link.identify()?;
+    let kind = commanded(link.zero());
+    let hold = options
+        .first_move
+        .map_or((0.0, 0.0), |first| pulse::hold(kind, first.plate, limits));
+    let mut checker = Checker {
+        zero: kind.demand(hold.0),
+        hold,
+        touched: false,
+        energised: false,
+        stopped: options.stopped,
+        silence_s: limits.link_silence_s,
+        link,
+        clock,
+        period_s: 1.0 / options.rate_hz,
+        report: CheckReport {
+            identity,
+            ..CheckReport::default()
+        },
+    };
+    let result = checker.all(limits, options);
+    if !checker.touched {
+        // Nothing was asked of the drive, and it may be somebody else who has it.
+        result?;
+        return Ok(checker.report.clone());
+    }
+    match (result, checker.link.stop()) {
+        (Ok(()), Ok(())) => Ok(checker.report.clone()),
+        (Err(error), Ok(())) => Err(error),
+        (Err(error), Err(_)) if !checker.energised => Err(error),
+        (Ok(()), Err(stop)) if !checker.energised => Err(stop.into()),
+        (result, Err(stop)) => {
+            let refusal = checker.report.refusal();
+            let refusal = refusal.map(|item| format!("{}: {}", item.name, item.text));
+            let before = result.err().map(|error| error.to_string()).or(refusal);
+            let before = before.filter(|before| *before != stop.to_string());
+            Err(CheckError::Unstopped { stop, before })
+        }
+    }
+}
+
+struct Checker<'a> {
+    link: &'a mut dyn DriveLink,
+    clock: &'a mut dyn Clock,
+    period_s: f64,
+    /// With this the drive runs and nothing moves: zero, or what holds the load.
+    zero: Demand,
+    /// What holds a load: in the unit of the quantity that is commanded, and as current.
+    hold: (f64, f64),
+    /// Something was asked of the drive.
+    touched: bool,
+    /// Its output was asked to be on.
+    energised: bool,
+    stopped: &'a (dyn Fn() -> bool + Send + Sync),
+    /// No exchange takes longer, repeats and all, s.
+    silence_s: f64,
+    report: CheckReport,
+}
+
+impl Drop for Checker<'_> {
+    fn drop(&mut self) {
+        if self.touched && std::thread::panicking() {
+            // Nobody is left to tell, and the watchdog of this drive may be waived.
+            let _ = self.link.stop();
+        }
+    }
+}
+
+/// What is commanded by the demand with which a drive runs at zero.
+const fn commanded(zero: Demand) -> Actuator {
+    match zero {
+        Demand::Current(_) => Actuator::Current,
+        Demand::Speed(_) => Actuator::Speed,
+        _ => Actuator::Voltage,
+    }
+}
+
+/// Mean and standard deviation of a signal at rest; zero where it is not measured.
+fn floor(noise: &[NoiseFloor], channel: Channel) -> (f64, f64) {
+    let floor = noise.iter().find(|floor| floor.channel == channel);
+    floor.map_or((0.0, 0.0), |floor| (floor.mean, floor.std))
+}
+
+/// How the wait for a state of the drive ended.
+enum Reached {
+    Yes,
+    Never,
+    /// Something moves, in words.
+    Moved(String),
+}
+
+impl Checker<'_> {
+    fn all(&mut self, limits: &Limits, options: CheckOptions<'_>) -> Result<(), CheckError> {
+        let go_on = self.identity(options.hardware_allowed, options.hardware_said)
+            && self.limits(limits)
+            && self.rate(options.rate_hz)
+            && self.nobody_s()
+            && self.reset(options.reset_fault)?
+            && self.probe(limits, options.rate_hz)?
+            && self.set_points()?
+            && self.load(limits)
+            && self.watchdog(limits, options.waivers.watchdog)?
+            && self.first_move(limits, options)?;
+        // The order is the point: nothing after a failed check is tried.
+        debug_assert_eq!(go_on, self.report.passed());
+        Ok(())
+    }
+
+    fn note(
+        &mut self,
+        name: &'static str,
+        passed: bool,
+        text: impl Into<String>,
+        help: &'static str,
+    ) -> bool {
+        self.report.items.push(CheckItem {
+            name,
+            passed,
+            text: text.into(),
+            help: (!passed).then_some(help),
+        });
+        passed
+    }
+
+    /// As [`Self::note`], for a check that may be waived: then it passes, and it is said and kept that it was waived.
+    fn note_or_waive(
+        &mut self,
+        name: &'static str,
+        passed: bool,
+        waived: bool,
+        text: String,
+        help: &'static str,
+    ) -> bool {
+        if passed || !waived {
+            return self.note(name, passed, text, help);
+        }
+        self.report.waived.push(name);
+        self.note(name, true, format!("WAIVED: {text}"), help)
+    }
+
+    fn identity(&mut self, hardware_allowed: bool, hardware_said: bool) -> bool {
+        let identity = &self.report.identity;
+        let who = identity.sentence();
+        let passed = identity.is_emulator || hardware_allowed;
+        if !identity.is_emulator && hardware_said {
+            self.report.waived.push("hardware");
+        }
+        let help =
+            "this drive does not say that it is an emulator: pass --hardware if the motor may move";
+        self.note("identity", passed, who, help)
+    }
+
+    /// What somebody left in the drive, reference and command, is taken back first: with the fault gone it may count again.
+    fn reset(&mut self, wanted: bool) -> Result<bool, CheckError> {
+        if !wanted {
+            return Ok(true);
+        }
+        self.touched = true;
+        self.link.bring_to_rest()?;
+        let mut last = None;
+        let cleared = self.until(Demand::ResetFault, |state| {
+            last = Some(state);
+            state != DriveState::Fault
+        })?;
+        let text = match last {
+            Some(DriveState::Running) => "the drive ran once its fault was reset, and was stopped",
+            _ if cleared => "the drive is without a fault",
+            _ => "the drive stays in fault",
+        };
+        let passed = cleared && last != Some(DriveState::Running);
+        let help = "mend the cause of the fault; take the run command away (keypad, terminals, another master)";
+        Ok(self.note("reset", passed, text, help))
+    }
+
+    /// A load that falls is not even held without knowing how.
+    fn load(&mut self, limits: &Limits) -> bool {
+        let missing = limits.load.missing();
+        let text = match (missing, limits.load.brake()) {
+            (Some(key), _) => format!(
+                "a vertical load is not moved without its brake described: {key} is left out"
+            ),
+            (None, Some(brake)) => format!(
+                "vertical, held by {} A; brake opens in {} s and closes in {} s, worked by the drive: the bench keeps order and times",
+                brake.hold_current_a, brake.release_s, brake.apply_s
+            ),
+            (None, None) => return true,
+        };
+        let help = "give load.hold_current_a, load.brake_release_s and load.brake_apply_s";
+        self.note("load", missing.is_none(), text, help)
+    }
+
+    fn limits(&mut self, limits: &Limits) -> bool {
+        let text = |value: Option<f64>, unit| {
+            value.map_or_else(|| "not told".to_owned(), |value| format!("{value} {unit}"))
+        };
+        let identity = &self.report.identity;
+        let mut read = format!(
+            "drive limits: current {}, voltage {}; bench limits: {} A, {} V, {} rad/s",
+            text(identity.current_limit_a, "A"),
+            text(identity.voltage_limit_v, "V"),
+            limits.current_a,
+            limits.voltage_v,
+            limits.speed_rad_s
+        );
+        if identity.current_limit_a.is_none() && identity.voltage_limit_v.is_none() {
+            read.push_str("; only the bench's hold, the drive's own cannot be read back");
+        }
+        let most_v = identity.voltage_limit_v;
+        let passed = most_v.is_none_or(|volts| volts >= limits.voltage_v);
+        let help =
+            "the drive cannot give the voltage that the bench may ask for: lower limits.voltage_v";
+        self.note("limits", passed, read, help)
+    }
+
+    /// What the drive may take at the rate of these checks.
+    fn times(&self) -> CommandTimes {
+        self.link.command_times().asked_every(self.period_s)
+    }
+
+    /// Time after which a drive has not done as `demand` says, s.
+    fn patience_s(&self, demand: Demand) -> f64 {
+        let times = self.times();
+        match demand {
+            Demand::Disable | Demand::Stop => times.stop_s,
+            Demand::ResetFault => times.reset_s,
+            Demand::Voltage(_) | Demand::Current(_) | Demand::Speed(_) => times.enable_s,
+        }
+    }
+
+    /// Sends `demand` once per period until the drive's state is as wanted, for as long as it may take.
+    fn until(
+        &mut self,
+        demand: Demand,
+        mut wanted: impl FnMut(DriveState) -> bool,
+    ) -> Result<bool, CheckError> {
+        self.until_sample(demand, |sample| sample.state.is_some_and(&mut wanted))
+    }
+
+    fn until_sample(
+        &mut self,
+        demand: Demand,
+        mut wanted: impl FnMut(&Sample) -> bool,
+    ) -> Result<bool, CheckError> {
+        let mut next_s = self.clock.now_s();
+        let until_s = next_s + self.patience_s(demand);
+        while self.clock.now_s() < until_s {
+            next_s += self.period_s;
+            self.clock.sleep_until_s(next_s);
+            if self.sample(demand)?.is_some_and(|sample| wanted(&sample)) {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// As [`Self::until`], with an eye on the shaft: it ends with the first sample in which something moves.
+    fn until_still(
+        &mut self,
+        demand: Demand,
+        still: &mut Still,
+        wanted: impl Fn(DriveState) -> bool,
+    ) -> Result<Reached, CheckError> {
+        let mut moved = None;
+        let reached = self.until_sample(demand, |sample| {
+            moved = still.moved(sample);
+            moved.is_some() || sample.state.is_some_and(&wanted)
+        })?;
+        Ok(match moved {
+            Some(text) => Reached::Moved(text),
+            None if reached => Reached::Yes,
+            None => Reached::Never,
+        })
+    }
+
+    /// What may show at zero with the sensors as they are at rest.
+    fn still(&self, limits: &Limits) -> Still {
+        let kind = commanded(self.zero);
+        Still::of(&self.report.noise, limits, kind, self.hold)
+    }
+
+    /// The reply to `demand`, which moves nothing and may therefore be sent again where a reply is lost.
+    fn answer(&mut self, demand: Demand) -> Result<Sample, CheckError> {
+        let until_s = self.clock.now_s() + ASKS_S.max(ASKS_CYCLES * self.period_s);
+        loop {
+            let reply = self.exchange(demand);
+            let now_s = self.clock.now_s();
+            match reply {
+                Err(CheckError::Link(error)) if error.is_transient() && now_s < until_s => {
+                    self.clock.sleep_until_s(now_s + self.period_s);
+                }
+                reply => return reply,
+            }
+        }
+    }
+
+    /// As [`Self::exchange`]; `None`: the reply was lost, and the next cycle may try again.
+    fn sample(&mut self, demand: Demand) -> Result<Option<Sample>, CheckError> {
+        match self.exchange(demand) {
+            Ok(sample) => Ok(Some(sample)),
+            Err(CheckError::Link(error)) if error.is_transient() => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
+    fn exchange(&mut self, demand: Demand) -> Result<Sample, CheckError> {
+        if demand.energises() {
+            if (self.stopped)() {
+                return Err(CheckError::Stopped);
+            }
+            self.energised = true;
+        }
+        self.touched = true;
+        self.report.last_seq += 1;
+        self.link.bound(self.silence_s);
+        Ok(self.link.exchange(Command {
+            seq: self.report.last_seq,
+            demand,
+        })?)
+    }
+}
+
+#[cfg(test)]
+mod specimens;
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,501 @@
+//! With the output off, and where the drive runs at zero: how fast the link is, how quiet the sensors are, what counts as
+//! standing still, and whether the drive's own watchdog works.
+//!
+//! Figures of standing still are shares of the bench's limits, or a multiple of what the sensors show at rest where that
+//! is more.
+
+use super::{CheckError, Checker, NoiseFloor, RATE_CHECK, Reached, floor};
+use crate::limits::Limits;
+use crate::timing::quantile;
+use drivebench_control::Actuator;
+use drivebench_model::sample::{Channel, Demand, DriveState, Sample};
+use drivebench_model::text::number::with_std;
+
+/// Exchanges of the link probe, all with the output disabled.
+const PROBES: u64 = 50;
+/// Share of probes that may be lost.
+const LOST_SHARE: f64 = 0.1;
+/// Longest wait for a shaft that coasts, or is braked, after what was before, s.
+const COAST_S: f64 = 5.0;
+
+const STANDSTILL: &str = "standstill";
+const RUNNING_HELP: &str =
+    "stop it where it was started (keypad, terminals, another master or program), then start again";
+const STANDSTILL_HELP: &str = "the shaft must stand still and the drive be without a fault: wait until it stands, or clear a latched fault with --reset-fault";
+/// Longest watchdog that is accepted, s.
+pub(crate) const LONGEST_WATCHDOG_S: f64 = 1.0;
+/// Silence of the proof, in watchdog times.
+const SILENCE_IN_WATCHDOGS: f64 = 1.5;
+/// The shaft is seen to stand at zero for so long, and so many cycles, before nobody looks at it, s.
+const STANDS_S: f64 = 0.1;
+const STANDS_CYCLES: f64 = 3.0;
+
+pub(crate) const WATCHDOG: &str = "watchdog";
+
+pub(super) const AT_ZERO_HELP: &str = "the drive was stopped at once: check the set-points' address, scale and word order, and what the profile's enable command writes; an output with an offset does this too";
+
+/// Mean and standard deviation at rest may be so large with the output off, as shares of the bench's limits.
+const REST_SPEED_SHARE: f64 = 0.01;
+const REST_SHARE: f64 = 0.05;
+/// A single sample may be so many times that.
+const SINGLE_FACTOR: f64 = 3.0;
+/// Where the drive runs at zero: shares of the limits, and standard deviations at rest.
+const ZERO_SPEED_SHARE: f64 = 0.01;
+const ZERO_SHARE: f64 = 0.15;
+const NOISE_FACTOR: f64 = 8.0;
+/// A shaft that turned so far between two looks has moved, rad.
+const ZERO_ANGLE_RAD: f64 = 3.0;
+
+/// What is looked at, with the bench's limit of each.
+fn watched(limits: &Limits) -> [(Channel, f64, f64); 3] {
+    [
+        (Channel::Speed, limits.speed_rad_s, REST_SPEED_SHARE),
+        (Channel::Current, limits.current_a, REST_SHARE),
+        (Channel::Voltage, limits.voltage_v, REST_SHARE),
+    ]
+}
+
+fn figure(channel: Channel, what: &str, value: f64, most: f64) -> String {
+    let (name, unit) = (channel.name(), channel.unit());
+    format!("{name} {what}{value:.4} {unit}, at most {most:.4} {unit}")
+}
+
+/// What one sample with the output off shows beyond rest; `settled`: as close as a mean has to be.
+pub(super) fn unrest(sample: &Sample, limits: &Limits, settled: bool) -> Option<String> {
+    let factor = if settled { 1.0 } else { SINGLE_FACTOR };
+    let beyond = |(channel, limit, share): (Channel, f64, f64)| {
+        let (value, most) = (sample.get(channel)?, factor * share * limit);
+        (value.abs() > most).then(|| figure(channel, "", value, most))
+    };
+    watched(limits).into_iter().find_map(beyond)
+}
+
+/// What the mean or the spread of samples with the output off shows beyond rest.
+pub(super) fn unrest_of_all(noise: &[NoiseFloor], limits: &Limits) -> Option<String> {
+    let beyond = |(channel, limit, share): (Channel, f64, f64)| {
+        let floor = noise.iter().find(|floor| floor.channel == channel)?;
+        let most = share * limit;
+        let found = [("mean ", floor.mean), ("spread ", floor.std)];
+        let found = found.into_iter().find(|(_, value)| value.abs() > most);
+        found.map(|(what, value)| figure(channel, what, value, most))
+    };
+    watched(limits).into_iter().find_map(beyond)
+}
+
+/// Speed, current and voltage of a sample in words.
+pub(super) fn told(sample: &Sample) -> String {
+    let figure = |channel: Channel| {
+        let value = sample.get(channel)?;
+        Some(format!("{} {value:.2} {}", channel.name(), channel.unit()))
+    };
+    let channels = [Channel::Speed, Channel::Current, Channel::Voltage];
+    let figures: Vec<String> = channels.into_iter().filter_map(figure).collect();
+    if figures.is_empty() {
+        "it tells no speed, current or voltage".to_owned()
+    } else {
+        figures.join(", ")
+    }
+}
+
+/// What a drive that runs at zero may show.
+#[derive(Clone, Debug)]
+pub(super) struct Still {
+    /// Mean at rest and the most beside it.
+    bounds: [(Channel, f64, f64); 3],
+    /// The angle where it began.
+    angle_rad: Option<f64>,
+}
+
+impl Still {
+    /// `hold`: what holds a load, in the unit of the quantity that is commanded, and as current.
+    pub(super) fn of(
+        noise: &[NoiseFloor],
+        limits: &Limits,
+        kind: Actuator,
+        hold: (f64, f64),
+    ) -> Self {
+        let bounds = watched(limits).map(|(channel, limit, _)| {
+            let (mean, std) = floor(noise, channel);
+            let most = match (channel, kind) {
+                (Channel::Speed, _) => ZERO_SPEED_SHARE * limit,
+                // A drive that holds the speed zero does so with the voltage and current that it takes.
+                (_, Actuator::Speed) => limit,
+                (Channel::Current, _) => ZERO_SHARE * limit + hold.1.abs(),
+                (_, Actuator::Voltage) => ZERO_SHARE * limit + hold.0.abs(),
+                (_, Actuator::Current) => limit,
+            };
+            (channel, mean, most.max(NOISE_FACTOR * std))
+        });
+        Self {
+            bounds,
+            angle_rad: None,
+        }
+    }
+
+    /// What moves in this sample, or has moved since the first one.
+    pub(super) fn moved(&mut self, sample: &Sample) -> Option<String> {
+        let beyond = |(channel, mean, most): (Channel, f64, f64)| {
+            let value = sample
+                .get(channel)
+                .filter(|value| (value - mean).abs() > most)?;
+            Some(figure(channel, "", value, most))
+        };
+        if let Some(text) = self.bounds.into_iter().find_map(beyond) {
+            return Some(text);
+        }
+        let angle_rad = sample.get(Channel::Angle)?;
+        let turned_rad = angle_rad - *self.angle_rad.get_or_insert(angle_rad);
+        (turned_rad.abs() > ZERO_ANGLE_RAD)
+            .then(|| figure(Channel::Angle, "by ", turned_rad, ZERO_ANGLE_RAD))
+    }
+}
+
+impl Checker<'_> {
+    /// Whether the line carries the rate at all, by its baud rate.
+    pub(super) fn rate(&mut self, rate_hz: f64) -> bool {
+        let most_hz = self.link.shortest_cycle_s().map(|cycle_s| 1.0 / cycle_s);
+        let Some(most_hz) = most_hz.filter(|most_hz| *most_hz < rate_hz) else {
+            return true;
+        };
+        let text = format!(
+            "the line carries at most {most_hz:.0} Hz at its baud rate, asked {rate_hz} Hz"
+        );
+        let help = "lower link.rate_hz, or raise the baud rate";
+        self.note(RATE_CHECK, false, text, help)
+    }
+
+    /// A drive that was running when it was found is somebody else's; nothing has been asked of it yet.
+    pub(super) fn nobody_s(&mut self) -> bool {
+        let found = self.link.found();
+        let running = found.filter(|sample| sample.state == Some(DriveState::Running));
+        running.is_none_or(|sample| self.running(&sample))
+    }
+
+    fn running(&mut self, sample: &Sample) -> bool {
+        let text = format!("the drive is running; who commands it? {}", told(sample));
+        self.note(STANDSTILL, false, text, RUNNING_HELP)
+    }
+
+    /// With the output off: waits until the shaft stands, and refuses a drive that runs all the same (`None`).
+    fn come_to_rest(
+        &mut self,
+        first: Sample,
+        limits: &Limits,
+    ) -> Result<Option<Sample>, CheckError> {
+        let mut last = first;
+        let begin_s = self.clock.now_s();
+        loop {
+            if last.state == Some(DriveState::Running) {
+                self.running(&last);
+                return Ok(None);
+            }
+            let Some(text) = unrest(&last, limits, true) else {
+                return Ok(Some(last));
+            };
+            let now_s = self.clock.now_s();
+            if now_s - begin_s > COAST_S {
+                let text = format!("the shaft does not come to rest within {COAST_S} s: {text}");
+                self.note(STANDSTILL, false, text, STANDSTILL_HELP);
+                return Ok(None);
+            }
+            self.clock.sleep_until_s(now_s + self.period_s);
+            if let Some(sample) = self.sample(Demand::Disable)? {
+                last = sample;
+            }
+        }
+    }
+
+    /// Set-points that the profile says can be read back, compared with the output off.
+    pub(super) fn set_points(&mut self) -> Result<bool, CheckError> {
+        let Some(compared) = self.link.compare_set_points()? else {
+            return Ok(true);
+        };
+        let help = "check address, type and function of the set-point, and whether the drive lets the bus write it";
+        let passed = compared.is_ok();
+        let (Ok(text) | Err(text)) = compared;
+        Ok(self.note("set-points", passed, text, help))
+    }
+
+    pub(super) fn probe(&mut self, limits: &Limits, rate_hz: f64) -> Result<bool, CheckError> {
+        let mut round_trips_s = Vec::new();
+        let mut samples = Vec::new();
+        let mut last_error = None;
+        let mut begin_s = self.clock.now_s();
+        for probe in 0..PROBES {
+            self.clock
+                .sleep_until_s(begin_s + (probe + 1) as f64 * self.period_s);
+            let sent_s = self.clock.now_s();
+            match self.exchange(Demand::Disable) {
+                Ok(mut sample) => {
+                    let done_s = if self.clock.is_real() {
+                        self.clock.now_s()
+                    } else {
+                        // Virtual time stands still during an exchange; the link says what the wire would take.
+                        sample.host_time_s.unwrap_or(sent_s)
+                    };
+                    round_trips_s.push(done_s - sent_s);
+                    let faulty = sample.state == Some(DriveState::Fault);
+                    if samples.is_empty() && !faulty {
+                        // What was before is not counted as noise.
+                        let from_s = self.clock.now_s();
+                        match self.come_to_rest(sample, limits)? {
+                            Some(rested) => sample = rested,
+                            None => return Ok(false),
+                        }
+                        begin_s += self.clock.now_s() - from_s;
+                    } else if sample.state == Some(DriveState::Running) {
+                        return Ok(self.running(&sample));
+                    } else if let Some(text) = unrest(&sample, limits, false).filter(|_| !faulty) {
+                        let text = format!("the shaft moves with the output off: {text}");
+                        return Ok(self.note(STANDSTILL, false, text, STANDSTILL_HELP));
+                    }
+                    samples.push(sample);
+                }
+                Err(CheckError::Link(error)) if error.is_transient() => last_error = Some(error),
+                Err(error) => return Err(error),
+            }
+        }
+        if samples.is_empty()
+            && let Some(error) = last_error
+        {
+            return Err(error.into());
+        }
+        let median_s = quantile(&mut round_trips_s, 0.5);
+        let tail_s = quantile(&mut round_trips_s, 0.99);
+        let shortest_s = self.link.shortest_cycle_s().unwrap_or(0.0);
+        // The quicker exchanges tell what the link carries; the slower ones what else the host was doing meanwhile,
+        // which costs missed cycles, and those are counted.
+        let unhindered_s = quantile(&mut round_trips_s, 0.25);
+        let reachable_hz = 1.0 / unhindered_s.max(shortest_s).max(1e-6);
+        self.report.round_trip_p50_s = median_s;
+        self.report.round_trip_p99_s = tail_s;
+        self.report.reachable_rate_hz = reachable_hz;
+        let lost = PROBES - samples.len() as u64;
+        let line = self.link.line().unwrap_or_default();
+        let (late, foreign) = (line.stale_frames, line.foreign_frames);
+        let strays = match late + foreign {
+            0 => String::new(),
+            _ => format!(", {late} late and {foreign} foreign frames on the line so far"),
+        };
+        let figures = format!(
+            "{PROBES} exchanges, {lost} lost, round trip {:.2} ms median, {:.2} ms 99 %, reaches {reachable_hz:.0} Hz, asked {rate_hz} Hz{strays}",
+            1e3 * median_s,
+            1e3 * tail_s
+        );
+        let fast = reachable_hz >= rate_hz && lost as f64 <= LOST_SHARE * PROBES as f64;
+        let help = "lower link.rate_hz, raise the baud rate, or check what adapter and drive take to answer (`drivebench doctor --port PORT`)";
+        if !self.note("link", fast, figures, help) {
+            return Ok(false);
+        }
+        let rests = self.standstill(&samples, limits) && self.field(&samples, limits);
+        self.report.rest = samples;
+        Ok(rests)
+    }
+
+    fn standstill(&mut self, samples: &[Sample], limits: &Limits) -> bool {
+        for channel in Channel::ALL {
+            let values: Vec<f64> = samples.iter().filter_map(|s| s.get(channel)).collect();
+            if values.is_empty() {
+                continue;
+            }
+            self.report.signals.push(channel);
+            if channel == Channel::TimeHalfWidth {
+                // A column of the record, but no signal that has noise.
+                continue;
+            }
+            let mean = values.iter().sum::<f64>() / values.len() as f64;
+            let square: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+            self.report.noise.push(NoiseFloor {
+                channel,
+                mean,
+                std: (square / (values.len().max(2) - 1) as f64).sqrt(),
+                samples: values.len(),
+            });
+        }
+        let wanted = [Channel::Current, Channel::Speed, Channel::Voltage];
+        let figure = |floor: &NoiseFloor| {
+            let (name, unit) = (floor.channel.name(), floor.channel.unit());
+            format!("{name} {} {unit}", with_std(floor.mean, floor.std))
+        };
+        let floors = self.report.noise.iter();
+        let floors = floors.filter(|floor| wanted.contains(&floor.channel));
+        let figures: Vec<String> = floors.map(figure).collect();
+        let last = samples.last().and_then(|sample| sample.state);
+        let fault = last == Some(DriveState::Fault);
+        let unrest = unrest_of_all(&self.report.noise, limits);
+        let passed = !fault && unrest.is_none();
+        let text = match unrest {
+            _ if fault => "the drive is in fault".to_owned(),
+            Some(unrest) => format!("{unrest} ({})", figures.join(", ")),
+            None => figures.join(", "),
+        };
+        self.note(STANDSTILL, passed, text, STANDSTILL_HELP)
+    }
+
+    /// The field of a motor with a separate one: without it a motor at voltage runs away.
+    fn field(&mut self, samples: &[Sample], limits: &Limits) -> bool {
+        let field_a = samples.iter().rev().find_map(|sample| sample.field_a);
+        let text = match (field_a, limits.field_min_a) {
+            (None, None) => return true,
+            (None, Some(least_a)) => {
+                format!("the field current is not read, at least {least_a} A are needed")
+            }
+            (Some(field_a), None) => format!(
+                "{field_a:.3} A; its loss is not watched: the drive's profile gives no limits.field_min_a"
+            ),
+            (Some(field_a), Some(least_a)) => format!("{field_a:.3} A, a trip below {least_a} A"),
+        };
+        let enough = |least_a: f64| field_a.is_some_and(|field_a| field_a >= least_a);
+        let passed = limits.field_min_a.is_none_or(enough);
+        let help = "switch the field supply on, check its fuse, and limits.field_min_a of the drive's profile";
+        self.note("field", passed, text, help)
+    }
+
+    /// Enables at zero, stops talking on purpose, and wants to hear that the drive gave up by itself.
+    pub(super) fn watchdog(&mut self, limits: &Limits, waived: bool) -> Result<bool, CheckError> {
+        const HELP: &str = "set the drive's command watchdog to 1 s or less (watchdog.set_ms of its profile), or waive it explicitly (--waive-watchdog)";
+        let Some(watchdog_s) = self.report.identity.watchdog_s else {
+            let text = "the drive tells of no watchdog".to_owned();
+            return Ok(self.note_or_waive(WATCHDOG, false, waived, text, HELP));
+        };
+        if !(watchdog_s > 0.0 && watchdog_s <= LONGEST_WATCHDOG_S) {
+            let text = format!("{watchdog_s} s, at most {LONGEST_WATCHDOG_S} s is allowed");
+            return Ok(self.note_or_waive(WATCHDOG, false, waived, text, HELP));
+        }
+        let mut still = self.still(limits);
+        match self.runs_at_zero(&mut still)? {
+            Reached::Yes => {}
+            Reached::Never => {
+                let waited_s = self.times().enable_s;
+                let text = format!("the drive does not run at zero within {waited_s:.2} s");
+                return Ok(self.note(WATCHDOG, false, text, "check the drive's enable input"));
+            }
+            Reached::Moved(text) => return Ok(self.moved_at_zero("", &text)),
+        }
+        let silence_s = SILENCE_IN_WATCHDOGS * watchdog_s + self.period_s;
+        let quiet_from_s = self.clock.now_s();
+        self.clock.sleep_until_s(quiet_from_s + silence_s);
+        let after = self.answer(Demand::Disable)?;
+        if let Some(text) = still.moved(&after) {
+            let when = format!(", seen after {silence_s:.3} s of silence");
+            return Ok(self.moved_at_zero(&when, &text));
+        }
+        // 0 is no code.
+        let has_code = after.fault.is_some_and(|code| code != 0);
+        let tripped = after.state == Some(DriveState::Fault) || has_code;
+        let text = format!(
+            "set to {watchdog_s} s; after {silence_s:.3} s of silence at zero the drive was in {}{}",
+            after.state.map_or("no known state", DriveState::name),
+            after
+                .fault
+                .filter(|code| *code != 0)
+                .map_or_else(String::new, |code| format!(", code {code:#06x}"))
+        );
+        if tripped {
+            self.report.watchdog_proven_s = Some(silence_s);
+            let cleared = |state| state != DriveState::Fault;
+            match self.until_still(Demand::ResetFault, &mut still, cleared)? {
+                Reached::Yes => {}
+                Reached::Never => {
+                    let waited_s = self.times().reset_s;
+                    let text = format!("{text}; it does not reset within {waited_s:.2} s");
+                    return Ok(self.note(WATCHDOG, false, text, "reset the drive by hand"));
+                }
+                Reached::Moved(text) => return Ok(self.moved_at_zero(" with the reset", &text)),
+            }
+        }
+        Ok(self.note_or_waive(WATCHDOG, tripped, waived, text, HELP))
+    }
+
+    /// Enables at zero, and looks for a while whether the shaft stands there.
+    fn runs_at_zero(&mut self, still: &mut Still) -> Result<Reached, CheckError> {
+        let zero = self.zero;
+        let runs = |state| state == DriveState::Running;
+        let reached = self.until_still(zero, still, runs)?;
+        if !matches!(reached, Reached::Yes) {
+            return Ok(reached);
+        }
+        let begin_s = self.clock.now_s();
+        let end_s = begin_s + STANDS_S.max(STANDS_CYCLES * self.period_s);
+        while self.clock.now_s() < end_s {
+            let next_s = self.clock.now_s() + self.period_s;
+            self.clock.sleep_until_s(next_s);
+            if let Some(text) = self.sample(zero)?.and_then(|sample| still.moved(&sample)) {
+                return Ok(Reached::Moved(text));
+            }
+        }
+        Ok(Reached::Yes)
+    }
+
+    /// Whoever asked for the checks stops the drive with the next request; this is no matter of waivers.
+    fn moved_at_zero(&mut self, when: &str, what: &str) -> bool {
+        let text = format!("the shaft moved at zero reference{when}: {what}");
+        self.note(WATCHDOG, false, text, AT_ZERO_HELP)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::limits::Nameplate;
+
+    fn limits() -> Limits {
+        Limits::for_motor(&Nameplate::zk_22fc(), 100.0)
+    }
+
+    fn sample(speed_rad_s: f64, current_a: f64, voltage_v: f64) -> Sample {
+        Sample::at(0.0)
+            .with(Channel::Speed, speed_rad_s)
+            .with(Channel::Current, current_a)
+            .with(Channel::Voltage, voltage_v)
+    }
+
+    #[test]
+    fn a_braking_that_averages_to_nothing_is_no_noise() {
+        let floor = |channel, mean, std| NoiseFloor {
+            channel,
+            mean,
+            std,
+            samples: 50,
+        };
+        // As a drive showed that was stopped while it turned at 105 rad/s.
+        let braking = [
+            floor(Channel::Speed, 2.1551, 11.3723),
+            floor(Channel::Current, -0.4720, 2.0936),
+        ];
+        let text = unrest_of_all(&braking, &limits()).unwrap();
+        assert!(text.contains("spread 11.37"), "{text}");
+        let quiet = [
+            floor(Channel::Speed, 0.02, 0.15),
+            floor(Channel::Current, 0.1, 0.03),
+        ];
+        assert_eq!(unrest_of_all(&quiet, &limits()), None);
+        assert!(unrest(&sample(30.0, 0.0, 0.0), &limits(), false).is_some());
+        assert_eq!(unrest(&sample(0.5, 0.2, 0.5), &limits(), true), None);
+    }
+
+    #[test]
+    fn a_drive_at_zero_that_moves_or_drives_a_current_is_seen() {
+        let still = || Still::of(&[], &limits(), Actuator::Voltage, (0.0, 0.0));
+        assert_eq!(still().moved(&sample(0.5, 0.3, 1.0)), None);
+        for (moving, words) in [
+            (sample(10.2, 0.0, 0.0), "speed 10.2"),
+            (sample(0.0, 11.2, 0.0), "current 11.2"),
+            (sample(0.0, 0.0, 60.0), "voltage 60.0"),
+        ] {
+            let text = still().moved(&moving).unwrap();
+            assert!(text.contains(words), "{text}");
+        }
+        let mut still = still();
+        let at = |angle| sample(0.0, 0.0, 0.0).with(Channel::Angle, angle);
+        assert_eq!(still.moved(&at(7.0)), None);
+        let text = still.moved(&at(12.0)).unwrap();
+        assert!(text.contains("by 5.0"), "{text}");
+        // A load is held with what holds it; a speed is held with what it takes.
+        let mut held = Still::of(&[], &limits(), Actuator::Voltage, (2.5, 2.3));
+        assert_eq!(held.moved(&sample(0.0, 2.3, 2.5)), None);
+        let mut at_speed = Still::of(&[], &limits(), Actuator::Speed, (0.0, 0.0));
+        assert_eq!(at_speed.moved(&sample(0.0, 3.0, 30.0)), None);
+        assert!(at_speed.moved(&sample(10.2, 3.0, 30.0)).is_some());
+    }
+}

@@ -1,0 +1,266 @@
+//! The pulse over many motors: none that fits its nameplate is refused, on any line and whenever the host stands still, and
+//! those whose nameplate is another motor's are.
+
+use std::sync::Arc;
+
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use super::*;
+use crate::limits::Nameplate;
+use crate::testing::{LateClock, exact, has, in_memory, plate_of, random_motor, within};
+use drivebench_emulator::truth::effect::HiddenEffect;
+use drivebench_emulator::{
+    EmulatorConfig, ForeignBus, ForeignDrive, Guise, Latency, MemoryLink, SoftDrive, VirtualClock,
+    open_line,
+};
+use drivebench_link::{DriveProfile, ProfiledLink};
+use drivebench_model::units::rpm_from_rad_s;
+
+/// Below the silence that is allowed and the drive's watchdog, s.
+const SILENCE_S: f64 = 0.4;
+
+/// A motor that somebody could have put on the bench, with a nameplate that is a specimen's tolerance away, and something that
+/// no nameplate tells.
+fn specimen(seed: u64) -> (Nameplate, EmulatorConfig) {
+    let mut config = random_motor(seed);
+    let mut plate = plate_of(config.motor.clone());
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream(1);
+    let mut between = |least: f64, most: f64| rng.random_range(least..most);
+    plate.resistance_ohm /= between(0.8, 1.4);
+    plate.back_emf_v_s_per_rad /= between(0.85, 1.2);
+    plate.inertia_kg_m2 /= between(0.5, 2.0);
+    plate.load_torque_n_m /= between(0.5, 2.0);
+    let torque = config.motor.load_torque_n_m;
+    let speed = plate.rated_speed_rad_s;
+    let hidden: &[(&str, &[(&str, f64)])] = &[
+        (
+            "viscous_friction",
+            &[("viscous_n_m_s_per_rad", torque / speed)],
+        ),
+        (
+            "stribeck_friction",
+            &[
+                ("stribeck_n_m", 0.3 * torque),
+                ("stribeck_speed_rad_s", 0.03 * speed),
+            ],
+        ),
+        ("voltage_drop", &[("drop_v", 0.01 * plate.rated_voltage_v)]),
+        ("command_delay", &[("delay_s", 2e-3)]),
+        ("speed_delay", &[("delay_s", 2e-3)]),
+    ];
+    if let Some((id, values)) = hidden.get(usize::try_from(seed % 6).unwrap()) {
+        config.hidden = vec![HiddenEffect::new(id, values).unwrap()];
+    }
+    (plate, config)
+}
+
+/// The checks with the first move; nothing is waived.
+fn first_move(
+    link: &mut dyn DriveLink,
+    clock: &mut dyn Clock,
+    (plate, rate_hz): (&Nameplate, f64),
+) -> CheckReport {
+    let profile = DriveProfile::named("own").unwrap();
+    checked(link, clock, plate, &profile, rate_hz, Waivers::default()).unwrap()
+}
+
+fn checked(
+    link: &mut dyn DriveLink,
+    clock: &mut dyn Clock,
+    plate: &Nameplate,
+    profile: &DriveProfile,
+    rate_hz: f64,
+    waivers: Waivers,
+) -> Result<CheckReport, CheckError> {
+    let limits = Limits {
+        link_silence_s: SILENCE_S.max(4.0 / rate_hz),
+        ..Limits::for_motor(plate, rate_hz)
+    };
+    let options = CheckOptions {
+        rate_hz,
+        hardware_allowed: true,
+        hardware_said: true,
+        waivers,
+        first_move: Some(FirstMove {
+            plate,
+            profile,
+            is_withheld: false,
+        }),
+        stopped: &|| false,
+        reset_fault: false,
+    };
+    check(link, clock, &limits, options)
+}
+
+fn said(report: &CheckReport) -> Option<String> {
+    let item = report.refusal()?;
+    Some(format!("{}: {}", item.name, item.text))
+}
+
+/// What is said of those that are refused, of so many.
+fn refused(count: u64, refusal: impl Fn(u64) -> Option<String> + Sync) -> Vec<String> {
+    let said = |seed| Some(format!("{seed}: {}", refusal(seed)?));
+    (0..count).into_par_iter().filter_map(said).collect()
+}
+
+/// One of these, by the seed.
+fn one_of<T: Copy>(seed: u64, all: &[T]) -> T {
+    all[usize::try_from(seed).unwrap() % all.len()]
+}
+
+/// A clock that stands still for so long, s, at instants of its own, within and around the pulse.
+fn standing_still(
+    clock: VirtualClock,
+    pause_s: f64,
+    seed: u64,
+) -> LateClock<impl FnMut(f64) -> f64> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut next_s = 0.0;
+    let late_s = move |now_s: f64| {
+        if now_s < next_s {
+            return 0.0;
+        }
+        next_s = now_s + pause_s + rng.random_range(0.05..0.8);
+        pause_s
+    };
+    LateClock { clock, late_s }
+}
+
+#[test]
+fn no_motor_that_fits_is_refused() {
+    let refusals = refused(200, |seed| {
+        let (plate, config) = specimen(seed);
+        let rate_hz = one_of(seed, &[20.0, 50.0, 100.0, 200.0, 500.0]);
+        let latency = Latency {
+            request_s: 0.2 / rate_hz,
+            reply_s: 0.5 / rate_hz,
+        };
+        let mut clock = VirtualClock::new();
+        let drive = SoftDrive::new(&config, seed);
+        let mut link = MemoryLink::new(drive, clock.clone(), latency);
+        said(&first_move(&mut link, &mut clock, (&plate, rate_hz)))
+    });
+    // One is heavy, with brushes and hardly any friction: it coasts on into the way back, which is then too weak to turn it.
+    let of_nameplate = refusals
+        .iter()
+        .filter(|text| text.contains("plausibility:"));
+    assert_eq!(of_nameplate.count(), 0, "{refusals:#?}");
+    assert!(refusals.len() <= 1, "{refusals:#?}");
+}
+
+#[test]
+fn a_pause_of_the_host_refuses_no_matching_motor() {
+    let refusals = refused(200, |seed| {
+        let (plate, config) = specimen(seed);
+        let clock = VirtualClock::new();
+        let profile = DriveProfile::named("own").unwrap();
+        let mut link = open_line(None, &config, seed, &profile, clock.clone()).unwrap();
+        let pause_s = one_of(seed, &[0.03, 0.06, 0.1, 0.2]);
+        let mut clock = standing_still(clock, pause_s, seed);
+        let rate_hz = one_of(seed / 4, &[20.0, 50.0, 100.0]);
+        said(&first_move(link.as_mut(), &mut clock, (&plate, rate_hz)))
+    });
+    assert!(refusals.is_empty(), "{refusals:#?}");
+}
+
+/// What is done to a nameplate, and how many of a hundred motors are refused for it at least. What is not is told with an
+/// interval in which a value lies that would be believed.
+type Wrong = (&'static str, fn(&mut Nameplate), usize);
+
+#[test]
+fn another_motor_or_other_units_are_refused_where_visible() {
+    let wrong: [Wrong; 7] = [
+        ("Ke x 0.3", |plate| plate.back_emf_v_s_per_rad *= 0.3, 50),
+        ("Ke x 0.5", |plate| plate.back_emf_v_s_per_rad *= 0.5, 5),
+        ("Ke x 2", |plate| plate.back_emf_v_s_per_rad *= 2.0, 30),
+        ("R x 0.3", |plate| plate.resistance_ohm *= 0.3, 1),
+        ("R x 5", |plate| plate.resistance_ohm *= 5.0, 30),
+        (
+            "V per r/min",
+            |plate| plate.back_emf_v_s_per_rad /= rpm_from_rad_s(1.0),
+            90,
+        ),
+        (
+            "r/min for rad/s",
+            |plate| plate.back_emf_v_s_per_rad *= rpm_from_rad_s(1.0),
+            90,
+        ),
+    ];
+    for (name, change, least) in wrong {
+        let refusals = refused(100, |seed| {
+            let config = random_motor(seed);
+            let mut plate = plate_of(config.motor.clone());
+            change(&mut plate);
+            let (mut link, mut clock) = in_memory(&config, seed);
+            said(&first_move(&mut link, &mut clock, (&plate, 100.0)))
+        });
+        assert!(refusals.len() >= least, "{name}: {}", refusals.len());
+    }
+}
+
+#[test]
+fn a_pulse_of_pauses_only_is_repeated_once_then_refused() {
+    let config = exact("zk-22fc-plain");
+    let plate = Nameplate::zk_22fc();
+    let profile = DriveProfile::named("own").unwrap();
+    for plausibility in [false, true] {
+        let waivers = Waivers {
+            plausibility,
+            ..Waivers::default()
+        };
+        let (mut link, clock) = in_memory(&config, 3);
+        // From the pulse on every cycle is late.
+        let late_s = |now_s: f64| if now_s > 1.35 { 0.03 } else { 0.0 };
+        let mut clock = LateClock { clock, late_s };
+        let report = checked(&mut link, &mut clock, &plate, &profile, 100.0, waivers).unwrap();
+        let words = "the pulse was made again and still cannot be judged";
+        let item = report.items.last().unwrap();
+        assert_eq!(item.name, "plausibility", "{}", item.text);
+        has(&item.text, words);
+        assert_eq!(item.passed, plausibility);
+        assert_eq!(report.waived.contains(&"plausibility"), plausibility);
+        // Twice there and back, and no faster than once.
+        within(link.drive().plant().angle_rad().abs(), ..6.0);
+        within(link.drive().plant().speed_rad_s().abs(), ..1.0);
+    }
+}
+
+#[test]
+fn every_profiles_machine_passes_a_pulse_with_pauses() {
+    const RATE_HZ: f64 = 10.0;
+    let plate = Nameplate::zk_22fc();
+    let mut passed = 0;
+    for name in DriveProfile::names() {
+        let profile = DriveProfile::named(name).unwrap();
+        let Some(guise) = Guise::of(&profile) else {
+            continue;
+        };
+        for pause_s in [0.0, 0.1, 0.2] {
+            let clock = VirtualClock::new();
+            let drive = ForeignDrive::new(&guise, &exact("zk-22fc-plain"), 1);
+            let bus = ForeignBus::new(drive, &guise, clock.clone());
+            let mut link = ProfiledLink::new(Arc::clone(&guise.map), bus);
+            let mut clock = standing_still(clock, pause_s, 7);
+            let waivers = Waivers {
+                watchdog: true,
+                ..Waivers::default()
+            };
+            let report = match checked(&mut link, &mut clock, &plate, &profile, RATE_HZ, waivers) {
+                // It takes no set-point that its profile could give in SI.
+                Err(CheckError::Link(LinkError::Refused(..))) => continue,
+                report => report.unwrap(),
+            };
+            let refusal = said(&report).unwrap_or_default();
+            let is_pulse = ["direction", "plausibility"]
+                .iter()
+                .any(|name| refusal.starts_with(name));
+            assert!(!is_pulse, "{name}, {pause_s} s: {refusal}");
+            passed += usize::from(report.passed());
+        }
+    }
+    // Others are not asked: their set-point is none in SI, or their line is too slow.
+    assert!(passed >= 6, "{passed}");
+}

@@ -1,0 +1,54 @@
+//! The manifest of a run as it stands before the run begins.
+
+use serde_json::json;
+
+use super::bench_file::BenchFile;
+use super::check::CheckReport;
+use crate::recording::{Layout, Manifest};
+use drivebench_link::LinkName;
+use drivebench_model::sample::{Channel, Origin};
+
+/// Columns of `samples.csv`: the command, and what the drive was found to give.
+pub fn layout(signals: &[Channel]) -> Layout {
+    with_commands(&[Channel::VoltageCmd], signals)
+}
+
+/// The same with the speed reference that a closed loop follows.
+pub fn layout_with_reference(signals: &[Channel]) -> Layout {
+    with_commands(&[Channel::Reference, Channel::VoltageCmd], signals)
+}
+
+fn with_commands(commands: &[Channel], signals: &[Channel]) -> Layout {
+    let measured = signals.iter().filter(|channel| !channel.is_commanded());
+    let channels: Vec<Channel> = commands.iter().chain(measured).copied().collect();
+    Layout::of_drive(&channels)
+}
+
+/// A manifest with the bench as used, the drive as found and the origin of each signal. A quantity that the drive
+/// computes instead of measuring is for the drive profile to mark with `Manifest::set_origin`.
+pub fn manifest(
+    bench: &BenchFile,
+    run_seed: u64,
+    link: &LinkName,
+    report: &CheckReport,
+) -> Manifest {
+    let mut manifest = Manifest {
+        program_version: env!("CARGO_PKG_VERSION").to_owned(),
+        protocol_version: Some(report.identity.protocol_version),
+        name: bench.name.clone(),
+        seed: Some(run_seed),
+        link: link.0.clone(),
+        identity: json!(report.identity),
+        host: json!({ "os": std::env::consts::OS, "architecture": std::env::consts::ARCH }),
+        period_asked_s: Some(bench.period_s()),
+        ..Manifest::default()
+    };
+    manifest.configs.insert("bench".to_owned(), bench.to_toml());
+    manifest.set_origin(Channel::VoltageCmd, Origin::Commanded);
+    let signals = report.signals.iter();
+    for channel in signals.filter(|channel| !channel.is_commanded()) {
+        manifest.set_origin(*channel, Origin::Measured);
+    }
+    manifest.waivers = report.waived.iter().map(|&name| name.to_owned()).collect();
+    manifest
+}

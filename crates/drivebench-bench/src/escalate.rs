@@ -1,0 +1,185 @@
+//! An unknown motor on the bench: a stage of the escalation as a guarded session, and the bench's own sequence fitted to
+//! the motor that was found.
+//!
+//! ```text
+//! BenchFile -> Bounds -> identification::escalation -> Stage -> Session with its own slew, goals and winding limit
+//! found motor + sequence -> scale -> the same sequence, as much smaller and slower as the limits ask for
+//! ```
+
+use serde::Serialize;
+
+use super::bench_file::{BenchFile, cells};
+use super::guard::Guard;
+use super::limits::{Limits, Nameplate};
+use super::plan::{Plan, Refusal, plan};
+use super::session::Session;
+use drivebench_identify::escalation::{Bounds, Escalation, Stage};
+use drivebench_model::excitation::{self, ExcitationError};
+use drivebench_model::plant::ModelError;
+use drivebench_model::sample::Channel;
+
+/// Factors that are tried for the voltages of the sequence, each so much smaller than the one before, down to the least.
+const SHRINK: f64 = 0.9;
+const LEAST: f64 = 0.03;
+/// Margins in which the plan has to hold as well: the motor that was found is not known to the last per cent.
+const MARGINS: [(f64, f64, f64); 3] = [(1.0, 1.0, 1.0), (1.05, 0.95, 0.95), (0.95, 0.95, 0.95)];
+
+/// What a bench file takes as certain.
+pub fn bounds(bench: &BenchFile) -> Bounds {
+    let limits = bench.limits();
+    Bounds {
+        rated_voltage_v: bench.motor.rated_voltage_v,
+        rated_current_a: bench.motor.rated_current_a,
+        current_limit_a: limits.current_a,
+        speed_limit_rad_s: limits.speed_rad_s,
+        voltage_limit_v: limits.voltage_v,
+        period_s: bench.period_s(),
+    }
+}
+
+/// What is known before the first small step of what will be done to an unknown motor.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Foresight {
+    /// The first stage as it will be run; every later one follows from what was seen.
+    pub first: Stage,
+    pub duration_s: f64,
+    /// Limits that hold in every stage.
+    pub current_limit_a: f64,
+    pub speed_limit_rad_s: f64,
+    pub voltage_limit_v: f64,
+    pub link_silence_s: f64,
+    /// The stages that may follow, in sentences.
+    pub next: Vec<String>,
+}
+
+/// The escalation as far as it is settled before the motor has been seen.
+pub fn foresee(bench: &BenchFile) -> Result<Option<Foresight>, ExcitationError> {
+    let escalation = Escalation::new(bounds(bench));
+    let Some(first) = escalation.stage() else {
+        return Ok(None);
+    };
+    let session = excitation::Program::new(&first.segments, first.slew_v_per_s)?;
+    let limits = bench.limits();
+    Ok(Some(Foresight {
+        duration_s: session.duration_s(),
+        current_limit_a: limits.current_a,
+        speed_limit_rad_s: limits.speed_rad_s,
+        voltage_limit_v: limits.voltage_v,
+        link_silence_s: limits.link_silence_s,
+        next: Escalation::outlook(),
+        first: first.clone(),
+    }))
+}
+
+/// A session over one stage: every limit of the bench in force, and the goals that end the stage early.
+pub fn stage_session(bench: &BenchFile, stage: &Stage) -> Result<Session, ExcitationError> {
+    // The stage's own slew serves the experiment; a limit that the bench file gives stands above it.
+    let given = bench.limits.slew_v_per_s.unwrap_or(f64::INFINITY);
+    let slew_v_per_s = given.min(stage.slew_v_per_s);
+    let limits = Limits {
+        slew_v_per_s,
+        ..bench.limits()
+    };
+    let program = excitation::Program::new(&stage.segments, slew_v_per_s)?;
+    let guard = Guard::for_unknown_motor(limits, stage.winding_v, stage.back_emf_v_s_per_rad)
+        .with_period(bench.period_s());
+    Ok(Session::new(Box::new(program), guard).until(vec![
+        (Channel::Current, stage.stop_current_a),
+        (Channel::Speed, stage.stop_speed_rad_s),
+    ]))
+}
+
+/// The bench with a motor that was found, and what had to be changed for it.
+#[derive(Clone, Debug, Serialize)]
+pub struct Scaled {
+    #[serde(skip)]
+    pub bench: BenchFile,
+    /// Factor of every voltage of the sequence; 1: as it stands in the bench file.
+    pub factor: f64,
+    pub slew_v_per_s: f64,
+    pub plan: Plan,
+    /// What the sequence would have done unchanged, where that was too much.
+    pub refusal: Option<Refusal>,
+}
+
+/// Fits the bench's sequence to the motor that was found. `Ok(Err(refusal))`: even the smallest is too much.
+pub fn scale(
+    bench: &BenchFile,
+    found: &Nameplate,
+    drive_current_limit_a: Option<f64>,
+) -> Result<Result<Scaled, Refusal>, ModelError> {
+    let mut bench = bench.clone();
+    bench.motor = found.into();
+    let own_slew = Limits::for_motor(found, bench.link.rate_hz).slew_v_per_s;
+    let given_slew = bench.limits.slew_v_per_s.unwrap_or(own_slew);
+    let tried = |factor: f64, slew_v_per_s: f64| -> Result<Option<Scaled>, ModelError> {
+        let mut scaled = bench.clone();
+        scaled.limits.slew_v_per_s = Some(slew_v_per_s);
+        for volts in scaled
+            .sequence
+            .iter_mut()
+            .flat_map(|segment| cells(segment).volts)
+        {
+            *volts *= factor;
+        }
+        let Ok(program) = scaled.program(scaled.runs.fit) else {
+            return Ok(None);
+        };
+        let limits = scaled.limits();
+        let rate_hz = scaled.link.rate_hz;
+        let mut first = None;
+        for (inertia, resistance, back_emf) in MARGINS {
+            let mut motor = found.clone();
+            motor.inertia_kg_m2 *= inertia;
+            motor.resistance_ohm *= resistance;
+            motor.back_emf_v_s_per_rad *= back_emf;
+            let plan = plan(&program, &motor, &limits, rate_hz, drive_current_limit_a)?;
+            if plan.is_refused() {
+                // The plan that is shown is the refused one.
+                first = Some(plan);
+                break;
+            }
+            first.get_or_insert(plan);
+        }
+        Ok(first.map(|plan| Scaled {
+            bench: scaled,
+            factor,
+            slew_v_per_s,
+            plan,
+            refusal: None,
+        }))
+    };
+    let whole = tried(1.0, given_slew)?;
+    let first_refusal = |scaled: &Scaled| scaled.plan.refusals.first().cloned();
+    let mut refusal = whole.as_ref().and_then(first_refusal);
+    if let Some(whole) = whole.filter(|_| refusal.is_none()) {
+        return Ok(Ok(whole));
+    }
+    let unchanged = refusal.clone();
+    let mut factor = 1.0;
+    while factor >= LEAST {
+        // The plate's slew belongs to another motor; the one of the motor that was found draws two rated currents. Where
+        // that is too much, smaller voltages are reached in the same time.
+        let slew = given_slew.min(own_slew);
+        for slew_v_per_s in [slew, slew * factor.max(0.3)] {
+            if let Some(mut scaled) = tried(factor, slew_v_per_s)? {
+                refusal = first_refusal(&scaled);
+                if refusal.is_none() {
+                    scaled.refusal = unchanged;
+                    return Ok(Ok(scaled));
+                }
+            }
+        }
+        factor *= SHRINK;
+    }
+    Ok(Err(refusal.unwrap_or(Refusal {
+        segment: "sequence".to_owned(),
+        quantity: "slew",
+        predicted: given_slew,
+        limit: own_slew,
+        unit: "V/s",
+    })))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,271 @@
+//! The escalation against the software drive, in virtual time. The drive's own current limit is set far away: nothing but
+//! the escalation keeps the current down.
+
+use super::*;
+use crate::bench_file::LimitsSection;
+use crate::limits::MotorSection;
+use crate::session::Outcome as RunOutcome;
+use crate::testing::{Course, Tamper, Tampered, in_memory, plate_of, random_motor, within};
+use drivebench_emulator::{EmulatorConfig, MemoryLink, VirtualClock};
+use drivebench_identify::escalation::{Ending, Escalation, Outcome};
+use drivebench_link::{DriveLink, LinkError};
+use drivebench_model::plant::MotorKey;
+use drivebench_model::sample::{Command, Sample, Verdict};
+
+/// Looks at the true current and speed ten thousand times a second, as no host could.
+struct Watched {
+    clock: VirtualClock,
+    peak_a: f64,
+    peak_rad_s: f64,
+}
+
+impl Tamper<MemoryLink> for Watched {
+    fn exchange(&mut self, link: &mut MemoryLink, command: Command) -> Result<Sample, LinkError> {
+        // The time since the last exchange, in tenths of a millisecond: the drive holds the last command meanwhile.
+        let until_s = self.clock.time_s();
+        let mut at_s = link.drive().time_s();
+        while at_s < until_s {
+            at_s += 1e-4;
+            link.advance_to(at_s);
+            let plant = link.drive().plant();
+            self.peak_a = self.peak_a.max(plant.current_a().abs());
+            self.peak_rad_s = self.peak_rad_s.max(plant.speed_rad_s().abs());
+        }
+        link.exchange(command)
+    }
+}
+
+/// What one escalation did.
+struct Done {
+    escalation: Escalation,
+    outcomes: Vec<RunOutcome>,
+    peak_a: f64,
+    peak_rad_s: f64,
+}
+
+fn escalated(bench: &BenchFile, config: &EmulatorConfig, seed: u64) -> Done {
+    let (link, mut clock) = in_memory(config, seed);
+    let by = Watched {
+        clock: clock.clone(),
+        peak_a: 0.0,
+        peak_rad_s: 0.0,
+    };
+    let mut watched = Tampered { link, by };
+    let mut escalation = Escalation::new(bounds(bench));
+    let mut outcomes = Vec::new();
+    let mut seq = 0;
+    while let Some(stage) = escalation.stage() {
+        let session = stage_session(bench, stage).unwrap_or_else(|error| {
+            panic!("seed {seed}: {error}: {stage:?} {:?}", escalation.history())
+        });
+        let course = Course::at(bench.link.rate_hz);
+        let (summary, recorder) = course.run(session.after_seq(seq), &mut watched, &mut clock);
+        seq = summary.link.sent + 1;
+        let ended = summary.outcome == RunOutcome::Done;
+        outcomes.push(summary.outcome);
+        if !ended {
+            break;
+        }
+        escalation.learn(&recorder.run("stage").unwrap()).unwrap();
+    }
+    Done {
+        escalation,
+        outcomes,
+        peak_a: watched.by.peak_a,
+        peak_rad_s: watched.by.peak_rad_s,
+    }
+}
+
+fn named(emulator: &str) -> Done {
+    let bench = unknown_bench();
+    escalated(&bench, &EmulatorConfig::embedded(emulator).unwrap(), 3)
+}
+
+/// The embedded bench without a word about the motor but its rated values.
+fn unknown_bench() -> BenchFile {
+    let mut bench = BenchFile::embedded_default();
+    bench.motor = MotorSection {
+        unknown: true,
+        resistance_ohm: None,
+        inductance_h: None,
+        back_emf_v_s_per_rad: None,
+        inertia_kg_m2: None,
+        load_torque_n_m: None,
+        ..bench.motor
+    };
+    bench
+}
+
+fn report(done: &Done) -> String {
+    let stages = done.escalation.history().iter().zip(&done.outcomes);
+    let lines = stages.map(|(stage, outcome)| {
+        let (kind, outcome) = (stage.kind.name(), outcome.name());
+        let (volts, line) = (stage.peak_v, &stage.line);
+        format!("{kind:>10} {volts:>8.3} V: {line} [{outcome}]\n")
+    });
+    let (last, found) = (done.outcomes.last(), done.escalation.outcome());
+    let (peak_a, peak_rad_s) = (done.peak_a, done.peak_rad_s);
+    let peaks = format!("peaks {peak_a:.3} A {peak_rad_s:.2} rad/s; {found:?}\n");
+    lines.collect::<String>() + &format!("outcomes {last:?}\n") + &peaks
+}
+
+/// What of a motor has to be found within five per cent.
+const FOUND: [MotorKey; 3] = [MotorKey::Resistance, MotorKey::BackEmf, MotorKey::Inertia];
+
+#[test]
+fn a_locked_rotor_and_an_open_phase_are_named() {
+    let done = named("zk-22fc-locked");
+    let report = report(&done);
+    let Some(Outcome::Named(ending @ Ending::LockedRotor { current_a, .. })) =
+        done.escalation.outcome()
+    else {
+        panic!("{report}");
+    };
+    within(*current_a, 0.85 * 5.7..1.3 * 5.7);
+    let sentence = ending.sentence();
+    assert!(sentence.starts_with("locked rotor"), "{sentence}");
+    assert!(done.peak_a < 1.3 * 5.7, "{report}");
+
+    let done = named("zk-22fc-open");
+    let Some(Outcome::Named(ending)) = done.escalation.outcome() else {
+        panic!("{report}");
+    };
+    let Ending::OpenPhase {
+        voltage_v, below_a, ..
+    } = ending
+    else {
+        panic!("{}", ending.sentence());
+    };
+    within(*voltage_v, 27.4..27.6);
+    within(*below_a, ..0.2);
+    let mut outcomes = done.outcomes.iter();
+    assert!(outcomes.all(|outcome| *outcome == RunOutcome::Done));
+}
+
+#[test]
+fn the_motor_behind_the_plate_is_found_whatever_the_plate_says() {
+    for name in [
+        "zk-22fc-plain",
+        "small-servo-behind-zk-22fc",
+        "large-motor-behind-zk-22fc",
+    ] {
+        let config = EmulatorConfig::embedded(name).unwrap();
+        for seed in 1..=3 {
+            let done = escalated(&unknown_bench(), &config, seed);
+            let report = report(&done);
+            let truth = plate_of(config.motor.specimen(config.tolerance, seed)).motor();
+            let Some(Outcome::Found(found)) = done.escalation.outcome() else {
+                panic!("{name}: {report}");
+            };
+            for key in FOUND {
+                let ratio = found.motor.get(key).unwrap() / truth.get(key).unwrap();
+                let key = key.key();
+                assert!((ratio - 1.0).abs() < 0.05, "{name} {key} {ratio}\n{report}");
+            }
+            // The limits of the bench: 13 A and 340 rad/s.
+            let is_below = done.peak_a < 13.0 && done.peak_rad_s < 340.0;
+            assert!(is_below, "{report}");
+        }
+    }
+}
+
+/// The nameplate of a software drive's motor.
+#[test]
+fn the_sequence_is_scaled_until_every_limit_holds() {
+    let bench = BenchFile::embedded_default();
+    let scaled = |emulator| {
+        let plate = plate_of(EmulatorConfig::embedded(emulator).unwrap().motor);
+        scale(&bench, &plate, Some(11.4)).unwrap().unwrap()
+    };
+    let same = scaled("zk-22fc-plain");
+    assert!((same.factor - 1.0).abs() < 1e-12 && same.refusal.is_none());
+    assert_eq!(same.bench.sequence, bench.sequence);
+
+    let servo = scaled("small-servo-behind-zk-22fc");
+    let refusal = servo.refusal.as_ref().unwrap();
+    assert_eq!(refusal.quantity, "peak speed");
+    // 340 rad/s are 17 V of 97.
+    within(servo.factor, 0.12..0.18);
+    assert!(!servo.plan.is_refused() && servo.plan.peak_speed_rad_s > 250.0);
+
+    let large = scaled("large-motor-behind-zk-22fc");
+    assert_eq!(large.refusal.as_ref().unwrap().quantity, "peak current");
+    assert!(!large.plan.is_refused());
+    within(large.plan.peak_current_a, 3.0..);
+    let peak_v = |bench: &BenchFile| bench.program(1).unwrap().peak_v();
+    within(peak_v(&large.bench), ..peak_v(&bench));
+}
+
+/// A random motor, of which only the rated values are known.
+fn random_bench(seed: u64) -> (BenchFile, EmulatorConfig) {
+    let config = random_motor(seed);
+    let mut bench = unknown_bench();
+    bench.motor.rated_voltage_v = config.motor.rated_voltage_v;
+    bench.motor.rated_current_a = config.motor.rated_current_a;
+    bench.motor.rated_speed_rad_s = config.motor.rated_speed_rad_s;
+    bench.limits = LimitsSection {
+        time_s: bench.limits.time_s,
+        link_silence_s: bench.limits.link_silence_s,
+        travel_rad: bench.limits.travel_rad,
+        ..LimitsSection::default()
+    };
+    (bench, config)
+}
+
+/// What went wrong with one random motor, if anything.
+fn fault_of(seed: u64) -> Option<String> {
+    let (bench, config) = random_bench(seed);
+    let done = escalated(&bench, &config, seed);
+    let limits = bench.limits();
+    let truth = &config.motor;
+    let about = |what: String| {
+        Some(format!(
+            "seed {seed}: {what}\n R {} L/R {:.2} ms Ke {} J {} TM {:.1} ms Mc {} rated {:.1} V {:.2} A {:.0} rad/s\n{}",
+            truth.resistance_ohm,
+            1e3 * truth.inductance_h / truth.resistance_ohm,
+            truth.back_emf_v_s_per_rad,
+            truth.inertia_kg_m2,
+            1e3 * truth.resistance_ohm * truth.inertia_kg_m2 / truth.back_emf_v_s_per_rad.powi(2),
+            truth.load_torque_n_m,
+            truth.rated_voltage_v,
+            truth.rated_current_a,
+            truth.rated_speed_rad_s,
+            report(&done)
+        ))
+    };
+    let mut outcomes = done.outcomes.iter();
+    if outcomes.any(|outcome| *outcome != RunOutcome::Done) {
+        return about("a trip".to_owned());
+    }
+    if done.peak_a > limits.current_a || done.peak_rad_s > limits.speed_rad_s {
+        return about("beyond a limit".to_owned());
+    }
+    let Some(Outcome::Found(found)) = done.escalation.outcome() else {
+        return about("not found".to_owned());
+    };
+    for key in FOUND {
+        let estimate = found.get(key).unwrap();
+        if estimate.verdict == Verdict::NotObservable {
+            continue;
+        }
+        let ratio = estimate.value.unwrap() / plate_of(truth.clone()).motor().get(key).unwrap();
+        if (ratio - 1.0).abs() > 0.05 {
+            return about(format!("{} {ratio:.3} of the truth", key.key()));
+        }
+    }
+    None
+}
+
+#[test]
+fn random_motors_are_found_without_a_trip_and_below_every_limit() {
+    use rayon::prelude::*;
+    // Forty in every run of the tests; COUNT=3000 takes a minute with optimisation.
+    let asked = std::env::var("COUNT").ok().and_then(|n| n.parse().ok());
+    let count: u64 = asked.unwrap_or(40);
+    let faults: Vec<String> = (0..count).into_par_iter().filter_map(fault_of).collect();
+    let (failed, all) = (faults.len(), faults.join("\n"));
+    assert!(
+        faults.is_empty(),
+        "{failed} of {count} random motors:\n{all}"
+    );
+}

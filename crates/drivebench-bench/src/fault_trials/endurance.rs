@@ -1,0 +1,237 @@
+//! Endurance: hours of runs over a line that spoils one reply in a hundred, in virtual time. No value is wrong, nothing
+//! hangs, memory and handles stay as they are, and every cycle is a sample, a lost one, or a gap.
+
+use std::sync::atomic::AtomicBool;
+use std::sync::mpsc::channel;
+use std::sync::{Arc, Mutex};
+
+use super::witness::drive::{BENCH, Drive, PROFILE};
+use super::witness::fault::Act;
+use super::{
+    Bench, BenchFile, CheckOptions, DriveFacts, DriveProfile, FirstMove, Guard, LineClock,
+    OnlineConfig, Outcome, RowEstimator, RunOptions, RunSummary, Session, SnapshotCell,
+    Surroundings, Target, Waivers, check, on_a_line, run,
+};
+use crate::describe::layout;
+use crate::recording::{CommandRow, Event, Record, RecorderStatus, Row, RowOrder};
+use drivebench_model::plant::Model;
+use drivebench_model::sample::{Channel, Sample};
+
+/// Of a thousand replies so many are late by the time below, lost, doubled, damaged, cut short, split, another unit's or
+/// among garbage: one in a hundred in all.
+const SPOILT: u32 = 10;
+const LATE_S: f64 = 0.03;
+/// Length of one run, s: within the time limit that the bench file gets.
+const RUN_S: f64 = 600.0;
+/// The shaft turns so far at most between the reading and the next request that reaches the witness, rad; a value of the
+/// cycle before is off by more than twice as much at the speeds of this run.
+const ANGLE_RAD: f64 = 0.9;
+/// Cycles of a run outside its record: until the drive is found at rest, and after its last word.
+const UNRECORDED: u64 = 5;
+/// Pages by which a process may grow after its first hour.
+const GROWN_PAGES: u64 = 512;
+
+fn bench() -> String {
+    let (head, _) = BENCH.split_once("[[sequence]]").unwrap();
+    let head = head.replace("[limits]\n", "[limits]\ntime_s = 700.0\n");
+    let levels = "40.0, -40.0, 60.0, -60.0, 30.0, -30.0, 50.0, -50.0, 35.0, -35.0";
+    let hold_s = RUN_S / 10.0;
+    format!(
+        "{head}[[sequence]]\nstandstill = {{ seconds = 0.6 }}\n[[sequence]]\nsteps = {{ levels_v = [{levels}], hold_s = {hold_s:?} }}\n"
+    )
+}
+
+/// Keeps nothing; holds every sample against the truth.
+struct Critic {
+    order: RowOrder,
+    there: Arc<Mutex<Surroundings>>,
+    samples: u64,
+    lost: u64,
+    wrong: Vec<String>,
+}
+
+impl Record for Critic {
+    fn command(&mut self, command: &CommandRow) {
+        self.order.command(*command);
+    }
+
+    fn row(&mut self, sample: &Sample) -> &[Row] {
+        self.samples += 1;
+        let truth_rad = {
+            let mut there = self.there.lock().unwrap();
+            // What the witness has told of itself would fill the memory.
+            let old = there.drive.log.len().saturating_sub(1000);
+            there.drive.log.drain(..old);
+            there.told.clear();
+            there.drive.angle_rad()
+        };
+        let angle_rad = sample.get(Channel::Angle).unwrap_or(f64::NAN);
+        if (angle_rad - truth_rad).abs() >= ANGLE_RAD || angle_rad.is_nan() {
+            let time_s = sample.time_s;
+            self.wrong
+                .push(format!("{time_s} s: {angle_rad} rad, true {truth_rad}"));
+        }
+        self.order.sample(sample)
+    }
+
+    fn flush(&mut self) -> &[Row] {
+        self.order.finish()
+    }
+
+    fn event(&mut self, event: Event) {
+        self.lost += u64::from(event.event == "reply_lost");
+    }
+
+    fn status(&self) -> RecorderStatus {
+        RecorderStatus::default()
+    }
+}
+
+/// Resident memory, pages, and open files of this process.
+fn resources() -> (u64, usize) {
+    let text = std::fs::read_to_string("/proc/self/statm").expect("procfs tells them");
+    let pages = text.split(' ').nth(1).and_then(|word| word.parse().ok());
+    let files = std::fs::read_dir("/proc/self/fd").expect("procfs tells them");
+    (pages.expect("pages are a number"), files.count())
+}
+
+/// What came of so many seconds of runs.
+#[derive(Debug, Default)]
+struct Account {
+    runs: u64,
+    done: u64,
+    cycles: u64,
+    missed: u64,
+    samples: u64,
+    lost: u64,
+}
+
+fn one_run(
+    bench: &BenchFile,
+    profile: &DriveProfile,
+    link: &mut dyn drivebench_link::DriveLink,
+    clock: &mut LineClock,
+    critic: &mut Critic,
+    last_seq: u64,
+) -> RunSummary {
+    let plate = bench.nameplate().unwrap();
+    let options = CheckOptions {
+        rate_hz: bench.link.rate_hz,
+        hardware_allowed: true,
+        hardware_said: true,
+        waivers: Waivers::default(),
+        first_move: Some(FirstMove {
+            plate: &plate,
+            profile,
+            is_withheld: false,
+        }),
+        stopped: &|| false,
+        reset_fault: true,
+    };
+    let report = check(link, clock, &bench.limits(), options).unwrap();
+    assert!(report.refusal().is_none(), "{:?}", report.refusal());
+    critic.order = RowOrder::new(layout(&report.signals));
+    let guard = Guard::new(bench.limits(), &plate, None).with_period(bench.period_s());
+    let session = Session::new(Box::new(bench.program(1).unwrap()), guard)
+        .after_seq(last_seq.max(report.last_seq))
+        .with_rest(&report.rest);
+    let (_sender, intents) = channel();
+    let mut online = RowEstimator::new(OnlineConfig::from_model(&Model::baseline(
+        bench.motor.motor(),
+    )));
+    run(
+        session,
+        Bench {
+            link,
+            clock,
+            recorder: critic,
+            estimator: Some(&mut online),
+            intents: &intents,
+            interrupted: &AtomicBool::new(false),
+            snapshots: &SnapshotCell::default(),
+        },
+        &RunOptions {
+            name: "endurance".to_owned(),
+            target: Target::Hardware,
+            rate_hz: bench.link.rate_hz,
+            motor: bench.nameplate(),
+            auto_start: true,
+        },
+    )
+}
+
+/// Runs, one after the other, until so many seconds have passed; `after_run` sees the account of each.
+fn soak(seconds: f64, mut after_run: impl FnMut(&Account, f64)) -> Account {
+    let profile = DriveProfile::parse("drive.toml", PROFILE).unwrap();
+    let mut bench = BenchFile::parse("bench.toml", &bench()).unwrap();
+    bench.drive_facts = DriveFacts::of(&profile);
+    let interrupted = Arc::new(AtomicBool::new(false));
+    let drive = Drive::new(Act::RoughLine(LATE_S, SPOILT), 1);
+    let there = Surroundings::new(drive, None, &interrupted, None);
+    let there = Arc::new(Mutex::new(there));
+    let mut account = Account::default();
+    let mut critic = Critic {
+        order: RowOrder::new(layout(&[])),
+        there: Arc::clone(&there),
+        samples: 0,
+        lost: 0,
+        wrong: Vec::new(),
+    };
+    on_a_line(&profile, Arc::clone(&there), |link, time| {
+        let mut clock = LineClock(time, there);
+        let mut last_seq = 0;
+        while time.now_s() < seconds {
+            let (samples, lost) = (critic.samples, critic.lost);
+            let summary = one_run(&bench, &profile, link, &mut clock, &mut critic, last_seq);
+            last_seq += summary.timing.cycles + 100;
+            let ended = matches!(summary.outcome, Outcome::Done | Outcome::LinkLost { .. });
+            assert!(ended, "{:?}: {:?}", summary.outcome, summary.notices);
+            assert_eq!(summary.stop_error, None);
+            let stop = summary.stop.as_ref().unwrap();
+            assert!(stop.confirmed_after_ms.is_some(), "{stop:?}");
+            assert!(summary.link.balances(), "{:?}", summary.link);
+            let timing = summary.timing;
+            // Every deadline of the run was a cycle or is counted as missed, and every cycle a sample or a lost one.
+            let due = summary.duration_s * bench.link.rate_hz;
+            let deadlines = (timing.cycles + timing.missed_cycles) as f64;
+            assert!((deadlines - due).abs() <= 30.0, "{deadlines} of {due}");
+            let seen = critic.samples - samples + critic.lost - lost;
+            let range = timing.cycles.saturating_sub(UNRECORDED)..=timing.cycles + 1;
+            assert!(range.contains(&seen), "{seen} of {} cycles", timing.cycles);
+            assert_eq!(critic.wrong, [""; 0]);
+            account.runs += 1;
+            account.done += u64::from(summary.outcome == Outcome::Done);
+            account.cycles += timing.cycles;
+            account.missed += timing.missed_cycles;
+            (account.samples, account.lost) = (critic.samples, critic.lost);
+            after_run(&account, time.now_s());
+        }
+    });
+    account
+}
+
+#[test]
+fn a_quarter_of_an_hour_over_a_poor_line_brings_no_wrong_value() {
+    let account = soak(900.0, |_, _| {});
+    assert!(account.samples > 40_000, "{account:?}");
+    assert!(account.lost > 20, "the line is not poor: {account:?}");
+}
+
+/// Alone in its process: `cargo test --lib endurance -- --ignored --nocapture`.
+#[test]
+#[ignore = "24 h of virtual time take minutes"]
+fn a_day_over_a_poor_line_gives_no_wrong_value() {
+    let mut first = None;
+    let account = soak(86_400.0, |account, now_s| {
+        if now_s > 3600.0 && first.is_none() {
+            first = Some(resources());
+        }
+        if account.runs.is_multiple_of(24) {
+            println!("{:.1} h: {account:?}, {:?}", now_s / 3600.0, resources());
+        }
+    });
+    let (first, last) = (first.unwrap(), resources());
+    println!("{account:?}: pages and files {first:?} after an hour, {last:?} at the end");
+    assert!(last.0 <= first.0 + GROWN_PAGES, "{first:?}, {last:?}");
+    assert_eq!(last.1, first.1, "files are left open");
+}

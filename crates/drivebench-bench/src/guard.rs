@@ -1,0 +1,601 @@
+//! The guard: no command leaves and no sample passes without it. Pure; time comes in.
+//!
+//! ```text
+//! wanted demand -> shape (slew, voltage, winding) -> demand to the drive      every change of a demand is reported
+//! sample        -> watch (limits, signals, clocks, drive state, plausibility) -> Trip
+//!                                                                             latched for good
+//! ```
+//!
+//! After a trip `shape` returns zero output for whatever it is asked. It is a second line behind the drive's own limits
+//! and watchdog, not a safety function: a host at 100 Hz sees a current of 9 ms time constant too late. So the voltage
+//! across the winding is bounded before it is applied: `abs(u - Ke w) <= limit R`, unless the drive limits the current.
+
+mod shape;
+
+pub use shape::{Causes, Shaped};
+
+use shape::{Braking, Shaper};
+use thiserror::Error;
+
+use super::limits::{Limits, Nameplate};
+use super::plausibility::Plausibility;
+use super::trip::{Trip, TripKind};
+use drivebench_link::CommandTimes;
+use drivebench_model::sample::{Channel, Command, Demand, DriveState, Hindrance, Sample};
+
+/// By more than this, or than the silence that is allowed, the clock of a drive that was on all the time and that of this
+/// host do not part between two samples, s.
+const RESTARTED_S: f64 = 0.1;
+/// An exchange that was given all that is left of the silence ends within this of its end, s.
+const TO_THE_END_S: f64 = 1e-6;
+/// Samples in a row that may lack a watched signal, or bring the same drive time, before the run ends.
+const ALLOWED_IN_A_ROW: u32 = 3;
+/// A drive that ran and left that state by itself is given this long (one late status word), s.
+const LEFT_RUNNING_S: f64 = 0.05;
+/// Measured voltage may exceed the commanded limit by this share: ripple, noise and calibration of the drive.
+const VOLTAGE_MARGIN: f64 = 1.1;
+/// A shaft that has not come to rest after so long is not waited for, s.
+const LONGEST_COAST_S: f64 = 60.0;
+/// Shares of the speed and of the current limit below which a motor counts as at rest.
+const REST_SPEED_SHARE: f64 = 0.01;
+const REST_CURRENT_SHARE: f64 = 0.02;
+
+/// Why a motor is not known to be at rest.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum RestError {
+    #[error("not at rest: {name} {value:.3} {unit}, at most {limit:.3} {unit} is allowed")]
+    Moving {
+        name: &'static str,
+        value: f64,
+        limit: f64,
+        unit: &'static str,
+    },
+    #[error("the drive is in state {state:?}, it must be disabled or ready")]
+    State { state: &'static str },
+    #[error("not known to be at rest: the last sample has no {name}")]
+    Unread { name: &'static str },
+}
+
+impl RestError {
+    /// Whether it may be over with the next sample.
+    pub const fn may_change(&self) -> bool {
+        matches!(self, Self::Moving { .. } | Self::Unread { .. })
+    }
+}
+
+/// Signals of which the loss ends a run, if the drive gives them at all.
+const WATCHED: [Channel; 4] = [
+    Channel::Current,
+    Channel::Speed,
+    Channel::Angle,
+    Channel::Bus,
+];
+
+/// The safety guard of one bench session.
+#[derive(Clone, Debug)]
+pub struct Guard {
+    limits: Limits,
+    shaper: Shaper,
+    trip: Option<Trip>,
+    seen: [bool; WATCHED.len()],
+    last_sample: Option<Seen>,
+    last_valid_s: Option<f64>,
+    /// What the drive said last instead of a valid reply, since the last of those.
+    refusal: Option<String>,
+    last_step_s: Option<f64>,
+    counts: Counts,
+    /// Time that the drive may take from the command to run until it reports that it does, s.
+    enable_time_s: f64,
+    plausibility: Plausibility,
+    /// Longest time of braking at the bound of the winding, s.
+    braking_s: f64,
+}
+
+/// When a sample came, by the host's time and by its own, s.
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    host_s: f64,
+    sample_s: f64,
+}
+
+/// What is counted from the begin of a run on.
+#[derive(Clone, Debug, Default)]
+struct Counts {
+    /// Samples in a row without each of the watched signals, and without a newer drive time.
+    missing: [u32; WATCHED.len()],
+    stuck_clock: u32,
+    /// Since when the output is on, so that the drive should run, and for how long it was on before, s.
+    on_since_s: Option<f64>,
+    on_total_s: f64,
+    has_run: bool,
+    not_running_since_s: Option<f64>,
+    angle_origin_rad: Option<f64>,
+}
+
+impl Guard {
+    /// A guard with `limits`. `drive_current_limit_a` is the drive's own limit as read back, if it has one.
+    pub fn new(limits: Limits, motor: &Nameplate, drive_current_limit_a: Option<f64>) -> Self {
+        // A drive that lets through more than the bench may draw does not protect the bench's limit.
+        let drive_limits = drive_current_limit_a.is_some_and(|amps| amps <= limits.current_a);
+        let winding_v = (!drive_limits).then_some(limits.current_a * motor.resistance_ohm);
+        let mut shaper = Shaper::new(&limits, motor.back_emf_v_s_per_rad, winding_v);
+        shaper.braking = limits.braking_w.map(|watts| Braking::new(watts, motor));
+        shaper.load_v =
+            motor.resistance_ohm * motor.load_torque_n_m.abs() / motor.back_emf_v_s_per_rad;
+        let plausibility = Plausibility::of(&limits, motor, drive_current_limit_a);
+        let torque = motor.back_emf_v_s_per_rad * limits.current_a;
+        let braking_s = winding_v.map_or(0.0, |_| {
+            (motor.inertia_kg_m2 * limits.speed_rad_s / torque).min(LONGEST_COAST_S)
+        });
+        Self {
+            braking_s,
+            ..Self::with_shaper(limits, shaper, plausibility)
+        }
+    }
+
+    /// A guard for a motor that is not known: `winding_v` bounds the voltage across the winding, as far as the resistance
+    /// is known at all, around a back-EMF of which the constant may be 0; without it the program itself has to feel its
+    /// way.
+    pub fn for_unknown_motor(
+        limits: Limits,
+        winding_v: Option<f64>,
+        back_emf_v_s_per_rad: f64,
+    ) -> Self {
+        let shaper = Shaper::new(&limits, back_emf_v_s_per_rad, winding_v);
+        let plausibility = Plausibility::of_unknown(&limits);
+        Self::with_shaper(limits, shaper, plausibility)
+    }
+
+    /// Asked for an output once in `period_s`: of a shaft that was not seen for longer it is only known that it followed
+    /// the voltage, and the winding's bound holds wherever it has come to.
+    #[must_use]
+    pub fn with_period(mut self, period_s: f64) -> Self {
+        self.shaper.set_period(period_s);
+        self
+    }
+
+    /// For a drive that may take so long from the command to run until it reports that it does.
+    #[must_use]
+    pub const fn with_enable_time(mut self, enable_time_s: f64) -> Self {
+        self.enable_time_s = enable_time_s;
+        self
+    }
+
+    fn with_shaper(limits: Limits, shaper: Shaper, plausibility: Plausibility) -> Self {
+        Self {
+            plausibility,
+            braking_s: 0.0,
+            shaper,
+            limits,
+            trip: None,
+            seen: [false; WATCHED.len()],
+            last_sample: None,
+            last_valid_s: None,
+            refusal: None,
+            last_step_s: None,
+            counts: Counts::default(),
+            enable_time_s: CommandTimes::default().enable_s,
+        }
+    }
+
+    /// Longest time in which a ramp down from full speed brings the output to zero, s: the slew limit's, and on top of it
+    /// what the supply takes back or the current limit brakes, whichever is longer. The shaft's own time comes on top.
+    pub fn ramp_down_s(&self) -> f64 {
+        let coast_s = self.shaper.coast_s(self.limits.speed_rad_s);
+        self.shaper.ramp_s(self.limits.voltage_v) + coast_s.min(LONGEST_COAST_S).max(self.braking_s)
+    }
+
+    /// Whether the last command left the output off: the motor stands or coasts.
+    pub const fn is_output_off(&self) -> bool {
+        self.shaper.is_off()
+    }
+
+    /// From here on the output goes down, with the bench's slew limit, and never up again.
+    pub fn begin_stop(&mut self, now_s: f64) {
+        self.set_slew(None);
+        self.shaper.stop_by(now_s + self.ramp_down_s());
+    }
+
+    /// What is watched for plausibility, and what is not.
+    pub const fn plausibility(&self) -> &Plausibility {
+        &self.plausibility
+    }
+
+    /// Gives up what needs a nameplate that fits: the user has waived it.
+    pub const fn waive_plausibility(&mut self) {
+        self.plausibility.waive();
+    }
+
+    /// A command that left, so that what comes back can be held against it.
+    pub fn sent(&mut self, command: &Command) {
+        self.plausibility.sent(command);
+    }
+
+    /// The speed reference that a loop follows now, rad/s; `None`: no loop is closed.
+    pub const fn follow(&mut self, reference_rad_s: Option<f64>) {
+        self.plausibility.follow(reference_rad_s);
+    }
+
+    pub const fn limits(&self) -> &Limits {
+        &self.limits
+    }
+
+    /// Another slew limit from now on, as while a loop is closed; `None`: that of the limits.
+    pub fn set_slew(&mut self, v_per_s: Option<f64>) {
+        self.shaper
+            .set_slew(v_per_s.unwrap_or(self.limits.slew_v_per_s));
+    }
+
+    pub const fn tripped(&self) -> Option<&Trip> {
+        self.trip.as_ref()
+    }
+
+    /// Whether samples ever carried `channel`: a limit on a signal that the drive does not give cannot be watched.
+    pub fn has_seen(&self, channel: Channel) -> bool {
+        let mut all = WATCHED.into_iter().zip(self.seen);
+        all.any(|(watched, seen)| watched == channel && seen)
+    }
+
+    /// Begins a run: counts time and travel from here. Call it when the output is about to be switched on.
+    pub fn begin(&mut self, now_s: f64, sample: &Sample) {
+        self.counts = Counts {
+            angle_origin_rad: sample.get(Channel::Angle),
+            ..Counts::default()
+        };
+        self.last_valid_s = Some(now_s);
+        self.shaper.rest(now_s);
+        self.plausibility.begin();
+    }
+
+    /// To be called first in every step: ends the run when the host or the link was silent for too long.
+    pub fn tick(&mut self, now_s: f64) -> Option<&Trip> {
+        let limit_s = self.limits.link_silence_s;
+        if let Some(last_s) = self.last_step_s {
+            let gap_s = now_s - last_s;
+            if !gap_s.is_finite() || gap_s < 0.0 {
+                let times_s = (gap_s, 0.0);
+                return self.late(TripKind::ClockStuck, last_s, times_s, "host time ran back");
+            }
+            if gap_s > limit_s {
+                self.last_step_s = Some(now_s);
+                let times_s = (gap_s, limit_s);
+                return self.late(TripKind::HostGap, now_s, times_s, "no step was taken");
+            }
+        }
+        self.last_step_s = Some(now_s);
+        if self.trip.is_some() {
+            return None;
+        }
+        let silent_s = self.last_valid_s.map_or(0.0, |last_s| now_s - last_s);
+        if silent_s > limit_s - TO_THE_END_S {
+            let times_s = (silent_s, limit_s);
+            return match self.refusal.take() {
+                Some(said) => self.latch(Trip::refused(now_s, times_s, &said)),
+                None => self.late(TripKind::LinkSilence, now_s, times_s, "no valid reply"),
+            };
+        }
+        let since_s = self.counts.on_since_s;
+        let on_s = self.counts.on_total_s + since_s.map_or(0.0, |since_s| now_s - since_s);
+        if on_s > self.limits.time_s {
+            let times_s = (on_s, self.limits.time_s);
+            return self.late(TripKind::TimeLimit, now_s, times_s, "output on");
+        }
+        None
+    }
+
+    /// A span of time was too long: what it was and what is allowed.
+    fn late(
+        &mut self,
+        kind: TripKind,
+        at_s: f64,
+        times_s: (f64, f64),
+        what: &str,
+    ) -> Option<&Trip> {
+        self.latch(Trip::after(kind, at_s, times_s, what))
+    }
+
+    /// The computer was suspended for so long: ends the run, and nothing is said of silence that only the sleep has made.
+    pub fn slept(&mut self, now_s: f64, slept_s: f64) -> Option<&Trip> {
+        self.last_step_s = Some(now_s);
+        self.last_valid_s = self.last_valid_s.map(|_| now_s);
+        let reason = format!(
+            "this computer was suspended for {slept_s:.1} s, and nobody watched the motor meanwhile"
+        );
+        self.latch(Trip {
+            reason,
+            ..Trip::new(TripKind::Suspended, now_s, (slept_s, 0.0), "")
+        })
+    }
+
+    /// The drive answers, and says that it cannot do now what it is asked: should this go on for too long, that is why.
+    pub fn refused(&mut self, said: &str) {
+        self.refusal = Some(said.to_owned());
+    }
+
+    /// Of the time since the last step so much was spent waiting for the link: no stall of the host.
+    pub fn waited_for_link(&mut self, now_s: f64, waited_s: f64) {
+        let last_s = self.last_step_s.map(|last_s| last_s + waited_s.max(0.0));
+        self.last_step_s = last_s.map(|last_s| last_s.min(now_s));
+    }
+
+    /// How long the link may be silent from now on, s: all of it where nothing is awaited of it any more.
+    pub fn silence_left_s(&self, now_s: f64) -> f64 {
+        let limit_s = self.limits.link_silence_s;
+        match self.last_valid_s {
+            Some(last_s) if self.trip.is_none() => (last_s + limit_s - now_s).clamp(0.0, limit_s),
+            _ => limit_s,
+        }
+    }
+
+    /// Looks at one valid reply. With `armed` false (drive disabled, nobody meant to move it) it only learns which
+    /// signals there are and that the link lives.
+    pub fn watch(&mut self, now_s: f64, sample: &Sample, armed: bool) -> Option<&Trip> {
+        self.last_valid_s = Some(now_s);
+        self.refusal = None;
+        self.shaper.hear(now_s);
+        let is_newer = (self.last_sample).is_none_or(|last| sample.time_s > last.sample_s);
+        for (seen, channel) in self.seen.iter_mut().zip(WATCHED) {
+            *seen |= sample.get(channel).is_some();
+        }
+        // A reading that is handed out once more tells nothing of where the shaft has come to meanwhile.
+        if let Some(speed) = sample.get(Channel::Speed).filter(|_| is_newer) {
+            self.shaper.see_speed(now_s, speed);
+        }
+        // From the first angle on: the sample with which a run began may have lacked it.
+        if armed && self.counts.angle_origin_rad.is_none() {
+            self.counts.angle_origin_rad = sample.get(Channel::Angle);
+        }
+        let doubt = self.plausibility.check(now_s, sample, armed);
+        let found = if armed && self.trip.is_none() {
+            // The field first: a drive that sees its loss too reports no more than a fault.
+            self.field(now_s, sample)
+                .or_else(|| self.drive_state(now_s, sample))
+                .or_else(|| {
+                    let beyond = self.beyond_limit(now_s, sample)?;
+                    // What is read wrong is often beyond a limit before it is anything else.
+                    Some(self.plausibility.explained(beyond))
+                })
+                .or_else(|| self.lost_signal(now_s, sample))
+                .or_else(|| self.switched_on_again(now_s, sample))
+                .or_else(|| self.stuck_clock(now_s, sample.time_s, is_newer))
+                .or(doubt)
+        } else {
+            None
+        };
+        if sample.time_s.is_finite() {
+            self.last_sample = Some(Seen {
+                host_s: now_s,
+                sample_s: sample.time_s,
+            });
+        }
+        found.and_then(|trip| self.latch(trip))
+    }
+
+    /// Learns from readings at rest how noisy the sensors are.
+    pub fn learn(&mut self, rest: &[Sample]) {
+        self.plausibility.learn(rest);
+    }
+
+    /// Frames on the line write to the drive and are not ours: what it does is no longer what was commanded.
+    pub fn other_master(&mut self, now_s: f64, frames: u64) -> Option<&Trip> {
+        let what = format!(
+            "{frames} frames on the line write to this drive and are not ours; its set-points are no longer the commanded ones; disconnect the other master, or take its write access"
+        );
+        let figures = (frames as f64, 0.0);
+        self.latch(Trip::new(TripKind::OtherMaster, now_s, figures, what))
+    }
+
+    /// Latches a trip from outside, unless one is latched already: the first cause is the one to report.
+    pub fn latch(&mut self, trip: Trip) -> Option<&Trip> {
+        if self.trip.is_some() {
+            return None;
+        }
+        self.switch(trip.at_s, false);
+        Some(self.trip.insert(trip))
+    }
+
+    /// The demand that may leave: as wanted, or within the limits, or zero output after a trip.
+    pub fn shape(&mut self, now_s: f64, wanted: Demand) -> Shaped {
+        if self.trip.is_some() {
+            self.shaper.rest(now_s);
+            return Shaped::unchanged(Demand::Stop);
+        }
+        let is_believed = self.plausibility.believes_speed();
+        let shaped = self.shaper.shape(now_s, wanted, &self.limits, is_believed);
+        self.switch(now_s, shaped.demand.energises());
+        shaped
+    }
+
+    /// Whether the motor stands still and the drive is off and without a fault.
+    pub fn check_rest(&self, sample: &Sample) -> Result<(), RestError> {
+        if let Some(state @ (DriveState::Running | DriveState::Fault)) = sample.state {
+            return Err(RestError::State {
+                state: state.name(),
+            });
+        }
+        for (channel, limit) in [
+            (Channel::Speed, self.rest_rad_s()),
+            (Channel::Current, REST_CURRENT_SHARE * self.limits.current_a),
+        ] {
+            let (name, unit) = (channel.name(), channel.unit());
+            match sample.get(channel) {
+                Some(value) if value.abs() <= limit => {}
+                Some(value) => {
+                    return Err(RestError::Moving {
+                        name,
+                        value,
+                        limit,
+                        unit,
+                    });
+                }
+                None if self.has_seen(channel) => return Err(RestError::Unread { name }),
+                None => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// Speed below which the shaft counts as at rest, rad/s.
+    pub fn rest_rad_s(&self) -> f64 {
+        REST_SPEED_SHARE * self.limits.speed_rad_s
+    }
+
+    /// Keeps the time for which the output was on, and since when the drive should run.
+    fn switch(&mut self, now_s: f64, on: bool) {
+        let counts = &mut self.counts;
+        if on && counts.on_since_s.is_none() {
+            counts.on_since_s = Some(now_s);
+            (counts.has_run, counts.not_running_since_s) = (false, None);
+        } else if !on && let Some(since_s) = counts.on_since_s.take() {
+            counts.on_total_s += now_s - since_s;
+        }
+    }
+
+    fn beyond_limit(&self, now_s: f64, sample: &Sample) -> Option<Trip> {
+        use TripKind::{BusHigh, BusLow, OverCurrent, OverSpeed, OverVoltage, Travel};
+        type Breaks = fn(f64, f64) -> bool;
+        let limits = &self.limits;
+        let read = |channel| sample.get(channel);
+        let angle = read(Channel::Angle).zip(self.counts.angle_origin_rad);
+        let travel = angle.map(|(angle, origin)| angle - origin);
+        let voltage_v = VOLTAGE_MARGIN * limits.voltage_v;
+        let above = |value: f64, limit: f64| value > limit;
+        let below = |value: f64, limit: f64| value < limit;
+        let beyond = |value: f64, limit: f64| value.abs() > limit;
+        let window = limits.travel_rad;
+        let (amps, speed) = (Some(limits.current_a), Some(limits.speed_rad_s));
+        // Value and limit, and what of the value counts against it.
+        let rows: [(_, _, _, _, Breaks); 6] = [
+            (OverCurrent, Channel::Current, None, amps, beyond),
+            (OverSpeed, Channel::Speed, None, speed, beyond),
+            (OverVoltage, Channel::Voltage, None, Some(voltage_v), beyond),
+            (Travel, Channel::Angle, Some(travel), window, beyond),
+            (BusHigh, Channel::Bus, None, limits.bus_max_v, above),
+            (BusLow, Channel::Bus, None, limits.bus_min_v, below),
+        ];
+        rows.into_iter()
+            .find_map(|(kind, channel, instead, limit, breaks)| {
+                let value = instead.unwrap_or(read(channel))?;
+                let limit = limit.filter(|limit| breaks(value, *limit))?;
+                let (name, unit) = (channel.name(), channel.unit());
+                let what = format!("{name} {value:.4} {unit}, limit {limit:.4} {unit}");
+                Some(Trip::new(kind, now_s, (value, limit), what))
+            })
+    }
+
+    fn field(&self, now_s: f64, sample: &Sample) -> Option<Trip> {
+        let least_a = self.limits.field_min_a?;
+        // Without a reading the drive's word decides: its link counts a field that cannot be read as lost.
+        let unread = sample.field_a.is_none() && sample.state == Some(DriveState::Fault);
+        let weak = sample.field_a.is_some_and(|amperes| amperes < least_a);
+        let found = sample.field_a.map(|amperes| format!("{amperes:.3} A"));
+        let found = found.unwrap_or_else(|| "cannot be read".to_owned());
+        let what = format!(
+            "field current {found}, at least {least_a:.3} A (limits.field_min_a of the drive's profile)"
+        );
+        let figures = (sample.field_a.unwrap_or(0.0), least_a);
+        (weak || unread).then(|| Trip::new(TripKind::FieldLost, now_s, figures, what))
+    }
+
+    fn drive_state(&mut self, now_s: f64, sample: &Sample) -> Option<Trip> {
+        if sample.state == Some(DriveState::Fault) || sample.fault.is_some_and(|code| code != 0) {
+            let text = sample.fault_text.as_deref();
+            return Some(Trip::drive_fault(now_s, sample.fault, text));
+        }
+        if let Some(hindrance) = sample.hindrance {
+            let kind = match hindrance {
+                Hindrance::LocalControl => TripKind::LocalControl,
+                Hindrance::TorqueOff => TripKind::TorqueOff,
+            };
+            return Some(Trip::new(kind, now_s, (0.0, 0.0), hindrance.sentence()));
+        }
+        let state = sample.state?;
+        if state == DriveState::Running {
+            self.counts.has_run = true;
+            self.counts.not_running_since_s = None;
+            return None;
+        }
+        let wanted_since_s = self.counts.on_since_s?;
+        let (since_s, limit_s) = if self.counts.has_run {
+            let since_s = *self.counts.not_running_since_s.get_or_insert(now_s);
+            // The first reply that says so may be a status word of before; the second is not.
+            (since_s, LEFT_RUNNING_S)
+        } else {
+            (wanted_since_s, self.enable_time_s)
+        };
+        let waited_s = now_s - since_s;
+        (waited_s > limit_s).then(|| Trip::not_running(now_s, state, waited_s, limit_s))
+    }
+
+    fn lost_signal(&mut self, now_s: f64, sample: &Sample) -> Option<Trip> {
+        for (index, channel) in WATCHED.into_iter().enumerate() {
+            if !self.seen[index] || !self.is_limited(channel) {
+                continue;
+            }
+            let missing = &mut self.counts.missing[index];
+            *missing = sample.get(channel).map_or(*missing + 1, |_| 0);
+            let what = format!("no {}", channel.name());
+            let trip = Self::too_often(TripKind::SignalMissing, now_s, *missing, &what);
+            if trip.is_some() {
+                return trip;
+            }
+        }
+        None
+    }
+
+    const fn is_limited(&self, channel: Channel) -> bool {
+        match channel {
+            Channel::Angle => self.limits.travel_rad.is_some(),
+            Channel::Bus => self.limits.bus_min_v.is_some() || self.limits.bus_max_v.is_some(),
+            _ => true,
+        }
+    }
+
+    /// By how much the drive's clock went on since the last sample, by how much the host's, and how far they may part, s,
+    /// where they part by more.
+    fn restart(&self, now_s: f64, sample: &Sample) -> Option<(f64, f64, f64)> {
+        let last = self.last_sample?;
+        let (drive_s, host_s) = (sample.time_s - last.sample_s, now_s - last.host_s);
+        // No clock that was on all the time runs back at all.
+        let most_s = if drive_s < 0.0 {
+            RESTARTED_S
+        } else {
+            self.limits.link_silence_s.max(RESTARTED_S)
+        };
+        ((drive_s - host_s).abs() > most_s).then_some((drive_s, host_s, most_s))
+    }
+
+    /// Whether this sample is of a drive that began its time anew: nothing is to be read off its clock.
+    pub fn is_of_a_restart(&self, now_s: f64, sample: &Sample) -> bool {
+        let tripped = self.tripped().map(|trip| trip.kind);
+        tripped == Some(TripKind::Restarted) || self.restart(now_s, sample).is_some()
+    }
+
+    /// A drive whose time jumps was off in between, and what it was told before is over. After a power-up its counter is
+    /// anywhere against where it was: back, or ahead.
+    fn switched_on_again(&self, now_s: f64, sample: &Sample) -> Option<Trip> {
+        let (drive_s, host_s, most_s) = self.restart(now_s, sample)?;
+        let what = format!(
+            "the drive's time went by {drive_s:.3} s while {host_s:.3} s passed here: it was switched off and on again"
+        );
+        let figures = ((drive_s - host_s).abs(), most_s);
+        Some(Trip::new(TripKind::Restarted, now_s, figures, what))
+    }
+
+    fn stuck_clock(&mut self, now_s: f64, drive_s: f64, advanced: bool) -> Option<Trip> {
+        let stuck = &mut self.counts.stuck_clock;
+        *stuck = if advanced { 0 } else { *stuck + 1 };
+        let what = format!("drive time stays at {drive_s:.3} s");
+        Self::too_often(TripKind::ClockStuck, now_s, *stuck, &what)
+    }
+
+    /// Something that was seen more often in a row than is allowed; `None`: not yet.
+    fn too_often(kind: TripKind, now_s: f64, times: u32, what: &str) -> Option<Trip> {
+        let most = ALLOWED_IN_A_ROW - 1;
+        let what = format!("{what} in {times} samples running, {most} allowed");
+        (times > most).then(|| Trip::new(kind, now_s, (times.into(), most.into()), what))
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,266 @@
+//! The text of a new bench file: every value with its reason, in the order of the commented example.
+
+use std::fmt::Write as _;
+
+use super::{InitRequest, InitUse, Reasoned};
+use crate::bench_file::{BenchFile, Port};
+use crate::plan::Plan;
+use drivebench_link::KickedBy;
+use drivebench_model::excitation::Segment;
+use drivebench_model::text::lines::{capitalised, wrapped};
+
+/// Longest line.
+const WIDTH: usize = 118;
+
+/// Lines of a bench file.
+#[derive(Default)]
+struct Page(String);
+
+impl Page {
+    fn comment(&mut self, text: &str) {
+        for row in wrapped(text, WIDTH - 2) {
+            self.line(&format!("# {row}"));
+        }
+    }
+
+    fn line(&mut self, text: &str) {
+        let _ = writeln!(self.0, "{text}");
+    }
+
+    /// A value with its reason behind it, or above it where the line would be too long.
+    fn value(&mut self, key: &str, value: &str, reason: &str) {
+        let behind = format!("{key} = {value}  # {reason}");
+        if behind.len() <= WIDTH {
+            self.line(&behind);
+        } else {
+            self.comment(reason);
+            self.line(&format!("{key} = {value}"));
+        }
+    }
+
+    /// A key that is left out, and why.
+    fn left_out(&mut self, key: &str, reason: &str) {
+        self.comment(&format!("{key}: none. {}", capitalised(reason)));
+    }
+}
+
+/// The whole file.
+pub(super) fn text(
+    request: &InitRequest<'_>,
+    bench: &BenchFile,
+    purpose: InitUse,
+    reasons: &[Reasoned],
+    remarks: &[String],
+    plan: Option<&Plan>,
+) -> String {
+    let mut page = Page::default();
+    page.comment(&format!(
+        "Bench of {} on {}, made by `drivebench init` from the drive profile {:?} and the nameplate {}. Every value stands with its reason; bench-configs/benches/zk-22fc-emulated.toml explains every key.",
+        bench.motor.name, request.profile.name, request.drive, request.motor_file
+    ));
+    for remark in remarks {
+        page.comment(&format!("- {remark}"));
+    }
+    page.line(&format!("name = {:?}", bench.name));
+    drive(&mut page, request, bench);
+    link(&mut page, request, bench, reasons);
+    motor(&mut page, request, bench);
+    page.line("");
+    page.comment("Crossing one ends the run at zero output; nothing starts again by itself.");
+    page.line("[limits]");
+    for (key, unit, _) in bench.limits.clone().rows() {
+        let whole = format!("limits.{key}");
+        let Some(found) = reason_of(reasons, &whole) else {
+            continue;
+        };
+        match found.value {
+            Some(value) => page.value(key, &number(value), &format!("{unit}: {}", found.reason)),
+            None => page.left_out(key, &found.reason),
+        }
+    }
+    speed(&mut page, bench, reasons);
+    sequence(&mut page, bench, purpose, plan);
+    page.0
+}
+
+fn reason_of<'a>(reasons: &'a [Reasoned], key: &str) -> Option<&'a Reasoned> {
+    reasons.iter().find(|reason| reason.key == key)
+}
+
+fn drive(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile) {
+    let profile = request.profile;
+    page.line("");
+    page.line("[drive]");
+    page.comment(&profile.provenance());
+    let told = &request.told;
+    if told.is_offline {
+        page.comment("The drive was not asked (--offline): none of its own limits is known here.");
+    } else {
+        page.comment(&format!("Asked, read-only: {}", told.who));
+    }
+    let kick = match profile.watchdog.kicked_by {
+        KickedBy::Command => "only commands count",
+        KickedBy::Write => "any write counts",
+        KickedBy::Any => "any message counts, reading too",
+    };
+    let map = profile.registers.as_deref();
+    let set_s = map.and_then(|map| map.watchdog.set_s());
+    let time = match (set_s, told.watchdog_s, profile.watchdog.default_ms) {
+        (Some(set_s), ..) => format!("{set_s} s (set at connect by the profile)"),
+        (_, Some(time_s), _) if time_s > 0.0 => format!("{time_s} s (read back)"),
+        (_, Some(_), _) => "off (read back)".to_owned(),
+        (_, None, Some(default_ms)) => format!("{default_ms} ms as delivered, not read back"),
+        (_, None, None) => "not known".to_owned(),
+    };
+    page.comment(&format!(
+        "Its watchdog: {time}; {kick}. It is proven at zero output before anything moves, or needs --waive-watchdog."
+    ));
+    page.line(&format!("profile = {:?}", bench.drive.profile));
+}
+
+fn link(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile, reasons: &[Reasoned]) {
+    page.line("");
+    page.line("[link]");
+    let reason = match (bench.port(), request.port_reason) {
+        (_, reason) if !reason.is_empty() => reason,
+        (Port::Emulator, _) => "the software drive behind a pseudo-terminal, in real time",
+        (Port::Sim, _) => "the software drive in memory, in virtual time",
+        (Port::SimRtu, _) => "the software drive on a line in memory, in virtual time",
+        (Port::Tcp(_) | Port::Serial(_), _) => "as given with --port",
+    };
+    page.value("port", &format!("{:?}", bench.link.port), reason);
+    let protocol = format!("\"{}\"", bench.link.protocol);
+    let why = "what the profile speaks over such a port";
+    page.value("protocol", &protocol, why);
+    let why = "bit/s; the profile's, unless --baud was given";
+    page.value("baud", &bench.baud().to_string(), why);
+    let why = "the profile's, unless --unit was given";
+    page.value("unit", &bench.link.unit.to_string(), why);
+    if let Some(rate) = reason_of(reasons, "link.rate_hz") {
+        let why = format!("Hz: {}", rate.reason);
+        page.value("rate_hz", &number(bench.link.rate_hz), &why);
+    }
+    page.left_out(
+        "deadline_ms",
+        "the profile's, else wire time with silences, twice its reply_ms and 40 ms",
+    );
+}
+
+fn motor(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile) {
+    let motor = &bench.motor;
+    page.line("");
+    let file = request.motor_file;
+    page.comment(&format!("The nameplate, taken over from {file}."));
+    page.line("[motor]");
+    page.line(&format!("name = {:?}", motor.name));
+    if motor.unknown {
+        page.value(
+            "unknown",
+            "true",
+            "only the rated values are believed: `run` finds the motor from small steps first",
+        );
+    }
+    let given = motor.values();
+    for (key, meaning) in [
+        ("rated_voltage_v", "V"),
+        ("rated_current_a", "A"),
+        ("rated_speed_rad_s", "rad/s"),
+        ("resistance_ohm", "ohm, armature loop"),
+        ("inductance_h", "H"),
+        (
+            "back_emf_v_s_per_rad",
+            "V.s/rad; also the torque constant in N.m/A",
+        ),
+        ("inertia_kg_m2", "kg.m2, load included"),
+        ("load_torque_n_m", "N.m, Coulomb, always against the motion"),
+    ] {
+        match given.iter().find(|(known, _)| *known == key) {
+            Some((_, value)) => page.value(key, &number(*value), meaning),
+            None => page.left_out(
+                key,
+                "not on the plate: `run` finds it from small steps first",
+            ),
+        }
+    }
+}
+
+fn speed(page: &mut Page, bench: &BenchFile, reasons: &[Reasoned]) {
+    let Some(speed) = &bench.speed else {
+        return;
+    };
+    page.line("");
+    page.comment("What `drivebench speed` does, under the same limits.");
+    page.line("[speed]");
+    let why = if speed.controller.id() == "pi" {
+        "fixed gains: behind the drive's own loop nothing shows what others would adapt to"
+    } else {
+        "gains follow the inertia that is identified on line"
+    };
+    page.value("controller", &format!("\"{}\"", speed.controller.id()), why);
+    if let Some(lag_s) = speed.drive_lag_s {
+        page.value(
+            "drive_lag_s",
+            &number(lag_s),
+            "s in which the drive's own loop follows its reference. Not measured: a cautious guess, put in what you measure",
+        );
+    }
+    let reason = reason_of(reasons, "speed.reference");
+    for part in &speed.reference {
+        page.line("");
+        if let Some(reason) = reason {
+            page.comment(&format!("Speeds in rad/s: {}.", reason.reason));
+        }
+        page.line("[[speed.reference]]");
+        page.line(&inline(part));
+    }
+}
+
+fn sequence(page: &mut Page, bench: &BenchFile, purpose: InitUse, plan: Option<&Plan>) {
+    page.line("");
+    if purpose == InitUse::SpeedLoop {
+        page.comment("This drive takes no voltage: `run` and `commission` are refused on it, and only `speed` moves the motor.");
+    }
+    if let Some(plan) = plan {
+        page.comment(&format!(
+            "The excitation. `plan` predicts {:.1} s, at most {:.1} V, {:.1} A ({:.1} times rated), {:.0} rad/s.",
+            plan.duration_s,
+            plan.peak_voltage_v,
+            plan.peak_current_a,
+            plan.peak_current_ratio,
+            plan.peak_speed_rad_s
+        ));
+    } else if purpose == InitUse::Voltages {
+        page.comment("The excitation, made to fit the motor once it has been found.");
+    }
+    for segment in &bench.sequence {
+        page.line("");
+        page.comment(match segment {
+            Segment::Standstill(_) => "Noise floor and sensor offsets.",
+            Segment::Steps(_) => {
+                "Resistance, back-EMF and inertia; both signs part friction from an offset."
+            }
+            Segment::Ramp(_) => "Slowly through zero: friction near standstill.",
+            Segment::Prbs(_) => "Many levels: dynamics over a wide band.",
+            Segment::Sine(_) => "Slowly through zero again, two ways.",
+            Segment::Chirp(_) => "Every frequency once: resonances.",
+            Segment::Staircase(_) => "Level by level.",
+            Segment::CoastDown(_) => "Output off.",
+        });
+        page.line("[[sequence]]");
+        page.line(&inline(segment));
+    }
+}
+
+/// The one key of a part with its table on one line.
+fn inline<T: serde::Serialize>(part: &T) -> String {
+    let value = toml::Value::try_from(part).ok();
+    let table = value.as_ref().and_then(toml::Value::as_table);
+    let entries = table.into_iter().flatten();
+    let lines = entries.map(|(key, value)| format!("{key} = {value}"));
+    lines.collect::<Vec<_>>().join("\n")
+}
+
+/// A number as TOML wants a float.
+fn number(value: f64) -> String {
+    format!("{value:?}")
+}

@@ -1,0 +1,275 @@
+//! The sequence of a new bench file: the rich excitation, as large as the limits let it be, and a reference for `speed`.
+
+use super::limits::set_point;
+use super::{InitError, InitRequest, InitUse, Reasoned, short};
+use crate::bench_file::{BenchFile, Cells, cells};
+use crate::escalate::scale;
+use crate::limits::Nameplate;
+use crate::plan::{Plan, plan};
+use crate::speed::{ControllerKind, ReferencePart, SpeedSection};
+use drivebench_link::register_map::Quantity;
+use drivebench_model::excitation::{self, Dither, Prbs, Ramp, Segment, Standstill, Steps};
+
+/// Share of the voltage limit that the sequence uses.
+const OF_VOLTAGE: f64 = 0.85;
+/// Share of the current limit that acceleration and load together may draw: a motor 15 % off its plate stays below.
+const OF_CURRENT: f64 = 0.7;
+/// The same of a motor whose load alone comes near that.
+const LEAST_OF_CURRENT: f64 = 0.2;
+/// Periods that a level, a random level and a dither level last at least: less is not seen by the host.
+const LEVEL_PERIODS: f64 = 10.0;
+const RANDOM_PERIODS: f64 = 3.0;
+const RANDOM_LEVELS: f64 = 15.0;
+/// The first level: its share of the voltage, which breaks few shafts away, and how long it lasts, s.
+const OF_FIRST_LEVEL: f64 = 0.01;
+const FIRST_LEVEL_S: f64 = 0.5;
+/// Slow enough for every link, s.
+const LEVEL_S: f64 = 2.0;
+/// Levels of the reference, of what can be reached.
+const LEVELS: [f64; 4] = [0.3, 0.6, 0.3, 0.0];
+/// Share of the voltage limit that the back-EMF of the highest level takes.
+const OF_BACK_EMF: f64 = 0.7;
+/// Lag of a drive's own loop that nobody has measured yet, s.
+const UNKNOWN_LAG_S: f64 = 0.1;
+/// What a run takes beside its sequence or reference, s, and the share of room.
+const ENDS_S: f64 = 4.0;
+const ROOM: f64 = 1.25;
+/// While the sequence is fitted its length does not matter, s.
+const NO_END_S: f64 = 3600.0;
+
+/// What the sequence brought.
+pub(super) struct Fitted {
+    pub(super) reasons: Vec<Reasoned>,
+    pub(super) remarks: Vec<String>,
+    pub(super) plan: Option<Plan>,
+}
+
+/// Fills in sequence, reference, slew and time.
+pub(super) fn fit(
+    bench: &mut BenchFile,
+    request: &InitRequest<'_>,
+    purpose: InitUse,
+) -> Result<Fitted, InitError> {
+    let mut fitted = Fitted {
+        reasons: Vec::new(),
+        remarks: Vec::new(),
+        plan: None,
+    };
+    let plate = bench.nameplate();
+    match purpose {
+        InitUse::SpeedLoop => {
+            bench.sequence = vec![Segment::Standstill(Standstill { seconds: 1.0 })];
+        }
+        InitUse::Voltages => voltages(bench, request, plate.as_ref(), &mut fitted)?,
+    }
+    if let Some(plate) = &plate {
+        let speed = speed_section(bench, request, plate, purpose);
+        let hold_s = match speed.reference.first() {
+            Some(ReferencePart::Steps { hold_s, .. }) => *hold_s,
+            _ => LEVEL_S,
+        };
+        let why = format!("{LEVELS:?} of what the limits reach; a level lasts {hold_s} s");
+        fitted
+            .reasons
+            .push(Reasoned::new("speed.reference", None, why));
+        bench.speed = Some(speed);
+    } else {
+        fitted.remarks.push(
+            "the motor is not known: `run` finds it from small steps first and makes the sequence fit it; `speed` needs it known"
+                .to_owned(),
+        );
+    }
+    let sequence_s = bench.program(bench.runs.fit)?.duration_s();
+    let reference_s = bench.speed.as_ref().map_or(0.0, |speed| {
+        speed.reference.iter().map(length_s).sum::<f64>() + ENDS_S
+    });
+    let time_s = (sequence_s.max(reference_s) * ROOM / 5.0).ceil() * 5.0;
+    bench.limits.time_s = Some(time_s);
+    fitted.reasons.push(Reasoned::new("limits.time_s", Some(time_s), format!(
+            "the longer of sequence ({sequence_s:.1} s) and reference with its ends ({reference_s:.1} s), and a quarter of it as room"
+        )));
+    Ok(fitted)
+}
+
+fn length_s(part: &ReferencePart) -> f64 {
+    match part {
+        ReferencePart::Steps {
+            levels_rad_s,
+            hold_s,
+        } => levels_rad_s.len() as f64 * hold_s,
+        _ => 0.0,
+    }
+}
+
+/// The sequence, and the slew under which its current stays in bounds.
+fn voltages(
+    bench: &mut BenchFile,
+    request: &InitRequest<'_>,
+    plate: Option<&Nameplate>,
+    fitted: &mut Fitted,
+) -> Result<(), InitError> {
+    let limits = bench.limits();
+    let voltage_v = OF_VOLTAGE * limits.voltage_v;
+    let period_s = bench.period_s();
+    let one_way = set_point(request, Quantity::Voltage).is_some_and(|(low, _)| low >= 0.0);
+    let Some(plate) = plate else {
+        bench.sequence = paced(sequence(voltage_v, limits.slew_v_per_s, one_way), period_s);
+        fitted.reasons.push(Reasoned::new("limits.slew_v_per_s", None, "follows from the motor when it has been found; until then each stage has its own, smaller one"));
+        return Ok(());
+    };
+    let load_a = plate.load_torque_n_m / plate.back_emf_v_s_per_rad;
+    let spare_a = (OF_CURRENT * limits.current_a - load_a).max(LEAST_OF_CURRENT * limits.current_a);
+    let back_emf = plate.back_emf_v_s_per_rad;
+    let slew_v_per_s = short(spare_a * back_emf * back_emf / plate.inertia_kg_m2);
+    bench.sequence = paced(sequence(voltage_v, slew_v_per_s, one_way), period_s);
+    bench.limits.slew_v_per_s = Some(slew_v_per_s);
+    bench.limits.time_s = Some(NO_END_S);
+    let own_limit_a = request.told.current_limit_a;
+    let broken = |text: String| InitError::new(text, "correct the nameplate");
+    let scaled = scale(bench, plate, own_limit_a)
+        .map_err(|error| broken(error.to_string()))?
+        .map_err(|refusal| {
+            InitError::new(
+                format!("even the smallest sequence is too much for this motor: {refusal}"),
+                "check the nameplate against the motor, and its load",
+            )
+        })?;
+    bench.sequence = scaled.bench.sequence.into_iter().map(rounded).collect();
+    bench.limits.slew_v_per_s = Some(short(scaled.slew_v_per_s));
+    let program = bench.program(bench.runs.fit)?;
+    let (limits_now, rate_hz) = (bench.limits(), bench.link.rate_hz);
+    let planned = plan(&program, plate, &limits_now, rate_hz, own_limit_a);
+    let planned = planned.map_err(|error| broken(error.to_string()))?;
+    fitted.reasons.push(Reasoned::new("limits.slew_v_per_s", bench.limits.slew_v_per_s, format!(
+            "while the voltage rises at s, the back-EMF lags by s R J/Ke^2: with the load of {load_a:.2} A that draws {:.1} A, {:.0} % of limits.current_a",
+            load_a + spare_a,
+            100.0 * (load_a + spare_a) / limits.current_a
+        )));
+    if scaled.factor < 1.0 {
+        let why = scaled.refusal.map(|refusal| refusal.to_string());
+        fitted.remarks.push(format!(
+            "the sequence was made smaller ({:.0} % of the voltages): {}",
+            100.0 * scaled.factor,
+            why.as_deref().unwrap_or("limits")
+        ));
+    }
+    fitted.plan = Some(planned);
+    Ok(())
+}
+
+/// The rich sequence, or one that never asks for less than 0 V where the drive takes no such voltage. Behind the standstill
+/// comes a small level, so that a drive which starts late does so in it: behind a fast step it would run into its own current
+/// limit, and what that cut off would pass for an effect of the motor.
+fn sequence(voltage_v: f64, slew_v_per_s: f64, one_way: bool) -> Vec<Segment> {
+    let mut sequence = if one_way {
+        from_zero_up(voltage_v, slew_v_per_s)
+    } else {
+        excitation::rich(voltage_v, slew_v_per_s, 1)
+    };
+    let level_v = OF_FIRST_LEVEL * voltage_v;
+    let first_level = Segment::Ramp(Ramp {
+        from_v: level_v,
+        to_v: level_v,
+        seconds: FIRST_LEVEL_S,
+        dither: None,
+    });
+    sequence.insert(1, first_level);
+    sequence
+}
+
+fn from_zero_up(voltage_v: f64, slew_v_per_s: f64) -> Vec<Segment> {
+    let levels_v = [0.9, 0.3, 0.6, 0.15, 0.45].map(|share| share * voltage_v);
+    let hold_s = (voltage_v / slew_v_per_s + 0.15).max(0.5);
+    vec![
+        Segment::Standstill(Standstill { seconds: 0.5 }),
+        Segment::Steps(Steps {
+            levels_v: levels_v.to_vec(),
+            hold_s,
+            dither: Some(Dither {
+                amplitude_v: 0.1 * voltage_v,
+                clock_s: 0.05,
+                seed: 1,
+            }),
+        }),
+        Segment::Prbs(Prbs {
+            amplitude_v: 0.4 * voltage_v,
+            clock_s: (0.4 * voltage_v / slew_v_per_s).max(0.04),
+            seconds: 3.0,
+            seed: 2,
+            offset_v: 0.5 * voltage_v,
+            levels: 5,
+        }),
+        Segment::Standstill(Standstill { seconds: 0.5 }),
+    ]
+}
+
+/// As slow as the link needs it, every number short.
+fn paced(sequence: Vec<Segment>, period_s: f64) -> Vec<Segment> {
+    let pace = |mut segment: Segment| {
+        match &mut segment {
+            Segment::Steps(steps) => {
+                steps.hold_s = steps.hold_s.max(LEVEL_PERIODS * period_s);
+                if let Some(dither) = &mut steps.dither {
+                    dither.clock_s = dither.clock_s.max(RANDOM_PERIODS * period_s);
+                }
+            }
+            Segment::Prbs(prbs) => {
+                prbs.clock_s = prbs.clock_s.max(RANDOM_PERIODS * period_s);
+                prbs.seconds = prbs.seconds.max(RANDOM_LEVELS * prbs.clock_s);
+            }
+            Segment::Ramp(ramp) => ramp.seconds = ramp.seconds.max(2.0 * LEVEL_PERIODS * period_s),
+            Segment::Sine(sine) => {
+                sine.seconds = sine.seconds.max(2.0 * LEVEL_PERIODS * period_s);
+                sine.frequency_hz = sine.seconds.recip();
+            }
+            Segment::Standstill(_)
+            | Segment::Staircase(_)
+            | Segment::Chirp(_)
+            | Segment::CoastDown(_) => {}
+        }
+        rounded(segment)
+    };
+    sequence.into_iter().map(pace).collect()
+}
+
+/// Three digits are enough of a voltage, towards zero; times to the next millisecond.
+fn rounded(mut segment: Segment) -> Segment {
+    let Cells { volts, times_s, .. } = cells(&mut segment);
+    for volts in volts {
+        // A level of 0 V has no sign.
+        *volts = volts.signum() * (volts.abs() * 100.0 + 1e-6).floor() / 100.0 + 0.0;
+    }
+    for time_s in times_s {
+        *time_s = (*time_s * 1000.0 - 1e-6).ceil() / 1000.0;
+    }
+    segment
+}
+
+/// Levels within what speed limit and voltage limit reach.
+fn speed_section(
+    bench: &BenchFile,
+    request: &InitRequest<'_>,
+    plate: &Nameplate,
+    purpose: InitUse,
+) -> SpeedSection {
+    let limits = bench.limits();
+    let mut top = plate.rated_speed_rad_s.min(0.8 * limits.speed_rad_s);
+    if purpose == InitUse::Voltages {
+        top = top.min(OF_BACK_EMF * limits.voltage_v / plate.back_emf_v_s_per_rad);
+    }
+    let takes = &request.profile.capabilities;
+    let is_outer = !takes.voltage_command && !takes.current_command;
+    SpeedSection {
+        controller: if takes.voltage_command {
+            ControllerKind::Addc
+        } else {
+            ControllerKind::Pi
+        },
+        drive_lag_s: is_outer.then_some(UNKNOWN_LAG_S),
+        reference: vec![ReferencePart::Steps {
+            levels_rad_s: LEVELS.map(|share| short(share * top)).to_vec(),
+            hold_s: (2.0 * LEVEL_PERIODS * bench.period_s()).max(LEVEL_S),
+        }],
+        ..SpeedSection::default()
+    }
+}

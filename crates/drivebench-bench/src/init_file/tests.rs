@@ -1,0 +1,259 @@
+use super::*;
+use crate::testing::{has, near, within};
+use drivebench_model::excitation::Output;
+
+fn plate() -> MotorSection {
+    BenchFile::embedded_default().motor
+}
+
+fn told() -> Told {
+    Told {
+        is_offline: false,
+        who: "a test".to_owned(),
+        current_limit_a: Some(9.0),
+        voltage_limit_v: Some(120.0),
+        bus_v: Some(120.0),
+        watchdog_s: Some(0.5),
+    }
+}
+
+fn told_but(change: impl FnOnce(&mut Told)) -> Told {
+    let mut told = told();
+    change(&mut told);
+    told
+}
+
+fn request<'a>(profile: &'a DriveProfile, motor: &'a MotorSection, told: Told) -> InitRequest<'a> {
+    InitRequest {
+        profile,
+        drive: &profile.name,
+        port: "/dev/ttyUSB0",
+        port_reason: "",
+        motor,
+        motor_file: "motor.toml",
+        told,
+    }
+}
+
+fn made(profile: &str, motor: &MotorSection, told: Told) -> Result<InitFile, InitError> {
+    let profile = DriveProfile::named(profile).unwrap();
+    init_file(&request(&profile, motor, told))
+}
+
+fn reason<'a>(file: &'a InitFile, key: &str) -> &'a Reasoned {
+    let mut reasons = file.reasons.iter();
+    reasons.find(|reason| reason.key == key).unwrap()
+}
+
+#[test]
+fn every_limit_stands_with_its_value_and_its_reason() {
+    let file = made("own", &plate(), told()).unwrap();
+    let current = reason(&file, "limits.current_a");
+    assert_eq!(current.value, Some(9.0));
+    assert_eq!(
+        current.reason,
+        "smaller of 2.0 x rated current 5.7 A (nameplate) and the drive's own limit 9 A (read back)"
+    );
+    let limits = file.bench.limits();
+    near(limits.speed_rad_s, 366.5, 1e-9);
+    near(limits.voltage_v, 110.0, 1e-9);
+    let bus = (limits.bus_min_v, limits.bus_max_v);
+    assert_eq!(bus, (Some(96.0), Some(150.0)));
+    near(limits.link_silence_s, 0.45, 1e-9);
+    for key in [
+        "current_a",
+        "speed_rad_s",
+        "voltage_v",
+        "slew_v_per_s",
+        "time_s",
+        "link_silence_s",
+    ] {
+        let reason = reason(&file, &format!("limits.{key}"));
+        let is_told = reason.value.is_some() && reason.reason.len() > 20;
+        assert!(is_told, "{reason:?}");
+        has(&file.text, &format!("\n{key} = "));
+    }
+    let mut lines = file.text.lines();
+    let fits = lines.all(|line| !line.starts_with('#') || line.len() <= 118);
+    assert!(fits, "{}", file.text);
+}
+
+#[test]
+fn the_planned_sequence_stays_below_the_drives_limit() {
+    let file = made("own", &plate(), told()).unwrap();
+    let plan = file.plan.as_ref().unwrap();
+    assert!(!plan.is_refused());
+    within(plan.peak_current_a, 3.0..9.0);
+    within(plan.peak_speed_rad_s, 150.0..);
+    assert!(file.bench.sequence.len() >= 5);
+    assert_eq!(
+        file.next("b.toml"),
+        [
+            "drivebench plan b.toml",
+            "drivebench run b.toml --hardware --headless",
+            "drivebench speed b.toml --hardware --headless"
+        ]
+    );
+}
+
+#[test]
+fn a_drive_that_starts_late_does_so_before_the_first_step() {
+    let made = made("own", &plate(), told()).unwrap().bench;
+    let embedded = BenchFile::embedded_default();
+    for (bench, times_s) in [(made, [0.55, 0.75, 0.95]), (embedded, [0.3, 0.4, 0.49])] {
+        let program = bench.program(1).unwrap();
+        for time_s in times_s {
+            let Output::Voltage(volts) = program.value_at(time_s) else {
+                panic!("{}: off at {time_s} s", bench.name);
+            };
+            within(volts, 0.9..1.1);
+        }
+    }
+}
+
+#[test]
+fn what_was_not_read_back_is_said() {
+    let offline = Told {
+        is_offline: true,
+        ..Told::default()
+    };
+    let file = made("own", &plate(), offline).unwrap();
+    let current = reason(&file, "limits.current_a");
+    assert_eq!(current.value, Some(11.4));
+    let unread = "its own current limit was not read back (--offline)";
+    assert!(current.reason.ends_with(unread));
+    assert!(file.bench.limits().bus_max_v.is_none());
+    has(&file.text, "none of its own limits is known here");
+    has(&file.text, "# bus_min_v: none. ");
+    let mute = told_but(|told| told.current_limit_a = None);
+    let file = made("own", &plate(), mute).unwrap();
+    let current = &reason(&file, "limits.current_a").reason;
+    has(current, "does not tell its own current limit");
+}
+
+#[test]
+fn an_unknown_motor_is_left_to_be_found() {
+    let mut motor = plate();
+    motor.resistance_ohm = None;
+    let file = made("own", &motor, told()).unwrap();
+    assert!(file.bench.motor.is_unknown() && file.plan.is_none());
+    assert!(file.bench.speed.is_none() && file.bench.limits.slew_v_per_s.is_none());
+    has(&file.text, "# resistance_ohm: none. ");
+    let run = "drivebench run b.toml --hardware --headless";
+    assert_eq!(file.next("b.toml"), [run]);
+    // A drive that takes no voltage has no small steps.
+    let error = made("epulse50-dc", &motor, told()).unwrap_err();
+    has(&error.reason, "resistance_ohm is left out");
+}
+
+#[test]
+fn a_drive_without_voltage_gets_a_speed_loop_or_a_reason() {
+    let file = made("epulse50-dc", &plate(), told()).unwrap();
+    assert_eq!(file.purpose, InitUse::SpeedLoop);
+    has(&file.remarks[0], "takes no voltage command");
+    let speed = file.bench.speed.as_ref().unwrap();
+    assert_eq!(speed.controller.id(), "pi");
+    assert!(speed.drive_lag_s.is_some());
+    let speed = "drivebench speed b.toml --hardware --headless";
+    assert_eq!(file.next("b.toml"), [speed]);
+    let unknown = told_but(|told| told.watchdog_s = None);
+    let remarks = made("epulse50-dc", &plate(), unknown).unwrap().remarks;
+    has(remarks.join("\n"), "--waive-watchdog");
+    // Its reference takes 3000 rpm.
+    let speed = &reason(&file, "limits.speed_rad_s").reason;
+    has(speed, "314.2 rad/s (profile)");
+    let error = made("siemens-v20", &plate(), told()).unwrap_err();
+    has(&error.reason, "takes no armature voltage");
+    has(&error.reason, "no speed loop");
+}
+
+#[test]
+fn every_line_gets_a_rate_that_it_carries() {
+    for (profile, least, most) in [
+        ("own", 60.0, 100.0),
+        ("own-stream", 200.0, 500.0),
+        ("epulse50-dc", 10.0, 29.0),
+    ] {
+        let file = made(profile, &plate(), told()).unwrap();
+        let rate_hz = file.bench.link.rate_hz;
+        assert!((least..=most).contains(&rate_hz), "{profile}: {rate_hz} Hz");
+    }
+    let mut slow = DriveProfile::named("own").unwrap();
+    slow.link.baud = 9600;
+    let motor = plate();
+    let file = init_file(&request(&slow, &motor, told())).unwrap();
+    within(file.bench.link.rate_hz, ..20.0);
+}
+
+#[test]
+fn motors_of_other_sizes_get_a_sequence_of_their_own() {
+    // Rated V, A and rad/s; then ohm, H, V.s/rad, kg.m2 and N.m.
+    let servo = ([24.0, 3.0, 400.0], [0.6, 0.0004, 0.05, 3e-5, 0.01]);
+    let big = ([440.0, 78.0, 157.0], [0.4, 0.006, 2.6, 0.9, 12.0]);
+    for (name, (rated, [r, l, ke, j, mc])) in [("small servo", servo), ("30 kW", big)] {
+        let motor = MotorSection {
+            name: name.to_owned(),
+            unknown: false,
+            rated_voltage_v: rated[0],
+            rated_current_a: rated[1],
+            rated_speed_rad_s: rated[2],
+            resistance_ohm: Some(r),
+            inductance_h: Some(l),
+            back_emf_v_s_per_rad: Some(ke),
+            inertia_kg_m2: Some(j),
+            load_torque_n_m: Some(mc),
+        };
+        let free = Told {
+            current_limit_a: None,
+            voltage_limit_v: None,
+            bus_v: None,
+            ..told()
+        };
+        let file = made("own", &motor, free).unwrap();
+        let plan = file.plan.as_ref().unwrap();
+        assert!(!plan.is_refused(), "{name}: {:?}", plan.refusals);
+        let ratio = plan.peak_current_ratio;
+        assert!(ratio > 0.5, "{name}: {ratio}");
+    }
+}
+
+#[test]
+fn a_plate_that_no_motor_has_is_refused_with_its_file() {
+    let mut motor = plate();
+    motor.rated_current_a = -1.0;
+    let error = made("own", &motor, told()).unwrap_err();
+    let words = "motor.toml: rated_current_a = -1 is not allowed";
+    assert!(error.reason.starts_with(words), "{error}");
+}
+
+#[test]
+fn names_and_numbers_are_plain() {
+    assert_eq!(name("ZK-22FC", "own"), "zk-22fc-own");
+    assert_eq!(name("Motor Nr. 7/b", "abb"), "motor-nr-7-b-abb");
+    let short = [11.4, 366.5, 2.0 * 5.7, 0.45, 123_456.0].map(short);
+    let texts = short.map(|value| format!("{value:?}"));
+    assert_eq!(texts, ["11.4", "366.5", "11.4", "0.45", "123400.0"]);
+}
+
+#[test]
+fn the_silence_is_compared_with_the_profiles_watchdog() {
+    let mut profile = DriveProfile::named("epulse50-dc").unwrap();
+    let mut map = (*profile.registers.clone().unwrap()).clone();
+    map.watchdog.keys.set_ms = Some(800.0);
+    profile.registers = Some(map.into());
+    let silent = told_but(|told| told.watchdog_s = Some(0.0));
+    let motor = plate();
+    let file = init_file(&request(&profile, &motor, silent)).unwrap();
+    let silence = reason(&file, "limits.link_silence_s");
+    assert_eq!(silence.value, Some(0.72));
+    has(&silence.reason, "0.8 s (set by the profile");
+}
+
+#[test]
+fn a_nameplate_in_rpm_is_remarked_first() {
+    let mut motor = plate();
+    motor.rated_speed_rad_s = 2800.0;
+    let file = made("own", &motor, told()).unwrap();
+    has(&file.remarks[0], "given in r/min");
+    has(&file.text, "contradicts itself");
+}

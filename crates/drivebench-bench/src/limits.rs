@@ -1,0 +1,304 @@
+//! Limits that the bench never lets a motor go beyond, and the nameplate from which the defaults come.
+
+use serde::{Deserialize, Serialize};
+
+use super::mechanics::LoadSection;
+use drivebench_model::plant::{Motor, MotorKey};
+use drivebench_model::units::rad_s_from_rpm;
+
+/// Largest current that an excitation may draw when the bench file does not say, in rated currents: a direct-current
+/// motor commutates four times its rated current for seconds without harm.
+const CURRENT_LIMIT_IN_RATED: f64 = 4.0;
+/// Over-speed limit without a given one: rated speed and a quarter, below the usual mechanical test speed.
+const SPEED_LIMIT_IN_RATED: f64 = 1.25;
+
+/// Back-EMF at rated speed beyond which a plate is doubted, in rated voltages: a true one stays below one.
+const MOST_EMF_IN_RATED: f64 = 1.5;
+
+/// A whole nameplate, on the motor's own shaft; a direct-current machine, so no phase or line basis and no peak or
+/// effective value has to be told apart.
+#[derive(Clone, Debug, Serialize, PartialEq)]
+pub struct Nameplate {
+    pub name: String,
+    pub rated_voltage_v: f64,
+    pub rated_current_a: f64,
+    pub rated_speed_rad_s: f64,
+    pub resistance_ohm: f64,
+    pub inductance_h: f64,
+    pub back_emf_v_s_per_rad: f64,
+    pub inertia_kg_m2: f64,
+    /// Coulomb torque, always against the motion, N.m.
+    pub load_torque_n_m: f64,
+}
+
+/// What a number of the plate may be.
+pub(super) const POSITIVE: &str = "a positive number; load_torque_n_m may be 0";
+
+/// Time to rated voltage of a motor that is not known yet, s.
+const UNKNOWN_SLEW_S: f64 = 1.0;
+
+/// `[motor]` as it stands in a bench file: the rated values, from which the limits follow, are required; what makes a
+/// model of the motor may be left out.
+#[derive(Clone, Debug, Deserialize, Serialize, PartialEq)]
+#[serde(deny_unknown_fields)]
+pub struct MotorSection {
+    pub name: String,
+    /// Nothing but the rated values is believed: the motor is found from small steps first.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub unknown: bool,
+    pub rated_voltage_v: f64,
+    pub rated_current_a: f64,
+    pub rated_speed_rad_s: f64,
+    pub resistance_ohm: Option<f64>,
+    pub inductance_h: Option<f64>,
+    pub back_emf_v_s_per_rad: Option<f64>,
+    pub inertia_kg_m2: Option<f64>,
+    pub load_torque_n_m: Option<f64>,
+}
+
+impl MotorSection {
+    /// Every number that is given, with its key.
+    pub fn values(&self) -> Vec<(&'static str, f64)> {
+        let mut values = vec![
+            ("rated_voltage_v", self.rated_voltage_v),
+            ("rated_current_a", self.rated_current_a),
+            ("rated_speed_rad_s", self.rated_speed_rad_s),
+        ];
+        let others = MODEL_KEYS.map(|key| Some((key.key(), self.get(key)?)));
+        values.extend(others.into_iter().flatten());
+        values
+    }
+
+    pub fn get(&self, key: MotorKey) -> Option<f64> {
+        match key {
+            MotorKey::Resistance => self.resistance_ohm,
+            MotorKey::Inductance => self.inductance_h,
+            MotorKey::BackEmf => self.back_emf_v_s_per_rad,
+            MotorKey::Inertia => self.inertia_kg_m2,
+            MotorKey::LoadTorque => self.load_torque_n_m,
+            MotorKey::TorqueConstant => None,
+        }
+    }
+
+    /// What the plate says, complete or not.
+    pub fn motor(&self) -> Motor {
+        let mut motor = Motor::new(self.name.clone());
+        for key in MODEL_KEYS {
+            if let Some(value) = self.get(key) {
+                motor.set(key, value);
+            }
+        }
+        motor
+    }
+
+    /// Whether the motor has to be found before anything can be planned.
+    pub fn is_unknown(&self) -> bool {
+        self.unknown || self.nameplate().is_none()
+    }
+
+    /// The whole plate; `None` where a value is left out.
+    pub fn nameplate(&self) -> Option<Nameplate> {
+        self.with_found(&self.motor())
+    }
+
+    /// The first number that no motor has, with its key; [`POSITIVE`] says what is allowed.
+    pub(super) fn refused(&self) -> Option<(&'static str, f64)> {
+        self.values().into_iter().find(|(key, value)| {
+            let zero_too = *key == "load_torque_n_m" && *value == 0.0;
+            !(value.is_finite() && (*value > 0.0 || zero_too))
+        })
+    }
+
+    /// What no motor's plate says, in sentences: values that were most likely given in another unit. The values are used
+    /// all the same.
+    pub fn doubts(&self) -> Vec<String> {
+        let rated_v = self.rated_voltage_v;
+        let mut doubts = Vec::new();
+        if let Some(back_emf) = self.back_emf_v_s_per_rad {
+            let emf_v = back_emf * self.rated_speed_rad_s;
+            if emf_v > MOST_EMF_IN_RATED * rated_v {
+                doubts.push(format!(
+                    "the nameplate contradicts itself: back_emf_v_s_per_rad x rated_speed_rad_s is {emf_v:.0} V at a rated voltage of {rated_v} V. Was the speed given in r/min? {} r/min would be {:.1} rad/s",
+                    self.rated_speed_rad_s,
+                    rad_s_from_rpm(self.rated_speed_rad_s)
+                ));
+            }
+        }
+        if let Some(resistance) = self.resistance_ohm {
+            let drop_v = resistance * self.rated_current_a;
+            if drop_v > rated_v {
+                doubts.push(format!(
+                    "the nameplate contradicts itself: resistance_ohm x rated_current_a is {drop_v:.0} V at a rated voltage of {rated_v} V. Was the current given in mA, or the resistance in mohm?"
+                ));
+            }
+        }
+        doubts
+    }
+
+    /// The plate with no friction where only `load_torque_n_m` is left out: enough to foresee what a sequence does; `None`
+    /// where it is whole, or more is missing.
+    pub fn without_friction(&self) -> Option<Nameplate> {
+        let is_left_out = self.load_torque_n_m.is_none();
+        let assumed = self.motor().with(MotorKey::LoadTorque, 0.0);
+        is_left_out.then(|| self.with_found(&assumed)).flatten()
+    }
+
+    /// The first key that is left out.
+    pub fn missing(&self) -> Option<&'static str> {
+        let missing = MODEL_KEYS.into_iter().find(|key| self.get(*key).is_none());
+        missing.map(MotorKey::key)
+    }
+
+    /// The rated values with the values of a motor that was found; `None` where the motor is not complete.
+    pub fn with_found(&self, motor: &Motor) -> Option<Nameplate> {
+        let value = |key| motor.get(key);
+        Some(Nameplate {
+            name: self.name.clone(),
+            rated_voltage_v: self.rated_voltage_v,
+            rated_current_a: self.rated_current_a,
+            rated_speed_rad_s: self.rated_speed_rad_s,
+            resistance_ohm: value(MotorKey::Resistance)?,
+            inductance_h: value(MotorKey::Inductance)?,
+            back_emf_v_s_per_rad: value(MotorKey::BackEmf)?,
+            inertia_kg_m2: value(MotorKey::Inertia)?,
+            load_torque_n_m: value(MotorKey::LoadTorque)?,
+        })
+    }
+}
+
+impl From<&Nameplate> for MotorSection {
+    fn from(plate: &Nameplate) -> Self {
+        Self {
+            name: plate.name.clone(),
+            unknown: false,
+            rated_voltage_v: plate.rated_voltage_v,
+            rated_current_a: plate.rated_current_a,
+            rated_speed_rad_s: plate.rated_speed_rad_s,
+            resistance_ohm: Some(plate.resistance_ohm),
+            inductance_h: Some(plate.inductance_h),
+            back_emf_v_s_per_rad: Some(plate.back_emf_v_s_per_rad),
+            inertia_kg_m2: Some(plate.inertia_kg_m2),
+            load_torque_n_m: Some(plate.load_torque_n_m),
+        }
+    }
+}
+
+/// What makes the model of a motor.
+const MODEL_KEYS: [MotorKey; 5] = [
+    MotorKey::Resistance,
+    MotorKey::Inductance,
+    MotorKey::BackEmf,
+    MotorKey::Inertia,
+    MotorKey::LoadTorque,
+];
+
+impl Nameplate {
+    /// The baseline motor with the values of the nameplate.
+    pub fn motor(&self) -> Motor {
+        Motor::new(self.name.clone())
+            .with(MotorKey::Resistance, self.resistance_ohm)
+            .with(MotorKey::Inductance, self.inductance_h)
+            .with(MotorKey::BackEmf, self.back_emf_v_s_per_rad)
+            .with(MotorKey::Inertia, self.inertia_kg_m2)
+            .with(MotorKey::LoadTorque, self.load_torque_n_m)
+    }
+}
+
+/// Limits in force during a run, every one with a value.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Limits {
+    /// Armature current, either sign, A.
+    pub current_a: f64,
+    /// Shaft speed, either sign, rad/s.
+    pub speed_rad_s: f64,
+    /// Armature voltage, either sign, V.
+    pub voltage_v: f64,
+    /// Fastest change of the commanded voltage, V/s.
+    pub slew_v_per_s: f64,
+    /// Largest distance from the angle at arming, rad; `None`: the shaft may turn freely.
+    pub travel_rad: Option<f64>,
+    pub bus_min_v: Option<f64>,
+    pub bus_max_v: Option<f64>,
+    /// Longest time that the drive's output may be on in one run, s.
+    pub time_s: f64,
+    /// Longest time without a valid reply before the run ends at zero output, s.
+    pub link_silence_s: f64,
+    /// Most that braking may give back to the supply, W; `None`: as much as it likes.
+    pub braking_w: Option<f64>,
+    /// Of the converter. 1: one direction and no braking; 2: one direction of current; 4: all.
+    pub quadrants: u8,
+    /// Longest time until the converter fires next, s.
+    pub dead_time_s: f64,
+    /// Least field current, A; `None`: not watched.
+    pub field_min_a: Option<f64>,
+    /// What pulls at the shaft when the motor does not.
+    pub load: LoadSection,
+}
+
+impl Limits {
+    /// The defaults for a motor: what applies where a bench file leaves a limit out.
+    pub fn for_motor(motor: &Nameplate, rate_hz: f64) -> Self {
+        Self {
+            slew_v_per_s: default_slew_v_per_s(motor),
+            ..Self::for_rated(&motor.into(), rate_hz)
+        }
+    }
+
+    /// The defaults where only the rated values are known: the slew is a placeholder until the motor is found.
+    pub fn for_rated(motor: &MotorSection, rate_hz: f64) -> Self {
+        Self {
+            current_a: CURRENT_LIMIT_IN_RATED * motor.rated_current_a,
+            speed_rad_s: SPEED_LIMIT_IN_RATED * motor.rated_speed_rad_s,
+            voltage_v: motor.rated_voltage_v,
+            slew_v_per_s: motor.rated_voltage_v / UNKNOWN_SLEW_S,
+            travel_rad: None,
+            bus_min_v: None,
+            bus_max_v: None,
+            time_s: 60.0,
+            // Three cycles, and not below 100 ms.
+            link_silence_s: (3.0 / rate_hz).max(0.1),
+            braking_w: None,
+            quadrants: 4,
+            dead_time_s: 0.0,
+            field_min_a: None,
+            load: LoadSection::default(),
+        }
+    }
+}
+
+/// The slew at which a ramp of voltage draws the rated current for acceleration twice over: while the voltage rises at
+/// `s`, the back-EMF lags by `s` times the mechanical time constant, and that lag over R is the current.
+fn default_slew_v_per_s(motor: &Nameplate) -> f64 {
+    let mechanical_s = motor.resistance_ohm * motor.inertia_kg_m2
+        / (motor.back_emf_v_s_per_rad * motor.back_emf_v_s_per_rad);
+    2.0 * motor.rated_current_a * motor.resistance_ohm / mechanical_s
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bench_file::BenchFile;
+    use crate::testing::{has, within};
+
+    #[test]
+    fn a_plate_in_other_units_is_doubted_and_a_true_one_is_not() {
+        let plate: MotorSection = BenchFile::embedded_default().motor;
+        assert_eq!(plate.doubts(), Vec::<String>::new());
+        let mut in_rpm = plate.clone();
+        in_rpm.rated_speed_rad_s = 2800.0;
+        has(in_rpm.doubts().join(" "), "2800 r/min would be 293.2 rad/s");
+        let mut in_milliampere = plate;
+        in_milliampere.rated_current_a = 5700.0;
+        assert!(in_milliampere.doubts()[0].contains("given in mA"));
+    }
+
+    #[test]
+    fn the_default_slew_of_the_paper_motor_is_the_recommended_one() {
+        let motor = Nameplate::zk_22fc();
+        let limits = Limits::for_motor(&motor, 100.0);
+        // 300 to 500 V/s are advisable for 0.0045 kg.m2.
+        within(limits.slew_v_per_s, 250.0..500.0);
+        assert!((limits.link_silence_s - 0.1).abs() < 1e-12);
+        assert!((Limits::for_motor(&motor, 10.0).link_silence_s - 0.3).abs() < 1e-12);
+    }
+}

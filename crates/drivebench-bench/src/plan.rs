@@ -1,0 +1,711 @@
+//! The plan: what a sequence will do to the motor, predicted from the nameplate before anything is energised.
+
+use serde::Serialize;
+
+use super::guard::Guard;
+use super::limits::{Limits, Nameplate};
+use super::pilot::Program;
+use super::timing::whole;
+use drivebench_model::plant::effect::TermKind;
+use drivebench_model::plant::{
+    ActiveEffect, Input, Model, ModelError, MotorKey, Plant, Scenario, State, Trajectory,
+};
+use drivebench_model::sample::{Channel, Demand, DriveState, Sample};
+
+/// A limit that the prediction crosses.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Refusal {
+    pub segment: String,
+    /// What would be too much: `peak current`.
+    pub quantity: &'static str,
+    pub predicted: f64,
+    pub limit: f64,
+    pub unit: &'static str,
+}
+
+impl std::fmt::Display for Refusal {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(
+            f,
+            "segment {:?}: predicted {} {:.4} {}, limit {:.4} {}",
+            self.segment, self.quantity, self.predicted, self.unit, self.limit, self.unit
+        )
+    }
+}
+
+impl Refusal {
+    /// The next step.
+    pub fn help(&self) -> &'static str {
+        match self.quantity {
+            "peak current" => "lower slew_v_per_s or the amplitudes of this segment",
+            "peak speed" | "peak voltage" => "lower the voltages of this segment",
+            FALL => {
+                "leave coast-down parts out: nothing holds a vertical load while the output is off"
+            }
+            UNHELD => "give load.hold_current_a, load.brake_release_s and load.brake_apply_s",
+            REVERSE_V | REVERSE_A => {
+                "the converter goes one way only ([converter] quadrants of the drive's profile): use positive levels"
+            }
+            "travel" => "shorten this segment, or use smaller and symmetric voltages",
+            _ => "shorten the sequence, or raise limits.time_s",
+        }
+    }
+}
+
+/// Extremes of one segment, magnitudes.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct SegmentPlan {
+    pub name: String,
+    pub start_s: f64,
+    pub end_s: f64,
+    pub peak_voltage_v: f64,
+    pub peak_current_a: f64,
+    pub peak_speed_rad_s: f64,
+    /// Farthest from the angle at the start of the run, rad.
+    pub travel_rad: f64,
+    /// Most that braking gives back to the supply, W.
+    pub peak_returned_w: f64,
+}
+
+impl SegmentPlan {
+    fn refuses(
+        &self,
+        quantity: &'static str,
+        predicted: f64,
+        limit: f64,
+        unit: &'static str,
+    ) -> Refusal {
+        Refusal {
+            segment: self.name.clone(),
+            quantity,
+            predicted,
+            limit,
+            unit,
+        }
+    }
+}
+
+/// The whole prediction.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Plan {
+    pub duration_s: f64,
+    pub rows: u64,
+    pub peak_voltage_v: f64,
+    pub peak_current_a: f64,
+    /// In rated currents.
+    pub peak_current_ratio: f64,
+    pub peak_speed_rad_s: f64,
+    pub travel_rad: f64,
+    /// Root mean square over the run: what heats the winding.
+    pub rms_current_a: f64,
+    /// Integral of the squared current, A2.s.
+    pub i2t_a2_s: f64,
+    /// Heat in the winding at its nameplate resistance, J.
+    pub copper_loss_j: f64,
+    /// Electrical energy drawn, J; what is fed back when braking is not subtracted.
+    pub energy_j: f64,
+    /// Electrical energy that braking gives back, J, and the most of it at once, W.
+    pub returned_j: f64,
+    pub peak_returned_w: f64,
+    pub segments: Vec<SegmentPlan>,
+    /// Empty: the plan may be run.
+    pub refusals: Vec<Refusal>,
+    pub warnings: Vec<String>,
+    pub parameters: Vec<Observability>,
+}
+
+impl Plan {
+    pub fn is_refused(&self) -> bool {
+        !self.refusals.is_empty()
+    }
+}
+
+/// Predicts `program` at `rate_hz` under the slew and voltage limits. The winding limit is left out on purpose: a plan
+/// that needs it is one that draws too much.
+pub fn plan(
+    program: &dyn Program,
+    motor: &Nameplate,
+    limits: &Limits,
+    rate_hz: f64,
+    drive_current_limit_a: Option<f64>,
+) -> Result<Plan, ModelError> {
+    let predicted = Prediction::of(program, motor, limits, rate_hz)?;
+    let segments = predicted.segments();
+    let peak = |of: fn(&SegmentPlan) -> f64| segments.iter().map(of).fold(0.0, f64::max);
+    let duration_s = program.duration_s();
+    let peak_current_a = peak(|segment| segment.peak_current_a);
+    let i2t = predicted.i2t_a2_s;
+    let rms_current_a = (i2t / duration_s.max(predicted.step_s)).sqrt();
+    let mut plan = Plan {
+        duration_s,
+        rows: whole((duration_s * rate_hz).ceil()) as u64,
+        peak_voltage_v: peak(|segment| segment.peak_voltage_v),
+        peak_current_a,
+        peak_current_ratio: peak_current_a / motor.rated_current_a,
+        peak_speed_rad_s: peak(|segment| segment.peak_speed_rad_s),
+        travel_rad: peak(|segment| segment.travel_rad),
+        rms_current_a,
+        i2t_a2_s: i2t,
+        copper_loss_j: motor.resistance_ohm * i2t,
+        energy_j: predicted.energy_j,
+        returned_j: predicted.returned_j,
+        peak_returned_w: peak(|segment| segment.peak_returned_w),
+        refusals: Vec::new(),
+        warnings: Vec::new(),
+        parameters: parameters(&predicted, motor, rate_hz),
+        segments,
+    };
+    let ramp_s = predicted.last.voltage_v.abs() / limits.slew_v_per_s;
+    plan.refusals = beyond_limits(&plan, limits, drive_current_limit_a, ramp_s);
+    plan.refusals.extend(impossible(&predicted, limits));
+    plan.warnings = warnings(&predicted, &plan, limits, rate_hz);
+    if rms_current_a > motor.rated_current_a {
+        plan.warnings.push(format!(
+            "the effective current is {rms_current_a:.2} A, rated are {:.2} A: let the motor cool between runs",
+            motor.rated_current_a
+        ));
+    }
+    Ok(plan)
+}
+
+/// `ramp_s`: in which the output goes down after the last segment.
+fn beyond_limits(
+    plan: &Plan,
+    limits: &Limits,
+    drive_current_limit_a: Option<f64>,
+    ramp_s: f64,
+) -> Vec<Refusal> {
+    // Where the drive would clip the voltage to hold its own limit, the run would not be the one that was planned.
+    let current_a =
+        drive_current_limit_a.map_or(limits.current_a, |amps| amps.min(limits.current_a));
+    let (volts, amps) = (Some(limits.voltage_v), Some(current_a));
+    let (speed, time) = (Some(limits.speed_rad_s), Some(limits.time_s));
+    let last = plan.segments.len().saturating_sub(1);
+    let of = |(index, segment): (usize, &SegmentPlan)| {
+        let on_s = segment.end_s + if index == last { ramp_s } else { 0.0 };
+        let rows = [
+            ("peak voltage", segment.peak_voltage_v, volts, "V"),
+            ("peak current", segment.peak_current_a, amps, "A"),
+            ("peak speed", segment.peak_speed_rad_s, speed, "rad/s"),
+            ("travel", segment.travel_rad, limits.travel_rad, "rad"),
+            ("time with the output on", on_s, time, "s"),
+        ];
+        let beyond = |(quantity, predicted, limit, unit): (_, f64, Option<f64>, _)| {
+            let limit = limit.filter(|limit| predicted > *limit)?;
+            Some(segment.refuses(quantity, predicted, limit, unit))
+        };
+        rows.into_iter().filter_map(beyond).collect::<Vec<_>>()
+    };
+    plan.segments.iter().enumerate().flat_map(of).collect()
+}
+
+fn grow(peak: &mut f64, value: f64) {
+    *peak = peak.max(value.abs());
+}
+
+/// What a motor does at these instants from one begin on, under voltages that are put in: zero first.
+pub(super) fn under_voltage(name: &str, sample_time_s: Vec<f64>) -> Scenario {
+    let count = sample_time_s.len();
+    Scenario {
+        name: name.to_owned(),
+        input: Input::Voltage,
+        input_channel: Channel::VoltageCmd,
+        events: vec![(0.0, 0.0)],
+        sample_time_s,
+        current_a: vec![f64::NAN; count],
+        speed_rad_s: vec![f64::NAN; count],
+        angle: Vec::new(),
+        time_half_width_s: Vec::new(),
+        unknown_input: vec![],
+        limits: vec![],
+        scored: 0..count,
+    }
+}
+
+/// Points per control period at which the prediction is looked at: peaks lie between the host's samples.
+const POINTS_PER_PERIOD: usize = 10;
+
+/// One predicted instant.
+#[derive(Clone, Copy, Debug, Default)]
+struct Point {
+    time_s: f64,
+    segment: usize,
+    /// At the terminals: what was asked for, before the voltage limit; the back-EMF where the output is off.
+    voltage_v: f64,
+    current_a: f64,
+    speed_rad_s: f64,
+    angle_rad: f64,
+    coasts: bool,
+    /// What the sequence asks for, what holds a load included.
+    wanted_v: f64,
+    /// The voltage is another one because the supply takes nothing back.
+    supply: bool,
+}
+
+/// What is kept of the predicted instants of one segment.
+#[derive(Clone, Debug, Default)]
+struct Part {
+    segment: SegmentPlan,
+    coasting_points: usize,
+    peak_reverse_v: f64,
+    peak_reverse_a: f64,
+}
+
+/// The predicted run, in memory that does not grow with its length.
+#[derive(Default)]
+struct Prediction {
+    step_s: f64,
+    /// Magnitude above which a reverse current is more than ripple.
+    reverse_a: f64,
+    parts: Vec<Part>,
+    points: usize,
+    /// The motor stands before the first of them.
+    last: Point,
+    i2t_a2_s: f64,
+    energy_j: f64,
+    returned_j: f64,
+    peak_current_a: f64,
+    peak_speed_rad_s: f64,
+    /// While the output is on.
+    peak_acceleration_rad_s2: f64,
+    fastest_rad_s: f64,
+    slowest_rad_s: f64,
+    least_current_a: f64,
+    supply_points: usize,
+}
+
+impl Prediction {
+    fn segments(&self) -> Vec<SegmentPlan> {
+        self.parts.iter().map(|part| part.segment.clone()).collect()
+    }
+
+    fn push(&mut self, point: Point, name_of: impl Fn(usize) -> String) {
+        if self.parts.len() <= point.segment {
+            self.parts.push(Part {
+                segment: SegmentPlan {
+                    name: name_of(point.segment),
+                    start_s: point.time_s,
+                    ..SegmentPlan::default()
+                },
+                ..Part::default()
+            });
+        }
+        let returned_w = (-point.voltage_v * point.current_a).max(0.0);
+        if let Some(part) = self.parts.last_mut() {
+            let segment = &mut part.segment;
+            segment.end_s = point.time_s;
+            grow(&mut segment.peak_voltage_v, point.voltage_v);
+            grow(&mut segment.peak_current_a, point.current_a);
+            grow(&mut segment.peak_speed_rad_s, point.speed_rad_s);
+            grow(&mut segment.travel_rad, point.angle_rad);
+            grow(&mut segment.peak_returned_w, returned_w);
+            part.coasting_points += usize::from(point.coasts);
+            part.peak_reverse_v = part.peak_reverse_v.max(-point.wanted_v);
+            if point.wanted_v < 0.0 && point.current_a < -self.reverse_a {
+                part.peak_reverse_a = part.peak_reverse_a.max(-point.current_a);
+            }
+        }
+        self.i2t_a2_s += point.current_a * point.current_a * self.step_s;
+        self.returned_j += returned_w * self.step_s;
+        self.energy_j += (point.voltage_v * point.current_a).max(0.0) * self.step_s;
+        grow(&mut self.peak_current_a, point.current_a);
+        grow(&mut self.peak_speed_rad_s, point.speed_rad_s);
+        if self.points > 0 && !point.coasts {
+            let rise_rad_s = point.speed_rad_s - self.last.speed_rad_s;
+            grow(&mut self.peak_acceleration_rad_s2, rise_rad_s / self.step_s);
+        }
+        self.fastest_rad_s = self.fastest_rad_s.max(point.speed_rad_s);
+        self.slowest_rad_s = self.slowest_rad_s.min(point.speed_rad_s);
+        self.least_current_a = self.least_current_a.min(point.current_a);
+        self.supply_points += usize::from(point.supply);
+        self.points += 1;
+        self.last = point;
+    }
+
+    /// Control period by control period, so that slew and coasting act as they will in the session.
+    fn of(
+        program: &dyn Program,
+        motor: &Nameplate,
+        limits: &Limits,
+        rate_hz: f64,
+    ) -> Result<Self, ModelError> {
+        let period_s = 1.0 / rate_hz;
+        let step_s = period_s / POINTS_PER_PERIOD as f64;
+        let hold_a = limits.load.hold_a();
+        let hold_v = motor.resistance_ohm * hold_a;
+        let mut model = Model::baseline(motor.motor());
+        if limits.load.vertical {
+            let weight_n_m = motor.back_emf_v_s_per_rad * hold_a;
+            let weight = ActiveEffect::with(TermKind::TorqueOffset.effect(), &[weight_n_m]);
+            model.effects.push(weight);
+        }
+        let mut driven = Plant::new(&model, Input::Voltage)?;
+        let mut coasting = Plant::new(&Model::baseline(motor.motor()), Input::Current)?;
+        // A drive current limit of zero stands for "limits itself": it switches the winding limit off.
+        let mut guard = Guard::new(limits.clone(), motor, Some(0.0));
+        let points_s = (1..=POINTS_PER_PERIOD).map(|point| point as f64 * step_s);
+        let mut one_period = under_voltage("plan", points_s.collect());
+        let periods = whole((program.duration_s() * rate_hz).ceil()).max(1);
+        let mut predicted = Self {
+            step_s,
+            reverse_a: REVERSE_SHARE * motor.rated_current_a,
+            ..Self::default()
+        };
+        let (mut current_a, mut speed_rad_s, mut angle_rad) = (hold_a, 0.0, 0.0);
+        let mut out = Trajectory::default();
+        for period in 0..periods {
+            let begin_s = period as f64 * period_s;
+            let wanted = match program.demand_at(begin_s) {
+                Demand::Voltage(volts) => Demand::Voltage(volts + hold_v),
+                other => other,
+            };
+            let shaped = guard.shape(begin_s, wanted);
+            let coasts = !wanted.energises();
+            let volts = if coasts {
+                0.0
+            } else {
+                shaped.demand.voltage_v().unwrap_or(0.0)
+            };
+            let excess_v = wanted
+                .voltage_v()
+                .map_or(0.0, |wanted_v| (wanted_v.abs() - limits.voltage_v).max(0.0));
+            one_period.events[0].1 = volts;
+            let start = State::at(if coasts { 0.0 } else { current_a }, speed_rad_s);
+            let plant = if coasts { &mut coasting } else { &mut driven };
+            plant.simulate_into(&one_period, start, &mut out);
+            for (&i, &w) in out.current_a.iter().zip(&out.speed_rad_s) {
+                angle_rad += 0.5 * (speed_rad_s + w) * step_s;
+                (current_a, speed_rad_s) = (i, w);
+                let terminal_v = if coasts {
+                    motor.back_emf_v_s_per_rad * w
+                } else {
+                    volts
+                };
+                let point = Point {
+                    time_s: begin_s + (predicted.points % POINTS_PER_PERIOD + 1) as f64 * step_s,
+                    segment: program.segment_at(begin_s),
+                    voltage_v: terminal_v + excess_v.copysign(terminal_v),
+                    current_a,
+                    speed_rad_s,
+                    angle_rad,
+                    coasts,
+                    wanted_v: wanted.voltage_v().unwrap_or(0.0),
+                    supply: shaped.causes.supply,
+                };
+                predicted.push(point, |segment| program.segment_name(segment).to_owned());
+            }
+            let mut sample = Sample::at(begin_s + period_s).with(Channel::Speed, speed_rad_s);
+            sample.state = Some(DriveState::Running);
+            // Only to tell the shaper the speed: the prediction itself is judged afterwards.
+            guard.watch(begin_s + period_s, &sample, false);
+        }
+        Ok(predicted)
+    }
+}
+
+const FALL: &str = "free fall of a vertical load";
+const UNHELD: &str = "vertical load without a described brake";
+const REVERSE_V: &str = "reverse voltage";
+const REVERSE_A: &str = "reverse current";
+
+/// Share of the rated current below which a reverse current is one of the ripple.
+const REVERSE_SHARE: f64 = 0.05;
+
+/// Refusals beside those of the limits, one of a kind for each segment.
+fn impossible(predicted: &Prediction, limits: &Limits) -> Vec<Refusal> {
+    let mut refusals = Vec::new();
+    if let (Some(first), Some(last)) = (predicted.parts.first(), predicted.parts.last())
+        && limits.load.missing().is_some()
+    {
+        refusals.push(first.segment.refuses(UNHELD, last.segment.end_s, 0.0, "s"));
+    }
+    for part in &predicted.parts {
+        let coasts_s = predicted.step_s * part.coasting_points as f64;
+        let found = [
+            (limits.load.vertical, FALL, coasts_s, "s"),
+            (limits.quadrants < 2, REVERSE_V, part.peak_reverse_v, "V"),
+            (limits.quadrants == 2, REVERSE_A, part.peak_reverse_a, "A"),
+        ];
+        for (applies, quantity, most, unit) in found {
+            if applies && most > 0.0 {
+                refusals.push(part.segment.refuses(quantity, most, 0.0, unit));
+            }
+        }
+    }
+    refusals
+}
+
+/// What the person at the bench has to know.
+fn warnings(predicted: &Prediction, plan: &Plan, limits: &Limits, rate_hz: f64) -> Vec<String> {
+    let mut warnings = Vec::new();
+    if let Some(watts) = limits.braking_w {
+        let share = 100.0 * predicted.supply_points as f64 / predicted.points.max(1) as f64;
+        warnings.push(format!(
+            "the supply takes nothing back and {watts} W are burnt beside the winding: deceleration is limited in \
+             {share:.0} % of the run, where the voltage is not that of the sequence; braking returns at most {:.1} W, {:.2} J",
+            plan.peak_returned_w, plan.returned_j
+        ));
+        if limits.bus_max_v.is_none() {
+            warnings.push(
+                "limits.bus_max_v is not given: a bus that rises under braking does not end the run".to_owned(),
+            );
+        }
+    }
+    if limits.dead_time_s > 0.0 {
+        let dead_ms = 1e3 * limits.dead_time_s;
+        let most_hz = 1.0 / limits.dead_time_s;
+        warnings.push(if rate_hz > most_hz {
+            format!(
+                "the thyristor bridge takes a command up to {dead_ms} ms late: of {rate_hz} Hz it follows {most_hz:.0} Hz"
+            )
+        } else {
+            format!("the thyristor bridge takes a command up to {dead_ms} ms late")
+        });
+    }
+    if limits.quadrants < 4 && predicted.least_current_a < 0.0 {
+        warnings.push(
+            "the converter gives no negative current: where one is predicted the shaft coasts instead".to_owned(),
+        );
+    }
+    warnings
+}
+
+/// How well a parameter will be seen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Prospect {
+    Good,
+    /// Only by methods that integrate the circuit exactly between samples.
+    Weak,
+    NotObservable,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Observability {
+    pub key: &'static str,
+    pub prospect: Prospect,
+    pub reason: String,
+}
+
+/// Samples per electrical time constant below which the difference quotient of the current is biased (paper A: the
+/// period is to be half of L/R or less).
+const GOOD_SAMPLES: f64 = 2.0;
+/// Periods per electrical time constant beyond which nothing of the transient is left between two samples: exp(-3).
+const MOST_PERIODS: f64 = 3.0;
+/// Share of the rated value that an excitation has to reach to count.
+const ENOUGH: f64 = 0.2;
+
+fn parameters(predicted: &Prediction, motor: &Nameplate, rate_hz: f64) -> Vec<Observability> {
+    let current_share = predicted.peak_current_a / motor.rated_current_a;
+    let speed_share = predicted.peak_speed_rad_s / motor.rated_speed_rad_s;
+    let inertial_share = predicted.peak_acceleration_rad_s2 * motor.inertia_kg_m2
+        / (motor.back_emf_v_s_per_rad * motor.rated_current_a);
+    let turns_rad_s = 0.05 * motor.rated_speed_rad_s;
+    let forward = predicted.fastest_rad_s > turns_rad_s;
+    let backward = predicted.slowest_rad_s < -turns_rad_s;
+
+    let of = |key: MotorKey, prospect: Prospect, reason: String| Observability {
+        key: key.key(),
+        prospect,
+        reason,
+    };
+    let where_enough = |share: f64, prospect: Prospect| {
+        let is_enough = share >= ENOUGH;
+        if is_enough {
+            prospect
+        } else {
+            Prospect::NotObservable
+        }
+    };
+    let by_share = |key: MotorKey, share: f64, what: &str| {
+        let reason = format!("{what} reaches {:.0} % of rated", 100.0 * share);
+        of(key, where_enough(share, Prospect::Good), reason)
+    };
+    let electrical_s = motor.inductance_h / motor.resistance_ohm;
+    let periods = 1.0 / (rate_hz * electrical_s);
+    let exact = "only exact discretisation or output error sees it";
+    let over = "the transient is over between two samples: use burst capture";
+    let (prospect, verdict) = if periods <= 1.0 / GOOD_SAMPLES {
+        (Prospect::Good, "the transient is sampled")
+    } else if periods <= MOST_PERIODS {
+        (Prospect::Weak, exact)
+    } else {
+        (Prospect::NotObservable, over)
+    };
+    let one_way = "one direction only: it cannot be parted from a constant load";
+    let load = match (forward, backward) {
+        (true, true) => (Prospect::Good, "both directions part it from an offset"),
+        (false, false) => (Prospect::NotObservable, "the shaft does not move"),
+        _ => (Prospect::Weak, one_way),
+    };
+    vec![
+        by_share(MotorKey::Resistance, current_share, "the current"),
+        of(
+            MotorKey::Inductance,
+            where_enough(current_share, prospect),
+            format!(
+                "L/R {:.2} ms, period {:.2} ms: {verdict}",
+                1e3 * electrical_s,
+                1e3 / rate_hz
+            ),
+        ),
+        by_share(MotorKey::BackEmf, speed_share, "the speed"),
+        by_share(MotorKey::Inertia, inertial_share, "the accelerating torque"),
+        of(MotorKey::LoadTorque, load.0, load.1.to_owned()),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bench_file::BenchFile;
+    use crate::testing::{Wave, has, near, within};
+    use drivebench_model::sample::Demand;
+
+    fn limits() -> Limits {
+        Limits::for_motor(&Nameplate::zk_22fc(), 100.0)
+    }
+
+    fn planned(bench: &BenchFile, program: &dyn Program, rate_hz: f64) -> Plan {
+        let plate = bench.nameplate().unwrap();
+        plan(program, &plate, &bench.limits(), rate_hz, None).unwrap()
+    }
+
+    fn step(volts: f64, slew_v_per_s: f64) -> Plan {
+        step_within(
+            volts,
+            &Limits {
+                slew_v_per_s,
+                ..limits()
+            },
+        )
+    }
+
+    fn step_within(volts: f64, limits: &Limits) -> Plan {
+        let program = Wave {
+            duration_s: 1.0,
+            demand: move |time_s: f64| Demand::Voltage(if time_s < 0.1 { 0.0 } else { volts }),
+        };
+        plan(&program, &Nameplate::zk_22fc(), limits, 100.0, None).unwrap()
+    }
+
+    #[test]
+    fn a_full_voltage_step_is_refused() {
+        // Voltage over resistance, but for what the inductance takes: 75 A, 13 times rated; 30 V still 21 A.
+        let plan = step(110.0, 1e6);
+        within(plan.peak_current_a, 70.0..80.0);
+        assert!((plan.peak_current_ratio - 13.0).abs() < 0.5);
+        let refusal = plan.refusals[0].to_string();
+        has(&refusal, " half\"");
+        has(&refusal, "peak current");
+        has(&refusal, "22.8");
+        within(step(30.0, 1e6).peak_current_a, 20.0..22.0);
+    }
+
+    #[test]
+    fn the_slew_limit_is_part_of_the_prediction() {
+        let plan = step(100.0, 300.0);
+        assert!(!plan.is_refused(), "{:?}", plan.refusals);
+        // s R J/Ke^2 / R + Mc/Ke = 10.8 + 1.3 A
+        near(plan.peak_current_a, 12.1, 0.6);
+        // The way down is time with the output on: 1 s and a third.
+        for (time_s, refused) in [(1.3, true), (1.4, false)] {
+            let limits = Limits {
+                slew_v_per_s: 300.0,
+                time_s,
+                ..limits()
+            };
+            assert_eq!(
+                step_within(100.0, &limits).is_refused(),
+                refused,
+                "{time_s}"
+            );
+        }
+    }
+
+    #[test]
+    fn the_embedded_bench_keeps_every_limit_with_margin() {
+        let bench = BenchFile::embedded_default();
+        for seed in [1, 2, 3] {
+            let program = bench.program(seed).unwrap();
+            let mut worst: f64 = 0.0;
+            for (inertia, resistance, back_emf) in
+                [(1.0, 1.0, 1.0), (1.1, 0.9, 0.9), (0.9, 0.9, 0.9)]
+            {
+                let mut motor = bench.nameplate().unwrap();
+                motor.inertia_kg_m2 *= inertia;
+                motor.resistance_ohm *= resistance;
+                motor.back_emf_v_s_per_rad *= back_emf;
+                let plan = plan(&program, &motor, &bench.limits(), 100.0, Some(11.4)).unwrap();
+                assert!(!plan.is_refused(), "seed {seed}: {:?}", plan.refusals);
+                worst = worst.max(plan.peak_current_a);
+            }
+            assert!(worst > 5.7, "{worst} A excites nothing");
+        }
+    }
+
+    #[test]
+    fn travel_time_and_the_drive_s_own_limit_are_checked_too() {
+        let bench = BenchFile::embedded_default();
+        let program = bench.program(1).unwrap();
+        let tight = Limits {
+            travel_rad: Some(10.0),
+            time_s: 5.0,
+            ..bench.limits()
+        };
+        let plate = bench.nameplate().unwrap();
+        let plan = plan(&program, &plate, &tight, 100.0, Some(3.0)).unwrap();
+        for quantity in ["travel", "time with the output on", "peak current"] {
+            let mut refusals = plan.refusals.iter();
+            assert!(refusals.any(|r| r.quantity == quantity), "{quantity}");
+        }
+    }
+
+    #[test]
+    fn a_coasting_motor_draws_no_current() {
+        let program = Wave {
+            duration_s: 2.0,
+            demand: |time_s: f64| {
+                if time_s < 1.0 {
+                    Demand::Voltage(50.0)
+                } else {
+                    Demand::Disable
+                }
+            },
+        };
+        let plan = plan(&program, &Nameplate::zk_22fc(), &limits(), 100.0, None).unwrap();
+        assert!(plan.segments[1].peak_current_a < 1e-9);
+        assert!(plan.segments[1].peak_speed_rad_s > 100.0);
+    }
+
+    fn prospects(rate_hz: f64) -> Vec<Prospect> {
+        let bench = BenchFile::embedded_default();
+        let program = bench.program(1).unwrap();
+        let parameters = planned(&bench, &program, rate_hz).parameters;
+        parameters
+            .iter()
+            .map(|parameter| parameter.prospect)
+            .collect()
+    }
+
+    #[test]
+    fn inductance_depends_on_rate_the_rest_on_excitation() {
+        use Prospect::{Good, NotObservable, Weak};
+        assert_eq!(prospects(1000.0), [Good, Good, Good, Good, Good]);
+        assert_eq!(prospects(100.0), [Good, Weak, Good, Good, Good]);
+        assert_eq!(prospects(20.0)[1], NotObservable);
+    }
+
+    #[test]
+    fn a_voltage_below_breakaway_shows_no_mechanics() {
+        let bench = BenchFile::embedded_default();
+        let program = Wave {
+            duration_s: 1.0,
+            demand: |_| Demand::Voltage(1.0),
+        };
+        let plan = planned(&bench, &program, 100.0);
+        for parameter in &plan.parameters[2..] {
+            assert_eq!(parameter.prospect, Prospect::NotObservable, "{parameter:?}");
+        }
+    }
+}

@@ -1,0 +1,838 @@
+//! Plausibility of what is measured while the output is on, for every way of running: one watch that holds commands,
+//! voltage, current, speed and angle against each other.
+//!
+//! ```text
+//! commands, samples --history.rs--> rows --+-- u = R i + L di/dt + Ke w, no factor of 0.5 to 2 makes it fit (balance.rs)
+//!                                          +-- measured voltage, current or speed against the set-points   (readings.rs)
+//!                                          +-- the same to the bit, while things change                   (repeats.rs)
+//!                                          +-- current by two balances                                    (balance.rs)
+//!                                          +-- angle against speed; speed beyond its reference             (readings.rs)
+//! ```
+//!
+//! Every quantity is a range: what was in force, and what was read, over the last cycles. So a drive that answers some
+//! cycles late, or reads a sensor only every few cycles, is not taken for a broken one. Where the drive stamps its
+//! samples and reports which command it had applied, the ranges are narrow.
+//!
+//! A fault is found within 200 ms or five cycles, whichever is later, after it becomes observable: after the broken
+//! signals leave the range of what is plausible. At rest without a voltage, or on a plateau, nothing is observable but a
+//! sensor that loses its noise. Causes that cannot be distinguished are named together, and end the run all the same.
+//!
+//! ```text
+//! start -> Proven: nothing        gap in the samples -> Doubts: none
+//! plausible   -> Proven grows (sign, scale, direction), Doubts end
+//! implausible -> Doubts: windows in a row, or since when -> confirmed -> Trip
+//! ```
+
+mod balance;
+mod history;
+mod readings;
+mod repeats;
+mod settings;
+#[cfg(test)]
+mod tests;
+
+use self::balance::{Factor, Plate, Window, negative};
+use self::history::{History, Range, Row, Scale};
+use self::repeats::Repeats;
+use self::settings::SETTINGS;
+use super::limits::{Limits, Nameplate};
+use super::timing::whole;
+use super::trip::{Trip, TripKind};
+use drivebench_model::sample::{Channel, Command, Demand, DriveState, Sample};
+
+/// Its name among the checks that may be waived.
+pub(super) const PLAUSIBILITY: &str = "plausibility";
+
+const CHECK_ENCODER: &str =
+    "check the encoder's cable, its counts per turn and its sign in the drive's profile";
+const CHECK_CURRENT: &str =
+    "check the current sensor's leads, and unit and scale of the current in the drive's profile";
+const CHECK_SET_POINT: &str = "check address, scale and word order of the set-point in the drive's profile, and that the bus has the command";
+
+/// The same reading again and again, and what voltage and current made of the speed when it began, V.
+#[derive(Clone, Copy, Debug)]
+struct Held {
+    by_voltage: f64,
+    current: f64,
+    /// Of the readings in the window.
+    currents: Range,
+}
+
+/// A balance of voltages that does not hold.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+enum BalanceDoubt {
+    #[default]
+    None,
+    /// Without a current, since then, s.
+    Idle { since_s: f64 },
+    /// With a current, in so many windows in a row.
+    Misfit { windows: usize },
+}
+
+/// A set-point that is not followed.
+#[derive(Clone, Copy, Debug)]
+struct Departure {
+    since_s: f64,
+    distance: f64,
+}
+
+/// Set-point and measured voltage where they agreed last, V.
+#[derive(Clone, Copy, Debug)]
+struct Agreement {
+    set_point_v: f64,
+    measured_v: f64,
+    /// Since when the set-point has moved away from there and the voltage has not, s.
+    stuck_since_s: Option<f64>,
+}
+
+/// A speed that grows beyond its reference against the torque.
+#[derive(Clone, Copy, Debug)]
+struct Runaway {
+    from_rad_s: f64,
+    cycles: usize,
+}
+
+/// Contradictions between readings, as long as one sample follows another.
+#[derive(Clone, Debug, Default)]
+struct Doubts {
+    balance: BalanceDoubt,
+    /// Windows in a row with an angle that is not that of the speed.
+    angle_windows: usize,
+    /// Of the speed, since it repeats itself; and windows in a row in which it should have changed.
+    held: Option<Held>,
+    frozen_windows: usize,
+    /// Speed of the shaft, and whether it was at rest, when the current began to repeat itself.
+    current_onset: Option<(f64, bool)>,
+    /// Balance of the last window that fits: voltage, and the one by current and speed, V.
+    last_fit: Option<(f64, f64)>,
+    departure: Option<Departure>,
+    agreement: Option<Agreement>,
+    /// Since when the shaft stands under a current, s.
+    stands_since_s: Option<f64>,
+    runaway: Option<Runaway>,
+}
+
+/// What the readings have proven since the start.
+#[derive(Clone, Debug, Default)]
+struct Proven {
+    /// The current has a sign: a clearly negative one was read.
+    current_sign: bool,
+    /// The measured voltage has the scale of its set-point.
+    voltage_scale: bool,
+    /// The encoder turns in the direction of the voltage.
+    direction: bool,
+    /// Both balances so far, of a motor with a nameplate.
+    factor: Option<Factor>,
+}
+
+/// Limits of the machine.
+#[derive(Clone, Copy, Debug, Default)]
+struct Bounds {
+    speed_rad_s: f64,
+    current_a: f64,
+    /// Current from which the drive may limit by itself, A.
+    limiting_a: f64,
+    /// Something pulls at the shaft: it may stand still under a current.
+    vertical: bool,
+}
+
+/// The watch of one session.
+#[derive(Clone, Debug, Default)]
+pub struct Plausibility {
+    /// Host time of the latest sample, s.
+    now_s: f64,
+    scale: Scale,
+    plate: Option<Plate>,
+    bounds: Bounds,
+    /// The checks that need a nameplate which fits are waived.
+    waived: bool,
+    reference_rad_s: Option<f64>,
+    history: History,
+    speed: Repeats,
+    current: Repeats,
+    proven: Proven,
+    doubts: Doubts,
+}
+
+impl Plausibility {
+    /// The watch of a motor with a nameplate. `drive_current_limit_a`: the drive's own limit, if it reports one.
+    pub(super) fn of(
+        limits: &Limits,
+        motor: &Nameplate,
+        drive_current_limit_a: Option<f64>,
+    ) -> Self {
+        let plate = Plate {
+            resistance: motor.resistance_ohm,
+            inductance: motor.inductance_h,
+            back_emf: motor.back_emf_v_s_per_rad,
+            inertia: motor.inertia_kg_m2,
+            friction: motor.load_torque_n_m.abs(),
+        };
+        let scale = Scale {
+            volts: motor.rated_voltage_v,
+            amps: motor.rated_current_a,
+            rad_s: motor.rated_speed_rad_s,
+        };
+        let from_a = drive_current_limit_a.unwrap_or(motor.rated_current_a);
+        let mut watch = Self::new(limits, scale);
+        watch.plate = Some(plate);
+        watch.bounds.limiting_a = SETTINGS.limiting_current * from_a.max(motor.rated_current_a);
+        watch.proven.factor = Some(Factor::new(&scale));
+        watch
+    }
+
+    /// The watch of a motor that is not known.
+    pub(super) fn of_unknown(limits: &Limits) -> Self {
+        let scale = Scale {
+            volts: limits.voltage_v,
+            amps: limits.current_a,
+            rad_s: limits.speed_rad_s,
+        };
+        Self::new(limits, scale)
+    }
+
+    fn new(limits: &Limits, scale: Scale) -> Self {
+        Self {
+            scale,
+            bounds: Bounds {
+                speed_rad_s: limits.speed_rad_s,
+                current_a: limits.current_a,
+                limiting_a: SETTINGS.limiting_current * scale.amps,
+                vertical: limits.load.vertical,
+            },
+            ..Self::default()
+        }
+    }
+
+    /// Gives up what needs a nameplate that fits.
+    pub(super) const fn waive(&mut self) {
+        self.waived = true;
+    }
+
+    /// How noisy the sensors are: readings at rest, before the output was on. A drive may read nothing at all while it is
+    /// off, so equal readings are no evidence.
+    pub(super) fn learn(&mut self, rest: &[Sample]) {
+        for (channel, sensor) in [
+            (Channel::Speed, &mut self.speed),
+            (Channel::Current, &mut self.current),
+        ] {
+            let reading = |sample: &Sample| Some((sample.time_s, sample.get(channel)?));
+            let readings: Vec<(f64, f64)> = rest.iter().filter_map(reading).collect();
+            let differ = |pair: &[(f64, f64)]| pair[0].1.to_bits() != pair[1].1.to_bits();
+            if readings.windows(2).any(differ) {
+                for (time_s, value) in readings {
+                    sensor.push(time_s, value, true);
+                }
+            }
+        }
+    }
+
+    /// A command that left.
+    pub(super) fn sent(&mut self, command: &Command) {
+        self.history.sent(command);
+    }
+
+    /// The speed that a loop follows, rad/s; `None`: there is none.
+    pub(super) const fn follow(&mut self, reference_rad_s: Option<f64>) {
+        self.reference_rad_s = reference_rad_s;
+    }
+
+    /// A start: what was proven before may have been plugged in anew.
+    pub(super) fn begin(&mut self) {
+        self.doubts = Doubts::default();
+        self.speed.begin();
+        self.current.begin();
+        self.history.clear();
+        self.proven = Proven {
+            factor: self.plate.map(|_| Factor::new(&self.scale)),
+            ..Proven::default()
+        };
+        self.reference_rad_s = None;
+    }
+
+    /// Whether the encoder turned in the right direction since the start.
+    pub const fn has_proven_direction(&self) -> bool {
+        self.proven.direction
+    }
+
+    /// No doubt of the measured speed.
+    pub(super) const fn believes_speed(&self) -> bool {
+        !matches!(self.doubts.balance, BalanceDoubt::Misfit { .. })
+            && self.doubts.angle_windows == 0
+            && self.speed.run() < SETTINGS.frozen_readings
+    }
+
+    /// What cannot be watched on this drive with this motor; `None`: everything is.
+    pub fn unwatched(&self) -> Option<&'static str> {
+        let last = self.history.last()?;
+        match last.demand? {
+            _ if self.plate.is_none() => {
+                Some("without a nameplate speed and current are not held against the voltage")
+            }
+            Demand::Speed(_) => Some(
+                "behind the drive's own speed loop speed and current are not held against the voltage",
+            ),
+            Demand::Current(_) if last.voltage_v.is_none() => {
+                Some("the drive tells no voltage, so speed and current are not held against it")
+            }
+            Demand::Voltage(_) if last.voltage_v.is_none() => Some(
+                "the drive tells no voltage, so its output is judged by current and speed only",
+            ),
+            _ => None,
+        }
+    }
+
+    /// Checks one sample. With `armed` false it only learns how noisy the sensors are.
+    pub(super) fn check(&mut self, now_s: f64, sample: &Sample, armed: bool) -> Option<Trip> {
+        self.now_s = now_s;
+        let runs = matches!(sample.state, None | Some(DriveState::Running));
+        let (speed, current) = (sample.get(Channel::Speed), sample.get(Channel::Current));
+        let still = speed.is_some_and(|speed| speed.abs() < self.rest_rad_s());
+        if !(armed && runs && self.history.has_sent()) {
+            self.read(sample.time_s, speed, current, still && !runs);
+            self.history.clear();
+            self.doubts = Doubts::default();
+            return None;
+        }
+        let continues = self.history.push(sample, &self.scale);
+        let at_rest = still && self.commands_rest();
+        self.read(sample.time_s, speed, current, at_rest);
+        if !continues {
+            self.doubts = Doubts::default();
+            return None;
+        }
+        self.remember(speed, at_rest);
+        let runaway = self.runs_away();
+        self.follows()
+            .or_else(|| self.stuck())
+            .or_else(|| self.stands())
+            .or_else(|| self.by_balance())
+            .or_else(|| self.by_angle())
+            .or(runaway)
+    }
+
+    fn read(&mut self, time_s: f64, speed: Option<f64>, current: Option<f64>, at_rest: bool) {
+        if let Some(speed) = speed {
+            self.speed.push(time_s, speed, at_rest);
+        }
+        if let Some(current) = current {
+            self.current.push(time_s, current, at_rest);
+        }
+    }
+
+    /// Whether the set-points of the last cycles are zero.
+    fn commands_rest(&self) -> bool {
+        self.history.demands().is_some_and(|mut demands| {
+            demands.all(|demand| match demand {
+                Demand::Voltage(volts) => volts.abs() < SETTINGS.rest_voltage * self.scale.volts,
+                Demand::Current(amps) => amps.abs() < SETTINGS.rest_voltage * self.scale.amps,
+                Demand::Speed(rad_s) => rad_s.abs() < SETTINGS.rest_voltage * self.scale.rad_s,
+                Demand::Disable | Demand::Stop | Demand::ResetFault => true,
+            })
+        })
+    }
+
+    fn remember(&mut self, speed: Option<f64>, at_rest: bool) {
+        let idle_a = self.idle_a();
+        let signed = |row: &Row| row.current_a < -3.0 * idle_a;
+        self.proven.current_sign |= self.history.rows().back().is_some_and(signed);
+        if self.current.run() == 0 || at_rest {
+            self.doubts.current_onset = speed.map(|speed| (speed, at_rest));
+        }
+        if self.speed.run() == 0 {
+            self.doubts.held = None;
+        }
+    }
+
+    /// Cycles within which a fault has to be found.
+    fn cycles(&self) -> usize {
+        let period_s = self.history.period_s().unwrap_or(SETTINGS.latency_s);
+        whole((SETTINGS.latency_s / period_s).ceil())
+            .clamp(SETTINGS.latency_cycles, SETTINGS.most_rows + 2)
+    }
+
+    fn is_exact(&self) -> bool {
+        self.history.last().is_some_and(|last| last.exact)
+    }
+
+    /// Repeats of a speed that count: more where a drive may read its sensors more seldom than once a cycle.
+    fn frozen_readings(&self) -> usize {
+        if self.is_exact() {
+            SETTINGS.frozen_readings
+        } else {
+            SETTINGS.frozen_readings.max(self.cycles() - 1)
+        }
+    }
+
+    /// The voltage balance over the last rows; `None` until there are enough of which the voltage is known.
+    fn window(&self, plate: &Plate, rows: usize) -> Option<Window> {
+        let all = self.history.rows();
+        if all.len() < rows || rows == 0 {
+            return None;
+        }
+        let last = || all.iter().skip(all.len() - rows);
+        // Without a measured voltage a limit of the drive is not observable.
+        let is_measured = self.history.last()?.voltage_v.is_some();
+        let unknown = |row: &Row| !is_measured && row.current_a.abs() > self.bounds.limiting_a;
+        if last().any(unknown) {
+            return None;
+        }
+        let n = rows as f64;
+        let terms: Option<Vec<_>> = last().map(|row| plate.terms(row, n)).collect();
+        let mut window = terms?.into_iter().reduce(Window::and)?;
+        if !self.proven.current_sign {
+            // A drive may report no more than the magnitude: it goes either way.
+            let most = window.current.low.abs().max(window.current.high.abs());
+            window.current = Range::new(-most, most);
+            window.mean_current = window.mean_current.abs().copysign(window.mean_volts);
+        }
+        Some(window)
+    }
+
+    fn window_rows(&self) -> usize {
+        if self.is_exact() {
+            SETTINGS.stamped_rows
+        } else {
+            self.cycles() - 2
+        }
+    }
+
+    /// Whether the window is that of a motor with a warm winding and another specimen's flux.
+    fn fits(&self, window: &Window) -> bool {
+        window.gap(SETTINGS.winding_factor, SETTINGS.flux_factor, self.drop_v()) <= 0.0
+    }
+
+    /// Whether no reading within its tolerance makes the window fit.
+    fn misfits(&self, window: &Window) -> bool {
+        window.gap(SETTINGS.any_factor, SETTINGS.any_factor, self.drop_v()) > 0.0
+    }
+
+    fn drop_v(&self) -> f64 {
+        SETTINGS.drop * self.scale.volts
+    }
+
+    fn idle_a(&self) -> f64 {
+        SETTINGS.idle_current * self.scale.amps
+    }
+
+    fn rest_rad_s(&self) -> f64 {
+        SETTINGS.rest_speed * self.scale.rad_s
+    }
+
+    /// The same to the bit, by the noise that a sensor had at rest, or through a motion from rest.
+    fn stuck(&self) -> Option<Trip> {
+        let last = self.history.last()?;
+        let (speed, current) = (last.speed_rad_s?, last.current_a?);
+        let excited = !self.commands_rest();
+        let turns = speed.abs() > self.rest_rad_s();
+        let other_lives = self.current.run() < self.speed.run();
+        if excited && (self.speed.is_silent() || self.speed.is_stuck() && turns && other_lives) {
+            let what = format!(
+                "the measured speed stays at {speed:.2} rad/s to the last bit in {} samples, {:.2} s; by its noise at rest {:.0} are allowed; {CHECK_ENCODER}",
+                self.speed.run() + 1,
+                last.time_s - self.speed.since_s(),
+                self.speed.needed().unwrap_or(0.0)
+            );
+            return Some(self.doubt(TripKind::EncoderFrozen, (speed, speed), &what));
+        }
+        let (from, from_rest) = self.doubts.current_onset.unwrap_or((speed, false));
+        let moved = (speed - from).abs();
+        let needs_current = moved > SETTINGS.moved_speed * self.scale.rad_s;
+        let stays = from_rest && needs_current && self.current.run() >= SETTINGS.frozen_readings;
+        if excited
+            && (self.current.is_silent() || self.current.is_stuck() && needs_current || stays)
+        {
+            let what = format!(
+                "the measured current stays at {current:.3} A to the last bit in {} samples, {:.2} s, while the speed went by {moved:.1} rad/s to {speed:.1} rad/s; {CHECK_CURRENT}",
+                self.current.run() + 1,
+                last.time_s - self.current.since_s()
+            );
+            return Some(self.doubt(TripKind::CurrentStuck, (current, current), &what));
+        }
+        None
+    }
+
+    /// A shaft that does not turn although it should.
+    fn stands(&mut self) -> Option<Trip> {
+        let plate = self.plate.filter(|_| !self.bounds.vertical)?;
+        let row = *self.history.rows().back()?;
+        let friction_a = SETTINGS.standing_friction * plate.friction / plate.back_emf;
+        let least_a = self.scale.amps.max(friction_a);
+        let stands = row.current_a.abs() >= least_a && row.speed_rad_s.abs() < self.rest_rad_s();
+        let last_s = self.history.last()?.time_s;
+        if !stands {
+            self.doubts.stands_since_s = None;
+            return None;
+        }
+        let since_s = *self.doubts.stands_since_s.get_or_insert(last_s);
+        let longest_s = SETTINGS
+            .standing_s
+            .max(SETTINGS.latency_cycles as f64 * row.seconds);
+        let torque = plate.back_emf * row.current_a.abs();
+        let what = format!(
+            "the shaft is locked, or the encoder stands still: {:.2} rad/s for {:.2} s under {:.2} A, which give {torque:.3} N.m where friction is {:.3} N.m by the nameplate; {longest_s:.2} s are allowed; check brake and load, turn the shaft by hand and watch the speed",
+            row.speed_rad_s,
+            last_s - since_s,
+            row.current_a,
+            plate.friction
+        );
+        (last_s - since_s >= longest_s).then(|| {
+            let figures = (row.speed_rad_s, 0.0);
+            self.doubt(TripKind::ShaftHeld, figures, &what)
+        })
+    }
+
+    /// The trip for something measured that cannot be: the value, what it should be, and the sentence after the name.
+    fn doubt(&self, kind: TripKind, figures: (f64, f64), what: &str) -> Trip {
+        Trip::new(kind, self.now_s, figures, what)
+    }
+
+    /// Everything that follows from the voltage balance.
+    fn by_balance(&mut self) -> Option<Trip> {
+        let plate = self.plate?;
+        let row = *self.history.rows().back()?;
+        if !(self.waived || row.limited)
+            && row.exact
+            && let Some(balances) = self.proven.factor.as_mut()
+            && let Some(factor) = balances.push(&row, self.proven.current_sign, &plate, &self.scale)
+        {
+            // Both balances see no difference between the two signs, but for which of them goes against the voltage.
+            let is_against = |window: &Window| window.mean_speed * window.mean_volts < 0.0;
+            let window = self
+                .window(&plate, SETTINGS.stamped_rows)
+                .filter(is_against)
+                .filter(|_| factor < 0.0);
+            return Some(match window {
+                Some(window) => self.misread(TripKind::EncoderReversed, &plate, &window),
+                None => self.current_scaled(factor),
+            });
+        }
+        if self.is_idle() {
+            self.end_misfit();
+            return self.idle(&plate);
+        }
+        if let BalanceDoubt::Idle { .. } = self.doubts.balance {
+            self.doubts.balance = BalanceDoubt::None;
+        }
+        let Some(window) = self.window(&plate, self.window_rows()) else {
+            self.end_misfit();
+            return None;
+        };
+        if let Some(trip) = self.frozen(&plate, &window) {
+            return Some(trip);
+        }
+        let misfits = !self.waived && self.misfits(&window);
+        if !(misfits || self.goes_against(&window)) {
+            self.end_misfit();
+            let fits = self.fits(&window);
+            let turns = window.mean_speed.abs() > SETTINGS.proven_voltage * self.scale.volts;
+            self.proven.direction |= fits && turns && window.mean_speed * window.mean_volts > 0.0;
+            if fits {
+                let answer = window.mean_current + window.mean_speed;
+                self.doubts.last_fit = Some((window.mean_volts, answer));
+            }
+            return None;
+        }
+        let before = match self.doubts.balance {
+            BalanceDoubt::Misfit { windows } => windows,
+            _ => 0,
+        };
+        let windows = before + 1;
+        self.doubts.balance = BalanceDoubt::Misfit { windows };
+        if windows < SETTINGS.confirming_windows {
+            return None;
+        }
+        self.name(&plate, &window)
+    }
+
+    const fn end_misfit(&mut self) {
+        if let BalanceDoubt::Misfit { .. } = self.doubts.balance {
+            self.doubts.balance = BalanceDoubt::None;
+        }
+    }
+
+    /// Whether the shaft gains or loses speed against its current and speed, and they would fit with the opposite
+    /// sign.
+    fn goes_against(&self, window: &Window) -> bool {
+        let rows = self.history.rows().iter().rev().take(SETTINGS.stamped_rows);
+        let gain: f64 = rows.map(|row| row.speed_change_rad_s).sum();
+        if gain.abs() < self.rest_rad_s() {
+            return false;
+        }
+        let (volts, speed, current) = (window.mean_volts, window.mean_speed, window.mean_current);
+        let drives = !self.proven.current_sign || current * volts > 0.0;
+        let encoder = drives
+            && speed * volts < 0.0
+            && gain * volts < 0.0
+            && self.is_mirrored(window, speed, current, SETTINGS.moved_voltage);
+        // A braked shaft may lose speed under a current that drives it, where a load takes more.
+        let least_share = if current * volts < 0.0 {
+            SETTINGS.moved_voltage
+        } else {
+            SETTINGS.drop
+        };
+        let sensor = self.proven.current_sign
+            && speed * volts > 0.0
+            && gain * current < 0.0
+            && self.is_mirrored(window, current, speed, least_share);
+        encoder || sensor
+    }
+
+    /// Whether a reading of at least this share of the rated voltage fits with the opposite sign, and not with its own.
+    fn is_mirrored(&self, window: &Window, reading: f64, other: f64, least_share: f64) -> bool {
+        let (rest, size) = (window.mean_volts - other, reading.abs());
+        let slack = SETTINGS.rest_voltage * self.scale.volts;
+        let as_read = (rest - reading).abs() - 0.5 * window.volts.width();
+        let mirrored = (rest + reading).abs();
+        size > least_share * self.scale.volts
+            && as_read > size + slack
+            && mirrored < 0.5 * size + slack
+    }
+
+    /// Whether no current flows that would drive anything.
+    fn is_idle(&self) -> bool {
+        let idle_a = self.idle_a();
+        let rows = self.history.rows();
+        let last = rows.iter().rev().take(SETTINGS.stamped_rows);
+        rows.len() >= SETTINGS.stamped_rows
+            && last.into_iter().all(|row| row.current_a.abs() < idle_a)
+    }
+
+    /// No current flows although the voltage is not that of the speed, or although the shaft is driven.
+    fn idle(&mut self, plate: &Plate) -> Option<Trip> {
+        let last = *self.history.last()?;
+        let (speed, current) = (last.speed_rad_s?, last.current_a?);
+        if let Some(trip) = self.driven_without_current(current, speed) {
+            return Some(trip);
+        }
+        let window = self.window(plate, self.window_rows())?;
+        let none = window.with(Range::new(0.0, 0.0), window.speed);
+        let (volts, emf) = (window.mean_volts, window.mean_speed);
+        // What only coasts is not driven, and a converter may not be able to brake it.
+        let coasts = volts.abs() < emf.abs() && self.speed.run() < self.frozen_readings();
+        if none.gap(SETTINGS.any_factor, SETTINGS.flux_factor, self.drop_v()) <= 0.0 || coasts {
+            self.doubts.balance = BalanceDoubt::None;
+            return None;
+        }
+        let since_s = match self.doubts.balance {
+            BalanceDoubt::Idle { since_s } => since_s,
+            _ => last.time_s,
+        };
+        self.doubts.balance = BalanceDoubt::Idle { since_s };
+        if last.time_s - since_s < SETTINGS.idle_s {
+            return None;
+        }
+        let by_voltage = volts / plate.back_emf;
+        let figures = format!(
+            "{current:.3} A flow at {volts:.1} V and {speed:.1} rad/s for {:.2} s, {} s are allowed",
+            last.time_s - since_s,
+            SETTINGS.idle_s
+        );
+        if speed.abs() >= self.rest_rad_s() {
+            if self.waived {
+                return None;
+            }
+            let what = format!(
+                "no current drives the shaft, so it should turn at about {by_voltage:.1} rad/s: {figures}; {CHECK_ENCODER}"
+            );
+            let kind = if self.speed.run() >= self.frozen_readings() {
+                TripKind::EncoderFrozen
+            } else {
+                TripKind::SpeedImplausible
+            };
+            return Some(self.doubt(kind, (speed, by_voltage), &what));
+        }
+        let expected_a = volts / plate.resistance;
+        Some(if last.voltage_v.is_some() {
+            let what = format!(
+                "the armature circuit is open, or the output is not on, or current and speed are both not measured: {figures}; check the motor's leads, its fuses and the drive's enable and release inputs"
+            );
+            self.doubt(TripKind::OpenCircuit, (current, expected_a), &what)
+        } else {
+            let what = format!(
+                "the drive does not follow, or its output is not on, or the armature circuit is open (it tells no voltage that would say which): {figures}; {CHECK_SET_POINT}; check the motor's leads"
+            );
+            self.doubt(TripKind::SetPointIgnored, (current, expected_a), &what)
+        })
+    }
+
+    /// A shaft that speeds up with the voltage, by nothing.
+    fn driven_without_current(&self, current: f64, speed: f64) -> Option<Trip> {
+        let idle_a = self.idle_a();
+        let (mut seconds, mut gain) = (0.0, 0.0);
+        for row in self.history.rows().iter().rev() {
+            let volts = row.volts?.middle();
+            let drives =
+                volts * speed > 0.0 && volts.abs() > SETTINGS.rest_voltage * self.scale.volts;
+            seconds += row.seconds;
+            if row.current_a.abs() > idle_a || !drives || seconds > SETTINGS.driven_s {
+                break;
+            }
+            gain += row.speed_change_rad_s * speed.signum();
+        }
+        let what = format!(
+            "{current:.3} A are measured while the voltage speeds the shaft up by {gain:.1} rad/s to {speed:.1} rad/s; without a current {:.1} rad/s are allowed; {CHECK_CURRENT}",
+            SETTINGS.driven_speed * self.scale.rad_s
+        );
+        (gain > SETTINGS.driven_speed * self.scale.rad_s)
+            .then(|| self.doubt(TripKind::CurrentStuck, (current, idle_a), &what))
+    }
+
+    /// The same speed again and again, while the back-EMF has changed since it came first or cannot be that of this speed.
+    fn frozen(&mut self, plate: &Plate, window: &Window) -> Option<Trip> {
+        // All of the window must lie in the time since the speed has been the same.
+        if self.speed.run() < self.window_rows() {
+            self.doubts.frozen_windows = 0;
+            return None;
+        }
+        let by_voltage = window.mean_volts - window.mean_current;
+        let rows = self.history.rows().iter().rev().take(self.window_rows());
+        let readings = rows.map(|row| plate.resistance * row.ends().0);
+        let currents = Range::of(readings).unwrap_or(window.current);
+        let held = *self.doubts.held.get_or_insert(Held {
+            by_voltage,
+            current: window.mean_current,
+            currents,
+        });
+        if self.speed.run() < self.frozen_readings() {
+            return None;
+        }
+        let by_current = (window.mean_current - held.current).abs();
+        let idle_v = self.idle_a() * plate.resistance;
+        // Brushes and bridge take their drop as soon as a current flows, and the other way when it turns.
+        // A window in which it does both has done either.
+        let most = |range: Range, sign: f64| (sign * range.low).max(sign * range.high);
+        let flows = |currents: Range, sign: f64| most(currents, sign) > idle_v;
+        let both = |sign: f64| flows(held.currents, sign) && flows(currents, -sign);
+        let turns = held.current.abs() < idle_v || both(1.0) || both(-1.0);
+        let drops_v = if turns {
+            2.0 * self.drop_v()
+        } else {
+            SETTINGS.rest_voltage * self.scale.volts
+        };
+        let doubt =
+            drops_v + (1.0 - SETTINGS.winding_factor.low) * by_current + 0.5 * window.volts.width();
+        // From another speed than it was, and from the measured one: what was held may be of a winding in transit.
+        let beyond = |other_v: f64| SETTINGS.flux_factor.low * (by_voltage - other_v).abs() > doubt;
+        let moved = beyond(held.by_voltage) && beyond(window.mean_speed);
+        let cannot_be = !self.fits(window);
+        if !(moved || cannot_be) {
+            self.doubts.frozen_windows = 0;
+            return None;
+        }
+        self.doubts.frozen_windows += 1;
+        // A drive that does not stamp its samples may have read the speed some cycles ago.
+        let needed = if self.is_exact() { 1 } else { self.cycles() };
+        (self.doubts.frozen_windows >= needed)
+            .then(|| self.misread(TripKind::EncoderFrozen, plate, window))
+    }
+
+    /// Which reading it is that does not fit.
+    fn name(&mut self, plate: &Plate, window: &Window) -> Option<Trip> {
+        let drop_v = self.drop_v();
+        let unheeded = self.doubts.last_fit.is_some_and(|(volts, answer)| {
+            let step = (window.mean_volts - volts).abs();
+            let response = (window.mean_current + window.mean_speed - answer).abs();
+            step > 2.0 * drop_v && response < 0.25 * step
+        });
+        let last = *self.history.last()?;
+        let misread = |plausibility: &Self, kind| Some(plausibility.misread(kind, plate, window));
+        let mirrored = window.with(window.current, negative(window.speed));
+        let drives_back = window.mean_speed * window.mean_volts < 0.0
+            && window.mean_current * window.mean_volts.signum() >= -drop_v;
+        // A loop that saw its shaft turn about has reversed the voltage too.
+        let opposite = window.mean_speed.abs() > 2.0 * drop_v
+            && window.misfit(-1.0) < 0.3 * window.misfit(1.0);
+        let turns = last.speed_rad_s?.abs() >= self.rest_rad_s();
+        if self.speed.run() >= self.frozen_readings() {
+            misread(self, TripKind::EncoderFrozen)
+        } else if drives_back && self.fits(&mirrored) || opposite {
+            misread(self, TripKind::EncoderReversed)
+        } else if self.proven.current_sign
+            && self.is_mirrored(
+                window,
+                window.mean_current,
+                window.mean_speed,
+                SETTINGS.moved_voltage,
+            )
+        {
+            misread(self, TripKind::CurrentReversed)
+        } else if let Some(trip) = self.swapped() {
+            Some(trip)
+        } else if unheeded && last.voltage_v.is_none() {
+            let answer = window.mean_current + window.mean_speed;
+            let what = format!(
+                "the set-point went to {:.1} V, current and speed are those of {answer:.1} V as before; {CHECK_SET_POINT}",
+                window.mean_volts
+            );
+            let figures = (answer, window.mean_volts);
+            Some(self.doubt(TripKind::SetPointIgnored, figures, &what))
+        } else if !turns {
+            misread(self, TripKind::EncoderFrozen)
+        } else if self.waived {
+            self.end_misfit();
+            None
+        } else if window.mean_speed.abs() >= window.mean_current.abs() {
+            misread(self, TripKind::SpeedImplausible)
+        } else {
+            misread(self, TripKind::CurrentImplausible)
+        }
+    }
+
+    /// The speed, or else the current, that the balance does not carry.
+    fn misread(&self, kind: TripKind, plate: &Plate, window: &Window) -> Trip {
+        use TripKind::{CurrentReversed, EncoderFrozen, EncoderReversed, SpeedImplausible};
+        let is_speed = matches!(kind, EncoderFrozen | EncoderReversed | SpeedImplausible);
+        let (speed, current) = (window.mean_speed, window.mean_current);
+        let (name, unit, digits, per_unit, check) = if is_speed {
+            ("speed", "rad/s", 1, plate.back_emf, CHECK_ENCODER)
+        } else {
+            ("current", "A", 2, plate.resistance, CHECK_CURRENT)
+        };
+        let (reading, other, range) = if is_speed {
+            (speed, current, window.current)
+        } else {
+            (current, speed, window.speed)
+        };
+        let (measured, by_voltage) = (reading / per_unit, (window.mean_volts - other) / per_unit);
+        let plausible = window
+            .volts
+            .plus(negative(range.times(SETTINGS.any_factor)));
+        let plausible = plausible.wider(self.drop_v()).times(SETTINGS.any_factor);
+        let (low, high) = (plausible.low / per_unit, plausible.high / per_unit);
+        let how = match kind {
+            EncoderFrozen => "stays at",
+            EncoderReversed | CurrentReversed => "has the wrong sign:",
+            _ => "is",
+        };
+        let beside = if is_speed { "current" } else { "speed" };
+        let ratio = measured / by_voltage;
+        let scale = match kind {
+            SpeedImplausible if ratio.is_finite() => {
+                format!(
+                    "; it reads {ratio:.2} times what it should (or Ke of the nameplate is off by as much)"
+                )
+            }
+            _ => String::new(),
+        };
+        let what = format!(
+            "the measured {name} {how} {measured:.digits$} {unit}, by voltage and {beside} it is {by_voltage:.digits$} {unit}, {low:.digits$} to {high:.digits$} {unit} would be believed{scale}; {check}"
+        );
+        self.doubt(kind, (measured, by_voltage), &what)
+    }
+
+    /// A current that both balances want to be another.
+    fn current_scaled(&self, factor: f64) -> Trip {
+        let last = self.history.last().and_then(|last| last.current_a);
+        let current = last.unwrap_or(0.0);
+        let kind = if factor < 0.0 {
+            TripKind::CurrentReversed
+        } else {
+            TripKind::CurrentImplausible
+        };
+        let what = format!(
+            "the measured current reads {factor:.2} times what voltage and acceleration ask for, 0.5 to 2 is allowed; now it is {current:.2} A; {CHECK_CURRENT}"
+        );
+        self.doubt(kind, (factor, 1.0), &what)
+    }
+}

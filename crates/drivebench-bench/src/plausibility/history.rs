@@ -1,0 +1,308 @@
+//! History of commands and samples, as rows between two samples: the voltage that may have been in force meanwhile, and
+//! the terms of the voltage balance.
+
+use std::collections::VecDeque;
+use std::ops::RangeInclusive;
+
+use super::settings::SETTINGS;
+use drivebench_model::sample::{Channel, Command, Demand, Sample};
+
+/// Commands that may still be answered.
+const COMMANDS: usize = 128;
+/// Commands that a drive which does not stamp its samples may be late.
+const LATE_COMMANDS: u64 = SETTINGS.latency_cycles as u64;
+/// Samples kept, at most.
+const KEPT: usize = 64;
+
+/// What the quantities are measured by: rated values, or limits where nothing is rated.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Scale {
+    pub(super) volts: f64,
+    pub(super) amps: f64,
+    pub(super) rad_s: f64,
+}
+
+/// Lowest and highest value.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Range {
+    pub(super) low: f64,
+    pub(super) high: f64,
+}
+
+impl Range {
+    pub(super) const fn new(low: f64, high: f64) -> Self {
+        Self { low, high }
+    }
+
+    pub(super) const fn at(value: f64) -> Self {
+        Self::new(value, value)
+    }
+
+    pub(super) const EVERY: Self = Self::new(f64::NEG_INFINITY, f64::INFINITY);
+
+    pub(super) const fn around(value: f64, by: f64) -> Self {
+        Self::new(value - by, value + by)
+    }
+
+    pub(super) fn of(values: impl Iterator<Item = f64>) -> Option<Self> {
+        values.fold(None, |range: Option<Self>, value| {
+            let range = range.unwrap_or(Self::at(value));
+            Some(range.with(value))
+        })
+    }
+
+    /// Of values that all have to be known.
+    fn of_known(values: impl Iterator<Item = Option<f64>>) -> Option<Self> {
+        Self::of(values.collect::<Option<Vec<f64>>>()?.into_iter())
+    }
+
+    pub(super) const fn with(self, value: f64) -> Self {
+        Self::new(self.low.min(value), self.high.max(value))
+    }
+
+    pub(super) const fn hull(self, other: Self) -> Self {
+        self.with(other.low).with(other.high)
+    }
+
+    pub(super) const fn wider(self, by: f64) -> Self {
+        Self::new(self.low - by, self.high + by)
+    }
+
+    pub(super) const fn plus(self, other: Self) -> Self {
+        Self::new(self.low + other.low, self.high + other.high)
+    }
+
+    /// Every value of this one times every one of the factors.
+    pub(super) const fn times(self, factors: Self) -> Self {
+        let (a, b) = (self.low * factors.low, self.low * factors.high);
+        let (c, d) = (self.high * factors.low, self.high * factors.high);
+        Self::new(a.min(b).min(c).min(d), a.max(b).max(c).max(d))
+    }
+
+    /// How far the two lie apart; 0 where they meet.
+    pub(super) const fn gap(self, other: Self) -> f64 {
+        (self.low - other.high).max(other.low - self.high).max(0.0)
+    }
+
+    pub(super) const fn middle(self) -> f64 {
+        0.5 * (self.low + self.high)
+    }
+
+    pub(super) const fn width(self) -> f64 {
+        self.high - self.low
+    }
+}
+
+/// One sample with the command that was in force when it was taken.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Seen {
+    pub(super) time_s: f64,
+    key: Option<u64>,
+    /// The drive stamps samples and commands itself.
+    pub(super) exact: bool,
+    pub(super) current_a: Option<f64>,
+    pub(super) speed_rad_s: Option<f64>,
+    pub(super) angle_rad: Option<f64>,
+    pub(super) voltage_v: Option<f64>,
+    pub(super) limited: bool,
+    pub(super) demand: Option<Demand>,
+}
+
+/// What one cycle adds to the balances.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Row {
+    pub(super) seconds: f64,
+    pub(super) current_a: f64,
+    pub(super) speed_rad_s: f64,
+    pub(super) current_change_a: f64,
+    pub(super) speed_change_rad_s: f64,
+    /// Angle turned, rad, where it is measured.
+    pub(super) turned_rad: Option<f64>,
+    /// Voltage that may have been in force, V; `None`: not known.
+    pub(super) volts: Option<Range>,
+    pub(super) exact: bool,
+    pub(super) limited: bool,
+}
+
+impl Row {
+    /// Current and speed of its second sample, A and rad/s.
+    pub(super) fn ends(&self) -> (f64, f64) {
+        (
+            self.current_a + 0.5 * self.current_change_a,
+            self.speed_rad_s + 0.5 * self.speed_change_rad_s,
+        )
+    }
+}
+
+/// The last commands and samples.
+#[derive(Clone, Debug, Default)]
+pub(super) struct History {
+    commands: VecDeque<(u64, Demand)>,
+    samples: VecDeque<Seen>,
+    rows: VecDeque<Row>,
+}
+
+impl History {
+    pub(super) fn clear(&mut self) {
+        self.samples.clear();
+        self.rows.clear();
+    }
+
+    pub(super) fn sent(&mut self, command: &Command) {
+        if self.commands.len() == COMMANDS {
+            self.commands.pop_front();
+        }
+        self.commands.push_back((command.seq, command.demand));
+    }
+
+    pub(super) fn has_sent(&self) -> bool {
+        !self.commands.is_empty()
+    }
+
+    pub(super) fn last(&self) -> Option<&Seen> {
+        self.samples.back()
+    }
+
+    pub(super) const fn rows(&self) -> &VecDeque<Row> {
+        &self.rows
+    }
+
+    /// Mean distance of samples, s; `None` before there are two.
+    pub(super) fn period_s(&self) -> Option<f64> {
+        let rows = self.rows.len();
+        let all_s: f64 = self.rows.iter().map(|row| row.seconds).sum();
+        (rows > 0).then(|| all_s / rows as f64)
+    }
+
+    /// Demands that may have been in force from `lag` commands before the first sample's until the last one's.
+    fn in_force(&self, first: &Seen, last: &Seen, lag: u64) -> impl Iterator<Item = Demand> {
+        let keys = first.key.zip(last.key);
+        let (from, to) = keys.map_or((u64::MAX, 0), |(from, to)| (from.saturating_sub(lag), to));
+        self.sent_in(from..=to)
+    }
+
+    /// Demands with these numbers.
+    fn sent_in(&self, seqs: RangeInclusive<u64>) -> impl Iterator<Item = Demand> {
+        let sent = self.commands.iter();
+        sent.filter_map(move |(seq, demand)| seqs.contains(seq).then_some(*demand))
+    }
+
+    /// The demands that the newest sample may answer to; `None` where it answers to none.
+    pub(super) fn demands(&self) -> Option<impl Iterator<Item = Demand>> {
+        let last = self.samples.back()?;
+        last.key?;
+        Some(self.in_force(last, last, if last.exact { 2 } else { LATE_COMMANDS }))
+    }
+
+    /// The demands that the newest sample may answer to, as one range in their quantity; `None` where they are mixed.
+    /// `cycles`: how late a drive may be.
+    pub(super) fn set_points(&self, cycles: usize) -> Option<(Demand, Range)> {
+        let last = self.samples.back()?;
+        let lag = if last.exact { 2 } else { cycles as u64 };
+        let wanted = last.demand?;
+        let values = self
+            .in_force(last, last, lag)
+            .map(|demand| match (demand, wanted) {
+                (Demand::Voltage(value), Demand::Voltage(_))
+                | (Demand::Current(value), Demand::Current(_))
+                | (Demand::Speed(value), Demand::Speed(_)) => Some(value),
+                _ => None,
+            });
+        Some((wanted, Range::of_known(values)?))
+    }
+
+    fn volts(&self, last: &Seen, now: &Seen, scale: &Scale) -> Option<Range> {
+        let measured = last.voltage_v.zip(now.voltage_v);
+        let steady = |a: f64, b: f64| (b - a).abs() <= SETTINGS.steady_voltage * scale.volts;
+        let demand = last.demand?;
+        if let Demand::Speed(_) = demand {
+            // The drive's own loop sets the voltage, and the reported one may be that of another machine.
+            return None;
+        }
+        if last.limited || now.limited {
+            let (a, b) = measured?;
+            return steady(a, b).then(|| Range::new(a.min(b), a.max(b)));
+        }
+        if let Demand::Current(_) = demand {
+            let (a, b) = measured?;
+            let amps = self.in_force(last, now, 1).map(|demand| match demand {
+                Demand::Current(amps) => amps,
+                _ => 0.0,
+            });
+            let set_point = Range::of(amps)?;
+            let (from_a, to_a) = last.current_a.zip(now.current_a)?;
+            let is_steady = steady(a, b)
+                && (to_a - from_a).abs() <= SETTINGS.steady_current * scale.amps
+                && set_point.width() <= SETTINGS.steady_command * scale.amps;
+            return is_steady.then(|| Range::new(a.min(b), a.max(b)));
+        }
+        // Cycles that an answer may be late: none that matters where the drive stamps itself.
+        let lag = if now.exact { 1 } else { 2 };
+        let keys = last.key.zip(now.key)?;
+        // Where the drive stamps itself, what the newest sample came with is not in force before it.
+        let to = keys.1.saturating_sub(u64::from(now.exact));
+        let from = keys.0.saturating_sub(lag);
+        let sent = self.sent_in(from..=to);
+        let range = Range::of_known(sent.map(Demand::voltage_v))?;
+        Some(match measured {
+            Some((a, _)) if now.exact => range.with(a),
+            Some((a, b)) => range.with(a).with(b),
+            None => range,
+        })
+    }
+
+    /// Takes a sample; whether it continues the one before.
+    pub(super) fn push(&mut self, sample: &Sample, scale: &Scale) -> bool {
+        let key = sample.applied.map(|applied| applied.seq).or(sample.seq);
+        let demand = key.and_then(|key| {
+            let found = self.commands.iter().rev().find(|(seq, _)| *seq == key);
+            found.map(|(_, demand)| *demand)
+        });
+        let now = Seen {
+            time_s: sample.time_s,
+            key: key.filter(|_| demand.is_some()),
+            exact: sample.applied.is_some(),
+            current_a: sample.get(Channel::Current),
+            speed_rad_s: sample.get(Channel::Speed),
+            angle_rad: sample.get(Channel::Angle),
+            voltage_v: sample.get(Channel::Voltage),
+            limited: sample.limited,
+            demand,
+        };
+        let last = self.samples.back();
+        let row = last.and_then(|last| self.row(last, &now, scale));
+        if row.is_none() {
+            self.clear();
+        }
+        if self.samples.len() == KEPT {
+            self.samples.pop_front();
+        }
+        self.samples.push_back(now);
+        let Some(row) = row else {
+            return false;
+        };
+        if self.rows.len() == KEPT {
+            self.rows.pop_front();
+        }
+        self.rows.push_back(row);
+        true
+    }
+
+    fn row(&self, last: &Seen, now: &Seen, scale: &Scale) -> Option<Row> {
+        let seconds = now.time_s - last.time_s;
+        let (from_a, to_a) = last.current_a.zip(now.current_a)?;
+        let (from_rad_s, to_rad_s) = last.speed_rad_s.zip(now.speed_rad_s)?;
+        let angles = last.angle_rad.zip(now.angle_rad);
+        (seconds > 0.0 && seconds < SETTINGS.longest_row_s).then(|| Row {
+            seconds,
+            current_a: 0.5 * (from_a + to_a),
+            speed_rad_s: 0.5 * (from_rad_s + to_rad_s),
+            current_change_a: to_a - from_a,
+            speed_change_rad_s: to_rad_s - from_rad_s,
+            turned_rad: angles.map(|(from, to)| to - from),
+            volts: self.volts(last, now, scale),
+            exact: now.exact,
+            limited: last.limited || now.limited,
+        })
+    }
+}

@@ -1,0 +1,335 @@
+//! Plausibility without a balance: whether the drive follows its set-point, readings that stand in each other's place, the angle
+//! against the speed, and a speed that grows beyond its reference.
+
+use super::balance::negative;
+use super::history::{Range, Row};
+use super::settings::SETTINGS;
+use super::{Agreement, CHECK_ENCODER, CHECK_SET_POINT, Departure, Plausibility, Runaway};
+use crate::trip::{Trip, TripKind};
+use drivebench_model::sample::Demand;
+
+impl Plausibility {
+    /// Two readings that fit in each other's place and not in their own.
+    pub(crate) fn swapped(&self) -> Option<Trip> {
+        let plate = self.plate.filter(|_| !self.waived)?;
+        let last = self.history.last()?;
+        let (current, speed) = (last.current_a?, last.speed_rad_s?);
+        if let (Some((Demand::Voltage(_), set_point)), Some(volts)) =
+            (self.history.set_points(self.cycles()), last.voltage_v)
+            && !last.limited
+        {
+            let about = set_point.times(Range::new(0.9, 1.1));
+            let about = about.wider(0.02 * self.scale.volts);
+            let near = |value: f64| about.gap(Range::at(value)) <= 0.0;
+            let far = set_point.middle().abs() > 0.05 * self.scale.volts;
+            if near(current) && !near(volts) && far {
+                let what = format!(
+                    "the current reads {current:.2} A and the voltage {volts:.2} V, where {:.2} V were asked: exchanged, both would fit; check the addresses of voltage and current in the drive's profile",
+                    set_point.middle()
+                );
+                return Some(self.doubt(
+                    TripKind::SignalsSwapped,
+                    (volts, set_point.middle()),
+                    &what,
+                ));
+            }
+        }
+        if speed.abs() > self.bounds.current_a || current.abs() > self.bounds.speed_rad_s {
+            return None;
+        }
+        let floor = 0.03 * self.scale.volts;
+        let last_rows = self.history.rows().iter().rev().take(SETTINGS.most_rows);
+        let both_ways = |row: &Row| {
+            let volts = row.volts?;
+            let misfit = |current_a: f64, speed_rad_s: f64| {
+                let needed = plate.resistance * current_a + plate.back_emf * speed_rad_s;
+                volts.gap(Range::at(needed))
+            };
+            let (a, b) = row.ends();
+            Some((misfit(a, b), misfit(b, a)))
+        };
+        let misfits: Vec<(f64, f64)> = last_rows.map_while(both_ways).collect();
+        let (as_read, exchanged) = *misfits.first()?;
+        // Every row that does not fit as it was read has to fit when exchanged.
+        let all = misfits
+            .iter()
+            .filter(|(as_read, _)| *as_read > floor)
+            .all(|(as_read, exchanged)| exchanged < &(0.3 * as_read) && *exchanged < floor);
+        let what = format!(
+            "current {current:.2} A and speed {speed:.2} rad/s miss the voltage by {as_read:.1} V; exchanged, {speed:.2} A and {current:.2} rad/s miss it by {exchanged:.1} V; check the addresses of current and speed in the drive's profile"
+        );
+        (as_read > floor && all)
+            .then(|| self.doubt(TripKind::SignalsSwapped, (current, speed), &what))
+    }
+
+    /// A trip beyond a limit, with what contradicts the reading that broke it.
+    pub(crate) fn explained(&mut self, mut beyond: Trip) -> Trip {
+        if let Some(trip) = self.swapped() {
+            return trip;
+        }
+        let doubt = self.plate.and_then(|plate| {
+            let window = self.window(&plate, 1)?;
+            self.misfits(&window).then(|| self.name(&plate, &window))?
+        });
+        if let Some(doubt) = doubt {
+            beyond.reason = format!("{}; or {}", beyond.reason, doubt.reason);
+        }
+        beyond
+    }
+
+    /// Whether the drive follows its set-point.
+    pub(super) fn follows(&mut self) -> Option<Trip> {
+        let cycles = self.cycles();
+        let last = *self.history.last()?;
+        let set_point = self.history.set_points(cycles - 2);
+        let Some((demand, set_point)) = set_point else {
+            self.doubts.departure = None;
+            return None;
+        };
+        let period_s = self.history.period_s()?;
+        let latency_s = SETTINGS
+            .latency_s
+            .max(SETTINGS.latency_cycles as f64 * period_s);
+        let (speed, current) = (last.speed_rad_s?, last.current_a?);
+        let idle = current.abs() < self.idle_a() && speed.abs() < self.rest_rad_s();
+        let factors = match demand {
+            Demand::Voltage(_) if self.proven.voltage_scale => SETTINGS.known_scale,
+            _ if self.waived => Range::new(0.1, 10.0),
+            _ => SETTINGS.any_factor,
+        };
+        let mut region = set_point.times(factors);
+        let (measured, full, confirm_s, unit) = match demand {
+            Demand::Voltage(_) => {
+                region = region.wider(self.drop_v());
+                let soon_s = if last.exact {
+                    0.6 * latency_s
+                } else {
+                    1.5 * period_s
+                };
+                let confirm_s = if idle { SETTINGS.idle_s } else { soon_s };
+                if last.limited || current.abs() > self.bounds.limiting_a {
+                    // A limit brings the voltage nearer to the back-EMF, never beyond it.
+                    let emf_v = self.plate.map(|plate| plate.back_emf * speed);
+                    let emf = emf_v.map(|emf_v| Range::at(emf_v).times(SETTINGS.any_factor));
+                    region = emf.map_or(Range::EVERY, |emf| region.hull(emf.wider(self.drop_v())));
+                }
+                (last.voltage_v, self.scale.volts, confirm_s, "V")
+            }
+            Demand::Current(_) => {
+                let amps = self.scale.amps;
+                region = region.wider(SETTINGS.follows * amps);
+                let emf_v = self.plate.map_or(0.0, |plate| plate.back_emf * speed);
+                let has_room = last.voltage_v.unwrap_or(2.0 * emf_v).abs() < 0.9 * self.scale.volts;
+                if !self.proven.current_sign {
+                    region = region.hull(negative(region));
+                }
+                let measured = Some(current).filter(|_| has_room && !last.limited);
+                let confirm_s = SETTINGS.current_follows_s.max(latency_s);
+                (measured, amps, confirm_s, "A")
+            }
+            _ => {
+                region = region.wider(SETTINGS.follows * self.scale.rad_s);
+                let confirm_s = SETTINGS.speed_follows_s.max(latency_s);
+                let measured = Some(speed).filter(|_| !last.limited);
+                (measured, self.scale.rad_s, confirm_s, "rad/s")
+            }
+        };
+        let wanted = set_point.middle();
+        let not_followed = |watch: &Self, region: Range, value: f64, for_s: f64| {
+            let figures = format!(
+                "asked {wanted:.2} {unit}, measured {value:.2} {unit} for {for_s:.2} s, {:.2} to {:.2} {unit} would be believed",
+                region.low, region.high
+            );
+            watch.not_followed(demand, (value, wanted), idle, &figures)
+        };
+        if let (Demand::Voltage(_), Some(value)) = (demand, measured)
+            && let Some(for_s) = self
+                .stays(set_point, value)
+                .filter(|for_s| *for_s >= confirm_s)
+        {
+            let region = set_point.wider(self.drop_v());
+            return Some(not_followed(self, region, value, for_s));
+        }
+        let distance = measured.map_or(0.0, |value| region.gap(Range::at(value)));
+        let Some(value) = measured.filter(|_| distance > 0.0) else {
+            self.doubts.departure = None;
+            return None;
+        };
+        let departure = Departure {
+            since_s: last.time_s,
+            distance,
+        };
+        let first = self.doubts.departure.get_or_insert(departure);
+        if distance < first.distance - 0.01 * full {
+            // It is on its way.
+            *first = departure;
+            return None;
+        }
+        let since_s = first.since_s;
+        let for_s = last.time_s - since_s;
+        if for_s < confirm_s {
+            return None;
+        }
+        self.swapped()
+            .or_else(|| Some(not_followed(self, region, value, for_s)))
+    }
+
+    /// For how long the measured voltage has stayed where it was although the set-point has moved, s. A reading whose scale
+    /// is wrong moves with it, so this needs none of the room that such a reading is given; a guard that holds the
+    /// set-point around the back-EMF leaves no more than this to see.
+    fn stays(&mut self, set_point: Range, value: f64) -> Option<f64> {
+        let last = *self.history.last()?;
+        let read = Range::at(value);
+        if set_point.wider(self.drop_v()).gap(read) <= 0.0 {
+            // Of the set-points that it may answer to, the nearest; while it stays where it was also of those before.
+            let nearest = value.clamp(set_point.low, set_point.high);
+            let agrees = self.doubts.agreement.is_none_or(|last| {
+                let moves =
+                    (value - last.measured_v).abs() > SETTINGS.rest_voltage * self.scale.volts;
+                moves || (nearest - value).abs() <= (last.set_point_v - last.measured_v).abs()
+            });
+            if agrees {
+                self.doubts.agreement = Some(Agreement {
+                    set_point_v: nearest,
+                    measured_v: value,
+                    stuck_since_s: None,
+                });
+            }
+            let is_steady = set_point.high - set_point.low < self.drop_v();
+            let is_clear =
+                SETTINGS.known_scale.high.mul_add(value.abs(), -value.abs()) > self.drop_v();
+            self.proven.voltage_scale |= is_steady && is_clear;
+        }
+        let beyond = |current: f64| current.abs() > self.bounds.limiting_a;
+        let is_limited = last.limited || last.current_a.is_some_and(beyond);
+        let agreement = self.doubts.agreement.as_mut()?;
+        let moved = set_point.gap(Range::at(agreement.set_point_v));
+        let stays = moved > SETTINGS.stuck_voltage * self.scale.volts
+            && (value - agreement.measured_v).abs() < SETTINGS.stuck_part * moved;
+        if is_limited || !stays {
+            agreement.stuck_since_s = None;
+            return None;
+        }
+        let since_s = *agreement.stuck_since_s.get_or_insert(last.time_s);
+        Some(last.time_s - since_s)
+    }
+
+    fn not_followed(
+        &self,
+        demand: Demand,
+        (value, wanted): (f64, f64),
+        idle: bool,
+        figures: &str,
+    ) -> Trip {
+        if let (Demand::Voltage(_), Some(plate)) = (demand, &self.plate)
+            && let Some(row) = self.history.rows().back().filter(|_| !idle)
+        {
+            let answer = plate.current_v(row) + plate.back_emf * row.speed_rad_s;
+            let nearer = |volts: f64| (answer - volts).abs();
+            if 2.0 * nearer(wanted) < nearer(value)
+                && nearer(wanted) < self.drop_v() + 0.3 * wanted.abs()
+            {
+                let what = format!(
+                    "{figures}; current and speed are those of {answer:.1} V, so it is the measured voltage that is wrong; check its address, scale and sign in the drive's profile"
+                );
+                return self.doubt(TripKind::VoltageImplausible, (value, wanted), &what);
+            }
+        }
+        let what = format!("{figures}; {CHECK_SET_POINT}");
+        self.doubt(TripKind::SetPointIgnored, (value, wanted), &what)
+    }
+
+    /// The angle turned over the last cycles against the speed.
+    pub(super) fn by_angle(&mut self) -> Option<Trip> {
+        // An angle that is read more seldom than once a cycle stays for some cycles; the confirmations come on top.
+        let times = if self.is_exact() { 1 } else { 2 };
+        let rows = times * self.cycles() - SETTINGS.confirming_windows;
+        let all = self.history.rows();
+        if all.len() < rows {
+            return None;
+        }
+        let (mut seconds, mut turned, mut speeds) = (0.0, 0.0, None);
+        let (mut by_speed, mut widest) = (0.0, 0.0_f64);
+        // A counter that was set anew is no motion: the one row that fits least does not count.
+        let mut worst = (0.0, 0.0, 0.0);
+        for row in all.iter().skip(all.len() - rows) {
+            let row_rad = row.turned_rad?;
+            let misfit = (row_rad - row.speed_rad_s * row.seconds).abs();
+            if misfit >= worst.0 {
+                worst = (misfit, row_rad, row.seconds);
+            }
+            turned += row_rad;
+            by_speed += row.speed_rad_s * row.seconds;
+            widest = widest.max(row.speed_change_rad_s.abs());
+            seconds += row.seconds;
+            let half = 0.5 * row.speed_change_rad_s.abs();
+            let range = Range::around(row.speed_rad_s, half);
+            speeds = Some(speeds.map_or(range, |speeds: Range| speeds.hull(range)));
+        }
+        let rate = (turned - worst.1) / (seconds - worst.2);
+        // Where each speed has its time the mean is narrower than their range.
+        let speeds = if self.is_exact() {
+            Range::around(by_speed / seconds, widest)
+        } else {
+            speeds?
+        };
+        let plausible = speeds
+            .times(SETTINGS.any_factor)
+            .wider(2.0 * self.rest_rad_s());
+        if plausible.gap(Range::at(rate)) <= 0.0 {
+            self.doubts.angle_windows = 0;
+            return None;
+        }
+        self.doubts.angle_windows += 1;
+        if self.doubts.angle_windows < SETTINGS.confirming_windows {
+            return None;
+        }
+        let speed = speeds.middle();
+        let what = format!(
+            "the angle turns by {rate:.1} rad/s, the measured speed is {speed:.1} rad/s, {:.1} to {:.1} rad/s would be believed; {CHECK_ENCODER}",
+            plausible.low, plausible.high
+        );
+        let kind = if self.speed.run() >= SETTINGS.frozen_readings {
+            TripKind::EncoderFrozen
+        } else {
+            TripKind::AngleImplausible
+        };
+        Some(self.doubt(kind, (rate, speed), &what))
+    }
+
+    /// The speed grows beyond its reference although the torque is against it.
+    pub(super) fn runs_away(&mut self) -> Option<Trip> {
+        let row = *self.history.rows().back()?;
+        let speed = self.history.last()?.speed_rad_s?;
+        let reference = self.reference_rad_s?;
+        let direction = speed.signum();
+        let beyond = direction * (speed - reference);
+        let grows = direction * row.speed_change_rad_s > 0.0;
+        let braked = direction * row.current_a < 0.0;
+        if !(grows && braked && beyond > SETTINGS.runaway_beyond * self.bounds.speed_rad_s) {
+            self.doubts.runaway = None;
+            return None;
+        }
+        let runaway = self.doubts.runaway.get_or_insert(Runaway {
+            from_rad_s: speed - row.speed_change_rad_s,
+            cycles: 0,
+        });
+        runaway.cycles += 1;
+        let growth = direction * (speed - runaway.from_rad_s);
+        let long = runaway.cycles >= SETTINGS.runaway_cycles;
+        if !(long && growth > SETTINGS.runaway_growth * self.bounds.speed_rad_s) {
+            return None;
+        }
+        // Seen by a reversed encoder the shaft runs away as soon as it moves.
+        if let Some(plate) = self.plate
+            && let Some(window) = self.window(&plate, SETTINGS.stamped_rows)
+            && window.misfit(-1.0) < window.misfit(1.0)
+        {
+            return Some(self.misread(TripKind::EncoderReversed, &plate, &window));
+        }
+        let what = format!(
+            "the speed grows to {speed:.1} rad/s against the torque, the reference is {reference:.1} rad/s"
+        );
+        Some(self.doubt(TripKind::Runaway, (speed, reference), &what))
+    }
+}

@@ -1,0 +1,733 @@
+//! The journal of a run: rows and events as whole lines, kept in memory while they cannot be written; and the recorder of
+//! virtual time, which keeps them there for good.
+
+use std::fs::File;
+use std::io::{self, BufRead as _, BufReader, BufWriter, IntoInnerError, Read, Write};
+use std::os::unix::fs::FileExt;
+
+use serde_json::{Map, Value};
+
+use super::{CommandRow, Layout, ReadOptions, RecordingError, Row, RowOrder, read_csv};
+use drivebench_model::sample::{Run, Sample};
+
+/// Something that happened and is no sample: a key, a lost deadline, a trip. Replay needs every one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Event {
+    /// On the samples' time axis, s.
+    pub time_s: f64,
+    /// Sequence number of the exchange that it belongs to.
+    pub seq: Option<u64>,
+    /// Short name: `trip`, `key`, `deadline_lost`.
+    pub event: String,
+    pub details: Map<String, Value>,
+}
+
+impl Event {
+    pub fn new(time_s: f64, seq: Option<u64>, event: impl Into<String>) -> Self {
+        Self {
+            time_s,
+            seq,
+            event: event.into(),
+            details: Map::new(),
+        }
+    }
+
+    #[must_use]
+    pub fn with(mut self, key: &str, value: impl Into<Value>) -> Self {
+        self.details.insert(key.to_owned(), value.into());
+        self
+    }
+
+    /// One line of `events.jsonl` with its line feed.
+    pub fn line(&self) -> String {
+        let mut object = Map::new();
+        object.insert("time_s".into(), self.time_s.into());
+        object.insert("seq".into(), self.seq.into());
+        object.insert("event".into(), self.event.clone().into());
+        for (key, value) in &self.details {
+            object.entry(key.clone()).or_insert_with(|| value.clone());
+        }
+        Value::Object(object).to_string() + "\n"
+    }
+}
+
+/// Where a session puts what it sees. Nothing is ever refused: trouble shows in [`Record::status`].
+pub trait Record {
+    fn command(&mut self, command: &CommandRow);
+    /// The rows that this sample completes: what is recorded, for whoever goes by it.
+    fn row(&mut self, sample: &Sample) -> &[Row];
+    /// Nothing comes any more: the rows of the commands that still wait.
+    fn flush(&mut self) -> &[Row];
+    fn event(&mut self, event: Event);
+    fn status(&self) -> RecorderStatus;
+}
+
+/// How recording goes.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct RecorderStatus {
+    /// Rows handed to the file, written or waiting.
+    pub rows: usize,
+    pub events: usize,
+    /// Bytes that wait in memory because the file could not take them.
+    pub bytes_waiting: usize,
+    /// Rows that neither the file nor the memory could keep.
+    pub rows_lost: usize,
+    pub events_lost: usize,
+    /// The first trouble with the disk; it is over when no bytes wait.
+    pub error: Option<String>,
+    /// Sentences for the person at the bench, the newest last: what goes wrong with the record, and what was done about it.
+    pub news: Vec<String>,
+}
+
+/// A byte sink that can be made durable, and read back.
+pub(super) trait Durable: Write {
+    fn sync(&mut self) -> io::Result<()>;
+
+    /// What it has taken, from its byte `at` on; 0 bytes where there is no more. An open file can be read after it was
+    /// deleted or renamed.
+    fn read_at(&self, at: u64, into: &mut [u8]) -> io::Result<usize>;
+}
+
+impl Durable for File {
+    fn sync(&mut self) -> io::Result<()> {
+        self.sync_data()
+    }
+
+    fn read_at(&self, at: u64, into: &mut [u8]) -> io::Result<usize> {
+        FileExt::read_at(self, into, at)
+    }
+}
+
+/// Nowhere: what is kept in memory is all there is.
+impl Durable for io::Sink {
+    fn sync(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn read_at(&self, _: u64, _: &mut [u8]) -> io::Result<usize> {
+        Ok(0)
+    }
+}
+
+/// The first bytes of a sink, to be read from their begin.
+struct ReadBack<'a, S> {
+    sink: &'a S,
+    at: u64,
+    end: u64,
+}
+
+impl<S: Durable> Read for ReadBack<'_, S> {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        let left = usize::try_from(self.end - self.at).unwrap_or(usize::MAX);
+        let most = into.len().min(left);
+        let count = self.sink.read_at(self.at, &mut into[..most])?;
+        self.at += count as u64;
+        Ok(count)
+    }
+}
+
+/// How much of a log stays in memory, bytes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Room {
+    /// Of what the sink has taken: the newest part, which a disk that fails may not have made durable.
+    pub(super) taken: usize,
+    /// Of all, with what the sink has not taken; lines beyond are lost.
+    pub(super) all: usize,
+}
+
+impl Room {
+    /// For samples on disk: the last seconds at 1 kHz of what is written, and without a disk hours at 50 Hz, half an hour at
+    /// 1 kHz.
+    pub(super) const SAMPLES: Self = Self {
+        taken: 1 << 20,
+        all: 256 << 20,
+    };
+    pub(super) const EVENTS: Self = Self {
+        taken: 1 << 18,
+        all: 16 << 20,
+    };
+    pub(super) const UNBOUNDED: Self = Self {
+        taken: usize::MAX,
+        all: usize::MAX,
+    };
+}
+
+/// Sentences that a run has for its reader; a disk that comes and goes has the same ones again and again.
+const MOST_NEWS: usize = 20;
+
+/// Lines into a sink: whole lines in each write call. What the sink does not take waits and goes first the next time. Of what it has
+/// taken the newest part is kept as well; the rest is read back from the sink where it is needed again.
+#[derive(Debug)]
+pub(super) struct Lines<S> {
+    pub(super) sink: S,
+    text: Vec<u8>,
+    /// Bytes of `text` that the sink has taken.
+    written: usize,
+    /// Bytes before `text`, which only the sink has, and how many lines they are.
+    earlier_bytes: u64,
+    earlier_count: usize,
+    room: Room,
+    /// Lines that neither the sink nor the memory has.
+    lost: usize,
+}
+
+impl<S: Durable> Lines<S> {
+    pub(super) fn new(sink: S, room: Room) -> Self {
+        Self {
+            sink,
+            text: Vec::new(),
+            written: 0,
+            earlier_bytes: 0,
+            earlier_count: 0,
+            room,
+            lost: 0,
+        }
+    }
+
+    pub(super) fn push(&mut self, line: &str) -> io::Result<()> {
+        self.keep(line);
+        self.drain()
+    }
+
+    /// Takes a line, to be written with the next `drain`.
+    fn keep(&mut self, line: &str) {
+        if self.text.len().saturating_add(line.len()) > self.room.taken {
+            self.leave_to_the_sink();
+        }
+        if self.text.len().saturating_add(line.len()) > self.room.all {
+            self.lost += 1;
+        } else {
+            self.text.extend_from_slice(line.as_bytes());
+        }
+    }
+
+    /// Takes the older half of what is written out of memory, in whole lines.
+    fn leave_to_the_sink(&mut self) {
+        let older = &self.text[..self.written.saturating_sub(self.room.taken / 2)];
+        let end = older.iter().rposition(|byte| *byte == b'\n');
+        let end = end.map_or(0, |at| at + 1);
+        self.earlier_bytes += end as u64;
+        self.earlier_count += lines_in(&older[..end]);
+        self.text.drain(..end);
+        self.written -= end;
+        if self.text.capacity() / 4 > self.room.taken.max(self.text.len()) {
+            self.text.shrink_to(self.room.taken);
+        }
+    }
+
+    pub(super) fn bytes_waiting(&self) -> usize {
+        self.text.len() - self.written
+    }
+
+    fn before(&self) -> BufReader<ReadBack<'_, S>> {
+        BufReader::new(ReadBack {
+            sink: &self.sink,
+            at: 0,
+            end: self.earlier_bytes,
+        })
+    }
+
+    /// All lines so far; `None` where they are not to be had any more.
+    pub(super) fn whole(&self) -> Option<Vec<u8>> {
+        let mut whole = Vec::new();
+        self.before().read_to_end(&mut whole).ok()?;
+        let is_whole = whole.len() as u64 == self.earlier_bytes && self.lost == 0;
+        whole.extend_from_slice(&self.text);
+        is_whole.then_some(whole)
+    }
+
+    /// A fresh sink with all that this one gives back, after `head` where that is not its first line.
+    fn moved_to(&self, sink: S, head: &str) -> io::Result<Moved<S>> {
+        let mut fresh = BufWriter::new(sink);
+        let (mut back, mut line) = (self.before(), Vec::new());
+        let (mut bytes, mut lines) = (0, 0);
+        // From a line on that cannot be read to its end, all is lost up to those in memory.
+        while back.read_until(b'\n', &mut line).is_ok() && line.ends_with(b"\n") {
+            fresh.write_all(&line)?;
+            bytes += line.len() as u64;
+            lines += 1;
+            line.clear();
+        }
+        let mut lost = self.earlier_count.saturating_sub(lines);
+        if lines == 0 && lost > 0 && !head.is_empty() {
+            fresh.write_all(head.as_bytes())?;
+            bytes += head.len() as u64;
+            (lines, lost) = (1, lost - 1);
+        }
+        let sink = fresh.into_inner().map_err(IntoInnerError::into_error)?;
+        Ok(Moved {
+            sink,
+            bytes,
+            lines,
+            lost,
+        })
+    }
+
+    /// Goes on where it was moved to, first with what is in memory.
+    fn go_on_in(&mut self, moved: Moved<S>) {
+        self.sink = moved.sink;
+        (self.earlier_bytes, self.earlier_count) = (moved.bytes, moved.lines);
+        self.lost += moved.lost;
+        self.written = 0;
+    }
+
+    fn drain(&mut self) -> io::Result<()> {
+        while self.written < self.text.len() {
+            match self.sink.write(&self.text[self.written..]) {
+                Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
+                Ok(count) => self.written += count,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A sink that begins with what another had, in bytes and lines, and the lines that other did not give back.
+struct Moved<S> {
+    sink: S,
+    bytes: u64,
+    lines: usize,
+    lost: usize,
+}
+
+fn lines_in(text: &[u8]) -> usize {
+    text.split(|byte| *byte == b'\n').count() - 1
+}
+
+/// Makes lines of rows and writes them; the one path of the threaded and the in-memory recorder.
+pub(super) struct Journal<S> {
+    layout: Layout,
+    /// Room for the row that is made.
+    line: String,
+    samples: Lines<S>,
+    events: Lines<S>,
+    sync_every_rows: usize,
+    unsynced_rows: usize,
+    /// A sync that has failed once cannot be made good: the system may have dropped what it was for.
+    unsynced: Option<String>,
+    /// The trouble with the disk that goes on.
+    trouble: Option<String>,
+    status: RecorderStatus,
+}
+
+impl<S: Durable> Journal<S> {
+    /// Writes the header at once. The samples are synced every `sync_every_rows` rows.
+    pub(super) fn new(
+        layout: Layout,
+        samples: Lines<S>,
+        events: Lines<S>,
+        sync_every_rows: usize,
+    ) -> Self {
+        let mut journal = Self {
+            line: String::new(),
+            samples,
+            events,
+            sync_every_rows: sync_every_rows.max(1),
+            unsynced_rows: 0,
+            unsynced: None,
+            trouble: None,
+            status: RecorderStatus::default(),
+            layout,
+        };
+        let result = journal.samples.push(&journal.layout.header());
+        journal.note(result);
+        journal
+    }
+
+    pub(super) fn event(&mut self, event: &Event) {
+        self.status.events += 1;
+        let lost = self.events.lost;
+        let result = self.events.push(&event.line());
+        self.note(result);
+        if lost == 0 && self.events.lost > 0 {
+            self.tell_loss("events", self.events.room.all);
+        }
+        let synced = self.events.sink.sync();
+        self.note_sync(synced);
+    }
+
+    /// Tries once more what could not be written, and syncs.
+    pub(super) fn finish(&mut self) {
+        self.retry();
+        self.sync();
+    }
+
+    /// Tries once more what could not be written.
+    pub(super) fn retry(&mut self) {
+        if self.status().bytes_waiting > 0 {
+            let result = self.samples.drain().and(self.events.drain());
+            self.note(result);
+        }
+    }
+
+    /// Goes on in fresh sinks, with all that the old ones and the memory have. Where they do not take it, nothing has
+    /// changed.
+    pub(super) fn go_on_in(&mut self, samples: S, events: S) -> io::Result<()> {
+        let samples = self.samples.moved_to(samples, &self.layout.header())?;
+        let events = self.events.moved_to(events, "")?;
+        self.samples.go_on_in(samples);
+        self.events.go_on_in(events);
+        (self.unsynced, self.trouble) = (None, None);
+        let result = self.samples.drain().and(self.events.drain());
+        self.note(result);
+        self.sync();
+        Ok(())
+    }
+
+    pub(super) fn status(&self) -> RecorderStatus {
+        RecorderStatus {
+            bytes_waiting: self.samples.bytes_waiting() + self.events.bytes_waiting(),
+            rows_lost: self.samples.lost,
+            events_lost: self.events.lost,
+            ..self.status.clone()
+        }
+    }
+
+    pub(super) const fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    /// Why what was written is not certain to be on the disk, where that is so.
+    pub(super) fn doubt(&self) -> Option<&str> {
+        self.unsynced.as_deref()
+    }
+
+    /// The whole of both logs; `None` where that is not to be had any more.
+    pub(super) fn texts(&self) -> [Option<Vec<u8>>; 2] {
+        [self.samples.whole(), self.events.whole()]
+    }
+
+    /// A sentence for the person at the bench.
+    pub(super) fn tell(&mut self, text: String) {
+        self.status.error.get_or_insert_with(|| text.clone());
+        if self.status.news.len() < MOST_NEWS {
+            self.status.news.push(text);
+        }
+    }
+
+    fn tell_loss(&mut self, of: &str, room: usize) {
+        let most = room >> 20;
+        self.tell(format!(
+            "{most} MiB of {of} wait in memory and there is no room for more: {of} are lost from here on"
+        ));
+    }
+
+    pub(super) fn rows(&mut self, rows: &[Row]) {
+        let lost = self.samples.lost;
+        for row in rows {
+            self.line.clear();
+            self.layout.push_line(row, &mut self.line);
+            self.samples.keep(&self.line);
+        }
+        // What came together is written together.
+        let result = self.samples.drain();
+        self.note(result);
+        if lost == 0 && self.samples.lost > 0 {
+            self.tell_loss("rows", self.samples.room.all);
+        }
+        self.status.rows += rows.len();
+        self.unsynced_rows += rows.len();
+        if self.unsynced_rows >= self.sync_every_rows {
+            self.unsynced_rows = 0;
+            let synced = self.samples.sink.sync();
+            self.note_sync(synced);
+        }
+    }
+
+    fn sync(&mut self) {
+        let synced = self.samples.sink.sync();
+        self.note_sync(synced);
+        let synced = self.events.sink.sync();
+        self.note_sync(synced);
+    }
+
+    fn note_sync(&mut self, result: io::Result<()>) {
+        if let Err(error) = result
+            && self.unsynced.is_none()
+        {
+            self.unsynced = Some(error.to_string());
+            self.tell(format!(
+                "the disk does not confirm what was written: {error}; the run goes on"
+            ));
+        }
+    }
+
+    /// Tells when trouble begins and when it is over.
+    fn note(&mut self, result: io::Result<()>) {
+        match result {
+            Err(error) => {
+                let reason = error.to_string();
+                if self.trouble.as_ref() != Some(&reason) {
+                    self.tell(format!(
+                        "the record cannot be written: {reason}; the run goes on, and what is not written waits in memory"
+                    ));
+                    self.trouble = Some(reason);
+                }
+            }
+            Ok(()) if self.trouble.is_some() && self.status().bytes_waiting == 0 => {
+                self.trouble = None;
+                let lost = match (self.samples.lost, self.events.lost) {
+                    (0, 0) => ", and is whole so far".to_owned(),
+                    (rows, events) => format!("; {rows} rows and {events} events are lost"),
+                };
+                self.tell(format!("the record can be written again{lost}"));
+            }
+            Ok(()) => {}
+        }
+    }
+}
+
+/// Records into memory; with the same input it gives the same bytes as [`super::Recorder`] writes.
+pub struct MemoryRecorder {
+    order: RowOrder,
+    journal: Journal<io::Sink>,
+}
+
+impl MemoryRecorder {
+    pub fn new(layout: Layout) -> Self {
+        let lines = || Lines::new(io::sink(), Room::UNBOUNDED);
+        Self {
+            order: RowOrder::new(layout.clone()),
+            journal: Journal::new(layout, lines(), lines(), usize::MAX),
+        }
+    }
+
+    /// Writes the commands that still wait for their instant; to be called once at the end.
+    pub fn finish(&mut self) {
+        self.flush();
+        self.journal.finish();
+    }
+
+    /// The text of `samples.csv` so far.
+    pub fn samples_csv(&self) -> String {
+        text_of(&self.journal.samples)
+    }
+
+    /// The text of `events.jsonl` so far.
+    pub fn events_jsonl(&self) -> String {
+        text_of(&self.journal.events)
+    }
+
+    /// The run as it would be read from disk.
+    pub fn run(&self, name: &str) -> Result<Run, RecordingError> {
+        let bytes = self.journal.samples.whole().unwrap_or_default();
+        read_csv(&*bytes, name, ReadOptions::default()).map(|(run, _)| run)
+    }
+}
+
+fn text_of(lines: &Lines<io::Sink>) -> String {
+    String::from_utf8_lossy(&lines.whole().unwrap_or_default()).into_owned()
+}
+
+impl Record for MemoryRecorder {
+    fn command(&mut self, command: &CommandRow) {
+        self.order.command(*command);
+    }
+
+    fn row(&mut self, sample: &Sample) -> &[Row] {
+        let rows = self.order.sample(sample);
+        self.journal.rows(rows);
+        rows
+    }
+
+    fn flush(&mut self) -> &[Row] {
+        let rows = self.order.finish();
+        self.journal.rows(rows);
+        rows
+    }
+
+    fn event(&mut self, event: Event) {
+        self.journal.event(&event);
+    }
+
+    fn status(&self) -> RecorderStatus {
+        self.journal.status()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use drivebench_model::sample::Channel;
+
+    /// A disk with so many bytes of room.
+    #[derive(Debug, Default)]
+    struct Disk {
+        bytes: Vec<u8>,
+        room: usize,
+        unreadable_from: Option<usize>,
+    }
+
+    fn disk(room: usize) -> Disk {
+        Disk {
+            room,
+            ..Disk::default()
+        }
+    }
+
+    impl Write for Disk {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            let count = bytes.len().min(self.room - self.bytes.len());
+            if count == 0 {
+                return Err(io::Error::from_raw_os_error(28)); // ENOSPC
+            }
+            self.bytes.extend_from_slice(&bytes[..count]);
+            Ok(count)
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    impl Durable for Disk {
+        fn sync(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+
+        fn read_at(&self, at: u64, into: &mut [u8]) -> io::Result<usize> {
+            let at = usize::try_from(at).unwrap();
+            let readable = self.unreadable_from.unwrap_or(self.bytes.len());
+            if at == readable && self.unreadable_from.is_some() {
+                return Err(io::Error::from_raw_os_error(5)); // EIO
+            }
+            (&self.bytes[at..readable]).read(into)
+        }
+    }
+
+    fn room(taken: usize, all: usize) -> Room {
+        Room { taken, all }
+    }
+
+    fn of(value: f64) -> Row {
+        let mut row = Row::at(value);
+        row.set(Channel::Current, Some(value));
+        row
+    }
+
+    #[test]
+    fn a_full_disk_loses_nothing_and_is_reported() {
+        let layout = Layout::plain(&[Channel::Current]);
+        let lines = |space| Lines::new(disk(space), room(100, 100_000));
+        let mut journal = Journal::new(layout.clone(), lines(30), lines(1000), 10);
+        let mut expected = layout.header();
+        for row in 0..20_u32 {
+            let value = f64::from(row);
+            journal.rows(&[of(value)]);
+            expected = format!("{expected}{row},{row}\n");
+        }
+        let status = journal.status();
+        assert_eq!(status.rows, 20);
+        assert_eq!(status.bytes_waiting, expected.len() - 30);
+        assert!(status.error.unwrap().contains("No space left"));
+        assert_eq!(journal.samples.sink.bytes, &expected.as_bytes()[..30]);
+
+        journal.samples.sink.room = 10_000; // someone made room
+        journal.finish();
+        assert_eq!(journal.status().bytes_waiting, 0);
+        assert_eq!(journal.samples.sink.bytes, expected.as_bytes());
+        let news = journal.status().news;
+        assert_eq!(news.len(), 2, "{news:?}");
+        assert!(news[0].contains("No space left"), "{news:?}");
+        assert!(news[1].contains("written again"), "{news:?}");
+        assert_eq!(journal.samples.whole().unwrap(), expected.as_bytes());
+    }
+
+    #[test]
+    fn a_fresh_sink_begins_with_all_that_the_old_one_gives_back() {
+        let layout = Layout::plain(&[Channel::Current]);
+        let header = layout.header();
+        let rows = |range: std::ops::Range<u32>| -> String {
+            range.fold(String::new(), |all, row| all + &format!("{row},{row}\n"))
+        };
+        let all = header.clone() + &rows(0..100);
+        let unreadable = |from: &str| Some(from.len());
+        let ten = header.clone() + &rows(0..10);
+        let cases = [
+            (None, all.clone()),
+            // From the middle of a row on.
+            (unreadable(&(ten.clone() + "1")), ten),
+            (Some(0), header.clone()),
+        ];
+        for (unreadable_from, first) in cases {
+            let lines = || Lines::new(disk(10_000), room(54, 1000));
+            let mut journal = Journal::new(layout.clone(), lines(), lines(), 10);
+            for row in 0..100_u32 {
+                journal.rows(&[of(f64::from(row))]);
+            }
+            journal.samples.sink.unreadable_from = unreadable_from;
+            // A sink that does not take it changes nothing.
+            let before = format!("{:?}", journal.samples);
+            assert!(journal.go_on_in(disk(5), disk(5)).is_err());
+            assert_eq!(format!("{:?}", journal.samples), before);
+            journal.go_on_in(disk(10_000), disk(10_000)).unwrap();
+            let text = String::from_utf8(journal.samples.sink.bytes.clone()).unwrap();
+            assert!(text.starts_with(&first), "{text}");
+            assert!(all.ends_with(&text[first.len()..]), "{text}");
+            let lost = journal.status().rows_lost;
+            assert_eq!(lost == 0, unreadable_from.is_none());
+            assert_eq!(text.lines().count() + lost, 101);
+            journal.rows(&[of(100.0)]);
+            assert!(journal.samples.sink.bytes.ends_with(b"99,99\n100,100\n"));
+        }
+    }
+
+    #[test]
+    fn what_neither_disk_nor_memory_holds_is_counted_and_told() {
+        let layout = Layout::plain(&[Channel::Current]);
+        let lines = |space, all| Lines::new(disk(space), room(60, all));
+        let row = |journal: &mut Journal<Disk>, value: f64| {
+            journal.rows(&[of(value)]);
+        };
+        // The disk has room: the memory leaves to it what is written, and nothing is lost.
+        let mut journal = Journal::new(layout.clone(), lines(10_000, 60), lines(0, 0), 10);
+        (0..100_u32).for_each(|count| row(&mut journal, f64::from(count)));
+        assert_eq!(journal.status().rows_lost, 0);
+        assert!(journal.status().news.is_empty());
+        let whole = journal.samples.whole().unwrap();
+        assert_eq!(whole, journal.samples.sink.bytes);
+        assert!(journal.samples.text.len() <= 60, "{:?}", journal.samples);
+        // The disk is full: what does not go into the memory is lost, and that is told once.
+        let mut journal = Journal::new(layout.clone(), lines(20, 60), lines(0, 0), 10);
+        (0..100_u32).for_each(|count| row(&mut journal, f64::from(count)));
+        let status = journal.status();
+        assert!((80..100).contains(&status.rows_lost), "{status:?}");
+        assert_eq!(status.news.len(), 2, "{status:?}");
+        assert!(status.news[1].contains("rows are lost"), "{status:?}");
+        journal.event(&Event::new(0.0, None, "mark"));
+        journal.event(&Event::new(0.0, None, "mark"));
+        let status = journal.status();
+        assert_eq!(status.events_lost, 2);
+        assert!(status.news[2].contains("events are lost"), "{status:?}");
+        // The disk is emptied: what is lost is not whole again.
+        journal.samples.sink.room = 10_000;
+        row(&mut journal, 0.5);
+        let status = journal.status();
+        assert!(
+            status.news[3].contains("rows and 2 events are lost"),
+            "{status:?}"
+        );
+        // Another disk: a header, the rows that are left, and the new ones.
+        journal.go_on_in(disk(10_000), disk(10_000)).unwrap();
+        row(&mut journal, 100.0);
+        let text = String::from_utf8(journal.samples.sink.bytes.clone()).unwrap();
+        assert!(text.starts_with(&layout.header()), "{text}");
+        assert!(text.ends_with("\n100,100\n"), "{text}");
+    }
+
+    #[test]
+    fn an_event_is_one_line_and_its_first_keys_cannot_be_replaced() {
+        let event = Event::new(0.5, Some(3), "trip")
+            .with("limit", "current")
+            .with("value_a", 9.5)
+            .with("event", "other");
+        assert_eq!(
+            event.line(),
+            "{\"time_s\":0.5,\"seq\":3,\"event\":\"trip\",\"limit\":\"current\",\"value_a\":9.5}\n"
+        );
+        let odd = Event::new(f64::NAN, None, "a\nb").line();
+        assert_eq!(odd, "{\"time_s\":null,\"seq\":null,\"event\":\"a\\nb\"}\n");
+    }
+}

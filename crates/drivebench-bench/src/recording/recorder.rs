@@ -1,0 +1,479 @@
+//! The recorder of a run on disk: a thread of its own, so that a slow disk never delays a cycle.
+
+use std::fs::{File, Permissions};
+use std::io::{self, Write};
+use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
+use std::path::Path;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use super::journal::{Durable, Journal, Lines, Room};
+use super::{
+    CommandRow, Event, Layout, Manifest, Record, RecorderStatus, RecordingError, Row, RowOrder,
+    RunFolder,
+};
+use drivebench_model::sample::Sample;
+
+/// Longest time between two looks at the folder while nothing comes.
+const LOOK: Duration = Duration::from_millis(500);
+
+/// Most looks between two trials to make a folder again: a minute while nothing comes.
+const MOST_LOOKS: u32 = 120;
+
+enum Message {
+    Rows(Vec<Row>),
+    Event(Event),
+}
+
+/// Writes a run folder. Rows travel over an unbounded channel: none is dropped, none waits for the disk.
+///
+/// Every write call is of whole lines, those of the rows that came together; events are synced one by one, samples every so many rows. At least once a
+/// second the folder is looked for: one that is gone is made again with all that the memory still has of the run. Dropped
+/// without [`Recorder::finish`], everything is still written, but the manifest goes on saying that the run is not finished.
+pub struct Recorder {
+    folder: RunFolder,
+    order: RowOrder,
+    sender: Option<Sender<Message>>,
+    writer: Option<JoinHandle<Writer>>,
+    status: Arc<Mutex<RecorderStatus>>,
+}
+
+/// The logs of a run that was recorded, wherever its folder is by now.
+pub struct KeptLogs(Option<Journal<Log>>);
+
+impl KeptLogs {
+    /// The text of `samples.csv`: read back from the file, which stays open, and what was still in memory. `None` where
+    /// that is not all of it.
+    pub fn samples(&self) -> Option<Vec<u8>> {
+        let [samples, _] = self.0.as_ref()?.texts();
+        samples
+    }
+
+    /// Makes a run folder of samples, events and manifest in another place, for a disk that does not take them; `None` where
+    /// they are not whole. Who may read the folder of the run may read this one; where that is gone, its owner.
+    pub fn rescue(
+        &self,
+        folder: &RunFolder,
+        root: &Path,
+        manifest: &Manifest,
+    ) -> Option<Result<RunFolder, RecordingError>> {
+        let [samples, events] = self.0.as_ref()?.texts();
+        let (samples, events) = (samples?, events?);
+        let found = std::fs::metadata(folder.path()).ok();
+        let is_there = found.filter(std::fs::Metadata::is_dir);
+        let rights =
+            is_there.map_or_else(|| Permissions::from_mode(0o700), |dir| dir.permissions());
+        let write = || {
+            let folder = RunFolder::create(root, &manifest.stamp, &manifest.name)?;
+            std::fs::set_permissions(folder.path(), rights).map_err(|error| {
+                RecordingError::io(folder.path(), "set the permissions of", &error)
+            })?;
+            let (mut to_samples, mut to_events) = folder.create_logs()?;
+            let written = to_samples.write_all(&samples);
+            let written = written.and_then(|()| to_events.write_all(&events));
+            let written = written
+                .and_then(|()| to_samples.sync())
+                .and_then(|()| to_events.sync());
+            written.map_err(|error| RecordingError::io(folder.path(), "write", &error))?;
+            folder.write_manifest(manifest)?;
+            Ok(folder)
+        };
+        Some(write())
+    }
+}
+
+/// What is left of a run that was recorded.
+pub struct Kept {
+    /// Where the record is: not where it began, where that is gone.
+    pub folder: RunFolder,
+    pub status: RecorderStatus,
+    pub logs: KeptLogs,
+    /// Why the record on the disk is not whole, where it is not: its manifest goes on saying that the run is not finished.
+    pub error: Option<RecordingError>,
+}
+
+impl Recorder {
+    /// Makes `samples.csv`, `events.jsonl` and a manifest that says `"finished": false`.
+    ///
+    /// `sync_every_rows`: rows between two syncs of the samples; the rows of about one second.
+    pub fn create(
+        folder: RunFolder,
+        layout: Layout,
+        manifest: &Manifest,
+        sync_every_rows: usize,
+    ) -> Result<Self, RecordingError> {
+        let (samples, events) = folder.create_logs()?;
+        let logs = [Log(Ok(samples)), Log(Ok(events))];
+        let mut writer = Writer::new(folder, layout, manifest, sync_every_rows, logs);
+        writer.folder.write_manifest(&writer.unfinished)?;
+        let place = Place::of(&writer.folder);
+        writer.place = Some(
+            place.map_err(|error| RecordingError::io(writer.folder.path(), "look at", &error))?,
+        );
+        Self::start(writer)
+    }
+
+    /// For a run that goes on with what was begun before, where `folder` cannot be made for now: all of it is kept in
+    /// memory, and the folder is made as soon as that is possible.
+    pub fn without_disk(
+        folder: RunFolder,
+        layout: Layout,
+        manifest: &Manifest,
+        sync_every_rows: usize,
+        reason: &RecordingError,
+    ) -> Result<Self, RecordingError> {
+        let reason = reason.to_string();
+        let logs = [Log(Err(reason.clone())), Log(Err(reason.clone()))];
+        let mut writer = Writer::new(folder, layout, manifest, sync_every_rows, logs);
+        writer.gone = Some(reason);
+        Self::start(writer)
+    }
+
+    fn start(writer: Writer) -> Result<Self, RecordingError> {
+        let folder = writer.folder.clone();
+        let order = RowOrder::new(writer.journal.layout().clone());
+        let status = Arc::new(Mutex::new(writer.journal.status()));
+        let (sender, receiver) = channel();
+        let shared = Arc::clone(&status);
+        let writer = std::thread::Builder::new()
+            .name("recorder".into())
+            .spawn(move || writer.write_all(&receiver, &shared))
+            .map_err(|error| {
+                RecordingError::io(folder.path(), "start the writer thread of", &error)
+            })?;
+        Ok(Self {
+            folder,
+            order,
+            sender: Some(sender),
+            writer: Some(writer),
+            status,
+        })
+    }
+
+    /// Where the record was begun.
+    pub fn folder(&self) -> &RunFolder {
+        &self.folder
+    }
+
+    /// Waits until everything is on the disk, then writes the manifest with the number of rows and `finished`. An `error`
+    /// in the status of what is returned was got over; the error beside it was not.
+    pub fn finish(mut self, manifest: &Manifest) -> Kept {
+        let Some(Ok(mut writer)) = self.close() else {
+            return Kept {
+                folder: self.folder.clone(),
+                status: self.status(),
+                logs: KeptLogs(None),
+                error: Some(RecordingError::WriterGone {
+                    path: self.folder.path().display().to_string(),
+                }),
+            };
+        };
+        let error = writer.close(manifest).err();
+        Kept {
+            folder: writer.folder,
+            status: writer.journal.status(),
+            logs: KeptLogs(Some(writer.journal)),
+            error,
+        }
+    }
+
+    /// Writes the commands that still wait. The thread ends when the channel is closed and empty.
+    fn close(&mut self) -> Option<std::thread::Result<Writer>> {
+        if self.sender.is_some() {
+            self.flush();
+        }
+        drop(self.sender.take());
+        self.writer.take().map(JoinHandle::join)
+    }
+
+    fn send(&self, message: Message) {
+        let sender = self.sender.as_ref();
+        let sent = sender.is_some_and(|sender| sender.send(message).is_ok());
+        let mut status = lock(&self.status);
+        if !sent && status.error.is_none() {
+            let text = "the writer thread of the record is gone: nothing is recorded any more";
+            status.error = Some(text.to_owned());
+            status.news.push(text.to_owned());
+        }
+    }
+}
+
+impl Record for Recorder {
+    fn command(&mut self, command: &CommandRow) {
+        self.order.command(*command);
+    }
+
+    fn row(&mut self, sample: &Sample) -> &[Row] {
+        let rows = self.order.sample(sample).to_vec();
+        self.send(Message::Rows(rows));
+        self.order.rows()
+    }
+
+    fn flush(&mut self) -> &[Row] {
+        let rows = self.order.finish().to_vec();
+        self.send(Message::Rows(rows));
+        self.order.rows()
+    }
+
+    fn event(&mut self, event: Event) {
+        self.send(Message::Event(event));
+    }
+
+    fn status(&self) -> RecorderStatus {
+        lock(&self.status).clone()
+    }
+}
+
+impl Drop for Recorder {
+    fn drop(&mut self) {
+        // Nobody is left to tell; the manifest still says that the run is not finished.
+        let _ = self.close();
+    }
+}
+
+/// Device and number of the folder and of its two logs: a folder that was deleted or renamed leaves them open, and what is
+/// written to them is nowhere to be found.
+#[derive(Debug, PartialEq, Eq)]
+struct Place([(u64, u64); 3]);
+
+impl Place {
+    fn of(folder: &RunFolder) -> io::Result<Self> {
+        let number = |path: &Path| {
+            let found = std::fs::metadata(path)?;
+            Ok::<_, io::Error>((found.dev(), found.ino()))
+        };
+        Ok(Self([
+            number(folder.path())?,
+            number(&folder.samples())?,
+            number(&folder.events())?,
+        ]))
+    }
+}
+
+/// A log of the folder, as long as there is one.
+#[derive(Debug)]
+struct Log(Result<File, String>);
+
+impl Write for Log {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match &mut self.0 {
+            Ok(file) => file.write(bytes),
+            Err(reason) => Err(io::Error::other(reason.clone())),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Durable for Log {
+    fn sync(&mut self) -> io::Result<()> {
+        self.0.as_mut().map_or(Ok(()), Durable::sync)
+    }
+
+    fn read_at(&self, at: u64, into: &mut [u8]) -> io::Result<usize> {
+        self.0
+            .as_ref()
+            .map_or(Ok(0), |file| Durable::read_at(file, at, into))
+    }
+}
+
+/// The thread's own part of a recorder.
+struct Writer {
+    journal: Journal<Log>,
+    folder: RunFolder,
+    /// `None` before there was one.
+    place: Option<Place>,
+    /// Why the folder, which is gone, cannot be made again.
+    gone: Option<String>,
+    /// Looks that pass before it is tried again, and how many passed before the last trial: each copies the whole log.
+    looks_to_pass: u32,
+    looks_passed: u32,
+    unfinished: Manifest,
+    /// Rows and events between two looks at the folder.
+    look_every: usize,
+}
+
+impl Writer {
+    fn new(
+        folder: RunFolder,
+        layout: Layout,
+        manifest: &Manifest,
+        sync_every_rows: usize,
+        [samples, events]: [Log; 2],
+    ) -> Self {
+        Self {
+            journal: Journal::new(
+                layout,
+                Lines::new(samples, Room::SAMPLES),
+                Lines::new(events, Room::EVENTS),
+                sync_every_rows,
+            ),
+            folder,
+            place: None,
+            gone: None,
+            looks_to_pass: 0,
+            looks_passed: 0,
+            unfinished: Manifest {
+                finished: false,
+                rows: None,
+                ..manifest.clone()
+            },
+            look_every: sync_every_rows.max(1),
+        }
+    }
+
+    fn write_all(mut self, receiver: &Receiver<Message>, status: &Mutex<RecorderStatus>) -> Self {
+        let mut unlooked = 0;
+        loop {
+            match receiver.recv_timeout(LOOK) {
+                Ok(Message::Rows(rows)) => {
+                    self.journal.rows(&rows);
+                    unlooked += rows.len();
+                }
+                Ok(Message::Event(event)) => {
+                    self.journal.event(&event);
+                    unlooked += 1;
+                }
+                Err(RecvTimeoutError::Timeout) => unlooked = self.look_every + 1,
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+            if unlooked > self.look_every {
+                unlooked = 0;
+                self.look();
+            }
+            *lock(status) = self.journal.status();
+        }
+        self.journal.finish();
+        self.looks_to_pass = 0;
+        self.look();
+        *lock(status) = self.journal.status();
+        self
+    }
+
+    /// Whether the folder is where it was; one that is gone is made again.
+    fn look(&mut self) {
+        match Place::of(&self.folder) {
+            Ok(place) if self.place.as_ref() == Some(&place) && self.gone.is_none() => {
+                self.journal.retry();
+            }
+            Ok(_) => self.make_again(),
+            Err(error) if is_gone(&error) || self.gone.is_some() => self.make_again(),
+            // It may be there all the same: what is written tells.
+            Err(_) => self.journal.retry(),
+        }
+    }
+
+    fn make_again(&mut self) {
+        if self.looks_to_pass > 0 {
+            self.looks_to_pass -= 1;
+            return;
+        }
+        let old = self.folder.path().display().to_string();
+        let lost = self.journal.status().rows_lost;
+        let what = match self.place {
+            Some(_) => "was deleted or renamed",
+            None => "could not be made",
+        };
+        match self.remade() {
+            Ok(()) => {
+                let new = self.folder.path().display();
+                let lost = self.journal.status().rows_lost - lost;
+                let rest = if lost == 0 {
+                    String::new()
+                } else {
+                    format!(", without {lost} rows, which the old file did not give back")
+                };
+                (self.gone, self.looks_passed) = (None, 0);
+                self.journal.tell(format!(
+                    "{old} {what}; the record is made again in {new}{rest}"
+                ));
+            }
+            Err(error) => {
+                self.looks_passed = (2 * self.looks_passed).clamp(1, MOST_LOOKS);
+                self.looks_to_pass = self.looks_passed;
+                let reason = error.to_string();
+                if self.gone.as_ref() != Some(&reason) {
+                    self.journal.tell(format!(
+                        "{old} {what}, and the record cannot be made again: {reason}; the run goes on, and is kept in memory"
+                    ));
+                    self.gone = Some(reason);
+                }
+            }
+        }
+    }
+
+    fn remade(&mut self) -> Result<(), RecordingError> {
+        let folder = self.folder.again()?;
+        match self.move_to(&folder) {
+            Ok(place) => {
+                (self.place, self.folder) = (Some(place), folder);
+                Ok(())
+            }
+            Err(error) => {
+                // Made here and of no use; where it cannot be removed either, a part of the record stays in it.
+                let _ = std::fs::remove_dir_all(folder.path());
+                Err(error)
+            }
+        }
+    }
+
+    fn move_to(&mut self, folder: &RunFolder) -> Result<Place, RecordingError> {
+        let (samples, events) = folder.create_logs()?;
+        folder.write_manifest(&self.unfinished)?;
+        let failed = |doing| move |error| RecordingError::io(folder.path(), doing, &error);
+        let place = Place::of(folder).map_err(failed("look at"))?;
+        self.journal
+            .go_on_in(Log(Ok(samples)), Log(Ok(events)))
+            .map_err(failed("move the record to"))?;
+        Ok(place)
+    }
+
+    fn close(&mut self, manifest: &Manifest) -> Result<(), RecordingError> {
+        let status = self.journal.status();
+        let failed = |reason: String| RecordingError::Io {
+            path: self.folder.samples().display().to_string(),
+            doing: "write all rows",
+            reason,
+        };
+        if let Some(reason) = &self.gone {
+            return Err(failed(reason.clone()));
+        }
+        if status.bytes_waiting > 0 {
+            return Err(failed(status.error.unwrap_or_else(|| "unknown".into())));
+        }
+        if status.rows_lost + status.events_lost > 0 {
+            let (rows, events) = (status.rows_lost, status.events_lost);
+            return Err(failed(format!("{rows} rows and {events} events are lost")));
+        }
+        if let Some(reason) = self.journal.doubt() {
+            return Err(failed(reason.to_owned()));
+        }
+        self.folder.write_manifest(&Manifest {
+            finished: true,
+            rows: Some(status.rows),
+            ..manifest.clone()
+        })?;
+        Ok(())
+    }
+}
+
+/// Whether a path leads nowhere any more.
+fn is_gone(error: &io::Error) -> bool {
+    matches!(
+        error.kind(),
+        io::ErrorKind::NotFound | io::ErrorKind::NotADirectory
+    )
+}
+
+/// A status is whole after every assignment, so a panic elsewhere cannot have broken it.
+fn lock(status: &Mutex<RecorderStatus>) -> std::sync::MutexGuard<'_, RecorderStatus> {
+    status.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+#[path = "recorder_tests.rs"]
+mod tests;

@@ -1,0 +1,396 @@
+use std::fs::{self, Permissions};
+use std::os::unix::fs::{FileExt as _, MetadataExt as _, PermissionsExt as _};
+
+use super::*;
+use crate::recording::csv_read::whole_rows;
+use crate::recording::{MemoryRecorder, open_run, run_from_memory};
+use drivebench_model::sample::{Applied, Channel, Command, Demand, Origin};
+
+fn layout() -> Layout {
+    Layout::of_drive(&[Channel::VoltageCmd, Channel::Current, Channel::Speed])
+}
+
+/// A session: a command and its sample in each cycle, an event now and then at its begin.
+fn drive(recorder: &mut dyn Record, cycles: u32) {
+    for cycle in 0..cycles {
+        let seq = u64::from(cycle) + 1;
+        let time_s = f64::from(cycle) * 0.01;
+        recorder.command(&CommandRow {
+            command: Command {
+                seq,
+                demand: Demand::Voltage(f64::from(cycle % 7)),
+            },
+            time_s,
+            reference_rad_s: None,
+        });
+        let mut sample = Sample::at(time_s + 0.004)
+            .with(Channel::Current, f64::from(cycle) * 0.1)
+            .with(Channel::Speed, -f64::from(cycle));
+        sample.seq = Some(seq);
+        sample.applied = Some(Applied {
+            seq,
+            time_s: time_s + 0.001,
+        });
+        recorder.row(&sample);
+        if cycle % 50 == 0 && cycle < 1000 {
+            recorder.event(Event::new(time_s, Some(seq), "mark").with("cycle", cycle));
+        }
+    }
+}
+
+fn read(path: std::path::PathBuf) -> String {
+    fs::read_to_string(path).unwrap()
+}
+
+fn manifest() -> Manifest {
+    let mut manifest = Manifest {
+        name: "test".into(),
+        ..Manifest::default()
+    };
+    manifest.set_origin(Channel::Current, Origin::Measured);
+    manifest
+}
+
+fn recorder(root: &std::path::Path) -> Recorder {
+    let folder = RunFolder::create(root, "20260131T000000Z", "test").unwrap();
+    Recorder::create(folder, layout(), &manifest(), 50).unwrap()
+}
+
+#[test]
+fn disk_and_memory_hold_the_same_bytes() {
+    let root = tempfile::tempdir().unwrap();
+    let mut disk = recorder(root.path());
+    drive(&mut disk, 200);
+    let folder = disk.folder().clone();
+    let kept = disk.finish(&manifest());
+    assert_eq!((kept.status.rows, kept.error), (400, None));
+    let mut memory = MemoryRecorder::new(layout());
+    drive(&mut memory, 200);
+    memory.finish();
+    let [samples, events] = [folder.samples(), folder.events()].map(read);
+    assert_eq!(samples, memory.samples_csv());
+    assert_eq!(events, memory.events_jsonl());
+    assert_eq!(memory.events_jsonl().lines().count(), 4);
+
+    let loaded = open_run(folder.path(), None).unwrap();
+    assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
+    assert_eq!(loaded.manifest.unwrap().rows, Some(400));
+    assert_eq!(loaded.run.rows(), 400);
+    assert_eq!(loaded.run.points(Channel::VoltageCmd).count(), 200);
+    assert_eq!(loaded.run.origin(Channel::Current), Origin::Measured);
+    assert_eq!(loaded.run.time_s(), memory.run("m").unwrap().time_s());
+}
+
+#[test]
+fn a_run_that_is_dropped_keeps_its_rows_and_stays_unfinished() {
+    let root = tempfile::tempdir().unwrap();
+    let mut disk = recorder(root.path());
+    let path = disk.folder().path().to_owned();
+    let text = read(path.join("manifest.json"));
+    assert!(text.contains("\"finished\": false"));
+    drive(&mut disk, 10);
+    drop(disk);
+    let loaded = open_run(&path, None).unwrap();
+    assert_eq!((loaded.run.rows(), loaded.run.rows_dropped), (20, 0));
+    assert!(loaded.warnings[0].contains("not finished"));
+}
+
+/// What the file holds at any moment is what a kill would leave: whole lines only.
+#[test]
+fn the_file_grows_by_whole_lines() {
+    let root = tempfile::tempdir().unwrap();
+    let folder = RunFolder::create(root.path(), "s", "lines").unwrap();
+    let (samples, events) = folder.create_logs().unwrap();
+    let lines = |sink| Lines::new(sink, Room::SAMPLES);
+    let mut journal = Journal::new(layout(), lines(samples), lines(events), 50);
+    for row in 0..50_usize {
+        let mut line = Row::at(row as f64);
+        line.set(Channel::Current, Some(row as f64 / 3.0));
+        journal.rows(&[line]);
+        let text = read(folder.samples());
+        assert!(text.ends_with('\n'));
+        assert_eq!(text.lines().count(), row + 2);
+    }
+}
+
+#[test]
+fn a_folder_that_holds_a_run_is_not_recorded_into_again() {
+    let root = tempfile::tempdir().unwrap();
+    let first = recorder(root.path());
+    let folder = first.folder().clone();
+    assert_eq!(first.finish(&manifest()).error, None);
+    assert!(Recorder::create(folder, layout(), &manifest(), 50).is_err());
+}
+
+/// What a whole run of so many cycles leaves on the disk.
+fn expected(cycles: u32) -> (String, String) {
+    let mut memory = MemoryRecorder::new(layout());
+    drive(&mut memory, cycles);
+    memory.finish();
+    (memory.samples_csv(), memory.events_jsonl())
+}
+
+fn wait_for_news(disk: &Recorder) -> String {
+    for _ in 0..1000 {
+        if let Some(news) = disk.status().news.last() {
+            return news.clone();
+        }
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
+    String::new()
+}
+
+#[test]
+fn a_folder_that_is_deleted_or_renamed_is_told_of_and_made_again_whole() {
+    const CYCLES: u32 = 50_000;
+    for renamed in [false, true] {
+        let root = tempfile::tempdir().unwrap();
+        let folder = RunFolder::create(root.path(), "20260131T000000Z", "test").unwrap();
+        let mut disk = Recorder::create(folder, layout(), &manifest(), 10_000).unwrap();
+        // More than what stays in memory of what is written.
+        drive(&mut disk, CYCLES);
+        let path = disk.folder().path().to_owned();
+        if renamed {
+            fs::rename(&path, root.path().join("elsewhere")).unwrap();
+        } else {
+            fs::remove_dir_all(&path).unwrap();
+        }
+        // While nothing comes: it is looked for all the same.
+        let news = wait_for_news(&disk);
+        assert!(news.contains("was deleted or renamed"), "{news:?}");
+        assert!(news.contains("made again in"), "{news:?}");
+        let kept = disk.finish(&manifest());
+        assert_eq!(kept.error, None);
+        assert!(kept.status.error.is_some());
+        let loaded = open_run(kept.folder.path(), None).unwrap();
+        assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
+        let (samples, events) = expected(CYCLES);
+        assert!(samples.len() > 2 * Room::SAMPLES.taken);
+        assert_eq!(read(kept.folder.samples()), samples);
+        assert_eq!(read(kept.folder.events()), events);
+        assert_eq!(kept.logs.samples(), Some(samples.into_bytes()));
+    }
+}
+
+#[test]
+fn a_folder_that_is_gone_when_the_run_ends_is_made_again_too() {
+    let root = tempfile::tempdir().unwrap();
+    let mut disk = recorder(root.path());
+    drive(&mut disk, 3);
+    fs::remove_dir_all(disk.folder().path()).unwrap();
+    drive(&mut disk, 3);
+    let kept = disk.finish(&manifest());
+    assert_eq!(kept.error, None);
+    let loaded = open_run(kept.folder.path(), None).unwrap();
+    assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
+}
+
+#[test]
+fn a_run_whose_folder_cannot_be_made_again_is_kept_in_memory_and_says_so() {
+    let root = tempfile::tempdir().unwrap();
+    let runs = root.path().join("runs");
+    let mut disk = recorder(&runs);
+    drive(&mut disk, 30);
+    fs::rename(&runs, root.path().join("elsewhere")).unwrap();
+    fs::write(&runs, "a file stands in the way").unwrap();
+    let news = wait_for_news(&disk);
+    assert!(news.contains("cannot be made again"), "{news:?}");
+    let kept = disk.finish(&manifest());
+    let is_io = matches!(kept.error, Some(RecordingError::Io { .. }));
+    assert!(is_io, "{:?}", kept.error);
+    let samples = kept.logs.samples().unwrap();
+    assert_eq!(String::from_utf8_lossy(&samples), expected(30).0);
+    // Another place takes all of it.
+    let rescue = |place: &str| {
+        let place = root.path().join(place);
+        let rescued = kept.logs.rescue(&kept.folder, &place, &manifest());
+        rescued.unwrap().unwrap()
+    };
+    let rescued = rescue("other");
+    let rights = |folder: &RunFolder| fs::metadata(folder.path()).unwrap().mode() & 0o777;
+    assert_eq!(rights(&rescued), 0o700);
+    let (samples_csv, events_jsonl) = expected(30);
+    assert_eq!(read(rescued.samples()), samples_csv);
+    assert_eq!(read(rescued.events()), events_jsonl);
+    // And it is read by whoever may read the one that it stands for.
+    fs::remove_file(&runs).unwrap();
+    fs::create_dir_all(kept.folder.path()).unwrap();
+    fs::set_permissions(kept.folder.path(), Permissions::from_mode(0o750)).unwrap();
+    assert_eq!(rights(&rescue("third")), 0o750);
+    let run = run_from_memory(kept.folder.path(), &samples, &manifest()).unwrap();
+    assert_eq!(run.run.rows(), 60);
+    assert_eq!(run.run.origin(Channel::Current), Origin::Measured);
+}
+
+/// What a power cut may leave of a log of a thousand rows: all whole rows come to the bit, the torn one is told, and nothing
+/// is invented. Reading takes exactly the bytes that `whole_rows` tells, which is asked at every byte; what comes of so many
+/// bytes is looked at once for each of these lengths, and with a part of the next row behind them.
+#[test]
+fn a_log_of_a_thousand_rows_that_is_cut_at_any_byte_gives_all_its_whole_rows() {
+    let (samples, _) = expected(500);
+    let bytes = samples.as_bytes();
+    let ends: Vec<usize> = samples.match_indices('\n').map(|(at, _)| at + 1).collect();
+    assert_eq!(ends.len(), 1001);
+    let mut before = 0;
+    for cut in 0..=bytes.len() {
+        if ends.contains(&cut) {
+            before = cut;
+        }
+        let (length, is_torn) = whole_rows(&mut std::io::Cursor::new(&bytes[..cut])).unwrap();
+        assert_eq!(
+            (length, is_torn),
+            (before as u64, before != cut),
+            "cut at byte {cut}"
+        );
+    }
+    let folder = std::path::Path::new("r");
+    let read = |cut: usize| run_from_memory(folder, &bytes[..cut], &manifest());
+    let all = read(bytes.len()).unwrap().run;
+    let channels = [Channel::VoltageCmd, Channel::Current, Channel::Speed];
+    for (rows, pair) in ends.windows(2).enumerate() {
+        for cut in [pair[0], pair[0] + 1, pair[1] - 1] {
+            let torn = usize::from(cut != pair[0]);
+            let loaded = match read(cut) {
+                // The header alone is no run, and says so.
+                Err(RecordingError::NoRows { .. }) if rows == 0 => continue,
+                loaded => loaded.unwrap(),
+            };
+            let run = loaded.run;
+            assert_eq!(
+                (run.rows(), run.rows_dropped),
+                (rows, torn),
+                "cut at byte {cut}"
+            );
+            assert_eq!(loaded.warnings.len(), torn, "{:?}", loaded.warnings);
+            assert_eq!(run.time_s(), &all.time_s()[..rows]);
+            for channel in channels {
+                let bits = |run: &drivebench_model::sample::Run| -> Option<Vec<u64>> {
+                    let cells = run.column(channel)?.get(..rows)?;
+                    Some(cells.iter().map(|cell| cell.to_bits()).collect())
+                };
+                let missing = vec![f64::NAN.to_bits(); rows];
+                assert_eq!(bits(&run).unwrap_or(missing), bits(&all).unwrap());
+            }
+        }
+    }
+    assert!(
+        read(ends[0] - 1).is_err(),
+        "a header that is torn names no columns"
+    );
+}
+
+/// The manifest is replaced whole or not at all; of a disk that breaks this too the samples come all the same.
+#[test]
+fn a_folder_whose_manifest_is_cut_at_any_byte_still_gives_its_rows() {
+    let root = tempfile::tempdir().unwrap();
+    let mut disk = recorder(root.path());
+    drive(&mut disk, 3);
+    let kept = disk.finish(&manifest());
+    let path = kept.folder.path().join("manifest.json");
+    let text = read(path.clone());
+    for cut in 0..text.len() {
+        fs::write(&path, &text[..cut]).unwrap();
+        let loaded = open_run(kept.folder.path(), None).unwrap();
+        assert_eq!(loaded.run.rows(), 6);
+        // Only its line feed may be missing.
+        let is_whole = cut == text.len() - 1;
+        assert_eq!(
+            loaded.warnings.is_empty(),
+            is_whole,
+            "{:?}",
+            loaded.warnings
+        );
+        assert_eq!(loaded.manifest.is_some(), is_whole);
+    }
+}
+
+#[test]
+fn a_folder_that_cannot_be_written_to_refuses_a_run_before_it_begins() {
+    let root = tempfile::tempdir().unwrap();
+    let file = root.path().join("file");
+    fs::write(&file, "no folder").unwrap();
+    for place in [
+        &file,
+        std::path::Path::new("/proc"),
+        std::path::Path::new("/dev/null"),
+    ] {
+        let error = RunFolder::create(place, "20260131T000000Z", "test").unwrap_err();
+        assert!(matches!(error, RecordingError::Io { .. }), "{error}");
+        assert!(error.help().contains("permissions"), "{}", error.help());
+    }
+    assert_eq!(read(file), "no folder");
+}
+
+const VICTIM_ROOT: &str = "DRIVEBENCH_TEST_VICTIM_ROOT";
+
+/// The file in which the victim says how many rows it has handed over.
+const HANDED: &str = "handed";
+
+/// Writes until it is killed, at the pace of its disk.
+fn be_the_victim(root: &std::path::Path) {
+    let mut recorder = recorder(root);
+    let told = fs::File::create(root.join(HANDED)).unwrap();
+    let mut handed = 0;
+    for seq in 1..1_000_000_u32 {
+        let (time_s, seq) = (f64::from(seq), u64::from(seq));
+        recorder.command(&CommandRow {
+            command: Command {
+                seq,
+                demand: Demand::Voltage(time_s),
+            },
+            time_s,
+            reference_rad_s: None,
+        });
+        let mut sample = Sample::at(time_s + 0.5).with(Channel::Current, (time_s + 0.5) / 3.0);
+        sample.seq = Some(seq);
+        sample.applied = Some(Applied {
+            seq,
+            time_s: time_s + 0.25,
+        });
+        handed += recorder.row(&sample).len();
+        told.write_all_at(&(handed as u64).to_le_bytes(), 0)
+            .unwrap();
+        while recorder.status().rows < handed {
+            std::thread::yield_now();
+        }
+    }
+}
+
+/// Starts itself once more, as the program that is killed.
+#[test]
+fn a_killed_program_loses_no_whole_row() {
+    if let Some(root) = std::env::var_os(VICTIM_ROOT) {
+        be_the_victim(std::path::Path::new(&root));
+        return;
+    }
+    let root = tempfile::tempdir().unwrap();
+    let this = "recording::recorder::tests::a_killed_program_loses_no_whole_row";
+    let mut child = std::process::Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", this])
+        .env(VICTIM_ROOT, root.path())
+        .stdout(std::process::Stdio::null())
+        .spawn()
+        .unwrap();
+    let folder = RunFolder::existing(root.path().join("20260131T000000Z-test"));
+    let size = || fs::metadata(folder.samples()).map_or(0, |data| data.len());
+    while size() < 20_000 {
+        let ended = child.try_wait().unwrap();
+        assert_eq!(ended, None, "the victim ended by itself");
+        std::thread::sleep(std::time::Duration::from_millis(1));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+
+    let loaded = open_run(folder.path(), None).unwrap();
+    assert!(loaded.run.rows() > 300);
+    assert!(loaded.run.rows_dropped <= 1);
+    let handed = fs::read(root.path().join(HANDED)).unwrap();
+    let handed = u64::from_le_bytes(handed.try_into().unwrap());
+    // The last cycle's: a command and its sample.
+    let lost = handed.saturating_sub(loaded.run.rows() as u64);
+    assert!(lost <= 2, "{lost} of {handed} rows are lost");
+    assert!(loaded.warnings.last().unwrap().contains("not finished"));
+    for (time_s, current_a) in loaded.run.points(Channel::Current) {
+        assert_eq!(current_a.to_bits(), (time_s / 3.0).to_bits());
+    }
+}

@@ -1,0 +1,409 @@
+//! Commands and samples onto one strictly increasing time axis.
+//!
+//! ```text
+//! command k sent -> (waits) -> sample k: "applied k at t" -> row t: command k -> row of the sample
+//! ```
+//!
+//! A command waits until a sample says when it was applied; that is never later than the sample, so a sample's row
+//! never waits.
+
+use std::collections::VecDeque;
+
+use super::csv_write::LIMITED;
+use super::{Layout, Row};
+use drivebench_model::sample::{Applied, Channel, Command, Demand, Quality, Sample};
+
+/// A command as it is recorded.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CommandRow {
+    pub command: Command,
+    /// When it was sent, on the samples' time axis, s: the best guess until the drive says when it was applied, and all
+    /// there is where the drive never says.
+    pub time_s: f64,
+    /// The speed reference that holds from then on; left out, a speed demand is its own.
+    pub reference_rad_s: Option<f64>,
+}
+
+/// Commands that may wait at once; more only pile up when a drive does not echo sequence numbers as it should.
+const WAITING_MAX: usize = 64;
+
+/// Puts rows in order, once for all who take them; the state between calls is the waiting commands and the time of the last
+/// row.
+#[derive(Clone, Debug)]
+pub struct RowOrder {
+    layout: Layout,
+    waiting: VecDeque<CommandRow>,
+    /// Those that the last call has completed.
+    rows: Vec<Row>,
+    last_s: f64,
+    repeats: usize,
+    unconfirmed: usize,
+}
+
+impl RowOrder {
+    pub fn new(layout: Layout) -> Self {
+        Self {
+            layout,
+            waiting: VecDeque::new(),
+            rows: Vec::new(),
+            last_s: f64::NEG_INFINITY,
+            repeats: 0,
+            unconfirmed: 0,
+        }
+    }
+
+    /// Samples that were left out because their time was not after the last row: the drive had sampled nothing new.
+    pub fn repeats(&self) -> usize {
+        self.repeats
+    }
+
+    /// Commands of which the drive never said when they were applied, although it said so of others.
+    pub fn unconfirmed(&self) -> usize {
+        self.unconfirmed
+    }
+
+    pub fn command(&mut self, row: CommandRow) {
+        self.waiting.push_back(row);
+    }
+
+    /// The rows that this sample completes, in order, its own last.
+    pub fn sample(&mut self, sample: &Sample) -> &[Row] {
+        self.rows.clear();
+        // A comparison that is false for NaN as well.
+        let is_new = sample.time_s > self.last_s && sample.time_s.is_finite();
+        if !is_new {
+            self.repeats += 1;
+            return &self.rows;
+        }
+        let mut own = self.sample_row(sample);
+        if let Some(applied) = sample.applied {
+            self.place_applied(applied, &mut own);
+        } else {
+            let was_sent = |row: &CommandRow, own: &Row| row.time_s <= own.time_s;
+            while self.waiting.front().is_some_and(|row| was_sent(row, &own)) {
+                self.place_front(None, &mut own);
+            }
+        }
+        while self.waiting.len() > WAITING_MAX {
+            self.unconfirmed += 1;
+            self.place_front(Some("unconfirmed"), &mut own);
+        }
+        self.last_s = own.time_s;
+        self.rows.push(own);
+        &self.rows
+    }
+
+    /// Those that the last call has completed.
+    pub(super) fn rows(&self) -> &[Row] {
+        &self.rows
+    }
+
+    /// The commands that still wait, at the time when they were sent: the drive said nothing any more.
+    pub fn finish(&mut self) -> &[Row] {
+        self.rows.clear();
+        while let Some(waiting) = self.waiting.pop_front() {
+            self.unconfirmed += 1;
+            let mut row = Row::at(self.after_last(waiting.time_s));
+            self.fill(&waiting, Some("unconfirmed"), &mut row);
+            if self.shows(&row) {
+                self.last_s = row.time_s;
+                self.rows.push(row);
+            }
+        }
+        &self.rows
+    }
+
+    fn place_applied(&mut self, applied: Applied, own: &mut Row) {
+        while let Some(front) = self.waiting.front_mut() {
+            if front.command.seq > applied.seq {
+                break;
+            }
+            let confirmed = front.command.seq == applied.seq;
+            if confirmed {
+                front.time_s = applied.time_s;
+            } else {
+                front.time_s = front.time_s.min(applied.time_s);
+                self.unconfirmed += 1;
+            }
+            let remark = (!confirmed).then_some("unconfirmed");
+            self.place_front(remark, own);
+        }
+    }
+
+    /// The first waiting command on a row of its own, or on the sample's where their times are equal.
+    fn place_front(&mut self, remark: Option<&str>, own: &mut Row) {
+        let Some(waiting) = self.waiting.pop_front() else {
+            return;
+        };
+        let time_s = self.after_last(waiting.time_s);
+        if time_s >= own.time_s {
+            self.fill(&waiting, remark, own);
+            return;
+        }
+        let mut row = Row::at(time_s);
+        row.seq = Some(waiting.command.seq);
+        self.fill(&waiting, remark, &mut row);
+        if self.shows(&row) {
+            self.last_s = time_s;
+            self.rows.push(row);
+        }
+    }
+
+    /// `time_s`, or the next number after the last row where clocks disagree by a hair.
+    fn after_last(&self, time_s: f64) -> f64 {
+        if time_s > self.last_s {
+            time_s
+        } else {
+            self.last_s.next_up()
+        }
+    }
+
+    fn fill(&self, waiting: &CommandRow, remark: Option<&str>, row: &mut Row) {
+        let demand = waiting.command.demand;
+        let reference_rad_s = waiting.reference_rad_s.or(match demand {
+            Demand::Speed(speed_rad_s) => Some(speed_rad_s),
+            _ => None,
+        });
+        for (channel, value) in [
+            (Channel::VoltageCmd, demand.voltage_v()),
+            (Channel::Reference, reference_rad_s),
+        ] {
+            if value.is_none() || !self.layout.has(channel) {
+                continue;
+            }
+            row.set(channel, value);
+            if let Some(remark) = remark {
+                row.remark(channel, remark);
+            }
+        }
+        if row.seq.is_none() {
+            row.seq = Some(waiting.command.seq);
+        }
+    }
+
+    fn shows(&self, row: &Row) -> bool {
+        let mut channels = self.layout.channels().iter();
+        channels.any(|channel| row.get(*channel).is_some())
+    }
+
+    /// Stale values are left out and said to be stale: the value would be a repeat of an older instant.
+    fn sample_row(&self, sample: &Sample) -> Row {
+        let mut row = Row::at(sample.time_s);
+        row.host_time_s = sample.host_time_s;
+        row.seq = sample.seq;
+        row.status = match (sample.status, sample.state) {
+            (Some(word), _) => word.to_string(),
+            (None, Some(state)) => state.name().to_owned(),
+            (None, None) => String::new(),
+        };
+        for channel in self.layout.channels() {
+            match sample.quality(*channel) {
+                Quality::Good => row.set(*channel, sample.get(*channel)),
+                Quality::Stale => row.remark(*channel, "stale"),
+                // A stamp without a half-width is the drive's own.
+                Quality::Missing
+                    if channel.is_commanded() || *channel == Channel::TimeHalfWidth => {}
+                Quality::Missing => row.remark(*channel, "missing"),
+            }
+        }
+        if sample.limited {
+            row.remark(Channel::VoltageCmd, LIMITED);
+        }
+        row
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn layout() -> Layout {
+        Layout::of_drive(&[Channel::VoltageCmd, Channel::Current])
+    }
+
+    fn volts(seq: u64, time_s: f64, volts: f64) -> CommandRow {
+        CommandRow {
+            command: Command {
+                seq,
+                demand: Demand::Voltage(volts),
+            },
+            time_s,
+            reference_rad_s: None,
+        }
+    }
+
+    fn sample(time_s: f64, applied: Option<(u64, f64)>) -> Sample {
+        let mut sample = Sample::at(time_s).with(Channel::Current, 1.0);
+        sample.applied = applied.map(|(seq, time_s)| Applied { seq, time_s });
+        sample
+    }
+
+    #[test]
+    fn a_half_width_has_its_column_where_the_link_gives_it_and_reads_back_to_the_bit() {
+        use crate::recording::{CsvRows, ReadOptions};
+        let layout = Layout::of_drive(&[Channel::Current, Channel::TimeHalfWidth]);
+        let mut order = RowOrder::new(layout.clone());
+        let mut rows = Vec::new();
+        let mut stamped = sample(0.010, None);
+        stamped.time_half_width_s = Some(0.0017_f64.next_up());
+        rows.extend_from_slice(order.sample(&stamped));
+        rows.extend_from_slice(order.sample(&sample(0.020, None)));
+        let mut text = layout.header();
+        for row in &rows {
+            text.push_str(&layout.line(row));
+        }
+        assert!(text.contains(",time_half_width_s,status"), "{text}");
+        let mut back = CsvRows::new(text.as_bytes(), "r", ReadOptions::default()).unwrap();
+        for row in &rows {
+            let read = back.next_row().unwrap().unwrap();
+            let width = |row: &Row| row.get(Channel::TimeHalfWidth).map(f64::to_bits);
+            assert_eq!(width(&read), width(row));
+            assert_eq!(read.quality, row.quality);
+        }
+        let why = "the drive's own stamp is not missing anything";
+        assert_eq!(rows[1].quality, "", "{why}");
+        let plain = Layout::of_drive(&[Channel::Current]).header();
+        assert!(!plain.contains("half_width"));
+    }
+
+    /// What happens: command `k` is sent at a time with so many volts, a sample comes that says which was applied when.
+    enum Step {
+        Send(u64, f64, f64),
+        Take(f64, Option<(u64, f64)>),
+        Finish,
+    }
+
+    #[test]
+    fn commands_stand_where_the_drive_applied_them_and_samples_where_they_are_new() {
+        use Step::{Finish, Send, Take};
+        for (name, steps, expected, repeats, unconfirmed) in [
+            (
+                "each where it was applied; equal times are one row",
+                vec![
+                    Send(1, 0.0, 5.0),
+                    Take(0.010, Some((1, 0.003))),
+                    Send(2, 0.010, 6.0),
+                    Take(0.020, Some((2, 0.020))),
+                ],
+                "0.003,1,5,,,\n0.01,,,1,,\n0.02,2,6,1,,\n",
+                0,
+                0,
+            ),
+            (
+                "one that is applied after the sample waits for the next one",
+                vec![
+                    Send(1, 0.0, 5.0),
+                    Take(0.010, Some((0, 0.0))),
+                    Send(2, 0.010, 6.0),
+                    Take(0.020, Some((1, 0.011))),
+                    Finish,
+                ],
+                "0.01,,,1,,\n0.011,1,5,,,\n0.02,,,1,,\n0.020000000000000004,2,6,,,voltage_cmd_v:unconfirmed\n",
+                0,
+                1,
+            ),
+            (
+                "a lost reply leaves a remark and stops nothing",
+                vec![
+                    Send(1, 0.001, 5.0),
+                    Send(2, 0.011, 6.0),
+                    Take(0.020, Some((2, 0.012))),
+                ],
+                "0.001,1,5,,,voltage_cmd_v:unconfirmed\n0.012,2,6,,,\n0.02,,,1,,\n",
+                0,
+                1,
+            ),
+            (
+                "without stamps where it was sent",
+                vec![Send(1, 0.001, 5.0), Take(0.005, None)],
+                "0.001,1,5,,,\n0.005,,,1,,\n",
+                0,
+                0,
+            ),
+            (
+                "a sample that is not new is counted and left out",
+                [0.1, 0.1, 0.05, f64::NAN, 0.2]
+                    .map(|time_s| Take(time_s, None))
+                    .into(),
+                "0.1,,,1,,\n0.2,,,1,,\n",
+                3,
+                0,
+            ),
+        ] {
+            let layout = layout().without_host_time();
+            let mut order = RowOrder::new(layout.clone());
+            let mut text = String::new();
+            for step in steps {
+                let rows = match step {
+                    Send(seq, time_s, value) => {
+                        order.command(volts(seq, time_s, value));
+                        continue;
+                    }
+                    Take(time_s, applied) => order.sample(&sample(time_s, applied)),
+                    Finish => order.finish(),
+                };
+                text.extend(rows.iter().map(|row| layout.line(row)));
+            }
+            assert_eq!(text, expected, "{name}");
+            let counts = (order.repeats(), order.unconfirmed());
+            assert_eq!(counts, (repeats, unconfirmed), "{name}");
+        }
+    }
+
+    #[test]
+    fn a_speed_demand_is_a_reference_and_a_stop_is_zero_volts() {
+        let mut order = RowOrder::new(Layout::plain(&[Channel::Reference, Channel::VoltageCmd]));
+        for (seq, demand) in [(1, Demand::Speed(50.0)), (2, Demand::Stop)] {
+            let command = Command { seq, demand };
+            order.command(CommandRow {
+                command,
+                ..volts(seq, seq as f64, 0.0)
+            });
+        }
+        let rows = order.sample(&Sample::at(5.0));
+        assert_eq!(rows.len(), 3);
+        assert_eq!(rows[0].get(Channel::Reference), Some(50.0));
+        assert_eq!(rows[0].get(Channel::VoltageCmd), None);
+        assert_eq!(rows[1].get(Channel::VoltageCmd), Some(0.0));
+    }
+
+    #[test]
+    fn stale_and_missing_cells_are_empty_and_say_why() {
+        let layout = Layout::of_drive(&[Channel::VoltageCmd, Channel::Current, Channel::Speed]);
+        let mut order = RowOrder::new(layout);
+        let mut stale = Sample::at(1.0).with(Channel::Current, 3.0);
+        stale.set_stale(Channel::Current);
+        let rows = order.sample(&stale);
+        assert_eq!(rows[0].get(Channel::Current), None);
+        assert_eq!(rows[0].quality, "current_a:stale speed_rad_s:missing");
+    }
+
+    proptest! {
+        /// Whatever the clocks do, time increases strictly and every command and new sample is in the rows.
+        #[test]
+        fn rows_are_always_in_order_and_complete(
+            steps in prop::collection::vec((0.0..0.03f64, -0.01..0.03f64, 0u64..3, any::<bool>()), 1..60),
+        ) {
+            let mut order = RowOrder::new(layout());
+            let mut rows = Vec::new();
+            let mut time_s = 0.0;
+            let mut commands = 0_u16;
+            let mut samples = 0;
+            for (step_s, applied_ago_s, behind, stamped) in steps {
+                commands += 1;
+                order.command(volts(u64::from(commands), time_s, f64::from(commands)));
+                time_s += step_s;
+                samples += 1;
+                let stamp = (u64::from(commands).saturating_sub(behind), time_s - applied_ago_s);
+                rows.extend_from_slice(order.sample(&sample(time_s, stamped.then_some(stamp))));
+            }
+            rows.extend_from_slice(order.finish());
+            prop_assert!(rows.windows(2).all(|pair| pair[0].time_s < pair[1].time_s));
+            let measured = rows.iter().filter(|row| row.get(Channel::Current).is_some()).count();
+            prop_assert_eq!(measured + order.repeats(), samples);
+            let last = rows.iter().rev().find_map(|row| row.get(Channel::VoltageCmd));
+            prop_assert_eq!(last, Some(f64::from(commands)));
+        }
+    }
+}

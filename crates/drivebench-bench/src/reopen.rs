@@ -1,0 +1,293 @@
+//! After a run that lost its drive: get it back, see that it is the same one, and bring it to rest. Nothing re-arms.
+//!
+//! ```text
+//! run -> link lost -> [ pause -> open -> who is there? -> zero reference, stop -> does it say so? ] -> safe
+//!                          ^--- no answer --------'             '-- another drive: nothing is written
+//! ```
+//!
+//! The run stays what it was, lost; what is found here are events behind its last row.
+
+use std::sync::mpsc::Receiver;
+
+use serde::Serialize;
+
+use super::clock::Clock;
+use super::session::{Intent, Phase};
+use super::snapshot::SnapshotCell;
+use crate::recording::{Event, Record};
+use drivebench_link::{DriveLink, Identity, LinkError, Reopening, another_drive};
+use drivebench_model::sample::{Command, Demand, DriveState};
+
+/// Somebody who wants to leave is not kept waiting for longer, s.
+const LOOK_S: f64 = 0.05;
+
+/// How it ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ReopenEnding {
+    /// The same drive is back, and it says that its output is off.
+    Stopped,
+    /// The same drive is back and took the stop; it has no word that tells whether its output is off.
+    StopUnconfirmed,
+    /// Somebody else answers: nothing was written.
+    AnotherDrive,
+    /// The time was over.
+    GivenUp,
+    /// Somebody did not want to wait any longer.
+    Interrupted,
+}
+
+/// What came of it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Reopened {
+    pub ending: ReopenEnding,
+    pub attempts: u32,
+    /// From the last valid reply of the run to the end of the search, s.
+    pub downtime_s: f64,
+    /// Who was there, as far as anybody was.
+    pub identity: Option<Identity>,
+    /// What the drive said of itself after it was stopped.
+    pub state: Option<&'static str>,
+    /// One sentence.
+    pub text: String,
+}
+
+impl Reopened {
+    /// Whether the drive is back and safe, so that a new run may be started by hand.
+    pub const fn is_safe(&self) -> bool {
+        matches!(self.ending, ReopenEnding::Stopped)
+    }
+}
+
+/// What it is done with.
+pub struct ReopenBench<'a> {
+    pub clock: &'a mut dyn Clock,
+    /// The run's, still open.
+    pub recorder: &'a mut dyn Record,
+    /// Whether somebody wants to end. Only looked at: whoever comes after must see it as well.
+    pub stopped: &'a dyn Fn() -> bool,
+    pub intents: &'a Receiver<Intent>,
+    pub snapshots: &'a SnapshotCell,
+}
+
+/// Where the end of a run stands in time.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RunEnd {
+    /// From host time to the samples' time axis, s.
+    pub drive_minus_host_s: f64,
+    /// Host time of the last valid reply, s.
+    pub last_reply_s: f64,
+}
+
+/// What is known of the drive that was lost, and how long it is looked for.
+pub struct ReopenOptions<'a> {
+    pub link: &'a str,
+    pub before: &'a Identity,
+    pub end: RunEnd,
+    /// Number of the last exchange.
+    pub seq: u64,
+    /// `None`: until somebody ends it.
+    pub limit_s: Option<f64>,
+    /// Draws the jitter of the pauses.
+    pub seed: u64,
+}
+
+/// Looks for the drive until it is found, the time is over or somebody ends it; `open` opens the link anew. Returns the
+/// link only where the drive behind it is the one from before.
+pub fn reopen<'a>(
+    bench: ReopenBench<'a>,
+    options: &'a ReopenOptions<'a>,
+    open: &mut dyn FnMut() -> Result<Box<dyn DriveLink>, LinkError>,
+) -> (Reopened, Option<Box<dyn DriveLink>>) {
+    let now_s = bench.clock.now_s();
+    let mut search = Search {
+        bench,
+        options,
+        reopening: Reopening::new(now_s, options.limit_s, options.seed),
+        last_reason: String::new(),
+        identity: None,
+    };
+    search.go(open)
+}
+
+/// What an attempt came to.
+enum Found {
+    /// Nobody, or no answer: it is tried again.
+    Nothing(String),
+    Stranger(String),
+    Same(Box<dyn DriveLink>, Option<DriveState>),
+}
+
+struct Search<'a> {
+    bench: ReopenBench<'a>,
+    options: &'a ReopenOptions<'a>,
+    reopening: Reopening,
+    /// A reason that stays the same is told once.
+    last_reason: String,
+    identity: Option<Identity>,
+}
+
+impl Search<'_> {
+    fn go(
+        &mut self,
+        open: &mut dyn FnMut() -> Result<Box<dyn DriveLink>, LinkError>,
+    ) -> (Reopened, Option<Box<dyn DriveLink>>) {
+        let watchdog_s = self.options.before.watchdog_s;
+        let lost = self.event("link_lost");
+        let lost = lost.with("link", self.options.link);
+        let lost = lost.with("watchdog_s", watchdog_s);
+        let lost = lost.with("reopens_for_s", self.options.limit_s);
+        self.bench.recorder.event(lost);
+        loop {
+            let Some(due_s) = self.reopening.due_s() else {
+                let text = format!("given up: {}", self.reason());
+                return (self.end(ReopenEnding::GivenUp, None, &text), None);
+            };
+            if !self.wait_until(due_s) {
+                let text = "the search for it was ended by hand";
+                return (self.end(ReopenEnding::Interrupted, None, text), None);
+            }
+            let attempt = self.reopening.attempt();
+            let text = format!("link lost, reopening (attempt {attempt})…");
+            self.show(text, None, None);
+            match self.attempt(open) {
+                Found::Nothing(reason) => {
+                    if reason != self.last_reason {
+                        let event = self.event("reopen_failed").with("attempt", attempt);
+                        let event = event.with("reason", reason.as_str());
+                        self.bench.recorder.event(event);
+                        self.last_reason = reason;
+                    }
+                    self.reopening.failed(self.bench.clock.now_s());
+                }
+                Found::Stranger(reason) => {
+                    let text = format!("identity mismatch: {reason}; nothing was written to it");
+                    return (self.end(ReopenEnding::AnotherDrive, None, &text), None);
+                }
+                Found::Same(link, state) => {
+                    let confirms = link.confirms_stop();
+                    let (ending, how) = if confirms {
+                        (ReopenEnding::Stopped, "stop confirmed")
+                    } else {
+                        (
+                            ReopenEnding::StopUnconfirmed,
+                            "stop taken but not confirmed: this drive does not tell whether its output is off, see that the shaft stands still",
+                        )
+                    };
+                    let fault = if state == Some(DriveState::Fault) {
+                        "; it is in fault"
+                    } else {
+                        ""
+                    };
+                    let text = format!(
+                        "the same drive is back, zero reference and stop sent, {how}; nothing is armed{fault}"
+                    );
+                    let state = state.filter(|_| confirms);
+                    return (self.end(ending, state, &text), Some(link));
+                }
+            }
+        }
+    }
+
+    fn attempt(
+        &mut self,
+        open: &mut dyn FnMut() -> Result<Box<dyn DriveLink>, LinkError>,
+    ) -> Found {
+        let mut link = match open() {
+            Ok(link) => link,
+            Err(error @ LinkError::Identity { .. }) => return Found::Stranger(error.to_string()),
+            Err(error) => return Found::Nothing(error.to_string()),
+        };
+        let identity = match link.recognise() {
+            Ok(identity) => identity,
+            Err(error @ (LinkError::Identity { .. } | LinkError::Version { .. })) => {
+                return Found::Stranger(error.to_string());
+            }
+            Err(error) => return Found::Nothing(error.to_string()),
+        };
+        let stranger = another_drive(self.options.before, &identity);
+        self.identity = Some(identity);
+        if let Some(reason) = stranger {
+            return Found::Stranger(reason);
+        }
+        if let Err(error) = link.bring_to_rest() {
+            return Found::Nothing(format!("it is back, and was not brought to rest: {error}"));
+        }
+        let seq = self.options.seq.wrapping_add(1);
+        let demand = Demand::Disable;
+        match link.exchange(Command { seq, demand }) {
+            Ok(sample) if sample.state == Some(DriveState::Running) => {
+                Found::Nothing("it is back, and says that it runs".to_owned())
+            }
+            Ok(sample) => Found::Same(link, sample.state),
+            Err(error) => Found::Nothing(error.to_string()),
+        }
+    }
+
+    /// False: somebody wants to leave.
+    fn wait_until(&mut self, due_s: f64) -> bool {
+        loop {
+            let leaves = |intent| matches!(intent, Intent::Stop | Intent::Quit);
+            if (self.bench.stopped)() || self.bench.intents.try_iter().any(leaves) {
+                return false;
+            }
+            let now_s = self.bench.clock.now_s();
+            if now_s >= due_s {
+                return true;
+            }
+            self.bench.clock.sleep_until_s(due_s.min(now_s + LOOK_S));
+        }
+    }
+
+    fn end(&mut self, ending: ReopenEnding, state: Option<DriveState>, text: &str) -> Reopened {
+        let downtime_s = (self.bench.clock.now_s() - self.options.end.last_reply_s).max(0.0);
+        let reopened = Reopened {
+            ending,
+            attempts: self.reopening.attempts(),
+            downtime_s,
+            identity: self.identity.take(),
+            state: state.map(DriveState::name),
+            text: format!(
+                "{}: {text} ({} attempts in {downtime_s:.1} s)",
+                self.options.link,
+                self.reopening.attempts()
+            ),
+        };
+        let details = serde_json::to_value(&reopened).unwrap_or_default();
+        let mut event = self.event("reopened");
+        if let serde_json::Value::Object(details) = details {
+            event.details.extend(details);
+        }
+        self.bench.recorder.event(event);
+        let is_safe = reopened.is_safe() && state != Some(DriveState::Fault);
+        let phase = is_safe.then_some(Phase::Safe);
+        self.show(reopened.text.clone(), phase, state);
+        reopened
+    }
+
+    fn reason(&self) -> &str {
+        if self.last_reason.is_empty() {
+            "there was no time for an attempt"
+        } else {
+            &self.last_reason
+        }
+    }
+
+    fn event(&self, kind: &str) -> Event {
+        let now_s = self.bench.clock.now_s();
+        let time_s = now_s + self.options.end.drive_minus_host_s;
+        Event::new(time_s, Some(self.options.seq), kind).with("host_time_s", now_s)
+    }
+
+    /// What was known of the drive before it was lost is not shown as its state any more.
+    fn show(&self, text: String, phase: Option<Phase>, state: Option<DriveState>) {
+        let mut snapshot = (*self.bench.snapshots.latest()).clone();
+        snapshot.reopening = Some(text);
+        snapshot.phase = phase.or(snapshot.phase);
+        snapshot.drive_state = state;
+        self.bench.snapshots.publish(snapshot);
+    }
+}
+
+#[cfg(test)]
+mod tests;

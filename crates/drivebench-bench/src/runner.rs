@@ -1,0 +1,659 @@
+//! The loop that owns the link: absolute deadlines, one exchange per cycle, zero output at the end whatever happens.
+//!
+//! ```text
+//! wait for the deadline -> missed? -> intents, signals -> Cycle -> exchange -> Sample -> record, estimate, publish
+//! ```
+//!
+//! The same code runs in real time and, with the virtual clock and the drive in memory, faster than that and the same to
+//! the byte for each seed.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Receiver;
+
+use serde::Serialize;
+use serde_json::Value;
+
+use super::clock::{Clock, SUSPENDED_S};
+use super::guard::RestError;
+use super::limits::Nameplate;
+use super::line_watch::{FOREIGN_WRITES, LineWatch, News};
+use super::live_online::{Excitation, LiveEstimator};
+use super::reopen::{Reopened, RunEnd};
+use super::session::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase, Session};
+use super::snapshot::{Publisher, Snapshot, SnapshotCell, Target};
+use super::speed::SpeedReport;
+use super::stop::{LastSeconds, Stop, StopWatch};
+use super::timing::{Punctuality, Timing, whole};
+use crate::recording::{CommandRow, Event, Manifest, Record};
+use drivebench_identify::online::Frozen;
+use drivebench_link::{Burst, Capture, DriveLink, LineCounts, LinkError, LinkStatistics};
+use drivebench_model::sample::{Command, Demand, DriveState, ParameterEstimate};
+
+/// A drive that is not safe after this time is not going to be by itself, s.
+const CONNECT_TIME_S: f64 = 5.0;
+/// Times that a burst is asked for, and the pause between, s: one may still be recording.
+const FETCH_ATTEMPTS: u32 = 20;
+const FETCH_PAUSE_S: f64 = 0.1;
+
+/// What a run is made with; all of it belongs to the calling thread.
+pub struct Bench<'a> {
+    pub link: &'a mut dyn DriveLink,
+    pub clock: &'a mut dyn Clock,
+    pub recorder: &'a mut dyn Record,
+    pub estimator: Option<&'a mut dyn LiveEstimator>,
+    /// From the screen; a screen that is gone sends nothing any more, and the run goes on.
+    pub intents: &'a Receiver<Intent>,
+    /// Set by Ctrl-C, SIGTERM and SIGHUP: once ramps down, a second time stops at once.
+    pub interrupted: &'a AtomicBool,
+    pub snapshots: &'a SnapshotCell,
+}
+
+#[derive(Clone, Debug)]
+pub struct RunOptions {
+    pub name: String,
+    pub target: Target,
+    pub rate_hz: f64,
+    /// The motor of which the model runs beside the measurement; `None`: none is known yet.
+    pub motor: Option<Nameplate>,
+    /// Starts the program as soon as the session is safe, as a headless run does; else `Intent::Start` does.
+    pub auto_start: bool,
+}
+
+/// How a run went.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RunSummary {
+    pub outcome: Outcome,
+    pub rows: u64,
+    pub duration_s: f64,
+    pub timing: Timing,
+    pub link: LinkStatistics,
+    /// What the drive itself recorded in a burst, if that was asked for.
+    #[serde(skip)]
+    pub capture: Option<Capture>,
+    /// What the line carried, and how long round trips took; `None` where no wire is involved.
+    pub wire: Option<Wire>,
+    pub estimates: Vec<ParameterEstimate>,
+    /// How far the data carried each of them at the end.
+    pub excitation: Excitation,
+    /// For how long a limit of the drive kept the estimators from learning.
+    pub frozen: Frozen,
+    /// How the speed loop went, if there was one.
+    #[serde(rename = "loop", skip_serializing_if = "Option::is_none")]
+    pub speed: Option<SpeedReport>,
+    pub notices: Vec<Notice>,
+    /// Why zero output could not be confirmed at the very end, if it could not.
+    pub stop_error: Option<String>,
+    /// How soon it stopped, where its output was on.
+    pub stop: Option<Stop>,
+    /// Where in the record the last seconds before a trip are, and what came after it.
+    #[serde(rename = "trip", skip_serializing_if = "Option::is_none")]
+    pub last_seconds: Option<LastSeconds>,
+    /// What the recorder could not write, if anything.
+    pub recorder_error: Option<String>,
+    /// How the drive was got back, where it was lost.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reopened: Option<Reopened>,
+    #[serde(skip)]
+    pub end: RunEnd,
+}
+
+/// Bytes and times of a wire.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Wire {
+    #[serde(flatten)]
+    pub line: LineCounts,
+    pub round_trip_p50_s: Option<f64>,
+    pub round_trip_p99_s: Option<f64>,
+    pub round_trip_longest_s: f64,
+    /// Upper bound of a bucket in us, and the round trips in it.
+    pub round_trips_us: Vec<(f64, u64)>,
+}
+
+impl Wire {
+    fn of(link: &dyn DriveLink) -> Option<Self> {
+        let (line, trips) = (link.line()?, link.round_trips()?);
+        Some(Self {
+            line,
+            round_trip_p50_s: trips.p50_s(),
+            round_trip_p99_s: trips.p99_s(),
+            round_trip_longest_s: trips.longest_s(),
+            round_trips_us: trips.histogram_us(),
+        })
+    }
+}
+
+impl RunSummary {
+    /// Whether the drive was left without the certainty that it has stopped: nobody gave up on it by hand.
+    pub const fn lost_its_drive(&self) -> bool {
+        self.stop_error.is_some()
+            && !matches!(self.outcome, Outcome::Stopped | Outcome::Interrupted)
+    }
+
+    /// Fills in what a manifest says about how the run went.
+    pub fn describe(&self, manifest: &mut Manifest) {
+        manifest.outcome = Some(match &self.outcome {
+            Outcome::Done => "passed".to_owned(),
+            Outcome::Stopped => "stopped".to_owned(),
+            Outcome::Interrupted => "interrupted".to_owned(),
+            Outcome::Tripped(trip) => format!("safety trip: {}", trip.reason),
+            Outcome::LinkLost { reason } => format!("link lost: {reason}"),
+            Outcome::NotStarted { reason } => format!("not started: {reason}"),
+        });
+        manifest.stop = serde_json::to_value(&self.stop).unwrap_or(Value::Null);
+        manifest.trip = serde_json::to_value(self.last_seconds).unwrap_or(Value::Null);
+        if let Some(reopened) = &self.reopened {
+            manifest.reopened = serde_json::to_value(reopened).unwrap_or(Value::Null);
+        }
+        manifest.link_statistics = serde_json::to_value(self.link).unwrap_or(Value::Null);
+        manifest.wire = serde_json::to_value(&self.wire).unwrap_or(Value::Null);
+        manifest.period_asked_s = Some(1.0 / self.timing.rate_asked_hz);
+        manifest.period_achieved_s =
+            (self.timing.rate_achieved_hz > 0.0).then(|| 1.0 / self.timing.rate_achieved_hz);
+        manifest.missed_cycles = Some(self.timing.missed_cycles);
+        manifest.lateness_p50_s = Some(self.timing.lateness_p50_s);
+        manifest.lateness_p99_s = Some(self.timing.lateness_p99_s);
+    }
+}
+
+/// Runs a session to its end. On return, and when something panics on the way, the drive has been told to stop.
+pub fn run(session: Session, bench: Bench<'_>, options: &RunOptions) -> RunSummary {
+    let first = Snapshot {
+        name: options.name.clone(),
+        link: bench.link.name().0,
+        target: options.target,
+        ..Snapshot::default()
+    };
+    let times = bench.link.command_times();
+    let mut runner = Runner {
+        publisher: Publisher::new(bench.snapshots.clone(), first, options.motor.as_ref()),
+        session: session
+            .reporting_stop(bench.link.confirms_stop())
+            .with_command_times(times.asked_every(1.0 / options.rate_hz)),
+        link: StopOnDrop(bench.link),
+        recorder: bench.recorder,
+        estimator: bench.estimator,
+        actions: Vec::new(),
+        inputs: VecDeque::new(),
+        punctuality: Punctuality::default(),
+        demand: Demand::Disable,
+        end: RunEnd::default(),
+        notices: Vec::new(),
+        outcome: None,
+        not_started: None,
+        burst_armed: false,
+        slept_s: bench.clock.slept_s(),
+        record_news: 0,
+        watch: LineWatch::new(options.rate_hz),
+        stop: StopWatch::default(),
+    };
+    runner.go(bench.clock, bench.intents, bench.interrupted, options)
+}
+
+/// Zero output when the loop is left, on whatever path.
+struct StopOnDrop<'a>(&'a mut dyn DriveLink);
+
+impl Drop for StopOnDrop<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            // Nobody is left to tell; the drive's watchdog is behind this.
+            let _ = self.0.stop();
+        }
+    }
+}
+
+struct Runner<'a> {
+    session: Session,
+    link: StopOnDrop<'a>,
+    recorder: &'a mut dyn Record,
+    estimator: Option<&'a mut dyn LiveEstimator>,
+    publisher: Publisher,
+    actions: Vec<Action>,
+    inputs: VecDeque<Input>,
+    punctuality: Punctuality,
+    /// The command in force.
+    demand: Demand,
+    end: RunEnd,
+    notices: Vec<Notice>,
+    outcome: Option<Outcome>,
+    /// Why an automatic start was given up.
+    not_started: Option<String>,
+    burst_armed: bool,
+    /// For how long the computer had been suspended when that was looked at last.
+    slept_s: f64,
+    /// News of the record that were told.
+    record_news: usize,
+    watch: LineWatch,
+    stop: StopWatch,
+}
+
+impl Runner<'_> {
+    fn go(
+        &mut self,
+        clock: &mut dyn Clock,
+        intents: &Receiver<Intent>,
+        interrupted: &AtomicBool,
+        options: &RunOptions,
+    ) -> RunSummary {
+        let period_s = 1.0 / options.rate_hz;
+        let begin_s = clock.now_s();
+        let mut cycle: u64 = 0;
+        let mut start_pending = options.auto_start;
+        while self.outcome.is_none() {
+            let mut due_s = begin_s + cycle as f64 * period_s;
+            self.await_cycle(clock, due_s);
+            let now_s = clock.now_s();
+            let missed = whole((now_s - due_s) / period_s) as u64;
+            if missed > 0 {
+                cycle += missed;
+                due_s = begin_s + cycle as f64 * period_s;
+                self.punctuality.missed(missed);
+                self.feed(clock, Input::Missed(missed));
+            }
+            self.punctuality.cycle(now_s, now_s - due_s);
+            if let Some(cut_in) = self.link.0.cut_in() {
+                // Whoever wants a stop is heard now.
+                cut_in.lower();
+            }
+            if interrupted.swap(false, Ordering::AcqRel) {
+                self.feed(clock, Input::Intent(Intent::Quit));
+            }
+            while let Ok(intent) = intents.try_recv() {
+                self.feed(clock, Input::Intent(intent));
+            }
+            if start_pending {
+                start_pending = !self.try_start(clock, now_s - begin_s);
+            }
+            self.feed(clock, Input::Cycle);
+            if self.publisher.is_due(now_s) {
+                self.tell_record(now_s);
+                self.publish(now_s, options.rate_hz, None);
+            }
+            cycle += 1;
+        }
+        // Whatever the session knows: the last word to the drive is zero output.
+        let told_s = clock.now_s();
+        let stopped = self.link.0.stop();
+        self.note_last_stop(told_s, clock.now_s(), &stopped);
+        if let Some(notice) = self.session.stop_notice(stopped.as_ref().err()) {
+            self.act_on_notice(notice);
+        }
+        let stop_error = stopped.err().map(|error| error.to_string());
+        let waiting = self.recorder.flush();
+        self.stop.rows(waiting.iter().map(|row| row.time_s));
+        if let Some(estimator) = self.estimator.as_mut() {
+            for row in waiting {
+                estimator.push(row);
+            }
+        }
+        let now_s = clock.now_s();
+        // A drive that did not confirm its stop is not asked for records.
+        let capture = match stop_error {
+            None => self.fetch_burst(clock),
+            Some(_) => None,
+        };
+        let outcome = match (self.outcome.take(), self.not_started.take()) {
+            (Some(Outcome::Stopped) | None, Some(reason)) => Outcome::NotStarted { reason },
+            (outcome, _) => outcome.unwrap_or(Outcome::Stopped),
+        };
+        self.tell_record(now_s);
+        let stop = self.stop.stop(self.session.watchdog_s());
+        self.tell_stop(now_s, &outcome, stop.as_ref());
+        self.publish(
+            now_s,
+            options.rate_hz,
+            Some((outcome.name(), stop_error.clone(), stop.clone())),
+        );
+        let recorder = self.recorder.status();
+        RunSummary {
+            rows: recorder.rows as u64,
+            duration_s: now_s - begin_s,
+            timing: self.punctuality.timing(options.rate_hz),
+            link: self.link.0.statistics(),
+            capture,
+            wire: Wire::of(self.link.0),
+            estimates: self.estimates(),
+            excitation: self.excitation(),
+            frozen: self.frozen(),
+            speed: self.session.report(),
+            notices: std::mem::take(&mut self.notices),
+            stop_error,
+            stop,
+            last_seconds: match &outcome {
+                Outcome::Tripped(_) | Outcome::LinkLost { .. } => self.stop.last_seconds(),
+                _ => None,
+            },
+            recorder_error: recorder.error,
+            reopened: None,
+            end: self.end,
+            outcome,
+        }
+    }
+
+    /// The stop with which every run ends: a routine where the drive has said before that its output is off.
+    fn note_last_stop(&mut self, told_s: f64, now_s: f64, stopped: &Result<(), LinkError>) {
+        self.stop.asked(told_s, self.link.0.has_sent_command());
+        self.stop.answered(stopped);
+        match stopped {
+            // Who does not tell whether the output is off has not confirmed that it is.
+            Ok(()) if self.link.0.confirms_stop() => self.stop.confirmed(now_s),
+            Ok(()) => {}
+            Err(_) => self.stop.withdraw(),
+        }
+    }
+
+    /// How the stop went: in the record, and for whoever wants to know because the run did not simply go to its end.
+    fn tell_stop(&mut self, now_s: f64, outcome: &Outcome, stop: Option<&Stop>) {
+        let Some(stop) = stop else { return };
+        let event = Event::new(now_s + self.end.drive_minus_host_s, None, "stop");
+        let detail = serde_json::to_value(stop).unwrap_or(Value::Null);
+        self.recorder
+            .event(event.with("host_time_s", now_s).with("stop", detail));
+        // One that was not confirmed has been told of with the link's last word.
+        if *outcome != Outcome::Done && stop.confirmed_after_ms.is_some() {
+            self.act_on_notice(Notice {
+                level: Level::Info,
+                text: stop.sentence(),
+            });
+        }
+    }
+
+    /// Waits until the next cycle is due; the end of the silence that is allowed is not waited out until then.
+    fn await_cycle(&mut self, clock: &mut dyn Clock, due_s: f64) {
+        if self.session.phase().is_energised() {
+            let now_s = clock.now_s();
+            let over_s = now_s + self.session.guard().silence_left_s(now_s);
+            if over_s < due_s {
+                clock.sleep_until_s(over_s);
+                self.feed(clock, Input::Silence);
+            }
+        }
+        clock.sleep_until_s(due_s);
+    }
+
+    /// Starts as soon as the session is safe; gives up with the reason where that is refused or takes too long, because
+    /// nobody is there to try again. Returns whether the matter is settled.
+    fn try_start(&mut self, clock: &dyn Clock, waited_s: f64) -> bool {
+        if self.session.phase() == Phase::Safe {
+            if waited_s <= CONNECT_TIME_S && self.still_moves() {
+                return false;
+            }
+            self.feed(clock, Input::Intent(Intent::Start));
+            if self.session.phase() != Phase::Safe {
+                return true;
+            }
+            self.not_started = self.notices.last().map(|notice| notice.text.clone());
+        } else if waited_s > CONNECT_TIME_S {
+            let state = self.session.last_sample().and_then(|sample| sample.state);
+            let state = state.map_or("unknown", DriveState::name);
+            self.not_started = Some(format!(
+                "the drive is in state {state:?} for {CONNECT_TIME_S} s, it must be disabled or ready"
+            ));
+        } else {
+            return false;
+        }
+        self.feed(clock, Input::Intent(Intent::Stop));
+        true
+    }
+
+    /// Whether the shaft, or the current that brakes it, has not come to rest after what was before this run.
+    fn still_moves(&self) -> bool {
+        let guard = self.session.guard();
+        let rest = self
+            .session
+            .last_sample()
+            .map(|sample| guard.check_rest(sample));
+        let may_change = RestError::may_change;
+        rest.is_some_and(|rest| rest.is_err_and(|error| may_change(&error)))
+    }
+
+    /// One input and everything that follows from it.
+    fn feed(&mut self, clock: &dyn Clock, input: Input) {
+        self.inputs.push_back(input);
+        loop {
+            // Whatever waits, and whatever an exchange has brought: a sleep is told first.
+            let slept_s = clock.slept_s() - self.slept_s;
+            if slept_s > SUSPENDED_S {
+                self.slept_s += slept_s;
+                self.inputs.push_front(Input::Suspended(slept_s));
+            }
+            let Some(input) = self.inputs.pop_front() else {
+                break;
+            };
+            let mut actions = std::mem::take(&mut self.actions);
+            let now_s = clock.now_s();
+            self.session.step(now_s, input, &mut actions);
+            let phase = self.session.phase();
+            let offset_s = self.end.drive_minus_host_s;
+            let session = &self.session;
+            self.stop.phase(now_s, phase, offset_s, || cause(session));
+            if self.session.has_stopped() {
+                self.stop.confirmed(now_s);
+            }
+            for action in actions.drain(..) {
+                self.act(clock, action);
+            }
+            self.actions = actions;
+        }
+    }
+
+    fn act(&mut self, clock: &dyn Clock, action: Action) {
+        match action {
+            Action::Send(command) => self.exchange(clock, command),
+            Action::ArmBurst => self.arm_burst(),
+            Action::Row(sample) => {
+                let rows = self.recorder.row(&sample);
+                self.stop.rows(rows.iter().map(|row| row.time_s));
+                if let Some(estimator) = self.estimator.as_mut() {
+                    for row in rows {
+                        estimator.push(row);
+                    }
+                }
+                let reference_rad_s = self.session.reference_rad_s();
+                self.publisher.sample(&sample, self.demand, reference_rad_s);
+            }
+            Action::Event(mut event) => {
+                event.time_s += self.end.drive_minus_host_s;
+                self.recorder.event(event);
+            }
+            Action::Notice(notice) => self.act_on_notice(notice),
+            Action::Finished(outcome) => self.outcome = Some(outcome),
+        }
+    }
+
+    fn exchange(&mut self, clock: &dyn Clock, command: Command) {
+        let sent_s = clock.now_s();
+        self.demand = command.demand;
+        let is_recorded = self.session.phase().is_recorded();
+        let reference_rad_s = self.session.reference_rad_s();
+        // What stops a motor is not held to the time that is left of an old silence.
+        let left_s = if command.demand.energises() {
+            self.session.guard().silence_left_s(sent_s)
+        } else {
+            self.session.guard().limits().link_silence_s
+        };
+        self.link.0.bound(left_s);
+        let answer = self.link.0.exchange(command);
+        let now_s = clock.now_s();
+        if command.demand == Demand::Stop {
+            // What stops a motor waits for no silence of the line: it goes out as soon as it is handed over.
+            self.stop.asked(sent_s, self.link.0.has_sent_command());
+            self.stop.answered(&answer);
+        }
+        if is_recorded && self.link.0.has_sent_command() {
+            let row = CommandRow {
+                command,
+                time_s: sent_s + self.end.drive_minus_host_s,
+                reference_rad_s: reference_rad_s.or(match command.demand {
+                    Demand::Speed(speed) => Some(speed),
+                    _ => None,
+                }),
+            };
+            self.recorder.command(&row);
+        }
+        let took_s = now_s - sent_s;
+        // So long the link may have held us; what goes beyond that was the host's.
+        self.session.waited_for_link(now_s, took_s.min(left_s));
+        let answered = answer.is_ok();
+        self.inputs.push_back(match answer {
+            Ok(sample) => {
+                // A host that stamps samples has one clock for both: how long this exchange took is no part of it.
+                let host_s = (sample.time_half_width_s.and(sample.host_time_s)).map(|s| s - now_s);
+                let offset_s = host_s.unwrap_or(sample.time_s - sent_s);
+                let is_of_a_restart = self.session.guard().is_of_a_restart(now_s, &sample);
+                if offset_s.is_finite() && !is_of_a_restart {
+                    self.end.drive_minus_host_s = offset_s;
+                }
+                self.end.last_reply_s = now_s;
+                Input::Sample(Box::new(sample))
+            }
+            Err(error) => Input::Lost(Lost::from(&error)),
+        });
+        self.watch_line(now_s, took_s, answered);
+    }
+
+    /// What the line leaves behind is told at once, and stands in the record.
+    fn watch_line(&mut self, now_s: f64, took_s: f64, answered: bool) {
+        let line = self.link.0.line().unwrap_or_default();
+        let mut news = self.watch.frames(now_s, line);
+        if self.session.phase().is_energised() {
+            news.extend(self.watch.exchange(now_s, took_s, answered, line));
+        } else {
+            self.watch.rest();
+        }
+        for News {
+            event,
+            figure,
+            notice,
+        } in news
+        {
+            let is_rate = event.starts_with("rate");
+            let key = if is_rate { "achieved_hz" } else { "frames" };
+            if event == FOREIGN_WRITES {
+                let master = Input::OtherMaster(line.foreign_writes);
+                self.inputs.push_back(master);
+            }
+            let event = Event::new(now_s + self.end.drive_minus_host_s, None, event);
+            self.recorder
+                .event(event.with("host_time_s", now_s).with(key, figure));
+            self.act_on_notice(notice);
+        }
+    }
+
+    /// What goes wrong with the record is told while it does, and stops nothing.
+    fn tell_record(&mut self, now_s: f64) {
+        let status = self.recorder.status();
+        for text in status.news.into_iter().skip(self.record_news) {
+            self.record_news += 1;
+            let event = Event::new(now_s + self.end.drive_minus_host_s, None, "record");
+            let event = event.with("host_time_s", now_s);
+            self.recorder.event(event.with("message", text.as_str()));
+            self.warn(text);
+        }
+    }
+
+    /// A burst is an extra: a run goes on without it, and says so.
+    fn arm_burst(&mut self) {
+        let armed = match self.link.0.burst() {
+            Some(burst) => burst.arm().map_err(|error| error.to_string()),
+            None => Err("the drive records no bursts".to_owned()),
+        };
+        match armed {
+            Ok(()) => self.burst_armed = true,
+            Err(reason) => self.warn(format!("no burst capture: {reason}")),
+        }
+    }
+
+    /// Fetches what the drive recorded, with the output off.
+    fn fetch_burst(&mut self, clock: &mut dyn Clock) -> Option<Capture> {
+        if !self.burst_armed {
+            return None;
+        }
+        let mut reason = "the drive does not finish it".to_owned();
+        for _ in 0..FETCH_ATTEMPTS {
+            match self.link.0.burst().map(Burst::fetch) {
+                Some(Ok(Some(capture))) => return Some(capture),
+                Some(Err(error)) if !error.is_transient() => {
+                    reason = error.to_string();
+                    break;
+                }
+                Some(Err(error)) => reason = error.to_string(),
+                Some(Ok(None)) | None => {}
+            }
+            clock.sleep_until_s(clock.now_s() + FETCH_PAUSE_S);
+        }
+        self.warn(format!("the burst capture is lost: {reason}"));
+        None
+    }
+
+    fn warn(&mut self, text: String) {
+        self.act_on_notice(Notice {
+            level: Level::Warning,
+            text,
+        });
+    }
+
+    fn act_on_notice(&mut self, notice: Notice) {
+        self.publisher.notice(notice.clone());
+        self.notices.push(notice);
+    }
+
+    fn estimates(&self) -> Vec<ParameterEstimate> {
+        let estimator = self.estimator.as_ref();
+        estimator.map_or_else(Vec::new, |estimator| estimator.estimates())
+    }
+
+    fn excitation(&self) -> Excitation {
+        let estimator = self.estimator.as_ref();
+        estimator.map_or_else(Excitation::new, |estimator| estimator.excitation())
+    }
+
+    fn frozen(&self) -> Frozen {
+        let estimator = self.estimator.as_ref();
+        estimator.map_or_else(Frozen::default, |estimator| estimator.frozen())
+    }
+
+    /// `end`: the outcome of a run that is over, why its stop could not be confirmed, if it could not, and how it stopped.
+    fn publish(
+        &mut self,
+        now_s: f64,
+        rate_hz: f64,
+        end: Option<(&'static str, Option<String>, Option<Stop>)>,
+    ) {
+        let (estimates, excitation) = (self.estimates(), self.excitation());
+        let frozen = self.frozen();
+        let estimator = self.estimator.as_ref();
+        let innovation = estimator.and_then(|estimator| estimator.innovation());
+        self.publisher.innovation(innovation);
+        let recorder = self.recorder.status();
+        let session = &self.session;
+        self.publisher.publish(now_s, session, estimates, |shown| {
+            shown.excitation = Arc::new(excitation);
+            shown.frozen = frozen;
+            shown.link_statistics = self.link.0.statistics();
+            shown.timing = self.punctuality.timing(rate_hz);
+            shown.rows = recorder.rows as u64;
+            shown.recorder_error = recorder.error;
+            if let Some((outcome, stop_error, stop)) = end {
+                shown.outcome = Some(outcome);
+                (shown.stop_error, shown.stop) = (stop_error, stop);
+            }
+        });
+    }
+}
+
+/// What the output has to go off for, as it is decided.
+fn cause(session: &Session) -> &'static str {
+    match (session.ending(), session.guard().tripped()) {
+        (Some(Outcome::Done), _) => "the end of the sequence",
+        (Some(Outcome::Interrupted), _) => "the interruption",
+        (Some(Outcome::Tripped(trip)), _) => trip.kind.name(),
+        (Some(Outcome::LinkLost { .. }), Some(trip)) if trip.kind.is_link() => trip.kind.name(),
+        (Some(Outcome::LinkLost { .. }), _) => "the loss of the link",
+        (Some(Outcome::Stopped | Outcome::NotStarted { .. }) | None, _) => "the request to stop",
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,213 @@
+//! Inputs and actions of a session.
+
+use serde::Serialize;
+
+use crate::recording::Event;
+use crate::trip::Trip;
+use drivebench_link::LinkError;
+use drivebench_model::sample::{Command, Sample};
+
+/// Exceptions for a request that is itself wrong: function, address, value (Modbus Application Protocol 1.1b3, 7).
+const ILLEGAL_FIRST: u8 = 1;
+const ILLEGAL_LAST: u8 = 3;
+
+/// One input of `Session::step`.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Input {
+    /// The deadline of a cycle: time to send.
+    Cycle,
+    Sample(Box<Sample>),
+    Lost(Lost),
+    /// The silence that is allowed is over, and no cycle begins yet.
+    Silence,
+    /// The computer was suspended for so long, s.
+    Suspended(f64),
+    /// So many frames on the line write to the drive and are not ours.
+    OtherMaster(u64),
+    /// So many deadlines passed before this cycle began.
+    Missed(u64),
+    Intent(Intent),
+}
+
+/// An exchange without a sample.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Lost {
+    /// The next cycle may try again.
+    Transient(String),
+    /// The drive, or a gateway, answers that it cannot do so now: the next cycle may try again.
+    Busy(String),
+    /// The drive does not have what was requested: no retry can help.
+    Refused(String),
+    /// The link does not come back within this session.
+    Gone(String),
+}
+
+impl From<&LinkError> for Lost {
+    fn from(error: &LinkError) -> Self {
+        match error {
+            LinkError::Exception {
+                code: ILLEGAL_FIRST..=ILLEGAL_LAST,
+                ..
+            } => Self::Refused(error.to_string()),
+            // A busy drive (04 to 06) or a gateway: the limit of link silence decides.
+            LinkError::Exception { .. } => Self::Busy(error.to_string()),
+            error if error.is_transient() => Self::Transient(error.to_string()),
+            error => Self::Gone(error.to_string()),
+        }
+    }
+}
+
+/// A request of a person, of a signal or of the workflow.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Intent {
+    /// Output on at zero, then the program.
+    Start,
+    /// Ramp down and end; a second one ends at once.
+    Stop,
+    /// As `Stop`, and the program is to end (Ctrl-C, SIGTERM, SIGHUP, `q`).
+    Quit,
+    ResetFault,
+    Mark(String),
+}
+
+impl Intent {
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::Start => "start",
+            Self::Stop => "stop",
+            Self::Quit => "quit",
+            Self::ResetFault => "reset_fault",
+            Self::Mark(_) => "mark",
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Level {
+    Info,
+    Warning,
+    Error,
+}
+
+/// A sentence for the person at the bench.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Notice {
+    pub level: Level,
+    pub text: String,
+}
+
+/// How a session ended.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    Done,
+    Stopped,
+    Interrupted,
+    Tripped(Trip),
+    LinkLost {
+        reason: String,
+    },
+    /// The session could not be armed, so nothing moved.
+    NotStarted {
+        reason: String,
+    },
+}
+
+impl Outcome {
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::Done => "done",
+            Self::Stopped => "stopped",
+            Self::Interrupted => "interrupted",
+            Self::Tripped(_) => "tripped",
+            Self::LinkLost { .. } => "link_lost",
+            Self::NotStarted { .. } => "not_started",
+        }
+    }
+
+    /// Where a session stands after it.
+    pub(super) const fn phase(&self) -> Phase {
+        match self {
+            Self::Done => Phase::Done,
+            Self::Stopped | Self::Interrupted | Self::NotStarted { .. } => Phase::Stopped,
+            Self::Tripped(_) => Phase::Tripped,
+            Self::LinkLost { .. } => Phase::LinkLost,
+        }
+    }
+
+    pub const fn exit_status(&self) -> u8 {
+        match self {
+            Self::Done => 0,
+            Self::Stopped | Self::Interrupted => 130,
+            Self::Tripped(_) => 4,
+            Self::LinkLost { .. } | Self::NotStarted { .. } => 3,
+        }
+    }
+}
+
+/// What is to be done, in this order.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Action {
+    Send(Command),
+    /// The drive is to start a burst capture with the command that is sent next.
+    ArmBurst,
+    /// A row of the record; the recorder pairs it with the commands that were sent.
+    Row(Box<Sample>),
+    Event(Event),
+    Notice(Notice),
+    Finished(Outcome),
+}
+
+/// Where a session stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Phase {
+    /// No valid reply yet, or the drive was found running or in fault.
+    Connecting,
+    Safe,
+    /// Output on at zero; waits for the drive to run, and for the start.
+    Armed,
+    Running,
+    RampDown,
+    /// Stop is sent in every cycle until the drive confirms it.
+    Stopping,
+    Done,
+    Stopped,
+    Tripped,
+    LinkLost,
+}
+
+impl Phase {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Connecting => "connecting",
+            Self::Safe => "safe",
+            Self::Armed => "armed",
+            Self::Running => "running",
+            Self::RampDown => "ramp down",
+            Self::Stopping => "stopping",
+            Self::Done => "done",
+            Self::Stopped => "stopped",
+            Self::Tripped => "tripped",
+            Self::LinkLost => "link lost",
+        }
+    }
+
+    pub const fn is_final(self) -> bool {
+        matches!(
+            self,
+            Self::Done | Self::Stopped | Self::Tripped | Self::LinkLost
+        )
+    }
+
+    /// Whether commands and samples belong to the record of the run.
+    pub const fn is_recorded(self) -> bool {
+        self.is_energised() || matches!(self, Self::Stopping)
+    }
+
+    /// Whether the drive's output may be on.
+    pub const fn is_energised(self) -> bool {
+        matches!(self, Self::Armed | Self::Running | Self::RampDown)
+    }
+}

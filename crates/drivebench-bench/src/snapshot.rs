@@ -1,0 +1,372 @@
+//! Snapshot of a run for a screen, published some twenty times a second; it never reaches back into the run.
+
+use std::collections::VecDeque;
+use std::sync::mpsc::Sender;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use super::limits::Nameplate;
+use super::live_online::Excitation;
+use super::plan::under_voltage;
+use super::session::{Notice, Phase, Session};
+use super::stop::Stop;
+use super::timing::Timing;
+use super::trip::Trip;
+use drivebench_identify::online::Frozen;
+use drivebench_link::{Identity, LinkStatistics};
+use drivebench_model::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State, Trajectory};
+use drivebench_model::sample::{Channel, Demand, DriveState, ParameterEstimate, Sample, Verdict};
+
+/// Software or copper: shown on every screen.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Target {
+    /// The drive itself says that it is software.
+    Sim,
+    #[default]
+    Hardware,
+}
+
+impl Target {
+    pub const fn of(identity: &Identity) -> Self {
+        if identity.is_emulator {
+            Self::Sim
+        } else {
+            Self::Hardware
+        }
+    }
+
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Sim => "SIM",
+            Self::Hardware => "HARDWARE",
+        }
+    }
+}
+
+/// One instant of the scope; NaN where a value is missing, so that a gap stays a gap.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TracePoint {
+    /// Since the first point of the run, s.
+    pub time_s: f64,
+    pub voltage_v: f64,
+    pub current_a: f64,
+    pub speed_rad_s: f64,
+    /// Free run of the model under the same voltage.
+    pub model_speed_rad_s: f64,
+    /// What a speed loop follows; NaN without one.
+    pub reference_rad_s: f64,
+    /// Voltage that was commanded, and when it reached the motor, on the same clock; NaN where nothing tells.
+    pub command_v: f64,
+    pub applied_s: f64,
+}
+
+/// What the on-line estimators added to their prediction at one instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InnovationPoint {
+    /// As that of the trace.
+    pub time_s: f64,
+    pub current_a: f64,
+    pub speed_rad_s: f64,
+}
+
+/// The state of a run at one instant; cloning copies a few words, two short lists and one shared trace.
+#[derive(Clone, Debug, Default)]
+pub struct Snapshot {
+    pub name: String,
+    pub link: String,
+    pub target: Target,
+    pub phase: Option<Phase>,
+    pub drive_state: Option<DriveState>,
+    pub elapsed_s: f64,
+    pub total_s: f64,
+    pub segment: Option<String>,
+    /// The last seconds, oldest first.
+    pub trace: Arc<Vec<TracePoint>>,
+    /// Of the on-line estimators over the same seconds, one for each snapshot.
+    pub innovations: Arc<Vec<InnovationPoint>>,
+    pub estimates: Arc<Vec<ParameterEstimate>>,
+    /// How far the data carry each parameter so far.
+    pub excitation: Arc<Excitation>,
+    /// For how long a limit of the drive has kept the estimators from learning.
+    pub frozen: Frozen,
+    /// Whether the model of the trace is the nameplate's or the identified one.
+    pub model_is_identified: bool,
+    pub link_statistics: LinkStatistics,
+    pub timing: Timing,
+    pub rows: u64,
+    /// What the recorder could not write, if anything.
+    pub recorder_error: Option<String>,
+    /// The newest last.
+    pub notices: Vec<Notice>,
+    pub trip: Option<Trip>,
+    /// The search for a drive that was lost: how it goes, and what came of it.
+    pub reopening: Option<String>,
+    /// Set once, when the run is over.
+    pub outcome: Option<&'static str>,
+    /// Why zero output could not be confirmed then, if it could not.
+    pub stop_error: Option<String>,
+    /// How soon it stopped, where its output was on.
+    pub stop: Option<Stop>,
+}
+
+/// The latest snapshot, shared between the runner and the screens. Neither waits for the other.
+#[derive(Clone, Debug, Default)]
+pub struct SnapshotCell {
+    latest: Arc<Mutex<Arc<Snapshot>>>,
+    /// Hears every notice as it comes, where nobody looks at snapshots.
+    listener: Option<Sender<Notice>>,
+}
+
+impl SnapshotCell {
+    /// A cell that passes on every notice as well.
+    pub fn heard_by(listener: Sender<Notice>) -> Self {
+        Self {
+            listener: Some(listener),
+            ..Self::default()
+        }
+    }
+
+    /// The same cell for somebody who only looks.
+    #[must_use]
+    pub fn unheard(&self) -> Self {
+        Self {
+            latest: Arc::clone(&self.latest),
+            listener: None,
+        }
+    }
+
+    /// Whoever listens hears it.
+    pub fn tell(&self, notice: &Notice) {
+        if let Some(listener) = &self.listener {
+            // Nobody listens any more: the notice is in the summary all the same.
+            let _ = listener.send(notice.clone());
+        }
+    }
+
+    pub fn latest(&self) -> Arc<Snapshot> {
+        Arc::clone(&self.latest.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    pub fn publish(&self, snapshot: Snapshot) {
+        *self.latest.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(snapshot);
+    }
+}
+
+/// Points kept for the scope: the widest screen has fewer columns.
+const POINTS: usize = 1200;
+/// Notices kept.
+const NOTICES: usize = 50;
+/// Snapshots per second of the run.
+const SNAPSHOT_RATE_HZ: f64 = 20.0;
+
+pub(super) struct Publisher {
+    cell: SnapshotCell,
+    snapshot: Snapshot,
+    points: VecDeque<TracePoint>,
+    innovations: VecDeque<InnovationPoint>,
+    origin_s: Option<f64>,
+    model: ModelTrace,
+    next_s: f64,
+}
+
+impl Publisher {
+    pub(super) fn new(cell: SnapshotCell, first: Snapshot, motor: Option<&Nameplate>) -> Self {
+        Self {
+            cell,
+            snapshot: first,
+            points: VecDeque::with_capacity(POINTS),
+            innovations: VecDeque::new(),
+            origin_s: None,
+            model: ModelTrace::new(motor),
+            next_s: f64::NEG_INFINITY,
+        }
+    }
+
+    pub(super) fn sample(&mut self, sample: &Sample, demand: Demand, reference_rad_s: Option<f64>) {
+        let origin_s = *self.origin_s.get_or_insert(sample.time_s);
+        let cell = |channel| sample.get(channel).unwrap_or(f64::NAN);
+        if self.points.len() == POINTS {
+            self.points.pop_front();
+        }
+        let applied = sample
+            .applied
+            .map_or(sample.time_s, |applied| applied.time_s);
+        let command_v = match demand {
+            Demand::Voltage(volts) => volts,
+            _ => f64::NAN,
+        };
+        self.points.push_back(TracePoint {
+            command_v,
+            applied_s: applied - origin_s,
+            time_s: sample.time_s - origin_s,
+            voltage_v: cell(Channel::Voltage),
+            current_a: cell(Channel::Current),
+            speed_rad_s: cell(Channel::Speed),
+            model_speed_rad_s: self.model.follow(sample, demand),
+            reference_rad_s: reference_rad_s.unwrap_or(f64::NAN),
+        });
+    }
+
+    /// What the estimators added to their prediction of the newest sample; not a number where they predict nothing.
+    pub(super) fn innovation(&mut self, innovation: Option<(f64, f64)>) {
+        let Some(newest) = self.points.back() else {
+            return;
+        };
+        let (current_a, speed_rad_s) = innovation.unwrap_or((f64::NAN, f64::NAN));
+        if self.innovations.len() == POINTS {
+            self.innovations.pop_front();
+        }
+        self.innovations.push_back(InnovationPoint {
+            time_s: newest.time_s,
+            current_a,
+            speed_rad_s,
+        });
+    }
+
+    pub(super) fn notice(&mut self, notice: Notice) {
+        self.cell.tell(&notice);
+        if self.snapshot.notices.len() == NOTICES {
+            self.snapshot.notices.remove(0);
+        }
+        self.snapshot.notices.push(notice);
+    }
+
+    pub(super) fn is_due(&self, now_s: f64) -> bool {
+        now_s >= self.next_s
+    }
+
+    /// Shows the run as it stands: what the session knows, and what the runner puts in with `rest`.
+    pub(super) fn publish(
+        &mut self,
+        now_s: f64,
+        session: &Session,
+        estimates: Vec<ParameterEstimate>,
+        rest: impl FnOnce(&mut Snapshot),
+    ) {
+        self.next_s = now_s + 1.0 / SNAPSHOT_RATE_HZ;
+        if !self.model.is_identified {
+            self.model.learn(&estimates);
+        }
+        let snapshot = &mut self.snapshot;
+        snapshot.phase = Some(session.phase());
+        snapshot.drive_state = session.last_sample().and_then(|sample| sample.state);
+        (snapshot.elapsed_s, snapshot.total_s) = session.progress_s(now_s);
+        snapshot.segment = session.segment_name().map(str::to_owned);
+        snapshot.trace = Arc::new(self.points.iter().copied().collect());
+        snapshot.innovations = Arc::new(self.innovations.iter().copied().collect());
+        snapshot.estimates = Arc::new(estimates);
+        snapshot.model_is_identified = self.model.is_identified;
+        snapshot.trip = session.guard().tripped().cloned();
+        rest(snapshot);
+        self.cell.publish(snapshot.clone());
+    }
+}
+
+/// Gaps longer than this begin a new free run from the measurement, s.
+const LONGEST_GAP_S: f64 = 0.5;
+
+/// Free run of the nameplate's model, then of the identified one as soon as all of its values are settled.
+struct ModelTrace {
+    plant: Option<Plant>,
+    motor: Motor,
+    state: State,
+    last_s: Option<f64>,
+    /// `None`: the output was off, or nobody knows.
+    voltage_v: Option<f64>,
+    is_identified: bool,
+    scenario: Scenario,
+    out: Trajectory,
+}
+
+impl ModelTrace {
+    /// Without a nameplate there is no model until one is identified.
+    fn new(nameplate: Option<&Nameplate>) -> Self {
+        let motor = nameplate.map(Nameplate::motor).unwrap_or_default();
+        Self {
+            plant: Plant::new(&Model::baseline(motor.clone()), Input::Voltage).ok(),
+            motor,
+            state: State::default(),
+            last_s: None,
+            voltage_v: None,
+            is_identified: false,
+            scenario: under_voltage("live", vec![0.0]),
+            out: Trajectory::default(),
+        }
+    }
+
+    /// Takes over estimates once every one of the five is settled.
+    fn learn(&mut self, estimates: &[ParameterEstimate]) {
+        let mut motor = self.motor.clone();
+        for key in MotorKey::ALL {
+            if key == MotorKey::TorqueConstant {
+                continue;
+            }
+            let found = ParameterEstimate::find(estimates, key.key());
+            let settled = found.filter(|estimate| estimate.verdict == Verdict::Settled);
+            let Some(value) = settled.and_then(|estimate| estimate.value) else {
+                return;
+            };
+            motor.set(key, value);
+        }
+        let model = Model::baseline(motor);
+        if model.validate().is_ok()
+            && let Ok(plant) = Plant::new(&model, Input::Voltage)
+        {
+            self.plant = Some(plant);
+            self.is_identified = true;
+        }
+    }
+
+    /// The model's speed at the sample, rad/s; NaN where there is none. `demand` is the command in force.
+    fn follow(&mut self, sample: &Sample, demand: Demand) -> f64 {
+        let now_s = sample.time_s;
+        let now_v = match demand {
+            Demand::Voltage(volts) => Some(volts),
+            _ if demand.energises() => sample.get(Channel::Voltage),
+            // Off: no current flows, and a drive that reports 0 V has not shorted the winding.
+            _ => None,
+        };
+        let before_v = std::mem::replace(&mut self.voltage_v, now_v);
+        let last_s = self.last_s.replace(now_s);
+        let is_next = |last_s: &f64| (0.0..LONGEST_GAP_S).contains(&(now_s - last_s));
+        let (Some(plant), Some(now_v)) = (self.plant.as_mut(), now_v) else {
+            return f64::NAN;
+        };
+        let before = last_s.filter(is_next).zip(before_v);
+        let Some((begin_s, before_v)) = before else {
+            let read = |channel| sample.get(channel).unwrap_or(0.0);
+            self.state = State::at(read(Channel::Current), read(Channel::Speed));
+            return self.state.speed_rad_s;
+        };
+        let applied_s = sample.applied.map_or(begin_s, |applied| applied.time_s);
+        let applied_s = applied_s.clamp(begin_s, now_s);
+        self.scenario.events.clear();
+        if applied_s > begin_s {
+            self.scenario.events.push((begin_s, before_v));
+        }
+        self.scenario.events.push((applied_s, now_v));
+        self.scenario.sample_time_s[0] = now_s;
+        plant.simulate_into(&self.scenario, self.state, &mut self.out);
+        self.state = State::at(self.out.current_a[0], self.out.speed_rad_s[0]);
+        self.state.speed_rad_s
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::near;
+
+    #[test]
+    fn the_model_is_not_shorted_while_the_output_is_off() {
+        let mut model = ModelTrace::new(Some(&Nameplate::zk_22fc()));
+        let at = |time_s| {
+            let turning = Sample::at(time_s).with(Channel::Speed, 100.0);
+            turning.with(Channel::Voltage, 0.0)
+        };
+        for time_s in [0.0, 0.1] {
+            assert!(model.follow(&at(time_s), Demand::Stop).is_nan());
+        }
+        near(model.follow(&at(0.2), Demand::Voltage(35.0)), 100.0, 1e-9);
+    }
+}

@@ -1,0 +1,690 @@
+//! Test kit of the bench: the paper's motor, drives and links that do what a test tells them, one way to carry a session
+//! out, and assertions that show what they found.
+
+use std::collections::VecDeque;
+use std::fmt::{Debug, Display};
+use std::ops::RangeBounds;
+use std::sync::atomic::AtomicBool;
+use std::sync::mpsc::channel;
+use std::sync::{Arc, Mutex};
+
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::RngCore;
+
+use super::bench_file::BenchFile;
+use super::clock::Clock;
+use super::describe::layout;
+use super::limits::Nameplate;
+use super::live_online::LiveEstimator;
+use super::pilot::Program;
+use super::runner::{Bench, RunOptions, RunSummary, run};
+use super::session::{Action, Input, Intent, Lost, Outcome, Session};
+use super::snapshot::{SnapshotCell, Target};
+use super::trip::TripKind;
+use crate::recording::{Layout, MemoryRecorder};
+use drivebench_emulator::truth::MotorTruth;
+use drivebench_emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive, VirtualClock};
+use drivebench_link::{
+    CommandTimes, DriveLink, Identity, LinkError, LinkName, LinkStatistics, exception_name,
+};
+use drivebench_model::sample::{Applied, Channel, Command, Demand, DriveState, Sample};
+
+/// Signals that a drive with the usual sensors gives.
+pub(super) const SIGNALS: [Channel; 3] = [Channel::Voltage, Channel::Current, Channel::Speed];
+
+/// Fails with the whole text where it lacks these words.
+#[track_caller]
+pub(super) fn has(text: impl Display, words: &str) {
+    let text = text.to_string();
+    assert!(text.contains(words), "{words:?} is not in: {text}");
+}
+
+/// Fails with both values where they lie further apart than this.
+#[track_caller]
+pub(super) fn near(value: f64, expected: f64, most: f64) {
+    let apart = (value - expected).abs();
+    assert!(apart < most, "{value}, expected {expected} +- {most}");
+}
+
+/// Fails with the value where it lies outside.
+#[track_caller]
+pub(super) fn within(value: f64, range: impl RangeBounds<f64> + Debug) {
+    assert!(range.contains(&value), "{value} is not in {range:?}");
+}
+
+impl Nameplate {
+    /// The paper's motor.
+    pub(super) fn zk_22fc() -> Self {
+        BenchFile::embedded_default().nameplate().unwrap()
+    }
+}
+
+/// Voltage as a function of time.
+pub(super) struct Wave<F: Fn(f64) -> Demand + Send> {
+    pub(super) duration_s: f64,
+    pub(super) demand: F,
+}
+
+impl<F: Fn(f64) -> Demand + Send> Program for Wave<F> {
+    fn duration_s(&self) -> f64 {
+        self.duration_s
+    }
+
+    fn demand_at(&self, time_s: f64) -> Demand {
+        (self.demand)(time_s)
+    }
+
+    fn segment_at(&self, time_s: f64) -> usize {
+        usize::from(time_s >= 0.5 * self.duration_s)
+    }
+
+    fn segment_name(&self, index: usize) -> &str {
+        ["first half", "second half"][index]
+    }
+}
+
+/// The same demand for so long.
+pub(super) fn constant(duration_s: f64, demand: Demand) -> Box<dyn Program> {
+    let demand = move |_| demand;
+    Box::new(Wave { duration_s, demand })
+}
+
+/// What the scripted drive does wrong, and from which exchange on.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Fault {
+    Timeout,
+    Gone,
+    Set(Channel, f64),
+    Missing(Channel),
+    TripWith(u16),
+    LeavesRunning,
+    NeverRuns,
+    ClockStops,
+    IgnoresStop,
+    /// Every request, with this exception.
+    Refuses(u8),
+}
+
+/// A drive with a first-order shaft and the current that goes with it: no physics, only states, stamps and faults.
+#[derive(Default)]
+pub(super) struct ScriptedDrive {
+    pub(super) period_s: f64,
+    pub(super) faults: VecDeque<(u64, u64, Fault)>,
+    pub(super) demands: Vec<Demand>,
+    pub(super) watchdog_s: Option<f64>,
+    pub(super) stops: u32,
+    pub(super) is_emulator: bool,
+    pub(super) serial_number: &'static str,
+    pub(super) confirms_stop: bool,
+    /// Everything that it was asked, for whoever keeps a copy.
+    pub(super) asked: Arc<Mutex<Vec<String>>>,
+    pub(super) shortest_cycle_s: Option<f64>,
+    pub(super) times: CommandTimes,
+    /// What a stop outside a run ends with; `None`: it is confirmed.
+    pub(super) stop_fails: Option<fn(String) -> LinkError>,
+    /// Longest that an exchange may take, as it was told last, s.
+    pub(super) bound_s: f64,
+    state: DriveState,
+    time_s: f64,
+    voltage_v: f64,
+    speed_rad_s: f64,
+    angle_rad: f64,
+    statistics: LinkStatistics,
+    /// Nothing of the last request got out.
+    is_unsent: bool,
+}
+
+impl ScriptedDrive {
+    pub(super) fn new(period_s: f64) -> Self {
+        Self {
+            period_s,
+            watchdog_s: Some(0.2),
+            is_emulator: true,
+            confirms_stop: true,
+            ..Self::default()
+        }
+    }
+
+    /// The fault holds for exchanges `from..to`.
+    pub(super) fn with(mut self, from: u64, to: u64, fault: Fault) -> Self {
+        self.faults.push_back((from, to, fault));
+        self
+    }
+
+    /// The faults that hold for the exchange that is under way.
+    fn faults_now(&self) -> Vec<Fault> {
+        let now = self.statistics.sent;
+        let faults = self.faults.iter();
+        let holding = faults.filter(|(from, to, _)| (*from..*to).contains(&now));
+        holding.map(|(_, _, fault)| fault.clone()).collect()
+    }
+
+    fn note(&self, what: &str) {
+        self.asked.lock().unwrap().push(what.to_owned());
+    }
+}
+
+impl DriveLink for ScriptedDrive {
+    fn name(&self) -> LinkName {
+        LinkName("script:".to_owned())
+    }
+
+    fn identify(&mut self) -> Result<Identity, LinkError> {
+        self.note("identify");
+        Ok(Identity {
+            vendor: "drivebench".to_owned(),
+            product: "script".to_owned(),
+            serial_number: self.serial_number.to_owned(),
+            is_emulator: self.is_emulator,
+            watchdog_s: self.watchdog_s,
+            ..Identity::default()
+        })
+    }
+
+    fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
+        self.note(&format!("{:?}", command.demand));
+        self.demands.push(command.demand);
+        let faults = self.faults_now();
+        let has = |wanted| faults.contains(&wanted);
+        self.statistics.sent += 1;
+        self.is_unsent = has(Fault::Gone);
+        if !has(Fault::ClockStops) {
+            self.time_s += self.period_s;
+        }
+        if has(Fault::Timeout) {
+            self.statistics.timeout += 1;
+            return Err(timeout(self.name(), "test"));
+        }
+        if has(Fault::Gone) {
+            self.statistics.aborted += 1;
+            return Err(gone(self.name().0));
+        }
+        let refused = faults.iter().find_map(|fault| match fault {
+            Fault::Refuses(code) => Some(*code),
+            _ => None,
+        });
+        if let Some(code) = refused {
+            self.statistics.exception += 1;
+            return Err(refusal(self.name().0, code));
+        }
+        self.statistics.ok += 1;
+        self.voltage_v = command.demand.voltage_v().unwrap_or(0.0);
+        let obeys = !has(Fault::NeverRuns) && !has(Fault::LeavesRunning);
+        let deaf = has(Fault::IgnoresStop) && self.state == DriveState::Running;
+        self.state = if command.demand.energises() && obeys || deaf {
+            DriveState::Running
+        } else {
+            DriveState::Disabled
+        };
+        let before_rad_s = self.speed_rad_s;
+        self.speed_rad_s += 0.2 * (self.voltage_v / 0.3538 - self.speed_rad_s);
+        self.angle_rad += 0.5 * (before_rad_s + self.speed_rad_s) * self.period_s;
+        let current_a = 0.1 + (self.voltage_v - 0.3538 * self.speed_rad_s) / 1.1;
+        let mut sample = Sample::at(self.time_s)
+            .with(Channel::Current, current_a)
+            .with(Channel::Speed, self.speed_rad_s)
+            .with(Channel::Voltage, self.voltage_v)
+            .with(Channel::Bus, 140.0)
+            .with(Channel::Angle, self.angle_rad);
+        sample.seq = Some(command.seq);
+        sample.state = Some(self.state);
+        sample.applied = Some(Applied {
+            seq: command.seq,
+            time_s: self.time_s - 0.3 * self.period_s,
+        });
+        for fault in faults {
+            match fault {
+                Fault::Set(channel, value) => sample.set(channel, value),
+                Fault::Missing(channel) => sample.set(channel, f64::NAN),
+                Fault::TripWith(code) => {
+                    (sample.state, sample.fault) = (Some(DriveState::Fault), Some(code));
+                }
+                _ => {}
+            }
+        }
+        Ok(sample)
+    }
+
+    fn bound(&mut self, left_s: f64) {
+        self.bound_s = left_s;
+    }
+
+    fn stop(&mut self) -> Result<(), LinkError> {
+        self.note("stop");
+        self.stops += 1;
+        self.is_unsent = false;
+        if let Some(error) = self.stop_fails {
+            let error = error(self.name().0);
+            self.is_unsent = matches!(error, LinkError::Gone { .. });
+            return Err(error);
+        }
+        self.state = DriveState::Disabled;
+        self.voltage_v = 0.0;
+        Ok(())
+    }
+
+    fn has_sent_command(&self) -> bool {
+        !self.is_unsent
+    }
+
+    fn confirms_stop(&self) -> bool {
+        self.confirms_stop
+    }
+
+    fn command_times(&self) -> CommandTimes {
+        self.times
+    }
+
+    fn statistics(&self) -> LinkStatistics {
+        self.statistics
+    }
+
+    fn shortest_cycle_s(&self) -> Option<f64> {
+        self.shortest_cycle_s
+    }
+}
+
+pub(super) fn gone(link: String) -> LinkError {
+    LinkError::Gone(link, "unplugged".to_owned())
+}
+
+pub(super) fn refusal(link: String, code: u8) -> LinkError {
+    LinkError::Exception {
+        link,
+        request: "the command".to_owned(),
+        code,
+        name: exception_name(code),
+    }
+}
+
+pub(super) fn timeout(link: LinkName, request: &str) -> LinkError {
+    LinkError::Timeout {
+        link: link.0,
+        deadline_ms: 5,
+        request: request.to_owned(),
+    }
+}
+
+/// What happens to exchanges on their way.
+pub(super) trait Tamper<L: DriveLink>: Send {
+    fn exchange(&mut self, link: &mut L, command: Command) -> Result<Sample, LinkError>;
+
+    fn bound(&mut self, _left_s: f64) {}
+}
+
+/// A link with somebody in between.
+pub(super) struct Tampered<L, T> {
+    pub(super) link: L,
+    pub(super) by: T,
+}
+
+impl<L: DriveLink, T: Tamper<L>> DriveLink for Tampered<L, T> {
+    fn name(&self) -> LinkName {
+        self.link.name()
+    }
+
+    fn identify(&mut self) -> Result<Identity, LinkError> {
+        self.link.identify()
+    }
+
+    fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
+        self.by.exchange(&mut self.link, command)
+    }
+
+    fn bound(&mut self, left_s: f64) {
+        self.by.bound(left_s);
+    }
+
+    fn stop(&mut self) -> Result<(), LinkError> {
+        self.link.stop()
+    }
+
+    fn confirms_stop(&self) -> bool {
+        self.link.confirms_stop()
+    }
+
+    fn command_times(&self) -> CommandTimes {
+        self.link.command_times()
+    }
+
+    fn statistics(&self) -> LinkStatistics {
+        self.link.statistics()
+    }
+
+    fn shortest_cycle_s(&self) -> Option<f64> {
+        self.link.shortest_cycle_s()
+    }
+}
+
+/// How often something stands still, and for how long, by dice.
+#[derive(Clone, Copy)]
+pub(super) struct Stalls {
+    /// Part of the cycles that are followed by one.
+    pub(super) share: f64,
+    pub(super) longest_s: f64,
+}
+
+impl Stalls {
+    /// None most of the time.
+    fn length_s(self, dice: &mut ChaCha8Rng) -> f64 {
+        let mut uniform = || f64::from(dice.next_u32()) / f64::from(u32::MAX);
+        if uniform() < self.share {
+            self.longest_s * uniform()
+        } else {
+            0.0
+        }
+    }
+
+    /// A laptop that stands still now and then, with a drive in memory that for a while answers nothing.
+    pub(super) fn at(self, config: &EmulatorConfig, seed: u64) -> (impl DriveLink, impl Clock) {
+        let (link, clock) = in_memory(config, seed);
+        let dozing = Dozing {
+            clock: clock.clone(),
+            stalls: self,
+            dice: ChaCha8Rng::seed_from_u64(seed),
+            wakes_s: 0.0,
+        };
+        let mut dice = ChaCha8Rng::seed_from_u64(seed + 1_000_000);
+        let late_s = move |_| self.length_s(&mut dice);
+        (Tampered { link, by: dozing }, LateClock { clock, late_s })
+    }
+}
+
+/// The drive's side: while it dozes, requests are lost and the output stays as it is.
+struct Dozing {
+    clock: VirtualClock,
+    stalls: Stalls,
+    dice: ChaCha8Rng,
+    wakes_s: f64,
+}
+
+impl Tamper<MemoryLink> for Dozing {
+    fn exchange(&mut self, link: &mut MemoryLink, command: Command) -> Result<Sample, LinkError> {
+        let now_s = self.clock.time_s();
+        if now_s < self.wakes_s {
+            return Err(timeout(link.name(), "a dozing drive"));
+        }
+        let sample = link.exchange(command);
+        self.wakes_s = now_s + self.stalls.length_s(&mut self.dice);
+        sample
+    }
+}
+
+/// A host's clock of which some waits end late: by what is said of the instant, s.
+pub(super) struct LateClock<F> {
+    pub(super) clock: VirtualClock,
+    pub(super) late_s: F,
+}
+
+impl<F: FnMut(f64) -> f64 + Send> Clock for LateClock<F> {
+    fn now_s(&self) -> f64 {
+        self.clock.time_s()
+    }
+
+    fn sleep_until_s(&mut self, until_s: f64) {
+        let now_s = self.clock.time_s().max(until_s);
+        self.clock.set_time_s(now_s + (self.late_s)(now_s));
+    }
+
+    fn is_real(&self) -> bool {
+        false
+    }
+}
+
+/// The emulator without tolerance, so that its motor is the nameplate's.
+pub(super) fn exact(name: &str) -> EmulatorConfig {
+    EmulatorConfig {
+        tolerance: 0.0,
+        ..EmulatorConfig::embedded(name).unwrap()
+    }
+}
+
+/// A motor that somebody could have put on the bench: R and L/R over the whole range, the rest so that it is a motor.
+pub(super) fn random_motor(seed: u64) -> EmulatorConfig {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut log = |from: f64, to: f64| from * (to / from).powf(rng.random::<f64>());
+    let electrical_s = log(0.3e-3, 50e-3);
+    // Rated power in the winding as a share; a current of which the drive's resolution of 10 mA is 2 % at most.
+    let (resistance, rated_v, loss, rated_a) = loop {
+        let (resistance, rated_v, loss) = (log(0.1, 20.0), log(12.0, 220.0), log(0.02, 0.3));
+        let rated_a = loss * rated_v / resistance;
+        if (0.5..60.0).contains(&rated_a) {
+            break (resistance, rated_v, loss, rated_a);
+        }
+    };
+    let rated_rad_s = log(60.0, 500.0);
+    let back_emf = (1.0 - loss) * rated_v / rated_rad_s;
+    let mechanical_s = log(8e-3, 0.5);
+    let friction = log(0.01, 0.3);
+    let mut config = exact("zk-22fc-plain");
+    config.motor.resistance_ohm = resistance;
+    config.motor.inductance_h = resistance * electrical_s;
+    config.motor.back_emf_v_s_per_rad = back_emf;
+    config.motor.inertia_kg_m2 = mechanical_s * back_emf * back_emf / resistance;
+    config.motor.load_torque_n_m = friction * rated_a * back_emf;
+    config.motor.rated_voltage_v = rated_v;
+    config.motor.rated_current_a = rated_a;
+    config.motor.rated_speed_rad_s = rated_rad_s;
+    // As far away as the registers allow: the drive does not help.
+    config.limits.current_limit_a = 650.0;
+    config.limits.bus_v = 2.0 * rated_v;
+    config.limits.speed_limit_rad_s = 1300.0;
+    config.noise.current_a = 0.005 * rated_a;
+    config.noise.speed_rad_s = 0.0005 * rated_rad_s;
+    config.quantisation.current_a = 0.0;
+    config
+}
+
+/// The nameplate of exactly this motor.
+pub(super) fn plate_of(truth: MotorTruth) -> Nameplate {
+    Nameplate {
+        name: truth.name,
+        rated_voltage_v: truth.rated_voltage_v,
+        rated_current_a: truth.rated_current_a,
+        rated_speed_rad_s: truth.rated_speed_rad_s,
+        resistance_ohm: truth.resistance_ohm,
+        inductance_h: truth.inductance_h,
+        back_emf_v_s_per_rad: truth.back_emf_v_s_per_rad,
+        inertia_kg_m2: truth.inertia_kg_m2,
+        load_torque_n_m: truth.load_torque_n_m,
+    }
+}
+
+/// A software drive in memory with the clock of its line.
+pub(super) fn in_memory(config: &EmulatorConfig, seed: u64) -> (MemoryLink, VirtualClock) {
+    let clock = VirtualClock::new();
+    let drive = SoftDrive::new(config, seed);
+    let link = MemoryLink::new(drive, clock.clone(), Latency::default());
+    (link, clock)
+}
+
+/// One run of a session to its end, without a user and as fast as it goes, where a test does not say otherwise.
+pub(super) struct Course<'a> {
+    pub(super) rate_hz: f64,
+    pub(super) layout: Layout,
+    pub(super) motor: Option<Nameplate>,
+    pub(super) estimator: Option<&'a mut dyn LiveEstimator>,
+    /// What is asked for before it begins.
+    pub(super) intents: Vec<Intent>,
+    pub(super) interrupted: bool,
+    pub(super) snapshots: SnapshotCell,
+}
+
+impl Default for Course<'_> {
+    fn default() -> Self {
+        Self {
+            rate_hz: 100.0,
+            layout: layout(&SIGNALS),
+            motor: None,
+            estimator: None,
+            intents: Vec::new(),
+            interrupted: false,
+            snapshots: SnapshotCell::default(),
+        }
+    }
+}
+
+impl Course<'_> {
+    pub(super) fn at(rate_hz: f64) -> Self {
+        Self {
+            rate_hz,
+            ..Self::default()
+        }
+    }
+
+    pub(super) fn run(
+        self,
+        session: Session,
+        link: &mut dyn DriveLink,
+        clock: &mut dyn Clock,
+    ) -> (RunSummary, MemoryRecorder) {
+        let mut recorder = MemoryRecorder::new(self.layout);
+        let (sender, intents) = channel();
+        for intent in self.intents {
+            sender.send(intent).unwrap();
+        }
+        let bench = Bench {
+            link,
+            clock,
+            recorder: &mut recorder,
+            estimator: match self.estimator {
+                Some(estimator) => Some(estimator),
+                None => None,
+            },
+            intents: &intents,
+            interrupted: &AtomicBool::new(self.interrupted),
+            snapshots: &self.snapshots,
+        };
+        let options = RunOptions {
+            name: "test".to_owned(),
+            target: Target::Sim,
+            rate_hz: self.rate_hz,
+            motor: self.motor,
+            auto_start: true,
+        };
+        let summary = run(session, bench, &options);
+        recorder.finish();
+        (summary, recorder)
+    }
+}
+
+/// A session on a link, fed cycle by cycle; `spoil` may change a reply or lose it, by the number of the exchange.
+pub(super) struct Lab<L, F> {
+    pub(super) session: Session,
+    pub(super) link: L,
+    pub(super) now_s: f64,
+    clock: VirtualClock,
+    period_s: f64,
+    spoil: F,
+    pub(super) sent: Vec<Command>,
+    pub(super) log: Vec<Action>,
+}
+
+/// Replies as they come.
+#[expect(clippy::unnecessary_wraps, reason = "as the others, which lose some")]
+pub(super) fn unspoilt(_: usize, sample: Sample) -> Option<Sample> {
+    Some(sample)
+}
+
+impl<L: DriveLink, F: FnMut(usize, Sample) -> Option<Sample>> Lab<L, F> {
+    /// In cycles of 10 ms; the clock is the link's.
+    pub(super) fn new(session: Session, (link, clock): (L, VirtualClock), spoil: F) -> Self {
+        Self {
+            session,
+            link,
+            now_s: 0.0,
+            clock,
+            period_s: 0.01,
+            spoil,
+            sent: Vec::new(),
+            log: Vec::new(),
+        }
+    }
+
+    /// In cycles of another length.
+    pub(super) fn every(self, period_s: f64) -> Self {
+        Self { period_s, ..self }
+    }
+
+    pub(super) fn feed(&mut self, input: Input) {
+        let mut actions = Vec::new();
+        self.session.step(self.now_s, input, &mut actions);
+        for action in actions {
+            self.log.push(action.clone());
+            if let Action::Send(command) = action {
+                self.sent.push(command);
+                let reply = match self.link.exchange(command) {
+                    Ok(sample) => match (self.spoil)(self.sent.len(), sample) {
+                        Some(sample) => Input::Sample(Box::new(sample)),
+                        None => Input::Lost(Lost::Transient("spoilt".to_owned())),
+                    },
+                    Err(error) => Input::Lost(Lost::from(&error)),
+                };
+                self.feed(reply);
+            }
+        }
+    }
+
+    pub(super) fn ask(&mut self, intent: Intent) {
+        self.feed(Input::Intent(intent));
+    }
+
+    pub(super) fn cycles(&mut self, cycles: u32) {
+        for _ in 0..cycles {
+            self.now_s += self.period_s;
+            self.clock.set_time_s(self.now_s);
+            self.feed(Input::Cycle);
+        }
+    }
+
+    /// Starts as soon as the drive has answered, and goes on for so many cycles.
+    pub(super) fn started(mut self, cycles: u32) -> Self {
+        self.cycles(3);
+        self.ask(Intent::Start);
+        self.cycles(cycles);
+        self
+    }
+
+    pub(super) fn outcome(&self) -> Option<&Outcome> {
+        self.log.iter().find_map(|action| match action {
+            Action::Finished(outcome) => Some(outcome),
+            _ => None,
+        })
+    }
+
+    #[track_caller]
+    pub(super) fn trip(&self) -> (TripKind, String) {
+        match self.outcome() {
+            Some(Outcome::Tripped(trip)) => (trip.kind, trip.reason.clone()),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    pub(super) fn volts(&self) -> Vec<f64> {
+        let volts = self.sent.iter().map(|command| match command.demand {
+            Demand::Voltage(volts) => volts,
+            _ => f64::NAN,
+        });
+        volts.collect()
+    }
+
+    /// Commands with the output on among those from here on.
+    pub(super) fn energised_from(&self, from: usize) -> usize {
+        let on = self.sent[from..].iter();
+        on.filter(|command| command.demand.energises()).count()
+    }
+
+    /// What was recorded of a quantity, with its time.
+    pub(super) fn recorded(&self, channel: Channel) -> impl Iterator<Item = (f64, f64)> {
+        self.log.iter().filter_map(move |action| match action {
+            Action::Row(sample) => Some((sample.time_s, sample.get(channel)?)),
+            _ => None,
+        })
+    }
+
+    pub(super) fn largest(&self, channel: Channel) -> f64 {
+        let values = self.recorded(channel).map(|(_, value)| value.abs());
+        values.fold(0.0, f64::max)
+    }
+}

@@ -1,0 +1,59 @@
+//! The actuator of a speed controller: armature voltage, armature current or the drive's own speed loop.
+
+use drivebench_model::sample::Demand;
+
+/// The quantity that the drive takes as command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Actuator {
+    /// Armature voltage, V.
+    Voltage,
+    /// Armature current or torque reference, A.
+    Current,
+    /// Speed reference of a drive that has a speed loop of its own, rad/s.
+    Speed,
+}
+
+impl Actuator {
+    pub const ALL: [Self; 3] = [Self::Voltage, Self::Current, Self::Speed];
+
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL
+            .into_iter()
+            .find(|actuator| actuator.name() == name)
+    }
+
+    pub const fn unit(self) -> &'static str {
+        match self {
+            Self::Voltage => "V",
+            Self::Current => "A",
+            Self::Speed => "rad/s",
+        }
+    }
+
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Voltage => "voltage",
+            Self::Current => "current",
+            Self::Speed => "speed",
+        }
+    }
+
+    /// The output that a demand asks of it; `None`: of another.
+    pub const fn of(self, demand: Demand) -> Option<f64> {
+        match (self, demand) {
+            (Self::Voltage, Demand::Voltage(output))
+            | (Self::Current, Demand::Current(output))
+            | (Self::Speed, Demand::Speed(output)) => Some(output),
+            _ => None,
+        }
+    }
+
+    pub const fn demand(self, output: f64) -> Demand {
+        match self {
+            Self::Voltage => Demand::Voltage(output),
+            Self::Current => Demand::Current(output),
+            Self::Speed => Demand::Speed(output),
+        }
+    }
+}

@@ -1,0 +1,229 @@
+//! Gains and their bounds over the inertia, worked out before the motor moves.
+//!
+//! On line nothing is tuned: an estimate finds its place between two grid points. Each point holds the gains of the rule
+//! and the largest proportional gain at which the sampled loop keeps half of its gain margin.
+
+use super::tuning::{NotchUse, Request, Tuning, TuningError, tune_over};
+use super::{LinearPlant, LoopTiming, Notch, PiGains};
+use drivebench_model::numerics::count::whole;
+
+/// Points of the grid, and how far it reaches either way from the model's inertia.
+const POINTS: usize = 41;
+const REACH: f64 = 32.0;
+/// Gain margin that is left at the largest gain.
+const LEAST_GAIN_MARGIN: f64 = 1.6;
+
+/// Gains over the ratio of the inertia to the model's.
+#[derive(Clone, Debug)]
+pub struct Schedule {
+    points: Vec<Scheduled>,
+    /// What the rule refuses below the first and above the last of them; none where the grid's reach ends.
+    refused: [Option<TuningError>; 2],
+    /// Logarithm of the lowest ratio and of the step.
+    lowest: f64,
+    step: f64,
+}
+
+/// What the schedule says of a ratio.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Scheduled {
+    pub gains: PiGains,
+    /// Largest proportional gain with margin.
+    pub most_proportional: f64,
+    pub small_time_s: f64,
+}
+
+impl Scheduled {
+    /// On the way to another: that share of it.
+    pub(super) fn towards(&self, other: &Self, share: f64) -> Self {
+        let between = |of: fn(&Self) -> f64| of(self) + share * (of(other) - of(self));
+        // Where a load is so light that its frequency is out of reach, that of the other serves.
+        let [own, others] = [self, other].map(|point| point.gains.notch);
+        let notch = own.or(others).zip(others.or(own)).map(|(low, high)| Notch {
+            frequency_hz: low.frequency_hz + share * (high.frequency_hz - low.frequency_hz),
+            ..low
+        });
+        Self {
+            gains: PiGains {
+                proportional: between(|point| point.gains.proportional),
+                integral_time_s: between(|point| point.gains.integral_time_s),
+                reference_filter_s: between(|point| point.gains.reference_filter_s),
+                notch,
+            },
+            most_proportional: between(|point| point.most_proportional),
+            small_time_s: between(|point| point.small_time_s),
+        }
+    }
+}
+
+impl Schedule {
+    /// The grid around the model's plant; it ends where the rule refuses. Beside the model's own inertia only those of the
+    /// draws are looked at that leave the loop least there, and a notch is where it was found to help there.
+    ///
+    /// # Errors
+    /// What [`tune_over`] refuses at the model's own inertia.
+    pub fn new(
+        plant: &LinearPlant,
+        draws: &[LinearPlant],
+        timing: &LoopTiming,
+        request: &Request,
+    ) -> Result<Self, TuningError> {
+        let step = 2.0 * REACH.ln() / (POINTS - 1) as f64;
+        let middle = POINTS / 2;
+        let own = tune_over(plant, draws, timing, request)?;
+        let request = Request {
+            notch: own.gains.notch.map_or(NotchUse::Off, NotchUse::Like),
+            ..*request
+        };
+        let hardest = own.draws.as_ref().map(|draws| draws.hardest.as_slice());
+        let at = |index: usize| {
+            let ratio = (index as f64 * step - REACH.ln()).exp();
+            let scaled = |plant: &LinearPlant| plant.with_inertia_ratio(ratio);
+            let draws: Vec<LinearPlant> = hardest.unwrap_or_default().iter().map(scaled).collect();
+            tune_over(&scaled(plant), &draws, timing, &request).map(|tuning| point(&tuning))
+        };
+        let mut points = vec![point(&own)];
+        let mut refused = [None, None];
+        let mut first = middle;
+        for index in (0..middle).rev() {
+            match at(index) {
+                Ok(point) => points.insert(0, point),
+                Err(error) => {
+                    refused[0] = Some(error);
+                    break;
+                }
+            }
+            first = index;
+        }
+        for index in middle + 1..POINTS {
+            match at(index) {
+                Ok(point) => points.push(point),
+                Err(error) => {
+                    refused[1] = Some(error);
+                    break;
+                }
+            }
+        }
+        Ok(Self {
+            points,
+            refused,
+            lowest: first as f64 * step - REACH.ln(),
+            step,
+        })
+    }
+
+    /// Smallest and largest ratio of the grid.
+    pub fn range(&self) -> (f64, f64) {
+        let highest = self.lowest + (self.points.len() - 1) as f64 * self.step;
+        (self.lowest.exp(), highest.exp())
+    }
+
+    /// What the rule refuses below and above that range, where it is not the reach of the grid that ends it.
+    pub const fn refused(&self) -> &[Option<TuningError>; 2] {
+        &self.refused
+    }
+
+    /// Gains for a ratio; beyond the grid those of its end.
+    pub fn at(&self, ratio: f64) -> Scheduled {
+        let last = self.points.len() - 1;
+        let place = ((ratio.ln() - self.lowest) / self.step).clamp(0.0, last as f64);
+        let index = whole(place).min(last.saturating_sub(1));
+        let (low, high) = (&self.points[index], &self.points[(index + 1).min(last)]);
+        low.towards(high, place - index as f64)
+    }
+
+    /// Gains for an inertia that may be anything between two ratios: those of the middle, but never beyond what the
+    /// lightest of them bears.
+    pub fn within(&self, low: f64, ratio: f64) -> Scheduled {
+        let mut scheduled = self.at(ratio);
+        let bound = self.at(low.min(ratio)).most_proportional;
+        scheduled.most_proportional = scheduled.most_proportional.min(bound);
+        let gains = &mut scheduled.gains;
+        gains.proportional = gains.proportional.min(scheduled.most_proportional);
+        scheduled
+    }
+}
+
+fn point(tuning: &Tuning) -> Scheduled {
+    let margin = tuning.least_gain_margin();
+    Scheduled {
+        gains: tuning.gains,
+        most_proportional: tuning.gains.proportional * (margin / LEAST_GAIN_MARGIN).max(1.0),
+        small_time_s: tuning.small_time_s,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::LoopShape;
+    use crate::testing::{assert_close, elastic, slow_machine, timing};
+    use crate::tuning::{Rule, tune};
+
+    fn schedule() -> Schedule {
+        Schedule::new(&slow_machine(), &[], &timing(2.0), &Request::default()).unwrap()
+    }
+
+    #[test]
+    fn between_the_points_it_is_what_tuning_gives() {
+        let schedule = schedule();
+        for ratio in [0.26, 0.5, 1.0, 1.7, 5.0] {
+            let plant = slow_machine().with_inertia_ratio(ratio);
+            let exact = tune(&plant, &timing(2.0), &Request::default());
+            let exact = exact.unwrap().gains;
+            let found = schedule.at(ratio).gains;
+            assert_close(found.proportional / exact.proportional, 1.0, 0.02);
+            assert_close(found.integral_time_s / exact.integral_time_s, 1.0, 0.02);
+        }
+    }
+
+    #[test]
+    fn no_gain_of_the_bounds_is_unstable_for_any_inertia_within_them() {
+        let schedule = schedule();
+        for (low, ratio) in [(0.2, 1.0), (0.8, 1.0), (1.0, 4.0), (0.5, 0.6)] {
+            let gains = schedule.within(low, ratio).gains;
+            for true_ratio in [low, (low * ratio).sqrt(), ratio, 2.0 * ratio] {
+                let plant = slow_machine().with_inertia_ratio(true_ratio);
+                let shape = LoopShape::new(&plant, &timing(2.0), &gains);
+                assert!(shape.radius() < 1.0, "{low} {ratio} {true_ratio}");
+            }
+        }
+    }
+
+    #[test]
+    fn behind_a_coupling_every_point_has_the_notch_of_its_own_frequency_and_holds() {
+        let plant = LinearPlant::current(&elastic(0.5, 0.02), 0.0, 0.002).unwrap();
+        let quick = LoopTiming {
+            period_s: 0.002,
+            delay_s: 0.004,
+            filter_s: 0.0,
+        };
+        let request = Request {
+            rule: Rule::SymmetricalOptimum,
+            ..Request::default()
+        };
+        let schedule = Schedule::new(&plant, &[], &quick, &request).unwrap();
+        let (low, high) = schedule.range();
+        assert!(low < 0.7 && high > 3.0, "{low} {high}");
+        for ratio in [0.7, 0.8, 1.0, 1.3, 2.9] {
+            let gains = schedule.at(ratio).gains;
+            let there = plant.with_inertia_ratio(ratio);
+            let hertz = there.coupling().unwrap().frequency_hz;
+            assert_close(gains.notch.unwrap().frequency_hz / hertz, 1.0, 0.02);
+            let margins = LoopShape::new(&there, &quick, &gains).margins();
+            assert!(
+                margins.radius < 1.0 && margins.gain_margin > 1.6,
+                "{ratio} {margins:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn beyond_the_grid_stand_its_ends() {
+        let schedule = schedule();
+        let (low, high) = schedule.range();
+        assert_eq!(schedule.at(1e-9), schedule.at(low));
+        let [beyond, end] = [1e9, high].map(|ratio| schedule.at(ratio).gains.proportional);
+        assert_close(beyond, end, 1e-9);
+    }
+}

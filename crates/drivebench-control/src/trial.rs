@@ -1,0 +1,375 @@
+//! A speed loop on paper: motor, friction, limits, delay, noise, in virtual time; for predictions and comparisons.
+//!
+//! ```text
+//! reference(t) -> controller -> limiter -> delay -> drive's current limit -> motor(t): inertia, load -> sensor, noise
+//!                     ^---------------------------- samples ---------------------------------------------'
+//! ```
+//!
+//! A machine without a back-EMF (`back_emf_v_s_per_rad` zero) is paper B's plant: an integrator behind a lag.
+
+use super::limiter::limited as limited_by;
+use super::sensor::{Direct, SpeedSensor};
+use super::{Limiter, Measured, SpeedController};
+use drivebench_model::numerics::count::whole;
+use drivebench_model::numerics::propagator::LinearPart;
+use drivebench_model::plant::Coupling;
+
+/// Parts of a period in which the motor is integrated.
+const PARTS: usize = 20;
+/// Turn of a coupling's swing in a part, rad, at most: it is integrated step by step.
+const MOST_TURN: f64 = 0.03;
+
+/// The machine and its line.
+#[derive(Clone, Copy, Debug)]
+pub struct TrialMachine {
+    pub resistance_ohm: f64,
+    pub inductance_h: f64,
+    pub back_emf_v_s_per_rad: f64,
+    pub torque_n_m_per_a: f64,
+    /// Against the motion, N.m.
+    pub friction_n_m: f64,
+    pub viscous_n_m_s_per_rad: f64,
+    /// What the load hangs on; a course's inertia is that of both, its load acts behind.
+    pub coupling: Option<Coupling>,
+    /// The drive lowers its voltage to hold this current, A.
+    pub drive_current_limit_a: f64,
+    pub period_s: f64,
+    /// Whole periods from a sample to the instant at which its output is applied.
+    pub delay_periods: usize,
+    pub speed_noise_rad_s: f64,
+    pub current_noise_a: f64,
+}
+
+/// What changes in time: functions of the time since the begin, s.
+pub struct Course<'a> {
+    pub reference_rad_s: &'a dyn Fn(f64) -> f64,
+    pub inertia_kg_m2: &'a dyn Fn(f64) -> f64,
+    /// Against positive motion, N.m.
+    pub load_n_m: &'a dyn Fn(f64) -> f64,
+}
+
+/// One cycle of a trial, true values.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrialPoint {
+    pub time_s: f64,
+    pub reference_rad_s: f64,
+    pub speed_rad_s: f64,
+    pub current_a: f64,
+    /// What the controller was told of the speed.
+    pub seen_rad_s: f64,
+    /// What the controller asked for after its limiter.
+    pub output_v: f64,
+    /// The limiter or the drive's current limit gave less than was asked for.
+    pub limited: bool,
+}
+
+/// Noise of one sensor: a small generator of its own keeps trials the same on every machine.
+#[derive(Clone, Copy, Debug)]
+struct Noise(u64);
+
+impl Noise {
+    /// About a unit normal: the sum of twelve even draws (Irwin and Hall).
+    fn draw(&mut self) -> f64 {
+        let sum: f64 = (0..12)
+            .map(|_| {
+                // xorshift64*, Vigna 2016.
+                self.0 ^= self.0 >> 12;
+                self.0 ^= self.0 << 25;
+                self.0 ^= self.0 >> 27;
+                let bits = self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 11;
+                bits as f64 / (1_u64 << 53) as f64
+            })
+            .sum();
+        sum - 6.0
+    }
+}
+
+/// Runs a controller for `cycles` periods from standstill, on the true speed and the machine's noise.
+pub fn trial(
+    machine: &TrialMachine,
+    course: &Course<'_>,
+    controller: &mut dyn SpeedController,
+    limiter: &Limiter,
+    cycles: usize,
+    seed: u64,
+) -> Vec<TrialPoint> {
+    let sensor = &mut Direct;
+    trial_seen_by(sensor, machine, course, controller, limiter, cycles, seed)
+}
+
+/// The same with another sensor of the speed; the machine's noise comes on top of what it reads.
+pub fn trial_seen_by(
+    sensor: &mut dyn SpeedSensor,
+    machine: &TrialMachine,
+    course: &Course<'_>,
+    controller: &mut dyn SpeedController,
+    limiter: &Limiter,
+    cycles: usize,
+    seed: u64,
+) -> Vec<TrialPoint> {
+    let mut noise = Noise(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
+    let mut x = [0.0, 0.0];
+    let mut behind = Behind::default();
+    let mut angle_rad = 0.0;
+    let mut pipe = std::collections::VecDeque::from(vec![0.0; machine.delay_periods]);
+    let mut limited = false;
+    let mut trace = Vec::with_capacity(cycles);
+    for cycle in 0..cycles {
+        let time_s = cycle as f64 * machine.period_s;
+        let inertia = (course.inertia_kg_m2)(time_s);
+        let now = Measured {
+            speed_rad_s: sensor.read(time_s, x[1]) + machine.speed_noise_rad_s * noise.draw(),
+            current_a: Some(x[0] + machine.current_noise_a * noise.draw()),
+            angle_rad: Some(angle_rad),
+            limited,
+        };
+        let reference_rad_s = (course.reference_rad_s)(time_s);
+        let wanted = controller.step(reference_rad_s, &now, machine.period_s);
+        let torque = machine.torque_n_m_per_a * x[0] - machine.friction_n_m * x[1].signum();
+        let output = limiter.limit(wanted, now.speed_rad_s, torque / inertia);
+        controller.applied(output);
+        let mut point = TrialPoint {
+            time_s,
+            reference_rad_s,
+            speed_rad_s: x[1],
+            current_a: x[0],
+            seen_rad_s: now.speed_rad_s,
+            output_v: output,
+            limited: limited_by(wanted, output) != 0.0,
+        };
+        pipe.push_back(output);
+        let applied_v = pipe.pop_front().unwrap_or(output);
+        let load_n_m = (course.load_n_m)(time_s);
+        let part_s = machine.part_s();
+        let mut part = 0;
+        let outside = (applied_v, inertia, load_n_m);
+        limited = machine.advance(&mut x, &mut behind, outside, |from, to| {
+            part += 1;
+            angle_rad += 0.5 * part_s * (from + to);
+            sensor.turned(time_s + f64::from(part) * part_s, angle_rad);
+        });
+        point.limited |= limited;
+        trace.push(point);
+    }
+    trace
+}
+
+/// The load behind a coupling: its speed, and the angle by which the motor is ahead.
+#[derive(Clone, Copy, Debug, Default)]
+struct Behind {
+    speed_rad_s: f64,
+    twist_rad: f64,
+}
+
+/// Speed after a part of a period under dry friction: a shaft that it would turn round stops, and one at rest stays where
+/// the torque does not break it loose. `next` says where it comes to for a resisting torque.
+fn rubbed(
+    speed_rad_s: f64,
+    drive_n_m: f64,
+    friction_n_m: f64,
+    next: impl Fn(f64) -> f64,
+) -> (f64, f64) {
+    // Without friction nothing holds a shaft that passes zero.
+    let rubs = friction_n_m > 0.0;
+    let sticks = rubs && speed_rad_s == 0.0 && drive_n_m.abs() <= friction_n_m;
+    let towards = if speed_rad_s == 0.0 {
+        drive_n_m
+    } else {
+        speed_rad_s
+    };
+    let direction = towards.signum();
+    let resisting_n_m = friction_n_m * direction;
+    let moved = next(resisting_n_m);
+    let stops = rubs && moved * direction < 0.0;
+    (resisting_n_m, if sticks || stops { 0.0 } else { moved })
+}
+
+impl TrialMachine {
+    fn parts(&self) -> usize {
+        let natural = self.coupling.map_or(0.0, |coupling| coupling.frequency_hz);
+        let turn = std::f64::consts::TAU * natural * self.period_s;
+        PARTS.max(whole((turn / MOST_TURN).min(1e5).ceil()))
+    }
+
+    fn part_s(&self) -> f64 {
+        self.period_s / self.parts() as f64
+    }
+
+    /// One period under a held voltage, an inertia and a load; returns whether the drive's current limit held it. `moved`
+    /// hears the speed before and after each part of the period.
+    fn advance(
+        &self,
+        x: &mut [f64; 2],
+        behind: &mut Behind,
+        (voltage_v, inertia, load_n_m): (f64, f64, f64),
+        mut moved: impl FnMut(f64, f64),
+    ) -> bool {
+        let (r, l) = (self.resistance_ohm, self.inductance_h);
+        let (ke, kt) = (self.back_emf_v_s_per_rad, self.torque_n_m_per_a);
+        let (share, split) = self.coupling.map_or((0.0, 0.0), |coupling| {
+            (coupling.inertia_ratio, coupling.friction_split)
+        });
+        let motor_inertia = (1.0 - share) * inertia;
+        let motor_friction_n_m = (1.0 - split) * self.friction_n_m;
+        let part = LinearPart::new(&[
+            [-r / l, -ke / l],
+            [
+                kt / motor_inertia,
+                -self.viscous_n_m_s_per_rad / motor_inertia,
+            ],
+        ]);
+        let part_s = self.part_s();
+        let propagator = part.over(part_s);
+        let limit_a = self.drive_current_limit_a;
+        let mut limited = false;
+        for _ in 0..self.parts() {
+            let [current, speed] = *x;
+            // What would carry the current beyond the limit within the part is not given.
+            let hold_v = |amps: f64| r * amps + ke * speed + l * (amps - current) / part_s;
+            let given_v = voltage_v.clamp(hold_v(-limit_a), hold_v(limit_a));
+            limited |= (given_v - voltage_v).abs() > 1e-9;
+            let taken_n_m = match &self.coupling {
+                Some(coupling) => {
+                    let shaft_n_m = shaft_torque(coupling, inertia, speed, behind);
+                    let load_inertia = share * inertia;
+                    let drive_n_m = shaft_n_m - load_n_m;
+                    let next = |friction_n_m: f64| {
+                        behind.speed_rad_s + part_s * (drive_n_m - friction_n_m) / load_inertia
+                    };
+                    let friction_n_m = split * self.friction_n_m;
+                    behind.speed_rad_s =
+                        rubbed(behind.speed_rad_s, drive_n_m, friction_n_m, next).1;
+                    shaft_n_m
+                }
+                None => load_n_m,
+            };
+            let go = |friction_n_m: f64| {
+                let resisting_n_m = taken_n_m + friction_n_m;
+                propagator.apply(*x, [given_v / l, -resisting_n_m / motor_inertia])
+            };
+            let drive_n_m = kt * current - taken_n_m;
+            let next = |friction_n_m: f64| go(friction_n_m)[1];
+            let (friction_n_m, after) = rubbed(speed, drive_n_m, motor_friction_n_m, next);
+            *x = [go(friction_n_m)[0], after];
+            // With the speeds of afterwards: a swing neither gains nor loses by the steps.
+            behind.twist_rad += part_s * (after - behind.speed_rad_s);
+            moved(speed, after);
+        }
+        limited
+    }
+}
+
+/// Torque from the motor to the load, N.m. f, r, zeta as in [`Coupling`]: `k = (2 pi f)^2 J r (1 - r)`, `d = 2 zeta 2 pi f J r
+/// (1 - r)`.
+fn shaft_torque(coupling: &Coupling, inertia: f64, speed_rad_s: f64, behind: &Behind) -> f64 {
+    let w0 = std::f64::consts::TAU * coupling.frequency_hz;
+    let reduced = inertia * coupling.inertia_ratio * (1.0 - coupling.inertia_ratio);
+    let half_rad = 0.5 * coupling.gap_rad;
+    let beyond_rad = behind.twist_rad - behind.twist_rad.clamp(-half_rad, half_rad);
+    let spring = w0 * w0 * beyond_rad;
+    reduced * (spring + 2.0 * coupling.damping_ratio * w0 * (speed_rad_s - behind.speed_rad_s))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::assert_close;
+    use crate::{PaperBPlant, SpeedController};
+
+    /// A voltage that does not depend on anything measured.
+    struct Given(f64);
+
+    impl SpeedController for Given {
+        fn id(&self) -> &'static str {
+            "given"
+        }
+        fn step(&mut self, _: f64, _: &Measured, _: f64) -> f64 {
+            self.0
+        }
+        fn applied(&mut self, _: f64) {}
+        fn reset(&mut self, _: &Measured, _: f64) {}
+        fn explain(&self) -> Vec<String> {
+            Vec::new()
+        }
+    }
+
+    #[test]
+    fn without_a_back_emf_it_is_paper_bs_plant() {
+        let (ke, electrical_s, mechanical_s) = (0.926, 0.0034, 0.076);
+        let machine = TrialMachine {
+            resistance_ohm: 3.25,
+            inductance_h: 3.25 * electrical_s,
+            back_emf_v_s_per_rad: 0.0,
+            torque_n_m_per_a: ke,
+            friction_n_m: 0.0,
+            viscous_n_m_s_per_rad: 0.0,
+            coupling: None,
+            drive_current_limit_a: 1e6,
+            period_s: 0.001,
+            delay_periods: 0,
+            speed_noise_rad_s: 0.0,
+            current_noise_a: 0.0,
+        };
+        let course = Course {
+            reference_rad_s: &|_| 0.0,
+            inertia_kg_m2: &|_| mechanical_s * ke * ke / 3.25,
+            load_n_m: &|_| 0.0,
+        };
+        let limiter = Limiter {
+            output: 1e3,
+            current: None,
+        };
+        let trace = trial(&machine, &course, &mut Given(12.0), &limiter, 400, 1);
+        let (g, h) = PaperBPlant::new(0.001, electrical_s, mechanical_s, ke).state_space();
+        let mut x = nalgebra::Vector2::zeros();
+        for point in &trace {
+            assert_close(point.speed_rad_s, x[0], 1e-9);
+            x = g * x + h * 12.0;
+        }
+        assert!(trace[399].speed_rad_s > 60.0 && !trace[399].limited);
+    }
+
+    #[test]
+    fn behind_a_coupling_it_moves_as_the_linear_plant_does() {
+        use crate::LinearPlant;
+        use crate::testing::elastic;
+        let model = elastic(0.4, 0.02);
+        let plant = LinearPlant::voltage(&model, 0.0).unwrap();
+        let machine = TrialMachine {
+            resistance_ohm: 1.1,
+            inductance_h: 0.0099,
+            back_emf_v_s_per_rad: 0.3538,
+            torque_n_m_per_a: 0.3538,
+            friction_n_m: 0.0,
+            viscous_n_m_s_per_rad: 0.0,
+            coupling: plant.coupling().copied(),
+            drive_current_limit_a: 1e6,
+            period_s: 0.002,
+            delay_periods: 0,
+            speed_noise_rad_s: 0.0,
+            current_noise_a: 0.0,
+        };
+        let course = Course {
+            reference_rad_s: &|_| 0.0,
+            inertia_kg_m2: &|_| 0.0045,
+            load_n_m: &|_| 0.0,
+        };
+        let limiter = Limiter {
+            output: 1e3,
+            current: None,
+        };
+        let trace = trial(&machine, &course, &mut Given(12.0), &limiter, 300, 1);
+        let (phi, gamma) = plant.held_over(0.002);
+        let mut x = nalgebra::Vector4::<f64>::zeros();
+        for point in &trace {
+            assert!((point.speed_rad_s - x[1]).abs() < 0.05, "{point:?} {x:?}");
+            x = phi * x + gamma * 12.0;
+        }
+        // It rings on the way: the motor alone turns back.
+        assert!(
+            trace
+                .windows(2)
+                .any(|pair| pair[1].speed_rad_s < pair[0].speed_rad_s - 0.05)
+        );
+    }
+}

@@ -1,0 +1,114 @@
+//! The loops that one set of gains closes: around the plant, and around each of its draws.
+
+use std::cell::RefCell;
+
+use super::{Draws, is_safe};
+use crate::{LinearPlant, LoopShape, LoopTiming, Margins, PiGains};
+
+/// Draws that are kept as those which leave the loop least.
+const HARDEST: usize = 8;
+
+/// A loop and, where its coupling has play, that of the motor alone within it: it only has to be stable.
+struct Looped {
+    held: LoopShape,
+    let_go: Option<LoopShape>,
+}
+
+impl Looped {
+    fn new(plant: &LinearPlant, timing: &LoopTiming) -> Self {
+        // Any gains: they come with the question.
+        let gains = PiGains {
+            proportional: 0.0,
+            integral_time_s: 1.0,
+            reference_filter_s: 0.0,
+            notch: None,
+        };
+        let shape = |plant: &LinearPlant| LoopShape::new(plant, timing, &gains);
+        Self {
+            held: shape(plant),
+            let_go: plant.let_go().as_ref().map(shape),
+        }
+    }
+
+    fn margins(&self, gains: &PiGains) -> Margins {
+        let mut margins = self.held.with_gains(gains).margins();
+        if let Some(let_go) = &self.let_go {
+            margins.radius = margins.radius.max(let_go.with_gains(gains).radius());
+        }
+        margins
+    }
+}
+
+pub(super) struct Loops {
+    own: Looped,
+    draws: Vec<Looped>,
+    /// Draws in the order in which they are looked at: what did not hold last is the first to be asked again.
+    order: RefCell<Vec<usize>>,
+}
+
+impl Loops {
+    pub(super) fn new(plant: &LinearPlant, draws: &[LinearPlant], timing: &LoopTiming) -> Self {
+        Self {
+            own: Looped::new(plant, timing),
+            draws: draws
+                .iter()
+                .map(|plant| Looped::new(plant, timing))
+                .collect(),
+            order: RefCell::new((0..draws.len()).collect()),
+        }
+    }
+
+    pub(super) const fn count(&self) -> usize {
+        self.draws.len()
+    }
+
+    pub(super) fn own(&self, gains: &PiGains) -> LoopShape {
+        self.own.held.with_gains(gains)
+    }
+
+    pub(super) fn margins(&self, gains: &PiGains) -> Margins {
+        self.own.margins(gains)
+    }
+
+    /// Whether the plant and every draw of it have their margins.
+    pub(super) fn hold(&self, gains: &PiGains) -> bool {
+        let holds = |looped: &Looped| is_safe(&looped.margins(gains));
+        if !holds(&self.own) {
+            return false;
+        }
+        let mut order = self.order.borrow_mut();
+        let fails = order.iter().position(|draw| !holds(&self.draws[*draw]));
+        if let Some(place) = fails {
+            order[..=place].rotate_right(1);
+        }
+        fails.is_none()
+    }
+
+    /// What the gains leave over the draws, whose plants these are; `None` without any.
+    pub(super) fn draws(&self, gains: &PiGains, plants: &[LinearPlant]) -> Option<Draws> {
+        let all: Vec<Margins> = self.draws.iter().map(|draw| draw.margins(gains)).collect();
+        let worst = all.iter().copied().reduce(|one, other| Margins {
+            phase_margin_deg: one.phase_margin_deg.min(other.phase_margin_deg),
+            gain_margin: one.gain_margin.min(other.gain_margin),
+            crossover_rad_s: one.crossover_rad_s.min(other.crossover_rad_s),
+            bandwidth_rad_s: one.bandwidth_rad_s.min(other.bandwidth_rad_s),
+            radius: one.radius.max(other.radius),
+        })?;
+        let stable = all.iter().filter(|margins| margins.radius < 1.0).count();
+        let mut hardest: Vec<usize> = (0..all.len()).collect();
+        // By turns the least phase and the least gain.
+        let least = |of: fn(&Margins) -> f64, order: &mut [usize]| {
+            order.sort_by(|one, other| of(&all[*one]).total_cmp(&of(&all[*other])));
+        };
+        least(|margins| margins.phase_margin_deg, &mut hardest);
+        let by_phase = HARDEST.div_ceil(2).min(hardest.len());
+        least(|margins| margins.gain_margin, &mut hardest[by_phase..]);
+        hardest.truncate(HARDEST);
+        Some(Draws {
+            count: all.len(),
+            worst,
+            stable_share: stable as f64 / all.len() as f64,
+            hardest: hardest.iter().map(|draw| plants[*draw]).collect(),
+        })
+    }
+}

@@ -1,0 +1,425 @@
+//! One candidate effect: its probability beside all others, its size, and the fall of the error on data that the fit has
+//! not seen.
+
+use serde::Serialize;
+
+use super::evidence::{Evidence, HoldoutFrom};
+use super::floor::Floor;
+use super::joint::answer::{Inference, Onset, RunOf};
+use super::joint::marginal::Inferred;
+use super::ladder::Standing;
+use super::reached::{self, Reached};
+use super::score::{Fitted, by_key, parameters_of};
+use drivebench_identify::claims::{has_no_scale, is_tied};
+use drivebench_identify::verdict::judge;
+use drivebench_model::plant::{Effect, Scenario, Slot, effect};
+use drivebench_model::sample::{ParameterEstimate, TWO_SIDED_95};
+use drivebench_model::text::number::{probability, significant, with_unit};
+
+/// Probabilities from which on an effect is supported, and below which it is ruled out: one table for every output.
+const SUPPORTED_PROBABILITY: f64 = 0.9;
+const POSSIBLE_PROBABILITY: f64 = 0.1;
+/// Probability above which runs do show an effect, whatever was expected of them.
+pub(super) const LIKELY_PROBABILITY: f64 = 0.5;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Status {
+    /// There with nine parts in ten or more.
+    Supported,
+    Possible,
+    /// There with less than one part in ten, in runs that would show it.
+    RuledOut,
+    /// These runs would not show it even at a size that would matter.
+    NotExcited,
+}
+
+impl Status {
+    /// As a person reads it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Supported => "supported",
+            Self::Possible => "possible",
+            Self::RuledOut => "ruled out",
+            Self::NotExcited => "not excited",
+        }
+    }
+
+    /// The word for a probability.
+    pub fn of(probability: f64, excited: bool) -> Self {
+        if probability >= SUPPORTED_PROBABILITY {
+            Self::Supported
+        } else if probability > LIKELY_PROBABILITY {
+            Self::Possible
+        } else if probability.is_nan() || !excited {
+            Self::NotExcited
+        } else if probability >= POSSIBLE_PROBABILITY {
+            Self::Possible
+        } else {
+            Self::RuledOut
+        }
+    }
+}
+
+/// What is reported of one effect.
+#[derive(Clone, Debug, Serialize)]
+pub struct Candidate {
+    pub effect: &'static str,
+    pub rank: usize,
+    pub status: Status,
+    /// That it is there, weighed jointly with all others.
+    pub probability: f64,
+    /// Of a named effect from the fit of the whole answer, as its interval and what it reached; of the others from their
+    /// own.
+    #[serde(serialize_with = "by_key")]
+    pub parameters: Vec<ParameterEstimate>,
+    /// Of what happens once: when it did, in each run where it did.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub onsets: Vec<Onset>,
+    /// What the standard deviations of the parameters were multiplied by: more than one where more than noise is left over,
+    /// so that they hold only if nothing else is missing.
+    pub interval_factor: f64,
+    /// How large it became on the training run.
+    pub reached: Option<Reached>,
+    /// Training error before and after, in units of the noise.
+    pub error_before: f64,
+    pub error_after: Option<f64>,
+    pub holdout_before: f64,
+    pub holdout_after: Option<f64>,
+    pub explained_percent: Option<f64>,
+    /// The effect of the answer, or of the model, that these runs do not tell it from.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub as_good_as: Option<&'static str>,
+    /// Its size is below this with 95 %, whatever else is there: its first parameter, or the amplitude of sine and cosine.
+    /// Null where these runs do not show it, or where it is there wholly or not at all.
+    pub upper_bound: Option<f64>,
+    /// A size that would have been named in 95 of 100 such records.
+    pub detectable: Option<f64>,
+    pub evidence: String,
+    /// Whether the search did not come to a judgement of it: it is neither ruled out nor known not to be excited.
+    pub is_open: bool,
+    /// Of the training run: a time that is longer says nothing.
+    #[serde(skip)]
+    pub run_s: f64,
+}
+
+/// Factor from which on it is worth a word that intervals were widened.
+const WORTH_SAYING_RATIO: f64 = 1.05;
+
+impl Candidate {
+    /// These runs do not tell it from `other`, which is in the answer or in the model.
+    pub(super) fn is_as_good_as(&mut self, other: &'static str) {
+        self.as_good_as = Some(other);
+        self.evidence += "; ";
+        self.evidence += &as_good_as(other);
+    }
+
+    /// Said beside its size where its intervals are wider than the noise alone makes them.
+    pub fn widened(&self) -> Option<String> {
+        (self.interval_factor > WORTH_SAYING_RATIO).then(|| {
+            format!(
+                "widened {:.1} times, as more than noise is left over: they hold if nothing else is missing",
+                self.interval_factor
+            )
+        })
+    }
+
+    /// Whether its refit did not show what its probability says.
+    pub fn is_not_borne_out(&self) -> bool {
+        self.status == Status::Possible && self.probability > LIKELY_PROBABILITY
+    }
+
+    /// What its size is below.
+    pub fn at_most(&self) -> Option<String> {
+        self.in_words("at most", self.upper_bound)
+    }
+
+    /// The smallest size that would have been named.
+    pub fn seen_from(&self) -> Option<String> {
+        self.in_words("seen from", self.detectable)
+    }
+
+    /// A size in the unit of the parameter that gives the effect its size.
+    fn in_words(&self, lead: &str, size: Option<f64>) -> Option<String> {
+        let effect = effect::find(self.effect)?;
+        let unit = effect.parameters().get(effect.size_index())?.unit;
+        let size = told(size, unit, self.run_s)?;
+        Some(format!("{lead} {}", with_unit(&significant(size, 2), unit)))
+    }
+}
+
+/// Every candidate, those of the answer first, in the order in which they join the model: each with the fall of the
+/// held-out error on its own rung of the ladder and its size beside the others, which `best`, the
+/// fit of the last rung as it is believed, gives.
+pub(super) fn candidates(
+    evidence: &Evidence,
+    floor: Floor<'_>,
+    inference: &Inference,
+    (rungs, best): (&[Standing], &Fitted),
+) -> Vec<Candidate> {
+    let place = |effect: &Inferred| {
+        let id = effect.effect.card().id;
+        inference.named.iter().position(|named| *named == id)
+    };
+    let missing = inference.effects.iter().filter(|effect| !effect.given);
+    let mut order: Vec<&Inferred> = missing.collect();
+    order.sort_by(|a, b| {
+        let named = |effect: &Inferred| place(effect).unwrap_or(usize::MAX);
+        named(a)
+            .cmp(&named(b))
+            .then(b.probability.total_cmp(&a.probability))
+            .then(b.log_odds.total_cmp(&a.log_odds))
+    });
+    let run_s = length_s(&evidence.training);
+    let base = &rungs[0];
+    let has_no_scale = has_no_scale(&best.parameters, &evidence.training);
+    let explainable = base.score.nrms.powi(2) - floor.expected().powi(2);
+    let candidate = |(rank, inferred): (usize, &Inferred)| {
+        let id = inferred.effect.card().id;
+        let veto = inference.veto_of(id);
+        let status = Status::of(inferred.probability, inferred.excited);
+        let why_open = inference.why_open();
+        // What runs would show is known by the same linear solution as what they rule out.
+        let is_open = match status {
+            Status::RuledOut => true,
+            Status::NotExcited => inferred.why_not.is_none(),
+            Status::Supported | Status::Possible => false,
+        };
+        let open = why_open.filter(|_| is_open);
+        // What the ladder does not show is not shown by its probability either.
+        let status = match veto {
+            _ if open.is_some() => Status::NotExcited,
+            Some(_) if !inferred.excited => Status::NotExcited,
+            Some(_) if status == Status::Supported => Status::Possible,
+            _ => status,
+        };
+        let rung = place(inferred).map(|place| [&rungs[place], &rungs[place + 1]]);
+        let onsets = inference.onsets(id);
+        let happening = happening(inferred.effect, &onsets, evidence.holdout_from);
+        // Of what did not happen in the fit run its fit knows nothing.
+        let elsewhere = onsets.first().filter(|onset| onset.run == RunOf::Holdout);
+        let parameters = match (rung, elsewhere) {
+            (None, _) => Vec::new(),
+            (_, Some(onset)) => of_holdout(inferred.effect, onset),
+            (_, None) => parameters_of(id, &best.parameters),
+        };
+        let [before, after] = [0, 1].map(|k: usize| rung.map(|rung| rung[k]));
+        let explained_percent = rung.map(|[before, after]| {
+            let fall = before.score.nrms.powi(2) - after.score.nrms.powi(2);
+            if explainable > 0.0 {
+                100.0 * fall / explainable
+            } else {
+                0.0
+            }
+        });
+        let times = evidence.noise.source.times();
+        let is_sized = !(has_no_scale && is_tied(spec_unit(inferred.effect)));
+        let [bound, least] =
+            [inferred.upper_bound, inferred.detectable].map(|size| size.filter(|_| is_sized));
+        let mut candidate = Candidate {
+            effect: id,
+            rank: rank + 1,
+            status,
+            probability: inferred.probability,
+            parameters,
+            onsets: rung.map_or_else(Vec::new, |_| onsets),
+            interval_factor: best.interval_factor,
+            reached: rung.and_then(|_| reached::of_fit(best, inferred.effect, &evidence.training)),
+            error_before: before.unwrap_or(base).fit.nrms,
+            error_after: after.map(|after| after.fit.nrms),
+            holdout_before: before.unwrap_or(base).score.nrms,
+            holdout_after: after.map(|after| after.score.nrms),
+            explained_percent,
+            as_good_as: None,
+            // The size of what is named has an interval, and one bound is enough.
+            upper_bound: bound.filter(|_| rung.is_none() && why_open.is_none()),
+            detectable: least.filter(|_| why_open.is_none()),
+            evidence: match open {
+                Some(reason) => format!("{} is left open: {reason}", inferred.effect.card().name),
+                None => evidence_sentence(
+                    inferred,
+                    (status, [bound, least]),
+                    rung,
+                    (times, run_s),
+                    happening,
+                ),
+            },
+            is_open: open.is_some(),
+            run_s,
+        };
+        if let Some(reason) = veto {
+            candidate.evidence += "; not named: ";
+            candidate.evidence += reason;
+        }
+        let mut pairs = inference.confusable.iter();
+        if let Some([named, _]) = pairs.find(|pair| pair[1] == id) {
+            candidate.is_as_good_as(named);
+        }
+        candidate
+    };
+    order.into_iter().enumerate().map(candidate).collect()
+}
+
+/// Parameters of what happened in the hold-out only.
+fn of_holdout(effect: &dyn Effect, onset: &Onset) -> Vec<ParameterEstimate> {
+    let id = effect.card().id;
+    let [low, high] = onset.interval_95_s;
+    let specs = effect.parameters().iter().enumerate();
+    specs
+        .map(|(parameter, spec)| {
+            let (value, std) = if spec.is_coefficient() {
+                (onset.size, onset.size_std)
+            } else {
+                (onset.time_s, (high - low) / (2.0 * TWO_SIDED_95))
+            };
+            let slot = Slot::Effect {
+                index: 0,
+                parameter,
+                spec,
+                id,
+            };
+            let mut found = judge(&slot, value, Some(std), f64::NAN);
+            let reason = found.reason.map(|reason| format!("; {reason}"));
+            let reason = reason.unwrap_or_default();
+            found.reason = Some(format!("it happened in the hold-out only{reason}"));
+            found
+        })
+        .collect()
+}
+
+/// When something that happens once did so, and what it changed.
+pub(super) fn happening(
+    effect: &dyn Effect,
+    onsets: &[Onset],
+    from: HoldoutFrom,
+) -> Option<String> {
+    let change = effect.card().changes.unwrap_or(effect.card().name);
+    let size = |onset: &Onset| match unit_of_size(effect) {
+        "(a ratio)" => format!("{change} {:+.0} %", 100.0 * onset.size),
+        unit if onset.size.abs() < 0.01 => format!("{change} {:+.2e} {unit}", onset.size),
+        unit => format!("{change} {:+.3} {unit}", onset.size),
+    };
+    let when = |onset: &Onset| format!("from {:.2} s on, {}", onset.time_s, size(onset));
+    let place = |onset: &Onset| match (onset.run, onset.number) {
+        (RunOf::Fit, _) => "in the fit run".to_owned(),
+        (RunOf::Whole, _) => "in the first run".to_owned(),
+        (RunOf::Holdout, _) => "in the hold-out".to_owned(),
+        (RunOf::Later, number) => format!("in later run {}", number.unwrap_or(1)),
+    };
+    let is_first = |onset: &Onset| matches!(onset.run, RunOf::Fit | RunOf::Whole);
+    match onsets {
+        [] => None,
+        [one] if from == HoldoutFrom::Split && is_first(one) => Some(when(one)),
+        [one] => Some(format!("{} only, {}", place(one), when(one))),
+        several => {
+            let each = several.iter().map(|own| {
+                if is_first(own) {
+                    when(own)
+                } else {
+                    format!("{} {}", place(own), when(own))
+                }
+            });
+            Some(each.collect::<Vec<_>>().join("; "))
+        }
+    }
+}
+
+/// Said of an effect that these runs do not tell from another.
+fn as_good_as(other: &str) -> String {
+    format!("explains as much as {other}; these runs cannot tell them apart")
+}
+
+fn evidence_sentence(
+    inferred: &Inferred,
+    (status, [bound, least]): (Status, [Option<f64>; 2]),
+    rung: Option<[&Standing; 2]>,
+    (times, run_s): (&str, f64),
+    happening: Option<String>,
+) -> String {
+    let card = inferred.effect.card();
+    let unit = unit_of_size(inferred.effect);
+    let percent = probability(inferred.probability);
+    let size = |size: f64| format!("{} {unit}", significant(size, 2));
+    let unit_of_run = spec_unit(inferred.effect);
+    let most = told(bound, unit_of_run, run_s)
+        .map_or_else(String::new, |bound| format!("; at most {}", size(bound)));
+    let shown = told(least, unit_of_run, run_s).map_or_else(String::new, |least| {
+        format!("; {} would have shown", size(least))
+    });
+    if let Some(reason) = inferred.why_not {
+        return format!("{} cannot be judged from this run: {reason}", card.name);
+    }
+    match (status, rung) {
+        (Status::NotExcited, _) => format!(
+            "{}: these runs would not show it; {}",
+            card.name, card.excite
+        ),
+        (_, Some([before, after])) => format!(
+            "{} is there with {percent}{}; with it the held-out error goes from {:.2} to {:.2} {times}",
+            card.name,
+            happening.map_or_else(String::new, |when| format!(" ({when})")),
+            before.score.nrms,
+            after.score.nrms
+        ),
+        (Status::RuledOut, None) => format!("{} is there with {percent}{most}{shown}", card.name),
+        (_, None) => format!("{} may be there, with {percent}{most}", card.name),
+    }
+}
+
+/// A bound that says something: a time that is longer than the run does not.
+fn told(size: Option<f64>, unit: &str, run_s: f64) -> Option<f64> {
+    size.filter(|size| size.is_finite() && (unit != "s" || *size <= run_s))
+}
+
+fn length_s(run: &Scenario) -> f64 {
+    let last = run.sample_time_s.last().copied();
+    last.map_or(0.0, |last| last - run.begin_s())
+}
+
+/// Unit of the parameter that gives the effect its size.
+fn spec_unit(effect: &dyn Effect) -> &'static str {
+    effect.parameters()[effect.size_index()].unit
+}
+
+/// The same in words that can stand behind a number.
+fn unit_of_size(effect: &dyn Effect) -> &'static str {
+    match spec_unit(effect) {
+        "-" => "(a ratio)",
+        unit => unit,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_time_that_is_longer_than_the_run_is_no_bound() {
+        for (size, unit, expected) in [
+            (Some(3.67e3), "s", None),
+            (Some(0.004), "s", Some(0.004)),
+            (Some(3.67e3), "A", Some(3.67e3)),
+            (Some(f64::INFINITY), "A", None),
+            (None, "s", None),
+        ] {
+            assert_eq!(told(size, unit, 12.0), expected, "{size:?} {unit}");
+        }
+    }
+
+    #[test]
+    fn words_follow_probabilities_and_what_is_named_is_never_not_excited() {
+        for (probability, excited, word) in [
+            (0.95, true, Status::Supported),
+            (0.95, false, Status::Supported),
+            (0.6, true, Status::Possible),
+            (0.6, false, Status::Possible),
+            (0.3, true, Status::Possible),
+            (0.3, false, Status::NotExcited),
+            (0.05, true, Status::RuledOut),
+            (0.05, false, Status::NotExcited),
+            (f64::NAN, true, Status::NotExcited),
+        ] {
+            assert_eq!(Status::of(probability, excited), word, "{probability}");
+        }
+    }
+}

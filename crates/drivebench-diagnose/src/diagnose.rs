@@ -1,0 +1,760 @@
+//! The decision: which effects are missing, whether that is all, and what a run that had no part in it says of it.
+
+use serde::{Deserialize, Serialize};
+
+use super::candidates::{Candidate, Status, candidates};
+use super::evidence::{Evidence, HoldoutFrom};
+use super::floor::{Floor, Repeatability, SUFFICIENT_SHARE};
+use super::joint::Noise;
+use super::joint::answer::{Inference, Unknown, eligible};
+use super::joint::expected_information::InformationBasis;
+use super::joint::free_run::likelier;
+use super::ladder::{Bench, Rung, Standing, climb};
+use super::location::{
+    AxisMap, EffectCurve, FailureLocation, axis_map, effect_curve, error_curve, with_candidate,
+};
+use super::next_experiment::NextExperiment;
+use super::progress::{Event, Progress, Stage, silent};
+use super::score::{Fitted, Score, by_key, cannot_simulate, in_noise};
+use super::sentence::{NOTHING_IS_MISSING, NOTHING_THAT_SHOWS, not_told, sentence};
+use super::{trivial, vetoes};
+use drivebench_identify::noise::{FloorSource, NoiseFloor};
+use drivebench_identify::output_error::FitError;
+use drivebench_model::plant::effect::{self, CATALOGUE};
+use drivebench_model::plant::{Effect, Model, MotorKey, Scenario, State};
+use drivebench_model::sample::{ParameterEstimate, Verdict};
+
+/// Share of the explainable error that unknown parts and the disturbance may make beside what is named.
+const HALF_SHARE: f64 = 0.5;
+/// Standard deviations by which the named effects must make the confirming run likelier.
+const CONFIRMED_SIGMAS: f64 = 3.0;
+/// Error that needs no explanation, in units of a floor that is known.
+const AT_MOST_NOISE: f64 = 1.0;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DiagnosisVerdict {
+    Effect,
+    Ambiguous,
+    None,
+    Unexplained,
+    /// The fitted model predicts the hold-out no better than a trivial prediction: nothing is named, bounded or ruled out.
+    NotFitted,
+}
+
+/// What an answer comes to, and how far it may be relied on: one table of words for page, screen and terminal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Answer {
+    Found,
+    /// The run that had no part in it speaks against it.
+    NotConfirmed,
+    /// Much of the error is still unexplained.
+    InPart,
+    Ambiguous,
+    /// Effects are there, and the error was no more than noise without them.
+    NoErrorLeft,
+    NothingMissing,
+    /// There are effects that these runs would not show, or not rule out.
+    NothingThatShows,
+    NothingFound,
+    Unexplained,
+    NotFitted,
+}
+
+impl Answer {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Found => "Effect found",
+            Self::NotConfirmed => "Effect found, not confirmed",
+            Self::InPart => "Effect found, not sufficient",
+            Self::Ambiguous => "Ambiguous",
+            Self::NoErrorLeft => "No error left to explain",
+            Self::NothingMissing => "Nothing missing",
+            Self::NothingThatShows => "Nothing missing that these runs could show",
+            Self::NothingFound => "Nothing found",
+            Self::Unexplained => "Unexplained",
+            Self::NotFitted => "Not fitted",
+        }
+    }
+
+    /// Whether nothing is to be said against it.
+    pub const fn is_whole(self) -> bool {
+        matches!(self, Self::Found | Self::NothingMissing)
+    }
+}
+
+/// The answer, as `diagnose --json` prints it.
+#[derive(Clone, Debug, Serialize)]
+pub struct Diagnosis {
+    pub verdict: DiagnosisVerdict,
+    /// What predicts the hold-out as well as the model does, where that is why nothing is concluded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
+    /// Of the motor, with every effect of the answer beside them.
+    #[serde(serialize_with = "by_key")]
+    pub parameters: Vec<ParameterEstimate>,
+    pub effect: Option<&'static str>,
+    pub effects: Vec<&'static str>,
+    pub sufficient: bool,
+    pub noise_floor_from: FloorSource,
+    /// The sensors' noise, which is one where it is known: the unit of the errors.
+    pub sensor_floor: Option<f64>,
+    /// What differs between two runs of the same excitation under the model with all named effects, in the same unit.
+    pub repeat_floor: Option<f64>,
+    /// Whether that is little more than the sensors' noise; null without a repeated run.
+    pub repeats: Option<bool>,
+    /// What it follows where it is more; the most first.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub repeat_follows: Vec<FailureLocation>,
+    pub holdout_from: HoldoutFrom,
+    /// Of the whole accepted set, on the hold-out.
+    pub explained_percent: f64,
+    pub holdout_before: f64,
+    pub holdout_after: f64,
+    pub candidates: Vec<Candidate>,
+    /// What no effect explains, by what it follows.
+    pub unknown: Vec<Unknown>,
+    /// Pairs that these runs do not tell apart, the one in the answer first.
+    pub confusable: Vec<[&'static str; 2]>,
+    pub ladder: Vec<Rung>,
+    /// Along which axis the error runs, and as what curve, where no effect explains it; the clearest first.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub axis_map: Vec<AxisMap>,
+    /// The answer on a run that had no part in it, where there is one: the headline.
+    pub confirm: Option<Confirmation>,
+    /// One sentence for a person.
+    pub sentence: String,
+    /// What these runs cannot judge, and why.
+    pub limits: Vec<String>,
+    /// What the named effects cannot be told from by any run.
+    pub equivalences: Vec<&'static str>,
+    /// The run that would tell more; left to those who know the bench ([`recommend`](super::recommend)).
+    pub next_experiment: Option<NextExperiment>,
+    /// Whether the search ended by its budget of work before a set of effects stood: what it did not find may be there.
+    pub search_was_cut: bool,
+    /// The refitted baseline and the model with every accepted effect.
+    #[serde(skip)]
+    pub baseline: Fitted,
+    #[serde(skip)]
+    pub model: Fitted,
+    /// What was random in the runs, which the next run has to see through; none in an answer that was put together.
+    #[serde(skip)]
+    pub information_basis: Option<InformationBasis>,
+    /// For each confusable pair the model with its second effect in the place of the first, where a fit begins.
+    #[serde(skip)]
+    pub rivals: Vec<Model>,
+}
+
+impl Diagnosis {
+    /// Error of the baseline and of the answer on a run that neither fitted nor selected.
+    pub fn rungs_on(&self, run: &Scenario, noise: &NoiseFloor) -> Result<[Rung; 2], FitError> {
+        let rung = |model: &Model| -> Result<Rung, FitError> {
+            Ok(Rung {
+                effects: model.effect_ids(),
+                holdout_rmse: Score::of(model, run, noise)?.nrms,
+            })
+        };
+        Ok([rung(&self.baseline.model)?, rung(&self.model.model)?])
+    }
+
+    pub fn answer(&self) -> Answer {
+        match self.verdict {
+            DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous if self.has_no_error() => {
+                Answer::NoErrorLeft
+            }
+            DiagnosisVerdict::Effect if self.is_refuted() => Answer::NotConfirmed,
+            DiagnosisVerdict::Effect if self.sufficient => Answer::Found,
+            DiagnosisVerdict::Effect => Answer::InPart,
+            DiagnosisVerdict::Ambiguous => Answer::Ambiguous,
+            DiagnosisVerdict::None if !self.sufficient => Answer::NothingFound,
+            DiagnosisVerdict::None if self.is_all_judged() => Answer::NothingMissing,
+            DiagnosisVerdict::None => Answer::NothingThatShows,
+            DiagnosisVerdict::Unexplained => Answer::Unexplained,
+            DiagnosisVerdict::NotFitted => Answer::NotFitted,
+        }
+    }
+
+    /// The sentence without what the name of the answer says.
+    pub fn after_name(&self) -> &str {
+        let sentence = self.sentence.as_str();
+        let said = [
+            "nothing is missing: ",
+            "nothing missing that these runs could show: ",
+            "no error left to explain: ",
+            "missing: ",
+        ];
+        let rest = said.iter().find_map(|said| sentence.strip_prefix(said));
+        rest.unwrap_or(sentence)
+    }
+
+    /// Whether the model as it was given leaves no more than the noise, on every run that it is judged by.
+    pub(super) fn has_no_error(&self) -> bool {
+        let confirm = self.confirm.as_ref().and_then(|run| run.error_before);
+        let is_noise = |error: f64| error <= AT_MOST_NOISE;
+        self.noise_floor_from != FloorSource::None
+            && is_noise(self.holdout_before)
+            && confirm.is_none_or(is_noise)
+    }
+
+    /// Whether every effect is ruled out, so that nothing may hide.
+    pub(super) fn is_all_judged(&self) -> bool {
+        let mut candidates = self.candidates.iter();
+        candidates.all(|own| own.status == Status::RuledOut && own.as_good_as.is_none())
+    }
+
+    /// Marks the candidates that these runs do not tell from effects that the model has got since, and says so: `pairs` of
+    /// an effect of the model and its rival.
+    pub fn remember_rivals(&mut self, pairs: &[[&'static str; 2]]) {
+        for candidate in &mut self.candidates {
+            let of_pair = |pair: &&[&'static str; 2]| pair[1] == candidate.effect;
+            if let Some([taken, _]) = pairs.iter().find(of_pair) {
+                candidate.is_as_good_as(taken);
+            }
+        }
+        let is_rival = |pair: &&[&'static str; 2]| {
+            let mut candidates = self.candidates.iter();
+            candidates.any(|own| own.effect == pair[1])
+        };
+        let told: Vec<[&'static str; 2]> = pairs.iter().filter(is_rival).copied().collect();
+        if !self.is_all_judged()
+            && let Some(rest) = self.sentence.strip_prefix(NOTHING_IS_MISSING)
+        {
+            self.sentence = format!("{NOTHING_THAT_SHOWS}{rest}");
+        }
+        self.sentence.push_str(&not_told(&told));
+    }
+
+    /// The curve of an effect on a run, the error without it beside what it does at its size: of one in the baseline, a
+    /// named one, or any candidate that has a size. Of what has none, and without an effect, the error of the baseline along
+    /// the axis that it follows most.
+    pub fn curve_of(
+        &self,
+        id: Option<&str>,
+        run: &Scenario,
+        noise: &NoiseFloor,
+    ) -> Result<Option<EffectCurve>, FitError> {
+        let with_effect = id.and_then(|id| {
+            if self.model.model.has(id) {
+                return Some((id, self.model.model.clone()));
+            }
+            let mut candidates = self.candidates.iter();
+            let candidate = candidates.find(|candidate| candidate.effect == id)?;
+            let value = |key: &str| {
+                let key = format!("{id}.{key}");
+                let own = candidate.parameters.iter().find(|own| own.key == key)?;
+                own.value
+            };
+            let with = with_candidate(&self.baseline.model, id, value)?;
+            Some((id, with))
+        });
+        match with_effect {
+            Some((id, model)) => effect_curve(&model, id, run, noise),
+            None => error_curve(&self.baseline.model, run, noise),
+        }
+    }
+
+    /// Whether the run that had no part in the answer speaks against it.
+    pub fn is_refuted(&self) -> bool {
+        let confirm = self.confirm.as_ref();
+        confirm.is_some_and(|confirm| confirm.confirmed == Some(false))
+    }
+}
+
+/// Refits `model` as the baseline and searches for what it misses, with nobody watching.
+pub fn diagnose(model: &Model, evidence: Evidence) -> Result<Diagnosis, FitError> {
+    diagnose_with(model, evidence, &silent)
+}
+
+/// Refits `model` as the baseline and searches for what it misses.
+pub fn diagnose_with(
+    model: &Model,
+    evidence: Evidence,
+    progress: Progress<'_>,
+) -> Result<Diagnosis, FitError> {
+    progress(Event::Begun {
+        stage: Stage::Baseline,
+        of: 0,
+    });
+    let several = (evidence.parts.len() > 1).then(|| evidence.clone());
+    let (bench, baseline) = Bench::new(model, evidence)?;
+    progress(Event::Begun {
+        stage: Stage::Screen,
+        of: CATALOGUE.len(),
+    });
+    let eligible = eligible(&baseline.model, None);
+    let inference = bench.infer(&baseline, &eligible, progress)?;
+    // What a fit of runs behind each other cannot hold is known only now.
+    let found = inference.to_be_fitted();
+    let several = several.filter(|_| bench.has_several_runs());
+    let Some(several) = several.filter(|all| all.fitted_with(&found).1.is_some()) else {
+        let concluded = Concluded::of(bench, &baseline, inference, progress)?;
+        return Ok(concluded.answer());
+    };
+    // With all runs and without what is bound to one of them, or with the first run alone: what foretells the hold-out better.
+    let eligible_of_all = eligible.iter().filter(|effect| !effect.goes_on_over_runs());
+    let eligible_of_all: Vec<&'static dyn Effect> = eligible_of_all.copied().collect();
+    let of_all = bench.infer(&baseline, &eligible_of_all, progress)?;
+    let all = Concluded::of(bench, &baseline, of_all, progress)?;
+    let (bench, baseline) = Bench::for_fits_of(&found, model, several)?;
+    let inference = bench.infer(&baseline, &eligible, progress)?;
+    let first = Concluded::of(bench, &baseline, inference, progress)?;
+    let better = if all.held_out_by(&first)? < first.held_out_by(&first)? {
+        all
+    } else {
+        first
+    };
+    Ok(better.answer())
+}
+
+/// A ladder of which no effect is vetoed, with what it rests on.
+struct Concluded {
+    bench: Bench,
+    inference: Inference,
+    rungs: Vec<Standing>,
+}
+
+impl Concluded {
+    fn of(
+        bench: Bench,
+        baseline: &Fitted,
+        mut inference: Inference,
+        progress: Progress<'_>,
+    ) -> Result<Self, FitError> {
+        for veto in vetoes::surplus(&inference) {
+            inference.veto(veto);
+        }
+        progress(Event::Begun {
+            stage: Stage::Refit,
+            of: inference.named.len(),
+        });
+        let mut rungs = climb(&bench, baseline, &inference, vec![], progress)?;
+        if !rungs[0].score.nrms.is_finite() {
+            return Err(nothing_judged(&bench.evidence.holdout));
+        }
+        while let Some(veto) = vetoes::first(&bench, &inference, &inference.named, &rungs) {
+            let before = inference.named.clone();
+            inference.veto(veto);
+            let known = passed(rungs, &before, &inference.named);
+            rungs = climb(&bench, baseline, &inference, known, progress)?;
+        }
+        if let Some(last) = rungs.pop() {
+            rungs.push(last.with_deviations(&bench, &inference));
+        }
+        Ok(Self {
+            bench,
+            inference,
+            rungs,
+        })
+    }
+
+    /// The held-out error of the whole model, in the units of `other`.
+    fn held_out_by(&self, other: &Self) -> Result<f64, FitError> {
+        let last = &self.rungs[self.rungs.len() - 1];
+        Ok(other.bench.held_out(&last.fit.model)?.nrms)
+    }
+
+    fn answer(&self) -> Diagnosis {
+        answer(&self.bench, &self.inference, &self.rungs)
+    }
+}
+
+/// The rungs of a ladder of the effects `before` that one of the effects `now` passes too, without the baseline and without the
+/// last one of either, which is fitted to the end.
+fn passed(rungs: Vec<Standing>, before: &[&'static str], now: &[&'static str]) -> Vec<Standing> {
+    let same = before.iter().zip(now).take_while(|(a, b)| a == b).count();
+    let in_passing = same.min(now.len().saturating_sub(1));
+    rungs.into_iter().skip(1).take(in_passing).collect()
+}
+
+/// Of an error that is not known nothing can be said.
+fn nothing_judged(run: &Scenario) -> FitError {
+    let run = run.name.clone();
+    FitError::NothingMeasured { run }
+}
+
+fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis {
+    let evidence = &bench.evidence;
+    let (base, best) = (&rungs[0], &rungs[rungs.len() - 1]);
+    let floor = inference.floor(evidence);
+    let repeatability = Repeatability::of(&best.fit.model, evidence, inference.noise);
+    let in_motion = repeatability.in_motion();
+    let verdict = verdict(bench, inference, [&base.score, &best.score], in_motion);
+    let axis_map = if verdict == DiagnosisVerdict::Unexplained {
+        // The maps are a help; without them the verdict stands.
+        axis_map(&best.fit.model, &evidence.training, &evidence.noise).unwrap_or_default()
+    } else {
+        Vec::new()
+    };
+    let eta = floor.explained(base.score.nrms, best.score.nrms);
+    let settled = floor.is_reached(best.score.nrms);
+    let believed = bench.as_believed(&best.fit);
+    let named = &inference.named;
+    let judged = |believed: Fitted, rung: &Standing| {
+        believed.judged_by_what_is_left(rung.score.nrms, floor.expected())
+    };
+    let baseline = bench.as_believed(&bench.with_deviations(base.fit.clone(), inference));
+    let model = judged(believed, best).judged_beside(&inference.confusable);
+    let baseline = judged(baseline, base);
+    let candidates = candidates(evidence, floor, inference, (rungs, &model));
+    let is_excited = |candidate: &Candidate| candidate.status != Status::NotExcited;
+    let excited = candidates.iter().any(is_excited);
+    let mut diagnosis = Diagnosis {
+        verdict,
+        reason: None,
+        parameters: of_motor(&model),
+        effect: named.first().copied(),
+        effects: named.clone(),
+        sufficient: match verdict {
+            // Without a floor, or in a run that would show nothing, nobody knows whether something is missing.
+            DiagnosisVerdict::None => evidence.noise.source != FloorSource::None && excited,
+            DiagnosisVerdict::Unexplained => false,
+            _ => eta >= SUFFICIENT_SHARE || settled,
+        },
+        noise_floor_from: evidence.noise.source,
+        search_was_cut: inference.is_cut(),
+        sensor_floor: (evidence.noise.source == FloorSource::Standstill).then_some(1.0),
+        repeat_floor: repeatability.floor,
+        repeats: repeatability.repeats(),
+        repeat_follows: repeatability.follows,
+        holdout_from: evidence.holdout_from,
+        explained_percent: if named.is_empty() { 0.0 } else { 100.0 * eta },
+        holdout_before: base.score.nrms,
+        holdout_after: best.score.nrms,
+        candidates,
+        unknown: inference.unknown.clone(),
+        confusable: inference.confusable.clone(),
+        axis_map,
+        ladder: rungs.iter().map(Standing::rung).collect(),
+        confirm: None,
+        sentence: String::new(),
+        limits: bench
+            .limits()
+            .into_iter()
+            .chain(inference.lost_rows(floor))
+            .chain(
+                inference
+                    .why_open()
+                    .map(|reason| format!("nothing is ruled out: {reason}")),
+            )
+            .chain(repeatability.why_not)
+            .collect(),
+        equivalences: (named.iter())
+            .filter_map(|id| effect::find(id))
+            .flat_map(|effect| effect.card().equivalences)
+            .copied()
+            .collect(),
+        next_experiment: None,
+        baseline,
+        model,
+        information_basis: Some(InformationBasis::new(
+            inference.noise,
+            inference.excess(),
+            State::at(base.fit.start.current_a, base.fit.start.speed_rad_s),
+        )),
+        rivals: rivals(inference, &base.fit.model.effect_ids()),
+    };
+    if let Some(reason) = trivial::as_good(&best.score, evidence, bench.torques()) {
+        return not_fitted(diagnosis, reason, base);
+    }
+    diagnosis.confirm = confirmed(bench, &diagnosis, inference.noise, in_motion);
+    diagnosis.sufficient &= !(verdict == DiagnosisVerdict::None && diagnosis.is_refuted());
+    diagnosis.sentence = sentence(&diagnosis) + &inference.superfluous_in_words();
+    diagnosis
+}
+
+/// The motor's parameters of a fit.
+fn of_motor(fit: &Fitted) -> Vec<ParameterEstimate> {
+    let own = fit.parameters.iter();
+    let own = own.filter(|own| MotorKey::from_key(&own.key).is_some());
+    own.cloned().collect()
+}
+
+/// The answer where the fitted model beats no trivial prediction: without names, bounds and places, which would all be about a
+/// model that follows nothing.
+fn not_fitted(diagnosis: Diagnosis, reason: String, base: &Standing) -> Diagnosis {
+    let sentence = format!(
+        "{reason}; a model that predicts no better shows nothing by what it leaves: no effect is named and none is ruled out"
+    );
+    let unknown = |own: &ParameterEstimate| match own.verdict {
+        Verdict::Fixed => own.clone(),
+        _ => ParameterEstimate::not_observable(&own.key, own.unit, reason.clone()),
+    };
+    // Of the baseline, which is the model too: every output gives the same.
+    let fit = Fitted {
+        parameters: base.fit.parameters.iter().map(unknown).collect(),
+        ..base.fit.clone()
+    };
+    Diagnosis {
+        verdict: DiagnosisVerdict::NotFitted,
+        reason: Some(reason),
+        parameters: of_motor(&fit),
+        effect: None,
+        effects: Vec::new(),
+        sufficient: false,
+        repeat_floor: None,
+        repeats: None,
+        repeat_follows: Vec::new(),
+        explained_percent: 0.0,
+        holdout_after: diagnosis.holdout_before,
+        candidates: Vec::new(),
+        unknown: Vec::new(),
+        confusable: Vec::new(),
+        ladder: vec![base.rung()],
+        axis_map: Vec::new(),
+        equivalences: Vec::new(),
+        baseline: fit.clone(),
+        model: fit,
+        information_basis: None,
+        rivals: Vec::new(),
+        sentence,
+        ..diagnosis
+    }
+}
+
+/// Models with the second effect of each confusable pair in the place of the first.
+fn rivals(inference: &Inference, given: &[&'static str]) -> Vec<Model> {
+    let pairs = inference.confusable.iter();
+    let models = pairs.filter_map(|[first, second]| {
+        let named = inference.named.iter();
+        let others = named.filter(|id| *id != first && *id != second);
+        let with = given.iter().chain(others).copied().chain([*second]);
+        inference.with_effects(&with.collect::<Vec<&'static str>>())
+    });
+    models.collect()
+}
+
+fn verdict(
+    bench: &Bench,
+    inference: &Inference,
+    [base, best]: [&Score; 2],
+    in_motion: f64,
+) -> DiagnosisVerdict {
+    let evidence = &bench.evidence;
+    let is_known = evidence.noise.source != FloorSource::None;
+    let floor = inference.floor(evidence);
+    let at_floor = floor.is_reached(base.nrms / in_motion);
+    let Some(first) = inference.named.first() else {
+        return if inference.unknown.is_empty() && (at_floor || !is_known) {
+            DiagnosisVerdict::None
+        } else {
+            DiagnosisVerdict::Unexplained
+        };
+    };
+    let above = |nrms: f64| nrms * nrms - floor.highest().powi(2);
+    let unknown: f64 = inference
+        .unknown
+        .iter()
+        .map(|part| part.share_of_error)
+        .sum();
+    let explainable = above(base.nrms).max(0.0);
+    let unexplained = inference.disturbance_error.powi(2) + unknown * explainable;
+    // A free run that falls into step a moment late is far off though nothing is missing: one of the two will do, but
+    // names that take nothing from its error, or leave innovations that are not white, are no answer.
+    let is_led_astray = !bench.fits_at_once()
+        && inference.is_nearly_white()
+        && unexplained <= HALF_SHARE * explainable
+        && floor.is_explained_in_part(base.nrms, best.nrms);
+    if !is_led_astray && !at_floor && above(best.nrms) > HALF_SHARE * explainable {
+        DiagnosisVerdict::Unexplained
+    } else if inference.confusable.iter().any(|pair| pair[0] == *first) {
+        DiagnosisVerdict::Ambiguous
+    } else {
+        DiagnosisVerdict::Effect
+    }
+}
+
+/// The answer on a run that had no part in it: neither fitted, nor selected by, nor used for the noise.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Confirmation {
+    /// Whether the answer holds there: the named effects make the run likelier and explain a good part of its error; where
+    /// nothing is missing the error is at the floor; where something unexplained is missing it is above. Null where the
+    /// answer claims nothing, or the run cannot be judged.
+    pub confirmed: Option<bool>,
+    /// Error without and with the named effects, in units of the noise.
+    pub error_before: Option<f64>,
+    pub error_after: Option<f64>,
+    /// By how many standard deviations the named effects make the run likelier; null where none is named.
+    pub z: Option<f64>,
+    pub explained_percent: Option<f64>,
+    pub sentence: String,
+}
+
+/// The confirming run's word on an answer, `noise` being what is random beside both of its models; none without such a run.
+/// `in_motion`: how much noisier the sensors are in motion than at rest.
+fn confirmed(
+    bench: &Bench,
+    diagnosis: &Diagnosis,
+    noise: Noise,
+    in_motion: f64,
+) -> Option<Confirmation> {
+    let evidence = &bench.evidence;
+    let run = evidence.confirm.as_ref()?;
+    let source = evidence.noise.source;
+    let is_known = source != FloorSource::None;
+    let repeated = || -> Result<Confirmation, FitError> {
+        let before = bench.confirming(&diagnosis.baseline.model, run)?;
+        let after = bench.confirming(&diagnosis.model.model, run)?;
+        let models = [&before.model, &after.model];
+        let found = likelier(models, [before.start, after.start], run, noise, is_known);
+        let (z, unobserved) = found.ok_or_else(|| cannot_simulate(run))?;
+        let unobserved = in_noise(unobserved.map(Some), &evidence.noise);
+        let floor = Floor::new(evidence, unobserved.unwrap_or(0.0));
+        let [before, after] = [before.score.nrms, after.score.nrms];
+        if !(before.is_finite() && after.is_finite()) {
+            return Err(nothing_judged(run));
+        }
+        let share = floor.explained(before, after);
+        let holds = z >= CONFIRMED_SIGMAS && floor.is_explained_in_part(before, after);
+        let at_the_floor = floor.is_reached(before / in_motion);
+        let explains_it = floor.is_reached(after / in_motion) || !is_known;
+        let times = source.times();
+        let (named, confirmed, found) = match diagnosis.verdict {
+            DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous => {
+                let found = format!(
+                    "there {} takes the error from {before:.2} to {after:.2} {times} and explains {:.0} % of what can be \
+                     explained (z {z:.1}, {CONFIRMED_SIGMAS} is asked){}",
+                    diagnosis.effects.join(" and "),
+                    100.0 * share,
+                    if explains_it {
+                        ""
+                    } else {
+                        "; what is left there is more than noise"
+                    }
+                );
+                (true, Some(holds), found)
+            }
+            DiagnosisVerdict::None => {
+                let found = if !is_known {
+                    format!(
+                        "the error there is {before:.2} {times}, and without a noise floor nobody knows how large it may be"
+                    )
+                } else if at_the_floor {
+                    format!("the error is {before:.2} {times} there too")
+                } else {
+                    format!(
+                        "the error there is {before:.2} {times}: something is missing that only this run shows"
+                    )
+                };
+                (false, is_known.then_some(at_the_floor), found)
+            }
+            DiagnosisVerdict::Unexplained => {
+                let found = if at_the_floor {
+                    format!("there the model explains the run to the noise ({before:.2} {times})")
+                } else {
+                    format!("the error is {before:.2} {times} there too")
+                };
+                (false, Some(!at_the_floor), found)
+            }
+            DiagnosisVerdict::NotFitted => (false, None, "nothing is concluded".to_owned()),
+        };
+        let word = match confirmed {
+            Some(true) => "confirmed",
+            Some(false) => "NOT confirmed",
+            None => "neither confirmed nor refuted",
+        };
+        Ok(Confirmation {
+            confirmed,
+            error_before: Some(before),
+            error_after: Some(if named { after } else { before }),
+            z: named.then_some(z),
+            explained_percent: named.then_some(100.0 * share),
+            sentence: format!("{word} on the run that had no part in the answer: {found}"),
+        })
+    };
+    let refused = |error: FitError| Confirmation {
+        sentence: format!(
+            "the confirming run cannot be judged, so that nothing is confirmed: {error}"
+        ),
+        ..Confirmation::default()
+    };
+    Some(repeated().unwrap_or_else(refused))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kit::{evidence, nameplate, record, truth};
+    use drivebench_model::plant::Scenario;
+
+    fn third(diagnosis: &Diagnosis) -> &Confirmation {
+        diagnosis.confirm.as_ref().unwrap()
+    }
+
+    #[test]
+    fn a_named_effect_is_confirmed_where_it_is_and_not_where_it_is_not() {
+        let fan = truth("quadratic_load", &[2e-6]);
+        let data = evidence(&fan, 1);
+        let there = diagnose(&nameplate(), data.clone()).unwrap();
+        assert_eq!(there.effects, ["quadratic_load"]);
+        let found = third(&there);
+        assert_eq!(found.confirmed, Some(true), "{}", found.sentence);
+        assert!(found.z.unwrap() > CONFIRMED_SIGMAS && found.explained_percent.unwrap() > 90.0);
+        assert!(found.error_after.unwrap() < 1.15 && found.error_before.unwrap() > 1.5);
+
+        // The fan was taken off for the third run: the same answer, since that run has no part in it, and no confirmation.
+        let mut off = data;
+        off.confirm = Some(record(&nameplate(), 2, 77));
+        let elsewhere = diagnose(&nameplate(), off).unwrap();
+        assert_eq!(elsewhere.effects, there.effects);
+        assert!((elsewhere.holdout_after - there.holdout_after).abs() < 1e-12);
+        let found = third(&elsewhere);
+        assert_eq!(found.confirmed, Some(false), "{}", found.sentence);
+        assert!(found.error_after.unwrap() > found.error_before.unwrap());
+
+        // Of an error that is below the noise nothing is explained.
+        let below = Diagnosis {
+            holdout_before: 0.95,
+            holdout_after: 0.72,
+            explained_percent: 0.0,
+            ..there
+        };
+        // But a run that had no part in it and leaves more has an error to explain.
+        assert_eq!(below.answer(), Answer::Found);
+        let below = Diagnosis {
+            confirm: None,
+            ..below
+        };
+        assert_eq!(below.answer(), Answer::NoErrorLeft);
+        let said = sentence(&below);
+        let start = "no error left to explain: held-out error 0.95 times the noise floor";
+        assert!(
+            said.starts_with(start) && said.contains("quadratic_load"),
+            "{said}"
+        );
+        assert!(!said.contains("% explained"), "{said}");
+    }
+
+    #[test]
+    fn that_nothing_is_missing_is_confirmed_only_where_the_error_is_at_the_floor() {
+        let mut data = evidence(&nameplate(), 2);
+        let nothing = diagnose(&nameplate(), data.clone()).unwrap();
+        assert_eq!(nothing.verdict, DiagnosisVerdict::None);
+        assert_eq!(third(&nothing).confirmed, Some(true));
+        assert_eq!(third(&nothing).z, None);
+        data.confirm = Some(record(&truth("voltage_drop", &[1.2]), 2, 78));
+        let hidden = diagnose(&nameplate(), data.clone()).unwrap();
+        assert_eq!(hidden.verdict, DiagnosisVerdict::None);
+        assert_eq!(third(&hidden).confirmed, Some(false));
+        // What one run contradicts is not said.
+        assert!(!hidden.sufficient && nothing.sufficient);
+        let (whole, said) = (&nothing.sentence, &hidden.sentence);
+        assert!(whole.starts_with("nothing is missing"), "{whole}");
+        assert!(!said.contains("nothing is missing"), "{said}");
+        assert!(said.contains("on the confirming run"), "{said}");
+        data.confirm = None;
+        assert_eq!(diagnose(&nameplate(), data).unwrap().confirm, None);
+    }
+
+    #[test]
+    fn the_noise_floor_owes_nothing_to_the_confirming_run() {
+        let data = evidence(&nameplate(), 3);
+        let mut loud = record(&nameplate(), 2, 79);
+        for (k, speed) in loud.speed_rad_s.iter_mut().enumerate() {
+            *speed += if k % 2 == 0 { 3.0 } else { -3.0 };
+        }
+        let noise = |confirm: Option<Scenario>| {
+            Evidence::new(data.training.clone(), Some(data.holdout.clone()), confirm).noise
+        };
+        assert_eq!(noise(Some(loud)), noise(None));
+    }
+}

@@ -1,0 +1,699 @@
+//! The runs that a diagnosis rests on, and the floor below which nothing can be seen.
+
+use std::borrow::Cow;
+
+use serde::Serialize;
+
+use super::score::{Score, SignalScore, varies};
+use drivebench_identify::noise::{FEWEST_SAMPLES, FloorSource, NoiseFloor, samples_at_rest};
+use drivebench_identify::output_error::{self, Fit, FitError};
+use drivebench_model::numerics::count::whole;
+use drivebench_model::numerics::statistics::{finite, variance};
+use drivebench_model::plant::{Effect, Input, Model, Scenario, effect};
+
+/// Shares of a run that train when there is no second run, the preferred one first; the rest is held out as one block, which
+/// has to move as well as what trains.
+const TRAINING_SHARES: [f64; 4] = [0.6, 0.5, 0.4, 0.3];
+/// Deviation of a signal in a part of a run, as a share of that in the whole of it, from which on the part moves: a step
+/// response has died down to it after three time constants.
+const MOVES_SHARE: f64 = 0.05;
+/// The same in units of the sensors' noise, where that is known.
+const MOVES_RATIO: f64 = 2.0;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum HoldoutFrom {
+    Run,
+    Split,
+}
+
+/// Fit on `training`, select on `holdout`, repeat the answer on `confirm` where there is one.
+#[derive(Clone, Debug)]
+pub struct Evidence {
+    pub training: Scenario,
+    pub holdout: Scenario,
+    pub confirm: Option<Scenario>,
+    pub holdout_from: HoldoutFrom,
+    pub noise: NoiseFloor,
+    /// A run of the same excitation as the first that is fitted.
+    pub repeat: Option<Scenario>,
+    /// The runs that `training` puts behind each other, where it is more than one.
+    pub parts: Vec<Scenario>,
+    /// When each of them begins there, s after its first input.
+    pub begins_s: Vec<f64>,
+}
+
+/// What is said of a hold-out in which neither speed nor current changes.
+pub(super) const STILL: &str = "what is held out stands still or runs steadily";
+
+/// The part of a run that trains and the one that is held out: by the first share at which both move.
+fn split(run: &Scenario, noise: &NoiseFloor) -> (Scenario, Scenario) {
+    let parts = TRAINING_SHARES.map(|share| run.split(share));
+    let mut both = parts.iter();
+    let both =
+        both.find(|(fitted, held_out)| moves(fitted, run, noise) && moves(held_out, run, noise));
+    both.unwrap_or(&parts[0]).clone()
+}
+
+/// Whether a signal changes in the scored part of a run, compared with what it does in `all` of it and with its noise.
+fn moves(part: &Scenario, all: &Scenario, noise: &NoiseFloor) -> bool {
+    let is_known = noise.source != FloorSource::None;
+    let changes = |signal: Signal, level: f64| {
+        let deviation = |values: &[f64]| variance(&finite(values)).sqrt();
+        let own = deviation(&signal(part)[part.scored.clone()]);
+        let least = MOVES_SHARE * deviation(signal(all));
+        own > least && (!is_known || !level.is_finite() || own > MOVES_RATIO * level)
+    };
+    changes(|run| &run.speed_rad_s, noise.speed_rad_s)
+        || changes(|run| &run.current_a, noise.current_a)
+}
+
+impl Evidence {
+    /// Takes the noise floor from the standstills of the fit run and the hold-out, else leaves the signals scaled by their
+    /// spread until a baseline is fitted ([`Evidence::with_baseline`]). The confirming run has no part in anything that is
+    /// decided, and so none in the floor.
+    pub fn new(fit_run: Scenario, holdout: Option<Scenario>, confirm: Option<Scenario>) -> Self {
+        let rests: Vec<NoiseFloor> = [Some(&fit_run), holdout.as_ref()]
+            .into_iter()
+            .flatten()
+            .filter_map(NoiseFloor::from_standstill)
+            .collect();
+        let noise = NoiseFloor::pooled(&rests).unwrap_or_else(|| NoiseFloor::from_spread(&fit_run));
+        let (training, holdout, holdout_from) = if let Some(holdout) = holdout {
+            (fit_run, holdout, HoldoutFrom::Run)
+        } else {
+            let (training, holdout) = split(&fit_run, &noise);
+            (training, holdout, HoldoutFrom::Split)
+        };
+        Self {
+            training,
+            holdout,
+            confirm,
+            holdout_from,
+            noise,
+            repeat: None,
+            parts: Vec::new(),
+            begins_s: vec![0.0],
+        }
+    }
+
+    /// Of one run that is fitted and held out as a whole, with this noise.
+    pub(super) fn of_one(run: &Scenario, noise: NoiseFloor) -> Self {
+        Self {
+            training: run.clone(),
+            holdout: run.clone(),
+            confirm: None,
+            holdout_from: HoldoutFrom::Split,
+            noise,
+            repeat: None,
+            parts: Vec::new(),
+            begins_s: vec![0.0],
+        }
+    }
+
+    /// The same with one run more to fit, behind those that are fitted: what is known of the machine stays known.
+    #[must_use]
+    pub fn with_run(mut self, run: Scenario) -> Self {
+        if self.parts.is_empty() {
+            self.parts.push(self.training.clone());
+        }
+        self.begins_s.push(self.training.whole_s());
+        self.training = self.training.followed_by(&run);
+        self.parts.push(run);
+        self
+    }
+
+    /// The same without the runs behind the first one that is fitted.
+    #[must_use]
+    pub(super) fn of_the_first(mut self) -> Self {
+        if !self.parts.is_empty() {
+            self.training = self.parts.swap_remove(0);
+            self.parts = Vec::new();
+            self.begins_s = vec![0.0];
+        }
+        self
+    }
+
+    /// The same for a fit of these effects: where one of them happens once, counts from the first command of a run or keeps a
+    /// state, runs behind each other cannot be fitted as one, and the first is left alone. In words what was set aside, and
+    /// why.
+    #[must_use]
+    pub fn fitted_with(&self, effects: &[&'static str]) -> (Cow<'_, Self>, Option<String>) {
+        let goes_on = |id: &&&str| effect::find(id).is_none_or(Effect::goes_on_over_runs);
+        let ids: Vec<&str> = effects.iter().filter(goes_on).copied().collect();
+        if ids.is_empty() || self.parts.len() < 2 {
+            return (Cow::Borrowed(self), None);
+        }
+        let later = self.parts.iter().skip(1).map(|part| part.name.as_str());
+        let words = format!(
+            "{} {} set aside: {} happens once in a run or counts from its first command, and runs that are fitted behind each \
+             other cannot hold it; the answer is of {} without what was made after it, which has to be judged by itself",
+            later.collect::<Vec<_>>().join(" and "),
+            if self.parts.len() > 2 { "are" } else { "is" },
+            ids.join(" and "),
+            self.first_run().name,
+        );
+        (Cow::Owned(self.clone().of_the_first()), Some(words))
+    }
+
+    /// The run that is fitted, the first of several.
+    pub fn first_run(&self) -> &Scenario {
+        self.parts.first().unwrap_or(&self.training)
+    }
+
+    /// The runs that speak, each as it was recorded and the one that is fitted first, and the place of the one that is held
+    /// out. Where one run was split the whole of it speaks.
+    pub(super) fn speaking(&self) -> (Vec<&Scenario>, usize) {
+        let later = self.parts.iter().skip(1);
+        match self.holdout_from {
+            HoldoutFrom::Run => {
+                let first = std::iter::once(self.first_run());
+                let mut runs: Vec<&Scenario> = first.chain(later).collect();
+                runs.push(&self.holdout);
+                let held_out = runs.len() - 1;
+                (runs, held_out)
+            }
+            HoldoutFrom::Split => (std::iter::once(&self.holdout).chain(later).collect(), 0),
+        }
+    }
+
+    /// When each of the runs in `training` begins there, s after its first input.
+    pub(super) fn begins_s(&self) -> &[f64] {
+        &self.begins_s
+    }
+
+    /// The same with the beginning of runs that are longer than a search can hold, and in words what of them it is. What
+    /// comes behind has no part in the answer: it confirms it, where no other run does.
+    pub(super) fn shortened(mut self) -> (Self, Option<String>) {
+        if self.training.input != Input::Voltage {
+            return (self, None);
+        }
+        if self.parts.len() > 1 && self.training.samples() > MOST_SAMPLES {
+            let most = MOST_SAMPLES / self.parts.len();
+            let mut words = Vec::new();
+            let mut later = std::mem::take(&mut self.parts).into_iter();
+            let first = later.next();
+            self.begins_s = vec![0.0];
+            let most_of_first = match self.holdout_from {
+                HoldoutFrom::Run => most,
+                // So that what is fitted of it is its part.
+                HoldoutFrom::Split => whole(most as f64 / TRAINING_SHARES[0]),
+            };
+            self.training = first.unwrap_or(self.training);
+            match self.holdout_from {
+                HoldoutFrom::Run => {
+                    let name = self.training.name.clone();
+                    let cut = shorten(&mut self.training, most_of_first, &name);
+                    words.extend(cut.map(|cut| cut.searched));
+                    let holdout = shorten(&mut self.holdout, MOST_SAMPLES, "the hold-out");
+                    words.extend(holdout.map(|cut| cut.searched));
+                }
+                HoldoutFrom::Split => {
+                    let cut = self.shorten_split(most_of_first);
+                    words.extend(cut.map(|cut| cut.searched));
+                }
+            }
+            if let Some(repeat) = &mut self.repeat {
+                shorten(repeat, most_of_first, "the repeated run");
+            }
+            let several = later.fold(self, |evidence, mut run| {
+                let name = run.name.clone();
+                words.extend(shorten(&mut run, most, &name).map(|cut| cut.searched));
+                evidence.with_run(run)
+            });
+            return (several, (!words.is_empty()).then(|| words.join("; ")));
+        }
+        let last = match self.holdout_from {
+            HoldoutFrom::Run => {
+                let fit_run = shorten(&mut self.training, MOST_SAMPLES, "the fit run");
+                let holdout = shorten(&mut self.holdout, MOST_SAMPLES, "the hold-out");
+                match (holdout, fit_run) {
+                    (Some(holdout), Some(fit_run)) => Some(Cut {
+                        searched: format!("{}; {}", fit_run.searched, holdout.searched),
+                        ..holdout
+                    }),
+                    (holdout, fit_run) => holdout.or(fit_run),
+                }
+            }
+            HoldoutFrom::Split => self.shorten_split(MOST_SAMPLES_OF_ONE),
+        };
+        let Some(Cut { behind, searched }) = last else {
+            return (self, None);
+        };
+        if let Some(repeat) = &mut self.repeat {
+            // As the run that it repeats, so that both begin at the same moment.
+            let most = match self.holdout_from {
+                HoldoutFrom::Run => MOST_SAMPLES,
+                HoldoutFrom::Split => MOST_SAMPLES_OF_ONE,
+            };
+            shorten(repeat, most, "the repeated run");
+        }
+        if let (None, Some(behind)) = (&self.confirm, behind) {
+            self.confirm = Some(behind);
+            let words = format!("{searched}; what comes behind them is the confirming run");
+            return (self, Some(words));
+        }
+        (self, Some(searched))
+    }
+
+    /// Shortens one run of which a part is held out to so many samples, and splits it anew.
+    fn shorten_split(&mut self, most: usize) -> Option<Cut> {
+        let mut whole = self.holdout.clone();
+        whole.scored = 0..whole.samples();
+        if let Some((name, _)) = self.training.name.rsplit_once(" (first") {
+            name.clone_into(&mut whole.name);
+        }
+        let cut = shorten(&mut whole, most, "the run");
+        if cut.is_some() {
+            (self.training, self.holdout) = split(&whole, &self.noise);
+        }
+        cut
+    }
+
+    /// Which part of a run is held out where no other run is.
+    pub fn held_out_part(&self) -> String {
+        let all = self.holdout.samples().max(1) as f64;
+        let share = self.holdout.scored.len() as f64 / all;
+        format!("last {:.0} %", 100.0 * share)
+    }
+
+    /// Whether a signal of the held-out part moves: a model that stays where it is predicts a steady one, and nothing can be
+    /// told by it.
+    pub(super) fn holdout_moves(&self) -> bool {
+        let all = match self.holdout_from {
+            HoldoutFrom::Run => &self.training,
+            HoldoutFrom::Split => &self.holdout,
+        };
+        moves(&self.holdout, all, &self.noise)
+    }
+
+    /// Measured signals that the judgement does without, each with the reason, of runs that a voltage drives (the others are
+    /// judged by their torque balance); and that the hold-out does not move.
+    pub fn unjudged(&self) -> Vec<String> {
+        let still = (!self.holdout_moves()).then(|| format!("{STILL}: no effect is named by it"));
+        if self.training.input != Input::Voltage {
+            return still.into_iter().collect();
+        }
+        let (current, speed): (Signal, Signal) = (|run| &run.current_a, |run| &run.speed_rad_s);
+        let why = [
+            self.why_unjudged(current, self.noise.current_a),
+            self.why_unjudged(speed, self.noise.speed_rad_s),
+        ];
+        let names = [
+            ("current", "current_a", "speed"),
+            ("speed", "speed_rad_s", "current"),
+        ];
+        let reasons = why.into_iter().zip(names);
+        let words = reasons.filter_map(|(reason, (name, key, other))| {
+            let reason = reason?;
+            Some(format!(
+                "the {name} ({key}) has no part in the judgement: {reason}; errors, verdict and sizes rest on the {other} \
+                 alone, and what shows only in the {name} would not be seen"
+            ))
+        });
+        words.chain(still).collect()
+    }
+
+    /// Of a signal whose noise is `level`, infinite where that is not known.
+    fn why_unjudged(&self, signal: Signal, level: f64) -> Option<String> {
+        let [fitted, held_out] = [&self.training, &self.holdout].map(|run| {
+            let values = signal(run)[run.scored.clone()].iter();
+            values.filter(|value| value.is_finite()).count()
+        });
+        if fitted == 0 {
+            let reason = "it was measured in the hold-out only";
+            return (held_out > 0).then(|| reason.to_owned());
+        }
+        if level.is_finite() {
+            let alone = "it was not measured in the hold-out, which decides";
+            return (held_out == 0).then(|| alone.to_owned());
+        }
+        if !varies(signal(&self.training)) {
+            return Some("it is the same throughout the run".to_owned());
+        }
+        Some(match self.noise.source {
+            FloorSource::Standstill => {
+                let runs = [&self.training, &self.holdout].into_iter();
+                let most = runs.map(|run| samples_at_rest(run, signal(run))).max();
+                format!(
+                    "its noise is not known, because it has {} samples in the leading standstill and {FEWEST_SAMPLES} are needed",
+                    most.unwrap_or(0)
+                )
+            }
+            FloorSource::Repeat => format!(
+                "its noise is not known, because the repeated runs have fewer than {FEWEST_DIFFERENCES} samples of it at the \
+                 same instants"
+            ),
+            FloorSource::None => "the fitted baseline leaves nothing of it".to_owned(),
+        })
+    }
+
+    /// Fits `model` on the training run. Where no noise floor is known, the residual of this first fit becomes the
+    /// scale of everything that follows.
+    pub fn with_baseline(mut self, model: &Model) -> Result<(Self, Fit), FitError> {
+        let mut fit = output_error::fit(std::slice::from_ref(model), &self.training, &self.noise)?;
+        if self.noise.source == FloorSource::None {
+            let score = Score::of(&fit.model, &self.training, &self.noise)?;
+            let level = |signal: Option<SignalScore>| {
+                let left = signal.map(|signal| signal.rmse).filter(|rmse| *rmse > 0.0);
+                left.unwrap_or(f64::INFINITY)
+            };
+            self.noise.current_a = level(score.current);
+            self.noise.speed_rad_s = level(score.speed);
+            fit = output_error::fit(
+                std::slice::from_ref(&fit.model),
+                &self.training,
+                &self.noise,
+            )?;
+        }
+        Ok((self, fit))
+    }
+
+    /// Takes in a run of the same excitation as `training`. Where the sensors' noise is not known at rest, what the two do
+    /// not repeat is the floor.
+    pub fn with_repeat(mut self, model: &Model, repeat: Scenario) -> Result<Self, FitError> {
+        if self.noise.source != FloorSource::Standstill {
+            let [current, speed] = not_repeated(model, [&self.training, &repeat], &self.noise)?;
+            if current.is_some() || speed.is_some() {
+                self.noise = NoiseFloor {
+                    current_a: current.unwrap_or(f64::INFINITY),
+                    speed_rad_s: speed.unwrap_or(f64::INFINITY),
+                    source: FloorSource::Repeat,
+                    samples: self.training.samples().min(repeat.samples()),
+                    memory: [0.0; 2],
+                };
+            }
+        }
+        self.repeat = Some(repeat);
+        Ok(self)
+    }
+}
+
+/// Samples of a run that are searched for what is missing, at most: time and memory grow with them, and what a minute at
+/// 1 kHz does not show is hardly worth a name. Of one run that is split as many train.
+const MOST_SAMPLES: usize = 60_000;
+const MOST_SAMPLES_OF_ONE: usize = 100_000;
+/// Share of them that a leading standstill may take: it tells the noise.
+const AT_REST_SHARE: usize = 10;
+
+/// What was cut from a long run.
+struct Cut {
+    /// The run from the same beginning, of which only what comes behind the searched part counts.
+    behind: Option<Scenario>,
+    /// Which part of it is searched, in words.
+    searched: String,
+}
+
+/// Cuts a run to so many samples from shortly before it moves on; none where it is no longer than that.
+fn shorten(run: &mut Scenario, most: usize, role: &str) -> Option<Cut> {
+    let samples = run.samples();
+    if samples <= most {
+        return None;
+    }
+    let at_rest = run.leading_standstill().end;
+    let first = at_rest.saturating_sub(most / AT_REST_SHARE);
+    let end = (first + most).min(samples);
+    let behind = (end < samples).then(|| {
+        let mut behind = run.stretch(first..samples);
+        behind.scored = end - first..behind.samples();
+        behind
+    });
+    let from_s = run.sample_time_s[first] - run.sample_time_s[0];
+    let origin = if first > 0 {
+        format!(", and what is said to happen at a time happens {from_s:.2} s later in it")
+    } else {
+        String::new()
+    };
+    let searched = format!(
+        "only {from_s:.0} to {:.0} s of the {:.0} s of {role} were searched: {} of {samples} rows{origin}",
+        run.sample_time_s[end - 1] - run.sample_time_s[0],
+        run.sample_time_s[samples - 1] - run.sample_time_s[0],
+        end - first,
+    );
+    *run = run.stretch(first..end);
+    Some(Cut { behind, searched })
+}
+
+/// A signal of a run that errors are judged by.
+type Signal = fn(&Scenario) -> &Vec<f64>;
+
+/// Standard deviations of current, A, and speed, rad/s, that differ between two runs of the same excitation: half the
+/// variance of the difference of their residuals. Residuals are compared, not signals, so that runs whose samples fell at
+/// other instants can be subtracted; and each run's are those of its own fit, so that a winding that was warmer in the
+/// second, or an event that came at another time, does not count as noise.
+pub(super) fn not_repeated(
+    model: &Model,
+    [first, second]: [&Scenario; 2],
+    noise: &NoiseFloor,
+) -> Result<[Option<f64>; 2], FitError> {
+    let residuals = |run: &Scenario| -> Result<Score, FitError> {
+        let fit = output_error::fit(std::slice::from_ref(model), run, noise)?;
+        Score::of(&fit.model, run, noise)
+    };
+    let (a, b) = (residuals(first)?, residuals(second)?);
+    let (begin_a_s, begin_b_s) = (first.events[0].0, second.events[0].0);
+    let differs = |a: &[(f64, f64)], b: &[(f64, f64)]| {
+        let difference = |&(time_s, value): &(f64, f64)| {
+            Some(value - nearest_in_time(b, time_s - begin_a_s + begin_b_s)?)
+        };
+        let differences: Vec<f64> = a.iter().filter_map(difference).collect();
+        let mean_square =
+            differences.iter().map(|d| d * d).sum::<f64>() / differences.len().max(1) as f64;
+        (differences.len() >= FEWEST_DIFFERENCES && mean_square > 0.0)
+            .then(|| (mean_square / 2.0).sqrt())
+    };
+    Ok([
+        differs(&a.current_residual, &b.current_residual),
+        differs(&a.speed_residual, &b.speed_residual),
+    ])
+}
+
+/// Pairs of samples below which two runs do not give a floor.
+const FEWEST_DIFFERENCES: usize = 100;
+
+/// How far apart two samples may be and still be of the same instant, s: a few samples of a serial line.
+const SAME_INSTANT_S: f64 = 0.05;
+
+/// Value of the point nearest to `time_s`, if it is of the same instant.
+fn nearest_in_time(points: &[(f64, f64)], time_s: f64) -> Option<f64> {
+    let after = points.partition_point(|point| point.0 < time_s);
+    let around = points[after.saturating_sub(1)..].iter().take(2);
+    let apart_s = |point: &&(f64, f64)| (point.0 - time_s).abs();
+    let nearest = around.min_by(|a, b| apart_s(a).total_cmp(&apart_s(b)))?;
+    ((nearest.0 - time_s).abs() < SAME_INSTANT_S).then_some(nearest.1)
+}
+
+// Whether two runs are one: a hold-out that has been fitted tests nothing.
+
+/// Samples below which equal ones may be chance.
+const FEWEST_MOVING: usize = 20;
+/// Times that differ by less are one, s: stamps carry rounding.
+const SAME_TIME_S: f64 = 1e-6;
+
+/// Share of `other`'s moving samples that are also in `run`, number by number, at the same time or at the same time
+/// after the beginning. Two measurements of one motion differ in their noise.
+pub fn shared_samples(run: &Scenario, other: &Scenario) -> f64 {
+    let begins_s = other.sample_time_s[0] - run.sample_time_s[0];
+    f64::max(shared(run, other, 0.0), shared(run, other, begins_s))
+}
+
+fn shared(run: &Scenario, other: &Scenario, later_s: f64) -> f64 {
+    let (mut equal, mut compared, mut at) = (0_usize, 0_usize, 0);
+    let mut before = [0.0; 2];
+    for (sample, time_s) in other.sample_time_s.iter().enumerate() {
+        let values = [other.current_a[sample], other.speed_rad_s[sample]];
+        // A sensor that repeats itself, as at rest, says nothing of where the data come from.
+        let moves = values
+            .iter()
+            .zip(&before)
+            .any(|(value, before)| value.is_finite() && (value - before).abs() > 0.0);
+        before = values;
+        if !moves {
+            continue;
+        }
+        compared += 1;
+        let sought_s = time_s - later_s;
+        let is_before = |there_s: &f64| *there_s < sought_s - SAME_TIME_S;
+        at += run.sample_time_s[at..]
+            .iter()
+            .take_while(|there_s| is_before(there_s))
+            .count();
+        let there_s = run.sample_time_s.get(at);
+        if there_s.is_none_or(|there_s| (there_s - sought_s).abs() > SAME_TIME_S) {
+            continue;
+        }
+        let there = [run.current_a[at], run.speed_rad_s[at]];
+        let mut pairs = values
+            .iter()
+            .zip(&there)
+            .filter(|(value, there)| value.is_finite() && there.is_finite())
+            .peekable();
+        #[expect(clippy::float_cmp, reason = "the very same number is what is sought")]
+        if pairs.peek().is_some() && pairs.all(|(value, there)| value == there) {
+            equal += 1;
+        }
+    }
+    if compared < FEWEST_MOVING {
+        0.0
+    } else {
+        equal as f64 / compared as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kit::nameplate;
+    use drivebench_model::plant::testing::record;
+
+    /// At rest for so long, then steps every two seconds, at 1 kHz.
+    fn run(at_rest_s: f64, seconds: f64) -> (Model, Scenario) {
+        let model = nameplate();
+        let steps = (0..1000).map(|k| 2.0 * f64::from(k)).map_while(|time_s| {
+            let time_s = at_rest_s + time_s;
+            (time_s < seconds).then_some((time_s, 20.0 + (7.0 * time_s) % 31.0))
+        });
+        let events = std::iter::once((0.0, 0.0)).chain(steps).collect();
+        (model.clone(), record(&model, events, 1e-3, seconds, 5))
+    }
+
+    #[test]
+    fn what_is_held_out_moves_where_any_part_of_the_run_does() {
+        let model = nameplate();
+        let of = |events: &[(f64, f64)]| {
+            Evidence::new(record(&model, events.to_vec(), 4e-3, 10.0, 5), None, None)
+        };
+        // Steps throughout; steps in the first half only; one step at the beginning.
+        let all = of(&[(0.0, 0.0), (1.0, 40.0), (4.0, 80.0), (7.0, 20.0)]);
+        assert!(all.holdout_moves() && all.held_out_part() == "last 40 %");
+        let early = of(&[(0.0, 0.0), (1.0, 40.0), (3.5, 80.0), (4.5, 20.0)]);
+        assert!(
+            early.holdout_moves() && early.held_out_part() == "last 60 %",
+            "{}",
+            early.held_out_part()
+        );
+        let step = of(&[(0.0, 0.0), (1.0, 40.0)]);
+        assert!(!step.holdout_moves() && step.held_out_part() == "last 40 %");
+        assert!(step.unjudged().iter().any(|words| words.starts_with(STILL)));
+    }
+
+    #[test]
+    fn of_a_long_run_the_beginning_is_searched_and_the_rest_confirms() {
+        let (model, long) = run(30.0, 150.0);
+        let (evidence, words) = Evidence::new(long.clone(), None, None).shortened();
+        let words = words.unwrap();
+        assert!(words.contains("only 20 to 120 s of the 150 s"), "{words}");
+        assert!(words.contains("happens 20.00 s later"), "{words}");
+        assert_eq!(evidence.training.samples(), 60_000);
+        assert_eq!(evidence.holdout.scored, 60_000..100_000);
+        let confirm = evidence.confirm.as_ref().unwrap();
+        assert_eq!(confirm.scored.start, 100_000);
+        assert_eq!(confirm.sample_time_s.last(), long.sample_time_s.last());
+        for part in [&evidence.training, &evidence.holdout, confirm] {
+            let nrms = Score::of(&model, part, &evidence.noise).unwrap().nrms;
+            assert!((nrms - 1.0).abs() < 0.05, "{}: {nrms}", part.name);
+        }
+    }
+
+    #[test]
+    fn of_several_long_runs_nothing_that_is_fitted_is_held_out() {
+        let (model, long) = run(30.0, 100.0);
+        let (_, later) = run(0.5, 40.0);
+        let mut evidence = Evidence::new(long.clone(), None, None);
+        evidence.repeat = Some(long.clone());
+        let evidence = evidence.with_run(later);
+        assert!(evidence.training.samples() > MOST_SAMPLES);
+        let (evidence, words) = evidence.shortened();
+        let words = words.unwrap();
+        assert!(
+            words.contains("50000 of 100000") && words.contains("30000 of 40000"),
+            "{words}"
+        );
+        assert_eq!(evidence.first_run().samples(), 30_000);
+        assert_eq!(evidence.holdout.scored, 30_000..50_000);
+        assert_eq!(evidence.training.samples(), 60_000);
+        let begin_s = evidence.training.begin_s() + evidence.begins_s[1];
+        assert!((evidence.training.sample_time_s[30_000] - begin_s).abs() < 1e-9);
+        // What repeats the first run begins where that does.
+        let repeat = evidence.repeat.as_ref().unwrap();
+        let first = evidence.first_run();
+        assert_eq!(repeat.sample_time_s[..30_000], first.sample_time_s[..]);
+        for part in [&evidence.training, &evidence.holdout] {
+            let nrms = Score::of(&model, part, &evidence.noise).unwrap().nrms;
+            assert!((nrms - 1.0).abs() < 0.05, "{}: {nrms}", part.name);
+        }
+    }
+
+    #[test]
+    fn a_third_run_begins_where_it_was_put() {
+        let (_, first) = run(0.5, 4.0);
+        let slow =
+            drivebench_model::plant::testing::record(&nameplate(), vec![(0.0, 30.0)], 0.05, 5.0, 3);
+        let evidence = Evidence::new(first.clone(), Some(slow.clone()), None);
+        let evidence = evidence.with_run(slow.clone()).with_run(first.clone());
+        let training = &evidence.training;
+        let places = [0, first.samples(), first.samples() + slow.samples()];
+        for (place, begin_s) in places.into_iter().zip(evidence.begins_s()) {
+            let there_s = training.sample_time_s[place] - training.begin_s();
+            let behind_s = if place == first.samples() {
+                &slow
+            } else {
+                &first
+            };
+            let behind_s = behind_s.sample_time_s[0] - behind_s.begin_s();
+            assert!((there_s - begin_s - behind_s).abs() < 1e-9, "{place}");
+        }
+        let alone = evidence.of_the_first();
+        assert_eq!(alone.training.samples(), first.samples());
+        assert_eq!(alone.begins_s(), [0.0]);
+    }
+
+    #[test]
+    fn what_a_search_can_hold_stays_as_it_is() {
+        let (_, short) = run(0.5, 20.0);
+        let (evidence, words) = Evidence::new(short.clone(), Some(short), None).shortened();
+        assert!(words.is_none() && evidence.confirm.is_none());
+        assert_eq!(evidence.training.scored, evidence.holdout.scored);
+    }
+
+    #[test]
+    fn a_run_of_its_own_that_confirms_is_not_replaced() {
+        let (_, long) = run(0.5, 70.0);
+        let (_, short) = run(0.5, 20.0);
+        let evidence = Evidence::new(long, Some(short.clone()), Some(short.clone()));
+        let (evidence, words) = evidence.shortened();
+        assert!(words.unwrap().contains("60000 of"));
+        assert_eq!(evidence.training.samples(), 60_000);
+        assert_eq!(evidence.holdout.samples(), short.samples());
+        assert_eq!(evidence.confirm.unwrap().name, short.name);
+    }
+
+    fn step(seed: u64) -> Scenario {
+        record(&nameplate(), vec![(0.0, 0.0), (0.4, 40.0)], 1e-3, 2.0, seed)
+    }
+
+    #[test]
+    fn a_copy_a_part_and_a_later_copy_are_the_same_run_and_a_repetition_is_not() {
+        let (first, repeated) = (step(1), step(2));
+        let mut part = first.clone();
+        part.sample_time_s.drain(..500);
+        part.current_a.drain(..500);
+        part.speed_rad_s.drain(..500);
+        let mut later = first.clone();
+        for time_s in &mut later.sample_time_s {
+            *time_s += 7.0;
+        }
+        for other in [&first, &part, &later] {
+            assert!(shared_samples(&first, other) > 0.99);
+        }
+        assert!(shared_samples(&first, &repeated) < 0.01);
+    }
+
+    #[test]
+    fn a_sensor_that_shows_only_zero_proves_nothing() {
+        let mut still = step(1);
+        still.current_a.fill(0.0);
+        still.speed_rad_s.fill(0.0);
+        assert!(shared_samples(&still, &still).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,166 @@
+//! The noise floor, the share of the error above it that is explained, and what a machine does not repeat from one run of an
+//! excitation to the next.
+
+use super::evidence::{Evidence, not_repeated};
+use super::joint::Noise;
+use super::joint::free_run::unobserved_in;
+use super::location::{FailureLocation, locate_difference};
+use super::score::in_noise;
+use drivebench_identify::noise::FloorSource;
+use drivebench_identify::output_error::FitError;
+use drivebench_model::plant::Model;
+
+/// Share of the explainable error from which a named set is sufficient.
+pub(super) const SUFFICIENT_SHARE: f64 = 0.9;
+/// The same below which a run that had no part in the answer does not confirm it.
+const EXPLAINS_SOMETHING_SHARE: f64 = 0.3;
+/// Multiple of what holes of a record make on the average that they may make in one run: a few of them make most of it.
+pub(super) const MOST_UNOBSERVED_RATIO: f64 = 2.0;
+
+/// Error of a free run below which nothing can be told, in units of the sensors' noise.
+#[derive(Clone, Copy)]
+pub(super) struct Floor<'a> {
+    evidence: &'a Evidence,
+    /// What the commands of lost rows, which nobody knows, make of it: root mean square, in the same units.
+    unobserved: f64,
+}
+
+impl<'a> Floor<'a> {
+    pub(super) const fn new(evidence: &'a Evidence, unobserved: f64) -> Self {
+        Self {
+            evidence,
+            unobserved,
+        }
+    }
+
+    fn with(self, unobserved: f64) -> f64 {
+        if self.evidence.noise.source == FloorSource::None {
+            0.0
+        } else {
+            1.0_f64.hypot(unobserved)
+        }
+    }
+
+    /// Where it is on the average; zero where the noise is not known: nothing is below the floor then.
+    pub(super) fn expected(self) -> f64 {
+        self.with(self.unobserved)
+    }
+
+    /// Where it may be in one run.
+    pub(super) fn highest(self) -> f64 {
+        self.with(MOST_UNOBSERVED_RATIO * self.unobserved)
+    }
+
+    /// Whether an error is no more than the noise.
+    pub(super) fn is_reached(self, nrms: f64) -> bool {
+        self.evidence.noise.is_at(self.highest(), nrms)
+    }
+
+    /// Share of the explainable error that is explained.
+    pub(super) fn explained(self, before: f64, after: f64) -> f64 {
+        explained(before, after, self.expected())
+    }
+
+    /// Whether a good part of what lies above the floor, raised by what that is uncertain by, is explained.
+    pub(super) fn is_explained_in_part(self, before: f64, after: f64) -> bool {
+        let highest = self.highest() * self.evidence.noise.tolerance(1.0);
+        before <= highest || explained(before, after, highest) >= EXPLAINS_SOMETHING_SHARE
+    }
+}
+
+/// Share of the explainable error that is explained: `1 - (v^2 - f^2)/(v0^2 - f^2)`; an error below the floor, which is
+/// itself an estimate, explains everything and no more.
+fn explained(before: f64, after: f64, floor: f64) -> f64 {
+    let explainable = before * before - floor * floor;
+    if explainable <= 0.0 {
+        0.0
+    } else {
+        (1.0 - (after * after - floor * floor) / explainable).min(1.0)
+    }
+}
+
+/// Multiple of the sensors' noise by which two runs of the same excitation may differ and still repeat.
+const REPEATS_RATIO: f64 = 1.5;
+
+/// Two runs of the same excitation, each with its own fit of one model.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Repeatability {
+    /// What differs between them, in units of the sensors' noise.
+    pub(super) floor: Option<f64>,
+    /// What the difference follows, where it is more than noise; the most first.
+    pub(super) follows: Vec<FailureLocation>,
+    /// Why nothing is known of it, where a run was repeated.
+    pub(super) why_not: Option<String>,
+}
+
+impl Repeatability {
+    /// Under `model`, with what is random in the runs beside it; empty without a repeated run, or where the sensors' noise is
+    /// not known at rest. Where lost rows make much of what two runs differ by, they do whether the machine repeats or not.
+    pub(super) fn of(model: &Model, evidence: &Evidence, noise: Noise) -> Self {
+        let is_known = evidence.noise.source == FloorSource::Standstill;
+        let Some(repeat) = evidence.repeat.as_ref().filter(|_| is_known) else {
+            return Self::default();
+        };
+        let runs = [evidence.first_run(), repeat];
+        let unobserved = runs.map(|run| {
+            let unobserved = unobserved_in(run, model, noise, is_known)?;
+            in_noise(unobserved.map(Some), &evidence.noise)
+        });
+        let [Some(first), Some(second)] = unobserved else {
+            return Self::not_known("the model cannot be followed on both runs");
+        };
+        let floor = Floor::new(evidence, first.hypot(second) / f64::sqrt(2.0));
+        if floor.highest() > REPEATS_RATIO {
+            return Self::not_known("too many rows were lost");
+        }
+        let found = || -> Result<Self, FitError> {
+            let floor = in_noise(not_repeated(model, runs, &evidence.noise)?, &evidence.noise);
+            let mut found = Self {
+                floor,
+                ..Self::default()
+            };
+            if found.repeats() == Some(false) {
+                found.follows = locate_difference(model, runs, &evidence.noise)?;
+            }
+            Ok(found)
+        };
+        found().unwrap_or_else(|error| Self::not_known(&error.to_string()))
+    }
+
+    fn not_known(reason: &str) -> Self {
+        let why_not = format!("whether this machine repeats is not known: {reason}");
+        Self {
+            why_not: Some(why_not),
+            ..Self::default()
+        }
+    }
+
+    /// Whether the difference is little more than the sensors' noise; none where it is not known.
+    pub(super) fn repeats(&self) -> Option<bool> {
+        self.floor.map(|floor| floor <= REPEATS_RATIO)
+    }
+
+    /// A sensor may be a little noisier in motion than at rest, which a repeated run tells: by so much.
+    pub(super) fn in_motion(&self) -> f64 {
+        self.floor
+            .map_or(1.0, |floor| floor.clamp(1.0, REPEATS_RATIO))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use drivebench_model::plant::testing::with_a_fan;
+
+    #[test]
+    fn what_lost_rows_hide_is_no_error_of_the_model() {
+        let evidence = Evidence::new(with_a_fan(0), Some(with_a_fan(1)), None);
+        assert_eq!(evidence.noise.source, FloorSource::Standstill);
+        let (whole, lossy) = (Floor::new(&evidence, 0.0), Floor::new(&evidence, 0.75));
+        assert!((lossy.expected() - 1.25).abs() < 1e-12);
+        assert!(whole.is_reached(1.05) && !whole.is_reached(1.6) && lossy.is_reached(1.6));
+        assert!(!lossy.is_reached(2.2));
+        assert!((whole.explained(2.0, 1.25) - 0.8125).abs() < 1e-12);
+        assert!((lossy.explained(2.0, 1.25) - 1.0).abs() < 1e-12);
+    }
+}

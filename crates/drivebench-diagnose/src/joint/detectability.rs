@@ -1,0 +1,280 @@
+//! Detectability: the spread that runs leave to the size of an effect, the smallest size that would be named, and the size that
+//! one that happens once is below.
+
+use statrs::function::erf::erfc;
+
+use super::columns::{ColumnInformation, Variant};
+use super::select::{Reduced, Set};
+use drivebench_model::numerics::count::whole;
+use drivebench_model::plant::Effect;
+
+/// Posterior standard deviation, in slabs, from which on a run says nothing of an effect.
+pub(super) const UNDETECTABLE_SLABS: f64 = 0.5;
+/// Standard deviations that what is there wholly or not at all must make to be detected.
+const WHOLLY_DETECTED_SIGMAS: f64 = 5.0;
+/// Standard deviations beyond which nothing of note lies.
+const BEYOND_SIGMAS: f64 = 4.0;
+/// Standard deviations above the mean at which an upper bound stands: 95 % and what the choice of the set adds.
+pub(super) const BOUND_SIGMAS: f64 = 1.75;
+/// The share of noisy records in which a detectable size is named: 95 %, in standard deviations.
+pub(super) const NAMED_IN_95_SIGMAS: f64 = 1.645;
+/// Share of the moments at which an event may have come, and of the lengths that a late start may have, from which on runs
+/// show it.
+const MOST: f64 = 0.9;
+
+/// Standard deviation, in slabs, that runs leave to the size of a candidate in a form beside a set. That of what happens once
+/// is the one that it has at nine of ten moments at which it may have come: there is always one at the end of a run that
+/// nothing shows, and no run has none. That of a late start likewise at nine of ten lengths.
+pub(super) fn spread_slabs(
+    reduced: &Reduced,
+    best: &Set,
+    excess: f64,
+    [k, form]: [usize; 2],
+) -> Option<f64> {
+    let candidate = &reduced.linear.candidates[k];
+    let variant = &candidate.variants[form];
+    if candidate.is_event() && !candidate.in_model {
+        let moments = moments(reduced, best, excess, k);
+        let information = moments.iter().map(|own| own.information.max(0.0));
+        return Some((of_most(information.collect())? + 1.0).sqrt().recip());
+    }
+    if variant.mean > 0.0 {
+        // There wholly or not at all: detected where that makes a difference beyond the noise.
+        let lengths = distances_of_lengths(reduced, best, k);
+        let most = lengths.and_then(|all| of_most(all.iter().map(|own| own.1).collect()));
+        let square = most.unwrap_or_else(|| wholly(reduced, best, k, variant));
+        return (square > 0.0).then(|| UNDETECTABLE_SLABS * WHOLLY_DETECTED_SIGMAS / square.sqrt());
+    }
+    let mut with = reduced.cleared(best, k);
+    with[k] = Some(form);
+    let (_, sd) = size_in(reduced, &with, k)?;
+    Some(sd / variant.columns[0].unit)
+}
+
+/// Squared distance, in standard deviations, that a form makes which is there wholly or not at all.
+fn wholly(reduced: &Reduced, best: &Set, k: usize, variant: &Variant) -> f64 {
+    let columns = reduced.columns(&without(best, k));
+    let own = variant.columns[0].at - reduced.linear.nuisances.len();
+    reduced.information(&columns, own, 1.0).information * variant.mean.powi(2)
+}
+
+/// What nine of ten have at least.
+fn of_most(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(|a, b| b.total_cmp(a));
+    let enough = whole((MOST * values.len() as f64).ceil());
+    values.get(enough.checked_sub(1)?).copied()
+}
+
+/// Smallest size that would be named if it were added to these records, whatever its sign or phase, and with the noise
+/// against it.
+pub(super) fn detectable(reduced: &Reduced, with: &Set, k: usize, sd: f64) -> Option<f64> {
+    let candidate = &reduced.linear.candidates[k];
+    let variant = &candidate.variants[with[k]?];
+    let others = reduced.columns(&without(with, k));
+    let wave = is_amplitude(candidate.effect);
+    let eighth = |n: u8| (f64::from(n) * std::f64::consts::FRAC_PI_4).sin_cos();
+    let directions: Vec<(f64, f64)> = if wave {
+        (0..8).map(eighth).collect()
+    } else if variant.positive {
+        vec![(1.0, 0.0)]
+    } else {
+        vec![(1.0, 0.0), (-1.0, 0.0)]
+    };
+    let unit = variant.columns[0].unit;
+    let injection = reduced.injection(&others, k, with[k]?)?;
+    let is_named = |size: f64| {
+        let against = (size - NAMED_IN_95_SIGMAS * sd).max(0.0) / unit;
+        let named = |(a, b): &(f64, f64)| {
+            let added = [against * a, if wave { against * b } else { 0.0 }];
+            injection.log_odds(&added) > 0.0
+        };
+        directions.iter().all(named)
+    };
+    let (mut low, mut high) = (0.0, unit);
+    for _ in 0..12 {
+        if is_named(high) {
+            break;
+        }
+        low = high;
+        high *= 2.0;
+    }
+    if !is_named(high) {
+        return None;
+    }
+    for _ in 0..12 {
+        let middle = 0.5 * (low + high);
+        if is_named(middle) {
+            high = middle;
+        } else {
+            low = middle;
+        }
+    }
+    Some(high)
+}
+
+/// Each length that a late start may have, with the squared distance that it makes; `None` for what has other shapes, or has
+/// its length in the model. The likeliest of lengths that are refuted is always the shortest, and how much of that shows is
+/// left to the voltage of one command. Those that the beginning of a run refuted have no form any more.
+fn distances_of_lengths(reduced: &Reduced, best: &Set, k: usize) -> Option<Vec<(f64, f64)>> {
+    let candidate = &reduced.linear.candidates[k];
+    let specs = candidate.effect?.parameters();
+    let [length] = specs else { return None };
+    if candidate.in_model || !candidate.is_whole() {
+        return None;
+    }
+    let distance = |length_s: &f64| {
+        let mut forms = candidate.variants.iter();
+        let own = forms.find(|form| form.values[0].to_bits() == length_s.to_bits());
+        let square = own.map(|form| wholly(reduced, best, k, form));
+        (*length_s, square.unwrap_or(f64::INFINITY))
+    };
+    Some(length.shapes.iter().map(distance).collect())
+}
+
+/// The shortest late start from which on all would have been detected.
+pub(super) fn shortest_detectable(reduced: &Reduced, best: &Set, k: usize) -> Option<f64> {
+    let lengths = distances_of_lengths(reduced, best, k)?;
+    let least = WHOLLY_DETECTED_SIGMAS * WHOLLY_DETECTED_SIGMAS;
+    let detected = lengths.iter().rev().take_while(|own| own.1 >= least);
+    detected.last().map(|own| own.0)
+}
+
+/// What the runs say of an event at each moment of one of them, beside a set; `excess` is that of what the set leaves.
+pub(super) fn moments(
+    reduced: &Reduced,
+    best: &Set,
+    excess: f64,
+    k: usize,
+) -> Vec<ColumnInformation> {
+    let candidate = &reduced.linear.candidates[k];
+    if !candidate.moments.is_empty() {
+        let wider = |own: &ColumnInformation| ColumnInformation {
+            information: own.information / excess,
+            score: own.score / excess,
+            ..*own
+        };
+        return candidate.moments.iter().map(wider).collect();
+    }
+    let others = reduced.columns(&reduced.cleared(best, k));
+    let alone = candidate.variants.iter();
+    let alone = alone.filter(|variant| variant.columns.len() == 1);
+    let m = reduced.linear.nuisances.len();
+    let columns = alone.map(|variant| variant.columns[0]);
+    let own = columns.map(|column| reduced.information(&others, column.at - m, column.unit));
+    own.collect()
+}
+
+/// Size that an event is below with 95 %, whenever it happened: a moment counts by what the runs say of it, and where they
+/// say nothing it may have any size that is plausible.
+pub(super) fn whenever(moments: &[ColumnInformation]) -> f64 {
+    let size = |own: &ColumnInformation| {
+        let precision = own.information.max(0.0) + 1.0;
+        let log = 0.5 * own.score * own.score / precision - 0.5 * precision.ln();
+        let mean = (own.score / precision).abs() * own.unit;
+        let sd = BOUND_SIGMAS / NAMED_IN_95_SIGMAS / precision.sqrt() * own.unit;
+        (log, mean, sd)
+    };
+    let sizes: Vec<(f64, f64, f64)> = moments.iter().map(size).collect();
+    let logs = sizes.iter().map(|size| size.0);
+    let most = logs.fold(f64::NEG_INFINITY, f64::max);
+    let total: f64 = sizes.iter().map(|size| (size.0 - most).exp()).sum();
+    let beyond = |bound: f64| -> f64 {
+        let beyond = |(log, mean, sd): &(f64, f64, f64)| {
+            let tail = 0.5 * erfc((bound - mean) / sd / std::f64::consts::SQRT_2);
+            (log - most).exp() * tail
+        };
+        sizes.iter().map(beyond).sum::<f64>() / total
+    };
+    let (mut low, mut high) = (0.0, 0.0);
+    for (_, mean, sd) in &sizes {
+        high = f64::max(high, mean + BEYOND_SIGMAS * sd);
+    }
+    for _ in 0..40 {
+        let middle = 0.5 * (low + high);
+        if beyond(middle) > 1.0 - 0.95 {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    high
+}
+
+pub(super) fn without(set: &Set, k: usize) -> Set {
+    let mut set = set.clone();
+    set[k] = None;
+    set
+}
+
+/// Size of candidate `k` in a set and its standard deviation, in the unit of its first parameter.
+pub(super) fn size_in(reduced: &Reduced, set: &Set, k: usize) -> Option<(f64, f64)> {
+    let variant = &reduced.linear.candidates[k].variants[set[k]?];
+    let columns = reduced.columns(set);
+    let (mean, covariance) = reduced.sizes(&columns)?;
+    let m = reduced.linear.nuisances.len();
+    let second = variant.columns.get(1);
+    let is_wave = second.is_some_and(|own| own.unit > 0.0 && own.parameter == Some(1))
+        && is_amplitude(reduced.linear.candidates[k].effect);
+    let count = if is_wave { 2 } else { 1 };
+    let (mut square, mut variance) = (0.0, 0.0_f64);
+    for column in variant.columns.iter().take(count) {
+        let at = columns.iter().position(|c| *c == column.at - m)?;
+        let size = mean[at] * column.unit;
+        square += size * size;
+        variance = variance.max(covariance[(at, at)] * column.unit * column.unit);
+    }
+    Some((square.sqrt(), variance.sqrt()))
+}
+
+/// Whether an effect's first two parameters are sine and cosine.
+pub(super) fn is_amplitude(effect: Option<&'static dyn Effect>) -> bool {
+    let first = effect.and_then(|effect| effect.parameters().first());
+    first.is_some_and(|spec| spec.key.starts_with("sin_"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_nine_of_ten_have_is_not_the_least() {
+        for (observed, expected) in [
+            (
+                &[3.0, 1.0, 9.0, 4.0, 8.0, 7.0, 6.0, 5.0, 2.0, 10.0][..],
+                Some(2.0),
+            ),
+            (&[3.0, 1.0], Some(1.0)),
+            (&[], None),
+        ] {
+            assert_eq!(of_most(observed.to_vec()), expected, "{observed:?}");
+        }
+    }
+
+    #[test]
+    fn an_event_is_below_its_bound_whenever_it_happened() {
+        let observed = |precision: f64| ColumnInformation {
+            information: precision - 1.0,
+            score: 0.0,
+            unit: 2.0,
+        };
+        // Moments that say the same of it, as one of them alone.
+        let sharp = whenever(&[observed(400.0); 40]);
+        assert!(
+            (sharp / (BOUND_SIGMAS * 2.0 / 20.0) - 1.0).abs() < 1e-3,
+            "{sharp}"
+        );
+        // A quarter of the moments leave it open: it may be nearly as large as is plausible at all.
+        let mut open = vec![observed(400.0); 30];
+        open.extend([observed(1.0); 10]);
+        let bound = whenever(&open);
+        assert!(bound > 2.0, "{bound}");
+        // One in which it is there counts, and the others hardly do.
+        let mut there = vec![observed(400.0); 39];
+        there.push(ColumnInformation {
+            score: 0.5 * 400.0,
+            ..observed(400.0)
+        });
+        let bound = whenever(&there);
+        assert!((1.0 + 0.1..1.0 + 0.25).contains(&bound), "{bound}");
+    }
+}

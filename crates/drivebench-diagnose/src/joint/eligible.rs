@@ -1,0 +1,219 @@
+//! Eligible effects and rows: which effects a run can judge at all, and which of its rows count.
+
+use std::f64::consts::TAU;
+
+use crate::mechanical::{depends_on_drive, start_of};
+use drivebench_identify::speed_from_angle;
+use drivebench_model::plant::{
+    Effect, Enters, Input, Instant, ParameterSpec, Scenario, State, Terms, starts_from_rest,
+};
+
+/// Time between two speeds that are looked at where their noise is not known, s: the step of the balance's windows. Faster,
+/// what the frame and the drive's own loops do would decide.
+const APART_S: f64 = 0.03;
+/// Periods that the angle must cover before a wave over it is eligible: less is a slope.
+const LEAST_TRAVEL_PERIODS: f64 = 2.0;
+/// The same of one whose order is known, over an angle that is measured: an arm does not turn round, and a slope bends over a
+/// quarter of a turn.
+const LEAST_MEASURED_PERIODS: f64 = 0.25;
+/// Longest part of a period between two samples, and the share of the samples that must lie so close.
+const RESOLVED_PERIODS: f64 = 0.25;
+const LEAST_RESOLVED_SHARE: f64 = 0.1;
+/// Share of the longest step below which the shaft counts as resting.
+const MOVES_SHARE: f64 = 0.02;
+
+/// Why a run cannot judge an effect at all; `None` where it can. A voltage drives through every equation.
+pub(crate) fn why_not(effect: &dyn Effect, scenario: &Scenario) -> Option<&'static str> {
+    let guess: Vec<f64> = effect
+        .parameters()
+        .iter()
+        .map(ParameterSpec::guess)
+        .collect();
+    let terms = effect.terms(&guess);
+    let acts_at_restarts = terms.path().restart_delay_s > 0.0;
+    if acts_at_restarts && starts_from_rest(&scenario.events).len() < 2 {
+        return Some("the run starts from rest once at most: there it is a start delay");
+    }
+    if scenario.input == Input::Voltage {
+        return None;
+    }
+    let why_not = match effect.card().enters {
+        Enters::Voltage => Some("the run has no voltage, and it acts in the voltage balance"),
+        Enters::Path => Some(
+            "it lies between motor and measurement, which a run without a voltage does not tell apart",
+        ),
+        Enters::Both if scenario.input == Input::Torque => {
+            Some("it acts through the current, which the run does not have")
+        }
+        Enters::Both | Enters::Torque => None,
+    };
+    if why_not.is_some() {
+        return why_not;
+    }
+    let at_last = Instant {
+        time_s: f64::MAX,
+        ..Instant::default()
+    };
+    if terms.inertia_gain(&at_last) != 0.0 {
+        return Some(
+            "a change of the inertia is no term of the torque balance: record the voltage too",
+        );
+    }
+    if terms.coupling().is_some() || terms.states() > 0 {
+        return Some("a second inertia is no term of the torque balance: record the voltage too");
+    }
+    if effect.parameters().is_empty() {
+        return Some("it has no parameter of its own");
+    }
+    if is_friction_of_drive(effect, &*terms) && !has_both_power_flows(scenario) {
+        return Some(
+            "power flows one way only in this run: friction in proportion to the load is then a common factor of inertia and \
+             friction; record braking too",
+        );
+    }
+    if !effect.card().needs_angle {
+        return None;
+    }
+    let orders = effect.parameters().iter().find(|spec| spec.key == "order");
+    let orders = orders.map_or(&[1.0][..], |spec| spec.shapes);
+    let least = least_periods(effect, scenario);
+    if !orders.iter().any(|order| travels(scenario, *order, least)) {
+        return Some(if least < LEAST_TRAVEL_PERIODS {
+            "the shaft moves through less than a quarter of a turn"
+        } else {
+            "the shaft moves through less than two periods of it"
+        });
+    }
+    let mut orders = orders.iter();
+    let is_resolved = orders.any(|order| resolves_wave(effect, scenario, *order));
+    (!is_resolved).then_some("the shaft turns through it from one sample to the next")
+}
+
+/// Share of the exchanged energy that has to flow backward, from the load to the motor, before friction in proportion to the
+/// load is eligible: less is noise of the torque about zero, and a reversal is no braking.
+const LEAST_BACKWARD_SHARE: f64 = 0.03;
+
+/// Whether the effect is friction that grows with the driving torque.
+fn is_friction_of_drive(effect: &dyn Effect, terms: &dyn Terms) -> bool {
+    let at = Instant {
+        current_a: 1.0,
+        speed_rad_s: 1.0,
+        torque_n_m_per_a: 1.0,
+        ..Instant::default()
+    };
+    depends_on_drive(effect) && terms.friction_n_m(&at) != 0.0
+}
+
+/// Whether the motor both drives its load and is driven by it. With friction `m |T| sgn(w)` the balance is `T = X / (1 - m)`
+/// while it drives and `T = X / (1 + m)` while it brakes, `X` being all other torques: one of the two alone tells nothing of m.
+fn has_both_power_flows(scenario: &Scenario) -> bool {
+    let (mut forward, mut backward) = (0.0, 0.0);
+    let samples = scenario.sample_time_s.windows(2).zip(&scenario.speed_rad_s);
+    for (times, speed) in samples {
+        let power = scenario.input_at(times[0]) * speed;
+        if power > 0.0 {
+            forward += power * (times[1] - times[0]);
+        } else if power < 0.0 {
+            backward -= power * (times[1] - times[0]);
+        }
+    }
+    backward > LEAST_BACKWARD_SHARE * (forward + backward)
+}
+
+/// Whether a run resolves a wave of so many periods per turn: every run that a voltage drives counts.
+pub(super) fn resolves_wave(
+    effect: &dyn Effect,
+    scenario: &Scenario,
+    periods_per_turn: f64,
+) -> bool {
+    let least = least_periods(effect, scenario);
+    scenario.input == Input::Voltage
+        || (travels(scenario, periods_per_turn, least) && resolves(scenario, periods_per_turn))
+}
+
+/// Periods of an effect over the angle that the angle must cover.
+fn least_periods(effect: &dyn Effect, scenario: &Scenario) -> f64 {
+    let mut specs = effect.parameters().iter();
+    if scenario.angle.is_empty() || specs.any(|spec| spec.key == "order") {
+        LEAST_TRAVEL_PERIODS
+    } else {
+        LEAST_MEASURED_PERIODS
+    }
+}
+
+/// Whether the angle moved through so many periods: far enough to tell a wave from a slope.
+fn travels(scenario: &Scenario, periods_per_turn: f64, least: f64) -> bool {
+    let angles = scenario.shaft_angle();
+    let angles = || angles.iter().map(|point| point.1);
+    let lowest = angles().fold(f64::INFINITY, f64::min);
+    let most = angles().fold(f64::NEG_INFINITY, f64::max);
+    (most - lowest) * periods_per_turn >= least * TAU
+}
+
+/// Whether samples lie close enough to see the wave pass.
+fn resolves(scenario: &Scenario, periods_per_turn: f64) -> bool {
+    let angles = scenario.shaft_angle();
+    let pairs = angles.windows(2);
+    let steps: Vec<f64> = pairs.map(|pair| (pair[1].1 - pair[0].1).abs()).collect();
+    // What the noise of a resting shaft adds up to is no motion.
+    let moves = MOVES_SHARE * steps.iter().fold(0.0, |most, step| f64::max(most, *step));
+    let moving = steps.iter().filter(|step| **step > moves).count();
+    let close = steps
+        .iter()
+        .filter(|step| **step > moves && **step * periods_per_turn < RESOLVED_PERIODS * TAU);
+    close.count() as f64 >= LEAST_RESOLVED_SHARE * moving as f64
+}
+
+/// What each of the runs that speak begins with: the first as it was fitted, one that is held out at rest, the others as they
+/// were measured.
+pub(super) fn starts(runs: &[Scenario], held_out: usize, first: State) -> Vec<State> {
+    let start = |(number, run): (usize, &Scenario)| {
+        if run.input != Input::Voltage {
+            start_of(run)
+        } else if number == 0 {
+            first
+        } else if number == held_out {
+            State::default()
+        } else {
+            let known = |value: f64| if value.is_finite() { value } else { 0.0 };
+            let [current_a, speed_rad_s] = run.begins_with();
+            State::at(known(current_a), known(speed_rad_s))
+        }
+    };
+    runs.iter().enumerate().map(start).collect()
+}
+
+/// The run with the rows that count. A measured current stands for what flowed until halfway to its neighbours, not from its
+/// instant on. Of a speed that was derived from the angle only values that share no sample of it are kept: what they
+/// have in common would pass for the motion of the shaft. The torque keeps every value: from one speed to the next its
+/// whole impulse counts.
+pub(super) fn prepared(scenario: &Scenario, noise_is_known: bool) -> Scenario {
+    let mut prepared = scenario.clone();
+    if scenario.input == Input::Voltage {
+        return prepared;
+    }
+    if scenario.input == Input::Current {
+        let events = &scenario.events;
+        for (event, pair) in prepared.events[1..].iter_mut().zip(events.windows(2)) {
+            event.0 = 0.5 * (pair[0].0 + pair[1].0);
+        }
+    }
+    let span = speed_from_angle::span(scenario);
+    let is_own = noise_is_known && span.is_none();
+    let apart_s = if is_own { 0.0 } else { APART_S };
+    let (mut next_s, mut skip) = (f64::NEG_INFINITY, 0);
+    for (time_s, speed) in scenario.sample_time_s.iter().zip(&mut prepared.speed_rad_s) {
+        if !speed.is_finite() {
+            continue;
+        }
+        if *time_s < next_s || skip > 0 {
+            *speed = f64::NAN;
+            skip -= usize::from(skip > 0);
+        } else {
+            // Slack for stamps that are rounded.
+            next_s = time_s + (1.0 - 1e-6) * apart_s;
+            skip = span.map_or(0, |span| span - 1);
+        }
+    }
+    prepared
+}

@@ -1,0 +1,708 @@
+//! Prediction-error fit (Ljung, System Identification, 1999, chapter 7) with priors: every free parameter of a model, and of its
+//! effects, from the whitened innovations of the runs, by Gauss-Newton steps damped after Levenberg and Marquardt.
+
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+use super::columns::{LinearisedRun, SLAB, Source, columns_of};
+use super::eligible::why_not;
+use super::events::{Event, Hypothesis};
+use super::follow::follow;
+use super::free_run::excess;
+use super::nuisances::{ErrorOf, MotorPrior, left_beyond_ohm, motor_prior, of_equations};
+use super::tangent::{self, Tangent};
+use super::whitened::Whitened;
+use crate::work::{Work, iterations_of};
+use drivebench_model::numerics::least_squares::inverse_of_normal;
+use drivebench_model::numerics::levenberg_marquardt::{self, Options, Problem};
+use drivebench_model::plant::{
+    ActiveEffect, Model, MotorKey, ParameterRole, Scenario, Slot, motor_range, typical_size,
+};
+
+/// Prior standard deviations: of the logarithm of a shape, and of a shape that may be zero in
+/// units of its scale.
+const SHAPE_LOG_SIGMA: f64 = 1.0;
+const LINEAR_SHAPE_SCALES: f64 = 3.0;
+
+/// How a parameter and its coordinate belong together: `p = unit x`, or `p = exp(x)` where there is no unit; with a normal
+/// prior about `at`.
+#[derive(Clone, Copy)]
+struct Coordinate {
+    unit: Option<f64>,
+    range: (f64, f64),
+    sd: f64,
+    at: f64,
+}
+
+impl Coordinate {
+    const fn linear(unit: f64, range: (f64, f64), at: f64) -> Self {
+        Self {
+            unit: Some(unit),
+            range,
+            sd: 1.0,
+            at,
+        }
+    }
+
+    fn logarithm(sd: f64, range: (f64, f64), value: f64) -> Self {
+        Self {
+            unit: None,
+            range,
+            sd,
+            at: value.ln(),
+        }
+    }
+
+    /// `None` for what is not fitted: the number of cogs, the time of an event, and what the run says nothing of.
+    fn of(slot: &Slot, value: f64, model: &Model, scenario: &Scenario) -> Option<Self> {
+        let (index, parameter, spec) = match *slot {
+            Slot::Motor(key) => {
+                return Some(match motor_prior(key, model, scenario)? {
+                    MotorPrior::Logarithm(sd) => {
+                        Self::logarithm(sd, motor_range(key, model, scenario), value)
+                    }
+                    MotorPrior::Linear(unit) => Self::linear(unit, (0.0, 1e9), value / unit),
+                });
+            }
+            Slot::Effect {
+                index,
+                parameter,
+                spec,
+                ..
+            } => (index, parameter, spec),
+        };
+        let effect = model.effects[index].effect;
+        let is_chosen = matches!(spec.role, ParameterRole::Choice | ParameterRole::EventTime);
+        if is_chosen || why_not(effect, scenario).is_some() {
+            return None;
+        }
+        Some(if spec.is_coefficient() {
+            let takes_power = effect.card().takes_power;
+            let least = if takes_power { 0.0 } else { spec.min };
+            let unit = SLAB * typical_size(effect, parameter, model, scenario);
+            Self::linear(unit, (least, spec.max), 0.0)
+        } else if spec.logarithmic {
+            let limit = effect.card().limit;
+            let limit = limit.filter(|limit| limit.parameter == parameter);
+            let least = limit.map_or(spec.min, |limit| limit.least);
+            Self::logarithm(SHAPE_LOG_SIGMA, (least, spec.max), value)
+        } else {
+            let unit = LINEAR_SHAPE_SCALES * spec.scale;
+            Self::linear(unit, (spec.min, spec.max), value / unit)
+        })
+    }
+
+    fn to_x(self, value: f64) -> f64 {
+        let logarithm = || value.clamp(self.range.0, self.range.1).ln();
+        self.unit.map_or_else(logarithm, |unit| value / unit)
+    }
+
+    fn to_value(self, x: f64) -> f64 {
+        self.unit.map_or_else(|| x.exp(), |unit| x * unit)
+    }
+
+    /// What a step of one of the coordinate adds to the value.
+    fn slope(self, value: f64) -> f64 {
+        self.unit.unwrap_or(value)
+    }
+
+    /// How far from what was believed before, in standard deviations.
+    fn surprise(self, x: f64) -> f64 {
+        (x - self.at) / self.sd
+    }
+
+    fn clamp(self, x: f64) -> f64 {
+        let (least, most) = self.range;
+        match self.unit {
+            None => x.clamp(least.ln(), most.ln()),
+            Some(unit) => x.clamp(least / unit, most / unit),
+        }
+    }
+}
+
+/// Whitened innovations of the runs, behind them the priors and the root of the log determinant of what they are freed of, as
+/// a function of the coordinates: those that all runs share, then the sizes of the events.
+struct Innovations<'a> {
+    hypothesis: Hypothesis,
+    free: Vec<(Slot, Coordinate)>,
+    sizes: Vec<Coordinate>,
+    runs: &'a [LinearisedRun<'a>],
+    len: usize,
+    /// Whether their slopes are tangents.
+    along: bool,
+    /// What the innovations are freed of.
+    vague: Option<Vague>,
+    /// What this fit has simulated; the count of the whole search depends on the order of the threads.
+    own: Work,
+}
+
+/// What the stamps and the forms of the effects may be wrong by, each at one standard deviation, integrated out of whitened
+/// innovations `r`: `r'(I + F F')^-1 r` is the square of `(I + F F')^(-1/2) r = r - F A F' r`. The error of a form goes with
+/// the size of its effect.
+struct Vague {
+    columns: Vec<Vec<f32>>,
+    /// The effect of each column.
+    effects: Vec<Option<usize>>,
+    gram: DMatrix<f64>,
+    /// Of the effects as the columns have them.
+    sizes: Vec<f64>,
+}
+
+/// The size of each effect: of several coefficients the root of the sum of their squares.
+fn sizes(model: &Model) -> Vec<f64> {
+    let size = |active: &ActiveEffect| {
+        let specs = active.effect.parameters().iter();
+        let pairs = specs.zip(active.values_or_guess());
+        let squares = pairs.filter(|(spec, _)| spec.is_coefficient());
+        squares.map(|(_, value)| value * value).sum::<f64>().sqrt()
+    };
+    model.effects.iter().map(size).collect()
+}
+
+impl Vague {
+    /// Of runs that were followed with the model itself, and with events behind its effects.
+    fn of(model: &Model, runs: &[LinearisedRun<'_>]) -> Self {
+        let mut columns: Vec<Vec<f32>> = Vec::new();
+        let mut errors: Vec<ErrorOf> = Vec::new();
+        let mut rows = 0;
+        let equations = runs.par_iter().with_max_len(1).map(of_equations);
+        for (run, own) in runs.iter().zip(equations.collect::<Vec<_>>()) {
+            let is_shared = |error: &ErrorOf| {
+                let effect = error.effect;
+                effect.is_none_or(|number| number < model.effects.len())
+            };
+            for (error, own) in own.into_iter().filter(|(error, _)| is_shared(error)) {
+                let known = errors.iter().position(|known| *known == error);
+                let at = known.unwrap_or(errors.len());
+                if known.is_none() {
+                    errors.push(error);
+                    columns.push(Vec::new());
+                }
+                // Nothing in the runs before that have no such form.
+                columns[at].resize(rows, 0.0);
+                columns[at].extend(own);
+            }
+            rows += run.rows();
+        }
+        let k = columns.len();
+        let whitened = Whitened::new(columns, rows);
+        let gram = whitened.gram(&vec![[0.0; 2]; rows / 2]);
+        Self {
+            columns: whitened.columns,
+            effects: errors.into_iter().map(|error| error.effect).collect(),
+            gram: gram.view((0, 0), (k, k)).into_owned(),
+            sizes: sizes(model),
+        }
+    }
+
+    /// What frees innovations of `model` of it.
+    fn at(&self, model: &Model) -> Freeing<'_> {
+        let now = sizes(model);
+        let share = |effect: &Option<usize>| match effect {
+            Some(effect) if self.sizes[*effect] > 0.0 => now[*effect] / self.sizes[*effect],
+            _ => 1.0,
+        };
+        let shares = DVector::from_iterator(self.effects.len(), self.effects.iter().map(share));
+        let scale = DMatrix::from_diagonal(&shares);
+        let eigen = (&scale * &self.gram * &scale).symmetric_eigen();
+        let of_one = |s: f64| {
+            if s > 1e-9 {
+                (1.0 - 1.0 / (1.0 + s).sqrt()) / s
+            } else {
+                0.0
+            }
+        };
+        let middle = DMatrix::from_diagonal(&eigen.eigenvalues.map(of_one));
+        let turn = scale * &eigen.eigenvectors;
+        Freeing {
+            columns: &self.columns,
+            weights: &turn * middle * turn.transpose(),
+            log_det: eigen.eigenvalues.iter().map(|s| s.max(0.0).ln_1p()).sum(),
+        }
+    }
+}
+
+/// `F A F'` of a model, and the log determinant of `I + F F'`.
+struct Freeing<'a> {
+    columns: &'a [Vec<f32>],
+    weights: DMatrix<f64>,
+    log_det: f64,
+}
+
+impl Freeing<'_> {
+    fn free(&self, white: &mut [f64]) {
+        let products = self.columns.iter().map(|column| {
+            let pairs = column.iter().zip(white.iter());
+            pairs.map(|(a, b)| f64::from(*a) * b).sum::<f64>()
+        });
+        let products = DVector::from_iterator(self.columns.len(), products);
+        let weights = &self.weights * products;
+        for (column, weight) in self.columns.iter().zip(weights.iter()) {
+            for (white, value) in white.iter_mut().zip(column) {
+                *white -= weight * f64::from(*value);
+            }
+        }
+    }
+}
+
+impl<'a> Innovations<'a> {
+    fn new(hypothesis: &Hypothesis, runs: &'a [LinearisedRun<'a>]) -> Self {
+        let model = &hypothesis.model;
+        let size = |event: &Event| {
+            let index = event.effect.size_index();
+            let spec = &event.effect.parameters()[index];
+            let run = &runs[event.run.min(runs.len() - 1)];
+            let unit = SLAB * typical_size(event.effect, index, model, run.scenario);
+            Coordinate::linear(unit, (spec.min, spec.max), 0.0)
+        };
+        let sizes: Vec<Coordinate> = hypothesis.events.iter().map(size).collect();
+        let free: Vec<(Slot, Coordinate)> = model
+            .free_slots()
+            .into_iter()
+            .filter_map(|slot| {
+                let unit = Coordinate::of(&slot, model.get(&slot)?, model, runs[0].scenario)?;
+                Some((slot, unit))
+            })
+            .collect();
+        let samples: usize = runs.iter().map(|run| run.scenario.samples()).sum();
+        Self {
+            hypothesis: hypothesis.clone(),
+            len: 2 * samples + free.len() + sizes.len() + 1,
+            free,
+            sizes,
+            runs,
+            along: tangent::are_tangents(model, runs[0].scenario),
+            vague: None,
+            own: Work::default(),
+        }
+    }
+
+    /// As few iterations as the budget of a search holds.
+    fn quick(&self) -> Options {
+        let each: u64 = self.runs.iter().map(|run| run.follower.work).sum();
+        let simulations = if self.along { 2 } else { self.free.len() + 1 };
+        Options {
+            most_iterations: iterations_of(each * simulations as u64, QUICK.most_iterations),
+            ..QUICK
+        }
+    }
+
+    fn units(&self) -> impl Iterator<Item = Coordinate> {
+        let free = self.free.iter().map(|(_, unit)| *unit);
+        free.chain(self.sizes.iter().copied())
+    }
+
+    /// The slope of the innovations over one coordinate where it is a tangent, of a hypothesis that is these coordinates.
+    fn slope(&self, there: &Hypothesis, x: &[f64], parameter: usize) -> Option<Source> {
+        if !self.along {
+            return None;
+        }
+        let Some((slot, unit)) = self.free.get(parameter) else {
+            let number = parameter - self.free.len();
+            let event = &there.events[number];
+            let slope = event.slope(self.sizes[number].slope(0.0));
+            return slope.map(|slope| Source::In(event.run, slope));
+        };
+        let value = unit.to_value(x[parameter]);
+        match slot {
+            Slot::Motor(key) => Some(Source::Tangent(Tangent::Motor(*key, unit.slope(value)))),
+            Slot::Effect {
+                index,
+                parameter: place,
+                ..
+            } => {
+                let own = &there.model.effects[*index];
+                let over = self.difference_step(parameter);
+                let step = unit.to_value(x[parameter] + over) - value;
+                let unit = unit.slope(value);
+                let values = own.values_or_guess();
+                let tangent = tangent::of_effect(own.effect, &values, *place, unit, (step, over));
+                tangent.map(Source::Tangent)
+            }
+        }
+    }
+
+    fn start(&self) -> Vec<f64> {
+        let Hypothesis { model, events } = &self.hypothesis;
+        let free = self.free.iter();
+        let shared = free.map(|(slot, _)| model.get(slot).unwrap_or(f64::NAN));
+        let sizes = events
+            .iter()
+            .map(|event| event.values[event.effect.size_index()]);
+        let values = shared.chain(sizes);
+        values
+            .zip(self.units())
+            .map(|(value, unit)| unit.to_x(value))
+            .collect()
+    }
+
+    fn hypothesis_at(&self, x: &[f64]) -> Hypothesis {
+        let mut there = self.hypothesis.clone();
+        for ((slot, unit), x) in self.free.iter().zip(x) {
+            there.model.set(slot, unit.to_value(*x));
+        }
+        let sizes = self.sizes.iter().zip(&x[self.free.len()..]);
+        for (event, (unit, x)) in there.events.iter_mut().zip(sizes) {
+            let index = event.effect.size_index();
+            event.values[index] = unit.to_value(*x);
+        }
+        there
+    }
+}
+
+impl Problem for Innovations<'_> {
+    fn residual(&self, x: &[f64], out: &mut [f64]) -> bool {
+        let there = self.hypothesis_at(x);
+        let (out, priors) = out.split_at_mut(self.len - x.len() - 1);
+        let of_run = |(number, run): (usize, &LinearisedRun<'_>)| {
+            let model = there.in_run(number);
+            let LinearisedRun {
+                follower,
+                scenario,
+                start,
+                noise,
+                ..
+            } = run;
+            let mut white = Vec::with_capacity(scenario.samples());
+            let steps = follow(follower, &model, scenario, *start, noise, &mut white)?;
+            run.count(steps);
+            self.own.add(steps);
+            Some(white)
+        };
+        let each = self.runs.par_iter().enumerate().with_max_len(1);
+        let Some(white) = each.map(of_run).collect::<Option<Vec<_>>>() else {
+            return false;
+        };
+        for (cell, value) in out.iter_mut().zip(white.iter().flatten().flatten()) {
+            *cell = *value;
+        }
+        for ((unit, x), cell) in self.units().zip(x).zip(&mut *priors) {
+            *cell = unit.surprise(*x);
+        }
+        if let Some(vague) = &self.vague {
+            let freeing = vague.at(&there.model);
+            freeing.free(out);
+            priors[x.len()] = freeing.log_det.sqrt();
+        } else {
+            priors[x.len()] = 0.0;
+        }
+        true
+    }
+
+    fn residual_len(&self) -> usize {
+        self.len
+    }
+
+    fn is_spent(&self) -> bool {
+        self.own.is_spent_by_a_refit()
+    }
+
+    fn difference_step(&self, index: usize) -> f64 {
+        let unit = self.units().nth(index);
+        let is_logarithm = unit.is_some_and(|unit| unit.unit.is_none());
+        if is_logarithm { 2e-3 } else { 5e-3 }
+    }
+
+    fn slopes(&self, x: &[f64]) -> Vec<Option<Vec<f64>>> {
+        let there = self.hypothesis_at(x);
+        let sources: Vec<Option<Source>> = (0..x.len()).map(|k| self.slope(&there, x, k)).collect();
+        let known: Vec<&Source> = sources.iter().flatten().collect();
+        let columns = columns_of(&known, self.runs);
+        let log_det = |x: &[f64]| {
+            let vague = self.vague.as_ref();
+            vague.map_or(0.0, |vague| {
+                vague.at(&self.hypothesis_at(x).model).log_det.sqrt()
+            })
+        };
+        let freeing = self.vague.as_ref().map(|vague| vague.at(&there.model));
+        let own = self.len - x.len() - 1;
+        let mut next = 0..;
+        let mut column = |parameter: usize| {
+            let number = next.next()?;
+            let mut slope = vec![0.0; self.len];
+            let mut from = 0;
+            for (whitened, run) in columns.iter().zip(self.runs) {
+                // An event of one run leaves the others as they are.
+                let cells = slope[from..].iter_mut().zip(&whitened.columns[number]);
+                cells.for_each(|(cell, value)| *cell = f64::from(*value));
+                from += 2 * run.scenario.samples();
+            }
+            if let Some(freeing) = &freeing {
+                freeing.free(&mut slope[..own]);
+            }
+            // Columns are what is taken from the innovations.
+            slope[..own].iter_mut().for_each(|cell| *cell = -*cell);
+            slope[own + parameter] = 1.0 / self.units().nth(parameter)?.sd;
+            let step = self.difference_step(parameter);
+            let mut moved = x.to_vec();
+            moved[parameter] += step;
+            slope[own + x.len()] = (log_det(&moved) - log_det(x)) / step;
+            Some(slope)
+        };
+        let each = sources.iter().enumerate();
+        each.map(|(parameter, source)| source.as_ref().and_then(|_| column(parameter)))
+            .collect()
+    }
+
+    fn clamp(&self, x: &mut [f64]) {
+        for (x, unit) in x.iter_mut().zip(self.units()) {
+            *x = unit.clamp(*x);
+        }
+    }
+}
+
+/// Of a refit only its likelihood is needed.
+const QUICK: Options = Options {
+    most_iterations: 25,
+    relative_cost: 1e-4,
+    longest_step: 1.5,
+    carry_jacobian: true,
+    one_of_many: false,
+};
+
+/// A hypothesis that was refitted.
+pub(super) struct Refit {
+    pub(super) hypothesis: Hypothesis,
+    /// Sum of the squares of what is left, of innovations that are white where the model is right.
+    pub(super) squares: f64,
+    /// Minus twice the log of the likelihood, but for what every model shares.
+    pub(super) deviance: f64,
+}
+
+/// Fits all that is free but the moments of events to runs as they were followed, with another model it may be; and the sum
+/// of the squares of what is left. `None` where it cannot be simulated.
+pub(super) fn fit_as_followed(
+    start: &Hypothesis,
+    runs: &[LinearisedRun<'_>],
+) -> Option<(Hypothesis, f64)> {
+    let problem = Innovations::new(start, runs);
+    let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), problem.quick())?;
+    Some((problem.hypothesis_at(&minimum.x), minimum.cost))
+}
+
+/// Fits all that is free but the moments of events to runs, each followed with the start itself: what its effects and the
+/// stamps may be wrong by is no reproach to it, but counts for it neither. `None` where it cannot be simulated.
+pub(super) fn fit(start: &Hypothesis, runs: &[LinearisedRun<'_>]) -> Option<Refit> {
+    let own: Vec<LinearisedRun<'_>> = runs
+        .par_iter()
+        .with_max_len(1)
+        .enumerate()
+        .map(|(number, run)| {
+            let events = start.events_of(number);
+            let own =
+                LinearisedRun::beside(&start.model, events, run.scenario, run.start, run.noise)?;
+            Some(own.counted(run.work))
+        })
+        .collect::<Option<_>>()?;
+    let mut problem = Innovations::new(start, &own);
+    problem.vague = Some(Vague::of(&start.model, &own));
+    let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), problem.quick())?;
+    let over_sd = own.iter().flat_map(|run| &run.follower.updates);
+    let over_sd = over_sd.flat_map(|update| [update.current[4], update.speed[4]]);
+    let logs: f64 = over_sd.filter(|over_sd| *over_sd > 0.0).map(f64::ln).sum();
+    Some(Refit {
+        hypothesis: problem.hypothesis_at(&minimum.x),
+        squares: minimum.cost,
+        deviance: minimum.cost - 2.0 * logs,
+    })
+}
+
+/// What prediction errors say of a model's parameters on one run.
+pub(super) struct Estimated {
+    pub(super) model: Model,
+    /// Each free parameter with its standard deviation; none where the run leaves it undetermined.
+    pub(super) deviations: Vec<(Slot, Option<f64>)>,
+    /// What they were multiplied by, because what is left is more than white noise.
+    pub(super) factor: f64,
+    pub(super) converged: bool,
+}
+
+/// Fits all that is free in the model of `run` and says how well each parameter is known: jointly with what may be wrong
+/// with the stamps and with the forms of the effects, times the excess of what is left over white noise. What was believed
+/// of the parameters beforehand has no part in it.
+pub(super) fn estimate(run: &LinearisedRun<'_>) -> Option<Estimated> {
+    let runs = std::slice::from_ref(run);
+    let mut problem = Innovations::new(&Hypothesis::whole(&run.model), runs);
+    // Values that took all of the misfit would be further off than values for which stamps and forms may be wrong.
+    problem.vague = Some(Vague::of(&run.model, runs));
+    let options = Options {
+        most_iterations: problem.quick().most_iterations,
+        ..Options::default()
+    };
+    let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), options)?;
+    let rows = problem.len - problem.free.len() - 1;
+    let slopes = minimum.jacobian.rows(0, rows);
+    let (covariance, determined) = inverse_of_normal(&slopes.tr_mul(&slopes));
+    let left = minimum.residual[..rows].chunks_exact(2);
+    let left = left.map(|pair| [pair[0], pair[1]]).collect();
+    let factor = excess(&[(run, left)]).sqrt();
+    let fitted = problem.hypothesis_at(&minimum.x).model;
+    let left_ohm = left_beyond_ohm(&fitted, run.scenario);
+    let deviations = problem
+        .free
+        .iter()
+        .enumerate()
+        .map(|(index, (slot, unit))| {
+            let slope = unit.slope(unit.to_value(minimum.x[index]));
+            let variance = covariance[(index, index)].max(0.0);
+            let is_resistance = matches!(slot, Slot::Motor(MotorKey::Resistance));
+            let beside = if is_resistance { left_ohm } else { 0.0 };
+            let deviation = (factor * slope * variance.sqrt()).hypot(beside);
+            (*slot, determined[index].then_some(deviation))
+        });
+    Some(Estimated {
+        deviations: deviations.collect(),
+        model: fitted,
+        factor,
+        converged: minimum.converged,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::joint::follow::{Noise, QUIET};
+    use crate::kit::{nameplate, record, truth, with};
+    use drivebench_identify::noise::NoiseFloor;
+    use drivebench_model::plant::{MotorKey, State, testing};
+
+    fn noise(run: &Scenario, disturbance_n_m: f64) -> Noise {
+        let floor = NoiseFloor::from_standstill(run).unwrap();
+        Noise {
+            current_a: floor.current_a,
+            speed_rad_s: floor.speed_rad_s,
+            disturbance_n_m,
+            input: 1e-3,
+            ..QUIET
+        }
+    }
+
+    /// Fits a nameplate that is off, with the effect to be found, on two runs of the truth.
+    fn fitted(disturbance_n_m: f64) -> Model {
+        let fan = truth("quadratic_load", &[2e-6]);
+        let runs = [0, 1].map(|shift| record(&fan, shift, 7 + shift as u64));
+        let mut start = truth("quadratic_load", &[5e-7]);
+        for (key, factor) in [(MotorKey::Resistance, 1.2), (MotorKey::Inertia, 0.8)] {
+            let value = start.motor.get(key).unwrap();
+            start.motor.set(key, factor * value);
+        }
+        let linearised: Vec<LinearisedRun<'_>> = runs
+            .iter()
+            .map(|run| {
+                let noise = noise(run, disturbance_n_m);
+                LinearisedRun::new(&start, run, State::default(), noise).unwrap()
+            })
+            .collect();
+        fit(&Hypothesis::of(&start), &linearised)
+            .unwrap()
+            .hypothesis
+            .model
+    }
+
+    #[test]
+    fn it_finds_motor_and_effect_together_however_much_the_load_may_wander() {
+        for disturbance_n_m in [1e-4, 1e-2] {
+            let (found, motor) = (fitted(disturbance_n_m), nameplate().motor);
+            for key in [MotorKey::Resistance, MotorKey::BackEmf, MotorKey::Inertia] {
+                let ratio = found.motor.get(key).unwrap() / motor.get(key).unwrap();
+                assert!(
+                    (ratio - 1.0).abs() < 0.03,
+                    "{disturbance_n_m} {key:?} {ratio}"
+                );
+            }
+            let size = found.effects[0].values[0].unwrap();
+            assert!((size / 2e-6 - 1.0).abs() < 0.1, "{disturbance_n_m} {size}");
+        }
+    }
+
+    #[test]
+    fn slopes_are_what_differences_of_two_simulations_are() {
+        let effects: [(&str, &[f64]); 6] = [
+            ("viscous_friction", &[2e-4]),
+            ("cogging", &[0.02, 0.01, 3.0]),
+            ("stribeck_friction", &[0.05, 5.0]),
+            ("supply_sag", &[0.02]),
+            ("command_delay", &[4e-4]),
+            ("current_offset", &[0.02]),
+        ];
+        let model = with(nameplate(), &effects);
+        // Moves one way only: where a shaft breaks away differences are no slopes.
+        let levels = vec![(0.0, 30.0), (0.6, 60.0), (1.2, 25.0), (1.8, 70.0)];
+        let run = testing::record(&model, levels, 1e-3, 2.5, 11);
+        let noise = noise(&record(&model, 0, 7), 1e-3);
+        let linearised = [LinearisedRun::new(&model, &run, State::default(), noise).unwrap()];
+        let mut problem = Innovations::new(&Hypothesis::whole(&model), &linearised);
+        let x = problem.start();
+        assert!(problem.slopes(&x).iter().all(Option::is_some));
+        let mut residual = vec![0.0; problem.residual_len()];
+        assert!(problem.residual(&x, &mut residual));
+        let along = levenberg_marquardt::jacobian_at(&problem, &x, &residual);
+        problem.along = false;
+        let differences = levenberg_marquardt::jacobian_at(&problem, &x, &residual);
+        for (parameter, (slot, _)) in problem.free.iter().enumerate() {
+            let [a, b] = [&along, &differences].map(|all| all.column(parameter).into_owned());
+            let apart = (&a - &b).norm() / b.norm();
+            assert!(apart < 0.05, "{}: {apart}", slot.key());
+        }
+    }
+
+    #[test]
+    fn a_drop_of_brushes_may_build_up_more_slowly_than_its_equation() {
+        // Below the currents of a converter's gaps these are brushes.
+        let soft = truth("discontinuous_conduction", &[2.4, 0.5]);
+        let run = record(&soft, 0, 7);
+        let start = truth("voltage_drop", &[1.0]);
+        let linearised =
+            [LinearisedRun::new(&start, &run, State::default(), noise(&run, 1e-4)).unwrap()];
+        let found = fit(&Hypothesis::of(&start), &linearised).unwrap();
+        let drop_v = found.hypothesis.model.effects[0].values[0].unwrap();
+        assert!((drop_v / 1.2 - 1.0).abs() < 0.1, "{drop_v}");
+        let mean = found.squares / linearised[0].follower.rows as f64;
+        assert!(mean < 1.5, "{mean}");
+    }
+
+    #[test]
+    fn forms_that_one_run_alone_has_are_not_taken_for_those_of_another() {
+        let model = truth("voltage_drop", &[1.0]);
+        let large = record(&model, 0, 7);
+        let mut small = large.clone();
+        // Where no current reaches the level of the drop.
+        small.current_a.iter_mut().for_each(|a| *a *= 1e-3);
+        let linearised = [&large, &small].map(|run| {
+            let noise = noise(&large, 1e-4);
+            LinearisedRun::new(&model, run, State::default(), noise).unwrap()
+        });
+        // Three stamps; either how slowly the level is reached, or powers.
+        let each =
+            [&linearised[..1], &linearised[1..], &linearised].map(|runs| Vague::of(&model, runs));
+        assert_eq!(each.each_ref().map(|of| of.effects.len()), [6, 5, 8]);
+        let [_, _, both] = each;
+        assert!(
+            both.gram.view((3, 6), (3, 2)).amax() <= 0.0,
+            "{}",
+            both.gram
+        );
+        assert!((3..8).all(|form| both.gram[(form, form)] > 0.0));
+    }
+
+    #[test]
+    fn what_the_stamps_may_be_wrong_by_is_no_error_of_the_inertia() {
+        let mut run = record(&truth("speed_delay", &[2e-4]), 0, 7);
+        run.time_half_width_s = vec![2e-4; run.samples()];
+        let model = nameplate();
+        let run = LinearisedRun::new(&model, &run, State::default(), noise(&run, 1e-4)).unwrap();
+        let key = MotorKey::Inertia;
+        let off = |found: &Model| {
+            let [found, known] = [found, &model].map(|model| model.motor.get(key).unwrap());
+            (found - known).abs()
+        };
+        let found = estimate(&run).unwrap();
+        let is_inertia = |slot: &Slot| matches!(slot, Slot::Motor(MotorKey::Inertia));
+        let own = found.deviations.iter().find(|(slot, _)| is_inertia(slot));
+        let deviation = own.unwrap().1.unwrap();
+        assert!(off(&found.model) < 2.0 * deviation);
+        let whole = Hypothesis::whole(&model);
+        let (exact, _) = fit_as_followed(&whole, std::slice::from_ref(&run)).unwrap();
+        assert!(off(&exact.model) > 4.0 * deviation);
+    }
+}

@@ -1,0 +1,711 @@
+//! The ladder of models: each rung a fitted model with its error on the hold-out; one up with an effect more, one down with
+//! an effect less.
+//!
+//! A run observes a model in one of two ways: by the free run of what a voltage drives, or by the balance of torques of
+//! what a torque or a current drives. [`Bench`] hides which it is from whoever fits and judges models.
+
+use std::borrow::Cow;
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::compare::{Comparison, ProcessingError, compare};
+use super::evidence::Evidence;
+use super::joint::answer::{Inference, Led, eligible, infer, led, refined, with_deviations};
+use super::location::ErrorOf;
+use super::mechanical::{self, Balance, with_events_of};
+use super::progress::{Event, Progress, silent};
+use super::score::{Fitted, Score, by_key, cannot_simulate, parameters_of};
+use super::trivial;
+use super::vetoes::{self, Veto};
+use super::work::iterations_of;
+use drivebench_identify::balance::Method;
+use drivebench_identify::noise::NoiseFloor;
+use drivebench_identify::output_error::{self, FitError};
+use drivebench_identify::scheme::Identified;
+use drivebench_model::numerics::levenberg_marquardt::Options;
+use drivebench_model::plant::{Effect, Input, Model, Plant, Scenario, State};
+use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::text::number::probability;
+
+/// Standard deviations below which a size may as well be zero: in a free run, before which the names have been weighed
+/// already, and in the balance of torques, which decides on them.
+pub(super) const A_SIZE_SIGMAS: f64 = 1.0;
+const A_SIZE_IN_THE_BALANCE_SIGMAS: f64 = 2.0;
+/// Growth of the held-out error from which on parameters that were found along the run do not foretell another one.
+pub(super) const AS_GOOD: f64 = 1.02;
+
+/// A model on the confirming run, with its events and its start where they are in it.
+pub(super) struct Confirming {
+    pub(super) score: Score,
+    pub(super) model: Model,
+    pub(super) start: State,
+}
+
+/// The runs and how models are held against them.
+pub(super) struct Bench {
+    pub(super) evidence: Evidence,
+    balance: Option<Balance>,
+    /// The model as it was given, before it was refitted.
+    given: Model,
+    /// Which runs are set aside, and why.
+    aside: Option<String>,
+    /// Which part of long runs is searched.
+    searched: Option<String>,
+}
+
+impl Bench {
+    /// With the refitted baseline.
+    pub(super) fn new(model: &Model, evidence: Evidence) -> Result<(Self, Fitted), FitError> {
+        Self::for_fits_of(&[], model, evidence)
+    }
+
+    /// The same for fits of these effects beside those of the model.
+    pub(super) fn for_fits_of(
+        beside: &[&'static str],
+        model: &Model,
+        evidence: Evidence,
+    ) -> Result<(Self, Fitted), FitError> {
+        let effects = [&model.effect_ids()[..], beside].concat();
+        let alone = match evidence.fitted_with(&effects) {
+            (Cow::Owned(alone), aside) => Some((alone, aside)),
+            (Cow::Borrowed(_), _) => None,
+        };
+        let (evidence, aside) = alone.unwrap_or((evidence, None));
+        let (mut evidence, searched) = evidence.shortened();
+        let (balance, fit) = if evidence.training.input == Input::Voltage {
+            let (with_floor, fit) = evidence.with_baseline(model)?;
+            evidence = with_floor;
+            (None, Fitted::from(fit))
+        } else {
+            let (balance, fit) = Balance::new(model, &evidence)?;
+            evidence.noise.source = balance.source;
+            let fit = fit.ok_or_else(|| cannot_simulate(&evidence.training))?;
+            let fit = balance.fitted(fit, &evidence);
+            (Some(balance), fit)
+        };
+        let bench = Self {
+            evidence,
+            balance,
+            given: model.clone(),
+            aside,
+            searched,
+        };
+        Ok((bench, fit))
+    }
+
+    /// Whether more than one run is fitted.
+    pub(super) const fn has_several_runs(&self) -> bool {
+        self.evidence.parts.len() > 1
+    }
+
+    /// What the runs say together of these effects beside the baseline.
+    pub(super) fn infer(
+        &self,
+        baseline: &Fitted,
+        eligible: &[&'static dyn Effect],
+        progress: Progress<'_>,
+    ) -> Result<Inference, FitError> {
+        let mut inference = infer(baseline, &self.given, eligible, &self.evidence, progress)?;
+        if self.fits_at_once() {
+            self.agree(baseline, &mut inference)?;
+        }
+        Ok(inference)
+    }
+
+    /// Holds what is named against the balance of torques, where a fit costs next to nothing: what explains most comes
+    /// first, and what the fit with all of it does not tell from zero is not named.
+    fn agree(&self, baseline: &Fitted, inference: &mut Inference) -> Result<(), FitError> {
+        let mut left = inference.named.clone();
+        let mut order: Vec<&'static str> = Vec::new();
+        while !left.is_empty() {
+            let mut best = (0, f64::INFINITY);
+            for (place, id) in left.iter().enumerate() {
+                let kept: Vec<&'static str> = order.iter().copied().chain([*id]).collect();
+                let fit = self.fit(&beside(&baseline.model, inference, &kept)?)?;
+                if fit.nrms < best.1 {
+                    best = (place, fit.nrms);
+                }
+            }
+            order.push(left.remove(best.0));
+        }
+        while !order.is_empty() {
+            let fit = self.fit(&beside(&baseline.model, inference, &order)?)?;
+            let told = |id: &str| fit.is_told_from_zero(id, A_SIZE_IN_THE_BALANCE_SIGMAS);
+            let Some(place) = order.iter().rposition(|id| told(id) != Some(true)) else {
+                break;
+            };
+            let reason = "the balance of torques does not tell its size from zero";
+            inference.veto(Veto::new(order.remove(place), reason));
+        }
+        inference.confusable.retain(|pair| order.contains(&pair[0]));
+        inference.named = order;
+        Ok(())
+    }
+
+    /// Fits what is free in `start` to the training run alone.
+    pub(super) fn fit(&self, start: &Model) -> Result<Fitted, FitError> {
+        self.fit_with(start, Options::default())
+    }
+
+    fn fit_with(&self, start: &Model, options: Options) -> Result<Fitted, FitError> {
+        let Evidence {
+            training, noise, ..
+        } = &self.evidence;
+        let Some(balance) = &self.balance else {
+            let options = Options {
+                most_iterations: affordable(start, training, options.most_iterations),
+                ..options
+            };
+            let start = std::slice::from_ref(start);
+            return Ok(output_error::fit_with(start, training, noise, options)?.into());
+        };
+        let fit = mechanical::fit(start, &balance.sides.training);
+        let fit = fit.ok_or_else(|| cannot_simulate(training))?;
+        Ok(balance.fitted(fit, &self.evidence))
+    }
+
+    /// Whether a fit costs no simulation.
+    pub(super) const fn fits_at_once(&self) -> bool {
+        self.balance.is_some()
+    }
+
+    /// What an error of current, of speed and of torque is counted in; not finite where there is none.
+    pub(super) fn levels(&self) -> [f64; 3] {
+        let noise = &self.evidence.noise;
+        self.balance
+            .as_ref()
+            .map_or([noise.current_a, noise.speed_rad_s, f64::NAN], |balance| {
+                [f64::NAN, f64::NAN, balance.unit_n_m]
+            })
+    }
+
+    /// Torques of the rows of a balance, fitted and held out.
+    pub(super) fn torques(&self) -> Option<[&[f64]; 2]> {
+        let sides = &self.balance.as_ref()?.sides;
+        Some([&sides.training.left, &sides.holdout.left])
+    }
+
+    /// A complete model on the hold-out.
+    pub(super) fn held_out(&self, model: &Model) -> Result<Score, FitError> {
+        let Evidence { holdout, noise, .. } = &self.evidence;
+        match &self.balance {
+            None => Score::of(model, holdout, noise),
+            Some(balance) => Ok(balance.score(model, &balance.sides.holdout)),
+        }
+    }
+
+    /// A complete model on the confirming run.
+    pub(super) fn confirming(&self, model: &Model, run: &Scenario) -> Result<Confirming, FitError> {
+        let Some(balance) = &self.balance else {
+            let noise = &self.evidence.noise;
+            let predicted = output_error::predict(model, run, noise)?;
+            return Ok(Confirming {
+                score: Score::of(&predicted.model, run, noise)?,
+                start: predicted.start,
+                model: predicted.model,
+            });
+        };
+        let rows = balance.sides.confirm.as_ref();
+        let rows = rows.ok_or_else(|| cannot_simulate(run))?;
+        let model = with_events_of(model, rows);
+        Ok(Confirming {
+            score: balance.score(&model, rows),
+            start: mechanical::start_of(run),
+            model,
+        })
+    }
+
+    /// A fitted model beside the runs.
+    fn compared(&self, fit: &Fitted) -> Result<Comparison, FitError> {
+        let (model, evidence) = (&fit.model, &self.evidence);
+        match &self.balance {
+            None => compare(model, evidence, ErrorOf::Structure),
+            Some(balance) => Ok(balance.compare(model, evidence, ErrorOf::Structure, true)),
+        }
+    }
+
+    /// A model that something else is missing from: the sizes of its effects are as uncertain as those of the answer.
+    pub(super) fn with_deviations(&self, fit: Fitted, inference: &Inference) -> Fitted {
+        if self.fits_at_once() || fit.model.effects.is_empty() || inference.named.is_empty() {
+            return fit;
+        }
+        with_deviations(fit, &self.evidence.training, inference.noise)
+    }
+
+    /// The fit as it is reported, not as vetoes judge it: values of a balance of torques as uncertain as the forms that it may lack
+    /// leave them, those of voltage and speed alone without what no such run has.
+    pub(super) fn as_believed(&self, fit: &Fitted) -> Fitted {
+        let training = &self.evidence.training;
+        match &self.balance {
+            None => fit.in_the_scale_of(training),
+            Some(balance) => mechanical::averaged_over_forms(fit, &balance.sides.training),
+        }
+    }
+
+    /// What these runs cannot answer, and what errors are of.
+    pub(super) fn limits(&self) -> Vec<String> {
+        let mut limits: Vec<String> = self.aside.iter().cloned().collect();
+        limits.extend(self.evidence.unjudged());
+        limits.extend(self.searched.clone());
+        limits.extend(self.balance.as_ref().map(|balance| {
+            let processing = &balance.sides.training.sentence;
+            format!("errors are those of the balance of torques ({processing})")
+        }));
+        limits
+    }
+}
+
+/// `model` fitted to the run as [`diagnose`](super::diagnose()) and `identify` fit it, by its free run under a voltage and else by
+/// the balance of torques, and the evidence with the scale of its errors.
+pub fn fitted_baseline(model: &Model, evidence: Evidence) -> Result<(Evidence, Model), FitError> {
+    if evidence.training.input == Input::Voltage {
+        let (evidence, fit) = evidence.with_baseline(model)?;
+        return Ok((evidence, fit.model));
+    }
+    let (_, fit) = Balance::new(model, &evidence)?;
+    let fit = fit.ok_or_else(|| cannot_simulate(&evidence.training))?;
+    Ok((evidence, fit.model))
+}
+
+/// Iterations of `most` that a fit of a free run may take, whose slopes are differences.
+fn affordable(model: &Model, run: &Scenario, most: usize) -> usize {
+    let Ok(mut plant) = Plant::new(model, run.input) else {
+        return most;
+    };
+    plant.simulate(run, State::default());
+    iterations_of(plant.work() * (model.free_slots().len() as u64 + 1), most)
+}
+
+/// The baseline's effects and these of the named ones, as the joint fit has them. What was given stays, needed or not.
+fn beside(
+    baseline: &Model,
+    inference: &Inference,
+    kept: &[&'static str],
+) -> Result<Model, FitError> {
+    let given = baseline.effect_ids().into_iter();
+    let given = given.filter(|id| inference.is_eligible(id));
+    let ids: Vec<&'static str> = given.chain(kept.iter().copied()).collect();
+    let start = inference.with_effects(&ids);
+    let mut start = start.ok_or_else(|| FitError::CannotSimulate {
+        run: "the fit run".to_owned(),
+    })?;
+    let unasked = baseline.effects.iter();
+    let unasked: Vec<_> = unasked.filter(|active| !start.has(active.id())).collect();
+    start.effects.extend(unasked.into_iter().cloned());
+    Ok(start)
+}
+
+/// A model on the ladder, fitted to the fit run alone, and its score on the hold-out.
+pub(super) struct Standing {
+    pub(super) fit: Fitted,
+    pub(super) score: Score,
+    /// The values are the free run's, since those of its prediction errors do not foretell the hold-out.
+    keeps_free_run: bool,
+}
+
+impl Standing {
+    fn of(fit: Fitted, bench: &Bench) -> Result<Self, FitError> {
+        let score = bench.held_out(&fit.model)?;
+        Ok(Self {
+            fit,
+            score,
+            keeps_free_run: false,
+        })
+    }
+
+    /// With the parameters that prediction errors give, unless they do not foretell the hold-out: whatever is said of an
+    /// effect's size is said of these. A balance of torques has no free run that a load could lead astray.
+    fn handed_on(fit: Fitted, bench: &Bench, inference: &Inference) -> Result<Self, FitError> {
+        let free = Self::of(fit, bench)?;
+        if bench.fits_at_once() {
+            return Ok(free);
+        }
+        let led = refined(free.fit.clone(), &bench.evidence.training, inference.noise);
+        let led = Self::of(led, bench)?;
+        let keeps_free_run = led.score.nrms > AS_GOOD * free.score.nrms;
+        let kept = if keeps_free_run { free } else { led };
+        Ok(Self {
+            keeps_free_run,
+            ..kept
+        })
+    }
+
+    /// Where the values are the free run's each is uncertain by how far it is from that of its prediction errors beside. What
+    /// was decided by the deviations that it had stays.
+    pub(super) fn with_deviations(mut self, bench: &Bench, inference: &Inference) -> Self {
+        if self.keeps_free_run {
+            self.fit = with_deviations(self.fit, &bench.evidence.training, inference.noise);
+        }
+        self
+    }
+
+    pub(super) fn rung(&self) -> Rung {
+        Rung {
+            effects: self.fit.model.effect_ids(),
+            holdout_rmse: self.score.nrms,
+        }
+    }
+}
+
+/// The baseline and one named effect more on each rung, what explains most first; the parameters of the last are those that
+/// are handed on. `known` are the rungs behind the baseline that a ladder before had, of the same effects and passed like these.
+pub(super) fn climb(
+    bench: &Bench,
+    baseline: &Fitted,
+    inference: &Inference,
+    known: Vec<Standing>,
+    progress: Progress<'_>,
+) -> Result<Vec<Standing>, FitError> {
+    let last = inference.named.len();
+    let on_rung = |place: usize, fit: Fitted| {
+        if place < last || inference.is_cut() {
+            Standing::of(fit, bench)
+        } else {
+            Standing::handed_on(fit, bench, inference)
+        }
+    };
+    // Of a rung that others follow the error counts, not how well each parameter is known. Where the budget is spent, all
+    // rungs together take no longer than one refit.
+    let most = Options::thrifty().most_iterations;
+    let in_passing = Options {
+        most_iterations: if inference.is_cut() {
+            most / last.max(1)
+        } else {
+            most
+        },
+        one_of_many: false,
+        ..Options::thrifty()
+    };
+    let as_it_is = Options {
+        most_iterations: 0,
+        ..Options::thrifty()
+    };
+    let climbed: Vec<Standing> = (known.len()..last)
+        .into_par_iter()
+        .with_max_len(1)
+        .map(|place| {
+            let start = beside(&baseline.model, inference, &inference.named[..=place])?;
+            let is_last = place + 1 == last && !inference.is_cut();
+            let options = if is_last {
+                Options::default()
+            } else {
+                in_passing
+            };
+            let fitted = bench.fit_with(&start, options);
+            // Where much else is missing a free run is fitted by what is no machine: what was found along the run is.
+            let stands = fitted.and_then(|fit| on_rung(place + 1, fit));
+            stands.or_else(|_| on_rung(place + 1, bench.fit_with(&start, as_it_is)?))
+        })
+        .collect::<Result<_, FitError>>()?;
+    let mut rungs = vec![on_rung(0, baseline.clone())?];
+    for (effect, rung) in inference.named.iter().zip(known.into_iter().chain(climbed)) {
+        let (error, holdout) = (rung.fit.nrms, rung.score.nrms);
+        progress(Event::Refitted { effect, error });
+        progress(Event::Accepted { effect, holdout });
+        rungs.push(rung);
+    }
+    Ok(rungs)
+}
+
+/// One model on the ladder and its held-out error in units of the noise.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Rung {
+    pub effects: Vec<&'static str>,
+    pub holdout_rmse: f64,
+}
+
+/// What adding or removing an effect did, as `add --json` prints it.
+#[derive(Clone, Debug, Serialize)]
+pub struct AddResult {
+    pub effect: &'static str,
+    pub accepted: bool,
+    /// Taken although the runs do not ask for it, because a person said so.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub forced: bool,
+    pub reason: String,
+    pub before: Comparison,
+    pub after: Comparison,
+    #[serde(serialize_with = "by_key")]
+    pub parameters: Vec<ParameterEstimate>,
+    pub ladder: Vec<Rung>,
+    /// Errors on the confirming run where there is one: the headline.
+    pub confirm: Option<[Rung; 2]>,
+    #[serde(skip)]
+    pub fit: Fitted,
+}
+
+impl AddResult {
+    /// Whether the model that was refused is one with the effect.
+    pub fn can_be_forced(&self) -> bool {
+        self.fit.model.has(self.effect)
+    }
+
+    /// Takes what was refused, and says so; what is not eligible in these runs is not in the model, and stays refused.
+    pub fn force(&mut self) {
+        if !self.accepted && self.can_be_forced() {
+            (self.accepted, self.forced) = (true, true);
+            self.reason = format!(
+                "forced, although these runs do not ask for it: {}",
+                self.reason
+            );
+        }
+    }
+}
+
+/// Refits `model` with `effect` added; refused, with the reason, where the runs do not ask for it beside all others.
+pub fn add(
+    effect: &'static dyn Effect,
+    model: &Model,
+    evidence: Evidence,
+) -> Result<AddResult, FitError> {
+    let id = effect.card().id;
+    let (bench, before) = Bench::for_fits_of(&[id], model, evidence)?;
+    let eligible = eligible(&before.model, Some(effect));
+    let inference = bench.infer(&before, &eligible, &silent)?;
+    // Where it is not eligible the answer is the model as it was.
+    let after = if inference.is_eligible(id) {
+        bench.fit(&beside(&before.model, &inference, &[id])?)?
+    } else {
+        before.clone()
+    };
+    change(effect, &bench, &inference, [before, after], true)
+}
+
+/// Refits `model` without `effect`; refused where the runs ask for it.
+pub fn remove(
+    effect: &'static dyn Effect,
+    model: &Model,
+    evidence: Evidence,
+) -> Result<AddResult, FitError> {
+    let (bench, before) = Bench::new(model, evidence)?;
+    let inference = bench.infer(&before, &eligible(&before.model, None), &silent)?;
+    let without = before.model.without_effect(effect.card().id)?;
+    let after = bench.fit(&without)?;
+    change(effect, &bench, &inference, [before, after], false)
+}
+
+fn change(
+    effect: &'static dyn Effect,
+    bench: &Bench,
+    inference: &Inference,
+    [before, after]: [Fitted; 2],
+    adding: bool,
+) -> Result<AddResult, FitError> {
+    let id = effect.card().id;
+    let handed_on = |fit| {
+        let standing = Standing::handed_on(fit, bench, inference)?;
+        Ok::<_, FitError>(standing.with_deviations(bench, inference))
+    };
+    let after = handed_on(after)?;
+    // The model before has the effect that is taken out, and gives its size.
+    let before = if adding {
+        Standing::of(before, bench)?
+    } else {
+        handed_on(before)?
+    };
+    let mut rungs = vec![before, after];
+    // Beside others that the runs show too, one alone need not lower the error.
+    let is_alone = adding && inference.named == [id];
+    let veto = is_alone.then(|| vetoes::first(bench, inference, &[id], &rungs));
+    let refused = veto.flatten().map(|veto| veto.reason).or_else(|| {
+        let as_good =
+            |last: &Standing| trivial::as_good(&last.score, &bench.evidence, bench.torques());
+        rungs.last().filter(|_| is_alone).and_then(as_good)
+    });
+    let (after, before) = (rungs.remove(1), rungs.remove(0));
+    let confirm = match &bench.evidence.confirm {
+        Some(run) => {
+            let on = |standing: &Standing| -> Result<Rung, FitError> {
+                let score = bench.confirming(&standing.fit.model, run)?.score;
+                Ok(Rung {
+                    holdout_rmse: score.nrms,
+                    ..standing.rung()
+                })
+            };
+            Some([on(&before)?, on(&after)?])
+        }
+        None => None,
+    };
+    let sides = [bench.compared(&before.fit)?, bench.compared(&after.fit)?];
+    let times = bench.evidence.noise.source.times();
+    let fall = fall([&before.score, &after.score], times) + &both_processings(&sides);
+    let mut reason = reason(effect, inference, &fall, adding);
+    if let Some(refused) = &refused {
+        reason = format!("not added: {refused} ({reason})");
+    }
+    if let Some(words) = &bench.aside {
+        reason = format!("{reason}; {words}");
+    }
+    let [compared_before, compared_after] = sides;
+    let fit = bench.as_believed(&after.fit);
+    let believed = if adding {
+        fit.clone()
+    } else {
+        bench.as_believed(&before.fit)
+    };
+    Ok(AddResult {
+        effect: id,
+        accepted: inference.names(id) == adding && refused.is_none(),
+        forced: false,
+        reason,
+        before: compared_before,
+        after: compared_after,
+        parameters: parameters_of(id, &believed.parameters),
+        ladder: vec![before.rung(), after.rung()],
+        confirm,
+        fit,
+    })
+}
+
+/// What is said of the parameters of a model with effects that was fitted to the free run of one record: values and deviations
+/// as [`add`] and `diagnose` give them, from the prediction errors along the run. The free run's own deviations count what
+/// neighbouring samples err by together, and nothing of what the form of an effect or the stamps may be wrong by: that of a
+/// drop of brushes is then ten times too small. As it was for a model without effects, and for runs without a voltage.
+#[must_use]
+pub fn known_along(run: &Scenario, mut found: Identified) -> Identified {
+    if run.input != Input::Voltage || found.model.effects.is_empty() {
+        return found;
+    }
+    match along(run, &found.model) {
+        Ok((_, Led::Neither)) => found.with_note(not_followed("")),
+        Ok((led, of)) => {
+            // What was chosen from a grid was not fitted here.
+            let fitted = led.parameters.into_iter();
+            for own in fitted.filter(|own| own.verdict != Verdict::Fixed) {
+                let mut known = found.parameters.iter_mut();
+                if let Some(known) = known.find(|known| known.key == own.key) {
+                    *known = own;
+                }
+            }
+            found.model = led.model;
+            found.with_note(match of {
+                Led::Values => {
+                    "the model has effects: values and ± are from its prediction errors, as those of add and diagnose, and \
+                     count what the forms of the effects and the stamps may be wrong by"
+                }
+                _ => {
+                    "the model has effects: the values are of its free run, which those of its prediction errors do not \
+                     foretell; ± counts how far the two lie apart, and what the forms of the effects and the stamps may be \
+                     wrong by"
+                }
+            })
+        }
+        Err(error) => found.with_note(not_followed(&format!(" ({error})"))),
+    }
+}
+
+fn not_followed(why: &str) -> String {
+    format!(
+        "the model cannot be followed along the run{why}: ± counts noise alone, and nothing of what the forms of its effects \
+         may be wrong by"
+    )
+}
+
+/// The fit with what its prediction errors say, and of what they do.
+fn along(run: &Scenario, model: &Model) -> Result<(Fitted, Led), FitError> {
+    let noise = NoiseFloor::from_standstill(run);
+    let noise = noise.unwrap_or_else(|| NoiseFloor::from_spread(run));
+    let evidence = Evidence::of_one(run, noise);
+    let (evidence, fit) = evidence.with_baseline(model)?;
+    let fit = Fitted::from(fit);
+    let own = model.effects.iter().map(|active| active.effect);
+    let own: Vec<&'static dyn Effect> = own.collect();
+    let (searched, _) = evidence.shortened();
+    let noise = infer(&fit, model, &own, &searched, &silent)?.noise;
+    Ok(led(fit, run, noise, true))
+}
+
+/// What each processing of a balance of torques says of the change, in words; nothing of a free run.
+fn both_processings(sides: &[Comparison; 2]) -> String {
+    let [before, after] = [0, 1].map(|side: usize| {
+        let torque = sides[side].signals.torque_n_m.iter();
+        torque.flat_map(|torque| &torque.processing)
+    });
+    let words = before.zip(after).map(|(before, after)| {
+        let from = before.holdout_relative_error_percent;
+        let to = after.holdout_relative_error_percent;
+        let whole = |side: &ProcessingError| side.whole_run_relative_error_percent;
+        let whole = whole(before).zip(whole(after));
+        let whole = whole.map_or_else(String::new, |(from, to)| {
+            format!(", {from:.2} -> {to:.2} % over the whole run")
+        });
+        let method = match before.method {
+            Method::WeakForm => "weak form",
+            Method::InverseDynamics => {
+                "reference processing: inverse dynamics, zero-phase low pass"
+            }
+        };
+        format!("; torque error {from:.2} -> {to:.2} % held out{whole} ({method})")
+    });
+    words.collect()
+}
+
+/// How the held-out error changes, in words.
+fn fall([before, after]: [&Score; 2], times: &str) -> String {
+    let (from, to) = (before.nrms, after.nrms);
+    let share = 100.0 * (1.0 - to / from);
+    if !share.is_finite() {
+        return "the held-out error is not known".to_owned();
+    }
+    let word = if share >= 0.0 { "falls" } else { "rises" };
+    let by = share.abs();
+    format!("the held-out error {word} by {by:.1} %, from {from:.2} to {to:.2} {times}")
+}
+
+/// Why an effect is accepted or refused: how likely it is there beside all others, and what the error does.
+fn reason(effect: &dyn Effect, inference: &Inference, fall: &str, adding: bool) -> String {
+    let (id, name) = (effect.card().id, effect.card().name);
+    let found = inference.of(id);
+    let likely = probability(found.map_or(0.0, |found| found.probability));
+    let is_there = inference.names(id);
+    let is_excited = found.is_some_and(|found| found.excited);
+    if let Some(why_not) = found.and_then(|found| found.why_not) {
+        return format!("{name} cannot be judged from this run: {why_not}");
+    }
+    if !adding {
+        let word = match (is_there, is_excited) {
+            (true, _) => "is needed",
+            (false, true) => "is superfluous",
+            (false, false) => "would not show in these runs, which do not ask for it",
+        };
+        return format!("{name} {word}: it is there with {likely}, and without it {fall}");
+    }
+    // The list behind these words, if there is anything in it.
+    let listed = |before: &str, ids: Vec<&str>, between: &str, behind: &str| {
+        let words = || format!("{before}{}{behind}", ids.join(between));
+        if ids.is_empty() {
+            String::new()
+        } else {
+            words()
+        }
+    };
+    if is_there {
+        let pairs = inference
+            .confusable
+            .iter()
+            .filter(|pair| pair.contains(&id));
+        let twins = pairs.map(|pair| if pair[0] == id { pair[1] } else { pair[0] });
+        let twins = listed(
+            ", which these runs cannot tell from ",
+            twins.collect(),
+            " and ",
+            "",
+        );
+        let superfluous = inference.superfluous_in_words();
+        return format!("{name} is there with {likely}{twins}; with it {fall}{superfluous}");
+    }
+    let rivals = inference.named.iter().copied().filter(|named| *named != id);
+    let beside = listed(
+        " beside what these runs ask for (",
+        rivals.collect(),
+        ", ",
+        ")",
+    );
+    let unseen = if is_excited {
+        ""
+    } else {
+        "; these runs would not show it"
+    };
+    format!("{name} is there with {likely} only{beside}{unseen}; with it alone {fall}")
+}

@@ -1,0 +1,448 @@
+//! Axis map: what each equation lacks as a curve over one variable, with its uncertainty, before it has a name.
+//!
+//! The windows, the hat functions and the line are those of the location; what is added here are knots that gather where the
+//! curve bends, its covariance, clustered in blocks of time, and its share of an error of which the equation's own
+//! parameters may explain what they can. The current is no axis of the torque balance and the voltage none of the voltage
+//! balance: they are what the balance is solved for.
+
+use std::f64::consts::TAU;
+use std::fmt::Write as _;
+use std::ops::RangeInclusive;
+
+use nalgebra::{DMatrix, DVector};
+use serde::Serialize;
+
+use super::axis::{Search, hat, name_and_unit};
+use super::windows::{FEWEST_HALF, Windows, own_keys};
+use drivebench_identify::noise::NoiseFloor;
+use drivebench_identify::output_error::{BLOCK_S, FitError};
+use drivebench_model::numerics::count::whole;
+use drivebench_model::numerics::least_squares;
+use drivebench_model::plant::effect::Axis;
+use drivebench_model::plant::{Balance, Input, Model, Scenario};
+use drivebench_model::sample::TWO_SIDED_95;
+use drivebench_model::text::number::{share, significant};
+
+/// Hat functions over speed, current or voltage, and over time.
+const KNOTS: usize = 14;
+const KNOTS_IN_TIME: usize = 24;
+/// Harmonics of the angle, and the knots at which the curve over a turn is given.
+const HARMONICS: usize = 4;
+const KNOTS_OF_A_TURN: usize = 16;
+/// Share of the range that two knots are apart at least.
+const CLOSEST_SHARE: f64 = 0.01;
+/// Knots that a curve has at least, and may come to have.
+const FEWEST_KNOTS: usize = 3;
+const MOST_KNOTS: usize = 32;
+/// Rounds of refining, and what each must add to the share that is explained.
+const ROUNDS: usize = 5;
+const WORTH_REFINING_SHARE: f64 = 0.004;
+/// Share of an average knot's data below which a knot is left out: the run was never there, or did not move.
+const LEAST_DATA_SHARE: f64 = 0.02;
+/// Samples that half a window of the torque balance has at least: the shaft is slow, so that more of the noise can be
+/// averaged than where the winding's current is asked.
+const FEWEST_HALF_OF_TORQUE: usize = 5;
+/// Standard deviations from which on a value counts as found.
+const FOUND_SIGMAS: f64 = 3.0;
+/// Adjusted R2 below which an error is not said to follow an axis.
+const FOLLOWS_SHARE: f64 = 0.1;
+
+/// How far the error of one equation follows one axis, and the curve.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct AxisMap {
+    /// `torque` or `voltage`.
+    pub equation: &'static str,
+    /// `speed_rad_s`, `current_a`, `voltage_v`, `angle_rad`, `time_s` (since the run's first command), or
+    /// `frequency_hz`: a line in the spectrum of the torque error.
+    pub axis: &'static str,
+    /// Adjusted share of the error's variance that follows the axis.
+    pub r2: f64,
+    /// Places on the axis; of a line its frequency.
+    pub knots: Vec<f64>,
+    /// What the equation lacks there, V or N.m, a loss counted positive; of a line its amplitude.
+    pub values: Vec<f64>,
+    /// Standard deviation of each value, clustered in blocks of time.
+    pub std: Vec<f64>,
+    /// What is left of the equation's error after its own parameters moved, over what measurement noise alone would leave;
+    /// `None` where the noise is not known.
+    pub error_over_noise: Option<f64>,
+    pub sentence: String,
+}
+
+impl AxisMap {
+    /// Whether so much of the error follows the axis that it is worth a word.
+    pub fn is_followed(&self) -> bool {
+        self.r2 >= FOLLOWS_SHARE
+    }
+
+    /// What its values are, with their unit.
+    pub fn title(&self) -> String {
+        let unit = if self.equation == "voltage" {
+            "V"
+        } else {
+            "N.m"
+        };
+        format!("what the {} equation lacks, {unit}", self.equation)
+    }
+
+    /// Its axis with the unit.
+    pub fn axis_label(&self) -> String {
+        let (name, unit) = name_and_unit(self.axis);
+        format!("{name}, {unit}")
+    }
+
+    /// The knot with the largest value that stands out from its uncertainty.
+    fn peak(&self) -> Option<usize> {
+        let sure = |knot: &usize| self.values[*knot].abs() > FOUND_SIGMAS * self.std[*knot];
+        (0..self.values.len())
+            .filter(sure)
+            .max_by(|a, b| self.values[*a].abs().total_cmp(&self.values[*b].abs()))
+    }
+
+    /// Where its largest value may lie, with that value: the knots around the peak that their uncertainty does not tell from
+    /// it.
+    pub fn largest(&self) -> Option<(RangeInclusive<f64>, f64)> {
+        let peak = self.peak()?;
+        let height = self.values[peak];
+        let is_as_large = |knot: &usize| {
+            let uncertainty = self.std[peak].hypot(self.std[*knot]);
+            (height - self.values[*knot]).abs() < TWO_SIDED_95 * uncertainty
+        };
+        let first = (0..peak).rev().take_while(is_as_large).last();
+        let last = (peak + 1..self.knots.len()).take_while(is_as_large).last();
+        let [first, last] = [first, last].map(|knot| self.knots[knot.unwrap_or(peak)]);
+        Some((first..=last, height))
+    }
+
+    fn sentence_over(&self, axis: Axis, equation: Balance, scenario: &Scenario) -> String {
+        let along = match name_and_unit(self.axis).0 {
+            "angle" if scenario.angle.is_empty() => "angle, integrated from the speed",
+            name => name,
+        };
+        let what = self.equation;
+        if !self.is_followed() {
+            return format!("the {what} error does not follow the {along}");
+        }
+        let mut sentence = format!("{} of the {what} error follows the {along}", share(self.r2));
+        if let Some((place, height)) = self.largest() {
+            // The knots of a time count from the begin of the run already.
+            let across = match axis {
+                Axis::Time => "s of the run",
+                axis => axis.unit(),
+            };
+            let [from, to, height] =
+                [*place.start(), *place.end(), height].map(|v| significant(v, 3));
+            let upwards = equation.unit();
+            let place = if from == to {
+                format!("near {from}")
+            } else {
+                format!("between {from} and {to}")
+            };
+            let _ = write!(
+                sentence,
+                "; it is largest {place} {across}: {height} {upwards}"
+            );
+        }
+        sentence
+    }
+}
+
+/// The maps of both balances of a run, those that explain most first.
+pub fn axis_map(
+    model: &Model,
+    scenario: &Scenario,
+    noise: &NoiseFloor,
+) -> Result<Vec<AxisMap>, FitError> {
+    let mut maps = Vec::new();
+    for equation in super::equations(scenario.input) {
+        let fewest_half = match equation {
+            Balance::Torque => FEWEST_HALF_OF_TORQUE,
+            Balance::Voltage => FEWEST_HALF,
+        };
+        let mut windows = Windows::new(model, scenario, noise, fewest_half)?;
+        if windows.missing_signal().is_some() {
+            break;
+        }
+        // Without a fit of its own an equation would hold its error against values that another equation was fitted with.
+        if let Some(changes) = windows.own_changes(*equation) {
+            windows.take_out(*equation, &changes);
+        }
+        let search = Search {
+            windows: &windows,
+            equation: *equation,
+            own: own_keys(*equation).len(),
+        };
+        let axes = axes(*equation, scenario.input).iter();
+        maps.extend(axes.filter_map(|axis| search.map(*axis)));
+        if *equation == Balance::Torque {
+            maps.extend(search.line_map());
+        }
+    }
+    maps.sort_by(|a, b| b.r2.total_cmp(&a.r2));
+    Ok(maps)
+}
+
+/// The axes of a balance. The input of a run that is driven by current or torque is what its balance is solved for.
+fn axes(equation: Balance, input: Input) -> &'static [Axis] {
+    match (equation, input) {
+        (Balance::Voltage, _) => &[Axis::Speed, Axis::Current, Axis::Angle, Axis::Time],
+        (Balance::Torque, Input::Voltage) => &[Axis::Speed, Axis::Voltage, Axis::Angle, Axis::Time],
+        (Balance::Torque, Input::Current | Input::Torque) => {
+            &[Axis::Speed, Axis::Angle, Axis::Time]
+        }
+    }
+}
+
+/// Knots over what the run reached: of time evenly, else half way between as many samples each and even spacing, so that a
+/// curve is still asked for where the run was seldom.
+fn knots(axis: Axis, along: &[f64]) -> Vec<f64> {
+    let mut sorted: Vec<f64> = along.iter().copied().filter(|v| v.is_finite()).collect();
+    sorted.sort_by(f64::total_cmp);
+    let (Some(&first), Some(&last)) = (sorted.first(), sorted.last()) else {
+        return Vec::new();
+    };
+    let is_time = axis == Axis::Time;
+    let intervals = if is_time { KNOTS_IN_TIME } else { KNOTS } - 1;
+    let at = |knot: usize| {
+        let even = first + knot as f64 / intervals as f64 * (last - first);
+        let place = sorted[knot * (sorted.len() - 1) / intervals];
+        if is_time { even } else { 0.5 * (place + even) }
+    };
+    let mut knots: Vec<f64> = (0..=intervals).map(at).collect();
+    knots.dedup_by(|after, before| *after - *before <= CLOSEST_SHARE * (last - first));
+    knots
+}
+
+/// Knots halfway beside the two sharpest bends of a curve.
+fn refined(knots: &[f64], values: &[f64]) -> Option<Vec<f64>> {
+    let last = knots.len() - 1;
+    let closest = CLOSEST_SHARE * (knots[last] - knots[0]);
+    let slope = |at: usize| (values[at + 1] - values[at]) / (knots[at + 1] - knots[at]);
+    let bend = |at: usize| (slope(at) - slope(at - 1)).abs();
+    let mut bends: Vec<usize> = (1..last).collect();
+    bends.sort_by(|a, b| bend(*b).total_cmp(&bend(*a)));
+    let mut finer = knots.to_vec();
+    for at in bends.into_iter().take(2) {
+        for (low, high) in [(at - 1, at), (at, at + 1)] {
+            let middle = 0.5 * (knots[low] + knots[high]);
+            if knots[high] - knots[low] > 2.0 * closest && !finer.contains(&middle) {
+                finer.push(middle);
+            }
+        }
+    }
+    finer.sort_by(f64::total_cmp);
+    (finer.len() > knots.len() && finer.len() <= MOST_KNOTS).then_some(finer)
+}
+
+/// Sines and cosines of the harmonics of an angle, times a weight, added to a row.
+fn harmonics(angle_rad: f64, weight: f64, row: &mut [f64]) {
+    for (index, cell) in row.iter_mut().enumerate() {
+        let (sin, cos) = ((index / 2 + 1) as f64 * angle_rad).sin_cos();
+        *cell += weight * if index % 2 == 0 { sin } else { cos };
+    }
+}
+
+/// What columns explain of an error beside the equation's own.
+struct Explained {
+    /// Adjusted share of the variance that the own columns leave.
+    r2: f64,
+    coefficients: DVector<f64>,
+    covariance: DMatrix<f64>,
+    /// Root mean square of what the own columns leave.
+    rms: f64,
+    /// Windows beyond the own columns.
+    spare: f64,
+}
+
+impl Search<'_> {
+    /// Least squares of the error over rows whose first columns are the equation's own. The others count only with what these
+    /// cannot explain as well; directions that are then lost (a curve over the current that is a resistance) stay at
+    /// zero.
+    fn explain(&self, rows: &[Vec<f64>]) -> Option<Explained> {
+        let own = self.own;
+        let added = rows.first()?.len() - own;
+        if rows.len() <= own + added {
+            return None;
+        }
+        let base = DMatrix::from_fn(rows.len(), own, |row, column| rows[row][column]);
+        let columns = DMatrix::from_fn(rows.len(), added, |row, column| rows[row][own + column]);
+        let errors = self.of().map(|window| window.error(self.equation));
+        let errors = DMatrix::from_iterator(rows.len(), 1, errors);
+        let (bread, _) = least_squares::inverse_where_determined(&base);
+        let left_over = |of: &DMatrix<f64>| of - &base * (&bread * base.tr_mul(of));
+        let (residual, columns) = (
+            left_over(&errors).column(0).into_owned(),
+            left_over(&columns),
+        );
+        let (bread, _) = least_squares::inverse_where_determined(&columns);
+        let coefficients = &bread * columns.tr_mul(&residual);
+        let left = &residual - &columns * &coefficients;
+        let spare = (rows.len() - own) as f64;
+        let variance = residual.norm_squared() / spare;
+        let r2 = 1.0 - left.norm_squared() / (spare - added as f64) / variance;
+        let begin_s = self.of().next()?.time_s;
+        let block = |time_s: f64| whole((time_s - begin_s) / BLOCK_S);
+        let blocks: Vec<usize> = self.of().map(|window| block(window.time_s)).collect();
+        let known = vec![true; added];
+        let covariance = least_squares::clustered(&columns, &left, &blocks, bread, &known);
+        r2.is_finite().then_some(Explained {
+            r2,
+            coefficients,
+            covariance,
+            rms: variance.sqrt(),
+            spare,
+        })
+    }
+
+    /// What is left of the error beside the own parameters, in units of the noise.
+    fn over_noise(&self, explained: &Explained) -> Option<f64> {
+        let floors = self.of().map(|window| window.floor(self.equation).powi(2));
+        let floor = (floors.sum::<f64>() / self.of().count() as f64).sqrt();
+        (floor > 0.0).then(|| explained.rms / floor)
+    }
+
+    /// The curve at its knots, `shape` giving its values for the coefficients.
+    fn axis_map(
+        &self,
+        axis: Axis,
+        knots: Vec<f64>,
+        shape: &DMatrix<f64>,
+        rows: &[Vec<f64>],
+    ) -> Option<AxisMap> {
+        let explained = self.explain(rows)?;
+        let values = shape * &explained.coefficients;
+        let covariance = shape * &explained.covariance * shape.transpose();
+        let deviation = |variance: &f64| variance.max(0.0).sqrt();
+        Some(AxisMap {
+            equation: self.equation.key(),
+            axis: axis.key(),
+            r2: explained.r2,
+            knots,
+            values: values.as_slice().to_vec(),
+            std: covariance.diagonal().iter().map(deviation).collect(),
+            error_over_noise: self.over_noise(&explained),
+            sentence: String::new(),
+        })
+    }
+
+    fn map(&self, axis: Axis) -> Option<AxisMap> {
+        let scenario = self.windows.scenario;
+        let along: Vec<f64> = match axis {
+            Axis::Speed => scenario.speed_rad_s.clone(),
+            Axis::Current => scenario.current_a.clone(),
+            Axis::Angle => self.angle_at_samples()?,
+            Axis::Time => {
+                let since_begin = |time_s: &f64| time_s - scenario.begin_s();
+                scenario.sample_time_s.iter().map(since_begin).collect()
+            }
+            Axis::Voltage => {
+                let at = |time_s: &f64| scenario.input_at(*time_s);
+                scenario.sample_time_s.iter().map(at).collect()
+            }
+        };
+        let mut map = if axis == Axis::Angle {
+            self.turn(&along)?
+        } else {
+            self.hats(axis, &along)?
+        };
+        map.sentence = map.sentence_over(axis, self.equation, scenario);
+        Some(map)
+    }
+
+    /// Harmonics over a turn.
+    fn turn(&self, along: &[f64]) -> Option<AxisMap> {
+        let step_rad = TAU / KNOTS_OF_A_TURN as f64;
+        let knots: Vec<f64> = (0..KNOTS_OF_A_TURN)
+            .map(|knot| knot as f64 * step_rad)
+            .collect();
+        let mut shape = DMatrix::zeros(KNOTS_OF_A_TURN, 2 * HARMONICS);
+        for (knot, angle_rad) in knots.iter().enumerate() {
+            let mut row = [0.0; 2 * HARMONICS];
+            harmonics(*angle_rad, 1.0, &mut row);
+            shape.row_mut(knot).copy_from_slice(&row);
+        }
+        let rows = self.averaged(along, 2 * HARMONICS, harmonics);
+        self.axis_map(Axis::Angle, knots, &shape, &rows)
+    }
+
+    /// Hat functions over an axis, refined where the curve bends.
+    fn hats(&self, axis: Axis, along: &[f64]) -> Option<AxisMap> {
+        let rows = |knots: &[f64]| {
+            let put = |value, weight, row: &mut [f64]| hat(knots, value, weight, row);
+            self.averaged(along, knots.len(), put)
+        };
+        let fit = |knots: Vec<f64>| {
+            // The knots that the usable windows say something about.
+            let tried = rows(&knots);
+            let data = |knot: usize| tried.iter().map(|row| row[self.own + knot].powi(2)).sum();
+            let data: Vec<f64> = (0..knots.len()).map(data).collect();
+            let least = LEAST_DATA_SHARE * data.iter().sum::<f64>() / data.len() as f64;
+            let kept = knots
+                .into_iter()
+                .zip(data)
+                .filter(|(_, data)| *data >= least);
+            let knots: Vec<f64> = kept.map(|(knot, _)| knot).collect();
+            let enough = knots.len() >= FEWEST_KNOTS;
+            let shape = DMatrix::identity(knots.len(), knots.len());
+            let rows = enough.then(|| rows(&knots))?;
+            self.axis_map(axis, knots, &shape, &rows)
+        };
+        let mut best = fit(knots(axis, along))?;
+        // Where nothing is followed a finer curve would follow the noise.
+        let refines = axis != Axis::Time && best.is_followed();
+        for _ in 0..if refines { ROUNDS } else { 0 } {
+            let Some(finer) = refined(&best.knots, &best.values).and_then(&fit) else {
+                break;
+            };
+            if finer.r2 < best.r2 + WORTH_REFINING_SHARE {
+                break;
+            }
+            best = finer;
+        }
+        Some(best)
+    }
+
+    /// The strongest line in the spectrum of the error.
+    fn line_map(&self) -> Option<AxisMap> {
+        let line = self.strongest_line()?;
+        let rows = self.rows(2, |window, row| {
+            row.copy_from_slice(&line.wave(window.time_s));
+        });
+        let found = self.explain(&rows)?;
+        let size = found.coefficients.norm();
+        let amplitude = size / line.seen;
+        let along = &found.coefficients / size;
+        let variance = (along.transpose() * &found.covariance * &along)[(0, 0)];
+        // The best of many frequencies explains something of any noise: as many columns more as that is worth.
+        let chance = 2.0 * (line.tried as f64).ln().max(0.0);
+        let r2 = 1.0 - (1.0 - found.r2) * found.spare / (found.spare - chance);
+        let sentence = if r2 < FOLLOWS_SHARE || !line.is_alone {
+            format!(
+                "no single line stands out in the spectrum of the {} error",
+                self.equation.key()
+            )
+        } else {
+            format!(
+                "{} of the {} error is a line at {} Hz with an amplitude of {} {}",
+                share(r2),
+                self.equation.key(),
+                significant(line.frequency_hz, 3),
+                significant(amplitude, 3),
+                self.equation.unit()
+            )
+        };
+        Some(AxisMap {
+            equation: self.equation.key(),
+            axis: "frequency_hz",
+            r2,
+            knots: vec![line.frequency_hz],
+            values: vec![amplitude],
+            std: vec![variance.max(0.0).sqrt() / line.seen],
+            error_over_noise: self.over_noise(&found),
+            sentence,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,202 @@
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+use drivebench_model::plant::MotorKey;
+use drivebench_model::plant::testing::record;
+use drivebench_model::plant::{ActiveEffect, Motor, effect};
+
+/// Steps over the whole speed range with a binary dither on top, after a standstill.
+fn rich(seed: u64, until_s: f64) -> Vec<(f64, f64)> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut events = vec![(0.0, 0.0)];
+    let (mut at_s, mut hold_s, mut level) = (0.3, 0.3, 0.0);
+    while at_s < until_s {
+        if at_s >= hold_s {
+            level = rng.random_range(-90.0..90.0);
+            hold_s += rng.random_range(0.3..1.2);
+        }
+        events.push((at_s, level + if rng.random_bool(0.5) { 5.0 } else { -5.0 }));
+        at_s += 0.001 * f64::from(rng.random_range(20..50_u16));
+    }
+    events
+}
+
+fn run(settings: &str, values: &[f64], seed: u64, period_s: f64, until_s: f64) -> Scenario {
+    let mut truth = Model::baseline(Motor::zk_22fc());
+    if !settings.is_empty() {
+        let table: toml::Table = settings.parse().unwrap();
+        let id = if table.contains_key("axis") {
+            "table"
+        } else {
+            "custom"
+        };
+        let (effect, _) = effect::define(id, &table).unwrap();
+        let values = values.iter().copied().map(Some).collect();
+        truth.effects.push(ActiveEffect { effect, values });
+    }
+    record(&truth, rich(seed, until_s), period_s, until_s, seed)
+}
+
+fn maps(scenario: &Scenario) -> Vec<AxisMap> {
+    let noise = NoiseFloor::from_standstill(scenario).unwrap();
+    axis_map(&Model::baseline(Motor::zk_22fc()), scenario, &noise).unwrap()
+}
+
+const TORQUE: &str = "equation = \"torque\"\nparameters = [\"a\"]\nexpression = ";
+
+fn torque(expression: &str) -> String {
+    format!("{TORQUE}\"{expression}\"")
+}
+
+fn voltage(expression: &str) -> String {
+    torque(expression).replace("torque", "voltage")
+}
+
+fn r2(maps: &[AxisMap], equation: &str, axis: &str) -> f64 {
+    let found = maps
+        .iter()
+        .find(|map| map.equation == equation && map.axis == axis);
+    found
+        .unwrap_or_else(|| panic!("no {equation} over {axis}"))
+        .r2
+}
+
+/// What explains most: on this axis of this equation, and more than so much.
+fn leading<'a>(
+    found: &'a [AxisMap],
+    (equation, axis, least): (&str, &str, f64),
+    case: &str,
+) -> &'a AxisMap {
+    let first = &found[0];
+    let place = (first.equation, first.axis);
+    assert_eq!(place, (equation, axis), "{case}: {found:#?}");
+    assert!(first.r2 > least, "{case}: {first:?}");
+    first
+}
+
+/// The knot of its largest value.
+fn peak(map: &AxisMap) -> usize {
+    let size = |knot: &usize| map.values[*knot].abs();
+    let knots = 0..map.values.len();
+    knots.max_by(|a, b| size(a).total_cmp(&size(b))).unwrap()
+}
+
+#[test]
+fn a_true_model_leaves_nothing_that_follows_an_axis() {
+    let mut all = Vec::new();
+    for (seeds, period_s, until_s) in [(0..5, 0.001, 12.0), (0..2, 0.01, 10.0)] {
+        for seed in seeds {
+            let found = maps(&run("", &[], seed, period_s, until_s));
+            assert!(found.len() >= 8);
+            for map in &found {
+                // Some 400 windows that overlap: by chance up to three times the spread of 0.015.
+                assert!(map.r2 < 0.06, "{seed} {period_s}: {map:?}");
+                assert!(!map.sentence.contains("% of"), "{map:?}");
+            }
+            all.extend(found.iter().map(|map| map.r2));
+        }
+    }
+    let mean = all.iter().sum::<f64>() / all.len() as f64;
+    assert!(mean < 0.01, "{mean}");
+}
+
+#[test]
+fn a_bump_over_the_speed_shows_as_a_curve_with_its_place_and_height() {
+    let scenario = run(&torque("a*exp(-((w-118)/15)^2)"), &[0.18], 7, 0.001, 12.0);
+    let found = maps(&scenario);
+    let first = leading(&found, ("torque", "speed_rad_s", 0.85), "a bump");
+    let peak = peak(first);
+    assert!((first.knots[peak] - 118.0).abs() < 8.0, "{first:?}");
+    assert!((first.values[peak] - 0.18).abs() < 0.04, "{first:?}");
+    assert!(first.std[peak] < 0.02 && first.error_over_noise.unwrap() > 2.0);
+    let (place, height) = first.largest().unwrap();
+    assert!(place.contains(&first.knots[peak]), "{place:?}");
+    assert!((place.end() - place.start()).abs() < 30.0, "{place:?}");
+    assert!((height - first.values[peak]).abs() < 1e-12);
+}
+
+#[test]
+fn each_error_is_put_on_its_own_axis() {
+    for (settings, size, equation, axis, least) in [
+        (torque("a*abs(w)*w"), 2e-6, "torque", "speed_rad_s", 0.84),
+        (torque("a*sin(theta)"), 0.12, "torque", "angle_rad", 0.93),
+        (voltage("a*tanh(i/0.05)"), 1.0, "voltage", "current_a", 0.9),
+        (
+            torque("a*sin(2*pi*4.625*t)"),
+            0.1,
+            "torque",
+            "frequency_hz",
+            0.91,
+        ),
+        (torque("a*(1+sgn(t-6))/2"), 0.1, "torque", "time_s", 0.73),
+    ] {
+        let found = maps(&run(&settings, &[size], 7, 0.001, 12.0));
+        let first = leading(&found, (equation, axis, least), &settings);
+        if axis == "frequency_hz" {
+            assert!((first.knots[0] - 4.625).abs() < 0.01, "{first:?}");
+            assert!((first.values[0] / 0.1 - 1.0).abs() < 0.05, "{first:?}");
+        }
+    }
+}
+
+#[test]
+fn at_ten_milliseconds_it_is_the_same_axis() {
+    for (settings, size, equation, axis, least) in [
+        (torque("a*abs(w)*w"), 2e-6, "torque", "speed_rad_s", 0.8),
+        (torque("a*sin(theta)"), 0.12, "torque", "angle_rad", 0.7),
+        (voltage("a*tanh(i/0.05)"), 1.0, "voltage", "current_a", 0.7),
+    ] {
+        let found = maps(&run(&settings, &[size], 7, 0.01, 12.0));
+        leading(&found, (equation, axis, least), &settings);
+    }
+}
+
+#[test]
+fn a_run_that_is_driven_by_torque_has_a_torque_balance_only() {
+    let mut scenario = run(&torque("a*abs(w)*w"), &[2e-6], 7, 0.001, 8.0);
+    // A drive holds its torque from one stamp to the next: the mean of both.
+    let torque = scenario.current_a.windows(2);
+    let torque: Vec<f64> = torque
+        .map(|ends| 0.3538 * 0.5 * (ends[0] + ends[1]))
+        .collect();
+    scenario.events = scenario.sample_time_s.iter().copied().zip(torque).collect();
+    scenario.input = Input::Torque;
+    let motor = Motor::new("axis")
+        .with(MotorKey::Inertia, 0.0045)
+        .with(MotorKey::LoadTorque, 0.455);
+    let noise = NoiseFloor::from_spread(&scenario);
+    let found = axis_map(&Model::baseline(motor), &scenario, &noise).unwrap();
+    assert!(found.iter().all(|map| map.equation == "torque"));
+    assert_eq!(found[0].axis, "speed_rad_s", "{:?}", found[0]);
+    assert!(r2(&found, "torque", "speed_rad_s") > 0.6, "{found:#?}");
+    assert!(
+        found
+            .iter()
+            .all(|map| map.axis != "current_a" && map.axis != "voltage_v")
+    );
+}
+
+#[test]
+fn times_count_from_the_begin_of_a_run_whenever_it_was_recorded() {
+    let settings = torque("a*exp(-((t-8)/2)^2)");
+    let run = run(&settings, &[0.18], 7, 0.001, 12.0);
+    let mut later = run.clone();
+    for time_s in &mut later.sample_time_s {
+        *time_s += 32.0;
+    }
+    for (time_s, _) in &mut later.events {
+        *time_s += 32.0;
+    }
+    let [first, again] = [&run, &later].map(|run| {
+        let mut maps = maps(run).into_iter();
+        let own = maps.find(|map| (map.equation, map.axis) == ("torque", "time_s"));
+        own.expect("a torque over time")
+    });
+    let (place, _) = first.largest().unwrap();
+    assert!((6.0..10.0).contains(place.start()), "{place:?}");
+    assert!(first.sentence.contains(" s of the run: "), "{first:?}");
+    assert_eq!(first.sentence, again.sentence);
+    let apart = first.knots.iter().zip(&again.knots);
+    assert!(apart.into_iter().all(|(a, b)| (a - b).abs() < 1e-9));
+}

@@ -1,0 +1,227 @@
+//! What the residual leans on: every effect that is a term of an instant beside what an equation lacks, to first order.
+//!
+//! A look at a run that is still going on, with a model that is not fitted yet: it costs one simulation and weighs each
+//! effect alone, at the guess of its shape. What it says is provisional; the diagnosis weighs all effects at once.
+
+use serde::Serialize;
+
+use super::axis::Search;
+use super::windows::{FEWEST_HALF, Windows, own_keys};
+use super::{ErrorOf, FEWEST_WINDOWS, refit};
+use drivebench_identify::noise::NoiseFloor;
+use drivebench_identify::output_error::FitError;
+use drivebench_model::plant::effect::{CATALOGUE, ParameterRole};
+use drivebench_model::plant::{Balance, Effect, Instant, Model, Scenario, ShaftAngle, Terms};
+
+/// Orders of the angle that are looked for.
+const ORDERS: usize = 12;
+/// Share of an equation's error that an effect must explain to be named, and by how much it must be ahead of the next.
+const NAMED_SHARE: f64 = 0.3;
+
+/// One effect and how much of the error it would explain.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Leaning {
+    pub effect: &'static str,
+    pub equation: &'static str,
+    /// Share of the equation's squared error beyond the noise that follows the effect, beside the equation's own
+    /// parameters.
+    pub share: f64,
+    /// Windows that it rests on.
+    pub windows: usize,
+}
+
+/// The effects that the error of the worse equation leans on, the one that explains most first; empty where no equation
+/// fails, or none explains a good part.
+pub fn lean(
+    model: &Model,
+    scenario: &Scenario,
+    noise: &NoiseFloor,
+) -> Result<Vec<Leaning>, FitError> {
+    let mut windows = Windows::new(model, scenario, noise, FEWEST_HALF)?;
+    let mut found: Vec<(f64, Leaning)> = Vec::new();
+    if windows.missing_signal().is_some() {
+        return Ok(Vec::new());
+    }
+    for &equation in super::equations(scenario.input) {
+        let count = windows.of(equation).count();
+        if count < FEWEST_WINDOWS {
+            continue;
+        }
+        let mut balance = windows.balance(equation, noise);
+        refit(
+            &mut windows,
+            equation,
+            &mut balance,
+            noise,
+            model,
+            ErrorOf::Structure,
+        );
+        if !balance.fails {
+            continue;
+        }
+        let badness = super::nres(&balance).unwrap_or(balance.relative);
+        let search = Search {
+            windows: &windows,
+            equation,
+            own: own_keys(equation).len(),
+        };
+        let angle = search.angle_at_samples();
+        for effect in CATALOGUE {
+            let share = share(&search, *effect, model, angle.as_deref());
+            if let Some(share) = share.filter(|share| *share >= NAMED_SHARE) {
+                let leaning = Leaning {
+                    effect: effect.card().id,
+                    equation: equation.key(),
+                    share,
+                    windows: count,
+                };
+                found.push((badness * share.sqrt(), leaning));
+            }
+        }
+    }
+    found.sort_by(|a, b| b.0.total_cmp(&a.0));
+    Ok(found.into_iter().map(|(_, leaning)| leaning).collect())
+}
+
+/// Share of the error that the effect's coefficients explain, each a column at unit size; of an effect of the angle that of
+/// its best order.
+fn share(
+    search: &Search<'_>,
+    effect: &'static dyn Effect,
+    model: &Model,
+    angle: Option<&[f64]>,
+) -> Option<f64> {
+    let card = effect.card();
+    let specs = effect.parameters();
+    let happens_once = specs
+        .iter()
+        .any(|spec| spec.role == ParameterRole::EventTime);
+    if happens_once || !card.enters.includes(search.equation) {
+        return None;
+    }
+    let orders = match (card.needs_angle, angle) {
+        (true, None) => return None,
+        (true, Some(_)) => ORDERS,
+        (false, _) => 1,
+    };
+    let coefficients = specs.iter().enumerate();
+    let coefficients = coefficients.filter(|(_, spec)| spec.is_coefficient());
+    let coefficients: Vec<usize> = coefficients.map(|(index, _)| index).collect();
+    let best = (1..=orders).filter_map(|order| {
+        let columns = coefficients.iter().map(|unit| {
+            let value = |(index, spec): (usize, &drivebench_model::plant::ParameterSpec)| {
+                if spec.is_coefficient() {
+                    return if index == *unit { spec.scale } else { 0.0 };
+                }
+                if spec.role == ParameterRole::Choice {
+                    return order as f64;
+                }
+                spec.guess()
+            };
+            let values: Vec<f64> = specs.iter().enumerate().map(value).collect();
+            column(search, effect.terms(&values).as_ref(), model, angle)
+        });
+        let columns = columns.collect::<Option<Vec<_>>>()?;
+        let mut row = 0;
+        let rows = search.rows(columns.len(), |_, cells| {
+            for (cell, column) in cells.iter_mut().zip(&columns) {
+                *cell = column[row];
+            }
+            row += 1;
+        });
+        search.followed_share(&rows)
+    });
+    best.max_by(f64::total_cmp)
+}
+
+/// What a term does in each window; `None` where it is no term, or does nothing.
+fn column(
+    search: &Search<'_>,
+    terms: &dyn Terms,
+    model: &Model,
+    angle: Option<&[f64]>,
+) -> Option<Vec<f64>> {
+    if terms.why_no_term().is_some() {
+        return None;
+    }
+    let scenario = search.windows.scenario;
+    let motor = Instant::of(&model.motor);
+    let begin_s = scenario.begin_s();
+    let dead_zone = search.windows.dead_zone_rad_s;
+    let at_sample = |(sample, time_s): (usize, &f64)| {
+        let speed_rad_s = scenario.speed_rad_s[sample];
+        let at = Instant {
+            time_s: time_s - begin_s,
+            voltage_v: scenario.input_at(*time_s),
+            supply_v: scenario.supply_v(),
+            current_a: scenario.current_a.get(sample).copied().unwrap_or(f64::NAN),
+            speed_rad_s,
+            angle: angle.map_or_else(ShaftAngle::default, |angle| ShaftAngle::at(angle[sample])),
+            ..motor
+        };
+        let sums = terms.sums(&at, &[]);
+        let direction = if speed_rad_s.abs() > dead_zone {
+            speed_rad_s.signum()
+        } else {
+            0.0
+        };
+        match search.equation {
+            Balance::Voltage => sums.voltage_v,
+            Balance::Torque => sums.torque_n_m + sums.friction_n_m * direction,
+        }
+    };
+    let values: Vec<f64> = scenario
+        .sample_time_s
+        .iter()
+        .enumerate()
+        .map(at_sample)
+        .collect();
+    let own = search.own;
+    let rows = search.averaged(&values, 1, |value, weight, row| row[0] += value * weight);
+    let column: Vec<f64> = rows.into_iter().map(|row| row[own]).collect();
+    column.iter().any(|value| *value != 0.0).then_some(column)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use drivebench_model::plant::testing::{self, with_a_fan};
+    use drivebench_model::plant::{ActiveEffect, Motor, effect};
+
+    fn looked_at(run: &Scenario) -> Vec<Leaning> {
+        let noise = NoiseFloor::from_standstill(run).unwrap();
+        lean(&Model::baseline(Motor::zk_22fc()), run, &noise).unwrap()
+    }
+
+    #[test]
+    fn a_run_with_a_fan_leans_on_the_fan() {
+        let found = looked_at(&with_a_fan(0));
+        let first = &found[0];
+        assert_eq!((first.effect, first.equation), ("quadratic_load", "torque"));
+        assert!(first.share > 0.9, "{found:?}");
+    }
+
+    #[test]
+    fn one_that_lacks_nothing_leans_on_nothing() {
+        let events = testing::held([0.0, 0.5, 1.5, 2.5, 3.5], [0.0, 40.0, -30.0, 70.0, -80.0]);
+        let model = Model::baseline(Motor::zk_22fc());
+        let run = testing::record(&model, events, 0.005, 4.5, 3);
+        assert_eq!(looked_at(&run), vec![]);
+    }
+
+    #[test]
+    fn a_brush_drop_is_seen_in_the_voltage() {
+        let mut truth = Model::baseline(Motor::zk_22fc());
+        let drop = effect::find("voltage_drop").unwrap();
+        truth.effects.push(ActiveEffect::with(drop, &[1.5]));
+        let steps = (0..30).map(|k| {
+            let level = [30.0, -30.0, 60.0, -15.0, 20.0, -70.0][k % 6];
+            (0.5 + 0.2 * k as f64, level)
+        });
+        let events = std::iter::once((0.0, 0.0)).chain(steps).collect();
+        let found = looked_at(&testing::record(&truth, events, 0.002, 6.5, 4));
+        assert_eq!(found[0].equation, "voltage", "{found:?}");
+        let drop = found.iter().find(|own| own.effect == "voltage_drop");
+        assert!(drop.unwrap().share > 0.7, "{found:?}");
+    }
+}

@@ -1,0 +1,578 @@
+//! Location of the error, with sign: which equation, over which speeds, currents, angles, times, and as what curve.
+//!
+//! ```text
+//! model, run -> windows   what each equation lacks in overlapping windows, with the floor that noise alone gives, and what
+//!                  |      a change of the motor's own values would explain of it (told, or taken out)
+//!                  |-> axis    how much of it follows speed, current, angle, time, voltage edges, a line in frequency, and
+//!                  |           the narrowest range that holds most of it; one sentence each
+//!                  |-> curve   the error as a curve over a variable, with its uncertainty
+//!                  |-> effect_curve  the same without an effect and with it, and the effect drawn through the points
+//!                  |-> torque_map  friction over speed, cogging over a turn, for other programs
+//!                  |-> leaning which effect the residual follows so far, to first order, while a run goes on
+//!                  '-> the error over speed x current, with counts
+//! ```
+//!
+//! One mechanism at every sampling period: the model is started afresh from the measurement at the
+//! begin of each window, and the weak form is taken of the *difference* between measurement and model. What a coarse
+//! quadrature makes of a current with corners is the same in both and cancels; the noise of the start obeys the model's
+//! own equations and is annihilated; effects, filters and delays of the model need no regressor of their own.
+
+mod axis;
+mod curve;
+mod effect_curve;
+mod leaning;
+mod torque_map;
+mod windows;
+
+use serde::Serialize;
+
+pub use self::curve::{AxisMap, axis_map};
+pub(super) use self::effect_curve::with_candidate;
+pub use self::effect_curve::{CurvePoint, EffectCurve, effect_curve, error_curve};
+pub use self::leaning::{Leaning, lean};
+pub use self::torque_map::{MapError, MeasuredMap, torque_map};
+
+pub(super) use self::axis::name_of;
+use self::axis::{figure, name_of_variable};
+use self::windows::{FEWEST_HALF, Window, Windows, own_keys};
+use drivebench_identify::noise::NoiseFloor;
+use drivebench_identify::output_error::FitError;
+use drivebench_model::numerics::count::whole;
+use drivebench_model::numerics::statistics::extent;
+use drivebench_model::plant::{Balance, Input, Model, MotorKey, Scenario};
+
+/// A region that holds much of the error of one equation.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct FailureLocation {
+    pub equation: &'static str,
+    /// `speed_rad_s`, `current_a`, `angle_rad`, `time_s`, `direction`, `frequency_hz`, `voltage_edge_s` (the error
+    /// follows the steps of the voltage, as if they came late), `acceleration_rad_s2`, `current_rate_a_s`.
+    pub variable: &'static str,
+    pub from: f64,
+    pub to: f64,
+    /// Share of the equation's squared error beyond the noise that lies from `from` to `to`.
+    pub share_of_error: f64,
+    pub share_of_time: f64,
+    /// Share of the equation's squared error beyond the noise that follows this variable.
+    pub follows: f64,
+    /// Squared error that follows the variable in units of what chance gives: the larger, the more certain.
+    pub strength: f64,
+    pub sentence: String,
+}
+
+/// What one equation lacks altogether.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct EquationBalance {
+    pub equation: &'static str,
+    pub unit: &'static str,
+    /// Error of the balance over what noise alone gives: one when the equation is right; null where no noise is known.
+    pub nres: Option<f64>,
+    /// The same after the equation's own parameters were allowed to move: what no value of them explains.
+    pub nres_refitted: Option<f64>,
+    /// Which moves of the own parameters, relative to the model's values, would explain most of the error.
+    pub own_changes: Vec<OwnChange>,
+    /// Root mean square of what the equation lacks.
+    pub rms: f64,
+    /// The same over the root mean square of the equation's drive (voltage, or torque of the current).
+    pub relative: f64,
+    /// Share of both equations' error beyond the noise, each in units of its noise; null where the run has only one.
+    pub share_of_error: Option<f64>,
+    /// Share of the squared error beyond noise while the shaft turned forward, and the share of the time that it did.
+    pub forward_share_of_error: Option<f64>,
+    pub forward_share_of_time: Option<f64>,
+    pub windows: usize,
+    /// Whether what is located is the error after the own parameters moved, because only the structure was asked for, or
+    /// because the moves are small.
+    pub refitted: bool,
+    /// Whether the located error is more than the noise, and more than the arithmetic.
+    pub fails: bool,
+    pub sentence: String,
+}
+
+/// How far one of the motor's values is from what this equation asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct OwnChange {
+    pub key: &'static str,
+    /// Positive where the model's value is too low.
+    pub by: f64,
+    /// Of the model's value.
+    pub share: f64,
+}
+
+/// Everything that is known of the places where a model fails.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Located {
+    /// The worse equation first; in it the variable that it follows most. Empty where nothing fails.
+    pub locations: Vec<FailureLocation>,
+    /// The worse first.
+    pub balances: Vec<EquationBalance>,
+    pub map: Option<ErrorMap>,
+    /// What could not be judged, and why.
+    pub notes: Vec<String>,
+}
+
+/// Which error is located.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ErrorOf {
+    /// The model with its values as they are: a wrong resistance shows as an error that follows the current.
+    Model,
+    /// What the baseline's own parameters cannot explain, each balance for itself: where something is missing. A fit of
+    /// the whole model spreads a missing torque over both balances; this takes that back.
+    Structure,
+}
+
+/// Windows below which nothing is said.
+const FEWEST_WINDOWS: usize = 40;
+/// A move of an own parameter from this share of its value on is a wrong value, not the trace of a fit.
+const MATERIAL_SHARE: f64 = 0.03;
+/// A move of a resistance, a back-EMF constant or an inertia from this share on is another machine than the one that was
+/// fitted, which changed: without it what is left lies where it did not change.
+const ANOTHER_SHARE: f64 = 0.5;
+
+/// The equations that a run has: without a voltage there is no balance of it.
+const fn equations(input: Input) -> &'static [Balance] {
+    match input {
+        Input::Voltage => &[Balance::Torque, Balance::Voltage],
+        Input::Current | Input::Torque => &[Balance::Torque],
+    }
+}
+
+/// Regions and balances of both equations; empty where nothing fails.
+pub fn locate(
+    model: &Model,
+    scenario: &Scenario,
+    noise: &NoiseFloor,
+    error_of: ErrorOf,
+) -> Result<Located, FitError> {
+    let mut found = Located::default();
+    let mut windows = Windows::new(model, scenario, noise, FEWEST_HALF)?;
+    if let Some(missing) = windows.missing_signal() {
+        found.notes.push(format!(
+            "no {missing} was measured: what the voltage equation and what the torque equation lacks cannot be told apart"
+        ));
+        return Ok(found);
+    }
+    for &equation in equations(scenario.input) {
+        let usable = windows.of(equation).count();
+        if usable < FEWEST_WINDOWS {
+            found.notes.push(format!(
+                "{} equation: {usable} usable windows of {:.0} ms, at least {FEWEST_WINDOWS} are needed to say where it \
+                 fails: record a longer run{}",
+                equation.key(),
+                1e3 * windows.length_s(),
+                if equation == Balance::Torque { " in which the shaft turns" } else { "" }
+            ));
+            continue;
+        }
+        let mut balance = windows.balance(equation, noise);
+        refit(&mut windows, equation, &mut balance, noise, model, error_of);
+        let axes = if balance.fails {
+            axis::ranked(&windows, equation, balance.refitted, model, error_of)
+        } else {
+            Vec::new()
+        };
+        // Without a known noise, what follows nothing may be the noise.
+        balance.fails &= balance.nres.is_some() || !axes.is_empty();
+        balance.sentence = balance.in_words(axes.first());
+        found.balances.push(balance);
+        found.locations.extend(axes);
+    }
+    rank(&mut found);
+    if scenario.angle.is_empty() && !found.balances.is_empty() {
+        found.notes.push(
+            "no angle was measured: it is integrated from the speed and drifts, so that an error that follows the angle \
+             may go unseen"
+                .to_owned(),
+        );
+    }
+    found.map = ErrorMap::of(&windows);
+    Ok(found)
+}
+
+/// What the equations lack in the first of two runs of one excitation and not in the second, each with its own values of
+/// the motor: what it follows, the worse equation first. Empty where that is no more than the noise of both.
+pub(super) fn locate_difference(
+    model: &Model,
+    [first, second]: [&Scenario; 2],
+    noise: &NoiseFloor,
+) -> Result<Vec<FailureLocation>, FitError> {
+    let equations = [Balance::Torque, Balance::Voltage];
+    let mut windows = Windows::new(model, first, noise, FEWEST_HALF)?;
+    let mut other = Windows::new(model, second, noise, FEWEST_HALF)?;
+    for equation in equations {
+        for run in [&mut windows, &mut other] {
+            if let Some(changes) = run.own_changes(equation) {
+                run.take_out(equation, &changes);
+            }
+        }
+    }
+    windows.subtract(&other);
+    let mut found = Located::default();
+    for equation in equations {
+        if windows.of(equation).count() < FEWEST_WINDOWS {
+            continue;
+        }
+        let balance = windows.balance(equation, noise);
+        if balance.fails {
+            let axes = axis::ranked(&windows, equation, true, model, ErrorOf::Structure);
+            found.locations.extend(axes);
+        }
+        found.balances.push(balance);
+    }
+    rank(&mut found);
+    Ok(found.locations)
+}
+
+/// Lets the equation's own parameters move. The moves stay taken out of the windows where that is asked, and where they
+/// are small: a fit of the whole model that lacks something leaves values that are a little off, and a balance sees
+/// them well. Large ones are a fault of their own.
+fn refit(
+    windows: &mut Windows<'_>,
+    equation: Balance,
+    balance: &mut EquationBalance,
+    noise: &NoiseFloor,
+    model: &Model,
+    error_of: ErrorOf,
+) {
+    let Some(changes) = windows.own_changes(equation) else {
+        return;
+    };
+    let own = own_keys(equation).iter().zip(&changes);
+    let changed = own.map(|(key, by)| OwnChange {
+        key: key.key(),
+        by: *by,
+        share: by / model.motor.get(*key).unwrap_or(f64::NAN),
+    });
+    balance.own_changes = changed.collect();
+    windows.take_out(equation, &changes);
+    let after = windows.balance(equation, noise);
+    balance.nres_refitted = after.nres;
+    let is_small = |change: &OwnChange| change.share.abs() < MATERIAL_SHARE;
+    let is_another = |change: &OwnChange| {
+        let is_sure = ![MotorKey::LoadTorque, MotorKey::Inductance]
+            .map(MotorKey::key)
+            .contains(&change.key);
+        is_sure && change.share.abs() > ANOTHER_SHARE
+    };
+    balance.refitted = match error_of {
+        ErrorOf::Structure => !balance.own_changes.iter().any(is_another),
+        ErrorOf::Model => balance.own_changes.iter().all(is_small),
+    };
+    if balance.refitted {
+        balance.fails = after.fails;
+        balance.forward_share_of_error = after.forward_share_of_error;
+    } else {
+        let back: Vec<f64> = changes.iter().map(|by| -by).collect();
+        windows.take_out(equation, &back);
+    }
+}
+
+/// Error of a balance in units of its noise, of what is located.
+const fn nres(balance: &EquationBalance) -> Option<f64> {
+    if balance.refitted {
+        balance.nres_refitted
+    } else {
+        balance.nres
+    }
+}
+
+/// By what two failing balances are compared. An error that follows something says more than a larger one that follows
+/// nothing.
+fn badness(balance: &EquationBalance, locations: &[FailureLocation]) -> f64 {
+    let follows = locations
+        .iter()
+        .find(|location| location.equation == balance.equation)
+        .map_or(0.0, |location| location.follows);
+    nres(balance).unwrap_or(balance.relative) * (0.3 + 0.7 * follows).sqrt()
+}
+
+/// Fall of the error, in multiples of the noise, from which on it is worth a word that the motor's values may move.
+const WORTH_SAYING_NRES: f64 = 0.1;
+
+impl EquationBalance {
+    /// The whole balance as a sentence; `first` is what its error follows most.
+    fn in_words(&self, first: Option<&FailureLocation>) -> String {
+        let name = self.equation;
+        let is_torque = name == Balance::Torque.key();
+        let size = match self.nres {
+            Some(nres) => format!("{nres:.2} times its noise"),
+            None => format!(
+                "{} % of the {} (no noise is known to compare it with)",
+                figure(100.0 * self.relative),
+                if is_torque {
+                    "driving torque"
+                } else {
+                    "voltage"
+                }
+            ),
+        };
+        let moved = match (self.refitted, self.nres, self.nres_refitted) {
+            (true, Some(before), Some(after)) if before - after > WORTH_SAYING_NRES => {
+                format!(
+                    ", {after:.2} times where {} may move",
+                    self.largest_change()
+                )
+            }
+            _ => String::new(),
+        };
+        match (self.fails, first) {
+            (false, _) if self.nres.is_none() => {
+                format!(
+                    "the {name} equation: its error is {size} and follows none of the variables examined"
+                )
+            }
+            (false, _) => format!("the {name} equation holds: its error is {size}{moved}"),
+            (true, Some(first)) => {
+                format!(
+                    "the {name} equation fails: its error is {size}{moved}; {}",
+                    first.sentence
+                )
+            }
+            (true, None) => format!(
+                "the {name} equation fails: its error is {size}{moved} and follows none of the variables examined"
+            ),
+        }
+    }
+
+    /// The parameter that is farthest off, with its move.
+    fn largest_change(&self) -> String {
+        let changes = self.own_changes.iter();
+        let largest = changes.max_by(|a, b| a.share.abs().total_cmp(&b.share.abs()));
+        largest.map_or_else(String::new, |change| {
+            let name = MotorKey::from_key(change.key).map_or("a value", name_of);
+            format!("its values (the {name} by {:+.1} %)", 100.0 * change.share)
+        })
+    }
+}
+
+/// Standard deviations within which two figures are alike.
+const ALIKE_SIGMAS: f64 = 2.0;
+
+/// Where two equations fail alike, or the error of the worse one follows two variables alike, so that another run or a
+/// model that is nearly the same would put the other first: that neither is known to be the one.
+pub(super) fn undecided(
+    balances: &[EquationBalance],
+    locations: &[FailureLocation],
+) -> Option<String> {
+    let worst = balances.first().filter(|balance| balance.fails)?;
+    // Neighbouring windows share half of their samples.
+    let apart = |balance: &EquationBalance| 0.5 * balance.windows.max(1) as f64;
+    if let Some(other) = balances.get(1).filter(|other| other.fails) {
+        let size = |balance: &EquationBalance| {
+            let size = badness(balance, locations);
+            (size, size / (2.0 * apart(balance)).sqrt())
+        };
+        let ((worse, doubt), (less, other_doubt)) = (size(worst), size(other));
+        if worse - less < ALIKE_SIGMAS * doubt.hypot(other_doubt) {
+            return Some(format!(
+                "the {} and the {} equation fail alike: which of them lacks something these runs do not tell",
+                worst.equation, other.equation
+            ));
+        }
+    }
+    let mut of_worst = locations.iter().filter(|l| l.equation == worst.equation);
+    let (first, second) = (of_worst.next()?, of_worst.next()?);
+    // Of a share of variance from so many values.
+    let doubt = |share: f64| {
+        let share = share.clamp(0.0, 1.0);
+        2.0 * share.sqrt() * (1.0 - share) / apart(worst).sqrt()
+    };
+    let both = doubt(first.follows).hypot(doubt(second.follows));
+    let what = |location: &FailureLocation| match name_of_variable(location.variable) {
+        Some(name) => format!("follows the {name}"),
+        None => "is the same everywhere".to_owned(),
+    };
+    ((first.follows - second.follows).abs() < ALIKE_SIGMAS * both).then(|| {
+        format!(
+            "the {} error {} and {} alike ({:.0} and {:.0} %): which of them these runs do not tell",
+            worst.equation,
+            what(first),
+            what(second),
+            100.0 * first.follows,
+            100.0 * second.follows
+        )
+    })
+}
+
+/// The equation that fails worse first: by its error in units of the noise, else beside its drive.
+fn rank(found: &mut Located) {
+    let locations = &found.locations;
+    found.balances.sort_by(|a, b| {
+        let sizes = badness(b, locations).total_cmp(&badness(a, locations));
+        b.fails.cmp(&a.fails).then(sizes)
+    });
+    let order: Vec<&str> = found.balances.iter().map(|b| b.equation).collect();
+    let place =
+        |location: &FailureLocation| order.iter().position(|name| *name == location.equation);
+    // Stable: within an equation the order of the axes stays.
+    found.locations.sort_by_key(place);
+    if found.balances.len() == 2 && found.balances.iter().all(|b| nres(b).is_some()) {
+        let beyond =
+            |balance: &EquationBalance| (nres(balance).unwrap_or(0.0).powi(2) - 1.0).max(0.0);
+        let total: f64 = found.balances.iter().map(beyond).sum();
+        if total > 0.0 {
+            for balance in &mut found.balances {
+                balance.share_of_error = Some(beyond(balance) / total);
+            }
+        }
+    }
+}
+
+/// Cells along each axis.
+const CELLS: usize = 12;
+
+/// Root mean square of what each equation lacks in the cells of speed x current. Rows go with the speed, columns with
+/// the current, both from their lowest edge; null where the run never was.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ErrorMap {
+    pub speed_edges_rad_s: Vec<f64>,
+    pub current_edges_a: Vec<f64>,
+    /// Windows in each cell.
+    pub count: Vec<Vec<usize>>,
+    pub torque_rms_n_m: Vec<Vec<Option<f64>>>,
+    pub voltage_rms_v: Vec<Vec<Option<f64>>>,
+    /// Means of the same: positive where the model's torque against positive motion, or its voltage drop, is too low.
+    pub torque_mean_n_m: Vec<Vec<Option<f64>>>,
+    pub voltage_mean_v: Vec<Vec<Option<f64>>>,
+}
+
+/// Which way a model is off in a cell of the map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Off {
+    TooLow,
+    TooHigh,
+    /// Now the one, now the other.
+    BothWays,
+}
+
+/// One cell of the map: from 0 to 9, its largest error.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MapCell {
+    pub digit: usize,
+    pub off: Off,
+}
+
+impl MapCell {
+    /// Digits where the model is too low, letters where it is too high, shades where it is both: read without colour.
+    pub fn glyph(self) -> char {
+        let of = |glyphs: &str| glyphs.chars().nth(self.digit).unwrap_or('?');
+        match self.off {
+            Off::TooLow => of("0123456789"),
+            Off::TooHigh => of("0abcdefghi"),
+            Off::BothWays => of("0░░░▒▒▒▓▓▓"),
+        }
+    }
+}
+
+/// The map of one equation, readable without colour.
+pub struct MapDigits {
+    pub largest: f64,
+    /// The highest speed first: the middle of the row in rad/s, and its cells, none where the run never was or where there
+    /// is no error at all.
+    pub rows: Vec<(f64, Vec<Option<MapCell>>)>,
+}
+
+/// Digit of the largest error.
+const LARGEST_DIGIT: f64 = 9.0;
+/// Share of the root mean square that a mean must have for its sign to be told.
+const SIGNED_SHARE: f64 = 0.5;
+
+/// Sums of squares and of errors in a cell, and their number.
+type Sums = (f64, f64, usize);
+
+impl ErrorMap {
+    /// What one equation lacks, cell by cell.
+    pub fn cells(&self, equation: &str) -> &[Vec<Option<f64>>] {
+        match equation {
+            "torque" => &self.torque_rms_n_m,
+            _ => &self.voltage_rms_v,
+        }
+    }
+
+    pub fn digits(&self, equation: &str) -> MapDigits {
+        let cells = self.cells(equation);
+        let means = match equation {
+            "torque" => &self.torque_mean_n_m,
+            _ => &self.voltage_mean_v,
+        };
+        let known = |value: &Option<f64>| value.filter(|value| value.is_finite());
+        let largest = cells.iter().flatten().filter_map(known).fold(0.0, f64::max);
+        let cell = |(rms, mean): (&Option<f64>, &Option<f64>)| {
+            let rms = known(rms).filter(|_| largest > 0.0)?;
+            let mean = known(mean).unwrap_or(0.0);
+            let off = if mean.abs() < SIGNED_SHARE * rms {
+                Off::BothWays
+            } else if mean > 0.0 {
+                Off::TooLow
+            } else {
+                Off::TooHigh
+            };
+            let digit = whole((LARGEST_DIGIT * rms / largest).round());
+            Some(MapCell { digit, off })
+        };
+        let middles = self.speed_edges_rad_s.windows(2);
+        let middles = middles.map(|edges| 0.5 * (edges[0] + edges[1]));
+        let rows = middles.zip(cells.iter().zip(means));
+        let mut rows: Vec<_> = rows
+            .map(|(middle, (row, means))| (middle, row.iter().zip(means).map(cell).collect()))
+            .collect();
+        rows.reverse();
+        MapDigits { largest, rows }
+    }
+
+    /// `None` where speed or current did not vary, or was not measured.
+    fn of(windows: &Windows<'_>) -> Option<Self> {
+        let edges = |value: fn(&Window) -> f64| {
+            let values = windows.each.iter().map(value);
+            let (from, to) = extent(values.filter(|value| value.is_finite()));
+            let edge = |k: usize| from + (to - from) * k as f64 / CELLS as f64;
+            (to > from).then(|| (0..=CELLS).map(edge).collect::<Vec<f64>>())
+        };
+        let (speed, current) = (edges(|w| w.speed_rad_s)?, edges(|w| w.current_a)?);
+        let cell = |edges: &[f64], value: f64| {
+            let width = (edges[CELLS] - edges[0]) / CELLS as f64;
+            whole((value - edges[0]) / width).min(CELLS - 1)
+        };
+        let mut count = vec![vec![0; CELLS]; CELLS];
+        let equations = [Balance::Torque, Balance::Voltage];
+        let mut sums = equations.map(|_| vec![vec![(0.0, 0.0, 0_usize); CELLS]; CELLS]);
+        for window in &windows.each {
+            if !(window.speed_rad_s.is_finite() && window.current_a.is_finite()) {
+                continue;
+            }
+            let row = cell(&speed, window.speed_rad_s);
+            let column = cell(&current, window.current_a);
+            count[row][column] += 1;
+            for (equation, cells) in equations.into_iter().zip(&mut sums) {
+                let error = window.error(equation);
+                if error.is_finite() {
+                    cells[row][column].0 += error * error;
+                    cells[row][column].1 += error;
+                    cells[row][column].2 += 1;
+                }
+            }
+        }
+        let of = |value: fn(&Sums) -> f64| {
+            let cell = |sums: &Sums| (sums.2 > 0).then(|| value(sums));
+            let [torque, voltage] = &sums;
+            [torque, voltage].map(|cells| {
+                let rows = cells.iter();
+                rows.map(|row| row.iter().map(cell).collect()).collect()
+            })
+        };
+        let [torque_rms_n_m, voltage_rms_v] = of(|(power, _, n)| (power / *n as f64).sqrt());
+        let [torque_mean_n_m, voltage_mean_v] = of(|(_, sum, n)| sum / *n as f64);
+        Some(Self {
+            speed_edges_rad_s: speed,
+            current_edges_a: current,
+            count,
+            torque_rms_n_m,
+            voltage_rms_v,
+            torque_mean_n_m,
+            voltage_mean_v,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,363 @@
+//! Measurement of a torque map: friction over both directions of the speed, cogging over a turn of the shaft.
+//!
+//! ```text
+//! model without the torque that is mapped --> windows: Kt <i> - J <dw/dt> - what the model keeps --> bins of a fixed grid
+//!                                                                               mean, 95 % interval, windows of each
+//! ```
+//!
+//! Of a cogging map a friction of each direction, `a + b w`, is taken out by turns with the bins: what is left is a torque of
+//! the place alone, which gives back over a turn what it takes.
+//!
+//! Nothing of the mapped torque's form is taken from the model; its Kt and J are, and an error of them scales what is found.
+//! A bin without enough windows has no value.
+
+use std::f64::consts::TAU;
+
+use statrs::distribution::{ContinuousCDF, StudentsT};
+
+use super::axis::Search;
+use super::windows::{FEWEST_HALF, Window, Windows, own_keys};
+use drivebench_identify::noise::NoiseFloor;
+use drivebench_identify::output_error::FitError;
+use drivebench_model::numerics::count::whole;
+use drivebench_model::numerics::statistics::{extent, largest};
+use drivebench_model::plant::{
+    Balance, MapBin, MappedTorque, MappedValue, Model, Scenario, TorqueMap,
+};
+
+/// Bins of each direction, and of a turn: 5 degrees.
+const BINS_EACH_WAY: usize = 12;
+const BINS_PER_TURN: usize = 72;
+/// Windows without which a bin has no value.
+const FEWEST_WINDOWS: usize = 4;
+/// Neighbouring windows share half of their samples.
+const WINDOWS_EACH: f64 = 2.0;
+/// A window may turn through so much, rad: what it averages then is 95 % of a wave of seven periods per turn.
+const MOST_TURN_RAD: f64 = 0.3;
+/// Share of a bin by which the speed of a window may wander (a standard deviation).
+const STEADY_SHARE: f64 = 0.5;
+/// Rounds of the backfitting, and the least spread of speeds, over the square of their mean, that has a slope.
+const BACKFITS: usize = 50;
+const SPREAD: f64 = 1e-4;
+/// Two-sided level of the intervals.
+const LEVEL: f64 = 0.95;
+
+/// A map with what it could not use.
+#[derive(Clone, Debug)]
+pub struct MeasuredMap {
+    pub map: TorqueMap,
+    /// Runs that were left out, by their places, and the signal that each lacks.
+    pub left_out: Vec<(usize, &'static str)>,
+}
+
+/// What stands in the way of a map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum MapError {
+    #[error("no run has a {0}")]
+    Missing(&'static str),
+    #[error("no bin has {FEWEST_WINDOWS} windows of steady motion")]
+    Empty,
+}
+
+impl MapError {
+    pub const fn help(&self) -> &'static str {
+        match self {
+            Self::Missing(_) => "take runs that record it",
+            Self::Empty => {
+                "take runs that hold their speeds for some tenths of a second; for cogging a slow one, below 5 rad/s"
+            }
+        }
+    }
+}
+
+/// A window's place on the axis, its torque and the deviation that noise alone gives to it.
+struct Found {
+    place: f64,
+    speed_rad_s: f64,
+    torque_n_m: f64,
+    floor_n_m: f64,
+}
+
+/// The map of a torque from runs with their noise, by the Kt, J and winding of a complete `model`.
+pub fn torque_map(
+    of: MappedTorque,
+    model: &Model,
+    runs: &[(Scenario, NoiseFloor)],
+) -> Result<Result<MeasuredMap, MapError>, FitError> {
+    let rest = of.taken_out_of(model);
+    let fastest = largest(
+        runs.iter()
+            .flat_map(|(run, _)| run.speed_rad_s.iter().copied()),
+    );
+    let bins = match of {
+        MappedTorque::Friction => grid(-fastest, fastest, 2 * BINS_EACH_WAY),
+        MappedTorque::Cogging => grid(0.0, TAU, BINS_PER_TURN),
+    };
+    let width = bins[0].to - bins[0].from;
+    let mut found: Vec<Found> = Vec::new();
+    let mut left_out = Vec::new();
+    for (index, (run, noise)) in runs.iter().enumerate() {
+        let windows = Windows::new(&rest, run, noise, FEWEST_HALF)?;
+        if let Some(signal) = windows.missing_signal() {
+            left_out.push((index, signal));
+            continue;
+        }
+        let search = Search {
+            windows: &windows,
+            equation: Balance::Torque,
+            own: own_keys(Balance::Torque).len(),
+        };
+        let angle = match of {
+            MappedTorque::Friction => Vec::new(),
+            MappedTorque::Cogging => {
+                let Some(angle) = search.angle_at_samples() else {
+                    left_out.push((index, "angle"));
+                    continue;
+                };
+                angle
+            }
+        };
+        for window in windows.of(Balance::Torque) {
+            let place = match of {
+                MappedTorque::Friction => steady_speed(&windows, window, width),
+                MappedTorque::Cogging => still_angle(&angle[windows.samples_of(window)]),
+            };
+            // Where the shaft turned too far, or its speed was not steady, it has none.
+            if let Some(place) = place {
+                found.push(Found {
+                    place,
+                    speed_rad_s: window.speed_rad_s,
+                    torque_n_m: window.error(Balance::Torque),
+                    floor_n_m: window.floor(Balance::Torque),
+                });
+            }
+        }
+    }
+    if let (Some((_, signal)), true) = (left_out.last(), found.is_empty()) {
+        return Ok(Err(MapError::Missing(signal)));
+    }
+    if of == MappedTorque::Cogging {
+        take_friction_out(&mut found, &bins);
+    }
+    let bins = bins.into_iter().map(|bin| filled(bin, &found)).collect();
+    let map = TorqueMap { torque: of, bins };
+    Ok(if map.known() == 0 {
+        Err(MapError::Empty)
+    } else {
+        Ok(MeasuredMap { map, left_out })
+    })
+}
+
+fn grid(from: f64, to: f64, count: usize) -> Vec<MapBin> {
+    let edge = |index: usize| from + (to - from) * index as f64 / count as f64;
+    let bin = |index: usize| MapBin {
+        from: edge(index),
+        to: edge(index + 1),
+        windows: 0,
+        torque: None,
+    };
+    (0..count).map(bin).collect()
+}
+
+/// Mean speed of a window in which it neither wanders nor passes zero.
+fn steady_speed(windows: &Windows<'_>, window: &Window, width: f64) -> Option<f64> {
+    let own = &windows.scenario.speed_rad_s[windows.samples_of(window)];
+    let mean = window.speed_rad_s;
+    let (low, high) = extent(own.iter());
+    let one_way = low * high > 0.0 && mean.abs() > windows.dead_zone_rad_s;
+    let weights = windows.weights_of(window).mean;
+    let squares = weights.iter().zip(own);
+    let variance: f64 = squares.map(|(w, value)| w * (value - mean).powi(2)).sum();
+    (one_way && variance.sqrt() < STEADY_SHARE * width).then_some(mean)
+}
+
+/// Middle angle within a turn of a window in which the shaft turns little, one way.
+fn still_angle(own: &[f64]) -> Option<f64> {
+    let (low, high) = extent(own.iter());
+    (high - low < MOST_TURN_RAD).then(|| own[own.len() / 2].rem_euclid(TAU))
+}
+
+/// Takes what depends on the speed out of torques over a turn: the bins' means and a line over the speed of each direction,
+/// one after the other until neither changes (backfitting; Hastie and Tibshirani, Generalized Additive Models, 1990).
+fn take_friction_out(found: &mut [Found], bins: &[MapBin]) {
+    let width = bins[0].to - bins[0].from;
+    let bin_of = |found: &Found| whole((found.place / width).floor()).min(bins.len() - 1);
+    let mut wave = vec![0.0; bins.len()];
+    let mut lines = [[0.0; 2]; 2];
+    let way = |found: &Found| usize::from(found.speed_rad_s < 0.0);
+    let friction = |lines: &[[f64; 2]; 2], found: &Found| {
+        let [at_rest, slope] = lines[way(found)];
+        at_rest + slope * found.speed_rad_s
+    };
+    for _ in 0..BACKFITS {
+        for (direction, line) in lines.iter_mut().enumerate() {
+            let own = found.iter().filter(|found| way(found) == direction);
+            let rest = own.map(|found| (found.speed_rad_s, found.torque_n_m - wave[bin_of(found)]));
+            *line = straight(&rest.collect::<Vec<_>>());
+        }
+        let mut sums = vec![(0.0, 0.0); bins.len()];
+        for found in &*found {
+            let (sum, count) = &mut sums[bin_of(found)];
+            *sum += found.torque_n_m - friction(&lines, found);
+            *count += 1.0;
+        }
+        let known = sums.iter().filter(|(_, count)| *count > 0.0);
+        let middle = known.clone().map(|(sum, count)| sum / count).sum::<f64>()
+            / known.count().max(1) as f64;
+        for (wave, (sum, count)) in wave.iter_mut().zip(&sums) {
+            *wave = if *count > 0.0 {
+                sum / count - middle
+            } else {
+                0.0
+            };
+        }
+    }
+    for found in found {
+        found.torque_n_m -= friction(&lines, found);
+    }
+}
+
+/// Ordinate at zero and slope of the least squares; no slope where the places are one.
+fn straight(points: &[(f64, f64)]) -> [f64; 2] {
+    let n = points.len().max(1) as f64;
+    let mean = |value: fn(&(f64, f64)) -> f64| points.iter().map(value).sum::<f64>() / n;
+    let (x, y) = (mean(|point| point.0), mean(|point| point.1));
+    let square: f64 = points.iter().map(|point| (point.0 - x).powi(2)).sum();
+    let product: f64 = points
+        .iter()
+        .map(|point| (point.0 - x) * (point.1 - y))
+        .sum();
+    let slope = if square > SPREAD * n * x * x {
+        product / square
+    } else {
+        0.0
+    };
+    [y - slope * x, slope]
+}
+
+fn filled(bin: MapBin, found: &[Found]) -> MapBin {
+    let inside = found.iter();
+    let inside = inside.filter(|found| found.place >= bin.from && found.place < bin.to);
+    let inside: Vec<&Found> = inside.collect();
+    let n = inside.len() as f64;
+    let mean =
+        |value: &dyn Fn(&Found) -> f64| inside.iter().map(|found| value(found)).sum::<f64>() / n;
+    let torque = (inside.len() >= FEWEST_WINDOWS).then(|| {
+        let torque_n_m = mean(&|found| found.torque_n_m);
+        let variance = mean(&|found| (found.torque_n_m - torque_n_m).powi(2)) * n / (n - 1.0);
+        let floor = mean(&|found| found.floor_n_m.powi(2));
+        let std = (variance.max(floor) * WINDOWS_EACH / n).sqrt();
+        let half = std * student(n / WINDOWS_EACH - 1.0);
+        MappedValue {
+            torque_n_m,
+            low_n_m: torque_n_m - half,
+            high_n_m: torque_n_m + half,
+        }
+    });
+    MapBin {
+        windows: inside.len(),
+        torque,
+        ..bin
+    }
+}
+
+/// Standard deviations to either side that hold the level with so many degrees of freedom.
+fn student(freedom: f64) -> f64 {
+    let distribution = StudentsT::new(0.0, 1.0, freedom.max(1.0));
+    distribution.map_or(f64::NAN, |it| it.inverse_cdf(0.5 * (1.0 + LEVEL)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use drivebench_model::plant::testing;
+    use drivebench_model::plant::{ActiveEffect, Motor, MotorKey, effect};
+
+    fn model(effects: &[(&str, &[f64])]) -> Model {
+        let mut model = Model::baseline(Motor::zk_22fc());
+        for (id, values) in effects {
+            let found = effect::find(id).unwrap();
+            model.effects.push(ActiveEffect::with(found, values));
+        }
+        model
+    }
+
+    fn mapped(
+        of: MappedTorque,
+        truth: &Model,
+        given: &Model,
+        levels: &[f64],
+        hold_s: f64,
+    ) -> TorqueMap {
+        let hold = levels.iter().enumerate();
+        let hold = hold.map(|(step, level)| (0.1 + hold_s * step as f64, *level));
+        let events = std::iter::once((0.0, 0.0)).chain(hold).collect();
+        let length_s = 0.1 + hold_s * levels.len() as f64;
+        let run = testing::record(truth, events, 0.005, length_s, 3);
+        let noise = NoiseFloor::from_spread(&run);
+        let measured = torque_map(of, given, &[(run, noise)]).unwrap().unwrap();
+        assert!(measured.left_out.is_empty());
+        measured.map
+    }
+
+    #[test]
+    fn friction_is_found_over_both_directions_without_being_in_the_model() {
+        let truth = model(&[("viscous_friction", &[0.002])]);
+        // The model believes in another friction altogether.
+        let mut given = model(&[("quadratic_load", &[1e-5])]);
+        given.motor.set(MotorKey::LoadTorque, 0.1);
+        let levels = [12.0, 24.0, 36.0, 0.0, -12.0, -24.0, -36.0, 0.0];
+        let map = mapped(MappedTorque::Friction, &truth, &given, &levels, 0.8);
+        assert!(map.known() >= 6, "{:?}", map.bins);
+        for bin in &map.bins {
+            let Some(torque) = bin.torque else {
+                assert!(bin.windows < FEWEST_WINDOWS);
+                continue;
+            };
+            let speed = bin.middle();
+            let half_bin = 0.002 * 0.5 * (bin.to - bin.from);
+            let expected = 0.455 * speed.signum() + 0.002 * speed;
+            assert!(
+                (torque.torque_n_m - expected).abs() < 0.01 + half_bin,
+                "{bin:?} {expected}"
+            );
+            assert!(torque.low_n_m <= torque.torque_n_m && torque.torque_n_m <= torque.high_n_m);
+        }
+        assert!(map.known() < map.bins.len(), "not every speed was held");
+    }
+
+    #[test]
+    fn cogging_is_found_over_a_turn_whatever_friction_the_model_lacks() {
+        // About 5 rad/s.
+        let plain = cogging_of(&[("cogging", &[0.0, 0.1, 7.0])], &[3.2, -3.2]);
+        // Friction that falls with the speed, which the cogging makes swing.
+        let falling = [
+            ("cogging", &[0.0, 0.1, 7.0][..]),
+            ("stribeck_friction", &[0.16, 10.0]),
+        ];
+        let falling = cogging_of(&falling, &[3.7, -3.7]);
+        for map in [plain, falling] {
+            assert!(map.differ() > map.known() / 2, "{}", map.differ());
+        }
+    }
+
+    fn cogging_of(truth: &[(&str, &[f64])], levels: &[f64]) -> TorqueMap {
+        let map = mapped(
+            MappedTorque::Cogging,
+            &model(truth),
+            &model(&[]),
+            levels,
+            8.0,
+        );
+        assert!(map.known() > BINS_PER_TURN / 2, "{}", map.known());
+        let mut off = 0.0;
+        for bin in &map.bins {
+            if let Some(torque) = bin.torque {
+                off += (torque.torque_n_m - 0.1 * (7.0 * bin.middle()).cos()).powi(2);
+            }
+        }
+        let rms = (off / map.known() as f64).sqrt();
+        assert!(rms < 0.03, "{rms}");
+        map
+    }
+}

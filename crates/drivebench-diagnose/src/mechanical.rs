@@ -1,0 +1,814 @@
+//! Torque or current in, speed or angle out: the balance of torques as rows of a regression.
+//!
+//! ```text
+//! Evidence --(torque balance in rows: weak form, and the reference processing beside it)--> Balance
+//!    |-> fit      every free parameter by least squares, forms of effects by search: baseline, and each rung of the ladder
+//!    '-> score    a model on held-out rows, in units of what noise leaves in one
+//! ```
+//!
+//! Here the free run is no judge: an axis in a closed loop is an integrator, and the least offset runs away. The torque
+//! balance is linear in every coefficient, has one row per window, and no start value. The weak form decides; the
+//! reference processing of the field stands beside it, because the two weigh frequencies differently.
+//!
+//! Terms that depend on the driving torque, as friction in a gear does, are evaluated at the torque that the model itself
+//! transmits, by fixed-point iteration. At the measured torque their column would be the left side of the balance wherever
+//! power flows forward, and would explain it whatever the machine is.
+
+use std::borrow::Cow;
+
+use nalgebra::{DMatrix, DVector};
+
+use super::evidence::{Evidence, HoldoutFrom};
+use super::score::{Fitted, Score};
+use drivebench_identify::balance::{Method, TorqueRows};
+use drivebench_identify::misfit::widen_by_forms_of_torque;
+use drivebench_identify::noise::{FloorSource, NoiseFloor};
+use drivebench_identify::output_error::FitError;
+use drivebench_identify::verdict::judge;
+use drivebench_identify::{inverse_dynamics, weak_form};
+use drivebench_model::numerics::count::whole;
+use drivebench_model::numerics::{least_squares, statistics};
+use drivebench_model::plant::{
+    Balance as Equation, Effect, Input, Instant, Model, ModelError, MotorKey, ParameterRole,
+    ParameterSpec, Scenario, ShaftAngle, Slot, State,
+};
+use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::signal;
+
+/// Rows below which a balance is not fitted.
+const FEWEST_ROWS: usize = 30;
+/// Shortest block of the clustered covariance, s, and the fewest blocks.
+const BLOCK_S: f64 = 0.25;
+const FEWEST_BLOCKS: f64 = 20.0;
+/// Intervals of a fit whose residual is not white are this much wider.
+const WIDENED: f64 = 2.0;
+/// Autocorrelation of neighbouring rows beyond what overlapping windows give.
+const NOT_WHITE_CORRELATION: f64 = 0.4;
+/// Rows below which nothing is said of how long a series remembers itself.
+const FEWEST_CORRELATED_ROWS: usize = 8;
+/// First step of the search over a form: relative for logarithmic ones, for the time of an event this part of the rows'
+/// span; and the halvings that follow.
+const FIRST_STEP: f64 = 0.35;
+const PARTS_OF_SPAN: f64 = 24.0;
+const HALVINGS: usize = 7;
+const HALVINGS_OF_A_TIME: usize = 8;
+/// Passes for coefficients that are only nearly proportional, and where terms depend on the transmitted torque: each of those
+/// leaves a share of the error as large as the ratio of friction to load, 0.5^24 of which is below [`PROPORTIONAL`].
+const PASSES: usize = 4;
+const PASSES_OF_TRANSMISSION: usize = 24;
+const PROPORTIONAL: f64 = 1e-6;
+/// Samples at which the direction of a term's power is looked at.
+const LOOKS: usize = 500;
+
+/// One processing of all runs.
+pub(super) struct Sides {
+    pub(super) training: TorqueRows,
+    pub(super) holdout: TorqueRows,
+    pub(super) confirm: Option<TorqueRows>,
+    /// The whole run where it was split: what figures in the literature are of.
+    pub(super) whole: Option<TorqueRows>,
+}
+
+impl Sides {
+    /// The weak form, which decides.
+    pub(super) fn weak_form(model: &Model, evidence: &Evidence) -> Result<Self, FitError> {
+        let by_current = evidence.training.input != Input::Torque;
+        if by_current && model.motor.torque_constant().is_none() {
+            let key = MotorKey::TorqueConstant.key().to_owned();
+            return Err(ModelError::Unset { key }.into());
+        }
+        Self::new(Method::WeakForm, model, evidence)
+    }
+
+    pub(super) fn new(
+        method: Method,
+        model: &Model,
+        evidence: &Evidence,
+    ) -> Result<Self, FitError> {
+        let rows = |scenario: &Scenario| {
+            let rows = match method {
+                Method::WeakForm => weak_form::torque_rows(model, scenario),
+                Method::InverseDynamics => inverse_dynamics::torque_rows(model, scenario),
+            };
+            let found = rows.as_ref().map_or(0, TorqueRows::rows);
+            let rows = rows.filter(|_| found >= FEWEST_ROWS);
+            rows.ok_or_else(|| FitError::NoTorqueBalance {
+                run: scenario.name.clone(),
+                rows: found,
+                needed: FEWEST_ROWS,
+            })
+        };
+        let whole = (evidence.holdout_from == HoldoutFrom::Split).then(|| Scenario {
+            scored: 0..evidence.holdout.samples(),
+            ..evidence.holdout.clone()
+        });
+        Ok(Self {
+            whole: whole.as_ref().map(rows).transpose()?,
+            training: rows(&evidence.training)?,
+            holdout: rows(&evidence.holdout)?,
+            confirm: evidence.confirm.as_ref().map(rows).transpose()?,
+        })
+    }
+}
+
+/// The balance of torques of all runs, and in what its errors are counted: newton metres that count as one.
+pub(super) struct Balance {
+    pub(super) sides: Sides,
+    pub(super) unit_n_m: f64,
+    pub(super) source: FloorSource,
+}
+
+impl Balance {
+    /// With the fitted baseline, if there is one. Errors are counted in what the noise of the leading standstill would leave
+    /// in a row, else in the error of the baseline.
+    pub(super) fn new(
+        model: &Model,
+        evidence: &Evidence,
+    ) -> Result<(Self, Option<BalanceFit>), FitError> {
+        let sides = Sides::weak_form(model, evidence)?;
+        let baseline = fit(model, &sides.training);
+        let (unit_n_m, source) = baseline
+            .as_ref()
+            .map_or((f64::NAN, FloorSource::None), |fit| {
+                let floor = standstill_floor(model, &evidence.training, &sides.training, fit);
+                let own = || (fit.rms_n_m.max(f64::MIN_POSITIVE), FloorSource::None);
+                floor.map_or_else(own, |floor| (floor, FloorSource::Standstill))
+            });
+        let balance = Self {
+            sides,
+            unit_n_m,
+            source,
+        };
+        Ok((balance, baseline))
+    }
+
+    /// A complete model on these rows; only times of events are found anew.
+    pub(super) fn score(&self, model: &Model, rows: &TorqueRows) -> Score {
+        let predicted = predicted(&with_events_of(model, rows), rows);
+        Score::of_balance(rows, &predicted, self.unit_n_m)
+    }
+
+    pub(super) fn fitted(&self, fit: BalanceFit, evidence: &Evidence) -> Fitted {
+        Fitted {
+            model: fit.model,
+            parameters: fit.parameters,
+            nrms: fit.rms_n_m / self.unit_n_m,
+            noise: NoiseFloor {
+                source: self.source,
+                ..evidence.noise
+            },
+            interval_factor: 1.0,
+            start: start_of(&evidence.training),
+        }
+    }
+}
+
+/// Where a run that no voltage drives sets out.
+pub(super) fn start_of(run: &Scenario) -> State {
+    let mut speeds = run.speed_rad_s.iter().copied();
+    let first = speeds.find(|speed| speed.is_finite());
+    State::at(0.0, first.unwrap_or(0.0))
+}
+
+/// Noise of torque (or current) and of speed over the standstill, through the weights of a window.
+fn standstill_floor(
+    model: &Model,
+    scenario: &Scenario,
+    rows: &TorqueRows,
+    baseline: &BalanceFit,
+) -> Option<f64> {
+    let still = NoiseFloor::from_standstill(scenario)?;
+    let rest = scenario.leading_standstill();
+    let driving: Vec<f64> = if scenario.input == Input::Torque {
+        let end_s = *scenario.sample_time_s.get(rest.end.checked_sub(1)?)?;
+        let within = scenario.events.iter().take_while(|event| event.0 <= end_s);
+        within.map(|event| event.1).collect()
+    } else {
+        let kt = model.motor.torque_constant()?;
+        let currents = &scenario.current_a[rest];
+        currents.iter().map(|current| kt * current).collect()
+    };
+    let driving: Vec<f64> = driving.into_iter().filter(|v| v.is_finite()).collect();
+    let torque = statistics::variance(&driving).max(0.0).sqrt();
+    let torque = if torque.is_finite() { torque } else { 0.0 };
+    let inertia = baseline.model.motor.get(MotorKey::Inertia)?;
+    let floor = (torque * rows.gain).hypot(inertia * still.speed_rad_s * rows.rate_gain);
+    (floor.is_finite() && floor > 0.0).then_some(floor)
+}
+
+/// The fitted balance.
+pub(super) struct BalanceFit {
+    pub(super) model: Model,
+    /// Every parameter of the model, in the order of its slots.
+    parameters: Vec<ParameterEstimate>,
+    rms_n_m: f64,
+}
+
+/// Whether a slot is of an effect that acts in the balance of torques.
+fn acts(model: &Model, slot: &Slot) -> bool {
+    match slot {
+        Slot::Motor(_) => false,
+        Slot::Effect { index, .. } => {
+            let enters = model.effects[*index].effect.card().enters;
+            enters.includes(Equation::Torque)
+        }
+    }
+}
+
+fn is_coefficient(slot: &Slot) -> bool {
+    matches!(slot, Slot::Effect { spec, .. } if spec.is_coefficient())
+}
+
+/// The linear unknowns of the torque balance: motor slots are there even where the model leaves them out.
+fn unknowns(model: &Model) -> Vec<Slot> {
+    let effects = model.slots().into_iter();
+    let effects = effects.filter(|slot| is_coefficient(slot) && acts(model, slot));
+    let motor = [MotorKey::Inertia, MotorKey::LoadTorque].map(Slot::Motor);
+    motor.into_iter().chain(effects).collect()
+}
+
+fn is_fixed(model: &Model, slot: &Slot) -> bool {
+    model.fixed.contains(&slot.key()) && model.get(slot).is_some()
+}
+
+/// What one unit of the unknown contributes to each row, where the machine was `at` each sample; of a coefficient at a size
+/// that it may have, because some effects are only nearly proportional.
+fn column(model: &Model, slot: &Slot, rows: &TorqueRows, at: &[Instant]) -> Vec<f64> {
+    match *slot {
+        Slot::Motor(MotorKey::Inertia) => rows.inertia.clone(),
+        Slot::Motor(_) => {
+            let signs: Vec<f64> = at.iter().map(|at| at.speed_rad_s.signum()).collect();
+            rows.column(&signs)
+        }
+        Slot::Effect {
+            index,
+            parameter,
+            spec,
+            ..
+        } => {
+            let active = &model.effects[index];
+            let known = active.values[parameter].filter(|value| *value != 0.0);
+            let probe = known.unwrap_or(spec.scale);
+            let values = alone(active.effect, &active.values_or_guess(), parameter, probe);
+            let mut column = rows.column(&torque(active.effect, &values, at));
+            for cell in &mut column {
+                *cell /= probe;
+            }
+            column
+        }
+    }
+}
+
+/// Whether the effect's torque or friction depends on the torque that drives the machine.
+pub(super) fn depends_on_drive(effect: &dyn Effect) -> bool {
+    let specs = effect.parameters().iter();
+    let terms = effect.terms(&specs.map(ParameterSpec::guess).collect::<Vec<_>>());
+    let own = vec![0.0; terms.states()];
+    let driven = |current_a: f64| {
+        let at = Instant {
+            current_a,
+            speed_rad_s: 1.0,
+            torque_n_m_per_a: 1.0,
+            // No multiple of a quarter turn: a wave over the angle is not zero there.
+            angle: ShaftAngle::at(0.3),
+            ..Instant::default()
+        };
+        [terms.torque_n_m(&at, &own), terms.friction_n_m(&at)]
+    };
+    let mut pairs = driven(1.0).into_iter().zip(driven(2.0));
+    pairs.any(|(once, twice)| (once - twice).abs() > 0.0)
+}
+
+/// Whether an effect of the model depends on the transmitted torque.
+fn transmits(model: &Model) -> bool {
+    let mut effects = model.effects.iter();
+    effects.any(|active| depends_on_drive(active.effect))
+}
+
+/// Where the machine was at each sample, with the torque that the model transmits as what drives it.
+fn instants<'a>(model: &Model, rows: &'a TorqueRows) -> Cow<'a, [Instant]> {
+    if !transmits(model) {
+        return Cow::Borrowed(&rows.at);
+    }
+    let mut torque = vec![0.0; rows.rows()];
+    let mut at = transmitting(rows, &torque);
+    for _ in 0..PASSES_OF_TRANSMISSION {
+        let next = sum_of_terms(model, rows, &at);
+        let change = next.iter().zip(&torque).map(|(a, b)| (a - b).powi(2));
+        let change: f64 = change.sum();
+        let whole: f64 = next.iter().map(|value| value * value).sum();
+        torque = next;
+        at = transmitting(rows, &torque);
+        if change <= PROPORTIONAL * PROPORTIONAL * whole {
+            break;
+        }
+    }
+    Cow::Owned(at)
+}
+
+/// The instants of the samples under this torque, N.m in each row: between rows on the line from one to the next.
+fn transmitting(rows: &TorqueRows, torque_n_m: &[f64]) -> Vec<Instant> {
+    let points: Vec<(f64, f64)> = rows
+        .time_s
+        .iter()
+        .copied()
+        .zip(torque_n_m.iter().copied())
+        .collect();
+    let driven = |at: &Instant| Instant {
+        current_a: signal::line_with_ends(&points, at.time_s + rows.begin_s) / at.torque_n_m_per_a,
+        ..*at
+    };
+    rows.at.iter().map(driven).collect()
+}
+
+/// Torque of the effect with these parameter values at every sample, N.m.
+fn torque(effect: &dyn Effect, values: &[f64], at: &[Instant]) -> Vec<f64> {
+    let terms = effect.terms(values);
+    let own = vec![0.0; terms.states()];
+    at.iter()
+        .map(|at| terms.torque_n_m(at, &own) + at.speed_rad_s.signum() * terms.friction_n_m(at))
+        .collect()
+}
+
+/// The values with one coefficient at `size` and every other coefficient at zero.
+fn alone(effect: &dyn Effect, values: &[f64], coefficient: usize, size: f64) -> Vec<f64> {
+    let specs = effect.parameters();
+    let mut alone = values.to_vec();
+    for (value, spec) in alone.iter_mut().zip(specs) {
+        if spec.is_coefficient() {
+            *value = 0.0;
+        }
+    }
+    alone[coefficient] = size;
+    alone
+}
+
+/// Whether physics allows a coefficient no size below zero: it takes power wherever the shaft moves.
+fn takes_power_only(model: &Model, slot: &Slot, rows: &TorqueRows) -> bool {
+    let (index, parameter) = match *slot {
+        Slot::Motor(key) => return key == MotorKey::LoadTorque,
+        Slot::Effect {
+            index, parameter, ..
+        } => (index, parameter),
+    };
+    let active = &model.effects[index];
+    let specs = active.effect.parameters();
+    let is_event = |spec: &ParameterSpec| spec.role == ParameterRole::EventTime;
+    if specs.iter().any(is_event) {
+        return false;
+    }
+    let scale = specs[parameter].scale.abs();
+    let unit = alone(active.effect, &active.values_or_guess(), parameter, scale);
+    let step = rows.at.len().div_ceil(LOOKS).max(1);
+    // In either direction: a weight drives the shaft down, also where a run only lifts it.
+    let some: Vec<Instant> = (rows.at.iter().step_by(step))
+        .flat_map(|at| {
+            [1.0, -1.0].map(|turned| Instant {
+                speed_rad_s: turned * at.speed_rad_s,
+                ..*at
+            })
+        })
+        .collect();
+    let powers = torque(active.effect, &unit, &some).into_iter().zip(&some);
+    let powers: Vec<f64> = powers.map(|(torque, at)| torque * at.speed_rad_s).collect();
+    !powers.iter().any(|power| *power < 0.0) && powers.iter().any(|power| *power > 0.0)
+}
+
+/// What the model, as it stands, says of the torque in each row.
+pub(super) fn predicted(model: &Model, rows: &TorqueRows) -> Vec<f64> {
+    sum_of_terms(model, rows, &instants(model, rows))
+}
+
+fn sum_of_terms(model: &Model, rows: &TorqueRows, at: &[Instant]) -> Vec<f64> {
+    let mut sum = vec![0.0; rows.rows()];
+    for slot in unknowns(model) {
+        let value = model.get(&slot).unwrap_or(0.0);
+        for (sum, cell) in sum.iter_mut().zip(column(model, &slot, rows, at)) {
+            *sum += value * cell;
+        }
+    }
+    sum
+}
+
+/// Time from the first row to the last, s.
+fn span_s(rows: &TorqueRows) -> f64 {
+    rows.time_s.last().unwrap_or(&0.0) - rows.time_s.first().unwrap_or(&0.0)
+}
+
+/// Shares of the rows' span as times since the run's first command.
+fn event_times<'a>(shares: &'a [f64], rows: &'a TorqueRows) -> impl Iterator<Item = f64> + 'a {
+    let ends = rows.time_s.first().zip(rows.time_s.last());
+    ends.into_iter().flat_map(move |(first, last)| {
+        let shares = shares.iter();
+        shares.map(move |share| first - rows.begin_s + share * (last - first))
+    })
+}
+
+/// The model with every time of an event found anew in these rows.
+pub(super) fn with_events_of(model: &Model, rows: &TorqueRows) -> Model {
+    let mut model = model.clone();
+    let slots = model.slots().into_iter();
+    for slot in slots.filter(|slot| slot.has_role(ParameterRole::EventTime)) {
+        let Slot::Effect { spec, .. } = slot else {
+            continue;
+        };
+        let given = model.get(&slot);
+        let mut cost_at = |time_s: f64| -> f64 {
+            model.set(&slot, time_s);
+            let pairs = rows.left.iter().zip(predicted(&model, rows));
+            pairs.map(|(left, sum)| (left - sum).powi(2)).sum()
+        };
+        let tried = event_times(spec.shapes, rows).chain(given);
+        let tried: Vec<(f64, f64)> = tried.map(|time_s| (cost_at(time_s), time_s)).collect();
+        let best = tried.into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
+        let Some((mut least, mut best_s)) = best else {
+            continue;
+        };
+        let mut step_s = span_s(rows) / PARTS_OF_SPAN;
+        for _ in 0..HALVINGS_OF_A_TIME {
+            for there_s in [best_s - step_s, best_s + step_s] {
+                let found = cost_at(there_s.max(0.0));
+                if found < least {
+                    (least, best_s) = (found, there_s.max(0.0));
+                }
+            }
+            step_s *= 0.5;
+        }
+        model.set(&slot, best_s);
+    }
+    model
+}
+
+/// Fits every free parameter of the model to the rows; forms of effects, which are no coefficients, start where the model
+/// has them. What can only take power from the shaft is not let below zero. `None` where a term is not known in these rows,
+/// or there are too few of them.
+pub(super) fn fit(model: &Model, rows: &TorqueRows) -> Option<BalanceFit> {
+    let mut model = model.clone();
+    if transmits(&model) {
+        start_of_transmission(&mut model, rows)?;
+    }
+    let is_form = |slot: &Slot| {
+        let is_free = !is_coefficient(slot) && !model.fixed.contains(&slot.key());
+        is_free && acts(&model, slot) && !slot.has_role(ParameterRole::Choice)
+    };
+    let forms: Vec<Slot> = model.slots().into_iter().filter(is_form).collect();
+    if !forms.is_empty() {
+        search(&mut model, &forms, rows);
+    }
+    finish(model, rows)
+}
+
+/// The fit with its deviations widened by the forms that the model may lack.
+pub(super) fn averaged_over_forms(fit: &Fitted, rows: &TorqueRows) -> Fitted {
+    let mut wide = fit.clone();
+    // Friction that the data ask to be negative is held at zero: an offset of the torque, which it hides, takes its place.
+    let held = fit.parameters.iter();
+    let held = held.filter(|own| own.value == Some(0.0) && own.std.is_none());
+    let held: Vec<String> = held.map(|own| own.key.clone()).collect();
+    widen_by_forms_of_torque(&mut wide.parameters, rows.rows(), |form| {
+        let mut with = fit.model.with_effect(form).ok()?;
+        with.fixed.extend(held.iter().cloned());
+        finish(with, rows).map(|with| with.parameters)
+    });
+    wide
+}
+
+/// Gives the model the values that it has without what depends on the transmitted torque: from them that torque follows.
+fn start_of_transmission(model: &mut Model, rows: &TorqueRows) -> Option<()> {
+    let mut plain = model.clone();
+    plain
+        .effects
+        .retain(|active| !depends_on_drive(active.effect));
+    let plain = fit(&plain, rows)?.model;
+    for slot in plain.slots() {
+        let key = slot.key();
+        let value = plain.get(&slot);
+        let mut own = model.slots().into_iter();
+        if let Some((own, value)) = own.find(|own| own.key() == key).zip(value) {
+            model.set(&own, value);
+        }
+    }
+    let coefficients: Vec<Slot> = model.slots().into_iter().filter(is_coefficient).collect();
+    for slot in coefficients {
+        let Slot::Effect { index, .. } = slot else {
+            continue;
+        };
+        let is_open = depends_on_drive(model.effects[index].effect) && !is_fixed(model, &slot);
+        if is_open {
+            model.set(&slot, 0.0);
+        }
+    }
+    Some(())
+}
+
+/// Sum of squares that the model leaves with its forms as they are.
+fn cost(model: &Model, rows: &TorqueRows) -> f64 {
+    System::new(model, rows).map_or(f64::INFINITY, |system| system.cost())
+}
+
+/// Coordinate search with halving steps.
+fn search(model: &mut Model, forms: &[Slot], rows: &TorqueRows) {
+    for slot in forms {
+        if let (Slot::Effect { spec, .. }, None) = (slot, model.get(slot)) {
+            let start = if spec.role == ParameterRole::EventTime {
+                event_times(&[0.5], rows).next().unwrap_or(0.0)
+            } else {
+                spec.guess()
+            };
+            model.set(slot, start);
+        }
+    }
+    let mut best = cost(model, rows);
+    let mut step = 1.0;
+    for _ in 0..HALVINGS {
+        for slot in forms {
+            let Slot::Effect { spec, .. } = slot else {
+                continue;
+            };
+            for direction in [1.0, -1.0] {
+                let here = model.get(slot).unwrap_or_else(|| spec.guess());
+                let there = if spec.role == ParameterRole::EventTime {
+                    here + direction * step * span_s(rows) / PARTS_OF_SPAN
+                } else if spec.logarithmic {
+                    here * (direction * step * FIRST_STEP).exp()
+                } else {
+                    here + direction * step * spec.scale
+                };
+                model.set(slot, there.clamp(spec.min, spec.max));
+                let found = cost(model, rows);
+                if found < best {
+                    best = found;
+                    break;
+                }
+                model.set(slot, here);
+            }
+        }
+        step *= 0.5;
+    }
+}
+
+fn finish(mut model: Model, rows: &TorqueRows) -> Option<BalanceFit> {
+    let mut system = System::new(&model, rows)?;
+    let mut x = system.solve_bounded()?;
+    let passes = if transmits(&model) {
+        PASSES_OF_TRANSMISSION
+    } else {
+        PASSES
+    };
+    for _ in 0..passes {
+        let before = system.matrix.clone();
+        system.put(&mut model, &x);
+        system = System::new(&model, rows)?;
+        if (&system.matrix - &before).norm() <= PROPORTIONAL * before.norm() {
+            break;
+        }
+        x = system.solve_bounded()?;
+    }
+    system.put(&mut model, &x);
+    let residual = &system.right - &system.matrix * &x;
+    // Intervals of what is not held at its bound.
+    let at_bound = |place: &usize| system.takes_power[*place] && x[*place] == 0.0;
+    let inside: Vec<usize> = (0..x.len()).filter(|place| !at_bound(place)).collect();
+    let solution = least_squares::solve(
+        &system.matrix.select_columns(&inside),
+        &system.right,
+        &blocks(rows, residual.as_slice()),
+    )?;
+    let next = statistics::autocorrelation(residual.as_slice(), 2);
+    let is_white = next.get(1).is_none_or(|rho| *rho <= NOT_WHITE_CORRELATION);
+    let widened = if is_white { 1.0 } else { WIDENED };
+    let estimate = |slot: &Slot| {
+        let key = slot.key();
+        let mut free = system.free.iter();
+        let Some(place) = free.position(|free| free.key() == key) else {
+            return not_in_the_balance(&model, slot);
+        };
+        let Some(at) = inside.iter().position(|inside| *inside == place) else {
+            let reason = "held at zero: the data ask for less, and friction drives nothing";
+            return searching(slot, Some(0.0), reason);
+        };
+        let variance = solution.covariance[(at, at)];
+        let std = variance.is_finite().then(|| variance.max(0.0).sqrt());
+        judge(slot, x[place], std.map(|std| widened * std), rows.span_s)
+    };
+    let squares: f64 = residual.iter().map(|r| r * r).sum();
+    Some(BalanceFit {
+        parameters: model.slots().iter().map(estimate).collect(),
+        rms_n_m: (squares / residual.len().max(1) as f64).sqrt(),
+        model,
+    })
+}
+
+fn searching(slot: &Slot, value: Option<f64>, reason: &str) -> ParameterEstimate {
+    ParameterEstimate {
+        key: slot.key(),
+        value,
+        std: None,
+        unit: slot.unit(),
+        verdict: Verdict::Searching,
+        reason: Some(reason.to_owned()),
+    }
+}
+
+fn not_in_the_balance(model: &Model, slot: &Slot) -> ParameterEstimate {
+    if is_fixed(model, slot) {
+        return ParameterEstimate {
+            std: Some(0.0),
+            verdict: Verdict::Fixed,
+            reason: None,
+            ..searching(slot, model.get(slot), "")
+        };
+    }
+    if acts(model, slot) {
+        let reason = "found by search; its uncertainty is not known";
+        return searching(slot, model.get(slot), reason);
+    }
+    let reason = "it is not in the torque balance, and the run has no voltage";
+    ParameterEstimate::not_observable(&slot.key(), slot.unit(), reason)
+}
+
+/// Blocks of at least five correlation times of the residual, but never fewer than twenty.
+fn blocks(rows: &TorqueRows, residual: &[f64]) -> Vec<usize> {
+    let five_s = 5.0 * correlation_time_s(&rows.time_s, residual);
+    let block_s = BLOCK_S.max(five_s).min(span_s(rows) / FEWEST_BLOCKS);
+    let block_s = block_s.max(f64::MIN_POSITIVE);
+    let times = rows.time_s.iter();
+    times
+        .map(|time_s| whole((time_s - rows.time_s[0]) / block_s))
+        .collect()
+}
+
+/// Time over which a series remembers itself: half of `1 + 2 sum rho`, in seconds; the sum stops where the correlation
+/// is lost in chance.
+fn correlation_time_s(time_s: &[f64], values: &[f64]) -> f64 {
+    let n = values.len();
+    if n < FEWEST_CORRELATED_ROWS {
+        return 0.0;
+    }
+    let period_s = (time_s[time_s.len() - 1] - time_s[0]) / (n - 1) as f64;
+    let chance = 2.0 / (n as f64).sqrt();
+    let rho = statistics::autocorrelation(values, n / 4).into_iter();
+    let sum: f64 = rho.take_while(|rho| *rho > chance).sum();
+    0.5 * period_s * (1.0 + 2.0 * sum)
+}
+
+/// The linear system for given forms.
+struct System {
+    free: Vec<Slot>,
+    /// Whether the column's coefficient may not be negative.
+    takes_power: Vec<bool>,
+    matrix: DMatrix<f64>,
+    right: DVector<f64>,
+}
+
+impl System {
+    fn new(model: &Model, rows: &TorqueRows) -> Option<Self> {
+        let mut right = DVector::from_column_slice(&rows.left);
+        let (mut free, mut cells, mut takes_power) = (Vec::new(), Vec::new(), Vec::new());
+        let at = instants(model, rows);
+        for slot in unknowns(model) {
+            let column = column(model, &slot, rows, &at);
+            if is_fixed(model, &slot) {
+                let value = model.get(&slot).unwrap_or(0.0);
+                right.axpy(-value, &DVector::from_vec(column), 1.0);
+            } else {
+                takes_power.push(takes_power_only(model, &slot, rows));
+                cells.extend(column);
+                free.push(slot);
+            }
+        }
+        let known = right.iter().chain(&cells).all(|cell| cell.is_finite());
+        let columns = cells.len() / rows.rows().max(1);
+        (known && rows.rows() > columns).then(|| Self {
+            free,
+            takes_power,
+            matrix: DMatrix::from_vec(rows.rows(), columns, cells),
+            right,
+        })
+    }
+
+    /// Least squares with nothing that takes power below zero: the most negative is held at zero until none is left.
+    fn solve_bounded(&self) -> Option<DVector<f64>> {
+        let columns = self.matrix.ncols();
+        let mut inside: Vec<usize> = (0..columns).collect();
+        loop {
+            let matrix = self.matrix.select_columns(&inside);
+            let (bread, _) = least_squares::inverse_where_determined(&matrix);
+            let found = bread * matrix.tr_mul(&self.right);
+            let share = |place: usize| found[place] * matrix.column(place).norm();
+            let most_negative = (0..inside.len())
+                .filter(|place| self.takes_power[inside[*place]] && found[*place] < 0.0)
+                .min_by(|a, b| share(*a).total_cmp(&share(*b)));
+            if let Some(place) = most_negative {
+                inside.remove(place);
+                continue;
+            }
+            let mut x = DVector::zeros(columns);
+            for (place, column) in inside.iter().enumerate() {
+                x[*column] = found[place];
+            }
+            return x.iter().all(|value| value.is_finite()).then_some(x);
+        }
+    }
+
+    fn cost(&self) -> f64 {
+        let left = |x: DVector<f64>| (&self.right - &self.matrix * x).norm_squared();
+        self.solve_bounded().map_or(f64::INFINITY, left)
+    }
+
+    fn put(&self, model: &mut Model, x: &DVector<f64>) {
+        for (slot, value) in self.free.iter().zip(x.iter()) {
+            model.set(slot, *value);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::joint::eligible::why_not;
+    use drivebench_identify::weak_form;
+    use drivebench_model::plant::{Motor, effect};
+    use drivebench_model::sample::Channel;
+
+    const FRICTION_N_M: f64 = 0.01;
+
+    /// A shaft that never reverses under `w = 30 + 20 sin 3t`, driven by the torque `X / (1 - m q)`: `X` of inertia, Coulomb
+    /// and viscous friction, `q` the direction of the power.
+    fn geared(inertia_kg_m2: f64, viscous: f64, ratio: f64) -> Scenario {
+        let times: Vec<f64> = (0..6000).map(|k| 1e-3 * f64::from(k)).collect();
+        let speed = |time_s: f64| 30.0 + 20.0 * (3.0 * time_s).sin();
+        let torque = |time_s: f64| {
+            // Held from one stamp to the next: the mean of the interval.
+            let middle_s = time_s + 5e-4;
+            let rate = 60.0 * (3.0 * middle_s).cos();
+            let sum = inertia_kg_m2 * rate + FRICTION_N_M + viscous * speed(middle_s);
+            sum / (1.0 - ratio * sum.signum())
+        };
+        let events = times.iter().map(|time_s| (*time_s, torque(*time_s)));
+        let speeds = times.iter().map(|time_s| speed(*time_s)).collect();
+        let events = events.collect();
+        let mut run = Scenario::planned(
+            "geared",
+            Input::Torque,
+            Channel::Torque,
+            events,
+            times.clone(),
+        );
+        run.current_a = vec![f64::NAN; times.len()];
+        run.speed_rad_s = speeds;
+        run
+    }
+
+    fn fitted(run: &Scenario) -> BalanceFit {
+        let plain = Model::baseline(Motor::new("geared"));
+        let model = plain.with_effect("load_dependent_friction").unwrap();
+        let rows = weak_form::torque_rows(&model, run).unwrap();
+        fit(&model, &rows).unwrap()
+    }
+
+    #[test]
+    fn load_dependent_friction_is_found_from_driving_and_braking() {
+        for ratio in [0.0, 0.1, 0.3] {
+            let run = geared(1e-3, 0.0, ratio);
+            let found = fitted(&run);
+            let value = |key: &str| {
+                let own = found.parameters.iter().find(|own| own.key == key);
+                own.and_then(|own| own.value).unwrap()
+            };
+            let off = value("load_dependent_friction.ratio") - ratio;
+            assert!(off.abs() < 0.01, "{ratio}: {off}");
+            let inertia = value("inertia_kg_m2");
+            assert!((inertia / 1e-3 - 1.0).abs() < 0.02, "{inertia}");
+            let effect = effect::find("load_dependent_friction").unwrap();
+            assert_eq!(why_not(effect, &run), None);
+        }
+    }
+
+    #[test]
+    fn where_power_flows_one_way_load_dependent_friction_explains_nothing() {
+        // The inertia is too small to drive the shaft against its friction.
+        let run = geared(1e-5, 4e-4, 0.0);
+        let effect = effect::find("load_dependent_friction").unwrap();
+        assert!(why_not(effect, &run).is_some());
+        // And its column does not hold the measured torque: the viscous part stays unexplained.
+        let found = fitted(&run);
+        assert!(found.rms_n_m > 1e-3, "{}", found.rms_n_m);
+    }
+
+    #[test]
+    fn only_effects_of_the_current_depend_on_the_drive() {
+        let of_drive = |id: &str| depends_on_drive(effect::find(id).unwrap());
+        for id in ["load_dependent_friction", "torque_ripple"] {
+            assert!(of_drive(id), "{id}");
+        }
+        for id in [
+            "viscous_friction",
+            "quadratic_load",
+            "cogging",
+            "stribeck_friction",
+        ] {
+            assert!(!of_drive(id), "{id}");
+        }
+    }
+}

@@ -1,0 +1,201 @@
+//! The run that would tell what these runs cannot: which of two rivals it is, or what they did not excite.
+//!
+//! ```text
+//! menu: recipes (ramp, dither, cycling, ...) --planned within the limits--> Planned: commands, sample times
+//!                                                                              |  simulated with rival A
+//! present data --J'J--> what rival B may still change   --------------------> separation D(A|B), and D(B|A)
+//!                                                                              |
+//!                            the best, refitted in full <--- the smaller of the two, over c-hat
+//! ```
+//!
+//! Where no pair is to be told apart, a run is recommended for what the runs in hand would not have shown: each recipe is
+//! simulated with the model that was found, put behind the runs in hand, and weighed by the linear problem that will judge it
+//! (`joint/expected_information`). An effect is promised where twice the precision that shows it is expected: no repetition
+//! of a run in hand doubles what is known, so that no run is recommended twice.
+//!
+//! After the T-optimal designs of Hunter and Reiner (1965) and Atkinson and Fedorov (1975): the best
+//! run is the one in which the rival still differs when it has been fitted to the old data and the new.
+
+mod plan;
+mod recommend;
+mod reveal;
+mod separation;
+
+use serde::Serialize;
+
+use super::evidence::{Evidence, HoldoutFrom};
+use drivebench_model::numerics::statistics::{largest, median_step};
+use drivebench_model::plant::Scenario;
+
+pub use plan::{Peaks, Recipe};
+pub use recommend::{menu_within, next_experiment, recommend};
+
+/// Difference of the squared errors, in units of the noise, below which a run tells nothing apart: the block test of the
+/// decision asks for three standard errors, and its standard error is that of about `4.4/sqrt(D)` (counted on emulated runs
+/// with a difference spread over the run as excitations spread it; 2/sqrt(D) where every block has the same share).
+pub const SEPARATED: f64 = 150.0;
+
+/// An effect that the recommended run does not show, and what would.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Hidden {
+    pub effect: &'static str,
+    pub reason: String,
+}
+
+/// What to run next, or that no run of this kind will do.
+#[derive(Clone, Debug, Serialize)]
+pub struct NextExperiment {
+    /// For a person: what to run, why, and what it will show.
+    pub sentence: String,
+    /// A complete bench file; filled in where the bench is known, and none where no run will do.
+    pub bench: Option<String>,
+    /// The rivals; none where an effect is to be shown that the runs in hand did not excite.
+    pub pair: Option<[&'static str; 2]>,
+    /// Every pair that the recommended run was to tell apart.
+    pub pairs: Vec<PairEntry>,
+    /// The effects that become visible, where there is no pair.
+    pub reveals: Vec<&'static str>,
+    /// What stays hidden after it.
+    pub hidden: Vec<Hidden>,
+    /// Of a pair: expected difference of the squared errors of the wrong and the right one after both have been fitted again, in
+    /// units of the noise variance and divided by c-hat, which is above one where the model does not explain the present
+    /// data to the noise. Where there is no pair: the precision with which the weakest of what the run reveals would be
+    /// known, the squared size of its slab in standard deviations of its size (see [`MenuEntry::needed`]); where no run is
+    /// recommended the largest of any.
+    pub expected_separation: f64,
+    /// Every recipe that the limits allow with the same figure, from linear fits, best first.
+    pub menu: Vec<MenuEntry>,
+    /// What the recommended run reaches.
+    pub peaks: Option<Peaks>,
+    #[serde(skip)]
+    pub recipe: Option<Recipe>,
+}
+
+/// One pair of rivals: what the recommended run tells of it, and the run that would tell most.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PairEntry {
+    pub pair: [&'static str; 2],
+    /// In the recommended run.
+    pub expected_separation: f64,
+    /// What a diagnosis of that run asks for: [`SEPARATED`], and a share of what the effect itself would explain there.
+    pub needed: f64,
+    /// Best run of the menu for this pair alone, with its separation from linear fits.
+    pub best_program: &'static str,
+    pub best_separation: f64,
+    pub best_needed: f64,
+}
+
+impl PairEntry {
+    /// Whether the recommended run tells the pair apart.
+    pub fn is_told(&self) -> bool {
+        self.expected_separation >= self.needed
+    }
+}
+
+/// One run of the menu and what it would tell.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MenuEntry {
+    pub program: &'static str,
+    /// The smallest over the pairs; where there is no pair, the largest over what it would reveal. Of a run that tells no
+    /// pair apart it is what it could be at most.
+    pub expected_separation: f64,
+    /// What a diagnosis of that run asks for: of a pair as in [`PairEntry::needed`], a squared distance; where there is no
+    /// pair the precision from which on an effect is promised, in the unit of [`NextExperiment::expected_separation`] there.
+    /// The two are no figures of one scale.
+    pub needed: f64,
+}
+
+impl MenuEntry {
+    /// Whether the run tells every pair apart.
+    pub fn is_told(&self) -> bool {
+        self.expected_separation >= self.needed
+    }
+}
+
+/// Largest magnitudes of a run that is still to be made.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ExperimentLimits {
+    pub voltage_v: f64,
+    pub current_a: f64,
+    pub speed_rad_s: f64,
+    /// Root mean square of the current over the run: the heat in the winding. Without a limit of
+    /// this or of the current no run is planned.
+    pub rms_current_a: f64,
+    /// Distance from the angle at the start; none: the shaft turns freely.
+    pub travel_rad: Option<f64>,
+    pub duration_s: f64,
+    /// Largest change of the voltage; infinite: as fast as the current allows.
+    pub slew_v_per_s: f64,
+    /// Time between two commands.
+    pub period_s: f64,
+}
+
+/// Longest run where nothing else limits it, s.
+const LONGEST_RUN_S: f64 = 60.0;
+
+impl ExperimentLimits {
+    /// Nothing beyond what one of the runs in hand has reached.
+    pub fn seen_in(evidence: &Evidence) -> Self {
+        let mut limits = Self {
+            voltage_v: 0.0,
+            current_a: 0.0,
+            speed_rad_s: 0.0,
+            rms_current_a: 0.0,
+            travel_rad: None,
+            duration_s: LONGEST_RUN_S,
+            slew_v_per_s: 0.0,
+            period_s: period_s(&evidence.training),
+        };
+        let mut runs = vec![&evidence.training];
+        // A split hold-out is the same run.
+        if evidence.holdout_from == HoldoutFrom::Run {
+            runs.push(&evidence.holdout);
+        } else {
+            runs[0] = &evidence.holdout;
+        }
+        runs.extend(&evidence.confirm);
+        for run in runs {
+            let voltages = run.events.iter().map(|event| event.1);
+            limits.voltage_v = limits.voltage_v.max(largest(voltages));
+            limits.slew_v_per_s = limits.slew_v_per_s.max(slew_v_per_s(run));
+            limits.current_a = limits.current_a.max(largest(run.current_a.iter().copied()));
+            limits.speed_rad_s = limits
+                .speed_rad_s
+                .max(largest(run.speed_rad_s.iter().copied()));
+            limits.rms_current_a = limits.rms_current_a.max(mean_square(&run.current_a).sqrt());
+        }
+        // A signal that was not recorded limits nothing that can be checked.
+        for limit in [
+            &mut limits.current_a,
+            &mut limits.speed_rad_s,
+            &mut limits.rms_current_a,
+            &mut limits.slew_v_per_s,
+        ] {
+            if *limit <= 0.0 {
+                *limit = f64::INFINITY;
+            }
+        }
+        limits
+    }
+}
+
+/// Time between two samples, s.
+fn period_s(run: &Scenario) -> f64 {
+    // A stamp carries rounding; nobody asks for more than microseconds.
+    (median_step(&run.sample_time_s) * 1e6).round() * 1e-6
+}
+
+/// Largest change of the voltage from one event to the next, which is made within a sample.
+fn slew_v_per_s(run: &Scenario) -> f64 {
+    let pairs = run.events.windows(2);
+    let changes = pairs.map(|pair| pair[1].1 - pair[0].1);
+    largest(changes) / period_s(run).max(f64::MIN_POSITIVE)
+}
+
+fn mean_square(values: &[f64]) -> f64 {
+    let present: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
+    present.iter().map(|v| v * v).sum::<f64>() / present.len().max(1) as f64
+}
+
+#[cfg(test)]
+mod tests;

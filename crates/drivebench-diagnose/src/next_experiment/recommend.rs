@@ -1,0 +1,409 @@
+//! The menu tried on the rivals, and the best of it.
+
+use rayon::prelude::*;
+
+use super::plan::{COUNT, Planned, Recipe, planned};
+use super::reveal::reveal;
+use super::separation::{Response, Rival, refitted};
+use super::{ExperimentLimits, MenuEntry, NextExperiment, PairEntry, SEPARATED};
+use crate::{Diagnosis, Evidence};
+use drivebench_identify::noise::NoiseFloor;
+use drivebench_identify::output_error::{self, FitError};
+use drivebench_model::plant::{Input, Model, Scenario, effect};
+use drivebench_model::text::number::significant;
+
+/// Pairs that one run is to tell apart.
+const MOST_PAIRS: usize = 3;
+/// Runs of the menu whose separation is found with a full refit of the rival, at most.
+const FINALISTS: usize = 3;
+/// Gain of merit for which one more run of the menu is refitted: a third more of the separation.
+const WORTH_A_REFIT: f64 = 0.3;
+/// A diagnosis tells two effects apart where the worse one leaves 2 % more of the squared error that the better one
+/// explains, or of the noise; here with a half more, because the prediction is no better than that.
+const TOLD_APART_SHARE: f64 = 0.03;
+
+/// Models that the runs in hand do not tell apart: the answer first, then its rivals.
+struct Question<'a> {
+    rivals: Vec<Rival<'a>>,
+    /// The answer without its effect.
+    base: Rival<'a>,
+    /// Names of the answer's effect and of the rival's, for each rival after the first.
+    names: Vec<[&'static str; 2]>,
+    evidence: &'a Evidence,
+}
+
+/// A run of the menu and how far it separates each pair.
+struct Tried {
+    plan: Planned,
+    separations: Vec<f64>,
+    /// Separation from which a diagnosis of the run would tell a pair apart.
+    needed: f64,
+}
+
+impl Tried {
+    fn tells_any(&self) -> bool {
+        self.separations.iter().any(|value| *value >= self.needed)
+    }
+
+    fn merit(&self) -> f64 {
+        merit(&self.separations, self.needed)
+    }
+}
+
+impl Question<'_> {
+    /// Factor by which the squared errors of the better rival of a pair count less than white noise.
+    fn inflation(&self, pair: usize) -> f64 {
+        let [answer, rival] = [0, pair + 1].map(|place| self.rivals[place].inflation);
+        answer.min(rival)
+    }
+
+    /// For each pair the smaller of the two directions from linear fits, over the pair's inflation; and the separation
+    /// that is needed in this run. Where that is more than the runs of any pair differ by before a rival is fitted to
+    /// them, what they differ by stands for the rest.
+    fn evaluated(&self, plan: Planned) -> Tried {
+        let noise = plan.noise(self.evidence.noise);
+        let residuals = 2.0 * plan.rows();
+        let rivals = self.rivals.par_iter();
+        let runs: Vec<Option<Scenario>> = rivals.map(|own| plan.measured(own.model)).collect();
+        let pairs = 0..self.names.len();
+        let apart = |pair: usize| {
+            let squares = runs[0].as_ref().zip(runs[pair + 1].as_ref());
+            squares.map_or(0.0, |(a, b)| squared_difference(a, b, noise)) / self.inflation(pair)
+        };
+        let at_most = Tried {
+            separations: pairs.clone().map(apart).collect(),
+            needed: SEPARATED.max(TOLD_APART_SHARE * residuals),
+            plan,
+        };
+        if !at_most.tells_any() {
+            return at_most;
+        }
+        let responses = self.rivals.par_iter().zip(runs).map(|(rival, run)| {
+            let run = run?;
+            let (response, _) = Response::of(rival, &run, noise)?;
+            Some((run, response))
+        });
+        let seen: Vec<Option<(Scenario, Response)>> = responses.collect();
+        let direction = |truth: usize, rival: usize| {
+            let (run, _) = seen[truth].as_ref()?;
+            let (_, response) = seen[rival].as_ref()?;
+            response.separation_from(run, &self.rivals[rival], noise)
+        };
+        let separation = |pair: usize| {
+            let both = [direction(0, pair + 1), direction(pair + 1, 0)];
+            smaller(both) / self.inflation(pair)
+        };
+        let explainable = seen[0].as_ref().and_then(|(run, _)| {
+            let (response, difference) = Response::of(&self.base, run, noise)?;
+            Some(response.without_memory().separation(&difference) / self.rivals[0].inflation)
+        });
+        let gained = explainable.filter(|d| d.is_finite()).unwrap_or(0.0);
+        Tried {
+            separations: pairs.map(separation).collect(),
+            needed: SEPARATED.max(TOLD_APART_SHARE * gained.max(residuals)),
+            ..at_most
+        }
+    }
+
+    /// The same with the rivals refitted in full.
+    fn refitted(&self, plan: &Planned) -> Vec<f64> {
+        let noise = plan.noise(self.evidence.noise);
+        let one_way = |truth: usize, rival: usize| {
+            let run = plan.measured(self.rivals[truth].model)?;
+            refitted(&run, &self.rivals[rival], noise)
+        };
+        let separation = |pair: usize| {
+            let (there, back) = rayon::join(|| one_way(0, pair + 1), || one_way(pair + 1, 0));
+            smaller([there, back]) / self.inflation(pair)
+        };
+        let pairs = (0..self.names.len()).into_par_iter();
+        pairs.map(separation).collect()
+    }
+
+    /// The menu but for the recipes that are `known`, best first.
+    fn tried(&self, limits: &ExperimentLimits, known: &[&Recipe]) -> Vec<Tried> {
+        let models: Vec<&Model> = self.rivals.iter().map(|rival| rival.model).collect();
+        let plans = (0..COUNT).into_par_iter();
+        let plans = plans.filter_map(|index| planned(index, &models, limits));
+        let plans = plans.filter(|plan| !known.contains(&&plan.recipe));
+        let mut tried: Vec<Tried> = plans.map(|plan| self.evaluated(plan)).collect();
+        tried.sort_by(|a, b| b.merit().total_cmp(&a.merit()));
+        tried
+    }
+
+    /// Index of the run that is best when the rivals are refitted in full, and its separations: the linear order is followed
+    /// from its top until the next one could not be much better. Where the first tells nothing apart nothing is refitted.
+    fn best(&self, tried: &[Tried]) -> Option<(usize, Vec<f64>)> {
+        let first = tried.first()?;
+        if !first.tells_any() {
+            return Some((0, first.separations.clone()));
+        }
+        let mut best = None;
+        let mut so_far = f64::NEG_INFINITY;
+        for (index, next) in tried.iter().take(FINALISTS).enumerate() {
+            if so_far + WORTH_A_REFIT >= next.merit() {
+                break;
+            }
+            let found = self.refitted(&next.plan);
+            let merit = merit(&found, next.needed);
+            if merit > so_far {
+                (so_far, best) = (merit, Some((index, found)));
+            }
+        }
+        best
+    }
+
+    fn pair_entries(&self, tried: &[Tried], chosen: usize, separations: &[f64]) -> Vec<PairEntry> {
+        let pairs = self.names.iter().zip(separations).enumerate();
+        let entry = |(index, (pair, separation)): (usize, (&[&'static str; 2], &f64))| {
+            // The run in which most beyond what is needed can be expected.
+            let own = |tried: &Tried| tried.separations[index];
+            let beyond = |tried: &Tried| own(tried) / tried.needed;
+            let all = tried.iter();
+            let best = all.max_by(|a, b| beyond(a).total_cmp(&beyond(b)))?;
+            let here = &tried[chosen];
+            let chosen_is_best = best.plan.recipe.id == here.plan.recipe.id;
+            Some(PairEntry {
+                pair: *pair,
+                expected_separation: *separation,
+                needed: here.needed,
+                best_program: best.plan.recipe.id,
+                best_separation: if chosen_is_best {
+                    *separation
+                } else {
+                    own(best)
+                },
+                best_needed: best.needed,
+            })
+        };
+        pairs.filter_map(entry).collect()
+    }
+}
+
+/// What two simulated runs differ by, in units of the noise.
+fn squared_difference(a: &Scenario, b: &Scenario, noise: NoiseFloor) -> f64 {
+    let sum = |a: &[f64], b: &[f64], noise: f64| {
+        let squares = a.iter().zip(b).map(|(a, b)| ((a - b) / noise).powi(2));
+        // A signal that was not measured counts for nothing.
+        squares.filter(|d| d.is_finite()).sum::<f64>()
+    };
+    sum(&a.current_a, &b.current_a, noise.current_a)
+        + sum(&a.speed_rad_s, &b.speed_rad_s, noise.speed_rad_s)
+}
+
+/// A rival that cannot be simulated there promises nothing.
+fn smaller(directions: [Option<f64>; 2]) -> f64 {
+    let promised = |found: Option<f64>| found.filter(|value| value.is_finite()).unwrap_or(0.0);
+    promised(directions[0]).min(promised(directions[1]))
+}
+
+/// The run after this diagnosis: for the pairs that it could not tell apart, else for what the runs did not excite. `None`
+/// where there is nothing to ask, or no voltage to ask it with.
+pub fn recommend(
+    diagnosis: &Diagnosis,
+    evidence: &Evidence,
+    limits: &ExperimentLimits,
+) -> Result<Option<NextExperiment>, FitError> {
+    if evidence.training.input != Input::Voltage {
+        return Ok(None);
+    }
+    let evidence = &Evidence {
+        noise: diagnosis.model.noise,
+        ..evidence.clone()
+    };
+    if diagnosis.confusable.is_empty() {
+        return Ok(reveal(diagnosis, evidence, limits));
+    }
+    let rivals = diagnosis.confusable.iter().map(|pair| pair[1]);
+    let effects = diagnosis.model.model.effect_ids().into_iter().chain(rivals);
+    let (evidence, _) = evidence.fitted_with(&effects.collect::<Vec<_>>());
+    let evidence = &*evidence;
+    let pairs = diagnosis
+        .confusable
+        .iter()
+        .zip(&diagnosis.rivals)
+        .take(MOST_PAIRS);
+    let (mut names, mut rivals) = (Vec::new(), Vec::new());
+    for (pair, rival) in pairs {
+        let start = std::slice::from_ref(rival);
+        names.push(*pair);
+        rivals.push(output_error::fit(start, &evidence.training, &evidence.noise)?.model);
+    }
+    let answer = &diagnosis.model.model;
+    let without = names.first().map(|pair| answer.without_effect(pair[0]));
+    let Some(Ok(base)) = without else {
+        return Ok(None);
+    };
+    let models: Vec<&Model> = std::iter::once(answer).chain(&rivals).collect();
+    tell_apart(&models, &base, names, evidence, limits)
+}
+
+/// The run that separates two fitted models best, within the limits. `evidence` is what both were fitted to, with the
+/// noise that its baseline left ([`Evidence::with_baseline`]).
+pub fn next_experiment(
+    rivals: [&Model; 2],
+    evidence: &Evidence,
+    limits: &ExperimentLimits,
+) -> Result<Option<NextExperiment>, FitError> {
+    let own = |model: &Model, other: &Model| {
+        let mut ids = model.effect_ids().into_iter().rev();
+        ids.find(|id| !other.has(id)).unwrap_or("baseline")
+    };
+    let names = [own(rivals[0], rivals[1]), own(rivals[1], rivals[0])];
+    let base = rivals[0].without_effect(names[0])?;
+    tell_apart(&rivals, &base, vec![names], evidence, limits)
+}
+
+/// Every recipe of the menu that this model can run within the limits.
+pub fn menu_within(model: &Model, limits: &ExperimentLimits) -> Vec<Recipe> {
+    let plans = (0..COUNT).filter_map(|index| planned(index, &[model], limits));
+    plans.map(|plan| plan.recipe).collect()
+}
+
+fn tell_apart(
+    models: &[&Model],
+    base: &Model,
+    names: Vec<[&'static str; 2]>,
+    evidence: &Evidence,
+    limits: &ExperimentLimits,
+) -> Result<Option<NextExperiment>, FitError> {
+    let rivals = models.par_iter().map(|model| Rival::new(model, evidence));
+    let question = Question {
+        rivals: rivals.collect::<Result<Vec<_>, FitError>>()?,
+        base: Rival::new(base, evidence)?,
+        names,
+        evidence,
+    };
+    let tried = question.tried(limits, &[]);
+    let Some((chosen, separations)) = question.best(&tried) else {
+        return Ok(None);
+    };
+    let pairs = question.pair_entries(&tried, chosen, &separations);
+    let told = pairs.iter().find(|pair| pair.is_told());
+    let separable = told.is_some();
+    let Some(first) = told.or(pairs.first()).cloned() else {
+        return Ok(None);
+    };
+    let plan = &tried[chosen].plan;
+    // The name of a recipe in a sentence.
+    let name_of = |program: &str| {
+        let mut all = tried.iter().map(|tried| &tried.plan.recipe);
+        let recipe = all.find(|recipe| recipe.id == program);
+        recipe.map_or("", |recipe| recipe.name)
+    };
+    let mut sentence = pairs_in_words(plan, &pairs, name_of);
+    if !separable && limits.slew_v_per_s.is_finite() {
+        let free = ExperimentLimits {
+            slew_v_per_s: f64::INFINITY,
+            ..*limits
+        };
+        // What does not change any faster then has been tried.
+        let known: Vec<&Recipe> = tried.iter().map(|tried| &tried.plan.recipe).collect();
+        let freely = question.tried(&free, &known);
+        if let Some((quicker, separations)) = question.best(&freely) {
+            let quicker = &freely[quicker];
+            let largest = separations.iter().copied().fold(0.0, f64::max);
+            if largest >= quicker.needed {
+                sentence.push_str(&with_more_slew(&quicker.plan, largest));
+            }
+        }
+    }
+    let entry = |tried: &Tried| MenuEntry {
+        program: tried.plan.recipe.id,
+        expected_separation: smallest(&tried.separations),
+        needed: tried.needed,
+    };
+    Ok(Some(NextExperiment {
+        sentence,
+        bench: None,
+        pair: Some(first.pair),
+        reveals: Vec::new(),
+        hidden: Vec::new(),
+        expected_separation: first.expected_separation,
+        menu: tried.iter().map(entry).collect(),
+        peaks: separable.then_some(plan.peaks),
+        recipe: separable.then(|| plan.recipe.clone()),
+        pairs,
+    }))
+}
+
+/// Most pairs told apart first, then how far the closest of them, then the others.
+fn merit(separations: &[f64], needed: f64) -> f64 {
+    let told = separations.iter().filter(|value| **value >= needed).count();
+    let beyond = |value: f64| (1.0 + value / needed).ln();
+    let sum: f64 = separations.iter().copied().map(beyond).sum();
+    1e3 * told as f64 + beyond(smallest(separations)) + 0.1 * sum
+}
+
+fn smallest(separations: &[f64]) -> f64 {
+    separations.iter().copied().fold(f64::INFINITY, f64::min)
+}
+
+// A recommendation in words for a person.
+
+/// For pairs of rivals with their separations in this run; `program` names a run of the menu.
+fn pairs_in_words(
+    plan: &Planned,
+    pairs: &[PairEntry],
+    program: impl Fn(&str) -> &'static str,
+) -> String {
+    let mut sentences = Vec::new();
+    let (told, hidden): (Vec<_>, Vec<_>) = pairs.iter().partition(|pair| pair.is_told());
+    if let Some(first) = told.first() {
+        let rivals: Vec<String> = told
+            .iter()
+            .map(|told| {
+                let [a, b] = told.pair.map(name);
+                let separation = figure(told.expected_separation);
+                format!("{a} from {b} (separation {separation})")
+            })
+            .collect();
+        sentences.push(format!(
+            "run {}: it tells {}; {} would do",
+            described(plan),
+            rivals.join(" and "),
+            figure(first.needed)
+        ));
+    }
+    for entry in hidden {
+        let [a, b] = entry.pair.map(name);
+        let run = program(entry.best_program);
+        let (best, needed) = (figure(entry.best_separation), figure(entry.best_needed));
+        sentences.push(if entry.best_separation >= entry.best_needed {
+            format!("{a} and {b} need another run after it: {run} (separation {best})")
+        } else {
+            format!(
+                "no run of this kind will separate {a} and {b} within the limits: the best, {run}, gives a separation \
+                 of {best} at most, {needed} are needed"
+            )
+        });
+    }
+    sentences.join("; ")
+}
+
+/// What would be possible if the bench let the voltage change faster.
+fn with_more_slew(plan: &Planned, separation: f64) -> String {
+    format!(
+        "; with limits.slew_v_per_s = {} in the bench file, {} would (separation {})",
+        plan.recipe.slew_v_per_s,
+        plan.recipe.name,
+        figure(separation)
+    )
+}
+
+pub(super) fn described(plan: &Planned) -> String {
+    let peaks = &plan.peaks;
+    format!(
+        "{} ({:.1} s, up to {:.0} V, {:.1} A and {:.0} rad/s)",
+        plan.recipe.name, peaks.duration_s, peaks.voltage_v, peaks.current_a, peaks.speed_rad_s
+    )
+}
+
+pub(super) fn name(id: &'static str) -> &'static str {
+    effect::find(id).map_or(id, |effect| effect.card().name)
+}
+
+/// Two figures are all that a prediction deserves.
+fn figure(value: f64) -> String {
+    significant(value, 2)
+}

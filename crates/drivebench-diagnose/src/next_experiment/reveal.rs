@@ -1,0 +1,297 @@
+//! The run that shows most of what the runs in hand would not have shown, by the weighing that will judge it.
+
+use rayon::prelude::*;
+
+use super::plan::{COUNT, Planned, planned};
+use super::recommend::{described, name};
+use super::{ExperimentLimits, Hidden, MenuEntry, NextExperiment};
+use crate::joint::answer::eligible;
+use crate::joint::expected_information::{DETECTS, ExpectedInformation};
+use crate::{Diagnosis, DiagnosisVerdict, Evidence, Status};
+use drivebench_model::plant::{ActiveEffect, Effect, Model, Scenario, effect, typical_size};
+
+/// Precision, in units of that from which on an effect shows, from which on it is promised. Twice: no run in hand doubles by
+/// being repeated what is known.
+const PROMISED: f64 = 2.0 * DETECTS;
+/// Factor by which a limit is lifted to see whether it is in the way.
+const LIFTED: f64 = 2.0;
+/// Names of a list that are said; the rest is counted.
+const MOST_NAMES: usize = 4;
+
+/// A run of the menu and what it would show of each effect that the runs in hand do not, in their order.
+struct Tried {
+    plan: Planned,
+    information: Vec<f64>,
+}
+
+impl Tried {
+    fn promises(&self, place: usize) -> bool {
+        self.information[place] >= PROMISED
+    }
+
+    fn count(&self) -> usize {
+        (0..self.information.len())
+            .filter(|k| self.promises(*k))
+            .count()
+    }
+
+    fn total(&self) -> f64 {
+        self.information.iter().map(|own| (1.0 + own).ln()).sum()
+    }
+
+    fn largest(&self) -> f64 {
+        self.information.iter().copied().fold(0.0, f64::max)
+    }
+}
+
+/// What a menu is weighed for.
+struct Question<'a> {
+    model: &'a Model,
+    undetected: Vec<&'static str>,
+    /// With each that is not detectable at its typical size: the run keeps its limits with it, too.
+    with: Vec<Model>,
+    information: ExpectedInformation,
+    /// The runs behind the first one that is fitted: one of the menu each, where they were recommended.
+    made: &'a [Scenario],
+}
+
+impl Question<'_> {
+    /// The menu within some limits, best first.
+    fn tried(&self, limits: &ExperimentLimits) -> Vec<Tried> {
+        self.menu(limits).0
+    }
+
+    /// The same, and whether it is known what the menu shows: a run of it was weighed, or all that the limits allow were made
+    /// already.
+    fn menu(&self, limits: &ExperimentLimits) -> (Vec<Tried>, bool) {
+        let models: Vec<&Model> = std::iter::once(self.model).chain(&self.with).collect();
+        let plans = (0..COUNT).into_par_iter();
+        let plans: Vec<Planned> = plans
+            .filter_map(|index| planned(index, &models, limits))
+            .collect();
+        let allowed = plans.len();
+        let is_open = |plan: &Planned| !self.made.iter().any(|run| plan.was_made_in(run));
+        let open: Vec<Planned> = plans.into_iter().filter(is_open).collect();
+        let all_made = allowed > 0 && open.is_empty();
+        let tried = open.into_par_iter().filter_map(|plan| {
+            let run = plan.measured(self.model)?;
+            let all = self.information.with_run(&run, plan.stands_for())?;
+            let of = |id: &&'static str| {
+                let own = all.iter().find(|own| own.0 == *id);
+                own.map_or(0.0, |own| own.1)
+            };
+            let information = self.undetected.iter().map(of).collect();
+            Some(Tried { plan, information })
+        });
+        let mut tried: Vec<Tried> = tried.collect();
+        tried.sort_by(|a, b| {
+            let fewer = b.count().cmp(&a.count());
+            fewer.then(b.total().total_cmp(&a.total()))
+        });
+        let is_known = all_made || !tried.is_empty();
+        (tried, is_known)
+    }
+
+    /// Why each of what the best run of a menu does not show stays hidden.
+    fn hidden(&self, tried: &[Tried], limits: &ExperimentLimits) -> Vec<Hidden> {
+        let best = tried.first();
+        let places = 0..self.undetected.len();
+        let left: Vec<usize> = places
+            .filter(|place| !best.is_some_and(|best| best.promises(*place)))
+            .collect();
+        let shows = |tried: &[Tried], place: usize| tried.iter().any(|own| own.promises(place));
+        let alone: Vec<usize> = left.iter().copied().filter(|p| !shows(tried, *p)).collect();
+        // What limits are in the way of is worked out only where no run is left: it takes a menu for each of them.
+        let lifted: Vec<(String, Vec<Tried>)> = if best.is_some_and(|best| best.count() > 0) {
+            Vec::new()
+        } else {
+            let lifted = lifted(limits).into_iter();
+            lifted
+                .map(|(words, limits)| (words, self.tried(&limits)))
+                .collect()
+        };
+        let reason = |place: usize| {
+            if !alone.contains(&place) {
+                return "another run after it shows it".to_owned();
+            }
+            let in_the_way = lifted.iter().find(|(_, tried)| shows(tried, place));
+            let effect = effect::find(self.undetected[place]);
+            in_the_way.map_or_else(
+                || effect.map_or_else(String::new, |effect| effect.card().excite.to_owned()),
+                |(words, _)| words.clone(),
+            )
+        };
+        let hidden = left.into_iter().map(|place| Hidden {
+            effect: self.undetected[place],
+            reason: reason(place),
+        });
+        hidden.collect()
+    }
+}
+
+/// The same limits, each with one of them lifted, in words.
+fn lifted(limits: &ExperimentLimits) -> Vec<(String, ExperimentLimits)> {
+    let mut all = Vec::new();
+    if limits.slew_v_per_s.is_finite() {
+        let words = format!(
+            "not with {:.0} V/s: needs a faster change of the voltage",
+            limits.slew_v_per_s
+        );
+        let slew_v_per_s = f64::INFINITY;
+        let limits = ExperimentLimits {
+            slew_v_per_s,
+            ..*limits
+        };
+        all.push((words, limits));
+    }
+    if let Some(travel_rad) = limits.travel_rad {
+        let words = format!("not within {travel_rad:.1} rad: needs more travel");
+        let limits = ExperimentLimits {
+            travel_rad: None,
+            ..*limits
+        };
+        all.push((words, limits));
+    }
+    let more = ExperimentLimits {
+        voltage_v: LIFTED * limits.voltage_v,
+        current_a: LIFTED * limits.current_a,
+        speed_rad_s: LIFTED * limits.speed_rad_s,
+        rms_current_a: LIFTED * limits.rms_current_a,
+        duration_s: LIFTED * limits.duration_s,
+        ..*limits
+    };
+    let words = format!(
+        "not within {:.0} V, {:.1} A, {:.0} rad/s and {:.0} s: needs more",
+        limits.voltage_v, limits.current_a, limits.speed_rad_s, limits.duration_s
+    );
+    all.push((words, more));
+    all
+}
+
+/// The run in which most of what these runs would not have shown shows, beside the model that was found. `None` where
+/// everything has been shown, or where nobody knows what a run would show: much is not explained, no run of the menu could be
+/// weighed, or the model has what a fit of runs behind each other cannot hold.
+pub(super) fn reveal(
+    diagnosis: &Diagnosis,
+    evidence: &Evidence,
+    limits: &ExperimentLimits,
+) -> Option<NextExperiment> {
+    let basis = diagnosis.information_basis?;
+    if matches!(
+        diagnosis.verdict,
+        DiagnosisVerdict::Unexplained | DiagnosisVerdict::NotFitted
+    ) {
+        return None;
+    }
+    let model = &diagnosis.model.model;
+    let has_of_one_run = (model.effects.iter()).any(|active| active.effect.goes_on_over_runs());
+    if has_of_one_run {
+        return None;
+    }
+    let candidates = diagnosis.candidates.iter();
+    let undetected = candidates.filter(|one| one.status == Status::NotExcited);
+    let undetected: Vec<&'static str> = undetected.map(|one| one.effect).collect();
+    if undetected.is_empty() {
+        return None;
+    }
+    let missing: Vec<&'static dyn Effect> = eligible(model, None)
+        .into_iter()
+        .filter(|effect| undetected.contains(&effect.card().id))
+        .collect();
+    let with = undetected.iter();
+    let question = Question {
+        model,
+        with: with
+            .filter_map(|id| with_typical(model, id, evidence))
+            .collect(),
+        undetected,
+        information: ExpectedInformation::new(model, &missing, evidence, basis),
+        made: evidence.parts.get(1..).unwrap_or_default(),
+    };
+    let (tried, is_known) = question.menu(limits);
+    if !is_known {
+        return None;
+    }
+    let hidden = question.hidden(&tried, limits);
+    let menu = tried.iter().map(|tried| MenuEntry {
+        program: tried.plan.recipe.id,
+        expected_separation: tried.largest(),
+        needed: PROMISED,
+    });
+    let menu = menu.collect();
+    let best = tried.first().filter(|best| best.count() > 0);
+    let nothing = || NextExperiment {
+        sentence: nothing_in_words(&hidden),
+        bench: None,
+        pair: None,
+        pairs: Vec::new(),
+        reveals: Vec::new(),
+        hidden: hidden.clone(),
+        expected_separation: tried.first().map_or(0.0, Tried::largest),
+        menu,
+        peaks: None,
+        recipe: None,
+    };
+    let Some(best) = best else {
+        return Some(nothing());
+    };
+    let places = (0..question.undetected.len()).filter(|place| best.promises(*place));
+    let places: Vec<usize> = places.collect();
+    let reveals: Vec<&'static str> = places
+        .iter()
+        .map(|place| question.undetected[*place])
+        .collect();
+    let weakest = places.iter().map(|place| best.information[*place]);
+    Some(NextExperiment {
+        sentence: reveals_in_words(&best.plan, &reveals, &hidden),
+        expected_separation: weakest.fold(f64::INFINITY, f64::min),
+        peaks: Some(best.plan.peaks),
+        recipe: Some(best.plan.recipe.clone()),
+        reveals,
+        ..nothing()
+    })
+}
+
+/// The model with the effect at its typical size, its shapes at their guesses.
+fn with_typical(model: &Model, id: &str, evidence: &Evidence) -> Option<Model> {
+    let effect = effect::find(id)?;
+    let typical = |index| typical_size(effect, index, model, &evidence.training);
+    let values: Vec<f64> = (0..effect.parameters().len()).map(typical).collect();
+    let mut model = model.clone();
+    model.effects.push(ActiveEffect::with(effect, &values));
+    model.require_complete().ok()?;
+    Some(model)
+}
+
+fn reveals_in_words(plan: &Planned, shown: &[&'static str], hidden: &[Hidden]) -> String {
+    let sentence = format!(
+        "these runs would not have shown {}; run {}",
+        list(shown.iter().map(|id| name(id).to_owned())),
+        described(plan)
+    );
+    if hidden.is_empty() {
+        return sentence;
+    }
+    let hidden = hidden.iter().map(|own| name(own.effect).to_owned());
+    format!("{sentence}; it still does not show {}", list(hidden))
+}
+
+fn nothing_in_words(hidden: &[Hidden]) -> String {
+    let hidden = hidden.iter();
+    let words = hidden.map(|own| format!("{} ({})", name(own.effect), own.reason));
+    format!(
+        "no further run within the limits would show more; not shown: {}",
+        list(words)
+    )
+}
+
+fn list(names: impl ExactSizeIterator<Item = String>) -> String {
+    let more = names.len().saturating_sub(MOST_NAMES);
+    let said: Vec<String> = names.take(MOST_NAMES).collect();
+    let said = said.join(", ");
+    if more > 0 {
+        format!("{said} and {more} more")
+    } else {
+        said
+    }
+}

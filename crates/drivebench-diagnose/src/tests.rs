@@ -1,0 +1,319 @@
+//! Diagnosis of runs whose truth is known. Runs of the emulator, whose effects have other forms than the catalogue's,
+//! are diagnosed in `tests/`.
+
+use super::kit::{evidence, nameplate, names, record, truth, with};
+use super::*;
+use drivebench_identify::noise::{FloorSource, NoiseFloor};
+use drivebench_model::numerics::statistics::largest;
+use drivebench_model::plant::{MotorKey, Scenario, effect};
+
+/// Whether a size is the true one but for its uncertainty.
+fn is_of_size(candidate: &Candidate, truth: f64) -> bool {
+    let size = &candidate.parameters[0];
+    let (value, std) = (size.value.unwrap(), size.std.unwrap());
+    (value - truth).abs() < 5.0 * std + 0.02 * truth
+}
+
+#[test]
+fn a_single_effect_is_named_and_the_error_falls_to_the_floor() {
+    for (id, values) in [
+        ("quadratic_load", &[2e-6][..]),
+        ("stribeck_friction", &[0.12, 9.0]),
+        ("voltage_drop", &[0.9]),
+        ("constant_load", &[0.06]),
+    ] {
+        let found = diagnose(&nameplate(), evidence(&truth(id, values), 1)).unwrap();
+        let said = &found.sentence;
+        assert_eq!(found.verdict, DiagnosisVerdict::Effect, "{id}: {said}");
+        assert_eq!(found.effects, vec![id]);
+        assert!(found.sufficient && found.holdout_after < 1.15, "{said}");
+        let first = &found.candidates[0];
+        assert_eq!((first.effect, first.status), (id, Status::Supported));
+        assert!(is_of_size(first, values[0]), "{first:?} of {}", values[0]);
+    }
+}
+
+#[test]
+fn nothing_is_named_when_nothing_is_missing() {
+    for seed in 0..4 {
+        let found = diagnose(&nameplate(), evidence(&nameplate(), seed)).unwrap();
+        assert_eq!(found.verdict, DiagnosisVerdict::None, "{}", found.sentence);
+        assert_eq!((found.effect, found.sufficient), (None, true));
+    }
+}
+
+#[test]
+fn of_a_model_that_follows_nothing_nothing_is_concluded() {
+    // The hold-out has the voltage of another run.
+    let mut data = evidence(&nameplate(), 2);
+    data.holdout.events = record(&nameplate(), 4, 5).events;
+    let mut model = nameplate();
+    model.fixed = vec!["resistance_ohm".to_owned()];
+    let found = diagnose(&model, data).unwrap();
+    let said = &found.sentence;
+    assert_eq!(found.verdict, DiagnosisVerdict::NotFitted, "{said}");
+    assert!(found.effects.is_empty() && found.candidates.is_empty() && found.unknown.is_empty());
+    assert!(found.reason.is_some() && !found.sufficient, "{said}");
+    // JSON, card and page give the same of each parameter, and what was given stays.
+    for parameters in [
+        &found.parameters,
+        &found.baseline.parameters,
+        &found.model.parameters,
+    ] {
+        for own in parameters {
+            let is_given = own.key == "resistance_ohm";
+            assert_eq!(own.value.is_some(), is_given, "{own:?}");
+        }
+    }
+}
+
+#[test]
+fn an_error_that_no_effect_explains_is_called_unexplained() {
+    // A shaker at 5 Hz: nothing in the catalogue depends on time like that.
+    let mut data = evidence(&nameplate(), 2);
+    for run in [&mut data.training, &mut data.holdout] {
+        for (k, time_s) in run.sample_time_s.iter().enumerate().skip(130) {
+            run.speed_rad_s[k] += 2.0 * (31.4 * time_s).sin();
+        }
+    }
+    let found = diagnose(&nameplate(), data).unwrap();
+    assert_eq!(
+        found.verdict,
+        DiagnosisVerdict::Unexplained,
+        "{}",
+        found.sentence
+    );
+    assert!(!found.sufficient && found.effects.is_empty());
+}
+
+#[test]
+fn two_effects_are_both_found() {
+    let both: [(&str, &[f64]); 2] = [("voltage_drop", &[1.2]), ("quadratic_load", &[2.5e-6])];
+    let data = evidence(&with(nameplate(), &both), 3);
+    let found = diagnose(&nameplate(), data.clone()).unwrap();
+    assert_eq!(
+        names(&found),
+        ["quadratic_load", "voltage_drop"],
+        "{}",
+        found.sentence
+    );
+    let mut steps = found.ladder.windows(2);
+    assert!(steps.all(|rungs| rungs[1].holdout_rmse < rungs[0].holdout_rmse));
+    // They come first, in the order of the answer, and their sizes are those of the fit with both.
+    for (place, id) in found.effects.iter().enumerate() {
+        let candidate = &found.candidates[place];
+        assert_eq!((candidate.effect, candidate.rank), (*id, place + 1));
+        assert_eq!(candidate.status, Status::Supported);
+        let true_size = both.iter().find(|(known, _)| known == id).unwrap().1[0];
+        assert!(
+            is_of_size(candidate, true_size),
+            "{candidate:?} of {true_size}"
+        );
+        let size = &candidate.parameters[0];
+        let mut joint = found.model.parameters.iter();
+        assert_eq!(joint.find(|own| own.key == size.key), Some(size));
+        let reached = candidate.reached.unwrap();
+        let fastest = largest(data.training.speed_rad_s.iter().copied());
+        let (peak, true_peak) = match reached.voltage_v {
+            Some(voltage) => (voltage, true_size),
+            None => (reached.torque_n_m.unwrap(), true_size * fastest * fastest),
+        };
+        assert!((peak.value / true_peak - 1.0).abs() < 0.05, "{peak:?}");
+        assert!(candidate.probability > 0.99 && candidate.evidence.contains("99 %"));
+    }
+}
+
+#[test]
+fn one_run_alone_is_split_and_says_so() {
+    let run = record(&truth("voltage_drop", &[1.2]), 0, 4);
+    let found = diagnose(&nameplate(), Evidence::new(run, None, None)).unwrap();
+    assert_eq!(found.holdout_from, HoldoutFrom::Split);
+    assert_eq!(found.effect, Some("voltage_drop"), "{}", found.sentence);
+}
+
+#[test]
+fn an_effect_that_does_not_pay_is_refused_and_one_that_does_can_be_taken_out_again() {
+    let fan = effect::find("quadratic_load").unwrap();
+    let refused = add(fan, &nameplate(), evidence(&nameplate(), 5)).unwrap();
+    let reason = &refused.reason;
+    assert!(!refused.accepted, "{reason}");
+    // In words that need no statistics: how much, and how sure.
+    for words in ["the held-out error", "is there with"] {
+        assert!(reason.contains(words), "{reason}");
+    }
+    let data = evidence(&truth("quadratic_load", &[2e-6]), 5);
+    let accepted = add(fan, &nameplate(), data.clone()).unwrap();
+    let reason = &accepted.reason;
+    assert!(accepted.accepted, "{reason}");
+    let falls = 100.0 * (1.0 - accepted.after.holdout_rmse / accepted.before.holdout_rmse);
+    for words in [&format!("falls by {falls:.1} %"), "with more than 99 %"] {
+        assert!(reason.contains(words), "{reason}");
+    }
+    let [before, after] = accepted.confirm.as_ref().unwrap();
+    assert!(after.holdout_rmse < 0.6 * before.holdout_rmse);
+    let needed = remove(fan, &accepted.fit.model, data).unwrap();
+    assert!(!needed.accepted, "{}", needed.reason);
+}
+
+#[test]
+fn a_signal_without_rest_samples_is_named_with_the_reason_and_the_other_answers() {
+    let mut data = evidence(&truth("quadratic_load", &[2e-6]), 8);
+    for run in [&mut data.training, &mut data.holdout] {
+        // Of the 125 samples at rest only the last ten show the current.
+        run.current_a[..115].fill(f64::NAN);
+    }
+    let data = Evidence::new(data.training, Some(data.holdout), None);
+    assert!(data.noise.current_a.is_infinite() && data.noise.speed_rad_s.is_finite());
+    let found = diagnose(&nameplate(), data.clone()).unwrap();
+    let [limit] = &found.limits[..] else {
+        panic!("{:?}", found.limits);
+    };
+    for word in ["current_a", "10 samples", "20 are needed", "speed alone"] {
+        assert!(limit.contains(word), "{word}: {limit}");
+    }
+    assert_eq!(found.effect, Some("quadratic_load"), "{}", found.sentence);
+    let compared = compared(data);
+    assert!(compared.limits.contains(limit), "{:?}", compared.limits);
+    // How good the model is for it can still be said; only not in units of its noise.
+    let current = compared.signals.current_a.unwrap();
+    assert!(
+        current.noise_floor.is_none() && current.holdout.rmse > 0.0,
+        "{current:?}"
+    );
+    assert!(current.fit_percent > 50.0, "{current:?}");
+    // Nothing is said of runs that lack nothing.
+    assert_eq!(evidence(&nameplate(), 8).unjudged(), Vec::<String>::new());
+}
+
+/// The fitted nameplate beside the runs.
+fn compared(data: Evidence) -> Comparison {
+    let (data, baseline) = data.with_baseline(&nameplate()).unwrap();
+    compare(&baseline.model, &data, ErrorOf::Structure).unwrap()
+}
+
+#[test]
+fn the_location_names_equation_and_axis() {
+    let peak = compared(evidence(&truth("stribeck_friction", &[0.3, 12.0]), 6));
+    let first = &peak.locations[0];
+    assert_eq!(
+        (first.equation, first.variable),
+        ("torque", "speed_rad_s"),
+        "{first:?}"
+    );
+    assert!(first.from < 0.0 && first.to > 0.0, "{first:?}");
+    assert!(!peak.residual.white);
+    let drop = compared(evidence(&truth("voltage_drop", &[1.5]), 6));
+    assert_eq!(drop.locations[0].equation, "voltage");
+}
+
+#[test]
+fn a_fitted_model_that_follows_nothing_has_no_places_and_a_given_one_has() {
+    let data = evidence(&nameplate(), 6);
+    let mut heavy = nameplate();
+    heavy.motor.set(MotorKey::Inertia, 10.0);
+    let fitted = compare(&heavy, &data, ErrorOf::Structure).unwrap();
+    assert!(
+        fitted.not_fitted.is_some() && fitted.locations.is_empty() && fitted.balances.is_empty()
+    );
+    assert!(fitted.where_it_fails().0.starts_with("not known"));
+    let given = compare(&heavy, &data, ErrorOf::Model).unwrap();
+    assert!(given.not_fitted.is_none() && !given.balances.is_empty());
+    assert_eq!(compared(data).not_fitted, None);
+}
+
+#[test]
+fn a_repeat_gives_the_floor_that_the_standstill_gives_when_only_sensors_are_noisy() {
+    let data = evidence(&nameplate(), 7);
+    let unknown = Evidence {
+        noise: NoiseFloor::from_spread(&data.training),
+        ..data.clone()
+    };
+    let repeat = record(&nameplate(), 0, 99);
+    let repeated = unknown.with_repeat(&nameplate(), repeat).unwrap();
+    assert_eq!(repeated.noise.source, FloorSource::Repeat);
+    assert!((repeated.noise.speed_rad_s / data.noise.speed_rad_s - 1.0).abs() < 0.2);
+}
+
+/// The same record with a reading of the speed that drifts otherwise in each run.
+fn wandering(seed: u32) -> Scenario {
+    let mut run = record(&nameplate(), 0, u64::from(seed));
+    let mut state = seed;
+    let mut wander = 0.0;
+    for speed in &mut run.speed_rad_s {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        wander = 0.999 * wander + 0.05 * (f64::from(state >> 8) / f64::from(1 << 24) - 0.5);
+        *speed += if *speed == 0.0 { 0.0 } else { wander };
+    }
+    run
+}
+
+#[test]
+fn a_machine_that_does_not_repeat_is_not_called_complete() {
+    let repeated = |data: Evidence, repeat: Scenario| {
+        diagnose(
+            &nameplate(),
+            data.with_repeat(&nameplate(), repeat).unwrap(),
+        )
+        .unwrap()
+    };
+    let found = repeated(evidence(&nameplate(), 8), record(&nameplate(), 0, 98));
+    let expected = (DiagnosisVerdict::None, Some(true));
+    assert_eq!(
+        (found.verdict, found.repeats),
+        expected,
+        "{}",
+        found.sentence
+    );
+    let data = Evidence::new(wandering(3), Some(wandering(4)), None);
+    let found = repeated(data, wandering(5));
+    let said = &found.sentence;
+    assert_eq!(found.repeats, Some(false), "{:?}", found.repeat_floor);
+    assert_eq!(found.verdict, DiagnosisVerdict::Unexplained, "{said}");
+    assert!(said.contains("does not repeat"), "{said}");
+    // It follows nothing that repeats: the time alone.
+    assert_eq!(found.repeat_follows[0].variable, "time_s", "{said}");
+}
+
+#[test]
+fn where_a_model_fails_is_one_sentence_whatever_two_tests_say() {
+    let whole = compared(evidence(&nameplate(), 6));
+    let sentence = |change: &dyn Fn(&mut Comparison)| {
+        let mut found = whole.clone();
+        found.locations.clear();
+        found.balances.iter_mut().for_each(|own| own.fails = false);
+        found.residual = ResidualLights {
+            white: true,
+            enough_samples: true,
+            independent_of_input: Some(true),
+            ..ResidualLights::default()
+        };
+        change(&mut found);
+        found.where_it_fails().0
+    };
+    let nowhere = sentence(&|_| {});
+    assert_eq!(nowhere, "nowhere: no equation fails beyond its noise");
+    // The windows find nothing, the whole run does: both are said, and neither "nowhere".
+    let both = sentence(&|found| found.residual.white = false);
+    assert!(
+        both.starts_with("no equation fails") && both.contains("more than noise is left"),
+        "{both}"
+    );
+    let few = sentence(&|found| found.residual.enough_samples = false);
+    assert_eq!(few, nowhere);
+    let unknown = sentence(&|found| found.balances[0].nres = None);
+    assert!(unknown.starts_with("not known"), "{unknown}");
+    let follows_nothing = sentence(&|found| found.balances[0].fails = true);
+    assert!(
+        follows_nothing.contains("follows no speed"),
+        "{follows_nothing}"
+    );
+    let not_asked = sentence(&|found| found.balances.clear());
+    assert!(not_asked.contains("do not tell"), "{not_asked}");
+    // What is named first is not told twice.
+    let missing = compared(evidence(&truth("stribeck_friction", &[0.3, 12.0]), 6));
+    let (first, others) = missing.where_it_fails();
+    assert!(others.iter().all(|place| place.sentence != first));
+    // Where it is not known which place it is the sentence stands for none of them, else for the first.
+    let named = usize::from(missing.undecided().is_none());
+    assert_eq!(others.len() + named, missing.locations.len());
+}

@@ -1,0 +1,531 @@
+//! Traces of a comparison: every signal as measured and as the model gives it, with the noise, over the time of its run.
+//!
+//! ```text
+//! model, Evidence -> Traces: one RunTraces for the hold-out, the fit run (of a split run both are one) and the confirming run
+//!                      '-> SignalTrace: time from the run's begin, measured, model (a free run), noise; a gap is NaN
+//! ```
+//!
+//! Of a run that no voltage drives the torque of the motor stands beside that of the inverse model.
+
+use std::borrow::Cow;
+use std::sync::Arc;
+
+use super::evidence::{Evidence, HoldoutFrom};
+use super::location::name_of;
+use super::mechanical::{self, Balance, Sides};
+use drivebench_identify::balance::TorqueRows;
+use drivebench_identify::noise::{FloorSource, NoiseFloor};
+use drivebench_identify::online::{Online, OnlineConfig};
+use drivebench_identify::output_error::{self, FitError};
+use drivebench_model::plant::{Input, Model, MotorKey, Scenario};
+use drivebench_model::sample::{Channel, ParameterEstimate, Run};
+
+/// What a trace is of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quantity {
+    Channel(Channel),
+    /// What the on-line estimators say of a parameter of the motor.
+    Estimate(MotorKey),
+}
+
+impl Quantity {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Channel(channel) => channel.name(),
+            Self::Estimate(key) => name_of(key),
+        }
+    }
+
+    pub const fn unit(self) -> &'static str {
+        match self {
+            Self::Channel(channel) => channel.unit(),
+            Self::Estimate(key) => key.unit(),
+        }
+    }
+}
+
+/// One signal over time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SignalTrace {
+    pub quantity: Quantity,
+    /// Since the run's begin, its first command; rising.
+    pub time_s: Arc<[f64]>,
+    /// NaN where nothing was measured.
+    pub measured: Vec<f64>,
+    /// The same of the model; empty where it says nothing of this signal.
+    pub model: Vec<f64>,
+    /// Standard deviation of the sensor's noise, where it is known.
+    pub noise: Option<f64>,
+    /// Standard deviation of each value, of an estimate.
+    pub std: Vec<f64>,
+    /// Held from each instant to the next, as a command.
+    pub is_held: bool,
+}
+
+impl SignalTrace {
+    /// Measured less model: positive where the model is too low. NaN in gaps.
+    pub fn residual(&self) -> impl Iterator<Item = f64> + '_ {
+        let pairs = self.measured.iter().zip(&self.model);
+        pairs.map(|(measured, model)| measured - model)
+    }
+
+    pub const fn has_model(&self) -> bool {
+        !self.model.is_empty()
+    }
+
+    /// The stretches with the largest root mean square of the residual, the worst first: begin, end and the instant of the
+    /// largest residual in it. The run is cut into `parts`.
+    pub fn worst_places(&self, parts: usize) -> Vec<WorstPlace> {
+        let (Some(first), Some(last)) = (self.time_s.first(), self.time_s.last()) else {
+            return Vec::new();
+        };
+        let part_s = (last - first) / parts.max(1) as f64;
+        if !self.has_model() || part_s <= 0.0 {
+            return Vec::new();
+        }
+        let mut places: Vec<WorstPlace> = Vec::new();
+        let (mut count, mut largest) = (0.0, 0.0);
+        for (time_s, residual) in self.time_s.iter().zip(self.residual()) {
+            if !residual.is_finite() {
+                continue;
+            }
+            let part = ((time_s - first) / part_s).floor().min(parts as f64 - 1.0);
+            let from_s = first + part * part_s;
+            if places.last().is_none_or(|place| place.from_s < from_s) {
+                (count, largest) = (0.0, 0.0);
+                places.push(WorstPlace {
+                    from_s,
+                    to_s: from_s + part_s,
+                    at_s: *time_s,
+                    rms: 0.0,
+                });
+            }
+            if let Some(place) = places.last_mut() {
+                count += 1.0;
+                // Running mean of the squares.
+                place.rms += (residual * residual - place.rms) / count;
+                if residual.abs() > largest {
+                    (largest, place.at_s) = (residual.abs(), *time_s);
+                }
+            }
+        }
+        for place in &mut places {
+            place.rms = place.rms.sqrt();
+        }
+        places.sort_by(|a, b| b.rms.total_cmp(&a.rms));
+        places
+    }
+}
+
+/// A stretch of time with a large residual.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WorstPlace {
+    pub from_s: f64,
+    pub to_s: f64,
+    /// Where the residual is largest.
+    pub at_s: f64,
+    pub rms: f64,
+}
+
+/// What part a run has in the comparison.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    HoldOut,
+    /// The whole run, whose last part is held out.
+    Split,
+    FitRun,
+    Confirm,
+}
+
+impl Part {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::HoldOut => "hold-out",
+            Self::Split => "run, its end held out",
+            Self::FitRun => "fit run",
+            Self::Confirm => "confirming run",
+        }
+    }
+}
+
+/// The signals of one run: those that the model gives first.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RunTraces {
+    pub run: String,
+    pub part: Part,
+    /// From when on it is held out, where a run was split.
+    pub held_out_from_s: Option<f64>,
+    pub signals: Vec<SignalTrace>,
+}
+
+impl RunTraces {
+    /// First and last instant of all signals; zero and one where there is none.
+    pub fn span_s(&self) -> (f64, f64) {
+        let ends = self.signals.iter().filter_map(|signal| {
+            let (first, last) = (signal.time_s.first()?, signal.time_s.last()?);
+            Some((*first, *last))
+        });
+        ends.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
+            .unwrap_or((0.0, 1.0))
+    }
+}
+
+/// The comparison of a model with its runs, as signals over time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Traces {
+    /// The hold-out first.
+    pub runs: Vec<RunTraces>,
+    /// Effects of the model.
+    pub effects: Vec<&'static str>,
+}
+
+/// Every channel that was recorded beside what a comparison is of, by the name of its run.
+#[derive(Clone, Debug, Default)]
+pub struct RecordedChannels {
+    runs: Vec<(String, Vec<SignalTrace>)>,
+}
+
+impl RecordedChannels {
+    /// Takes in a run that the comparison may be of, and what the on-line estimators make of it.
+    pub fn add(&mut self, run: &Run, scenario: &Scenario) {
+        let begin_s = scenario.begin_s();
+        let since = |time_s: &f64| time_s - begin_s;
+        let signal = |channel: &Channel| {
+            let values = run.column(*channel)?;
+            let points = run.time_s().iter().map(since).zip(values.iter().copied());
+            // Rows of commands stand between those of samples: what is empty there is no gap.
+            let points: Vec<(f64, f64)> = points.filter(|point| point.1.is_finite()).collect();
+            let time_s: Vec<f64> = points.iter().map(|point| point.0).collect();
+            (!points.is_empty()).then(|| SignalTrace {
+                quantity: Quantity::Channel(*channel),
+                time_s: time_s.into(),
+                measured: points.iter().map(|point| point.1).collect(),
+                model: Vec::new(),
+                noise: None,
+                std: Vec::new(),
+                is_held: channel.is_commanded(),
+            })
+        };
+        let mut signals: Vec<SignalTrace> = Channel::ALL.iter().filter_map(signal).collect();
+        signals.extend(estimates(run, scenario));
+        self.runs.push((run.name.clone(), signals));
+    }
+
+    /// The channels that a run has beside `known`.
+    fn beside(&self, run: &str, known: &[SignalTrace]) -> impl Iterator<Item = SignalTrace> {
+        // A part of a run carries its name in front.
+        let mut runs = self.runs.iter();
+        let own = runs.find(|(name, _)| run == name || run.starts_with(&format!("{name} (")));
+        let signals = own.into_iter().flat_map(|(_, signals)| signals);
+        let is_new =
+            |signal: &&SignalTrace| known.iter().all(|own| own.quantity != signal.quantity);
+        let new: Vec<SignalTrace> = signals.filter(is_new).cloned().collect();
+        new.into_iter()
+    }
+}
+
+impl Traces {
+    /// The traces of a complete model; only initial state and times of events are fitted.
+    pub fn of(
+        model: &Model,
+        evidence: &Evidence,
+        recorded: &RecordedChannels,
+    ) -> Result<Self, FitError> {
+        let is_split = evidence.holdout_from == HoldoutFrom::Split;
+        let first = if is_split { Part::Split } else { Part::HoldOut };
+        let mut parts = vec![(first, &evidence.holdout)];
+        if !is_split {
+            parts.push((Part::FitRun, &evidence.training));
+        }
+        parts.extend(evidence.confirm.iter().map(|run| (Part::Confirm, run)));
+        let sides = if evidence.training.input == Input::Voltage {
+            None
+        } else {
+            Some(Balance::new(model, evidence)?.0)
+        };
+        let traced = |(part, run): (Part, &Scenario)| {
+            let since = |time_s: &f64| time_s - run.begin_s();
+            let mut signals = match &sides {
+                None => free_run(model, run, &evidence.noise)?,
+                Some(balance) => {
+                    let rows = rows_of(&balance.sides, part);
+                    let known = balance.source != FloorSource::None;
+                    let unit_n_m = known.then_some(balance.unit_n_m);
+                    rows.map(|rows| torque(model, rows, run, unit_n_m))
+                        .into_iter()
+                        .collect()
+                }
+            };
+            let (time_s, measured) = run.events.iter().copied().unzip::<_, _, Vec<_>, Vec<_>>();
+            if run.input == Input::Voltage {
+                signals.push(SignalTrace {
+                    quantity: Quantity::Channel(run.input_channel),
+                    time_s: time_s.iter().map(since).collect(),
+                    measured,
+                    model: Vec::new(),
+                    noise: None,
+                    std: Vec::new(),
+                    is_held: true,
+                });
+            }
+            let others: Vec<SignalTrace> = recorded.beside(&run.name, &signals).collect();
+            signals.extend(others);
+            let begins = run.sample_time_s.get(run.scored.start).map(since);
+            // Of a split run the whole is shown, not the part that its name tells.
+            let whole = run.name.rsplit_once(" (last").map(|(whole, _)| whole);
+            let name = whole.filter(|_| is_split).unwrap_or(&run.name);
+            Ok(RunTraces {
+                run: name.to_owned(),
+                part,
+                held_out_from_s: begins.filter(|_| part == Part::Split),
+                signals,
+            })
+        };
+        let runs = parts.into_iter().map(traced);
+        Ok(Self {
+            runs: runs.collect::<Result<_, FitError>>()?,
+            effects: model.effect_ids(),
+        })
+    }
+}
+
+/// Speed and current of the free run beside what was measured; what was never measured is left out.
+fn free_run(
+    model: &Model,
+    run: &Scenario,
+    noise: &NoiseFloor,
+) -> Result<Vec<SignalTrace>, FitError> {
+    let trajectory = output_error::predict(model, run, noise)?.trajectory;
+    let begin_s = run.begin_s();
+    let time_s: Arc<[f64]> = run.sample_time_s.iter().map(|t| t - begin_s).collect();
+    let is_known = noise.source != FloorSource::None;
+    let signal = |channel, measured: &Vec<f64>, model, level: f64| {
+        let is_there = measured.iter().any(|value| value.is_finite());
+        is_there.then(|| SignalTrace {
+            quantity: Quantity::Channel(channel),
+            time_s: Arc::clone(&time_s),
+            measured: measured.clone(),
+            model,
+            noise: (is_known && level.is_finite()).then_some(level),
+            std: Vec::new(),
+            is_held: false,
+        })
+    };
+    let (speed, current) = (trajectory.speed_rad_s, trajectory.current_a);
+    let signals = [
+        signal(Channel::Speed, &run.speed_rad_s, speed, noise.speed_rad_s),
+        signal(Channel::Current, &run.current_a, current, noise.current_a),
+    ];
+    Ok(signals.into_iter().flatten().collect())
+}
+
+/// Instants at which estimates are kept.
+const ESTIMATES: usize = 400;
+
+/// What the on-line estimators say along a run that a voltage drives; gaps where they say nothing yet.
+fn estimates(run: &Run, scenario: &Scenario) -> Vec<SignalTrace> {
+    if scenario.input != Input::Voltage {
+        return Vec::new();
+    }
+    let command = Channel::VoltageCmd;
+    let is_measured = scenario.input_channel == Channel::Voltage && run.column(command).is_some();
+    let used = if is_measured {
+        Cow::Owned(run.without(command))
+    } else {
+        Cow::Borrowed(run)
+    };
+    let stride = used.rows().div_ceil(ESTIMATES).max(1);
+    let mut online = Online::new(OnlineConfig::default());
+    let mut times = Vec::new();
+    let mut found: Vec<Vec<ParameterEstimate>> = Vec::new();
+    for (row, sample) in used.samples().enumerate() {
+        online.push(&sample);
+        if row % stride == 0 {
+            times.push(sample.time_s - scenario.begin_s());
+            found.push(online.estimates());
+        }
+    }
+    let time_s: Arc<[f64]> = times.into();
+    let of = |key: MotorKey| {
+        let own = || {
+            let each = found.iter();
+            each.map(move |all| ParameterEstimate::find(all, key.key()))
+        };
+        let value = |own: Option<&ParameterEstimate>| own.and_then(|own| own.value);
+        let std = |own: Option<&ParameterEstimate>| own.and_then(|own| own.std);
+        let measured: Vec<f64> = own().map(|own| value(own).unwrap_or(f64::NAN)).collect();
+        let is_there = measured.iter().any(|value| value.is_finite());
+        is_there.then(|| SignalTrace {
+            quantity: Quantity::Estimate(key),
+            time_s: Arc::clone(&time_s),
+            measured,
+            model: Vec::new(),
+            noise: None,
+            std: own().map(|own| std(own).unwrap_or(f64::NAN)).collect(),
+            is_held: false,
+        })
+    };
+    MotorKey::ALL.into_iter().filter_map(of).collect()
+}
+
+const fn rows_of(sides: &Sides, part: Part) -> Option<&TorqueRows> {
+    match part {
+        Part::HoldOut => Some(&sides.holdout),
+        Part::FitRun => Some(&sides.training),
+        Part::Split => sides.whole.as_ref(),
+        Part::Confirm => sides.confirm.as_ref(),
+    }
+}
+
+/// The torque of the motor beside the one that the model asks for.
+fn torque(model: &Model, rows: &TorqueRows, run: &Scenario, noise: Option<f64>) -> SignalTrace {
+    SignalTrace {
+        quantity: Quantity::Channel(Channel::Torque),
+        time_s: rows.time_s.iter().map(|t| t - run.begin_s()).collect(),
+        measured: rows.left.clone(),
+        model: mechanical::predicted(&mechanical::with_events_of(model, rows), rows),
+        noise,
+        std: Vec::new(),
+        is_held: false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use drivebench_model::plant::testing::{self, SPEED_NOISE_RAD_S, with_a_fan};
+    use drivebench_model::plant::{ActiveEffect, Motor, effect};
+    use drivebench_model::sample::Origin;
+
+    fn evidence() -> Evidence {
+        let mut fitted = with_a_fan(0);
+        fitted.name = "a".to_owned();
+        fitted.speed_rad_s[100..110].fill(f64::NAN);
+        Evidence::new(fitted, Some(with_a_fan(1)), None)
+    }
+
+    fn with_its_fan() -> Model {
+        let mut model = Model::baseline(Motor::zk_22fc());
+        let fan = effect::find("quadratic_load").unwrap();
+        model.effects.push(ActiveEffect::with(fan, &[4e-6]));
+        model
+    }
+
+    fn rms(trace: &SignalTrace) -> f64 {
+        let known = trace.residual().filter(|residual| residual.is_finite());
+        let (sum, count) = known.fold((0.0, 0.0), |(sum, n), r| (sum + r * r, n + 1.0));
+        f64::sqrt(sum / count)
+    }
+
+    #[test]
+    fn a_right_model_leaves_the_noise_a_wrong_one_more_and_a_gap_stays_a_gap() {
+        let none = RecordedChannels::default();
+        let right = Traces::of(&with_its_fan(), &evidence(), &none).unwrap();
+        let wrong = Traces::of(&Model::baseline(Motor::zk_22fc()), &evidence(), &none).unwrap();
+        assert_eq!(right.effects, ["quadratic_load"]);
+        assert_eq!(wrong.effects, [""; 0]);
+        let parts: Vec<Part> = right.runs.iter().map(|run| run.part).collect();
+        assert_eq!(parts, [Part::HoldOut, Part::FitRun]);
+        for (of_right, of_wrong) in right.runs.iter().zip(&wrong.runs) {
+            let (speed, missed) = (&of_right.signals[0], &of_wrong.signals[0]);
+            assert_eq!(speed.quantity, Quantity::Channel(Channel::Speed));
+            assert!(
+                (rms(speed) / SPEED_NOISE_RAD_S - 1.0).abs() < 0.15,
+                "{}",
+                rms(speed)
+            );
+            assert!(rms(missed) > 5.0 * rms(speed));
+            assert!((speed.noise.unwrap() / SPEED_NOISE_RAD_S - 1.0).abs() < 0.3);
+            assert!(speed.time_s[0].abs() < 1e-9 && speed.time_s.len() == speed.model.len());
+        }
+        let gap = &right.runs[1].signals[0];
+        let missing = |k: usize| gap.residual().nth(k).unwrap().is_nan();
+        assert!((100..110).all(missing) && !missing(99) && !missing(110));
+    }
+
+    #[test]
+    fn the_worst_place_is_where_the_model_is_farthest_off() {
+        let time_s: Arc<[f64]> = (0..1000).map(|k| 0.01 * f64::from(k)).collect();
+        let bump = |at: f64, size: f64, t: f64| size * (-((t - at) / 0.05).powi(2)).exp();
+        let model: Vec<f64> = time_s
+            .iter()
+            .map(|t| bump(7.35, 3.0, *t) + bump(2.05, -5.0, *t))
+            .collect();
+        let trace = SignalTrace {
+            quantity: Quantity::Channel(Channel::Speed),
+            measured: vec![0.0; 1000],
+            model,
+            time_s,
+            noise: None,
+            std: Vec::new(),
+            is_held: false,
+        };
+        let worst = trace.worst_places(100);
+        assert!((worst[0].at_s - 2.05).abs() < 0.02, "{:?}", worst[0]);
+        let next = worst
+            .iter()
+            .find(|place| (place.at_s - 2.05).abs() > 0.5)
+            .unwrap();
+        assert!((next.at_s - 7.35).abs() < 0.06, "{next:?}");
+        assert_eq!(worst.len(), 100);
+    }
+
+    #[test]
+    fn a_split_run_is_one_run_and_says_from_when_on_it_is_held_out() {
+        let evidence = Evidence::new(with_a_fan(0), None, None);
+        let traces = Traces::of(&with_its_fan(), &evidence, &RecordedChannels::default()).unwrap();
+        let [run] = traces.runs.as_slice() else {
+            panic!("{}", traces.runs.len())
+        };
+        assert!(!run.run.contains("last"), "{}", run.run);
+        let from_s = run.held_out_from_s.unwrap();
+        assert!((from_s / run.span_s().1 - 0.6).abs() < 0.01, "{from_s}");
+    }
+
+    #[test]
+    fn what_else_was_recorded_stands_beside_under_the_time_of_its_run() {
+        let fitted = with_a_fan(0);
+        let times = fitted.sample_time_s.clone();
+        let volts = times
+            .iter()
+            .map(|time_s| fitted.input_at(*time_s))
+            .collect();
+        let bus = (0..times.len())
+            .map(|k| if k == 1 { f64::NAN } else { 48.0 })
+            .collect();
+        let columns = [
+            (Channel::VoltageCmd, volts, Origin::Unknown),
+            (Channel::Current, fitted.current_a.clone(), Origin::Measured),
+            (Channel::Speed, fitted.speed_rad_s.clone(), Origin::Measured),
+            (Channel::Bus, bus, Origin::Measured),
+        ];
+        let run = testing::run_of("a", times, columns);
+        let mut recorded = RecordedChannels::default();
+        recorded.add(&run, &fitted);
+        let traces = Traces::of(&with_its_fan(), &evidence(), &recorded).unwrap();
+        let channels = |run: &RunTraces| -> Vec<Quantity> {
+            run.signals.iter().map(|signal| signal.quantity).collect()
+        };
+        let own = [Channel::Speed, Channel::Current, Channel::VoltageCmd].map(Quantity::Channel);
+        assert_eq!(channels(&traces.runs[0]), own);
+        let beside = &traces.runs[1].signals[3..];
+        let bus = &beside[0];
+        assert_eq!(bus.quantity, Quantity::Channel(Channel::Bus));
+        // An empty cell of a row of commands is no gap.
+        assert_eq!(bus.time_s.len(), fitted.samples() - 1);
+        let resistance = beside
+            .iter()
+            .find(|own| own.quantity == Quantity::Estimate(MotorKey::Resistance))
+            .unwrap();
+        let (value, std) = (resistance.measured.last(), resistance.std.last());
+        let (value, std) = (*value.unwrap(), *std.unwrap());
+        assert!(
+            (value - 1.1).abs() < 5.0 * std && std < 0.1,
+            "{value} {std}"
+        );
+        assert!(
+            resistance.measured[0].is_nan(),
+            "nothing is known at the start"
+        );
+    }
+}

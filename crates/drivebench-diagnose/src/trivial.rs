@@ -1,0 +1,150 @@
+//! Trivial predictions of a held-out run: a constant, and for a speed under a voltage a first-order lag.
+//!
+//! A fit that does not beat them follows nothing of the machine, and nothing can be concluded from what it leaves: neither that
+//! an effect is there nor that it is not. Forecasts are scored against such benchmarks throughout (Hyndman and Koehler 2006,
+//! "Another look at measures of forecast accuracy").
+
+use super::evidence::Evidence;
+use super::score::Score;
+use drivebench_identify::first_order::FirstOrder;
+use drivebench_model::numerics::statistics::{finite, mean, variance};
+use drivebench_model::plant::Scenario;
+
+/// A signal that leaves less than this many times its noise about its mean does not move: no model can beat the mean.
+const MOVES_RATIO: f64 = 2.0;
+/// How many times the error of a lag that of the model may be: the lag is fitted to the speed alone, the model to the current
+/// too, so that it need not be quite as near to the speed.
+const LAG_RATIO: f64 = 1.25;
+/// Share of the error of the best constant that a model has to stay below: above it less than a fifth of the variance is
+/// explained, as a model that follows the wrong input does by chance.
+const CONSTANT_RATIO: f64 = 0.9;
+/// Readings below which nothing is compared.
+const FEWEST: usize = 8;
+
+/// What predicts a signal of the held-out run as well as the fitted model does, in a sentence; `None` where the model is better
+/// than each. `score` is the model's on the hold-out; `torques` are those of the rows of a balance, fitted and held out.
+pub(super) fn as_good(
+    score: &Score,
+    evidence: &Evidence,
+    torques: Option<[&[f64]; 2]>,
+) -> Option<String> {
+    if let Some([fitted, held_out]) = torques {
+        let own = score.torque?.rmse;
+        return constant("torque", "N.m", own, fitted, held_out, 0.0);
+    }
+    let (fitted, held_out) = (&evidence.training, &evidence.holdout);
+    let of = |name, unit, own: Option<f64>, pick: fn(&Scenario) -> &Vec<f64>, level: f64| {
+        let part = |run: &Scenario| pick(run)[run.scored.clone()].to_vec();
+        let level = if level.is_finite() { level } else { 0.0 };
+        constant(name, unit, own?, &part(fitted), &part(held_out), level)
+    };
+    let level = |level: f64| {
+        if evidence.noise.samples > 0 {
+            level
+        } else {
+            0.0
+        }
+    };
+    let speed = score.speed.map(|own| own.rmse);
+    let current = score.current.map(|own| own.rmse);
+    let [noise_a, noise_rad_s] = [evidence.noise.current_a, evidence.noise.speed_rad_s].map(level);
+    of("speed", "rad/s", speed, |run| &run.speed_rad_s, noise_rad_s)
+        .or_else(|| of("current", "A", current, |run| &run.current_a, noise_a))
+        .or_else(|| lag(speed?, fitted, held_out))
+}
+
+/// Whether the mean of the held-out part, the best constant that there is, or the last value of the fitted part predicts the
+/// held-out part as well.
+fn constant(
+    name: &str,
+    unit: &str,
+    own: f64,
+    fitted: &[f64],
+    held_out: &[f64],
+    noise: f64,
+) -> Option<String> {
+    let (fitted, held_out) = (finite(fitted), finite(held_out));
+    if held_out.len() < FEWEST || variance(&held_out).sqrt() < MOVES_RATIO * noise {
+        return None;
+    }
+    let error = |value: f64| mean_square(held_out.iter().map(|held_out| held_out - value)).sqrt();
+    let constants = [
+        ("mean of it", mean(&held_out)),
+        ("last value of the fitted part", *fitted.last()?),
+    ];
+    let as_good = constants
+        .iter()
+        .find(|(_, value)| own.is_nan() || own >= CONSTANT_RATIO * error(*value))?;
+    Some(format!(
+        "the fitted model leaves {own:.3} {unit} of the {name} of the hold-out, the {} {:.3} {unit}",
+        as_good.0,
+        error(as_good.1)
+    ))
+}
+
+/// Whether a first-order lag of the voltage, fitted by least squares, predicts the held-out speed clearly better.
+fn lag(own: f64, fitted: &Scenario, held_out: &Scenario) -> Option<String> {
+    let lag = FirstOrder::plain(fitted)?;
+    let error = lag.left_of(held_out);
+    (own > LAG_RATIO * error).then(|| {
+        format!(
+            "the fitted model leaves {own:.3} rad/s of the speed of the hold-out, a first-order lag of {:.3} rad/s/V and \
+             {:.3} s leaves {error:.3} rad/s",
+            lag.gain_rad_s_per_v, lag.time_constant_s
+        )
+    })
+}
+
+fn mean_square(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), value| {
+        (sum + value * value, count + 1.0)
+    });
+    sum / f64::max(count, 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kit::{evidence, nameplate};
+    use drivebench_model::plant::{Model, MotorKey};
+
+    fn found(model: &Model) -> Option<String> {
+        let evidence = evidence(&nameplate(), 1);
+        let score = Score::of(model, &evidence.holdout, &evidence.noise).unwrap();
+        as_good(&score, &evidence, None)
+    }
+
+    #[test]
+    fn the_true_model_beats_every_trivial_prediction() {
+        assert_eq!(found(&nameplate()), None);
+    }
+
+    #[test]
+    fn a_model_that_follows_nothing_is_as_good_as_a_constant_or_a_lag() {
+        let mut heavy = nameplate();
+        heavy.motor.set(MotorKey::Inertia, 10.0);
+        let words = found(&heavy).unwrap();
+        assert!(words.contains("of the speed"), "{words}");
+        let mut light = nameplate();
+        let load = light.motor.get(MotorKey::LoadTorque).unwrap();
+        light.motor.set(MotorKey::LoadTorque, 6.0 * load);
+        let words = found(&light).unwrap();
+        assert!(words.contains("lag") || words.contains("mean"), "{words}");
+    }
+
+    #[test]
+    fn a_balance_is_held_against_the_mean_of_its_torque() {
+        let held_out: Vec<f64> = (0..40).map(|k| f64::from(k % 7)).collect();
+        let is_found = |own| constant("torque", "N.m", own, &held_out, &held_out, 0.0).is_some();
+        assert!(is_found(2.5) && is_found(f64::NAN) && !is_found(0.5));
+        // A signal that is noise alone is no test.
+        assert_eq!(
+            constant("torque", "N.m", 2.5, &held_out, &held_out, 2.0),
+            None
+        );
+        assert_eq!(
+            constant("torque", "N.m", 2.5, &held_out, &held_out[..3], 0.0),
+            None
+        );
+    }
+}

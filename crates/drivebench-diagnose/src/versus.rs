@@ -1,0 +1,287 @@
+//! Two models on the same held-out run: which meets it better, by how much, and whether that is more than chance.
+//!
+//! Both meet the same samples, so their errors are compared sample by sample. Neighbouring errors of a model that misses
+//! something are alike, so that samples are no separate witnesses: the run is cut into blocks, and each block says once
+//! which model it favours.
+
+use serde::Serialize;
+use statrs::distribution::{ContinuousCDF, StudentsT};
+
+use super::evidence::Evidence;
+use super::mechanical::Balance;
+use super::score::Score;
+use drivebench_identify::noise::FloorSource;
+use drivebench_identify::output_error::FitError;
+use drivebench_model::numerics::count::whole;
+use drivebench_model::numerics::statistics::{extent, mean, variance};
+use drivebench_model::plant::{Input, Model};
+
+/// Blocks into which the held-out run is cut.
+const BLOCKS: usize = 20;
+/// How sure it must be before one model is called the better.
+const CONFIDENCE: f64 = 0.99;
+
+/// Which of two models is better, as far as the run tells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Better {
+    First,
+    Second,
+    /// The difference is within what chance makes of it.
+    NotToldApart,
+}
+
+/// Root mean square errors of both models in one signal, on the hold-out.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SignalVersus {
+    pub signal: &'static str,
+    pub unit: &'static str,
+    pub rmse: [f64; 2],
+    pub fit_percent: [f64; 2],
+}
+
+/// The comparison of two models.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Versus {
+    pub better: Better,
+    pub signals: Vec<SignalVersus>,
+    /// Errors of both on the hold-out, in units of the noise floor, or of the scale where none is known.
+    pub holdout_rmse: [f64; 2],
+    pub noise_floor_from: FloorSource,
+    /// Mean over the blocks of the first model's squared error less the second's, in squared units of the noise, and its
+    /// standard error. Null with fewer than two blocks.
+    pub difference: Option<f64>,
+    pub difference_std: Option<f64>,
+    pub blocks: usize,
+    /// Standard errors beyond which a difference counts.
+    pub limit: f64,
+    pub sentence: String,
+}
+
+/// Compares two complete models as they are on the hold-out.
+pub fn versus(models: [&Model; 2], evidence: &Evidence) -> Result<Versus, FitError> {
+    let (scores, levels, source) = if evidence.training.input == Input::Voltage {
+        let noise = &evidence.noise;
+        let score = |model| Score::of(model, &evidence.holdout, noise);
+        let scores = [score(models[0])?, score(models[1])?];
+        (
+            scores,
+            [noise.current_a, noise.speed_rad_s, f64::NAN],
+            noise.source,
+        )
+    } else {
+        let (balance, _) = Balance::new(models[0], evidence)?;
+        let score = |model| balance.score(model, &balance.sides.holdout);
+        let scores = [score(models[0]), score(models[1])];
+        (
+            scores,
+            [f64::NAN, f64::NAN, balance.unit_n_m],
+            balance.source,
+        )
+    };
+    let by_blocks = ByBlocks::of([&scores[0], &scores[1]], levels);
+    let better = by_blocks.better;
+    let holdout_rmse = [scores[0].nrms, scores[1].nrms];
+    let mut found = Versus {
+        better,
+        signals: signals(&scores),
+        holdout_rmse,
+        noise_floor_from: source,
+        difference: by_blocks.difference,
+        difference_std: by_blocks.difference_std,
+        blocks: by_blocks.blocks,
+        limit: by_blocks.limit,
+        sentence: String::new(),
+    };
+    found.sentence = found.in_words();
+    Ok(found)
+}
+
+/// What the blocks of a run say of two models.
+pub(super) struct ByBlocks {
+    pub(super) better: Better,
+    difference: Option<f64>,
+    difference_std: Option<f64>,
+    blocks: usize,
+    limit: f64,
+}
+
+impl ByBlocks {
+    /// `levels`: what an error of current, speed and torque is counted in; not finite where it is not.
+    pub(super) fn of(scores: [&Score; 2], levels: [f64; 3]) -> Self {
+        let blocks = blocks(scores, levels);
+        let limit = StudentsT::new(0.0, 1.0, (blocks.len().max(2) - 1) as f64)
+            .map_or(f64::INFINITY, |t| t.inverse_cdf(0.5 + 0.5 * CONFIDENCE));
+        let counted = blocks.len() >= 2;
+        let difference = counted.then(|| mean(&blocks));
+        let difference_std = counted.then(|| (variance(&blocks) / blocks.len() as f64).sqrt());
+        // Averaged over signals and blocks in two ways: where these do not agree neither model is called the better.
+        let agrees = |difference: f64| difference * (scores[0].nrms - scores[1].nrms) > 0.0;
+        let better = match (difference, difference_std) {
+            (Some(difference), Some(std))
+                if difference.abs() > limit * std && agrees(difference) =>
+            {
+                if difference > 0.0 {
+                    Better::Second
+                } else {
+                    Better::First
+                }
+            }
+            _ => Better::NotToldApart,
+        };
+        Self {
+            better,
+            difference,
+            difference_std,
+            blocks: blocks.len(),
+            limit,
+        }
+    }
+}
+
+impl Versus {
+    /// With `A` and `B` for the models.
+    fn in_words(&self) -> String {
+        let [first, second] = self.holdout_rmse;
+        let times = self.noise_floor_from.times();
+        let errors = format!("A {first:.2}, B {second:.2} {times}");
+        let (Some(difference), Some(std)) = (self.difference, self.difference_std) else {
+            return format!("the hold-out is too short to tell them apart: {errors}");
+        };
+        let ratio = difference.abs() / std;
+        let (better, other, name) = match self.better {
+            Better::First => (first, second, "A"),
+            Better::Second => (second, first, "B"),
+            Better::NotToldApart if difference == 0.0 => {
+                return format!("both models give the same: {errors}");
+            }
+            Better::NotToldApart => {
+                return format!(
+                    "this run does not tell them apart: {errors}; the difference is {ratio:.1} standard errors over {} parts of the run, and {:.1} are asked for",
+                    self.blocks, self.limit
+                );
+            }
+        };
+        format!(
+            "{name} is better: {errors}, {:.0} % less, {ratio:.1} standard errors over {} parts of the run ({:.1} are asked for)",
+            100.0 * (1.0 - better / other),
+            self.blocks,
+            self.limit
+        )
+    }
+}
+
+/// Mean of the first model's squared errors less the second's over each block, in units of the noise.
+fn blocks(scores: [&Score; 2], levels: [f64; 3]) -> Vec<f64> {
+    let [first, second] = scores;
+    let pairs = [
+        (&first.current_residual, &second.current_residual, levels[0]),
+        (&first.speed_residual, &second.speed_residual, levels[1]),
+        (&first.torque_residual, &second.torque_residual, levels[2]),
+    ];
+    let judged = || pairs.iter().filter(|pair| pair.2.is_finite());
+    let times = judged().flat_map(|pair| pair.0.iter().map(|point| point.0));
+    let times: Vec<f64> = times.collect();
+    let (begin_s, end_s) = extent(&times);
+    if times.is_empty() || end_s <= begin_s {
+        return Vec::new();
+    }
+    let block_s = (end_s - begin_s) / BLOCKS as f64;
+    let mut sums = vec![(0.0, 0_usize); BLOCKS];
+    for (one, other, level) in judged() {
+        let mut others = other.iter().peekable();
+        for (time_s, error) in *one {
+            while others.next_if(|point| point.0 < *time_s).is_some() {}
+            let same = others.peek().filter(|point| point.0 <= *time_s);
+            let Some((_, rival)) = same else { continue };
+            let block = whole((time_s - begin_s) / block_s).min(BLOCKS - 1);
+            sums[block].0 += (error * error - rival * rival) / (level * level);
+            sums[block].1 += 1;
+        }
+    }
+    let known = sums.into_iter().filter(|sum| sum.1 > 0);
+    known.map(|(sum, count)| sum / count as f64).collect()
+}
+
+fn signals(scores: &[Score; 2]) -> Vec<SignalVersus> {
+    let [first, second] = scores;
+    let pairs = [
+        ("speed_rad_s", "rad/s", first.speed, second.speed),
+        ("current_a", "A", first.current, second.current),
+        ("torque_n_m", "N.m", first.torque, second.torque),
+    ];
+    let both = pairs
+        .into_iter()
+        .filter_map(|(signal, unit, first, second)| {
+            let (first, second) = (first?, second?);
+            Some(SignalVersus {
+                signal,
+                unit,
+                rmse: [first.rmse, second.rmse],
+                fit_percent: [first.fit_percent, second.fit_percent],
+            })
+        });
+    both.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use drivebench_model::plant::testing::{held, record};
+    use drivebench_model::plant::{Motor, MotorKey, effect};
+
+    fn evidence(model: &Model) -> Evidence {
+        let events = || held([0.0, 0.5, 1.5, 2.5, 3.5], [0.0, 40.0, -30.0, 15.0, 0.0]);
+        let run = |seed| record(model, events(), 0.002, 4.5, seed);
+        Evidence::new(run(1), Some(run(2)), None)
+    }
+
+    fn with_friction(viscous: f64) -> Model {
+        let mut model = Model::baseline(Motor::zk_22fc());
+        let effect = effect::find("viscous_friction").unwrap();
+        model
+            .effects
+            .push(drivebench_model::plant::ActiveEffect::with(
+                effect,
+                &[viscous],
+            ));
+        model
+    }
+
+    #[test]
+    fn the_true_model_is_better_and_swapping_the_two_says_the_same() {
+        let truth = with_friction(8e-4);
+        let evidence = evidence(&truth);
+        let bare = Model::baseline(Motor::zk_22fc());
+        let found = versus([&bare, &truth], &evidence).unwrap();
+        assert_eq!(found.better, Better::Second, "{}", found.sentence);
+        assert!(
+            found.sentence.starts_with("B is better"),
+            "{}",
+            found.sentence
+        );
+        assert!((found.holdout_rmse[1] - 1.0).abs() < 0.1, "{found:?}");
+        let swapped = versus([&truth, &bare], &evidence).unwrap();
+        assert_eq!(swapped.better, Better::First);
+        let sum = found.difference.unwrap() + swapped.difference.unwrap();
+        assert!(sum.abs() < 1e-9, "{sum}");
+    }
+
+    #[test]
+    fn models_that_differ_by_less_than_the_noise_shows_are_not_told_apart() {
+        let truth = Model::baseline(Motor::zk_22fc());
+        let evidence = evidence(&truth);
+        let inertia =
+            |share: f64| Model::baseline(Motor::zk_22fc().with(MotorKey::Inertia, 0.0045 * share));
+        let found = versus([&inertia(1.0 + 2e-5), &inertia(1.0 - 2e-5)], &evidence).unwrap();
+        assert_eq!(found.better, Better::NotToldApart, "{}", found.sentence);
+        assert!(
+            found.sentence.contains("does not tell"),
+            "{}",
+            found.sentence
+        );
+        let same = versus([&truth, &truth], &evidence).unwrap();
+        assert_eq!(same.better, Better::NotToldApart);
+        assert!(same.sentence.contains("the same"), "{}", same.sentence);
+    }
+}

@@ -1,0 +1,311 @@
+//! Vetoes: what keeps an effect from being named whatever its posterior probability is, each with its reason.
+//!
+//! A posterior compares sets of effects under a linearised model. Whether the refitted model with an effect is a better one is
+//! a matter of the ladder: the effect has to have a size, to lower the error on data that the fit has not used by more than
+//! chance, and to leave the machine an inertia. No veto changes a probability.
+
+use super::evidence::STILL;
+use super::joint::answer::Inference;
+use super::ladder::{A_SIZE_SIGMAS, AS_GOOD, Bench, Standing};
+use super::residual::FEWEST_SAMPLES;
+use super::score::{SETTLED_BELOW_RATIO, Score};
+use super::versus::{Better, ByBlocks};
+use drivebench_identify::noise::FloorSource;
+use drivebench_model::plant::{MotorKey, ParameterRole, effect};
+
+/// What a size that may be anything, at a time that may be any, takes from a deviance by chance at most.
+const BY_CHANCE_DEVIANCE: f64 = 10.0;
+
+/// Ratio of the errors before and after from which a fall is clear without a look at its blocks, a third of the squares; and
+/// where the samples are too few to show whether errors are alike, or no posterior stands, three quarters of them.
+const CLEAR_FALL_RATIOS: [f64; 2] = [1.25, 2.0];
+
+/// An effect that is not named, and why.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Veto {
+    pub(super) effect: &'static str,
+    pub(super) reason: String,
+}
+
+impl Veto {
+    pub(super) fn new(effect: &'static str, reason: impl Into<String>) -> Self {
+        Self {
+            effect,
+            reason: reason.into(),
+        }
+    }
+}
+
+/// Effects of one machine that one diagnosis names at most: beyond them a search has put together what follows the misfit.
+const MOST_NAMED: usize = 8;
+
+/// Those beyond the number that one machine has, the ones that explain least.
+pub(super) fn surplus(inference: &Inference) -> Vec<Veto> {
+    let beyond = inference.named.iter().skip(MOST_NAMED);
+    let reason =
+        format!("more than {MOST_NAMED} effects would be there at once, and others explain more");
+    beyond.map(|id| Veto::new(id, reason.clone())).collect()
+}
+
+/// The first effect of those that `named` adds to the baseline, one on each of the further `rungs`, that may not be named; the
+/// last of the ladder first.
+pub(super) fn first(
+    bench: &Bench,
+    inference: &Inference,
+    named: &[&'static str],
+    rungs: &[Standing],
+) -> Option<Veto> {
+    let errors: Vec<f64> = rungs.iter().map(|rung| rung.score.nrms).collect();
+    still(bench, named)
+        .or_else(|| unsearched(inference.is_cut(), named, &errors))
+        .or_else(|| unresolved(bench, named, rungs))
+        .or_else(|| without_size(named, rungs))
+        .or_else(|| without_inertia(bench, named, rungs))
+        .or_else(|| by_chance(bench, inference, named, rungs))
+        .or_else(|| without_use(bench, inference, named, rungs))
+        .or_else(|| without_weight(bench, inference, named, rungs))
+}
+
+/// Any named effect where the hold-out does not move: an error that stays the same is a matter of a level alone, which every
+/// effect with a size can mend.
+fn still(bench: &Bench, named: &[&'static str]) -> Option<Veto> {
+    let last = *named.last()?;
+    (!bench.evidence.holdout_moves()).then(|| Veto::new(last, STILL))
+}
+
+/// The last named effect whose rung does not halve the held-out error, where the search was ended by its budget: no set of effects
+/// stood, so that the fall of the error alone speaks for a name. `errors` are those of the rungs.
+fn unsearched(is_cut: bool, named: &[&'static str], errors: &[f64]) -> Option<Veto> {
+    let [_, clear] = CLEAR_FALL_RATIOS;
+    let is_clear = |pair: &[f64]| pair[0] >= clear * pair[1];
+    let mut steps = errors.windows(2).zip(named).rev();
+    let (_, id) = steps.find(|(pair, _)| is_cut && !is_clear(pair))?;
+    let reason =
+        "the search was ended by its budget, and its refit alone does not halve the held-out error";
+    Some(Veto::new(id, reason))
+}
+
+/// The last named effect that oscillates where no sample shows it: its frequency lies above half the rate of the samples, or is
+/// not distinguishable from zero.
+fn unresolved(bench: &Bench, named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
+    let fit = &rungs.last()?.fit;
+    let most_hz = 0.5 / bench.evidence.training.mean_period_s();
+    let of = |id: &'static str| {
+        let mut specs = effect::find(id)?.parameters().iter();
+        let key = format!("{id}.{}", specs.find(|spec| spec.unit == "Hz")?.key);
+        let own = fit.parameters.iter().find(|own| own.key == key)?;
+        let (value, std) = (own.value?, own.std.unwrap_or(0.0));
+        let reason = if value > most_hz {
+            format!(
+                "its frequency of {value:.1} Hz lies above half the rate of the samples, {most_hz:.1} Hz"
+            )
+        } else if value < std {
+            format!("its frequency is not determined ({value:.1} ± {std:.1} Hz)")
+        } else {
+            return None;
+        };
+        Some(Veto::new(id, reason))
+    };
+    named.iter().rev().find_map(|id| of(id))
+}
+
+/// The last named effect of which the fit with all of them does not tell whether it is there at all.
+fn without_size(named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
+    let fit = &rungs.last()?.fit;
+    let mut named = named.iter().rev().copied();
+    let id = named.find(|id| fit.is_told_from_zero(id, A_SIZE_SIGMAS) == Some(false))?;
+    let reason = "the fit with it does not tell its size from zero";
+    Some(Veto::new(id, reason))
+}
+
+/// The effect with which a balance of torques loses the inertia that it has without it: its column stands for the balance
+/// itself.
+fn without_inertia(bench: &Bench, named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
+    if !bench.fits_at_once() {
+        return None;
+    }
+    let has_inertia = |rung: &Standing| {
+        let key = MotorKey::Inertia.key();
+        let own = rung.fit.parameters.iter().find(|own| own.key == key);
+        own.and_then(|own| own.value)
+            .is_some_and(|value| value > 0.0)
+    };
+    let mut steps = rungs.windows(2).zip(named);
+    let (_, id) = steps.find(|(pair, _)| has_inertia(&pair[0]) && !has_inertia(&pair[1]))?;
+    let reason = "an artefact: with it the balance of torques has no inertia any more";
+    Some(Veto::new(id, reason))
+}
+
+/// The last named effect that takes no more from the errors on both runs than chance does, where those before it leave an
+/// error at the floor: any that joins a baseline which is there, and beside others one that these runs would not show.
+fn by_chance(
+    bench: &Bench,
+    inference: &Inference,
+    named: &[&'static str],
+    rungs: &[Standing],
+) -> Option<Veto> {
+    let evidence = &bench.evidence;
+    let floor = inference.floor(evidence);
+    let left = rungs
+        .iter()
+        .position(|rung| floor.is_reached(rung.score.nrms));
+    let left = left.filter(|left| !bench.fits_at_once() && left + 1 < rungs.len())?;
+    let on_both = |rung: &Standing| {
+        let fitted = Score::of(&rung.fit.model, &evidence.training, &evidence.noise).ok()?;
+        let noise = &evidence.noise;
+        Some(fitted.deviance(noise) + rung.score.deviance(noise))
+    };
+    let deviances = rungs[left..].iter().map(on_both);
+    let steps = by_chance_steps(&deviances.collect::<Option<Vec<f64>>>()?);
+    let mut named = steps.into_iter().rev().map(|step| named[left + step]);
+    let is_excited = |id: &str| inference.of(id).is_some_and(|own| own.excited);
+    let id = named.find(|id| left == 0 || !is_excited(id))?;
+    let reason =
+        "it takes no more from the errors than chance does, which are at the noise without it";
+    Some(Veto::new(id, reason))
+}
+
+/// The last named effect where all of them together explain next to nothing, and no linear solution of the search is believed, the
+/// innovations are far from white, or several times the noise is left: its probabilities are those of a model that follows nothing.
+fn without_weight(
+    bench: &Bench,
+    inference: &Inference,
+    named: &[&'static str],
+    rungs: &[Standing],
+) -> Option<Veto> {
+    let id = *named.last()?;
+    let floor = inference.floor(&bench.evidence);
+    let [base, last] = [&rungs[0], rungs.last()?].map(|rung| rung.score.nrms);
+    let much_is_left = floor.expected() > 0.0 && last > SETTLED_BELOW_RATIO * floor.expected();
+    let is_believed = inference.why_open().is_none() && inference.is_nearly_white();
+    if is_believed && !much_is_left || floor.is_explained_in_part(base, last) {
+        return None;
+    }
+    let otherwise = if inference.is_nearly_white() {
+        "several times the noise is left"
+    } else {
+        "its innovations are not white"
+    };
+    let why = inference.why_open().unwrap_or(otherwise);
+    let reason = format!("most stays unexplained with all that would be named, and {why}");
+    Some(Veto::new(id, reason))
+}
+
+/// The last named effect that is of no use where the error stays above the floor with all of them: it takes of the fitted run
+/// what has another cause. On its rung it does not lower the held-out error by more than chance: neighbouring errors of a model
+/// that misses something are alike, so that a fall that is not clear is judged by the blocks of the run. What happens once need not
+/// happen in the hold-out: it may leave that error as it is where it explains a good part of the fitted run's.
+fn without_use(
+    bench: &Bench,
+    inference: &Inference,
+    named: &[&'static str],
+    rungs: &[Standing],
+) -> Option<Veto> {
+    let floor = inference.floor(&bench.evidence);
+    let last = rungs.last()?.score.nrms;
+    if floor.is_reached(last) {
+        return None;
+    }
+    let is_of_no_use = |id: &str, pair: &[Standing]| {
+        let held_out = [pair[0].score.nrms, pair[1].score.nrms];
+        if happens_once(id) {
+            let fitted = [pair[0].fit.nrms, pair[1].fit.nrms];
+            let explains = |[before, after]: [f64; 2]| {
+                !floor.is_reached(before) && floor.is_explained_in_part(before, after)
+            };
+            let is_as_good = held_out[1] <= AS_GOOD * held_out[0];
+            !(explains(held_out) || explains(fitted) && is_as_good)
+        } else {
+            // Where the innovations are white beside a known noise, the posterior has weighed the drift of the free run.
+            let is_known = bench.evidence.noise.source != FloorSource::None;
+            let is_white = is_known && inference.is_nearly_white() && !inference.is_cut();
+            let samples = pair[1].score.samples();
+            let clear = CLEAR_FALL_RATIOS[usize::from(samples < FEWEST_SAMPLES)];
+            let is_little = held_out[0] < clear * held_out[1];
+            let by_chance = || {
+                let scores = [&pair[0].score, &pair[1].score];
+                ByBlocks::of(scores, bench.levels()).better != Better::Second
+            };
+            !lowers(held_out, samples) || is_little && !is_white && by_chance()
+        }
+    };
+    let steps = rungs.windows(2).enumerate().rev();
+    let mut named = steps.map(|(step, pair)| (named[step], pair));
+    let (id, pair) = named.find(|(id, pair)| is_of_no_use(id, pair))?;
+    let [before, after] = [pair[0].score.nrms, pair[1].score.nrms];
+    let times = bench.evidence.noise.source.times();
+    let reason = format!(
+        "with it the held-out error goes from {before:.2} to {after:.2} {times}: it is not lower by more than chance"
+    );
+    Some(Veto::new(id, reason))
+}
+
+/// Whether an error of so many readings falls by more than chance: by the ratio of the likelihoods of normal errors of these
+/// deviations.
+fn lowers([before, after]: [f64; 2], samples: usize) -> bool {
+    let fall = (before * before - after * after) / (after * after).max(f64::MIN_POSITIVE);
+    samples as f64 * fall > BY_CHANCE_DEVIANCE
+}
+
+/// Whether an effect begins at an instant of a run.
+fn happens_once(id: &str) -> bool {
+    let parameters = effect::find(id).map_or(&[][..], |found| found.card().parameters);
+    let mut roles = parameters.iter().map(|own| own.role);
+    roles.any(|role| role == ParameterRole::EventTime)
+}
+
+/// The steps down a ladder that are no longer than chance makes them.
+fn by_chance_steps(deviances: &[f64]) -> Vec<usize> {
+    let steps = deviances.windows(2).enumerate();
+    let short = steps.filter(|(_, pair)| pair[0] - pair[1] < BY_CHANCE_DEVIANCE);
+    short.map(|(step, _)| step).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_step_that_chance_makes_is_none() {
+        // 2,400 readings: an error of 1.0007 floors that becomes 1.0005, and one of 1.02 that becomes 1.
+        let of = |nrms: f64| 2400.0 * nrms * nrms;
+        for (errors, expected) in [
+            (&[1.0007, 1.0005][..], &[0][..]),
+            (&[1.02, 1.0], &[]),
+            (&[1.05, 1.0499, 1.02, 1.0199], &[0, 2]),
+            (&[1.05, 1.06, 1.02], &[0]),
+            (&[1.0], &[]),
+        ] {
+            let deviances: Vec<f64> = errors.iter().map(|nrms| of(*nrms)).collect();
+            assert_eq!(by_chance_steps(&deviances), expected, "{errors:?}");
+        }
+    }
+
+    #[test]
+    fn a_search_that_was_cut_names_what_halves_the_error() {
+        let named = ["backlash", "speed_delay"];
+        let of =
+            |is_cut, errors: &[f64]| unsearched(is_cut, &named, errors).map(|veto| veto.effect);
+        assert_eq!(of(true, &[3.48, 1.24, 1.14]), Some("speed_delay"));
+        assert_eq!(of(true, &[3.48, 2.0, 0.99]), Some("backlash"));
+        assert_eq!(of(true, &[3.48, 1.24, f64::NAN]), Some("speed_delay"));
+        assert_eq!(of(true, &[4.0, 2.0, 1.0]), None);
+        assert_eq!(of(false, &[3.48, 1.24, 1.14]), None);
+    }
+
+    #[test]
+    fn an_error_falls_by_more_than_chance_or_not() {
+        for (errors, samples, falls) in [
+            ([1.88, 17.83], 60, false),
+            ([5.0, 5.0], 10_000, false),
+            ([5.0, 4.999], 10_000, false),
+            ([5.0, 4.99], 10_000, true),
+            ([5.0, 4.9], 20, false),
+            ([5.0, 2.0], 20, true),
+            ([5.0, 0.0], 20, true),
+            ([5.0, f64::NAN], 20, false),
+        ] {
+            assert_eq!(lowers(errors, samples), falls, "{errors:?} {samples}");
+        }
+    }
+}

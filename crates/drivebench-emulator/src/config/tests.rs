@@ -1,0 +1,210 @@
+use super::*;
+
+#[test]
+fn every_embedded_configuration_is_valid_and_hides_what_its_name_says() {
+    let hidden: Vec<(&str, Vec<&str>)> = EmulatorConfig::embedded_names()
+        .map(|name| {
+            let config = EmulatorConfig::embedded(name).unwrap();
+            (name, config.hidden.iter().map(HiddenEffect::id).collect())
+        })
+        .collect();
+    assert_eq!(
+        hidden,
+        [
+            ("zk-22fc-hidden", vec!["stribeck_friction"]),
+            ("zk-22fc-plain", vec![]),
+            ("zk-22fc-viscous", vec!["viscous_friction"]),
+            ("zk-22fc-fan", vec!["quadratic_load"]),
+            ("zk-22fc-brushes", vec!["voltage_drop"]),
+            ("zk-22fc-warming", vec!["winding_heating"]),
+            ("zk-22fc-locked", vec![]),
+            ("zk-22fc-open", vec![]),
+            ("zk-22fc-changing", vec![]),
+            ("zk-22fc-elastic", vec!["elastic_coupling"]),
+            ("small-servo-behind-zk-22fc", vec![]),
+            ("large-motor-behind-zk-22fc", vec![]),
+        ]
+    );
+    assert_eq!(EmulatorConfig::embedded_default().hidden.len(), 1);
+}
+
+fn refusal(text: &str) -> EmulatorConfigError {
+    EmulatorConfig::parse("e.toml", text).unwrap_err()
+}
+
+const EXAMPLE: &str = include_str!("../../../../bench-configs/emulators/example.toml");
+
+/// Every effect of the example, those behind a `#` too, in catalogue order.
+fn every_hidden_effect() -> Vec<HiddenEffect> {
+    let text = EXAMPLE.replace("\n#[[hidden]]", "\n[[hidden]]");
+    let (head, blocks) = text.split_once("[[hidden]]").unwrap();
+    let mut effects: Vec<HiddenEffect> = blocks
+        .split("[[hidden]]")
+        .map(|block| {
+            let keys: Vec<&str> = block
+                .lines()
+                .map(|line| line.strip_prefix('#').unwrap_or(line))
+                .filter(|line| line.contains(" = ") && !line.starts_with(' '))
+                .collect();
+            let text = format!("{head}[[hidden]]\n{}", keys.join("\n"));
+            EmulatorConfig::parse("example.toml", &text).unwrap().hidden[0].clone()
+        })
+        .collect();
+    let place = |effect: &HiddenEffect| HiddenEffect::ids().position(|id| id == effect.id());
+    effects.sort_by_key(place);
+    effects
+}
+
+#[test]
+fn a_second_inertia_behind_a_second_inertia_is_refused() {
+    let mut config = EmulatorConfig::parse("example.toml", EXAMPLE).unwrap();
+    config.hidden = every_hidden_effect()
+        .into_iter()
+        .filter(HiddenEffect::is_shaft)
+        .collect();
+    let text = toml::to_string(&config).unwrap();
+    let error = refusal(&text);
+    let is_named = matches!(error, EmulatorConfigError::TwoShafts { .. });
+    assert!(is_named, "{error}");
+    config.hidden.truncate(1);
+    EmulatorConfig::parse("e.toml", &toml::to_string(&config).unwrap()).unwrap();
+}
+
+#[test]
+fn the_example_documents_every_key() {
+    let mut full = EmulatorConfig::parse("example.toml", EXAMPLE).unwrap();
+    full.hidden = every_hidden_effect();
+    let ids: Vec<&str> = full.hidden.iter().map(HiddenEffect::id).collect();
+    assert!(HiddenEffect::ids().eq(ids));
+    full.motor.torque_n_m_per_a = Some(0.35);
+    full.line.gap_us = Some(1750.0);
+    full.faults.encoder_frozen_from_s = Some(1.0);
+    full.changes = vec![Change {
+        time_s: 1.0,
+        inertia_ratio: 2.0,
+        load_n_m: 0.5,
+    }];
+    let text = toml::to_string(&full).unwrap();
+    for (key, _) in text.lines().filter_map(|line| line.split_once(" = ")) {
+        let mut places = ["", "#", "# "]
+            .map(|mark| format!("\n{mark}{key} = "))
+            .into_iter();
+        assert!(places.any(|place| EXAMPLE.contains(&place)), "{key}");
+    }
+}
+
+#[test]
+fn the_example_states_the_defaults_as_they_are() {
+    // Every key with a default, left out.
+    let optional = [
+        "tolerance",
+        "winding_limit_c",
+        "watchdog_ms",
+        "output_off",
+        "voltage_v",
+        "bus_v = 0",
+        "angle_rad",
+    ];
+    let example = EmulatorConfig::parse("example.toml", EXAMPLE).unwrap();
+    let short: String = EXAMPLE
+        .lines()
+        .filter(|line| !optional.iter().any(|key| line.starts_with(key)))
+        .flat_map(|line| [line, "\n"])
+        .collect();
+    let defaulted = EmulatorConfig::parse("short", &short).unwrap();
+    assert_eq!(defaulted.watchdog_ms, example.watchdog_ms);
+    assert_eq!(defaulted.limits, example.limits);
+    assert_eq!(example.line, LineConfig::default());
+}
+
+#[test]
+fn a_change_that_no_bench_can_make_is_refused() {
+    let with =
+        |changes: &str| EmulatorConfig::parse("e.toml", &format!("{EXAMPLE}\n{changes}")).map(drop);
+    assert!(with("[[change]]\ntime_s = 1.0\n[[change]]\ntime_s = 2.0\nload_n_m = -1").is_ok());
+    let twice = "time_s = 2.0\n[[change]]\ntime_s = 2.0";
+    for (change, expected) in [
+        ("time_s = -1.0", "change.time_s = -1"),
+        ("time_s = nan", "change.time_s = NaN"),
+        (twice, "later than the change before"),
+        (
+            "time_s = 1\ninertia_ratio = 0.0",
+            "change.inertia_ratio = 0",
+        ),
+        ("time_s = 1\nload_n_m = 2e9", "change.load_n_m = 2000000000"),
+        ("inertia_ratio = 2.0", "missing field `time_s`"),
+        ("time_s = 1\ninertia = 2.0", "unknown field `inertia`"),
+    ] {
+        let error = with(&format!("[[change]]\n{change}"))
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+    let key = "encoder_frozen_from_s = ";
+    let frozen = EXAMPLE.replace(&format!("# {key}2.0"), &format!("{key}-2.0"));
+    let error = refusal(&frozen).to_string();
+    assert!(error.contains("encoder_frozen_from_s = -2"), "{error}");
+}
+
+#[test]
+fn a_typing_mistake_is_named_with_line_and_nearest_key() {
+    let text = EXAMPLE.replace("current_limit_a", "curent_limit_a");
+    let error = refusal(&text);
+    let EmulatorConfigError::Text(place) = &error else {
+        panic!("{error}");
+    };
+    let mut lines = text.lines();
+    let line = lines.position(|line| line.starts_with("curent_limit_a"));
+    assert_eq!(place.line, line.unwrap() + 1);
+    assert_eq!(error.help(), "did you mean `current_limit_a`?");
+}
+
+#[test]
+fn an_unknown_key_of_an_effect_and_an_unknown_effect_are_refused() {
+    for (from, to) in [("drop_v", "drop_volts"), ("voltage_drop", "voltage_dorp")] {
+        let error = refusal(&EXAMPLE.replace(from, to));
+        assert!(error.to_string().contains(to), "{error}");
+        assert_eq!(error.help(), format!("did you mean `{from}`?"));
+    }
+}
+
+#[test]
+fn a_flux_that_lets_the_current_run_away_is_refused_with_the_largest_size() {
+    let with = |size: &str| {
+        let text = format!(
+            "{EXAMPLE}\n[[hidden]]\nid = \"flux_saturation\"\nsaturation_per_a2 = {size}\n"
+        );
+        EmulatorConfig::parse("e.toml", &text)
+    };
+    assert!(with("4e-4").is_ok());
+    let error = with("6e-4").unwrap_err();
+    assert!(error.to_string().contains("0 to 5.4e-4"), "{error}");
+}
+
+#[test]
+fn values_that_no_drive_can_have_are_refused() {
+    for (from, to) in [
+        ("tolerance = 0.0", "tolerance = 0.7"),
+        ("watchdog_ms = 200", "watchdog_ms = 5"),
+        ("inertia_kg_m2 = 0.0045", "inertia_kg_m2 = -1"),
+        ("stribeck_speed_rad_s = 10.0", "stribeck_speed_rad_s = 0"),
+        ("current_limit_a = 11.4", "current_limit_a = nan"),
+    ] {
+        assert!(EXAMPLE.contains(from), "{from}");
+        let error = refusal(&EXAMPLE.replace(from, to));
+        let key = from.split(' ').next().unwrap();
+        assert!(error.to_string().contains(key), "{error}");
+    }
+}
+
+#[test]
+fn every_kind_of_fault_stands_in_the_example() {
+    let unknown = refusal("[[fault]]\nkind = \"cosmic_ray\"\n").to_string();
+    let listed = |kind: &str| EXAMPLE.contains(&format!("#kind = \"{kind}\" "));
+    let all = toml::from_str::<FaultEntry>("kind = \"cosmic_ray\"").unwrap_err();
+    let kinds: Vec<&str> = all.message().split('`').skip(3).step_by(2).collect();
+    assert!(kinds.len() > 30, "{unknown} {kinds:?}");
+    for kind in kinds {
+        assert!(listed(kind), "{kind}");
+    }
+}

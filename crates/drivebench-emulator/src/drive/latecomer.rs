@@ -1,0 +1,166 @@
+//! Set-points that act later than the drive says: the drive's own delay and its late start.
+//!
+//! ```text
+//! set-point -> [ zero until the drive has started ] -> [ line of ticks ] -> output stage
+//! ```
+
+use std::collections::VecDeque;
+
+use firmware_protocol::Control;
+
+use super::TICK_S;
+use crate::truth::Path;
+
+/// Holds set-points back. Switching off is never late.
+pub(super) struct Latecomer {
+    delay_ticks: u64,
+    start_ticks: u64,
+    restart_ticks: u64,
+    /// Set-points that differ from the one before, with the tick at which they act.
+    line: VecDeque<(u64, Control)>,
+    acting: Option<Control>,
+    last: Option<Control>,
+    /// Tick of the first set-point that is not zero since the start.
+    began: Option<u64>,
+    /// Tick since which zero is set, and that of the last start from rest.
+    rests_since: Option<u64>,
+    left_rest: Option<u64>,
+}
+
+/// Time at zero that makes a rest, s.
+const REST_S: f64 = 0.2;
+
+impl Latecomer {
+    pub(super) fn new(path: &Path) -> Self {
+        Self {
+            delay_ticks: ticks(path.command_delay_s),
+            start_ticks: ticks(path.start_delay_s),
+            restart_ticks: ticks(path.restart_delay_s),
+            line: VecDeque::new(),
+            acting: None,
+            last: None,
+            began: None,
+            rests_since: Some(0),
+            left_rest: None,
+        }
+    }
+
+    /// Whether a start from rest still waits at `tick`.
+    fn waits(&mut self, control: Control, tick: u64) -> bool {
+        if is_zero(control) {
+            self.rests_since.get_or_insert(tick);
+        } else if let Some(since) = self.rests_since.take()
+            && (self.left_rest.is_none() || tick >= since + ticks(REST_S))
+        {
+            self.left_rest = Some(tick);
+        }
+        let ticks = self.restart_ticks;
+        self.left_rest.is_some_and(|left| tick < left + ticks)
+    }
+
+    /// The set-point that acts at `tick` while the drive was told `control`; `None`: off.
+    pub(super) fn acting(&mut self, control: Option<Control>, tick: u64) -> Option<Control> {
+        if self.delay_ticks == 0 && self.start_ticks == 0 && self.restart_ticks == 0 {
+            return control;
+        }
+        let Some(control) = control else {
+            self.line.clear();
+            (self.acting, self.last, self.began) = (None, None, None);
+            (self.rests_since, self.left_rest) = (Some(tick), None);
+            return None;
+        };
+        if self.began.is_none() && !is_zero(control) {
+            self.began = Some(tick);
+        }
+        let started = self
+            .began
+            .is_some_and(|began| tick >= began + self.start_ticks);
+        let waits = self.waits(control, tick);
+        let control = if started && !waits || is_zero(control) {
+            control
+        } else {
+            zero_of(control)
+        };
+        if self.last != Some(control) {
+            self.last = Some(control);
+            self.line.push_back((tick + self.delay_ticks, control));
+        }
+        while let Some((due, control)) = self.line.front().copied()
+            && due <= tick
+        {
+            self.acting = Some(control);
+            self.line.pop_front();
+        }
+        self.acting
+    }
+}
+
+/// Whole ticks: the drive knows nothing finer.
+fn ticks(delay_s: f64) -> u64 {
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "checked with the configuration: 0 to 1 s"
+    )]
+    let ticks = (delay_s / TICK_S).round() as u64;
+    ticks
+}
+
+fn is_zero(control: Control) -> bool {
+    zero_of(control) == control
+}
+
+const fn zero_of(control: Control) -> Control {
+    match control {
+        Control::Voltage(_) => Control::Voltage(0.0),
+        Control::Current(_) => Control::Current(0.0),
+        Control::Speed(_) => Control::Speed(0.0),
+        off => off,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn line(command_delay_s: f64, start_delay_s: f64) -> Latecomer {
+        Latecomer::new(&Path {
+            command_delay_s,
+            start_delay_s,
+            ..Path::default()
+        })
+    }
+
+    #[test]
+    fn a_delay_is_a_whole_number_of_ticks_and_off_is_at_once() {
+        let mut late = line(1e-3, 0.0);
+        let step = |tick: u64| Some(Control::Voltage(if tick < 100 { 5.0 } else { -3.0 }));
+        for tick in 0..200 {
+            let expected = match tick {
+                0..20 => None,
+                20..120 => step(0),
+                _ => step(100),
+            };
+            assert_eq!(late.acting(step(tick), tick), expected, "{tick}");
+        }
+        assert_eq!(late.acting(None, 200), None);
+        assert_eq!(late.acting(step(201), 201), None, "the line is empty again");
+    }
+
+    #[test]
+    fn a_late_start_swallows_the_first_set_points_of_each_run() {
+        let mut late = line(0.0, 2e-3);
+        for from in [0, 1000] {
+            for tick in from..from + 10 {
+                let zero = Some(Control::Voltage(0.0));
+                assert_eq!(late.acting(zero, tick), zero);
+            }
+            for tick in from + 10..from + 100 {
+                let volts = if tick < from + 50 { 0.0 } else { 7.0 };
+                let acting = late.acting(Some(Control::Voltage(7.0)), tick);
+                assert_eq!(acting, Some(Control::Voltage(volts)), "{tick}");
+            }
+            late.acting(None, from + 100);
+        }
+    }
+}

@@ -1,0 +1,469 @@
+use firmware_protocol::modbus::{Exception, RegisterBank};
+use firmware_protocol::registers as r;
+use firmware_protocol::{CaptureControl, CaptureSample, CaptureState};
+
+use super::*;
+use crate::config::{LimitsConfig, OutputOff};
+
+fn plain() -> EmulatorConfig {
+    let mut config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
+    config.tolerance = 0.0;
+    config
+}
+
+fn drive() -> SoftDrive {
+    SoftDrive::new(&plain(), 1)
+}
+
+/// A drive with other limits.
+fn limited(change: impl FnOnce(&mut LimitsConfig)) -> SoftDrive {
+    let mut config = plain();
+    change(&mut config.limits);
+    SoftDrive::new(&config, 1)
+}
+
+fn speed_rad_s(drive: &SoftDrive) -> f64 {
+    drive.plant().speed_rad_s()
+}
+
+fn send(drive: &mut SoftDrive, seq: u16, control: Control) {
+    drive.command(DriveCommand { seq, control });
+}
+
+/// Keeps the drive fed with one control for `time_s`.
+fn hold(drive: &mut SoftDrive, control: Control, time_s: f64) {
+    let end = drive.time_s() + time_s;
+    while drive.time_s() < end {
+        send(drive, 7, control);
+        let next = (drive.time_s() + 0.01).min(end);
+        drive.advance_to(next);
+    }
+}
+
+#[test]
+fn the_state_machine_is_the_table() {
+    use Control::{Disable, ResetFault, Stop, Voltage};
+    use State::{Disabled, Fault as Faulted, Ready, Running};
+    let table = [
+        (Disabled, Disable, Disabled),
+        (Disabled, Stop, Ready),
+        (Disabled, ResetFault, Disabled),
+        (Disabled, Voltage(5.0), Running),
+        (Ready, Disable, Disabled),
+        (Ready, Stop, Ready),
+        (Ready, ResetFault, Disabled),
+        (Ready, Voltage(5.0), Running),
+        (Running, Disable, Disabled),
+        (Running, Stop, Ready),
+        (Running, ResetFault, Disabled),
+        (Running, Voltage(5.0), Running),
+        (Faulted, Disable, Faulted),
+        (Faulted, Stop, Faulted),
+        (Faulted, ResetFault, Disabled),
+        (Faulted, Voltage(5.0), Faulted),
+    ];
+    for (from, control, to) in table {
+        let mut drive = drive();
+        match from {
+            Disabled => {}
+            Ready => send(&mut drive, 1, Stop),
+            Running => send(&mut drive, 1, Voltage(1.0)),
+            Faulted => {
+                send(&mut drive, 1, Voltage(1.0));
+                drive.advance_to(1.0);
+            }
+        }
+        assert_eq!(drive.state(), from);
+        send(&mut drive, 2, control);
+        assert_eq!(drive.state(), to, "{from:?} {control:?}");
+        let energised = drive.telemetry().voltage_cmd_v.abs() > 0.0;
+        assert_eq!(energised, to == Running, "{from:?} {control:?}");
+        let seq = drive.telemetry().seq;
+        assert_eq!(seq, 2, "echoed even where it has no effect");
+    }
+}
+
+#[test]
+fn the_watchdog_stops_the_motor_and_stays_latched() {
+    let mut drive = drive();
+    hold(&mut drive, Control::Voltage(60.0), 1.0);
+    assert!(speed_rad_s(&drive) > 150.0);
+    let silent_from = drive.time_s();
+    // Reading is not a sign of life.
+    while drive.time_s() < silent_from + 0.495 {
+        let next = drive.time_s() + 0.005;
+        drive.advance_to(next);
+        drive.telemetry();
+    }
+    assert_eq!(drive.state(), State::Running);
+    drive.advance_to(silent_from + 0.501);
+    let telemetry = drive.telemetry();
+    assert_eq!(telemetry.status.state(), Some(State::Fault));
+    assert_eq!(telemetry.fault, Fault::Watchdog);
+    assert!(telemetry.status.has(Status::WATCHDOG));
+    drive.advance_to(silent_from + 2.0);
+    assert!(speed_rad_s(&drive) == 0.0, "stopped without the host");
+    hold(&mut drive, Control::Voltage(60.0), 0.1);
+    assert!(speed_rad_s(&drive) == 0.0, "no restart without a reset");
+    send(&mut drive, 8, Control::ResetFault);
+    drive.advance_to(drive.time_s() + 0.1);
+    assert!(
+        speed_rad_s(&drive) == 0.0,
+        "no restart without a new set-point"
+    );
+    hold(&mut drive, Control::Voltage(60.0), 0.1);
+    assert!(speed_rad_s(&drive) > 1.0);
+    assert!(!drive.telemetry().status.has(Status::WATCHDOG));
+}
+
+#[test]
+fn a_command_is_stamped_with_the_tick_that_applied_it() {
+    let mut drive = drive();
+    drive.advance_to(0.010_02);
+    send(&mut drive, 300, Control::Voltage(12.0));
+    let telemetry = drive.telemetry();
+    let told = (telemetry.seq, telemetry.applied_us, telemetry.time_us);
+    assert_eq!(told, (300, 10_050, 10_050));
+    assert!((telemetry.voltage_cmd_v - 12.0).abs() < 1e-12);
+    let off_v = telemetry.voltage_v - 12.0;
+    assert!(off_v.abs() < 0.1, "sampled after it was applied");
+    assert!(telemetry.status.has(Status::COMMAND_APPLIED));
+    drive.advance_to(0.020);
+    let later = drive.telemetry();
+    assert_eq!((later.applied_us, later.time_us), (10_050, 20_000));
+    assert!(!later.status.has(Status::COMMAND_APPLIED));
+    // 9.95 ms of 12 V at a shaft held by nothing: compare with the armature's exponential, speed still low.
+    assert!(later.current_a > 5.0);
+}
+
+#[test]
+fn the_drive_time_counter_wraps_and_time_never_goes_back() {
+    assert_eq!(micros(85_899_345), u32::MAX - 45); // 4,294,967,250 us
+    assert_eq!(micros(85_899_346), 4); // 4,294,967,300 us
+    let mut drive = drive();
+    drive.advance_to(0.5);
+    drive.advance_to(0.2);
+    assert!((drive.time_s() - 0.5).abs() < 1e-9);
+}
+
+#[test]
+fn the_current_stays_within_the_limit_in_both_directions() {
+    let mut drive = drive();
+    let mut limited = false;
+    for control in [110.0, -110.0, 0.0].map(Control::Voltage) {
+        for _ in 0..500 {
+            send(&mut drive, 1, control);
+            drive.advance_to(drive.time_s() + 0.001);
+            assert!(drive.plant().current_a().abs() < 11.4 * 1.001);
+            limited |= drive.telemetry().status.has(Status::CURRENT_LIMIT);
+        }
+    }
+    assert!(limited);
+    send(&mut drive, 1, Control::Voltage(0.0));
+    hold(&mut drive, Control::Voltage(30.0), 1.0);
+    assert!(!drive.telemetry().status.has(Status::CURRENT_LIMIT));
+}
+
+#[test]
+fn no_more_than_the_bus_voltage_comes_out() {
+    let mut drive = limited(|limits| limits.speed_limit_rad_s = 1000.0);
+    hold(&mut drive, Control::Voltage(500.0), 3.0);
+    let telemetry = drive.telemetry();
+    assert!((telemetry.voltage_cmd_v - 120.0).abs() < 1e-12);
+    assert!(telemetry.status.has(Status::VOLTAGE_LIMIT));
+}
+
+#[test]
+fn over_speed_trips() {
+    let mut drive = limited(|limits| limits.speed_limit_rad_s = 100.0);
+    hold(&mut drive, Control::Voltage(60.0), 1.0);
+    let told = (drive.state(), drive.fault());
+    assert_eq!(told, (State::Fault, Fault::OverSpeed));
+    assert!(speed_rad_s(&drive) < 1.0);
+}
+
+#[test]
+fn a_hot_winding_trips() {
+    let mut config = EmulatorConfig::embedded("zk-22fc-warming").unwrap();
+    config.motor.load_torque_n_m = 100.0;
+    config.limits.winding_limit_c = 60.0;
+    let mut drive = SoftDrive::new(&config, 1);
+    // 2e-3/0.00393 K/(A2.s): 35 K take 0.85 s at 9 A.
+    hold(&mut drive, Control::Current(9.0), 0.7);
+    assert_eq!(drive.fault(), Fault::None);
+    hold(&mut drive, Control::Current(9.0), 0.3);
+    assert_eq!(drive.fault(), Fault::OverTemperature);
+}
+
+#[test]
+fn the_inner_loops_reach_their_set_points() {
+    let mut config = plain();
+    config.tolerance = 0.1;
+    let mut drive = SoftDrive::new(&config, 4);
+    hold(&mut drive, Control::Current(3.0), 0.03);
+    assert!((drive.plant().current_a() - 3.0).abs() < 0.1);
+    hold(&mut drive, Control::Speed(120.0), 2.0);
+    assert!((speed_rad_s(&drive) - 120.0).abs() < 0.5);
+    hold(&mut drive, Control::Speed(-80.0), 2.0);
+    assert!((speed_rad_s(&drive) + 80.0).abs() < 0.5);
+}
+
+#[test]
+fn the_inner_loops_do_not_depend_on_how_often_the_host_repeats_itself() {
+    let (mut once, mut often) = (drive(), drive());
+    send(&mut once, 1, Control::Current(3.0));
+    send(&mut often, 1, Control::Current(3.0));
+    for _ in 0..400 {
+        send(&mut often, 2, Control::Current(3.0));
+    }
+    once.advance_to(often.time_s());
+    let currents = [once.plant().current_a(), often.plant().current_a()];
+    assert_eq!(currents[0].to_bits(), currents[1].to_bits(), "{currents:?}");
+}
+
+#[test]
+fn a_loop_takes_over_without_a_bump() {
+    let mut drive = drive();
+    hold(&mut drive, Control::Voltage(60.0), 1.0);
+    let speed = speed_rad_s(&drive);
+    for _ in 0..2000 {
+        send(&mut drive, 1, Control::Speed(speed));
+        assert!((speed_rad_s(&drive) - speed).abs() < 0.1);
+    }
+}
+
+#[test]
+fn the_speed_loop_does_not_wind_up_in_the_current_limit() {
+    let mut drive = drive();
+    let mut highest = 0.0_f64;
+    for _ in 0..40_000 {
+        send(&mut drive, 1, Control::Speed(250.0));
+        highest = highest.max(speed_rad_s(&drive));
+    }
+    assert!(speed_rad_s(&drive) > 249.0);
+    assert!(highest < 1.1 * 250.0, "{highest}");
+}
+
+#[test]
+fn an_open_output_lets_the_motor_coast() {
+    let mut open = limited(|limits| limits.output_off = OutputOff::Open);
+    let mut short = drive();
+    for drive in [&mut open, &mut short] {
+        hold(drive, Control::Voltage(60.0), 1.0);
+        send(drive, 9, Control::Stop);
+        drive.advance_to(1.5);
+    }
+    let coasting = speed_rad_s(&open);
+    assert!(coasting > 100.0, "{coasting}");
+    assert!(speed_rad_s(&short) == 0.0);
+}
+
+/// Everything that telemetry carries, as registers, over a script of commands and reads.
+fn trace(seed: u64) -> Vec<[u16; r::TELEMETRY_WORDS]> {
+    let mut drive = SoftDrive::new(&EmulatorConfig::embedded_default(), seed);
+    (0..400)
+        .map(|cycle| {
+            drive.advance_to(f64::from(cycle) * 0.010_3);
+            let volts = 40.0 * (f64::from(cycle) * 0.05).sin();
+            send(&mut drive, 1, Control::Voltage(volts));
+            drive.telemetry().to_registers()
+        })
+        .collect()
+}
+
+#[test]
+fn one_seed_gives_one_trace_to_the_bit() {
+    assert_eq!(trace(42), trace(42));
+    assert_ne!(trace(42), trace(43));
+}
+
+#[test]
+fn how_often_the_drive_is_advanced_makes_no_difference() {
+    let (mut fine, mut coarse) = (drive(), drive());
+    for drive in [&mut fine, &mut coarse] {
+        send(drive, 1, Control::Voltage(24.0));
+    }
+    for step in 1..=1900 {
+        fine.advance_to(f64::from(step) * 1e-4);
+    }
+    coarse.advance_to(0.19);
+    let [fine, coarse] = [fine, coarse].map(|mut drive| drive.telemetry().to_registers());
+    assert_eq!(fine, coarse);
+}
+
+#[test]
+fn registers_refuse_what_the_table_forbids() {
+    let mut drive = drive();
+    let refused = |result: Result<(), Exception>, expected| assert_eq!(result, Err(expected));
+    refused(drive.read(16, &mut [0]), Exception::IllegalAddress);
+    refused(drive.read(0, &mut [0; 17]), Exception::IllegalAddress);
+    refused(drive.read(250, &mut [0; 100]), Exception::IllegalAddress);
+    refused(drive.write(0, &[1]), Exception::IllegalAddress);
+    refused(drive.write(32, &[1, 3, 0, 0, 0]), Exception::IllegalAddress);
+    refused(drive.write(34, &[1]), Exception::IllegalAddress);
+    refused(drive.write(33, &[6]), Exception::IllegalValue);
+    refused(drive.write(73, &[19]), Exception::IllegalValue);
+    refused(drive.write(73, &[5001]), Exception::IllegalValue);
+    refused(drive.write(64, &[0]), Exception::IllegalAddress);
+    refused(drive.write(32, &[1, 3, 0x8000, 0]), Exception::IllegalValue);
+    assert_eq!(drive.state(), State::Disabled);
+    assert_eq!(drive.telemetry().seq, 0, "nothing of it had an effect");
+}
+
+#[test]
+fn registers_show_the_drive() {
+    let mut drive = drive();
+    drive.write(73, &[150]).unwrap();
+    let command = DriveCommand::new(513, Control::Voltage(-12.345));
+    let words = command.to_registers();
+    drive.write(r::COMMAND_ADDRESS, &words).unwrap();
+    let mut block = [0; r::TELEMETRY_WORDS];
+    drive.read(0, &mut block).unwrap();
+    let telemetry = Telemetry::from_registers(&block);
+    assert_eq!(telemetry.seq, 513);
+    assert!((telemetry.voltage_cmd_v + 12.345).abs() <= 0.005 + 1e-9);
+    assert!(telemetry.temperature_c.is_nan());
+    let mut identity = [0; r::IDENTITY_WORDS];
+    drive.read(r::IDENTITY_ADDRESS, &mut identity).unwrap();
+    let identity = Identity::from_registers(&identity).unwrap();
+    assert_eq!(identity.watchdog_ms, 150);
+    assert_eq!(identity.control_period_us, 50);
+    assert!(identity.kind.has(DeviceKind::EMULATOR));
+    let mut echoed = [0; r::COMMAND_WORDS];
+    drive.read(r::COMMAND_ADDRESS, &mut echoed).unwrap();
+    assert_eq!(echoed, words);
+}
+
+#[test]
+fn a_capture_begins_with_the_next_command_and_reads_back_through_the_window() {
+    let mut drive = drive();
+    drive.advance_to(0.1);
+    let arm = [CaptureControl::Arm.code()];
+    drive.write(r::CAPTURE_CONTROL.address, &arm).unwrap();
+    drive.advance_to(0.2);
+    hold(&mut drive, Control::Voltage(10.0), 0.5);
+    let mut head = [0; 7];
+    drive.read(r::CAPTURE_ADDRESS, &mut head).unwrap();
+    assert_eq!(head[1], CaptureState::Complete.code());
+    assert_eq!(head[2], capture::LENGTH);
+    assert_eq!(r::CAPTURE_TIME.get(&head, r::CAPTURE_ADDRESS), 200_050);
+    drive.write(r::WINDOW_INDEX.address, &[20]).unwrap();
+    let mut window = [0; 1 + 40 * 3];
+    drive.read(r::WINDOW_COUNT.address, &mut window).unwrap();
+    assert_eq!(window[0], 40);
+    let sample = CaptureSample::from_registers(&[window[1], window[2], window[3]]);
+    // Sample 20 is 2 ms after the step: i = U/R (1 - exp(-t R/L)), the shaft still almost at rest.
+    let expected = 10.0 / 1.1 * (1.0 - (-0.002_f64 / 0.009).exp());
+    let off = sample.current_a - expected;
+    assert!(off.abs() < 0.2, "{off} {expected}");
+    assert!((sample.voltage_v - 10.0).abs() < 0.1);
+    // Past the end the window is empty and says so.
+    drive.write(r::WINDOW_INDEX.address, &[5000]).unwrap();
+    drive.read(r::WINDOW_COUNT.address, &mut window).unwrap();
+    assert_eq!((window[0], window[1]), (0, 0x8000));
+}
+
+#[test]
+fn a_fault_stays_while_its_cause_is_there() {
+    let mut drive = limited(|limits| {
+        (limits.speed_limit_rad_s, limits.output_off) = (100.0, OutputOff::Open);
+    });
+    while drive.state() != State::Fault {
+        send(&mut drive, 1, Control::Voltage(60.0));
+    }
+    send(&mut drive, 2, Control::ResetFault);
+    assert!(speed_rad_s(&drive) > 100.0);
+    assert_eq!(drive.fault(), Fault::OverSpeed, "still too fast");
+    let next = drive.time_s() + 0.1;
+    drive.advance_to(next);
+    assert!(speed_rad_s(&drive) < 100.0);
+    assert_eq!(drive.fault(), Fault::OverSpeed, "latched");
+    send(&mut drive, 3, Control::ResetFault);
+    assert_eq!(drive.state(), State::Disabled);
+}
+
+#[test]
+fn an_old_set_point_does_not_come_back_with_the_control_word_alone() {
+    let mut drive = drive();
+    send(&mut drive, 1, Control::Voltage(24.0));
+    drive.advance_to(1.0);
+    assert_eq!(drive.fault(), Fault::Watchdog);
+    for word in [2, 3] {
+        drive.write(r::CONTROL.address, &[word]).unwrap();
+    }
+    assert_eq!(drive.state(), State::Running);
+    assert!(drive.telemetry().voltage_cmd_v == 0.0);
+}
+
+#[test]
+fn only_reading_the_status_word_clears_the_mark_of_a_new_command() {
+    let mut drive = drive();
+    send(&mut drive, 1, Control::Voltage(5.0));
+    let mut status = [0];
+    drive.read(r::CURRENT.address, &mut [0]).unwrap();
+    for expected in [true, false] {
+        drive.read(r::STATUS.address, &mut status).unwrap();
+        assert_eq!(Status(status[0]).has(Status::COMMAND_APPLIED), expected);
+    }
+}
+
+#[test]
+fn the_specimen_differs_from_the_nameplate_within_tolerance() {
+    let config = EmulatorConfig::embedded_default();
+    let drive = SoftDrive::new(&config, 77);
+    let ratio = drive.truth().inertia_kg_m2 / config.motor.inertia_kg_m2;
+    assert!((ratio - 1.0).abs() <= 0.1 && (ratio - 1.0).abs() > 0.0);
+    let keys: Vec<&str> = drive.hidden().iter().map(|(_, (key, ..))| *key).collect();
+    assert_eq!(keys, ["stribeck_n_m", "stribeck_speed_rad_s"]);
+    assert_eq!(drive.identity().serial_number, 77);
+}
+
+/// A drive with one fault from half a second after its start on.
+fn faulty(fault: &str) -> SoftDrive {
+    let mut config = plain();
+    config.faulty = vec![toml::from_str(&format!("{fault}\nfrom_s = 0.5")).unwrap()];
+    SoftDrive::new(&config, 1)
+}
+
+#[test]
+fn what_is_measured_may_stand_still_while_clock_and_state_go_on() {
+    let mut drive = faulty("kind = \"frozen_registers\"");
+    hold(&mut drive, Control::Voltage(20.0), 0.6);
+    let before = drive.telemetry();
+    send(&mut drive, 77, Control::Stop);
+    drive.advance_to(0.9);
+    let after = drive.telemetry();
+    assert!(speed_rad_s(&drive) < 0.5 * before.speed_rad_s);
+    let measured = |t: &Telemetry| {
+        [
+            t.speed_rad_s,
+            t.current_a,
+            t.voltage_v,
+            t.angle_rad,
+            t.bus_v,
+        ]
+    };
+    let bits = |t: &Telemetry| measured(t).map(f64::to_bits);
+    assert_eq!(bits(&after), bits(&before));
+    assert!(after.time_us > before.time_us + 290_000 && after.applied_us > before.applied_us);
+    assert_eq!((after.seq, after.status.state()), (77, Some(State::Ready)));
+}
+
+#[test]
+fn a_drive_that_has_its_power_back_remembers_nothing() {
+    let mut drive = faulty("kind = \"power_lost\"\nfor_s = 0.2");
+    let as_set_ms = drive.identity().watchdog_ms;
+    assert!(drive.set_watchdog_ms(as_set_ms / 2));
+    drive.control_capture(CaptureControl::Start);
+    hold(&mut drive, Control::Voltage(20.0), 0.4);
+    assert_eq!(drive.capture.state(), CaptureState::Recording);
+    drive.advance_to(0.8);
+    assert!(drive.is_powered());
+    let told = drive.telemetry();
+    assert_eq!((told.seq, told.status.state()), (0, Some(State::Disabled)));
+    assert!(told.time_us < 200_000, "{}", told.time_us);
+    assert_eq!(told.applied_us, 0);
+    assert_eq!(drive.capture.state(), CaptureState::Empty);
+    assert_eq!(drive.identity().watchdog_ms, as_set_ms);
+    assert_eq!(drive.command_block, CommandBlock::default());
+}

@@ -1,0 +1,263 @@
+//! The drive in memory as a bus of registers, in virtual time.
+
+use std::ops::Range;
+
+use super::{ForeignDrive, Guise};
+use crate::VirtualClock;
+use crate::pace::Pace;
+use drivebench_link::{
+    LinkError, LinkName, LinkStatistics, ReadRequest, RegisterBus, RegisterTable, RegistersRead,
+    Span, exception_name,
+};
+
+/// Bytes of a frame beside its PDU.
+const FRAME_BYTES: usize = 3;
+/// Time that a reply is given, ms.
+const DEADLINE_MS: u64 = 100;
+const DEADLINE_S: f64 = 1e-3 * DEADLINE_MS as f64;
+
+/// A foreign drive without a wire, but with the wire's time.
+pub struct ForeignBus {
+    drive: ForeignDrive,
+    clock: VirtualClock,
+    pace: Pace,
+    functions: Vec<u8>,
+    /// Runs ahead of the clock by what the requests of one exchange take, s.
+    now_s: f64,
+    statistics: LinkStatistics,
+    /// Numbers of the requests that are lost on the way, and how many from now on are heard and get no reply.
+    lost: Range<u64>,
+    mute: u32,
+    /// Silence that is kept before each read, as on a line where old replies may come, s.
+    silence_s: f64,
+    /// The last request got no reply: what must not wait for one does not wait for the next either.
+    in_doubt: bool,
+}
+
+impl ForeignBus {
+    pub fn new(drive: ForeignDrive, guise: &Guise, clock: VirtualClock) -> Self {
+        Self {
+            pace: Pace::serial(&guise.line, true),
+            functions: guise.map.functions.clone(),
+            drive,
+            clock,
+            now_s: 0.0,
+            statistics: LinkStatistics::default(),
+            lost: 0..0,
+            mute: 0,
+            silence_s: 0.0,
+            in_doubt: false,
+        }
+    }
+
+    /// A silence before each read from now on, s.
+    pub const fn keep_silence(&mut self, silence_s: f64) {
+        self.silence_s = silence_s;
+    }
+
+    pub const fn drive(&self) -> &ForeignDrive {
+        &self.drive
+    }
+
+    pub const fn drive_mut(&mut self) -> &mut ForeignDrive {
+        &mut self.drive
+    }
+
+    /// The next requests are carried out, and their replies are lost.
+    pub const fn lose_replies(&mut self, replies: u32) {
+        self.mute = replies;
+    }
+
+    /// The next requests are lost on the way.
+    pub fn lose(&mut self, requests: u32) {
+        self.lose_behind(0, requests);
+    }
+
+    /// So many are still heard, and those behind them are lost.
+    pub fn lose_behind(&mut self, heard: u32, requests: u32) {
+        let first = self.statistics.sent + 1 + u64::from(heard);
+        self.lost = first..first + u64::from(requests);
+    }
+
+    /// The answer, and between when it was asked for and when its first byte came. `patience_s`: how long a reply is waited
+    /// for beyond its usual time.
+    fn ask(
+        &mut self,
+        request: &[u8],
+        patience_s: f64,
+        what: impl Fn() -> String,
+    ) -> Result<(Vec<u8>, Span), LinkError> {
+        self.statistics.sent += 1;
+        self.now_s = RegisterBus::now_s(self);
+        let asked_s = self.pace.departure_s(self.now_s);
+        let mut arrived_s = self.now_s;
+        for _ in 0..request.len() + FRAME_BYTES {
+            arrived_s = self.pace.arrival_s(self.now_s);
+        }
+        self.drive.advance_to(arrived_s);
+        let is_lost = self.lost.contains(&self.statistics.sent);
+        let answer = (!is_lost).then(|| self.drive.answer(request));
+        let is_mute = !is_lost && self.mute > 0;
+        self.mute -= u32::from(is_mute);
+        self.in_doubt = is_lost || is_mute;
+        let Some(answer) = answer.filter(|_| !is_mute) else {
+            self.statistics.timeout += 1;
+            self.now_s = self.pace.delivery_s(arrived_s, FRAME_BYTES) + patience_s;
+            return Err(LinkError::Timeout {
+                link: self.name().0,
+                deadline_ms: DEADLINE_MS,
+                request: what(),
+            });
+        };
+        self.now_s = self.pace.delivery_s(arrived_s, answer.len() + FRAME_BYTES);
+        if let [function, code] = *answer.as_slice()
+            && function & 0x80 != 0
+        {
+            self.statistics.exception += 1;
+            return Err(LinkError::Exception {
+                link: self.name().0,
+                request: what(),
+                code,
+                name: exception_name(code),
+            });
+        }
+        self.statistics.ok += 1;
+        let rest_s = self.pace.wire_s(answer.len() + FRAME_BYTES - 1);
+        let answered_s = self.now_s - rest_s;
+        let span = Span {
+            asked_s,
+            answered_s,
+        };
+        Ok((answer, span))
+    }
+
+    /// Registers that are asked for.
+    fn get(
+        &mut self,
+        request: &[u8],
+        what: impl Fn() -> String,
+    ) -> Result<RegistersRead, LinkError> {
+        let (answer, span) = self.ask(request, DEADLINE_S, what)?;
+        let pairs = answer.get(2..).unwrap_or_default().as_chunks().0;
+        let words = pairs.iter().map(|pair| u16::from_be_bytes(*pair)).collect();
+        Ok(RegistersRead { words, span })
+    }
+
+    fn put(
+        &mut self,
+        function: u8,
+        address: u16,
+        values: &[u16],
+        patience_s: f64,
+    ) -> Result<Span, LinkError> {
+        let mut request = vec![function];
+        request.extend(address.to_be_bytes());
+        if function != 6 {
+            request.extend(counted(values));
+        }
+        request.extend(values.iter().flat_map(|value| value.to_be_bytes()));
+        let what = || format!("write {values:04x?} at {address}");
+        self.ask(&request, patience_s, what).map(|(_, span)| span)
+    }
+}
+
+/// Number of registers and of their bytes, as function codes 16 and 23 have them.
+fn counted(values: &[u16]) -> [u8; 3] {
+    let count = u16::try_from(values.len()).unwrap_or(u16::MAX);
+    let [high, low] = count.to_be_bytes();
+    let bytes = u8::try_from(2 * values.len()).unwrap_or(u8::MAX);
+    [high, low, bytes]
+}
+
+impl RegisterBus for ForeignBus {
+    fn name(&self) -> LinkName {
+        LinkName("sim:".to_owned())
+    }
+
+    fn now_s(&self) -> f64 {
+        self.now_s.max(self.clock.time_s())
+    }
+
+    fn pause_until_s(&mut self, time_s: f64) {
+        self.now_s = self.now_s.max(time_s);
+        self.drive.advance_to(self.now_s);
+    }
+
+    fn read(&mut self, read: ReadRequest) -> Result<RegistersRead, LinkError> {
+        let (address, count) = (read.address, read.count);
+        let function = match read.table {
+            RegisterTable::Holding => 3,
+            RegisterTable::Input => 4,
+        };
+        let mut request = vec![function];
+        request.extend(address.to_be_bytes());
+        request.extend(count.to_be_bytes());
+        self.now_s = RegisterBus::now_s(self) + self.silence_s;
+        self.get(&request, || format!("read {count} registers at {address}"))
+    }
+
+    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Span, LinkError> {
+        self.put(function, address, values, DEADLINE_S)
+    }
+
+    fn write_at_once(
+        &mut self,
+        function: u8,
+        address: u16,
+        values: &[u16],
+    ) -> Result<Span, LinkError> {
+        let patience_s = if self.in_doubt { 0.0 } else { DEADLINE_S };
+        self.put(function, address, values, patience_s)
+    }
+
+    fn read_write(
+        &mut self,
+        (to, values): (u16, &[u16]),
+        (from, count): (u16, u16),
+    ) -> Result<RegistersRead, LinkError> {
+        let mut request = vec![23];
+        request.extend(from.to_be_bytes());
+        request.extend(count.to_be_bytes());
+        request.extend(to.to_be_bytes());
+        request.extend(counted(values));
+        request.extend(values.iter().flat_map(|value| value.to_be_bytes()));
+        self.get(&request, || {
+            format!("write {values:04x?} at {to} and read {count} registers at {from}")
+        })
+    }
+
+    fn object(&mut self, object: u8) -> Result<Option<String>, LinkError> {
+        if !self.functions.contains(&43) {
+            return Ok(None);
+        }
+        let answer = self.ask(&[43, 14, 4, object], DEADLINE_S, || {
+            "the device identification".to_owned()
+        });
+        match answer {
+            Ok((answer, _)) => Ok(answer
+                .get(9..)
+                .and_then(|text| std::str::from_utf8(text).ok())
+                .map(str::to_owned)),
+            Err(LinkError::Exception { .. }) => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
+    fn is_emulated(&self) -> bool {
+        true
+    }
+
+    fn statistics(&self) -> LinkStatistics {
+        self.statistics
+    }
+
+    fn wire_s(&self, request_bytes: usize, reply_bytes: usize) -> Option<f64> {
+        let mut pace = self.pace.clone();
+        let start_s = self.now_s.max(self.clock.time_s());
+        let mut end_s = start_s;
+        for _ in 0..request_bytes {
+            end_s = pace.arrival_s(start_s);
+        }
+        Some(pace.delivery_s(end_s, reply_bytes) - start_s)
+    }
+}

@@ -1,0 +1,84 @@
+//! Identity registers that a profile asks for, shown as that drive would: else a profile with `[[identity]]` could not
+//! be tried without the drive.
+
+use super::ForeignDrive;
+use super::words::{bits, number_of};
+use drivebench_link::register_map::{IdentityCheck, IdentityTest, Quantity, RegisterMap, Signal};
+
+impl ForeignDrive {
+    /// The bits of a signal, changed only where a check of the identity would not find what it asks for.
+    pub(super) fn as_asked(&self, signal: &Signal, natural: u32) -> u32 {
+        let is_status = matches!(signal.keys.quantity, Quantity::Status | Quantity::FaultCode);
+        // A status is looked at while the drive is at rest; afterwards it has other things to tell.
+        if is_status && (self.fault.is_some() || !self.ladder.is_at_rest()) {
+            return natural;
+        }
+        let kind = signal.location.layout.kind;
+        let numbers = &signal.numbers;
+        self.map
+            .identity
+            .iter()
+            .fold(natural, |shown, check| match check {
+                IdentityCheck::Signal {
+                    signal: name,
+                    mask,
+                    test,
+                } if *name == signal.name => match test {
+                    IdentityTest::OneOf(allowed) if allowed.contains(&(shown & mask)) => shown,
+                    IdentityTest::OneOf(allowed) => {
+                        let first = allowed.first().copied().unwrap_or_default();
+                        (shown & !mask) | (first & mask)
+                    }
+                    IdentityTest::Within([low, high]) => {
+                        let scale = numbers.scale * self.factor(&numbers.scale_by);
+                        let value = number_of(kind, shown) * scale + numbers.offset;
+                        if (*low..=*high).contains(&value) {
+                            shown
+                        } else {
+                            bits(kind, (0.5 * (low + high) - numbers.offset) / scale)
+                        }
+                    }
+                },
+                _ => shown,
+            })
+    }
+
+    /// What the drive tells of a nameplate value, as a check of the identity wants it.
+    pub(super) fn factor_as_asked(&self, signal: &Signal, natural: f64) -> f64 {
+        let is_asked = |check: &IdentityCheck| matches!(check, IdentityCheck::Signal { signal: name, .. } if *name == signal.name);
+        let numbers = &signal.numbers;
+        // A factor with factors of its own is left as it is.
+        if !numbers.scale_by.is_empty() || !self.map.identity.iter().any(is_asked) {
+            return natural;
+        }
+        let kind = signal.location.layout.kind;
+        let shown = self.as_asked(
+            signal,
+            bits(kind, (natural - numbers.offset) / numbers.scale),
+        );
+        number_of(kind, shown) * numbers.scale + numbers.offset
+    }
+}
+
+/// Objects of function code 43: the plate says that it is software, and holds what the profile asks for.
+pub(super) fn plate(map: &RegisterMap) -> Vec<(u8, String)> {
+    let mut objects = vec![
+        (0, "drivebench emulator".to_owned()),
+        (1, map.device.name.clone()),
+        (2, env!("CARGO_PKG_VERSION").to_owned()),
+    ];
+    for check in &map.identity {
+        let IdentityCheck::Object { object, contains } = check else {
+            continue;
+        };
+        match objects.iter_mut().find(|(known, _)| known == object) {
+            Some((_, text)) if text.contains(contains.as_str()) => {}
+            Some((_, text)) => {
+                text.push_str(", ");
+                text.push_str(contains);
+            }
+            None => objects.push((*object, contains.clone())),
+        }
+    }
+    objects
+}

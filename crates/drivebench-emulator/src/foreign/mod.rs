@@ -1,0 +1,491 @@
+//! The software drive in the guise of another: the same motor, behind the registers of a drive profile.
+//!
+//! ```text
+//! request -> answer.rs (function codes, limits of length) -> words.rs (truth -> registers) <- SoftDrive (the motor)
+//!                                          '-> ladder.rs (control words -> what the drive does)
+//! bus.rs   in virtual time, as registers for the host
+//! ```
+//!
+//! From the facts of the profile, but from no code of the host's: two implementations check each other. What the
+//! profile has wrong about the real drive both have wrong.
+
+mod answer;
+mod bus;
+mod identity;
+mod ladder;
+mod words;
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use firmware_protocol::{Control, DriveCommand, Fault, State};
+
+pub use self::bus::ForeignBus;
+use self::ladder::{Ladder, Turn};
+use super::config::LineConfig;
+use super::fault::FaultKind;
+use super::truth::MotorTruth;
+use super::{EmulatorConfig, SoftDrive};
+use drivebench_link::register_map::{
+    Expiry, Kind, Quantity, RegisterMap, SetPoint, SupervisionKind, Unit,
+};
+use drivebench_link::{DriveProfile, KickedBy, RegisterTable};
+use drivebench_model::sample::Hindrance;
+
+/// The drive is looked after once in this time, s.
+const STEP_S: f64 = 0.005;
+/// Share of the rated speed below which a shaft stands.
+const REST_SHARE: f64 = 0.02;
+/// Share of the rated speed with which a drive jogs whose profile has no reference.
+const JOG_SHARE: f64 = 0.1;
+/// Field current of a sound machine, A.
+const FIELD_A: f64 = 1.0;
+
+/// A guise: which drive, and how its watchdog was set at its keypad.
+#[derive(Clone, Debug)]
+pub struct Guise {
+    pub map: Arc<RegisterMap>,
+    pub unit: u8,
+    /// 0: off; `None`: as delivered.
+    pub watchdog_s: Option<f64>,
+    pub line: LineConfig,
+}
+
+impl Guise {
+    /// The guise of a profile with a register map; `None` for our own map.
+    pub fn of(profile: &DriveProfile) -> Option<Self> {
+        Some(Self {
+            map: Arc::clone(profile.registers.as_ref()?),
+            unit: profile.link.unit,
+            watchdog_s: None,
+            line: LineConfig {
+                baud: profile.link.baud,
+                bits_per_char: profile.link.framing.bits_per_char(),
+                turnaround_ms: profile.link.reply_ms,
+                gap_us: profile.link.gap_us,
+                ..LineConfig::default()
+            },
+        })
+    }
+}
+
+/// A drive of another make around our motor.
+pub struct ForeignDrive {
+    map: Arc<RegisterMap>,
+    soft: SoftDrive,
+    plate: MotorTruth,
+    /// Objects of its device identification.
+    plate_objects: Vec<(u8, String)>,
+    limits_a_v: (f64, f64),
+    ladder: Ladder,
+    /// Registers as they were last written.
+    written: BTreeMap<u16, u16>,
+    /// Bits that a signal shows whatever is true: a broken sensor.
+    forced: BTreeMap<String, u32>,
+    ignored: Option<String>,
+    watchdog_s: f64,
+    kicked_s: f64,
+    fault: Option<Cause>,
+    field_lost: bool,
+    field_lost_from_s: Option<f64>,
+    /// Stopped by the watchdog, until the next command.
+    lapsed: bool,
+    /// Why it does not follow the bus.
+    hindrance: Option<Hindrance>,
+    /// Every request is refused with this exception, and every write.
+    refusing: Option<u8>,
+    refusing_writes: Option<u8>,
+    switched_on_s: f64,
+    as_set_s: f64,
+    seq: u16,
+    /// It has no power, and somebody commands it at its keypad, by its configuration.
+    suffering: (bool, bool),
+    is_missing: bool,
+}
+
+/// Why it is in fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Cause {
+    Trip,
+    CommunicationLoss,
+}
+
+impl ForeignDrive {
+    /// A drive just powered up.
+    pub fn new(guise: &Guise, config: &EmulatorConfig, seed: u64) -> Self {
+        let watchdog = &guise.map.watchdog;
+        let as_delivered_s = watchdog.default_s().unwrap_or(0.0);
+        let watchdog_s = match watchdog.keys.kind {
+            SupervisionKind::None | SupervisionKind::Unknown => guise.watchdog_s.unwrap_or(0.0),
+            SupervisionKind::Implicit => as_delivered_s,
+            _ => guise.watchdog_s.unwrap_or(as_delivered_s),
+        };
+        Self {
+            ladder: Ladder::new(&guise.map),
+            map: Arc::clone(&guise.map),
+            soft: SoftDrive::new(config, seed),
+            plate: config.motor.clone(),
+            plate_objects: identity::plate(&guise.map),
+            limits_a_v: (config.limits.current_limit_a, config.limits.bus_v),
+            written: BTreeMap::new(),
+            forced: BTreeMap::new(),
+            ignored: None,
+            watchdog_s,
+            as_set_s: watchdog_s,
+            kicked_s: 0.0,
+            fault: None,
+            field_lost: false,
+            field_lost_from_s: config.faults.field_lost_from_s,
+            lapsed: false,
+            hindrance: None,
+            refusing: None,
+            refusing_writes: None,
+            switched_on_s: 0.0,
+            seq: 0,
+            suffering: (false, false),
+            is_missing: false,
+        }
+    }
+
+    pub fn time_s(&self) -> f64 {
+        self.soft.time_s()
+    }
+
+    /// The motor and what drives it.
+    pub(super) const fn soft(&self) -> &SoftDrive {
+        &self.soft
+    }
+
+    /// True speed of the shaft, rad/s.
+    pub const fn speed_rad_s(&self) -> f64 {
+        self.soft.plant().speed_rad_s()
+    }
+
+    /// Whether the output is on.
+    pub fn is_running(&self) -> bool {
+        self.soft.state() == State::Running
+    }
+
+    /// Trips it, as an internal fault would.
+    pub fn trip(&mut self) {
+        self.fail(Cause::Trip);
+    }
+
+    pub const fn lose_field(&mut self) {
+        self.field_lost = true;
+    }
+
+    fn has_no_field(&self) -> bool {
+        let gone = |from_s: f64| self.is_running() && self.soft.plant().time_s() >= from_s;
+        self.field_lost || self.field_lost_from_s.is_some_and(gone)
+    }
+
+    /// Somebody stops it at its keypad and keeps the command, or gives it back.
+    pub const fn take_local(&mut self, local: bool) {
+        self.hindrance = if local {
+            self.ladder.stop();
+            Some(Hindrance::LocalControl)
+        } else {
+            None
+        };
+    }
+
+    /// Opens or closes its enable circuit (safe torque off).
+    pub const fn switch_torque_off(&mut self, off: bool) {
+        self.hindrance = if off {
+            self.ladder.fall();
+            Some(Hindrance::TorqueOff)
+        } else {
+            None
+        };
+    }
+
+    /// Refuses every request with this exception; `None`: answers again.
+    pub const fn refuse(&mut self, code: Option<u8>) {
+        self.refusing = code;
+    }
+
+    /// Refuses every write with this exception, and answers reads; `None`: takes them again.
+    pub const fn refuse_writes(&mut self, code: Option<u8>) {
+        self.refusing_writes = code;
+    }
+
+    /// Another master writes a set-point, raw: of this request the host knows nothing.
+    pub fn overwrite(&mut self, set_point: &str, raw: u16) {
+        if let Some(point) = self.map.set_point(set_point) {
+            self.written.insert(point.location.address, raw);
+        }
+    }
+
+    /// Supply off and on again: what was written is forgotten, a fault as well.
+    pub fn switch_on_again(&mut self) {
+        self.written.clear();
+        self.ladder.fall();
+        self.fault = None;
+        self.lapsed = false;
+        self.watchdog_s = self.as_set_s;
+        self.switched_on_s = self.soft.time_s();
+    }
+
+    /// What was written to a set-point last, raw; `None`: nothing since it was switched on.
+    pub fn told_last(&self, set_point: &str) -> Option<u16> {
+        let point = self.map.set_point(set_point)?;
+        self.written.get(&point.location.address).copied()
+    }
+
+    /// Lets a signal show these bits whatever is true; `None`: as it is again.
+    pub fn force(&mut self, signal: &str, pattern: Option<u32>) {
+        match pattern {
+            Some(pattern) => self.forced.insert(signal.to_owned(), pattern),
+            None => self.forced.remove(signal),
+        };
+    }
+
+    /// Acknowledges writes to this set-point and does nothing about them.
+    pub fn ignore(&mut self, set_point: Option<&str>) {
+        self.ignored = set_point.map(str::to_owned);
+    }
+
+    /// Lets drive time reach `time_s`.
+    pub fn advance_to(&mut self, time_s: f64) {
+        while self.soft.time_s() + 1e-9 < time_s {
+            let next_s = ((self.soft.time_s() / STEP_S + 1e-6).floor() + 1.0) * STEP_S;
+            self.supervise();
+            self.drive_motor();
+            self.soft.advance_to(next_s.min(time_s));
+            self.suffer();
+        }
+    }
+
+    /// What goes wrong in the drive by its configuration, as it begins and as it ends.
+    fn suffer(&mut self) {
+        let told = (
+            !self.soft.is_powered(),
+            self.soft.has(FaultKind::LocalControl),
+        );
+        let before = std::mem::replace(&mut self.suffering, told);
+        if before.0 && !told.0 {
+            self.switch_on_again();
+        } else if !before.0 && told.0 {
+            self.ladder.fall();
+        }
+        if before.1 != told.1 {
+            self.take_local(told.1);
+        }
+        let missing = self.soft.has(FaultKind::SignalMissing);
+        if missing != std::mem::replace(&mut self.is_missing, missing) {
+            self.withhold(missing);
+        }
+    }
+
+    /// Lets measured signals show the code with which the drive says that they are not available.
+    fn withhold(&mut self, missing: bool) {
+        let map = Arc::clone(&self.map);
+        for signal in &map.signals {
+            let code = match (signal.keys.invalid.first(), signal.location.layout.kind) {
+                (Some(code), _) => *code,
+                (None, Kind::F32) => f32::NAN.to_bits(),
+                (None, _) => continue,
+            };
+            self.force(&signal.name, missing.then_some(code));
+        }
+    }
+
+    /// Since its last start, s, as long as it ran; `None` where it never did.
+    pub const fn ran_s(&self) -> Option<f64> {
+        self.soft.ran_s()
+    }
+
+    pub fn is_powered(&self) -> bool {
+        self.soft.is_powered()
+    }
+
+    /// The request that writes zero to its first set-point.
+    pub(super) fn first_command(&self) -> Vec<u8> {
+        let first = self.map.set_points.first();
+        let address = first.map_or(0, |point| point.location.address);
+        let [high, low] = address.to_be_bytes();
+        if self.map.functions.contains(&6) {
+            vec![6, high, low, 0, 0]
+        } else {
+            vec![16, high, low, 0, 1, 2, 0, 0]
+        }
+    }
+
+    /// What the drive watches over by itself.
+    fn supervise(&mut self) {
+        if self.soft.fault() != Fault::None && self.fault.is_none() {
+            self.fail(Cause::Trip);
+        }
+        let now_s = self.soft.time_s();
+        let watchdog = &self.map.watchdog;
+        let blind =
+            now_s - self.switched_on_s < watchdog.keys.boot_delay_s || self.watchdog_s <= 0.0;
+        let dead = self.soft.has(FaultKind::WatchdogDead);
+        if blind || dead || !self.ladder.is_running() || self.lapsed {
+            return;
+        }
+        if now_s - self.kicked_s >= self.watchdog_s {
+            if watchdog.keys.auto_resume {
+                self.lapsed = true;
+            } else if watchdog.keys.on_expire == Expiry::Stop {
+                self.ladder.stop();
+            } else {
+                self.fail(Cause::CommunicationLoss);
+            }
+        }
+    }
+
+    fn fail(&mut self, cause: Cause) {
+        if self.fault.is_none() {
+            self.fault = Some(cause);
+            self.ladder.fall();
+        }
+    }
+
+    fn drive_motor(&mut self) {
+        let rest = REST_SHARE * self.plate.rated_speed_rad_s;
+        let stands = self.soft.plant().speed_rad_s().abs() < rest;
+        let control = match self.ladder.turn(stands) {
+            _ if self.fault.is_some() => Control::Disable,
+            Turn::Off => Control::Disable,
+            Turn::Down => Control::Speed(0.0),
+            Turn::On if self.lapsed => Control::Speed(0.0),
+            Turn::On => self.reference(),
+        };
+        self.seq = self.seq.wrapping_add(1);
+        self.soft.command(DriveCommand::new(self.seq, control));
+    }
+
+    /// What the references say that the motor should do.
+    fn reference(&self) -> Control {
+        let plate = &self.plate;
+        let references = self.map.set_points.iter().filter(|p| !p.is_word());
+        let told = references.filter_map(|point| Some((point, self.value(point)?)));
+        // Of several references the one that is not zero, as the drive's own selection would be.
+        let chosen = told.reduce(|a, b| if a.1.abs() >= b.1.abs() { a } else { b });
+        let Some((point, value)) = chosen else {
+            let has_reference = self.map.set_points.iter().any(|p| !p.is_word());
+            let jog = JOG_SHARE * plate.rated_speed_rad_s;
+            return Control::Speed(if has_reference { 0.0 } else { jog });
+        };
+        match (point.keys.quantity, point.numbers.unit) {
+            (Quantity::Voltage, _) => Control::Voltage(value),
+            (Quantity::Duty, _) => Control::Voltage(0.01 * value * self.limits_a_v.1),
+            (Quantity::Current, _) => Control::Current(value),
+            (Quantity::Torque, _) => Control::Current(0.01 * value * plate.rated_current_a),
+            (_, Unit::Percent) => Control::Speed(0.01 * value * plate.rated_speed_rad_s),
+            (_, unit) => Control::Speed(words::rad_s(value, unit, point.si)),
+        }
+    }
+
+    /// A reference as it was written, with its sign.
+    fn value(&self, point: &SetPoint) -> Option<f64> {
+        let address = point.location.address;
+        let count = point.location.layout.registers();
+        let registers: Option<Vec<u16>> = (address..address.checked_add(count)?)
+            .map(|address| self.written.get(&address).copied())
+            .collect();
+        let raw = words::number(point.location.layout, &registers?);
+        let factor = self.factor(&point.numbers.scale_by);
+        let value = raw * point.numbers.scale * factor + point.numbers.offset;
+        let negative = point.keys.sign.as_ref().is_some_and(|sign| {
+            let word = self.map.set_point(&sign.set_point);
+            let word = word.and_then(|word| self.written.get(&word.location.address));
+            word.is_some_and(|word| word & sign.mask != 0)
+        });
+        Some(if negative { -value } else { value })
+    }
+
+    /// The far end of a request has to be kicked, and by what.
+    fn kick(&mut self, by: KickedBy) {
+        let counts = match self.map.watchdog.keys.kicked_by {
+            KickedBy::Any => true,
+            KickedBy::Write => by != KickedBy::Any,
+            KickedBy::Command => by == KickedBy::Command,
+        };
+        if counts {
+            self.kicked_s = self.soft.time_s();
+        }
+    }
+
+    /// One register has a new value.
+    fn written(&mut self, address: u16, word: u16) {
+        let ignored = self
+            .ignored
+            .as_ref()
+            .and_then(|name| self.map.set_point(name));
+        if ignored.is_none_or(|point| point.location.address != address) {
+            self.written.insert(address, word);
+        }
+    }
+
+    /// A whole write is over: what it makes the drive do.
+    fn obey(&mut self, first: u16, count: u16) {
+        let map = Arc::clone(&self.map);
+        if let Some((location, unit_s)) = map.watchdog.time
+            && (first..first.saturating_add(count)).contains(&location.address)
+        {
+            let raw = self.written.get(&location.address).copied().unwrap_or(0);
+            self.watchdog_s = f64::from(raw) * unit_s;
+            self.kick(KickedBy::Write);
+        }
+        for point in &map.set_points {
+            let address = point.location.address;
+            if !(first..first.saturating_add(count)).contains(&address) {
+                continue;
+            }
+            self.kick(KickedBy::Command);
+            self.lapsed = false;
+            if !point.is_word() {
+                continue;
+            }
+            // Words of the bus mean nothing meanwhile.
+            if self.hindrance.is_some() {
+                continue;
+            }
+            let Some(number) = self.value(point) else {
+                continue;
+            };
+            if self
+                .ladder
+                .take(&map, &point.name, number, self.fault.is_some())
+            {
+                self.fault = None;
+                self.seq = self.seq.wrapping_add(1);
+                let reset = DriveCommand::new(self.seq, Control::ResetFault);
+                self.soft.command(reset);
+            }
+        }
+    }
+
+    fn is_mapped(&self, table: RegisterTable, address: u16) -> bool {
+        let within = |first: u16, count: u16| {
+            u32::from(address) >= u32::from(first)
+                && u32::from(address) < u32::from(first) + u32::from(count)
+        };
+        let signals = self.map.signals.iter().any(|signal| {
+            let at = signal.location;
+            at.table == table && within(at.address, at.layout.registers())
+        });
+        let points = table == RegisterTable::Holding || !self.map.functions.contains(&3);
+        let points = points
+            && self
+                .map
+                .set_points
+                .iter()
+                .any(|point| within(point.location.address, point.location.layout.registers()));
+        let exact = self
+            .map
+            .exact_reads
+            .iter()
+            .any(|(first, count)| within(*first, *count));
+        let time = self.map.watchdog.time.as_ref();
+        let time =
+            table == RegisterTable::Holding && time.is_some_and(|(at, _)| at.address == address);
+        signals || points || exact || time
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,505 @@
+//! Every profile commissioned against its emulated drive, in virtual time, as far as its signals allow.
+
+mod stamps;
+mod states;
+mod trial;
+
+use super::*;
+use crate::VirtualClock;
+use drivebench_link::{DriveLink, LinkError, ProfiledLink, RegisterBus};
+use drivebench_model::sample::{Channel, Command, Demand, DriveState, Quality, Sample};
+
+/// A bench with one drive: time passes between exchanges.
+struct Table {
+    link: ProfiledLink<ForeignBus>,
+    clock: VirtualClock,
+    time_s: f64,
+    period_s: f64,
+    seq: u64,
+}
+
+type Changes<'a> = &'a [(&'a str, &'a str)];
+/// A set-point of the profile and its value in the profile's unit.
+type Reference<'a> = Option<(&'a str, f64)>;
+
+#[expect(clippy::unnecessary_wraps, reason = "a drive may have none")]
+const fn speed_ref(value: f64) -> Reference<'static> {
+    Some(("speed_ref", value))
+}
+
+/// The text of a profile with the first of each replaced.
+fn changed(text: &str, changes: Changes<'_>) -> String {
+    changes.iter().fold(text.to_owned(), |text, (from, to)| {
+        assert!(text.contains(from), "{from}");
+        text.replacen(from, to, 1)
+    })
+}
+
+fn profile_with(name: &str, changes: Changes<'_>) -> DriveProfile {
+    let text = changed(DriveProfile::text(name).unwrap(), changes);
+    DriveProfile::parse(name, &text).unwrap()
+}
+
+impl Table {
+    fn new(name: &str) -> Self {
+        Self::of(&profile_with(name, &[]), None)
+    }
+
+    fn of(profile: &DriveProfile, watchdog_s: Option<f64>) -> Self {
+        Self::mixed(profile, profile, watchdog_s)
+    }
+
+    /// A drive of the profile `name` with `changes` that the host has identified.
+    fn identified(name: &str, changes: Changes<'_>) -> Self {
+        Self::of(&profile_with(name, changes), None).known()
+    }
+
+    fn known(mut self) -> Self {
+        self.link.identify().unwrap();
+        self
+    }
+
+    /// The same, running with this reference for so long, s.
+    fn running(name: &str, changes: Changes<'_>, reference: Reference<'_>, seconds: f64) -> Self {
+        let mut table = Self::identified(name, changes);
+        table.drive(reference, seconds);
+        table
+    }
+
+    /// A host with one profile at a drive of another.
+    fn mixed(host: &DriveProfile, far: &DriveProfile, watchdog_s: Option<f64>) -> Self {
+        let guise = Guise {
+            watchdog_s,
+            ..Guise::of(far).unwrap()
+        };
+        let mut config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
+        config.tolerance = 0.0;
+        let clock = VirtualClock::new();
+        let drive = ForeignDrive::new(&guise, &config, 1);
+        let bus = ForeignBus::new(drive, &guise, clock.clone());
+        let link = ProfiledLink::new(Arc::clone(host.registers.as_ref().unwrap()), bus);
+        // No faster than the line, and often enough for a dead man's switch.
+        let points = link.map().set_points.iter();
+        let refreshes = points.filter_map(SetPoint::refresh_s);
+        let usual_s = 1.2 * link.shortest_cycle_s().unwrap() + 0.02;
+        let period_s = refreshes.fold(usual_s, f64::min);
+        Self {
+            link,
+            clock,
+            time_s: 0.0,
+            period_s,
+            seq: 0,
+        }
+    }
+
+    fn far(&mut self) -> &mut ForeignDrive {
+        self.link.bus_mut().drive_mut()
+    }
+
+    fn speed_rad_s(&mut self) -> f64 {
+        self.far().speed_rad_s()
+    }
+
+    fn now_s(&self) -> f64 {
+        self.link.bus().now_s()
+    }
+
+    fn pass(&mut self, time_s: f64) {
+        self.time_s = self.time_s.max(self.now_s()) + time_s;
+        self.clock.set_time_s(self.time_s);
+    }
+
+    /// The next cycle begins a period after the last, or when that has ended.
+    fn next_cycle(&mut self) {
+        self.time_s = (self.time_s + self.period_s).max(self.now_s());
+        self.clock.set_time_s(self.time_s);
+        self.seq += 1;
+    }
+
+    fn demand(&mut self, demand: Demand) -> Result<Sample, LinkError> {
+        self.next_cycle();
+        let seq = self.seq;
+        self.link.exchange(Command { seq, demand })
+    }
+
+    /// So many cycles of this demand; the last sample.
+    #[track_caller]
+    fn ask(&mut self, demand: Demand, cycles: usize) -> Sample {
+        let samples = (0..cycles).map(|_| self.demand(demand).unwrap());
+        samples.last().unwrap()
+    }
+
+    #[track_caller]
+    fn rest(&mut self) -> Sample {
+        self.ask(Demand::Disable, 1)
+    }
+
+    fn run(&mut self, reference: Reference<'_>) -> Result<Sample, LinkError> {
+        self.next_cycle();
+        self.link.run_at(reference, self.seq)
+    }
+
+    /// So many cycles in which the state is this.
+    #[track_caller]
+    fn stays(&mut self, state: DriveState, reference: Reference<'_>, cycles: usize) {
+        for _ in 0..cycles {
+            let told = self.run(reference).unwrap().state;
+            assert_eq!(told, Some(state), "{}", self.link.map().device.id);
+        }
+    }
+
+    /// Runs until the drive says so.
+    #[track_caller]
+    fn enable(&mut self, reference: Reference<'_>) {
+        let running = Some(DriveState::Running);
+        let runs = (0..400).any(|_| self.run(reference).unwrap().state == running);
+        assert!(runs, "{} does not run", self.link.map().device.id);
+    }
+
+    /// The first error of two hundred cycles.
+    #[track_caller]
+    fn first_error(&mut self, reference: Reference<'_>) -> LinkError {
+        let error = (0..200).find_map(|_| self.run(reference).err());
+        error.unwrap_or_else(|| panic!("{} runs", self.link.map().device.id))
+    }
+
+    /// The same where each cycle has another speed.
+    fn first_error_over(&mut self, speeds: impl IntoIterator<Item = f64>) -> LinkError {
+        let mut speeds = speeds.into_iter();
+        let error = speeds.find_map(|rpm| self.run(speed_ref(rpm)).err());
+        error.unwrap()
+    }
+
+    fn told(&mut self, set_point: &str) -> Option<u16> {
+        self.far().told_last(set_point)
+    }
+
+    /// The last that the servo amplifier was told is zero, and to be off.
+    #[track_caller]
+    fn assert_told_to_stop(&mut self) {
+        let told = ["speed_ref", "enable_word"].map(|point| self.told(point));
+        assert_eq!(told, [Some(0); 2]);
+    }
+
+    #[track_caller]
+    fn hold(&mut self, reference: Reference<'_>, seconds: f64) -> Sample {
+        let until_s = self.now_s() + seconds;
+        loop {
+            let sample = self.run(reference).unwrap();
+            if self.now_s() > until_s {
+                return sample;
+            }
+        }
+    }
+
+    /// Enables and holds.
+    #[track_caller]
+    fn drive(&mut self, reference: Reference<'_>, seconds: f64) -> Sample {
+        self.enable(reference);
+        self.hold(reference, seconds)
+    }
+}
+
+#[track_caller]
+fn assert_says(error: &impl std::fmt::Display, part: &str) {
+    let error = error.to_string();
+    assert!(error.contains(part), "{error}, without {part:?}");
+}
+
+#[track_caller]
+fn near(name: &str, found: f64, wanted: f64, most: f64) {
+    assert!(
+        (found - wanted).abs() < most,
+        "{name}: {found}, not {wanted}"
+    );
+}
+
+/// The profiles of drives of other makes.
+fn foreign_names() -> impl Iterator<Item = &'static str> {
+    DriveProfile::names().filter(|name| profile_with(name, &[]).registers.is_some())
+}
+
+/// A set-point of each drive and the speed of the emulated motor with it, rad/s; one pole pair.
+fn target(name: &str) -> (Reference<'static>, f64) {
+    use drivebench_model::units::rad_s_from_rpm as rpm;
+    const HZ: f64 = std::f64::consts::TAU;
+    let rated = 293.2;
+    match name {
+        "abb-dcs-gateway" | "abb-efb" | "epulse50-dc" | "schneider-atv312" => {
+            (speed_ref(900.0), rpm(900.0))
+        }
+        "delta-ms300" | "toshiba-vfs11" | "yaskawa-a1000" => (speed_ref(20.0), 20.0 * HZ),
+        "siemens-v20" | "vacon10" => (speed_ref(30.0), 0.3 * rated),
+        // 30 % of 120 V less friction over Ke.
+        "roboteq-dc" => (Some(("power_ref", 30.0)), 97.0),
+        _ => (None, 0.1 * rated),
+    }
+}
+
+#[test]
+fn each_is_identified_enabled_driven_and_stopped() {
+    assert_eq!(foreign_names().count(), 11);
+    for name in foreign_names() {
+        let mut table = Table::new(name);
+        let identity = table.link.identify().unwrap();
+        assert!(identity.is_emulator, "{name}");
+        assert!(!identity.product.is_empty(), "{name}");
+        assert_ne!(table.rest().state, Some(DriveState::Running), "{name}");
+        near(name, table.speed_rad_s(), 0.0, 1.0);
+        let (reference, speed_rad_s) = target(name);
+        let sample = table.drive(reference, 4.0);
+        let true_speed = table.speed_rad_s();
+        near(name, true_speed, speed_rad_s, 0.06 * speed_rad_s);
+        let of_drive = |channel: &Channel| *channel != Channel::TimeHalfWidth;
+        for channel in Channel::ALL.into_iter().filter(of_drive) {
+            let mapped = table.link.map().of_channel(channel).is_some();
+            let is_there = sample.get(channel).is_some();
+            assert_eq!(is_there, mapped, "{name} {}", channel.key());
+        }
+        let told = sample.get(Channel::Speed).unwrap_or(true_speed);
+        near(name, told, true_speed, 3.0);
+        let current = sample.get(Channel::Current);
+        let is_likely = current.is_none_or(|current| (0.5..4.0).contains(&current));
+        assert!(is_likely, "{name}: {current:?}");
+        table.link.stop().unwrap();
+        table.pass(3.0);
+        assert_ne!(table.rest().state, Some(DriveState::Running), "{name}");
+        // It does not turn any more.
+        near(name, table.speed_rad_s(), 0.0, 0.05 * 293.2);
+        let statistics = table.link.statistics();
+        assert!(statistics.balances(), "{name}");
+        assert_eq!(statistics.exception, 0, "{name}");
+    }
+}
+
+#[test]
+fn silence_trips_the_watchdog_of_each_and_nothing_old_comes_back() {
+    for name in foreign_names() {
+        let mut table = Table::of(&profile_with(name, &[]), Some(0.5));
+        table.pass(table.link.map().watchdog.keys.boot_delay_s);
+        let watchdog_s = table.link.identify().unwrap().watchdog_s;
+        let (reference, _) = target(name);
+        table.drive(reference, 1.5);
+        assert!(table.speed_rad_s() > 20.0, "{name}");
+        table.pass(4.0);
+        let now_s = table.now_s();
+        table.far().advance_to(now_s);
+        // After the silence.
+        near(name, table.speed_rad_s(), 0.0, 6.0);
+        let lapse = table.run(reference);
+        // The host knows only what the drive tells, or what its profile says of it as delivered.
+        if watchdog_s.is_some_and(|time_s| time_s < 4.0) {
+            assert_says(&lapse.unwrap_err(), "told to stop before anything else");
+        }
+        let state = table.rest().state;
+        if table.link.map().state("fault").is_some() {
+            assert_eq!(state, Some(DriveState::Fault), "{name}");
+        }
+        table.ask(Demand::Disable, 20);
+        // The old set-point has not come back.
+        near(name, table.speed_rad_s(), 0.0, 6.0);
+        // After a reset it can be enabled again.
+        table.ask(Demand::ResetFault, 20);
+        table.enable(reference);
+    }
+}
+
+#[test]
+fn a_trip_of_each_is_a_fault_and_enable_is_not_repeated() {
+    let tells = |name: &&str| {
+        let map = profile_with(name, &[]).registers.unwrap();
+        map.state("fault").is_some()
+    };
+    for name in foreign_names().filter(tells) {
+        let mut table = Table::identified(name, &[]);
+        let (reference, _) = target(name);
+        table.drive(reference, 1.0);
+        table.far().trip();
+        table.run(reference).unwrap();
+        table.stays(DriveState::Fault, reference, 50);
+        assert!(!table.far().is_running(), "{name}");
+        table.ask(Demand::ResetFault, 30);
+        let sample = table.rest();
+        assert_ne!(sample.state, Some(DriveState::Fault), "{name}");
+        assert_eq!(sample.fault, None, "{name}");
+    }
+}
+
+#[test]
+fn a_status_that_never_comes_names_the_step_and_the_drive_is_stopped() {
+    let mut table = Table::identified("schneider-atv312", &[]);
+    table.far().force("status", Some(0x0021));
+    let error = table.first_error(speed_ref(500.0));
+    let LinkError::Sequence {
+        command,
+        step,
+        reason,
+        ..
+    } = &error
+    else {
+        panic!("{error}");
+    };
+    assert_eq!((*command, *step), ("enable", 4));
+    let expected = "not switched on: status is 0x0021 after 1 s";
+    assert!(reason.starts_with(expected), "{reason}");
+    assert!(!error.is_transient());
+    assert!(!table.far().is_running());
+}
+
+#[test]
+fn a_set_point_that_reads_back_otherwise_three_times_is_a_stop() {
+    let mut table = Table::identified("abb-dcs-gateway", &[]);
+    table.enable(speed_ref(100.0));
+    table.far().ignore(Some("speed_ref"));
+    let sample = table.run(speed_ref(101.0)).unwrap();
+    assert_eq!(sample.applied, None, "it holds another");
+    let error = table.first_error_over((1..20).map(|k| 100.0 + f64::from(k)));
+    assert_says(&error, "3 times in a row");
+    table.ask(Demand::Disable, 5);
+    assert!(!table.far().is_running());
+}
+
+#[test]
+fn codes_and_values_that_cannot_be_are_missing_and_never_zero() {
+    let valid = "valid = [0, 163.83]";
+    let with_invalid = format!("{valid}\ninvalid = [0x7FFF]");
+    let mut table = Table::identified("siemens-v20", &[(valid, &with_invalid)]);
+    assert!(table.rest().get(Channel::Current).is_some());
+    for (signal, pattern, channel) in [
+        ("current", 0x7FFF, Channel::Current),
+        ("current", 0xFFFF, Channel::Current),
+        ("speed", 0x8000, Channel::Speed),
+    ] {
+        table.far().force(signal, Some(pattern));
+        let sample = table.rest();
+        assert_eq!(sample.get(channel), None, "{signal} {pattern:#x}");
+        assert_eq!(sample.quality(channel), Quality::Missing);
+        table.far().force(signal, None);
+    }
+    assert_eq!(table.link.rejected(), 3);
+}
+
+#[test]
+fn a_sign_in_the_control_word_turns_the_other_way() {
+    let mut table = Table::running("siemens-v20", &[], speed_ref(20.0), 2.0);
+    assert!(table.speed_rad_s() > 40.0);
+    table.hold(speed_ref(-20.0), 4.0);
+    let speed = table.speed_rad_s();
+    assert!(speed < -40.0, "{speed}");
+    // In a word that no command writes nobody knows which way it would be.
+    let word = "[setpoints.control_word]";
+    let direction = format!(
+        "[setpoints.direction]\naddress = 40101\ntype = \"u16\"\nquantity = \"word\"\n\n{word}"
+    );
+    let sign = (
+        "sign = { setpoint = \"control_word\"",
+        "sign = { setpoint = \"direction\"",
+    );
+    let mut table = Table::identified("siemens-v20", &[(word, &direction), sign]);
+    assert_says(
+        &table.first_error(speed_ref(-20.0)),
+        "which no command has written yet",
+    );
+    near("not turned", table.speed_rad_s(), 0.0, 1.0);
+}
+
+#[test]
+fn limits_and_slew_hold_a_set_point_back_and_say_so() {
+    let slow = "limits = [-600, 600]\nslew_per_s = 200.0";
+    let mut table = Table::identified("epulse50-dc", &[("limits = [-3000, 3000]", slow)]);
+    assert!(table.drive(speed_ref(5000.0), 1.0).limited);
+    near("after 1 s at 200 rpm/s", table.speed_rad_s(), 22.5, 12.5);
+    table.hold(speed_ref(5000.0), 5.0);
+    near("600 rpm are the limit", table.speed_rad_s(), 62.8, 3.0);
+}
+
+#[test]
+fn demands_are_taken_in_si_where_the_profile_gives_them_and_refused_with_a_reason_elsewhere() {
+    let mut table = Table::identified("epulse50-dc", &[]);
+    assert_eq!(table.link.zero(), Demand::Speed(0.0));
+    table.ask(Demand::Speed(50.0), 200);
+    near("epulse50-dc", table.speed_rad_s(), 50.0, 2.0);
+    for (demand, part) in [
+        (Demand::Voltage(5.0), "takes no voltage command"),
+        (Demand::Speed(f64::NAN), "is not a number"),
+    ] {
+        let error = table.demand(demand).unwrap_err();
+        assert!(matches!(error, LinkError::Refused { .. }), "{error}");
+        assert_says(&error, part);
+    }
+}
+
+#[test]
+fn a_lost_reply_costs_one_exchange() {
+    let mut table = Table::identified("vacon10", &[]);
+    table.enable(speed_ref(20.0));
+    table.link.bus_mut().lose(1);
+    let lost = table.run(speed_ref(20.0));
+    assert!(lost.unwrap_err().is_transient());
+    table.stays(DriveState::Running, speed_ref(20.0), 1);
+}
+
+#[test]
+fn a_lost_field_is_a_trip() {
+    let limited = "[limits]\nfield_min_a = 0.3\n\n[rates]";
+    let (changes, reference) = ([("[rates]", limited)], speed_ref(500.0));
+    let mut table = Table::running("abb-dcs-gateway", &changes, reference, 1.0);
+    table.far().lose_field();
+    let fault = Some(DriveState::Fault);
+    assert!((0..200).any(|_| table.run(reference).unwrap().state == fault));
+    for _ in 0..20 {
+        table.run(reference).unwrap();
+    }
+    assert!(!table.far().is_running());
+}
+
+#[test]
+fn a_profile_for_another_drive_is_refused_before_anything_is_written() {
+    let identity = "\n[[identity]]\nsignal = \"speed_scaling\"\nwithin = [500, 2000]\n\n[rates]";
+    let host = profile_with("abb-efb", &[("\n[rates]", identity)]);
+    // The emulated motor is rated 2800 rpm, and its profile does not ask who it is.
+    let mut table = Table::mixed(&host, &profile_with("abb-efb", &[]), None);
+    assert_says(&table.link.identify().unwrap_err(), "this is not ABB");
+    // The registers of one make do not exist at another.
+    let mut table = Table::mixed(&host, &profile_with("siemens-v20", &[]), None);
+    let refused = table.link.identify();
+    assert!(matches!(refused, Err(LinkError::Exception { .. })));
+}
+
+#[test]
+fn the_watchdog_register_is_set_and_read_back() {
+    for (name, given_s, found_s) in [
+        ("siemens-v20", None, Some(1.0)),
+        ("delta-ms300", Some(2.5), Some(2.5)),
+        ("delta-ms300", None, None),
+    ] {
+        let mut table = Table::of(&profile_with(name, &[]), given_s);
+        assert_eq!(table.link.identify().unwrap().watchdog_s, found_s, "{name}");
+    }
+}
+
+#[test]
+fn a_memory_that_wears_out_is_not_written_in_a_loop() {
+    const DUTY: &str = "quantity = \"duty\"\nlimits = [-100, 100]\n";
+    let [refreshed, worn] = ["refresh_ms = 100.0", "nvm = true"].map(|key| format!("{DUTY}{key}"));
+    let mut table = Table::identified("roboteq-dc", &[(&refreshed, &worn)]);
+    let mut duties = (0..100).map(|k| f64::from(k) * 0.1);
+    let error = duties.find_map(|duty| table.run(Some(("power_ref", duty))).err());
+    assert_says(&error.unwrap(), "memory that wears out");
+}
+
+#[test]
+fn what_a_drive_does_not_know_gets_the_exact_exception() {
+    let mut table = Table::new("toshiba-vfs11");
+    let cases: [(&str, &[u8], &[u8]); 6] = [
+        ("one register a request", &[3, 0xFD, 0, 0, 2], &[0x83, 3]),
+        ("no FC16", &[16, 0xFA, 0, 0, 1, 2, 0, 0], &[0x90, 1]),
+        ("no such register", &[3, 0, 0, 0, 1], &[0x83, 2]),
+        ("no diagnosis", &[8, 0, 0, 1, 2], &[0x88, 1]),
+        ("5.7 A", &[3, 0xFE, 0x70, 0, 1], &[3, 2, 0, 57]),
+        ("echo", &[6, 0xFA, 1, 7, 0xD0], &[6, 0xFA, 1, 7, 0xD0]),
+    ];
+    for (name, request, answer) in cases {
+        assert_eq!(table.far().answer(request), answer, "{name}");
+    }
+}

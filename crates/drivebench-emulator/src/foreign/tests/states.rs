@@ -1,0 +1,366 @@
+//! States of a drive beside following: its keypad, its safe torque off, a lost supply, refusals, no word on its state.
+
+use super::*;
+
+const RUNNING: &str = "[state]\n";
+/// The servo amplifier with the two states on further bits of its status word, and a fault on a fourth.
+const WITH_STATES: &str = "[state]\n\
+    remote = { signal = \"enabled\", mask = 0x02, equals = 0x02 }\n\
+    sto = { signal = \"enabled\", mask = 0x04, not_equals = 0x00 }\n";
+
+fn table() -> Table {
+    Table::identified("epulse50-dc", &[(RUNNING, WITH_STATES)])
+}
+
+const REFERENCE: Reference<'static> = speed_ref(400.0);
+
+#[test]
+fn a_drive_that_is_taken_over_at_its_keypad_is_let_go_and_is_not_told_a_set_point() {
+    let mut table = table();
+    let sample = table.drive(REFERENCE, 0.5);
+    assert_eq!(sample.hindrance, None);
+    table.far().take_local(true);
+    let sample = table.run(REFERENCE).unwrap();
+    assert_eq!(sample.hindrance, Some(Hindrance::LocalControl));
+    // From here on whoever asks for a run gets nothing written, and is told why.
+    for _ in 0..50 {
+        let _ = table.run(REFERENCE);
+        table.assert_told_to_stop();
+    }
+    assert_says(&table.run(REFERENCE).unwrap_err(), "under local control");
+    // Given back it runs only after somebody asked for zero first.
+    table.far().take_local(false);
+    for _ in 0..20 {
+        let sample = table.run(REFERENCE).unwrap();
+        assert_ne!(sample.state, Some(DriveState::Running));
+    }
+    table.rest();
+    table.enable(REFERENCE);
+}
+
+#[test]
+fn a_register_that_holds_no_number_gives_no_value_and_never_zero() {
+    let as_float = [("type = \"i32\"", "type = \"f32\"")];
+    let mut table = Table::identified("leadshine-iem", &as_float);
+    let speed = |table: &mut Table| table.rest().get(Channel::Speed);
+    assert!(speed(&mut table).is_some());
+    table.far().withhold(true);
+    assert_eq!(speed(&mut table), None);
+    table.far().force("speed", Some(f32::INFINITY.to_bits()));
+    assert_eq!(speed(&mut table), None);
+    table.far().withhold(false);
+    assert!(speed(&mut table).is_some());
+}
+
+#[test]
+fn safe_torque_off_refuses_the_start_and_ends_a_run() {
+    let profile = profile_with("epulse50-dc", &[(RUNNING, WITH_STATES)]);
+    let mut table = Table::of(&profile, None);
+    table.far().switch_torque_off(true);
+    table.link.identify().unwrap();
+    let rest = table.rest();
+    assert_eq!(rest.hindrance, Some(Hindrance::TorqueOff));
+    assert_says(
+        &table.run(REFERENCE).unwrap_err(),
+        "safe torque off (STO) is active",
+    );
+    assert_eq!(table.told("enable_word"), None);
+    table.far().switch_torque_off(false);
+    table.rest();
+    table.enable(REFERENCE);
+    table.far().switch_torque_off(true);
+    let sample = table.run(REFERENCE).unwrap();
+    assert_eq!(sample.hindrance, Some(Hindrance::TorqueOff));
+    assert_ne!(sample.state, Some(DriveState::Running));
+    assert_eq!(table.told("enable_word"), Some(0));
+}
+
+#[test]
+fn a_refusal_names_the_signal_and_its_line_in_the_profile() {
+    let mut table = table();
+    table.far().refuse(Some(2));
+    let text = table.demand(Demand::Disable).unwrap_err();
+    assert!(matches!(text, LinkError::Exception { code: 2, .. }));
+    let profile = DriveProfile::text("epulse50-dc").unwrap();
+    let line = 1 + profile
+        .lines()
+        .position(|line| line.starts_with("[signals.enabled]"))
+        .unwrap();
+    assert_says(
+        &text,
+        &format!("profile epulse50-dc: enabled in line {line}"),
+    );
+}
+
+#[test]
+fn a_busy_drive_is_asked_less_often_keeps_its_set_point_and_is_stopped_at_once_when_asked() {
+    let mut table = table();
+    table.drive(REFERENCE, 0.5);
+    table.period_s = 0.01;
+    table.far().refuse(Some(6));
+    let before = table.link.statistics().exception;
+    for _ in 0..100 {
+        let error = table.run(REFERENCE).unwrap_err();
+        assert!(matches!(error, LinkError::Exception { code: 6, .. }));
+    }
+    let asked = table.link.statistics().exception - before;
+    assert!((5..40).contains(&asked), "{asked} in 100 cycles");
+    assert!(table.far().is_running());
+    // A stop does not wait for the pause, and goes on where the drive answers again.
+    table.far().refuse(None);
+    table.demand(Demand::Stop).unwrap();
+    assert_eq!(table.told("enable_word"), Some(0));
+}
+
+#[test]
+fn a_drive_whose_supply_was_lost_does_not_resume_and_is_brought_to_rest() {
+    let profile = profile_with("epulse50-dc", &[(RUNNING, WITH_STATES)]);
+    let mut table = Table::of(&profile, None);
+    let before = table.link.identify().unwrap();
+    table.drive(REFERENCE, 0.5);
+    table.link.bus_mut().lose(u32::MAX);
+    for _ in 0..5 {
+        assert!(table.run(REFERENCE).is_err());
+    }
+    table.far().switch_on_again();
+    table.pass(5.0);
+    table.link.bus_mut().lose(0);
+    // The old link finds it at rest, and does not start it again.
+    for _ in 0..20 {
+        let sample = table.run(REFERENCE).unwrap();
+        assert_ne!(sample.state, Some(DriveState::Running));
+        assert!(!table.far().is_running());
+    }
+    assert_eq!(table.link.recognise().unwrap(), before);
+    table.link.bring_to_rest().unwrap();
+    table.assert_told_to_stop();
+    assert!(table.link.confirms_stop());
+}
+
+#[test]
+fn recognising_a_drive_writes_nothing_also_where_the_profile_sets_its_watchdog() {
+    for name in foreign_names() {
+        let mut table = Table::new(name);
+        table.link.recognise().unwrap();
+        assert!(table.far().written.is_empty(), "{name}");
+        let tells = table.link.map().state("running").is_some();
+        assert_eq!(table.link.confirms_stop(), tells, "{name}");
+    }
+}
+
+#[test]
+fn a_fault_code_is_read_at_once_and_told_in_words() {
+    let codes = "[fault_codes]\n5 = \"overbraking\"\n\n[watchdog]";
+    let mut table = Table::identified("schneider-atv312", &[("[watchdog]", codes)]);
+    table.enable(speed_ref(900.0));
+    table.far().trip();
+    let sample = table.run(speed_ref(900.0)).unwrap();
+    assert_eq!(sample.state, Some(DriveState::Fault));
+    assert_eq!(sample.fault, Some(5));
+    assert_eq!(sample.fault_text.as_deref(), Some("overbraking"));
+    assert_eq!(table.told("speed_ref"), Some(0));
+}
+
+#[test]
+fn the_watchdog_of_a_drive_that_somebody_runs_is_left_as_it_is() {
+    let time = |table: &mut Table| {
+        table.link.identify().unwrap();
+        let read = drivebench_link::ReadRequest::holding(0, 1);
+        table.link.bus_mut().read(read).unwrap().words[0]
+    };
+    let mut idle = Table::new("siemens-v20");
+    assert_eq!(time(&mut idle), 1000);
+    let mut runs = Table::identified("siemens-v20", &[]);
+    runs.enable(speed_ref(10.0));
+    runs.link.bus_mut().write(16, 0, &[0]).unwrap();
+    assert_eq!(time(&mut runs), 0, "as somebody else has set it");
+    runs.pass(60.0);
+    assert!(runs.far().is_running(), "long after this host has gone");
+}
+
+/// A refresh would write again what was lost.
+const NO_REFRESH: (&str, &str) = ("refresh_ms = 100.0", "");
+
+#[test]
+fn a_set_point_whose_acknowledgement_was_lost_is_written_again_whatever_is_asked_next() {
+    let mut table = Table::running("epulse50-dc", &[NO_REFRESH], REFERENCE, 0.5);
+    let before = table.told("speed_ref");
+    table.link.bus_mut().lose_replies(1);
+    let lost = table.run(speed_ref(700.0)).unwrap_err();
+    assert!(lost.is_transient(), "{lost}");
+    assert_ne!(table.told("speed_ref"), before);
+    // As asked before the reply was lost: the drive must not keep what nobody wants any more.
+    table.run(REFERENCE).unwrap();
+    assert_eq!(table.told("speed_ref"), before);
+}
+
+#[test]
+fn a_slew_counts_from_the_last_cycle_and_not_from_the_last_change() {
+    let slow = (
+        "limits = [-3000, 3000]",
+        "limits = [-3000, 3000]\nslew_per_s = 100.0",
+    );
+    let mut table = Table::running("epulse50-dc", &[slow, NO_REFRESH], speed_ref(0.0), 8.0);
+    let sample = table.run(speed_ref(500.0)).unwrap();
+    assert!(sample.limited);
+    table.hold(speed_ref(500.0), 1.0);
+    let speed = table.speed_rad_s();
+    assert!(speed < 20.0, "{speed} rad/s after 1 s at 100 rpm/s");
+}
+
+/// The servo amplifier whose watchdog trips it and says so on a bit of its status word.
+const TELLING_COMM_LOSS: (&str, &str) = (
+    RUNNING,
+    "[signals.fault_code]\naddress = 0x1300\ntype = \"u16\"\nquantity = \"fault_code\"\npoll = \"slow\"\n\n[state]\ncomm_loss = { signal = \"enabled\", mask = 0x08, equals = 0x08 }\n",
+);
+
+#[test]
+fn an_expired_watchdog_is_named_and_a_fault_code_of_zero_is_none() {
+    let profile = profile_with("epulse50-dc", &[TELLING_COMM_LOSS]);
+    let mut table = Table::of(&profile, Some(0.3)).known();
+    table.drive(REFERENCE, 0.5);
+    table.far().force("enabled", Some(0x08));
+    let sample = table.run(REFERENCE).unwrap();
+    assert_eq!(sample.state, Some(DriveState::Fault));
+    assert_eq!(sample.fault, None);
+    assert_eq!(
+        sample.fault_text.as_deref(),
+        Some("communication loss (comm_loss): the drive's own watchdog has expired")
+    );
+}
+
+#[test]
+fn a_drive_in_fault_that_refuses_the_way_down_is_still_said_to_be_in_fault() {
+    let mut table = Table::identified("schneider-atv312", &[]);
+    let reference = speed_ref(900.0);
+    table.enable(reference);
+    table.far().trip();
+    table.far().refuse_writes(Some(4));
+    let sample = table.run(speed_ref(800.0)).unwrap();
+    assert_eq!(sample.state, Some(DriveState::Fault));
+    assert_eq!(sample.fault, Some(5), "with the first sight of the fault");
+    assert_eq!(sample.applied, None, "it took no other set-point");
+}
+
+#[test]
+fn a_busy_drive_that_takes_no_word_of_its_enable_command_is_the_reason_that_is_told() {
+    let mut table = table();
+    table.rest();
+    table.far().refuse_writes(Some(6));
+    let mut errors = (0..200).filter_map(|_| table.run(REFERENCE).err());
+    let last = errors.find(|error| matches!(error, LinkError::Sequence { .. }));
+    let text = last.unwrap().to_string();
+    assert_says(&text, "enable, step");
+    assert_says(&text, "exception 0x06");
+}
+
+/// The converter whose stop ends with a word behind a wait.
+const WORD_BEHIND_A_WAIT: (&str, &str) = (
+    "stop = [",
+    "stop = [\n  { write = \"speed_ref\", value = 0 },\n  { wait = \"status\", mask = 0x0027, equals = 0x0021, within_ms = 5000 },\n",
+);
+
+#[test]
+fn a_faulted_drive_gets_every_word_of_its_stop_without_a_wait() {
+    let profile = profile_with("schneider-atv312", &[WORD_BEHIND_A_WAIT]);
+    let mut table = Table::of(&profile, None).known();
+    let reference = speed_ref(900.0);
+    table.enable(reference);
+    let running = table.told("control_word");
+    table.far().trip();
+    table.run(reference).unwrap();
+    let word = table.told("control_word");
+    assert_ne!(word, running, "the word to run is taken back");
+    assert_eq!(table.told("speed_ref"), Some(0));
+    // The same without a session: a stop of a drive that went into fault before.
+    let mut table = Table::of(&profile, None).known();
+    table.enable(reference);
+    table.far().trip();
+    table.link.stop().unwrap();
+    assert_eq!(table.told("control_word"), word);
+}
+
+#[test]
+fn a_lost_acknowledgement_of_zero_keeps_the_disable_word_back_no_more() {
+    for lost in 1..=2 {
+        let mut table = Table::running("epulse50-dc", &[NO_REFRESH], REFERENCE, 0.5);
+        table.next_cycle();
+        let began_s = table.now_s();
+        table.link.bus_mut().lose_replies(lost);
+        let (seq, demand) = (table.seq, Demand::Stop);
+        let error = table.link.exchange(Command { seq, demand }).unwrap_err();
+        assert!(error.is_transient(), "{error}");
+        table.assert_told_to_stop();
+        // Both writes and one deadline of 100 ms.
+        let took_s = table.now_s() - began_s;
+        let write_s = table.link.bus().wire_s(11, 8).unwrap();
+        assert!(took_s < 0.1 + 2.0 * write_s, "{lost}: {took_s}");
+        // Nothing was heard: it goes out again.
+        let sample = table.demand(Demand::Stop).unwrap();
+        assert_ne!(sample.state, Some(DriveState::Running));
+    }
+}
+
+#[test]
+fn a_stop_request_that_is_lost_on_the_way_goes_out_again_before_the_stop_is_over() {
+    let mut table = Table::running("epulse50-dc", &[NO_REFRESH], REFERENCE, 0.5);
+    table.link.bus_mut().lose(1);
+    assert!(table.demand(Demand::Stop).unwrap_err().is_transient());
+    // The first of both was lost, the second has come.
+    table.demand(Demand::Stop).unwrap();
+    table.assert_told_to_stop();
+}
+
+/// The motor controller, which does not tell whether it runs.
+#[test]
+fn a_stop_that_was_refused_goes_out_again_where_nothing_else_tells_of_it() {
+    let mut table = Table::running("roboteq-dc", &[], Some(("power_ref", 30.0)), 0.5);
+    table.far().refuse_writes(Some(2));
+    assert!(table.demand(Demand::Stop).is_err());
+    table.far().refuse_writes(None);
+    let sample = table.demand(Demand::Stop).unwrap();
+    assert_ne!(sample.state, Some(DriveState::Running));
+    assert_eq!(table.told("power_ref"), Some(0));
+}
+
+#[test]
+fn a_status_from_before_a_stop_does_not_confirm_it_and_what_has_not_stopped_is_not_started() {
+    let wait = "{ wait = \"enabled\", mask = 1, equals = 0,";
+    let no_wait = [(
+        wait,
+        "{ delay_ms = 1 },\n]\nquickstop = [\n  { wait = \"enabled\", mask = 1, equals = 0,",
+    )];
+    let mut table = Table::identified("epulse50-dc", &no_wait);
+    table.rest();
+    // Both words of the stop are acknowledged, and then the line is dead.
+    table.link.bus_mut().lose_behind(2, u32::MAX);
+    assert!(table.link.stop().unwrap_err().is_transient());
+    table.link.bus_mut().lose(0);
+    table.link.stop().unwrap();
+    table.drive(REFERENCE, 0.5);
+    table.link.bus_mut().lose(u32::MAX);
+    assert!(table.link.stop().is_err());
+    table.link.bus_mut().lose(0);
+    for _ in 0..20 {
+        let _ = table.run(REFERENCE);
+        table.assert_told_to_stop();
+        assert!(!table.link.has_sent_command());
+    }
+}
+
+#[test]
+fn a_set_point_that_somebody_else_writes_is_told_from_one_that_is_ignored() {
+    let readback = ("refresh_ms = 100.0", "readback = true");
+    let mut table = Table::running("epulse50-dc", &[readback], REFERENCE, 3.0);
+    let ours = table.told("speed_ref").unwrap();
+    table.far().overwrite("speed_ref", ours / 2);
+    let text = table.first_error(REFERENCE).to_string();
+    assert_says(&text, "somebody else writes it");
+    assert!(!text.contains("ignores"), "{text}");
+    assert_eq!(table.told("enable_word"), Some(0));
+    // One that takes nothing keeps what it had.
+    let mut table = Table::running("epulse50-dc", &[readback], REFERENCE, 0.5);
+    table.far().ignore(Some("speed_ref"));
+    let error = table.first_error_over((1..20).map(|k| 100.0 + f64::from(k)));
+    assert_says(&error, "so it ignores what is written");
+}

@@ -1,0 +1,44 @@
+//! The software drive: what stands in for a real drive, behind the same protocols.
+//!
+//! ```text
+//!          config.rs (TOML) --> drive/ SoftDrive (state machine, watchdog, limits) --> truth/ (the machine)
+//!                                   ^ pure function of drive time
+//!   fault.rs   what goes wrong: spoiler.rs does it to the bytes of a line, drive/ to the drive
+//!   mystery/   draws from a seed what a drive hides
+//!   foreign/   the same motor behind the registers of another make
+//!   memory.rs, line.rs  virtual time, without bytes and with them
+//!   journal.rs what the motor does, row by row, for whoever judges a host
+//!   pty.rs, tcp.rs  real time ------+   (dialogue.rs: bytes <-> answers, pace.rs: a wire's timing, server.rs: the clock)
+//! ```
+
+mod config;
+mod dialogue;
+mod drive;
+mod fault;
+mod foreign;
+mod journal;
+mod line;
+mod memory;
+pub mod mystery;
+mod pace;
+#[cfg(target_os = "linux")]
+mod pty;
+mod server;
+mod session;
+mod spoiler;
+mod tcp;
+pub mod truth;
+
+pub use config::{
+    BrakeConfig, EmulatorConfig, EmulatorConfigError, FaultsConfig, LimitsConfig, LineConfig,
+    OutputOff,
+};
+pub use dialogue::UNIT;
+pub use drive::SoftDrive;
+pub use drivebench_link::VirtualClock;
+pub use fault::{FaultEntry, FaultKind, Injector};
+pub use foreign::{ForeignBus, ForeignDrive, Guise};
+pub use journal::Journal;
+pub use line::open_line;
+pub use memory::{Latency, MemoryLink};
+pub use server::{Endpoint, Served, ServerError, ServerHandle, ready_line, serve, spawn, spawn_as};

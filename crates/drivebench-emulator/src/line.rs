@@ -1,0 +1,161 @@
+//! The software drive at the far end of a Modbus RTU line in memory: its codec, its wire's timing, in virtual time.
+
+use super::dialogue::{Answering, Dialogue, UNIT};
+use super::pace::Pace;
+use super::spoiler::{Spoiled, Spoiler};
+use super::{
+    EmulatorConfig, EmulatorConfigError, FaultEntry, ForeignDrive, Guise, LineConfig, SoftDrive,
+};
+use drivebench_link::virtual_line::{FarEnd, VirtualLink};
+use drivebench_link::{DriveLink, DriveProfile, Protocol, VirtualClock};
+
+/// What this line is called.
+const NAME: &str = "sim:rtu";
+
+/// Opens a link to the drive, in the guise of another where one is given, over a line in memory.
+pub fn open_line(
+    guise: Option<&Guise>,
+    config: &EmulatorConfig,
+    seed: u64,
+    profile: &DriveProfile,
+    clock: VirtualClock,
+) -> Result<Box<dyn DriveLink>, EmulatorConfigError> {
+    let protocol = Protocol::ModbusRtu;
+    config.suits(guise.is_some(), protocol)?;
+    let drive: Box<dyn Answering> = match guise {
+        Some(guise) => Box::new(ForeignDrive::new(guise, config, seed)),
+        None => Box::new(SoftDrive::new(config, seed)),
+    };
+    let mut line = guise.map_or(&config.line, |guise| &guise.line).clone();
+    line.baud = profile.link.baud;
+    let unit = guise.map_or(UNIT, |guise| guise.unit);
+    let far = DriveOnLine::new(drive, protocol, unit, &line, &config.faulty, seed);
+    Ok(Box::new(VirtualLink::open(NAME, profile, clock, far)))
+}
+
+/// What talks by itself is known for so long ahead, s: until the host listens again.
+const AHEAD_S: f64 = 0.25;
+
+struct DriveOnLine {
+    spoiler: Spoiler,
+    drive: Box<dyn Answering>,
+    dialogue: Dialogue,
+    pace: Pace,
+    /// When the silence behind the last byte has ended a frame, s.
+    silent_from_s: f64,
+}
+
+impl FarEnd for DriveOnLine {
+    fn hear(&mut self, now_s: f64, bytes: &[u8]) -> Vec<(f64, Vec<u8>)> {
+        let mut answers = Vec::new();
+        let mut sent = Vec::new();
+        if now_s >= self.silent_from_s {
+            self.dialogue.idle(self.drive.as_mut(), &mut answers);
+            answers.clear();
+        }
+        let mut at_s = now_s;
+        for byte in bytes {
+            at_s = self.pace.arrival_s(now_s);
+            self.drive.advance_to(at_s);
+            self.spoiler.hear(*byte);
+            let mut drive = Spoiled {
+                drive: self.drive.as_mut(),
+                spoiler: &mut self.spoiler,
+                now_s: at_s,
+            };
+            // Only a peer that is no Modbus TCP cannot be framed.
+            let _ = self
+                .dialogue
+                .push(*byte, &mut drive, &mut || true, &mut answers);
+            self.send(at_s, &mut answers, &mut sent);
+        }
+        self.silent_from_s = at_s + self.pace.gap_s();
+        // A request whose length nobody knows ends with the silence: a host writes it whole.
+        let mut drive = Spoiled {
+            drive: self.drive.as_mut(),
+            spoiler: &mut self.spoiler,
+            now_s: at_s,
+        };
+        self.dialogue.idle(&mut drive, &mut answers);
+        self.send(self.silent_from_s, &mut answers, &mut sent);
+        self.spoiler.silence();
+        let ahead_s = now_s + AHEAD_S;
+        let drive = self.drive.as_mut();
+        sent.extend(self.spoiler.unasked(now_s, ahead_s, drive));
+        sent
+    }
+}
+
+impl DriveOnLine {
+    fn new(
+        drive: Box<dyn Answering>,
+        protocol: Protocol,
+        unit: u8,
+        line: &LineConfig,
+        faults: &[FaultEntry],
+        seed: u64,
+    ) -> Self {
+        Self {
+            spoiler: Spoiler::new(faults, protocol, unit, seed),
+            drive,
+            dialogue: Dialogue::new(protocol, unit),
+            pace: Pace::serial(line, protocol == Protocol::ModbusRtu),
+            silent_from_s: 0.0,
+        }
+    }
+
+    fn send(&mut self, end_s: f64, answers: &mut Vec<Vec<u8>>, sent: &mut Vec<(f64, Vec<u8>)>) {
+        for answer in answers.drain(..) {
+            let due_s = self.pace.delivery_s(end_s, answer.len());
+            let ran_s = self.drive.ran_s();
+            sent.extend(self.spoiler.reply(answer, end_s, due_s, ran_s));
+        }
+    }
+}
+
+#[cfg(test)]
+mod fault_tests;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use drivebench_model::sample::{Channel, Command, Demand};
+
+    fn link(seed: u64, config: &EmulatorConfig) -> (Box<dyn DriveLink>, VirtualClock) {
+        let clock = VirtualClock::new();
+        let mut profile = DriveProfile::named("own").unwrap();
+        profile.link.emulated = true;
+        let link = open_line(None, config, seed, &profile, clock.clone());
+        (link.unwrap(), clock)
+    }
+
+    /// What an exchange of each cycle gave, and when it was over.
+    fn samples(seed: u64) -> Vec<(f64, Option<f64>, f64)> {
+        let (mut link, clock) = link(seed, &EmulatorConfig::embedded_default());
+        assert!(link.identify().unwrap().is_emulator);
+        let begun_s = clock.time_s();
+        let exchanges = (1..=200_u32).map(|cycle| {
+            let at_s = begun_s + f64::from(cycle) * 0.02;
+            clock.set_time_s(at_s);
+            let demand = Demand::Voltage(30.0 * f64::from(cycle % 7));
+            let sample = link.exchange(Command {
+                seq: cycle.into(),
+                demand,
+            });
+            let sample = sample.unwrap();
+            let took_s = clock.time_s() - at_s;
+            // 58 characters at 115200 baud, one silence, the turnaround.
+            assert!((took_s - 0.007_285).abs() < 2e-5, "{took_s}");
+            (sample.time_s, sample.get(Channel::Speed), clock.time_s())
+        });
+        exchanges.collect()
+    }
+
+    #[test]
+    fn one_seed_gives_the_same_samples_at_the_same_times_to_the_bit() {
+        let first = samples(5);
+        assert_eq!(first, samples(5));
+        assert_ne!(first, samples(6));
+        assert!(first.iter().any(|(_, speed, _)| speed.unwrap() > 20.0));
+    }
+}

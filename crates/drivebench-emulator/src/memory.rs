@@ -1,0 +1,333 @@
+//! The drive in memory: a [`DriveLink`] in virtual time, through the real register codec.
+
+use firmware_protocol::modbus::RegisterBank;
+use firmware_protocol::registers::{
+    CAPTURE_CONTROL, CAPTURE_STATE, COMMAND_ADDRESS, IDENTITY_ADDRESS, IDENTITY_WORDS,
+    TELEMETRY_ADDRESS, TELEMETRY_WORDS,
+};
+use firmware_protocol::{CaptureControl, CaptureState, Telemetry};
+
+use super::SoftDrive;
+use super::config::LineConfig;
+use super::pace::Pace;
+use drivebench_link::burst::{Burst, Capture, WINDOW_ADDRESS, WINDOW_WORDS, window_samples};
+use drivebench_link::timeline::{self, Timeline};
+use drivebench_link::{
+    DriveLink, Identity, LinkError, LinkName, LinkStatistics, Span, VirtualClock, exception_name,
+    signed_difference, stop_confirmed,
+};
+use drivebench_model::sample::{Command, Demand, Sample};
+
+/// How long request and reply are under way, s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Latency {
+    /// From the host's clock to the drive applying the command and taking the sample.
+    pub request_s: f64,
+    /// From there to the host having the reply.
+    pub reply_s: f64,
+}
+
+/// Bytes of an exchange over Modbus RTU; the stream's are about as many.
+const REQUEST_BYTES: usize = 21;
+const REPLY_BYTES: usize = 37;
+
+impl Latency {
+    /// What one exchange takes over this line; `with_gaps`: frames are told apart by silence, as Modbus RTU's are.
+    pub fn of_line(line: &LineConfig, with_gaps: bool) -> Self {
+        let mut pace = Pace::serial(line, with_gaps);
+        let mut request_s = 0.0;
+        for _ in 0..REQUEST_BYTES {
+            request_s = pace.arrival_s(0.0);
+        }
+        let delivered_s = pace.delivery_s(request_s, REPLY_BYTES);
+        Self {
+            request_s,
+            reply_s: delivered_s - request_s,
+        }
+    }
+}
+
+impl Default for Latency {
+    /// About what an exchange takes over Modbus RTU at 115200 baud, with silent gaps.
+    fn default() -> Self {
+        Self {
+            request_s: 0.001_8,
+            reply_s: 0.005_5,
+        }
+    }
+}
+
+/// The software drive as a link, without a wire.
+pub struct MemoryLink {
+    drive: SoftDrive,
+    clock: VirtualClock,
+    latency: Latency,
+    statistics: LinkStatistics,
+    last_seq: u64,
+    timeline: Timeline,
+    /// Distance of captured samples, s; 0 before the drive is identified.
+    capture_period_s: f64,
+}
+
+impl MemoryLink {
+    pub fn new(drive: SoftDrive, clock: VirtualClock, latency: Latency) -> Self {
+        Self {
+            drive,
+            clock,
+            latency,
+            statistics: LinkStatistics::default(),
+            last_seq: 0,
+            timeline: Timeline::default(),
+            capture_period_s: 0.0,
+        }
+    }
+
+    /// The drive behind the link: its truth is for tests.
+    pub const fn drive(&self) -> &SoftDrive {
+        &self.drive
+    }
+
+    /// Lets drive time pass without an exchange, so that a test can look at the truth in between.
+    pub fn advance_to(&mut self, time_s: f64) {
+        self.drive.advance_to(time_s);
+    }
+
+    /// One exchange with the register bank, counted.
+    fn ask<const N: usize>(
+        &mut self,
+        write: Option<(u16, &[u16])>,
+        address: u16,
+        request: &str,
+    ) -> Result<[u16; N], LinkError> {
+        self.statistics.sent += 1;
+        let arrived_s = self.clock.time_s() + self.latency.request_s;
+        self.drive.advance_to(arrived_s);
+        let mut block = [0; N];
+        let mut written = Ok(());
+        if let Some((address, values)) = write {
+            written = self.drive.write(address, values);
+        }
+        if let Err(exception) = written.and_then(|()| self.drive.read(address, &mut block)) {
+            self.statistics.exception += 1;
+            return Err(LinkError::Exception {
+                link: self.name().0,
+                request: request.to_owned(),
+                code: exception.code(),
+                name: exception_name(exception.code()),
+            });
+        }
+        self.statistics.ok += 1;
+        Ok(block)
+    }
+}
+
+impl DriveLink for MemoryLink {
+    fn name(&self) -> LinkName {
+        LinkName("sim:".to_owned())
+    }
+
+    fn identify(&mut self) -> Result<Identity, LinkError> {
+        let block: [u16; IDENTITY_WORDS] = self.ask(None, IDENTITY_ADDRESS, "read the identity")?;
+        let block = firmware_protocol::Identity::from_registers(&block)
+            .map_err(|error| timeline::identity_error(&self.name().0, error))?;
+        self.capture_period_s = f64::from(block.capture_period_us) * 1e-6;
+        let text = |object| {
+            self.drive
+                .identification(object)
+                .unwrap_or_default()
+                .to_owned()
+        };
+        Ok(Identity {
+            vendor: text(0),
+            product: text(4),
+            firmware: text(2),
+            ..timeline::identity(&block)
+        })
+    }
+
+    fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
+        let sent_s = self.clock.time_s();
+        let block = timeline::command(command).to_registers();
+        self.last_seq = command.seq;
+        let reply: [u16; TELEMETRY_WORDS] = self.ask(
+            Some((COMMAND_ADDRESS, &block)),
+            TELEMETRY_ADDRESS,
+            "write the command and read the telemetry",
+        )?;
+        let telemetry = Telemetry::from_registers(&reply);
+        let received_s = sent_s + self.latency.request_s + self.latency.reply_s;
+        let span = Span::new(sent_s, received_s);
+        Ok(self.timeline.sample(&telemetry, command.seq, span))
+    }
+
+    fn stop(&mut self) -> Result<(), LinkError> {
+        let stop = Command {
+            seq: self.last_seq.wrapping_add(1),
+            demand: Demand::Stop,
+        };
+        stop_confirmed(&self.name().0, || self.exchange(stop))
+    }
+
+    fn statistics(&self) -> LinkStatistics {
+        self.statistics
+    }
+
+    fn shortest_cycle_s(&self) -> Option<f64> {
+        None
+    }
+
+    fn burst(&mut self) -> Option<&mut dyn Burst> {
+        (self.capture_period_s > 0.0).then_some(self as &mut dyn Burst)
+    }
+}
+
+impl Burst for MemoryLink {
+    fn arm(&mut self) -> Result<(), LinkError> {
+        let arm = [CaptureControl::Arm.code()];
+        self.ask(
+            Some((CAPTURE_CONTROL.address, &arm)),
+            CAPTURE_CONTROL.address,
+            "arm the capture",
+        )
+        .map(|[_]: [u16; 1]| ())
+    }
+
+    fn fetch(&mut self) -> Result<Option<Capture>, LinkError> {
+        let head: [u16; 4] = self.ask(None, CAPTURE_STATE.address, "read the capture")?;
+        let [state, count, high, low] = head;
+        if state != CaptureState::Complete.code() {
+            return Ok(None);
+        }
+        let block = self.ask(None, TELEMETRY_ADDRESS, "read the telemetry")?;
+        let time_us = Telemetry::from_registers(&block).time_us;
+        let now_s = self.clock.time_s();
+        let time_s = self.timeline.note(time_us, Span::new(now_s, now_s));
+        let age_us = signed_difference(time_us, u32::from(high) << 16 | u32::from(low));
+        let first_s = time_s - f64::from(age_us) * 1e-6;
+        let period_s = self.capture_period_s;
+        let capture = Capture::collect(first_s, period_s, count, |index| {
+            let write = Some((WINDOW_ADDRESS, &[index][..]));
+            let words: [u16; WINDOW_WORDS] = self.ask(write, WINDOW_ADDRESS, "read a window")?;
+            Ok(window_samples(index, &words))
+        });
+        capture.map(Some)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use firmware_protocol::Fault;
+
+    use super::*;
+    use crate::EmulatorConfig;
+    use drivebench_model::sample::{Channel, DriveState};
+
+    fn link(seed: u64) -> (MemoryLink, VirtualClock) {
+        let clock = VirtualClock::new();
+        let drive = SoftDrive::new(&EmulatorConfig::embedded_default(), seed);
+        let link = MemoryLink::new(drive, clock.clone(), Latency::default());
+        (link, clock)
+    }
+
+    fn volts(seq: u64, volts: f64) -> Command {
+        Command {
+            seq,
+            demand: Demand::Voltage(volts),
+        }
+    }
+
+    #[test]
+    fn it_says_that_it_is_an_emulator_and_what_it_limits() {
+        let (mut link, _) = link(9);
+        let identity = link.identify().unwrap();
+        assert!(identity.is_emulator);
+        assert_eq!(identity.watchdog_s, Some(0.5));
+        assert_eq!(identity.current_limit_a, Some(11.4));
+        assert_eq!(identity.voltage_limit_v, Some(120.0));
+        assert_eq!(identity.serial_number, "9");
+    }
+
+    #[test]
+    fn the_sample_is_taken_after_the_command_and_the_latency_is_visible() {
+        let (mut link, clock) = link(1);
+        // The first sample is the origin of the drive's time.
+        link.exchange(volts(69_999, 0.0)).unwrap();
+        clock.set_time_s(0.2);
+        let sample = link.exchange(volts(70_000, 24.0)).unwrap();
+        let applied = sample.applied.unwrap();
+        assert_eq!((sample.seq, applied.seq), (Some(70_000), 70_000));
+        assert!((applied.time_s - 0.2).abs() < 1e-4);
+        assert!(sample.time_s >= applied.time_s);
+        assert!((sample.host_time_s.unwrap() - 0.207_3).abs() < 1e-9);
+        assert_eq!(sample.get(Channel::VoltageCmd), Some(24.0));
+        assert!((sample.get(Channel::Voltage).unwrap() - 24.0).abs() < 0.2);
+        assert_eq!(sample.state, Some(DriveState::Running));
+        assert_eq!(sample.get(Channel::Temperature), None, "missing, not zero");
+    }
+
+    #[test]
+    fn values_carry_the_quantisation_of_the_registers() {
+        let (mut link, clock) = link(1);
+        for cycle in 0..50_u32 {
+            clock.set_time_s(f64::from(cycle) * 0.01);
+            let sample = link.exchange(volts(cycle.into(), 24.0)).unwrap();
+            let steps = sample.get(Channel::Speed).unwrap() / 0.02;
+            assert!((steps - steps.round()).abs() < 1e-6);
+        }
+        assert!(link.drive().plant().speed_rad_s() > 20.0);
+    }
+
+    #[test]
+    fn two_links_of_one_seed_agree_to_the_bit() {
+        let ((mut a, clock_a), (mut b, clock_b)) = (link(5), link(5));
+        for cycle in 0..200_u32 {
+            let time = f64::from(cycle) * 0.01;
+            clock_a.set_time_s(time);
+            clock_b.set_time_s(time);
+            let command = volts(cycle.into(), 30.0 * (time * 7.0).sin());
+            assert_eq!(a.exchange(command).unwrap(), b.exchange(command).unwrap());
+        }
+    }
+
+    #[test]
+    fn a_command_that_means_nothing_is_refused_and_counted() {
+        let (mut link, _) = link(1);
+        let error = link.exchange(volts(1, f64::NAN)).unwrap_err();
+        assert!(matches!(error, LinkError::Exception { code: 3, .. }));
+        link.exchange(volts(2, 5.0)).unwrap();
+        link.stop().unwrap();
+        let statistics = link.statistics();
+        assert!(statistics.balances());
+        assert_eq!((statistics.sent, statistics.exception), (3, 1));
+    }
+
+    #[test]
+    fn an_exchange_takes_as_long_as_its_line() {
+        let line = |baud| LineConfig {
+            baud,
+            ..LineConfig::default()
+        };
+        let rtu = Latency::of_line(&line(115_200), true);
+        let usual = Latency::default();
+        assert!((rtu.request_s - usual.request_s).abs() < 0.1e-3, "{rtu:?}");
+        assert!((rtu.reply_s - usual.reply_s).abs() < 0.1e-3, "{rtu:?}");
+        let usb = Latency::of_line(&line(12_000_000), false);
+        // Half a millisecond of turnaround is left.
+        assert!(usb.request_s + usb.reply_s < 0.6e-3, "{usb:?}");
+    }
+
+    #[test]
+    fn silence_of_the_host_ends_in_a_fault_that_the_sample_names() {
+        let (mut link, clock) = link(1);
+        link.exchange(volts(1, 20.0)).unwrap();
+        clock.set_time_s(0.6);
+        let sample = link.exchange(volts(2, 20.0)).unwrap();
+        assert_eq!(sample.state, Some(DriveState::Fault));
+        assert_eq!(sample.fault, Some(Fault::Watchdog.code()));
+        let reset = Command {
+            seq: 3,
+            demand: Demand::ResetFault,
+        };
+        assert_eq!(link.exchange(reset).unwrap().fault, None);
+    }
+}

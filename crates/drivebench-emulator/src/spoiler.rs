@@ -1,0 +1,385 @@
+//! What a line does to the bytes between a drive and its host: the faults of replies, and what talks by itself.
+//!
+//! It stands between codec and port, in virtual time and behind a pseudo-terminal or TCP alike; the drive and the host each
+//! speak as they always do.
+
+use std::collections::BTreeSet;
+
+use firmware_protocol::modbus::{rtu, tcp};
+use firmware_protocol::stream;
+use rand::{Rng, RngCore, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::SoftDrive;
+use super::dialogue::Answering;
+use super::fault::{FaultEntry, FaultKind, Lurking};
+use drivebench_link::Protocol;
+
+/// Between two pieces of what babbles, s, and their bytes.
+const BABBLE_S: f64 = 0.002;
+const BABBLE_BYTES: usize = 24;
+/// Between two requests of somebody else, s, and from there to the reply.
+const FOREIGN_S: f64 = 0.05;
+const FOREIGN_REPLY_S: f64 = 0.005;
+/// The unit that somebody else talks to.
+const FOREIGN_UNIT: u8 = 7;
+/// A reply that is split: its second part comes so much later, s.
+const SPLIT_S: f64 = 0.016;
+/// Lengths of a burst of garbage, and how long after the reply its copy comes, s.
+const BURSTS: [usize; 4] = [3, 40, 1500, 1 << 16];
+const AGAIN_S: [f64; 4] = [0.0, 0.000_3, 0.002_5, 0.009];
+
+/// Bytes of a request that are kept: those of the longest frame of Modbus.
+const LONGEST_REQUEST: usize = 260;
+
+/// Keeps what happens on the line apart from the noise of the same seed.
+const OWN_DICE: u64 = 0x51B0_7A1F_95C3_E26D;
+
+/// The faults of one line.
+pub(super) struct Spoiler {
+    protocol: Protocol,
+    unit: u8,
+    faults: Vec<Lurking>,
+    dice: ChaCha8Rng,
+    /// Bytes of the host since the last reply or silence: the request.
+    request: Vec<u8>,
+    held: Vec<Vec<u8>>,
+}
+
+/// Bytes, and when they arrive, s.
+pub(super) type Timed = (f64, Vec<u8>);
+
+impl Spoiler {
+    pub(super) fn new(faults: &[FaultEntry], protocol: Protocol, unit: u8, seed: u64) -> Self {
+        let of_line = faults.iter().filter(|fault| fault.kind.needs_line());
+        Self {
+            protocol,
+            unit,
+            faults: of_line.copied().map(Lurking::new).collect(),
+            dice: ChaCha8Rng::seed_from_u64(seed ^ OWN_DICE),
+            request: Vec::new(),
+            held: Vec::new(),
+        }
+    }
+
+    /// A byte of the host.
+    pub(super) fn hear(&mut self, byte: u8) {
+        if !self.faults.is_empty() && self.request.len() < LONGEST_REQUEST {
+            self.request.push(byte);
+        }
+    }
+
+    /// The host is silent: what it said is over, answered or not.
+    pub(super) fn silence(&mut self) {
+        self.request.clear();
+    }
+
+    fn is_there(&mut self, kind: FaultKind, now_s: f64, ran_s: Option<f64>) -> bool {
+        let mut of_kind = self.faults.iter_mut().filter(|f| f.entry.kind == kind);
+        of_kind.any(|fault| fault.is_there(now_s, ran_s))
+    }
+
+    /// The exception with which a request is refused.
+    fn refusal(&mut self, now_s: f64, ran_s: Option<f64>) -> Option<u8> {
+        let refuses = |fault: &&mut Lurking| fault.entry.kind == FaultKind::Exception;
+        let mut refusing = self.faults.iter_mut().filter(refuses);
+        refusing.find_map(|fault| {
+            let hits = fault.hits(now_s, ran_s, &mut self.dice);
+            hits.then(|| fault.entry.code.unwrap_or(4))
+        })
+    }
+
+    /// What arrives in the place of an answer that would arrive at `due_s`; the request ended at `now_s`.
+    pub(super) fn reply(
+        &mut self,
+        answer: Vec<u8>,
+        now_s: f64,
+        due_s: f64,
+        ran_s: Option<f64>,
+    ) -> Vec<Timed> {
+        if self.faults.is_empty() {
+            return vec![(due_s, answer)];
+        }
+        let request = std::mem::take(&mut self.request);
+        let mut out: Vec<Timed> = self.held.drain(..).map(|late| (due_s, late)).collect();
+        let of_reply = |fault: &&mut Lurking| is_of_reply(fault.entry.kind);
+        let hit = self.faults.iter_mut().filter(of_reply).find_map(|fault| {
+            let hits = fault.hits(now_s, ran_s, &mut self.dice);
+            hits.then_some(fault.entry)
+        });
+        match hit {
+            None => out.push((due_s, answer)),
+            Some(entry) => self.inflict(entry, answer, &request, (now_s, due_s), &mut out),
+        }
+        out
+    }
+
+    fn inflict(
+        &mut self,
+        entry: FaultEntry,
+        mut answer: Vec<u8>,
+        request: &[u8],
+        (now_s, due_s): (f64, f64),
+        out: &mut Vec<Timed>,
+    ) {
+        let length = answer.len().max(1);
+        match entry.kind {
+            FaultKind::ByteDropped => {
+                answer.remove(self.below(length));
+            }
+            FaultKind::ByteInserted => {
+                let byte = self.bytes(1)[0];
+                answer.insert(self.below(length + 1), byte);
+            }
+            FaultKind::BitFlipped => {
+                let bits: BTreeSet<usize> = (0..=self.below(3))
+                    .map(|_| self.below(8 * length))
+                    .collect();
+                for bit in bits {
+                    answer[bit / 8] ^= 1 << (bit % 8);
+                }
+            }
+            FaultKind::Truncated => answer.truncate(self.below(length)),
+            FaultKind::WrongBaud => answer = self.bytes(length),
+            FaultKind::WrongUnit => answer = self.refit(&answer, |unit, _| *unit ^= 2),
+            FaultKind::WrongRequest => {
+                let by_function = self.below(2) == 0;
+                answer = self.refit(&answer, |_, pdu| spoil(pdu, by_function));
+            }
+            FaultKind::DoubledReply => {
+                let again_s = due_s + AGAIN_S[self.below(AGAIN_S.len())];
+                out.push((again_s, answer.clone()));
+            }
+            FaultKind::Garbage => {
+                let burst = BURSTS[self.below(BURSTS.len())];
+                let burst = self.bytes(burst);
+                if self.below(2) == 0 {
+                    out.push((due_s, burst));
+                } else {
+                    answer.extend(burst);
+                }
+            }
+            FaultKind::SplitReply => {
+                let rest = answer.split_off(self.below(length));
+                out.push((due_s, answer));
+                out.push((due_s + SPLIT_S, rest));
+                return;
+            }
+            FaultKind::Echo => out.push((now_s, request.to_vec())),
+            FaultKind::LateReply => {
+                let late_s = 1e-3 * entry.late_ms.unwrap_or(30.0);
+                out.push((due_s + late_s, answer));
+                return;
+            }
+            FaultKind::HeldReply => return self.held.push(answer),
+            FaultKind::HeldTwice => return self.held.extend([answer.clone(), answer]),
+            FaultKind::Silence => return,
+            _ => {}
+        }
+        out.push((due_s, answer));
+    }
+
+    /// A frame with another unit or content, and a check sum that fits; the stream's frames stay as they are.
+    fn refit(&self, frame: &[u8], change: impl FnOnce(&mut u8, &mut Vec<u8>)) -> Vec<u8> {
+        match (self.protocol, frame) {
+            (Protocol::ModbusRtu, [unit, pdu @ .., _, _]) => {
+                let (mut unit, mut pdu) = (*unit, pdu.to_vec());
+                change(&mut unit, &mut pdu);
+                rtu::encode_frame(unit, &pdu).to_vec()
+            }
+            (Protocol::ModbusTcp, [high, low, _, _, _, _, unit, pdu @ ..]) => {
+                let (mut unit, mut pdu) = (*unit, pdu.to_vec());
+                change(&mut unit, &mut pdu);
+                tcp::encode_frame(u16::from_be_bytes([*high, *low]), unit, &pdu).to_vec()
+            }
+            _ => frame.to_vec(),
+        }
+    }
+
+    /// What talks by itself until `ahead_s`. Another master speaks in its own time: not before `now_s`.
+    pub(super) fn unasked(
+        &mut self,
+        now_s: f64,
+        ahead_s: f64,
+        drive: &mut dyn Answering,
+    ) -> Vec<Timed> {
+        let mut out = Vec::new();
+        if self.faults.is_empty() {
+            return out;
+        }
+        let mut faults = std::mem::take(&mut self.faults);
+        for fault in &mut faults {
+            let kind = fault.entry.kind;
+            if !matches!(
+                kind,
+                FaultKind::Babble | FaultKind::ForeignFrames | FaultKind::SecondMaster
+            ) || !fault.is_there(now_s, drive.ran_s())
+            {
+                continue;
+            }
+            let until_s = if kind == FaultKind::SecondMaster {
+                now_s
+            } else {
+                ahead_s
+            };
+            fault.next_s = fault.next_s.max(now_s);
+            while fault.next_s <= until_s {
+                let at_s = fault.next_s;
+                fault.next_s += if kind == FaultKind::Babble {
+                    BABBLE_S
+                } else {
+                    FOREIGN_S
+                };
+                match kind {
+                    FaultKind::Babble => out.push((at_s, self.bytes(BABBLE_BYTES))),
+                    FaultKind::ForeignFrames => {
+                        let ask = rtu::encode_frame(FOREIGN_UNIT, &[3, 0, 16, 0, 2]);
+                        let tell = rtu::encode_frame(FOREIGN_UNIT, &[3, 4, 0, 1, 0, 2]);
+                        out.push((at_s, ask.to_vec()));
+                        out.push((at_s + FOREIGN_REPLY_S, tell.to_vec()));
+                    }
+                    _ => {
+                        let write = drive.foreign_write();
+                        let told = drive.modbus(&write);
+                        out.push((at_s, rtu::encode_frame(self.unit, &write).to_vec()));
+                        let told = rtu::encode_frame(self.unit, &told).to_vec();
+                        out.push((at_s + FOREIGN_REPLY_S, told));
+                    }
+                }
+            }
+        }
+        self.faults = faults;
+        out
+    }
+
+    fn below(&mut self, bound: usize) -> usize {
+        self.dice.random_range(0..bound.max(1))
+    }
+
+    fn bytes(&mut self, count: usize) -> Vec<u8> {
+        let mut bytes = vec![0; count];
+        self.dice.fill_bytes(&mut bytes);
+        bytes
+    }
+}
+
+/// What is done to a reply; the others keep the request away from the drive, or talk by themselves.
+const fn is_of_reply(kind: FaultKind) -> bool {
+    !matches!(
+        kind,
+        FaultKind::Exception
+            | FaultKind::BlackHole
+            | FaultKind::Babble
+            | FaultKind::ForeignFrames
+            | FaultKind::SecondMaster
+            | FaultKind::PowerLost
+    )
+}
+
+/// Another function, or two registers more than were asked for.
+fn spoil(pdu: &mut Vec<u8>, by_function: bool) {
+    match pdu.as_mut_slice() {
+        [function, ..] if by_function => *function = if *function == 3 { 4 } else { 3 },
+        [3 | 4 | 23, count, ..] => {
+            *count = count.wrapping_add(2);
+            pdu.extend([0, 0]);
+        }
+        // What is echoed is another value then.
+        [_, .., last] => *last ^= 1,
+        _ => {}
+    }
+}
+
+/// The drive behind a line that may keep requests from it.
+pub(super) struct Spoiled<'a> {
+    pub(super) drive: &'a mut dyn Answering,
+    pub(super) spoiler: &'a mut Spoiler,
+    pub(super) now_s: f64,
+}
+
+impl Spoiled<'_> {
+    fn is_deaf(&mut self) -> bool {
+        let ran_s = self.drive.ran_s();
+        let hole = FaultKind::BlackHole;
+        !self.drive.is_powered() || self.spoiler.is_there(hole, self.now_s, ran_s)
+    }
+}
+
+impl Answering for Spoiled<'_> {
+    fn soft(&self) -> &SoftDrive {
+        self.drive.soft()
+    }
+
+    fn advance_to(&mut self, time_s: f64) {
+        self.drive.advance_to(time_s);
+    }
+
+    /// Nothing where the request does not reach the drive.
+    fn modbus(&mut self, request: &[u8]) -> Vec<u8> {
+        if self.is_deaf() {
+            return Vec::new();
+        }
+        let ran_s = self.drive.ran_s();
+        match (request, self.spoiler.refusal(self.now_s, ran_s)) {
+            ([function, ..], Some(code)) => vec![function | 0x80, code],
+            _ => self.drive.modbus(request),
+        }
+    }
+
+    fn stream(
+        &mut self,
+        received: &Result<stream::Frame, stream::FrameError>,
+    ) -> Option<stream::Frame> {
+        if self.is_deaf() {
+            return None;
+        }
+        self.drive.stream(received)
+    }
+
+    fn asked_by(&mut self, session: u64) {
+        self.drive.asked_by(session);
+    }
+
+    fn ran_s(&self) -> Option<f64> {
+        self.drive.ran_s()
+    }
+
+    fn is_powered(&self) -> bool {
+        self.drive.is_powered()
+    }
+
+    fn foreign_write(&self) -> Vec<u8> {
+        self.drive.foreign_write()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn line(kind: &str) -> Spoiler {
+        let fault = toml::from_str(&format!("kind = {kind:?}")).unwrap();
+        Spoiler::new(&[fault], Protocol::ModbusRtu, 1, 7)
+    }
+
+    #[test]
+    fn an_echo_is_the_request_and_nothing_that_was_asked_before() {
+        let mut line = line("echo");
+        (0..100_000).for_each(|_| line.hear(9));
+        assert_eq!(line.request.len(), LONGEST_REQUEST);
+        line.silence();
+        (1..=3).for_each(|byte| line.hear(byte));
+        let sent = line.reply(vec![4], 0.0, 0.1, None);
+        assert_eq!(sent, [(0.0, vec![1, 2, 3]), (0.1, vec![4])]);
+    }
+
+    #[test]
+    fn of_a_reply_one_bit_to_three_are_wrong_and_none_is_right_again() {
+        let mut line = line("bit_flipped");
+        let wrong = (0..2000).map(|_| {
+            let sent = line.reply(vec![0; 2], 0.0, 0.1, None);
+            sent[0].1.iter().map(|byte| byte.count_ones()).sum::<u32>()
+        });
+        assert_eq!(wrong.collect::<BTreeSet<_>>(), BTreeSet::from([1, 2, 3]));
+    }
+}

@@ -1,0 +1,130 @@
+//! Changes of the load while the drive runs: what turns with the shaft, and what pulls at it.
+
+use serde::{Deserialize, Serialize};
+
+/// From `time_s` on; what is left out is as without a change.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Change {
+    /// Since each start of the drive, s.
+    pub time_s: f64,
+    /// Inertia from then on, of the motor's; the speed stays as it is.
+    #[serde(default = "one")]
+    pub inertia_ratio: f64,
+    /// Constant torque against positive motion, N.m; it also pulls at a shaft at rest.
+    #[serde(default)]
+    pub load_n_m: f64,
+}
+
+const fn one() -> f64 {
+    1.0
+}
+
+/// What a bench can do to a shaft.
+const LATEST_S: f64 = 86_400.0;
+const INERTIA_RATIOS: std::ops::RangeInclusive<f64> = 0.01..=100.0;
+const LARGEST_LOAD_N_M: f64 = 1000.0;
+
+impl Change {
+    /// Before the first change.
+    pub(super) const NONE: Self = Self {
+        time_s: 0.0,
+        inertia_ratio: 1.0,
+        load_n_m: 0.0,
+    };
+
+    /// The first value that makes no sense, with what is allowed: `(key, value, allowed)`. Changes stand in the order of
+    /// their times.
+    pub(crate) fn refused(changes: &[Self]) -> Option<(&'static str, f64, &'static str)> {
+        let mut before_s = -1.0;
+        for change in changes {
+            if !(0.0..=LATEST_S).contains(&change.time_s) {
+                return Some(("change.time_s", change.time_s, "0 to 86400 s"));
+            }
+            if change.time_s <= before_s {
+                return Some((
+                    "change.time_s",
+                    change.time_s,
+                    "later than the change before it",
+                ));
+            }
+            if !INERTIA_RATIOS.contains(&change.inertia_ratio) {
+                return Some(("change.inertia_ratio", change.inertia_ratio, "0.01 to 100"));
+            }
+            if !(-LARGEST_LOAD_N_M..=LARGEST_LOAD_N_M).contains(&change.load_n_m) {
+                return Some(("change.load_n_m", change.load_n_m, "-1000 to 1000 N.m"));
+            }
+            before_s = change.time_s;
+        }
+        None
+    }
+}
+
+/// The changes of one machine and the one in force.
+#[derive(Clone, Debug)]
+pub(super) struct Changes {
+    list: Vec<Change>,
+    next: usize,
+    now: Change,
+}
+
+impl Changes {
+    /// `list` in the order of its times.
+    pub(super) const fn new(list: Vec<Change>) -> Self {
+        Self {
+            list,
+            next: 0,
+            now: Change::NONE,
+        }
+    }
+
+    /// Time begins anew.
+    pub(super) const fn restart(&mut self) {
+        (self.next, self.now) = (0, Change::NONE);
+    }
+
+    pub(super) fn advance_to(&mut self, time_s: f64) {
+        while let Some(change) = self.list.get(self.next)
+            && change.time_s <= time_s
+        {
+            (self.next, self.now) = (self.next + 1, *change);
+        }
+    }
+
+    pub(super) const fn now(&self) -> &Change {
+        &self.now
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_change_holds_until_the_next_and_a_restart_undoes_all() {
+        let at = |time_s, inertia_ratio| Change {
+            time_s,
+            inertia_ratio,
+            ..Change::NONE
+        };
+        let mut changes = Changes::new(vec![at(1.0, 0.25), at(2.0, 5.0)]);
+        let mut ratio = |time_s| {
+            changes.advance_to(time_s);
+            changes.now().inertia_ratio
+        };
+        for (time_s, expected) in [
+            (0.0, 1.0),
+            (0.99, 1.0),
+            (1.0, 0.25),
+            (1.5, 0.25),
+            (2.0, 5.0),
+            (9.0, 5.0),
+        ] {
+            assert!((ratio(time_s) - expected).abs() < 1e-12, "{time_s}");
+        }
+        changes.restart();
+        assert_eq!(changes.now(), &Change::NONE);
+        changes.advance_to(9.0);
+        assert_eq!(changes.now(), &at(2.0, 5.0));
+    }
+}

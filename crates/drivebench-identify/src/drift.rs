@@ -1,0 +1,460 @@
+//! What has drifted in a machine between two dates: the change of each parameter, how far chance alone explains it, and what
+//! may be behind it.
+//!
+//! ```text
+//! runs before, runs after -> change and 95 % interval of each parameter -> by chance? (Holm over all parameters) -> words
+//! ```
+//!
+//! The deviation of a fit knows the noise within its run; how far a machine moves from run to run of itself (warmth, load, the
+//! place of a belt) is known from repeats alone. Where there are repeats, the more cautious of the two decides; where there
+//! are none, that is said.
+
+use serde::Serialize;
+use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
+
+use super::temperature;
+use drivebench_model::numerics::statistics::mean;
+use drivebench_model::plant::{MotorKey, effect};
+use drivebench_model::sample::{ParameterEstimate, TWO_SIDED_95};
+use drivebench_model::text::number::{exponent_of, fixed, places, probability, significant};
+
+/// Probability that any parameter at all is named where nothing has changed.
+pub const FALSE_ALARM: f64 = 0.01;
+/// Degrees of freedom below which repeats hardly tell how far a machine moves of itself: two runs beside one are one.
+const FEW: f64 = 3.0;
+/// Standard deviations that a value has to be from zero for its change to be told in per cent of it.
+const CLEAR_OF_ZERO: f64 = 5.0;
+/// Copper: relative change of resistance per kelvin, from 20 °C.
+const COPPER_PER_K: f64 = 0.003_93;
+
+/// The change of one parameter.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Change {
+    pub key: String,
+    pub unit: &'static str,
+    pub before: f64,
+    pub after: f64,
+    /// Runs of either date that carry it.
+    pub runs_before: usize,
+    pub runs_after: usize,
+    /// Of the value before; null where that may as well be zero.
+    pub percent: Option<f64>,
+    pub interval_95_percent: Option<[f64; 2]>,
+    /// The change in the parameter's unit, and its 95 % interval.
+    pub change: f64,
+    pub interval_95: [f64; 2],
+    /// That chance alone gives a change like this to any of the parameters that were compared.
+    pub by_chance: f64,
+    /// That the noise within the runs alone gives it to this parameter.
+    pub by_noise: f64,
+    pub drifted: bool,
+    /// Beyond the noise within the runs, and yet not named: the repeats are too few to tell how far the machine moves of itself.
+    pub unsettled: bool,
+    /// What may be behind it; none where it is not shown, or where nothing is known.
+    pub possible_cause: Option<String>,
+    pub sentence: String,
+}
+
+impl Change {
+    /// Largest change that its 95 % interval holds, either way, in per cent.
+    pub fn at_most_percent(&self) -> Option<f64> {
+        self.interval_95_percent
+            .map(|[low, high]| low.abs().max(high.abs()))
+    }
+}
+
+/// A parameter that was not compared, and why.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct NotCompared {
+    pub key: String,
+    pub reason: String,
+    /// The earlier runs carried it: what it has done since is not known.
+    pub carried_before: bool,
+}
+
+/// All parameters of one machine at two dates.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Drift {
+    pub changes: Vec<Change>,
+    pub not_compared: Vec<NotCompared>,
+    pub runs_before: usize,
+    pub runs_after: usize,
+    /// What the intervals do not hold; null where nothing is missing from them.
+    pub caution: Option<String>,
+    /// The answer in one line.
+    pub sentence: String,
+}
+
+impl Drift {
+    /// Keys of the parameters that have drifted.
+    pub fn drifted(&self) -> impl Iterator<Item = &Change> {
+        self.changes.iter().filter(|change| change.drifted)
+    }
+
+    /// What has drifted, and what may have: of all others it was shown how little they can have changed.
+    pub fn in_question(&self) -> impl Iterator<Item = &Change> {
+        let changes = self.changes.iter();
+        changes.filter(|change| change.drifted || change.unsettled)
+    }
+
+    /// What the earlier runs carried and the later ones do not.
+    pub fn lost(&self) -> impl Iterator<Item = &NotCompared> {
+        let all = self.not_compared.iter();
+        all.filter(|parameter| parameter.carried_before)
+    }
+
+    /// Largest change of what is in question, either way, in per cent: zero where nothing is. Not known where one of them has
+    /// no share, where a parameter was lost, or where nothing was compared.
+    pub fn largest_percent(&self) -> Option<f64> {
+        self.largest(
+            self.in_question()
+                .map(|change| change.percent.map(f64::abs)),
+        )
+    }
+
+    /// Largest change of any parameter that its own 95 % interval leaves open, in per cent; not known as above.
+    pub fn open_percent(&self) -> Option<f64> {
+        self.largest(self.changes.iter().map(Change::at_most_percent))
+    }
+
+    fn largest(&self, sizes: impl Iterator<Item = Option<f64>>) -> Option<f64> {
+        let is_whole = !self.changes.is_empty() && self.lost().next().is_none();
+        let sizes: Option<Vec<f64>> = sizes.collect();
+        Some(sizes.filter(|_| is_whole)?.into_iter().fold(0.0, f64::max))
+    }
+}
+
+/// One parameter at one date.
+struct Seen {
+    values: Vec<f64>,
+    /// Mean variance of one fit.
+    within: f64,
+    unit: &'static str,
+}
+
+impl Seen {
+    fn of(key: &str, runs: &[Vec<ParameterEstimate>]) -> Option<Self> {
+        let all = runs
+            .iter()
+            .filter_map(|run| ParameterEstimate::find(run, key));
+        let unit = all.clone().next()?.unit;
+        let carried = all.filter_map(|estimate| {
+            let (value, std) = estimate.carried()?;
+            std.filter(|std| std.is_finite() && *std > 0.0)
+                .map(|std| (value, std * std))
+        });
+        let (values, variances): (Vec<f64>, Vec<f64>) = carried.unzip();
+        (!values.is_empty()).then(|| Self {
+            within: mean(&variances),
+            values,
+            unit,
+        })
+    }
+
+    fn count(&self) -> f64 {
+        self.values.len() as f64
+    }
+
+    fn squares(&self) -> f64 {
+        let centre = mean(&self.values);
+        self.values
+            .iter()
+            .map(|value| (value - centre).powi(2))
+            .sum()
+    }
+}
+
+/// Compares the estimates of runs at two dates, run by run on either side; `since` is the earlier date as it is to be said.
+pub fn between(
+    before: &[Vec<ParameterEstimate>],
+    after: &[Vec<ParameterEstimate>],
+    since: &str,
+) -> Drift {
+    let mut keys: Vec<&str> = Vec::new();
+    for parameter in before.iter().chain(after).flatten() {
+        if !keys.contains(&parameter.key.as_str()) {
+            keys.push(&parameter.key);
+        }
+    }
+    // One quantity is asked once: at 20 °C where warmth is known on both sides.
+    let both = |key: &str| Seen::of(key, before).zip(Seen::of(key, after));
+    let resistance = MotorKey::Resistance.key();
+    let is_at_20 = both(temperature::KEY).is_some();
+    keys.retain(|key| {
+        if is_at_20 {
+            *key != resistance
+        } else {
+            *key != temperature::KEY
+        }
+    });
+    let (mut changes, mut not_compared) = (Vec::new(), Vec::new());
+    for key in keys {
+        match both(key) {
+            Some((earlier, later)) => changes.push(change(key, &earlier, &later)),
+            None => not_compared.extend(why_not(key, before, after)),
+        }
+    }
+    correct(&mut changes);
+    let compared = changes.len() as f64;
+    for change in &mut changes {
+        change.drifted = change.by_chance < FALSE_ALARM;
+        let is_beyond_noise = compared * change.by_noise < FALSE_ALARM;
+        let freedom = (change.runs_before + change.runs_after) as f64 - 2.0;
+        change.unsettled = is_beyond_noise && !change.drifted && freedom < FEW;
+        change.possible_cause = change.drifted.then(|| cause(change)).flatten();
+        change.sentence = sentence(change, since);
+    }
+    let single = |change: &&Change| change.runs_before + change.runs_after <= 2;
+    let singles: Vec<String> = changes
+        .iter()
+        .filter(single)
+        .map(|change| name(&change.key))
+        .collect();
+    let of = if singles.len() == changes.len() {
+        String::new()
+    } else {
+        format!(" with {}", singles.join(", "))
+    };
+    let caution = (!singles.is_empty()).then(|| {
+        format!(
+            "one run on each side{of}: how far this machine moves from run to run of itself is not known, and in no interval"
+        )
+    });
+    Drift {
+        sentence: answer(&changes, &not_compared, since),
+        changes,
+        not_compared,
+        runs_before: before.len(),
+        runs_after: after.len(),
+        caution,
+    }
+}
+
+fn why_not(
+    key: &str,
+    before: &[Vec<ParameterEstimate>],
+    after: &[Vec<ParameterEstimate>],
+) -> Option<NotCompared> {
+    let all = || {
+        before
+            .iter()
+            .chain(after)
+            .flatten()
+            .filter(|estimate| estimate.key == key)
+    };
+    // What was given to both is no finding of either.
+    let is_given = all().all(|estimate| estimate.std == Some(0.0));
+    let unseen = |runs| Seen::of(key, runs).is_none();
+    let sides = (unseen(before), unseen(after));
+    let reason = match sides {
+        (true, true) => "not carried by the runs of either date",
+        (true, false) => "not carried by the earlier runs",
+        _ => "not carried by the later runs",
+    };
+    let said = all().find_map(|estimate| estimate.reason.clone());
+    let reason = said.map_or_else(|| reason.to_owned(), |said| format!("{reason}: {said}"));
+    (!is_given).then(|| NotCompared {
+        key: key.to_owned(),
+        reason,
+        carried_before: !sides.0,
+    })
+}
+
+/// The change with its interval; the probability is that of this parameter alone.
+fn change(key: &str, before: &Seen, after: &Seen) -> Change {
+    let (from, to) = (mean(&before.values), mean(&after.values));
+    let change = to - from;
+    let by_noise = (before.within / before.count() + after.within / after.count()).sqrt();
+    let freedom = before.count() + after.count() - 2.0;
+    let pooled = (freedom > 0.0).then(|| (before.squares() + after.squares()) / freedom);
+    let student = pooled.and_then(|pooled| Some((pooled, StudentsT::new(0.0, 1.0, freedom).ok()?)));
+    // Of `to - share * from`; the more cautious of noise and spread.
+    let half = |share: f64| {
+        let of = |earlier: f64, later: f64| {
+            (later / after.count() + share * share * earlier / before.count()).sqrt()
+        };
+        let of_spread = student.map_or(0.0, |(pooled, student)| {
+            student.inverse_cdf(0.975) * of(pooled, pooled)
+        });
+        of_spread.max(TWO_SIDED_95 * of(before.within, after.within))
+    };
+    let normal = Normal::standard();
+    let of_noise = 2.0 * normal.sf(change.abs() / by_noise);
+    let mut by_chance = of_noise;
+    if let Some((pooled, student)) = student.filter(|(pooled, _)| *pooled > 0.0) {
+        let std = (pooled * (1.0 / before.count() + 1.0 / after.count())).sqrt();
+        by_chance = by_chance.max(2.0 * student.sf(change.abs() / std));
+    }
+    // What is divided by is uncertain itself: its part of the interval grows with the ratio.
+    let is_clear = from.abs() > CLEAR_OF_ZERO * (before.within / before.count()).sqrt();
+    let (half, widened) = (half(1.0), half(to / from));
+    let percent = |value: f64| 100.0 * value / from;
+    let ends = [percent(change - widened), percent(change + widened)];
+    Change {
+        key: key.to_owned(),
+        unit: before.unit,
+        before: from,
+        after: to,
+        runs_before: before.values.len(),
+        runs_after: after.values.len(),
+        percent: is_clear.then(|| percent(change)),
+        interval_95_percent: is_clear.then(|| [ends[0].min(ends[1]), ends[0].max(ends[1])]),
+        change,
+        interval_95: [change - half, change + half],
+        by_chance,
+        by_noise: of_noise,
+        drifted: false,
+        unsettled: false,
+        possible_cause: None,
+        sentence: String::new(),
+    }
+}
+
+/// Corrects the probabilities for the number of parameters that were looked at (Holm 1979).
+fn correct(changes: &mut [Change]) {
+    let mut order: Vec<usize> = (0..changes.len()).collect();
+    order.sort_by(|a, b| changes[*a].by_chance.total_cmp(&changes[*b].by_chance));
+    let (count, mut least) = (order.len(), 0.0_f64);
+    for (rank, index) in order.into_iter().enumerate() {
+        let corrected = (changes[index].by_chance * (count - rank) as f64).min(1.0);
+        least = least.max(corrected);
+        changes[index].by_chance = least;
+    }
+}
+
+/// What a person calls a parameter.
+pub fn name(key: &str) -> String {
+    let name = match MotorKey::from_key(key) {
+        Some(MotorKey::Resistance) => "resistance",
+        Some(MotorKey::Inductance) => "inductance",
+        Some(MotorKey::BackEmf) => "back-EMF constant",
+        Some(MotorKey::TorqueConstant) => "torque constant",
+        Some(MotorKey::Inertia) => "inertia",
+        Some(MotorKey::LoadTorque) => "friction (load torque)",
+        None if key == temperature::KEY => "resistance at 20 °C",
+        None => key,
+    };
+    name.to_owned()
+}
+
+/// What is known to move a parameter like this.
+fn cause(change: &Change) -> Option<String> {
+    let grew = change.change > 0.0;
+    let share = change.percent.map(|percent| percent / 100.0);
+    Some(match MotorKey::from_key(&change.key) {
+        Some(MotorKey::Resistance) => {
+            let kelvin = significant(share?.abs() / COPPER_PER_K, 2);
+            let warmth = if grew { "warmer" } else { "colder" };
+            format!(
+                "a winding some {kelvin} K {warmth}, where that is all of it; connections or brushes"
+            )
+        }
+        Some(MotorKey::Inductance) if grew => "less saturation: a smaller current".to_owned(),
+        Some(MotorKey::Inductance) => "more saturation, or a shorted turn".to_owned(),
+        Some(MotorKey::BackEmf) if grew => "colder magnets; the scale of the speed".to_owned(),
+        Some(MotorKey::BackEmf) => "warmer or weakened magnets; the scale of the speed".to_owned(),
+        Some(MotorKey::TorqueConstant) => "magnets; the scale of the torque".to_owned(),
+        Some(MotorKey::Inertia) => "another load on the shaft, or a loose coupling".to_owned(),
+        Some(MotorKey::LoadTorque) if grew => {
+            "bearing, lubrication, brushes, or another load".to_owned()
+        }
+        Some(MotorKey::LoadTorque) => "running in, warmer lubricant, or another load".to_owned(),
+        None if change.key == temperature::KEY => {
+            "connections, brushes, or a damaged winding".to_owned()
+        }
+        None => {
+            let (id, _) = change.key.split_once('.')?;
+            effect::find(id)?.card().drift_cause?.to_owned()
+        }
+    })
+}
+
+/// Three numbers with their sign, to the digits that tell the ends of the interval apart.
+fn signed(value: f64, [low, high]: [f64; 2]) -> [String; 3] {
+    let decimals = places(exponent_of(0.5 * (high - low), 1).saturating_neg());
+    [value, low, high].map(|value| {
+        let text = fixed(value, decimals);
+        if value > 0.0 {
+            format!("+{text}")
+        } else {
+            text
+        }
+    })
+}
+
+/// The change itself, with its interval.
+fn size(change: &Change) -> String {
+    if let (Some(percent), Some(interval)) = (change.percent, change.interval_95_percent) {
+        let [percent, low, high] = signed(percent, interval);
+        return format!("{percent} % (95 % interval {low} to {high} %)");
+    }
+    let [size, low, high] = signed(change.change, change.interval_95);
+    let unit = change.unit;
+    format!("{size} {unit} (95 % interval {low} to {high} {unit})")
+}
+
+fn sentence(change: &Change, since: &str) -> String {
+    let name = name(&change.key);
+    if change.drifted {
+        let chance = probability(change.by_chance);
+        let cause = change.possible_cause.as_ref();
+        let cause = cause.map_or_else(String::new, |cause| format!("; possible cause: {cause}"));
+        return format!(
+            "{name} {} since {since}, {chance} by chance{cause}",
+            size(change)
+        );
+    }
+    if change.unsettled {
+        return format!(
+            "{name} {} since {since}: beyond the noise within the runs, and too few of them to tell how far this machine moves \
+             from run to run of itself; repeat the run",
+            size(change)
+        );
+    }
+    match change.at_most_percent() {
+        Some(most) => format!(
+            "{name}: no change larger than {} % is left open (95 %) since {since}",
+            significant(most, 2)
+        ),
+        None => format!("{name}: no change shown since {since}: {}", size(change)),
+    }
+}
+
+fn answer(changes: &[Change], not_compared: &[NotCompared], since: &str) -> String {
+    let told = |is: fn(&Change) -> bool| {
+        let named = changes.iter().filter(|change| is(change));
+        let named = named.map(|change| format!("{} {}", name(&change.key), size(change)));
+        named.collect::<Vec<_>>().join("; ")
+    };
+    let (drifted, unsettled) = (
+        told(|change| change.drifted),
+        told(|change| change.unsettled),
+    );
+    let open: Option<Vec<f64>> = changes.iter().map(Change::at_most_percent).collect();
+    let count = changes.len();
+    let answer = if !drifted.is_empty() {
+        format!("drifted since {since}: {drifted}")
+    } else if !unsettled.is_empty() {
+        format!("not settled whether there is a drift since {since}: {unsettled}")
+    } else if changes.is_empty() {
+        "nothing can be said: no parameter is carried by the runs of both dates".to_owned()
+    } else if let Some(open) = open {
+        let most = significant(open.into_iter().fold(0.0, f64::max), 2);
+        format!(
+            "no drift shown since {since}: {count} parameters compared, no change larger than {most} % is left open (95 % for \
+             each alone)"
+        )
+    } else {
+        format!("no drift shown since {since}: {count} parameters compared")
+    };
+    let unknown: Vec<String> = not_compared.iter().map(|one| name(&one.key)).collect();
+    if unknown.is_empty() {
+        answer
+    } else {
+        format!("{answer}; not compared: {}", unknown.join(", "))
+    }
+}
+
+#[cfg(test)]
+#[path = "drift_tests.rs"]
+mod tests;

@@ -1,0 +1,277 @@
+//! A model's frequency response beside the measured one: the model runs freely under the voltage of the record, and what it
+//! gives in the place of the measured current and speed goes through the same estimator, so that every effect of the model is
+//! in it without being made linear.
+//!
+//! ```text
+//! Scenario, model -> free run -> Scenario of the model -> the same stretches, the same estimator -> Departure
+//! ```
+
+use serde::Serialize;
+
+use super::{
+    FrequencyResponse, FrequencyResponseError, Mode, ModeKind, Pathway, PathwayResponse,
+    ResponsePoint, frequency_response, response_over,
+};
+use crate::noise::NoiseFloor;
+use crate::output_error::{FitError, predict};
+use drivebench_model::plant::{Model, Scenario};
+use drivebench_model::text::number::significant;
+
+/// Half widths of the interval that the farthest point of a band is off by at least: what chance does, it does at one point.
+const FARTHEST: f64 = 2.0;
+/// Points of a band, and lines of the spectrum that it spans: more than one estimate, none of which knows of the other.
+const FEWEST_POINTS: usize = 3;
+const FEWEST_LINES: f64 = 22.0;
+/// Points inside of their intervals that do not end a band.
+const BRIDGED: usize = 2;
+/// Share of the magnitude, and angle in radians, below which a difference is of no consequence.
+const LEAST: f64 = 0.05;
+/// Logarithm of the ratio of two neighbouring frequencies up to which a response is looked up between them.
+const WIDEST_STEP: f64 = 0.06;
+/// Share of a frequency within which two modes are the same.
+const SAME_MODE: f64 = 0.1;
+
+/// A band in which model and measurement differ by more than the intervals.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Departure {
+    pub pathway: Pathway,
+    pub from_hz: f64,
+    pub to_hz: f64,
+    /// Where the model is farthest off.
+    pub at_hz: f64,
+    /// Model over measurement there, and the phase of the model less the measured one.
+    pub magnitude_db: f64,
+    pub phase_deg: f64,
+}
+
+impl Departure {
+    pub fn sentence(&self) -> String {
+        let [from, to, at] = [self.from_hz, self.to_hz, self.at_hz].map(|hz| significant(hz, 3));
+        format!(
+            "{}: from {from} to {to} Hz the model is up to {:+.1} dB and {:+.0} degrees off (at {at} Hz)",
+            self.pathway.name(),
+            self.magnitude_db,
+            self.phase_deg
+        )
+    }
+}
+
+/// Measurement and, where there is one, model.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Compared {
+    #[serde(flatten)]
+    pub measured: FrequencyResponse,
+    pub model: Option<FrequencyResponse>,
+    /// None without a model.
+    pub departures: Vec<Departure>,
+}
+
+/// What the model would have measured in the place of what was measured: its initial state alone is fitted.
+///
+/// # Errors
+/// A model that is not complete or cannot be simulated over the record.
+pub fn of_model(model: &Model, scenarios: &[Scenario]) -> Result<Vec<Scenario>, FitError> {
+    let beside = |scenario: &Scenario| {
+        let noise = NoiseFloor::from_standstill(scenario)
+            .unwrap_or_else(|| NoiseFloor::from_spread(scenario));
+        let found = predict(model, scenario, &noise)?.trajectory;
+        // Where nothing was measured the model says nothing either: the same estimator sees the same gaps.
+        let in_place = |measured: &[f64], model: &[f64]| {
+            let pairs = measured.iter().zip(model);
+            let value = |(measured, model): (&f64, &f64)| {
+                if measured.is_finite() {
+                    *model
+                } else {
+                    f64::NAN
+                }
+            };
+            pairs.map(value).collect()
+        };
+        Ok(Scenario {
+            current_a: in_place(&scenario.current_a, &found.current_a),
+            speed_rad_s: in_place(&scenario.speed_rad_s, &found.speed_rad_s),
+            ..scenario.clone()
+        })
+    };
+    scenarios.iter().map(beside).collect()
+}
+
+/// The response of `scenarios` beside that of `model`, which holds what the model gives in each of them.
+///
+/// # Errors
+/// As [`frequency_response`].
+pub fn compared(
+    scenarios: &[Scenario],
+    model: Option<&[Scenario]>,
+) -> Result<Compared, FrequencyResponseError> {
+    let mut measured = frequency_response(scenarios)?;
+    measured.cautions.extend(disagreements(scenarios)?);
+    let model = model
+        .map(|model| response_over(model, scenarios))
+        .transpose()?;
+    let departures = model
+        .as_ref()
+        .map_or_else(Vec::new, |model| departures(&measured, model));
+    Ok(Compared {
+        measured,
+        model,
+        departures,
+    })
+}
+
+impl Compared {
+    /// Resonances that were measured and that the model has not, of the mechanics alone: what a second inertia behind a
+    /// coupling makes. The model's response has to carry that frequency, or it would not show one.
+    pub fn missing_resonances(&self) -> Vec<Mode> {
+        let Some(model) = &self.model else {
+            return Vec::new();
+        };
+        let is_of_mechanics = |mode: &&Mode| {
+            mode.kind == ModeKind::Resonance && mode.pathway == Pathway::CurrentToSpeed
+        };
+        let is_same = |one: &Mode, other: &Mode| {
+            one.kind == other.kind
+                && one.pathway == other.pathway
+                && (one.frequency_hz / other.frequency_hz).ln().abs() < SAME_MODE
+        };
+        let departs = |mode: &Mode| {
+            let mut own = self.departures.iter();
+            own.any(|band| (band.from_hz..=band.to_hz).contains(&mode.frequency_hz))
+        };
+        let measured = self.measured.modes.iter().filter(is_of_mechanics);
+        measured
+            .filter(|mode| departs(mode) && !model.modes.iter().any(|own| is_same(own, mode)))
+            .copied()
+            .collect()
+    }
+}
+
+/// Runs whose response is not that of the first of them: the mean of both would be that of no machine.
+fn disagreements(scenarios: &[Scenario]) -> Result<Vec<String>, FrequencyResponseError> {
+    let [first, others @ ..] = scenarios else {
+        return Ok(Vec::new());
+    };
+    if others.is_empty() {
+        return Ok(Vec::new());
+    }
+    let of_first = frequency_response(std::slice::from_ref(first))?;
+    let mut said = Vec::new();
+    for other in others {
+        let mut own = frequency_response(std::slice::from_ref(other))?;
+        for pathway in &mut own.pathways {
+            pathway.points.retain(|point| point.is_carried);
+        }
+        let differs = departures(&of_first, &own);
+        let widest = differs
+            .iter()
+            .max_by(|a, b| (a.to_hz / a.from_hz).total_cmp(&(b.to_hz / b.from_hz)));
+        said.extend(widest.map(|band| {
+            let [from, to] = [band.from_hz, band.to_hz].map(|hz| significant(hz, 3));
+            format!(
+                "from {from} to {to} Hz ({}) two runs differ by more than their intervals: are they of one machine in one state? What \
+                 is shown lies between them ({} and {})",
+                band.pathway.name(),
+                first.name,
+                other.name
+            )
+        }));
+    }
+    Ok(said)
+}
+
+fn departures(measured: &FrequencyResponse, model: &FrequencyResponse) -> Vec<Departure> {
+    let lines_hz = FEWEST_LINES * measured.used_s.recip() * measured.stretches as f64;
+    let own = measured.pathways.iter().filter_map(|own| {
+        let mut others = model.pathways.iter();
+        let other = others.find(|other| other.pathway == own.pathway)?;
+        Some(bands(own, other, lines_hz))
+    });
+    own.flatten().collect()
+}
+
+/// The measured point, how far the model is off in half widths, and by how much.
+struct Off {
+    at: usize,
+    half_widths: f64,
+    departure: Departure,
+}
+
+fn bands(measured: &PathwayResponse, model: &PathwayResponse, lines_hz: f64) -> Vec<Departure> {
+    let points = &measured.points;
+    let all = points.iter().enumerate().filter(|(_, own)| own.is_carried);
+    let off = all.filter_map(|(at, own)| off(at, measured.pathway, own, &model.points));
+    let off: Vec<Off> = off.filter(|off| off.half_widths > 1.0).collect();
+    let pieces = off.chunk_by(|a, b| b.at - a.at <= 1 + BRIDGED);
+    let found = pieces.filter_map(|piece| {
+        let farthest = piece
+            .iter()
+            .max_by(|a, b| a.half_widths.total_cmp(&b.half_widths))?;
+        let (first, last) = (piece.first()?, piece.last()?);
+        let (from_hz, to_hz) = (points[first.at].frequency_hz, points[last.at].frequency_hz);
+        let is_wide = piece.len() >= FEWEST_POINTS && to_hz - from_hz >= lines_hz;
+        // What is said of the band is where it matters most, in the magnitude itself.
+        let largest = piece.iter().max_by(|a, b| {
+            let size = |off: &Off| off.departure.magnitude_db.abs();
+            size(a).total_cmp(&size(b))
+        })?;
+        (is_wide && farthest.half_widths >= FARTHEST).then_some(Departure {
+            from_hz,
+            to_hz,
+            ..largest.departure
+        })
+    });
+    found.collect()
+}
+
+/// Half of a point's interval, in the logarithm of its magnitude.
+fn half_width(point: &ResponsePoint) -> f64 {
+    (point.magnitude_high / point.magnitude).ln()
+}
+
+/// Magnitude, phase in degrees and half width at a frequency, between the two points about it where none is at it: records of
+/// other lengths have other frequencies.
+fn at_frequency(points: &[ResponsePoint], hertz: f64) -> Option<(f64, f64, f64)> {
+    let place = points.partition_point(|point| point.frequency_hz < hertz);
+    let above = points.get(place)?;
+    let below = if above.frequency_hz <= hertz {
+        above
+    } else {
+        points.get(place.checked_sub(1)?)?
+    };
+    let span = (above.frequency_hz / below.frequency_hz).ln();
+    if span > WIDEST_STEP {
+        return None;
+    }
+    let share = if span > 0.0 {
+        (hertz / below.frequency_hz).ln() / span
+    } else {
+        0.0
+    };
+    let between = |of: fn(&ResponsePoint) -> f64| of(below) + share * (of(above) - of(below));
+    Some((
+        between(|point| point.magnitude.ln()).exp(),
+        between(|point| point.phase_deg),
+        half_width(below).max(half_width(above)),
+    ))
+}
+
+fn off(at: usize, pathway: Pathway, own: &ResponsePoint, model: &[ResponsePoint]) -> Option<Off> {
+    let (other_magnitude, other_phase_deg, other_half) = at_frequency(model, own.frequency_hz)?;
+    let half_width = half_width(own).hypot(other_half);
+    let magnitude = (other_magnitude / own.magnitude).ln();
+    let phase_deg = other_phase_deg - own.phase_deg;
+    let phase_deg = phase_deg - 360.0 * (phase_deg / 360.0).round();
+    let size = magnitude.abs().max(phase_deg.to_radians().abs());
+    (size.is_finite() && size >= LEAST).then(|| Off {
+        at,
+        half_widths: size / half_width,
+        departure: Departure {
+            pathway,
+            from_hz: own.frequency_hz,
+            to_hz: own.frequency_hz,
+            at_hz: own.frequency_hz,
+            magnitude_db: 20.0 * magnitude * std::f64::consts::LOG10_E,
+            phase_deg,
+        },
+    })
+}

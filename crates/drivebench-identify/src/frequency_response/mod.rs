@@ -1,0 +1,761 @@
+//! Frequency response from a record: magnitude, phase and coherence with their intervals, and the resonances and
+//! anti-resonances with their damping.
+//!
+//! ```text
+//! Scenario -> stretches in which the shaft keeps turning -> spectrum (Fourier integrals) -+-> local_polynomial -> points
+//!                                                                                         +-> rational -> modes
+//! beside: the same of a model under the same voltage, and where the two differ
+//! ```
+//!
+//! Any excitation serves that has many frequencies: a chirp, a pseudo-random sequence, a sum of sines. A shaft that passes
+//! zero has friction that jumps, which no linear response describes; stretches of one direction are therefore looked for, and
+//! an excitation about an offset has one.
+
+mod beside;
+mod local_polynomial;
+mod rational;
+mod spectrum;
+
+use std::ops::Range;
+
+use nalgebra::{Complex, Matrix2};
+use rayon::prelude::*;
+use serde::Serialize;
+use thiserror::Error;
+
+pub use self::beside::{Compared, Departure, compared, of_model};
+use self::local_polynomial::{FREEDOM, LINES, Line, Local, SIDE, local};
+use self::rational::{Lines, Pair};
+use drivebench_model::numerics::count::whole;
+use drivebench_model::numerics::statistics::{mean, median_step};
+use drivebench_model::plant::{Input, Scenario};
+use drivebench_model::sample::TWO_SIDED_95;
+use drivebench_model::signal::{Point, holding_since};
+use drivebench_model::text::number::{shortest, with_std};
+
+/// Points per decade.
+const PER_DECADE: f64 = 100.0;
+/// Highest frequency, in sampling rates: above it too little separates a response from its image.
+const HIGHEST: f64 = 0.3;
+/// Half width of a point's interval, as a share, with which it still counts as carried.
+const WIDEST: f64 = 0.5;
+/// Share of what is corrected between the samples that is left in doubt: a command need not be held from sample to sample.
+const DOUBT: f64 = 0.25;
+/// Least coherence with which a point counts as carried by the excitation.
+pub const CARRIED: f64 = 0.8;
+/// Share of the largest speed below which a shaft counts as about to turn round.
+const TURNING: f64 = 0.02;
+/// Rows and seconds of a stretch that is worth looking at.
+const FEWEST_ROWS: usize = 200;
+const SHORTEST_S: f64 = 1.0;
+/// Longest stretch, rows, and most stretches: what is longer is cut, and adds nothing that averaging has not shown.
+const LONGEST_ROWS: usize = 16_384;
+const MOST_STRETCHES: usize = 12;
+/// Stretches and lines of each from which poles and zeros are taken.
+const FITTED_STRETCHES: usize = 3;
+const FITTED_LINES: usize = 1_200;
+/// Student's t, two-sided 95 %, for the ten real degrees of freedom of one stretch.
+const STUDENT_95: f64 = 2.23;
+/// Steps between carried points within which a band goes on, and points of a band.
+const BRIDGED: usize = 4;
+const FEWEST_OF_A_BAND: usize = 3;
+/// How far a peak stands from its frequency at the most, and in dampings how far from it what it stands above, as shares; and
+/// by how much it does at least, as a logarithm: 3 dB.
+const NEAREST: f64 = 0.025;
+const ASIDE: f64 = 3.0;
+const FARTHEST: f64 = 0.6;
+const LEAST_CONTRAST: f64 = 0.35;
+/// Damping above which a pair makes no peak to speak of, and the deviations beyond which a pair is not known well enough to be named.
+const MOST_DAMPING: f64 = 0.4;
+const MOST_FREQUENCY_SHARE: f64 = 0.05;
+const MOST_DAMPING_SHARE: f64 = 0.5;
+
+/// From which signal to which.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Pathway {
+    VoltageToSpeed,
+    VoltageToCurrent,
+    /// The mechanics alone, whatever the winding does: the ratio of the other two.
+    CurrentToSpeed,
+}
+
+impl Pathway {
+    pub const ALL: [Self; 3] = [
+        Self::VoltageToSpeed,
+        Self::VoltageToCurrent,
+        Self::CurrentToSpeed,
+    ];
+
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::VoltageToSpeed => "voltage to speed",
+            Self::VoltageToCurrent => "voltage to current",
+            Self::CurrentToSpeed => "current to speed",
+        }
+    }
+
+    /// As an argument names it.
+    pub const fn key(self) -> &'static str {
+        match self {
+            Self::VoltageToSpeed => "voltage-to-speed",
+            Self::VoltageToCurrent => "voltage-to-current",
+            Self::CurrentToSpeed => "current-to-speed",
+        }
+    }
+
+    pub const fn unit(self) -> &'static str {
+        match self {
+            Self::VoltageToSpeed => "rad/s per V",
+            Self::VoltageToCurrent => "A per V",
+            Self::CurrentToSpeed => "rad/s per A",
+        }
+    }
+}
+
+/// A pathway at one frequency; limits are of 95 % intervals.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ResponsePoint {
+    pub frequency_hz: f64,
+    /// In the unit of the pathway.
+    pub magnitude: f64,
+    pub magnitude_low: f64,
+    pub magnitude_high: f64,
+    /// Continued over the half turns from the lowest frequency on.
+    pub phase_deg: f64,
+    pub phase_half_width_deg: f64,
+    /// Share of the output's power that the input explains.
+    pub coherence: f64,
+    /// Whether the excitation carries this point.
+    pub is_carried: bool,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PathwayResponse {
+    pub pathway: Pathway,
+    pub unit: &'static str,
+    pub points: Vec<ResponsePoint>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ModeKind {
+    Resonance,
+    AntiResonance,
+}
+
+impl ModeKind {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Resonance => "resonance",
+            Self::AntiResonance => "anti-resonance",
+        }
+    }
+}
+
+/// A pair of poles or zeros that swings.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Mode {
+    pub kind: ModeKind,
+    pub pathway: Pathway,
+    pub frequency_hz: f64,
+    pub frequency_std_hz: f64,
+    pub damping_ratio: f64,
+    pub damping_std: f64,
+}
+
+impl Mode {
+    /// Kind, frequency and damping, each with its 95 % interval.
+    pub fn text(&self) -> String {
+        let hertz = with_std(self.frequency_hz, TWO_SIDED_95 * self.frequency_std_hz);
+        let damping = with_std(self.damping_ratio, TWO_SIDED_95 * self.damping_std);
+        format!("{} at {hertz} Hz, damping {damping}", self.kind.name())
+    }
+}
+
+/// What a record shows of its plant over frequency.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct FrequencyResponse {
+    pub pathways: Vec<PathwayResponse>,
+    pub modes: Vec<Mode>,
+    /// From the length of the stretches, and from the rate of their samples, Hz.
+    pub lowest_hz: f64,
+    pub highest_hz: f64,
+    pub sampling_hz: f64,
+    /// Seconds of record that were used, in how many stretches.
+    pub used_s: f64,
+    pub stretches: usize,
+    /// What limits it, in sentences.
+    pub cautions: Vec<String>,
+}
+
+impl FrequencyResponse {
+    pub fn of(&self, pathway: Pathway) -> Option<&PathwayResponse> {
+        self.pathways.iter().find(|own| own.pathway == pathway)
+    }
+
+    /// The modes of a pathway, the lowest first.
+    pub fn modes_of(&self, pathway: Pathway) -> Vec<Mode> {
+        let own = self.modes.iter().filter(|mode| mode.pathway == pathway);
+        let mut own: Vec<Mode> = own.copied().collect();
+        own.sort_by(|a, b| a.frequency_hz.total_cmp(&b.frequency_hz));
+        own
+    }
+
+    /// The pathway that tells most: the mechanics alone where they swing, else the first that is carried.
+    pub fn telling(&self) -> Option<Pathway> {
+        let mechanics = Pathway::CurrentToSpeed;
+        if !self.modes_of(mechanics).is_empty() {
+            return Some(mechanics);
+        }
+        let carried = self.pathways.iter().find(|own| !own.bands_hz().is_empty());
+        carried.or(self.pathways.first()).map(|own| own.pathway)
+    }
+
+    /// What the rate of the samples can show, and what it cannot.
+    pub fn rate_sentence(&self) -> String {
+        let [sampling, highest, half] =
+            [self.sampling_hz, self.highest_hz, 0.5 * self.sampling_hz].map(|hz| shortest(hz, 4));
+        format!(
+            "sampled at {sampling} Hz: shown up to {highest} Hz; what swings above {half} Hz would appear below it"
+        )
+    }
+}
+
+impl PathwayResponse {
+    /// Where the excitation carries the response, from and to; a few points that it does not carry do not end a band.
+    pub fn bands_hz(&self) -> Vec<(f64, f64)> {
+        let carried = self.points.iter().enumerate();
+        let carried: Vec<(usize, f64)> = carried
+            .filter(|(_, point)| point.is_carried)
+            .map(|(at, point)| (at, point.frequency_hz))
+            .collect();
+        let bands = carried.chunk_by(|a, b| b.0 - a.0 <= BRIDGED);
+        let bands = bands.filter(|band| band.len() >= FEWEST_OF_A_BAND);
+        bands
+            .map(|band| (band[0].1, band[band.len() - 1].1))
+            .collect()
+    }
+}
+
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum FrequencyResponseError {
+    #[error("run {run:?} has no voltage: what drives it is its {input} (expected a voltage)")]
+    NoVoltage { run: String, input: &'static str },
+    #[error(
+        "run {run:?} holds its voltage all the time (expected one that changes at many frequencies)"
+    )]
+    Steady { run: String },
+    #[error(
+        "run {run:?}: {rows} samples in {seconds:.2} s (expected at least {FEWEST_ROWS} samples and {SHORTEST_S} s)"
+    )]
+    Short {
+        run: String,
+        rows: usize,
+        seconds: f64,
+    },
+}
+
+impl FrequencyResponseError {
+    pub const fn help(&self) -> &'static str {
+        match self {
+            Self::NoVoltage { .. } => "map a column with --map voltage_v=HEADER",
+            Self::Steady { .. } | Self::Short { .. } => {
+                "record a chirp or a prbs about an offset: chirp = { amplitude_v, offset_v, from_hz, to_hz, seconds }"
+            }
+        }
+    }
+}
+
+/// Part of a record between two of its samples.
+struct Stretch {
+    /// Held input from the first sample on.
+    input: Vec<Point>,
+    end_s: f64,
+    time_s: Vec<f64>,
+    /// Median step.
+    period_s: f64,
+    /// Current, speed; NaN where missing.
+    outputs: [Vec<f64>; 2],
+}
+
+impl Stretch {
+    fn of(scenario: &Scenario, rows: &Range<usize>) -> Self {
+        let time_s = scenario.sample_time_s[rows.clone()].to_vec();
+        let (begin_s, end_s) = (time_s[0], time_s[time_s.len() - 1]);
+        let held = holding_since(&scenario.events, begin_s).iter();
+        let held = held.take_while(|event| event.0 < end_s);
+        let input = held.map(|&(at_s, value)| (at_s.max(begin_s), value));
+        let column = |values: &[f64]| {
+            values
+                .get(rows.clone())
+                .map_or_else(|| vec![f64::NAN; rows.len()], <[f64]>::to_vec)
+        };
+        Self {
+            input: input.collect(),
+            end_s,
+            outputs: [column(&scenario.current_a), column(&scenario.speed_rad_s)],
+            period_s: median_step(&time_s),
+            time_s,
+        }
+    }
+
+    fn length_s(&self) -> f64 {
+        self.end_s - self.time_s[0]
+    }
+
+    fn is_steady(&self) -> bool {
+        let first = self.input.first().map(|event| event.1);
+        let mut events = self.input.iter();
+        events.all(|event| Some(event.1.to_bits()) == first.map(f64::to_bits))
+    }
+
+    fn line(&self, frequency_hz: f64) -> Line {
+        let output = |values: &Vec<f64>| spectrum::of_samples(&self.time_s, values, frequency_hz);
+        let [current, speed] = spectrum::between_samples(frequency_hz * self.period_s);
+        Line {
+            input: spectrum::of_held(&self.input, self.end_s, frequency_hz),
+            outputs: [
+                output(&self.outputs[0]) * current,
+                output(&self.outputs[1]) * speed,
+            ],
+        }
+    }
+
+    /// From the lines of whole periods nearest to the frequency: there alone is nothing left of the mean, which is large about
+    /// an offset. `None` below the lines that stand on either side of one.
+    fn local(&self, frequency_hz: f64) -> Option<Local> {
+        let length_s = self.length_s();
+        let periods = frequency_hz * length_s;
+        let middle = periods.round();
+        if middle < (SIDE + 1) as f64 {
+            return None;
+        }
+        let near_hz: [f64; LINES] =
+            std::array::from_fn(|line| (middle + line as f64 - SIDE as f64) / length_s);
+        local(&near_hz.map(|hertz| self.line(hertz)), periods - middle)
+    }
+}
+
+/// Where, in rows of a scenario, its shaft keeps turning one way; the whole of it where that is never long enough, and
+/// whether it is. Long stretches are cut.
+fn stretches(scenario: &Scenario) -> (Vec<Range<usize>>, bool) {
+    let (speed, time_s) = (&scenario.speed_rad_s, &scenario.sample_time_s);
+    let largest = speed
+        .iter()
+        .filter(|w| w.is_finite())
+        .fold(0.0_f64, |most, w| most.max(w.abs()));
+    let mut found: Vec<Range<usize>> = Vec::new();
+    let mut open: Option<(usize, f64)> = None;
+    for row in 0..=time_s.len() {
+        let now = speed.get(row).copied().unwrap_or(0.0);
+        let is_missing = row < time_s.len() && !now.is_finite();
+        let turns = now.abs() > TURNING * largest;
+        if is_missing || open.is_some_and(|(_, sign)| turns && now * sign > 0.0) {
+            continue;
+        }
+        if let Some((from, _)) = open.take() {
+            found.push(from..row);
+        }
+        open = turns.then(|| (row, now.signum()));
+    }
+    let seconds = |rows: &Range<usize>| time_s[rows.end - 1] - time_s[rows.start];
+    found.retain(|rows| rows.len() >= FEWEST_ROWS && seconds(rows) >= SHORTEST_S);
+    let longest = found.iter().map(seconds).fold(0.0, f64::max);
+    // What is much shorter than the longest begins at a higher frequency, and would blur what the others resolve.
+    found.retain(|rows| seconds(rows) >= 0.5 * longest);
+    let keeps_turning = !found.is_empty();
+    if !keeps_turning {
+        found.push(0..time_s.len());
+    }
+    let cut = found.into_iter().flat_map(|rows| {
+        let parts = rows.len().div_ceil(LONGEST_ROWS);
+        let size = rows.len().div_ceil(parts.max(1));
+        (0..parts).map(move |part| {
+            let from = rows.start + part * size;
+            from..(from + size).min(rows.end)
+        })
+    });
+    (cut.take(MOST_STRETCHES).collect(), keeps_turning)
+}
+
+/// The response of what was measured in `scenarios`, all of one plant.
+///
+/// # Errors
+/// No voltage, one that never changes, a record too short.
+pub fn frequency_response(
+    scenarios: &[Scenario],
+) -> Result<FrequencyResponse, FrequencyResponseError> {
+    response_over(scenarios, scenarios)
+}
+
+/// That of `scenarios` over the stretches in which the shaft of `turning` keeps turning: of the same records, in which
+/// something else stands in the place of what was measured.
+fn response_over(
+    scenarios: &[Scenario],
+    turning: &[Scenario],
+) -> Result<FrequencyResponse, FrequencyResponseError> {
+    let mut all = Vec::new();
+    let mut cautions = Vec::new();
+    for (scenario, turning) in scenarios.iter().zip(turning) {
+        let run = || scenario.name.clone();
+        if scenario.input != Input::Voltage {
+            let input = scenario.input_channel.name();
+            return Err(FrequencyResponseError::NoVoltage { run: run(), input });
+        }
+        let time_s = &scenario.sample_time_s;
+        let seconds =
+            time_s.last().copied().unwrap_or(0.0) - time_s.first().copied().unwrap_or(0.0);
+        if time_s.len() < FEWEST_ROWS || seconds < SHORTEST_S {
+            let rows = time_s.len();
+            return Err(FrequencyResponseError::Short {
+                run: run(),
+                rows,
+                seconds,
+            });
+        }
+        let (rows, keeps_turning) = stretches(turning);
+        if !keeps_turning {
+            cautions.push(format!(
+                "{}: the shaft never keeps turning one way for {SHORTEST_S} s; its friction, which jumps with the sign of the speed, is in the response (an excitation about an offset leaves it out)",
+                scenario.name
+            ));
+        }
+        let made: Vec<Stretch> = rows
+            .iter()
+            .map(|rows| Stretch::of(scenario, rows))
+            .collect();
+        let made: Vec<Stretch> = made
+            .into_iter()
+            .filter(|stretch| !stretch.is_steady())
+            .collect();
+        if made.is_empty() {
+            return Err(FrequencyResponseError::Steady { run: run() });
+        }
+        all.extend(made);
+    }
+    Ok(Estimator::over(all).response(cautions))
+}
+
+/// Pooled estimate of both outputs at a frequency.
+struct Pooled {
+    response: [Complex<f64>; 2],
+    covariance: Matrix2<Complex<f64>>,
+    coherence: [f64; 2],
+}
+
+struct Estimator {
+    stretches: Vec<Stretch>,
+    frequencies_hz: Vec<f64>,
+    has: [bool; 2],
+    period_s: f64,
+    lowest_hz: f64,
+    highest_hz: f64,
+}
+
+impl Estimator {
+    fn over(stretches: Vec<Stretch>) -> Self {
+        let has = [0, 1].map(|output| {
+            let mut all = stretches
+                .iter()
+                .flat_map(|stretch| &stretch.outputs[output]);
+            all.any(|value| value.is_finite())
+        });
+        let periods = stretches.iter().map(|stretch| stretch.period_s);
+        let period_s = periods.fold(0.0, f64::max);
+        let longest_s = stretches.iter().map(Stretch::length_s).fold(0.0, f64::max);
+        let apart_hz = 1.0 / longest_s;
+        let lowest_hz = (SIDE + 1) as f64 * apart_hz;
+        let highest_hz = HIGHEST / period_s;
+        let factor = 10.0_f64.powf(1.0 / PER_DECADE);
+        let next = |hertz: &f64| {
+            let lines = (hertz * factor / apart_hz).round();
+            Some((lines * apart_hz).max(hertz + apart_hz))
+        };
+        let frequencies_hz = std::iter::successors(Some(lowest_hz), next)
+            .take_while(|hertz| *hertz <= highest_hz)
+            .collect();
+        Self {
+            stretches,
+            frequencies_hz,
+            has,
+            period_s,
+            lowest_hz,
+            highest_hz,
+        }
+    }
+
+    fn response(&self, mut cautions: Vec<String>) -> FrequencyResponse {
+        let locals: Vec<Vec<Option<Local>>> = self
+            .frequencies_hz
+            .par_iter()
+            .map(|hertz| {
+                self.stretches
+                    .iter()
+                    .map(|stretch| stretch.local(*hertz))
+                    .collect()
+            })
+            .collect();
+        let pooled: Vec<Option<Pooled>> = locals.iter().map(|at| Self::pooled(at)).collect();
+        let pathways = Pathway::ALL.into_iter().filter(|pathway| match pathway {
+            Pathway::VoltageToSpeed => self.has[1],
+            Pathway::VoltageToCurrent => self.has[0],
+            Pathway::CurrentToSpeed => self.has[0] && self.has[1],
+        });
+        let pathways: Vec<PathwayResponse> = pathways
+            .map(|pathway| PathwayResponse {
+                pathway,
+                unit: pathway.unit(),
+                points: self.points(pathway, &pooled),
+            })
+            .collect();
+        let modes = self.modes(&locals, &pathways);
+        let sampling_hz = 1.0 / self.period_s;
+        let carried = pathways.iter().flat_map(|pathway| &pathway.points);
+        if !carried.into_iter().any(|point| point.is_carried) {
+            cautions.push(format!(
+                "no frequency has a coherence of {CARRIED}: the excitation is too weak, or what is measured does not follow it"
+            ));
+        }
+        FrequencyResponse {
+            pathways,
+            modes,
+            lowest_hz: self.lowest_hz,
+            highest_hz: self.highest_hz,
+            sampling_hz,
+            used_s: self.stretches.iter().map(Stretch::length_s).sum(),
+            stretches: self.stretches.len(),
+            cautions,
+        }
+    }
+
+    /// Share of a response that is in doubt for what happens between the samples.
+    fn doubt(&self, frequency_hz: f64) -> f64 {
+        let [current, _] = spectrum::between_samples(frequency_hz * self.period_s);
+        DOUBT * (1.0 - current)
+    }
+
+    /// The stretches together, each output weighed by its variance.
+    fn pooled(at: &[Option<Local>]) -> Option<Pooled> {
+        let known: Vec<&Local> = at.iter().flatten().collect();
+        if known.is_empty() {
+            return None;
+        }
+        let shares = [0, 1].map(|output| {
+            let weight = |local: &&Local| {
+                let variance = local.covariance[(output, output)].re;
+                1.0 / variance.max(f64::MIN_POSITIVE)
+            };
+            let sum: f64 = known.iter().map(weight).sum();
+            known
+                .iter()
+                .map(|local| weight(local) / sum)
+                .collect::<Vec<f64>>()
+        });
+        let response = [0, 1].map(|output| {
+            let parts = known.iter().zip(&shares[output]);
+            parts
+                .map(|(local, share)| local.response[output] * *share)
+                .sum()
+        });
+        let covariance = Matrix2::from_fn(|a, b| {
+            let parts = known.iter().enumerate();
+            parts
+                .map(|(k, local)| local.covariance[(a, b)] * (shares[a][k] * shares[b][k]))
+                .sum()
+        });
+        let coherence = [0, 1].map(|output| {
+            let explained: f64 = known.iter().map(|local| local.explained[output]).sum();
+            let noise: f64 = known.iter().map(|local| local.noise[output]).sum();
+            if explained > 0.0 {
+                explained / (explained + noise)
+            } else {
+                0.0
+            }
+        });
+        Some(Pooled {
+            response,
+            covariance,
+            coherence,
+        })
+    }
+
+    fn points(&self, pathway: Pathway, pooled: &[Option<Pooled>]) -> Vec<ResponsePoint> {
+        let mut before: Option<f64> = None;
+        let all = self.frequencies_hz.iter().zip(pooled);
+        let points = all.filter_map(|(&frequency_hz, pooled)| {
+            let pooled = pooled.as_ref()?;
+            let [current, speed] = pooled.response;
+            let relative = |output: usize| {
+                pooled.covariance[(output, output)].re / pooled.response[output].norm_sqr()
+            };
+            let doubt = self.doubt(frequency_hz);
+            let (value, variance, doubt, coherence) = match pathway {
+                Pathway::VoltageToSpeed => (speed, relative(1), doubt, pooled.coherence[1]),
+                Pathway::VoltageToCurrent => (current, relative(0), doubt, pooled.coherence[0]),
+                Pathway::CurrentToSpeed => {
+                    let together = pooled.covariance[(1, 0)] / (speed * current.conj());
+                    let variance = (relative(0) + relative(1) - 2.0 * together.re).max(0.0);
+                    let coherence = pooled.coherence[0].min(pooled.coherence[1]);
+                    (speed / current, variance, 2.0 * doubt, coherence)
+                }
+            };
+            if !(value.re.is_finite() && value.im.is_finite() && variance.is_finite()) {
+                return None;
+            }
+            // A complex error has half of its variance along the phasor and half across it.
+            let half_width = STUDENT_95 * (0.5 * variance).sqrt() + doubt;
+            let phase_deg = continued(value.arg().to_degrees(), before);
+            before = Some(phase_deg);
+            let magnitude = value.norm();
+            Some(ResponsePoint {
+                frequency_hz,
+                magnitude,
+                magnitude_low: magnitude * (-half_width).exp(),
+                magnitude_high: magnitude * half_width.exp(),
+                phase_deg,
+                phase_half_width_deg: half_width.to_degrees().min(180.0),
+                coherence,
+                is_carried: coherence >= CARRIED && half_width <= WIDEST,
+            })
+        });
+        points.collect()
+    }
+
+    fn modes(&self, locals: &[Vec<Option<Local>>], pathways: &[PathwayResponse]) -> Vec<Mode> {
+        let lines: Vec<Lines> = (0..self.stretches.len().min(FITTED_STRETCHES))
+            .map(|stretch| self.lines(stretch, locals))
+            .collect();
+        let Some(found) = rational::fit(&lines, self.period_s) else {
+            return Vec::new();
+        };
+        let outputs: Vec<usize> = (0..2).filter(|output| self.has[*output]).collect();
+        let zeros = |output: usize| {
+            let at = outputs.iter().position(|own| *own == output);
+            at.map_or(&[][..], |at| found.zeros[at].as_slice())
+        };
+        let mode = |kind, pathway, pair: &Pair| Mode {
+            kind,
+            pathway,
+            frequency_hz: pair.frequency_hz,
+            frequency_std_hz: (self.doubt(pair.frequency_hz) * pair.frequency_hz)
+                .hypot(pair.frequency_std_hz),
+            damping_ratio: pair.damping_ratio,
+            damping_std: pair.damping_std,
+        };
+        let (resonance, anti) = (ModeKind::Resonance, ModeKind::AntiResonance);
+        let (voltage, mechanics) = (Pathway::VoltageToSpeed, Pathway::CurrentToSpeed);
+        let mut modes = Vec::new();
+        if self.has[1] {
+            modes.extend(zeros(1).iter().map(|pair| mode(anti, voltage, pair)));
+            modes.extend(
+                found
+                    .poles
+                    .iter()
+                    .map(|pair| mode(resonance, voltage, pair)),
+            );
+        }
+        if self.has[0] && self.has[1] {
+            // Speed over current: the numerator of the current is the denominator of the mechanics.
+            modes.extend(zeros(1).iter().map(|pair| mode(anti, mechanics, pair)));
+            modes.extend(zeros(0).iter().map(|pair| mode(resonance, mechanics, pair)));
+        }
+        let is_seen = |mode: &Mode| {
+            let own = pathways.iter().find(|own| own.pathway == mode.pathway);
+            own.is_some_and(|own| is_seen(mode, &own.points))
+        };
+        modes.retain(|mode| {
+            (self.lowest_hz..=self.highest_hz).contains(&mode.frequency_hz)
+                && mode.damping_ratio > 0.0
+                && mode.damping_ratio < MOST_DAMPING
+                && mode.frequency_std_hz < MOST_FREQUENCY_SHARE * mode.frequency_hz
+                && mode.damping_std < MOST_DAMPING_SHARE * mode.damping_ratio
+                && is_seen(mode)
+        });
+        modes
+    }
+
+    /// The lines of a stretch, with the noise that their neighbourhood has.
+    fn lines(&self, stretch: usize, locals: &[Vec<Option<Local>>]) -> Lines {
+        let own = &self.stretches[stretch];
+        let apart_hz = 1.0 / own.length_s();
+        let (first, last) = (self.lowest_hz / apart_hz, self.highest_hz / apart_hz);
+        let stride = (((last - first) / FITTED_LINES as f64).ceil()).max(1.0);
+        let count = whole(((last - first) / stride).floor());
+        let frequency_hz: Vec<f64> = (0..=count)
+            .map(|n| (first.ceil() + n as f64 * stride) * apart_hz)
+            .collect();
+        let lines: Vec<Line> = frequency_hz
+            .par_iter()
+            .map(|hertz| own.line(*hertz))
+            .collect();
+        // Of few degrees of freedom: averaged over the neighbours. What is in doubt between the samples counts as noise too.
+        let noise = |output: usize, hertz: f64, measured: Complex<f64>| {
+            let at = self.frequencies_hz.partition_point(|own| *own < hertz);
+            let near = at.saturating_sub(FREEDOM)..(at + FREEDOM).min(locals.len());
+            let known = locals[near].iter().filter_map(|all| all[stretch].as_ref());
+            let variances: Vec<f64> = known.map(|local| local.noise[output]).collect();
+            let doubt = self.doubt(hertz) * measured.norm();
+            mean(&variances).sqrt().hypot(doubt)
+        };
+        let outputs = (0..2).filter(|output| self.has[*output]).map(|output| {
+            let measured: Vec<Complex<f64>> =
+                lines.iter().map(|line| line.outputs[output]).collect();
+            let all = frequency_hz.iter().zip(&measured);
+            let deviation = all
+                .map(|(hertz, measured)| noise(output, *hertz, *measured))
+                .collect();
+            (measured, deviation)
+        });
+        Lines {
+            input: lines.iter().map(|line| line.input).collect(),
+            outputs: outputs.collect(),
+            frequency_hz,
+        }
+    }
+}
+
+/// Whether the measured magnitude itself has the peak, or the dip, of a mode, beyond its intervals: a pair of roots alone may
+/// be what a fit has made of something else, as of what happens between the samples.
+fn is_seen(mode: &Mode, points: &[ResponsePoint]) -> bool {
+    let place = |hertz: f64| points.partition_point(|point| point.frequency_hz < hertz);
+    let sign = match mode.kind {
+        ModeKind::Resonance => 1.0,
+        ModeKind::AntiResonance => -1.0,
+    };
+    let near = mode.damping_ratio.max(NEAREST);
+    let (first, last) = (
+        place(mode.frequency_hz * (1.0 - near)),
+        place(mode.frequency_hz * (1.0 + near)),
+    );
+    let height = |point: &ResponsePoint| sign * point.magnitude.ln();
+    let near = points.get(first..=last).into_iter().flatten();
+    let Some(top) = near.max_by(|a, b| height(a).total_cmp(&height(b))) else {
+        return false;
+    };
+    let aside = (ASIDE * mode.damping_ratio).clamp(2.0 * NEAREST, FARTHEST);
+    let sides = [1.0 - aside, 1.0 / (1.0 - aside)].map(|factor| place(mode.frequency_hz * factor));
+    let [Some(below), Some(above)] = sides.map(|at| points.get(at)) else {
+        return false;
+    };
+    let contrast = height(top) - 0.5 * (height(below) + height(above));
+    let half = |point: &ResponsePoint| (point.magnitude_high / point.magnitude).ln();
+    let unsure = half(top).hypot(0.5 * half(below).hypot(half(above)));
+    let sides_carried = [below, above].map(|side| side.is_carried);
+    // A dip is where little comes out, and the far side of a peak may be below the noise.
+    let is_carried = match sides_carried {
+        [true, true] => true,
+        [one, other] => top.is_carried && (one || other),
+    };
+    is_carried && contrast > LEAST_CONTRAST && contrast > unsure
+}
+
+/// A phase moved by whole turns to within half a turn of the one before.
+fn continued(phase_deg: f64, before: Option<f64>) -> f64 {
+    before.map_or(phase_deg, |before| {
+        phase_deg - 360.0 * ((phase_deg - before) / 360.0).round()
+    })
+}
+
+#[cfg(test)]
+mod tests;

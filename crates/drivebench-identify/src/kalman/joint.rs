@@ -1,0 +1,378 @@
+//! State and parameters together, on line: the alternative to scheme 3.
+//!
+//! Start: from the model's R, L, Ke, J, Mc where all are given (each may be off by half), and from scheme 3 as soon as
+//! that is certain, if there was no start or the two contradict each other by a fifth. A filter that starts from wild
+//! values may lose its way (Ljung, *IEEE Trans. Automatic Control* AC-24 (1979) 36); scheme 3's linear start cannot.
+
+use super::filter::{Filter, I, J, KE, L, MC, Mode, N, R, Tally};
+use super::physics::KnownEffects;
+use crate::online::AppliedVoltage;
+use crate::recursive::{Memory, Scheme3};
+use crate::verdict;
+use drivebench_model::plant::{Model, MotorKey, Slot};
+use drivebench_model::sample::{Channel, ParameterEstimate, Run, Sample, Verdict};
+
+/// The five parameters and the states that carry them.
+const PARAMETERS: [(MotorKey, usize); 5] = [
+    (MotorKey::Resistance, R),
+    (MotorKey::Inductance, L),
+    (MotorKey::BackEmf, KE),
+    (MotorKey::Inertia, J),
+    (MotorKey::LoadTorque, MC),
+];
+/// Relative standard deviations of the start: a model's values, scheme 3's, and an inductance that nobody has told.
+const GUESS_SPREAD: f64 = 0.5;
+const START_SPREAD: f64 = 0.3;
+const UNKNOWN_SPREAD: f64 = 1.0;
+/// Standard deviations of one start that the next is wide, and how narrow it may be at least.
+const WIDER: f64 = 10.0;
+const LEAST_SPREAD: f64 = 0.01;
+const LEAST_FIRST_SPREAD: f64 = 0.05;
+/// Passes over a recorded run after the first, and the change, in standard deviations, after which there is none.
+const MOST_PASSES: u32 = 3;
+const SETTLED_STEP: f64 = 0.3;
+/// Share of the largest electrical torque by which the Coulomb torque may be off whatever the start says.
+const LOAD_SPREAD: f64 = 0.05;
+/// Relative standard deviation from which scheme 3 counts as certain, and the contradiction that discards the start.
+const CERTAIN: f64 = 0.2;
+const CONTRADICTION: f64 = 0.2;
+/// Samples between two looks at scheme 3, and before the filter starts from a model.
+const LOOK: u32 = 8;
+const FEWEST_SAMPLES: u32 = 12;
+/// Share of the prior variance above which nothing was learnt.
+const IGNORANT: f64 = 0.3;
+/// Innovations so many times the noise say that the model does not describe the data at all.
+const HOPELESS: f64 = 10.0;
+/// Share of the rows that are outliers from which on nothing is settled.
+const MOST_OUTLIERS: f64 = 0.02;
+
+/// The joint filter: the parameters are constant, and there is no load torque beside the Coulomb torque.
+#[derive(Clone, Debug)]
+pub struct Kalman {
+    filter: Filter,
+    fixed: [Option<f64>; 5],
+    starter: Option<Box<Scheme3>>,
+    begun: bool,
+    samples: u32,
+    applied: AppliedVoltage,
+}
+
+impl Kalman {
+    /// `model`: start, fixed parameters, torque constant, effects that are known.
+    pub fn new(model: &Model) -> Self {
+        let motor = &model.motor;
+        let torque = motor.get(MotorKey::TorqueConstant);
+        let given = |key: MotorKey| model.fixed.iter().any(|fixed| fixed == key.key());
+        let fixed = PARAMETERS.map(|(key, _)| motor.get(key).filter(|_| given(key)));
+        let positive = |value: &f64| *value > 0.0 && value.is_finite();
+        let mut filter = Filter::new([0.0; N], [0.0; N], torque);
+        filter.asleep = true;
+        filter.effects = KnownEffects::of(model).0;
+        let mut kalman = Self {
+            filter,
+            fixed,
+            starter: Some(Box::new(Scheme3::new(Memory::default(), torque, None))),
+            begun: false,
+            samples: 0,
+            applied: AppliedVoltage::default(),
+        };
+        let [r, l, ke, j] = [0, 1, 2, 3].map(|k| motor.get(PARAMETERS[k].0).filter(positive));
+        if let (Some(r), Some(l), Some(ke), Some(j)) = (r, l, ke, j) {
+            let load = motor.get(MotorKey::LoadTorque).unwrap_or(0.0);
+            kalman.start([r, l, ke, j, load], [GUESS_SPREAD; 5]);
+        }
+        kalman
+    }
+
+    /// Starts from what another pass over the same data has found; no other start is looked for.
+    fn again(model: &Model, found: &Self) -> Self {
+        let mut kalman = Self::new(model);
+        let seen = &found.filter.sensors;
+        if seen.iter().any(|sensor| sensor.at_rest().is_none()) {
+            kalman.filter.sensors = *seen;
+        }
+        kalman.filter.sensors[I].largest = seen[I].largest;
+        kalman.starter = None;
+        let values = found.values();
+        let spread = std::array::from_fn(|k| {
+            let state = PARAMETERS[k].1;
+            let size = if state == MC { values[k].abs() } else { 1.0 };
+            let std = (found.filter.belief.p[state][state] * found.widening()).sqrt();
+            (WIDER * std / size.max(f64::MIN_POSITIVE)).clamp(LEAST_SPREAD, START_SPREAD)
+        });
+        kalman.start(values, spread);
+        kalman.filter.trust_start();
+        kalman.filter.reference = Some(kalman.filter.belief.x);
+        kalman
+    }
+
+    fn start(&mut self, values: [f64; 5], spread: [f64; 5]) {
+        let (mut x, mut variance) = ([0.0; N], [0.0; N]);
+        for (k, (_, state)) in PARAMETERS.into_iter().enumerate() {
+            let value = self.fixed[k].unwrap_or(values[k]);
+            x[state] = if state == MC { value } else { value.ln() };
+            variance[state] = if self.fixed[k].is_some() {
+                0.0
+            } else {
+                spread[k].powi(2)
+            };
+        }
+        let torque = self.filter.torque_n_m_per_a.unwrap_or(x[KE].exp());
+        let most = torque * self.filter.sensors[I].largest.max(1e-3);
+        if variance[MC] > 0.0 {
+            // A start without any friction says nothing of its size.
+            let unknown = if spread[4] < START_SPREAD {
+                0.0
+            } else {
+                LOAD_SPREAD * most
+            };
+            variance[MC] = (spread[4] * x[MC]).powi(2).max(unknown.powi(2));
+        }
+        self.filter.restart(x, variance);
+        self.begun = true;
+    }
+
+    /// Takes a sample. A voltage command in it holds from its stamp on; where no command ever came, the measured voltage
+    /// is held in its place. Stale or missing: the other quantity is used alone. While a limit of the drive holds its
+    /// output the motor has another voltage than was commanded, and neither side of such a row is learnt from.
+    pub fn push(&mut self, sample: &Sample) {
+        let time_s = sample.time_s;
+        self.filter.voltage.torn |= sample.limited;
+        if let Some(volts) = self.applied.of(sample) {
+            self.filter.voltage.apply(time_s, volts, self.filter.now_s);
+            if let Some(starter) = &mut self.starter {
+                starter.voltage_applied(time_s, volts);
+            }
+        }
+        let measured = [Channel::Current, Channel::Speed].map(|channel| sample.good(channel));
+        if measured == [None, None] {
+            return;
+        }
+        self.samples = self.samples.saturating_add(1);
+        self.filter.asleep = !self.begun || self.samples < FEWEST_SAMPLES;
+        self.filter.push(time_s, measured);
+        self.filter.voltage.torn |= sample.limited;
+        if let (Some(starter), [Some(current), Some(speed)]) = (&mut self.starter, measured) {
+            starter.set_limited(sample.limited);
+            starter.push(time_s, current, speed);
+            if self.samples.is_multiple_of(LOOK) {
+                self.look_at_starter();
+            }
+        }
+    }
+
+    /// Scheme 3 gives the start once it is certain of R, Ke and J, and is not needed after that.
+    fn look_at_starter(&mut self) {
+        let Some(starter) = &self.starter else { return };
+        let found = starter.estimates();
+        let value = |k: usize| {
+            let estimate = found.get(k)?;
+            let (value, std) = (estimate.value?, estimate.std?);
+            (value > 0.0 && std < CERTAIN * value).then_some(value)
+        };
+        let (Some(r), Some(ke), Some(j)) = (value(0), value(2), value(3)) else {
+            return;
+        };
+        let mut spread: [f64; 5] = std::array::from_fn(|k| {
+            let relative = found.get(k).and_then(|e| Some(e.std? / e.value?.abs()));
+            relative.map_or(START_SPREAD, |std| {
+                (WIDER * std).clamp(LEAST_FIRST_SPREAD, START_SPREAD)
+            })
+        });
+        let l = value(1).unwrap_or_else(|| {
+            spread[1] = UNKNOWN_SPREAD;
+            r * self.filter.period_s / 3.0
+        });
+        let load = found.get(4).and_then(|e| e.value).unwrap_or(0.0);
+        self.starter = None;
+        let now = self.values();
+        let apart = [(0, r), (2, ke), (3, j)].into_iter().any(|(k, value)| {
+            self.fixed[k].is_none() && (now[k] / value - 1.0).abs() > CONTRADICTION
+        });
+        if !self.begun || apart {
+            self.start([r, l, ke, j, load], spread);
+        }
+    }
+
+    /// R, L, Ke, J, Mc as they stand.
+    fn values(&self) -> [f64; 5] {
+        PARAMETERS.map(|(_, state)| {
+            let x = self.filter.belief.x[state];
+            if state == MC { x } else { x.exp() }
+        })
+    }
+
+    /// R, L, Ke, J, Mc with verdicts.
+    pub fn estimates(&self) -> Vec<ParameterEstimate> {
+        if !self.begun {
+            return self.before_the_start();
+        }
+        let widening = self.widening();
+        let parameters = PARAMETERS.into_iter().zip(self.values());
+        let estimate = |((key, state), value): ((MotorKey, usize), f64)| {
+            let (prior, left) = (self.filter.prior[state], self.filter.belief.p[state][state]);
+            if prior <= 0.0 {
+                let fixed = ParameterEstimate::fixed(key.key(), key.unit(), value);
+                return ParameterEstimate { std: None, ..fixed };
+            }
+            if left > IGNORANT * prior {
+                return verdict::unknown(key, self.why_not(key, (left / prior).sqrt()));
+            }
+            let size = if state == MC { 1.0 } else { value };
+            let std = size * (left * widening).sqrt();
+            let slot = Slot::Motor(key);
+            self.doubt(verdict::judge(
+                &slot,
+                value,
+                Some(std),
+                self.filter.period_s,
+            ))
+        };
+        parameters.map(estimate).collect()
+    }
+
+    /// Factor on the variances: neighbouring innovations that are alike carry less than the filter counts.
+    fn widening(&self) -> f64 {
+        let [current, speed] = self.filter.sensors.map(|sensor| sensor.colour());
+        current.max(speed)
+    }
+
+    /// Innovations that the noise does not explain take a verdict back.
+    fn doubt(&self, mut judged: ParameterEstimate) -> ParameterEstimate {
+        if judged.verdict == Verdict::NotObservable {
+            return judged;
+        }
+        if let Some((name, ratio, allowed)) = self.inconsistency() {
+            let figure = format!(
+                "innovation of the {name} {ratio:.2} times its noise at rest (chance allows {allowed:.2})"
+            );
+            if ratio > HOPELESS {
+                judged.verdict = Verdict::Invalid;
+                judged.reason = Some(format!("{figure}: the model does not describe these data"));
+            } else {
+                judged.unsettle(format!(
+                    "{figure}: an effect is missing, or the filter is not there yet"
+                ));
+            }
+        } else {
+            let rows = self.filter.tally.used.max(1) as f64;
+            let share = self.filter.tally.outliers as f64 / rows;
+            if share > MOST_OUTLIERS {
+                judged.unsettle(format!("{:.1} % of the rows are outliers", 100.0 * share));
+            }
+        }
+        judged
+    }
+
+    /// The sensor whose innovations are larger than chance allows, by how much, and what would be allowed.
+    fn inconsistency(&self) -> Option<(&'static str, f64, f64)> {
+        let [current, speed] = self.filter.sensors.map(|sensor| sensor.consistency());
+        [("current", current), ("speed", speed)]
+            .into_iter()
+            .filter_map(|(name, found)| found.map(|(ratio, allowed)| (name, ratio, allowed)))
+            .filter(|(_, ratio, allowed)| ratio > allowed)
+            .max_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// What was used and what was not, in a sentence.
+    pub fn summary(&self) -> String {
+        let Tally {
+            used,
+            breaks,
+            outliers,
+            reopened,
+        } = self.filter.tally;
+        let [current, speed] = self.filter.consistency().map(|ratio| {
+            ratio.map_or_else(
+                || "not known (no rest to compare with)".to_owned(),
+                |r| format!("{r:.2}"),
+            )
+        });
+        format!(
+            "Kalman filter: {used} rows used, {breaks} breaks at reversals and stops, {outliers} outliers, opened again {reopened} times; innovation over noise: current {current}, speed {speed}; standard deviations widened {:.2} times",
+            self.widening().sqrt()
+        )
+    }
+
+    fn before_the_start(&self) -> Vec<ParameterEstimate> {
+        let starter = self.starter.as_ref();
+        let mut found = starter.map_or_else(Vec::new, |starter| starter.estimates());
+        for estimate in &mut found {
+            if estimate.value.is_some() && estimate.verdict != Verdict::Invalid {
+                estimate.verdict = Verdict::Searching;
+                estimate.reason = Some(format!(
+                    "from scheme 3, which the filter waits for to be certain within {:.0} %",
+                    100.0 * CERTAIN
+                ));
+            }
+        }
+        found.extend(PARAMETERS.iter().skip(found.len()).map(|(key, _)| {
+            let reason = format!("{} samples with current and speed so far", self.samples);
+            verdict::unknown(*key, reason)
+        }));
+        found
+    }
+
+    fn why_not(&self, key: MotorKey, left: f64) -> String {
+        let [current, speed] = self.filter.sensors.map(|sensor| sensor.largest);
+        let state = if self.filter.mode == Mode::AtRest {
+            ", now at rest"
+        } else {
+            ""
+        };
+        let period_ms = 1e3 * self.filter.period_s;
+        let learnt = format!(
+            "{:.0} % of its first uncertainty is left after {} rows",
+            100.0 * left,
+            self.filter.tally.used
+        );
+        match key {
+            MotorKey::Inductance => {
+                let physics = self.filter.physics();
+                format!(
+                    "{learnt}: period {period_ms:.1} ms, L/R about {:.1} ms, largest current {current:.2} A",
+                    1e3 * physics.l / physics.r
+                )
+            }
+            MotorKey::Resistance => format!("{learnt}: largest current {current:.2} A"),
+            _ => format!(
+                "{learnt}: largest speed {speed:.2} rad/s against {:.2} rad/s that count as motion{state}",
+                self.filter.zone_rad_s()
+            ),
+        }
+    }
+}
+
+/// A recorded run: through it once to find the values, and again from there until they stay, so that its beginning is
+/// not lost and nothing is linearised about a poor start. Each further start is ten standard deviations wide: the data
+/// count once (and by a hundredth again), and what the first rows do to the parameters stays within the linear range.
+/// With a start 30 % wide the first few rows, at thousands of times the noise, throw the parameters so far that the
+/// derivatives are off and the Coulomb torque comes out 1.5 standard deviations high.
+pub fn identify(model: &Model, run: &Run) -> Kalman {
+    let mut found = Kalman::new(model);
+    run.samples().for_each(|sample| found.push(&sample));
+    for _ in 0..MOST_PASSES {
+        let values = found.values();
+        let usable = found.begun
+            && values.iter().all(|value| value.is_finite())
+            && values[..4].iter().all(|value| *value > 0.0);
+        if !usable {
+            break;
+        }
+        let mut next = Kalman::again(model, &found);
+        run.samples().for_each(|sample| next.push(&sample));
+        let still = PARAMETERS.iter().all(|(_, state)| {
+            let step = next.filter.belief.x[*state] - found.filter.belief.x[*state];
+            step.abs() <= SETTLED_STEP * next.filter.belief.p[*state][*state].sqrt()
+        });
+        found = next;
+        if still {
+            break;
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+#[path = "joint_tests.rs"]
+mod tests;

@@ -1,0 +1,311 @@
+//! Load torque as a process output: rolling, cutting or lifting force over time, with its standard deviation.
+//!
+//! `J dw/dt = Kt i - Mc sgn(w) - friction(w) - TL(t)`: TL is positive against positive speed; negative while the load
+//! drives in that direction. What the model calls friction is not in it. TL is a random walk; its rate, N.m/sqrt(s), is
+//! the one figure to set: a load that changes by 0.5 N.m within a second has about 0.5. The parameters are taken as
+//! exact: an error of the torque constant of 1 % is 1 % of the motor's torque in TL beside the standard deviation.
+
+use thiserror::Error;
+
+use super::filter::{Filter, I, J, KE, L, MC, Mode, N, R, Source, TL};
+use super::physics::KnownEffects;
+use crate::online::AppliedVoltage;
+use drivebench_model::numerics::statistics;
+use drivebench_model::plant::{Input, Model, MotorKey, Scenario, ScenarioError};
+use drivebench_model::sample::{Channel, Run, Sample};
+
+/// Standard deviation of the voltage as share of itself: a resistance that is warm by 3 K errs as much. It keeps the
+/// current near its measurement, where a prediction without it would be believed for ever.
+const VOLTAGE_SHARE: f64 = 0.01;
+/// First standard deviation of the load, in units of what is known of its size: nothing is known.
+const IGNORANCE: f64 = 100.0;
+/// Standard deviations of the current that a torque at rest is uncertain by.
+const REST_NOISE: f64 = 3.0;
+
+/// Load torque with its standard deviation at one instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LoadPoint {
+    pub time_s: f64,
+    /// Positive against positive speed, negative where it drives; Coulomb and known friction are not in it.
+    pub load_torque_n_m: f64,
+    pub std_n_m: f64,
+}
+
+/// Why the load torque cannot be tracked.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum LoadError {
+    #[error("the model has no {key}, which the load torque needs")]
+    Incomplete { key: &'static str },
+    #[error("{key} = {value} is not allowed (expected more than 0)")]
+    Value { key: &'static str, value: f64 },
+    #[error(transparent)]
+    Scenario(#[from] ScenarioError),
+    #[error("run {run:?}: no load torque can be told: {reason}")]
+    NothingSeen { run: String, reason: String },
+}
+
+impl LoadError {
+    pub const fn help(&self) -> &'static str {
+        match self {
+            Self::Incomplete { .. } => {
+                "identify the motor first and give the model with --model MODEL.toml"
+            }
+            Self::Value { .. } => "see the commented example in bench-configs/",
+            Self::Scenario(error) => error.help(),
+            Self::NothingSeen { .. } => {
+                "the load shows only while the motor turns: map a speed with --map speed_rad_s=HEADER"
+            }
+        }
+    }
+}
+
+/// Follows the load torque sample by sample.
+#[derive(Clone, Debug)]
+pub struct LoadTracker {
+    filter: Filter,
+    input: Input,
+    applied: AppliedVoltage,
+    /// Effects of the model that are not subtracted and so are part of the load torque.
+    left_out: Vec<&'static str>,
+}
+
+impl LoadTracker {
+    /// `model` gives inertia, torque constant and friction, under [`Input::Voltage`] also R, L, Ke;
+    /// `rate_n_m_per_sqrt_s` how fast the load is expected to change.
+    pub fn new(model: &Model, input: Input, rate_n_m_per_sqrt_s: f64) -> Result<Self, LoadError> {
+        let motor = &model.motor;
+        let positive = |key: MotorKey| match motor.get(key) {
+            None => Err(LoadError::Incomplete { key: key.key() }),
+            Some(value) if value > 0.0 && value.is_finite() => Ok(value),
+            Some(value) => Err(LoadError::Value {
+                key: key.key(),
+                value,
+            }),
+        };
+        if !(rate_n_m_per_sqrt_s > 0.0 && rate_n_m_per_sqrt_s.is_finite()) {
+            return Err(LoadError::Value {
+                key: "rate_n_m_per_sqrt_s",
+                value: rate_n_m_per_sqrt_s,
+            });
+        }
+        let torque = match input {
+            Input::Torque => 1.0,
+            _ => motor.torque_constant().ok_or(LoadError::Incomplete {
+                key: MotorKey::TorqueConstant.key(),
+            })?,
+        };
+        let mut x = [0.0; N];
+        x[J] = positive(MotorKey::Inertia)?.ln();
+        x[KE] = torque.ln();
+        if input == Input::Voltage {
+            x[R] = positive(MotorKey::Resistance)?.ln();
+            x[L] = positive(MotorKey::Inductance)?.ln();
+            x[KE] = positive(MotorKey::BackEmf)?.ln();
+        }
+        x[MC] = motor.get(MotorKey::LoadTorque).unwrap_or(0.0);
+        let mut variance = [0.0; N];
+        variance[TL] = (IGNORANCE * (x[MC].abs() + rate_n_m_per_sqrt_s)).powi(2);
+        let mut filter = Filter::new(x, variance, Some(torque));
+        let (effects, left_out) = KnownEffects::of(model);
+        filter.effects = effects;
+        filter.source = if input == Input::Voltage {
+            Source::Voltage
+        } else {
+            Source::Current
+        };
+        filter.load_rate = rate_n_m_per_sqrt_s;
+        filter.voltage_share = VOLTAGE_SHARE;
+        filter.freeze();
+        Ok(Self {
+            filter,
+            input,
+            applied: AppliedVoltage::default(),
+            left_out,
+        })
+    }
+
+    /// Takes a sample as [`crate::online::Online::push`] does, and gives the load torque at its instant;
+    /// `None` where it carries neither current nor speed.
+    pub fn push(&mut self, sample: &Sample) -> Option<LoadPoint> {
+        let time_s = sample.time_s;
+        // While a limit of the drive holds its output the motor has another voltage than was commanded.
+        let unlike_command = self.input == Input::Voltage && sample.limited;
+        self.filter.voltage.torn |= unlike_command;
+        if self.input == Input::Voltage
+            && let Some(volts) = self.applied.of(sample)
+        {
+            let now_s = self.filter.now_s;
+            self.filter.voltage.apply(time_s, volts, now_s);
+        }
+        let measured = [driving(self.input), Channel::Speed].map(|channel| sample.good(channel));
+        if measured == [None, None] {
+            return None;
+        }
+        if self.input != Input::Voltage {
+            // Without a voltage the first current or motion ends the rest before the start.
+            let zone = self.filter.zone_rad_s().max(f64::MIN_POSITIVE);
+            let moves = self.filter.sensors[1].at_rest().is_some()
+                && measured[1].is_some_and(|speed| speed.abs() > 2.0 * zone);
+            self.filter.voltage.energised |= moves;
+        }
+        self.filter.push(time_s, measured);
+        self.filter.voltage.torn |= unlike_command;
+        if self.filter.mode == Mode::AtRest {
+            self.bound_by_friction();
+        }
+        Some(LoadPoint {
+            time_s,
+            load_torque_n_m: self.filter.belief.x[TL],
+            std_n_m: self.filter.belief.p[TL][TL].sqrt(),
+        })
+    }
+
+    /// At rest the load differs from the motor's torque by the Coulomb torque at most, and more is not known.
+    fn bound_by_friction(&mut self) {
+        let kt = self.filter.physics().kt;
+        let noise = kt * self.filter.sensors[0].variance().sqrt();
+        let half = self.filter.belief.x[MC].abs() + REST_NOISE * noise;
+        let centre = kt * self.filter.belief.x[I];
+        let belief = &mut self.filter.belief;
+        let bound = belief.x[TL].clamp(centre - half, centre + half);
+        let widest = half * half / 3.0;
+        if belief.p[TL][TL] > widest || bound.total_cmp(&belief.x[TL]).is_ne() {
+            belief.x[TL] = bound;
+            belief.forget(TL, widest);
+        }
+    }
+}
+
+/// What drives the shaft where there is no voltage.
+const fn driving(input: Input) -> Channel {
+    match input {
+        Input::Torque => Channel::Torque,
+        Input::Voltage | Input::Current => Channel::Current,
+    }
+}
+
+/// Rates that are tried, as powers of ten of the largest torque per sqrt(s): four per decade.
+const FIRST_TRIAL: i32 = -16;
+const LAST_TRIAL: i32 = 8;
+const PER_DECADE: f64 = 4.0;
+/// Rows without which nothing is told.
+const FEWEST_ROWS: u64 = 20;
+const FEWEST_ROWS_IN_MOTION: usize = 20;
+
+/// The load torque of a run.
+#[derive(Clone, Debug)]
+pub struct LoadTrace {
+    pub points: Vec<LoadPoint>,
+    /// The rate under which the run is likeliest.
+    pub rate_n_m_per_sqrt_s: f64,
+    pub input: Input,
+    /// Rows at which the motor turned and the model followed: there the load was seen.
+    pub rows_followed: usize,
+    /// Root mean square of the last innovations over the noise at rest: current, speed.
+    pub consistency: [Option<f64>; 2],
+    pub notes: Vec<String>,
+}
+
+/// Tracks the load torque through `run` with the parameters of `model`.
+pub fn load_torque_trace(run: &Run, model: &Model) -> Result<LoadTrace, LoadError> {
+    use MotorKey::{BackEmf, Inductance, Resistance};
+    let mut input = Scenario::from_run(run)?.input;
+    let lacks_winding = [Resistance, Inductance, BackEmf]
+        .iter()
+        .any(|key| model.motor.get(*key).is_none());
+    let has_current = run.points(Channel::Current).next().is_some();
+    let mut notes = vec![
+        "positive against positive speed, negative where the load drives; friction of the model is not in it".to_owned(),
+        "the standard deviation holds for exact parameters of the model".to_owned(),
+    ];
+    if input == Input::Voltage && has_current && lacks_winding {
+        notes.push("the model has no winding: the measured current drives the shaft, straight between samples".to_owned());
+        input = Input::Current;
+    }
+    let driving = run.points(driving(input)).map(|point| point.1.abs());
+    let most = driving.fold(0.0, f64::max);
+    let per_unit = match input {
+        Input::Torque => 1.0,
+        _ => model.motor.torque_constant().unwrap_or(1.0),
+    };
+    // Without any current the friction's size stands in.
+    let load = model.motor.get(MotorKey::LoadTorque).unwrap_or(0.0).abs();
+    let size = (most * per_unit).max(load).max(1e-9);
+    let rate = likeliest_rate(run, model, input, size)?;
+    let mut tracker = LoadTracker::new(model, input, rate)?;
+    let mut points = Vec::with_capacity(run.rows());
+    let mut rows_followed = 0;
+    for sample in run.samples() {
+        if let Some(point) = tracker.push(&sample) {
+            rows_followed += usize::from(matches!(tracker.filter.mode, Mode::Turning(_)));
+            points.push(point);
+        }
+    }
+    if tracker.filter.tally.used < FEWEST_ROWS || rows_followed < FEWEST_ROWS_IN_MOTION {
+        let speed = tracker.filter.sensors[1].largest;
+        return Err(LoadError::NothingSeen {
+            run: run.name.clone(),
+            reason: format!(
+                "{rows_followed} of {} rows in motion, at least {FEWEST_ROWS_IN_MOTION} are needed (largest speed {speed:.2} rad/s)",
+                points.len()
+            ),
+        });
+    }
+    let limited = run.limited_rows().len();
+    if input == Input::Voltage && limited > 0 {
+        notes.push(format!(
+            "a limit of the drive held its output at {limited} rows: the load torque is not followed there"
+        ));
+    }
+    if !tracker.left_out.is_empty() {
+        let left_out = tracker.left_out.join(", ");
+        notes.push(format!(
+            "not subtracted, so part of the load torque: {left_out}"
+        ));
+    }
+    Ok(LoadTrace {
+        points,
+        rate_n_m_per_sqrt_s: rate,
+        input,
+        rows_followed,
+        consistency: tracker.filter.consistency(),
+        notes,
+    })
+}
+
+/// The rate at which the innovations are likeliest, by trial on a logarithmic scale and a parabola through the best three.
+fn likeliest_rate(run: &Run, model: &Model, input: Input, size: f64) -> Result<f64, LoadError> {
+    let rate = |power: f64| size * 10f64.powf(power / PER_DECADE);
+    let mut scores = Vec::new();
+    for power in FIRST_TRIAL..=LAST_TRIAL {
+        let mut tracker = LoadTracker::new(model, input, rate(f64::from(power)))?;
+        for sample in run.samples() {
+            tracker.push(&sample);
+        }
+        scores.push((f64::from(power), tracker.filter.log_likelihood));
+    }
+    let best = (0..scores.len())
+        .max_by(|a, b| scores[*a].1.total_cmp(&scores[*b].1))
+        .unwrap_or(0);
+    let mut power = scores[best].0;
+    if best > 0 && best + 1 < scores.len() {
+        let [before, at, after] = [best - 1, best, best + 1].map(|k| scores[k].1);
+        let bend = before - 2.0 * at + after;
+        if bend < 0.0 {
+            power += (0.5 * (before - after) / bend).clamp(-0.5, 0.5);
+        }
+    }
+    Ok(rate(power))
+}
+
+impl LoadTrace {
+    /// Median standard deviation over the rows, N.m.
+    pub fn median_std_n_m(&self) -> f64 {
+        let stds: Vec<f64> = self.points.iter().map(|point| point.std_n_m).collect();
+        statistics::median(&stds)
+    }
+}
+
+#[cfg(test)]
+#[path = "load_tests.rs"]
+mod tests;

@@ -1,0 +1,319 @@
+//! Inputs of the filter: the voltage as applied, and the noise of each sensor, with whether the innovations agree with it.
+
+use drivebench_model::signal;
+
+/// Samples at rest from which on their scatter counts, and the most that they weigh against the innovations.
+const FEWEST_AT_REST: f64 = 10.0;
+const MOST_AT_REST: f64 = 200.0;
+/// Without samples at rest: standard deviation as share of the largest value, and the samples that this is worth.
+const DEFAULT_SHARE: f64 = 0.01;
+const DEFAULT_WEIGHT: f64 = 20.0;
+/// No sensor is better than this share of its largest value: keeps the filter regular on noiseless data.
+const LEAST_SHARE: f64 = 1e-6;
+/// Innovations that the estimate of the noise remembers, and those that the test of consistency does.
+const MEMORY: f64 = 2000.0;
+const WINDOW: f64 = 500.0;
+/// Most that one row counts: an outlier is one row.
+const CLIP: f64 = 9.0;
+const CLIP_TEST: f64 = 100.0;
+/// Rows without which the test says nothing.
+const FEWEST_TESTED: f64 = 30.0;
+
+/// Noise variance: from the scatter at rest where there was one, carried on by the innovations.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Sensor {
+    /// Differences of successive samples at rest: a slow drift does not enter (von Neumann 1941).
+    differences: f64,
+    squares: f64,
+    last: Option<f64>,
+    smallest_step: f64,
+    pub(super) largest: f64,
+    innovations: f64,
+    innovation_squares: f64,
+    test: Test,
+}
+
+/// Exponentially weighted sums over the normalised innovations.
+#[derive(Clone, Copy, Debug, Default)]
+struct Test {
+    rows: f64,
+    /// Squares over what the noise at rest lets expect.
+    expected: f64,
+    /// Squares over what the filter itself expects, and products of neighbours.
+    squares: f64,
+    products: f64,
+    last: Option<f64>,
+}
+
+impl Sensor {
+    /// Sees every sample; `at_rest` while nothing has been applied yet.
+    pub(super) fn see(&mut self, value: f64, at_rest: bool) {
+        self.largest = self.largest.max(value.abs());
+        if let Some(last) = self.last {
+            let step = (value - last).abs();
+            if step > 1e-9 * self.largest
+                && (self.smallest_step <= 0.0 || step < self.smallest_step)
+            {
+                self.smallest_step = step;
+            }
+            if at_rest {
+                self.differences += 1.0;
+                self.squares += 0.5 * step * step;
+            }
+        }
+        self.last = Some(value);
+    }
+
+    /// Variance of one sample as the rest before the start shows it; never below the resolution.
+    pub(super) fn at_rest(&self) -> Option<f64> {
+        (self.differences >= FEWEST_AT_REST)
+            .then(|| (self.squares / self.differences).max(self.least()))
+    }
+
+    fn least(&self) -> f64 {
+        (self.smallest_step * self.smallest_step / 12.0).max((LEAST_SHARE * self.largest).powi(2))
+    }
+
+    pub(super) fn variance(&self) -> f64 {
+        let (start, weight) = match self.at_rest() {
+            Some(variance) => (variance, self.differences.min(MOST_AT_REST)),
+            None => ((DEFAULT_SHARE * self.largest).powi(2), DEFAULT_WEIGHT),
+        };
+        ((weight * start + self.innovation_squares) / (weight + self.innovations))
+            .max(self.least())
+            .max(f64::MIN_POSITIVE)
+    }
+
+    /// One innovation, of which the filter itself explains the variance `own`. `fixed`: the noise stays that of the rest,
+    /// where there was one.
+    pub(super) fn take(&mut self, innovation: f64, own: f64, fixed: bool) {
+        let noise = self.variance();
+        let square = innovation * innovation;
+        let reference = self.at_rest().unwrap_or(noise);
+        let whole = own + noise;
+        self.test.take(
+            innovation / whole.sqrt(),
+            (square / (own + reference)).min(CLIP_TEST),
+        );
+        if fixed && self.at_rest().is_some() {
+            return;
+        }
+        // While the parameters are still moving the innovation says little about the sensor.
+        if own < 0.5 * noise || square > CLIP * whole {
+            self.innovations += 1.0;
+            self.innovation_squares += square.min(CLIP * whole) - own;
+            if self.innovations > MEMORY {
+                self.innovations *= 0.5;
+                self.innovation_squares *= 0.5;
+            }
+        }
+    }
+
+    /// The next innovation does not follow the last one.
+    pub(super) fn interrupt(&mut self) {
+        self.test.last = None;
+    }
+
+    /// Root mean square of the recent innovations in units of what the noise at rest lets expect, and the largest that
+    /// chance allows (one case in two hundred). `None` without a rest to compare with.
+    pub(super) fn consistency(&self) -> Option<(f64, f64)> {
+        self.at_rest()?;
+        (self.test.rows >= FEWEST_TESTED).then(|| {
+            let scatter = 1.0 / (2.0 * self.test.rows) + 0.75 / self.differences;
+            (
+                (self.test.expected / self.test.rows).sqrt(),
+                1.0 + 2.6 * scatter.sqrt(),
+            )
+        })
+    }
+
+    /// Factor on a variance because neighbouring innovations are alike: `(1 + rho)/(1 - rho)`, one where they are not.
+    pub(super) fn colour(&self) -> f64 {
+        if self.test.rows < FEWEST_TESTED {
+            return 1.0;
+        }
+        let rho = (self.test.products / self.test.squares.max(f64::MIN_POSITIVE)).min(0.99);
+        if rho > 3.0 / self.test.rows.sqrt() {
+            (1.0 + rho) / (1.0 - rho)
+        } else {
+            1.0
+        }
+    }
+}
+
+impl Test {
+    fn take(&mut self, normalised: f64, expected: f64) {
+        const KEPT: f64 = 1.0 - 1.0 / WINDOW;
+        let normalised = normalised.clamp(-10.0, 10.0);
+        self.rows = KEPT * self.rows + 1.0;
+        self.expected = KEPT * self.expected + expected;
+        self.squares = KEPT * self.squares + normalised * normalised;
+        self.products = KEPT * self.products + normalised * self.last.unwrap_or(0.0);
+        self.last = Some(normalised);
+    }
+}
+
+/// Changes of voltage between two samples that are told apart.
+const MOST: usize = 16;
+
+/// Voltage as applied, piece by piece, in a fixed store.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct HeldVoltage {
+    /// `(from, volts)` in the order of time; the first holds at the filter's present instant.
+    pieces: [(f64, f64); MOST],
+    count: usize,
+    /// The interval that comes is not known: too many changes in it, or one was told too late.
+    pub(super) torn: bool,
+    pub(super) energised: bool,
+}
+
+impl HeldVoltage {
+    /// The voltage that holds from `time_s` on; `now_s` is the instant up to which the filter has already gone.
+    pub(super) fn apply(&mut self, time_s: f64, voltage_v: f64, now_s: f64) {
+        if !(time_s.is_finite() && voltage_v.is_finite()) {
+            return;
+        }
+        self.energised |= voltage_v != 0.0;
+        let held = &self.pieces[..self.count];
+        let at = held.partition_point(|piece| piece.0 < time_s);
+        let known = at > 0 && held[at - 1].1.total_cmp(&voltage_v).is_eq();
+        let same_time = held.get(at).is_some_and(|p| p.0.total_cmp(&time_s).is_eq());
+        if same_time {
+            self.pieces[at].1 = voltage_v;
+            return;
+        }
+        // The same voltage once more changes nothing, unless something else was told for later.
+        if known && at == self.count {
+            return;
+        }
+        if time_s < now_s && self.count > 0 {
+            self.torn = true;
+        }
+        if self.count == MOST {
+            self.torn = true;
+            self.count -= 1;
+        }
+        let at = at.min(self.count);
+        self.pieces.copy_within(at..self.count, at + 1);
+        self.pieces[at] = (time_s, voltage_v);
+        self.count += 1;
+    }
+
+    /// What holds at an instant; `None` before the first command.
+    pub(super) fn at(&self, time_s: f64) -> Option<f64> {
+        signal::held(&self.pieces[..self.count], time_s)
+    }
+
+    /// `(length, volts)` of the pieces between two instants, of which the first is covered.
+    pub(super) fn between(
+        &self,
+        from_s: f64,
+        to_s: f64,
+    ) -> impl Iterator<Item = (f64, f64)> + Clone + '_ {
+        signal::pieces(&self.pieces[..self.count], from_s, to_s)
+    }
+
+    /// Forgets what no longer holds at `now_s`.
+    pub(super) fn advance(&mut self, now_s: f64) {
+        let held = self.pieces[..self.count].partition_point(|piece| piece.0 <= now_s);
+        if held > 1 {
+            self.pieces.copy_within(held - 1..self.count, 0);
+            self.count -= held - 1;
+        }
+        self.torn = false;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng as _;
+    use rand_distr::{Distribution as _, Normal};
+
+    fn noise(sigma: f64, rows: usize, seed: u64) -> Vec<f64> {
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        let normal = Normal::new(0.0, sigma).unwrap();
+        (0..rows).map(|_| normal.sample(&mut random)).collect()
+    }
+
+    #[test]
+    fn the_rest_gives_the_noise_and_a_drift_does_not_enter() {
+        let mut sensor = Sensor::default();
+        for (k, value) in noise(0.15, 400, 1).iter().enumerate() {
+            sensor.see(value + 0.01 * k as f64, true);
+        }
+        let sigma = sensor.at_rest().unwrap().sqrt();
+        assert!((sigma / 0.15 - 1.0).abs() < 0.1, "{sigma}");
+    }
+
+    #[test]
+    fn a_sensor_that_never_moves_at_rest_has_the_noise_of_its_resolution() {
+        let mut sensor = Sensor::default();
+        for k in 0..50 {
+            sensor.see(if k < 40 { 0.0 } else { 0.5 * f64::from(k - 39) }, k < 40);
+        }
+        assert!((sensor.variance().sqrt() - 0.5 / 12f64.sqrt()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn innovations_correct_a_wrong_rest_and_the_test_says_how_wrong_it_was() {
+        let mut sensor = Sensor::default();
+        for value in noise(0.1, 200, 2) {
+            sensor.see(value, true);
+        }
+        for innovation in noise(0.3, 3000, 3) {
+            sensor.take(innovation, 1e-4, false);
+        }
+        let (ratio, allowed) = sensor.consistency().unwrap();
+        let told = (ratio / 3.0 - 1.0).abs() < 0.15 && ratio > allowed;
+        assert!(told, "{ratio} {allowed}");
+        assert!((sensor.variance().sqrt() / 0.3 - 1.0).abs() < 0.1);
+        assert!((sensor.colour() - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn coloured_innovations_widen() {
+        let mut sensor = Sensor::default();
+        for value in noise(0.1, 200, 4) {
+            sensor.see(value, true);
+        }
+        let mut value = 0.0;
+        for step in noise(0.06, 3000, 5) {
+            value = 0.8 * value + step;
+            sensor.take(value, 1e-6, false);
+        }
+        // rho = 0.8: (1 + 0.8)/(1 - 0.8) = 9.
+        let colour = sensor.colour();
+        assert!((6.0..13.0).contains(&colour), "{colour}");
+    }
+
+    #[test]
+    fn pieces_cover_the_interval_whatever_the_order_of_telling() {
+        let mut held = HeldVoltage::default();
+        assert_eq!(held.at(1.0), None);
+        for (time_s, volts) in [(0.0, 5.0), (2.0, 7.0), (1.0, 6.0), (f64::NAN, 9.0)] {
+            held.apply(time_s, volts, 0.0);
+        }
+        let pieces: Vec<_> = held.between(0.5, 2.5).collect();
+        assert_eq!(pieces, [(0.5, 5.0), (1.0, 6.0), (0.5, 7.0)]);
+        held.advance(2.0);
+        assert_eq!((held.at(1.5), held.at(2.0)), (None, Some(7.0)));
+        assert!(!held.torn);
+    }
+
+    #[test]
+    fn a_change_told_too_late_or_too_many_of_them_tear_the_interval() {
+        let mut held = HeldVoltage::default();
+        held.apply(0.0, 5.0, f64::NAN);
+        held.advance(1.0);
+        held.apply(0.9, 6.0, 1.0);
+        assert!(held.torn);
+        held.advance(2.0);
+        assert_eq!(held.at(2.0), Some(6.0));
+        for k in 0..40 {
+            held.apply(2.0 + 0.001 * f64::from(k), f64::from(k), 2.0);
+        }
+        assert!(held.torn);
+        assert_eq!(held.at(3.0), Some(39.0));
+    }
+}

@@ -1,0 +1,143 @@
+//! Lost rows of a record: how many, where, and what is made of the time between.
+
+use drivebench_model::plant::Scenario;
+use drivebench_model::sample::Run;
+
+/// How many rows of the voltage are missing, and what is made of the time between.
+pub fn sentence(run: &Run, scenario: &Scenario) -> Option<String> {
+    let holes = &scenario.unknown_input;
+    let longest = holes.iter().max_by_key(|hole| hole.lost_rows)?;
+    let lost: usize = holes.iter().map(|hole| hole.lost_rows).sum();
+    let rows = lost + run.points(scenario.input_channel).count();
+    let unknown_s: f64 = (holes.iter())
+        .filter(|hole| hole.variance > 0.0)
+        .map(|hole| hole.to_s - hole.from_s)
+        .sum();
+    let restarts = holes.iter().filter(|hole| hole.restart.is_some()).count();
+    let again = match restarts {
+        0 => String::new(),
+        1 => {
+            "; behind the long hole every simulation begins again from what was measured".to_owned()
+        }
+        _ => format!(
+            "; behind {restarts} long holes every simulation begins again from what was measured"
+        ),
+    };
+    let length_s = scenario.sample_time_s[scenario.samples() - 1] - scenario.begin_s();
+    let known = if unknown_s > 0.0 {
+        format!(
+            "for {unknown_s:.3} s ({:.1} % of the run) it is estimated from the rows beside it and from the current, with an \
+             uncertainty; elsewhere the rows beside it leave no doubt",
+            100.0 * unknown_s / length_s
+        )
+    } else {
+        "the rows beside them leave no doubt what it was".to_owned()
+    };
+    Some(format!(
+        "{}: {} of {} rows of {} are missing ({:.1} %), the longest time without {:.3} s from {:.3} s on: what was applied there is \
+         not recorded; {known}{again}",
+        run.name,
+        counted(lost),
+        counted(rows),
+        scenario.input_channel.key(),
+        100.0 * lost as f64 / rows as f64,
+        longest.to_s - longest.from_s,
+        longest.from_s,
+    ))
+}
+
+/// A number with its thousands apart.
+fn counted(number: usize) -> String {
+    let digits = number.to_string();
+    let mut out = String::new();
+    for (place, digit) in digits.chars().enumerate() {
+        if place > 0 && (digits.len() - place).is_multiple_of(3) {
+            out.push(',');
+        }
+        out.push(digit);
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::noise::NoiseFloor;
+    use crate::testing::{KEYS, PAPER, identify, of, paper, record};
+    use crate::{output_error, sanity, start};
+    use drivebench_model::plant::Model;
+    use drivebench_model::plant::testing::with_rows_lost;
+
+    /// Steps of some volts every 10 ms over a slow swing, as a record of 1 kHz; `lost` says which rows are.
+    fn run(lost: impl Fn(usize) -> bool) -> Run {
+        let mut state = 1_u32;
+        let events: Vec<(f64, f64)> = (0..6000)
+            .scan(0.0, |dither, row: u32| {
+                if row.is_multiple_of(10) {
+                    state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                    *dither = if state >> 31 == 0 { 8.0 } else { -8.0 };
+                }
+                let time_s = 1e-3 * f64::from(row);
+                let swing = 60.0 * (1.3 * (time_s - 0.3)).sin();
+                let volts = (20.0 * (swing + *dither)).round() / 20.0;
+                Some((time_s, if row < 300 { 0.0 } else { volts }))
+            })
+            .collect();
+        with_rows_lost(&record(&paper(), events, 1e-3, 6.0, 5), lost)
+    }
+
+    fn one_in_ten_and_a_long_hole(row: usize) -> bool {
+        (1..5990).contains(&row) && (row * 7919) % 101 < 10 || (3000..3400).contains(&row)
+    }
+
+    #[test]
+    fn the_loss_is_told_once_with_count_and_share_and_a_whole_record_says_nothing() {
+        let whole = run(|_| false);
+        assert_eq!(sentence(&whole, &Scenario::from_run(&whole).unwrap()), None);
+        let lossy = run(one_in_ten_and_a_long_hole);
+        let told = sentence(&lossy, &Scenario::from_run(&lossy).unwrap()).unwrap();
+        let lost = 6000 - lossy.rows();
+        let count = format!("{lost} of 6,000 rows of voltage_v are missing");
+        for part in [&*count, "0.400 s from 3.000 s on", "behind the long hole"] {
+            assert!(told.contains(part), "{told}");
+        }
+        assert_eq!(counted(1_234_567), "1,234,567");
+    }
+
+    #[test]
+    fn a_pause_of_a_clean_record_exchanges_no_columns() {
+        let lossy = run(one_in_ten_and_a_long_hole);
+        let scenario = Scenario::from_run(&lossy).unwrap();
+        let findings = sanity::examine(&lossy, &scenario, &Model::default());
+        assert!(!findings.iter().any(|found| found.refuses), "{findings:?}");
+    }
+
+    #[test]
+    fn a_clean_motor_is_found_through_lost_rows_and_nothing_is_left_over() {
+        let lossy = run(one_in_ten_and_a_long_hole);
+        let scenario = Scenario::from_run(&lossy).unwrap();
+        let noise = NoiseFloor::from_standstill(&scenario).unwrap();
+        let begin = start::complete(&Model::default(), &scenario).unwrap();
+        let fit = output_error::fit(&[begin], &scenario, &noise).unwrap();
+        assert!(fit.nrms < 1.1, "{}", fit.nrms);
+        for (parameter, truth) in fit.parameters.iter().zip(PAPER) {
+            let (value, std) = (parameter.value.unwrap(), parameter.std.unwrap());
+            let covers = (value - truth).abs() < 3.5 * std && std < 0.01 * truth;
+            assert!(covers, "{parameter:?}: {truth}");
+        }
+    }
+
+    #[test]
+    fn schemes_that_go_row_by_row_take_the_estimate_and_not_the_voltage_before() {
+        let lossy = run(one_in_ten_and_a_long_hole);
+        for id in ["3", "ekf", "weak-form"] {
+            let found = identify(id, &lossy, &Model::default()).unwrap();
+            for (key, truth) in KEYS.into_iter().zip(PAPER).take(4) {
+                let parameter = of(&found.parameters, key.key());
+                let off = (parameter.value.unwrap() - truth).abs();
+                let covers = off < 4.0 * parameter.std.unwrap();
+                assert!(covers, "{id} {parameter:?}: {truth}");
+            }
+        }
+    }
+}

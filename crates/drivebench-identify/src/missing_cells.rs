@@ -1,0 +1,149 @@
+//! Rows where a signal is missing, for methods that average over neighbouring rows.
+
+use drivebench_model::numerics::filter::spline;
+use drivebench_model::numerics::statistics;
+use drivebench_model::plant::Scenario;
+
+/// Periods of a signal over which a missing cell is bridged; what is missing for longer stays missing.
+const LONGEST_BRIDGE: f64 = 5.0;
+
+/// The scenario with whole rows: where most rows are whole the others are left out, as their stamps allow; where signals
+/// stand on rows of their own a natural spline through each joins them. Longer gaps stay. `None`: every row is whole already.
+pub fn bridged(scenario: &Scenario) -> Option<Scenario> {
+    let has_any = |values: &[f64]| values.iter().any(|value| value.is_finite());
+    let (current, speed) = (has_any(&scenario.current_a), has_any(&scenario.speed_rad_s));
+    let whole: Vec<bool> = (0..scenario.samples())
+        .map(|k| {
+            (!current || scenario.current_a[k].is_finite())
+                && (!speed || scenario.speed_rad_s[k].is_finite())
+        })
+        .collect();
+    let count = whole.iter().filter(|whole| **whole).count();
+    if count == whole.len() {
+        None
+    } else if 2 * count >= whole.len() {
+        Some(without_torn_rows(scenario, &whole))
+    } else {
+        Some(interpolated(scenario))
+    }
+}
+
+/// Leaves out torn rows between whole ones that are not far apart.
+fn without_torn_rows(scenario: &Scenario, whole: &[bool]) -> Scenario {
+    let times = &scenario.sample_time_s;
+    let kept: Vec<usize> = (0..whole.len()).filter(|k| whole[*k]).collect();
+    let longest_s = LONGEST_BRIDGE * median_gap(kept.iter().map(|k| times[*k]));
+    let (mut keep, mut last) = (Vec::with_capacity(whole.len()), None);
+    for &row in &kept {
+        let from = last.map_or(0, |last: usize| last + 1);
+        if last.is_none_or(|last| times[row] - times[last] > longest_s) {
+            keep.extend(from..row);
+        }
+        keep.push(row);
+        last = Some(row);
+    }
+    let pick = |values: &[f64]| keep.iter().map(|k| values[*k]).collect::<Vec<f64>>();
+    let place = |row: usize| keep.partition_point(|k| *k < row);
+    Scenario {
+        sample_time_s: pick(times),
+        current_a: pick(&scenario.current_a),
+        speed_rad_s: pick(&scenario.speed_rad_s),
+        time_half_width_s: (keep.iter())
+            .filter_map(|k| scenario.time_half_width_s.get(*k).copied())
+            .collect(),
+        scored: place(scenario.scored.start)..place(scenario.scored.end),
+        ..scenario.clone()
+    }
+}
+
+fn interpolated(scenario: &Scenario) -> Scenario {
+    let times = &scenario.sample_time_s;
+    let mut bridged = scenario.clone();
+    for values in [&mut bridged.current_a, &mut bridged.speed_rad_s] {
+        let there: Vec<usize> = (0..times.len())
+            .filter(|k| values[*k].is_finite())
+            .collect();
+        let longest_s = LONGEST_BRIDGE * median_gap(there.iter().map(|k| times[*k]));
+        let mut begin = 0;
+        for end in 1..=there.len() {
+            let goes_on = there
+                .get(end)
+                .is_some_and(|row| times[*row] - times[there[end - 1]] <= longest_s);
+            if goes_on {
+                continue;
+            }
+            let points: Vec<(f64, f64)> = there[begin..end]
+                .iter()
+                .map(|row| (times[*row], values[*row]))
+                .collect();
+            // A line would cut the corners off a curve, and bias what is averaged over it.
+            let rows = there[begin]..=there[end - 1];
+            let read = spline(&points, &times[rows.clone()]);
+            values[rows].copy_from_slice(&read);
+            begin = end;
+        }
+    }
+    bridged
+}
+
+fn median_gap(times: impl Iterator<Item = f64>) -> f64 {
+    statistics::median_step(&times.collect::<Vec<f64>>())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use drivebench_model::plant::testing::record;
+    use drivebench_model::plant::{Model, Motor};
+
+    fn run() -> Scenario {
+        let model = Model::baseline(Motor::zk_22fc());
+        record(&model, vec![(0.0, 0.0), (0.1, 30.0)], 0.002, 0.6, 3)
+    }
+
+    #[test]
+    fn whole_rows_stay_untouched_and_a_signal_that_is_nowhere_tears_no_row() {
+        let mut scenario = run();
+        assert!(bridged(&scenario).is_none());
+        scenario.current_a.fill(f64::NAN);
+        assert!(bridged(&scenario).is_none());
+    }
+
+    #[test]
+    fn torn_rows_go_long_gaps_stay_and_the_scored_rows_follow() {
+        let mut scenario = run();
+        for k in (5..100).step_by(10) {
+            scenario.current_a[k] = f64::NAN;
+        }
+        scenario.speed_rad_s[150..200].fill(f64::NAN);
+        scenario.scored = 100..300;
+        let whole = bridged(&scenario).unwrap();
+        assert_eq!(whole.samples(), 290);
+        assert_eq!(whole.scored, 90..290);
+        assert_eq!(whole.speed_rad_s.iter().filter(|w| w.is_nan()).count(), 50);
+        assert!(whole.sample_time_s.windows(2).all(|t| t[1] > t[0]));
+    }
+
+    #[test]
+    fn signals_on_rows_of_their_own_are_brought_together() {
+        let full = run();
+        let mut apart = full.clone();
+        for k in 0..full.samples() {
+            let cells = if k % 2 == 0 {
+                &mut apart.current_a
+            } else {
+                &mut apart.speed_rad_s
+            };
+            cells[k] = f64::NAN;
+        }
+        let together = bridged(&apart).unwrap();
+        let inside = 1..full.samples() - 1;
+        for k in inside {
+            // The noise of one reading and of its neighbours is 0.15 rad/s each.
+            let within = if k % 2 == 0 { 1e-9 } else { 1.2 };
+            let off = (together.speed_rad_s[k] - full.speed_rad_s[k]).abs();
+            assert!(off < within, "{k} {off}");
+            assert!(together.current_a[k].is_finite());
+        }
+    }
+}

@@ -1,0 +1,446 @@
+//! Does the nameplate fit the motor? Each difference with both numbers, and what would explain the pattern of them.
+//!
+//! ```text
+//! nameplate, estimates --> rows (fits | differs | not told) --> causes: unit of the speed, pulses, sensor gain,
+//!                                                                       temperature, load, another motor
+//! ```
+
+use std::f64::consts::PI;
+
+use serde::Serialize;
+
+use drivebench_model::plant::{Motor, MotorKey};
+use drivebench_model::sample::ParameterEstimate;
+use drivebench_model::text::number::{significant, with_std};
+
+/// What catalogues allow themselves, and a load or a warm winding adds.
+pub const CATALOGUE_TOLERANCE: f64 = 0.3;
+/// Standard deviations by which a difference has to exceed the tolerance.
+const CONFIDENCE: f64 = 2.0;
+/// Said of a value that differs.
+const MISFIT: &str = ", does not fit";
+/// Relative distance within which a ratio counts as a known factor.
+const FACTOR: f64 = 0.15;
+/// Rise of the resistance of copper, 1/K.
+const COPPER_PER_K: f64 = 0.0039;
+/// Warmest winding that temperature is blamed for, K above the nameplate's.
+const WARMEST_K: f64 = 130.0;
+
+/// The parameters of a plate, in the order in which they are told.
+pub(super) const KEYS: [MotorKey; 5] = [
+    MotorKey::Resistance,
+    MotorKey::Inductance,
+    MotorKey::BackEmf,
+    MotorKey::Inertia,
+    MotorKey::LoadTorque,
+];
+
+/// Whether one value fits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Fits {
+    Yes,
+    No,
+    /// The data do not carry the value, or the plate does not say it.
+    NotTold,
+}
+
+/// One key of the nameplate beside what was found.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Row {
+    pub key: &'static str,
+    pub unit: &'static str,
+    pub nameplate: Option<f64>,
+    pub found: Option<f64>,
+    pub std: Option<f64>,
+    /// Found over nameplate.
+    pub ratio: Option<f64>,
+    pub fits: Fits,
+    pub sentence: String,
+}
+
+impl Row {
+    /// The plate says it, and the data do not.
+    fn is_open(&self) -> bool {
+        self.fits == Fits::NotTold && self.nameplate.is_some()
+    }
+}
+
+/// The whole plate.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Comparison {
+    /// No value that can be told differs.
+    pub fits: bool,
+    /// Relative tolerance that was granted besides the uncertainty.
+    pub tolerance: f64,
+    pub rows: Vec<Row>,
+    /// What would explain the differences, the likeliest first.
+    pub causes: Vec<String>,
+    /// Why differences say nothing of the plate.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub doubt: Option<String>,
+}
+
+impl Comparison {
+    /// Sentences of the values that do not fit.
+    pub fn differences(&self) -> impl Iterator<Item = &str> {
+        self.rows
+            .iter()
+            .filter(|row| row.fits == Fits::No)
+            .map(|row| row.sentence.as_str())
+    }
+
+    /// Takes back what differs: the values were found with a model that misses something, which may be in them.
+    pub fn doubt(&mut self, reason: String) {
+        for row in self.rows.iter_mut().filter(|row| row.fits == Fits::No) {
+            row.fits = Fits::NotTold;
+            row.sentence = row.sentence.replace(MISFIT, "");
+        }
+        self.fits = true;
+        self.causes.clear();
+        self.doubt = Some(reason);
+    }
+
+    /// Whether it fits, then what does not and why, one a line.
+    pub fn in_short(&self) -> Vec<String> {
+        let text = self.text();
+        let mut lines = vec![text.lines().next().unwrap_or_default().to_owned()];
+        lines.extend(self.differences().map(str::to_owned));
+        lines.extend(self.causes.iter().map(|cause| format!("likely: {cause}")));
+        lines
+    }
+
+    /// A table for people.
+    pub fn text(&self) -> String {
+        use std::fmt::Write as _;
+        let judged = self.rows.iter().any(|row| row.fits != Fits::NotTold);
+        let open: Vec<&str> = self
+            .rows
+            .iter()
+            .filter(|row| row.is_open())
+            .map(|row| row.key)
+            .collect();
+        let fits_in_part = format!("fits but for what was not told: {}", open.join(", "));
+        let mut text = format!(
+            "nameplate {} (within {:.0} % and the uncertainty)\n",
+            match (&self.doubt, judged, self.fits) {
+                (Some(doubt), ..) => doubt,
+                (None, false, _) => "not judged: nothing was identified that it says",
+                (None, true, true) if open.is_empty() => "fits",
+                (None, true, true) => &fits_in_part,
+                (None, true, false) => "does NOT fit",
+            },
+            100.0 * self.tolerance
+        );
+        for row in &self.rows {
+            let _ = writeln!(text, "  {}", row.sentence);
+        }
+        for cause in &self.causes {
+            let _ = writeln!(text, "  likely: {cause}");
+        }
+        text
+    }
+}
+
+/// Compares what the plate says with what the data say; a key that neither knows is left out.
+pub fn compare(nameplate: &Motor, found: &[ParameterEstimate]) -> Comparison {
+    let rows: Vec<Row> = KEYS
+        .into_iter()
+        .filter_map(|key| row(key, nameplate.get(key), found))
+        .collect();
+    let fits = rows.iter().all(|row| row.fits != Fits::No);
+    let causes = if fits { Vec::new() } else { causes(&rows) };
+    Comparison {
+        fits,
+        tolerance: CATALOGUE_TOLERANCE,
+        rows,
+        causes,
+        doubt: None,
+    }
+}
+
+fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Option<Row> {
+    let estimate = ParameterEstimate::find(found, key.key());
+    let carried = estimate.and_then(ParameterEstimate::carried);
+    let (value, std) = (
+        carried.map(|found| found.0),
+        carried.and_then(|found| found.1),
+    );
+    if nameplate.is_none() && value.is_none() {
+        return None;
+    }
+    let unit = key.unit();
+    let ratio = nameplate.filter(|plate| *plate > 0.0).zip(value);
+    let ratio = ratio.map(|(plate, value)| value / plate);
+    let fits = match (nameplate, value) {
+        (Some(plate), Some(value)) => {
+            let margin = CONFIDENCE * std.unwrap_or(0.0);
+            let most = 1.0 + CATALOGUE_TOLERANCE;
+            if value + margin < plate / most || value - margin > plate * most {
+                Fits::No
+            } else {
+                Fits::Yes
+            }
+        }
+        _ => Fits::NotTold,
+    };
+    let name = key.key();
+    let sentence = match (nameplate, value) {
+        (Some(plate), Some(value)) => {
+            let times = ratio.map_or_else(String::new, |ratio| match ratio {
+                ratio if ratio >= 2.0 => format!(": {ratio:.1} times the plate"),
+                ratio if ratio <= 0.5 => format!(": 1/{:.1} of the plate", 1.0 / ratio),
+                ratio => format!(": {:+.0} %", 100.0 * (ratio - 1.0)),
+            });
+            let misfit = if fits == Fits::No { MISFIT } else { "" };
+            format!(
+                "{name}: found {} {unit}, nameplate {} {unit}{times}{misfit}",
+                with_std(value, std),
+                significant(plate, 4)
+            )
+        }
+        (Some(plate), None) => {
+            let reason = estimate.and_then(|estimate| estimate.reason.as_deref());
+            format!(
+                "{name}: nameplate {} {unit}, not told from the data ({})",
+                significant(plate, 4),
+                reason.unwrap_or("not estimated")
+            )
+        }
+        (None, value) => format!(
+            "{name}: found {} {unit}, not on the nameplate",
+            with_std(value.unwrap_or(f64::NAN), std)
+        ),
+    };
+    Some(Row {
+        key: name,
+        unit,
+        nameplate,
+        found: value,
+        std,
+        ratio,
+        fits,
+        sentence,
+    })
+}
+
+/// What a wrong factor in one sensor does to each estimate, as powers of the factor. The torque constant is taken from
+/// the back-EMF, so a wrong speed goes into the torques as well.
+struct Pattern {
+    cause: fn(f64) -> String,
+    /// Power of the factor in R, L, Ke, J, Mc.
+    powers: [i32; 5],
+    /// The key whose ratio is the factor, and its power.
+    leader: usize,
+}
+
+/// A speed that is read as `c` times the true one: Ke/c, J/c^2, Mc/c. A current read as `c` times: R/c, L/c, J c, Mc c.
+/// A voltage read as `c` times: R c, L c, Ke c, and with it J c, Mc c.
+const PATTERNS: [Pattern; 3] = [
+    Pattern {
+        cause: speed_cause,
+        powers: [0, 0, -1, -2, -1],
+        leader: 2,
+    },
+    Pattern {
+        cause: current_cause,
+        powers: [-1, -1, 0, 1, 1],
+        leader: 0,
+    },
+    Pattern {
+        cause: voltage_cause,
+        powers: [1, 1, 1, 1, 1],
+        leader: 2,
+    },
+];
+
+fn near(ratio: f64, factor: f64) -> bool {
+    (ratio / factor).ln().abs() < FACTOR
+}
+
+fn speed_cause(factor: f64) -> String {
+    let per_minute = 60.0 / (2.0 * PI);
+    let known = [
+        (per_minute, "speed in r/min taken for rad/s (factor 9.55)"),
+        (
+            1.0 / per_minute,
+            "speed in rad/s taken for r/min (factor 1/9.55)",
+        ),
+        (
+            2.0 * PI,
+            "speed in rad/s taken for turns per second (factor 6.28)",
+        ),
+        (
+            1.0 / (2.0 * PI),
+            "speed in turns per second taken for rad/s (factor 1/6.28)",
+        ),
+        (
+            2.0,
+            "encoder pulses per turn given as half of what they are, or edges counted twice",
+        ),
+        (
+            4.0,
+            "encoder pulses per turn: lines given, quadrature edges counted (factor 4)",
+        ),
+        (0.5, "encoder pulses per turn given as twice what they are"),
+        (
+            0.25,
+            "encoder pulses per turn: edges given, lines counted (factor 1/4)",
+        ),
+        (10.0, "speed scaling ten times too large"),
+        (0.1, "speed scaling ten times too small"),
+    ];
+    match known.iter().find(|(known, _)| near(factor, *known)) {
+        Some((_, text)) => (*text).to_owned(),
+        None => format!(
+            "speed sensor reads {factor:.2} times the true speed (pulses per turn, gain), or a gear"
+        ),
+    }
+}
+
+fn current_cause(factor: f64) -> String {
+    format!("current sensor reads {factor:.2} times the true current (gain, unit, shunt)")
+}
+
+fn voltage_cause(factor: f64) -> String {
+    format!("voltage is {factor:.2} times what reaches the motor (scaling of the command, supply)")
+}
+
+fn causes(rows: &[Row]) -> Vec<String> {
+    let ratio = |key: MotorKey| rows.iter().find(|row| row.key == key.key())?.ratio;
+    let misfits = || rows.iter().filter(|row| row.fits == Fits::No);
+    let differs = |key: MotorKey| misfits().any(|row| row.key == key.key());
+    let count = misfits().count();
+    let causes = PATTERNS
+        .iter()
+        .filter_map(|pattern| explained(pattern, &ratio));
+    let causes: Vec<_> = causes.collect();
+    if !causes.is_empty() {
+        return causes;
+    }
+    let cause = if count == 1 && differs(MotorKey::Resistance) {
+        let rise_k = ratio(MotorKey::Resistance).map_or(0.0, |ratio| (ratio - 1.0) / COPPER_PER_K);
+        if (0.0..=WARMEST_K).contains(&rise_k) {
+            return vec![format!(
+                "winding temperature: copper gains 39 % per 100 K, this is {rise_k:.0} K; or leads and brushes"
+            )];
+        }
+        if rise_k > WARMEST_K {
+            "resistance of leads, brushes or contacts; or another winding"
+        } else {
+            "another winding, or a resistance on the plate that includes more than the armature"
+        }
+    } else if count == 1 && differs(MotorKey::Inertia) {
+        "a load on the shaft (or none), or a plate that gives the rotor alone"
+    } else if count == 1 && differs(MotorKey::LoadTorque) {
+        "friction of load, bearings or brake is not what was expected"
+    } else if count == 1 && differs(MotorKey::Inductance) {
+        "saturation, another way of measuring the inductance, or another winding"
+    } else if !differs(MotorKey::Resistance)
+        && !differs(MotorKey::BackEmf)
+        && !differs(MotorKey::Inductance)
+    {
+        "the load on the shaft: winding and back-EMF fit the plate"
+    } else {
+        "another motor than the one on the nameplate: no single sensor factor explains the differences"
+    };
+    vec![cause.to_owned()]
+}
+
+/// The cause of a pattern, if one factor explains every value that is known, within the catalogue's tolerance.
+fn explained(pattern: &Pattern, ratio: &impl Fn(MotorKey) -> Option<f64>) -> Option<String> {
+    let leader = ratio(KEYS[pattern.leader])?;
+    let tolerance = CATALOGUE_TOLERANCE.ln_1p();
+    let factor = leader.powf(1.0 / f64::from(pattern.powers[pattern.leader]));
+    // A factor of about one explains nothing.
+    if factor.ln().abs() < tolerance {
+        return None;
+    }
+    let mut witnesses = 0;
+    for (key, power) in KEYS.into_iter().zip(pattern.powers) {
+        let Some(found) = ratio(key) else {
+            continue;
+        };
+        // Friction and load are the least certain entries of any plate.
+        let share = if key == MotorKey::LoadTorque {
+            2.0
+        } else {
+            1.0
+        };
+        let allowed = share * tolerance;
+        if (found.ln() - f64::from(power) * factor.ln()).abs() > allowed {
+            return None;
+        }
+        witnesses += usize::from(power != 0);
+    }
+    // The leader alone is no pattern.
+    (witnesses >= 2).then(|| (pattern.cause)(factor))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The plate's values times these factors, each known to 1 %.
+    fn estimates(factors: [f64; 5]) -> Vec<ParameterEstimate> {
+        let plate = Motor::zk_22fc();
+        let found = |(key, factor): (MotorKey, f64)| {
+            let value = factor * plate.get(key).unwrap();
+            ParameterEstimate::found(key.key(), key.unit(), value, 0.01 * value, None)
+        };
+        KEYS.into_iter().zip(factors).map(found).collect()
+    }
+
+    fn scaled(factors: [f64; 5]) -> Comparison {
+        compare(&Motor::zk_22fc(), &estimates(factors))
+    }
+
+    #[test]
+    fn a_specimen_within_the_tolerance_fits() {
+        let found = scaled([1.2, 0.8, 1.05, 0.9, 1.3]);
+        assert!(found.fits && found.causes.is_empty(), "{}", found.text());
+        // The same excess beyond the tolerance and two deviations does not.
+        let found = scaled([1.34, 1.0, 1.0, 1.0, 1.0]);
+        assert!(!found.fits);
+        assert_eq!(found.differences().count(), 1);
+        let sentence = found.differences().next().unwrap();
+        let has_both = sentence.contains("1.474") && sentence.contains("1.100");
+        assert!(has_both, "{sentence}");
+        assert!(found.causes[0].contains("87 K"), "{:?}", found.causes);
+    }
+
+    #[test]
+    fn a_wrong_sensor_is_known_by_its_pattern() {
+        let c: f64 = 9.549;
+        for (factors, word) in [
+            ([1.0, 1.0, 1.0 / c, 1.0 / (c * c), 1.0 / c], "r/min"),
+            ([1.1, 0.9, 4.0, 16.0, 4.0], "edges given"),
+            ([0.5, 0.5, 1.0, 2.0, 2.0], "current sensor reads 2.00"),
+            ([3.0, 3.0, 3.0, 3.0, 3.0], "voltage is 3.00"),
+            ([1.8, 0.1, 0.14, 0.0044, 0.022], "another motor"),
+            ([1.0, 1.0, 1.0, 10.0, 3.0], "load on the shaft"),
+            ([1.0, 1.0, 1.0, 10.0, 1.0], "a load on the shaft"),
+            ([2.0, 1.0, 1.0, 1.0, 1.0], "leads"),
+        ] {
+            let found = scaled(factors);
+            let known = found
+                .causes
+                .first()
+                .is_some_and(|cause| cause.contains(word));
+            assert!(known, "{word}: {:?}", found.causes);
+        }
+    }
+
+    #[test]
+    fn what_the_data_do_not_carry_is_not_compared() {
+        let mut found = estimates([1.0; 5]);
+        found[1] = ParameterEstimate::not_observable("inductance_h", "H", "period too long");
+        let mut plate = Motor::zk_22fc();
+        plate.clear(MotorKey::LoadTorque);
+        let comparison = compare(&plate, &found);
+        assert!(comparison.fits);
+        assert_eq!(comparison.rows[1].fits, Fits::NotTold);
+        assert!(comparison.rows[1].sentence.contains("period too long"));
+        assert!(comparison.rows[4].sentence.contains("not on the nameplate"));
+    }
+}

@@ -1,0 +1,413 @@
+//! The floor below which no model error can be seen.
+
+use std::ops::Range;
+
+use serde::Serialize;
+
+use super::speed_from_angle;
+use drivebench_model::numerics::count::whole;
+use drivebench_model::numerics::statistics::{
+    autocorrelation, finite, mean, robust_deviation, variance,
+};
+use drivebench_model::plant::{Input, Scenario};
+
+/// Where the noise floor comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FloorSource {
+    /// Standard deviation over the leading standstill: what the sensors show when nothing moves.
+    Standstill,
+    /// Difference of two runs with the same excitation: what the machine itself does not repeat.
+    Repeat,
+    /// Neither: errors are scaled by the residual of the refitted baseline, and `none` means only that no effect passes.
+    None,
+}
+
+impl FloorSource {
+    /// What an error of one is, for everything that is said in multiples of it.
+    pub const fn unit(self) -> &'static str {
+        match self {
+            Self::Standstill | Self::Repeat => "the noise floor",
+            Self::None => "the baseline's residual",
+        }
+    }
+
+    /// What stands behind a multiple: without a floor none may be claimed.
+    pub const fn times(self) -> &'static str {
+        match self {
+            Self::Standstill | Self::Repeat => "times the noise floor",
+            Self::None => "times the baseline's residual",
+        }
+    }
+}
+
+/// Standard deviation of the measurement noise, per signal.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct NoiseFloor {
+    pub current_a: f64,
+    pub speed_rad_s: f64,
+    pub source: FloorSource,
+    /// Independent samples that it was estimated from: a standard deviation from n samples is itself uncertain by 1/sqrt(2 n).
+    pub samples: usize,
+    /// Autocorrelation of the noise from one sample to the next, of current and speed, at rest: that of a first-order process.
+    pub memory: [f64; 2],
+}
+
+/// Level, independent samples and memory of the noise of one signal.
+type Known = (f64, usize, f64);
+
+/// Standard deviations that a normal estimate exceeds in one case of two hundred.
+const RARELY_EXCEEDED: f64 = 2.6;
+
+/// Samples at rest below which a standard deviation says nothing.
+pub const FEWEST_SAMPLES: usize = 20;
+/// Share of a signal's spread that stands for its noise until a baseline is fitted: what a fair sensor has. Only the ratio
+/// of the two signals matters.
+const SCALE_OF_SPREAD: f64 = 0.01;
+/// Samples after switching on that may still carry a transient.
+const SKIPPED: usize = 2;
+/// Error in units of the floor below which a model explains a run to the noise.
+const AT_THE_FLOOR: f64 = 1.1;
+
+impl NoiseFloor {
+    /// Whether an error in units of the floor is one that a model may have that explains the run to the noise.
+    pub fn is_at_the_floor(&self, nrms: f64) -> bool {
+        self.is_at(1.0, nrms)
+    }
+
+    /// The same of a floor that is so many times as high, because not all of what noise does was seen at rest.
+    pub fn is_at(&self, height: f64, nrms: f64) -> bool {
+        self.source != FloorSource::None && nrms <= height * self.tolerance(AT_THE_FLOOR)
+    }
+
+    /// The multiple of the floor that a perfect model exceeds in one case of two hundred, because the floor itself was
+    /// estimated from few samples; at least `least`.
+    pub fn tolerance(&self, least: f64) -> f64 {
+        if self.samples == 0 {
+            least
+        } else {
+            least.max(1.0 + RARELY_EXCEEDED / (2.0 * self.samples as f64).sqrt())
+        }
+    }
+
+    /// From the leading standstill with zero input; never below the quantum over sqrt(12).
+    ///
+    /// A shaft that still coasts when the record begins is not at rest: only the part after it has stopped counts.
+    pub fn from_standstill(scenario: &Scenario) -> Option<Self> {
+        let rows = rest_rows(scenario)?;
+        // `None`: nothing to compare. `Some(0)`: a signal that lives but is exactly constant at rest, as a simulated one is.
+        let floor = |values: &[f64]| -> Option<Known> {
+            let at_rest = finite(&values[rows.clone()]);
+            if at_rest.len() < FEWEST_SAMPLES {
+                return None;
+            }
+            let settled = settled(&at_rest);
+            let quantum = quantum(values).unwrap_or(0.0);
+            let level = standard_deviation(settled).max(quantum_noise(quantum));
+            let mut present = values.iter().filter(|v| v.is_finite());
+            let first = present.next()?;
+            #[expect(clippy::float_cmp, reason = "exactly constant is what is asked")]
+            let varies = present.any(|v| v != first);
+            // What a signal repeats that is quieter than its resolution is no memory.
+            let memory = if level > quantum {
+                memory(settled)
+            } else {
+                0.0
+            };
+            // The squares of a first-order process are correlated by the square of that.
+            let independent =
+                settled.len() as f64 * (1.0 - memory * memory) / (1.0 + memory * memory);
+            (level > 0.0 || varies).then_some((level, whole(independent).max(1), memory))
+        };
+        let current = floor(&scenario.current_a).filter(|_| current_is_an_output(scenario));
+        // A coarse angle at rest shows nothing of what its resolution does to the speed that is derived from it.
+        let derived = speed_from_angle::noise(scenario).unwrap_or(0.0);
+        let speed = floor(&scenario.speed_rad_s);
+        let speed = speed.map(|(level, count, memory)| (level.max(derived), count, memory));
+        // A noise of zero is none that a sensor has: the rest then says nothing about noise.
+        let known = || current.iter().chain(&speed);
+        if known().any(|(level, ..)| *level <= 0.0) {
+            return None;
+        }
+        let samples = known().map(|(_, samples, _)| *samples).min()?;
+        let level = |known: Option<Known>| known.map_or(f64::INFINITY, |(level, ..)| level);
+        let memory = |known: Option<Known>| known.map_or(0.0, |(.., memory)| memory);
+        Some(Self {
+            current_a: level(current),
+            speed_rad_s: level(speed),
+            source: FloorSource::Standstill,
+            samples,
+            memory: [memory(current), memory(speed)],
+        })
+    }
+
+    /// One floor from the standstills of several runs of one machine: each counts with its samples.
+    pub fn pooled(rests: &[Self]) -> Option<Self> {
+        let first = rests.first()?;
+        let mean = |level: fn(&Self) -> f64| {
+            let known = rests.iter().filter(|rest| level(rest).is_finite());
+            let (squares, samples) = known.fold((0.0, 0.0), |(squares, samples), rest| {
+                let n = rest.samples as f64;
+                (squares + n * level(rest).powi(2), samples + n)
+            });
+            if samples > 0.0 {
+                (squares / samples).sqrt()
+            } else {
+                f64::INFINITY
+            }
+        };
+        Some(Self {
+            current_a: mean(|rest| rest.current_a),
+            speed_rad_s: mean(|rest| rest.speed_rad_s),
+            source: first.source,
+            samples: rests.iter().map(|rest| rest.samples).sum(),
+            memory: [0, 1].map(|k| rests.iter().map(|rest| rest.memory[k]).fold(0.0, f64::max)),
+        })
+    }
+
+    /// Scales that make both signals count alike where no noise is known: the same small share of their spread.
+    pub fn from_spread(scenario: &Scenario) -> Self {
+        let spread = |values: &[f64]| {
+            let deviation = variance(&finite(values)).sqrt();
+            let scale = (deviation > 0.0).then_some(SCALE_OF_SPREAD * deviation);
+            scale.unwrap_or(f64::INFINITY)
+        };
+        let is_output = current_is_an_output(scenario);
+        Self {
+            current_a: if is_output {
+                spread(&scenario.current_a)
+            } else {
+                f64::INFINITY
+            },
+            speed_rad_s: spread(&scenario.speed_rad_s),
+            source: FloorSource::None,
+            samples: 0,
+            memory: [0.0; 2],
+        }
+    }
+}
+
+/// How many of these values, one of each sample, a floor from the standstill could rest on.
+pub fn samples_at_rest(scenario: &Scenario, values: &[f64]) -> usize {
+    let rows = rest_rows(scenario).unwrap_or_default();
+    finite(&values[rows]).len()
+}
+
+/// The rows of the leading standstill that a floor is taken from.
+fn rest_rows(scenario: &Scenario) -> Option<Range<usize>> {
+    let rest = scenario.leading_standstill();
+    let begin = rest.start + SKIPPED;
+    rest_of(begin..rest.end.max(begin), scenario)
+}
+
+/// The rows at rest in which no signal drifts: all, or as many of the last quarters as there are.
+fn rest_of(rows: Range<usize>, scenario: &Scenario) -> Option<Range<usize>> {
+    let signals = [&scenario.current_a, &scenario.speed_rad_s];
+    let resolved = signals.map(|values| (values, quantum(values).unwrap_or(0.0)));
+    (0..4)
+        .map(|quarter| rows.start + quarter * rows.len() / 4..rows.end)
+        .take_while(|part| part.len() >= FEWEST_SAMPLES)
+        .find(|part| {
+            let still =
+                |(values, quantum): &(&Vec<f64>, f64)| !drifts(&values[part.clone()], *quantum);
+            resolved.iter().all(still)
+        })
+}
+
+/// Deviations of the noise by which the last third of a rest may differ from the middle one: the mean of many samples is
+/// far nearer, even behind a slow filter, and a shaft that runs out goes much farther.
+const DRIFT: f64 = 8.0;
+
+/// Whether a signal goes somewhere, measured by its steps from sample to sample; `quantum` is its resolution, zero where
+/// none is seen. Its first third may hold a transient.
+///
+/// A signal that is quieter than its resolution hardly ever steps: one step of one quantum is no drift then, only where
+/// its value happened to lie near the edge of two.
+fn drifts(values: &[f64], quantum: f64) -> bool {
+    let present = finite(values);
+    let third = present.len() / 3;
+    if third == 0 {
+        return false;
+    }
+    let (middle, last) = (
+        &present[third..2 * third],
+        &present[present.len() - third..],
+    );
+    let steps = present.windows(2).map(|pair| (pair[1] - pair[0]).powi(2));
+    let rough = (0.5 * steps.sum::<f64>() / (present.len() - 1) as f64).sqrt();
+    let noise = rough.max(quantum_noise(quantum));
+    (mean(last) - mean(middle)).abs() > DRIFT * noise
+}
+
+/// Share by which the deviation of a rest may exceed that of its last half; more is a transient at its beginning.
+const TRANSIENT: f64 = 0.15;
+/// The same times the root of the samples: what few samples exceed by chance in one case of a thousand.
+const CHANCE: f64 = 2.6;
+
+/// The rest without a transient at its beginning: an offset of the drive's voltage builds up its current in the first
+/// moments, and a shaft may run out.
+fn settled(at_rest: &[f64]) -> &[f64] {
+    let n = at_rest.len();
+    let last_half = &at_rest[n / 2..];
+    if last_half.len() < FEWEST_SAMPLES / 2 {
+        return at_rest;
+    }
+    let beyond_chance = TRANSIENT.max(CHANCE / (n as f64).sqrt());
+    let limit = (1.0 + beyond_chance) * standard_deviation(last_half);
+    (0..2)
+        .map(|quarter| &at_rest[quarter * n / 4..])
+        .find(|part| standard_deviation(part) <= limit)
+        .unwrap_or(last_half)
+}
+
+/// Longest memory that is believed: at it a hundred samples are as one.
+const LONGEST_MEMORY: f64 = 0.98;
+/// Deviations of the autocorrelation of white noise, one over the root of the samples, up to which none is taken for real.
+const WHITE_SIGMAS: f64 = 3.0;
+
+/// Autocorrelation of noise from one sample to the next, zero where white noise shows as much.
+fn memory(at_rest: &[f64]) -> f64 {
+    let found = autocorrelation(at_rest, 1).first().copied().unwrap_or(0.0);
+    let is_real = found > WHITE_SIGMAS / (at_rest.len() as f64).sqrt();
+    if is_real {
+        found.min(LONGEST_MEMORY)
+    } else {
+        0.0
+    }
+}
+
+fn current_is_an_output(scenario: &Scenario) -> bool {
+    scenario.input == Input::Voltage
+}
+
+/// Standard deviation of the rounding to multiples of `quantum`: a uniform error is its width over the root of twelve.
+fn quantum_noise(quantum: f64) -> f64 {
+    quantum / 12f64.sqrt()
+}
+
+/// Share of a signal's range below which a step is rounding in the file, not resolution of the instrument.
+const ROUNDING: f64 = 1e-6;
+/// How near to a multiple of the smallest step the others must be, in such steps, and the share of them that must be.
+const NEAR_A_MULTIPLE: f64 = 0.05;
+const NEARLY_EVERY: f64 = 0.95;
+
+/// Resolution of the instrument: the smallest step between values, if nearly every step is a multiple of it.
+fn quantum(values: &[f64]) -> Option<f64> {
+    let mut sorted = finite(values);
+    sorted.sort_by(f64::total_cmp);
+    let range = sorted.last()? - sorted.first()?;
+    let steps: Vec<f64> = sorted
+        .windows(2)
+        .map(|pair| pair[1] - pair[0])
+        .filter(|step| *step > ROUNDING * range)
+        .collect();
+    let smallest = steps.iter().copied().min_by(f64::total_cmp)?;
+    let multiples = steps.iter().filter(|step| {
+        let rest = (**step / smallest).fract();
+        rest.min(1.0 - rest) < NEAR_A_MULTIPLE
+    });
+    (multiples.count() as f64 >= NEARLY_EVERY * steps.len() as f64).then_some(smallest)
+}
+
+fn standard_deviation(values: &[f64]) -> f64 {
+    variance(values).sqrt()
+}
+
+/// Noise of a signal from its second differences, outliers and steps left aside; zero where there is no signal.
+pub(super) fn roughness(values: &[f64]) -> f64 {
+    let differences = values.windows(3).map(|v| v[0] - 2.0 * v[1] + v[2]);
+    let differences = finite(&differences.collect::<Vec<f64>>());
+    if differences.is_empty() {
+        return 0.0;
+    }
+    robust_deviation(&differences) / 6f64.sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{every, run_of};
+    use drivebench_model::sample::{Channel, Origin};
+
+    fn scenario(standstill: usize, speed: impl Fn(usize) -> f64) -> Scenario {
+        let volts = |k| if k < standstill { 0.0 } else { 10.0 };
+        let columns = [
+            (Channel::Voltage, (0..400).map(volts).collect()),
+            (Channel::Speed, (0..400).map(speed).collect()),
+        ];
+        let mut run = run_of(every(0.01, 4.0), columns);
+        run.set_origin(Channel::Voltage, Origin::Unknown);
+        Scenario::from_run(&run).unwrap()
+    }
+
+    #[test]
+    fn the_standstill_gives_the_floor_and_only_if_it_is_long_enough() {
+        let noisy = |k: usize| if k.is_multiple_of(2) { 0.1 } else { -0.1 } + if k > 50 { k as f64 } else { 0.0 };
+        let floor = NoiseFloor::from_standstill(&scenario(50, noisy)).unwrap();
+        assert!((floor.speed_rad_s - 0.1).abs() < 0.002, "{floor:?}");
+        assert!(floor.current_a.is_infinite());
+        assert_eq!(NoiseFloor::from_standstill(&scenario(10, noisy)), None);
+    }
+
+    #[test]
+    fn a_shaft_that_coasts_is_not_at_rest() {
+        let noise = |k: usize| if k.is_multiple_of(2) { 0.1 } else { -0.1 };
+        let coasts = |k: usize| noise(k) + 60.0 - 0.5 * k as f64;
+        assert_eq!(NoiseFloor::from_standstill(&scenario(100, coasts)), None);
+        let stops = |k: usize| noise(k) + (60.0 - 1.5 * k as f64).max(0.0);
+        let floor = NoiseFloor::from_standstill(&scenario(100, stops)).unwrap();
+        assert!((floor.speed_rad_s - 0.1).abs() < 0.002, "{floor:?}");
+        assert!(floor.samples < 80);
+    }
+
+    #[test]
+    fn a_signal_without_any_noise_has_no_floor_and_is_not_left_out() {
+        let silent = |k: usize| if k < 50 { 0.0 } else { (k as f64).sin() };
+        assert_eq!(NoiseFloor::from_standstill(&scenario(50, silent)), None);
+        assert!(NoiseFloor::from_spread(&scenario(50, silent)).speed_rad_s > 0.0);
+    }
+
+    #[test]
+    fn one_step_of_the_resolution_is_no_drift_and_many_are() {
+        let moves = |k: usize| if k < 100 { 0.0 } else { ((k - 100) / 3) as f64 };
+        // An offset near the edge of two counts: nearly all of the first half shows one, all of the second the other.
+        let edge = |k: usize| 0.1 * (moves(k) + f64::from(u8::from((70..100).contains(&k))));
+        let floor = NoiseFloor::from_standstill(&scenario(100, edge)).unwrap();
+        assert!(floor.samples > 90, "the whole rest counts: {floor:?}");
+        let between = (0.1 / 12f64.sqrt()..0.1).contains(&floor.speed_rad_s);
+        assert!(between, "{floor:?}");
+        // A run-out of many counts is one.
+        let coasts = |k: usize| 0.1 * (moves(k) + if k < 100 { (100 - k) as f64 } else { 0.0 });
+        assert_eq!(NoiseFloor::from_standstill(&scenario(100, coasts)), None);
+    }
+
+    #[test]
+    fn noise_that_goes_on_from_sample_to_sample_counts_as_fewer_samples() {
+        // An autoregressive process of 0.9, and white noise.
+        let white = |k: usize| ((78.233 * k as f64).sin() * 43_758.545).fract() - 0.5;
+        let mut before = 0.0;
+        let coloured: Vec<f64> = (0..400)
+            .map(|k| {
+                before = 0.9 * before + white(k);
+                before
+            })
+            .collect();
+        let [white, coloured] = [scenario(400, white), scenario(400, |k| coloured[k])];
+        let [white, coloured] =
+            [white, coloured].map(|run| NoiseFloor::from_standstill(&run).unwrap());
+        assert!(
+            white.memory[1].abs() < 1e-12 && white.samples > 380,
+            "{white:?}"
+        );
+        assert!((0.7..0.95).contains(&coloured.memory[1]), "{coloured:?}");
+        assert!((20..150).contains(&coloured.samples), "{coloured:?}");
+    }
+
+    #[test]
+    fn a_noiseless_encoder_is_bounded_by_its_quantum() {
+        let counts = |k: usize| (k.saturating_sub(50) / 3) as f64 * 0.5;
+        let floor = NoiseFloor::from_standstill(&scenario(50, counts)).unwrap();
+        let off = floor.speed_rad_s - 0.5 / 12f64.sqrt();
+        assert!(off.abs() < 1e-9, "{floor:?}");
+    }
+}

@@ -1,0 +1,190 @@
+//! Identification while the motor runs: samples and commands in the order of time in, parameters out.
+//!
+//! Pure arithmetic on the samples' own stamps: the same sequence gives the same bits.
+
+use serde::Serialize;
+
+use super::recursive::{CurrentIntegral, Memory, Scheme2, Scheme3, StartValues};
+use super::stamps;
+use drivebench_model::plant::{Model, MotorKey};
+use drivebench_model::sample::{Channel, ParameterEstimate, Sample};
+
+/// Least length of a row of scheme 2, s.
+const STRIDE_S: f64 = 0.01;
+
+/// What the user may set.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct OnlineConfig {
+    /// Forgetting factors per row (a block of about 10 ms).
+    pub memory: Memory,
+    /// Torque constant, N.m/A; equal to the back-EMF constant unless given.
+    pub torque_n_m_per_a: Option<f64>,
+    /// First guess of R, L, Ke; without it the data give one.
+    pub start: Option<StartValues>,
+}
+
+impl OnlineConfig {
+    /// First guess and torque constant from a model; what it leaves out is left to the data.
+    pub fn from_model(model: &Model) -> Self {
+        Self {
+            memory: Memory::default(),
+            torque_n_m_per_a: model.motor.get(MotorKey::TorqueConstant),
+            start: StartValues::from_motor(&model.motor),
+        }
+    }
+}
+
+/// Which voltage of a sample counts as applied: the command, and where none ever came the measured one in its place.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct AppliedVoltage {
+    commanded: bool,
+}
+
+impl AppliedVoltage {
+    /// A command came beside the samples.
+    pub(super) const fn command(&mut self) {
+        self.commanded = true;
+    }
+
+    pub(super) fn of(&mut self, sample: &Sample) -> Option<f64> {
+        let command = sample.get(Channel::VoltageCmd);
+        self.commanded |= command.is_some();
+        let measured = || sample.get(Channel::Voltage).filter(|_| !self.commanded);
+        command.or_else(measured)
+    }
+}
+
+/// On-line identification by schemes 2 and 3.
+#[derive(Clone, Debug)]
+pub struct Online {
+    scheme_2: Scheme2,
+    scheme_3: Scheme3,
+    /// The same with each voltage later by the half-width: how far apart the two come is what the stamps leave open.
+    /// `None`: the drive stamps its samples itself.
+    late: Option<Box<Scheme3>>,
+    applied: AppliedVoltage,
+    /// Largest half-width of a stamp lately, s; zero where the drive stamps its samples itself.
+    half_width_s: f64,
+    frozen: Frozen,
+    last_s: Option<f64>,
+}
+
+/// Samples of which nothing is learnt, because a limit of the drive held its output: the motor had another voltage than
+/// was asked for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Frozen {
+    pub rows: u64,
+    pub seconds: f64,
+    /// Since when it has been so, s in the samples' time; `None`: it is not so now.
+    pub since_s: Option<f64>,
+}
+
+impl Frozen {
+    fn take(&mut self, time_s: f64, limited: bool, last_s: Option<f64>) {
+        if let (Some(_), Some(last_s)) = (self.since_s, last_s) {
+            self.seconds += (time_s - last_s).max(0.0);
+        }
+        self.rows += u64::from(limited);
+        self.since_s = limited.then(|| self.since_s.unwrap_or(time_s));
+    }
+}
+
+/// Share of a half-width that is left of it one sample later.
+const HALF_WIDTH_MEMORY: f64 = 0.99;
+
+impl Online {
+    pub fn new(config: OnlineConfig) -> Self {
+        Self {
+            scheme_2: Scheme2::new(
+                CurrentIntegral::Trapezoid,
+                config.memory.mechanical,
+                STRIDE_S,
+            ),
+            scheme_3: Scheme3::new(config.memory, config.torque_n_m_per_a, config.start),
+            late: None,
+            applied: AppliedVoltage::default(),
+            half_width_s: 0.0,
+            frozen: Frozen::default(),
+            last_s: None,
+        }
+    }
+
+    /// The voltage that the drive has applied from `time_s` on (drive time, as the samples). The reply that tells it
+    /// comes with a sample of a later stamp: call this first, then [`Self::push`].
+    pub fn command_applied(&mut self, time_s: f64, voltage_v: f64) {
+        self.applied.command();
+        self.hold(time_s, voltage_v);
+    }
+
+    fn hold(&mut self, time_s: f64, voltage_v: f64) {
+        self.scheme_3.voltage_applied(time_s, voltage_v);
+        if let Some(late) = &mut self.late {
+            late.voltage_applied(time_s + self.half_width_s, voltage_v);
+        }
+    }
+
+    /// Takes a sample. A voltage command in it holds from its stamp on; where no command ever came, the measured voltage
+    /// is held in its place. Stale or missing current or speed: the row gives only its command.
+    pub fn push(&mut self, sample: &Sample) {
+        let time_s = sample.time_s;
+        if let Some(volts) = self.applied.of(sample) {
+            self.hold(time_s, volts);
+        }
+        let good = [Channel::Current, Channel::Speed].map(|channel| sample.good(channel));
+        if let [Some(current), Some(speed)] = good {
+            self.frozen.take(time_s, sample.limited, self.last_s);
+            self.last_s = Some(time_s);
+            let half_width_s = sample.time_half_width_s.unwrap_or(0.0).abs();
+            self.half_width_s = half_width_s.max(HALF_WIDTH_MEMORY * self.half_width_s);
+            if half_width_s > 0.0 && self.late.is_none() {
+                self.late = Some(Box::new(self.scheme_3.clone()));
+            }
+            let late = self.late.as_deref_mut();
+            for scheme_3 in std::iter::once(&mut self.scheme_3).chain(late) {
+                scheme_3.set_limited(sample.limited);
+                scheme_3.set_half_width(half_width_s);
+                scheme_3.push(time_s, current, speed);
+            }
+            if let Some(noise) = self.scheme_3.speed_noise_rad_s() {
+                self.scheme_2.set_speed_noise(noise);
+            }
+            self.scheme_2.push(time_s, current, speed);
+        }
+    }
+
+    /// Scheme 3: R, L, Ke, J, Mc.
+    pub fn estimates(&self) -> Vec<ParameterEstimate> {
+        let mut estimates = self.scheme_3.estimates();
+        if let Some(late) = &self.late {
+            let period_s = self.scheme_3.period_s();
+            stamps::widen(&mut estimates, &late.estimates(), period_s);
+            stamps::refuse(&mut estimates, self.half_width_s);
+        }
+        estimates
+    }
+
+    /// Scheme 2: J, Mc from current and speed alone, with the torque constant that was given, else the one that scheme 3
+    /// has found.
+    pub fn scheme_2(&self) -> Vec<ParameterEstimate> {
+        self.scheme_2.estimates(self.scheme_3.torque_constant())
+    }
+
+    /// What the last block added to its prediction: current, A, and speed, rad/s.
+    pub fn innovation(&self) -> Option<(f64, f64)> {
+        self.scheme_3.innovation()
+    }
+
+    /// For how long a limit of the drive has kept it from learning.
+    pub const fn frozen(&self) -> Frozen {
+        self.frozen
+    }
+
+    /// How far the data carry R, L, Ke, Kt/J, Mc/J: 0 nothing learnt, 1 learnt.
+    pub fn excitation(&self) -> [f64; 5] {
+        self.scheme_3.excitation()
+    }
+}
+
+#[cfg(test)]
+#[path = "online_tests.rs"]
+mod tests;

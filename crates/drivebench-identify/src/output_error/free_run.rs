@@ -1,0 +1,402 @@
+//! The weighted residual of a free run as a function of the scaled free parameters.
+
+use std::sync::{Mutex, PoisonError};
+
+use super::FitError;
+use crate::noise::NoiseFloor;
+use crate::stamps;
+use drivebench_model::numerics::levenberg_marquardt::Problem;
+use drivebench_model::numerics::statistics;
+use drivebench_model::plant::{
+    Input, Model, ModelError, MotorKey, Plant, Scenario, Slot, State, Trajectory, motor_range,
+    typical_size,
+};
+
+/// Share of the torque that the largest input drives, at which a fit of a Coulomb level starts that was given as zero, whose
+/// logarithm does not exist: a millionth, which no sensor of torque or speed shows. As a share it follows the scale of the model,
+/// which no run without a current fixes.
+const SMALLEST_LOAD_SHARE: f64 = 1e-6;
+
+/// Unit in which the start of a signal without a measurement is fitted: A or rad/s.
+const UNMEASURED_START: f64 = 30.0;
+/// Unit in which initial states of effects are fitted: A2.s of heat in a winding.
+const EFFECT_STATE_SCALE: f64 = 100.0;
+
+/// Share of a signal's power left as residual from which on it carries nothing.
+const STILL: f64 = 0.8;
+/// Spread of a signal over its mean from which on it changes, if it is no noise.
+const CHANGES: f64 = 0.1;
+
+/// How a parameter and its scaled coordinate belong together.
+#[derive(Clone, Copy, Debug)]
+enum Scaling {
+    /// `p = exp(x)`, between two bounds on `p`.
+    Logarithm { min: f64, max: f64 },
+    /// `p = scale * x`.
+    Linear { scale: f64, min: f64, max: f64 },
+}
+
+impl Scaling {
+    fn of(slot: &Slot, model: &Model, scenario: &Scenario) -> Self {
+        match slot {
+            Slot::Motor(key) => {
+                let (min, max) = motor_range(*key, model, scenario);
+                Self::Logarithm { min, max }
+            }
+            Slot::Effect {
+                spec,
+                index,
+                parameter,
+                ..
+            } => {
+                let (min, max, effect) = (spec.min, spec.max, model.effects[*index].effect);
+                let scale = match (spec.logarithmic, spec.is_coefficient()) {
+                    (true, _) => return Self::Logarithm { min, max },
+                    (false, true) => typical_size(effect, *parameter, model, scenario),
+                    (false, false) => spec.scale,
+                };
+                Self::Linear { scale, min, max }
+            }
+        }
+    }
+
+    fn to_x(self, value: f64) -> f64 {
+        match self {
+            Self::Logarithm { min, max } => value.clamp(min, max).ln(),
+            Self::Linear { scale, .. } => value / scale,
+        }
+    }
+
+    fn to_value(self, x: f64) -> f64 {
+        match self {
+            Self::Logarithm { .. } => x.exp(),
+            Self::Linear { scale, .. } => x * scale,
+        }
+    }
+
+    /// d(value)/dx.
+    fn slope(self, value: f64) -> f64 {
+        match self {
+            Self::Logarithm { .. } => value,
+            Self::Linear { scale, .. } => scale,
+        }
+    }
+
+    fn clamp(self, x: f64) -> f64 {
+        match self {
+            Self::Logarithm { min, max } => x.clamp(min.ln(), max.ln()),
+            Self::Linear { scale, min, max } => x.clamp(min / scale, max / scale),
+        }
+    }
+
+    const fn difference_step(self) -> f64 {
+        match self {
+            Self::Logarithm { .. } => 2e-3,
+            Self::Linear { .. } => 1e-2,
+        }
+    }
+}
+
+/// Free run of a model over a scenario, as a least-squares problem.
+pub struct FreeRun<'a> {
+    model: Model,
+    scenario: &'a Scenario,
+    noise: NoiseFloor,
+    free: Vec<Slot>,
+    scaling: Vec<Scaling>,
+    /// Whether initial current and speed are two more unknowns.
+    start_is_free: bool,
+    measured_start: State,
+    /// States of effects whose initial values are unknowns too; none while fitting, because a fit defines the state
+    /// at its own start as zero (the resistance is that of the winding as it was then).
+    effect_states: usize,
+    /// Which scored samples enter: `(sample, is_speed)`, in the order of time.
+    rows: Vec<(usize, bool)>,
+    /// Sub-steps of the simulation are at least this long, s; zero: as short as its effects ask for.
+    coarse_s: f64,
+    /// Memory of simulations that are over, for the next ones: as much as there are threads at work on this problem.
+    spare: Mutex<Vec<Trajectory>>,
+}
+
+impl<'a> FreeRun<'a> {
+    pub fn new(model: &Model, scenario: &'a Scenario, noise: NoiseFloor) -> Result<Self, FitError> {
+        let mut model = model.clone();
+        for slot in model.slots() {
+            match (&slot, model.get(&slot)) {
+                (
+                    Slot::Effect {
+                        index, parameter, ..
+                    },
+                    None,
+                ) => {
+                    let effect = model.effects[*index].effect;
+                    let size = typical_size(effect, *parameter, &model, scenario);
+                    model.set(&slot, size);
+                }
+                (Slot::Motor(MotorKey::LoadTorque), Some(value))
+                    if !model.fixed.contains(&slot.key()) =>
+                {
+                    model.set(&slot, value.max(smallest_load_n_m(&model, scenario)));
+                }
+                _ => {}
+            }
+        }
+        model.require_complete()?;
+        let rows: Vec<(usize, bool)> = scenario
+            .scored
+            .clone()
+            .flat_map(|sample| [(sample, false), (sample, true)])
+            .filter(|(sample, is_speed)| {
+                let (values, level) = measured(scenario, &noise, *is_speed);
+                values[*sample].is_finite() && level.is_finite()
+            })
+            .collect();
+        if rows.is_empty() {
+            return Err(FitError::NothingMeasured {
+                run: scenario.name.clone(),
+            });
+        }
+        let free = model.free_slots();
+        let measured_start = State::at(
+            first_finite(&scenario.current_a),
+            first_finite(&scenario.speed_rad_s),
+        );
+        Ok(Self {
+            scaling: free
+                .iter()
+                .map(|slot| Scaling::of(slot, &model, scenario))
+                .collect(),
+            start_is_free: !starts_at_rest(scenario, &noise),
+            measured_start,
+            effect_states: 0,
+            model,
+            scenario,
+            noise,
+            free,
+            rows,
+            coarse_s: 0.0,
+            spare: Mutex::default(),
+        })
+    }
+
+    /// In coarse sub-steps, see [`Plant::coarse`].
+    #[must_use]
+    pub const fn coarse(mut self, step_s: f64) -> Self {
+        self.coarse_s = step_s;
+        self
+    }
+
+    /// Lets the states of effects start anywhere: in another run than the fitted one the winding may be warm already.
+    pub fn with_free_effect_states(mut self) -> Result<Self, FitError> {
+        self.effect_states = Plant::new(&self.model, self.scenario.input)?.effect_states();
+        Ok(self)
+    }
+
+    pub fn free_slots(&self) -> &[Slot] {
+        &self.free
+    }
+
+    /// `(sample, is_speed)` of every residual, in order.
+    pub fn rows(&self) -> &[(usize, bool)] {
+        &self.rows
+    }
+
+    /// Coordinates of the model as it is.
+    pub fn start(&self) -> Vec<f64> {
+        let value = |slot: &Slot| self.model.get(slot).unwrap_or(f64::NAN);
+        let free = self.free.iter().zip(&self.scaling);
+        let mut x: Vec<f64> = free
+            .map(|(slot, scaling)| scaling.to_x(value(slot)))
+            .collect();
+        if self.start_is_free {
+            let (start, scale) = (&self.measured_start, self.start_scale());
+            x.extend([start.current_a / scale.0, start.speed_rad_s / scale.1]);
+        }
+        x.extend(std::iter::repeat_n(0.0, self.effect_states));
+        x
+    }
+
+    pub fn model_at(&self, x: &[f64]) -> Model {
+        let mut model = self.model.clone();
+        for ((slot, scaling), x) in self.free.iter().zip(&self.scaling).zip(x) {
+            model.set(slot, scaling.to_value(*x));
+        }
+        model
+    }
+
+    /// d(parameter)/dx of the free parameters at `x`.
+    pub fn slopes(&self, x: &[f64]) -> Vec<f64> {
+        let free = self.scaling.iter().zip(x);
+        free.map(|(scaling, x)| scaling.slope(scaling.to_value(*x)))
+            .collect()
+    }
+
+    pub fn initial_state(&self, x: &[f64]) -> State {
+        let mut own = &x[self.free.len()..];
+        let mut state = State::default();
+        if self.start_is_free {
+            let scale = self.start_scale();
+            state = State::at(own[0] * scale.0, own[1] * scale.1);
+            own = &own[2..];
+        }
+        let effects: Vec<f64> = own.iter().map(|x| x * EFFECT_STATE_SCALE).collect();
+        state.with_effects(&effects)
+    }
+
+    /// Where no signal does more than its residual at a minimum: a machine at constant speed, whose noise would pass for
+    /// a transient of its initial state; or one that does what the model does not.
+    pub(crate) fn why_still(&self, residual: &[f64]) -> Option<String> {
+        let share = |speed: bool| -> Option<(f64, bool)> {
+            let (values, level) = measured(self.scenario, &self.noise, speed);
+            let rows = self.rows.iter().zip(residual);
+            let (signal, left): (Vec<f64>, Vec<f64>) = rows
+                .filter(|((_, is_speed), _)| *is_speed == speed)
+                .map(|((sample, _), residual)| (values[*sample], residual * level))
+                .unzip();
+            let spread = statistics::variance(&signal);
+            let changes = statistics::is_coloured(&signal)
+                && spread.sqrt() > CHANGES * statistics::mean(&signal).abs();
+            (signal.len() > 2).then(|| (statistics::variance(&left) / spread, changes))
+        };
+        let shares: Vec<(f64, bool)> = [false, true].into_iter().filter_map(share).collect();
+        let most = shares
+            .iter()
+            .fold(f64::INFINITY, |most, share| most.min(share.0));
+        let explained = 100.0 * (1.0 - most).max(0.0);
+        (most > STILL).then(|| {
+            if shares.iter().any(|share| share.1) {
+                format!(
+                    "the model explains {explained:.0} % of what the signals do: its free run does not follow them; check \
+                     columns, units and what drives the shaft"
+                )
+            } else {
+                format!(
+                    "the model explains {explained:.0} % of what the signals do, the rest is noise: the run is a steady state"
+                )
+            }
+        })
+    }
+
+    /// A trajectory to write over.
+    fn borrowed(&self) -> Trajectory {
+        let mut spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner);
+        spare.pop().unwrap_or_default()
+    }
+
+    fn give_back(&self, used: Trajectory) {
+        let mut spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner);
+        spare.push(used);
+    }
+
+    pub fn trajectory(&self, x: &[f64]) -> Result<Trajectory, FitError> {
+        let start = self.initial_state(x);
+        Ok(self.plant(x)?.simulate(self.scenario, start))
+    }
+
+    fn plant(&self, x: &[f64]) -> Result<Plant, ModelError> {
+        let plant = Plant::new(&self.model_at(x), self.scenario.input)?;
+        Ok(plant.coarse(self.coarse_s))
+    }
+
+    /// Units in which the initial state is fitted.
+    fn start_scale(&self) -> (f64, f64) {
+        let unit = |noise: f64| Some(10.0 * noise).filter(|unit| unit.is_finite());
+        let finite = |noise: f64| unit(noise).unwrap_or(UNMEASURED_START);
+        (finite(self.noise.current_a), finite(self.noise.speed_rad_s))
+    }
+}
+
+/// A signal with its noise.
+fn measured<'a>(scenario: &'a Scenario, noise: &NoiseFloor, is_speed: bool) -> (&'a [f64], f64) {
+    if is_speed {
+        (&scenario.speed_rad_s, noise.speed_rad_s)
+    } else {
+        (&scenario.current_a, noise.current_a)
+    }
+}
+
+/// What a simulation misses a measurement by, in units of the noise; `row` is `(sample, is_speed)`. The noise of a sample
+/// that was stamped vaguely is that of its sensor and what its signal does within the stamp's interval.
+pub fn weighted_residual(
+    (sample, is_speed): (usize, bool),
+    simulated: &Trajectory,
+    scenario: &Scenario,
+    noise: &NoiseFloor,
+) -> f64 {
+    let (measured, level) = measured(scenario, noise, is_speed);
+    let simulated = if is_speed {
+        &simulated.speed_rad_s
+    } else {
+        &simulated.current_a
+    };
+    let miss = simulated[sample] - measured[sample];
+    miss / level.hypot(stamps::spread(scenario, measured, sample))
+}
+
+impl Problem for FreeRun<'_> {
+    fn residual(&self, x: &[f64], out: &mut [f64]) -> bool {
+        let start = self.initial_state(x);
+        let Ok(mut plant) = self.plant(x) else {
+            return false;
+        };
+        let mut simulated = self.borrowed();
+        plant.simulate_into(self.scenario, start, &mut simulated);
+        for (cell, row) in out.iter_mut().zip(&self.rows) {
+            *cell = weighted_residual(*row, &simulated, self.scenario, &self.noise);
+        }
+        self.give_back(simulated);
+        out.iter().all(|value| value.is_finite())
+    }
+
+    fn residual_len(&self) -> usize {
+        self.rows.len()
+    }
+
+    fn difference_step(&self, index: usize) -> f64 {
+        (self.scaling.get(index)).map_or(1e-2, |scaling| scaling.difference_step())
+    }
+
+    fn clamp(&self, x: &mut [f64]) {
+        for (x, scaling) in x.iter_mut().zip(&self.scaling) {
+            *x = scaling.clamp(*x);
+        }
+    }
+}
+
+/// Torque of a Coulomb level that no input of the run shows.
+fn smallest_load_n_m(model: &Model, scenario: &Scenario) -> f64 {
+    let inputs: Vec<f64> = scenario.events.iter().map(|event| event.1).collect();
+    let kt = model.motor.torque_constant().unwrap_or(1.0);
+    let per_unit = match scenario.input {
+        Input::Voltage => kt / model.motor.get(MotorKey::Resistance).unwrap_or(1.0),
+        Input::Current => kt,
+        Input::Torque => 1.0,
+    };
+    let driven = SMALLEST_LOAD_SHARE * per_unit.abs() * statistics::largest(&inputs);
+    driven.max(f64::MIN_POSITIVE)
+}
+
+fn first_finite(values: &[f64]) -> f64 {
+    let mut values = values.iter().copied();
+    values.find(|value| value.is_finite()).unwrap_or(0.0)
+}
+
+/// Samples by which rest is told.
+const FIRST_SAMPLES: usize = 20;
+
+/// At rest: the first speeds are zero within their noise while the input is still zero, or the run begins with both
+/// signals within the noise of zero.
+fn starts_at_rest(scenario: &Scenario, noise: &NoiseFloor) -> bool {
+    let leading = scenario.leading_standstill();
+    let begin = leading.start.min(scenario.samples());
+    let end = leading.end.clamp(begin + 1, begin + FIRST_SAMPLES);
+    let first = begin..end.min(scenario.samples());
+    let quiet = |values: &[f64], level: f64| {
+        let mut present = values[first.clone()]
+            .iter()
+            .filter(|value| value.is_finite());
+        !level.is_finite() || present.all(|value| value.abs() <= 6.0 * level)
+    };
+    quiet(&scenario.speed_rad_s, noise.speed_rad_s)
+        && (!leading.is_empty() || quiet(&scenario.current_a, noise.current_a))
+}

@@ -1,0 +1,446 @@
+//! Batch output-error fit: the free run of a model is brought as near to the measurement as its parameters allow.
+//!
+//! ```text
+//! Model, Scenario, NoiseFloor --(FreeRun: x -> weighted residual)--> Levenberg-Marquardt --> Fit
+//!                                                                        block-clustered covariance
+//! ```
+//!
+//! Positive parameters are fitted as logarithms; the initial state is a nuisance where the
+//! run does not start at rest. The residual is `[(i - i^)/sigma_i ; (w - w^)/sigma_w]` over the scored samples.
+
+mod free_run;
+
+use nalgebra::{DMatrix, DVector};
+use thiserror::Error;
+
+use drivebench_model::numerics::count::whole;
+use drivebench_model::numerics::least_squares::{clustered, inverse_where_determined};
+use drivebench_model::numerics::levenberg_marquardt::{self, Minimum, Options, Problem as _};
+use drivebench_model::numerics::statistics;
+use drivebench_model::plant::{
+    Model, ModelError, ParameterRole, Scenario, Slot, State, Trajectory,
+};
+use drivebench_model::sample::ParameterEstimate;
+
+pub use free_run::{FreeRun, weighted_residual};
+
+use super::noise::{FloorSource, NoiseFloor};
+use super::verdict::judge;
+
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum FitError {
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    #[error("{runs} runs were recorded, {needed} are needed")]
+    TooFewRuns { runs: usize, needed: usize },
+    #[error("no free parameter: every parameter of the model is fixed")]
+    NothingFree,
+    #[error(
+        "run {run:?}: neither current nor speed can be compared: each is missing or the same throughout"
+    )]
+    NothingMeasured { run: String },
+    #[error("run {run:?}: {rows} rows of the torque balance, at least {needed} are needed")]
+    NoTorqueBalance {
+        run: String,
+        rows: usize,
+        needed: usize,
+    },
+    #[error("run {run:?}: the model cannot be simulated from its starting values")]
+    CannotSimulate { run: String },
+}
+
+impl FitError {
+    pub const fn help(&self) -> &'static str {
+        match self {
+            Self::Model(error) => error.help(),
+            Self::TooFewRuns { .. } => "record the missing runs",
+            Self::NothingFree => "take a key out of `fixed` in the model file",
+            Self::NothingMeasured { .. } => {
+                "map a column with --map speed_rad_s=HEADER or current_a=HEADER"
+            }
+            Self::NoTorqueBalance { .. } => {
+                "the shaft must turn for some seconds; map torque_n_m (or current_a) and speed_rad_s or angle_rad"
+            }
+            Self::CannotSimulate { .. } => {
+                "check the units of voltage, current and speed, and the model's values"
+            }
+        }
+    }
+}
+
+pub(super) fn cannot_simulate(scenario: &Scenario) -> FitError {
+    FitError::CannotSimulate {
+        run: scenario.name.clone(),
+    }
+}
+
+/// A fitted model with what is known about its parameters.
+#[derive(Clone, Debug)]
+pub struct Fit {
+    pub model: Model,
+    pub noise: NoiseFloor,
+    /// Every parameter of the model, in the order of its slots.
+    pub parameters: Vec<ParameterEstimate>,
+    /// What the standard deviations above were multiplied by: more than one where more than noise is left over, so that
+    /// they hold only if nothing else is missing.
+    pub interval_factor: f64,
+    /// Root of the mean over the signals of `(rmse / noise)^2` on the scored samples, as `diagnosis::Score` has it: a signal
+    /// that was sampled more often does not count more. The cost of the minimum weighs every sample alike.
+    pub nrms: f64,
+    pub start: State,
+    pub iterations: usize,
+    pub minimum: Minimum,
+    pub free: Vec<Slot>,
+}
+
+/// Fits the free parameters of each start's model and keeps the better minimum. Every start must have the same effects.
+pub fn fit(starts: &[Model], scenario: &Scenario, noise: &NoiseFloor) -> Result<Fit, FitError> {
+    fit_with(starts, scenario, noise, Options::default())
+}
+
+/// The same with other limits of the search.
+pub fn fit_with(
+    starts: &[Model],
+    scenario: &Scenario,
+    noise: &NoiseFloor,
+    options: Options,
+) -> Result<Fit, FitError> {
+    let mut best: Option<Fit> = None;
+    let mut failure = cannot_simulate(scenario);
+    for start in starts {
+        match fit_from(start, scenario, noise, options) {
+            Ok(found)
+                if best
+                    .as_ref()
+                    .is_none_or(|best| found.minimum.cost < best.minimum.cost) =>
+            {
+                best = Some(found);
+            }
+            Ok(_) => {}
+            Err(error) => failure = error,
+        }
+    }
+    best.ok_or(failure)
+}
+
+fn fit_from(
+    start: &Model,
+    scenario: &Scenario,
+    noise: &NoiseFloor,
+    options: Options,
+) -> Result<Fit, FitError> {
+    let problem = FreeRun::new(start, scenario, *noise)?;
+    if problem.free_slots().is_empty() {
+        return Err(FitError::NothingFree);
+    }
+    let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), options)
+        .ok_or_else(|| cannot_simulate(scenario))?;
+    let model = problem.model_at(&minimum.x);
+    let interval_factor = interval_factor(&minimum, problem.rows(), noise);
+    let parameters = estimates(&problem, &minimum, scenario, interval_factor, &[]);
+    Ok(Fit {
+        nrms: nrms(&minimum, problem.rows()),
+        start: problem.initial_state(&minimum.x),
+        iterations: minimum.iterations,
+        free: problem.free_slots().to_vec(),
+        noise: *noise,
+        model,
+        parameters,
+        interval_factor,
+        minimum,
+    })
+}
+
+/// Root of the mean over the signals of the mean square of their weighted residuals; a row is `(sample, is_speed)`.
+fn nrms(minimum: &Minimum, rows: &[(usize, bool)]) -> f64 {
+    let mut sums = [(0.0, 0.0); 2];
+    for ((_, is_speed), value) in rows.iter().zip(minimum.residual.as_slice()) {
+        let (squares, count) = &mut sums[usize::from(*is_speed)];
+        *squares += value * value;
+        *count += 1.0;
+    }
+    let present = sums.iter().filter(|(_, count)| *count > 0.0);
+    let (sum, signals) = present.fold((0.0, 0.0), |(sum, signals), (squares, count)| {
+        (sum + squares / count, signals + 1.0)
+    });
+    (sum / f64::max(signals, 1.0)).sqrt()
+}
+
+/// Estimates of every slot of the model, free and fixed; `shared` is what a common unknown of the record adds to the
+/// deviation of each coordinate.
+fn estimates(
+    problem: &FreeRun<'_>,
+    minimum: &Minimum,
+    scenario: &Scenario,
+    interval_factor: f64,
+    shared: &[f64],
+) -> Vec<ParameterEstimate> {
+    let model = &problem.model_at(&minimum.x);
+    let covariance = covariance_at(minimum, problem.rows(), scenario);
+    let period_s = statistics::mean_step(&scenario.sample_time_s);
+    let slopes = problem.slopes(&minimum.x);
+    let still = problem.why_still(&minimum.residual);
+    model
+        .slots()
+        .iter()
+        .map(|slot| {
+            let key = slot.key();
+            let value = model.get(slot);
+            let Some(index) = problem
+                .free_slots()
+                .iter()
+                .position(|free| free.key() == key)
+            else {
+                let fixed = ParameterEstimate::fixed(key, slot.unit(), f64::NAN);
+                return ParameterEstimate { value, ..fixed };
+            };
+            if let Some(reason) = &still {
+                return ParameterEstimate::not_observable(&key, slot.unit(), reason.clone());
+            }
+            let variance = covariance[(index, index)];
+            let std = variance.is_finite().then(|| {
+                let own = interval_factor * variance.max(0.0).sqrt();
+                own.hypot(shared.get(index).copied().unwrap_or(0.0)) * slopes[index].abs()
+            });
+            let mut judged = judge(slot, value.unwrap_or(f64::NAN), std, period_s);
+            if !minimum.converged {
+                judged.unsettle("the fit had not converged");
+            }
+            judged
+        })
+        .collect()
+}
+
+/// Length of one block, s.
+pub const BLOCK_S: f64 = 0.25;
+
+/// Block-clustered covariance at a minimum; NaN on the diagonal where the data leave a parameter undetermined. A variance
+/// from some ten blocks is itself uncertain by a quarter: none counts that is below what white residuals of this size
+/// would make.
+fn covariance_at(minimum: &Minimum, rows: &[(usize, bool)], scenario: &Scenario) -> DMatrix<f64> {
+    let (bread, determined) = inverse_where_determined(&minimum.jacobian);
+    let begin_s = rows
+        .first()
+        .map_or(0.0, |row| scenario.sample_time_s[row.0]);
+    let blocks: Vec<usize> = rows
+        .iter()
+        .map(|row| whole((scenario.sample_time_s[row.0] - begin_s) / BLOCK_S))
+        .collect();
+    let residual = DVector::from_column_slice(&minimum.residual);
+    let spare = residual.len().saturating_sub(bread.ncols()).max(1) as f64;
+    let white = bread.diagonal() * (residual.norm_squared() / spare);
+    let mut covariance = clustered(&minimum.jacobian, &residual, &blocks, bread, &determined);
+    for (index, least) in white.iter().enumerate() {
+        if covariance[(index, index)] < *least {
+            covariance[(index, index)] = *least;
+        }
+    }
+    covariance
+}
+
+/// What standard deviations are multiplied by where more than noise is left over.
+const WIDENED: f64 = 2.0;
+
+/// Factor on every standard deviation of a fit. Blocks cover what neighbouring samples share, but not what a missing effect
+/// puts into whole stretches of the run: where the error stands above the noise, or is coloured, the interval is doubled.
+/// It then holds if nothing else is missing.
+fn interval_factor(minimum: &Minimum, rows: &[(usize, bool)], noise: &NoiseFloor) -> f64 {
+    let residual = minimum.residual.as_slice();
+    let nrms = nrms(minimum, rows);
+    let above = noise.source != FloorSource::None && !noise.is_at_the_floor(nrms);
+    let is_coloured = |speed: bool| {
+        let of_signal: Vec<f64> = rows
+            .iter()
+            .zip(residual)
+            .filter(|((_, is_speed), _)| *is_speed == speed)
+            .map(|(_, value)| *value)
+            .collect();
+        statistics::is_coloured(&of_signal)
+    };
+    if above || is_coloured(false) || is_coloured(true) {
+        WIDENED
+    } else {
+        1.0
+    }
+}
+
+/// Rounds at most, and the step in standard deviations at which they end.
+const MOST_ROUNDS: usize = 6;
+const SMALL_STEP: f64 = 0.1;
+/// Share of what is known beforehand that the derivative is taken over.
+const DIFFERENCE: f64 = 0.02;
+
+/// Output-error fit where the host stamped samples and commands: by how much the input came later than its stamps say is
+/// one more unknown of the record, with what is known of it beforehand.
+///
+/// Gauss-Newton by blocks: the parameters at a delay, then the delay along what they cannot follow, `g - J (J'J)^-1 J'g`.
+/// What is left unknown of it enters every parameter's interval along `(J'J)^-1 J'g`.
+///
+/// As [`fit`]; the same where the drive stamped everything itself.
+pub fn fit_delayed(
+    starts: &[Model],
+    scenario: &Scenario,
+    noise: &NoiseFloor,
+) -> Result<Fit, FitError> {
+    let Some((mean_s, prior_s)) = scenario.input_delay_s() else {
+        return fit(starts, scenario, noise);
+    };
+    let mut delay_s = mean_s;
+    let mut found = fit(starts, &scenario.with_input_delayed(delay_s), noise)?;
+    for round in 0..MOST_ROUNDS {
+        let here = scenario.with_input_delayed(delay_s);
+        let x = &found.minimum.x;
+        let residual_at = |delay_s: f64| -> Result<DVector<f64>, FitError> {
+            let there = scenario.with_input_delayed(delay_s);
+            let problem = FreeRun::new(&found.model, &there, *noise)?;
+            let mut out = vec![0.0; problem.residual_len()];
+            if problem.residual(x, &mut out) {
+                Ok(DVector::from_vec(out))
+            } else {
+                Err(cannot_simulate(scenario))
+            }
+        };
+        let half_s = DIFFERENCE * prior_s;
+        let gradient =
+            (residual_at(delay_s + half_s)? - residual_at(delay_s - half_s)?) / (2.0 * half_s);
+        let jacobian = &found.minimum.jacobian;
+        let (bread, _) = inverse_where_determined(jacobian);
+        let along = bread * jacobian.tr_mul(&gradient);
+        let own = &gradient - jacobian * &along;
+        let residual = DVector::from_column_slice(&found.minimum.residual);
+        let problem = FreeRun::new(&found.model, &here, *noise)?;
+        let left = (found.interval_factor * found.nrms.max(1.0)).powi(2);
+        let information = own.norm_squared() / left + prior_s.powi(-2);
+        let pull = own.dot(&residual) / left + (delay_s - mean_s) / prior_s.powi(2);
+        let white_s = information.sqrt().recip();
+        let step_s = -pull / information;
+        if step_s.abs() > SMALL_STEP * white_s && round + 1 < MOST_ROUNDS {
+            delay_s += step_s.clamp(-prior_s, prior_s);
+            let next = scenario.with_input_delayed(delay_s);
+            found = fit(std::slice::from_ref(&found.model), &next, noise)?;
+            continue;
+        }
+        // What neighbouring samples err by together, as the parameters' own intervals have it.
+        let mut blocks: Vec<f64> = Vec::new();
+        let mut last = None;
+        for (row, (sample, _)) in problem.rows().iter().enumerate() {
+            let block = (here.sample_time_s[*sample] / BLOCK_S).floor();
+            if last != Some(block) {
+                blocks.push(0.0);
+                last = Some(block);
+            }
+            if let Some(score) = blocks.last_mut() {
+                *score += own[row] * residual[row];
+            }
+        }
+        let scores: f64 = blocks.iter().map(|score| score * score).sum();
+        let clustered_s = found.interval_factor * scores.sqrt() / (left * information);
+        let std_s = white_s.max(clustered_s).min(prior_s);
+        let shared: Vec<f64> = along.iter().map(|share| share * std_s).collect();
+        found.parameters = estimates(
+            &problem,
+            &found.minimum,
+            &here,
+            found.interval_factor,
+            &shared,
+        );
+        break;
+    }
+    Ok(found)
+}
+
+/// The model as given on a run: only the initial state is fitted, and only where the run does not start at rest, and the
+/// times of events, which are another in each run.
+#[derive(Clone, Debug)]
+pub struct Prediction {
+    pub trajectory: Trajectory,
+    pub start: State,
+    /// The model with its events where they are in this run.
+    pub model: Model,
+}
+
+/// Free run of a complete model over a scenario.
+pub fn predict(
+    model: &Model,
+    scenario: &Scenario,
+    noise: &NoiseFloor,
+) -> Result<Prediction, FitError> {
+    let mut held = model.clone();
+    let is_event = |slot: &Slot| slot.has_role(ParameterRole::EventTime);
+    let events: Vec<Slot> = held.free_slots().into_iter().filter(is_event).collect();
+    held.fixed = held.slots().iter().map(Slot::key).collect();
+    held.fixed
+        .retain(|key| !events.iter().any(|event| event.key() == *key));
+    if held.free_slots().is_empty() {
+        let options = Options::default();
+        return predict_from(&held, scenario, noise, options).map(|(prediction, _)| prediction);
+    }
+    // Each place costs one simulation; only the best few are worth a search. Events are placed one after the other: all
+    // places of one with all of the others are a power of their number.
+    let placed_only = Options {
+        most_iterations: 0,
+        ..Options::default()
+    };
+    let mut placed: Vec<(f64, Model)> = vec![(f64::INFINITY, held)];
+    for event in &events {
+        placed = placed
+            .iter()
+            .flat_map(|(_, model)| event_starts(model, event, scenario))
+            .filter_map(|start| {
+                let (_, cost) = predict_from(&start, scenario, noise, placed_only).ok()?;
+                Some((cost, start))
+            })
+            .collect();
+        placed.sort_by(|a, b| a.0.total_cmp(&b.0));
+        placed.truncate(BEST_PLACES);
+    }
+    placed
+        .iter()
+        .filter_map(|(_, start)| predict_from(start, scenario, noise, Options::thrifty()).ok())
+        .min_by(|a, b| a.1.total_cmp(&b.1))
+        .map(|(prediction, _)| prediction)
+        .ok_or_else(|| cannot_simulate(scenario))
+}
+
+/// Time behind a run's end at which what begins there does nothing in it, s.
+const BEHIND_S: f64 = 1.0;
+/// Places of an event from which a search starts.
+const BEST_PLACES: usize = 3;
+
+/// Free run from one start with its cost.
+fn predict_from(
+    held: &Model,
+    scenario: &Scenario,
+    noise: &NoiseFloor,
+    options: Options,
+) -> Result<(Prediction, f64), FitError> {
+    let problem = FreeRun::new(held, scenario, *noise)?.with_free_effect_states()?;
+    let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), options)
+        .ok_or_else(|| cannot_simulate(scenario))?;
+    let prediction = Prediction {
+        trajectory: problem.trajectory(&minimum.x)?,
+        start: problem.initial_state(&minimum.x),
+        model: problem.model_at(&minimum.x),
+    };
+    Ok((prediction, minimum.cost))
+}
+
+/// The model with an event at every place of its grid, and behind the end: an event of another run stands anywhere in this
+/// one or nowhere, and a fit finds it only from nearby.
+fn event_starts(model: &Model, event: &Slot, scenario: &Scenario) -> Vec<Model> {
+    let length_s = scenario.sample_time_s[scenario.samples() - 1] - scenario.begin_s();
+    let Slot::Effect { spec, .. } = event else {
+        return vec![model.clone()];
+    };
+    let places = spec.shapes.iter().map(|share| share * length_s);
+    // It need not happen in this run at all.
+    let there = places.chain([length_s + BEHIND_S]).map(|time_s| {
+        let mut there = model.clone();
+        there.set(event, time_s);
+        there
+    });
+    std::iter::once(model.clone()).chain(there).collect()
+}
+
+#[cfg(test)]
+mod tests;

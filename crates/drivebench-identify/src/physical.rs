@@ -1,0 +1,265 @@
+//! What voltage, current, speed and rate of a record allow a value to be. A fit that went astray ends anywhere; what no motor
+//! can be that made this record is no value of it.
+
+use drivebench_model::numerics::statistics::{extent, finite, largest_but_outliers, mean};
+use drivebench_model::plant::{Input, LEAST_TIME_CONSTANT, Motor, MotorKey, Scenario};
+use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::text::number::significant;
+
+/// Factor that a limit leaves to what is not in it: a back-EMF beside the voltage, a load that drives, noise in an extreme.
+const ROOM: f64 = 4.0;
+/// Share of the largest voltage or torque of the record below which no sensor shows a part of it.
+const SHOWS: f64 = 1e-3;
+/// Times the bound of the fit within which a value has run into it.
+const AT_THE_BOUND: f64 = 2.0;
+
+/// What a record spans.
+struct Extents {
+    /// Largest voltage, V, current, A, and torque, N.m; not a number where the record does not have it.
+    voltage_v: f64,
+    current_a: f64,
+    torque_n_m: f64,
+    current_rms_a: f64,
+    speed_rad_s: f64,
+    speed_rms_rad_s: f64,
+    /// From the least to the largest speed, rad/s.
+    span_rad_s: f64,
+    period_s: f64,
+    length_s: f64,
+}
+
+impl Extents {
+    fn of(scenario: &Scenario, motor: &Motor) -> Self {
+        let inputs: Vec<f64> = scenario.events.iter().map(|event| event.1).collect();
+        let input = |kind: Input| {
+            let own = scenario.input == kind;
+            if own {
+                largest_but_outliers(&inputs)
+            } else {
+                f64::NAN
+            }
+        };
+        let rms = |values: &[f64]| {
+            let squares: Vec<f64> = finite(values).iter().map(|value| value * value).collect();
+            mean(&squares).sqrt()
+        };
+        let sensed = largest_but_outliers(&scenario.current_a);
+        let voltage_v = input(Input::Voltage);
+        // Without a current the most that voltage and resistance let through.
+        let through_a = voltage_v / motor.get(MotorKey::Resistance).unwrap_or(f64::NAN);
+        let current_a = match scenario.input {
+            Input::Current => input(Input::Current),
+            _ if sensed > 0.0 => sensed,
+            _ => ROOM * through_a,
+        };
+        let torque_n_m = match scenario.input {
+            Input::Torque => input(Input::Torque),
+            _ => current_a * motor.torque_constant().unwrap_or(f64::NAN),
+        };
+        let times = &scenario.sample_time_s;
+        let (least, most) = extent(finite(&scenario.speed_rad_s));
+        Self {
+            voltage_v,
+            current_a,
+            torque_n_m,
+            current_rms_a: rms(&scenario.current_a),
+            speed_rad_s: largest_but_outliers(&scenario.speed_rad_s),
+            speed_rms_rad_s: rms(&scenario.speed_rad_s),
+            span_rad_s: most - least,
+            period_s: scenario.mean_period_s(),
+            length_s: times[times.len() - 1] - times[0],
+        }
+    }
+
+    /// Least and largest value, and what they follow from; not a number where the record sets no limit.
+    fn range(&self, key: MotorKey, motor: &Motor) -> (f64, f64, String) {
+        let resistance_ohm = motor.get(MotorKey::Resistance).unwrap_or(f64::NAN);
+        match key {
+            MotorKey::Resistance => (
+                SHOWS * self.voltage_v / self.current_a,
+                ROOM * self.voltage_v / self.current_rms_a,
+                format!(
+                    "up to {} V drove {} A (rms)",
+                    significant(self.voltage_v, 3),
+                    significant(self.current_rms_a, 3)
+                ),
+            ),
+            MotorKey::Inductance => (
+                AT_THE_BOUND * LEAST_TIME_CONSTANT * self.period_s * resistance_ohm,
+                self.length_s * resistance_ohm,
+                format!(
+                    "L/R lies between the {} ms from sample to sample and the {} s of the run",
+                    significant(1e3 * self.period_s, 3),
+                    significant(self.length_s, 3)
+                ),
+            ),
+            MotorKey::BackEmf => (
+                SHOWS * self.voltage_v / self.speed_rad_s,
+                ROOM * self.voltage_v / self.speed_rms_rad_s,
+                format!(
+                    "up to {} V turned the shaft at {} rad/s (rms)",
+                    significant(self.voltage_v, 3),
+                    significant(self.speed_rms_rad_s, 3)
+                ),
+            ),
+            MotorKey::Inertia => {
+                let per_rate = self.torque_n_m / self.span_rad_s;
+                (
+                    SHOWS * per_rate * self.period_s,
+                    ROOM * per_rate * self.length_s,
+                    format!(
+                        "up to {} N.m changed the speed by {} rad/s within {} s",
+                        significant(self.torque_n_m, 3),
+                        significant(self.span_rad_s, 3),
+                        significant(self.length_s, 3)
+                    ),
+                )
+            }
+            MotorKey::LoadTorque => (
+                f64::NAN,
+                self.torque_n_m,
+                format!(
+                    "up to {} N.m turned the shaft",
+                    significant(self.torque_n_m, 3)
+                ),
+            ),
+            MotorKey::TorqueConstant => (f64::NAN, f64::NAN, String::new()),
+        }
+    }
+
+    /// The same of an effect's size, by its unit.
+    fn of_effect(&self, unit: &str) -> (f64, String) {
+        match unit {
+            "V" => (
+                self.voltage_v,
+                format!(
+                    "the voltage is {} V at most",
+                    significant(self.voltage_v, 3)
+                ),
+            ),
+            "A" => (
+                self.current_a,
+                format!(
+                    "the current is {} A at most",
+                    significant(self.current_a, 3)
+                ),
+            ),
+            "N.m" => (
+                ROOM * self.torque_n_m,
+                format!(
+                    "the motor gives {} N.m at most",
+                    significant(self.torque_n_m, 3)
+                ),
+            ),
+            _ => (f64::NAN, String::new()),
+        }
+    }
+}
+
+/// Whether a motor of these values may have made the record.
+pub fn allows(motor: &Motor, scenario: &Scenario) -> bool {
+    let values = MotorKey::ALL.into_iter().filter_map(|key| {
+        let value = motor.get(key)?;
+        Some(ParameterEstimate::found(
+            key.key(),
+            key.unit(),
+            value,
+            0.0,
+            None,
+        ))
+    });
+    let mut values: Vec<ParameterEstimate> = values.collect();
+    refuse(&mut values, motor, scenario);
+    values.iter().all(|own| own.value.is_some())
+}
+
+/// Takes back what `scenario` does not allow, each with its reason. `motor` has the values that were found.
+pub fn refuse(parameters: &mut [ParameterEstimate], motor: &Motor, scenario: &Scenario) {
+    let extents = Extents::of(scenario, motor);
+    for parameter in parameters.iter_mut() {
+        let Some(value) = parameter
+            .value
+            .filter(|_| parameter.verdict != Verdict::Fixed)
+        else {
+            continue;
+        };
+        let of_effect = || {
+            let (most, why) = extents.of_effect(parameter.unit);
+            (-most, most, why)
+        };
+        let key = MotorKey::from_key(&parameter.key);
+        let (least, most, why) = key.map_or_else(of_effect, |key| extents.range(key, motor));
+        // What is negative has its own reason.
+        let is_small = value < least && (value > 0.0 || least < 0.0);
+        if is_small || value > most {
+            let (bound, limit) = if is_small {
+                ("at least", least)
+            } else {
+                ("at most", most)
+            };
+            let (unit, key) = (parameter.unit, parameter.key.clone());
+            let reason = format!(
+                "the fit ended at {} {unit}, and this record allows {} {bound}: {why}",
+                significant(value, 3),
+                significant(limit, 2)
+            );
+            *parameter = ParameterEstimate::not_observable(&key, unit, reason);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::*;
+
+    /// What is left of these values, R, L, Ke, J, Mc, in a record of the motor of paper A.
+    fn left(values: &Truth) -> Vec<ParameterEstimate> {
+        let scenario = record(&paper(), steps(0.3, 4.0, 1.0, 0.2), 0.002, 4.0, 1);
+        let found = KEYS.into_iter().zip(values);
+        let mut found: Vec<ParameterEstimate> = found
+            .map(|(key, value)| {
+                ParameterEstimate::found(key.key(), key.unit(), *value, 0.01 * value, None)
+            })
+            .collect();
+        for (key, unit, value) in [
+            ("voltage_offset.offset_v", "V", -350.0),
+            ("current_offset.offset_a", "A", 0.2),
+        ] {
+            found.push(ParameterEstimate::found(key, unit, value, 0.1, None));
+        }
+        refuse(&mut found, &motor(values), &scenario);
+        found
+    }
+
+    #[test]
+    fn what_a_motor_has_stays() {
+        for factor in [1.0, 0.3, 3.0] {
+            let found = left(&PAPER.map(|value| factor * value));
+            assert!(
+                found[..5].iter().all(|own| own.value.is_some()),
+                "{found:?}"
+            );
+        }
+        assert!(left(&PAPER)[6].value.is_some());
+    }
+
+    #[test]
+    fn numbers_that_no_motor_has_are_refused_with_their_reason() {
+        for (place, value, reason) in [
+            (0, 45_500.0, "V drove"),
+            (0, 1e-4, "V drove"),
+            (1, 30.0, "L/R"),
+            (2, 40.0, "turned the shaft at"),
+            (3, 5237.0, "changed the speed"),
+            (4, 900.0, "turned the shaft"),
+        ] {
+            let mut values = PAPER;
+            values[place] = value;
+            let found = left(&values);
+            assert_eq!(found[place].verdict, Verdict::NotObservable, "{found:?}");
+            assert_says(&found[place], &[reason, "allows"]);
+        }
+        assert_says(&left(&PAPER)[5], &["-350 V", "at most"]);
+    }
+}

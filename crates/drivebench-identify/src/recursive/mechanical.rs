@@ -1,0 +1,340 @@
+//! Mechanical balance over one block: `w_b - w_a = (Kt/J) int i - (Mc/J) s h`.
+
+use super::Direction;
+use crate::verdict;
+use drivebench_model::numerics::change_watch::ChangeWatch;
+use drivebench_model::numerics::recursive_least_squares::{RecursiveLeastSquares, RowNoise};
+use drivebench_model::plant::{MotorKey, Slot};
+use drivebench_model::sample::{ParameterEstimate, Verdict};
+
+/// Sizes of Kt/J, rad/(A.s^2), and Mc/J, rad/s^2, of a machine of some 100 W, and a prior wide enough for any other.
+const SCALE: [f64; 2] = [100.0, 100.0];
+const PRIOR: f64 = 1e8;
+/// Rows below which nothing is said.
+const FEWEST_ROWS: u64 = 4;
+
+/// Rows that must have spoken before a change is told, and rows after it before anything is settled again.
+const BELIEVED_ROWS: u64 = 40;
+const REOPENED_ROWS: u64 = 60;
+/// How a reason begins where the inertia is found anew.
+pub const INERTIA_HAS_CHANGED: &str = "the inertia has changed";
+/// Share of the moves of the last rows that their misses add up to where the inertia has changed: more than what a
+/// missing effect makes of them.
+const CHANGE_SHARE: f64 = 0.15;
+/// Motor torque over friction from which on a row tells of the inertia.
+const DRIVEN: f64 = 3.0;
+
+/// Share by which inertia or load may change where a friction that grows with the speed is allowed beside it, at most, and the
+/// standard deviations of that which count.
+const MOST_SLOPE_DOUBT: f64 = 0.06;
+const TWO_SIDED: f64 = 2.0;
+/// Standard deviations from which on such a friction is told from none: what is widened by it stays as narrow as it was
+/// where there is none.
+const TOLD: f64 = 4.0;
+
+/// Move by leaving out every second sample over the error at the full rate. A rule of second order would give 3, but the
+/// current has a corner at each step of the voltage, and where L/R is not resolved the order falls to the first.
+pub(super) const SAMPLING_ORDER: f64 = 1.5;
+
+/// A torque constant with its standard deviation, N.m/A.
+pub(super) type TorqueConstant = (f64, f64);
+
+/// What is forgotten together.
+#[derive(Clone, Debug)]
+struct Fits {
+    estimator: RecursiveLeastSquares<2>,
+    /// The same with the integral of the current off by what is not known of it.
+    doubtful: RecursiveLeastSquares<2>,
+    /// Beside Kt/J and Mc/J a friction in proportion to the speed, over J: whether the load is as constant as it is
+    /// taken for.
+    sloping: RecursiveLeastSquares<3>,
+}
+
+impl Fits {
+    fn new(forgetting: f64) -> Self {
+        let estimator = RecursiveLeastSquares::new([0.0; 2], SCALE, PRIOR, forgetting).clustered();
+        let scale = [SCALE[0], SCALE[1], 1.0];
+        let sloping = RecursiveLeastSquares::new([0.0; 3], scale, PRIOR, forgetting).clustered();
+        Self {
+            doubtful: estimator.clone(),
+            estimator,
+            sloping,
+        }
+    }
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct MechanicalBalance {
+    fits: Fits,
+    /// End of the last row taken: the next one shares its sample.
+    last_end_s: f64,
+    innovation_rad_s: Option<f64>,
+    blocked_rows: u64,
+    watch: ChangeWatch,
+    /// How often it was begun again because the inertia had changed.
+    changes: u32,
+    forgetting: f64,
+}
+
+/// One block between two samples.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct MechanicalRow {
+    pub(super) begin_s: f64,
+    pub(super) end_s: f64,
+    pub(super) speed_step_rad_s: f64,
+    pub(super) current_integral_a_s: f64,
+    /// The same if what it rests on is one standard deviation off.
+    pub(super) doubtful_integral_a_s: f64,
+    /// Sign of the speed over the whole block; zero where it has none: the row is dropped.
+    pub(super) direction: i8,
+    /// Mean of the speeds at its ends, rad/s.
+    pub(super) speed_rad_s: f64,
+    /// Share of the noise of the begin in that of the row, see [`carry`].
+    pub(super) carry: f64,
+}
+
+/// The noise of a row as `e_end - carry e_begin` with white `e`: `charge_noise` is that of `(Kt/J) h` times a current
+/// sample over that of a speed sample, `n` the intervals between samples of a row.
+///
+/// Alone, the noise of the speed gives 1. Each end's current counts half in both rows that share it, with equal signs.
+pub(super) fn carry(charge_noise: f64, n: f64) -> f64 {
+    let one = (charge_noise / n).powi(2);
+    let power = 2.0 + one * (n - 0.5);
+    let shared = 1.0 - 0.25 * one;
+    let k = shared / power;
+    2.0 * k / (1.0 + (1.0 - 4.0 * k * k).max(0.0).sqrt())
+}
+
+impl MechanicalBalance {
+    pub(super) fn new(forgetting: f64) -> Self {
+        Self {
+            fits: Fits::new(forgetting),
+            last_end_s: f64::NAN,
+            innovation_rad_s: None,
+            blocked_rows: 0,
+            watch: ChangeWatch::new(CHANGE_SHARE, 0.0),
+            changes: 0,
+            forgetting,
+        }
+    }
+
+    pub(super) fn take(&mut self, row: &MechanicalRow) {
+        self.innovation_rad_s = None;
+        if row.direction == 0 {
+            self.blocked_rows += 1;
+            self.watch.interrupt();
+            return;
+        }
+        let held = -f64::from(row.direction) * (row.end_s - row.begin_s);
+        let noise = RowNoise {
+            carry: row.carry,
+            continues: row.begin_s.total_cmp(&self.last_end_s).is_eq(),
+        };
+        let step = row.speed_step_rad_s;
+        let regressor = [row.current_integral_a_s, held];
+        self.watch_inertia(&regressor, step, noise.continues);
+        let along = [regressor[0], held, held * row.speed_rad_s.abs()];
+        self.fits.sloping.update_row(&along, step, noise);
+        self.innovation_rad_s = self.fits.estimator.update_row(&regressor, step, noise);
+        self.fits
+            .doubtful
+            .update_row(&[row.doubtful_integral_a_s, held], step, noise);
+        self.last_end_s = row.end_s;
+    }
+
+    /// Another inertia shows where the motor's torque is large against the friction. A miss of a shaft that runs out, or
+    /// that creeps, is one of the friction, which may be of another form than this one's: it changes with the speed and
+    /// comes back, and what is known is not dropped for it.
+    fn watch_inertia(&mut self, regressor: &[f64; 2], step_rad_s: f64, continues: bool) {
+        let [a, b] = self.fits.estimator.parameters();
+        let (driven, braked) = (a * regressor[0], b * regressor[1]);
+        let tells = driven.abs() > DRIVEN * braked.abs();
+        if !continues || !tells {
+            self.watch.interrupt();
+        }
+        let believed = self.fits.estimator.rows() >= BELIEVED_ROWS;
+        if tells && self.watch.take(driven + braked, step_rad_s, believed) {
+            self.reopen();
+        }
+    }
+
+    /// The inertia is not what it was: what was known is dropped.
+    fn reopen(&mut self) {
+        self.fits = Fits::new(self.forgetting);
+        self.watch.interrupt();
+        self.changes += 1;
+    }
+
+    /// Why nothing may be settled now although the rows agree.
+    fn reopened(&self) -> Option<String> {
+        (self.changes > 0 && self.fits.estimator.rows() < REOPENED_ROWS).then(|| {
+            format!(
+                "{INERTIA_HAS_CHANGED}: begun again, {} of {REOPENED_ROWS} rows so far",
+                self.fits.estimator.rows()
+            )
+        })
+    }
+
+    /// Why inertia or load may not be settled although the rows agree: with a friction that grows with the speed it would be
+    /// another, and the rows do not rule such a friction out. `value` is the one of the two, its place in the rows `at`.
+    fn not_constant(&self, value: f64, at: usize) -> Option<String> {
+        let [a, b, _] = self.fits.sloping.parameters();
+        let (sloping, of) = [(a, value), (b / a, value * a)][at];
+        let std = self.fits.sloping.standard_deviations()?[at];
+        let doubt = (sloping / value - 1.0).abs() + TWO_SIDED * std / of.abs();
+        // A comparison that is false for NaN as well.
+        let sure = doubt <= MOST_SLOPE_DOUBT;
+        (!sure).then(|| {
+            format!(
+                "a friction that grows with the speed, of which these speeds do not tell, would change it by up to {:.0} %",
+                (100.0 * doubt).min(100.0)
+            )
+        })
+    }
+
+    /// By how much Kt/J, relative, and Mc/Kt, A, are off because a friction that grows with the speed is there; zero where
+    /// the rows do not tell it from none. `ratio` is Mc/Kt.
+    fn slope_bias(&self, ratio: f64) -> [f64; 2] {
+        let [a, b, slope] = self.fits.sloping.parameters();
+        let told = (self.fits.sloping.standard_deviations())
+            .is_some_and(|stds| slope.abs() > TOLD * stds[2]);
+        if !told {
+            return [0.0; 2];
+        }
+        let known = self.fits.estimator.parameters()[0];
+        [(a / known - 1.0).abs(), (b / a - ratio).abs()]
+    }
+
+    pub(super) fn innovation_rad_s(&self) -> Option<f64> {
+        self.innovation_rad_s
+    }
+
+    /// Kt/J where the data carry it to this relative standard deviation, for the speed between samples.
+    pub(super) fn acceleration_per_ampere(&self, uncertainty: f64) -> Option<f64> {
+        let (value, std) = self.acceleration_with_std()?;
+        (value > 0.0 && std < uncertainty * value).then_some(value)
+    }
+
+    /// Kt/J and its standard deviation as the rows have it now, rad/(A.s^2).
+    pub(super) fn acceleration_with_std(&self) -> Option<(f64, f64)> {
+        let std = self.fits.estimator.standard_deviations()?[0];
+        let value = self.fits.estimator.parameters()[0];
+        (self.fits.estimator.rows() > FEWEST_ROWS).then_some((value, std))
+    }
+
+    /// Variance of one speed sample's error, (rad/s)^2.
+    pub(super) fn noise_variance(&self) -> Option<f64> {
+        self.fits.estimator.noise_variance()
+    }
+
+    /// Kt/J and Mc/J once enough rows have spoken of them.
+    pub(super) fn values(&self) -> Option<[f64; 2]> {
+        let [a, b] = self.fits.estimator.parameters();
+        (self.fits.estimator.rows() >= FEWEST_ROWS && a > 0.0).then_some([a, b])
+    }
+
+    /// Memory from the next row on.
+    pub(super) fn set_forgetting(&mut self, forgetting: f64) {
+        self.fits.estimator.set_forgetting(forgetting);
+        self.fits.doubtful.set_forgetting(forgetting);
+        self.fits.sloping.set_forgetting(forgetting);
+        self.forgetting = forgetting;
+    }
+
+    pub(super) fn ignorance(&self) -> [f64; 2] {
+        [
+            self.fits.estimator.ignorance(0),
+            self.fits.estimator.ignorance(1),
+        ]
+    }
+
+    /// Inertia and load torque; `moved` knows the largest speed so far and the dead zone, `sampling` is the relative
+    /// error of J and the error of Mc/Kt, A, that coarse sampling leaves.
+    pub(super) fn estimates(
+        &self,
+        torque: Option<TorqueConstant>,
+        moved: &Direction,
+        period_s: f64,
+        sampling: [f64; 2],
+    ) -> Vec<ParameterEstimate> {
+        let unknown = |reason: &str| -> Vec<ParameterEstimate> {
+            let keys = [MotorKey::Inertia, MotorKey::LoadTorque];
+            keys.map(|key| verdict::unknown(key, reason)).to_vec()
+        };
+        if self.fits.estimator.rows() < FEWEST_ROWS {
+            return unknown(&format!(
+                "{} usable rows, at least {FEWEST_ROWS} are needed: largest speed so far {:.2} rad/s, dead zone {:.2} rad/s, {} rows dropped inside it",
+                self.fits.estimator.rows(),
+                moved.largest_rad_s(),
+                moved.dead_zone_rad_s(),
+                self.blocked_rows
+            ));
+        }
+        let Some((kt, kt_std)) = torque else {
+            return unknown("the torque constant is not known yet");
+        };
+        let [a, b] = self.fits.estimator.parameters();
+        if a <= 0.0 {
+            return unknown("the speed does not follow the current: no positive inertia fits");
+        }
+        let covariance = |row, column| self.fits.estimator.covariance(row, column);
+        let (inertia, load) = (kt / a, kt * b / a);
+        let stds = (|| {
+            let (aa, ab, bb) = (covariance(0, 0)?, covariance(0, 1)?, covariance(1, 1)?);
+            let kt_share = (kt_std / kt).powi(2);
+            let ratio = b / a;
+            let [other_a, other_b] = self.fits.doubtful.parameters();
+            let [inertia_bias, load_bias] = self.slope_bias(ratio);
+            let inertia_doubt = (inertia * (other_a / a - 1.0))
+                .hypot(inertia * sampling[0])
+                .hypot(inertia * inertia_bias);
+            let load_doubt = (kt * (other_b / other_a - ratio)).hypot(kt * sampling[1]);
+            let inertia_std =
+                (inertia * (aa / (a * a) + kt_share).max(0.0).sqrt()).hypot(inertia_doubt);
+            let ratio_variance = (bb - 2.0 * ratio * ab + ratio * ratio * aa) / (a * a);
+            let load_std = (kt * kt * ratio_variance + load * load * kt_share)
+                .max(0.0)
+                .sqrt()
+                .hypot(load_doubt)
+                .hypot(kt * load_bias);
+            Some((inertia_std, load_std))
+        })();
+        let relative = [
+            sampling[0],
+            kt * sampling[1] / load.abs().max(f64::MIN_POSITIVE),
+        ];
+        let found = [
+            (MotorKey::Inertia, inertia, stds.map(|s| s.0)),
+            (MotorKey::LoadTorque, load, stds.map(|s| s.1)),
+        ];
+        found
+            .into_iter()
+            .zip(relative)
+            .map(|((key, value, std), doubt)| {
+                let mut judged = verdict::judge(&Slot::Motor(key), value, std, period_s);
+                let most = std.is_some_and(|std| doubt * value.abs() > std / 2f64.sqrt());
+                if most && judged.value.is_some() {
+                    // A bound of an error that has one sign is no ground to settle on.
+                    judged.verdict = Verdict::Searching;
+                    judged.reason = Some(format!(
+                        "the current between samples ({:.1} ms apart) is not known: an error of about {:.1} %, by what \
+                         every second sample gives; sample faster, or use scheme 3",
+                        1e3 * period_s,
+                        100.0 * doubt
+                    ));
+                }
+                let why_open = self.reopened().or_else(|| {
+                    if key == MotorKey::Inertia {
+                        self.not_constant(a, 0)
+                    } else {
+                        self.not_constant(b / a, 1)
+                    }
+                });
+                if let Some(reason) = why_open {
+                    judged.unsettle(reason);
+                }
+                judged
+            })
+            .collect()
+    }
+}

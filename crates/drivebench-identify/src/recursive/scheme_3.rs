@@ -1,0 +1,801 @@
+//! Scheme 3: voltage, current and speed give R, L, Ke, J and Mc; nothing is assumed known.
+//!
+//! Electrical line: over a block of about one L/R (at most 10 ms) the current is predicted with the exact solution of
+//! `winding`, and the innovation drives the recursive prediction-error step of `track` on (R, L, Ke). It starts from a
+//! linear regression on integrals, `int u = R int i + L di + Ke int w`, which coarse sampling biases by some per cent to
+//! some ten. After a trial the better of its track and of the first guess's is linearised again at the values found, and
+//! all rows before are dropped: they were linearised about a start that was off.
+//! Mechanical line: `mechanical`, with the integral of the current corrected for its curvature between samples.
+
+use super::mechanical::{self, MechanicalBalance, MechanicalRow};
+use super::track::{Block, SampleNoise, Track};
+use super::winding::{self, Interval, Winding};
+use super::{Direction, steady_period};
+use crate::verdict;
+use drivebench_model::numerics::recursive_least_squares::RecursiveLeastSquares;
+use drivebench_model::plant::{Motor, MotorKey, Slot};
+use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::signal::holding_since;
+
+const LONGEST_BLOCK_S: f64 = 0.01;
+/// A voltage this small is what a start without a bump leaves behind, V; it counts as none.
+const NEARLY_ZERO_V: f64 = 0.05;
+/// Voltage events that are kept while no sample comes that could use them.
+const MOST_EVENTS: usize = 4096;
+/// A longer gap between samples ends the block.
+const LONGEST_GAP_S: f64 = 0.1;
+/// Sizes of R, L, Ke for the linear start, and a prior wide enough for any machine.
+const START_SCALE: Winding = [1.0, 1e-2, 0.1];
+const START_PRIOR: f64 = 1e8;
+/// The linear start hands over at this many rows and this relative standard deviation.
+const START_ROWS: u64 = 20;
+const START_UNCERTAINTY: f64 = 0.2;
+/// Noise where none was measured: share of the largest value.
+const NOISE_SHARE: f64 = 1e-3;
+/// A current counts as one above so many standard deviations of its noise and above this share of the largest.
+const CURRENT_NOISE: f64 = 5.0;
+const CURRENT_SHARE: f64 = 0.01;
+/// Rows after which the linear start hands over R and Ke alone, and the L/R in periods that then compete: where L/R is
+/// short against the period, a regression on integrals does not see the inductance.
+const LATE_ROWS: u64 = 60;
+const LATE_TIME_CONSTANTS: [f64; 4] = [0.6, 0.25, 0.1, 0.04];
+/// Rows of a trial at most, and the factor by which such a one may change a value.
+const LONGEST_TRIAL_ROWS: u32 = 80;
+const LARGEST_MOVE: f64 = 2.0;
+/// Rows of a trial at least, the relative standard deviations below which it ends, and how far it may have moved a value
+/// to be the last one. Its torque balance forgets faster than later.
+const TRIAL_ROWS: u32 = 40;
+const TRIAL_UNCERTAINTY: f64 = 0.1;
+const TRIAL_MOVE: f64 = 0.05;
+const TRIAL_FORGETTING: f64 = 0.95;
+/// Relative standard deviation of Kt/J below which a newer value replaces the last one.
+const ACCELERATION_UNCERTAINTY: f64 = 0.05;
+/// Periods per electrical time constant (as estimated) beyond which the inductance is not claimed.
+const MOST_PERIODS: f64 = 3.0;
+const KEYS: [MotorKey; 3] = [
+    MotorKey::Resistance,
+    MotorKey::Inductance,
+    MotorKey::BackEmf,
+];
+
+/// Share of the prior variance above which a parameter counts as not excited.
+const IGNORANT: f64 = 0.3;
+/// Root mean square of the normalised innovation over the last rows above which nothing is settled.
+const LARGEST_MISFIT: f64 = 3.0;
+/// Relative standard deviation of the resistance from which on that estimate is trusted.
+const CERTAIN_RATIO: f64 = 0.01;
+
+/// Forgetting factors per row; a row is one block.
+#[derive(Clone, Copy, Debug)]
+pub struct Memory {
+    pub electrical: f64,
+    pub mechanical: f64,
+}
+
+impl Default for Memory {
+    /// 200 rows: about 2 s.
+    fn default() -> Self {
+        Self {
+            electrical: 0.995,
+            mechanical: 0.995,
+        }
+    }
+}
+
+/// First guess of the winding: it competes with the one that the data give, and the data decide.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StartValues {
+    pub resistance_ohm: f64,
+    pub inductance_h: f64,
+    pub back_emf_v_s_per_rad: f64,
+}
+
+impl StartValues {
+    /// `None` where the motor leaves one of them out or has one that is not positive.
+    pub fn from_motor(motor: &Motor) -> Option<Self> {
+        let [r, l, ke] = KEYS.map(|key| motor.get(key).filter(|value| *value > 0.0));
+        Some(Self {
+            resistance_ohm: r?,
+            inductance_h: l?,
+            back_emf_v_s_per_rad: ke?,
+        })
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Trial {
+    /// The linear start has not handed over.
+    Waiting,
+    /// Rows so far.
+    On(u32),
+    Over,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Reading {
+    time_s: f64,
+    current_a: f64,
+    speed_rad_s: f64,
+    direction: i8,
+    /// A limit of the drive held its output: the voltage was another than the one that was commanded.
+    limited: bool,
+}
+
+/// The estimator: [`Self::voltage_applied`] and [`Self::push`] in the order of time.
+#[derive(Clone, Debug)]
+pub struct Scheme3 {
+    memory: Memory,
+    torque_n_m_per_a: Option<f64>,
+    guess: Option<Winding>,
+    /// The linear start, until it has handed over.
+    starting: Option<RecursiveLeastSquares<3>>,
+    /// Prediction-error steps, from the guess and from the linear start; one after the trial.
+    tracks: Vec<Track>,
+    trial: Trial,
+    /// Kt/J where it was known last, rad/(A.s^2).
+    acceleration: Option<f64>,
+    balance: MechanicalBalance,
+    direction: Direction,
+    readings: Vec<Reading>,
+    /// `(time, volts)`, in order; pruned at each block.
+    voltage: Vec<(f64, f64)>,
+    energised: bool,
+    current_at_rest: Spread,
+    speed_at_rest: Spread,
+    largest_current_a: f64,
+    /// End of the last electrical row: the next one shares its sample.
+    last_end_s: f64,
+    current_innovation_a: Option<f64>,
+    period_s: f64,
+    /// Whether the samples that come now were taken while a limit of the drive held its output.
+    limited: bool,
+    /// Half-width of the stamps of the samples that come now, s.
+    half_width_s: f64,
+}
+
+impl Scheme3 {
+    pub fn new(memory: Memory, torque_n_m_per_a: Option<f64>, start: Option<StartValues>) -> Self {
+        Self {
+            memory,
+            torque_n_m_per_a,
+            guess: start.map(|s| [s.resistance_ohm, s.inductance_h, s.back_emf_v_s_per_rad]),
+            starting: Some(RecursiveLeastSquares::new(
+                [0.0; 3],
+                START_SCALE,
+                START_PRIOR,
+                memory.electrical,
+            )),
+            tracks: Vec::with_capacity(2),
+            trial: Trial::Waiting,
+            acceleration: None,
+            balance: MechanicalBalance::new(memory.mechanical),
+            direction: Direction::default(),
+            readings: Vec::with_capacity(32),
+            voltage: Vec::with_capacity(32),
+            energised: false,
+            current_at_rest: Spread::default(),
+            speed_at_rest: Spread::default(),
+            largest_current_a: 0.0,
+            last_end_s: f64::NAN,
+            current_innovation_a: None,
+            period_s: f64::NAN,
+            limited: false,
+            half_width_s: 0.0,
+        }
+    }
+
+    /// Half-width of the stamp of the next sample, s; zero where the drive stamped it.
+    pub fn set_half_width(&mut self, half_width_s: f64) {
+        self.half_width_s = half_width_s;
+    }
+
+    /// Time between two samples, s; not a number before the second.
+    pub const fn period_s(&self) -> f64 {
+        self.period_s
+    }
+
+    /// Whether a limit of the drive held its output at the samples that come from now on. Between such samples, and on
+    /// both sides of them, the voltage is not the one that was commanded, and nothing is learnt.
+    pub fn set_limited(&mut self, limited: bool) {
+        self.limited = limited;
+    }
+
+    /// The voltage that holds from `time_s` on. Must be told before the first sample after that instant.
+    pub fn voltage_applied(&mut self, time_s: f64, voltage_v: f64) {
+        if !(time_s.is_finite() && voltage_v.is_finite()) {
+            return;
+        }
+        self.energised |= voltage_v.abs() > NEARLY_ZERO_V;
+        if self.voltage.len() >= MOST_EVENTS {
+            // Commands without a usable sample: they are pruned with the blocks, and there are none.
+            self.voltage.drain(..MOST_EVENTS / 2);
+        }
+        let position = self.voltage.partition_point(|event| event.0 < time_s);
+        match self.voltage.get_mut(position) {
+            Some(event) if event.0.total_cmp(&time_s).is_eq() => event.1 = voltage_v,
+            _ => self.voltage.insert(position, (time_s, voltage_v)),
+        }
+    }
+
+    /// Takes one sample; one that is not finite or not later than the last is left out.
+    pub fn push(&mut self, time_s: f64, current_a: f64, speed_rad_s: f64) {
+        if !(time_s.is_finite() && current_a.is_finite() && speed_rad_s.is_finite()) {
+            return;
+        }
+        if let Some(last) = self.readings.last() {
+            let step_s = time_s - last.time_s;
+            if step_s <= 0.0 {
+                return;
+            }
+            self.period_s = steady_period(self.period_s, step_s);
+            if step_s > LONGEST_GAP_S {
+                self.readings.clear();
+            }
+        }
+        if !self.energised {
+            self.current_at_rest.add(current_a);
+            self.speed_at_rest.add(speed_rad_s);
+            self.direction.noise_rad_s = self.speed_at_rest.deviation().unwrap_or(0.0);
+        }
+        self.largest_current_a = self.largest_current_a.max(current_a.abs());
+        let reading = Reading {
+            time_s,
+            current_a,
+            speed_rad_s,
+            direction: self.direction.of(speed_rad_s),
+            limited: self.limited,
+        };
+        self.readings.push(reading);
+        let begin_s = self.readings[0].time_s;
+        if self.voltage.first().is_none_or(|first| first.0 > begin_s) {
+            // What held at the begin of the block is not known.
+            self.readings.clear();
+            self.readings.push(reading);
+            return;
+        }
+        if self.readings.len() > 1 && time_s - begin_s >= self.block_s() * (1.0 - 1e-6) {
+            self.take_block(begin_s, time_s);
+            self.readings.clear();
+            self.readings.push(reading);
+            let kept = holding_since(&self.voltage, time_s).len();
+            self.voltage.drain(..self.voltage.len() - kept);
+        }
+    }
+
+    fn block_s(&self) -> f64 {
+        (self.winding()).map_or(LONGEST_BLOCK_S, |[r, l, _]| (l / r).min(LONGEST_BLOCK_S))
+    }
+
+    /// R, L, Ke of the prediction-error step, before that the guess.
+    fn winding(&self) -> Option<Winding> {
+        self.best().map(Track::winding).or(self.guess)
+    }
+
+    /// What the verdicts on R, L, Ke rest on.
+    fn electrical(&self) -> Option<&RecursiveLeastSquares<3>> {
+        self.best().map(Track::estimator).or(self.starting.as_ref())
+    }
+
+    /// The track that predicts better.
+    fn best(&self) -> Option<&Track> {
+        self.tracks
+            .iter()
+            .min_by(|a, b| a.misfit().total_cmp(&b.misfit()))
+    }
+
+    fn intervals(&self) -> impl Iterator<Item = (&Reading, &Reading, Interval<'_>)> {
+        self.intervals_at(self.acceleration.unwrap_or(0.0))
+    }
+
+    /// With this Kt/J, rad/(A.s^2).
+    fn intervals_at(
+        &self,
+        acceleration: f64,
+    ) -> impl Iterator<Item = (&Reading, &Reading, Interval<'_>)> {
+        self.readings.windows(2).map(move |pair| {
+            let (a, b) = (&pair[0], &pair[1]);
+            let moving = a.direction != 0 || b.direction != 0;
+            let interval = Interval {
+                begin_s: a.time_s,
+                length_s: b.time_s - a.time_s,
+                speed: [a.speed_rad_s, b.speed_rad_s],
+                acceleration_per_ampere: if moving { acceleration } else { 0.0 },
+                voltage: holding_since(&self.voltage, a.time_s),
+            };
+            (a, b, interval)
+        })
+    }
+
+    /// Kt/J where it is off by as much as it is not known: by what the rows since would have it be, and by the uncertainty
+    /// of that. A load that does not follow leaves the rotor's own inertia, taken as half of all at least.
+    fn doubtful_acceleration(&self) -> f64 {
+        let Some(used) = self.acceleration else {
+            return 0.0;
+        };
+        let doubt = (self.balance)
+            .acceleration_with_std()
+            .map_or(used, |(now, std)| (now - used).hypot(std));
+        used + doubt.min(used)
+    }
+
+    /// Current at the end of the block, predicted from its begin with this Kt/J.
+    fn predict(
+        &self,
+        acceleration: f64,
+        winding: &Winding,
+        begin_a: f64,
+        speed_errors: [f64; 2],
+    ) -> f64 {
+        let [mut first, last] = speed_errors;
+        let end = self.readings.len().saturating_sub(2);
+        self.intervals_at(acceleration).enumerate().fold(
+            begin_a,
+            |current, (index, (_, _, mut interval))| {
+                interval.speed[0] -= std::mem::take(&mut first);
+                if index == end {
+                    interval.speed[1] -= last;
+                }
+                winding::propagate(winding, current, &interval).0
+            },
+        )
+    }
+
+    fn take_block(&mut self, begin_s: f64, end_s: f64) {
+        let continues = begin_s.total_cmp(&self.last_end_s).is_eq();
+        self.current_innovation_a = None;
+        let stuck = self.may_have_stuck();
+        let limited = self.readings.iter().any(|reading| reading.limited);
+        let taken = !self.is_at_rest() && !stuck && !limited;
+        if taken {
+            self.take_start_row(end_s - begin_s);
+            self.take_prediction_error(end_s - begin_s, continues);
+        } else {
+            self.tracks.iter_mut().for_each(Track::interrupt);
+        }
+        self.last_end_s = end_s;
+        let mut row = self.mechanical_row(begin_s, end_s);
+        if stuck || limited {
+            row.direction = 0;
+        }
+        self.balance.take(&row);
+        let known = (self.balance).acceleration_per_ampere(ACCELERATION_UNCERTAINTY);
+        self.acceleration = known.or(self.acceleration);
+    }
+
+    /// The shaft breaks away, comes to rest or turns inside an interval: when, and so the shape of the speed, is not
+    /// known. Between two samples of one direction it may have come back from a stop.
+    fn may_have_stuck(&self) -> bool {
+        let acceleration = self.acceleration.unwrap_or(0.0);
+        let zone = self.direction.dead_zone_rad_s();
+        self.readings.windows(2).any(|pair| {
+            let (a, b) = (&pair[0], &pair[1]);
+            let step_s = b.time_s - a.time_s;
+            // A change of the current that comes at once in the middle bends the speed by a quarter of this.
+            let bend = 0.25 * acceleration * step_s * (b.current_a - a.current_a).abs();
+            let least = a.speed_rad_s.abs().min(b.speed_rad_s.abs());
+            a.direction != b.direction || (a.direction != 0 && least < zone + bend)
+        })
+    }
+
+    /// Nothing applied, no motion, no current: such a block is noise, which would pass for certainty.
+    fn is_at_rest(&self) -> bool {
+        let begin_s = self.readings[0].time_s;
+        let noise = self.current_noise_a().unwrap_or(0.0);
+        let least = (CURRENT_NOISE * noise).max(CURRENT_SHARE * self.largest_current_a);
+        holding_since(&self.voltage, begin_s)
+            .iter()
+            .all(|event| event.1.abs() <= NEARLY_ZERO_V)
+            && self
+                .readings
+                .iter()
+                .all(|r| r.direction == 0 && r.current_a.abs() <= least)
+    }
+
+    fn track(&self, start: Winding, certain: bool) -> Track {
+        Track::new(start, self.noise(), self.memory.electrical, certain)
+    }
+
+    /// Noise of one sample: from standstill, else from what the predictions leave.
+    fn noise(&self) -> SampleNoise {
+        let by_rows = |variance: Option<f64>| variance.map(f64::sqrt);
+        let least = |value: f64, largest: f64| {
+            value
+                .max(1e-2 * NOISE_SHARE * largest)
+                .max(f64::MIN_POSITIVE.sqrt())
+        };
+        SampleNoise {
+            current_a: least(
+                self.current_noise_a()
+                    .or_else(|| by_rows(self.best()?.estimator().noise_variance()))
+                    .unwrap_or(NOISE_SHARE * self.largest_current_a),
+                self.largest_current_a,
+            ),
+            speed_rad_s: least(
+                self.speed_at_rest
+                    .deviation()
+                    .or_else(|| by_rows(self.balance.noise_variance()))
+                    .unwrap_or(NOISE_SHARE * self.direction.largest_rad_s()),
+                self.direction.largest_rad_s(),
+            ),
+            by_stamp: 1.0,
+        }
+    }
+
+    /// Noise of one current sample, A: from the time before anything was applied.
+    fn current_noise_a(&self) -> Option<f64> {
+        self.current_at_rest.deviation()
+    }
+
+    fn take_start_row(&mut self, length_s: f64) {
+        if self.starting.is_none() {
+            return;
+        }
+        let (mut charge, mut angle, mut volt_s) = (0.0, 0.0, 0.0);
+        for (a, b, interval) in self.intervals() {
+            charge += 0.5 * (a.current_a + b.current_a) * interval.length_s;
+            angle += 0.5 * (a.speed_rad_s + b.speed_rad_s) * interval.length_s;
+            volt_s += winding::voltage_integral(&interval);
+        }
+        let (first, last) = (self.readings[0], self.readings[self.readings.len() - 1]);
+        let regressor =
+            [charge, last.current_a - first.current_a, angle].map(|integral| integral / length_s);
+        let Some(estimator) = &mut self.starting else {
+            return;
+        };
+        estimator.update(&regressor, volt_s / length_s);
+        let found = estimator.parameters();
+        let rows = estimator.rows();
+        let certain = |j: usize| {
+            estimator
+                .standard_deviations()
+                .is_some_and(|stds| found[j] > 0.0 && stds[j] < START_UNCERTAINTY * found[j])
+        };
+        if rows < START_ROWS || !certain(0) || !certain(2) {
+            return;
+        }
+        let [r, _, ke] = found;
+        let rivals: Vec<Winding> = if certain(1) {
+            vec![found]
+        } else if rows >= LATE_ROWS {
+            LATE_TIME_CONSTANTS
+                .map(|share| [r, share * self.period_s * r, ke])
+                .to_vec()
+        } else {
+            return;
+        };
+        self.starting = None;
+        self.trial = Trial::On(0);
+        self.balance = MechanicalBalance::new(TRIAL_FORGETTING);
+        let starts = rivals.into_iter().chain(self.guess);
+        self.tracks = starts.map(|start| self.track(start, false)).collect();
+    }
+
+    /// Noise of a sample of this block: that of its sensor and what the signal does within the stamp's interval.
+    fn stamped_noise(&self, length_s: f64) -> SampleNoise {
+        let noise = self.noise();
+        let share = self.half_width_s / (3f64.sqrt() * length_s);
+        let (first, last) = (self.readings[0], self.readings[self.readings.len() - 1]);
+        let current_a = noise
+            .current_a
+            .hypot(share * (last.current_a - first.current_a));
+        let speed_step_rad_s = last.speed_rad_s - first.speed_rad_s;
+        SampleNoise {
+            current_a,
+            speed_rad_s: noise.speed_rad_s.hypot(share * speed_step_rad_s),
+            by_stamp: current_a / noise.current_a,
+        }
+    }
+
+    fn take_prediction_error(&mut self, length_s: f64, continues: bool) {
+        let noise = self.stamped_noise(length_s);
+        let mut tracks = std::mem::take(&mut self.tracks);
+        let (known, doubtful) = (
+            self.acceleration.unwrap_or(0.0),
+            self.doubtful_acceleration(),
+        );
+        let block = Block {
+            predict: |winding: &Winding, begin_a, speed_errors| {
+                self.predict(known, winding, begin_a, speed_errors)
+            },
+            predict_doubtful: |winding: &Winding, begin_a, speed_errors| {
+                self.predict(doubtful, winding, begin_a, speed_errors)
+            },
+            first_current_a: self.readings[0].current_a,
+            last_current_a: self.readings[self.readings.len() - 1].current_a,
+            length_s,
+            intervals: (self.readings.len() - 1) as f64,
+            continues,
+        };
+        let mut innovation = None;
+        for track in tracks.iter_mut().rev() {
+            innovation = track.take(&block, noise);
+        }
+        self.tracks = tracks;
+        self.current_innovation_a = innovation;
+        if let Trial::On(rows) = self.trial {
+            self.trial = Trial::On(rows + 1);
+            if rows + 1 >= TRIAL_ROWS {
+                self.end_trial(rows + 1);
+            }
+        }
+    }
+
+    /// Starts again from where the trial has come, until a trial moves little.
+    fn end_trial(&mut self, rows: u32) {
+        let Some(best) = self.best() else {
+            return;
+        };
+        let values = best.estimator().parameters();
+        let gone = self.is_gone(&values);
+        // An inductance that is gone between two samples need not be known.
+        let asked = |j: &usize| *j != 1 || !gone;
+        let near = self.acceleration.is_some()
+            && best.estimator().standard_deviations().is_some_and(|stds| {
+                (0..3)
+                    .filter(asked)
+                    .all(|j| stds[j] < TRIAL_UNCERTAINTY * values[j])
+            });
+        if !near && rows < LONGEST_TRIAL_ROWS {
+            return;
+        }
+        let last = near && (0..3).filter(asked).all(|j| best.moved(j) < TRIAL_MOVE);
+        let from = best.winding();
+        let start = std::array::from_fn(|j| {
+            values[j].clamp(from[j] / LARGEST_MOVE, from[j] * LARGEST_MOVE)
+        });
+        self.tracks = vec![self.track(start, last)];
+        let (memory, trial) = if last {
+            (self.memory.mechanical, Trial::Over)
+        } else {
+            (TRIAL_FORGETTING, Trial::On(0))
+        };
+        (self.balance, self.trial) = (MechanicalBalance::new(memory), trial);
+    }
+
+    /// Whether nothing is left of the transient of the winding between two samples.
+    fn is_gone(&self, [r, l, _]: &Winding) -> bool {
+        self.period_s * r > MOST_PERIODS * l
+    }
+
+    fn mechanical_row(&self, begin_s: f64, end_s: f64) -> MechanicalRow {
+        let winding = self.winding();
+        // The chord through the measured ends, and what the winding bends away from a chord.
+        let charge = |winding: Option<Winding>| -> f64 {
+            self.intervals()
+                .map(|(a, b, interval)| {
+                    let h = interval.length_s;
+                    let chord = 0.5 * h * (a.current_a + b.current_a);
+                    chord
+                        + winding.map_or(0.0, |winding| {
+                            let (end, charge) =
+                                winding::propagate(&winding, a.current_a, &interval);
+                            charge - 0.5 * h * (a.current_a + end)
+                        })
+                })
+                .sum()
+        };
+        let (first, last) = (self.readings[0], self.readings[self.readings.len() - 1]);
+        let same = self.readings.iter().all(|r| r.direction == first.direction);
+        let noise = self.noise();
+        MechanicalRow {
+            begin_s,
+            end_s,
+            speed_step_rad_s: last.speed_rad_s - first.speed_rad_s,
+            current_integral_a_s: charge(winding),
+            doubtful_integral_a_s: charge(winding.map(|w| self.with_doubtful_inductance(w))),
+            direction: if same { first.direction } else { 0 },
+            speed_rad_s: 0.5 * (first.speed_rad_s + last.speed_rad_s),
+            carry: mechanical::carry(
+                self.acceleration.unwrap_or(0.0) * noise.current_a * (end_s - begin_s)
+                    / noise.speed_rad_s,
+                (self.readings.len() - 1) as f64,
+            ),
+        }
+    }
+
+    /// The inductance one standard deviation off: it shapes the current between samples.
+    fn with_doubtful_inductance(&self, [r, l, ke]: Winding) -> Winding {
+        let std = self
+            .best()
+            .and_then(|track| track.estimator().standard_deviations())
+            .map_or(l, |stds| stds[1]);
+        [r, l * (1.0 + (std / l).min(1.0)), ke]
+    }
+
+    /// How far the data carry R, L, Ke, Kt/J, Mc/J: 0 nothing learnt, 1 learnt.
+    pub fn excitation(&self) -> [f64; 5] {
+        let electrical = self.electrical().map_or([1.0; 3], |estimator| {
+            [0, 1, 2].map(|j| estimator.ignorance(j))
+        });
+        let [a, b] = self.balance.ignorance();
+        let [r, l, ke] = electrical;
+        [r, l, ke, a, b].map(|ignorance| (1.0 - ignorance).clamp(0.0, 1.0))
+    }
+
+    /// Standard deviation of the speed at standstill, rad/s, where there was one.
+    pub fn speed_noise_rad_s(&self) -> Option<f64> {
+        self.speed_at_rest.deviation()
+    }
+
+    /// Torque constant and its standard deviation: the given one, else the back-EMF constant.
+    pub fn torque_constant(&self) -> Option<(f64, f64)> {
+        if let Some(given) = self.torque_n_m_per_a {
+            return Some((given, 0.0));
+        }
+        let estimator = self.electrical()?;
+        let (value, std) = (
+            estimator.parameters()[2],
+            estimator.standard_deviations()?[2],
+        );
+        (estimator.ignorance(2) < IGNORANT && value > 0.0).then_some((value, std))
+    }
+
+    /// R, L, Ke, J, Mc with verdicts.
+    pub fn estimates(&self) -> Vec<ParameterEstimate> {
+        let mut out = self.electrical_estimates();
+        if let Some(reason) = self.on_trial() {
+            let keys = [MotorKey::Inertia, MotorKey::LoadTorque];
+            out.extend(keys.map(|key| verdict::unknown(key, reason.clone())));
+            return out;
+        }
+        let (torque, moved) = (self.torque_constant(), &self.direction);
+        out.extend((self.balance).estimates(torque, moved, self.period_s, [0.0; 2]));
+        let doubt = if self.limited {
+            Some("stands still: a limit of the drive holds its output, so that the motor has another voltage than was commanded".to_owned())
+        } else {
+            self.misfit().map(|times| {
+                format!(
+                    "the measured current misses the prediction by {times:.1} times its noise: \
+                     an effect is missing, a signal is wrong, or the estimate went astray"
+                )
+            })
+        };
+        // One voltage is shared by R and Ke, and the current between two samples is theirs: without R nothing is sure.
+        let resistance = out.iter().find(|p| p.key == MotorKey::Resistance.key());
+        let open = resistance.is_none_or(|resistance| resistance.verdict != Verdict::Settled);
+        let doubt = doubt.or_else(|| {
+            open.then(|| {
+                "rests on the resistance, which the run does not settle: it takes a current that changes at every speed"
+                    .to_owned()
+            })
+        });
+        if let Some(reason) = doubt {
+            for parameter in &mut out {
+                parameter.unsettle(reason.as_str());
+            }
+        }
+        out
+    }
+
+    /// How many times its noise the current misses the prediction by, where that is no chance.
+    fn misfit(&self) -> Option<f64> {
+        self.current_noise_a()?;
+        let times = self.best()?.misfit().sqrt();
+        (times > LARGEST_MISFIT).then_some(times)
+    }
+
+    /// Why the integral of the current between samples is not known yet, once the shaft has moved.
+    fn on_trial(&self) -> Option<String> {
+        let moved = self.direction.largest_rad_s() > self.direction.dead_zone_rad_s();
+        let rows = match self.trial {
+            Trial::Waiting => self.starting.as_ref()?.rows().to_string(),
+            Trial::On(rows) => format!("{rows} of the {TRIAL_ROWS} or more of a trial"),
+            Trial::Over => return None,
+        };
+        moved.then(|| {
+            format!(
+                "the current between two samples ({:.1} ms) is not known before R, L and Ke are: {rows} rows so far",
+                1e3 * self.period_s
+            )
+        })
+    }
+
+    fn electrical_estimates(&self) -> Vec<ParameterEstimate> {
+        let Some(estimator) = self.electrical() else {
+            return Vec::new();
+        };
+        let starting = self.tracks.is_empty();
+        let values = estimator.parameters();
+        let stds = match self.best() {
+            Some(track) => track.standard_deviations(),
+            None => estimator.standard_deviations(),
+        };
+        let stds = stds.filter(|_| estimator.rows() >= START_ROWS);
+        let certain = |j: usize| {
+            estimator.ignorance(j) < IGNORANT
+                && stds.is_some_and(|stds| stds[j] < START_UNCERTAINTY * values[j])
+        };
+        // In steady state the noise of the current passes for its excitation and R and Ke share one voltage: neither
+        // may be told from the linear start without the other.
+        let moved = self.direction.largest_rad_s() > self.direction.dead_zone_rad_s();
+        let confounded = starting && moved && !(certain(0) && certain(2));
+        (0..3)
+            .map(|j| {
+                let key = KEYS[j];
+                let excited = estimator.ignorance(j) < IGNORANT && values[j] > 0.0 && !confounded;
+                let Some(stds) = stds.filter(|_| excited) else {
+                    return verdict::unknown(key, self.why_not(key, estimator.rows()));
+                };
+                let time_constant_s = values[1] / values[0];
+                // Early on the ratio itself is not known well enough to say so.
+                let known = !starting && stds[0] < CERTAIN_RATIO * values[0];
+                let gone = self.is_gone(&values);
+                if key == MotorKey::Inductance && known && gone {
+                    // What is left of the transient between two samples is below the noise of everything else.
+                    let reason = format!(
+                        "L/R = {:.1} ms or less against a period of {:.1} ms; sample faster, or use burst capture",
+                        1e3 * time_constant_s,
+                        1e3 * self.period_s
+                    );
+                    return verdict::unknown(key, reason);
+                }
+                let slot = Slot::Motor(key);
+                let mut judged = verdict::judge(&slot, values[j], Some(stds[j]), self.period_s);
+                if starting {
+                    judged.unsettle("from the linear start: biased by coarse sampling");
+                } else if let Trial::On(rows) = self.trial {
+                    judged.unsettle(format!(
+                        "{rows} rows since the linear start, linearised again after {TRIAL_ROWS}"
+                    ));
+                }
+                judged
+            })
+            .collect()
+    }
+
+    fn why_not(&self, key: MotorKey, rows: u64) -> String {
+        let current = self.largest_current_a;
+        let speed = self.direction.largest_rad_s();
+        let zone = self.direction.dead_zone_rad_s();
+        if self.voltage.is_empty() {
+            return "no voltage command seen yet".into();
+        }
+        if rows < START_ROWS {
+            return format!("{rows} rows so far, at least {START_ROWS} are needed");
+        }
+        if key == MotorKey::BackEmf && speed <= zone {
+            return format!(
+                "not moved yet: largest speed {speed:.2} rad/s, dead zone {zone:.2} rad/s"
+            );
+        }
+        if key == MotorKey::Inductance {
+            let period_ms = 1e3 * self.period_s;
+            return self.winding().map_or_else(
+                || format!("the current does not change enough at a period of {period_ms:.1} ms (largest {current:.2} A)"),
+                |[r, l, _]| format!(
+                    "the current does not change enough: period {period_ms:.1} ms, L/R about {:.1} ms",
+                    1e3 * l / r
+                ),
+            );
+        }
+        format!("not excited: largest current {current:.2} A, largest speed {speed:.2} rad/s")
+    }
+
+    /// Innovations of the last block: current, A, and speed, rad/s; `None` at standstill, at a reversal and at the start.
+    pub fn innovation(&self) -> Option<(f64, f64)> {
+        Some((self.current_innovation_a?, self.balance.innovation_rad_s()?))
+    }
+}
+
+/// Mean and variance (Welford).
+#[derive(Clone, Copy, Debug, Default)]
+struct Spread {
+    count: u32,
+    mean: f64,
+    squares: f64,
+}
+
+impl Spread {
+    fn add(&mut self, value: f64) {
+        self.count = self.count.saturating_add(1);
+        let before = value - self.mean;
+        self.mean += before / f64::from(self.count);
+        self.squares += before * (value - self.mean);
+    }
+
+    /// From ten values on.
+    fn deviation(&self) -> Option<f64> {
+        (self.count >= 10).then(|| (self.squares / f64::from(self.count - 1)).sqrt())
+    }
+}

@@ -1,0 +1,221 @@
+//! Columns in each other's place, or with the wrong sign: both balances under every other assignment.
+
+use super::table::{Activity, Balances, Roles, Table};
+use super::{Finding, Kind};
+use drivebench_model::plant::MotorKey;
+
+/// Error of both balances up to which an assignment explains the data.
+const EXPLAINS: f64 = 0.35;
+/// An assignment with possible signs is only doubted where another one leaves less than this share of its error.
+const FAR_BETTER: f64 = 0.4;
+
+/// Error of each balance up to which another assignment holds well enough to be proposed: exchanged columns of a sound record
+/// leave some per cent, and up to a sixth where it is sampled as slowly as the shaft moves.
+const HOLDS_WELL: f64 = 0.2;
+
+/// Parts of a record of which most speak for the given assignment where the machine changed between them.
+const PARTS: usize = 6;
+
+/// Names of the three columns, in the order of the table.
+const NAMES: [&str; 3] = ["voltage", "current", "speed"];
+
+/// What the three columns say together; `None` where one of them does not move.
+pub(super) struct Assigned {
+    /// Another assignment explains the data, the given one does not.
+    pub(super) exchanged: Option<Finding>,
+    /// The given assignment is impossible, and no other one mends it.
+    pub(super) impossible: Option<Finding>,
+}
+
+pub(super) fn check(table: &Table) -> Option<Assigned> {
+    let columns = [&table.voltage_v, &table.current_a, &table.speed_rad_s];
+    if columns.iter().any(|column| !Activity::of(column).moves) {
+        return None;
+    }
+    let given = Balances::of(&Roles::of(table))?;
+    if table.voltage_is_of_a_supply() {
+        return Some(Assigned {
+            exchanged: None,
+            impossible: given.impossible().map(|found| of_a_supply(table, found)),
+        });
+    }
+    let mut best: Option<(Assignment, Balances)> = None;
+    for assignment in assignments() {
+        let found = Balances::of(&assignment.roles(table));
+        if let Some(found) = found.filter(|found| assignment.holds_well(found))
+            && best
+                .as_ref()
+                .is_none_or(|(_, best)| found.error() < best.error())
+        {
+            best = Some((assignment, found));
+        }
+    }
+    let impossible = given.impossible();
+    let better = best.filter(|_| !explains_most_parts(table));
+    let better = better.filter(|(_, found)| {
+        let share = if impossible.is_some() {
+            1.1
+        } else {
+            FAR_BETTER
+        };
+        found.error() < share * given.error()
+    });
+    Some(Assigned {
+        exchanged: better.map(|(assignment, found)| assignment.finding(table, &given, &found)),
+        impossible: impossible.map(|(name, value)| {
+            let sentence = format!(
+                "the balances of voltage and torque give {name} of {value:.3e}, which no motor has, and no exchange of \
+                 columns or signs mends it (they leave {:.0} % and {:.0} % unexplained)",
+                100.0 * given.voltage_error,
+                100.0 * given.torque_error
+            );
+            let help = "check columns, signs and units of voltage, current and speed; a supply current is not the armature current";
+            // Balances that hold with an impossible sign leave no doubt; ones that do not hold may miss some physics.
+            if given.error() < EXPLAINS {
+                Finding::refusal(Kind::Reversed, sentence, help)
+            } else {
+                Finding::caution(Kind::Reversed, &MotorKey::ALL, sentence, help)
+            }
+        }),
+    })
+}
+
+/// Whether most parts of the record are explained as they are given, each by values of its own: a load that was changed
+/// while it was recorded bends the balances of the whole, and no column is in another's place.
+fn explains_most_parts(table: &Table) -> bool {
+    let size = table.windows.len().div_ceil(PARTS).max(1);
+    let parts = table.windows.chunks(size);
+    let explained = parts.clone().filter(|windows| {
+        let roles = Roles {
+            windows,
+            ..Roles::of(table)
+        };
+        let found = Balances::of(&roles);
+        found.is_some_and(|found| found.impossible().is_none() && found.error() < EXPLAINS)
+    });
+    2 * explained.count() > parts.len()
+}
+
+/// Which given column serves as voltage, current and speed, and with which sign.
+#[derive(Clone, Copy)]
+struct Assignment {
+    place: [usize; 3],
+    current_sign: f64,
+    speed_sign: f64,
+}
+
+/// Every assignment but the given one, with one mistake each: columns in each other's place, or signs. The voltage's sign is
+/// the reference.
+fn assignments() -> impl Iterator<Item = Assignment> {
+    const PLACES: [[usize; 3]; 6] = [
+        [0, 1, 2],
+        [1, 0, 2],
+        [0, 2, 1],
+        [2, 1, 0],
+        [1, 2, 0],
+        [2, 0, 1],
+    ];
+    const SIGNS: [[f64; 2]; 3] = [[1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]];
+    let exchanged = PLACES.into_iter().skip(1).map(|place| (place, [1.0; 2]));
+    let reversed = SIGNS.into_iter().map(|signs| ([0, 1, 2], signs));
+    let all = exchanged.chain(reversed);
+    all.map(|(place, [current_sign, speed_sign])| Assignment {
+        place,
+        current_sign,
+        speed_sign,
+    })
+}
+
+/// What the balances give of the voltage of a supply, which the bridge chops: nothing of the winding.
+fn of_a_supply(table: &Table, (name, value): (&str, f64)) -> Finding {
+    let voltage = Activity::of(&table.voltage_v);
+    let sentence = format!(
+        "{} stays between {:.4} and {:.4} V whatever the motor does, as that of a supply, and with it the balances give {name} of \
+         {value:.3e}: it is not the voltage at the motor's terminals",
+        table.voltage_key, voltage.least, voltage.most
+    );
+    let help = "map duty times supply, as voltage_v=DUTY*BUS, or map torque_n_m and the speed alone; a current taken at the supply is \
+                declared by --origin current_a=supply";
+    Finding::caution(Kind::Reversed, &MotorKey::ALL, sentence, help)
+}
+
+impl Assignment {
+    /// Whether an assignment explains what the given one may not. An exchange has to explain both balances; a sign shows in the
+    /// voltage's alone, also where a coarse speed leaves much of the torque's.
+    fn holds_well(&self, found: &Balances) -> bool {
+        let is_exchange = self.place != [0, 1, 2];
+        found.is_physical()
+            && found.voltage_error < HOLDS_WELL
+            && (!is_exchange || found.torque_error < HOLDS_WELL)
+    }
+
+    fn roles<'a>(&self, table: &'a Table) -> Roles<'a> {
+        let columns = [&table.voltage_v, &table.current_a, &table.speed_rad_s];
+        Roles {
+            time_s: &table.time_s,
+            windows: &table.windows,
+            voltage: columns[self.place[0]],
+            current: columns[self.place[1]],
+            speed: columns[self.place[2]],
+            current_sign: self.current_sign,
+            speed_sign: self.speed_sign,
+        }
+    }
+
+    fn finding(&self, table: &Table, given: &Balances, found: &Balances) -> Finding {
+        let keys = [table.voltage_key, "current_a", "speed_rad_s"];
+        let moved: Vec<usize> = (0..3).filter(|role| self.place[*role] != *role).collect();
+        let reversed = self.reversed();
+        let (kind, what) = match (moved.as_slice(), reversed) {
+            ([], Some(role)) => (
+                Kind::Reversed,
+                format!("the sign of the {} is reversed", NAMES[role]),
+            ),
+            ([first, second], _) => (
+                Kind::Swapped,
+                format!("{} and {} are swapped", NAMES[*first], NAMES[*second]),
+            ),
+            _ => (
+                Kind::Swapped,
+                "voltage, current and speed stand in each other's columns".to_owned(),
+            ),
+        };
+        let why = match given.impossible() {
+            Some((name, value)) => format!("as mapped, the balances give {name} of {value:.3e}"),
+            None => format!(
+                "as mapped, the balances leave {:.0} % of the voltage and {:.0} % of the current unexplained",
+                100.0 * given.voltage_error,
+                100.0 * given.torque_error
+            ),
+        };
+        let map: Vec<String> = (0..3)
+            .filter(|role| self.place[*role] != *role || reversed == Some(*role))
+            .map(|role| {
+                let sign = if reversed == Some(role) { "*-1" } else { "" };
+                format!(
+                    "{}=(column of {}){sign}",
+                    keys[role], keys[self.place[role]]
+                )
+            })
+            .collect();
+        Finding::refusal(
+            kind,
+            format!(
+                "it seems that {what}: {why}; the other way round they leave {:.0} % and {:.0} %, with every parameter positive",
+                100.0 * found.voltage_error,
+                100.0 * found.torque_error
+            ),
+            format!("map them as --map {}", map.join(",")),
+        )
+    }
+
+    /// The one role whose sign is to be turned; current and speed both turned is the voltage turned.
+    fn reversed(&self) -> Option<usize> {
+        match (self.current_sign < 0.0, self.speed_sign < 0.0) {
+            (false, false) => None,
+            (true, false) => Some(1),
+            (false, true) => Some(2),
+            (true, true) => Some(0),
+        }
+    }
+}

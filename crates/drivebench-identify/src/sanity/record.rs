@@ -1,0 +1,495 @@
+//! Faults of a record, signal by signal: nothing moves, single wild values, a signal that froze, was cut off or
+//! lost its sign.
+
+use std::ops::Range;
+
+use super::sensor::{Signal, is_same, stretches};
+use super::stretches::{FROZEN_ROWS, Watched};
+use super::table::{Activity, Roles, Table, correlation, voltage_at_rest};
+use super::{Finding, Kind};
+use drivebench_model::numerics::count::whole;
+use drivebench_model::numerics::statistics::{extent, finite, median};
+use drivebench_model::plant::MotorKey;
+
+/// Correlation of voltage and current above which the current answers the voltage.
+const ANSWERS: f64 = 0.3;
+/// Share of the voltage that resistance and inductance may leave unexplained in a winding at rest.
+const AT_REST: f64 = 0.3;
+
+/// Records in which nothing moves, or not what has to.
+pub(super) fn still(table: &Table) -> Vec<Finding> {
+    let [voltage, current, speed] =
+        [&table.voltage_v, &table.current_a, &table.speed_rad_s].map(|values| Activity::of(values));
+    let duration_s = table.duration_s();
+    let current_moves = current.moves
+        || current.is_there() && correlation(&table.voltage_v, &table.current_a).abs() > ANSWERS;
+    if !speed.moves && !current_moves {
+        return vec![nothing_moves(&voltage, &current, &speed, duration_s)];
+    }
+    let mut findings = Vec::new();
+    let voltage_changes = voltage.is_there() && voltage.range() > 0.01 * voltage.largest();
+    if current.is_constant() && voltage_changes && speed.moves {
+        findings.push(Finding::refusal(
+            Kind::Frozen,
+            format!(
+                "current_a is {} A in all {} rows while {} changes between {:.4} and {:.4} V and the speed follows: \
+                 the current is not measured",
+                current.mean, current.count, table.voltage_key, voltage.least, voltage.most
+            ),
+            "leave the column out of --map (voltage and speed alone still give the back-EMF constant), or repair the sensor",
+        ));
+    } else if current.is_there() && current.is_zero() && voltage.is_there() && !voltage_changes {
+        findings.push(Finding::refusal(
+            Kind::OpenCircuit,
+            format!(
+                "the current stays 0 A while the speed goes from {:.4} to {:.4} rad/s at a stated voltage of {:.4} V: \
+                 the terminals are open, so the stated voltage is not the motor's",
+                speed.least, speed.most, voltage.mean
+            ),
+            "leave the voltage out of --map, and give torque_n_m_per_a with --model: the coast-down then gives the torque balance",
+        ));
+    }
+    if current_moves && speed.is_there() && !speed.moves {
+        findings.extend(shaft_at_rest(table, &speed));
+    }
+    if current.moves && speed.moves && voltage.is_there() {
+        findings.extend(open_for_a_while(table, &voltage, &current, &speed));
+    }
+    findings
+}
+
+/// Share of the largest voltage that is none, of the largest speed that is a clear one, and of the largest current that
+/// is none.
+const NO_VOLTAGE: f64 = 0.002;
+const CLEAR_SPEED: f64 = 0.2;
+const NO_CURRENT: f64 = 0.02;
+/// Quanta of a speed that are a clear one: one is what a coarse sensor shows of a shaft at rest, two of one that creeps.
+const CLEAR_QUANTA: f64 = 3.0;
+/// Rows from which such a stretch counts, changes of the speed within it, and the share of the record that forbids an
+/// identification.
+const OPEN_ROWS: usize = 20;
+const COASTING_CHANGES: usize = 3;
+const OPEN_SHARE: f64 = 0.02;
+
+/// A shorted armature that turns brakes with `Ke w/R`; one that carries nothing at zero volt is open.
+fn open_for_a_while(
+    table: &Table,
+    voltage: &Activity,
+    current: &Activity,
+    speed: &Activity,
+) -> Option<Finding> {
+    // A coarse sensor shows a speed of some quanta at rest.
+    let clear = (CLEAR_SPEED * speed.largest()).max(CLEAR_QUANTA * table.speed.quantum);
+    let coasts = |row: usize| {
+        table.voltage_v[row].abs() <= NO_VOLTAGE * voltage.largest()
+            && table.speed_rad_s[row].abs() > clear
+            && table.current_a[row].is_finite()
+    };
+    // A shaft that coasts slows down; a speed that repeats one value is that of a sensor that froze, or a late one.
+    let slows = |rows: &Range<usize>| {
+        let changes = rows.clone().skip(1);
+        let changes =
+            changes.filter(|row| !is_same(table.speed_rad_s[row - 1], table.speed_rad_s[*row]));
+        changes.count() >= COASTING_CHANGES
+    };
+    let stretches = stretches(table.time_s.len(), OPEN_ROWS, |row| {
+        coasts(row) && coasts(row - 1)
+    });
+    let rows: Vec<usize> = stretches.into_iter().filter(slows).flatten().collect();
+    let currents: Vec<f64> = rows.iter().map(|row| table.current_a[*row].abs()).collect();
+    let level = median(&currents);
+    if rows.is_empty() || level > NO_CURRENT * current.largest() {
+        return None;
+    }
+    let sentence = format!(
+        "in {} rows from {:.3} s on the voltage is stated as 0 V and the shaft turns, but the current is {level:.3} A: the \
+         terminals are open there, so no voltage is known and no balance of voltages holds",
+        rows.len(),
+        table.time_s[rows[0]]
+    );
+    let help = "cut the coast-down out of the file; on its own, without a voltage and with torque_n_m_per_a given, it shows the torque balance";
+    let share = rows.len() as f64 / table.time_s.len() as f64;
+    Some(if share > OPEN_SHARE {
+        Finding::refusal(Kind::OpenCircuit, sentence, help)
+    } else {
+        Finding::caution(Kind::OpenCircuit, &MotorKey::ALL, sentence, help)
+    })
+}
+
+/// One operating point, moving or not.
+fn nothing_moves(
+    voltage: &Activity,
+    current: &Activity,
+    speed: &Activity,
+    duration_s: f64,
+) -> Finding {
+    let signals = [
+        ("voltage", voltage, "V"),
+        ("current", current, "A"),
+        ("speed", speed, "rad/s"),
+    ];
+    let there = signals
+        .iter()
+        .filter(|(_, activity, _)| activity.is_there());
+    let levels = there.map(|(name, activity, unit)| {
+        let noise = format!(" +- {:.2}", activity.noise);
+        let noise = if activity.is_constant() { "" } else { &noise };
+        format!("{name} {:.4}{noise} {unit}", activity.mean)
+    });
+    let levels = levels.collect::<Vec<_>>().join(", ");
+    if speed.is_there() && speed.is_zero() {
+        Finding::refusal(
+            Kind::Standstill,
+            format!(
+                "the motor stands still and nothing changes for {duration_s:.3} s ({levels}): there is nothing to identify"
+            ),
+            "excite the motor: steps of voltage in both directions, with some time at rest first",
+        )
+    } else {
+        Finding::refusal(
+            Kind::Steady,
+            format!(
+                "nothing changes for {duration_s:.3} s ({levels}): one operating point is one equation for all unknowns"
+            ),
+            "excite the motor: steps of voltage in both directions; record the transients too",
+        )
+    }
+}
+
+/// The current moves, the speed does not: a locked rotor, or a speed that is not measured.
+fn shaft_at_rest(table: &Table, speed: &Activity) -> Option<Finding> {
+    if speed.is_constant() && speed.mean.abs() > 0.0 {
+        return Some(Finding::refusal(
+            Kind::Frozen,
+            format!(
+                "speed_rad_s is {} rad/s in all {} rows while the current changes: the speed is not measured",
+                speed.mean, speed.count
+            ),
+            "leave the column out of --map, or repair the sensor",
+        ));
+    }
+    if !speed.is_zero() {
+        return None;
+    }
+    let roles = Roles::of(table);
+    let unexplained = voltage_at_rest(&roles)?;
+    if unexplained > AT_REST {
+        return Some(Finding::refusal(
+            Kind::Frozen,
+            format!(
+                "the speed reads 0 rad/s throughout, but resistance and inductance leave {:.0} % of the voltage \
+                 unexplained: the shaft turns and the speed is not measured",
+                100.0 * unexplained
+            ),
+            "check the speed sensor, or leave the column out of --map",
+        ));
+    }
+    Some(Finding::caution(
+        Kind::Standstill,
+        &[MotorKey::BackEmf, MotorKey::Inertia, MotorKey::LoadTorque],
+        format!(
+            "the shaft does not turn in {:.3} s (speed 0 +- {:.2} rad/s): only resistance and inductance can be found",
+            table.duration_s(),
+            speed.noise
+        ),
+        "for the other parameters the shaft must be free to turn and the voltage high enough to break it away",
+    ))
+}
+
+/// A current may jump; one that comes back within a row by this many times the usual range did not.
+const CURRENT_RANGES: f64 = 3.0;
+/// The inertia forbids a speed this share of its range for one row, where rows are close enough to see it.
+const SPEED_RANGES: f64 = 0.5;
+const CLOSE_S: f64 = 0.02;
+/// Share of the range by which the two neighbours may differ.
+const NEIGHBOURS: f64 = 0.1;
+/// Share of the rows left out at each end of what counts as the usual range, and up to which values are single.
+const TAIL: f64 = 0.01;
+
+/// Single values that no machine can have shown: one row far off between two that agree.
+pub(super) fn outlier(table: &Table) -> Option<Finding> {
+    let pairs = table.time_s.windows(2);
+    let close = pairs.clone().filter(|pair| pair[1] - pair[0] <= CLOSE_S);
+    let close = 2 * close.count() > pairs.count();
+    let speed = if close { SPEED_RANGES } else { CURRENT_RANGES };
+    wild("speed_rad_s", &table.time_s, &table.speed_rad_s, speed)
+        .or_else(|| wild("current_a", &table.time_s, &table.current_a, CURRENT_RANGES))
+}
+
+fn wild(key: &str, time_s: &[f64], values: &[f64], ranges: f64) -> Option<Finding> {
+    let mut sorted = finite(values);
+    if sorted.len() < 100 {
+        return None;
+    }
+    sorted.sort_by(f64::total_cmp);
+    let tail = (TAIL * sorted.len() as f64).ceil();
+    let tail = whole(tail);
+    let range = sorted[sorted.len() - 1 - tail] - sorted[tail];
+    let spikes: Vec<usize> = (1..values.len().saturating_sub(1))
+        .filter(|&row| {
+            let (before, at, after) = (values[row - 1], values[row], values[row + 1]);
+            let nearest = (at - before).abs().min((at - after).abs());
+            range > 0.0 && (before - after).abs() <= NEIGHBOURS * range && nearest > ranges * range
+        })
+        .collect();
+    let first = *spikes.first()?;
+    // Many of them are no accident but what the signal is.
+    if spikes.len() > tail {
+        return None;
+    }
+    Some(Finding::refusal(
+        Kind::Outlier,
+        format!(
+            "{key} reads {:.4} at {:.4} s between {:.4} and {:.4} ({} such {} of {}): no machine moves like that",
+            values[first],
+            time_s[first],
+            values[first - 1],
+            values[first + 1],
+            spikes.len(),
+            if spikes.len() == 1 { "row" } else { "rows" },
+            values.len()
+        ),
+        "leave the cell empty: an empty cell is a missing value; look for noise on the line or a torn transmission",
+    ))
+}
+
+/// Share of the largest value that is none.
+const ROUNDING: f64 = 1e-9;
+/// Share of the largest voltage from which its direction counts.
+const CLEARLY: f64 = 0.2;
+/// Share of the largest value below which a signal has come through zero.
+const THROUGH_ZERO: f64 = 0.1;
+/// Share of the largest value that a signal may be negative by, through noise or offset.
+const NEARLY_NONE: f64 = 0.05;
+
+/// One signal that contradicts itself: frozen for a while, cut off at a limit, or without its direction.
+pub(super) fn contradicted(table: &Table) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    let speed_moves = Activity::of(&table.speed_rad_s).moves;
+    for signal in [Signal::Current, Signal::Speed] {
+        let watched = Watched::of(table, signal);
+        if !watched.activity.moves {
+            continue;
+        }
+        // A winding at rest, sampled slowly and without noise, does follow the voltage in jumps.
+        if speed_moves && let Some(held) = watched.held() {
+            findings.push(held);
+            continue;
+        }
+        // A plateau at the limit is no freezing.
+        match watched.clipped() {
+            Some(clipped) => findings.push(clipped),
+            None => findings.extend(watched.frozen()),
+        }
+        findings.extend(unsigned(
+            table,
+            watched.key,
+            &watched.activity,
+            watched.values,
+        ));
+    }
+    if speed_moves {
+        findings.extend(dead_at_zero(table));
+    }
+    findings.extend(unsigned_voltage(table));
+    findings
+}
+
+/// The longest stretch of a speed of exactly zero over which the winding takes a back-EMF: the shaft turns, and its sensor is
+/// dead. At rest resistance and inductance take the voltage.
+fn dead_at_zero(table: &Table) -> Option<Finding> {
+    // A slope of equal angles is zero but for rounding.
+    let zero_rad_s = ROUNDING * Activity::of(&table.speed_rad_s).largest();
+    let is_zero = |row: usize| table.speed_rad_s[row].abs() <= zero_rad_s;
+    let rows = table.speed_rad_s.len();
+    let still = stretches(rows, FROZEN_ROWS, |row| is_zero(row) && is_zero(row - 1));
+    let longest = still.into_iter().max_by_key(Range::len)?;
+    let inside = |window: &&Range<usize>| longest.start <= window.start && window.end < longest.end;
+    let windows: Vec<Range<usize>> = table.windows.iter().filter(inside).cloned().collect();
+    let clear_v = CLEARLY * Activity::of(&table.voltage_v).largest();
+    let driven = table.voltage_v[longest.clone()].iter();
+    let driven = driven.filter(|volts| volts.abs() > clear_v).count();
+    // A bridge that is off leaves the voltage of the supply, and the winding takes none of it.
+    if table.voltage_is_of_a_supply() || driven < FROZEN_ROWS {
+        return None;
+    }
+    let roles = Roles {
+        windows: &windows,
+        ..Roles::of(table)
+    };
+    let unexplained = voltage_at_rest(&roles).filter(|share| *share > AT_REST)?;
+    Some(Finding::refusal(
+        Kind::Frozen,
+        format!(
+            "speed_rad_s is exactly 0 from {:.3} to {:.3} s, but resistance and inductance leave {:.0} % of the voltage there \
+             unexplained: the shaft turns and its sensor is dead",
+            table.time_s[longest.start],
+            table.time_s[longest.end - 1],
+            100.0 * unexplained
+        ),
+        "check the encoder and its cable; cut the stretch out of the file",
+    ))
+}
+
+/// A signal that is never negative although the voltage clearly reverses and it is large there.
+fn unsigned(table: &Table, key: &str, activity: &Activity, values: &[f64]) -> Option<Finding> {
+    let voltage = Activity::of(&table.voltage_v);
+    if !voltage.is_there() || activity.least < -NEARLY_NONE * activity.most {
+        return None;
+    }
+    // Where the voltage is clearly of one direction.
+    let under = |direction: f64| -> Vec<f64> {
+        let clearly = CLEARLY * voltage.largest();
+        let rows = table.voltage_v.iter().zip(values);
+        let rows = rows.filter(|(u, x)| direction * **u > clearly && x.is_finite());
+        rows.map(|(_, x)| *x).collect()
+    };
+    let [ahead, astern] = [1.0, -1.0].map(under);
+    // A heavy shaft need not follow a short reversal; one that did came through zero.
+    let astern_least = astern
+        .iter()
+        .fold(f64::INFINITY, |least, x| least.min(x.abs()));
+    if astern_least > THROUGH_ZERO * activity.largest() {
+        return None;
+    }
+    let power = |values: &[f64]| values.iter().fold(0.0, |sum, x| sum + x * x);
+    let (forward, backward) = (power(&ahead), power(&astern));
+    let (ahead, astern) = (ahead.len(), astern.len());
+    if ahead < FROZEN_ROWS || astern < FROZEN_ROWS {
+        return None;
+    }
+    let [forward, backward] = [forward / ahead as f64, backward / astern as f64];
+    (backward > 0.05 * forward).then(|| {
+        let help = if key == "current_a" {
+            "a supply or rectified current has no direction; map the armature current, with its sign"
+        } else {
+            "map the speed with its sign, or the angle"
+        };
+        Finding::refusal(
+            Kind::Unsigned,
+            format!(
+                "{key} is never negative (least {:.4}, largest {:.4}) although {} reverses for {astern} rows: it has lost its sign",
+                activity.least, activity.most, table.voltage_key
+            ),
+            help,
+        )
+    })
+}
+
+/// The speed reverses, the voltage never does: its sign is lost, or it is not the motor's.
+fn unsigned_voltage(table: &Table) -> Option<Finding> {
+    let voltage = Activity::of(&table.voltage_v);
+    let speed = Activity::of(&table.speed_rad_s);
+    if !(voltage.is_there() && speed.moves) || voltage.least < -NEARLY_NONE * voltage.most {
+        return None;
+    }
+    let rows = table.voltage_v.iter().zip(&table.speed_rad_s);
+    let driven_backward = rows
+        .filter(|(u, w)| **u > CLEARLY * voltage.most && **w < -CLEARLY * speed.largest())
+        .count();
+    let share = driven_backward as f64 / table.time_s.len().max(1) as f64;
+    let both = speed.most > CLEARLY * speed.largest() && speed.least < -CLEARLY * speed.largest();
+    (both && share > 0.1).then(|| {
+        Finding::refusal(
+            Kind::Unsigned,
+            format!(
+                "{} is never negative although the speed runs from {:.4} to {:.4} rad/s, and is clearly positive in \
+                 {driven_backward} rows that run backward: it has lost its sign",
+                table.voltage_key, speed.least, speed.most
+            ),
+            "map the voltage with its sign (a duty or bus voltage alone has none)",
+        )
+    })
+}
+
+/// Share of its range by which a counter jumps that overflows, and quanta that this is at least.
+const OVERFLOW: f64 = 0.7;
+const OVERFLOW_QUANTA: f64 = 20.0;
+/// Share of the range within which such a jump begins and ends at the two ends.
+const AT_THE_END: f64 = 0.2;
+/// Usual step, as a share of a jump, below which a jump is none of the signal's own.
+const SMOOTH: f64 = 0.05;
+/// Share of the jumps in whose midst the input stands.
+const UNCAUSED: f64 = 0.6;
+
+/// Jumps from which they are no accident.
+const FEWEST_OVERFLOWS: usize = 3;
+/// Deviation from a whole number of bits: the step and the jump are known to some per cent.
+const BITS: f64 = 0.05;
+
+/// A signal that jumps from one end of its range to the other where nothing drives it: a counter that overflows to the other
+/// sign.
+pub(super) fn overflow(table: &Table) -> Option<Finding> {
+    [
+        ("speed_rad_s", &table.speed_rad_s, table.speed),
+        ("current_a", &table.current_a, table.current),
+    ]
+    .into_iter()
+    .find_map(|(key, values, sensor)| overflow_of(table, key, values, sensor.quantum))
+}
+
+fn overflow_of(table: &Table, key: &str, values: &[f64], quantum: f64) -> Option<Finding> {
+    let (least, most) = extent(finite(values));
+    let range = most - least;
+    let sizes: Vec<f64> = values
+        .windows(2)
+        .map(|pair| (pair[1] - pair[0]).abs())
+        .collect();
+    let is_end = |value: f64| (value - least).min(most - value) < AT_THE_END * range;
+    let ends = |row: &usize| is_end(values[row - 1]) && is_end(values[*row]);
+    let jumps: Vec<usize> = (1..values.len())
+        .filter(|row| sizes[row - 1] > OVERFLOW * range && ends(row))
+        .collect();
+    let is_coarse = quantum <= 0.0 || range < OVERFLOW_QUANTA * quantum;
+    if jumps.len() < FEWEST_OVERFLOWS || is_coarse || median(&sizes) > SMOOTH * range {
+        return None;
+    }
+    let span = |values: &[f64]| {
+        let (least, most) = extent(finite(values));
+        most - least
+    };
+    let voltage = &table.voltage_v;
+    let stands = |row: &&usize| {
+        let beside = row.saturating_sub(2)..(**row + 2).min(voltage.len());
+        let moved = span(&voltage[beside]);
+        moved.is_infinite() || moved <= AT_THE_END * span(voltage)
+    };
+    let uncaused = jumps.iter().filter(stands).count();
+    if (uncaused as f64) < UNCAUSED * jumps.len() as f64 {
+        return None;
+    }
+    // The signal goes on beyond its end as it did before.
+    let period = jumps.iter().map(|row| {
+        let own = [row.checked_sub(2), Some(*row)].into_iter().flatten();
+        let own = own.filter_map(|step| sizes.get(step)).copied();
+        sizes[row - 1] + own.fold(f64::INFINITY, f64::min).min(SMOOTH * range)
+    });
+    let period = median(&period.collect::<Vec<f64>>());
+    // What the steps tell exactly goes before what the jumps tell.
+    let steps = sizes.iter().filter(|size| **size > ROUNDING * range);
+    let step = steps.fold(f64::INFINITY, |least, size| least.min(*size));
+    let bits = (period / step).log2();
+    let is_whole = (bits - bits.round()).abs() < BITS && (8.0..=32.0).contains(&bits.round());
+    let (period, counts) = if is_whole {
+        let counts = bits.round().exp2();
+        (counts * step, format!(" ({counts} counts of its step)"))
+    } else {
+        (period, " (65536 counts, if it has 16 bits)".to_owned())
+    };
+    let first = jumps[0];
+    Some(Finding::refusal(
+        Kind::Overflow,
+        format!(
+            "{key} jumps by {period:.4} from one end of its range to the other{counts} in {} rows, first at {:.4} s from {:.4} to \
+             {:.4}, while nothing drives it there: a counter that overflows to the other sign",
+            jumps.len(),
+            table.time_s[first],
+            values[first - 1],
+            values[first],
+        ),
+        format!(
+            "add or subtract {period:.4} in the rows behind each jump until the next one, or log the signal with more bits or in a \
+             coarser unit"
+        ),
+    ))
+}

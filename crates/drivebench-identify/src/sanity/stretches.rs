@@ -1,0 +1,227 @@
+//! A signal that stands still where it must not: frozen, cut off at a limit, or a command in the place of a measurement.
+//!
+//! A value repeats for many reasons that are none of these: a coarse quantum, a settled machine, a shaft at rest. What
+//! counts is where the other signals say that this one should have gone, and how it comes to rest.
+
+use std::ops::Range;
+
+use super::sensor::{Expected, Sensor, Signal, is_same, stops_suddenly, stretches};
+use super::table::{Activity, Table};
+use super::{Finding, Kind};
+use drivebench_model::numerics::statistics::finite;
+use drivebench_model::plant::MotorKey;
+
+/// Rows of one and the same value from which a live signal may count as frozen.
+pub(super) const FROZEN_ROWS: usize = 20;
+/// Share of the rows of such a stretch in which the other signals expect something else: they need not from its first row on.
+const ELSEWHERE: f64 = 0.3;
+/// Share of its range by which another signal moves meanwhile.
+const MEANWHILE: f64 = 0.1;
+/// Rows at the very same extreme value that make a plateau; share of the range, and quanta, by which a clipped signal enters
+/// and leaves it in one row: a settling signal creeps, and a coarse one creeps by one quantum.
+const PLATEAU_ROWS: usize = 3;
+const STEEP: f64 = 0.03;
+const STEEP_QUANTA: f64 = 1.5;
+/// Share of the rows from which clipping forbids an identification.
+const CLIPPED: f64 = 0.01;
+/// Share of neighbours that are equal in a held signal, jumps that it has at least, and their size as a share of the range.
+const HELD: f64 = 0.8;
+const JUMPS: usize = 3;
+const JUMP: f64 = 0.1;
+/// Deviation from a multiple of the voltage, as a share of the range, within which a signal is the command itself.
+const PROPORTIONAL: f64 = 0.005;
+
+/// A measured signal beside the others.
+pub(super) struct Watched<'a> {
+    table: &'a Table,
+    signal: Signal,
+    pub(super) key: &'static str,
+    pub(super) values: &'a [f64],
+    other: &'a [f64],
+    pub(super) activity: Activity,
+    sensor: Sensor,
+}
+
+impl<'a> Watched<'a> {
+    pub(super) fn of(table: &'a Table, signal: Signal) -> Self {
+        let (current, speed) = (&table.current_a, &table.speed_rad_s);
+        let (key, values, other, sensor) = match signal {
+            Signal::Current => ("current_a", current, speed, table.current),
+            Signal::Speed => ("speed_rad_s", speed, current, table.speed),
+        };
+        Self {
+            table,
+            signal,
+            key,
+            values,
+            other,
+            activity: Activity::of(values),
+            sensor,
+        }
+    }
+
+    /// The longest stretch of one non-zero value in which it cannot have stood still.
+    pub(super) fn frozen(&self) -> Option<Finding> {
+        let values = self.values;
+        let same = |row: usize| values[row].is_finite() && is_same(values[row - 1], values[row]);
+        let mut still = stretches(values.len(), FROZEN_ROWS, same);
+        // At rest an encoder shows exactly zero, rightly.
+        still.retain(|rows| values[rows.start].abs() > 0.0);
+        still.sort_by_key(|rows| std::cmp::Reverse(rows.len()));
+        let longest = still.into_iter().find(|rows| self.is_frozen(rows))?;
+        Some(Finding::refusal(
+            Kind::Frozen,
+            format!(
+                "{} repeats {} for {} rows from {:.3} to {:.3} s while the other signals move: its source froze",
+                self.key,
+                values[longest.start],
+                longest.len(),
+                self.table.time_s[longest.start],
+                self.table.time_s[longest.end - 1]
+            ),
+            "leave such cells empty (a missing value is never a repeat), or cut the stretch out of the file",
+        ))
+    }
+
+    fn is_frozen(&self, rows: &Range<usize>) -> bool {
+        let moved = [self.other, &self.table.voltage_v].iter().any(|other| {
+            let part = Activity::of(&other[rows.clone()]);
+            part.moves && part.range() > MEANWHILE * Activity::of(other).range()
+        });
+        if !moved {
+            return false;
+        }
+        let value = self.values[rows.start];
+        stops_suddenly(self.values, &self.sensor, rows)
+            || Expected::of(self.table, self.signal, |row| !rows.contains(&row)).is_some_and(
+                |expected| {
+                    let off = |row: &usize| expected.beyond(*row, value, &self.sensor).abs() > 0.0;
+                    rows.clone().filter(off).count() as f64 > ELSEWHERE * rows.len() as f64
+                },
+            )
+    }
+
+    /// A measured signal that stands still between jumps while the others move is a command, or in a command's column: no
+    /// shaft and no winding does that. A settled machine stands still with all its signals.
+    pub(super) fn held(&self) -> Option<Finding> {
+        let present = finite(self.values);
+        let (activity, range) = (&self.activity, self.activity.range());
+        let pairs = || present.windows(2).map(|pair| (pair[0], pair[1]));
+        // At rest any signal stands still.
+        let lively = pairs().filter(|(_, b)| b.abs() > JUMP * activity.largest());
+        let equal = lively.clone().filter(|(a, b)| is_same(*a, *b)).count();
+        let jumps = pairs().map(|(a, b)| (b - a).abs());
+        let jumps: Vec<f64> = jumps.filter(|jump| *jump > 0.0).collect();
+        let large = jumps.iter().filter(|jump| **jump > JUMP * range).count();
+        let stands = equal as f64 > HELD * lively.count() as f64;
+        let is_held = stands && large >= JUMPS && 2 * large > jumps.len();
+        (is_held && (self.is_the_voltage() || self.others_move())).then(|| {
+            Finding::refusal(
+                Kind::Swapped,
+                format!(
+                    "{} stands exactly still between {large} jumps of up to {:.4}, as a command does and no measurement: is it \
+                     in another signal's column?",
+                    self.key,
+                    jumps.iter().copied().fold(0.0, f64::max)
+                ),
+                "map the measured column; a commanded voltage is voltage_cmd_v, a commanded speed reference_rad_s",
+            )
+        })
+    }
+
+    /// Whether it is a multiple of the voltage, row by row.
+    fn is_the_voltage(&self) -> bool {
+        let rows = || self.values.iter().zip(&self.table.voltage_v);
+        let rows = || rows().filter(|(x, u)| x.is_finite() && u.is_finite());
+        let (both, power) = rows().fold((0.0, 0.0), |sum, (x, u)| (sum.0 + x * u, sum.1 + u * u));
+        let off = |(x, u): (&f64, &f64)| (x - u * both / power).abs();
+        power > 0.0 && rows().map(off).fold(0.0, f64::max) < PROPORTIONAL * self.activity.range()
+    }
+
+    /// Whether another signal moves in most of the stretches in which this one stands, but for the rows beside its jumps.
+    fn others_move(&self) -> bool {
+        let same = |row: usize| is_same(self.values[row - 1], self.values[row]);
+        let still = stretches(self.values.len(), 3 * PLATEAU_ROWS, same);
+        let others = [self.other, &self.table.voltage_v];
+        let ranges = others.map(|other| Activity::of(other).range());
+        let moves = |rows: &&Range<usize>| {
+            let settled = rows.start + PLATEAU_ROWS..rows.end - PLATEAU_ROWS;
+            let parts = others.iter().zip(ranges);
+            let mut parts =
+                parts.map(|(other, range)| (Activity::of(&other[settled.clone()]), range));
+            parts.any(|(part, range)| part.is_there() && part.range() > MEANWHILE * range)
+        };
+        2 * still.iter().filter(moves).count() > still.len()
+    }
+
+    /// Plateaus at the largest or smallest value where the other signals say that it goes further.
+    pub(super) fn clipped(&self) -> Option<Finding> {
+        let is_limit = |value: f64| {
+            (value >= self.activity.most && self.activity.most > 0.0)
+                || (value <= self.activity.least && self.activity.least < 0.0)
+        };
+        let expected = Expected::of(self.table, self.signal, |row| !is_limit(self.values[row]));
+        let cut: Vec<(f64, Vec<Range<usize>>)> = [self.activity.most, self.activity.least]
+            .into_iter()
+            .filter(|level| is_limit(*level))
+            .map(|level| (level, self.plateaus(level)))
+            .filter(|(level, plateaus)| self.is_cut(*level, plateaus, expected.as_ref()))
+            .collect();
+        let plateaus = cut.iter().flat_map(|(_, plateaus)| plateaus);
+        let (count, rows) = plateaus.fold((0, 0), |sum, rows| (sum.0 + 1, sum.1 + rows.len()));
+        // One plateau may be a stalled motor under one voltage; the very same value several times is a limit.
+        if count < 2 {
+            return None;
+        }
+        let levels: Vec<String> = cut.iter().map(|(level, _)| format!("{level:.6}")).collect();
+        let share = rows as f64 / self.activity.count as f64;
+        let sentence = format!(
+            "{} stands at exactly {} in {rows} rows ({:.1} %) on {count} plateaus where it would go further: it is cut off there",
+            self.key,
+            levels.join(" or "),
+            100.0 * share
+        );
+        let help =
+            "raise the range of the instrument or excite less; or leave the cut-off cells empty";
+        Some(if share > CLIPPED {
+            Finding::refusal(Kind::Clipped, sentence, help)
+        } else {
+            Finding::caution(Kind::Clipped, &MotorKey::ALL, sentence, help)
+        })
+    }
+
+    fn plateaus(&self, level: f64) -> Vec<Range<usize>> {
+        let at = |row: usize| is_same(self.values[row], level);
+        let mut found = stretches(self.values.len(), PLATEAU_ROWS, |row| {
+            at(row) && at(row - 1)
+        });
+        found.retain(|rows| at(rows.start));
+        found
+    }
+
+    /// Whether the signal goes beyond a level on most of its plateaus; where nothing else is measured, whether it enters
+    /// and leaves them at full slope.
+    fn is_cut(&self, level: f64, plateaus: &[Range<usize>], expected: Option<&Expected>) -> bool {
+        let Some(expected) = expected else {
+            let steep = plateaus.iter().filter(|rows| self.is_steep(rows));
+            return finite(self.other).is_empty() && 2 * steep.count() > plateaus.len();
+        };
+        let goes_on = |rows: &&Range<usize>| {
+            let beyond =
+                |row: &usize| level.signum() * expected.beyond(*row, level, &self.sensor) > 0.0;
+            2 * (**rows).clone().filter(beyond).count() > rows.len()
+        };
+        2 * plateaus.iter().filter(goes_on).count() > plateaus.len()
+    }
+
+    fn is_steep(&self, rows: &Range<usize>) -> bool {
+        let slope = |from: Option<usize>, to: usize| {
+            let from = from.and_then(|from| self.values.get(from));
+            from.map_or(0.0, |from| (self.values[to] - from).abs())
+        };
+        let entry = slope(rows.start.checked_sub(1), rows.start);
+        let leave = slope(Some(rows.end), rows.end - 1);
+        let steep = (STEEP * self.activity.range()).max(STEEP_QUANTA * self.sensor.quantum);
+        entry.min(leave) > steep
+    }
+}

@@ -1,0 +1,359 @@
+//! The signals side by side at the sample times, and what can be said of one of them alone.
+//!
+//! Both balances over short windows are quick: good enough to tell which column is which, not to identify. Each integral is
+//! by the trapezoid, so that every column is treated alike whatever it is taken for.
+
+use std::ops::Range;
+
+use super::sensor::Sensor;
+use crate::window_sums::{Sums, trapezoid, windows};
+use drivebench_model::numerics::count;
+use drivebench_model::numerics::least_squares::{NormalFit, fit_normal};
+use drivebench_model::numerics::statistics::{extent, finite, largest, median_step};
+use drivebench_model::plant::{Input, Scenario};
+use drivebench_model::signal;
+
+/// Voltage (as held), current and speed at each sample; NaN where missing. Without a voltage the first is all NaN.
+pub(super) struct Table {
+    pub(super) time_s: Vec<f64>,
+    pub(super) voltage_v: Vec<f64>,
+    pub(super) current_a: Vec<f64>,
+    pub(super) speed_rad_s: Vec<f64>,
+    /// Sensors of current and speed.
+    pub(super) current: Sensor,
+    pub(super) speed: Sensor,
+    /// Short stretches of rows over which both balances are looked at.
+    pub(super) windows: Vec<Range<usize>>,
+    /// Column that gave the voltage.
+    pub(super) voltage_key: &'static str,
+}
+
+impl Table {
+    pub(super) fn new(scenario: &Scenario) -> Self {
+        let voltage = |time_s: &f64| match scenario.input {
+            Input::Voltage => signal::held(&scenario.events, *time_s).unwrap_or(f64::NAN),
+            Input::Current | Input::Torque => f64::NAN,
+        };
+        let rows = whole_rows(scenario);
+        let of = |values: &[f64]| -> Vec<f64> { rows.iter().map(|row| values[*row]).collect() };
+        let time_s = of(&scenario.sample_time_s);
+        let (current_a, speed_rad_s) = (of(&scenario.current_a), of(&scenario.speed_rad_s));
+        let windows = windows(&time_s);
+        let stride = windows.len().div_ceil(MOST_WINDOWS).max(1);
+        Self {
+            windows: windows.into_iter().step_by(stride).collect(),
+            voltage_v: time_s.iter().map(voltage).collect(),
+            current: Sensor::of(&current_a),
+            speed: Sensor::of(&speed_rad_s),
+            time_s,
+            current_a,
+            speed_rad_s,
+            voltage_key: scenario.input_channel.key(),
+        }
+    }
+
+    pub(super) fn duration_s(&self) -> f64 {
+        match (self.time_s.first(), self.time_s.last()) {
+            (Some(first), Some(last)) => last - first,
+            _ => 0.0,
+        }
+    }
+
+    /// Whether the voltage only sags: that of a supply, which says nothing of what the winding had.
+    pub(super) fn voltage_is_of_a_supply(&self) -> bool {
+        let voltage = Activity::of(&self.voltage_v);
+        let least = voltage.least.abs().min(voltage.most.abs());
+        voltage.is_there()
+            && voltage.least * voltage.most > 0.0
+            && least > SAGGED * voltage.largest()
+            && !voltage.is_constant()
+    }
+
+    /// Median distance of the samples, s.
+    pub(super) fn period_s(&self) -> f64 {
+        median_step(&self.time_s)
+    }
+}
+
+/// Share of its largest value above which a voltage that changes stays where it is a supply's: a battery that sags by more
+/// is empty, and an excitation that changes by less excites hardly anything.
+const SAGGED: f64 = 0.7;
+/// Share of the rows that have every signal from which the others are left out: a signal that is sampled more slowly than the
+/// rest is there in one of some ten.
+const WHOLE: f64 = 0.02;
+/// The same in rows.
+const FEWEST_WHOLE: usize = 100;
+
+/// Rows in which each signal that is measured has a value; all, where such rows are few.
+fn whole_rows(scenario: &Scenario) -> Vec<usize> {
+    let columns = [&scenario.current_a, &scenario.speed_rad_s];
+    let mut measured = columns.to_vec();
+    measured.retain(|values| values.iter().any(|value| value.is_finite()));
+    let all = 0..scenario.samples();
+    let is_whole = |row: &usize| measured.iter().all(|values| values[*row].is_finite());
+    let whole: Vec<usize> = all.clone().filter(is_whole).collect();
+    if whole.len() < FEWEST_WHOLE.max(count::whole(WHOLE * all.len() as f64)) {
+        all.collect()
+    } else {
+        whole
+    }
+}
+
+/// Windows that are looked at: a long record is looked at in places, evenly.
+const MOST_WINDOWS: usize = 3000;
+
+/// One signal by itself.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Activity {
+    pub(super) count: usize,
+    pub(super) least: f64,
+    pub(super) most: f64,
+    pub(super) mean: f64,
+    /// Standard deviation that white noise of the same differences would have.
+    pub(super) noise: f64,
+    /// Whether it changes by more than its noise.
+    pub(super) moves: bool,
+}
+
+/// Parts of a record whose means are compared.
+const PARTS: usize = 16;
+/// Standard deviations by which the mean of a part of white noise does not stray, in any of the parts.
+const STRAY: f64 = 5.0;
+/// Squared differences over squared deviations (von Neumann): 2 for white noise, less for anything with a memory.
+const WHITE: f64 = 1.5;
+
+impl Activity {
+    pub(super) fn of(values: &[f64]) -> Self {
+        let present = finite(values);
+        let count = present.len();
+        let n = count.max(1) as f64;
+        let mean = present.iter().sum::<f64>() / n;
+        let (least, most) = extent(&present);
+        let deviation: f64 = present.iter().map(|v| (v - mean).powi(2)).sum();
+        let difference: f64 = present.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum();
+        let noise = (0.5 * difference / n).sqrt();
+        let part = (count / PARTS).max(4);
+        let stray = present
+            .chunks(part)
+            .filter(|chunk| chunk.len() == part)
+            .map(|chunk| (chunk.iter().sum::<f64>() / part as f64 - mean).abs())
+            .fold(0.0, f64::max);
+        let changes = count > 1 && most > least;
+        let moves = changes
+            && (difference < WHITE * deviation || stray > STRAY * noise / (part as f64).sqrt());
+        Self {
+            count,
+            least,
+            most,
+            mean,
+            noise,
+            moves,
+        }
+    }
+
+    pub(super) fn is_there(&self) -> bool {
+        self.count > 0
+    }
+
+    /// The same value in every cell.
+    pub(super) fn is_constant(&self) -> bool {
+        self.count > 0 && self.most <= self.least
+    }
+
+    pub(super) fn range(&self) -> f64 {
+        self.most - self.least
+    }
+
+    pub(super) fn largest(&self) -> f64 {
+        self.most.abs().max(self.least.abs())
+    }
+
+    /// Zero but for noise.
+    pub(super) fn is_zero(&self) -> bool {
+        !self.moves && self.mean.abs() <= STRAY * self.noise / (self.count.max(1) as f64).sqrt()
+    }
+}
+
+/// Correlation coefficient over the rows where both are there; zero where one does not vary.
+pub(super) fn correlation(a: &[f64], b: &[f64]) -> f64 {
+    let pairs = || {
+        a.iter()
+            .zip(b)
+            .filter(|(a, b)| a.is_finite() && b.is_finite())
+    };
+    let n = pairs().count().max(1) as f64;
+    let mean_a = pairs().map(|(a, _)| a).sum::<f64>() / n;
+    let mean_b = pairs().map(|(_, b)| b).sum::<f64>() / n;
+    let [mut aa, mut bb, mut ab] = [0.0; 3];
+    for (a, b) in pairs() {
+        aa += (a - mean_a).powi(2);
+        bb += (b - mean_b).powi(2);
+        ab += (a - mean_a) * (b - mean_b);
+    }
+    if aa > 0.0 && bb > 0.0 {
+        ab / (aa * bb).sqrt()
+    } else {
+        0.0
+    }
+}
+
+/// Speeds below this share of the largest have no direction.
+const DEAD_ZONE: f64 = 0.05;
+/// Share of a regressor that the others must leave to it: below, its coefficient is not determined.
+const LEAST_OWN: f64 = 1e-4;
+
+/// Which columns serve as voltage, current and speed.
+#[derive(Clone, Copy)]
+pub(super) struct Roles<'a> {
+    pub(super) time_s: &'a [f64],
+    pub(super) windows: &'a [Range<usize>],
+    pub(super) voltage: &'a [f64],
+    pub(super) current: &'a [f64],
+    pub(super) speed: &'a [f64],
+    /// Factors of current and speed: one, or minus one where a sign is tried.
+    pub(super) current_sign: f64,
+    pub(super) speed_sign: f64,
+}
+
+impl<'a> Roles<'a> {
+    pub(super) fn of(table: &'a Table) -> Self {
+        Self {
+            time_s: &table.time_s,
+            windows: &table.windows,
+            voltage: &table.voltage_v,
+            current: &table.current_a,
+            speed: &table.speed_rad_s,
+            current_sign: 1.0,
+            speed_sign: 1.0,
+        }
+    }
+}
+
+/// A coefficient and its standard deviation.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Coefficient {
+    pub(super) value: f64,
+    pub(super) std: f64,
+}
+
+/// Standard deviations that make a sign certain.
+const CERTAIN: f64 = 5.0;
+
+impl Coefficient {
+    pub(super) fn is_negative(&self) -> bool {
+        self.value < -CERTAIN * self.std
+    }
+
+    pub(super) fn is_positive(&self) -> bool {
+        self.value > CERTAIN * self.std
+    }
+}
+
+/// What both balances say under one assignment of the columns.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Balances {
+    pub(super) resistance: Coefficient,
+    pub(super) inductance: Coefficient,
+    pub(super) back_emf: Coefficient,
+    /// Root mean square of what is left over that of the voltage.
+    pub(super) voltage_error: f64,
+    /// Inertia over the torque constant.
+    pub(super) inertia: Coefficient,
+    /// Root mean square of what is left over that of the current.
+    pub(super) torque_error: f64,
+}
+
+impl Balances {
+    pub(super) fn of(roles: &Roles<'_>) -> Option<Self> {
+        let sums = sums(roles);
+        let rows: Vec<_> = sums
+            .iter()
+            .map(|s| ([s.current, s.current_step, s.angle], s.voltage))
+            .collect();
+        let electrical = fit_normal(&rows, LEAST_OWN)?;
+        let rows: Vec<_> = sums
+            .iter()
+            .filter(|s| s.direction != 0.0)
+            .map(|s| ([s.speed_step, s.direction * s.length_s, s.angle], s.current))
+            .collect();
+        let mechanical = fit_normal(&rows, LEAST_OWN)?;
+        Some(Self {
+            resistance: coefficient(&electrical, 0),
+            inductance: coefficient(&electrical, 1),
+            back_emf: coefficient(&electrical, 2),
+            voltage_error: electrical.error,
+            inertia: coefficient(&mechanical, 0),
+            torque_error: mechanical.error,
+        })
+    }
+
+    /// Both errors as one number.
+    pub(super) fn error(&self) -> f64 {
+        self.voltage_error.hypot(self.torque_error)
+    }
+
+    /// Every coefficient has the sign that physics wants, for certain.
+    pub(super) fn is_physical(&self) -> bool {
+        self.resistance.is_positive()
+            && self.back_emf.is_positive()
+            && self.inertia.is_positive()
+            && !self.inductance.is_negative()
+    }
+
+    /// The first coefficient that has the wrong sign for certain.
+    pub(super) fn impossible(&self) -> Option<(&'static str, f64)> {
+        [
+            ("a resistance", self.resistance),
+            ("a back-EMF constant", self.back_emf),
+            ("an inertia", self.inertia),
+        ]
+        .into_iter()
+        .find(|(_, coefficient)| coefficient.is_negative())
+        .map(|(name, coefficient)| (name, coefficient.value))
+    }
+}
+
+fn coefficient<const N: usize>(fit: &NormalFit<N>, index: usize) -> Coefficient {
+    Coefficient {
+        value: fit.x[index],
+        std: fit.std[index],
+    }
+}
+
+/// What resistance and inductance alone leave of the voltage: root mean square over that of the voltage.
+pub(super) fn voltage_at_rest(roles: &Roles<'_>) -> Option<f64> {
+    let rows: Vec<_> = sums(roles)
+        .iter()
+        .map(|s| ([s.current, s.current_step], s.voltage))
+        .collect();
+    fit_normal(&rows, LEAST_OWN).map(|fit| fit.error)
+}
+
+/// Back-EMF constant from voltage and speed alone: what a running motor without a current shows, roughly.
+pub(super) fn back_emf_without_current(roles: &Roles<'_>) -> Option<Coefficient> {
+    let rows: Vec<_> = sums(roles)
+        .iter()
+        .filter(|s| s.direction != 0.0)
+        .map(|s| ([s.angle, s.direction * s.length_s], s.voltage))
+        .collect();
+    fit_normal(&rows, LEAST_OWN).map(|fit| coefficient(&fit, 0))
+}
+
+fn sums(roles: &Roles<'_>) -> Vec<Sums> {
+    let zone = DEAD_ZONE * largest(roles.speed);
+    let (current, speed) = (roles.current_sign, roles.speed_sign);
+    let signed = |window: &Range<usize>| {
+        let voltage = trapezoid(roles.time_s, roles.voltage, window);
+        let signals = [roles.current, roles.speed];
+        let sums = Sums::over(window, roles.time_s, voltage, signals, zone);
+        Sums {
+            current: current * sums.current,
+            current_step: current * sums.current_step,
+            angle: speed * sums.angle,
+            speed_step: speed * sums.speed_step,
+            direction: speed * sums.direction,
+            ..sums
+        }
+    };
+    roles.windows.iter().map(signed).collect()
+}

@@ -1,0 +1,142 @@
+//! Uncertainty of the time stamps: what it does to a value, and where it is too much.
+//!
+//! A sample that the host stamped was taken anywhere within plus or minus its half-width: uniform, so that a signal of
+//! slope y' carries the further variance (y' half-width)^2 / 3. The stamp is one for all signals of a sample: their errors
+//! go together, which the blocks of the fits' covariances keep.
+
+use super::verdict::judge;
+use drivebench_model::plant::{MotorKey, Scenario, Slot};
+use drivebench_model::sample::{ParameterEstimate, Verdict};
+
+/// Half-width over the time constant that carries a parameter, above which it is refused.
+const TOO_VAGUE: f64 = 0.25;
+
+/// Standard deviation that the stamp gives to one sample of a signal; zero where the drive stamped it.
+pub fn spread(scenario: &Scenario, values: &[f64], sample: usize) -> f64 {
+    let half_width_s = scenario.half_width_s(sample);
+    if half_width_s <= 0.0 {
+        return 0.0;
+    }
+    let times = &scenario.sample_time_s;
+    let slope = |a: usize, b: usize| (values[b] - values[a]) / (times[b] - times[a]);
+    let before = sample.checked_sub(1).map(|before| slope(before, sample));
+    let after = (sample + 1 < times.len()).then(|| slope(sample, sample + 1));
+    // Between two samples of which one lies behind a step, only the steeper side tells; a missing neighbour tells nothing.
+    let steepest = before
+        .into_iter()
+        .chain(after)
+        .filter(|slope| slope.is_finite())
+        .fold(0.0, |most, slope| f64::max(most, slope.abs()));
+    steepest * half_width_s / 3f64.sqrt()
+}
+
+/// Refuses what the stamps are too vague for: a transient is not told from samples that may have been taken anywhere in
+/// a good part of it.
+pub fn refuse(parameters: &mut [ParameterEstimate], half_width_s: f64) {
+    let of = |key: MotorKey| {
+        let found = parameters.iter().find(|p| p.key == key.key())?;
+        found.value
+    };
+    let ratio = |above: Option<f64>, below: Option<f64>| Some(above? / below?);
+    let electrical_s = ratio(of(MotorKey::Inductance), of(MotorKey::Resistance));
+    let mechanical_s = (|| {
+        let (r, ke) = (of(MotorKey::Resistance)?, of(MotorKey::BackEmf)?);
+        Some(r * of(MotorKey::Inertia)? / (ke * ke))
+    })();
+    for (key, name, constant_s) in [
+        (MotorKey::Inductance, "L/R", electrical_s),
+        (MotorKey::Inertia, "R J/Ke^2", mechanical_s),
+    ] {
+        let Some(constant_s) = constant_s.filter(|s| half_width_s > TOO_VAGUE * s.abs()) else {
+            continue;
+        };
+        let reason = format!(
+            "the samples are stamped to within +-{:.1} ms, and {name} is about {:.1} ms: use a drive's own clock, or a faster line",
+            1e3 * half_width_s,
+            1e3 * constant_s
+        );
+        for parameter in parameters.iter_mut().filter(|p| p.key == key.key()) {
+            *parameter =
+                ParameterEstimate::not_observable(&parameter.key, parameter.unit, reason.clone());
+        }
+    }
+}
+
+/// Widens each value by what it would be had the voltage come later by the half-width, as `late` has it: of a method that
+/// takes the stamps for true. `period_s`: of the samples.
+pub fn widen(parameters: &mut [ParameterEstimate], late: &[ParameterEstimate], period_s: f64) {
+    for parameter in parameters.iter_mut() {
+        let shifted = late.iter().find(|other| other.key == parameter.key);
+        let Some(((value, std), shifted)) = parameter
+            .value
+            .zip(parameter.std)
+            .zip(shifted.and_then(|other| other.value))
+        else {
+            continue;
+        };
+        let Some(key) = MotorKey::from_key(&parameter.key) else {
+            continue;
+        };
+        let wide = std.hypot((shifted - value) / 3f64.sqrt());
+        let judged = judge(&Slot::Motor(key), value, Some(wide), period_s);
+        if parameter.verdict == Verdict::Settled || judged.value.is_none() {
+            *parameter = judged;
+        } else {
+            parameter.std = Some(wide);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::assert_says;
+
+    fn found(half_width_s: f64) -> Vec<ParameterEstimate> {
+        let mut parameters: Vec<ParameterEstimate> = [
+            (MotorKey::Resistance, 1.1),
+            (MotorKey::Inductance, 0.0099),
+            (MotorKey::BackEmf, 0.3538),
+            (MotorKey::Inertia, 0.0045),
+        ]
+        .into_iter()
+        .map(|(key, value)| judge(&Slot::Motor(key), value, Some(1e-3 * value), 0.01))
+        .collect();
+        refuse(&mut parameters, half_width_s);
+        parameters
+    }
+
+    #[test]
+    fn an_inductance_is_refused_where_the_stamps_are_as_vague_as_its_time_constant() {
+        let sharp = found(1e-3);
+        assert!(sharp.iter().all(|p| p.verdict == Verdict::Settled));
+        let vague = found(10e-3);
+        assert_eq!(vague[1].verdict, Verdict::NotObservable);
+        let reason = vague[1].reason.as_deref().unwrap();
+        assert!(
+            reason.contains("10.0 ms") && reason.contains("9.0 ms"),
+            "{reason}"
+        );
+        assert_eq!(vague[1].value, None);
+        assert!(vague[0].value.is_some());
+    }
+
+    #[test]
+    fn a_value_is_widened_by_what_a_later_voltage_makes_of_it() {
+        let mut parameters = found(0.0);
+        let mut late = parameters.clone();
+        late[1].value = Some(0.0099 + 1.1 * 2e-3);
+        late[2].value = None;
+        let mut undone = parameters.clone();
+        widen(&mut parameters, &late, 0.01);
+        late[1].value = Some(0.03);
+        widen(&mut undone, &late, 0.01);
+        assert_says(&undone[1], &["at a period of 10.0 ms"]);
+        let std = parameters[1].std.unwrap();
+        assert!((std - 1.1 * 2e-3 / 3f64.sqrt()).abs() < 1e-4, "{std}");
+        assert_eq!(parameters[1].verdict, Verdict::Searching);
+        for same in [0, 2, 3] {
+            assert_eq!(parameters[same], found(0.0)[same]);
+        }
+    }
+}

@@ -1,0 +1,216 @@
+//! Starting values for a fit when the model file gives none: two small regressions on integrals of the signals; without a
+//! current what a first-order lag of the speed says.
+//!
+//! The voltage is integrated exactly; what coarse sampling biases the rest by a starting value may be off.
+
+use super::first_order::FirstOrder;
+use super::output_error::FitError;
+use super::weak_form;
+use super::window_sums::{Sums, windows};
+use drivebench_model::numerics::least_squares::solve_rows;
+use drivebench_model::numerics::statistics::largest;
+use drivebench_model::plant::{Input, Model, ModelError, MotorKey, Scenario};
+use drivebench_model::signal;
+
+/// Resistance, inductance and back-EMF constant where the record tells none.
+const MODEST: [f64; 3] = [1.0, 1e-3, 0.1];
+
+/// Speeds below this share of the largest have no direction.
+const DEAD_ZONE: f64 = 0.01;
+
+/// Fills in the motor values that `model` leaves out; what the user gave stays as it is.
+pub fn complete(model: &Model, scenario: &Scenario) -> Result<Model, FitError> {
+    let mut model = model.clone();
+    if model.require_complete().is_ok() {
+        return Ok(model);
+    }
+    if scenario.input != Input::Voltage {
+        return Ok(mechanical(model, scenario));
+    }
+    if !scenario.current_a.iter().any(|current| current.is_finite()) {
+        without_current(&mut model, scenario);
+        return checked(model);
+    }
+    let sums = integrals(scenario);
+    let electrical = sums
+        .iter()
+        .map(|s| [s.current, s.current_step, s.angle, s.voltage]);
+    let electrical: Vec<[f64; 4]> = electrical.collect();
+    let [resistance, inductance, back_emf] = positive(solve_rows(&electrical), MODEST);
+    set(&mut model, MotorKey::Resistance, resistance);
+    set(&mut model, MotorKey::Inductance, inductance);
+    set(&mut model, MotorKey::BackEmf, back_emf);
+    let kt = model.motor.torque_constant().unwrap_or(back_emf);
+    let moving = sums.iter().filter(|s| s.direction != 0.0);
+    let mechanical = moving.map(|s| [s.speed_step, s.direction * s.length_s, kt * s.current]);
+    let mechanical: Vec<[f64; 3]> = mechanical.collect();
+    let [inertia, load] = positive(solve_rows(&mechanical), [1e-3, 1e-2]);
+    set(&mut model, MotorKey::Inertia, inertia);
+    set(&mut model, MotorKey::LoadTorque, load);
+    checked(model)
+}
+
+/// A fixed value has to be given.
+fn checked(model: Model) -> Result<Model, FitError> {
+    for slot in model.slots() {
+        if model.get(&slot).is_none() && model.fixed.contains(&slot.key()) {
+            return Err(ModelError::Unset { key: slot.key() }.into());
+        }
+    }
+    Ok(model)
+}
+
+/// Voltage and speed hold gain, time constant and friction voltage; a resistance that is not given only scales the rest.
+fn without_current(model: &mut Model, scenario: &Scenario) {
+    let [resistance_ohm, inductance_h, back_emf] = MODEST;
+    set(model, MotorKey::Resistance, resistance_ohm);
+    let resistance_ohm = model
+        .motor
+        .get(MotorKey::Resistance)
+        .unwrap_or(resistance_ohm);
+    set(model, MotorKey::Inductance, inductance_h * resistance_ohm);
+    let lag = FirstOrder::with_dead_time(scenario).filter(|lag| lag.gain_rad_s_per_v > 0.0);
+    set(
+        model,
+        MotorKey::BackEmf,
+        lag.map_or(back_emf, |lag| lag.gain_rad_s_per_v.recip()),
+    );
+    let back_emf = model.motor.get(MotorKey::BackEmf).unwrap_or(back_emf);
+    let kt = model.motor.torque_constant().unwrap_or(back_emf);
+    let per_volt = kt / resistance_ohm;
+    let (time_constant_s, friction_v) =
+        lag.map_or((0.1, 0.0), |lag| (lag.time_constant_s, lag.friction_v));
+    set(
+        model,
+        MotorKey::Inertia,
+        time_constant_s * back_emf * per_volt,
+    );
+    set(model, MotorKey::LoadTorque, friction_v * per_volt);
+}
+
+/// Without a voltage the weak form of the torque balance gives the start.
+fn mechanical(mut model: Model, scenario: &Scenario) -> Model {
+    for balance in weak_form::fit(&model, scenario) {
+        for estimate in balance.parameters {
+            if let (Some(key), Some(value)) = (MotorKey::from_key(&estimate.key), estimate.value) {
+                set(&mut model, key, value);
+            }
+        }
+    }
+    model
+}
+
+fn set(model: &mut Model, key: MotorKey, value: f64) {
+    if model.motor.get(key).is_none() {
+        model.motor.set(key, value);
+    }
+}
+
+/// Values that physics allows: where noise or poor excitation gives none, a modest default.
+fn positive<const N: usize>(found: Option<[f64; N]>, otherwise: [f64; N]) -> [f64; N] {
+    let found = found.unwrap_or(otherwise);
+    let sound = |value: &f64| *value > 0.0;
+    std::array::from_fn(|index| Some(found[index]).filter(sound).unwrap_or(otherwise[index]))
+}
+
+fn integrals(scenario: &Scenario) -> Vec<Sums> {
+    let times = &scenario.sample_time_s;
+    let current = between(times, &scenario.current_a);
+    let speed = between(times, &scenario.speed_rad_s);
+    let zone = DEAD_ZONE * largest(&speed);
+    let windows = windows(times).into_iter().map(|window| {
+        let voltage = signal::integral(&scenario.events, times[window.start], times[window.end]);
+        Sums::over(&window, times, voltage, [&current, &speed], zone)
+    });
+    windows
+        .filter(|w| w.voltage.is_finite() && w.current.is_finite() && w.angle.is_finite())
+        .collect()
+}
+
+/// Missing cells on the straight line between their neighbours: current and speed may come on rows of their own.
+fn between(times: &[f64], values: &[f64]) -> Vec<f64> {
+    let cells = times.iter().copied().zip(values.iter().copied());
+    let points: Vec<(f64, f64)> = cells.clone().filter(|cell| cell.1.is_finite()).collect();
+    let filled = |(time_s, value): (f64, f64)| {
+        if value.is_finite() {
+            value
+        } else {
+            signal::line(&points, time_s)
+        }
+    };
+    cells.map(filled).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::*;
+    use drivebench_model::plant::Motor;
+    use drivebench_model::sample::Channel;
+
+    /// Values within the factor that a fit can bridge.
+    #[track_caller]
+    fn starts_near(scenario: &Scenario) {
+        let found = complete(&unknown(), scenario).unwrap();
+        let truth = paper();
+        for slot in truth.slots() {
+            let ratio = found.get(&slot).unwrap() / truth.get(&slot).unwrap();
+            assert!((0.5..2.0).contains(&ratio), "{} {ratio}", slot.key());
+        }
+    }
+
+    #[test]
+    fn starting_values_come_within_a_factor_that_the_fit_can_bridge() {
+        let events = held(
+            [0.0, 0.3, 0.8, 1.5, 2.2, 3.0],
+            [0.0, 20.0, -25.0, 60.0, -10.0, 35.0],
+        );
+        for period_s in [0.001, 0.01] {
+            let times = every(period_s, 4.0);
+            starts_near(&simulated(&paper(), Input::Voltage, events.clone(), times));
+        }
+    }
+
+    #[test]
+    fn current_and_speed_on_rows_of_their_own_give_a_start_too() {
+        let events = held([0.0, 0.3, 0.8, 1.5, 2.2], [0.0, 20.0, -25.0, 60.0, -10.0]);
+        let mut scenario = record(&paper(), events, 0.005, 3.0, 1);
+        for row in 0..scenario.samples() {
+            let missing = if row.is_multiple_of(2) {
+                &mut scenario.current_a
+            } else {
+                &mut scenario.speed_rad_s
+            };
+            missing[row] = f64::NAN;
+        }
+        starts_near(&scenario);
+    }
+
+    #[test]
+    fn without_a_current_the_lag_gives_the_start_beside_a_given_resistance() {
+        let events = held([0.0, 0.5, 2.0, 3.5], [0.0, 20.0, 60.0, 40.0]);
+        let mut scenario = record(&paper(), events, 0.01, 5.0, 1);
+        scenario.current_a.fill(f64::NAN);
+        let mut model = unknown();
+        model.motor.set(MotorKey::Resistance, 1.1);
+        let found = complete(&model, &scenario).unwrap();
+        for key in [MotorKey::BackEmf, MotorKey::Inertia, MotorKey::LoadTorque] {
+            let ratio = found.motor.get(key).unwrap() / paper().motor.get(key).unwrap();
+            assert!((0.7..1.4).contains(&ratio), "{key:?} {ratio}");
+        }
+    }
+
+    #[test]
+    fn what_the_user_gave_is_kept() {
+        let motor = Motor::zk_22fc().with(MotorKey::Resistance, 3.0);
+        let model = Model::baseline(motor);
+        let (input, channel) = (Input::Voltage, Channel::Voltage);
+        let mut scenario = Scenario::planned("r", input, channel, vec![(0.0, 0.0)], vec![0.0; 20]);
+        (scenario.current_a, scenario.speed_rad_s) = (vec![0.0; 20], vec![0.0; 20]);
+        let mut partial = model.clone();
+        partial.motor.clear(MotorKey::Inertia);
+        let completed = complete(&partial, &scenario).unwrap();
+        assert_eq!(completed.motor.get(MotorKey::Resistance), Some(3.0));
+        assert!(completed.motor.get(MotorKey::Inertia).unwrap() > 0.0);
+    }
+}

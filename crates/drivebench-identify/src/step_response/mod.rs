@@ -1,0 +1,181 @@
+//! Readings from one step of voltage out of rest: the off-line methods that paper A's introduction cites, as the plain
+//! baseline beside ours.
+//!
+//! ```text
+//! Scenario --(levels: the largest step out of rest that settles)--> Step
+//!          --(reading: 73 % time, half-time height, areas; current's start, peak and end)--> TM, Ta, Ke, R, L, J, Mc
+//! ```
+//!
+//! The speed after a step is `1/(Ta TM s^2 + TM s + 1)` of paper A's eq. (1). Graphical reading by Harriott (Process
+//! Control, 1964): every such curve passes 73 % near `t = 1.3 TM`, and its height at `TM/2` tells the ratio of the time
+//! constants; the chart is replaced by the closed form, which holds for oscillating responses as well. Analytic reading
+//! by areas: `int (1 - y) dt = TM`, `int t (1 - y) dt = TM^2 - Ta TM`. Where the two disagree, the curve is not that of
+//! the model, and the disagreement is the uncertainty.
+
+mod reading;
+
+pub use reading::{Reading, Step, read};
+
+use drivebench_model::plant::{Model, MotorKey, Scenario};
+use drivebench_model::sample::{ParameterEstimate, Verdict};
+
+/// Relative uncertainty above which a reading is no value.
+const NOT_OBSERVABLE: f64 = 0.5;
+
+/// A value that was read with its standard deviation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Read {
+    pub value: f64,
+    pub std: f64,
+}
+
+impl Read {
+    fn relative(self) -> f64 {
+        self.std / self.value.abs().max(f64::MIN_POSITIVE)
+    }
+
+    /// A product or quotient of values: relative variances add.
+    fn product(value: f64, factors: &[Self]) -> Self {
+        let squares: f64 = factors.iter().map(|factor| factor.relative().powi(2)).sum();
+        Self {
+            value,
+            std: value.abs() * squares.sqrt(),
+        }
+    }
+}
+
+/// Parameters of the model from one step, and what the reader has to know.
+pub fn estimates(model: &Model, scenario: &Scenario) -> (Vec<ParameterEstimate>, Vec<String>) {
+    let keys = [
+        (MotorKey::Resistance.key(), MotorKey::Resistance.unit()),
+        (MotorKey::Inductance.key(), MotorKey::Inductance.unit()),
+        (MotorKey::BackEmf.key(), MotorKey::BackEmf.unit()),
+        (MotorKey::Inertia.key(), MotorKey::Inertia.unit()),
+        (MotorKey::LoadTorque.key(), MotorKey::LoadTorque.unit()),
+        ("electrical_time_constant_s", "s"),
+        ("mechanical_time_constant_s", "s"),
+    ];
+    let given = |key: &str| {
+        let key = MotorKey::from_key(key).filter(|_| model.fixed.iter().any(|f| f == key))?;
+        model.motor.get(key)
+    };
+    let (values, notes) = match read(scenario) {
+        Ok(reading) => {
+            let note = reading.sentence();
+            (derived(model, &reading, &given), vec![note])
+        }
+        Err(reason) => (keys.map(|_| Err(reason.clone())), Vec::new()),
+    };
+    let parameters = keys
+        .into_iter()
+        .zip(values)
+        .map(|((key, unit), value)| match given(key) {
+            Some(value) => ParameterEstimate::fixed(key, unit, value),
+            None => judged(key, unit, value),
+        })
+        .collect();
+    (parameters, notes)
+}
+
+type Found = Result<Read, String>;
+
+/// The parameters in the order of [`estimates`].
+fn derived(model: &Model, reading: &Reading, given: &dyn Fn(&str) -> Option<f64>) -> [Found; 7] {
+    let exactly = |value: f64| Read { value, std: 0.0 };
+    let no_current = || "the run has no current".to_owned();
+    let resistance = match given(MotorKey::Resistance.key()) {
+        Some(value) => Ok(exactly(value)),
+        None => reading.resistance_ohm.clone(),
+    };
+    let voltage = reading.step.voltage_v;
+    let speed = reading.final_speed_rad_s;
+    let back_emf = match given(MotorKey::BackEmf.key()) {
+        Some(value) => Ok(exactly(value)),
+        None => resistance.clone().and_then(|resistance| {
+            let current = reading.final_current_a.ok_or_else(|| {
+                format!(
+                    "at most {:.5} V.s/rad (voltage over steady speed): without a current the drop R i is not known",
+                    voltage / speed.value
+                )
+            })?;
+            let drop = Read::product(resistance.value * current.value, &[resistance, current]);
+            let emf = Read {
+                value: voltage - drop.value,
+                std: drop.std,
+            };
+            Ok(Read::product(emf.value / speed.value, &[emf, speed]))
+        }),
+    };
+    let torque_constant = match model.motor.get(MotorKey::TorqueConstant) {
+        Some(value) => Ok(exactly(value)),
+        None => back_emf.clone(),
+    };
+    let mechanical = reading.mechanical_time_constant_s;
+    let needs = |what: &str, why: String| format!("needs {what}: {why}");
+    let inertia = (|| {
+        let resistance = resistance
+            .clone()
+            .map_err(|why| needs("the resistance", why))?;
+        let back_emf = back_emf
+            .clone()
+            .map_err(|why| needs("the back-EMF constant", why))?;
+        let kt = torque_constant
+            .clone()
+            .map_err(|why| needs("the torque constant", why))?;
+        let value = mechanical.value * back_emf.value * kt.value / resistance.value;
+        Ok(Read::product(
+            value,
+            &[mechanical, back_emf, kt, resistance],
+        ))
+    })();
+    let load = match (reading.final_current_a, torque_constant) {
+        (None, _) => Err(no_current()),
+        (_, Err(why)) => Err(needs("the torque constant", why)),
+        (Some(current), Ok(kt)) => Ok(Read::product(
+            kt.value * current.value.abs(),
+            &[kt, current],
+        )),
+    };
+    let inductance = reading.inductance_h.clone().or_else(|why| {
+        // From the shape of the speed, where the current is not there or too slow.
+        let (Ok(ta), Ok(resistance)) = (&reading.electrical_time_constant_s, &resistance) else {
+            return Err(why);
+        };
+        let value = ta.value * resistance.value;
+        Ok(Read::product(value, &[*ta, *resistance]))
+    });
+    [
+        resistance,
+        inductance,
+        back_emf,
+        inertia,
+        load,
+        reading.electrical_time_constant_s.clone(),
+        Ok(mechanical),
+    ]
+}
+
+fn judged(key: &str, unit: &'static str, found: Found) -> ParameterEstimate {
+    let read = match found {
+        Ok(read) => read,
+        Err(reason) => return ParameterEstimate::not_observable(key, unit, reason),
+    };
+    let per_cent = 100.0 * read.relative();
+    if !(read.value.is_finite() && read.relative() <= NOT_OBSERVABLE) {
+        let reason =
+            format!("read with an uncertainty of {per_cent:.0} %: the step does not show it");
+        return ParameterEstimate::not_observable(key, unit, reason);
+    }
+    // One reading of one curve is never settled, however smooth it looks.
+    let reason = format!("read from one step, uncertainty {per_cent:.1} %");
+    let mut judged = ParameterEstimate::found(key, unit, read.value, read.std, Some(reason));
+    if read.value <= 0.0 {
+        judged.verdict = Verdict::Invalid;
+        let reason = "not positive: check the signs of voltage, current and speed";
+        judged.reason = Some(reason.to_owned());
+    }
+    judged
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,99 @@
+//! Integrals of the signals over short windows: both balances in their integral form, good enough to start from or to tell
+//! which column is which.
+//!
+//! `int u = R int i + L (i_b - i_a) + Ke int w` and `Kt int i = J (w_b - w_a) + Mc int sgn w`, current and speed by the
+//! trapezoid. Coarse sampling biases what follows by some per cent.
+
+use std::ops::Range;
+
+use drivebench_model::numerics::statistics::median_step;
+
+/// Length of a window, s, and samples it has at least.
+const WINDOW_S: f64 = 0.03;
+const FEWEST_SAMPLES: usize = 3;
+/// Periods, and at least a window's length, that may pass between two rows of a window: nothing is integrated over a pause,
+/// where nobody knows what the signals did, and whose one window would outweigh all others.
+const LONGEST_STEP: f64 = 3.0;
+
+/// First and last row of each window.
+pub(super) fn windows(times: &[f64]) -> Vec<Range<usize>> {
+    let mut windows = Vec::new();
+    let longest_s = WINDOW_S.max(LONGEST_STEP * median_step(times));
+    let mut begin = 0;
+    while begin + FEWEST_SAMPLES <= times.len() {
+        let mut end = begin + FEWEST_SAMPLES - 1;
+        while end + 1 < times.len() && times[end] - times[begin] < WINDOW_S {
+            end += 1;
+        }
+        let pause = (begin..end).rfind(|row| times[row + 1] - times[*row] > longest_s);
+        if let Some(row) = pause {
+            begin = row + 1;
+            continue;
+        }
+        windows.push(begin..end);
+        begin = end;
+    }
+    windows
+}
+
+/// Integral by the trapezoid from the first to the last row of a window.
+pub(super) fn trapezoid(times: &[f64], values: &[f64], window: &Range<usize>) -> f64 {
+    let area = |k: usize| 0.5 * (values[k] + values[k + 1]) * (times[k + 1] - times[k]);
+    window.clone().map(area).sum()
+}
+
+/// Integrals over one window.
+pub(super) struct Sums {
+    pub(super) length_s: f64,
+    pub(super) voltage: f64,
+    pub(super) current: f64,
+    pub(super) current_step: f64,
+    /// Integral of the speed.
+    pub(super) angle: f64,
+    pub(super) speed_step: f64,
+    /// Sign of the speed where it is the same over the whole window and beyond the dead zone, else zero.
+    pub(super) direction: f64,
+}
+
+impl Sums {
+    /// `voltage`: integral of the voltage, which may be known exactly; `zone` of the speed without a direction.
+    pub(super) fn over(
+        window: &Range<usize>,
+        times: &[f64],
+        voltage: f64,
+        [current, speed]: [&[f64]; 2],
+        zone: f64,
+    ) -> Self {
+        let (begin, end) = (window.start, window.end);
+        let speeds = &speed[begin..=end];
+        let ahead = speeds.iter().all(|w| *w > zone);
+        let astern = speeds.iter().all(|w| *w < -zone);
+        Self {
+            length_s: times[end] - times[begin],
+            voltage,
+            current: trapezoid(times, current, window),
+            current_step: current[end] - current[begin],
+            angle: trapezoid(times, speed, window),
+            speed_step: speed[end] - speed[begin],
+            direction: f64::from(i8::from(ahead) - i8::from(astern)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_window_spans_a_pause_and_slow_rows_are_none() {
+        let times: Vec<f64> = (0..1000)
+            .filter(|row| !(400..800).contains(row))
+            .map(|row| 1e-3 * f64::from(row))
+            .collect();
+        let found = windows(&times);
+        let length_s = |window: &Range<usize>| times[window.end] - times[window.start];
+        assert!(found.len() >= 18 && found.iter().all(|window| length_s(window) < 0.05));
+        let slow: Vec<f64> = (0..100).map(|row| 0.1 * f64::from(row)).collect();
+        assert!(windows(&slow).len() > 40);
+    }
+}

@@ -1,0 +1,387 @@
+//! Budget of a line, the exchanges that it carries, by arithmetic: before a port is opened, and beside what is measured.
+
+use serde::Serialize;
+
+use super::modbus::{COMMAND_BYTES, TELEMETRY_BYTES};
+use super::profile::DriveProfile;
+use super::register_bus::{
+    READ_BYTES, READ_WRITE_BYTES, REPLY_BYTES, RegisterTable, WRITE_BYTES, WRITTEN_BYTES,
+};
+use super::register_map::{PollRate, ReadBlock, RegisterMap, SetPoint, plan_reads};
+use super::settings::{Framing, LinkSettings, Protocol};
+use super::stream;
+use super::timing::{LineTiming, char_s};
+
+/// What adapters add to each exchange, s: none, USB with its latency timer at 1 ms, and FTDI as it is delivered (measured
+/// on real adapters).
+const ADAPTERS: [(&str, f64); 3] = [
+    ("no adapter", 0.0),
+    ("USB adapter, latency timer 1 ms", 0.0012),
+    ("USB adapter, latency timer 16 ms", 0.016),
+];
+
+/// Registers of the loops that are reckoned with: ten read, two written (what a drive's cycle needs).
+const READ: f64 = 10.0;
+const WRITTEN: f64 = 2.0;
+
+/// Function code that writes and reads in one transaction, and how many registers it writes (Modbus Application Protocol
+/// 1.1b3, 6.17).
+const READ_WRITE: u8 = 23;
+const JOINT_REGISTERS: u16 = 121;
+/// Share of a cycle from which on the time to answer is explained, %.
+const REPLY_SHARE_PERCENT: f64 = 15.0;
+
+/// A line and who is at its ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeasuredLine {
+    pub baud: u32,
+    pub framing: Framing,
+    /// Silence before a request and before a reply, s.
+    pub gap_s: f64,
+    /// What drive, adapter and host add to one exchange, s.
+    pub added_s: f64,
+}
+
+/// Loop rates that a line can carry.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct LoopRates {
+    /// One request of function code 23 a cycle: ten registers read, two written.
+    pub read_write_hz: f64,
+    /// A write of four registers and a read of ten a cycle, two requests.
+    pub write_then_read_hz: f64,
+}
+
+impl MeasuredLine {
+    /// Time on the wire of a request and its reply with both gaps, s.
+    pub fn exchange_s(&self, request_bytes: f64, reply_bytes: f64) -> f64 {
+        (request_bytes + reply_bytes) * char_s(self.baud, self.framing)
+            + 2.0 * self.gap_s
+            + self.added_s
+    }
+
+    /// Time of a read of so many registers, s: function code 3, 8 bytes asked and 5 + 2 n answered.
+    pub fn read_s(&self, registers: u16) -> f64 {
+        let reply = REPLY_BYTES as f64 + 2.0 * f64::from(registers);
+        self.exchange_s(READ_BYTES as f64, reply)
+    }
+
+    pub fn rates(&self) -> LoopRates {
+        let reply = REPLY_BYTES as f64 + 2.0 * READ;
+        let both = self.exchange_s(READ_WRITE_BYTES as f64 + 2.0 * WRITTEN, reply);
+        let write = self.exchange_s(WRITE_BYTES as f64 + 8.0, WRITTEN_BYTES as f64);
+        LoopRates {
+            read_write_hz: both.recip(),
+            write_then_read_hz: (write + self.exchange_s(READ_BYTES as f64, reply)).recip(),
+        }
+    }
+}
+
+/// The times of one cycle, a command for a sample, on a serial line.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LineBudget {
+    pub protocol: Protocol,
+    pub baud: u32,
+    /// Requests that a cycle takes.
+    pub exchanges: usize,
+    pub request_bytes: usize,
+    pub reply_bytes: usize,
+    /// Characters of both frames, ms.
+    pub wire_ms: f64,
+    /// Silences that tell frames apart, ms.
+    pub gaps_ms: f64,
+    /// What the drive may take to answer, ms: the profile's `link.reply_ms` once for each request.
+    pub reply_ms: f64,
+    pub rates: Vec<AdapterRate>,
+}
+
+/// The loop rate behind one kind of adapter.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct AdapterRate {
+    pub adapter: &'static str,
+    pub delay_ms: f64,
+    pub rate_hz: f64,
+}
+
+impl LineBudget {
+    /// The budget of one cycle of this drive: its fast blocks and one set-point, or the one exchange of our own register
+    /// map or stream; `None`: no serial line.
+    pub fn of(profile: &DriveProfile) -> Option<Self> {
+        let frames = match (profile.link.protocol, &profile.registers) {
+            (Protocol::ModbusTcp, _) => return None,
+            (_, Some(map)) => cycle_frames(map),
+            (Protocol::ModbusRtu, None) => vec![(COMMAND_BYTES, TELEMETRY_BYTES)],
+            (Protocol::Stream, None) => vec![(stream::COMMAND_BYTES, stream::TELEMETRY_BYTES)],
+        };
+        Some(Self::of_frames(&profile.link, &frames))
+    }
+
+    /// The budget of several exchanges, one after the other.
+    fn of_frames(settings: &LinkSettings, frames: &[(usize, usize)]) -> Self {
+        let with_gaps = settings.protocol != Protocol::Stream;
+        let line = LineTiming::serial(settings, settings.baud, with_gaps);
+        let line = MeasuredLine {
+            baud: settings.baud,
+            framing: settings.framing,
+            gap_s: line.gap().as_secs_f64(),
+            added_s: settings.reply_ms * 1e-3,
+        };
+        let rates = ADAPTERS.map(|(adapter, delay_s)| {
+            let added_s = line.added_s + delay_s;
+            let line = MeasuredLine { added_s, ..line };
+            let times = frames
+                .iter()
+                .map(|(request, reply)| line.exchange_s(*request as f64, *reply as f64));
+            AdapterRate {
+                adapter,
+                delay_ms: delay_s * 1e3,
+                rate_hz: times.sum::<f64>().recip(),
+            }
+        });
+        let request_bytes = frames.iter().map(|(request, _)| request).sum();
+        let reply_bytes = frames.iter().map(|(_, reply)| reply).sum();
+        let bytes = (request_bytes + reply_bytes) as f64;
+        let count = frames.len() as f64;
+        Self {
+            protocol: settings.protocol,
+            baud: settings.baud,
+            exchanges: frames.len(),
+            request_bytes,
+            reply_bytes,
+            wire_ms: bytes * char_s(line.baud, line.framing) * 1e3,
+            gaps_ms: 2e3 * line.gap_s * count,
+            reply_ms: settings.reply_ms * count,
+            rates: rates.to_vec(),
+        }
+    }
+
+    /// What `link.reply_ms` has to do with rate and deadline, and how to measure it; `None` where it hardly counts.
+    pub fn reply_text(&self) -> Option<String> {
+        let cycle_ms = self.wire_ms + self.gaps_ms + self.reply_ms;
+        let share = 100.0 * self.reply_ms / cycle_ms;
+        if share < REPLY_SHARE_PERCENT {
+            return None;
+        }
+        let once_ms = self.reply_ms / self.exchanges as f64;
+        let times = if self.exchanges == 1 {
+            "once".to_owned()
+        } else {
+            format!("{} times", self.exchanges)
+        };
+        Some(format!(
+            "of the {cycle_ms:.1} ms of a cycle {:.1} ms ({share:.0} %) are link.reply_ms = {once_ms} of the drive's profile, {times}: the \
+             longest time that it may take to answer, not measured; a deadline has it twice. `drivebench doctor --port PORT` measures what the \
+             drive takes: with less in the profile this rate goes up and the deadline down",
+            self.reply_ms
+        ))
+    }
+
+    /// Behind a usual USB adapter with its latency timer at 1 ms, Hz.
+    pub fn usual_rate_hz(&self) -> f64 {
+        let usual = self.rates.get(1);
+        usual.map_or_else(|| self.rate_hz(), |rate| rate.rate_hz)
+    }
+
+    /// What the line itself carries, Hz.
+    pub fn rate_hz(&self) -> f64 {
+        1e3 / (self.wire_ms + self.gaps_ms + self.reply_ms)
+    }
+}
+
+/// A cycle of a drive with a map of its own in which one reply is lost, s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LostReply {
+    /// The whole cycle without a loss.
+    pub cycle_s: f64,
+    /// Until the reply is given up.
+    pub deadline_s: f64,
+    /// Silence in which whatever is late may come.
+    pub silence_s: f64,
+    /// The probe behind it and the question again.
+    pub again_s: f64,
+}
+
+impl LostReply {
+    /// `None`: our own map or stream, where a lost reply costs its cycle and no more; or no serial line.
+    pub fn of(profile: &DriveProfile) -> Option<Self> {
+        let map = profile.registers.as_ref()?;
+        let budget = LineBudget::of(profile)?;
+        let (request, reply) = cycle_frames(map)
+            .into_iter()
+            .max_by_key(|(_, reply)| *reply)?;
+        let line = LineTiming::serial(&profile.link, profile.link.baud, true);
+        let once_s = line.brief(request, reply).as_secs_f64();
+        Some(Self {
+            cycle_s: budget.rate_hz().recip(),
+            deadline_s: line.hurried(request, reply).as_secs_f64(),
+            silence_s: line.quiet().as_secs_f64(),
+            again_s: 2.0 * once_s,
+        })
+    }
+
+    pub fn total_s(&self) -> f64 {
+        self.cycle_s + self.deadline_s + self.silence_s + self.again_s
+    }
+
+    /// The arithmetic in words.
+    pub fn text(&self) -> String {
+        format!(
+            "a cycle in which one reply is lost takes up to {:.0} ms: {:.0} ms of its own, {:.0} ms until the reply is given up, {:.0} ms of silence \
+             for whatever is late, {:.0} ms to prove the line and to ask again",
+            1e3 * self.total_s(),
+            1e3 * self.cycle_s,
+            1e3 * self.deadline_s,
+            1e3 * self.silence_s,
+            1e3 * self.again_s
+        )
+    }
+}
+
+/// Bytes of the requests and replies of one cycle: every fast block, and one set-point; both in one where the drive knows
+/// function code 23.
+pub(super) fn cycle_frames(map: &RegisterMap) -> Vec<(usize, usize)> {
+    let blocks = plan_reads(map, PollRate::Fast);
+    let joined = joint_point(map).zip(joint_block(map, &blocks));
+    let bytes = |point: &SetPoint| 2 * usize::from(point.location.layout.registers());
+    let reads = blocks.iter().enumerate().map(|(at, block)| {
+        let request = match joined {
+            Some((point, with)) if with == at => READ_WRITE_BYTES + bytes(point),
+            _ => READ_BYTES,
+        };
+        (request, block.read.reply_bytes())
+    });
+    let reference = map.set_points.iter().find(|point| !point.is_word());
+    let alone = reference.filter(|_| joined.is_none());
+    let write = alone.map(|point| match point.function {
+        6 => (WRITTEN_BYTES, WRITTEN_BYTES),
+        _ => (WRITE_BYTES + bytes(point), WRITTEN_BYTES),
+    });
+    reads.chain(write).collect()
+}
+
+/// The first reference that may go out together with a read.
+fn joint_point(map: &RegisterMap) -> Option<&SetPoint> {
+    map.set_points.iter().find(|point| may_join(map, point))
+}
+
+/// Whether one transaction may write it beside what it reads.
+pub(super) fn may_join(map: &RegisterMap, point: &SetPoint) -> bool {
+    let fits = point.location.layout.registers() <= map.max_write.min(JOINT_REGISTERS);
+    fits && point.is_reference() && !point.keys.readback
+}
+
+/// Position of the block that function code 23 can read: it has holding registers only.
+pub(super) fn joint_block(map: &RegisterMap, fast: &[ReadBlock]) -> Option<usize> {
+    let can = map.functions.contains(&READ_WRITE);
+    let is_holding = |block: &ReadBlock| block.read.table == RegisterTable::Holding;
+    can.then(|| fast.iter().position(is_holding)).flatten()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::standard_gap_s;
+
+    fn settings(baud: u32, reply_ms: f64) -> LinkSettings {
+        LinkSettings {
+            baud,
+            reply_ms,
+            ..DriveProfile::named("own").unwrap().link
+        }
+    }
+
+    #[test]
+    fn rates_are_those_of_the_published_table() {
+        // FC23 that reads ten and writes two registers, 0.5 ms reply, whole gaps; adapters 0, 1.2, 16 ms.
+        for (baud, expected_hz) in [
+            (9600, [19.0, 19.0, 15.0]),
+            (115_200, [131.0, 113.0, 42.0]),
+            (921_600, [224.0, 177.0, 49.0]),
+        ] {
+            let budget = LineBudget::of_frames(&settings(baud, 0.5), &[(13 + 4, 5 + 20)]);
+            for (rate, expected_hz) in budget.rates.iter().zip(expected_hz) {
+                assert!((rate.rate_hz - expected_hz).abs() < 0.8, "{baud}: {rate:?}");
+            }
+            assert!((budget.rate_hz() - budget.rates[0].rate_hz).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn a_stream_has_no_gaps_and_a_network_no_line() {
+        let mut stream = DriveProfile::named("own").unwrap();
+        stream.link = settings(115_200, 0.0);
+        stream.link.protocol = Protocol::Stream;
+        let budget = LineBudget::of(&stream).unwrap();
+        assert!(budget.gaps_ms.abs() < 1e-12);
+        assert!((budget.wire_ms - 70.0 * 10.0 / 115.2).abs() < 1e-9);
+        stream.link.protocol = Protocol::ModbusTcp;
+        assert_eq!(LineBudget::of(&stream), None);
+    }
+
+    #[test]
+    fn a_drive_with_a_map_is_reckoned_with_its_own_requests() {
+        let mut profile = DriveProfile::named("epulse50-dc").unwrap();
+        profile.link.protocol = Protocol::ModbusRtu;
+        let map = profile.registers.clone().unwrap();
+        let reads = plan_reads(&map, PollRate::Fast).len();
+        let budget = LineBudget::of(&profile).unwrap();
+        assert_eq!(budget.exchanges, reads + 1);
+        let one =
+            LineBudget::of_frames(&profile.link, &[(budget.request_bytes, budget.reply_bytes)]);
+        // The same bytes in more requests take more silences and more replies.
+        assert!((budget.wire_ms - one.wire_ms).abs() < 1e-9);
+        assert!(budget.rate_hz() < one.rate_hz());
+        assert!((budget.rate_hz() - budget.rates[0].rate_hz).abs() < 1e-9);
+        assert!(budget.usual_rate_hz() < budget.rate_hz());
+    }
+
+    #[test]
+    fn no_profile_promises_a_rate_that_its_own_replies_do_not_allow() {
+        for name in DriveProfile::names() {
+            let mut profile = DriveProfile::named(name).unwrap();
+            let Some(fast_hz) = profile.registers.as_ref().map(|map| map.rates.fast_hz) else {
+                continue;
+            };
+            profile.link.protocol = Protocol::ModbusRtu;
+            let most_hz = LineBudget::of(&profile).unwrap().rate_hz();
+            assert!(fast_hz <= most_hz, "{name}: {fast_hz} Hz, {most_hz:.2} Hz");
+        }
+    }
+
+    /// Strict gap, 0.5 ms drive, 1.2 ms USB.
+    #[test]
+    fn the_arithmetic_is_that_of_the_table() {
+        for (baud, read_write, two_requests) in [
+            (9600, 18.0, 13.0),
+            (38_400, 62.0, 39.0),
+            (115_200, 113.0, 65.0),
+            (921_600, 177.0, 91.0),
+        ] {
+            let framing = Framing::EightNoneOne;
+            let budget = MeasuredLine {
+                baud,
+                framing,
+                gap_s: standard_gap_s(baud, framing),
+                added_s: 0.5e-3 + 1.2e-3,
+            };
+            let rates = budget.rates();
+            for (rate_hz, expected_hz) in [
+                (rates.read_write_hz, read_write),
+                (rates.write_then_read_hz, two_requests),
+            ] {
+                assert!((rate_hz - expected_hz).abs() < 1.0, "{baud} {rates:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn parity_costs_a_tenth() {
+        let of = |framing| MeasuredLine {
+            baud: 9600,
+            framing,
+            gap_s: 0.0,
+            added_s: 0.0,
+        };
+        let ratio = of(Framing::EightEvenOne).read_s(10) / of(Framing::EightNoneOne).read_s(10);
+        assert!((ratio - 1.1).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,136 @@
+//! Burst capture: what a drive records by itself, far faster than any link carries it, and hands over afterwards.
+
+use firmware_protocol::CaptureSample;
+use firmware_protocol::registers::WINDOW_INDEX;
+
+use super::link_error::LinkError;
+use drivebench_model::sample::{Channel, Origin, Run, RunError};
+
+/// A drive that can record bursts.
+pub trait Burst {
+    /// Starts a burst with the next command that the drive applies; what an earlier one recorded is dropped.
+    fn arm(&mut self) -> Result<(), LinkError>;
+
+    /// Fetches the burst; `None` while the drive still waits or records. Takes seconds on a slow line: not for the
+    /// cycles of a run.
+    fn fetch(&mut self) -> Result<Option<Capture>, LinkError>;
+}
+
+/// A burst, on the time axis of the link's samples.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Capture {
+    /// Instant of the first sample, s.
+    pub first_s: f64,
+    /// Distance of the samples, s.
+    pub period_s: f64,
+    pub samples: Vec<CaptureSample>,
+}
+
+impl Capture {
+    /// Puts a burst together from blocks of samples, each asked for by the index of its first.
+    pub fn collect(
+        first_s: f64,
+        period_s: f64,
+        count: u16,
+        mut block: impl FnMut(u16) -> Result<Vec<CaptureSample>, LinkError>,
+    ) -> Result<Self, LinkError> {
+        let mut samples = Vec::with_capacity(count.into());
+        while samples.len() < usize::from(count) {
+            let index = u16::try_from(samples.len()).unwrap_or(u16::MAX);
+            samples.extend(block(index)?);
+        }
+        Ok(Self {
+            first_s,
+            period_s,
+            samples,
+        })
+    }
+
+    /// The burst as a run: `voltage_v`, `current_a` and `speed_rad_s`, those that the drive has. A captured voltage is
+    /// the mean over the period that ends with its sample, and in a run a voltage holds from its row on: each row has
+    /// the voltage of the sample after it, and the last sample has no row.
+    pub fn run(&self, name: impl Into<String>) -> Result<Run, RunError> {
+        type Of = fn(&[CaptureSample]) -> f64;
+        let pairs = || self.samples.windows(2);
+        let time_s = (0..pairs().count())
+            .map(|index| self.first_s + index as f64 * self.period_s)
+            .collect();
+        let mut run = Run::new(name, time_s)?;
+        let columns: [(Channel, Of); 3] = [
+            (Channel::Voltage, |pair| pair[1].voltage_v),
+            (Channel::Current, |pair| pair[0].current_a),
+            (Channel::Speed, |pair| pair[0].speed_rad_s),
+        ];
+        for (channel, of) in columns {
+            let values: Vec<f64> = pairs().map(of).collect();
+            if values.iter().any(|value| value.is_finite()) {
+                run.set_column(channel, values, Origin::Measured)?;
+            }
+        }
+        Ok(run)
+    }
+}
+
+/// First register of the window of captured samples, with the index before it, and how many are read at once.
+pub const WINDOW_ADDRESS: u16 = WINDOW_INDEX.address;
+pub const WINDOW_WORDS: usize = 2 + 40 * CaptureSample::WORDS;
+
+/// The samples of a window as it is read: index, count of valid samples, samples. Empty where the index is another.
+pub fn window_samples(index: u16, words: &[u16]) -> Vec<CaptureSample> {
+    match words {
+        [found, count, samples @ ..] if *found == index => samples
+            .as_chunks()
+            .0
+            .iter()
+            .take((*count).into())
+            .map(CaptureSample::from_registers)
+            .collect(),
+        _ => Vec::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample(current_a: f64) -> CaptureSample {
+        CaptureSample {
+            voltage_v: 10.0 + current_a,
+            current_a,
+            speed_rad_s: f64::NAN,
+        }
+    }
+
+    #[test]
+    fn a_burst_is_a_run_of_what_the_drive_has() {
+        let capture = Capture {
+            first_s: 2.5,
+            period_s: 1e-4,
+            samples: (0..5).map(|k| sample(f64::from(k))).collect(),
+        };
+        let run = capture.run("burst").unwrap();
+        assert_eq!(run.rows(), 4);
+        assert!((run.time_s()[3] - 2.5003).abs() < 1e-12);
+        assert!((run.column(Channel::Current).unwrap()[3] - 3.0).abs() < 1e-12);
+        // The voltage between samples 3 and 4 is what sample 4 says.
+        assert!((run.column(Channel::Voltage).unwrap()[3] - 14.0).abs() < 1e-12);
+        assert!(run.column(Channel::Speed).is_none());
+    }
+
+    #[test]
+    fn a_window_is_read_only_with_the_right_index() {
+        let mut words = vec![80, 2];
+        for k in 0..40 {
+            words.extend(sample(f64::from(k)).to_registers());
+        }
+        assert_eq!(words.len(), WINDOW_WORDS);
+        let samples = window_samples(80, &words);
+        assert_eq!(samples.len(), 2);
+        assert!((samples[1].current_a - 1.0).abs() < 1e-12);
+        assert!(samples[1].speed_rad_s.is_nan());
+        assert!(window_samples(40, &words).is_empty());
+        assert!(window_samples(80, &words[..1]).is_empty());
+        words[1] = 41;
+        assert_eq!(window_samples(80, &words).len(), 40);
+    }
+}

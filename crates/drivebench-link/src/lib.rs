@@ -1,0 +1,85 @@
+//! Drives as the bench sees them: a profile, and a link that exchanges a command for a sample.
+//!
+//! ```text
+//! settings.rs <- register_map/ (facts of a profile) <- profile.rs (TOML) + PATH | tcp:HOST:PORT --open.rs--> Box<dyn DriveLink>
+//!
+//! Command -> [ DriveLink: modbus.rs | stream.rs | in memory ] -> Sample
+//!                  |            |
+//!                  |            |             burst.rs: what the drive records by itself
+//!          reply_filter.rs  port.rs       bytes, silence, hang-up
+//!                  |
+//!              transaction.rs + reply.rs    which bytes answer this request; proof.rs: whether the line is in step
+//!                  +-- link_core.rs (books, time axis, stop), timing.rs (deadlines, gaps), waiting.rs (real or virtual)
+//!                  +-- virtual_line.rs (a line in memory: the same bytes without the waiting)
+//!                  +-- tap.rs (capture file), serial_ports.rs (what is plugged in)
+//!                  +-- modbus/raw.rs (registers of any unit) <- probe/ (read-only: who is it, and is its profile right?)
+//!                  +-- timeline.rs (drive time in seconds since connect)
+//!                  +-- command_times.rs (how long it may take to run, to stop, to be reset)
+//!                  +-- reopen.rs (a link that was lost: when again, under which name, who must be there)
+//! ```
+//!
+//! A drive with a register map of its own: `register_map/` (facts) -> `profiled.rs` -> [`RegisterBus`].
+//! A reply that cannot be proved to answer the one outstanding request is never a sample.
+
+#[cfg(test)]
+mod bounded_tests;
+mod budget;
+pub mod burst;
+mod command_times;
+mod link;
+mod link_core;
+mod link_error;
+mod modbus;
+pub mod offer;
+mod open;
+mod patience;
+mod port;
+mod probe;
+mod profile;
+mod profiled;
+mod proof;
+mod register_bus;
+pub mod register_map;
+mod reopen;
+mod reply;
+mod reply_filter;
+#[cfg(test)]
+mod scripted;
+pub mod serial_ports;
+mod settings;
+mod stream;
+mod tap;
+pub mod timeline;
+mod timing;
+mod transaction;
+pub mod virtual_line;
+mod waiting;
+
+pub use budget::{AdapterRate, LineBudget, LoopRates, LostReply, MeasuredLine};
+pub use burst::{Burst, Capture};
+pub use command_times::CommandTimes;
+pub use link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, RoundTrips, drive_name};
+pub use link_core::stop_confirmed;
+pub use modbus::{
+    Batch, ModbusBus, ModbusLink, RawClient, RawCounters, RawSettings, Read, WriteFunction,
+    read_batch,
+};
+pub use open::{Target, TargetError, open, open_modbus, open_stream, open_tapped};
+pub use probe::{
+    ProbeDepth, ProbeReport, ProbeVerdict, ProbedCheck, ProbedSignal, ProbedState, probe,
+    probe_stream,
+};
+pub use profile::{Capabilities, DriveProfile, ProfileError, SignalOrigins, SignalSides, Watchdog};
+pub use profiled::ProfiledLink;
+pub use register_bus::{
+    MOST_READ, MOST_WRITTEN, ReadRequest, RegisterBus, RegisterTable, RegistersRead, Span,
+    exception_name, registers,
+};
+pub use reopen::{Anchor, Backoff, Reopening, another_drive};
+pub use settings::{DriveLimits, Framing, KickedBy, LinkSettings, Protocol, RangeError, Trust};
+pub use stream::StreamLink;
+pub use tap::TapFile;
+pub use timeline::signed_difference;
+pub use timing::standard_gap_s;
+pub use transaction::{CutIn, LineCounts};
+pub use virtual_line::VirtualClock;

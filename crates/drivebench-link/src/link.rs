@@ -1,0 +1,417 @@
+//! The one trait behind which every drive stands, and what became of every request: counts that balance, and round-trip times.
+
+use std::fmt;
+
+use serde::Serialize;
+
+use super::burst::Burst;
+use super::command_times::CommandTimes;
+pub use super::link_error::LinkError;
+use super::transaction::{CutIn, LineCounts};
+use drivebench_model::sample::{Command, Demand, Sample};
+
+/// What the drive says it is.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Identity {
+    pub vendor: String,
+    pub product: String,
+    pub serial_number: String,
+    pub firmware: String,
+    pub protocol_version: u16,
+    /// True only where the drive itself says that it is software: everything else counts as hardware.
+    pub is_emulator: bool,
+    /// Command silence after which the drive itself stops the motor, s; `None`: no watchdog that we can read.
+    pub watchdog_s: Option<f64>,
+    /// The drive's own limits as read back; they bound what is asked of it.
+    pub current_limit_a: Option<f64>,
+    pub voltage_limit_v: Option<f64>,
+}
+
+impl Identity {
+    /// Serial number, firmware, protocol and kind; what the drive does not tell is said to be so.
+    pub fn plate(&self) -> String {
+        let told = |text: &str| {
+            let text = text.trim();
+            if text.is_empty() { "not told" } else { text }.to_owned()
+        };
+        // Only our own drive has a protocol with a number.
+        let protocol = match self.protocol_version {
+            0 => String::new(),
+            version => format!(", protocol {version}"),
+        };
+        format!(
+            "serial {}, firmware {}{protocol}, {}",
+            told(&self.serial_number),
+            told(&self.firmware),
+            if self.is_emulator {
+                "emulator"
+            } else {
+                "hardware"
+            }
+        )
+    }
+
+    pub fn name(&self) -> String {
+        drive_name(&self.vendor, &self.product)
+    }
+
+    /// The name and the plate.
+    pub fn sentence(&self) -> String {
+        format!("{}, {}", self.name(), self.plate())
+    }
+}
+
+/// Vendor and product; where the product begins with its vendor, that once.
+pub fn drive_name(vendor: &str, product: &str) -> String {
+    let name = if product.starts_with(vendor) {
+        product.to_owned()
+    } else {
+        format!("{vendor} {product}")
+    };
+    name.trim().to_owned()
+}
+
+/// Every exchange ends in exactly one of these classes; the sum is `sent`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct LinkStatistics {
+    pub sent: u64,
+    pub ok: u64,
+    pub timeout: u64,
+    /// Bytes without a valid frame came.
+    pub crc: u64,
+    /// Only replies to something asked before came, late or twice; or the answer could not be vouched for afterwards.
+    pub stale: u64,
+    /// A reply to nothing that was asked: wrong unit, function or length.
+    pub mismatch: u64,
+    pub exception: u64,
+    /// The transport failed (unplugged, peer gone).
+    pub aborted: u64,
+}
+
+impl LinkStatistics {
+    /// The accounting invariant: nothing that was sent is unaccounted for.
+    pub const fn balances(&self) -> bool {
+        let failed = self.timeout + self.crc + self.stale + self.mismatch + self.exception;
+        self.sent == self.ok + failed + self.aborted
+    }
+
+    pub const fn lost(&self) -> u64 {
+        self.sent - self.ok
+    }
+
+    /// Books one request that went out.
+    pub(super) const fn settle<T>(&mut self, result: &Result<T, LinkError>) {
+        self.sent += 1;
+        *match result {
+            Ok(_) => &mut self.ok,
+            Err(LinkError::Timeout { .. }) => &mut self.timeout,
+            Err(LinkError::Corrupt { .. }) => &mut self.crc,
+            Err(LinkError::Stale { .. } | LinkError::Unproven { .. }) => &mut self.stale,
+            Err(
+                LinkError::Mismatch { .. }
+                | LinkError::Version { .. }
+                | LinkError::Identity { .. }
+                | LinkError::Refused { .. }
+                | LinkError::Unstopped { .. }
+                | LinkError::Sequence { .. },
+            ) => &mut self.mismatch,
+            Err(LinkError::Exception { .. }) => &mut self.exception,
+            Err(LinkError::Gone { .. } | LinkError::Open { .. }) => &mut self.aborted,
+        } += 1;
+    }
+
+    /// An answer that was taken turns out to be doubtful.
+    pub(super) const fn withdraw(&mut self) {
+        self.ok -= 1;
+        self.stale += 1;
+    }
+}
+
+/// Buckets per doubling of the round-trip time: 9 % wide.
+const PER_DOUBLING: f64 = 8.0;
+/// From 1 us to 16 s.
+const BUCKETS: usize = 8 * 24;
+
+/// Histogram of round-trip times with logarithmic buckets; bounded memory however long the run.
+#[derive(Clone, Debug)]
+pub struct RoundTrips {
+    counts: [u64; BUCKETS],
+    total: u64,
+    longest_s: f64,
+}
+
+impl Default for RoundTrips {
+    fn default() -> Self {
+        Self {
+            counts: [0; BUCKETS],
+            total: 0,
+            longest_s: 0.0,
+        }
+    }
+}
+
+impl RoundTrips {
+    pub fn add(&mut self, round_trip_s: f64) {
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "the cast of a float saturates, and the index is bounded below"
+        )]
+        let bucket = ((round_trip_s * 1e6).log2() * PER_DOUBLING) as usize;
+        self.counts[bucket.min(BUCKETS - 1)] += 1;
+        self.total += 1;
+        self.longest_s = self.longest_s.max(round_trip_s);
+    }
+
+    pub const fn count(&self) -> u64 {
+        self.total
+    }
+
+    pub const fn longest_s(&self) -> f64 {
+        self.longest_s
+    }
+
+    /// The time that this share of all round trips did not exceed, s, within 5 %; `None` without any.
+    pub fn quantile_s(&self, share: f64) -> Option<f64> {
+        let rank = share.clamp(0.0, 1.0) * self.total as f64;
+        let mut below = 0;
+        let bucket = self.counts.iter().position(|count| {
+            below += count;
+            below > 0 && below as f64 >= rank
+        })?;
+        let centre_us = ((bucket as f64 + 0.5) / PER_DOUBLING).exp2();
+        Some((centre_us * 1e-6).min(self.longest_s))
+    }
+
+    /// The buckets that are not empty: upper bound in us, and how many round trips fell into each.
+    pub fn histogram_us(&self) -> Vec<(f64, u64)> {
+        self.counts
+            .iter()
+            .enumerate()
+            .filter(|(_, count)| **count > 0)
+            .map(|(bucket, count)| {
+                let bound_us = ((bucket as f64 + 1.0) / PER_DOUBLING).exp2();
+                ((10.0 * bound_us).round() / 10.0, *count)
+            })
+            .collect()
+    }
+
+    pub fn p50_s(&self) -> Option<f64> {
+        self.quantile_s(0.5)
+    }
+
+    pub fn p99_s(&self) -> Option<f64> {
+        self.quantile_s(0.99)
+    }
+}
+
+/// Counts and times of one link.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Tally {
+    pub(super) statistics: LinkStatistics,
+    pub(super) round_trips: RoundTrips,
+}
+
+impl Tally {
+    /// Books one request that went out, under the one class that its end belongs to.
+    pub(super) fn settle<T>(&mut self, result: &Result<T, LinkError>, round_trip_s: f64) {
+        self.statistics.settle(result);
+        if result.is_ok() {
+            self.round_trips.add(round_trip_s);
+        }
+    }
+}
+
+/// What a link is called in messages and manifests: `/dev/ttyUSB0`, `tcp:host:502`, `sim:`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct LinkName(pub String);
+
+impl fmt::Display for LinkName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// A drive at the far end of a wire: blocking, owned by one thread, every call bounded by an absolute deadline.
+pub trait DriveLink: Send {
+    fn name(&self) -> LinkName;
+
+    /// Reads who the drive is and what it limits itself to; checks the protocol version.
+    fn identify(&mut self) -> Result<Identity, LinkError>;
+
+    /// Sends one command and returns the sample that the drive took after applying it.
+    fn exchange(&mut self, command: Command) -> Result<Sample, LinkError>;
+
+    /// From now on every exchange, all that keeps the line in step included, ends within this time, s; infinite: as long as
+    /// it takes. A stop outside an exchange is not bound.
+    fn bound(&mut self, _left_s: f64) {}
+
+    /// Where to say that a stop is wanted: silences, probes and retries of a bounded exchange are then given up at once.
+    fn cut_in(&mut self) -> Option<&mut CutIn> {
+        None
+    }
+
+    /// Asks for zero output and makes sure of it: repeated until confirmed or `attempts` are used up.
+    fn stop(&mut self) -> Result<(), LinkError>;
+
+    /// Who is there, by reading only: what `identify` sets up in the drive is left as it is.
+    fn recognise(&mut self) -> Result<Identity, LinkError> {
+        self.identify()
+    }
+
+    /// What the drive told when it was identified, before anything was asked of it; `None` where it tells its state only in
+    /// reply to a command.
+    fn found(&self) -> Option<Sample> {
+        None
+    }
+
+    /// With the output off: writes zero to the set-points that can be read back and compares. The words for how that went;
+    /// `None`: there are none.
+    fn compare_set_points(&mut self) -> Result<Option<Result<String, String>>, LinkError> {
+        Ok(None)
+    }
+
+    /// As `stop`, for a drive that somebody else may have left with a reference: that is set to zero first.
+    fn bring_to_rest(&mut self) -> Result<(), LinkError> {
+        self.stop()
+    }
+
+    /// Whether the set-point of the last exchange was sent; on a line in doubt an exchange may end before.
+    fn has_sent_command(&self) -> bool {
+        true
+    }
+
+    /// Whether the drive tells that its output is off. Where it does not, an acknowledged stop is not a confirmed one.
+    fn confirms_stop(&self) -> bool {
+        true
+    }
+
+    /// How long it may take to do what it is told: nobody gives up on a good drive before.
+    fn command_times(&self) -> CommandTimes {
+        CommandTimes::default()
+    }
+
+    /// Lets go of the port, so that it can be opened again; every later call finds the link gone.
+    fn close(&mut self) {}
+
+    fn statistics(&self) -> LinkStatistics;
+
+    /// Shortest cycle that this link carries at its baud rate, s; `None` when not limited by a line.
+    fn shortest_cycle_s(&self) -> Option<f64>;
+
+    /// Times from request to reply; `None` where no wire is involved.
+    fn round_trips(&self) -> Option<&RoundTrips> {
+        None
+    }
+
+    /// What the line carried, byte for byte; `None` where no wire is involved.
+    fn line(&self) -> Option<LineCounts> {
+        None
+    }
+
+    /// The drive's own recorder, where it has one; known once it is identified.
+    fn burst(&mut self) -> Option<&mut dyn Burst> {
+        None
+    }
+
+    /// The demand with which this drive runs at zero: the quantity that it can be told.
+    fn zero(&self) -> Demand {
+        Demand::Voltage(0.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_drive_does_not_tell_is_said_and_never_left_blank() {
+        let mut identity = Identity {
+            product: "Acme 40".to_owned(),
+            is_emulator: true,
+            ..Identity::default()
+        };
+        assert_eq!(
+            identity.sentence(),
+            "Acme 40, serial not told, firmware not told, emulator"
+        );
+        identity.serial_number = "17".to_owned();
+        identity.protocol_version = 3;
+        assert_eq!(
+            identity.plate(),
+            "serial 17, firmware not told, protocol 3, emulator"
+        );
+    }
+
+    #[test]
+    fn the_drive_in_memory_is_named_with_one_colon() {
+        let error = LinkError::Refused("sim:".to_owned(), "no".to_owned());
+        assert_eq!(error.to_string(), "sim: not sent: no");
+    }
+
+    #[test]
+    fn quantiles_are_right_within_a_bucket() {
+        let mut trips = RoundTrips::default();
+        assert_eq!(trips.p50_s(), None);
+        for k in 1..=1000 {
+            trips.add(f64::from(k) * 1e-5);
+        }
+        assert!((trips.p50_s().unwrap() / 5e-3 - 1.0).abs() < 0.06);
+        assert!((trips.p99_s().unwrap() / 9.9e-3 - 1.0).abs() < 0.06);
+        assert!((trips.quantile_s(0.0).unwrap() / 1e-5 - 1.0).abs() < 0.06);
+        assert!((trips.longest_s() - 0.01).abs() < 1e-12);
+        let histogram = trips.histogram_us();
+        assert_eq!(histogram.iter().map(|(_, count)| count).sum::<u64>(), 1000);
+        assert!(histogram.is_sorted_by(|a, b| a.0 < b.0) && histogram[0].0 > 10.0);
+    }
+
+    #[test]
+    fn times_outside_the_range_are_counted_at_its_ends() {
+        let mut trips = RoundTrips::default();
+        trips.add(0.0);
+        trips.add(1e9);
+        assert_eq!(trips.count(), 2);
+        assert!(trips.quantile_s(1.0).unwrap() > 1.0);
+    }
+
+    #[test]
+    fn every_end_has_one_class() {
+        let none = String::new;
+        let timeout = LinkError::Timeout {
+            link: none(),
+            deadline_ms: 1,
+            request: none(),
+        };
+        let exception = LinkError::Exception {
+            link: none(),
+            request: none(),
+            code: 2,
+            name: "x",
+        };
+        let version = LinkError::Version {
+            link: none(),
+            found: 2,
+            expected: 1,
+        };
+        let ends: [Result<(), LinkError>; 8] = [
+            Ok(()),
+            Err(timeout),
+            Err(LinkError::Corrupt(none(), none())),
+            Err(LinkError::Stale(none(), none())),
+            Err(LinkError::Mismatch(none(), none())),
+            Err(exception),
+            Err(LinkError::Gone(none(), none())),
+            Err(version),
+        ];
+        let mut tally = Tally::default();
+        for end in &ends {
+            tally.settle(end, 0.001);
+            assert!(tally.statistics.balances());
+        }
+        let s = tally.statistics;
+        assert_eq!(
+            (s.sent, s.ok, s.stale, s.mismatch, s.aborted),
+            (8, 1, 1, 2, 1)
+        );
+    }
+}

@@ -1,0 +1,143 @@
+//! Core of the links of our own drive: their books, their time axis, the bound of an exchange, and how a stop is
+//! confirmed.
+
+use std::io;
+use std::time::Instant;
+
+use firmware_protocol::{DriveCommand, Telemetry};
+
+use super::link::LinkError;
+use super::link::Tally;
+use super::register_bus::Span;
+use super::timeline::{self, Timeline};
+use super::timing::LineTiming;
+use super::transaction::Bound;
+use super::waiting::now;
+use drivebench_model::sample::{Command, Demand, DriveState, Sample};
+
+/// Times that a question without effect is asked before it counts as failed.
+pub(super) const READ_ATTEMPTS: usize = 3;
+/// Times that a stop is asked for.
+const STOP_ATTEMPTS: usize = 5;
+
+pub(super) struct LinkCore {
+    pub(super) name: String,
+    pub(super) timing: LineTiming,
+    pub(super) tally: Tally,
+    pub(super) timeline: Timeline,
+    pub(super) bound: Bound,
+    /// Distance of captured samples as the drive tells it, s; 0: it captures nothing.
+    pub(super) capture_period_s: f64,
+    pub(super) gone: bool,
+    /// The last command has not left.
+    pub(super) is_unsent: bool,
+    pub(super) epoch: Instant,
+    last_seq: u64,
+}
+
+/// What an exchange gave, with its host times, s since the epoch.
+pub(super) struct Answer<T> {
+    pub(super) value: T,
+    pub(super) span: Span,
+    /// The reply was complete.
+    pub(super) complete_s: f64,
+}
+
+impl LinkCore {
+    pub(super) fn new(name: String, timing: LineTiming, epoch: Instant) -> Self {
+        Self {
+            name,
+            timing,
+            tally: Tally::default(),
+            timeline: Timeline::default(),
+            bound: Bound::default(),
+            capture_period_s: 0.0,
+            gone: false,
+            is_unsent: false,
+            epoch,
+            last_seq: 0,
+        }
+    }
+
+    /// Host time, s since the epoch.
+    pub(super) fn host_s(&self, at: Instant) -> f64 {
+        at.saturating_duration_since(self.epoch).as_secs_f64()
+    }
+
+    pub(super) fn span(&self, asked: Instant, answered: Instant) -> Span {
+        Span::new(self.host_s(asked), self.host_s(answered))
+    }
+
+    /// An error once the link is gone.
+    pub(super) fn live(&self) -> Result<(), LinkError> {
+        if self.gone {
+            return Err(LinkError::Gone(
+                self.name.clone(),
+                "it broke before".to_owned(),
+            ));
+        }
+        Ok(())
+    }
+
+    pub(super) fn gone(&self, error: &io::Error) -> LinkError {
+        LinkError::Gone(self.name.clone(), error.to_string())
+    }
+
+    /// A command as it travels.
+    pub(super) fn command(&mut self, command: Command) -> DriveCommand {
+        self.last_seq = command.seq;
+        timeline::command(command)
+    }
+
+    /// The sample that came in answer to a command.
+    pub(super) fn sample(&mut self, command: Command, answer: &Answer<Telemetry>) -> Sample {
+        let mut sample = self
+            .timeline
+            .sample(&answer.value, command.seq, answer.span);
+        sample.host_time_s = Some(answer.complete_s);
+        sample
+    }
+
+    /// The command with which a stop is asked for; what it does takes as long as it takes.
+    pub(super) fn stop_command(&mut self) -> Command {
+        self.bound.set(f64::INFINITY, now());
+        Command {
+            seq: self.last_seq.wrapping_add(1),
+            demand: Demand::Stop,
+        }
+    }
+}
+
+/// Asks what has no effect on the drive until an answer comes, or what is no accident of the line.
+pub(super) fn answered<T>(mut ask: impl FnMut() -> Result<T, LinkError>) -> Result<T, LinkError> {
+    let again = (1..READ_ATTEMPTS)
+        .map(|_| ask())
+        .find(|result| !matches!(result, Err(error) if error.is_transient()));
+    again.unwrap_or_else(ask)
+}
+
+/// Asks for a stop until the drive says in reply to that very command that it does not run.
+pub fn stop_confirmed(
+    name: &str,
+    mut ask: impl FnMut() -> Result<Sample, LinkError>,
+) -> Result<(), LinkError> {
+    let unstopped = |what: &str| {
+        let text = format!("the drive answers, and {what} after {STOP_ATTEMPTS} requests to stop");
+        LinkError::Unstopped(name.to_owned(), text)
+    };
+    let mut last = unstopped("has not confirmed anything");
+    for _ in 0..STOP_ATTEMPTS {
+        match ask() {
+            Ok(sample) if sample.applied.is_some() && sample.state != Some(DriveState::Running) => {
+                return Ok(());
+            }
+            Ok(sample) if sample.state == Some(DriveState::Running) => {
+                last = unstopped("still runs");
+            }
+            Ok(_) => last = unstopped("does not confirm that it has stopped"),
+            Err(error @ LinkError::Gone { .. }) => return Err(error),
+            Err(error) => last = error,
+        }
+    }
+    Err(last)
+}

@@ -1,0 +1,750 @@
+//! The Modbus link: one exchange is one request of function code 23, which writes the command and reads the sample.
+//!
+//! ```text
+//! exchange: gap, listen -> FC23 { sequence, control, set-point | 16 registers } -> only a reply that echoes the sequence
+//! read:     gap, listen, the steps of proof.rs -> FC03 | 04
+//! ```
+//!
+//! A command is its own proof: its sequence number comes back with the sample. The reply to a plain read says neither
+//! what was read nor when: only function, unit and length. Windows of a burst carry their own index in front, so no late
+//! window can be taken for another.
+//!
+//! This file owns the clock of the exchanges.
+//! bus.rs shows the link as registers, for drives with a map of their own; raw.rs as registers of any unit.
+
+mod bus;
+mod raw;
+
+use std::borrow::Cow;
+use std::time::{Duration, Instant};
+
+use firmware_protocol::registers::{
+    CAPTURE_CONTROL, CAPTURE_STATE, COMMAND_ADDRESS, COMMAND_WORDS, IDENTITY_ADDRESS,
+    IDENTITY_WORDS, SEQUENCE_ECHO, TELEMETRY_ADDRESS, TELEMETRY_WORDS,
+};
+use firmware_protocol::{CaptureControl, CaptureState, Telemetry};
+use tokio_modbus::client::{Client, Context, rtu, tcp};
+use tokio_modbus::prelude::ReadCode;
+use tokio_modbus::{Error, ProtocolError, Request, Response, Slave};
+
+use super::burst::{Burst, Capture, WINDOW_ADDRESS, WINDOW_WORDS, window_samples};
+use super::link::RoundTrips;
+use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
+use super::link_core::{Answer, LinkCore, READ_ATTEMPTS, stop_confirmed};
+use super::proof::{End, Method, PATIENCE, Policy, Proof, Step};
+use super::register_bus::{
+    READ_BYTES, READ_WRITE_BYTES, REPLY_BYTES, ReadRequest, RegisterTable, WRITE_BYTES,
+    WRITTEN_BYTES, exception_name, registers,
+};
+use super::reply::{Echo, FrameKind};
+use super::reply_filter::{Port, ReplyFilter};
+use super::timeline::{identity, identity_error, signed_difference};
+use super::timing::{LineTiming, wait_until};
+use super::transaction::{CutIn, LineCounts, never_silent, out_of_step};
+use super::waiting::Waiting;
+use super::waiting::now;
+use drivebench_model::sample::{Command, Sample};
+
+pub use bus::ModbusBus;
+pub use raw::{Batch, RawClient, RawCounters, RawSettings, Read, WriteFunction, read_batch};
+
+/// Probes of one bounded exchange, which has other things to do.
+const MOST_PROBES: usize = 3;
+/// Commands that fail one after the other before the line is given time to fall silent: the first may have been bad luck.
+const FAILURES_BEFORE_SILENCE: u32 = 2;
+/// Where the sequence number stands in the PDU of the reply: behind function, length, and the registers before it; and the
+/// index of a window, which stands first.
+const ECHO_AT: usize = 2 + 2 * (SEQUENCE_ECHO.address - TELEMETRY_ADDRESS) as usize;
+const INDEX_AT: usize = 2;
+/// With less time left nothing is asked any more.
+const SHORTEST_EXCHANGE: Duration = Duration::from_millis(1);
+/// Frames of the device identification, bytes: its request, and the longest reply.
+const NAMES_BYTES: (usize, usize) = (7, 256);
+const NAMES: &str = "the device identification";
+/// State, count and the drive time of the first sample of a burst.
+const BURST_HEAD_WORDS: u16 = 4;
+/// RTU frames of a command and of its reply.
+pub(super) const COMMAND_BYTES: usize = READ_WRITE_BYTES + 2 * COMMAND_WORDS;
+pub(super) const TELEMETRY_BYTES: usize = REPLY_BYTES + 2 * TELEMETRY_WORDS;
+
+/// A drive behind Modbus RTU or TCP.
+pub struct ModbusLink {
+    core: LinkCore,
+    // The order matters: what uses the runtime that waits goes before it.
+    context: Context,
+    filter: ReplyFilter,
+    waiting: Waiting,
+    kind: FrameKind,
+    unit: u8,
+    proof: Proof,
+    retries: u64,
+    /// Time spent in silences and probes.
+    resync: Duration,
+    /// Questions that only proved that the line is in step, and how often something had been wrong before them.
+    probes: u64,
+    resynchronisations: u64,
+    /// Duration of the last exchange that got a reply.
+    last_round_trip: Duration,
+    /// Commands without a sample since the last one that had one.
+    failed_in_a_row: u32,
+    /// What a question without a reply says of its unit: the settings of the line. `None`: it says nothing.
+    at: Option<String>,
+}
+
+/// What goes out, as tokio-modbus and as the proof want it.
+#[derive(Clone)]
+struct Question<'a> {
+    request: Request<'a>,
+    pdu: [u8; 5],
+    what: &'a str,
+    allowed: Duration,
+    /// It can be given up at once where a stop is wanted.
+    is_probe: bool,
+    /// Its reply carries its own number.
+    is_numbered: bool,
+}
+
+impl<'a> Question<'a> {
+    const fn plain(request: Request<'a>, pdu: [u8; 5], what: &'a str, allowed: Duration) -> Self {
+        Self {
+            request,
+            pdu,
+            what,
+            allowed,
+            is_probe: false,
+            is_numbered: false,
+        }
+    }
+
+    /// The question for registers.
+    fn read(read: ReadRequest, what: &'a str, allowed: Duration) -> Self {
+        let request = match read.table {
+            RegisterTable::Holding => Request::ReadHoldingRegisters(read.address, read.count),
+            RegisterTable::Input => Request::ReadInputRegisters(read.address, read.count),
+        };
+        Self::plain(request, read.pdu(), what, allowed)
+    }
+
+    const fn numbered(mut self) -> Self {
+        self.is_numbered = true;
+        self
+    }
+}
+
+impl ModbusLink {
+    /// A link over a port that was opened within the runtime that waits for it.
+    pub(super) fn new(
+        name: String,
+        waiting: Waiting,
+        port: Box<dyn Port>,
+        kind: FrameKind,
+        unit: u8,
+        timing: LineTiming,
+        epoch: Instant,
+    ) -> Self {
+        let filter = ReplyFilter::new(port, kind);
+        let policy = match kind {
+            FrameKind::Rtu => Policy::Fixed(Method::Nonce),
+            FrameKind::Tcp => Policy::Numbered,
+        };
+        Self {
+            proof: Proof::new(policy, timing.quiet(), now()).always_apart(),
+            core: LinkCore::new(name, timing, epoch),
+            context: attach(&filter, kind, unit),
+            filter,
+            waiting,
+            kind,
+            unit,
+            retries: 0,
+            resync: Duration::ZERO,
+            probes: 0,
+            resynchronisations: 0,
+            last_round_trip: Duration::ZERO,
+            failed_in_a_row: 0,
+            at: None,
+        }
+    }
+
+    /// Raw registers, 1 to 125 of them.
+    pub fn read_registers(
+        &mut self,
+        table: RegisterTable,
+        address: u16,
+        count: u16,
+    ) -> Result<Vec<u16>, LinkError> {
+        let read = ReadRequest {
+            table,
+            address,
+            count,
+        };
+        Ok(self.read_checked(read, &read.text())?.value)
+    }
+
+    fn read_checked(
+        &mut self,
+        read: ReadRequest,
+        what: &str,
+    ) -> Result<Answer<Vec<u16>>, LinkError> {
+        let allowed = self.core.timing.allowed(READ_BYTES, read.reply_bytes());
+        self.read_with_retries(
+            &Question::read(read, what, allowed),
+            words(read.count.into()),
+        )
+    }
+
+    /// Writes raw registers, 1 to 123 of them; never repeated by itself.
+    pub fn write_registers(&mut self, address: u16, values: &[u16]) -> Result<(), LinkError> {
+        let what = format!("write {} at {address}", registers(values.len()));
+        let request = Request::WriteMultipleRegisters(address, Cow::Borrowed(values));
+        let bytes = WRITE_BYTES + 2 * values.len();
+        let allowed = self.core.timing.allowed(bytes, WRITTEN_BYTES);
+        let question = Question::plain(request, [16, 0, 0, 0, 0], &what, allowed);
+        self.ask(question, acknowledged).map(|answer| answer.value)
+    }
+
+    /// One command on the wire. Only a reply that carries its number is its sample.
+    fn command(&mut self, command: Command) -> Result<Sample, LinkError> {
+        let travels = self.core.command(command);
+        self.filter.expect(Echo {
+            at: ECHO_AT,
+            bytes: travels.seq.to_be_bytes(),
+        });
+        let sent: [u16; COMMAND_WORDS] = travels.to_registers();
+        let read = telemetry_request();
+        let request = Request::ReadWriteMultipleRegisters(
+            read.address,
+            read.count,
+            COMMAND_ADDRESS,
+            Cow::Borrowed(&sent),
+        );
+        let [_, pdu @ ..] = read.pdu();
+        let [a, b, c, d] = pdu;
+        let allowed = self.core.timing.allowed(COMMAND_BYTES, TELEMETRY_BYTES);
+        let question = Question::plain(request, [23, a, b, c, d], "the command", allowed);
+        let answer = self.call(question.numbered(), telemetry);
+        self.failed_in_a_row = match &answer {
+            Ok(_) => 0,
+            Err(_) => self.failed_in_a_row.saturating_add(1),
+        };
+        Ok(self.core.sample(command, &answer?))
+    }
+
+    /// Reads the drive's clock: raw, us, and on the time axis of the samples, s.
+    fn note_clock(&mut self) -> Result<(u32, f64), LinkError> {
+        let read = telemetry_request();
+        let allowed = self.core.timing.allowed(READ_BYTES, read.reply_bytes());
+        let question = Question::read(read, "the telemetry", allowed);
+        let answer = self.read_with_retries(&question, telemetry)?;
+        let time_us = answer.value.time_us;
+        Ok((time_us, self.core.timeline.note(time_us, answer.span)))
+    }
+
+    /// One window of captured samples.
+    fn window(&mut self, index: u16) -> Result<Vec<u16>, LinkError> {
+        let sent = [index];
+        let bytes = (READ_WRITE_BYTES + 2, REPLY_BYTES + 2 * WINDOW_WORDS);
+        let allowed = self.core.timing.unhurried(bytes.0, bytes.1);
+        let request = Request::ReadWriteMultipleRegisters(
+            WINDOW_ADDRESS,
+            quantity(WINDOW_WORDS),
+            WINDOW_ADDRESS,
+            Cow::Borrowed(&sent),
+        );
+        let question = Question::plain(request, [23, 0, 0, 0, 0], "captured samples", allowed);
+        self.with_retries(|link| {
+            link.listen()?;
+            link.filter.expect(Echo {
+                at: INDEX_AT,
+                bytes: index.to_be_bytes(),
+            });
+            let answer = link.call(question.clone().numbered(), words(WINDOW_WORDS))?;
+            Ok(answer.value)
+        })
+    }
+
+    /// A question without effect on the drive may be asked again.
+    fn read_with_retries<T>(
+        &mut self,
+        question: &Question<'_>,
+        check: impl Fn(Response) -> Result<T, String>,
+    ) -> Result<Answer<T>, LinkError> {
+        self.with_retries(|link| link.ask(question.clone(), &check))
+    }
+
+    /// One question on a line that is in step.
+    fn ask<T>(
+        &mut self,
+        question: Question<'_>,
+        check: impl FnOnce(Response) -> Result<T, String>,
+    ) -> Result<Answer<T>, LinkError> {
+        self.in_step(&question.pdu)?;
+        self.call(question, check)
+    }
+
+    /// Within the time of the exchange, and of nobody who wants a stop.
+    fn with_retries<T>(
+        &mut self,
+        mut ask: impl FnMut(&mut Self) -> Result<T, LinkError>,
+    ) -> Result<T, LinkError> {
+        let mut attempt = 1;
+        loop {
+            match ask(self) {
+                Err(error) if self.may_retry(&error, attempt) => attempt += 1,
+                result => return result,
+            }
+        }
+    }
+
+    fn may_retry(&mut self, error: &LinkError, attempt: usize) -> bool {
+        let may = error.is_transient()
+            && !matches!(error, LinkError::Unproven { .. })
+            && attempt < READ_ATTEMPTS
+            && !self.core.bound.is_over(now());
+        self.retries += u64::from(may);
+        may
+    }
+
+    /// Waits out the gap before a request and looks at what came meanwhile: nobody asked for it.
+    fn listen(&mut self) -> Result<(), LinkError> {
+        self.core.live()?;
+        let last = self.filter.inner().reception.last_activity;
+        wait_until(last + self.core.timing.gap());
+        let strays = self.waiting.at_once(self.filter.begin());
+        self.judge(strays.unwrap_or(Ok(0))).map(drop)
+    }
+
+    /// What came while nothing was outstanding.
+    fn judge(&mut self, strays: std::io::Result<usize>) -> Result<usize, LinkError> {
+        let count = strays.map_err(|error| self.lost(&error))?;
+        if count > 0 {
+            let old = self.filter.inner().reception.take_old_replies();
+            self.proof.disturbed(&old, now());
+        }
+        Ok(count)
+    }
+
+    /// Silence up to this instant, or until something comes (false); an error where the exchange must not take so long.
+    fn keep_silent(&mut self, until: Instant) -> Result<bool, LinkError> {
+        loop {
+            let now = now();
+            if now >= until {
+                return Ok(true);
+            }
+            if self.core.bound.is_over(now) {
+                return Err(self.unproven());
+            }
+            let look = self.core.bound.next_look(now, until);
+            let came = self.waiting.until(look, self.filter.listen());
+            if self.judge(came.unwrap_or(Ok(0)))? > 0 {
+                return Ok(false);
+            }
+        }
+    }
+
+    /// Carries out what has to be done before this request: whatever comes next is then no reply to something older. In a
+    /// bounded exchange a few probes are asked, and the next exchange goes on from there.
+    fn in_step(&mut self, pdu: &[u8]) -> Result<(), LinkError> {
+        let begun = now();
+        let result = self.carry_out(pdu);
+        self.resync += now().saturating_duration_since(begun);
+        result
+    }
+
+    fn carry_out(&mut self, pdu: &[u8]) -> Result<(), LinkError> {
+        self.listen()?;
+        let (mut probes, mut begun) = (0, false);
+        let mut failed = None;
+        loop {
+            let is_late = |bound: &super::transaction::Bound| {
+                bound.is_set() && (probes == MOST_PROBES || bound.is_over(now()))
+            };
+            match self.proof.next(pdu, now()) {
+                Step::Go => return Ok(()),
+                Step::Silence(until) => drop(self.keep_silent(until)?),
+                Step::Probe(_) if is_late(&self.core.bound) => return Err(self.unproven()),
+                Step::Probe(pdu) => {
+                    let is_new = self.proof.is_disturbed() && !std::mem::replace(&mut begun, true);
+                    self.resynchronisations += u64::from(is_new);
+                    self.probes += 1;
+                    probes += 1;
+                    self.listen()?;
+                    match self.probe(pdu) {
+                        Err(error @ LinkError::Gone { .. }) => return Err(error),
+                        // How it ended is known to the proof.
+                        probed => {
+                            failed = probed.err();
+                            self.listen()?;
+                        }
+                    }
+                }
+                Step::NeverSilent => return Err(never_silent(&self.core.name)),
+                Step::GiveUp => return Err(unprobed(&self.core.name, failed)),
+            }
+        }
+    }
+
+    /// One probe. The filter compares all its bytes.
+    fn probe(&mut self, pdu: [u8; 5]) -> Result<(), LinkError> {
+        let [function, data @ ..] = pdu;
+        let [a, b, c, d] = data;
+        let (address, count) = (u16::from_be_bytes([a, b]), u16::from_be_bytes([c, d]));
+        let (request, words) = match function {
+            3 => (Request::ReadHoldingRegisters(address, count), count),
+            4 => (Request::ReadInputRegisters(address, count), count),
+            _ => (Request::Custom(8, Cow::Owned(data.to_vec())), 2),
+        };
+        let reply = REPLY_BYTES + 2 * usize::from(words);
+        let allowed = self.core.timing.hurried(READ_BYTES, reply);
+        let question = Question {
+            is_probe: true,
+            ..Question::plain(request, pdu, "the probe", allowed)
+        };
+        self.call(question, |_| Ok(())).map(drop)
+    }
+
+    /// One request and its reply, booked in the statistics; who calls has listened. `check` turns the reply into a
+    /// value or says what is wrong with it.
+    fn call<T>(
+        &mut self,
+        question: Question<'_>,
+        check: impl FnOnce(Response) -> Result<T, String>,
+    ) -> Result<Answer<T>, LinkError> {
+        let sent = now();
+        let deadline = self.core.bound.earlier(sent + question.allowed);
+        if deadline < sent + SHORTEST_EXCHANGE {
+            return Err(self.unproven());
+        }
+        // What came before the request has been judged.
+        self.filter.inner().reception.take_anomaly();
+        self.proof.sent(&question.pdu, question.is_probe, sent);
+        let Question {
+            request,
+            what,
+            is_probe,
+            ..
+        } = question;
+        let reply = {
+            let bound = &self.core.bound;
+            let mut call = std::pin::pin!(self.context.call(request));
+            loop {
+                let look = if is_probe {
+                    bound.next_look(now(), deadline)
+                } else {
+                    deadline
+                };
+                match self.waiting.until(look, call.as_mut()) {
+                    None if look < deadline && !bound.is_over(look) => {}
+                    reply => break reply,
+                }
+            }
+        };
+        let received = now();
+        let waited = received.saturating_duration_since(sent);
+        let result = match reply {
+            Some(Ok(Ok(response))) => check(response).map_err(|reason| self.mismatch(reason)),
+            Some(Ok(Err(code))) => Err(self.refusal(what, code.into())),
+            // The client takes the refusal of a diagnosis for one of another function; the filter has compared both.
+            Some(Err(Error::Protocol(ProtocolError::FunctionCodeMismatch {
+                result: Err(refused),
+                ..
+            }))) => Err(self.refusal(what, refused.exception.into())),
+            Some(Err(Error::Protocol(error))) => Err(self.mismatch(error.to_string())),
+            Some(Err(Error::Transport(error))) => Err(self.broken(&error)),
+            // No reply in time: what came instead tells the class.
+            None => {
+                let left = self.filter.inner().reception.leftover();
+                let of = |at| format!("{what} of unit {}{at}", self.unit);
+                let what = self.at.as_ref().map_or_else(|| what.to_owned(), of);
+                Err(left.error(&self.core.name, what, waited.min(deadline - sent)))
+            }
+        };
+        let end = End::of(&result);
+        if end != End::Missing {
+            self.last_round_trip = waited;
+        }
+        let (asked, answered) = {
+            let reception = &mut self.filter.inner().reception;
+            self.core.is_unsent = reception.asked.is_none();
+            if end == End::Missing {
+                reception.retire();
+            }
+            self.proof
+                .settle(end, reception, question.is_numbered, received);
+            (reception.asked, reception.answered)
+        };
+        if result.is_err() && self.kind == FrameKind::Rtu {
+            // A request that was cut off must not stay in the client's buffer. Over TCP the client keeps the
+            // transaction number, and the filter drops replies to older ones.
+            self.attach();
+        }
+        let core = &mut self.core;
+        core.tally.settle(&result, waited.as_secs_f64());
+        result.map(|value| Answer {
+            value,
+            span: core.span(asked.unwrap_or(sent), answered.unwrap_or(received)),
+            complete_s: core.host_s(received),
+        })
+    }
+
+    fn attach(&mut self) {
+        self.context = attach(&self.filter, self.kind, self.unit);
+    }
+
+    fn lost(&mut self, error: &std::io::Error) -> LinkError {
+        self.close();
+        self.core.gone(error)
+    }
+
+    fn broken(&mut self, error: &std::io::Error) -> LinkError {
+        if error.kind() == std::io::ErrorKind::InvalidData {
+            LinkError::Corrupt(self.core.name.clone(), error.to_string())
+        } else {
+            self.lost(error)
+        }
+    }
+
+    fn refusal(&self, what: &str, code: u8) -> LinkError {
+        LinkError::Exception {
+            link: self.core.name.clone(),
+            request: what.to_owned(),
+            code,
+            name: exception_name(code),
+        }
+    }
+
+    fn mismatch(&self, reason: String) -> LinkError {
+        LinkError::Mismatch(self.core.name.clone(), reason)
+    }
+
+    /// The time of the exchange is over, or a stop is wanted, before the line was in step.
+    fn unproven(&self) -> LinkError {
+        LinkError::Unproven(
+            self.core.name.clone(),
+            "the line is not proven to be in step yet, and the time of this exchange is over"
+                .to_owned(),
+        )
+    }
+
+    fn line_counts(&self) -> LineCounts {
+        LineCounts {
+            retries: self.retries,
+            resync_ms: u64::try_from(self.resync.as_millis()).unwrap_or(u64::MAX),
+            ..self.filter.inner().reception.line
+        }
+    }
+}
+
+impl DriveLink for ModbusLink {
+    fn name(&self) -> LinkName {
+        LinkName(self.core.name.clone())
+    }
+
+    fn identify(&mut self) -> Result<Identity, LinkError> {
+        let read = ReadRequest::holding(IDENTITY_ADDRESS, quantity(IDENTITY_WORDS));
+        let block = self.read_checked(read, &read.text())?.value;
+        let block = block
+            .as_slice()
+            .try_into()
+            .map_err(|_| self.mismatch(format!("{} registers of identity", block.len())))?;
+        let block = firmware_protocol::Identity::from_registers(block)
+            .map_err(|error| identity_error(&self.core.name, error))?;
+        let mut identity = identity(&block);
+        // Names are a comfort that a drive need not offer.
+        let allowed = self.core.timing.allowed(NAMES_BYTES.0, NAMES_BYTES.1);
+        let question = identification(ReadCode::Regular, 0, NAMES, allowed);
+        match self.read_with_retries(&question, objects) {
+            Ok(names) => {
+                let text = |id| object_text(&names.value, id);
+                identity.vendor = text(0).unwrap_or_default();
+                identity.product = text(4).or_else(|| text(1)).unwrap_or_default();
+                identity.firmware = text(2).unwrap_or(identity.firmware);
+            }
+            Err(LinkError::Exception { .. }) => {}
+            Err(error) => return Err(error),
+        }
+        self.core.capture_period_s = f64::from(block.capture_period_us) * 1e-6;
+        // The origin of the time axis.
+        self.note_clock()?;
+        Ok(identity)
+    }
+
+    fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
+        self.core.is_unsent = true;
+        self.listen()?;
+        let waits = self.failed_in_a_row >= FAILURES_BEFORE_SILENCE && self.kind == FrameKind::Rtu;
+        // A stop goes out at once, also where the line is never silent.
+        if waits && command.demand.energises() {
+            let quiet = self.core.timing.quiet();
+            let patience = now() + PATIENCE * quiet;
+            while !self.keep_silent(now() + quiet)? {
+                if now() >= patience {
+                    return Err(never_silent(&self.core.name));
+                }
+            }
+        }
+        self.command(command)
+    }
+
+    /// Goes out at once even on a suspect line: the echo of its own sequence number proves that it was applied.
+    fn stop(&mut self) -> Result<(), LinkError> {
+        let (stop, name) = (self.core.stop_command(), self.core.name.clone());
+        let mut is_sent = false;
+        let stopped = stop_confirmed(&name, || {
+            self.core.is_unsent = true;
+            self.listen()?;
+            let answer = self.command(stop);
+            is_sent |= !self.core.is_unsent;
+            answer
+        });
+        self.core.is_unsent = !is_sent;
+        stopped
+    }
+
+    fn has_sent_command(&self) -> bool {
+        !self.core.is_unsent
+    }
+
+    fn close(&mut self) {
+        self.core.gone = true;
+        self.filter.close();
+    }
+
+    fn statistics(&self) -> LinkStatistics {
+        self.core.tally.statistics
+    }
+
+    fn shortest_cycle_s(&self) -> Option<f64> {
+        let timing = &self.core.timing;
+        timing.shortest_cycle_s(COMMAND_BYTES, TELEMETRY_BYTES)
+    }
+
+    fn round_trips(&self) -> Option<&RoundTrips> {
+        Some(&self.core.tally.round_trips)
+    }
+
+    fn line(&self) -> Option<LineCounts> {
+        Some(self.line_counts())
+    }
+
+    fn bound(&mut self, left_s: f64) {
+        self.core.bound.set(left_s, now());
+    }
+
+    fn cut_in(&mut self) -> Option<&mut CutIn> {
+        Some(&mut self.core.bound.cut_in)
+    }
+
+    fn burst(&mut self) -> Option<&mut dyn Burst> {
+        (self.core.capture_period_s > 0.0).then_some(self as &mut dyn Burst)
+    }
+}
+
+/// Over the registers a burst is armed by one write and read back window by window.
+impl Burst for ModbusLink {
+    fn arm(&mut self) -> Result<(), LinkError> {
+        self.write_registers(CAPTURE_CONTROL.address, &[CaptureControl::Arm.code()])
+    }
+
+    fn fetch(&mut self) -> Result<Option<Capture>, LinkError> {
+        let table = RegisterTable::Holding;
+        let head = self.read_registers(table, CAPTURE_STATE.address, BURST_HEAD_WORDS)?;
+        let [state, count, high, low] = head[..] else {
+            return Err(self.mismatch(format!("{} registers of a capture", head.len())));
+        };
+        if state != CaptureState::Complete.code() {
+            return Ok(None);
+        }
+        let (time_us, now_s) = self.note_clock()?;
+        let age_us = signed_difference(time_us, u32::from(high) << 16 | u32::from(low));
+        let first_s = now_s - f64::from(age_us) * 1e-6;
+        let period_s = self.core.capture_period_s;
+        let capture = Capture::collect(first_s, period_s, count, |index| {
+            let samples = window_samples(index, &self.window(index)?);
+            if samples.is_empty() {
+                return Err(self.mismatch(format!("no captured samples from {index} on")));
+            }
+            Ok(samples)
+        });
+        capture.map(Some)
+    }
+}
+
+/// Why the line could not be proven. Where the probes got nothing, a refusal or damage, that is what is wrong with it.
+fn unprobed(name: &str, last: Option<LinkError>) -> LinkError {
+    match last {
+        Some(
+            error @ (LinkError::Timeout { .. }
+            | LinkError::Exception { .. }
+            | LinkError::Corrupt { .. }),
+        ) => error,
+        _ => out_of_step(name),
+    }
+}
+
+fn attach(filter: &ReplyFilter, kind: FrameKind, unit: u8) -> Context {
+    match kind {
+        FrameKind::Rtu => rtu::attach_slave(filter.clone(), Slave(unit)),
+        FrameKind::Tcp => tcp::attach_slave(filter.clone(), Slave(unit)),
+    }
+}
+
+/// A block of the register table as a quantity of a request.
+fn quantity(words: usize) -> u16 {
+    u16::try_from(words).expect("blocks of the register table fit a request")
+}
+
+fn telemetry_request() -> ReadRequest {
+    ReadRequest::holding(TELEMETRY_ADDRESS, quantity(TELEMETRY_WORDS))
+}
+
+fn telemetry(response: Response) -> Result<Telemetry, String> {
+    let block = words(TELEMETRY_WORDS)(response)?.try_into();
+    let block = block.map_err(|values| format!("{values:?}"))?;
+    Ok(Telemetry::from_registers(&block))
+}
+
+/// The registers that were asked for; that the function is that of the request the filter has seen to.
+fn words(count: usize) -> impl Fn(Response) -> Result<Vec<u16>, String> {
+    move |response| match response {
+        Response::ReadHoldingRegisters(values)
+        | Response::ReadInputRegisters(values)
+        | Response::ReadWriteMultipleRegisters(values)
+            if values.len() == count =>
+        {
+            Ok(values)
+        }
+        other => Err(format!("{other:?}")),
+    }
+}
+
+fn acknowledged(response: Response) -> Result<(), String> {
+    match response {
+        Response::WriteSingleRegister(..) | Response::WriteMultipleRegisters(..) => Ok(()),
+        other => Err(format!("{other:?}")),
+    }
+}
+
+/// The question for objects of the device identification.
+fn identification(code: ReadCode, object: u8, what: &str, allowed: Duration) -> Question<'_> {
+    let request = Request::ReadDeviceIdentification(code, object);
+    Question::plain(request, [43, 14, code.value(), object, 0], what, allowed)
+}
+
+/// Number and text of each object of the device identification.
+type Names = Vec<(u8, Option<String>)>;
+
+fn objects(response: Response) -> Result<Names, String> {
+    let objects = match response {
+        Response::ReadDeviceIdentification(names) => names.device_id_objects,
+        other => return Err(format!("{other:?}")),
+    };
+    let texts = objects
+        .iter()
+        .map(|object| (object.id, object.value_as_str().map(str::to_owned)));
+    Ok(texts.collect())
+}
+
+fn object_text(names: &Names, id: u8) -> Option<String> {
+    let (_, text) = names.iter().find(|(found, _)| *found == id)?;
+    text.clone()
+}

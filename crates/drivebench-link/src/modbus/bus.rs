@@ -1,0 +1,286 @@
+//! The Modbus link as a bus of registers, proven as a drive's profile allows.
+//!
+//! ```text
+//! in step? (proof.rs) -> read -> reply -> the time that replies usually take, and the gap
+//!                                                  -> nothing else came? -> value
+//! ```
+//!
+//! A copy of an earlier reply that comes in the place of the true one is followed by it: so a value is handed on only
+//! when the time of the true one is over. The gap is waited for behind the reply instead of before the next request.
+
+use std::borrow::Cow;
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use tokio_modbus::Request;
+use tokio_modbus::prelude::ReadCode;
+
+use super::{
+    LinkError, ModbusLink, NAMES, NAMES_BYTES, Question, acknowledged, identification, now,
+    object_text, objects, words,
+};
+use crate::link::RoundTrips;
+use crate::link::{DriveLink, LinkName, LinkStatistics};
+use crate::proof::Method;
+use crate::register_bus::{
+    READ_BYTES, READ_WRITE_BYTES, ReadRequest, RegisterBus, RegistersRead, Span, WRITE_BYTES,
+    WRITTEN_BYTES, registers,
+};
+use crate::register_map::{PollRate, ReadBlock, RegisterMap, Resync, plan_reads};
+use crate::reply::FrameKind;
+use crate::timing::wait_until;
+use crate::transaction::{CutIn, LineCounts};
+
+/// Round trips that tell how long replies usually take, and how many of them a busy host may have made too long.
+const REMEMBERED: usize = 32;
+const OUTLIERS: usize = 2;
+
+/// A Modbus link that proves itself fresh in the way that the far end knows.
+pub struct ModbusBus {
+    link: ModbusLink,
+    emulated: bool,
+    /// The far end answers no probe.
+    silence_proves: bool,
+    /// Of the latest reads, and how much longer than their wire time they took.
+    round_trips: VecDeque<(Duration, Duration)>,
+}
+
+impl ModbusBus {
+    pub fn new(mut link: ModbusLink, map: &RegisterMap) -> Self {
+        let is_exact = |block: &ReadBlock| {
+            let whole = (block.read.address, block.read.count);
+            map.exact_reads.contains(&whole)
+        };
+        // Registers that can be read in any number up to the whole, for the length code.
+        let blocks = plan_reads(map, PollRate::Fast).into_iter();
+        let place = blocks.filter(|block| !is_exact(block));
+        let place = place.max_by_key(|block| block.read.count);
+        let method = match map.resync {
+            Resync::Fc08 => Method::Nonce,
+            Resync::Length => Method::Length,
+            Resync::Tid | Resync::None => Method::Silence,
+        };
+        let place = place.map(|block| (block.read, block.read.count));
+        link.proof.set_policy(method, place);
+        Self {
+            link,
+            silence_proves: method == Method::Silence,
+            emulated: false,
+            round_trips: VecDeque::with_capacity(REMEMBERED),
+        }
+    }
+
+    /// Whether the far end is the software drive of this process.
+    #[must_use]
+    pub const fn emulated(mut self, emulated: bool) -> Self {
+        self.emulated = emulated;
+        self
+    }
+
+    /// A question for so many registers whose answer is taken only where no other came within the time that one usually
+    /// takes.
+    fn alone(
+        &mut self,
+        question: Question<'_>,
+        count: u16,
+        wire: Duration,
+    ) -> Result<RegistersRead, LinkError> {
+        let what = question.what;
+        let sent = now();
+        let usual = self.longest(|(took, _)| *took);
+        if self.link.core.bound.ends_before(sent + usual) {
+            // Its reply would come when nobody waits for it, and put the line in doubt.
+            return Err(self.link.unproven());
+        }
+        let answer = self.link.call(question, words(count.into()))?;
+        let answer = RegistersRead {
+            words: answer.value,
+            span: answer.span,
+        };
+        if self.link.kind == FrameKind::Tcp {
+            return Ok(answer);
+        }
+        let took = now().saturating_duration_since(sent);
+        self.remember(took, wire);
+        if took < usual {
+            wait_until(sent + usual);
+        }
+        if !self.link.proof.is_doubtful() {
+            self.link.listen()?;
+        }
+        if self.link.proof.is_doubtful() {
+            let reason = format!("something else came with the reply to {what}");
+            return Err(LinkError::Stale(self.link.core.name.clone(), reason));
+        }
+        Ok(answer)
+    }
+
+    /// Time of one exchange: a bounded one belongs to a cycle.
+    fn allowed(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
+        let core = &self.link.core;
+        if core.bound.is_set() {
+            core.timing.hurried(request_bytes, reply_bytes)
+        } else {
+            core.timing.allowed(request_bytes, reply_bytes)
+        }
+    }
+
+    /// What replies have shown of how long they take; silence that alone has to prove the line stays as long as it was.
+    fn remember(&mut self, took: Duration, wire: Duration) {
+        if self.round_trips.len() == REMEMBERED {
+            self.round_trips.pop_front();
+        }
+        let lag = took.saturating_sub(wire);
+        self.round_trips.push_back((took, lag));
+        if self.round_trips.len() == REMEMBERED && !self.silence_proves {
+            let lag = self.longest(|(_, lag)| *lag);
+            let timing = &mut self.link.core.timing;
+            timing.measured(lag);
+            self.link.proof.set_quiet(timing.quiet());
+        }
+    }
+
+    /// Longest of the latest replies, a busy host left out.
+    fn longest(&self, of: impl Fn(&(Duration, Duration)) -> Duration) -> Duration {
+        let mut longest: Vec<Duration> = self.round_trips.iter().map(of).collect();
+        longest.sort_unstable_by(|a, b| b.cmp(a));
+        longest.get(OUTLIERS).copied().unwrap_or_default()
+    }
+
+    fn put(
+        &mut self,
+        function: u8,
+        address: u16,
+        values: &[u16],
+        allowed: Duration,
+    ) -> Result<Span, LinkError> {
+        let what = format!("write {values:04x?} at {address}");
+        let [high, low] = address.to_be_bytes();
+        let request = match (function, values) {
+            (6, [value]) => Request::WriteSingleRegister(address, *value),
+            _ => Request::WriteMultipleRegisters(address, Cow::Borrowed(values)),
+        };
+        let question = Question::plain(request, [function, high, low, 0, 0], &what, allowed);
+        Ok(self.link.call(question, acknowledged)?.span)
+    }
+}
+
+impl RegisterBus for ModbusBus {
+    fn name(&self) -> LinkName {
+        self.link.name()
+    }
+
+    fn now_s(&self) -> f64 {
+        self.link.core.host_s(now())
+    }
+
+    fn pause_until_s(&mut self, time_s: f64) {
+        if let Ok(since) = Duration::try_from_secs_f64(time_s) {
+            wait_until(self.link.core.epoch + since);
+        }
+    }
+
+    fn read(&mut self, read: ReadRequest) -> Result<RegistersRead, LinkError> {
+        let (what, reply) = (read.text(), read.reply_bytes());
+        let mut attempt = 1;
+        loop {
+            let result = self.link.in_step(&read.pdu()).and_then(|()| {
+                let question = Question::read(read, &what, self.allowed(READ_BYTES, reply));
+                let wire = self.link.core.timing.wire(READ_BYTES, reply);
+                self.alone(question, read.count, wire)
+            });
+            match result {
+                Err(error) if self.link.may_retry(&error, attempt) => attempt += 1,
+                result => return result,
+            }
+        }
+    }
+
+    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Span, LinkError> {
+        self.link.in_step(&[function])?;
+        let allowed = self.allowed(WRITE_BYTES + 2 * values.len(), WRITTEN_BYTES);
+        self.put(function, address, values, allowed)
+    }
+
+    fn write_at_once(
+        &mut self,
+        function: u8,
+        address: u16,
+        values: &[u16],
+    ) -> Result<Span, LinkError> {
+        self.link.listen()?;
+        let bytes = WRITE_BYTES + 2 * values.len();
+        let timing = &self.link.core.timing;
+        let mut allowed = timing.allowed(bytes, WRITTEN_BYTES);
+        if self.link.proof.is_doubtful() {
+            // On a line in doubt nothing that is slower is waited for.
+            allowed = allowed.min(timing.brief(bytes, WRITTEN_BYTES));
+        }
+        // What stops a drive has its own short time, whatever is left of that for reading.
+        let bound = std::mem::take(&mut self.link.core.bound);
+        let result = self.put(function, address, values, allowed);
+        self.link.core.bound = bound;
+        result
+    }
+
+    fn read_write(
+        &mut self,
+        (to, values): (u16, &[u16]),
+        (from, count): (u16, u16),
+    ) -> Result<RegistersRead, LinkError> {
+        let read = ReadRequest::holding(from, count);
+        let [_, a, b, c, d] = read.pdu();
+        let pdu = [23, a, b, c, d];
+        self.link.in_step(&pdu)?;
+        let (bytes, reply) = (READ_WRITE_BYTES + 2 * values.len(), read.reply_bytes());
+        let read = registers(count.into());
+        let what = format!("write {values:04x?} at {to} and read {read} at {from}");
+        let request = Request::ReadWriteMultipleRegisters(from, count, to, Cow::Borrowed(values));
+        let question = Question::plain(request, pdu, &what, self.allowed(bytes, reply));
+        let wire = self.link.core.timing.wire(bytes, reply);
+        self.alone(question, count, wire)
+    }
+
+    fn object(&mut self, object: u8) -> Result<Option<String>, LinkError> {
+        let allowed = self.link.core.timing.allowed(NAMES_BYTES.0, NAMES_BYTES.1);
+        let question = identification(ReadCode::Specific, object, NAMES, allowed);
+        match self.link.ask(question, objects) {
+            Ok(objects) => Ok(object_text(&objects.value, object)),
+            Err(LinkError::Exception { .. }) => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
+    fn is_emulated(&self) -> bool {
+        self.emulated
+    }
+
+    fn close(&mut self) {
+        self.link.close();
+    }
+
+    fn statistics(&self) -> LinkStatistics {
+        self.link.statistics()
+    }
+
+    fn round_trips(&self) -> Option<&RoundTrips> {
+        self.link.round_trips()
+    }
+
+    fn line(&self) -> Option<LineCounts> {
+        self.link.line()
+    }
+
+    fn bound(&mut self, left_s: f64) {
+        DriveLink::bound(&mut self.link, left_s);
+    }
+
+    fn cut_in(&mut self) -> Option<&mut CutIn> {
+        self.link.cut_in()
+    }
+
+    fn wire_s(&self, request_bytes: usize, reply_bytes: usize) -> Option<f64> {
+        let timing = &self.link.core.timing;
+        timing.shortest_cycle_s(request_bytes, reply_bytes)
+    }
+}

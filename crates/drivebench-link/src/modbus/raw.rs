@@ -1,0 +1,489 @@
+//! The Modbus link as a client for raw registers of any unit: the everyday tool beside the drive links.
+//!
+//! ```text
+//! read_batch: reads, again and again -> values that are proven to be current
+//! RawClient:  what the unit answers -> a proof by trial (proof.rs), since nothing is known of it
+//! ```
+
+#[cfg(test)]
+mod tests;
+
+use std::borrow::Cow;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use firmware_protocol::registers::{IDENTITY_ADDRESS, IDENTITY_WORDS};
+use serde::Serialize;
+use tokio_modbus::prelude::ReadCode;
+use tokio_modbus::{Request, Response};
+
+use super::{ModbusLink, Question, acknowledged, identification, quantity, words};
+use crate::link::{Identity, LinkError, LinkStatistics};
+use crate::open::{Target, open_line};
+use crate::proof::{Policy, Proof};
+use crate::register_bus::{ReadRequest, registers};
+use crate::reply::FrameKind;
+use crate::settings::{Framing, LinkSettings, Protocol};
+use crate::tap::TapFile;
+use crate::timeline::identity;
+use crate::timing::wait_until;
+use crate::transaction::LineCounts;
+use crate::waiting::now;
+
+/// Silence after which an adapter has handed over all it had (the latency timer of FTDI is 16 ms).
+const QUIET: Duration = Duration::from_millis(20);
+/// Silence after which a server that took an unknown request for the start of another one listens again (libmodbus:
+/// one second).
+const RECOVERY: Duration = Duration::from_millis(1200);
+
+/// Every request ends in exactly one class of the statistics.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct RawCounters {
+    #[serde(flatten)]
+    pub requests: LinkStatistics,
+    /// Requests among `sent` that only proved that the line is in step.
+    pub probes: u64,
+    pub resynchronisations: u64,
+    #[serde(flatten)]
+    pub line: LineCounts,
+}
+
+/// How a write is asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WriteFunction {
+    /// Function code 6: one register.
+    Single,
+    /// Function code 16: any number.
+    Multiple,
+}
+
+/// How a unit is asked.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RawSettings {
+    /// Baud rate of a serial port for which the target names none.
+    pub baud: u32,
+    pub framing: Framing,
+    /// Unit for which the target names none.
+    pub unit: u8,
+    /// Time for one exchange, from the request to the whole reply.
+    pub timeout: Duration,
+    /// Silence before a request; `None`: as the standard says for the baud rate.
+    pub gap: Option<Duration>,
+}
+
+impl RawSettings {
+    fn link(&self) -> LinkSettings {
+        LinkSettings {
+            protocol: Protocol::default(),
+            baud: self.baud,
+            unit: self.unit,
+            framing: self.framing,
+            reply_ms: 0.0,
+            gap_us: self.gap.map(|gap| gap.as_secs_f64() * 1e6),
+            deadline_ms: Some(self.timeout.as_secs_f64() * 1e3),
+            emulated: false,
+        }
+    }
+}
+
+/// A blocking Modbus client for raw registers.
+pub struct RawClient {
+    link: ModbusLink,
+}
+
+impl RawClient {
+    /// Opens the port or connects; nothing is sent yet.
+    ///
+    /// # Errors
+    /// [`LinkError::Open`], with what to do about it.
+    pub fn open(
+        target: &Target,
+        settings: &RawSettings,
+        tap: Option<&TapFile>,
+    ) -> Result<Self, LinkError> {
+        // The kernel may put off the end of a sleep by 50 us to save wake-ups; where it refuses, gaps are a little longer.
+        #[cfg(target_os = "linux")]
+        let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
+        let mut link = open_line(target, &settings.link(), now(), tap)?;
+        let at = match (target, settings.gap) {
+            (Target::Serial { baud, .. }, _) => {
+                let baud = baud.unwrap_or(settings.baud);
+                format!(" at {baud} {}", settings.framing.name())
+            }
+            (Target::Tcp { .. }, gap) => {
+                // A network has no silences; one that is asked for is kept.
+                let gap_s = gap.unwrap_or_default().as_secs_f64();
+                link.core.timing = link.core.timing.with_gap(gap_s);
+                String::new()
+            }
+        };
+        Ok(Self::over(link, settings.timeout, at))
+    }
+
+    /// `at`: settings of a serial line, for messages.
+    fn over(mut link: ModbusLink, timeout: Duration, at: String) -> Self {
+        if link.kind == FrameKind::Rtu {
+            let quiet = QUIET.max(link.core.timing.gap());
+            link.proof = Proof::new(Policy::Trial(timeout), quiet, now());
+        }
+        link.at = Some(at);
+        Self { link }
+    }
+
+    /// From here on another unit of the line is asked.
+    pub fn set_unit(&mut self, unit: u8) {
+        self.link.unit = unit;
+        self.link.attach();
+        self.link.proof.forget_unit();
+    }
+
+    pub fn counters(&self) -> RawCounters {
+        RawCounters {
+            requests: self.link.core.tally.statistics,
+            probes: self.link.probes,
+            resynchronisations: self.link.resynchronisations,
+            line: self.link.filter.inner().reception.line,
+        }
+    }
+
+    /// Time from the request to the whole reply, of the last exchange that got one.
+    pub const fn last_round_trip(&self) -> Duration {
+        self.link.last_round_trip
+    }
+
+    /// The unit has ever answered.
+    pub const fn has_answered(&self) -> bool {
+        self.link.proof.has_answered
+    }
+
+    /// Reads registers, once. Whether the reply is that to this very request and not to an equal one before it, only
+    /// [`RawClient::verify`] can say.
+    pub fn read(&mut self, request: ReadRequest) -> Result<Vec<u16>, LinkError> {
+        let (what, count) = (request.text(), request.count.into());
+        let question = Question::read(request, &what, self.allowed());
+        let values = self.link.ask(question, words(count))?.value;
+        self.link.proof.readable(request);
+        Ok(values)
+    }
+
+    /// Writes registers, once and never again by itself: after an error nobody knows whether it was applied.
+    pub fn write(
+        &mut self,
+        function: WriteFunction,
+        address: u16,
+        values: &[u16],
+    ) -> Result<(), LinkError> {
+        let what = format!("write {} at {address}", registers(values.len()));
+        let (code, request) = if let (WriteFunction::Single, [value]) = (function, values) {
+            (6, Request::WriteSingleRegister(address, *value))
+        } else {
+            let values = Cow::Borrowed(values);
+            (16, Request::WriteMultipleRegisters(address, values))
+        };
+        let [high, low] = address.to_be_bytes();
+        let question = Question::plain(request, [code, high, low, 0, 0], &what, self.allowed());
+        self.link.ask(question, acknowledged).map(drop)
+    }
+
+    /// Time for one exchange.
+    fn allowed(&self) -> Duration {
+        self.link.core.timing.allowed(0, 0)
+    }
+
+    /// Whether everything since the last proof was answered in step: true when a probe came back and nothing beside it.
+    /// After false the line is in step again.
+    pub fn verify(&mut self) -> Result<bool, LinkError> {
+        if !self.has_answered() {
+            return Ok(true);
+        }
+        let before = self.link.proof.anomalies;
+        self.link.proof.doubt();
+        self.link.in_step(&[])?;
+        Ok(self.link.proof.anomalies == before)
+    }
+
+    /// Proves the line so far that the reply to this request is unmistakable.
+    fn prove_for(&mut self, request: ReadRequest) -> Result<(), LinkError> {
+        let proof = &mut self.link.proof;
+        if proof.could_confuse(&request.pdu()) || !proof.is_proven {
+            proof.doubt();
+        }
+        self.link.in_step(&request.pdu())
+    }
+
+    /// An answer that was taken turns out to be doubtful: it is counted as stale.
+    const fn withdraw(&mut self) {
+        self.link.core.tally.statistics.withdraw();
+    }
+
+    /// Who the unit is, where it has our register map; `None`: it is something else, which must count as hardware.
+    pub fn identify(&mut self) -> Result<Option<Identity>, LinkError> {
+        let read = ReadRequest::holding(IDENTITY_ADDRESS, quantity(IDENTITY_WORDS));
+        let mut block = self.read(read);
+        if block.is_ok() && !self.verify()? {
+            self.withdraw();
+            block = read_proven(self, read);
+        }
+        let block = match block {
+            Err(LinkError::Exception { .. }) => return Ok(None),
+            block => block?,
+        };
+        let block = block.as_slice().try_into().ok();
+        let block = block.and_then(|b| firmware_protocol::Identity::from_registers(b).ok());
+        Ok(block.map(|block| identity(&block)))
+    }
+
+    /// Vendor, product and revision as the unit gives them; empty where it does not.
+    ///
+    /// # Errors
+    /// [`LinkError::Gone`] only: a unit that has no names is no fault.
+    pub fn names(&mut self) -> Result<Vec<String>, LinkError> {
+        self.texts(ReadCode::Basic, 0, "the device identification")
+    }
+
+    /// One object of the identification; `None` where the unit does not have it.
+    ///
+    /// # Errors
+    /// [`LinkError::Gone`] only.
+    pub fn object(&mut self, object: u8) -> Result<Option<String>, LinkError> {
+        let what = "an object of the identification";
+        let texts = self.texts(ReadCode::Specific, object, what)?;
+        Ok(texts.into_iter().next())
+    }
+
+    fn texts(&mut self, code: ReadCode, object: u8, what: &str) -> Result<Vec<String>, LinkError> {
+        let question = identification(code, object, what, self.allowed());
+        let texts = |response| match response {
+            Response::ReadDeviceIdentification(names) => {
+                let values = names
+                    .device_id_objects
+                    .into_iter()
+                    .map(|object| object.value);
+                Ok(values
+                    .map(|value| String::from_utf8_lossy(&value).into_owned())
+                    .collect())
+            }
+            other => Err(format!("{other:?}")),
+        };
+        Ok(self.optional(question, texts)?.unwrap_or_default())
+    }
+
+    /// Whether the unit sends a number back; `None` where it has never answered anything.
+    ///
+    /// # Errors
+    /// [`LinkError::Gone`] only.
+    pub fn sends_back(&mut self) -> Result<Option<bool>, LinkError> {
+        if !self.has_answered() {
+            return Ok(None);
+        }
+        let data = [0, 0, 0x5A, 0xC3];
+        let request = Request::Custom(8, Cow::Owned(data.to_vec()));
+        let [a, b, c, d] = data;
+        let allowed = self.allowed();
+        let question = Question::plain(request, [8, a, b, c, d], "the diagnostic echo", allowed);
+        Ok(Some(self.optional(question, |_| Ok(()))?.is_some()))
+    }
+
+    /// The answer to a question that not every unit knows.
+    fn optional<T>(
+        &mut self,
+        question: Question<'_>,
+        check: impl FnOnce(Response) -> Result<T, String>,
+    ) -> Result<Option<T>, LinkError> {
+        if !self.has_answered() {
+            return Ok(None);
+        }
+        match self.link.ask(question, check) {
+            Ok(answer) => Ok(Some(answer.value)),
+            Err(error @ LinkError::Gone { .. }) => Err(error),
+            Err(LinkError::Exception { .. }) => Ok(None),
+            Err(_) => {
+                wait_until(now() + RECOVERY);
+                Ok(None)
+            }
+        }
+    }
+}
+
+/// Times that doubtful values are read again, each between two proofs.
+const PROVEN_ATTEMPTS: usize = 3;
+
+/// One read of the last round.
+#[derive(Debug)]
+pub struct Read {
+    pub request: ReadRequest,
+    pub values: Result<Vec<u16>, LinkError>,
+}
+
+/// What a batch gave.
+#[derive(Debug, Default)]
+pub struct Batch {
+    /// The last round, in the order asked.
+    pub reads: Vec<Read>,
+    /// Reads that were answered, of all rounds; those that were repeated for safety are not among them.
+    pub answered: u64,
+    pub asked: u64,
+    /// Time of all rounds without the proofs, s.
+    pub elapsed_s: f64,
+    /// Round trips of the answered reads, ascending.
+    pub round_trips: Vec<Duration>,
+    /// Raised flag: not all rounds were done.
+    pub is_interrupted: bool,
+}
+
+impl Batch {
+    /// Answered reads per second.
+    pub fn rate_hz(&self) -> Option<f64> {
+        (self.answered > 0 && self.elapsed_s > 0.0).then(|| self.answered as f64 / self.elapsed_s)
+    }
+
+    /// The round trip that this share did not exceed, s.
+    pub fn quantile_s(&self, share: f64) -> Option<f64> {
+        let last = self.round_trips.len().checked_sub(1)?;
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "a share of a length is an index"
+        )]
+        let index = (share.clamp(0.0, 1.0) * last as f64).round() as usize;
+        self.round_trips.get(index).map(Duration::as_secs_f64)
+    }
+
+    pub fn is_all_answered(&self) -> bool {
+        self.answered == self.asked && self.reads.iter().all(|read| read.values.is_ok())
+    }
+}
+
+/// Reads each request once a round. A round ends early when `stop` is raised or the port is gone.
+///
+/// RTU cannot tell a late or second reply to an equal request from the right one. So the last round has a proof between
+/// reads that could be confused and one at its end. What is not proven is read again, read by read, each behind
+/// a proof of its own that makes its reply unmistakable, whatever lies around it; or it ends as an error.
+pub fn read_batch(
+    client: &mut RawClient,
+    requests: &[ReadRequest],
+    rounds: u64,
+    stop: &AtomicBool,
+) -> Batch {
+    let mut batch = Batch::default();
+    let mut round_trips = Vec::new();
+    let begun = now();
+    let mut proving = Duration::ZERO;
+    let mut unambiguous = vec![false; requests.len()];
+    for round in 0..rounds {
+        let anomalies = client.link.proof.anomalies;
+        let is_last = round + 1 == rounds;
+        for (index, request) in requests.iter().enumerate() {
+            if is_last && client.link.proof.could_confuse(&request.pdu()) {
+                let before = now();
+                // A line that cannot be proven shows in the read itself and in the proof at the end.
+                let _ = client.verify();
+                proving += now().duration_since(before);
+            }
+            let values = client.read(*request);
+            unambiguous[index] = client.link.proof.is_unambiguous;
+            batch.asked += 1;
+            if let Err(gone @ LinkError::Gone { .. }) = &values {
+                // Nothing of this round is proven, and what was not asked any more is missing as well.
+                let none = |request: &ReadRequest| Read {
+                    request: *request,
+                    values: Err(gone.clone()),
+                };
+                batch.reads = requests.iter().map(none).collect();
+                batch.asked = rounds * requests.len() as u64;
+                batch.elapsed_s = elapsed_s(begun + proving);
+                batch.round_trips = sorted(round_trips);
+                return batch;
+            }
+            if values.is_ok() {
+                batch.answered += 1;
+                round_trips.push(client.last_round_trip());
+            }
+            let read = Read {
+                request: *request,
+                values,
+            };
+            match batch.reads.get_mut(index) {
+                Some(old) => *old = read,
+                None => batch.reads.push(read),
+            }
+        }
+        batch.is_interrupted = !is_last && stop.load(Ordering::Acquire);
+        if is_last || batch.is_interrupted {
+            batch.elapsed_s = elapsed_s(begun + proving);
+            verify_round(client, &mut batch, &unambiguous, anomalies);
+            break;
+        }
+    }
+    batch.round_trips = sorted(round_trips);
+    batch
+}
+
+fn elapsed_s(since: Instant) -> f64 {
+    let elapsed = now().saturating_duration_since(since);
+    elapsed.as_secs_f64()
+}
+
+fn sorted(mut round_trips: Vec<Duration>) -> Vec<Duration> {
+    round_trips.sort_unstable();
+    round_trips
+}
+
+/// Proves that the round was in step, or asks again for what it gave and for what only old replies came.
+fn verify_round(client: &mut RawClient, batch: &mut Batch, unambiguous: &[bool], anomalies: u64) {
+    let is_answer = |read: &Read| matches!(read.values, Ok(_) | Err(LinkError::Exception { .. }));
+    let is_late = |read: &Read| matches!(read.values, Err(LinkError::Stale { .. }));
+    let reads = || batch.reads.iter().zip(unambiguous);
+    let has_late = reads().any(|(read, _)| is_late(read));
+    let doubtful = reads().any(|(read, unambiguous)| is_answer(read) && !unambiguous);
+    if doubtful && !has_late {
+        let proof = client.verify();
+        if matches!(proof, Ok(true)) && client.link.proof.anomalies == anomalies {
+            return;
+        }
+    }
+    for (read, unambiguous) in batch.reads.iter_mut().zip(unambiguous) {
+        let asks = if is_answer(read) {
+            !unambiguous
+        } else {
+            // A unit that answers one request late has answered this one as well.
+            has_late && matches!(&read.values, Err(error) if error.is_transient())
+        };
+        if !asks {
+            continue;
+        }
+        let was_answered = read.values.is_ok();
+        if was_answered {
+            client.withdraw();
+        }
+        read.values = read_proven(client, read.request);
+        batch.answered += u64::from(!was_answered && read.values.is_ok());
+    }
+}
+
+fn read_proven(client: &mut RawClient, request: ReadRequest) -> Result<Vec<u16>, LinkError> {
+    let mut last = None;
+    for _ in 0..PROVEN_ATTEMPTS {
+        let values = client
+            .prove_for(request)
+            .and_then(|()| client.read(request));
+        match &values {
+            Ok(_) | Err(LinkError::Exception { .. }) if client.link.proof.is_unambiguous => {
+                return values;
+            }
+            Ok(_) => client.withdraw(),
+            Err(LinkError::Exception { .. }) => {}
+            Err(error) if error.is_transient() => last = values.err(),
+            Err(_) => return values,
+        }
+    }
+    Err(last.unwrap_or_else(|| {
+        LinkError::Corrupt(
+            client.link.core.name.clone(),
+            format!(
+                "the reply for {} registers at {} cannot be vouched for: replies come out of step",
+                request.count, request.address
+            ),
+        )
+    }))
+}

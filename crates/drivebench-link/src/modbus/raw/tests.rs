@@ -1,0 +1,404 @@
+//! The raw client against a unit of its own on a line in memory. Each register holds its own address, so that a value of
+//! another request shows.
+
+use firmware_protocol::registers::{IDENTITY_ADDRESS, IDENTITY_WORDS};
+use rand::{RngCore as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+use crate::register_bus::RegisterTable;
+use crate::reply::FrameKind;
+use crate::scripted::{Delayed, Scripted, frame};
+use crate::virtual_line::{modbus_link, paused};
+
+/// From a request to its reply, and between the pieces of one.
+const PIECE: Duration = Duration::from_millis(5);
+
+/// What the device does wrong with one request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Fault {
+    None,
+    /// The reply comes when the next request does, before that one's own.
+    Late,
+    Silent,
+    Duplicate,
+    /// The second copy comes when the next request does.
+    LateDuplicate,
+    GarbageBefore,
+    GarbageAfter,
+    WrongFunction,
+    WrongCount,
+    WrongUnit,
+    BadChecksum,
+    Truncated,
+    Split,
+}
+
+const FAULTS: [Fault; 12] = [
+    Fault::Late,
+    Fault::Silent,
+    Fault::Duplicate,
+    Fault::LateDuplicate,
+    Fault::GarbageBefore,
+    Fault::GarbageAfter,
+    Fault::WrongFunction,
+    Fault::WrongCount,
+    Fault::WrongUnit,
+    Fault::BadChecksum,
+    Fault::Truncated,
+    Fault::Split,
+];
+
+/// Function codes that a unit answers with an exception, or not at all; and its list of names.
+#[derive(Clone, Copy, Default)]
+struct Manners {
+    only_reads_of: Option<u16>,
+    is_silent_otherwise: bool,
+    names: &'static [u8],
+}
+
+/// Works with a client of a scripted unit; returns the PDUs that it was asked.
+fn with_script(
+    timeout_ms: u64,
+    script: impl FnMut(usize, &[u8]) -> Vec<Delayed> + Send + 'static,
+    work: impl FnOnce(&mut RawClient),
+) -> Vec<Vec<u8>> {
+    paused(|| {
+        let unit = Scripted::new(script);
+        let timeout = Duration::from_millis(timeout_ms);
+        let settings = settings(timeout).link();
+        let link = modbus_link("virtual", FrameKind::Rtu, &settings, &unit);
+        let mut client = RawClient::over(link, timeout, String::new());
+        work(&mut client);
+        let counters = client.counters();
+        assert!(counters.requests.balances(), "{counters:?}");
+        let requests = std::mem::take(&mut unit.lock().unwrap().requests);
+        let pdu = |(_, request): (_, Vec<u8>)| request[1..request.len() - 2].to_vec();
+        requests.into_iter().map(pdu).collect()
+    })
+}
+
+/// The same with a unit that does `fault` to the reply of a request.
+fn with_client(
+    manners: Manners,
+    timeout_ms: u64,
+    mut fault: impl FnMut(usize) -> Fault + Send + 'static,
+    work: impl FnOnce(&mut RawClient),
+) -> Vec<Vec<u8>> {
+    let mut pending = Vec::new();
+    let script = move |number: usize, request: &[u8]| {
+        let pdu = &request[1..request.len() - 2];
+        let parts = answer(pdu, fault(number), manners, &mut pending);
+        let times = (1..).map(|k| PIECE * k);
+        times.zip(parts).collect()
+    };
+    with_script(timeout_ms, script, work)
+}
+
+fn always(fault: Fault) -> impl FnMut(usize) -> Fault + Send + 'static {
+    move |_| fault
+}
+
+/// This fault of one request, counted from 0, and none of any other.
+fn only(at: usize, fault: Fault) -> impl FnMut(usize) -> Fault + Send + 'static {
+    move |index| if index == at { fault } else { Fault::None }
+}
+
+fn settings(timeout: Duration) -> RawSettings {
+    RawSettings {
+        baud: 115_200,
+        framing: Framing::EightNoneOne,
+        unit: 1,
+        timeout,
+        gap: Some(Duration::ZERO),
+    }
+}
+
+/// The pieces that the unit sends for one request.
+fn answer(pdu: &[u8], fault: Fault, manners: Manners, pending: &mut Vec<u8>) -> Vec<Vec<u8>> {
+    let word = |at: usize| u16::from_be_bytes([pdu[at], pdu[at + 1]]);
+    let reads = |function: u8, count: u16| {
+        let values = (0..count).flat_map(|k| (word(1) + k).to_be_bytes());
+        let bytes = u8::try_from(2 * count).unwrap();
+        [function, bytes]
+            .into_iter()
+            .chain(values)
+            .collect::<Vec<u8>>()
+    };
+    let refused = match (pdu[0], manners.only_reads_of) {
+        (3, Some(count)) => word(3) != count,
+        (3 | 4 | 6 | 16, None) => false,
+        (43, _) => manners.names.is_empty(),
+        _ => true,
+    };
+    let mut out = std::mem::take(pending);
+    if refused && manners.is_silent_otherwise {
+        return vec![out];
+    }
+    let reply = match pdu[0] {
+        function if refused => vec![function | 0x80, 1],
+        function @ (3 | 4) => reads(function, word(3)),
+        43 => manners.names.to_vec(),
+        _ => pdu[..5].to_vec(),
+    };
+    let right = frame(1, &reply);
+    let mut wrong = right.clone();
+    match fault {
+        Fault::WrongCount if !refused && pdu[0] == 3 => {
+            out.extend(frame(1, &reads(3, word(3) + 1)));
+        }
+        Fault::None | Fault::WrongCount => out.extend(right),
+        Fault::Late => pending.extend(right),
+        Fault::Silent => {}
+        Fault::Duplicate => out.extend([right.clone(), right].concat()),
+        Fault::LateDuplicate => {
+            out.extend(&right);
+            pending.extend(right);
+        }
+        Fault::GarbageBefore => out.extend([&[0xFF, 0x00, 0x55][..], &right].concat()),
+        Fault::GarbageAfter => out.extend([&right[..], &[0xAA, 0x03]].concat()),
+        Fault::WrongFunction => {
+            let mut reply = reply;
+            reply[0] ^= 7;
+            out.extend(frame(1, &reply));
+        }
+        Fault::WrongUnit => out.extend(frame(2, &reply)),
+        Fault::BadChecksum => {
+            wrong[2] ^= 1;
+            out.extend(wrong);
+        }
+        Fault::Truncated => out.extend(&right[..right.len() - 2]),
+        Fault::Split => {
+            out.extend(&right[..3]);
+            return vec![out, right[3..].to_vec()];
+        }
+    }
+    vec![out]
+}
+
+fn reads(addresses: &[u16], count: u16) -> Vec<ReadRequest> {
+    let of = |address: &u16| ReadRequest::holding(*address, count);
+    addresses.iter().map(of).collect()
+}
+
+/// No value is that of another address; returns how many were answered.
+#[track_caller]
+fn answered(batch: &Batch, context: &str) -> usize {
+    let mut answered = 0;
+    for read in &batch.reads {
+        let Ok(values) = &read.values else {
+            continue;
+        };
+        let right: Vec<u16> = (0..read.request.count)
+            .map(|k| read.request.address + k)
+            .collect();
+        assert_eq!(*values, right, "{context}: {:?}", read.request);
+        answered += 1;
+    }
+    answered
+}
+
+fn batch(client: &mut RawClient, requests: &[ReadRequest], rounds: u64) -> Batch {
+    read_batch(client, requests, rounds, &AtomicBool::new(false))
+}
+
+#[test]
+fn no_fault_gives_a_wrong_value_and_the_line_recovers() {
+    for (fault, at) in FAULTS.iter().flat_map(|f| [0, 1, 4].map(|at| (*f, at))) {
+        let context = format!("{fault:?} of request {at}");
+        with_client(Manners::default(), 300, only(at, fault), |client| {
+            let first = batch(client, &reads(&[10, 20, 30, 40, 50], 1), 1);
+            assert!(answered(&first, &context) >= 4, "{context}: {first:?}");
+            let second = batch(client, &reads(&[10, 20, 30], 2), 1);
+            assert_eq!(answered(&second, &context), 3, "{context}: {second:?}");
+        });
+    }
+}
+
+#[test]
+fn mixed_faults_never_deliver_a_wrong_value() {
+    let mut random = ChaCha8Rng::seed_from_u64(6);
+    let script = move |_| {
+        let draw = random.next_u32() as usize % 64;
+        FAULTS.get(draw).copied().unwrap_or(Fault::None)
+    };
+    with_client(Manners::default(), 40, script, |client| {
+        let mut delivered = 0;
+        for round in 0..40_u16 {
+            let requests = reads(&[10 + round, 100 + round, 200 + round], 1 + round % 3);
+            delivered += answered(&batch(client, &requests, 1), "mixed");
+        }
+        let counters = client.counters();
+        assert!(delivered > 30, "{delivered} {counters:?}");
+        assert!(counters.resynchronisations > 0, "{counters:?}");
+    });
+}
+
+/// A line that does the same to every reply still yields what came clean: 0 of 5 before every reply was told by its code.
+#[test]
+fn a_fault_of_every_reply_gives_no_wrong_value() {
+    for fault in [
+        Fault::Duplicate,
+        Fault::LateDuplicate,
+        Fault::GarbageBefore,
+        Fault::GarbageAfter,
+        Fault::Late,
+    ] {
+        with_client(Manners::default(), 60, always(fault), |client| {
+            for count in [1, 3] {
+                let all = batch(client, &reads(&[10, 20, 30, 40, 50], count), 1);
+                let context = format!("{fault:?}, {count} at a time");
+                let values = answered(&all, &context);
+                assert!(values >= 3, "{context}: {values} of 5, {all:?}");
+            }
+        });
+    }
+}
+
+#[test]
+fn a_unit_that_answers_one_length_only_is_still_vouched_for() {
+    for is_silent_otherwise in [false, true] {
+        let manners = Manners {
+            only_reads_of: Some(4),
+            is_silent_otherwise,
+            ..Manners::default()
+        };
+        with_client(manners, 100, always(Fault::None), |client| {
+            for _ in 0..2 {
+                let all = batch(client, &reads(&[10, 20], 4), 3);
+                assert_eq!(answered(&all, "one length"), 2, "{all:?}");
+                assert!(all.is_all_answered());
+            }
+        });
+    }
+}
+
+#[test]
+fn a_refusal_is_an_answer_with_its_name() {
+    let manners = Manners {
+        only_reads_of: Some(1),
+        ..Manners::default()
+    };
+    with_client(manners, 2000, always(Fault::None), |client| {
+        let both = batch(client, &[reads(&[7], 1), reads(&[8], 2)].concat(), 1);
+        assert_eq!(both.reads[0].values.as_deref().unwrap(), [7]);
+        let refused = both.reads[1].values.as_ref().unwrap_err();
+        let is_refused = matches!(refused, LinkError::Exception { code: 1, .. });
+        assert!(is_refused, "{refused}");
+        assert_eq!((both.asked, both.answered), (2, 1));
+    });
+}
+
+#[test]
+fn a_write_goes_out_once_even_when_nobody_answers() {
+    let script = only(1, Fault::Silent);
+    with_client(Manners::default(), 200, script, |client| {
+        assert_eq!(client.read(reads(&[5], 1)[0]).unwrap(), [5]);
+        let lost = client.write(WriteFunction::Multiple, 5, &[9, 9]);
+        assert!(matches!(lost, Err(LinkError::Timeout { .. })), "{lost:?}");
+        client.write(WriteFunction::Single, 5, &[9]).unwrap();
+    });
+}
+
+#[test]
+fn a_silent_unit_costs_one_timeout_a_read() {
+    with_client(Manners::default(), 30, always(Fault::Silent), |client| {
+        let none = batch(client, &reads(&[1, 2, 3], 1), 2);
+        assert_eq!((none.asked, none.answered), (6, 0));
+        let requests = client.counters().requests;
+        assert_eq!((requests.sent, requests.timeout), (6, 6));
+        assert!(none.rate_hz().is_none() && none.quantile_s(0.5).is_none());
+    });
+}
+
+#[test]
+fn a_peer_that_closes_ends_the_batch() {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let server = std::thread::spawn(move || drop(listener.accept().unwrap()));
+    let settings = RawSettings {
+        gap: None,
+        ..settings(Duration::from_secs(2))
+    };
+    let target = format!("tcp:{address}").parse().unwrap();
+    let mut client = RawClient::open(&target, &settings, None).unwrap();
+    server.join().unwrap();
+    let none = batch(&mut client, &reads(&[1, 2], 1), 1000);
+    assert_eq!((none.asked, none.answered), (2000, 0));
+    let gone = |read: &Read| matches!(read.values, Err(LinkError::Gone { .. }));
+    assert!(
+        none.reads.len() == 2 && none.reads.iter().all(gone),
+        "{none:?}"
+    );
+    assert!(client.counters().requests.balances());
+}
+
+#[test]
+fn requests_are_the_bytes_of_the_standard() {
+    let asked = with_client(Manners::default(), 100, always(Fault::None), |client| {
+        let read = ReadRequest {
+            table: RegisterTable::Input,
+            address: 0x0108,
+            count: 3,
+        };
+        assert_eq!(client.read(read).unwrap(), [0x0108, 0x0109, 0x010A]);
+        let (single, multiple) = (WriteFunction::Single, WriteFunction::Multiple);
+        client.write(single, 1, &[0x0203]).unwrap();
+        client.write(multiple, 1, &[0x000A, 0x0102]).unwrap();
+    });
+    assert_eq!(asked[0], [4, 1, 8, 0, 3]);
+    assert_eq!(asked[1], [6, 0, 1, 2, 3]);
+    assert_eq!(asked[2], [16, 0, 1, 0, 2, 4, 0, 10, 1, 2]);
+    assert_eq!([registers(1), registers(2)], ["1 register", "2 registers"]);
+}
+
+#[test]
+fn names_are_taken_as_far_as_they_fit() {
+    const NAMES: &[u8] = &[43, 14, 1, 1, 0, 0, 2, 0, 2, b'A', b'b', 1, 1, 0xE9];
+    for (names, taken) in [
+        (NAMES, &["Ab", "\u{FFFD}"][..]),
+        (&NAMES[..10], &[]),
+        (&[], &[]),
+    ] {
+        let manners = Manners {
+            names,
+            ..Manners::default()
+        };
+        with_client(manners, 100, always(Fault::None), |client| {
+            assert_eq!(client.names().unwrap(), [""; 0], "nobody has answered yet");
+            client.read(reads(&[5], 1)[0]).unwrap();
+            assert_eq!(client.names().unwrap(), taken);
+        });
+    }
+}
+
+/// Such a drive was called "something else" before.
+#[test]
+fn our_own_drive_is_known_where_its_first_reply_comes_twice() {
+    let identity = firmware_protocol::Identity {
+        serial_number: 4711,
+        ..firmware_protocol::Identity::default()
+    };
+    let block: [u16; IDENTITY_WORDS] = identity.to_registers();
+    let script = move |number: usize, request: &[u8]| {
+        let word = |at: usize| usize::from(u16::from_be_bytes([request[at], request[at + 1]]));
+        let reply = match request[1] {
+            3 => {
+                let begin = word(2) - usize::from(IDENTITY_ADDRESS);
+                let words = block[begin..begin + word(4)].iter();
+                let bytes: Vec<u8> = words.flat_map(|word| word.to_be_bytes()).collect();
+                let count = u8::try_from(bytes.len()).unwrap();
+                frame(1, &[&[3, count], &bytes[..]].concat())
+            }
+            _ => request.to_vec(),
+        };
+        let copies = if number == 0 { 2 } else { 1 };
+        (0..copies)
+            .map(|copy: u32| (PIECE * (1 + 6 * copy), reply.clone()))
+            .collect()
+    };
+    with_script(300, script, |client| {
+        let identity = client.identify().unwrap();
+        assert_eq!(identity.unwrap().serial_number, "4711");
+    });
+}

@@ -1,0 +1,412 @@
+//! A drive with a register map of its own: its signals once, those beside them where something does not fit, and its
+//! identity.
+
+use std::sync::atomic::AtomicBool;
+
+use super::ProbeDepth;
+use super::report::{ProbeReport, ProbedCheck, ProbedSignal, ProbedState};
+use crate::link::LinkError;
+use crate::link_core::answered;
+use crate::modbus::{RawClient, read_batch};
+use crate::profile::DriveProfile;
+use crate::register_bus::{ReadRequest, RegisterTable};
+use crate::register_map::{
+    Condition, IdentityCheck, IdentityTest, Picture, PollRate, Quantity, ReadBlock, Reading,
+    RegisterMap, Window, plan_reads,
+};
+use drivebench_model::text::number;
+
+/// Exception of a register that the unit does not have.
+const UNKNOWN_REGISTER: u8 = 0x02;
+/// The state in which the output is on.
+const RUNNING: &str = "running";
+
+pub(super) fn probe(
+    client: &mut RawClient,
+    profile: &DriveProfile,
+    map: &RegisterMap,
+    depth: ProbeDepth,
+) -> Result<ProbeReport, LinkError> {
+    let mut reader = Reader {
+        client,
+        map,
+        windows: vec![Window::default(); map.signals.len()],
+        refused: vec![None; map.signals.len()],
+    };
+    reader.wake()?;
+    reader.read_mapped()?;
+    let rated_current_a = rated_current_a(map, &reader.windows).or(profile.limits.current_a);
+    let doubtful = {
+        let picture = Picture {
+            map,
+            windows: &reader.windows,
+            rated_current_a,
+        };
+        let fits = |index| picture.fits(index, picture.reading(index));
+        (0..map.signals.len()).any(|index| fits(index) == Some(false))
+    };
+    let holds = |windows: &[Window], condition: &Condition| {
+        pattern(map, windows, &condition.signal).map(|bits| condition.holds(bits))
+    };
+    let runs = map.state.iter().any(|(name, condition)| {
+        name == RUNNING && holds(&reader.windows, condition) == Some(true)
+    });
+    // What a running drive reads cannot be judged, so no other way of reading it is better.
+    let advises = doubtful && !runs;
+    if advises && depth == ProbeDepth::Whole {
+        reader.read_beside()?;
+    }
+    let watchdog_s = reader.watchdog_s()?;
+    let checks = reader.checks(rated_current_a)?;
+    let Reader {
+        windows, refused, ..
+    } = reader;
+    let picture = Picture {
+        map,
+        windows: &windows,
+        rated_current_a,
+    };
+    let mut report = ProbeReport::of(profile);
+    report.signals = (0..map.signals.len())
+        .map(|index| signal(&picture, index, refused[index].as_ref(), advises))
+        .collect();
+    if advises {
+        report.hypotheses = picture.hypotheses();
+    }
+    report.is_unknown_everywhere = !refused.is_empty()
+        && refused
+            .iter()
+            .all(|refusal| refusal.as_ref().is_some_and(|why| why.is_unknown));
+    if report.is_unknown_everywhere {
+        report.remarks.push(address_form(map));
+    }
+    report.states = map
+        .state
+        .iter()
+        .map(|(name, condition)| ProbedState {
+            name: name.clone(),
+            holds: holds(&windows, condition),
+        })
+        .collect();
+    report.watchdog_s = watchdog_s;
+    report.checks = checks;
+    report.judge();
+    Ok(report)
+}
+
+/// What may be wrong with the addresses of a profile of which the drive knows none.
+fn address_form(map: &RegisterMap) -> String {
+    let Some(location) = map.signals.first().map(|signal| signal.location) else {
+        return String::new();
+    };
+    let (other, code) = match location.table {
+        RegisterTable::Holding => (RegisterTable::Input, "04"),
+        RegisterTable::Input => (RegisterTable::Holding, "03"),
+    };
+    let as_asked = format!(
+        "the drive knows none of these registers (exception 0x02), of which the first is {} {} on the wire",
+        table_name(location.table),
+        location.address
+    );
+    let elsewhere = format!(
+        "or they are {} registers (function code {code})",
+        table_name(other)
+    );
+    if (29_999..=49_999).contains(&location.address) {
+        format!(
+            "{as_asked}: numbers of a manual such as 40014 or 30014 need address_base \"4x1\" (40014 is then holding register 13, 30014 input register 13); {elsewhere}"
+        )
+    } else {
+        format!(
+            "{as_asked}: does the manual count from 0 or from 1 (address_base 0 or 1), or in 4xxxx and 3xxxx numbers (\"4x1\")? {elsewhere}"
+        )
+    }
+}
+
+/// The nameplate's current, where the drive has a register for it.
+fn rated_current_a(map: &RegisterMap, windows: &[Window]) -> Option<f64> {
+    let index = map.index(&map.of_quantity(Quantity::RatedCurrent)?.name)?;
+    let picture = Picture {
+        map,
+        windows,
+        rated_current_a: None,
+    };
+    picture.reading(index).value()
+}
+
+/// The bits of a signal as they were read.
+fn pattern(map: &RegisterMap, windows: &[Window], name: &str) -> Option<u32> {
+    let index = map.index(name)?;
+    let registers = windows.get(index)?.here.as_deref()?;
+    map.signals[index].location.layout.pattern(registers)
+}
+
+fn signal(
+    picture: &Picture<'_>,
+    index: usize,
+    refused: Option<&Refusal>,
+    advises: bool,
+) -> ProbedSignal {
+    let signal = &picture.map.signals[index];
+    let location = signal.location;
+    let reading = picture.reading(index);
+    let plausible = picture.fits(index, reading);
+    let unit = signal.numbers.unit.name();
+    let missing = match reading {
+        Reading::Value(_) => None,
+        Reading::NotAvailable => Some("the drive says that it is not available".to_owned()),
+        Reading::Outside(value) => {
+            let [low, high] = signal.keys.valid.unwrap_or_default();
+            Some(format!(
+                "{} {unit} lies outside of the profile's {low} to {high}",
+                number::reading(value)
+            ))
+        }
+        Reading::NotANumber => Some("the registers hold no number".to_owned()),
+        Reading::Unread => Some(refused.map_or_else(
+            || "a signal that it is scaled with has no value".to_owned(),
+            |refusal| refusal.text.clone(),
+        )),
+    };
+    ProbedSignal {
+        name: signal.name.clone(),
+        unit,
+        table: table_name(location.table),
+        address: location.address,
+        raw: picture.windows[index].here.clone(),
+        value: reading.value(),
+        missing,
+        plausible,
+        expected: picture.expected(index),
+        confirms: plausible == Some(true) && picture.confirms(index),
+        candidates: match plausible {
+            Some(false) if advises => picture.candidates(index),
+            _ => Vec::new(),
+        },
+        quantity: Some(signal.keys.quantity),
+    }
+}
+
+const fn table_name(table: RegisterTable) -> &'static str {
+    match table {
+        RegisterTable::Holding => "holding",
+        RegisterTable::Input => "input",
+    }
+}
+
+/// Why there are no registers.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Refusal {
+    text: String,
+    /// The drive says that it has no such register.
+    is_unknown: bool,
+}
+
+struct Reader<'a> {
+    client: &'a mut RawClient,
+    map: &'a RegisterMap,
+    windows: Vec<Window>,
+    /// Why a signal has no registers.
+    refused: Vec<Option<Refusal>>,
+}
+
+impl Reader<'_> {
+    /// Asks for the first block until the unit has said anything at all.
+    fn wake(&mut self) -> Result<(), LinkError> {
+        let Some(block) = self.blocks().into_iter().next() else {
+            return Ok(());
+        };
+        match answered(|| self.client.read(block.read)) {
+            Ok(_) | Err(LinkError::Exception { .. }) => Ok(()),
+            Err(error) => Err(error),
+        }
+    }
+
+    fn blocks(&self) -> Vec<ReadBlock> {
+        [PollRate::Once, PollRate::Slow, PollRate::Fast]
+            .into_iter()
+            .flat_map(|poll| plan_reads(self.map, poll))
+            .collect()
+    }
+
+    /// Every signal: block by block, and one by one where the drive refuses a block, so that one register that is not
+    /// there does not hide the others.
+    fn read_mapped(&mut self) -> Result<(), LinkError> {
+        let blocks = self.blocks();
+        let answers = self.ask(&blocks.iter().map(|block| block.read).collect::<Vec<_>>())?;
+        let mut alone = Vec::new();
+        for (block, answer) in blocks.iter().zip(answers) {
+            match answer {
+                Ok(registers) => self.hand_out(block, &registers),
+                Err(reason) => {
+                    for index in &block.signals {
+                        self.refused[*index] = Some(reason.clone());
+                    }
+                    if block.signals.len() > 1 {
+                        alone.extend(block.signals.iter().copied());
+                    }
+                }
+            }
+        }
+        let requests: Vec<ReadRequest> = alone.iter().map(|index| self.request(*index)).collect();
+        let answers = self.ask(&requests)?;
+        for (index, answer) in alone.into_iter().zip(answers) {
+            match answer {
+                Ok(registers) => self.windows[index].here = Some(registers),
+                Err(reason) => self.refused[index] = Some(reason),
+            }
+        }
+        Ok(())
+    }
+
+    fn hand_out(&mut self, block: &ReadBlock, registers: &[u16]) {
+        for index in &block.signals {
+            let location = self.map.signals[*index].location;
+            let from = usize::from(location.address - block.read.address);
+            let to = from + usize::from(location.layout.registers());
+            self.windows[*index].here = registers.get(from..to).map(<[u16]>::to_vec);
+        }
+    }
+
+    /// The same lengths one register lower and one higher. What the drive refuses is no way of reading it.
+    fn read_beside(&mut self) -> Result<(), LinkError> {
+        for shift in [-1, 1] {
+            let asked: Vec<(usize, ReadRequest)> = (0..self.map.signals.len())
+                .filter_map(|index| {
+                    let here = self.request(index);
+                    let address = here.address.checked_add_signed(shift)?;
+                    address.checked_add(here.count - 1)?;
+                    Some((index, ReadRequest { address, ..here }))
+                })
+                .collect();
+            let requests: Vec<ReadRequest> = asked.iter().map(|(_, request)| *request).collect();
+            for ((index, _), answer) in asked.iter().zip(self.ask(&requests)?) {
+                let window = &mut self.windows[*index];
+                let side = if shift < 0 {
+                    &mut window.below
+                } else {
+                    &mut window.above
+                };
+                *side = answer.ok();
+            }
+        }
+        Ok(())
+    }
+
+    fn request(&self, index: usize) -> ReadRequest {
+        self.map.signals[index].location.request()
+    }
+
+    /// Values that are proven to be current, or why there are none; only a port that is gone ends everything.
+    fn ask(
+        &mut self,
+        requests: &[ReadRequest],
+    ) -> Result<Vec<Result<Vec<u16>, Refusal>>, LinkError> {
+        let batch = read_batch(self.client, requests, 1, &AtomicBool::new(false));
+        let answers = batch.reads.into_iter().map(|read| match read.values {
+            Ok(values) => Ok(Ok(values)),
+            Err(error @ LinkError::Gone { .. }) => Err(error),
+            Err(LinkError::Exception { code, name, .. }) => Ok(Err(Refusal {
+                text: format!("the drive refuses it: exception {code:#04x} {name}"),
+                is_unknown: code == UNKNOWN_REGISTER,
+            })),
+            Err(error) => Ok(Err(Refusal {
+                text: error.to_string(),
+                is_unknown: false,
+            })),
+        });
+        answers.collect()
+    }
+
+    /// The time as it stands in the drive; only read.
+    fn watchdog_s(&mut self) -> Result<Option<f64>, LinkError> {
+        let Some((location, unit_s)) = self.map.watchdog.time else {
+            return Ok(None);
+        };
+        let registers = self.ask(&[location.request()])?.into_iter().next();
+        let registers = registers.and_then(Result::ok);
+        let pattern = registers.and_then(|registers| location.layout.pattern(&registers));
+        Ok(pattern.map(|pattern| location.layout.number(pattern) * unit_s))
+    }
+
+    /// The profile's checks of identity, all of them.
+    fn checks(&mut self, rated_current_a: Option<f64>) -> Result<Vec<ProbedCheck>, LinkError> {
+        let map = self.map;
+        let mut checks = Vec::new();
+        for check in &map.identity {
+            checks.push(match check {
+                IdentityCheck::Object { object, contains } => {
+                    let found = self.client.object(*object)?;
+                    ProbedCheck {
+                        what: format!("identification object {object} has to contain {contains:?}"),
+                        passed: found.as_ref().is_some_and(|text| text.contains(contains)),
+                        found: found.map_or_else(|| "none".to_owned(), |text| format!("{text:?}")),
+                    }
+                }
+                IdentityCheck::Signal { signal, mask, test } => {
+                    let picture = Picture {
+                        map,
+                        windows: &self.windows,
+                        rated_current_a,
+                    };
+                    signal_check(&picture, signal, *mask, test)
+                }
+            });
+        }
+        Ok(checks)
+    }
+}
+
+fn signal_check(picture: &Picture<'_>, name: &str, mask: u32, test: &IdentityTest) -> ProbedCheck {
+    let bits = pattern(picture.map, picture.windows, name);
+    let index = picture.map.index(name);
+    let value = index.and_then(|index| picture.reading(index).value());
+    let what = match test {
+        IdentityTest::OneOf(patterns) => {
+            let allowed: Vec<String> = patterns.iter().map(|p| format!("{p:#06x}")).collect();
+            format!("{name} has to read {}", allowed.join(" or "))
+        }
+        IdentityTest::Within([low, high]) => format!("{name} has to lie within {low} to {high}"),
+    };
+    let passed = test.passes(bits, mask, value);
+    let found = match (test, bits, value) {
+        (IdentityTest::OneOf(_), Some(bits), _) => format!("{:#06x}", bits & mask),
+        (IdentityTest::Within(_), _, Some(value)) => number::reading(value),
+        _ => "nothing".to_owned(),
+    };
+    ProbedCheck {
+        what,
+        passed,
+        found,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn unknown_registers_are_answered_with_the_forms_of_an_address() {
+        let mut map = (*DriveProfile::named("delta-ms300")
+            .unwrap()
+            .registers
+            .unwrap())
+        .clone();
+        let location = &mut map.signals[0].location;
+        (location.table, location.address) = (RegisterTable::Holding, 40_013);
+        let said = address_form(&map);
+        assert!(said.contains("address_base \"4x1\""), "{said}");
+        assert!(
+            said.contains("input registers (function code 04)"),
+            "{said}"
+        );
+        let location = &mut map.signals[0].location;
+        (location.table, location.address) = (RegisterTable::Input, 14);
+        let said = address_form(&map);
+        assert!(said.contains("from 0 or from 1"), "{said}");
+        assert!(
+            said.contains("holding registers (function code 03)"),
+            "{said}"
+        );
+    }
+}

@@ -1,0 +1,512 @@
+//! Set-points on their way out: limits, slew, sign, refresh, read-back, and what a memory that wears out allows.
+
+use std::sync::Arc;
+
+use super::readings::{Joined, Readings, in_profile};
+use crate::budget::may_join;
+use crate::link::LinkError;
+use crate::register_bus::{RegisterBus, Span};
+use crate::register_map::{Quantity, RegisterMap, SetPoint, Write};
+
+/// Share of the write cycles of a non-volatile memory that one connection may use.
+const NVM_SHARE: u32 = 1000;
+/// Writes where the profile does not say how many cycles the memory has.
+const NVM_WRITES: u32 = 10;
+/// Longest time over which a slew is counted, s: after a longer pause a reference does not jump further.
+const LONGEST_SLEW_TIME_S: f64 = 0.5;
+
+/// What went out last to one set-point.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Sent {
+    /// In units; `None` while it is not being held.
+    value: Option<f64>,
+    registers: Vec<u16>,
+    /// A write was not acknowledged, so that the drive may hold either: until one is, every value is written.
+    in_doubt: bool,
+    at_s: f64,
+    /// When it was asked for last; `None` while it is not being held.
+    asked_s: Option<f64>,
+    writes: u32,
+    /// Times in a row that it read back otherwise, and as what; what the drive had confirmed before that.
+    mismatches: u32,
+    found: Vec<u16>,
+    confirmed: Vec<u16>,
+    /// When it was last looked at, s.
+    looked_s: f64,
+}
+
+/// Whether a reference goes out together with the read of this exchange.
+#[derive(Clone, Debug, PartialEq)]
+enum Joint {
+    Never,
+    May,
+    With(Joined),
+}
+
+/// All of them, by position in the map.
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "what is known of an exchange, each for itself"
+)]
+pub(super) struct Points {
+    map: Arc<RegisterMap>,
+    sent: Vec<Sent>,
+    /// A limit or the slew held a value back in this exchange.
+    pub(super) limited: bool,
+    /// When something was written that a command watchdog counts, s.
+    pub(super) kicked_s: f64,
+    /// What goes out brings the drive to rest: a line in doubt is not waited for. The next reference ends it.
+    pub(super) is_urgent: bool,
+    /// A write has gone out, as far as that is known.
+    pub(super) has_written: bool,
+    joint: Joint,
+    /// When the last write of this exchange was carried out.
+    pub(super) carried: Option<Span>,
+    running: bool,
+}
+
+impl Points {
+    pub(super) fn new(map: Arc<RegisterMap>) -> Self {
+        Self {
+            sent: vec![Sent::default(); map.set_points.len()],
+            map,
+            limited: false,
+            kicked_s: f64::NEG_INFINITY,
+            is_urgent: false,
+            has_written: false,
+            joint: Joint::Never,
+            carried: None,
+            running: false,
+        }
+    }
+
+    /// The next exchange begins.
+    pub(super) fn begin(&mut self) {
+        self.limited = false;
+        self.joint = Joint::Never;
+        self.carried = None;
+    }
+
+    /// The reference that goes out with the read of this exchange.
+    pub(super) fn take_joined(&mut self) -> Option<Joined> {
+        match std::mem::replace(&mut self.joint, Joint::Never) {
+            Joint::With(joined) => Some(joined),
+            Joint::Never | Joint::May => None,
+        }
+    }
+
+    /// A reference may go out together with the read of this exchange.
+    pub(super) fn may_join(&mut self, may: bool) {
+        self.joint = if may { Joint::May } else { Joint::Never };
+    }
+
+    /// It was acknowledged.
+    pub(super) fn joined_carried(&mut self, joined: Joined, span: Span, now_s: f64) {
+        self.acknowledged(joined.at, joined.registers, now_s);
+        self.carried = Some(span);
+    }
+
+    /// Nothing is refreshed any more, and a slew starts at zero again.
+    pub(super) fn release(&mut self) {
+        self.running = false;
+        for sent in &mut self.sent {
+            sent.value = None;
+            sent.asked_s = None;
+            sent.mismatches = 0;
+        }
+    }
+
+    /// The value that is being held for a quantity that the bench commands, SI; `None` where the drive may hold another.
+    pub(super) fn held(&self, map: &RegisterMap, quantity: Quantity) -> Option<f64> {
+        let (at, point) = find(map, &map.demand(quantity)?.name)?;
+        let is_held = |sent: &&Sent| !sent.in_doubt && sent.mismatches == 0;
+        let sent = self.sent.get(at).filter(is_held)?;
+        Some(sent.value? * point.si?)
+    }
+
+    /// Holds a reference: within its limits, no faster than its slew.
+    pub(super) fn put(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        readings: &Readings,
+        name: &str,
+        wanted: f64,
+    ) -> Result<(), LinkError> {
+        self.running = true;
+        self.is_urgent = false;
+        let map = Arc::clone(&self.map);
+        let Some((at, point)) = find(&map, name) else {
+            return Ok(());
+        };
+        let now_s = bus.now_s();
+        let mut value = wanted;
+        if let Some([low, high]) = point.range() {
+            value = value.clamp(low, high);
+        }
+        if let Some(slew) = point.keys.slew_per_s {
+            let sent = &self.sent[at];
+            let from = sent.value.unwrap_or(0.0);
+            let since_s = sent.asked_s.map_or(0.0, |asked_s| now_s - asked_s);
+            let most = slew * since_s.clamp(0.0, LONGEST_SLEW_TIME_S);
+            value = value.clamp(from - most, from + most);
+        }
+        self.sent[at].asked_s = Some(now_s);
+        self.limited |= (value - wanted).abs() > 1e-9 * wanted.abs().max(1.0);
+        let sent = &self.sent[at];
+        let is_held = sent.value.map(f64::to_bits) == Some(value.to_bits());
+        if is_held && !sent.in_doubt {
+            return Ok(());
+        }
+        self.write(bus, readings, name, value, None)
+    }
+
+    /// Writes again what the drive wants to hear often enough.
+    pub(super) fn refresh(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        period_s: f64,
+    ) -> Result<(), LinkError> {
+        self.running = true;
+        let map = Arc::clone(&self.map);
+        for (at, point) in map.set_points.iter().enumerate() {
+            let Some(refresh_s) = point.refresh_s() else {
+                continue;
+            };
+            if matches!(&self.joint, Joint::With(joined) if joined.at == at) {
+                continue;
+            }
+            let sent = &self.sent[at];
+            // Not written before: there is nothing to hold. The next chance is a period away.
+            if sent.value.is_some() && bus.now_s() - sent.at_s + period_s >= refresh_s {
+                let registers = sent.registers.clone();
+                self.send_or_join(bus, at, point, &registers)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// When the next refresh is due, s.
+    pub(super) fn next_due_s(&self) -> Option<f64> {
+        let points = self.sent.iter().zip(&self.map.set_points);
+        let due = points.filter_map(|(sent, point)| {
+            sent.value?;
+            Some(sent.at_s + point.refresh_s()?)
+        });
+        due.reduce(f64::min)
+    }
+
+    /// Every reference to zero, at once. One that the drive does not take keeps none of the others from it: the first
+    /// error is that of all.
+    pub(super) fn zero(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        readings: &Readings,
+    ) -> Result<(), LinkError> {
+        let map = Arc::clone(&self.map);
+        let mut result = Ok(());
+        let points = map.set_points.iter().enumerate();
+        for (at, point) in points.filter(|(_, point)| point.is_reference()) {
+            let written = self.write(bus, readings, &point.name, 0.0, None);
+            self.sent[at].value = None;
+            if matches!(written, Err(LinkError::Gone { .. })) {
+                return written;
+            }
+            result = result.and(written);
+        }
+        result
+    }
+
+    /// Writes a value as it is, or only the bits under `mask`.
+    fn write(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        readings: &Readings,
+        name: &str,
+        value: f64,
+        mask: Option<u16>,
+    ) -> Result<(), LinkError> {
+        let map = Arc::clone(&self.map);
+        let Some((at, point)) = find(&map, name) else {
+            let text = format!("the profile has no setpoint {name:?}");
+            return Err(refused(bus, text));
+        };
+        let encoded = |value: f64| {
+            let factor = readings.factor(&point.numbers.scale_by)?;
+            let raw = point.numbers.raw(value, factor);
+            point.location.layout.encode(raw)
+        };
+        let has_sign = point.keys.sign.is_some();
+        let magnitude = if has_sign { value.abs() } else { value };
+        let Some(mut registers) = encoded(magnitude) else {
+            let unit = point.numbers.unit.name();
+            let text = format!("setpoint {name} = {value} {unit} does not fit its register");
+            return Err(refused(bus, text));
+        };
+        // Zero has no sign, and does not wait for one on its way to bring the drive to rest.
+        let sign = point.keys.sign.as_ref();
+        if let Some(sign) = sign.filter(|_| !(self.is_urgent && value == 0.0)) {
+            // Through zero: between the two writes the old magnitude must not stand behind the new sign.
+            let turns = self.sent[at].value.is_some_and(|held| held * value < 0.0);
+            if let Some(zero) = encoded(0.0).filter(|_| turns) {
+                self.send(bus, at, point, &zero)?;
+                self.sent[at].value = Some(0.0);
+            }
+            self.write_sign(bus, &sign.set_point, sign.mask, value)?;
+        }
+        if let (Some(mask), [word]) = (mask, registers.as_mut_slice()) {
+            let before = self.sent[at].registers.first().copied().unwrap_or(0);
+            *word = (before & !mask) | (*word & mask);
+        }
+        self.send_or_join(bus, at, point, &registers)?;
+        self.sent[at].value = Some(value);
+        Ok(())
+    }
+
+    /// Carries out a write of a command.
+    pub(super) fn carry(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        readings: &Readings,
+        write: &Write,
+    ) -> Result<(), LinkError> {
+        self.write(bus, readings, &write.set_point, write.value, write.mask)
+    }
+
+    /// Sends, or leaves it to the read of this exchange where one transaction takes both.
+    fn send_or_join(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        at: usize,
+        point: &SetPoint,
+        registers: &[u16],
+    ) -> Result<(), LinkError> {
+        if self.joint != Joint::May || !may_join(&self.map, point) {
+            return self.send(bus, at, point, registers);
+        }
+        if !self.may_be_written(bus, at, point, registers)? {
+            return Ok(());
+        }
+        self.sent[at].in_doubt = true;
+        self.sent[at].writes += 1;
+        self.joint = Joint::With(Joined {
+            at,
+            registers: registers.to_vec(),
+        });
+        Ok(())
+    }
+
+    /// The sign of a reference as bits of a control word, if they are not yet as they should be.
+    fn write_sign(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        name: &str,
+        mask: u16,
+        value: f64,
+    ) -> Result<(), LinkError> {
+        let map = Arc::clone(&self.map);
+        let Some((at, point)) = find(&map, name) else {
+            return Ok(());
+        };
+        let sent = &self.sent[at];
+        let Some(before) = sent.registers.first().copied() else {
+            // Its other bits are not known, so neither is the way in which this would turn.
+            let text = format!(
+                "the sign of {value} is a bit of setpoint {name}, which no command has written yet"
+            );
+            return if value == 0.0 {
+                Ok(())
+            } else {
+                Err(refused(bus, text))
+            };
+        };
+        let word = (before & !mask) | if value < 0.0 { mask } else { 0 };
+        if word == before && !sent.in_doubt {
+            return Ok(());
+        }
+        self.send(bus, at, point, &[word])
+    }
+
+    /// Whether a write may go out at all; `false`: it would change nothing.
+    fn may_be_written(
+        &self,
+        bus: &dyn RegisterBus,
+        at: usize,
+        point: &SetPoint,
+        registers: &[u16],
+    ) -> Result<bool, LinkError> {
+        let sent = &self.sent[at];
+        if point.keys.write_only_when.is_some() && self.running {
+            let text = format!(
+                "setpoint {} may only be written while the drive stands",
+                point.name
+            );
+            return Err(refused(bus, text));
+        }
+        if point.keys.nvm {
+            if sent.registers == registers && !sent.in_doubt {
+                return Ok(false);
+            }
+            let most = self
+                .map
+                .nvm_cycles
+                .map_or(NVM_WRITES, |cycles| cycles / NVM_SHARE);
+            if sent.writes >= most {
+                let text = format!(
+                    "setpoint {} lies in a memory that wears out, and {most} writes a connection are allowed",
+                    point.name
+                );
+                return Err(refused(bus, text));
+            }
+        }
+        Ok(true)
+    }
+
+    fn acknowledged(&mut self, at: usize, registers: Vec<u16>, now_s: f64) {
+        let sent = &mut self.sent[at];
+        sent.at_s = now_s;
+        sent.registers = registers;
+        sent.in_doubt = false;
+        self.kicked_s = now_s;
+    }
+
+    fn send(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        at: usize,
+        point: &SetPoint,
+        registers: &[u16],
+    ) -> Result<(), LinkError> {
+        if !self.may_be_written(bus, at, point, registers)? {
+            return Ok(());
+        }
+        // Counted and in doubt until it is acknowledged: the drive may have carried it out all the same.
+        self.sent[at].in_doubt = true;
+        self.sent[at].writes += 1;
+        let (function, address) = (point.function, point.location.address);
+        let written = if self.is_urgent {
+            bus.write_at_once(function, address, registers)
+        } else {
+            bus.write(function, address, registers)
+        };
+        self.has_written |= super::was_sent(&written);
+        let carried =
+            written.map_err(|error| in_profile(error, &self.map, &[(&point.name, point.line)]))?;
+        self.carried = Some(carried);
+        self.acknowledged(at, registers.to_vec(), bus.now_s());
+        // What brings the drive to rest is followed by a look at its state instead.
+        if point.keys.readback && !self.is_urgent {
+            // Without a read-back that comes, the value that is held has not been noted either.
+            self.sent[at].in_doubt = true;
+            let found = self.read_back(bus, at, point)?;
+            let sent = &mut self.sent[at];
+            sent.in_doubt = false;
+            if found == registers {
+                sent.mismatches = 0;
+                sent.confirmed = found;
+            } else {
+                sent.mismatches += 1;
+                sent.found = found;
+            }
+        }
+        Ok(())
+    }
+
+    fn read_back(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        at: usize,
+        point: &SetPoint,
+    ) -> Result<Vec<u16>, LinkError> {
+        let read = bus.read(point.location.request())?;
+        self.sent[at].looked_s = bus.now_s();
+        Ok(read.words)
+    }
+
+    /// Looks now and then whether a set-point that the drive has confirmed is still what was written. One that is another,
+    /// twice in a row and without a write of ours between, was written by somebody else: the words for that.
+    pub(super) fn watch(&mut self, bus: &mut dyn RegisterBus) -> Result<Option<String>, LinkError> {
+        let map = Arc::clone(&self.map);
+        let pause_s = map.rates.slow_hz.recip();
+        for (at, point) in map.set_points.iter().enumerate() {
+            let sent = &self.sent[at];
+            let is_ours = sent.value.is_some()
+                && !sent.in_doubt
+                && !sent.confirmed.is_empty()
+                && sent.confirmed == sent.registers;
+            if !point.keys.readback || !is_ours || bus.now_s() - sent.looked_s < pause_s {
+                continue;
+            }
+            let ours = sent.registers.clone();
+            let first = self.read_back(bus, at, point)?;
+            if first == ours {
+                continue;
+            }
+            let second = self.read_back(bus, at, point)?;
+            if second != ours {
+                return Ok(Some(format!(
+                    "setpoint {} was written as {ours:04x?} and confirmed, and is {second:04x?} now although nothing was \
+                     written to it from here: somebody else writes it (a second master on the line, a gateway, the drive's keypad)",
+                    point.name
+                )));
+            }
+        }
+        Ok(None)
+    }
+
+    /// The longest row of read-backs that were not what was written.
+    pub(super) fn mismatches(&self) -> u32 {
+        let mismatches = self.sent.iter().map(|sent| sent.mismatches);
+        mismatches.max().unwrap_or(0)
+    }
+
+    pub(super) fn mismatch_text(&self) -> String {
+        let worst = self
+            .sent
+            .iter()
+            .zip(&self.map.set_points)
+            .max_by_key(|(sent, _)| sent.mismatches);
+        worst.map_or_else(String::new, |(sent, point)| {
+            let why = if sent.found == sent.confirmed {
+                "the drive keeps the value that it had before, so it ignores what is written from here"
+            } else {
+                "the drive keeps another value, which was never written from here: a limit of its own, the profile's word order \
+                 or scale, or somebody else who writes it at once"
+            };
+            format!(
+                "setpoint {} was written as {:04x?} and read back as {:04x?}, {} times in a row: {why}",
+                point.name, sent.registers, sent.found, sent.mismatches
+            )
+        })
+    }
+
+    /// Zero to every reference that can be read back: what it reads back as.
+    pub(super) fn compare(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        readings: &Readings,
+    ) -> Result<Option<Result<String, String>>, LinkError> {
+        let map = Arc::clone(&self.map);
+        let mut names = Vec::new();
+        self.is_urgent = false;
+        let points = map.set_points.iter().enumerate();
+        for (at, point) in points.filter(|(_, p)| p.is_reference() && p.keys.readback) {
+            self.write(bus, readings, &point.name, 0.0, None)?;
+            self.sent[at].value = None;
+            if self.sent[at].mismatches > 0 {
+                return Ok(Some(Err(self.mismatch_text())));
+            }
+            names.push(point.name.as_str());
+        }
+        Ok((!names.is_empty()).then(|| Ok(format!("{} read back as written", names.join(", ")))))
+    }
+}
+
+/// A set-point and its position.
+fn find<'a>(map: &'a RegisterMap, name: &str) -> Option<(usize, &'a SetPoint)> {
+    let mut points = map.set_points.iter().enumerate();
+    points.find(|(_, point)| point.name == name)
+}
+
+fn refused(bus: &dyn RegisterBus, reason: String) -> LinkError {
+    LinkError::Refused(bus.name().0, reason)
+}

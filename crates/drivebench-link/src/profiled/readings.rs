@@ -1,0 +1,350 @@
+//! Readings of a drive: which registers when, and what they say in units. What cannot be a value is none.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use crate::budget::joint_block;
+use crate::link::LinkError;
+use crate::register_bus::{RegisterBus, Span};
+use crate::register_map::{PollRate, Quantity, ReadBlock, RegisterMap, plan_reads};
+use crate::timeline::{ClockMap, DriveClock};
+
+/// One signal as it was last read.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Reading {
+    /// In the profile's unit; `None` for a code that says so, or a value that cannot be.
+    pub(super) value: Option<f64>,
+    pub(super) pattern: Option<u32>,
+    /// Request out, reply in.
+    pub(super) span: Span,
+}
+
+/// Where a counting position was last.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Position {
+    raw: f64,
+    counts: f64,
+    at_s: f64,
+}
+
+/// A write that goes out together with a read.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Joined {
+    /// Position of the set-point in the map.
+    pub(super) at: usize,
+    pub(super) registers: Vec<u16>,
+}
+
+/// All signals, by position in the map.
+pub(super) struct Readings {
+    map: Arc<RegisterMap>,
+    fast: Vec<ReadBlock>,
+    slow: Vec<ReadBlock>,
+    /// The slow block whose turn it is, and when.
+    next_slow: usize,
+    slow_due_s: f64,
+    last: Vec<Reading>,
+    /// Positions that begin again somewhere, followed over that: by position in the map, the last raw number and how far it
+    /// was when it was read, counts.
+    positions: BTreeMap<usize, Position>,
+    /// Values that were no value: an invalid code, out of the valid range, not finite.
+    pub(super) rejected: u64,
+}
+
+impl Readings {
+    pub(super) fn new(map: Arc<RegisterMap>) -> Self {
+        Self {
+            fast: plan_reads(&map, PollRate::Fast),
+            slow: plan_reads(&map, PollRate::Slow),
+            next_slow: 0,
+            slow_due_s: f64::NEG_INFINITY,
+            last: vec![Reading::default(); map.signals.len()],
+            positions: BTreeMap::new(),
+            rejected: 0,
+            map,
+        }
+    }
+
+    pub(super) fn fast(&self) -> &[ReadBlock] {
+        &self.fast
+    }
+
+    pub(super) fn get(&self, name: &str) -> Option<Reading> {
+        self.last.get(self.map.index(name)?).copied()
+    }
+
+    /// The bits of a signal, and when they were asked for, s.
+    pub(super) fn status(&self, name: &str) -> Option<(u32, f64)> {
+        let reading = self.get(name)?;
+        Some((reading.pattern?, reading.span.asked_s))
+    }
+
+    pub(super) fn at(&self, index: usize) -> Reading {
+        self.last.get(index).copied().unwrap_or_default()
+    }
+
+    /// Everything, as at connect.
+    pub(super) fn read_all(&mut self, bus: &mut dyn RegisterBus) -> Result<(), LinkError> {
+        // Factors first: the others are scaled with them.
+        for block in plan_reads(&self.map, PollRate::Once) {
+            self.read(bus, &block)?;
+        }
+        for block in self.slow.clone() {
+            self.read(bus, &block)?;
+        }
+        self.read_fast(bus, None).map(drop)
+    }
+
+    /// Every fast block, the joinable one in one transaction with the write that is given; from the first request to the
+    /// last reply, and the same of the block that took the write along.
+    pub(super) fn read_fast(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        mut joined: Option<&Joined>,
+    ) -> Result<(Option<Span>, Option<Span>), LinkError> {
+        let (mut whole, mut both) = (None, None);
+        for at in self.in_order(joined.is_some()) {
+            let block = self.fast[at].clone();
+            let write = joined.take();
+            let span = self.read_with(bus, &block, write)?;
+            if write.is_some() {
+                both = Some(span);
+            }
+            // From the first request out to the last reply in.
+            whole = Some(Span {
+                asked_s: whole.map_or(span.asked_s, |first: Span| first.asked_s),
+                ..span
+            });
+        }
+        Ok((whole, both))
+    }
+
+    /// The fast block that function code 23 can read: it has holding registers only.
+    pub(super) fn joinable(&self) -> Option<usize> {
+        joint_block(&self.map, &self.fast)
+    }
+
+    /// Positions of the fast blocks as they are read: a write goes out first.
+    fn in_order(&self, is_joined: bool) -> Vec<usize> {
+        let first = self.joinable().filter(|_| is_joined);
+        let rest = (0..self.fast.len()).filter(|at| Some(*at) != first);
+        first.into_iter().chain(rest).collect()
+    }
+
+    /// One slow block, if it is time for one.
+    pub(super) fn read_slow(&mut self, bus: &mut dyn RegisterBus) -> Result<(), LinkError> {
+        let now_s = bus.now_s();
+        let Some(block) = self.slow.get(self.next_slow).cloned() else {
+            return Ok(());
+        };
+        if now_s < self.slow_due_s {
+            return Ok(());
+        }
+        self.next_slow = (self.next_slow + 1) % self.slow.len();
+        self.slow_due_s = now_s + 1.0 / (self.map.rates.slow_hz * self.slow.len() as f64);
+        self.read(bus, &block)
+    }
+
+    /// What is otherwise read now and then, now.
+    pub(super) fn read_now(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        quantity: Quantity,
+    ) -> Result<(), LinkError> {
+        let signals = &self.map.signals;
+        let holds = |block: &&ReadBlock| {
+            let mut indices = block.signals.iter();
+            indices.any(|index| signals[*index].keys.quantity == quantity)
+        };
+        match self.slow.iter().find(holds).cloned() {
+            Some(block) => self.read(bus, &block),
+            None => Ok(()),
+        }
+    }
+
+    fn read(&mut self, bus: &mut dyn RegisterBus, block: &ReadBlock) -> Result<(), LinkError> {
+        self.read_with(bus, block, None).map(drop)
+    }
+
+    fn read_with(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        block: &ReadBlock,
+        joined: Option<&Joined>,
+    ) -> Result<Span, LinkError> {
+        let point = joined.and_then(|joined| Some((self.map.set_points.get(joined.at)?, joined)));
+        let read = match point {
+            Some((point, joined)) => bus.read_write(
+                (point.location.address, &joined.registers),
+                (block.read.address, block.read.count),
+            ),
+            None => bus.read(block.read),
+        };
+        let read = read.map_err(|error| {
+            let signals = block.signals.iter().map(|index| &self.map.signals[*index]);
+            let written = point.map(|(point, _)| (point.name.as_str(), point.line));
+            let places: Vec<_> = written
+                .into_iter()
+                .chain(signals.map(|s| (s.name.as_str(), s.line)))
+                .collect();
+            in_profile(error, &self.map, &places)
+        })?;
+        for index in &block.signals {
+            let location = self.map.signals[*index].location;
+            let offset = usize::from(location.address - block.read.address);
+            let pattern = read
+                .words
+                .get(offset..)
+                .and_then(|tail| location.layout.pattern(tail));
+            let value = pattern.and_then(|pattern| self.value(*index, pattern));
+            let value = match (value, pattern) {
+                (Some(_), Some(pattern)) => self
+                    .unwrapped(*index, pattern, read.span.middle_s())
+                    .or(value),
+                _ => value,
+            };
+            self.rejected += u64::from(value.is_none());
+            self.last[*index] = Reading {
+                value,
+                pattern,
+                span: read.span,
+            };
+        }
+        Ok(read.span)
+    }
+
+    fn value(&self, index: usize, pattern: u32) -> Option<f64> {
+        let signal = &self.map.signals[index];
+        let factor = self.factor(&signal.numbers.scale_by);
+        signal.read(signal.location.layout, pattern, factor).value()
+    }
+
+    /// A position over the place where its counter begins again: the nearest to where the speed that was read last has taken
+    /// it since. `None`: it does not begin again.
+    fn unwrapped(&mut self, index: usize, pattern: u32, at_s: f64) -> Option<f64> {
+        let signal = &self.map.signals[index];
+        let span = signal.wraps_at?;
+        let raw = signal.location.layout.number(pattern);
+        let factor = self.factor(&signal.numbers.scale_by)?;
+        let counts = self.positions.get(&index).map_or(raw, |last| {
+            let moved = self
+                .speed_rad_s()
+                .zip(signal.channel)
+                .map(|(speed, (_, si))| {
+                    speed * (at_s - last.at_s) / (si * signal.numbers.scale * factor)
+                });
+            let step = raw - last.raw;
+            let turns = ((step - moved.unwrap_or(0.0)) / span).round();
+            last.counts + step - turns * span
+        });
+        let position = Position { raw, counts, at_s };
+        let value = signal.numbers.value(counts, factor);
+        self.positions.insert(index, position);
+        Some(value)
+    }
+
+    /// Of the shaft, as last read, rad/s.
+    fn speed_rad_s(&self) -> Option<f64> {
+        let signal = self.map.of_quantity(Quantity::ShaftSpeed)?;
+        let (_, si) = signal.channel?;
+        Some(self.get(&signal.name)?.value? * si)
+    }
+
+    /// Product of the signals that a value is scaled with; `None` while one is not known.
+    pub(super) fn factor(&self, scale_by: &[String]) -> Option<f64> {
+        scale_by
+            .iter()
+            .map(|name| self.get(name).and_then(|reading| reading.value))
+            .product()
+    }
+}
+
+/// An exception says what of the profile it is about.
+pub(super) fn in_profile(
+    error: LinkError,
+    map: &RegisterMap,
+    places: &[(&str, usize)],
+) -> LinkError {
+    let LinkError::Exception {
+        link,
+        request,
+        code,
+        name,
+    } = error
+    else {
+        return error;
+    };
+    let places: Vec<String> = places
+        .iter()
+        .map(|(name, line)| format!("{name} in line {line}"))
+        .collect();
+    LinkError::Exception {
+        link,
+        request: format!(
+            "{request} (profile {}: {})",
+            map.device.id,
+            places.join(", ")
+        ),
+        code,
+        name,
+    }
+}
+
+/// The counter is followed as one of so many counts to the turn, whatever its width; a narrower one is shifted up to it.
+const BITS: u16 = 32;
+/// What [`DriveClock`] takes a count for, s.
+const COUNT_S: f64 = 1e-6;
+
+pub(super) struct Clock {
+    /// Position of its signal in the map.
+    signal: usize,
+    /// How far its counts are shifted up.
+    shift: u16,
+    /// One count of the shifted counter, s, and one of its own.
+    count_s: f64,
+    resolution_s: f64,
+    counter: DriveClock,
+    map: ClockMap,
+}
+
+impl Clock {
+    pub(super) fn of(map: &RegisterMap) -> Option<Self> {
+        let signal = map.signals.iter().position(|signal| {
+            signal.keys.quantity == Quantity::Clock && signal.keys.poll == PollRate::Fast
+        })?;
+        let resolution_s = map.signals[signal].clock_count_s()?;
+        let shift = BITS - 16 * map.signals[signal].location.layout.registers();
+        Some(Self {
+            signal,
+            shift,
+            count_s: resolution_s * 0.5_f64.powi(i32::from(shift)),
+            resolution_s,
+            counter: DriveClock::default(),
+            map: ClockMap::default(),
+        })
+    }
+
+    /// Drive time of the counter as it was read last, s since the first one.
+    pub(super) fn follow(&mut self, readings: &Readings) -> f64 {
+        let reading = readings.at(self.signal);
+        let span = reading.span;
+        // The link ended before it was read for the first time.
+        let raw = reading.pattern.unwrap_or_default() << self.shift;
+        let counts = self.count_s / COUNT_S;
+        let time_s = self.counter.follow(raw, span.middle_s() / counts) * counts;
+        self.map.observe(span, time_s);
+        time_s
+    }
+
+    /// Half of a count, s: between two of them nothing is told.
+    pub(super) const fn half_width_s(&self) -> f64 {
+        0.5 * self.resolution_s
+    }
+
+    /// A host time on the drive's clock, s; before the first look at it, its zero.
+    pub(super) fn of_host_s(&self, host_s: f64) -> f64 {
+        self.map
+            .offset_s(host_s)
+            .map_or(0.0, |offset_s| host_s + offset_s)
+    }
+}

@@ -1,0 +1,355 @@
+//! A command of the profile as it is carried out: write, wait for a status, let time pass; and bringing a drive to rest, where
+//! every write leaves at once, whatever becomes of the others. [`Sequence`] is pure: time and status go in.
+//!
+//! ```text
+//! stop:     write -> write -> wait -> write   each write goes out although the one before was refused or not acknowledged;
+//!                                             what was not acknowledged goes out again with the next exchange
+//! in fault: write -> write -> write           nothing is waited for: the output is off, and the words have to be taken back
+//! ```
+
+use super::ProfiledLink;
+use crate::link::{DriveLink as _, LinkError};
+use crate::patience::is_busy;
+use crate::register_bus::RegisterBus;
+use crate::register_map::{Step, Write};
+
+/// Between two looks at the status while a stop is waited for, s.
+const LOOK_S: f64 = 0.02;
+/// A drive that reports that it runs so long after its stop command was carried out has not stopped, s.
+const STOP_TIME_S: f64 = 2.0;
+
+/// What is to be done now.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Next {
+    /// Write this and say so with [`Sequence::go_on`].
+    Write(Write),
+    /// Nothing yet.
+    Wait,
+    Done,
+    Failed {
+        step: usize,
+        reason: String,
+    },
+}
+
+/// One command under way.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Sequence {
+    pub(super) command: &'static str,
+    steps: Vec<Step>,
+    /// Steps in front of those of the profile; they have no number.
+    before: usize,
+    at: usize,
+    /// When the step began, s.
+    since_s: f64,
+    /// The first step whose write went out and was not acknowledged.
+    unheard: Option<usize>,
+    /// What the drive refused first, in words, and since when, s.
+    refused: Option<(String, f64)>,
+    /// A write was refused for good.
+    pub(super) is_denied: bool,
+}
+
+impl Sequence {
+    pub(super) fn new(command: &'static str, steps: &[Step], now_s: f64) -> Self {
+        Self {
+            command,
+            steps: steps.to_vec(),
+            before: 0,
+            at: 0,
+            since_s: now_s,
+            unheard: None,
+            refused: None,
+            is_denied: false,
+        }
+    }
+
+    /// The same with steps of the program's own in front.
+    pub(super) fn preceded(mut self, first: Vec<Step>) -> Self {
+        self.before = first.len();
+        self.steps.splice(0..0, first);
+        self
+    }
+
+    /// Steps as the profile counts them.
+    pub(super) fn steps(&self) -> usize {
+        self.steps.len() - self.before
+    }
+
+    /// `status` gives the bits of a signal and when they were read, s: what was read before a step began says nothing
+    /// about it.
+    pub(super) fn next(&mut self, now_s: f64, status: impl Fn(&str) -> Option<(u32, f64)>) -> Next {
+        while let Some(step) = self.steps.get(self.at) {
+            match step {
+                Step::Write(write) => return Next::Write(write.clone()),
+                Step::Delay { seconds } if now_s - self.since_s < *seconds => return Next::Wait,
+                Step::Delay { .. } => self.go_on(now_s),
+                Step::Wait {
+                    condition,
+                    within_s,
+                    error,
+                } => {
+                    let fresh =
+                        status(&condition.signal).filter(|(_, read_s)| *read_s >= self.since_s);
+                    if fresh.is_some_and(|(bits, _)| condition.holds(bits)) {
+                        self.go_on(now_s);
+                    } else if now_s - self.since_s > *within_s {
+                        let seen = fresh.map_or_else(
+                            || "was not read".to_owned(),
+                            |(bits, _)| format!("is {bits:#06x}"),
+                        );
+                        return Next::Failed {
+                            step: self.step(),
+                            reason: format!(
+                                "{}: {} {seen} after {within_s} s ({}){}",
+                                error.as_deref().unwrap_or("the status did not come"),
+                                condition.signal,
+                                condition.expected(),
+                                self.refusal()
+                            ),
+                        };
+                    } else {
+                        return Next::Wait;
+                    }
+                }
+            }
+        }
+        Next::Done
+    }
+
+    /// The write of this step went out, and whether the drive has it is not known: what follows goes out all the same.
+    pub(super) fn unheard(&mut self, now_s: f64) {
+        self.unheard.get_or_insert(self.at);
+        self.go_on(now_s);
+    }
+
+    /// Whether a write is still to be sent again.
+    pub(super) const fn is_unheard(&self) -> bool {
+        self.unheard.is_some()
+    }
+
+    /// What is to be sent again, in order: from the first write that was not acknowledged up to where the command is.
+    fn again(&mut self) -> Vec<(usize, Write)> {
+        let from = self.unheard.take().unwrap_or(self.at);
+        let passed = self.steps.get(from..self.at).unwrap_or_default();
+        let writes = (from..).zip(passed).filter_map(|(at, step)| match step {
+            Step::Write(write) => Some((at, write.clone())),
+            _ => None,
+        });
+        writes.collect()
+    }
+
+    /// One of those was not acknowledged again.
+    pub(super) fn unheard_again(&mut self, step: usize) {
+        self.unheard.get_or_insert(step);
+    }
+
+    /// The drive refused a write of this command; returns for how long it has done so, s. The first refusal is kept: it is
+    /// why a status that is waited for later does not come.
+    pub(super) fn refused(&mut self, now_s: f64, why: String) -> f64 {
+        let (_, since_s) = self.refused.get_or_insert((why, now_s));
+        now_s - *since_s
+    }
+
+    /// The step that is at hand, as the profile counts it.
+    pub(super) fn step(&self) -> usize {
+        (self.at + 1).saturating_sub(self.before)
+    }
+
+    fn refusal(&self) -> String {
+        let refused = self.refused.as_ref();
+        refused.map_or_else(String::new, |(why, _)| format!("; before that {why}"))
+    }
+
+    /// This step is over: its write has been acknowledged, or its wait has ended or does not matter any more.
+    pub(super) const fn go_on(&mut self, now_s: f64) {
+        self.at += 1;
+        self.since_s = now_s;
+    }
+}
+
+/// What became of a write of a stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Left {
+    /// The drive has it, or will not take it: it does not go out again.
+    Settled,
+    /// Nobody knows, or the drive was busy: it goes out again.
+    Unheard,
+}
+
+impl<B: RegisterBus> ProfiledLink<B> {
+    /// Takes a stop as far as it goes now. What comes back beside what is next is the first write that was refused or not
+    /// acknowledged: it has kept none of the others from going out.
+    pub(super) fn descend(
+        &mut self,
+        sequence: &mut Sequence,
+    ) -> Result<(Next, Option<LinkError>), LinkError> {
+        self.points.is_urgent = true;
+        let mut first = None;
+        for (at, write) in sequence.again() {
+            if self.leave(sequence, &write, &mut first)? == Left::Unheard {
+                sequence.unheard_again(at);
+            }
+        }
+        loop {
+            let faulty = self.told("fault") == Some(true);
+            let readings = &self.readings;
+            match sequence.next(self.bus.now_s(), |name| readings.status(name)) {
+                Next::Write(write) => {
+                    let left = self.leave(sequence, &write, &mut first)?;
+                    let now_s = self.bus.now_s();
+                    match left {
+                        Left::Unheard => sequence.unheard(now_s),
+                        Left::Settled => sequence.go_on(now_s),
+                    }
+                }
+                // A drive in fault has its output off, whatever its stop command waits for.
+                Next::Wait | Next::Failed { .. } if faulty => sequence.go_on(self.bus.now_s()),
+                next => return Ok((next, first)),
+            }
+        }
+    }
+
+    /// One write of a stop.
+    fn leave(
+        &mut self,
+        sequence: &mut Sequence,
+        write: &Write,
+        first: &mut Option<LinkError>,
+    ) -> Result<Left, LinkError> {
+        let written = self.points.carry(&mut self.bus, &self.readings, write);
+        let now_s = self.bus.now_s();
+        let error = match written {
+            Ok(()) => {
+                self.kicked_s = now_s;
+                return Ok(Left::Settled);
+            }
+            Err(error @ LinkError::Gone { .. }) => return Err(error),
+            Err(error) => error,
+        };
+        let later = error.is_transient()
+            || matches!(&error, LinkError::Exception { code, .. } if is_busy(*code));
+        sequence.refused(now_s, error.to_string());
+        sequence.is_denied |= !later;
+        first.get_or_insert(error);
+        Ok(if later { Left::Unheard } else { Left::Settled })
+    }
+
+    /// One pass of a command to its end, with the time that its steps take.
+    pub(super) fn carry_out(&mut self, command: &'static str) -> Result<(), LinkError> {
+        let mut sequence = Sequence::new(command, self.way_down(command), self.bus.now_s());
+        let mut first = None;
+        loop {
+            self.points.begin();
+            let (next, error) = self.descend(&mut sequence)?;
+            first = first.or(error);
+            match next {
+                Next::Done => return first.map_or(Ok(()), Err),
+                Next::Failed { step, reason } => {
+                    return Err(self.broken_off(command, (step, sequence.steps()), reason));
+                }
+                Next::Wait | Next::Write(_) => drop(self.look()?),
+            }
+        }
+    }
+
+    /// Reads the status after a moment; a lost reply is not the end of a stop, and is handed back.
+    fn look(&mut self) -> Result<Option<LinkError>, LinkError> {
+        let now_s = self.bus.now_s();
+        self.bus.pause_until_s(now_s + LOOK_S);
+        match self.readings.read_fast(&mut self.bus, None) {
+            Err(error) if error.is_transient() => Ok(Some(error)),
+            read => read.map(|_| None),
+        }
+    }
+
+    /// Whether the drive reports within a while that it does not run; what it said before its stop went out is no such
+    /// report. Without a status the acknowledged writes are all there is.
+    pub(super) fn rests(&mut self) -> Result<bool, LinkError> {
+        let stopped_s = self.bus.now_s();
+        if !self.confirms_stop() {
+            return self.look().map(|_| true);
+        }
+        loop {
+            let lost = self.look()?;
+            match (self.told_since("running", stopped_s), lost) {
+                (Some(false), _) => return Ok(true),
+                _ if self.bus.now_s() <= stopped_s + STOP_TIME_S => {}
+                (None, Some(lost)) => return Err(lost),
+                _ => return Ok(false),
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::register_map::Condition;
+
+    fn write(name: &str, value: f64) -> Step {
+        Step::Write(Write {
+            set_point: name.to_owned(),
+            value,
+            mask: None,
+        })
+    }
+
+    fn steps() -> Vec<Step> {
+        vec![
+            write("word", 6.0),
+            Step::Delay { seconds: 0.5 },
+            Step::Wait {
+                condition: Condition {
+                    signal: "status".to_owned(),
+                    mask: 0x6F,
+                    pattern: 0x21,
+                    negated: false,
+                    line: 7,
+                },
+                within_s: 1.0,
+                error: Some("not ready".to_owned()),
+            },
+        ]
+    }
+
+    #[test]
+    fn steps_are_taken_in_order_and_an_old_status_does_not_count() {
+        let mut sequence = Sequence::new("enable", &steps(), 0.0);
+        let ready_at = |read_s| move |_: &str| Some((0x21, read_s));
+        assert!(matches!(sequence.next(0.0, ready_at(0.0)), Next::Write(_)));
+        sequence.go_on(0.1);
+        assert_eq!(sequence.next(0.5, ready_at(0.5)), Next::Wait);
+        // The delay ends here; what was read before that is of another time.
+        assert_eq!(sequence.next(0.7, ready_at(0.6)), Next::Wait);
+        assert_eq!(sequence.next(0.8, ready_at(0.75)), Next::Done);
+    }
+
+    #[test]
+    fn steps_in_front_are_not_counted() {
+        let first = vec![write("speed", 0.0)];
+        let mut sequence = Sequence::new("enable", &steps(), 0.0).preceded(first);
+        sequence.go_on(0.0);
+        sequence.go_on(0.0);
+        assert_eq!(sequence.next(0.6, |_| None), Next::Wait);
+        let Next::Failed { step, .. } = sequence.next(1.7, |_| None) else {
+            panic!("the time is over");
+        };
+        assert_eq!((step, sequence.steps()), (3, 3));
+    }
+
+    #[test]
+    fn a_status_that_does_not_come_names_step_reason_and_bits() {
+        let mut sequence = Sequence::new("enable", &steps(), 0.0);
+        sequence.go_on(0.0);
+        assert_eq!(sequence.next(0.6, |_| None), Next::Wait);
+        let Next::Failed { step, reason } = sequence.next(1.7, |_| Some((0x40, 1.7))) else {
+            panic!("the time is over");
+        };
+        assert_eq!((step, sequence.steps()), (3, 3));
+        assert_eq!(
+            reason,
+            "not ready: status is 0x0040 after 1 s (expected 0x0021 under mask 0x006f, line 7 of the profile)"
+        );
+    }
+}

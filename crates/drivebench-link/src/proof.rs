@@ -1,0 +1,768 @@
+//! Proof that requests and replies of a line are synchronised. RTU has no transaction number, so a reply that fits may be
+//! that to an earlier request: late, or a second time. Pure: requests, replies and times go in.
+//!
+//! ```text
+//!         late reply or timeout                      ambiguous reply, or a policy that proves after every disturbance
+//! InStep -----------------------> Disturbed -------------------------------------------------------> Doubtful
+//!    ^                                |                                                                  |
+//!    +--- probe answered alone -------+--- before a request that an older reply fits --------------------+
+//!
+//! proof: silence -> probe, up to 6 times -> in step | given up
+//! reply whose code (function and length) only one request since then could have got -> all before that one are over
+//! ```
+//!
+//! A unit answers in order. So a reply that only one request can have got is that request's, whatever lies around it, and
+//! nothing older comes behind it.
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+use super::link::LinkError;
+use super::register_bus::{MOST_READ, ReadRequest, RegisterTable};
+use super::reply::Code;
+use super::transaction::{OldReply, Reception};
+
+/// Probes of one resynchronisation.
+const PROBES: usize = 6;
+/// Probes without any reply after which silence has to prove the line.
+const UNANSWERED_PROBES: usize = 3;
+/// Requests remembered since the last proof.
+const REMEMBERED: usize = 32;
+/// A line on which bytes come for so many times the silence that is waited for is given up.
+pub(super) const PATIENCE: u32 = 4;
+/// Clean reads after which a line counts as one without old replies.
+const CLEAN_READS: u32 = 32;
+/// A clean stretch so many times longer than the longest delay of an old reply ends the silences that are kept for it:
+/// where a delay comes back less often than once in a hundred of its own length, waiting for it costs more than a second
+/// request, and what comes beside a reply is noticed all the same.
+const STRETCH_IN_DELAYS: u32 = 100;
+/// Shortest and longest of these stretches: one good second proves little, and a bus that was in order for half a minute
+/// is in order.
+const SHORTEST_STRETCH: Duration = Duration::from_secs(2);
+const LONGEST_STRETCH: Duration = Duration::from_secs(30);
+
+/// What makes a probe unmistakable. The order is that of trial: a read can harm nobody, but function code 08 makes some
+/// servers deaf (libmodbus 3.1 takes its data for the next request), so it comes last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Method {
+    /// A read of another number of registers than any request since the last proof.
+    Length,
+    /// A read of the other table: every reply carries the other function code.
+    OtherTable,
+    /// Function code 08 with a number that comes back.
+    Nonce,
+    /// Nothing came for a while: weaker, for units that answer no probe.
+    Silence,
+}
+
+/// How a line is proven.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Policy {
+    /// Every reply carries the number of its request (TCP): there is nothing to prove.
+    Numbered,
+    /// As the drive's profile states. Every disturbance has to be followed by a proof.
+    Fixed(Method),
+    /// By trial, with a silence of this length as the last means. Only what could be confused has to be proven.
+    Trial(Duration),
+}
+
+/// What has to be done before a request may go out.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Step {
+    /// In step: the request may go out.
+    Go,
+    /// Nothing may come before this instant.
+    Silence(Instant),
+    /// This PDU goes out, and only its reply is waited for.
+    Probe([u8; 5]),
+    /// The line is never silent.
+    NeverSilent,
+    /// No probe came back alone; the next call begins anew.
+    GiveUp,
+}
+
+/// How an exchange ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum End {
+    Data,
+    Refused,
+    Missing,
+}
+
+impl End {
+    pub(super) const fn of<T>(result: &Result<T, LinkError>) -> Self {
+        match result {
+            Ok(_) => Self::Data,
+            Err(LinkError::Exception { .. }) => Self::Refused,
+            Err(_) => Self::Missing,
+        }
+    }
+}
+
+/// Synchronisation of requests and replies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Sync {
+    /// Nothing was wrong since the last proof.
+    InStep,
+    /// A late reply or a timeout since then: reads that no older reply fits may go out.
+    Disturbed,
+    /// The next reply may be an old one: nothing goes out before a proof. True: something was wrong since the last.
+    Doubtful(bool),
+}
+
+/// A silence that is waited for.
+#[derive(Clone, Copy, Debug)]
+enum Wait {
+    None,
+    /// Until the line is quiet, since this instant.
+    Quiet(Instant),
+    /// Until this instant, as the proof itself.
+    Proof(Instant),
+}
+
+/// The probes of a resynchronisation.
+#[derive(Debug)]
+struct Probing {
+    method: Method,
+    /// Probes since a request may have gone out.
+    count: usize,
+    /// Probes in a row without any reply.
+    unanswered: usize,
+    nonce: u16,
+    /// Registers that were read, of which a probe may read more or fewer; and the most that may be read.
+    place: Option<(ReadRequest, u16)>,
+}
+
+/// Silence between reads that look alike, on lines where old replies come.
+#[derive(Debug, Default)]
+struct Spacing {
+    /// On every line: the reads are rare.
+    always: bool,
+    /// Requests that ended within the last silence.
+    ended: Vec<(Code, Instant)>,
+    clean_reads: u32,
+    /// Until when the silences are kept if nothing more is wrong, and the longest delay of an old reply.
+    delayed: Option<(Instant, Duration)>,
+}
+
+/// A request since the line was last proven to be in step.
+#[derive(Clone, Copy, Debug)]
+struct SentRequest {
+    head: [u8; 5],
+    code: Code,
+    at: Instant,
+    /// It got data in reply; else a refusal may still come late.
+    is_answered: bool,
+    probe: Option<Method>,
+}
+
+impl SentRequest {
+    /// Whether the reply to this could be taken for the one to another request with this code.
+    fn looks_like(&self, code: Code, head: [u8; 5]) -> bool {
+        // Their replies repeat the request.
+        let is_echoed = matches!(head[0], 5 | 6 | 8 | 15 | 16);
+        self.code == code && self.head != head && !is_echoed
+    }
+}
+
+/// Whether the line is in step, and what shows it.
+#[derive(Debug)]
+pub(super) struct Proof {
+    policy: Policy,
+    /// Silence after which no old reply comes any more.
+    quiet: Duration,
+    sync: Sync,
+    wait: Wait,
+    probing: Probing,
+    spacing: Spacing,
+    requests: VecDeque<SentRequest>,
+    /// The last request without a reply: its own may come when a probe has been answered already.
+    missing: Option<(Code, Instant)>,
+    /// The line was in step at least once: everything before the first of the requests is over.
+    pub(super) is_proven: bool,
+    /// The unit has answered at least once.
+    pub(super) has_answered: bool,
+    /// The last reply can belong to no other request.
+    pub(super) is_unambiguous: bool,
+    /// Late replies, frames of others and timeouts, so far; and when the last of them came.
+    pub(super) anomalies: u64,
+    disturbed_at: Instant,
+}
+
+impl Proof {
+    pub(super) fn new(policy: Policy, quiet: Duration, now: Instant) -> Self {
+        let [.., high, low] = std::process::id().to_be_bytes();
+        let (method, is_fixed) = match policy {
+            Policy::Fixed(method) => (method, true),
+            _ => (Method::Length, false),
+        };
+        Self {
+            policy,
+            quiet,
+            // By trial the first replies are proven later; else one to the last user of the line may be under way.
+            sync: if is_fixed {
+                Sync::Doubtful(false)
+            } else {
+                Sync::InStep
+            },
+            wait: Wait::None,
+            probing: Probing {
+                method,
+                count: 0,
+                unanswered: 0,
+                nonce: u16::from_be_bytes([high, low]),
+                place: None,
+            },
+            spacing: Spacing::default(),
+            requests: VecDeque::with_capacity(REMEMBERED),
+            missing: None,
+            is_proven: false,
+            has_answered: is_fixed,
+            is_unambiguous: false,
+            anomalies: 0,
+            disturbed_at: now,
+        }
+    }
+
+    /// For a link whose plain reads are rare: those that look alike are always kept apart.
+    pub(super) const fn always_apart(mut self) -> Self {
+        self.spacing.always = true;
+        self
+    }
+
+    /// Another way of proving, and registers for the length code that can be read in any number up to this.
+    pub(super) fn set_policy(&mut self, method: Method, place: Option<(ReadRequest, u16)>) {
+        if self.policy != Policy::Numbered {
+            self.policy = Policy::Fixed(method);
+        }
+        self.probing.method = method;
+        self.probing.place = place;
+        self.spacing.always = false;
+    }
+
+    /// Silence after which nothing old comes any more, as it was measured.
+    pub(super) const fn set_quiet(&mut self, quiet: Duration) {
+        self.quiet = quiet;
+    }
+
+    /// The next requests go to another unit of the line.
+    pub(super) const fn forget_unit(&mut self) {
+        self.has_answered = false;
+        self.probing.place = None;
+        self.probing.method = Method::Length;
+    }
+
+    /// The line has to be proven before the next request.
+    pub(super) fn doubt(&mut self) {
+        if self.policy != Policy::Numbered {
+            self.sync = Sync::Doubtful(self.is_disturbed());
+        }
+    }
+
+    /// Nothing goes out before a proof.
+    pub(super) const fn is_doubtful(&self) -> bool {
+        matches!(self.sync, Sync::Doubtful(_))
+    }
+
+    /// Something was wrong since the last proof.
+    pub(super) const fn is_disturbed(&self) -> bool {
+        matches!(self.sync, Sync::Disturbed | Sync::Doubtful(true))
+    }
+
+    /// A read that was answered: a probe may read the same place.
+    pub(super) fn readable(&mut self, read: ReadRequest) {
+        self.probing.place = Some((read, MOST_READ.min(u16::MAX - read.address)));
+    }
+
+    /// Whether a reply to another request since the last proof could be taken for the one to this.
+    pub(super) fn could_confuse(&self, pdu: &[u8]) -> bool {
+        let (head, code) = (head(pdu), Code::answering(pdu));
+        let mut requests = self.requests.iter();
+        self.policy != Policy::Numbered && requests.any(|other| other.looks_like(code, head))
+    }
+
+    /// What has to be done before this request.
+    pub(super) fn next(&mut self, pdu: &[u8], now: Instant) -> Step {
+        if self.policy == Policy::Numbered {
+            return Step::Go;
+        }
+        let quiet_at = self.disturbed_at + self.quiet;
+        let is_read = matches!(pdu.first(), Some(3 | 4 | 43));
+        let needs_proof = match self.sync {
+            Sync::InStep => false,
+            Sync::Disturbed => !is_read || self.could_confuse(pdu),
+            Sync::Doubtful(_) => true,
+        };
+        if self.sync != Sync::InStep && now < quiet_at {
+            return self.silence(quiet_at, now);
+        }
+        if !needs_proof {
+            self.probing.count = 0;
+            let apart = self.apart_until(Code::answering(pdu), now);
+            if let Some(until) = apart.filter(|_| is_read) {
+                return self.silence(until, now);
+            }
+            self.wait = Wait::None;
+            return Step::Go;
+        }
+        if !self.has_answered {
+            // Nobody is known to be there; what may still come is found by the proof after the first reply.
+            self.sync = Sync::InStep;
+            self.wait = Wait::None;
+            return Step::Go;
+        }
+        if let (Method::Silence, Policy::Trial(longest)) = (self.probing.method, self.policy) {
+            let until = match self.wait {
+                Wait::Proof(until) => until,
+                Wait::None | Wait::Quiet(_) => now + longest,
+            };
+            if now < until {
+                self.wait = Wait::Proof(until);
+                return Step::Silence(until);
+            }
+        }
+        self.wait = Wait::None;
+        if self.probing.count == PROBES {
+            self.probing.count = 0;
+            self.doubt();
+            return Step::GiveUp;
+        }
+        self.probing.count += 1;
+        let Some(probe) = self.probe(pdu) else {
+            let is_fixed = matches!(self.policy, Policy::Fixed(_));
+            if is_fixed || self.probing.method == Method::Silence {
+                self.requests.clear();
+                self.in_step(Method::Silence);
+            } else {
+                self.probing.next_method();
+            }
+            return self.next(pdu, now);
+        };
+        Step::Probe(probe)
+    }
+
+    fn silence(&mut self, until: Instant, now: Instant) -> Step {
+        let since = match self.wait {
+            Wait::Quiet(since) => since,
+            Wait::None | Wait::Proof(_) => now,
+        };
+        let patience = match self.policy {
+            Policy::Trial(longest) => longest.max(PATIENCE * self.quiet),
+            _ => PATIENCE * self.quiet,
+        };
+        if now.saturating_duration_since(since) > patience {
+            self.wait = Wait::None;
+            return Step::NeverSilent;
+        }
+        self.wait = Wait::Quiet(since);
+        Step::Silence(until)
+    }
+
+    /// Until when this read is kept apart from one before it that looks alike.
+    fn apart_until(&mut self, code: Code, now: Instant) -> Option<Instant> {
+        let (quiet, spacing) = (self.quiet, &mut self.spacing);
+        spacing.delayed = spacing.delayed.filter(|(until, _)| now < *until);
+        let is_clean = spacing.clean_reads >= CLEAN_READS && spacing.delayed.is_none();
+        if matches!(self.policy, Policy::Trial(_)) || (is_clean && !spacing.always) {
+            spacing.ended.clear();
+            return None;
+        }
+        spacing.ended.retain(|(_, ended)| now < *ended + quiet);
+        let mut alike = spacing.ended.iter().filter(|(other, _)| *other == code);
+        alike.next_back().map(|(_, ended)| *ended + quiet)
+    }
+
+    /// Something came, or was found, while nothing was outstanding.
+    pub(super) fn disturbed(&mut self, old: &[OldReply], now: Instant) {
+        if self.policy == Policy::Numbered {
+            self.anomalies += 1;
+            return;
+        }
+        self.anomaly(old, now);
+        if matches!(self.policy, Policy::Fixed(_)) || !self.is_proven {
+            self.doubt();
+        }
+    }
+
+    fn anomaly(&mut self, old: &[OldReply], now: Instant) {
+        self.anomalies += 1;
+        self.sync = match self.sync {
+            Sync::InStep | Sync::Disturbed => Sync::Disturbed,
+            Sync::Doubtful(_) => Sync::Doubtful(true),
+        };
+        self.disturbed_at = now;
+        self.end_silent_proof();
+        self.has_answered |= !old.is_empty();
+        let before = self.spacing.delayed.map(|(_, longest)| longest);
+        let delays = old.iter().map(|old| self.delay(old.code, now));
+        if let Some(longest) = delays.chain(before).max() {
+            let stretch = STRETCH_IN_DELAYS * longest;
+            let until = now + stretch.clamp(SHORTEST_STRETCH, LONGEST_STRETCH);
+            self.spacing.delayed = Some((until, longest));
+        }
+    }
+
+    const fn end_silent_proof(&mut self) {
+        if let Wait::Proof(_) = self.wait {
+            self.wait = Wait::None;
+        }
+    }
+
+    /// How long after its request this old reply came at the most.
+    fn delay(&self, code: Code, now: Instant) -> Duration {
+        let alike = || self.requests.iter().filter(|request| request.code == code);
+        let unanswered = alike().find(|request| !request.is_answered);
+        let missing = self.missing.filter(|(missing, _)| *missing == code);
+        let at = unanswered.map(|request| request.at);
+        let at = at.or(missing.map(|(_, at)| at));
+        let at = at.or(alike().next_back().map(|request| request.at));
+        at.map_or(self.quiet, |at| now.saturating_duration_since(at))
+    }
+
+    /// A request goes out.
+    pub(super) fn sent(&mut self, pdu: &[u8], is_probe: bool, now: Instant) {
+        if self.policy == Policy::Numbered {
+            return;
+        }
+        if self.requests.len() >= REMEMBERED {
+            self.requests.pop_front();
+        }
+        self.requests.push_back(SentRequest {
+            head: head(pdu),
+            code: Code::answering(pdu),
+            at: now,
+            is_answered: false,
+            probe: is_probe.then_some(self.probing.method),
+        });
+    }
+
+    /// The exchange is over: judges what came beside the reply. `numbered`: the reply carries its own number.
+    pub(super) fn settle(
+        &mut self,
+        end: End,
+        reception: &mut Reception,
+        numbered: bool,
+        now: Instant,
+    ) {
+        let strays = reception.take_anomaly();
+        self.ended(end, &reception.take_old_replies(), strays, numbered, now);
+    }
+
+    /// The exchange is over. `strays`: something beside the reply came. `numbered`: the reply carries its own number.
+    fn ended(&mut self, end: End, old: &[OldReply], strays: bool, numbered: bool, now: Instant) {
+        let was_proven = self.is_proven;
+        self.has_answered |= end != End::Missing;
+        self.is_unambiguous = self.policy == Policy::Numbered;
+        let Some(last) = self.requests.back_mut() else {
+            self.anomalies += u64::from(strays || end == End::Missing);
+            return;
+        };
+        last.is_answered = end == End::Data;
+        let last = *last;
+        if !matches!(self.policy, Policy::Trial(_)) {
+            // Where no read is ever kept apart, nothing else removes them.
+            let quiet = self.quiet;
+            self.spacing.ended.retain(|(_, ended)| now < *ended + quiet);
+            self.spacing.ended.push((last.code, now));
+        }
+        if end == End::Missing {
+            self.missing = Some((last.code, last.at));
+        }
+        if strays || end == End::Missing {
+            self.anomaly(old, now);
+            // Where nothing came at all the wait for it was silence already, and a probe will show the rest.
+            let is_probed = matches!(self.policy, Policy::Fixed(Method::Nonce | Method::Length));
+            if !strays && old.is_empty() && is_probed {
+                self.disturbed_at = last.at;
+            }
+        } else {
+            self.spacing.clean_reads = self.spacing.clean_reads.saturating_add(1);
+        }
+        let others = self.requests.len() - 1;
+        let mut others = self.requests.iter().take(others);
+        let is_unique = match end {
+            End::Data => others.all(|other| !other.looks_like(last.code, last.head)),
+            // A refusal carries no length: it is only clear where no older request may still be refused.
+            End::Refused => others.all(|other| other.is_answered || other.head[0] != last.head[0]),
+            End::Missing => false,
+        };
+        if let Policy::Fixed(_) = self.policy {
+            let proves = numbered || last.probe.is_some();
+            if strays || end == End::Missing {
+                self.doubt();
+            } else if proves && is_unique {
+                self.requests.clear();
+                self.in_step(self.probing.method);
+            }
+            return;
+        }
+        // Older ones come before the reply, never behind it.
+        let in_order = old.iter().all(|old| !old.behind || old.code == last.code);
+        if !in_order {
+            self.doubt();
+        }
+        match last.probe {
+            Some(method) if is_unique && in_order => {
+                self.over_before(&last);
+                self.in_step(method);
+            }
+            Some(_) => {
+                self.probe_failed(end, strays);
+                self.late_probe(old);
+            }
+            None => {
+                self.is_unambiguous = was_proven && is_unique && in_order;
+                if self.is_unambiguous && end == End::Data {
+                    self.over_before(&last);
+                } else if strays && !was_proven {
+                    self.doubt();
+                }
+                self.late_probe(old);
+            }
+        }
+    }
+
+    /// A probe that is answered too late proves as well that all before it are over.
+    fn late_probe(&mut self, old: &[OldReply]) {
+        for code in old.iter().filter(|old| !old.behind).map(|old| old.code) {
+            let mut alike = self.requests.iter().filter(|request| request.code == code);
+            if let (Some(probe), None) = (alike.next().copied(), alike.next())
+                && let Some(method) = probe.probe
+            {
+                self.over_before(&probe);
+                let is_disturbed = self.is_disturbed();
+                self.in_step(method);
+                if is_disturbed {
+                    self.sync = Sync::Disturbed;
+                }
+            }
+        }
+    }
+
+    /// Everything before the first request that is equal to this one is over.
+    fn over_before(&mut self, request: &SentRequest) {
+        let same = |other: &SentRequest| other.head == request.head;
+        if let Some(first) = self.requests.iter().position(same) {
+            self.requests.drain(..first);
+        }
+    }
+
+    fn in_step(&mut self, method: Method) {
+        self.is_proven = true;
+        self.sync = Sync::InStep;
+        self.end_silent_proof();
+        self.probing.unanswered = 0;
+        if matches!(self.policy, Policy::Trial(_)) {
+            self.probing.method = method;
+        }
+    }
+
+    fn probe_failed(&mut self, end: End, strays: bool) {
+        let nothing = end == End::Missing && !strays;
+        let probing = &mut self.probing;
+        probing.unanswered = if nothing { probing.unanswered + 1 } else { 0 };
+        probing.next_method();
+        self.doubt();
+    }
+
+    fn probe(&mut self, before: &[u8]) -> Option<[u8; 5]> {
+        let spared = Code::answering(before);
+        let alike = |read: &ReadRequest| {
+            let code = Code::answering(&read.pdu());
+            let requests = self.requests.iter();
+            (code, requests.filter(move |request| request.code == code))
+        };
+        let is_free = |read: &ReadRequest| {
+            let (code, mut alike) = alike(read);
+            code != spared && alike.next().is_none()
+        };
+        let place = self.probing.place;
+        match self.probing.method {
+            Method::Length => {
+                let (place, most) = place?;
+                let shorter = (1..place.count).rev();
+                let counts = || shorter.clone().chain(place.count..=most);
+                let reads = || counts().map(|count| ReadRequest { count, ..place });
+                // As the profile has it a reply comes once: a request that was answered, and silence since, is over.
+                let is_over = |read: &ReadRequest| alike(read).1.all(|request| request.is_answered);
+                let is_fixed = matches!(self.policy, Policy::Fixed(_));
+                let over = || reads().filter(|_| is_fixed).find(is_over);
+                reads().find(is_free).or_else(over).map(ReadRequest::pdu)
+            }
+            Method::OtherTable => {
+                let place = place.map(|(place, _)| place);
+                // A refusal carries no length: the table that is tried is not the one that has been refused.
+                let input_refused = || {
+                    let mut requests = self.requests.iter();
+                    requests.any(|request| request.head[0] == 4 && !request.is_answered)
+                };
+                let table = match place.map(|place| place.table) {
+                    Some(RegisterTable::Input) => RegisterTable::Holding,
+                    None if input_refused() => RegisterTable::Holding,
+                    _ => RegisterTable::Input,
+                };
+                let address = place.map_or(0, |place| place.address);
+                let mut reads = (1..=4).map(|count| ReadRequest {
+                    table,
+                    address,
+                    count,
+                });
+                reads.find(is_free).map(ReadRequest::pdu)
+            }
+            Method::Nonce => {
+                let nonce = &mut self.probing.nonce;
+                *nonce = nonce.wrapping_mul(25_173).wrapping_add(13_849);
+                let [high, low] = nonce.to_be_bytes();
+                Some([8, 0, 0, high, low])
+            }
+            Method::Silence => None,
+        }
+    }
+}
+
+impl Probing {
+    const fn next_method(&mut self) {
+        self.method = match self.method {
+            Method::Length => Method::OtherTable,
+            Method::OtherTable => Method::Nonce,
+            Method::Nonce | Method::Silence if self.unanswered >= UNANSWERED_PROBES => {
+                Method::Silence
+            }
+            Method::Nonce | Method::Silence => Method::Length,
+        };
+    }
+}
+
+/// What distinguishes requests: function, and the four bytes behind it where there are so many.
+fn head(pdu: &[u8]) -> [u8; 5] {
+    let mut head = [0; 5];
+    for (to, from) in head.iter_mut().zip(pdu) {
+        *to = *from;
+    }
+    head
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::waiting::now;
+
+    const QUIET: Duration = Duration::from_millis(20);
+
+    #[test]
+    fn a_unit_that_refuses_one_table_is_proven_by_the_other() {
+        let begun = now();
+        for (refused, other) in [(4, 3), (3, 4)] {
+            let read = [refused, 0, 0, 0, 1];
+            let mut proof = Proof::new(Policy::Trial(5 * QUIET), QUIET, begun);
+            proof.sent(&read, false, begun);
+            proof.ended(End::Refused, &[], false, false, begun);
+            proof.doubt();
+            let later = begun + 2 * QUIET;
+            let Step::Probe(probe) = proof.next(&read, later) else {
+                panic!("a doubt is followed by a probe");
+            };
+            assert_eq!(probe[0], other);
+            proof.sent(&probe, true, later);
+            proof.ended(End::Refused, &[], false, false, later);
+            assert_eq!(proof.next(&read, later), Step::Go);
+        }
+    }
+    const MS: Duration = Duration::from_millis(1);
+
+    fn read(address: u16, count: u16) -> [u8; 5] {
+        ReadRequest::holding(address, count).pdu()
+    }
+
+    fn late(pdu: &[u8]) -> [OldReply; 1] {
+        [OldReply {
+            code: Code::answering(pdu),
+            behind: false,
+        }]
+    }
+
+    /// Goes on until a probe is due.
+    fn probe(proof: &mut Proof, pdu: &[u8], at: &mut Instant) -> [u8; 5] {
+        loop {
+            match proof.next(pdu, *at) {
+                Step::Probe(probe) => return probe,
+                Step::Silence(until) => *at = until,
+                other => panic!("{other:?}"),
+            }
+        }
+    }
+
+    #[test]
+    fn the_code_of_a_probe_proves_a_unit_one_reply_behind() {
+        let mut at = now();
+        let mut proof = Proof::new(Policy::Trial(50 * MS), QUIET, at);
+        let (first, wanted) = (read(10, 1), read(20, 1));
+        proof.readable(ReadRequest::holding(10, 1));
+        // Its reply comes with the next request, which it fits as well.
+        for pdu in [&first, &wanted] {
+            proof.sent(pdu, false, at);
+            let is_first = *pdu == first;
+            let end = if is_first { End::Missing } else { End::Data };
+            proof.ended(end, &[], false, false, at);
+        }
+        assert!(!proof.is_unambiguous, "it may be the reply to the first");
+        let one = probe(&mut proof, &wanted, &mut at);
+        proof.sent(&one, true, at);
+        proof.ended(End::Missing, &late(&wanted), true, false, at);
+        let two = probe(&mut proof, &wanted, &mut at);
+        assert!(one != two && Code::answering(&two) != Code::answering(&wanted));
+        proof.sent(&two, true, at);
+        proof.ended(End::Missing, &late(&one), true, false, at);
+        // Everything before the first probe is over, and only the wanted read can get such a reply now.
+        at += QUIET;
+        assert_eq!(proof.next(&wanted, at), Step::Go);
+        proof.sent(&wanted, false, at);
+        proof.ended(End::Data, &late(&two), true, false, at);
+        assert!(proof.is_unambiguous);
+    }
+
+    #[test]
+    fn the_silence_for_an_old_reply_ends_after_a_clean_stretch() {
+        let mut at = now();
+        let mut proof = Proof::new(Policy::Fixed(Method::Nonce), QUIET, at);
+        proof.set_policy(Method::Nonce, None);
+        let nonce = probe(&mut proof, &read(0, 1), &mut at);
+        let clean = |proof: &mut Proof, pdu: &[u8], is_probe, at| {
+            proof.sent(pdu, is_probe, at);
+            proof.ended(End::Data, &[], false, false, at);
+        };
+        clean(&mut proof, &nonce, true, at);
+        let is_apart = |proof: &mut Proof, at| proof.next(&read(2, 1), at) != Step::Go;
+        for _ in 0..CLEAN_READS {
+            clean(&mut proof, &read(1, 1), false, at);
+        }
+        assert!(!is_apart(&mut proof, at), "nothing old ever came");
+        proof.sent(&read(1, 1), false, at);
+        proof.ended(End::Missing, &late(&read(1, 1)), true, false, at + 70 * MS);
+        at += 70 * MS;
+        let nonce = probe(&mut proof, &read(1, 1), &mut at);
+        clean(&mut proof, &nonce, true, at);
+        for seconds in [1, 3, 6] {
+            let later = at + Duration::from_secs(seconds);
+            clean(&mut proof, &read(1, 1), false, later);
+            assert!(is_apart(&mut proof, later + MS), "{seconds}");
+        }
+        let later = at + Duration::from_secs(8);
+        clean(&mut proof, &read(1, 1), false, later);
+        assert!(!is_apart(&mut proof, later + MS));
+    }
+
+    #[test]
+    fn commands_without_reads_are_remembered_for_one_silence() {
+        let mut at = now();
+        let mut proof = Proof::new(Policy::Fixed(Method::Nonce), QUIET, at);
+        let mut most = 0;
+        for _ in 0..10_000 {
+            at += MS;
+            proof.sent(&read(0, 1), false, at);
+            proof.ended(End::Data, &[], false, true, at);
+            most = most.max(proof.spacing.ended.len());
+        }
+        assert!((1..=20).contains(&most), "{most}");
+    }
+}

@@ -1,0 +1,678 @@
+//! Other ways of reading what a drive answered: address one beside, word order, byte order, sign. Pure.
+//!
+//! ```text
+//! registers at address - 1, 0, + 1 -> Change -> value in units -> does that fit a drive at rest? -> Candidate, Hypothesis
+//! ```
+//!
+//! A profile that is wrong about one of these gives numbers that look like numbers. At rest the true ones are known well
+//! enough to tell: a wrong address, word order or scale leaves their ranges at once, where the true value is not zero; what
+//! is zero confirms little.
+
+use serde::Serialize;
+
+use super::facts::{Reading, RegisterMap, Signal};
+use super::terms::{Quantity, Unit, written};
+use super::value::{Kind, Layout, Order};
+
+/// Current of a machine at rest, as a share of the rated one: offset and noise of a sensor.
+const CURRENT_SHARE: f64 = 0.1;
+/// The same where no rated current is known, A.
+const CURRENT_A: f64 = 1.0;
+/// Speeds that a sensor or an observer shows at rest: 1 % of 3000 r/min.
+const SPEED_RPM: f64 = 30.0;
+const SPEED_RAD_S: f64 = 3.0;
+const SPEED_HZ: f64 = 0.5;
+/// Output of a power stage that is off, V.
+const OUTPUT_V: f64 = 10.0;
+/// From a small battery to the intermediate circuit of a 690 V converter, V.
+const SUPPLY_V: [f64; 2] = [8.0, 1500.0];
+
+/// Where the value of a signal lies while the drive is powered and the shaft stands still, in the signal's unit; `None`:
+/// anything may be true.
+pub(crate) fn expected_at_rest(
+    quantity: Quantity,
+    unit: Unit,
+    rated_current_a: Option<f64>,
+) -> Option<[f64; 2]> {
+    let around_zero = |most: f64| Some([-most, most]);
+    match (quantity, unit) {
+        (Quantity::ShaftSpeed | Quantity::OutputSpeed, unit) => match unit {
+            Unit::Rpm => around_zero(SPEED_RPM),
+            Unit::RadS => around_zero(SPEED_RAD_S),
+            Unit::Hertz => around_zero(SPEED_HZ),
+            Unit::Percent => around_zero(1.0),
+            _ => None,
+        },
+        (Quantity::Current, Unit::A) => {
+            around_zero(rated_current_a.map_or(CURRENT_A, |rated| CURRENT_SHARE * rated))
+        }
+        (Quantity::Voltage, Unit::V) => around_zero(OUTPUT_V),
+        (Quantity::Current | Quantity::Torque, Unit::Percent) => around_zero(100.0 * CURRENT_SHARE),
+        (Quantity::Torque, Unit::NewtonMetre) => around_zero(1.0),
+        (Quantity::Power, Unit::KiloWatt) => around_zero(0.1),
+        (Quantity::Duty | Quantity::Power | Quantity::Voltage, Unit::Percent) => around_zero(5.0),
+        (Quantity::BusVoltage | Quantity::LineVoltage, Unit::V) => Some(SUPPLY_V),
+        (Quantity::FieldCurrent, Unit::A) => Some([0.0, 1000.0]),
+        (Quantity::Temperature, Unit::Celsius) => Some([-40.0, 150.0]),
+        (Quantity::RatedCurrent | Quantity::CurrentLimit, Unit::A) => Some([0.01, 10_000.0]),
+        (Quantity::RatedVoltage | Quantity::VoltageLimit, Unit::V) => Some([1.0, 2000.0]),
+        (Quantity::RatedSpeed, Unit::Rpm) => Some([10.0, 100_000.0]),
+        _ => None,
+    }
+}
+
+/// Whether a reading within its range also confirms address and order: a register that is not there reads zero as well.
+pub(crate) fn confirms(range: [f64; 2], value: f64) -> bool {
+    let [low, high] = range;
+    (low..=high).contains(&value) && !(low..=high).contains(&0.0)
+}
+
+/// Factors of factors that are followed.
+const DEEPEST: usize = 3;
+/// Candidates that are worth showing for one signal.
+const MOST: usize = 8;
+
+/// What is read otherwise than the profile says.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Change {
+    /// Registers that the address is moved by: -1, 0 or 1.
+    pub shift: i8,
+    pub words: bool,
+    pub bytes: bool,
+    /// Signed for unsigned, and the other way.
+    pub sign: bool,
+}
+
+impl Change {
+    const NONE: Self = Self {
+        shift: 0,
+        words: false,
+        bytes: false,
+        sign: false,
+    };
+
+    /// Every change that makes a difference to such a layout.
+    fn all(layout: Layout) -> Vec<Self> {
+        let has_words = layout.registers() > 1;
+        let has_sign = layout.kind != Kind::F32;
+        let of_shift = |shift| {
+            (0..8_u8).map(move |bits| Self {
+                shift,
+                words: bits & 4 != 0,
+                bytes: bits & 2 != 0,
+                sign: bits & 1 != 0,
+            })
+        };
+        let mut all: Vec<Self> = [0, -1, 1].into_iter().flat_map(of_shift).collect();
+        all.retain(|c| *c != Self::NONE && (has_words || !c.words) && (has_sign || !c.sign));
+        all.sort_by_key(|change| change.size());
+        all
+    }
+
+    /// Things that the profile would have wrong at once.
+    fn size(self) -> u8 {
+        u8::from(self.shift != 0)
+            + u8::from(self.words)
+            + u8::from(self.bytes)
+            + u8::from(self.sign)
+    }
+
+    fn apply(self, layout: Layout) -> Layout {
+        let turned = |order: Order, turn: bool| match (order, turn) {
+            (Order::HighFirst, true) => Order::LowFirst,
+            (Order::LowFirst, true) => Order::HighFirst,
+            (order, false) => order,
+        };
+        let kind = layout.kind;
+        Layout {
+            kind: if self.sign { other_sign(kind) } else { kind },
+            words: turned(layout.words, self.words),
+            bytes: turned(layout.bytes, self.bytes),
+            ..layout
+        }
+    }
+
+    /// As it would stand in the profile.
+    fn text(self, layout: Layout) -> String {
+        let other = self.apply(layout);
+        let mut parts = Vec::new();
+        if self.shift != 0 {
+            parts.push(shift_text(self.shift).to_owned());
+        }
+        if self.words {
+            parts.push(format!("word_order = \"{}\"", written(&other.words)));
+        }
+        if self.bytes {
+            parts.push(format!("byte_order = \"{}\"", written(&other.bytes)));
+        }
+        if self.sign {
+            parts.push(format!("type = \"{}\"", written(&other.kind)));
+        }
+        parts.join(" and ")
+    }
+}
+
+/// `address_base` says which number is register 0: a base that is one less moves every address up by one.
+const fn shift_text(shift: i8) -> &'static str {
+    if shift > 0 {
+        "the address one higher (base 0 instead of 1)"
+    } else {
+        "the address one lower (base 1 instead of 0)"
+    }
+}
+
+const fn other_sign(kind: Kind) -> Kind {
+    match kind {
+        Kind::U16 => Kind::I16,
+        Kind::I16 => Kind::U16,
+        Kind::U32 => Kind::I32,
+        Kind::I32 => Kind::U32,
+        Kind::F32 => Kind::F32,
+    }
+}
+
+/// Registers of one signal's length, at its address and one beside; `None`: not asked, or refused.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Window {
+    pub below: Option<Vec<u16>>,
+    pub here: Option<Vec<u16>>,
+    pub above: Option<Vec<u16>>,
+}
+
+impl Window {
+    fn at(&self, shift: i8) -> Option<&[u16]> {
+        match shift {
+            0 => self.here.as_deref(),
+            ..0 => self.below.as_deref(),
+            _ => self.above.as_deref(),
+        }
+    }
+}
+
+/// Another way of reading one signal.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Candidate {
+    /// What the profile would have to say: `word_order = "low_first"`.
+    pub change: String,
+    /// In the profile's unit.
+    pub value: f64,
+    /// Whether a drive at rest may read so.
+    pub plausible: bool,
+}
+
+/// One change for the whole profile.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Hypothesis {
+    pub change: String,
+    /// Readings that would fit a drive at rest, of those that can be judged.
+    pub plausible: usize,
+    pub judged: usize,
+    /// Those that fit as the profile is.
+    pub as_written: usize,
+}
+
+/// Everything that was read of a drive, to be looked at in several ways.
+pub struct Picture<'a> {
+    pub map: &'a RegisterMap,
+    /// By position in the map.
+    pub windows: &'a [Window],
+    pub rated_current_a: Option<f64>,
+}
+
+impl Picture<'_> {
+    /// A signal as the profile says.
+    pub fn reading(&self, index: usize) -> Reading {
+        self.read_as(index, Change::NONE, Change::NONE, DEEPEST)
+    }
+
+    /// Where the profile's own reading should lie at rest; `None`: it cannot be judged.
+    pub fn expected(&self, index: usize) -> Option<[f64; 2]> {
+        let signal = &self.map.signals[index];
+        expected_at_rest(
+            signal.keys.quantity,
+            signal.numbers.unit,
+            self.rated_current_a,
+        )
+    }
+
+    /// Whether a reading fits a drive at rest; `None` where that cannot be told.
+    pub fn fits(&self, index: usize, reading: Reading) -> Option<bool> {
+        let range = self.expected(index);
+        match reading {
+            Reading::Value(value) => range.map(|[low, high]| (low..=high).contains(&value)),
+            Reading::NotAvailable => None,
+            // A register that the drive refuses is none of its registers.
+            Reading::Outside(_) | Reading::NotANumber | Reading::Unread => Some(false),
+        }
+    }
+
+    /// Whether a reading is one that no empty register would give.
+    pub fn confirms(&self, index: usize) -> bool {
+        let range = self.expected(index);
+        let value = self.reading(index).value();
+        range
+            .zip(value)
+            .is_some_and(|(range, value)| confirms(range, value))
+    }
+
+    /// Whether the registers at a signal's address, moved by `shift`, are partly those of another mapped signal. Two
+    /// signals of the very same registers, as bits of one word, are no trespass.
+    fn trespasses(&self, index: usize, shift: i8) -> bool {
+        let range = |signal: &Signal, shift: i8| {
+            let from = i32::from(signal.location.address) + i32::from(shift);
+            from..from + i32::from(signal.location.layout.registers())
+        };
+        let signal = &self.map.signals[index];
+        let ours = range(signal, shift);
+        let others = self.map.signals.iter().enumerate();
+        others
+            .filter(|(other, _)| *other != index)
+            .any(|(_, other)| {
+                let theirs = range(other, 0);
+                other.location.table == signal.location.table
+                    && ours.start < theirs.end
+                    && theirs.start < ours.end
+                    && (shift != 0 || ours != theirs)
+            })
+    }
+
+    /// Other ways of reading a signal, the likeliest first: those that fit, of those the ones that use no register of
+    /// another signal, and of those the smallest changes.
+    pub fn candidates(&self, index: usize) -> Vec<Candidate> {
+        let layout = self.map.signals[index].location.layout;
+        let written = self.reading(index).value();
+        let moved = self.moved();
+        let mut found: Vec<(bool, Candidate)> = Vec::new();
+        for change in Change::all(layout) {
+            let reading = self.read_as(index, change, Change::NONE, DEEPEST);
+            let Some(value) = reading.value() else {
+                continue;
+            };
+            let same = |other: f64| (other - value).abs() <= 1e-9 * value.abs();
+            // A change that changes nothing explains nothing.
+            let candidate = Candidate {
+                change: change.text(layout),
+                value,
+                plausible: self.fits(index, reading) == Some(true),
+            };
+            // Where every address is off, the others' registers lie elsewhere too.
+            let trespasses = self.trespasses(index, change.shift)
+                && self.trespasses(index, change.shift - moved);
+            if written.is_some_and(same) {
+                continue;
+            }
+            match found.iter_mut().find(|(_, known)| same(known.value)) {
+                // The same value by registers of its own is the better reason for it.
+                Some(known) if known.0 && !trespasses => *known = (trespasses, candidate),
+                Some(_) => {}
+                None => found.push((trespasses, candidate)),
+            }
+        }
+        found.sort_by_key(|(trespasses, candidate)| (!candidate.plausible, *trespasses));
+        found.truncate(MOST);
+        found.into_iter().map(|(_, candidate)| candidate).collect()
+    }
+
+    /// Where one signal alone does not fit and its likeliest candidate would: that change.
+    fn of_one_signal(&self) -> Option<Hypothesis> {
+        let misfits = |index: &usize| self.fits(*index, self.reading(*index)) == Some(false);
+        let mut wrong = (0..self.map.signals.len()).filter(misfits);
+        let (index, None) = (wrong.next()?, wrong.next()) else {
+            return None;
+        };
+        let candidate = self.candidates(index).into_iter().next()?;
+        let change = candidate.change.split(" (").next().unwrap_or_default();
+        let fits = |index: &usize| self.fits(*index, self.reading(*index)) == Some(true);
+        let as_written = (0..self.map.signals.len()).filter(fits).count();
+        candidate.plausible.then(|| Hypothesis {
+            change: format!("{change} for {} alone", self.map.signals[index].name),
+            plausible: as_written + 1,
+            judged: self.judged(),
+            as_written,
+        })
+    }
+
+    /// Single changes of the whole profile that make more readings fit than it does as it is: the best of them; else the
+    /// one of the only signal that does not fit.
+    pub fn hypotheses(&self) -> Vec<Hypothesis> {
+        let of_whole = self.of_whole().into_iter();
+        let mut found: Vec<Hypothesis> = of_whole.map(|(_, hypothesis)| hypothesis).collect();
+        if found.is_empty() {
+            found.extend(self.of_one_signal());
+        }
+        found
+    }
+
+    /// Registers that the whole profile is most likely off by.
+    fn moved(&self) -> i8 {
+        let best = self.of_whole();
+        best.first().map_or(0, |(change, _)| change.shift)
+    }
+
+    fn of_whole(&self) -> Vec<(Change, Hypothesis)> {
+        let fitting = |change: Change| {
+            let fits = |index: &usize| {
+                let reading = self.read_as(*index, change, change, DEEPEST);
+                // Where a signal stands on registers of another, another order of them explains nothing.
+                let borrowed =
+                    change != Change::NONE && change.shift == 0 && self.trespasses(*index, 0);
+                self.expected(*index).is_some()
+                    && self.fits(*index, reading) == Some(true)
+                    && (!borrowed || self.fits(*index, self.reading(*index)) == Some(true))
+            };
+            (0..self.map.signals.len()).filter(fits).count()
+        };
+        let (judged, as_written) = (self.judged(), fitting(Change::NONE));
+        let shifted = |shift| {
+            let change = Change {
+                shift,
+                ..Change::NONE
+            };
+            (
+                change,
+                shift_text(shift).replace("the address", "every address"),
+            )
+        };
+        let ordered = |words| {
+            let (change, none) = (
+                Change {
+                    words,
+                    bytes: !words,
+                    ..Change::NONE
+                },
+                String::new,
+            );
+            let layouts = self.map.signals.iter().map(|signal| signal.location.layout);
+            // The other order than that of the first signal which has one.
+            let mut of_interest = layouts.filter(|layout| !words || layout.registers() > 1);
+            let text = |layout| format!("{} everywhere", change.text(layout));
+            (change, of_interest.next().map_or_else(none, text))
+        };
+        let changes = [shifted(1), shifted(-1), ordered(true), ordered(false)];
+        let found = changes.into_iter().map(|(change, text)| {
+            let hypothesis = Hypothesis {
+                change: text,
+                plausible: fitting(change),
+                judged,
+                as_written,
+            };
+            (change, hypothesis)
+        });
+        let mut found: Vec<(Change, Hypothesis)> = found
+            .filter(|(_, hypothesis)| hypothesis.plausible > as_written)
+            .collect();
+        // The second best explains less, and would only be noise beside the best.
+        let best = found.iter().map(|(_, found)| found.plausible).max();
+        found.retain(|(_, found)| Some(found.plausible) == best);
+        found
+    }
+
+    /// Signals of which a range at rest is known.
+    fn judged(&self) -> usize {
+        let known = |index: &usize| self.expected(*index).is_some();
+        (0..self.map.signals.len()).filter(known).count()
+    }
+
+    /// One signal read with `change`, the signals that it is scaled with read with `of_factors`.
+    fn read_as(&self, index: usize, change: Change, of_factors: Change, depth: usize) -> Reading {
+        let signal = &self.map.signals[index];
+        let Some(registers) = self.windows.get(index).and_then(|w| w.at(change.shift)) else {
+            return Reading::Unread;
+        };
+        let layout = change.apply(signal.location.layout);
+        let Some(pattern) = layout.pattern(registers) else {
+            return Reading::Unread;
+        };
+        signal.read(layout, pattern, self.factor(signal, of_factors, depth))
+    }
+
+    fn factor(&self, signal: &Signal, change: Change, depth: usize) -> Option<f64> {
+        let of = |name: &String| {
+            let depth = depth.checked_sub(1)?;
+            let index = self.map.index(name)?;
+            self.read_as(index, change, change, depth).value()
+        };
+        signal.numbers.scale_by.iter().map(of).product()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::DriveProfile;
+
+    /// A map with a supply voltage of two registers, and what a drive shows that has 120 V, 0.03 A and a standing shaft.
+    fn map(bus: &str) -> RegisterMap {
+        let text = DriveProfile::text("epulse50-dc").unwrap().replace(
+            "[missing]",
+            &format!(
+                "[signals.bus]\naddress = 0x1220\n{bus}\nunit = \"V\"\nquantity = \"bus_voltage\"\norigin = \"measured\"\npoll = \"fast\"\n\n[missing]"
+            ),
+        );
+        RegisterMap::parse("x.toml", &text).unwrap()
+    }
+
+    /// Windows by name; the others read zeros.
+    fn windows(map: &RegisterMap, known: &[(&str, Window)]) -> Vec<Window> {
+        map.signals
+            .iter()
+            .map(|signal| {
+                let zeros = || Some(vec![0; usize::from(signal.location.layout.registers())]);
+                let given = known.iter().find(|(name, _)| *name == signal.name);
+                given.map_or_else(
+                    || Window {
+                        below: zeros(),
+                        here: zeros(),
+                        above: zeros(),
+                    },
+                    |(_, window)| window.clone(),
+                )
+            })
+            .collect()
+    }
+
+    fn index(map: &RegisterMap, name: &str) -> usize {
+        map.index(name).unwrap()
+    }
+
+    fn picture<'a>(map: &'a RegisterMap, windows: &'a [Window]) -> Picture<'a> {
+        Picture {
+            map,
+            windows,
+            rated_current_a: None,
+        }
+    }
+
+    #[test]
+    fn a_swapped_word_order_is_the_first_candidate_and_a_hypothesis() {
+        let map = map("type = \"u32\"\nscale = 0.1\nword_order = \"low_first\"");
+        let here = Window {
+            here: Some(vec![0, 1200]),
+            below: None,
+            above: Some(vec![1200, 7]),
+        };
+        let windows = windows(&map, &[("bus", here)]);
+        let picture = picture(&map, &windows);
+        let bus = index(&map, "bus");
+        assert_eq!(picture.reading(bus), Reading::Value(7_864_320.0));
+        assert_eq!(picture.fits(bus, picture.reading(bus)), Some(false));
+        let first = &picture.candidates(bus)[0];
+        assert_eq!(first.change, "word_order = \"high_first\"");
+        assert!((first.value - 120.0).abs() < 1e-9 && first.plausible);
+        let best = &picture.hypotheses()[0];
+        assert_eq!(best.change, "word_order = \"high_first\" everywhere");
+        assert_eq!((best.plausible, best.as_written, best.judged), (3, 2, 3));
+    }
+
+    #[test]
+    fn an_address_one_beside_is_found_on_its_side() {
+        let map = map("type = \"u16\"\nscale = 0.1");
+        let beside = Window {
+            below: Some(vec![9]),
+            here: Some(vec![0]),
+            above: Some(vec![1200]),
+        };
+        let windows = windows(&map, &[("bus", beside)]);
+        let picture = picture(&map, &windows);
+        let candidates = picture.candidates(index(&map, "bus"));
+        assert!(
+            candidates[0]
+                .change
+                .contains("one higher (base 0 instead of 1)")
+        );
+        assert!(candidates[0].plausible && (candidates[0].value - 120.0).abs() < 1e-9);
+        // 0.9 V is no supply, and is told as what it would be.
+        let lower = candidates
+            .iter()
+            .find(|c| c.change == "the address one lower (base 1 instead of 0)");
+        assert!(!lower.unwrap().plausible);
+        assert!(
+            picture.hypotheses()[0]
+                .change
+                .starts_with("every address one higher")
+        );
+    }
+
+    /// One register too high: the low word reads as the high one, and the other word is that of the next signal.
+    #[test]
+    fn a_register_of_another_signal_explains_less() {
+        let mut map = map("type = \"u32\"\nscale = 0.1");
+        let (bus, current) = (index(&map, "bus"), index(&map, "current"));
+        // The voltage's second register is that of the current.
+        let next = map.signals[bus].location.address + 1;
+        map.signals[current].location.address = next;
+        map.signals[current].location.table = map.signals[bus].location.table;
+        let here = Window {
+            below: Some(vec![0, 1200]),
+            here: Some(vec![1200, 0]),
+            above: None,
+        };
+        // The current stands where it should: one lower is the voltage's register.
+        let right = Window {
+            below: Some(vec![1200]),
+            here: Some(vec![0]),
+            above: None,
+        };
+        let windows = windows(&map, &[("bus", here), ("current", right)]);
+        let picture = picture(&map, &windows);
+        assert_eq!(picture.fits(bus, picture.reading(bus)), Some(false));
+        let candidates = picture.candidates(bus);
+        assert!(
+            candidates[0].plausible && candidates[0].change.starts_with("the address one lower"),
+            "{candidates:?}"
+        );
+        let hypotheses = picture.hypotheses();
+        assert_eq!(hypotheses[0].change, "the address one lower for bus alone");
+        assert_eq!(hypotheses[0].plausible, hypotheses[0].as_written + 1);
+    }
+
+    #[test]
+    fn sign_and_byte_order_are_candidates_if_they_matter() {
+        let map = map("type = \"u16\"");
+        // -3 raw of a drive whose current is signed after all; 120 V with its bytes exchanged.
+        let current = Window {
+            here: Some(vec![0xFFFD]),
+            ..Window::default()
+        };
+        let bus = Window {
+            here: Some(vec![120_u16.swap_bytes()]),
+            ..Window::default()
+        };
+        let mut unsigned = map.clone();
+        let at = index(&map, "current");
+        unsigned.signals[at].location.layout.kind = Kind::U16;
+        let windows = windows(&map, &[("current", current), ("bus", bus)]);
+        let picture = picture(&unsigned, &windows);
+        let candidates = picture.candidates(at);
+        assert_eq!(candidates[0].change, "type = \"i16\"");
+        assert!((candidates[0].value + 0.3).abs() < 1e-9 && candidates[0].plausible);
+        let candidates = picture.candidates(index(&map, "bus"));
+        assert_eq!(candidates[0].change, "byte_order = \"low_first\"");
+        assert!((candidates[0].value - 120.0).abs() < 1e-9);
+        assert!(
+            candidates.iter().all(|c| c.change != "type = \"i16\""),
+            "{candidates:?}"
+        );
+    }
+
+    #[test]
+    fn codes_ranges_and_refusals_are_no_values() {
+        let map = map("type = \"u16\"\nvalid = [50, 900]\ninvalid = [0xFFFF]");
+        let bus = index(&map, "bus");
+        let read = |registers: Option<Vec<u16>>| {
+            let window = Window {
+                here: registers,
+                ..Window::default()
+            };
+            let windows = windows(&map, &[("bus", window)]);
+            let picture = picture(&map, &windows);
+            (
+                picture.reading(bus),
+                picture.fits(bus, picture.reading(bus)),
+            )
+        };
+        assert_eq!(read(Some(vec![0xFFFF])), (Reading::NotAvailable, None));
+        assert_eq!(read(Some(vec![5])), (Reading::Outside(5.0), Some(false)));
+        assert_eq!(read(None), (Reading::Unread, Some(false)));
+        assert_eq!(read(Some(vec![120])), (Reading::Value(120.0), Some(true)));
+    }
+
+    #[test]
+    fn a_factor_is_read_with_the_same_change() {
+        let map = DriveProfile::named("toshiba-vfs11")
+            .unwrap()
+            .registers
+            .unwrap();
+        // All registers one higher than the profile says: 5.7 A rated, current 1 % of it.
+        let one_higher = |value: u16| Window {
+            here: Some(vec![0]),
+            above: Some(vec![value]),
+            below: None,
+        };
+        let windows = windows(
+            &map,
+            &[
+                ("rated_current", one_higher(57)),
+                ("rated_voltage", one_higher(1100)),
+                ("current", one_higher(100)),
+            ],
+        );
+        let picture = picture(&map, &windows);
+        let best = &picture.hypotheses()[0];
+        assert!(
+            best.change.starts_with("every address one higher"),
+            "{best:?}"
+        );
+        assert_eq!((best.plausible, best.judged), (5, 5));
+        assert_eq!(best.as_written, 3);
+    }
+
+    fn expected(profile: &str, signal: &str, rated_a: Option<f64>) -> Option<[f64; 2]> {
+        let map = DriveProfile::named(profile).unwrap().registers.unwrap();
+        let signal = map.signal(signal).unwrap();
+        expected_at_rest(signal.keys.quantity, signal.numbers.unit, rated_a)
+    }
+
+    #[test]
+    fn a_standing_shaft_reads_about_zero_in_every_unit() {
+        assert_eq!(expected("siemens-v20", "speed", None), Some([-30.0, 30.0]));
+        assert_eq!(
+            expected("siemens-v20", "frequency", None),
+            Some([-0.5, 0.5])
+        );
+        assert_eq!(expected("siemens-v20", "current", None), Some([-1.0, 1.0]));
+        assert_eq!(
+            expected("siemens-v20", "current", Some(40.0)),
+            Some([-4.0, 4.0])
+        );
+        assert_eq!(expected("siemens-v20", "status", None), None);
+    }
+
+    #[test]
+    fn only_what_is_not_zero_at_rest_confirms_an_address() {
+        let bus = expected("siemens-v20", "bus", None).unwrap();
+        assert!(confirms(bus, 325.0));
+        assert!(!confirms(bus, 0.0) && !confirms(bus, 21_000.0));
+        assert!(!confirms([-30.0, 30.0], 0.0) && !confirms([-30.0, 30.0], 12.0));
+    }
+}

@@ -1,0 +1,58 @@
+//! Plan of the reads: as few requests as the drive's limits allow.
+
+use super::facts::RegisterMap;
+use super::terms::PollRate;
+use crate::register_bus::{ReadRequest, RegisterTable};
+
+/// One read request and the signals (by position in the map) that it serves.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ReadBlock {
+    pub read: ReadRequest,
+    pub signals: Vec<usize>,
+}
+
+/// The requests that read every signal of one rate.
+pub fn plan_reads(map: &RegisterMap, poll: PollRate) -> Vec<ReadBlock> {
+    let wanted = (0..map.signals.len()).filter(|index| map.signals[*index].keys.poll == poll);
+    let wanted = wanted.map(|index| (map.signals[index].location.request(), index));
+    let mut wanted: Vec<(ReadRequest, usize)> = wanted.collect();
+    wanted.sort_by_key(|(read, _)| (read.table == RegisterTable::Input, read.address));
+    let mut blocks: Vec<ReadBlock> = Vec::new();
+    for (mut read, index) in wanted {
+        let (address, end) = (u32::from(read.address), read.end());
+        let lies_within = |(first, count): &&(u16, u16)| {
+            let first = u32::from(*first);
+            (first..first + u32::from(*count)).contains(&address)
+        };
+        let exact = map.exact_reads.iter().find(lies_within);
+        if let Some(block) = blocks.last_mut()
+            && block.read.table == read.table
+        {
+            let whole = (block.read.address, block.read.count);
+            let count = end.max(block.read.end()) - u32::from(block.read.address);
+            let joins = match exact {
+                // A block of exact length is read as it is.
+                Some(exact) => *exact == whole,
+                None => {
+                    !map.exact_reads.contains(&whole)
+                        && address <= block.read.end() + u32::from(map.max_hole)
+                        && count <= u32::from(map.max_read)
+                }
+            };
+            if joins {
+                if exact.is_none() {
+                    // It was just compared with `max_read`.
+                    block.read.count = u16::try_from(count).unwrap_or(map.max_read);
+                }
+                block.signals.push(index);
+                continue;
+            }
+        }
+        if let Some((first, count)) = exact {
+            (read.address, read.count) = (*first, *count);
+        }
+        let signals = vec![index];
+        blocks.push(ReadBlock { read, signals });
+    }
+    blocks
+}

@@ -1,0 +1,835 @@
+//! From the keys of a profile file to the map: addresses, names and limits, each error at its line.
+//!
+//! ```text
+//! keys -> link -> signals, set-points, watchdog, each on its own -> roles and references -> commands.rs
+//! ```
+
+mod commands;
+
+use std::collections::BTreeMap;
+use std::fmt::Display;
+use std::ops::Range;
+
+use toml::Spanned;
+
+use super::address::{Base, Numbering};
+use super::facts::{
+    Commands, Location, Numbers, PerTurn, RegisterMap, SetPoint, Signal, Supervision, channel_of,
+    demand_si,
+};
+use super::schema::{LinkKeys, ProfileFile, SetPointKeys, SignalKeys, WatchdogKeys, WatchdogTime};
+use super::terms::{DeviceKind, PollRate, Quantity, Resync, Unit};
+use super::value::{Kind, Layout};
+use crate::register_bus::RegisterTable;
+use crate::settings::{DriveLimits, LinkSettings, Protocol, check_ranges};
+use drivebench_model::config_text::{self, ConfigError, help_for_unknown};
+use drivebench_model::sample::Channel;
+use drivebench_model::units::rad_s_from_rpm;
+
+const HELP: &str = "see docs/drives.md for every key, its unit and its default";
+/// The schema that this program reads.
+const SCHEMA: u32 = 1;
+/// Function codes of Modbus.
+const FUNCTIONS: [u8; 13] = [1, 2, 3, 4, 5, 6, 8, 11, 15, 16, 22, 23, 43];
+/// Shortest time in which a clock may come round, s: from one look to the next it must be known how often it did, also where
+/// a reply was lost.
+const SHORTEST_TURN_S: f64 = 2.0;
+
+impl RegisterMap {
+    /// Reads a profile file of this kind; `file` names it in errors.
+    ///
+    /// # Errors
+    /// The first key or value that is not allowed, with its line.
+    pub fn parse(file: &str, text: &str) -> Result<Self, ConfigError> {
+        read(file, text).map(|(map, ..)| map)
+    }
+
+    /// The same with what the file says of the link and of the drive's limits.
+    pub(crate) fn with_settings(
+        file: &str,
+        text: &str,
+    ) -> Result<(Self, LinkSettings, DriveLimits), ConfigError> {
+        read(file, text)
+    }
+}
+
+/// Reads the file; `file` names it in errors.
+fn read(file: &str, text: &str) -> Result<(RegisterMap, LinkSettings, DriveLimits), ConfigError> {
+    let keys: ProfileFile = config_text::parse(file, text)?;
+    let reader = Reader {
+        file,
+        text,
+        numbering: Numbering {
+            base: Base::Zero,
+            formula: None,
+        },
+        link: keys.link.get_ref(),
+        counts_per_turn: keys.device.counts_per_turn,
+    };
+    reader.map(&keys)
+}
+
+struct Reader<'a> {
+    file: &'a str,
+    text: &'a str,
+    numbering: Numbering,
+    link: &'a LinkKeys,
+    /// Of the device's encoder.
+    counts_per_turn: Option<u32>,
+}
+
+/// A part of the file, for what is wrong in it.
+struct Part<'a> {
+    reader: &'a Reader<'a>,
+    span: Range<usize>,
+    /// What stands in front of each message: `signal speed: `.
+    whose: String,
+}
+
+impl Part<'_> {
+    fn wrong(&self, key: &str, message: impl Display) -> ConfigError {
+        let message = format!("{}{message}", self.whose);
+        self.reader.at(&self.span, key, message)
+    }
+
+    fn require(&self, holds: bool, key: &str, message: impl Display) -> Result<(), ConfigError> {
+        if holds {
+            Ok(())
+        } else {
+            Err(self.wrong(key, message))
+        }
+    }
+
+    /// What went well, or the error at this key.
+    fn of<T>(&self, key: &str, result: Result<T, String>) -> Result<T, ConfigError> {
+        result.map_err(|message| self.wrong(key, message))
+    }
+
+    /// The same where the key that is wrong comes with the reason.
+    fn keyed<T>(&self, result: Result<T, (&'static str, String)>) -> Result<T, ConfigError> {
+        result.map_err(|(key, message)| self.wrong(key, message))
+    }
+}
+
+impl Reader<'_> {
+    fn map(
+        mut self,
+        file: &ProfileFile,
+    ) -> Result<(RegisterMap, LinkSettings, DriveLimits), ConfigError> {
+        self.check_link(file)?;
+        let signals = file
+            .signals
+            .iter()
+            .map(|(name, keys)| self.signal(name, keys));
+        let signals = signals.collect::<Result<_, _>>()?;
+        let points = file
+            .setpoints
+            .iter()
+            .map(|(name, keys)| self.set_point(name, keys));
+        let set_points = points.collect::<Result<_, _>>()?;
+        let link = self.link;
+        let mut map = RegisterMap {
+            device: file.device.clone(),
+            converter: file.converter.as_ref().map(|c| *c.get_ref()),
+            functions: link.functions.clone(),
+            max_read: link.max_read,
+            max_write: link.max_write,
+            max_hole: link.max_hole,
+            exact_reads: Vec::new(),
+            resync: link.resync,
+            nvm_cycles: link.nvm_cycles,
+            identity: Vec::new(),
+            signals,
+            missing: BTreeMap::new(),
+            set_points,
+            commands: Commands::default(),
+            state: BTreeMap::new(),
+            untold: BTreeMap::new(),
+            fault_codes: self.fault_codes(&file.fault_codes)?,
+            watchdog: self.watchdog(&file.watchdog)?,
+            field_min_a: file.limits.field_min_a,
+            rates: *file.rates.get_ref(),
+        };
+        let part = self.part(file.link.span(), "");
+        for (first, count) in &link.exact_reads {
+            let (address, _) = part.of("exact_reads", self.numbering.number(*first))?;
+            map.exact_reads.push((address, *count));
+        }
+        self.roles(file, &mut map)?;
+        self.cross_check(file, &map)?;
+        for check in &file.identity {
+            map.identity.push(self.identity(check, &map)?);
+        }
+        for (name, condition) in &file.state {
+            self.known(name, RegisterMap::STATES, "state", &self.from("[state"))?;
+            match self.state(condition, &map)? {
+                Ok(condition) => drop(map.state.insert(name.clone(), condition)),
+                Err(reason) => drop(map.untold.insert(name.clone(), reason)),
+            }
+        }
+        for name in ["fault", "running"] {
+            if !map.state.contains_key(name) && !map.untold.contains_key(name) {
+                return Err(self.whole(
+                    "[state",
+                    format!("the state {name} is neither mapped nor declared untold (expected a condition, or none = \"why\")"),
+                ));
+            }
+        }
+        let commands = &file.commands;
+        map.commands = Commands {
+            enable: self.steps(&commands.enable, &map)?,
+            stop: self.steps(&commands.stop, &map)?,
+            coast: self.declared("coast", commands.coast.as_deref(), &map)?,
+            reset: self.declared("reset", commands.reset.as_deref(), &map)?,
+            quickstop: self.steps(&commands.quickstop, &map)?,
+        };
+        let settings = LinkSettings {
+            protocol: link.protocol,
+            baud: link.baud,
+            unit: link.unit,
+            framing: link.framing,
+            reply_ms: link.reply_ms,
+            gap_us: link.gap_us,
+            deadline_ms: link.deadline_ms,
+            emulated: false,
+        };
+        let limits = DriveLimits {
+            current_a: file.limits.current_a,
+            voltage_v: file.limits.voltage_v,
+            speed_rad_s: file.limits.speed_rpm.map(rad_s_from_rpm),
+        };
+        let watchdog_ms = map.watchdog.keys.default_ms.filter(|ms| *ms > 0.0);
+        check_ranges(&map.device.id, &settings, watchdog_ms, &limits)
+            .map_err(|error| part.wrong("", error))?;
+        Ok((map, settings, limits))
+    }
+
+    fn check_link(&mut self, file: &ProfileFile) -> Result<(), ConfigError> {
+        let schema = *file.schema.get_ref();
+        self.part(file.schema.span(), "").require(
+            schema == SCHEMA,
+            "",
+            format_args!("schema {schema} is not allowed (expected {SCHEMA})"),
+        )?;
+        let link = self.link;
+        let base = link.address_base.base();
+        let part = self.part(file.link.span(), "");
+        let base = base.ok_or_else(|| {
+            part.wrong(
+                "address_base",
+                "this address_base is not allowed (expected 0, 1 or \"4x1\")",
+            )
+        })?;
+        for function in &link.functions {
+            let holds = FUNCTIONS.contains(function);
+            let message = format_args!("function code {function} is not one of Modbus");
+            part.require(holds, "functions", message)?;
+        }
+        let holds = link.functions.contains(&3) || link.functions.contains(&4);
+        let message = "neither 3 nor 4 is there: nothing can be read";
+        part.require(holds, "functions", message)?;
+        for (key, value, most) in [
+            ("max_read", link.max_read, 125),
+            ("max_write", link.max_write, 123),
+        ] {
+            let holds = (1..=most).contains(&value);
+            let message = format_args!("{key} {value} is not allowed (expected 1 to {most})");
+            part.require(holds, key, message)?;
+        }
+        let (can, message) = match link.resync {
+            Resync::Fc08 => (
+                link.functions.contains(&8),
+                "resync \"fc08\" needs function code 8 in functions",
+            ),
+            Resync::Tid => (
+                link.protocol == Protocol::ModbusTcp,
+                "resync \"tid\" needs protocol \"modbus-tcp\"",
+            ),
+            Resync::Length => (
+                link.max_read >= 2,
+                "resync \"length\" needs max_read 2 or more: reads of one length are all alike",
+            ),
+            Resync::None => (true, ""),
+        };
+        part.require(can, "resync", message)?;
+        let holds = link.protocol != Protocol::Stream;
+        let message =
+            "a register map is not spoken over \"stream\" (expected modbus-rtu or modbus-tcp)";
+        part.require(holds, "protocol", message)?;
+        let formula = link.address_formula;
+        self.numbering = Numbering { base, formula };
+        Ok(())
+    }
+
+    fn signal(&self, name: &str, spanned: &Spanned<SignalKeys>) -> Result<Signal, ConfigError> {
+        let (keys, span) = (spanned.get_ref(), spanned.span());
+        let part = self.part(span.clone(), format!("signal {name}: "));
+        part.of("quantity", keys.quantity.read())?;
+        part.keyed(keys.quantity.given_in(keys.unit))?;
+        let numbering = self.numbering;
+        let found = numbering.resolve(keys.address, keys.parameter.as_deref(), keys.can);
+        let (address, is_input) = part.of("address", found)?;
+        let function = keys.function.unwrap_or(match is_input {
+            Some(true) => 4,
+            None if !self.link.functions.contains(&3) => 4,
+            _ => 3,
+        });
+        let table = match function {
+            3 => RegisterTable::Holding,
+            4 => RegisterTable::Input,
+            _ => {
+                let message = format!("function {function} is not allowed (expected 3 or 4)");
+                return Err(part.wrong("function", message));
+            }
+        };
+        part.of("function", self.knows(function))?;
+        let bits = keys.bits.as_deref().map(|text| {
+            bit_range(text, 16 * keys.kind.registers()).ok_or_else(|| {
+                format!("bits {text:?} is not allowed (expected \"FIRST..LAST\" within the type)")
+            })
+        });
+        let bits = part.of("bits", bits.transpose())?;
+        if let Some(valid @ [low, high]) = keys.valid {
+            let holds = low < high;
+            let message =
+                format_args!("valid {valid:?} is not allowed (expected [lowest, highest])");
+            part.require(holds, "valid", message)?;
+        }
+        let per_turn =
+            part.keyed(self.per_turn(keys.unit, keys.pole_pairs, keys.counts_per_turn))?;
+        let channel = channel_of(keys.quantity, keys.unit, per_turn);
+        let holds = channel.is_none() || keys.origin.is_some();
+        let message = "origin is missing (expected measured, estimated or commanded)";
+        part.require(holds, "quantity", message)?;
+        let layout = Layout {
+            kind: keys.kind,
+            words: keys.word_order,
+            bytes: keys.byte_order,
+            byte: keys.byte,
+            bits,
+        };
+        if keys.quantity == Quantity::Clock {
+            part.keyed(clock_fits(keys, layout))?;
+        }
+        let wraps_at = part.of("wraps_at", wraps_at(keys, layout))?;
+        let numbers = numbers(keys.scale, keys.offset, &keys.scale_by, keys.unit);
+        Ok(Signal {
+            name: name.to_owned(),
+            line: self.line(&span),
+            location: Location {
+                table,
+                address,
+                layout,
+            },
+            numbers: part.of("scale", numbers)?,
+            channel,
+            wraps_at,
+            keys: keys.clone(),
+        })
+    }
+
+    /// What a shaft's turn is in the unit; the encoder may be that of the device.
+    fn per_turn(
+        &self,
+        unit: Unit,
+        pole_pairs: Option<u8>,
+        counts: Option<u32>,
+    ) -> Result<PerTurn, (&'static str, String)> {
+        let name = unit.name();
+        if counts.is_some() && !unit.is_counts() {
+            let message = format!(
+                "counts_per_turn does not fit unit \"{name}\" (expected \"counts\" or \"counts/s\")"
+            );
+            return Err(("counts_per_turn", message));
+        }
+        match counts.or(self.counts_per_turn) {
+            None if unit.is_counts() => Err((
+                "unit",
+                format!(
+                    "unit \"{name}\" needs counts_per_turn, here or in [device] (expected the edges that are counted in one turn: four times the lines of an incremental encoder)"
+                ),
+            )),
+            Some(0) => Err((
+                "counts_per_turn",
+                "counts_per_turn 0 is not allowed (expected 1 or more)".to_owned(),
+            )),
+            counts => Ok(PerTurn { pole_pairs, counts }),
+        }
+    }
+
+    fn set_point(
+        &self,
+        name: &str,
+        spanned: &Spanned<SetPointKeys>,
+    ) -> Result<SetPoint, ConfigError> {
+        let (keys, span) = (spanned.get_ref(), spanned.span());
+        let part = self.part(span.clone(), format!("setpoint {name}: "));
+        part.of("quantity", keys.quantity.written())?;
+        part.keyed(keys.quantity.given_in(keys.unit))?;
+        let per_turn =
+            part.keyed(self.per_turn(keys.unit, keys.pole_pairs, keys.counts_per_turn))?;
+        let numbering = self.numbering;
+        let found = numbering.resolve(keys.address, keys.parameter.as_deref(), keys.can);
+        let (address, is_input) = part.of("address", found)?;
+        let is_holding = is_input != Some(true);
+        part.require(is_holding, "address", "an input register cannot be written")?;
+        let registers = keys.kind.registers();
+        let single = registers == 1 && self.link.functions.contains(&6);
+        let function = keys.function.unwrap_or(if single { 6 } else { 16 });
+        let holds = function == 16 || (function == 6 && registers == 1);
+        let message =
+            format_args!("function {function} is not allowed (expected 6 for one register, or 16)");
+        part.require(holds, "function", message)?;
+        part.of("function", self.knows(function))?;
+        let layout = Layout {
+            words: keys.word_order,
+            bytes: keys.byte_order,
+            ..Layout::plain(keys.kind)
+        };
+        let numbers = numbers(keys.scale, keys.offset, &keys.scale_by, keys.unit);
+        let numbers = part.of("scale", numbers)?;
+        if let Some(limits) = keys.limits {
+            // With a factor from the drive this can only be known when the factor is.
+            let fits = |limit| {
+                let raw = numbers.raw(limit, 1.0);
+                !numbers.scale_by.is_empty() || layout.encode(raw).is_some()
+            };
+            part.of("limits", check_limits(limits, keys.quantity, fits))?;
+        }
+        for (key, value) in [
+            ("refresh_ms", keys.refresh_ms),
+            ("slew_per_s", keys.slew_per_s),
+        ] {
+            let is_allowed = value.is_none_or(|value| value.is_finite() && value > 0.0);
+            let message = format_args!("{key} is not allowed (expected more than 0)");
+            part.require(is_allowed, key, message)?;
+        }
+        let holds = !keys.nvm || keys.refresh_ms.is_none();
+        let message =
+            "a register in non-volatile memory must not be refreshed: each write wears it out";
+        part.require(holds, "refresh_ms", message)?;
+        let holds = keys.quantity == Quantity::Word || keys.limits.is_some();
+        let message = "limits are missing (expected [lowest, highest] in the setpoint's unit)";
+        part.require(holds, "quantity", message)?;
+        Ok(SetPoint {
+            name: name.to_owned(),
+            line: self.line(&span),
+            location: Location {
+                table: RegisterTable::Holding,
+                address,
+                layout,
+            },
+            function,
+            si: demand_si(keys.quantity, keys.unit, per_turn),
+            numbers,
+            keys: keys.clone(),
+        })
+    }
+
+    fn watchdog(&self, spanned: &Spanned<WatchdogKeys>) -> Result<Supervision, ConfigError> {
+        let keys = spanned.get_ref();
+        let part = self.part(spanned.span(), "watchdog: ");
+        let mut found = None;
+        if let Some(time) = &keys.time {
+            let numbering = self.numbering;
+            let resolved = numbering.resolve(time.address, time.parameter.as_deref(), None);
+            let (address, _) = part.of("time", resolved)?;
+            let unit_ms = time.unit_ms;
+            let holds = unit_ms.is_finite() && unit_ms > 0.0;
+            let message = format_args!("unit_ms {unit_ms} is not allowed (expected more than 0)");
+            part.require(holds, "time", message)?;
+            let location = Location {
+                table: RegisterTable::Holding,
+                address,
+                layout: Layout::plain(Kind::U16),
+            };
+            if let Some(set_ms) = keys.set_ms {
+                part.of("set_ms", time_fits(set_ms, time, location.layout))?;
+            }
+            found = Some((location, unit_ms * 1e-3));
+        }
+        let holds = keys.set_ms.is_none() || (found.is_some() && !keys.nvm);
+        let message = "set_ms needs a time register outside of non-volatile memory";
+        part.require(holds, "set_ms", message)?;
+        let times = [keys.default_ms, keys.set_ms, Some(keys.boot_delay_s)];
+        let mut times = times.into_iter().flatten();
+        let are_times = times.all(|time| time.is_finite() && time >= 0.0);
+        part.require(are_times, "default_ms", "times must be 0 or more")?;
+        Ok(Supervision {
+            keys: keys.clone(),
+            time: found,
+        })
+    }
+
+    /// Every required channel is mapped or declared missing, and none twice.
+    fn roles(&self, file: &ProfileFile, map: &mut RegisterMap) -> Result<(), ConfigError> {
+        for (key, reason) in &file.missing {
+            let channels = Channel::ALL.map(Channel::key);
+            self.known(key, channels, "channel", &self.from("[missing"))?;
+            map.missing.insert(key.clone(), reason.get_ref().clone());
+        }
+        for channel in Channel::ALL {
+            let is_it = |s: &&Signal| s.channel.is_some_and(|(has, _)| has == channel);
+            let mut fill = map.signals.iter().filter(is_it);
+            let (first, second) = (fill.next(), fill.next());
+            let key = channel.key();
+            if let (Some(first), Some(second)) = (first, second) {
+                let names = (first.name.as_str(), second.name.as_str());
+                return Err(self.twice(file, names, key, ""));
+            }
+            match (first, file.missing.get(key)) {
+                (Some(signal), Some(reason)) => {
+                    let name = &signal.name;
+                    let message = format!("{key} is declared missing, and the signal {name} is it");
+                    return Err(self.at(&reason.span(), "", message));
+                }
+                (None, None) if RegisterMap::REQUIRED.contains(&channel) => {
+                    let no_channel = self.no_channel(file, key, map);
+                    return Err(no_channel.unwrap_or_else(|| {
+                        self.whole(
+                            "[signals",
+                            format!("{key} is neither mapped nor declared missing (expected a signal, or {key} = \"why\" in [missing])"),
+                        )
+                    }));
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    fn twice(
+        &self,
+        file: &ProfileFile,
+        (first, second): (&str, &str),
+        what: &str,
+        key: &str,
+    ) -> ConfigError {
+        let message = format!("signals {first} and {second} are both {what} (expected one)");
+        self.at(&file.signals[second].span(), key, message)
+    }
+
+    /// A signal of the right quantity whose unit does not lead to the channel.
+    fn no_channel(&self, file: &ProfileFile, key: &str, map: &RegisterMap) -> Option<ConfigError> {
+        let would_be = |signal: &&Signal| match signal.keys.quantity {
+            Quantity::Current => key == Channel::Current.key(),
+            Quantity::Voltage => key == Channel::Voltage.key(),
+            Quantity::ShaftSpeed | Quantity::OutputSpeed => key == Channel::Speed.key(),
+            _ => false,
+        };
+        let signal = map.signals.iter().find(would_be)?;
+        let (unit, expected) = match signal.numbers.unit {
+            Unit::Hertz => (
+                "Hz without pole_pairs",
+                "pole_pairs of the motor, for an electrical frequency",
+            ),
+            unit => (unit.name(), "a scale to an SI unit or rpm"),
+        };
+        let message = format!(
+            "signal {}: in {unit} it is no {key}, which is neither mapped nor declared missing (expected {expected}; or {key} = \"why\" in [missing])",
+            signal.name
+        );
+        Some(self.at(&file.signals[&signal.name].span(), "unit", message))
+    }
+
+    /// Names that lead from one part to another, and lengths against the drive's limits.
+    fn cross_check(&self, file: &ProfileFile, map: &RegisterMap) -> Result<(), ConfigError> {
+        let once = map.signals.iter().filter(|s| s.keys.poll == PollRate::Once);
+        let once: Vec<&str> = once.map(|signal| signal.name.as_str()).collect();
+        let fits = |kind, name: &str, numbers: &Numbers, location: &Location, (key, most), span| {
+            for factor in &numbers.scale_by {
+                let factors = once.iter().copied();
+                self.known(factor, factors, "signal with poll = \"once\"", &span)?;
+            }
+            let registers = location.layout.registers();
+            let message =
+                format_args!("{kind} {name} has {registers} registers, and {key} is {most}");
+            let part = self.part(span, "");
+            part.require(registers <= most, "type", message)
+        };
+        for Signal {
+            name,
+            numbers,
+            location,
+            ..
+        } in &map.signals
+        {
+            let span = file.signals[name].span();
+            let most = ("max_read", map.max_read);
+            fits("signal", name, numbers, location, most, span)?;
+        }
+        for SetPoint {
+            name,
+            numbers,
+            location,
+            keys,
+            ..
+        } in &map.set_points
+        {
+            let span = file.setpoints[name].span();
+            let most = ("max_write", map.max_write);
+            fits("setpoint", name, numbers, location, most, span.clone())?;
+            if let Some(sign) = &keys.sign {
+                let words = map.set_points.iter().filter(|p| p.is_word());
+                let words: Vec<&str> = words.map(|p| p.name.as_str()).collect();
+                let words = words.iter().copied();
+                self.known(
+                    &sign.set_point,
+                    words,
+                    "setpoint of quantity \"word\"",
+                    &span,
+                )?;
+            }
+        }
+        let mut clocks = map
+            .signals
+            .iter()
+            .filter(|s| s.keys.quantity == Quantity::Clock);
+        if let (Some(first), Some(second)) = (clocks.next(), clocks.next()) {
+            return Err(self.twice(file, (&first.name, &second.name), "clocks", "quantity"));
+        }
+        self.position_is_followed(file, map)?;
+        let thyristor = map.device.kind == DeviceKind::ThyristorDc;
+        if thyristor != map.converter.is_some() {
+            let message = "a drive of kind \"thyristor_dc\", and no other, needs [converter] with dead_time_ms and quadrants";
+            return Err(self.whole("[device]", message.to_owned()));
+        }
+        let has_field = map.of_quantity(Quantity::FieldCurrent).is_some();
+        if let Some(spanned) = &file.converter {
+            let (part, quadrants) = (self.part(spanned.span(), ""), spanned.get_ref().quadrants);
+            let holds = [1, 2, 4].contains(&quadrants);
+            let message = format_args!("quadrants {quadrants} is not allowed (expected 1, 2 or 4)");
+            part.require(holds, "quadrants", message)?;
+            let message = "a thyristor drive needs a signal of quantity \"field_current\": a lost field is a trip";
+            part.require(has_field, "", message)?;
+            let dead_time_ms = spanned.get_ref().dead_time_ms;
+            let holds = dead_time_ms.is_finite() && dead_time_ms >= 0.0;
+            let message =
+                format_args!("dead_time_ms {dead_time_ms} is not allowed (expected 0 or more)");
+            part.require(holds, "dead_time_ms", message)?;
+        }
+        if let Some(least_a) = map.field_min_a {
+            let part = self.part(self.from("[limits"), "");
+            let holds = least_a.is_finite() && least_a > 0.0;
+            let message =
+                format_args!("field_min_a {least_a} is not allowed (expected more than 0)");
+            part.require(holds, "field_min_a", message)?;
+            let message = "field_min_a needs a signal of quantity \"field_current\": without one a lost field is not seen";
+            part.require(has_field, "field_min_a", message)?;
+        }
+        let rates = map.rates;
+        self.part(file.rates.span(), "").require(
+            rates.fast_hz > 0.0 && rates.slow_hz > 0.0 && rates.slow_hz <= rates.fast_hz,
+            "fast_hz",
+            "rates must be above 0, and slow_hz at most fast_hz",
+        )
+    }
+
+    /// A position that may go half of its way round between two readings cannot be followed without a speed.
+    fn position_is_followed(
+        &self,
+        file: &ProfileFile,
+        map: &RegisterMap,
+    ) -> Result<(), ConfigError> {
+        let Some(position) = map.of_channel(Channel::Angle) else {
+            return Ok(());
+        };
+        let (Some(wraps_at), Some((_, count_rad)), Some(most_rpm), None) = (
+            position.wraps_at,
+            position.channel,
+            file.limits.speed_rpm,
+            map.of_channel(Channel::Speed),
+        ) else {
+            return Ok(());
+        };
+        let a_cycle_rad = rad_s_from_rpm(most_rpm) / map.rates.fast_hz;
+        let half_way_rad = 0.5 * wraps_at * (count_rad * position.numbers.scale).abs();
+        self.part(file.signals[&position.name].span(), "").require(
+            a_cycle_rad < half_way_rad,
+            "unit",
+            format_args!(
+                "signal {} begins again after {wraps_at} counts, and at limits.speed_rpm {most_rpm} the shaft turns by {:.0} % of that between two readings at {} Hz: which way cannot be told (expected less than 50 %, or a speed signal beside it)",
+                position.name,
+                50.0 * a_cycle_rad / half_way_rad,
+                map.rates.fast_hz
+            ),
+        )
+    }
+
+    fn knows(&self, function: u8) -> Result<(), String> {
+        let known = &self.link.functions;
+        if known.contains(&function) {
+            return Ok(());
+        }
+        Err(format!(
+            "the drive does not know function code {function} (link.functions has {known:?})"
+        ))
+    }
+
+    fn part(&self, span: Range<usize>, whose: impl Into<String>) -> Part<'_> {
+        let whose = whose.into();
+        Part {
+            reader: self,
+            span,
+            whose,
+        }
+    }
+
+    /// An error that names the nearest, unless `name` is one of `allowed`.
+    fn known<'b>(
+        &self,
+        name: &str,
+        allowed: impl IntoIterator<Item = &'b str> + Clone,
+        what: &str,
+        span: &Range<usize>,
+    ) -> Result<(), ConfigError> {
+        if allowed.clone().into_iter().any(|known| known == name) {
+            return Ok(());
+        }
+        let offset = self.text[span.start..]
+            .find(name)
+            .map_or(span.start, |at| span.start + at);
+        let message = format!("{name:?} is no {what} of this profile");
+        let help = help_for_unknown(name, allowed);
+        Err(ConfigError::at(self.file, self.text, offset, message, help))
+    }
+
+    /// An error at a key of a part; at the part where the key is not there.
+    fn at(&self, span: &Range<usize>, key: &str, message: String) -> ConfigError {
+        let tail = &self.text[span.start..];
+        let offset = tail
+            .match_indices(key)
+            .find(|(at, _)| {
+                !key.is_empty()
+                    && tail[at + key.len()..].trim_start().starts_with('=')
+                    && !tail[..*at].ends_with(|c: char| c.is_alphanumeric() || c == '_')
+            })
+            .map_or(span.start, |(at, _)| span.start + at);
+        ConfigError::at(self.file, self.text, offset, message, HELP)
+    }
+
+    /// The line in which a part begins, from 1.
+    fn line(&self, span: &Range<usize>) -> usize {
+        1 + self.text[..span.start].matches('\n').count()
+    }
+
+    /// The text from a header on.
+    fn from(&self, header: &str) -> Range<usize> {
+        self.text.find(header).unwrap_or(0)..self.text.len()
+    }
+
+    /// An error at the first place of a header.
+    fn whole(&self, header: &str, message: String) -> ConfigError {
+        let offset = self.from(header).start;
+        ConfigError::at(self.file, self.text, offset, message, HELP)
+    }
+}
+
+fn numbers(
+    scale: Option<f64>,
+    offset: Option<f64>,
+    scale_by: &[String],
+    unit: Unit,
+) -> Result<Numbers, String> {
+    let (scale, offset) = (scale.unwrap_or(1.0), offset.unwrap_or(0.0));
+    if !(scale.is_finite() && scale != 0.0 && offset.is_finite()) {
+        return Err(format!(
+            "scale {scale}, offset {offset} is not allowed (expected finite numbers, scale other than 0)"
+        ));
+    }
+    Ok(Numbers {
+        scale,
+        offset,
+        scale_by: scale_by.to_vec(),
+        unit,
+    })
+}
+
+/// Whether a counter can be the time axis of the samples.
+fn clock_fits(keys: &SignalKeys, layout: Layout) -> Result<(), (&'static str, String)> {
+    let is_whole = matches!(keys.kind, Kind::U16 | Kind::U32);
+    if !is_whole || keys.byte.is_some() || keys.bits.is_some() {
+        let message = "a clock is a whole counter (expected type u16 or u32 without byte and bits)";
+        return Err(("type", message.to_owned()));
+    }
+    if keys.poll != PollRate::Fast {
+        let message = "a clock stamps every sample (expected poll = \"fast\")";
+        return Err(("poll", message.to_owned()));
+    }
+    for (key, is_there) in [
+        ("valid", keys.valid.is_some()),
+        ("invalid", !keys.invalid.is_empty()),
+        ("scale_by", !keys.scale_by.is_empty()),
+        ("offset", keys.offset.is_some()),
+    ] {
+        if is_there {
+            let message = format!("a clock has no {key}: each of its counts is a time");
+            return Err((key, message));
+        }
+    }
+    let count_s = keys.scale.unwrap_or(1.0) * keys.unit.seconds().unwrap_or(1.0);
+    let turn_s = count_s * 2.0_f64.powi(i32::from(layout.width()));
+    if turn_s.is_nan() || turn_s < SHORTEST_TURN_S {
+        return Err((
+            "type",
+            format!(
+                "a clock of {} bits that counts {count_s} s comes round every {turn_s:.3} s (expected {SHORTEST_TURN_S} s or more: how often it did so between two readings would not be known)",
+                layout.width()
+            ),
+        ));
+    }
+    Ok(())
+}
+
+/// Raw counts after which a position begins again.
+fn wraps_at(keys: &SignalKeys, layout: Layout) -> Result<Option<f64>, String> {
+    let is_position = keys.quantity == Quantity::Angle && keys.unit == Unit::Counts;
+    let whole = keys.kind != Kind::F32;
+    match keys.wraps_at {
+        None => Ok((is_position && whole).then(|| 2.0_f64.powi(i32::from(layout.width())))),
+        Some(_) if !is_position => Err(
+            "wraps_at is for a position (expected quantity \"angle\", unit \"counts\")".to_owned(),
+        ),
+        Some(counts) if counts < 2 => Err(format!(
+            "wraps_at {counts} is not allowed (expected 2 or more)"
+        )),
+        Some(counts) => Ok(Some(f64::from(counts))),
+    }
+}
+
+/// Whether the register of the watchdog's time takes this one, ms.
+fn time_fits(set_ms: f64, time: &WatchdogTime, layout: Layout) -> Result<(), String> {
+    let unit_ms = time.unit_ms;
+    let whole = [unit_ms, f64::from(u16::MAX) * unit_ms];
+    let [low, high] = time.range_ms.unwrap_or(whole);
+    let fits = layout.encode(set_ms / unit_ms).is_some() && set_ms > 0.0;
+    if fits && (low..=high).contains(&set_ms) {
+        return Ok(());
+    }
+    Err(format!(
+        "set_ms {set_ms} is not allowed (expected {low} to {high}, which the register takes in steps of {unit_ms} ms)"
+    ))
+}
+
+/// `"3..5"` within `width` bits.
+fn bit_range(text: &str, width: u16) -> Option<(u8, u8)> {
+    let (first, last) = text.split_once("..")?;
+    let (first, last) = (first.parse::<u8>().ok()?, last.parse::<u8>().ok()?);
+    (first <= last && u16::from(last) < width).then_some((first, last))
+}
+
+/// The range of a set-point. A drive is brought to rest with zero, which must not become something else on its way out.
+fn check_limits(
+    [low, high]: [f64; 2],
+    quantity: Quantity,
+    fits: impl Fn(f64) -> bool,
+) -> Result<(), String> {
+    let ordered = low.is_finite() && high.is_finite() && low < high;
+    let rests = !quantity.moves() || (low <= 0.0 && high > 0.0);
+    if ordered && rests && fits(low) && fits(high) {
+        return Ok(());
+    }
+    Err(format!(
+        "limits [{low:?}, {high:?}] is not allowed (expected [lowest, highest] that the raw type holds, 0 within for what moves the motor)"
+    ))
+}

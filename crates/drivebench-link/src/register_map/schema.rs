@@ -1,0 +1,255 @@
+//! The keys of a profile file as they are written; the types are strict, what they mean together is checked later.
+//!
+//! What serde flattens it cannot be strict about, so signals and set-points each list the keys that they share.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use toml::Spanned;
+
+use super::address::{BaseText, Formula};
+use super::terms::{
+    Converter, Device, Expiry, PollRate, Quantity, Rates, Resync, Sign, StoppedOnly,
+    SupervisionKind, Unit,
+};
+use super::value::{Byte, Kind, Order};
+use crate::settings::{Framing, KickedBy, Protocol, Trust};
+use drivebench_model::sample::{Origin, Side};
+
+/// What an alternating quantity's number stands for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Basis {
+    Rms,
+    Peak,
+    Mean,
+    Instantaneous,
+}
+
+impl Basis {
+    pub fn name(self) -> String {
+        super::terms::written(&self)
+    }
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ProfileFile {
+    pub(super) schema: Spanned<u32>,
+    pub(super) device: Device,
+    pub(super) converter: Option<Spanned<Converter>>,
+    pub(super) link: Spanned<LinkKeys>,
+    #[serde(default)]
+    pub(super) identity: Vec<Spanned<IdentityKeys>>,
+    pub(super) signals: BTreeMap<String, Spanned<SignalKeys>>,
+    #[serde(default)]
+    pub(super) missing: BTreeMap<String, Spanned<String>>,
+    pub(super) setpoints: BTreeMap<String, Spanned<SetPointKeys>>,
+    pub(super) commands: CommandKeys,
+    pub(super) state: BTreeMap<String, Spanned<ConditionKeys>>,
+    /// What the numbers of the fault code mean, where the manual tells.
+    #[serde(default)]
+    pub(super) fault_codes: BTreeMap<String, String>,
+    pub(super) watchdog: Spanned<WatchdogKeys>,
+    #[serde(default)]
+    pub(super) limits: LimitKeys,
+    pub(super) rates: Spanned<Rates>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct LinkKeys {
+    pub(super) protocol: Protocol,
+    pub(super) baud: u32,
+    #[serde(default)]
+    pub(super) framing: Framing,
+    pub(super) unit: u8,
+    pub(super) functions: Vec<u8>,
+    pub(super) max_read: u16,
+    pub(super) max_write: u16,
+    #[serde(default)]
+    pub(super) max_hole: u16,
+    #[serde(default)]
+    pub(super) exact_reads: Vec<(i64, u16)>,
+    pub(super) address_base: BaseText,
+    pub(super) address_formula: Option<Formula>,
+    pub(super) reply_ms: f64,
+    pub(super) gap_us: Option<f64>,
+    pub(super) deadline_ms: Option<f64>,
+    pub(super) resync: Resync,
+    pub(super) nvm_cycles: Option<u32>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct IdentityKeys {
+    pub(super) signal: Option<String>,
+    pub(super) mask: Option<u32>,
+    pub(super) equals: Option<u32>,
+    pub(super) one_of: Option<Vec<u32>>,
+    pub(super) within: Option<[f64; 2]>,
+    pub(super) object: Option<u8>,
+    pub(super) contains: Option<String>,
+}
+
+/// `[signals.NAME]`: one value that is read.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SignalKeys {
+    pub(super) address: Option<i64>,
+    pub(super) parameter: Option<String>,
+    pub(super) can: Option<[i64; 2]>,
+    /// 3: holding, 4: input register.
+    pub(super) function: Option<u8>,
+    #[serde(rename = "type")]
+    pub(super) kind: Kind,
+    #[serde(default)]
+    pub(super) word_order: Order,
+    #[serde(default)]
+    pub(super) byte_order: Order,
+    pub(super) byte: Option<Byte>,
+    /// `"3..5"`.
+    pub(super) bits: Option<String>,
+    pub(super) scale: Option<f64>,
+    pub(super) offset: Option<f64>,
+    #[serde(default)]
+    pub(super) scale_by: Vec<String>,
+    #[serde(default)]
+    pub(super) unit: Unit,
+    pub quantity: Quantity,
+    pub poll: PollRate,
+    /// In units; a value outside is missing.
+    pub valid: Option<[f64; 2]>,
+    /// Raw patterns that mean "not available".
+    #[serde(default)]
+    pub invalid: Vec<u32>,
+    pub origin: Option<Origin>,
+    pub signed: Option<bool>,
+    pub filter_ms: Option<f64>,
+    pub update_ms: Option<f64>,
+    pub basis: Option<Basis>,
+    pub side: Option<Side>,
+    /// By which an electrical frequency is divided.
+    pub pole_pairs: Option<u8>,
+    pub(super) counts_per_turn: Option<u32>,
+    /// Counts after which a position begins again; default: all that its bits hold.
+    pub(super) wraps_at: Option<u32>,
+    pub trust: Option<Trust>,
+    pub note: Option<String>,
+}
+
+/// `[setpoints.NAME]`: one value that is written.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SetPointKeys {
+    pub(super) address: Option<i64>,
+    pub(super) parameter: Option<String>,
+    pub(super) can: Option<[i64; 2]>,
+    /// 6 or 16.
+    pub(super) function: Option<u8>,
+    #[serde(rename = "type")]
+    pub(super) kind: Kind,
+    #[serde(default)]
+    pub(super) word_order: Order,
+    #[serde(default)]
+    pub(super) byte_order: Order,
+    pub(super) scale: Option<f64>,
+    pub(super) offset: Option<f64>,
+    #[serde(default)]
+    pub(super) scale_by: Vec<String>,
+    #[serde(default)]
+    pub(super) unit: Unit,
+    pub quantity: Quantity,
+    pub(super) pole_pairs: Option<u8>,
+    pub(super) counts_per_turn: Option<u32>,
+    pub limits: Option<[f64; 2]>,
+    pub slew_per_s: Option<f64>,
+    pub(super) refresh_ms: Option<f64>,
+    #[serde(default)]
+    pub readback: bool,
+    #[serde(default)]
+    pub nvm: bool,
+    pub write_only_when: Option<StoppedOnly>,
+    pub sign: Option<Sign>,
+    pub trust: Option<Trust>,
+    pub note: Option<String>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct CommandKeys {
+    pub(super) enable: Vec<Spanned<StepKeys>>,
+    pub(super) stop: Vec<Spanned<StepKeys>>,
+    /// Empty where the drive has none; left out it is an error, so that it is not forgotten.
+    pub(super) coast: Option<Vec<Spanned<StepKeys>>>,
+    pub(super) reset: Option<Vec<Spanned<StepKeys>>>,
+    #[serde(default)]
+    pub(super) quickstop: Vec<Spanned<StepKeys>>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct StepKeys {
+    pub(super) write: Option<String>,
+    pub(super) value: Option<f64>,
+    pub(super) mask: Option<u32>,
+    pub(super) wait: Option<String>,
+    pub(super) equals: Option<u32>,
+    pub(super) within_ms: Option<f64>,
+    pub(super) error: Option<String>,
+    pub(super) delay_ms: Option<f64>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ConditionKeys {
+    pub(super) signal: Option<String>,
+    pub(super) mask: Option<u32>,
+    pub(super) equals: Option<u32>,
+    pub(super) not_equals: Option<u32>,
+    /// Why no register tells it.
+    pub(super) none: Option<String>,
+}
+
+/// `[watchdog]`: what watches over the host.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WatchdogKeys {
+    pub kind: SupervisionKind,
+    pub kicked_by: KickedBy,
+    /// 0: off as delivered; left out: not known.
+    pub default_ms: Option<f64>,
+    #[serde(default)]
+    pub on_expire: Expiry,
+    #[serde(default)]
+    pub auto_resume: bool,
+    #[serde(default)]
+    pub nvm: bool,
+    pub(super) time: Option<WatchdogTime>,
+    /// Written at connect and read back.
+    pub set_ms: Option<f64>,
+    #[serde(default)]
+    pub boot_delay_s: f64,
+    pub proof: Option<String>,
+    pub note: Option<String>,
+}
+
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct WatchdogTime {
+    pub(super) address: Option<i64>,
+    pub(super) parameter: Option<String>,
+    /// What one raw unit is, ms.
+    pub(super) unit_ms: f64,
+    /// What the drive takes, ms; default: all that the register holds.
+    pub(super) range_ms: Option<[f64; 2]>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct LimitKeys {
+    pub(super) current_a: Option<f64>,
+    pub(super) voltage_v: Option<f64>,
+    pub(super) speed_rpm: Option<f64>,
+    pub(super) field_min_a: Option<f64>,
+}

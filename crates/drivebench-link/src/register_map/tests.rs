@@ -1,0 +1,238 @@
+//! Every profile of the repository, and what is wrong in profiles.
+
+use std::collections::BTreeMap;
+
+use super::*;
+use crate::{DriveProfile, ProfileError, ReadRequest, RegisterTable};
+use drivebench_model::sample::Channel;
+
+/// Names and texts of the profiles with a register map.
+fn foreign() -> Vec<(&'static str, &'static str)> {
+    let all = DriveProfile::names().map(|name| (name, DriveProfile::text(name).unwrap()));
+    all.filter(|(name, _)| !name.starts_with("own")).collect()
+}
+
+fn map(name: &str) -> RegisterMap {
+    RegisterMap::parse(name, DriveProfile::text(name).unwrap()).unwrap()
+}
+
+#[test]
+fn all_eleven_are_there_under_their_names_with_source_and_trust() {
+    let profiles = foreign();
+    assert_eq!(profiles.len(), 11);
+    for (name, _) in profiles {
+        let profile = DriveProfile::named(name).unwrap();
+        assert_eq!(profile.name, name);
+        assert!(profile.registers.is_some(), "{name}");
+        let line = profile.provenance();
+        assert!(line.contains(profile.trust.name()), "{line}");
+        assert!(profile.source.len() > 10, "{line}");
+    }
+    let doubtful = DriveProfile::named("vacon10").unwrap().provenance();
+    assert!(
+        doubtful.contains("trust code; unverified: control_word, speed_ref"),
+        "{doubtful}"
+    );
+}
+
+#[test]
+fn limits_come_back_from_the_raw_type() {
+    for (name, _) in foreign() {
+        for point in map(name).set_points {
+            let Some(limits) = point.keys.limits else {
+                continue;
+            };
+            let (numbers, layout) = (&point.numbers, point.location.layout);
+            // A factor that the drive gives is that of its motor; any plausible one will do here.
+            let is_scaled = !numbers.scale_by.is_empty();
+            let factor = if is_scaled { 1500.0 } else { 1.0 };
+            for limit in limits {
+                let registers = layout.encode(numbers.raw(limit, factor)).unwrap();
+                let pattern = layout.pattern(&registers).unwrap();
+                let back = numbers.value(layout.number(pattern), factor);
+                let step = (numbers.scale * factor).abs();
+                let is_back = (back - limit).abs() <= 0.5 * step + 1e-9;
+                assert!(is_back, "{name} {}: {limit} {back}", point.name);
+            }
+        }
+    }
+}
+
+#[test]
+fn addresses_are_those_of_the_sources() {
+    for (name, signal, address) in [
+        ("siemens-v20", "speed", 24),
+        ("abb-efb", "status", 3),
+        ("abb-efb", "current", 106),
+        ("abb-efb", "speed_scaling", 29_201),
+        ("roboteq-dc", "current", 0x2001),
+        ("delta-ms300", "status", 0x2101),
+    ] {
+        let found = map(name).signal(signal).unwrap().location.address;
+        assert_eq!(found, address, "{name} {signal}");
+    }
+    for (name, signal) in [("roboteq-dc", "speed"), ("vacon10", "torque")] {
+        let table = map(name).signal(signal).unwrap().location.table;
+        assert_eq!(table, RegisterTable::Input, "{name} {signal}");
+    }
+    for (name, point, address, function) in [
+        ("siemens-v20", "control_word", Some(99), None),
+        ("roboteq-dc", "release", Some(0x01A0), None),
+        ("yaskawa-a1000", "control_word", None, Some(16)),
+        ("toshiba-vfs11", "control_word", None, Some(6)),
+    ] {
+        let map = map(name);
+        let found = map.set_point(point).unwrap();
+        let is_there = address.is_none_or(|address| found.location.address == address);
+        let is_asked = function.is_none_or(|function| found.function == function);
+        assert!(is_there && is_asked, "{name} {point}: {found:?}");
+    }
+}
+
+#[test]
+fn every_required_channel_is_mapped_or_missing_with_a_reason() {
+    for (name, _) in foreign() {
+        let map = map(name);
+        for channel in RegisterMap::REQUIRED {
+            let mapped = map.of_channel(channel).is_some();
+            let missing = map
+                .missing
+                .get(channel.key())
+                .is_some_and(|why| why.len() > 10);
+            assert!(mapped != missing, "{name} {}", channel.key());
+        }
+    }
+    assert!(map("siemens-v20").of_channel(Channel::Torque).is_some());
+}
+
+#[test]
+fn reads_keep_to_the_limits_of_the_drive_and_serve_every_signal() {
+    for (name, _) in foreign() {
+        let map = map(name);
+        for poll in [PollRate::Fast, PollRate::Slow, PollRate::Once] {
+            let mut served = 0;
+            for block in plan_reads(&map, poll) {
+                let fits = (1..=map.max_read).contains(&block.read.count);
+                assert!(fits, "{name} {block:?}");
+                served += block.signals.len();
+            }
+            let wanted = map.signals.iter().filter(|s| s.keys.poll == poll);
+            assert_eq!(served, wanted.count(), "{name}");
+        }
+    }
+    // Eleven registers in one read; one register a request.
+    for (name, reads) in [
+        ("vacon10", 1),
+        ("toshiba-vfs11", 2),
+        ("roboteq-dc", 3),
+        ("delta-ms300", 1),
+    ] {
+        let fast = plan_reads(&map(name), PollRate::Fast);
+        assert_eq!(fast.len(), reads, "{name}");
+    }
+}
+
+#[test]
+fn a_block_of_exact_length_is_read_whole() {
+    let text = DriveProfile::text("delta-ms300")
+        .unwrap()
+        .replace("max_hole = 1", "max_hole = 1\nexact_reads = [[0x0018, 6]]")
+        + "
+[signals.load]
+address = 0x0018
+type = \"u16\"
+byte = \"high\"
+unit = \"%\"
+quantity = \"other\"
+poll = \"fast\"
+
+[signals.drive_status]
+address = 0x0018
+type = \"u16\"
+byte = \"low\"
+quantity = \"status\"
+poll = \"fast\"
+";
+    let map = RegisterMap::parse("lenze", &text).unwrap();
+    let blocks = plan_reads(&map, PollRate::Fast);
+    assert_eq!(blocks.len(), 2);
+    assert_eq!(blocks[0].read, ReadRequest::holding(0x18, 6));
+    assert_eq!(blocks[0].signals.len(), 2);
+}
+
+/// The error of a profile in which something was exchanged, with what stands at its place.
+fn wrong(name: &str, from: &str, to: &str) -> (String, String) {
+    let text = DriveProfile::text(name).unwrap();
+    assert!(text.contains(from), "{from}");
+    let text = text.replacen(from, to, 1);
+    let Err(ProfileError::Text(error)) = DriveProfile::parse("x.toml", &text) else {
+        panic!("{to} was taken");
+    };
+    let line = text.lines().nth(error.line - 1).unwrap_or_default();
+    let rest: String = line.chars().skip(error.column - 1).collect();
+    (format!("{} | {}", error.message, error.help), rest)
+}
+
+/// One defect of `defects.toml`.
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Defect {
+    profile: String,
+    from: String,
+    to: String,
+    message: String,
+    place: String,
+}
+
+#[test]
+fn defects_are_named_with_their_place_and_the_nearest_key() {
+    let text = include_str!("defects.toml");
+    let mut defects: BTreeMap<String, Vec<Defect>> = toml::from_str(text).unwrap();
+    let defects = defects.remove("defect").unwrap();
+    assert_eq!(defects.len(), 34);
+    let mut surprises = Vec::new();
+    for defect in defects {
+        let (told, at) = wrong(&defect.profile, &defect.from, &defect.to);
+        if !told.contains(&defect.message) || !at.starts_with(&defect.place) {
+            surprises.push(format!("{}: {told} stands at {at:?}", defect.to));
+        }
+    }
+    assert!(surprises.is_empty(), "{}", surprises.join("\n"));
+}
+
+#[test]
+fn what_is_neither_mapped_nor_missing_is_an_error() {
+    let (told, _) = wrong(
+        "siemens-v20",
+        "voltage_v = \"the output",
+        "temperature_c = \"the output",
+    );
+    assert!(
+        told.contains("voltage_v is neither mapped nor declared missing"),
+        "{told}"
+    );
+    let (told, _) = wrong("siemens-v20", "running = {", "sto = {");
+    assert!(told.contains("state running is neither"), "{told}");
+}
+
+#[test]
+fn a_command_that_a_drive_does_not_have_may_be_declared_empty() {
+    let text = DriveProfile::text("siemens-v20").unwrap();
+    let (before, rest) = text.split_once("\ncoast = [").unwrap();
+    let (_, after) = rest.split_once('\n').unwrap();
+    let map = RegisterMap::parse("x", &format!("{before}\ncoast = []\n{after}")).unwrap();
+    assert!(map.commands.coast.is_empty() && !map.commands.reset.is_empty());
+}
+
+#[test]
+fn the_example_of_the_manual_page_is_a_profile() {
+    let page = include_str!("../../../../docs/drives.md");
+    let (_, rest) = page.split_once("```toml\n").unwrap();
+    let (example, _) = rest.split_once("```").unwrap();
+    let profile = DriveProfile::parse("acme-40.toml", example).unwrap();
+    assert_eq!(profile.name, "acme-40");
+    assert!(profile.capabilities.speed_command);
+    let map = profile.registers.unwrap();
+    assert_eq!(plan_reads(&map, PollRate::Fast).len(), 1);
+    assert_eq!(map.watchdog.set_s(), Some(0.5));
+}

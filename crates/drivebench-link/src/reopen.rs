@@ -1,0 +1,267 @@
+//! A link that was lost: when it is tried again, under which name, and who must be there. Pure: time and answers go in.
+//!
+//! ```text
+//! lost -> closed -> pause (50 ms .. 2 s, jitter) -> open by the name that stays -> who is there? -> the same: stop it
+//!                     ^------------------------------ no --'                                    -> another: leave it
+//! ```
+
+use std::path::Path;
+
+use super::link::Identity;
+use super::open::Target;
+use super::serial_ports::{UsbInfo, adapter, stable_name};
+
+/// First and longest pause between two attempts, s.
+const FIRST_PAUSE_S: f64 = 0.05;
+const LONGEST_PAUSE_S: f64 = 2.0;
+/// A pause is up to this share shorter or longer, so that two programs do not keep step.
+const JITTER: f64 = 0.25;
+
+/// Pauses that grow.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Backoff {
+    next_s: f64,
+    longest_s: f64,
+    dice: u64,
+}
+
+impl Backoff {
+    /// Pauses from `first_s` to `longest_s`, doubled each time; the seed draws their jitter.
+    pub const fn between(first_s: f64, longest_s: f64, seed: u64) -> Self {
+        Self {
+            next_s: first_s,
+            longest_s,
+            dice: seed,
+        }
+    }
+
+    /// The next pause, s.
+    pub fn pause_s(&mut self) -> f64 {
+        let base_s = self.next_s;
+        self.next_s = (2.0 * base_s).min(self.longest_s);
+        // SplitMix64: one step is enough for a number that nobody must guess.
+        self.dice = self.dice.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mixed = (self.dice ^ (self.dice >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        let share = ((mixed ^ (mixed >> 31)) >> 11) as f64 / (1_u64 << 53) as f64;
+        base_s * (1.0 + JITTER * (2.0 * share - 1.0))
+    }
+}
+
+/// The attempts to open one lost link.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Reopening {
+    backoff: Backoff,
+    due_s: f64,
+    until_s: Option<f64>,
+    attempts: u32,
+}
+
+impl Reopening {
+    /// From `now_s` on, for at most `limit_s`; `None`: until somebody ends it.
+    pub fn new(now_s: f64, limit_s: Option<f64>, seed: u64) -> Self {
+        let mut backoff = Backoff::between(FIRST_PAUSE_S, LONGEST_PAUSE_S, seed);
+        Self {
+            due_s: now_s + backoff.pause_s(),
+            backoff,
+            until_s: limit_s.map(|limit_s| now_s + limit_s),
+            attempts: 0,
+        }
+    }
+
+    /// When the next attempt is due, s; `None`: the time is over.
+    pub fn due_s(&self) -> Option<f64> {
+        let in_time = self.until_s.is_none_or(|until_s| self.due_s <= until_s);
+        in_time.then_some(self.due_s)
+    }
+
+    /// An attempt begins; returns its number.
+    pub const fn attempt(&mut self) -> u32 {
+        self.attempts += 1;
+        self.attempts
+    }
+
+    /// The attempt has failed at `now_s`.
+    pub fn failed(&mut self, now_s: f64) {
+        self.due_s = now_s + self.backoff.pause_s();
+    }
+
+    pub const fn attempts(&self) -> u32 {
+        self.attempts
+    }
+}
+
+/// Where a link was opened, by a name that survives a new plug, and the adapter that was there.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Anchor {
+    target: Target,
+    adapter: Option<UsbInfo>,
+}
+
+impl Anchor {
+    /// To be made while the port is there; `root` is the folder below which the system lies.
+    pub fn of(root: &Path, target: &Target) -> Self {
+        let Target::Serial { path, baud, unit } = target else {
+            return Self {
+                target: target.clone(),
+                adapter: None,
+            };
+        };
+        let stable = stable_name(root, Path::new(path));
+        Self {
+            target: Target::Serial {
+                path: stable.to_string_lossy().into_owned(),
+                baud: *baud,
+                unit: *unit,
+            },
+            adapter: adapter(root, Path::new(path)),
+        }
+    }
+
+    /// What to open; a link of the file system is followed anew each time.
+    pub const fn target(&self) -> &Target {
+        &self.target
+    }
+
+    /// Says what is wrong where another adapter has taken the name; one that says nothing of itself is not known again.
+    pub fn stranger(&self, root: &Path) -> Option<String> {
+        let (before, Target::Serial { path, .. }) = (self.adapter.as_ref()?, &self.target) else {
+            return None;
+        };
+        let now = adapter(root, Path::new(path))?;
+        (now != *before).then(|| {
+            format!(
+                "another adapter is at {path}: {}, before it was {}",
+                plate(&now),
+                plate(before)
+            )
+        })
+    }
+}
+
+fn plate(usb: &UsbInfo) -> String {
+    let serial = usb.serial_number.as_deref().unwrap_or("none");
+    format!(
+        "{}:{} serial number {serial}",
+        usb.vendor_id, usb.product_id
+    )
+}
+
+/// Says what is wrong where the drive that answers is not the one from before. What a loss of power resets (watchdog
+/// time, limits) is no identity.
+pub fn another_drive(before: &Identity, now: &Identity) -> Option<String> {
+    let told = [
+        ("vendor", &before.vendor, &now.vendor),
+        ("product", &before.product, &now.product),
+        ("serial number", &before.serial_number, &now.serial_number),
+        ("firmware", &before.firmware, &now.firmware),
+    ];
+    let differs = told.into_iter().find(|(_, before, now)| before != now);
+    if let Some((what, before, now)) = differs {
+        return Some(format!("its {what} is {now:?}, before it was {before:?}"));
+    }
+    let (was, is) = (before.protocol_version, now.protocol_version);
+    if was != is {
+        return Some(format!("its protocol version is {is}, before it was {was}"));
+    }
+    (before.is_emulator != now.is_emulator).then(|| {
+        let kind = |emulated| if emulated { "software" } else { "hardware" };
+        let (is, was) = (kind(now.is_emulator), kind(before.is_emulator));
+        format!("it is {is}, before it was {was}")
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pauses_double_up_to_the_longest_and_are_the_same_for_a_seed() {
+        let pauses = |seed| {
+            let mut reopening = Reopening::new(0.0, None, seed);
+            let mut now_s = 0.0;
+            let pauses: Vec<f64> = (0..12)
+                .map(|_| {
+                    let due_s = reopening.due_s().unwrap();
+                    let pause_s = due_s - now_s;
+                    now_s = due_s;
+                    reopening.attempt();
+                    reopening.failed(now_s);
+                    pause_s
+                })
+                .collect();
+            assert_eq!(reopening.attempts(), 12);
+            pauses
+        };
+        for (index, pause_s) in pauses(7).into_iter().enumerate() {
+            let base_s = (0.05 * f64::from(1 << index)).min(2.0);
+            let range = 0.74 * base_s..1.26 * base_s;
+            assert!(range.contains(&pause_s), "{index}: {pause_s} {range:?}");
+        }
+        assert_eq!(pauses(7), pauses(7));
+        assert_ne!(pauses(7), pauses(8));
+    }
+
+    #[test]
+    fn no_attempt_is_due_after_the_time_and_none_without_time() {
+        let mut reopening = Reopening::new(10.0, Some(1.0), 3);
+        let mut now_s = 10.0;
+        while let Some(due_s) = reopening.due_s() {
+            assert!((10.0..=11.0).contains(&due_s));
+            now_s = due_s;
+            reopening.attempt();
+            reopening.failed(now_s);
+        }
+        assert!((3..=6).contains(&reopening.attempts()), "{reopening:?}");
+        assert!(now_s > 10.3);
+        assert_eq!(Reopening::new(0.0, Some(0.0), 1).due_s(), None);
+    }
+
+    #[test]
+    fn another_serial_number_is_another_drive() {
+        let before = Identity {
+            product: "drive".to_owned(),
+            serial_number: "1".to_owned(),
+            watchdog_s: Some(0.2),
+            ..Identity::default()
+        };
+        let reset = Identity {
+            watchdog_s: None,
+            current_limit_a: Some(3.0),
+            ..before.clone()
+        };
+        assert_eq!(another_drive(&before, &reset), None);
+        let other = Identity {
+            serial_number: "2".to_owned(),
+            ..before.clone()
+        };
+        let reason = another_drive(&before, &other).unwrap();
+        assert_eq!(reason, "its serial number is \"2\", before it was \"1\"");
+        let software = Identity {
+            is_emulator: true,
+            ..before.clone()
+        };
+        let reason = another_drive(&before, &software).unwrap();
+        assert_eq!(reason, "it is software, before it was hardware");
+    }
+
+    #[test]
+    fn a_plugged_number_is_kept_by_its_name_that_stays() {
+        let machine = crate::serial_ports::machine();
+        let root = machine.path();
+        let target: Target = "/dev/ttyUSB3".parse().unwrap();
+        let anchor = Anchor::of(root, &target);
+        let by_id = "/dev/serial/by-id/usb-FTDI_FT232R_A50285BI-if00";
+        assert_eq!(anchor.target().to_string(), by_id);
+        assert_eq!(anchor.stranger(root), None);
+        // The same plug, seen as another adapter.
+        std::fs::write(root.join("sys/devices/usb1/1-2/serial"), "B0\n").unwrap();
+        let reason = anchor.stranger(root).unwrap();
+        assert!(reason.contains("0403:6001 serial number B0"), "{reason}");
+        // What is not there under a name that stays keeps the name that was given.
+        let target: Target = "/dev/ttyUSB9".parse().unwrap();
+        assert_eq!(Anchor::of(root, &target).target(), &target);
+        let target: Target = "tcp:drive:502".parse().unwrap();
+        assert_eq!(Anchor::of(root, &target).target(), &target);
+    }
+}

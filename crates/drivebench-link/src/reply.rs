@@ -1,0 +1,426 @@
+//! Reply search: which bytes on the line answer the one outstanding request, and which do not.
+//!
+//! A reply is taken only if unit, function, length, echoed fields and checksum (or transaction) all fit the request:
+//! RTU has no transaction number, and common clients take a late reply for the next one.
+
+use std::collections::VecDeque;
+
+use firmware_protocol::modbus::{
+    Length, expected_response_len, request_len, response_len, rtu, tcp,
+};
+
+/// How frames are told apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum FrameKind {
+    Rtu,
+    Tcp,
+}
+
+/// What the reply has to fit.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Expected {
+    /// The outstanding request as it went out; empty: nothing is outstanding.
+    pub(super) request: Vec<u8>,
+    /// What the reply must carry beside: the number of its own command.
+    pub(super) echo: Option<Echo>,
+    /// Requests before it: what answers one of these is an old reply and not a stranger's.
+    pub(super) earlier: VecDeque<Vec<u8>>,
+    /// This line is known to return requests.
+    pub(super) echoes: bool,
+}
+
+/// Two bytes that prove which request a reply belongs to, and where they stand in its PDU.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Echo {
+    pub(super) at: usize,
+    pub(super) bytes: [u8; 2],
+}
+
+/// Requests that are remembered for naming late replies.
+const EARLIER: usize = 8;
+
+impl Expected {
+    /// The outstanding request is over, answered or not.
+    pub(super) fn retire(&mut self) {
+        self.echo = None;
+        if self.request.is_empty() {
+            return;
+        }
+        if self.earlier.len() == EARLIER {
+            self.earlier.pop_front();
+        }
+        self.earlier.push_back(std::mem::take(&mut self.request));
+    }
+
+    fn is_met_by(&self, pdu: &[u8], response: &[u8]) -> bool {
+        let refused = response.first().is_some_and(|code| code & 0x80 != 0);
+        answers(pdu, response)
+            && (refused
+                || self
+                    .echo
+                    .is_none_or(|echo| response.get(echo.at..echo.at + 2) == Some(&echo.bytes)))
+    }
+}
+
+/// What a reply shows of the request that it answers, where it carries no number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Code {
+    /// With the mark of a refusal, if it is one.
+    pub(super) function: u8,
+    /// Bytes of the PDU.
+    pub(super) length: usize,
+}
+
+impl Code {
+    /// Of a whole response frame.
+    pub(super) fn of(kind: FrameKind, frame: &[u8]) -> Option<Self> {
+        let (before, behind) = match kind {
+            FrameKind::Rtu => (1, 2),
+            FrameKind::Tcp => (tcp::HEADER, 0),
+        };
+        Some(Self {
+            function: *frame.get(before)?,
+            length: frame.len().checked_sub(before + behind)?,
+        })
+    }
+
+    /// Of the data that this request asks for.
+    pub(super) fn answering(request: &[u8]) -> Self {
+        Self {
+            function: request.first().copied().unwrap_or_default(),
+            length: expected_response_len(request).unwrap_or_default(),
+        }
+    }
+}
+
+/// What the bytes received so far hold.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Search {
+    /// Begin and end of the reply.
+    pub(super) reply: Option<(usize, usize)>,
+    /// Whole frames that answer an earlier request, or this one with another number.
+    pub(super) old: Vec<Code>,
+    /// Whole frames that answer nothing that was asked; on a serial line also those that are requests of somebody else.
+    pub(super) foreign: usize,
+    /// Those of them that write to the unit which is asked: another master commands it.
+    pub(super) foreign_writes: usize,
+    /// The line returned the request itself before the reply.
+    pub(super) echo: bool,
+}
+
+/// The peer does not speak Modbus TCP: frames can no longer be told apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Unframeable;
+
+/// Looks through everything received since the request went out.
+pub(super) fn search(
+    kind: FrameKind,
+    expected: &Expected,
+    received: &[u8],
+) -> Result<Search, Unframeable> {
+    match kind {
+        FrameKind::Rtu => Ok(search_rtu(expected, received)),
+        FrameKind::Tcp => search_tcp(expected, received),
+    }
+}
+
+fn search_rtu(expected: &Expected, received: &[u8]) -> Search {
+    let mut found = Search::default();
+    let request = &expected.request;
+    let (unit, pdu) = unit_and_pdu(request).unwrap_or_default();
+    let request_sent = match expected.earlier.back() {
+        Some(last) if request.is_empty() => last,
+        _ => request,
+    };
+    // The reply to these equals the request: without knowing the line a copy cannot be called an echo.
+    let reply_is_copy = matches!(pdu.first(), Some(5 | 6 | 8));
+    let mut at = 0;
+    if !request.is_empty() {
+        if received.starts_with(request) && (expected.echoes || !reply_is_copy) {
+            found.echo = true;
+            at = request.len();
+        } else if expected.echoes && request.starts_with(received) {
+            return found;
+        }
+    }
+    while at < received.len() {
+        let tail = &received[at..];
+        let Some(length) = rtu_frame_len(tail, response_len) else {
+            // Only another master sends these; our own came back as an echo.
+            let request = rtu_frame_len(tail, request_len);
+            let own = !request_sent.is_empty() && tail.starts_with(request_sent);
+            if request.is_some() && !own {
+                found.foreign += 1;
+                found.foreign_writes += usize::from(writes_to(request_sent, tail));
+            }
+            at += request.unwrap_or(1);
+            continue;
+        };
+        let response = &tail[1..length - 2];
+        // Registers that are read often hold such frames by chance: all ones before zeros fit the check sum.
+        if tail[0] != unit && (tail[0] > LAST_UNIT || matches!(response, [0x80..=0xFF, 0])) {
+            at += 1;
+            continue;
+        }
+        if tail[0] == unit && expected.is_met_by(pdu, response) {
+            found.reply = Some((at, at + length));
+            return found;
+        }
+        let is_old = |request: &Vec<u8>| {
+            unit_and_pdu(request)
+                .is_some_and(|(unit, pdu)| tail[0] == unit && answers(pdu, response))
+        };
+        if is_old(request) || expected.earlier.iter().any(is_old) {
+            found.old.extend(Code::of(FrameKind::Rtu, &tail[..length]));
+        } else {
+            found.foreign += 1;
+            // The drive's own answer to such a request, with a length that does not fit, is no other master's.
+            let is_misfit = pdu.first() == Some(&23) && response.first() == Some(&23);
+            found.foreign_writes += usize::from(!is_misfit && writes_to(request_sent, tail));
+        }
+        at += length;
+    }
+    found
+}
+
+/// Addresses of units end here; those above are reserved (MODBUS over Serial Line V1.02, 2.2).
+const LAST_UNIT: u8 = 247;
+
+/// Whether this frame, which is not ours, writes to the unit of a request, or acknowledges such a write.
+fn writes_to(request: &[u8], frame: &[u8]) -> bool {
+    matches!(frame, [unit, 5 | 6 | 15 | 16 | 22 | 23, ..] if request.first() == Some(unit))
+}
+
+/// Unit and PDU of an RTU frame.
+fn unit_and_pdu(frame: &[u8]) -> Option<(u8, &[u8])> {
+    let end = frame.len().checked_sub(2)?;
+    let (&unit, pdu) = frame[..end].split_first()?;
+    Some((unit, pdu))
+}
+
+/// Length of a whole frame at the start of `bytes`, if there is one with a right checksum.
+pub(super) fn rtu_frame_len(bytes: &[u8], pdu_len: impl Fn(&[u8]) -> Length) -> Option<usize> {
+    let Length::Known(pdu) = pdu_len(bytes.get(1..)?) else {
+        return None;
+    };
+    let (body, rest) = bytes.split_at_checked(pdu + 1)?;
+    let crc = rest.first_chunk::<2>()?;
+    (pdu + 3 <= rtu::MAX_FRAME && rtu::crc16(body) == u16::from_le_bytes(*crc)).then_some(pdu + 3)
+}
+
+/// Whether a response PDU is one to this request PDU.
+fn answers(request: &[u8], response: &[u8]) -> bool {
+    let (Some(&asked), Some(&said)) = (request.first(), response.first()) else {
+        return false;
+    };
+    if said == asked | 0x80 {
+        return response.len() == 2;
+    }
+    let echoed = match asked {
+        5 | 6 | 8 => request.len(),
+        15 | 16 => 5,
+        22 => 7,
+        43 => 3,
+        _ => 1,
+    };
+    expected_response_len(request).is_none_or(|length| length == response.len())
+        && response.get(..echoed) == request.get(..echoed)
+}
+
+fn search_tcp(expected: &Expected, received: &[u8]) -> Result<Search, Unframeable> {
+    let mut found = Search::default();
+    let request = &expected.request;
+    let pdu = request.get(tcp::HEADER..).unwrap_or_default();
+    let mut at = 0;
+    while let Some(tail) = received.get(at..)
+        && let Some(header) = tail.first_chunk::<{ tcp::HEADER }>()
+    {
+        let [_, _, p1, p0, l1, l0, _] = *header;
+        let length = usize::from(u16::from_be_bytes([l1, l0]));
+        if (p1, p0) != (0, 0) || !(2..=tcp::MAX_FRAME - 6).contains(&length) {
+            return Err(Unframeable);
+        }
+        let Some(frame) = tail.get(..length + 6) else {
+            break;
+        };
+        let same_transaction = request.get(..2) == frame.get(..2) && request.get(6) == frame.get(6);
+        if same_transaction && expected.is_met_by(pdu, &frame[tcp::HEADER..]) {
+            found.reply = Some((at, at + length + 6));
+            return Ok(found);
+        }
+        // The transaction number says whose answer it is.
+        let is_old = |request: &Vec<u8>| request.get(..2) == frame.get(..2);
+        if is_old(request) || expected.earlier.iter().any(is_old) {
+            found.old.extend(Code::of(FrameKind::Tcp, frame));
+        } else {
+            found.foreign += 1;
+        }
+        at += length + 6;
+    }
+    Ok(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::scripted::frame;
+
+    #[test]
+    fn a_foreign_write_to_our_unit_is_another_master() {
+        let own = frame(1, &[6, 0, 201, 2, 38]);
+        let mut expected = expecting(&frame(1, &[3, 0, 100, 0, 1]), false);
+        expected.earlier.push_back(own.clone());
+        let writes = |bytes: &[u8]| search_rtu(&expected, bytes).foreign_writes;
+        assert_eq!(writes(&own), 0, "our own acknowledgement, late");
+        assert_eq!(writes(&frame(7, &[6, 0, 201, 0, 0])), 0, "another drive");
+        assert_eq!(writes(&frame(1, &[4, 2, 0, 0])), 0, "no write");
+        assert_eq!(writes(&frame(1, &[6, 0, 201, 0, 0])), 1);
+        let many = frame(1, &[16, 0, 201, 0, 1, 2, 0, 0]);
+        let acknowledged = frame(1, &[16, 0, 201, 0, 1]);
+        assert_eq!(writes(&[many, acknowledged].concat()), 2);
+    }
+
+    #[test]
+    fn a_chance_check_sum_is_damage() {
+        let command = frame(1, &[23, 0, 0, 0, 2, 0, 32, 0, 1, 2, 0, 7]);
+        let found = rtu(&command, &[&[0xFF, 0xFF, 0, 0, 0]], false);
+        assert_eq!((found.reply, found.foreign), (None, 0));
+        let misfit = rtu(&command, &[&frame(1, &[23, 6, 1, 2, 3, 4, 5, 6])], false);
+        assert_eq!((misfit.reply, misfit.foreign), (None, 1));
+        assert_eq!(misfit.foreign_writes, 0);
+    }
+
+    fn expecting(request: &[u8], echoes: bool) -> Expected {
+        Expected {
+            request: request.to_vec(),
+            echoes,
+            ..Expected::default()
+        }
+    }
+
+    fn rtu(request: &[u8], received: &[&[u8]], echoes: bool) -> Search {
+        let expected = expecting(request, echoes);
+        search(FrameKind::Rtu, &expected, &received.concat()).unwrap()
+    }
+
+    #[test]
+    fn the_number_of_a_command_must_come_back() {
+        let request = frame(1, &[23, 0, 0, 0, 2, 0, 32, 0, 1, 2, 0, 7]);
+        let reply = |number: u8| frame(1, &[23, 4, 9, 9, 0, number]);
+        let mut expected = expecting(&request, false);
+        expected.echo = Some(Echo {
+            at: 4,
+            bytes: [0, 7],
+        });
+        let look = |expected: &Expected, bytes: &[u8]| {
+            let found = search(FrameKind::Rtu, expected, bytes).unwrap();
+            (found.reply, found.old.len(), found.foreign)
+        };
+        assert_eq!(look(&expected, &reply(7)), (Some((0, 9)), 0, 0));
+        assert_eq!(look(&expected, &reply(6)), (None, 1, 0));
+        let late = [reply(6), reply(7)].concat();
+        assert_eq!(look(&expected, &late), (Some((9, 18)), 1, 0));
+        let refusal = frame(1, &[0x97, 6]);
+        assert!(look(&expected, &refusal).0.is_some());
+        // After it is over its answer, and that of the one before, are old; another function is a stranger's.
+        expected.retire();
+        expected.request = frame(1, &[8, 0, 0, 1, 2]);
+        assert_eq!(look(&expected, &reply(7)), (None, 1, 0));
+        assert_eq!(look(&expected, &frame(1, &[4, 2, 0, 0])), (None, 0, 1));
+        for _ in 0..100 {
+            expected.request = request.clone();
+            expected.retire();
+        }
+        assert_eq!(expected.earlier.len(), EARLIER);
+    }
+
+    #[test]
+    fn only_the_reply_to_this_request_is_taken() {
+        let request = frame(1, &[3, 0, 0, 0, 2]);
+        let reply = frame(1, &[3, 4, 1, 2, 3, 4]);
+        let alone = rtu(&request, &[&reply], false);
+        assert_eq!(alone.reply, Some((0, 9)));
+        assert_eq!((alone.foreign, alone.echo), (0, false));
+        for other in [
+            frame(2, &[3, 4, 1, 2, 3, 4]),
+            frame(1, &[4, 4, 1, 2, 3, 4]),
+            frame(1, &[3, 6, 1, 2, 3, 4, 5, 6]),
+            frame(1, &[0x84, 2]),
+            frame(1, &[6, 0, 0, 0, 2]),
+        ] {
+            let search = rtu(&request, &[&other], false);
+            let found = (search.reply, search.foreign + search.old.len());
+            assert_eq!(found, (None, 1), "{other:?}");
+            let search = rtu(&request, &[&other, &reply], false);
+            assert_eq!(search.reply, Some((other.len(), other.len() + 9)));
+        }
+        let mut damaged = reply.clone();
+        damaged[4] ^= 1;
+        for nothing in [&damaged[..], &reply[..8]] {
+            assert_eq!(rtu(&request, &[nothing], false), Search::default());
+        }
+        let after_garbage = rtu(&request, &[&[1, 3, 4], &reply], false);
+        assert_eq!(after_garbage.reply, Some((3, 12)));
+    }
+
+    #[test]
+    fn refusals_probes_and_writes_are_compared_whole() {
+        let (read, probe) = ([3, 0, 0, 0, 2], [8, 0, 0, 0x12, 0x34]);
+        let write = [16, 0, 32, 0, 1, 2, 0, 5];
+        for (request, reply, is_taken) in [
+            (&read[..], &[0x83, 2][..], true),
+            (&probe, &probe, true),
+            (&probe, &[8, 0, 0, 0x12, 0x35], false),
+            (&write, &[16, 0, 32, 0, 1], true),
+            (&write, &[16, 0, 33, 0, 1], false),
+        ] {
+            let found = rtu(&frame(1, request), &[&frame(1, reply)], false);
+            assert_eq!(found.reply.is_some(), is_taken, "{request:?} {reply:?}");
+        }
+    }
+
+    #[test]
+    fn an_echoed_request_is_no_reply() {
+        let request = frame(1, &[3, 0, 0, 0, 2]);
+        let reply = frame(1, &[3, 4, 1, 2, 3, 4]);
+        let search = rtu(&request, &[&request, &reply], false);
+        assert!(search.echo);
+        assert_eq!(search.reply, Some((8, 17)));
+        let probe = frame(1, &[8, 0, 0, 7, 7]);
+        assert_eq!(rtu(&probe, &[&probe], true).reply, None);
+        assert_eq!(rtu(&probe, &[&probe, &probe], true).reply, Some((8, 16)));
+    }
+
+    #[test]
+    fn tcp_skips_old_transactions_and_gives_up_on_another_protocol() {
+        let adu = |transaction, pdu: &[u8]| tcp::encode_frame(transaction, 1, pdu).to_vec();
+        let request = adu(7, &[3, 0, 0, 0, 1]);
+        let (old, reply) = (adu(6, &[3, 2, 0, 1]), adu(7, &[3, 2, 0, 2]));
+        let both = [old.clone(), reply].concat();
+        let expected = expecting(&request, false);
+        let search = search(FrameKind::Tcp, &expected, &both).unwrap();
+        assert_eq!(search.reply, Some((old.len(), both.len())));
+        assert_eq!(search.foreign, 1);
+        assert_eq!(
+            super::search(FrameKind::Tcp, &expected, b"HTTP/1.1 400"),
+            Err(Unframeable)
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn any_bytes_are_looked_through_without_harm(
+            bytes in proptest::collection::vec(any::<u8>(), 0..600),
+            echoes in any::<bool>(),
+        ) {
+            let expected = expecting(&frame(1, &[3, 0, 0, 0, 2]), echoes);
+            for kind in [FrameKind::Rtu, FrameKind::Tcp] {
+                if let Ok(Search { reply: Some((begin, end)), .. }) = search(kind, &expected, &bytes) {
+                    prop_assert!(begin < end && end <= bytes.len());
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,334 @@
+//! The link's time axis: from the drive's counters to seconds, from the host's clock to the drive's, from telemetry as it
+//! travels to a sample, and from the identity block to an identity.
+
+use std::collections::VecDeque;
+
+use firmware_protocol::registers::PROTOCOL_VERSION;
+use firmware_protocol::{
+    Control, DeviceKind, DriveCommand, Fault, IdentityError, State, Telemetry,
+};
+
+use super::link::{Identity, LinkError};
+use super::register_bus::Span;
+use drivebench_model::sample::{Applied, Channel, Command, Demand, DriveState, Sample};
+
+/// Microseconds until the drive's counter comes round.
+const TURN_US: f64 = 4_294_967_296.0;
+/// The best exchange of each window is kept, s.
+const WINDOW_S: f64 = 0.5;
+/// Windows that are remembered.
+const WINDOWS: usize = 120;
+
+/// The drive's microsecond counter as seconds since the link connected: the first counter seen is 0.
+#[derive(Clone, Debug, Default)]
+pub struct DriveClock {
+    last: Option<Last>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Last {
+    raw_us: u32,
+    host_s: f64,
+    since_connect_us: f64,
+}
+
+impl DriveClock {
+    /// Drive time of a counter read at host time `host_s`. The host's clock tells how often the counter came round
+    /// since the last look, so that a pause may be longer than a turn of 71.6 minutes.
+    pub fn follow(&mut self, raw_us: u32, host_s: f64) -> f64 {
+        let since_connect_us = self.last.map_or(0.0, |last| {
+            let step_us = f64::from(signed_difference(raw_us, last.raw_us));
+            let passed_us = (host_s - last.host_s) * 1e6;
+            let turns = ((passed_us - step_us) / TURN_US).round();
+            last.since_connect_us + step_us + turns * TURN_US
+        });
+        self.last = Some(Last {
+            raw_us,
+            host_s,
+            since_connect_us,
+        });
+        since_connect_us * 1e-6
+    }
+}
+
+/// `later - earlier` of two counters less than half a turn apart, us.
+pub const fn signed_difference(later_us: u32, earlier_us: u32) -> i32 {
+    later_us.wrapping_sub(earlier_us).cast_signed()
+}
+
+/// Where the drive's clock stands against the host's: a line through the exchanges with the smallest delay, since
+/// delay comes in by one direction only and a fast exchange cannot hide much of it.
+///
+/// Error: half of the smallest round trip, as the two directions need not take the same time. It carries host
+/// times over to the drive's clock; no sample is moved by it.
+#[derive(Clone, Debug, Default)]
+pub struct ClockMap {
+    marks: VecDeque<Mark>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Mark {
+    window: f64,
+    host_s: f64,
+    offset_s: f64,
+    delay_s: f64,
+}
+
+impl ClockMap {
+    /// Takes an exchange: host times of request and reply, drive time of the sample between them.
+    pub fn observe(&mut self, span: Span, drive_s: f64) {
+        let host_s = 0.5 * (span.asked_s + span.answered_s);
+        let mark = Mark {
+            window: (host_s / WINDOW_S).floor(),
+            host_s,
+            offset_s: drive_s - host_s,
+            delay_s: span.answered_s - span.asked_s,
+        };
+        match self.marks.back_mut() {
+            Some(last) if last.window >= mark.window && mark.delay_s >= last.delay_s => {}
+            Some(last) if last.window >= mark.window => *last = mark,
+            _ => self.marks.push_back(mark),
+        }
+        if self.marks.len() > WINDOWS {
+            self.marks.pop_front();
+        }
+    }
+
+    /// Drive time minus host time, at the host time given; s. `None` before the first exchange.
+    pub fn offset_s(&self, host_s: f64) -> Option<f64> {
+        let (centre_s, offset_s, slope) = self.line()?;
+        Some(offset_s + slope * (host_s - centre_s))
+    }
+
+    /// Centre of the marks in host time, offset there, slope.
+    fn line(&self) -> Option<(f64, f64, f64)> {
+        let delays_s = self.marks.iter().map(|mark| mark.delay_s);
+        let smallest = delays_s.min_by(f64::total_cmp)?;
+        let is_good = move |mark: &&Mark| mark.delay_s <= 1.5 * smallest;
+        let good = || self.marks.iter().filter(is_good);
+        let count = good().count() as f64;
+        let centre_s = good().map(|mark| mark.host_s).sum::<f64>() / count;
+        let offset_s = good().map(|mark| mark.offset_s).sum::<f64>() / count;
+        let spread: f64 = good().map(|mark| (mark.host_s - centre_s).powi(2)).sum();
+        let joint: f64 = good()
+            .map(|mark| (mark.host_s - centre_s) * (mark.offset_s - offset_s))
+            .sum();
+        let slope = if spread > 0.0 { joint / spread } else { 0.0 };
+        Some((centre_s, offset_s, slope))
+    }
+}
+
+/// The time axis of one connection. Drive time 0 is the first drive time that was seen, at `identify` where that
+/// comes first: samples of one connection share one origin, and the drive's time since power-up says nothing.
+#[derive(Clone, Debug, Default)]
+pub struct Timeline {
+    clock: DriveClock,
+    angle: Option<(f64, f64)>,
+}
+
+impl Timeline {
+    /// Notes a drive time without a sample; returns it on the time axis, s.
+    pub fn note(&mut self, time_us: u32, span: Span) -> f64 {
+        self.clock.follow(time_us, span.answered_s)
+    }
+
+    /// The sample of an exchange.
+    pub fn sample(&mut self, telemetry: &Telemetry, seq: u64, span: Span) -> Sample {
+        let mut sample = Sample::at(self.note(telemetry.time_us, span));
+        sample.host_time_s = Some(span.answered_s);
+        sample.seq = Some(seq);
+        sample.state = Some(match telemetry.status.state() {
+            Some(State::Disabled) => DriveState::Disabled,
+            Some(State::Ready) => DriveState::Ready,
+            Some(State::Running) => DriveState::Running,
+            // A reserved code is to be treated as a fault.
+            Some(State::Fault) | None => DriveState::Fault,
+        });
+        sample.status = Some(telemetry.status.0);
+        sample.limited = telemetry.status.is_limited();
+        let fault = Some(telemetry.fault).filter(|fault| *fault != Fault::None);
+        sample.fault = fault.map(Fault::code);
+        sample.fault_text = fault.map(|fault| fault.text().into());
+        sample.applied = (telemetry.seq == low_word(seq)).then(|| {
+            let age_us = signed_difference(telemetry.time_us, telemetry.applied_us);
+            Applied {
+                seq,
+                time_s: sample.time_s - f64::from(age_us) * 1e-6,
+            }
+        });
+        for (channel, value) in [
+            (Channel::VoltageCmd, telemetry.voltage_cmd_v),
+            (Channel::Voltage, telemetry.voltage_v),
+            (Channel::Current, telemetry.current_a),
+            (Channel::Speed, telemetry.speed_rad_s),
+            (Channel::Angle, self.unwrap_angle(telemetry.angle_rad)),
+            (Channel::Bus, telemetry.bus_v),
+            (Channel::Temperature, telemetry.temperature_c),
+        ] {
+            sample.set(channel, value);
+        }
+        sample
+    }
+
+    fn unwrap_angle(&mut self, raw: f64) -> f64 {
+        const SPAN: f64 = Telemetry::ANGLE_SPAN_RAD;
+        let (last, turns) = self.angle.unwrap_or((raw, 0.0));
+        let turns = turns - ((raw - last) / SPAN).round();
+        self.angle = Some((raw, turns));
+        raw + turns * SPAN
+    }
+}
+
+/// The part of a sequence number that travels.
+pub(super) const fn low_word(seq: u64) -> u16 {
+    let [.., high, low] = seq.to_be_bytes();
+    u16::from_be_bytes([high, low])
+}
+
+/// A command as it travels.
+pub const fn command(command: Command) -> DriveCommand {
+    let control = match command.demand {
+        Demand::Disable => Control::Disable,
+        Demand::Stop => Control::Stop,
+        Demand::ResetFault => Control::ResetFault,
+        Demand::Voltage(volts) => Control::Voltage(volts),
+        Demand::Current(amperes) => Control::Current(amperes),
+        Demand::Speed(speed) => Control::Speed(speed),
+    };
+    DriveCommand::new(low_word(command.seq), control)
+}
+
+/// The identity as the rest of the program knows it; names come from elsewhere.
+pub fn identity(block: &firmware_protocol::Identity) -> Identity {
+    let known = |value: f64| value.is_finite().then_some(value);
+    let [major, minor] = block.firmware_version.to_be_bytes();
+    Identity {
+        vendor: String::new(),
+        product: String::new(),
+        serial_number: block.serial_number.to_string(),
+        firmware: format!("{major}.{minor}"),
+        protocol_version: PROTOCOL_VERSION,
+        is_emulator: block.kind.has(DeviceKind::EMULATOR),
+        watchdog_s: Some(f64::from(block.watchdog_ms) * 1e-3),
+        current_limit_a: known(block.current_limit_a),
+        voltage_limit_v: known(block.voltage_limit_v),
+    }
+}
+
+/// Why an identity block is none of ours.
+pub fn identity_error(link: &str, error: IdentityError) -> LinkError {
+    let link = link.to_owned();
+    match error {
+        IdentityError::Version(found) => LinkError::Version {
+            link,
+            found,
+            expected: PROTOCOL_VERSION,
+        },
+        IdentityError::Magic(found) => LinkError::Identity(
+            link,
+            format!(
+                "register 64 reads {found:#06x}, not 0x4442: this drive does not have drivebench's register map"
+            ),
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn telemetry(seq: u16, time_us: u32, applied_us: u32) -> Telemetry {
+        Telemetry {
+            seq,
+            time_us,
+            applied_us,
+            temperature_c: f64::NAN,
+            ..Telemetry::default()
+        }
+    }
+
+    #[test]
+    fn the_applied_time_survives_a_turn_of_the_counter() {
+        let mut timeline = Timeline::default();
+        timeline.note(u32::MAX - 1499, Span::new(1.0, 1.001));
+        let telemetry = telemetry(5, 500, u32::MAX - 499);
+        let sample = timeline.sample(&telemetry, 65_541, Span::new(1.002, 1.003));
+        assert!((sample.time_s - 0.002).abs() < 1e-12);
+        let applied = sample.applied.unwrap();
+        assert_eq!(applied.seq, 65_541);
+        assert!((applied.time_s - 0.001).abs() < 1e-12);
+        assert_eq!(sample.get(Channel::Temperature), None);
+        assert_eq!(sample.get(Channel::Current), Some(0.0));
+    }
+
+    #[test]
+    fn a_command_that_the_drive_does_not_report_has_no_applied_time() {
+        let sample = Timeline::default().sample(&telemetry(4, 10, 5), 5, Span::new(0.0, 0.0));
+        assert_eq!(sample.applied, None);
+    }
+
+    #[test]
+    fn the_angle_goes_on_over_its_wrap() {
+        let mut timeline = Timeline::default();
+        let half = 0.5 * Telemetry::ANGLE_SPAN_RAD;
+        let first = timeline.unwrap_angle(half - 1.0);
+        let second = timeline.unwrap_angle(-half + 1.0);
+        assert!((second - first - 2.0).abs() < 1e-6);
+        assert!((timeline.unwrap_angle(half - 1.0) - first).abs() < 1e-6);
+    }
+
+    #[test]
+    fn the_first_counter_is_time_zero_and_a_turn_is_no_jump() {
+        let mut clock = DriveClock::default();
+        assert!(clock.follow(u32::MAX - 999, 5.0).abs() < 1e-12);
+        assert!((clock.follow(1000, 5.002) - 0.002).abs() < 1e-12);
+        // A little back: the applied time of a command, or a reordered look.
+        assert!((clock.follow(500, 5.002) - 0.001_5).abs() < 1e-12);
+    }
+
+    proptest! {
+        #[test]
+        fn pauses_of_any_length_are_followed(
+            start in any::<u32>(),
+            pauses in proptest::collection::vec(0.0..20_000.0_f64, 1..20),
+        ) {
+            let mut clock = DriveClock::default();
+            clock.follow(start, 0.0);
+            let mut true_us = 0_u64;
+            for pause_s in pauses {
+                #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "in range")]
+                let step = (pause_s * 1e6) as u64;
+                true_us += step;
+                #[expect(clippy::cast_possible_truncation, reason = "the counter wraps")]
+                let raw = start.wrapping_add(true_us as u32);
+                // The host's clock is off by 100 ppm.
+                let host_s = true_us as f64 * 1e-6 * 1.000_1;
+                let drive_s = clock.follow(raw, host_s);
+                prop_assert!((drive_s - true_us as f64 * 1e-6).abs() < 1e-6);
+            }
+        }
+    }
+
+    #[test]
+    fn late_replies_do_not_move_the_map() {
+        let mut map = ClockMap::default();
+        assert_eq!(map.offset_s(0.0), None);
+        // 30 s at 100 Hz; the drive is 7 s behind and 50 ppm fast; every third reply is up to 20 ms late.
+        for k in 0..3000 {
+            let sent_s = f64::from(k) * 0.01;
+            let late_s = if k % 3 == 0 {
+                0.0
+            } else {
+                f64::from(k % 20) * 1e-3
+            };
+            let sampled_s = sent_s + 0.002;
+            let span = Span::new(sent_s, sent_s + 0.004 + late_s);
+            map.observe(span, sampled_s * 1.000_05 - 7.0);
+        }
+        let drift = map.offset_s(30.0).unwrap() - map.offset_s(0.0).unwrap();
+        assert!((drift / 30.0 - 50e-6).abs() < 2e-6);
+        assert!((map.offset_s(30.0).unwrap() - (-7.0 + 30.0 * 5e-5)).abs() < 1e-4);
+    }
+}

@@ -1,0 +1,181 @@
+//! Times on the line, and waiting more exactly than a timer wheel can.
+
+use std::time::{Duration, Instant};
+
+use super::settings::{Framing, LinkSettings};
+use super::waiting::now;
+use super::waiting::skip_to;
+
+/// What adapter, kernel and host may add to an exchange.
+const HOST_ALLOWANCE: Duration = Duration::from_millis(40);
+/// Characters of silence that end a frame, and the fixed time above 19200 baud (MODBUS over Serial Line V1.02, 2.5.1.1).
+const GAP_CHARS: f64 = 3.5;
+const FIXED_GAP_S: f64 = 0.001_75;
+const FIXED_GAP_ABOVE_BAUD: u32 = 19_200;
+/// An adapter hands over bytes this much later than they came (the latency timer of FTDI is 16 ms), until it is measured;
+/// and what a host that is busy may add to the least that was measured.
+const ADAPTER_DELAY: Duration = Duration::from_millis(16);
+const LEAST_ADAPTER_DELAY: Duration = Duration::from_millis(4);
+/// A thread that sleeps may wake up this much late without anyone to blame; the rest of a wait is watched on the clock,
+/// because a gap that is 0.1 ms too long already costs one request in twenty.
+const SLEEP_SLACK: Duration = Duration::from_micros(300);
+
+/// Silence between frames that the standard asks for, s.
+pub fn standard_gap_s(baud: u32, framing: Framing) -> f64 {
+    if baud > FIXED_GAP_ABOVE_BAUD {
+        FIXED_GAP_S
+    } else {
+        GAP_CHARS * char_s(baud, framing)
+    }
+}
+
+/// Time of one character on the line, s.
+pub(super) fn char_s(baud: u32, framing: Framing) -> f64 {
+    f64::from(framing.bits_per_char()) / f64::from(baud.max(1))
+}
+
+/// The times of one line.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct LineTiming {
+    /// Time of one character, s; 0: not a serial line.
+    char_s: f64,
+    gap_s: f64,
+    reply: Duration,
+    /// What adapter and host add to an exchange at the most.
+    adapter: Duration,
+    deadline: Option<Duration>,
+}
+
+impl LineTiming {
+    /// A serial line; `with_gaps`: frames are told apart by silence.
+    pub(super) fn serial(settings: &LinkSettings, baud: u32, with_gaps: bool) -> Self {
+        let gap_s = settings
+            .gap_us
+            .map_or_else(|| standard_gap_s(baud, settings.framing), |us| us * 1e-6);
+        Self {
+            char_s: char_s(baud, settings.framing),
+            gap_s: if with_gaps { gap_s } else { 0.0 },
+            ..Self::network(settings)
+        }
+    }
+
+    /// A network connection.
+    pub(super) fn network(settings: &LinkSettings) -> Self {
+        Self {
+            char_s: 0.0,
+            gap_s: 0.0,
+            reply: seconds(settings.reply_ms * 1e-3),
+            adapter: ADAPTER_DELAY,
+            deadline: settings.deadline_ms.map(|ms| seconds(ms * 1e-3)),
+        }
+    }
+
+    /// The same with another silence before a request.
+    pub(super) const fn with_gap(self, gap_s: f64) -> Self {
+        Self { gap_s, ..self }
+    }
+
+    /// Replies have come so long after their wire time at the most: what they are waited for, and how long silence has to
+    /// last, follows that instead of the slowest adapter there is.
+    pub(super) fn measured(&mut self, longest_lag: Duration) {
+        self.adapter = longest_lag.clamp(LEAST_ADAPTER_DELAY, ADAPTER_DELAY);
+    }
+
+    /// Wire time of an exchange.
+    pub(super) fn wire(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
+        seconds((request_bytes + reply_bytes) as f64 * self.char_s)
+    }
+
+    /// Silence before a request.
+    pub(super) fn gap(&self) -> Duration {
+        seconds(self.gap_s)
+    }
+
+    /// Silence after which nothing of an earlier exchange can come any more from a drive that keeps its word.
+    pub(super) fn quiet(&self) -> Duration {
+        self.gap() + 2 * self.reply + self.adapter
+    }
+
+    /// Time that one exchange may take.
+    pub(super) fn allowed(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
+        self.deadline
+            .unwrap_or_else(|| self.unhurried(request_bytes, reply_bytes))
+    }
+
+    /// Time that an exchange within a cycle of a run may take: after a lost reply the question is asked again before the
+    /// silence of the link would end the run.
+    pub(super) fn hurried(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
+        self.deadline
+            .unwrap_or_else(|| self.brief(request_bytes, reply_bytes))
+    }
+
+    /// Time for what must not wait: one turnaround, and what an adapter adds.
+    pub(super) fn brief(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
+        let wire_s = (request_bytes + reply_bytes) as f64 * self.char_s + self.gap_s;
+        seconds(wire_s) + self.reply + self.adapter
+    }
+
+    /// Time for an exchange outside the cycles of a run, whose deadline it does not have to keep.
+    pub(super) fn unhurried(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
+        let wire_s = (request_bytes + reply_bytes) as f64 * self.char_s + 2.0 * self.gap_s;
+        seconds(wire_s) + 2 * self.reply + HOST_ALLOWANCE
+    }
+
+    /// Wire time of an exchange with its silences, s: what no drive can do better. How long this one takes to reply is
+    /// measured, and often far below what its profile allows. `None` without a line.
+    pub(super) fn shortest_cycle_s(&self, request_bytes: usize, reply_bytes: usize) -> Option<f64> {
+        let wire_s = (request_bytes + reply_bytes) as f64 * self.char_s + 2.0 * self.gap_s;
+        (self.char_s > 0.0).then_some(wire_s)
+    }
+}
+
+/// Waits until `at`: sleeps most of the time, and watches the clock for the rest.
+pub(super) fn wait_until(at: Instant) {
+    if skip_to(at) {
+        return;
+    }
+    let left = at.saturating_duration_since(now());
+    std::thread::sleep(left.saturating_sub(SLEEP_SLACK));
+    while now() < at {
+        std::hint::spin_loop();
+    }
+}
+
+/// Settings are checked to be finite and not negative.
+fn seconds(time_s: f64) -> Duration {
+    Duration::try_from_secs_f64(time_s).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::DriveProfile;
+
+    #[test]
+    fn an_exchange_at_115200_takes_its_wire_time() {
+        let settings = DriveProfile::named("own").unwrap().link;
+        let timing = LineTiming::serial(&settings, 115_200, true);
+        let expected = 58.0 * 10.0 / 115_200.0 + 2.0 * 0.001_75;
+        let cycle = timing.shortest_cycle_s(21, 37).unwrap();
+        assert!((cycle - expected).abs() < 1e-12);
+        let slow = LineTiming::serial(&settings, 9600, true);
+        assert!((slow.gap().as_secs_f64() - 3.5 * 10.0 / 9600.0).abs() < 1e-8);
+        assert_eq!(
+            LineTiming::network(&settings).shortest_cycle_s(21, 37),
+            None
+        );
+        assert_eq!(
+            LineTiming::serial(&settings, 9600, false).gap(),
+            Duration::ZERO
+        );
+    }
+
+    #[test]
+    fn waiting_is_never_too_short() {
+        for us in [0, 50, 300, 1750] {
+            let at = now() + Duration::from_micros(us);
+            wait_until(at);
+            assert!(now() >= at);
+        }
+    }
+}

@@ -1,0 +1,409 @@
+//! The transaction layer of the Modbus link, without a port and without a clock.
+//!
+//! ```text
+//! request --> proof.rs      may it go out? silence until .. | probe with .. | in step
+//!    |        Bound         how long may it take, and does somebody want a stop meanwhile?
+//!    v
+//! bytes   --> Reception     which of them are the reply, and when did its first byte come?
+//!                |          stale, foreign, damaged: counted
+//!                '--> proof.rs
+//! ```
+//!
+//! modbus.rs carries the steps out behind tokio-modbus. Pure: bytes and times go in.
+
+use std::io::{self, ErrorKind};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use serde::Serialize;
+
+use super::link_error::LinkError;
+use super::reply::{Code, Expected, FrameKind, Search, search};
+
+/// A wait under way looks so often whether somebody wants a stop.
+const LOOK: Duration = Duration::from_millis(4);
+
+/// Says that a stop is wanted: any of its flags was raised since the last [`CutIn::lower`].
+///
+/// Silences, probes and retries of a bounded exchange are given up then, so that the stop goes out next.
+#[derive(Clone, Debug, Default)]
+pub struct CutIn(Vec<(Arc<AtomicBool>, bool)>);
+
+impl CutIn {
+    /// Watches flags that others raise: those of the signals, that of the screen's stop keys.
+    pub fn watching(flags: impl IntoIterator<Item = Arc<AtomicBool>>) -> Self {
+        Self(flags.into_iter().map(|flag| (flag, false)).collect())
+    }
+
+    /// What is raised by now will be heard by whoever is told of it next: it cuts in no more.
+    pub fn lower(&mut self) {
+        for (flag, heard) in &mut self.0 {
+            *heard = flag.load(Ordering::Acquire);
+        }
+    }
+
+    fn is_raised(&self) -> bool {
+        let mut flags = self.0.iter();
+        flags.any(|(flag, heard)| !heard && flag.load(Ordering::Acquire))
+    }
+}
+
+/// The bound of the exchange under way; none until one is set.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Bound {
+    until: Option<Instant>,
+    pub(super) cut_in: CutIn,
+}
+
+impl Bound {
+    /// So much time is left from `now` on, s; not finite: as much as it takes.
+    pub(super) fn set(&mut self, left_s: f64, now: Instant) {
+        let left = Duration::try_from_secs_f64(left_s.max(0.0)).ok();
+        self.until = left.and_then(|left| now.checked_add(left));
+    }
+
+    pub(super) const fn is_set(&self) -> bool {
+        self.until.is_some()
+    }
+
+    /// Nothing that can wait is begun or gone on with any more.
+    pub(super) fn is_over(&self, now: Instant) -> bool {
+        let wanted = self.cut_in.is_raised();
+        self.until.is_some_and(|until| wanted || now >= until)
+    }
+
+    /// Whether the exchange has to end before `at`.
+    pub(super) fn ends_before(&self, at: Instant) -> bool {
+        self.until.is_some_and(|until| until < at)
+    }
+
+    /// `at`, or where the exchange has to end.
+    pub(super) fn earlier(&self, at: Instant) -> Instant {
+        self.until.map_or(at, |until| at.min(until))
+    }
+
+    /// Where a wait until `at` looks up next.
+    pub(super) fn next_look(&self, now: Instant, at: Instant) -> Instant {
+        let at = self.earlier(at);
+        if !self.is_set() || self.cut_in.0.is_empty() {
+            at
+        } else {
+            at.min(now + LOOK)
+        }
+    }
+}
+
+/// Bytes kept while a reply is awaited; a line that babbles beyond loses its oldest.
+const LONGEST_WAIT_BYTES: usize = 1024;
+
+/// What the line carried: `bytes_received` are those of accepted replies and those dropped, nothing else.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct LineCounts {
+    pub bytes_sent: u64,
+    pub bytes_received: u64,
+    /// Bytes of replies that were taken.
+    pub bytes_accepted: u64,
+    /// Bytes that belonged to no accepted reply.
+    pub bytes_dropped: u64,
+    /// Whole frames among them that answer something asked before: late, or twice.
+    pub stale_frames: u64,
+    /// Whole frames among them, requests of others as well, that answer nothing that was asked.
+    pub foreign_frames: u64,
+    /// Those of the foreign ones that came while nothing was outstanding: replies to nobody.
+    pub unasked_frames: u64,
+    /// Those of the foreign ones that write to the drive that we command.
+    pub foreign_writes: u64,
+    /// Questions that were asked again.
+    pub retries: u64,
+    /// Time spent in silences and probes that kept old replies away, ms.
+    pub resync_ms: u64,
+    /// The line returns our own requests (two-wire RS-485 without echo suppression).
+    pub echoes: bool,
+}
+
+/// What is there when the time is over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Leftover {
+    Nothing,
+    /// Whole frames that answer something asked before.
+    Stale,
+    /// Whole frames that answer nothing that was asked.
+    Foreign,
+    /// This many bytes that make no frame.
+    Damaged(usize),
+}
+
+impl Leftover {
+    /// Why there is no reply: what came instead tells the class.
+    pub(super) fn error(
+        self,
+        link: &str,
+        request: impl Into<String>,
+        deadline: std::time::Duration,
+    ) -> LinkError {
+        let (link, request) = (link.to_owned(), request.into());
+        match self {
+            Self::Nothing => LinkError::Timeout {
+                link,
+                deadline_ms: u64::try_from(deadline.as_millis()).unwrap_or(u64::MAX),
+                request,
+            },
+            Self::Stale => {
+                LinkError::Stale(link, format!("only late answers came after {request}"))
+            }
+            Self::Foreign => LinkError::Mismatch(
+                link,
+                format!("only frames that do not answer {request} came"),
+            ),
+            Self::Damaged(bytes) => LinkError::Corrupt(
+                link,
+                format!("{bytes} bytes without a valid frame came in reply to {request}"),
+            ),
+        }
+    }
+}
+
+/// An old reply that came beside the one that was waited for, or instead of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct OldReply {
+    pub(super) code: Code,
+    /// It came behind the accepted reply.
+    pub(super) behind: bool,
+}
+
+/// The bytes of one line.
+#[derive(Debug)]
+pub(super) struct Reception {
+    pub(super) kind: FrameKind,
+    pub(super) expected: Expected,
+    received: Vec<u8>,
+    /// Ends of the pieces in which that came, and when.
+    pieces: Vec<(usize, Instant)>,
+    /// The accepted reply.
+    pub(super) reply: Vec<u8>,
+    /// First byte of the request out, and first byte of its reply in.
+    pub(super) asked: Option<Instant>,
+    pub(super) answered: Option<Instant>,
+    pub(super) last_activity: Instant,
+    pub(super) line: LineCounts,
+    /// What was wrong since the last look.
+    anomaly: bool,
+    /// Old replies since the last look, in order.
+    old_replies: Vec<OldReply>,
+}
+
+impl Reception {
+    pub(super) fn new(kind: FrameKind, now: Instant) -> Self {
+        Self {
+            kind,
+            expected: Expected::default(),
+            received: Vec::with_capacity(2 * LONGEST_WAIT_BYTES),
+            pieces: Vec::new(),
+            reply: Vec::new(),
+            asked: None,
+            answered: None,
+            last_activity: now,
+            line: LineCounts::default(),
+            anomaly: false,
+            old_replies: Vec::new(),
+        }
+    }
+
+    /// So many bytes of the request have gone out.
+    pub(super) fn sent(&mut self, count: usize, at: Instant) {
+        self.line.bytes_sent += count as u64;
+        self.asked.get_or_insert(at);
+        self.last_activity = at;
+    }
+
+    pub(super) fn push(&mut self, bytes: &[u8], at: Instant) {
+        self.line.bytes_received += bytes.len() as u64;
+        self.last_activity = at;
+        self.received.extend_from_slice(bytes);
+        self.pieces.push((self.received.len(), at));
+    }
+
+    /// Ends the exchange: what is left of it answers nothing any more.
+    pub(super) fn retire(&mut self) {
+        // Anomalies of an exchange are judged where it ends; what is dropped here was one of it.
+        let was_wrong = self.anomaly;
+        self.drop_received(false);
+        self.anomaly = was_wrong;
+        self.expected.retire();
+        self.reply.clear();
+        self.asked = None;
+        self.answered = None;
+    }
+
+    /// Drops what came while nothing was outstanding; returns how many bytes that were.
+    pub(super) fn drop_strays(&mut self) -> usize {
+        self.drop_received(true)
+    }
+
+    fn drop_received(&mut self, unasked: bool) -> usize {
+        let count = self.received.len();
+        if count > 0 {
+            let received = std::mem::take(&mut self.received);
+            let foreign = self.count(&received[..count.min(LONGEST_WAIT_BYTES)], false);
+            self.line.unasked_frames += if unasked { foreign } else { 0 };
+            self.received = received;
+            self.received.clear();
+            self.pieces.clear();
+            self.drop_bytes(count);
+        }
+        count
+    }
+
+    /// Counts the frames in bytes that are dropped; returns the foreign ones.
+    fn count(&mut self, bytes: &[u8], behind: bool) -> u64 {
+        let mut rest = bytes;
+        let mut foreign = 0;
+        loop {
+            let search = search(self.kind, &self.expected, rest).unwrap_or_default();
+            foreign += search.foreign as u64;
+            let reply = search.reply;
+            self.book(search, behind);
+            // A second reply to the request that has been answered.
+            let Some((begin, end)) = reply else {
+                return foreign;
+            };
+            self.line.stale_frames += 1;
+            if let Some(code) = Code::of(self.kind, &rest[begin..end]) {
+                self.old_replies.push(OldReply { code, behind });
+            }
+            rest = &rest[end..];
+        }
+    }
+
+    /// The frames beside the reply.
+    fn book(&mut self, search: Search, behind: bool) {
+        self.line.stale_frames += search.old.len() as u64;
+        self.line.foreign_frames += search.foreign as u64;
+        self.line.foreign_writes += search.foreign_writes as u64;
+        let old = search.old.into_iter();
+        self.old_replies
+            .extend(old.map(|code| OldReply { code, behind }));
+    }
+
+    fn drop_bytes(&mut self, count: usize) {
+        self.line.bytes_dropped += count as u64;
+        self.anomaly |= count > 0;
+    }
+
+    /// Whether anything was wrong since the last call.
+    pub(super) fn take_anomaly(&mut self) -> bool {
+        std::mem::take(&mut self.anomaly)
+    }
+
+    /// Old replies since the last call.
+    pub(super) fn take_old_replies(&mut self) -> Vec<OldReply> {
+        std::mem::take(&mut self.old_replies)
+    }
+
+    /// Moves the reply out of what was received, if it is there.
+    pub(super) fn accept(&mut self) -> io::Result<bool> {
+        let found = search(self.kind, &self.expected, &self.received).map_err(|_| {
+            io::Error::new(
+                ErrorKind::ConnectionAborted,
+                "the peer speaks no Modbus TCP",
+            )
+        })?;
+        if let Some((begin, end)) = found.reply {
+            let echo = usize::from(found.echo) * self.expected.request.len();
+            // A reply that cannot be a copy of its request shows whether the line returns requests.
+            let copies = matches!(self.expected.request.get(1), Some(5 | 6 | 8));
+            if found.echo || (self.kind == FrameKind::Rtu && !copies) {
+                self.expected.echoes = found.echo;
+            }
+            self.line.echoes |= found.echo;
+            self.line.bytes_accepted += (end - begin) as u64;
+            self.book(found, false);
+            let first = self.pieces.iter().find(|(piece, _)| *piece > begin);
+            self.answered = first.map(|(_, at)| *at);
+            self.reply.clear();
+            self.reply.extend_from_slice(&self.received[begin..end]);
+            // What follows the reply answers nothing.
+            let behind = self.received.split_off(end);
+            self.drop_bytes(begin - echo + behind.len());
+            self.line.bytes_dropped += echo as u64;
+            self.received.clear();
+            self.pieces.clear();
+            if !behind.is_empty() {
+                self.count(&behind, true);
+            }
+            return Ok(true);
+        }
+        if self.received.len() > LONGEST_WAIT_BYTES && self.kind == FrameKind::Rtu {
+            let excess = self.received.len() - LONGEST_WAIT_BYTES;
+            self.received.drain(..excess);
+            self.pieces.retain_mut(|(end, _)| {
+                *end = end.saturating_sub(excess);
+                *end > 0
+            });
+            self.drop_bytes(excess);
+        }
+        Ok(false)
+    }
+
+    /// Judges what came instead of a reply.
+    pub(super) fn leftover(&self) -> Leftover {
+        let (request, received) = (&self.expected.request, &self.received);
+        let search = search(self.kind, &self.expected, received).unwrap_or_default();
+        match (received.len(), search.foreign, search.old.len()) {
+            (0, ..) => Leftover::Nothing,
+            (bytes, ..) if bytes == request.len() && received == request => Leftover::Nothing,
+            (bytes, 0, 0) => Leftover::Damaged(bytes),
+            (_, 0, _) => Leftover::Stale,
+            _ => Leftover::Foreign,
+        }
+    }
+}
+
+pub(super) fn never_silent(link: &str) -> LinkError {
+    LinkError::Corrupt(
+        link.to_owned(),
+        "the line is never silent: something talks all the time".to_owned(),
+    )
+}
+
+pub(super) fn out_of_step(link: &str) -> LinkError {
+    LinkError::Corrupt(
+        link.to_owned(),
+        "the line is out of step: no probe came back without older replies".to_owned(),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::waiting::now;
+
+    #[test]
+    fn a_flag_cuts_in_once_for_each_raise() {
+        let flag = Arc::new(AtomicBool::new(false));
+        let mut cut_in = CutIn::watching([Arc::clone(&flag)]);
+        assert!(!cut_in.is_raised());
+        flag.store(true, Ordering::Release);
+        assert!(cut_in.is_raised());
+        cut_in.lower();
+        assert!(!cut_in.is_raised());
+        flag.store(false, Ordering::Release);
+        cut_in.lower();
+        flag.store(true, Ordering::Release);
+        assert!(cut_in.is_raised());
+    }
+
+    #[test]
+    fn a_bound_without_an_end_is_none() {
+        let (mut bound, now) = (Bound::default(), now());
+        bound.set(0.08, now);
+        assert!(bound.is_set() && !bound.is_over(now + Duration::from_millis(79)));
+        assert!(bound.is_over(now + Duration::from_millis(80)));
+        assert!(bound.ends_before(now + Duration::from_millis(81)));
+        assert!(!bound.ends_before(now + Duration::from_millis(80)));
+        bound.set(f64::INFINITY, now);
+        let late = now + Duration::from_secs(3600);
+        assert!(!bound.is_set() && !bound.is_over(late) && !bound.ends_before(late));
+    }
+}

@@ -1,0 +1,404 @@
+//! A line in memory, in virtual time: every byte of a Modbus RTU link, and none of the waiting.
+//!
+//! ```text
+//! VirtualLink [ ModbusLink (codec, proof, deadlines) ] --bytes--> VirtualPort --bytes--> FarEnd (drive and wire)
+//!      '-- VirtualClock: what the link waits for passes on it            '-- what comes back, and when
+//! ```
+
+use std::collections::BTreeMap;
+use std::io;
+use std::pin::Pin;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::task::{Context, Poll};
+use std::time::{Duration, Instant};
+
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+
+use super::burst::{Burst, Capture};
+use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, RoundTrips};
+use super::modbus::ModbusLink;
+use super::open::dressed;
+use super::port::TimedPort;
+use super::profile::DriveProfile;
+use super::reply::FrameKind;
+use super::settings::Protocol;
+use super::stream::StreamLink;
+use super::timing::LineTiming;
+use super::transaction::{CutIn, LineCounts};
+use super::waiting::now;
+use super::waiting::{InVirtualTime, Waiting, expect_at, skip_to};
+use super::{CommandTimes, LinkSettings};
+use drivebench_model::sample::{Command, Demand, Sample};
+
+/// The time of a bench without a wall clock: set by whoever runs it, read by the link. Clones share it.
+#[derive(Clone, Debug, Default)]
+pub struct VirtualClock {
+    time: Arc<AtomicU64>,
+    /// Part of it in which the host was suspended and only the drive lived.
+    slept: Arc<AtomicU64>,
+}
+
+impl VirtualClock {
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    pub fn set_time_s(&self, time_s: f64) {
+        self.time.store(time_s.to_bits(), Ordering::Release);
+    }
+
+    pub fn time_s(&self) -> f64 {
+        f64::from_bits(self.time.load(Ordering::Acquire))
+    }
+
+    /// Suspends the host for so long, as a laptop whose lid is closed: time goes on for the drive, and not for the host.
+    pub fn suspend_s(&self, seconds: f64) {
+        self.set_time_s(self.time_s() + seconds);
+        let slept_s = self.slept_s() + seconds;
+        self.slept.store(slept_s.to_bits(), Ordering::Release);
+    }
+
+    /// For how long the host was suspended so far, s.
+    pub fn slept_s(&self) -> f64 {
+        f64::from_bits(self.slept.load(Ordering::Acquire))
+    }
+}
+
+/// A Modbus link over a line in memory; the thread has to be in virtual time.
+pub(super) fn modbus_link<D: Device + 'static>(
+    name: &str,
+    kind: FrameKind,
+    settings: &LinkSettings,
+    device: &Arc<Mutex<D>>,
+) -> ModbusLink {
+    let timing = match kind {
+        FrameKind::Rtu => LineTiming::serial(settings, settings.baud, true),
+        FrameKind::Tcp => LineTiming::network(settings),
+    };
+    let port = Box::new(VirtualPort::new(Arc::clone(device)));
+    let (name, unit) = (name.to_owned(), settings.unit);
+    ModbusLink::new(name, Waiting::Virtual, port, kind, unit, timing, now())
+}
+
+/// What hangs at the far end: hears bytes, and says when which bytes come back.
+pub(super) trait Device: Send {
+    fn hear(&mut self, bytes: &[u8]) -> Vec<(Duration, Vec<u8>)>;
+}
+
+/// The near end of the line.
+pub(super) struct VirtualPort<D> {
+    device: Arc<Mutex<D>>,
+    /// What is under way, by arrival and order.
+    coming: BTreeMap<(Instant, u64), Vec<u8>>,
+    count: u64,
+}
+
+impl<D: Device> VirtualPort<D> {
+    pub(super) fn new(device: Arc<Mutex<D>>) -> Self {
+        Self {
+            device,
+            coming: BTreeMap::new(),
+            count: 0,
+        }
+    }
+
+    fn send(&mut self, bytes: &[u8]) {
+        let mut device = self.device.lock().unwrap_or_else(PoisonError::into_inner);
+        for (delay, reply) in device.hear(bytes) {
+            self.count += 1;
+            self.coming.insert((now() + delay, self.count), reply);
+        }
+    }
+
+    fn next(&self) -> Option<Instant> {
+        self.coming.first_key_value().map(|((at, _), _)| *at)
+    }
+
+    /// Takes what has arrived, up to `room` bytes.
+    fn arrived(&mut self, room: usize) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        while bytes.len() < room
+            && let Some(mut first) = self.coming.first_entry()
+            && first.key().0 <= now()
+        {
+            let left = room - bytes.len();
+            if first.get().len() > left {
+                bytes.extend(first.get_mut().drain(..left));
+            } else {
+                bytes.extend(first.remove());
+            }
+        }
+        bytes
+    }
+}
+
+impl<D: Device> AsyncRead for VirtualPort<D> {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        _: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        let bytes = self.arrived(buffer.remaining());
+        if bytes.is_empty() {
+            expect_at(self.next());
+            return Poll::Pending;
+        }
+        buffer.put_slice(&bytes);
+        Poll::Ready(Ok(()))
+    }
+}
+
+impl<D: Device> AsyncWrite for VirtualPort<D> {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        _: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        self.send(bytes);
+        Poll::Ready(Ok(bytes.len()))
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+}
+
+impl<D: Device> TimedPort for VirtualPort<D> {
+    fn read_within(&mut self, bytes: &mut [u8], timeout: Duration) -> io::Result<usize> {
+        let mut arrived = self.arrived(bytes.len());
+        if arrived.is_empty() && !timeout.is_zero() {
+            let limit = now() + timeout;
+            skip_to(self.next().map_or(limit, |next| next.min(limit)));
+            arrived = self.arrived(bytes.len());
+        }
+        bytes[..arrived.len()].copy_from_slice(&arrived);
+        Ok(arrived.len())
+    }
+
+    fn write_within(&mut self, bytes: &[u8], _: Duration) -> io::Result<usize> {
+        self.send(bytes);
+        Ok(bytes.len())
+    }
+}
+
+/// What hears bytes at a time, s, and says which bytes come back at which times.
+pub trait FarEnd: Send {
+    fn hear(&mut self, now_s: f64, bytes: &[u8]) -> Vec<(f64, Vec<u8>)>;
+}
+
+/// Time of a line in memory.
+#[derive(Clone, Copy)]
+pub struct LineTime(Instant);
+
+impl LineTime {
+    pub fn start() -> Self {
+        Self(now())
+    }
+
+    pub fn now_s(self) -> f64 {
+        now().saturating_duration_since(self.0).as_secs_f64()
+    }
+
+    pub fn skip_to_s(self, time_s: f64) {
+        // A nanosecond more, so that a wait never ends early.
+        skip_to(self.0 + Duration::from_secs_f64(time_s) + Duration::from_nanos(1));
+    }
+}
+
+struct Far<F: ?Sized>(LineTime, Arc<Mutex<F>>);
+
+impl<F: FarEnd + ?Sized> Device for Far<F> {
+    fn hear(&mut self, bytes: &[u8]) -> Vec<(Duration, Vec<u8>)> {
+        let now_s = self.0.now_s();
+        let mut far = self.1.lock().unwrap_or_else(PoisonError::into_inner);
+        let sent = far.hear(now_s, bytes).into_iter();
+        sent.map(|(at_s, bytes)| (Duration::from_secs_f64((at_s - now_s).max(0.0)), bytes))
+            .collect()
+    }
+}
+
+/// A link over a line in memory. What it waits for passes on `clock`, which says when each of its calls begins.
+pub struct VirtualLink {
+    link: Box<dyn DriveLink>,
+    clock: VirtualClock,
+    /// Zero of the clock.
+    origin: Instant,
+}
+
+impl VirtualLink {
+    /// Modbus RTU to what hangs at the far end, as the profile has it.
+    pub fn open(
+        name: &str,
+        profile: &DriveProfile,
+        clock: VirtualClock,
+        far: impl FarEnd + 'static,
+    ) -> Self {
+        let origin = now();
+        let _virtual = InVirtualTime::at(origin);
+        let far = Far(LineTime(origin), Arc::new(Mutex::new(far)));
+        let far = Arc::new(Mutex::new(far));
+        let link = modbus_link(name, FrameKind::Rtu, &profile.link, &far);
+        Self {
+            link: dressed(link, profile),
+            clock,
+            origin,
+        }
+    }
+
+    fn within<R>(&mut self, work: impl FnOnce(&mut (dyn DriveLink + 'static)) -> R) -> R {
+        let begun_s = self.clock.time_s();
+        let _virtual = InVirtualTime::at(self.origin + Duration::from_secs_f64(begun_s));
+        let result = work(self.link.as_mut());
+        self.clock
+            .set_time_s(LineTime(self.origin).now_s().max(begun_s));
+        result
+    }
+
+    fn with_burst<R>(
+        &mut self,
+        work: impl FnOnce(&mut dyn Burst) -> Result<R, LinkError>,
+    ) -> Result<R, LinkError> {
+        let gone = LinkError::Gone(self.name().0, "it records nothing by itself".to_owned());
+        self.within(|link| link.burst().map_or(Err(gone), work))
+    }
+}
+
+impl DriveLink for VirtualLink {
+    fn name(&self) -> LinkName {
+        self.link.name()
+    }
+
+    fn identify(&mut self) -> Result<Identity, LinkError> {
+        self.within(DriveLink::identify)
+    }
+
+    fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
+        self.within(|link| link.exchange(command))
+    }
+
+    fn bound(&mut self, left_s: f64) {
+        self.within(|link| link.bound(left_s));
+    }
+
+    fn cut_in(&mut self) -> Option<&mut CutIn> {
+        self.link.cut_in()
+    }
+
+    fn stop(&mut self) -> Result<(), LinkError> {
+        self.within(DriveLink::stop)
+    }
+
+    fn recognise(&mut self) -> Result<Identity, LinkError> {
+        self.within(DriveLink::recognise)
+    }
+
+    fn found(&self) -> Option<Sample> {
+        self.link.found()
+    }
+
+    fn compare_set_points(&mut self) -> Result<Option<Result<String, String>>, LinkError> {
+        self.within(DriveLink::compare_set_points)
+    }
+
+    fn bring_to_rest(&mut self) -> Result<(), LinkError> {
+        self.within(DriveLink::bring_to_rest)
+    }
+
+    fn has_sent_command(&self) -> bool {
+        self.link.has_sent_command()
+    }
+
+    fn confirms_stop(&self) -> bool {
+        self.link.confirms_stop()
+    }
+
+    fn command_times(&self) -> CommandTimes {
+        self.link.command_times()
+    }
+
+    fn close(&mut self) {
+        self.link.close();
+    }
+
+    fn statistics(&self) -> LinkStatistics {
+        self.link.statistics()
+    }
+
+    fn shortest_cycle_s(&self) -> Option<f64> {
+        self.link.shortest_cycle_s()
+    }
+
+    fn round_trips(&self) -> Option<&RoundTrips> {
+        self.link.round_trips()
+    }
+
+    fn line(&self) -> Option<LineCounts> {
+        self.link.line()
+    }
+
+    fn burst(&mut self) -> Option<&mut dyn Burst> {
+        let has_one = self.link.burst().is_some();
+        has_one.then_some(self as &mut dyn Burst)
+    }
+
+    fn zero(&self) -> Demand {
+        self.link.zero()
+    }
+}
+
+impl Burst for VirtualLink {
+    fn arm(&mut self) -> Result<(), LinkError> {
+        self.with_burst(|burst| burst.arm())
+    }
+
+    fn fetch(&mut self) -> Result<Option<Capture>, LinkError> {
+        self.with_burst(|burst| burst.fetch())
+    }
+}
+
+/// Works in virtual time.
+pub fn paused<R>(work: impl FnOnce() -> R) -> R {
+    let _virtual = InVirtualTime::at(now());
+    work()
+}
+
+/// Works with the drive of this profile; every wait of the calling thread is virtual meanwhile.
+pub fn on_a_line<F: FarEnd + 'static, R>(
+    profile: &DriveProfile,
+    far: Arc<Mutex<F>>,
+    work: impl FnOnce(&mut dyn DriveLink, LineTime) -> R,
+) -> R {
+    paused(|| {
+        let time = LineTime(now());
+        let far = Arc::new(Mutex::new(Far(time, far)));
+        let link = modbus_link("virtual", FrameKind::Rtu, &profile.link, &far);
+        work(dressed(link, profile).as_mut(), time)
+    })
+}
+
+/// A Modbus link to the far end, RTU or TCP; the thread has to be in virtual time.
+pub fn modbus_to<F: FarEnd + 'static>(
+    protocol: Protocol,
+    settings: &LinkSettings,
+    far: &Arc<Mutex<F>>,
+) -> ModbusLink {
+    let kind = match protocol {
+        Protocol::ModbusTcp => FrameKind::Tcp,
+        _ => FrameKind::Rtu,
+    };
+    let far = Arc::new(Mutex::new(Far(LineTime(now()), Arc::clone(far))));
+    modbus_link("virtual", kind, settings, &far)
+}
+
+/// A link of the stream to the far end; the thread has to be in virtual time.
+pub fn stream_to<F: FarEnd + 'static>(settings: &LinkSettings, far: &Arc<Mutex<F>>) -> StreamLink {
+    let far = Arc::new(Mutex::new(Far(LineTime(now()), Arc::clone(far))));
+    let timing = LineTiming::serial(settings, settings.baud, false);
+    let port = Box::new(VirtualPort::new(far));
+    StreamLink::new("virtual".to_owned(), port, timing, now())
+}

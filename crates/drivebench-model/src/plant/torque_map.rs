@@ -1,0 +1,363 @@
+//! A torque as a table: friction over both directions of the speed, or cogging over a turn of the shaft, as it was measured.
+
+use std::f64::consts::TAU;
+use std::fmt::Write as _;
+
+use serde::Serialize;
+
+use super::effect::Axis;
+use super::{ActiveEffect, Balance, Model, MotorKey};
+use crate::numerics::count::whole;
+
+/// Columns behind the axis.
+const COLUMNS: &str = "torque_n_m,torque_low_n_m,torque_high_n_m,windows";
+/// Bins of a file at most.
+const MOST_BINS: usize = 10_000;
+/// Share of a bin by which a place in a file may be off the even grid.
+const EVEN_SHARE: f64 = 1e-3;
+
+/// The torque that is mapped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MappedTorque {
+    /// Everything that depends on the speed alone, over the speed.
+    Friction,
+    /// What the shaft's position asks for whatever the current is, over one turn.
+    Cogging,
+}
+
+impl MappedTorque {
+    pub const ALL: [Self; 2] = [Self::Friction, Self::Cogging];
+
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Friction => "friction",
+            Self::Cogging => "cogging",
+        }
+    }
+
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|torque| torque.name() == name)
+    }
+
+    /// Key and unit of the axis.
+    pub const fn axis(self) -> (&'static str, &'static str) {
+        match self {
+            Self::Friction => ("speed_rad_s", "rad/s"),
+            Self::Cogging => ("angle_rad", "rad"),
+        }
+    }
+
+    /// Whether an effect is part of it.
+    pub fn holds(self, active: &ActiveEffect) -> bool {
+        let axis = match self {
+            Self::Friction => Axis::Speed,
+            Self::Cogging => Axis::Angle,
+        };
+        active.effect.card().curve == Some((Balance::Torque, axis))
+    }
+
+    /// The model without it.
+    pub fn taken_out_of(self, model: &Model) -> Model {
+        let mut rest = model.clone();
+        if self == Self::Friction {
+            rest.motor.set(MotorKey::LoadTorque, 0.0);
+        }
+        rest.effects.retain(|active| !self.holds(active));
+        rest
+    }
+}
+
+/// One bin of the grid.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct MapBin {
+    pub from: f64,
+    pub to: f64,
+    /// Windows in it.
+    pub windows: usize,
+    pub torque: Option<MappedValue>,
+}
+
+/// Mean torque against positive motion, N.m, with its 95 % interval.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct MappedValue {
+    pub torque_n_m: f64,
+    pub low_n_m: f64,
+    pub high_n_m: f64,
+}
+
+impl MapBin {
+    pub fn middle(&self) -> f64 {
+        0.5 * (self.from + self.to)
+    }
+
+    fn value(&self) -> Option<f64> {
+        self.torque.map(|torque| torque.torque_n_m)
+    }
+}
+
+/// A measured torque over an even grid.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct TorqueMap {
+    pub torque: MappedTorque,
+    /// Of even width, in the order of their places; those of a friction map meet at zero.
+    pub bins: Vec<MapBin>,
+}
+
+impl TorqueMap {
+    /// Bins that have a value.
+    pub fn known(&self) -> usize {
+        self.bins.iter().filter(|bin| bin.torque.is_some()).count()
+    }
+
+    /// Bins whose torque is known not to be zero.
+    pub fn differ(&self) -> usize {
+        let known = self.bins.iter().filter_map(|bin| bin.torque);
+        known
+            .filter(|it| it.low_n_m > 0.0 || it.high_n_m < 0.0)
+            .count()
+    }
+
+    /// As CSV: a row for each bin at its middle, its cells empty where nothing was measured.
+    pub fn to_csv(&self) -> String {
+        let mut text = format!("{},{COLUMNS}\n", self.torque.axis().0);
+        for bin in &self.bins {
+            let _ = write!(text, "{:?},", bin.middle());
+            match bin.torque {
+                Some(it) => {
+                    let (mean, low, high) = (it.torque_n_m, it.low_n_m, it.high_n_m);
+                    let _ = write!(text, "{mean:?},{low:?},{high:?}");
+                }
+                None => text.push_str(",,"),
+            }
+            let _ = writeln!(text, ",{}", bin.windows);
+        }
+        text
+    }
+
+    /// What [`to_csv`](Self::to_csv) wrote.
+    ///
+    /// # Errors
+    /// The line that is not of such a map, with what is allowed there.
+    pub fn from_csv(text: &str) -> Result<Self, MapTextError> {
+        let mut lines = text.lines().enumerate();
+        let header = lines.next().map_or("", |(_, line)| line.trim());
+        let is_its = |torque: &MappedTorque| header == format!("{},{COLUMNS}", torque.axis().0);
+        let torque = MappedTorque::ALL.into_iter().find(is_its);
+        let torque = torque.ok_or_else(|| MapTextError {
+            line: 1,
+            found: header.chars().take(80).collect(),
+            allowed: "the header of a friction or cogging map",
+        })?;
+        let mut rows = Vec::new();
+        for (index, line) in lines.filter(|(_, line)| !line.trim().is_empty()) {
+            let refused = |allowed| MapTextError {
+                line: index + 1,
+                found: line.chars().take(80).collect(),
+                allowed,
+            };
+            rows.push((index + 1, line, row(line).map_err(refused)?));
+            if rows.len() > MOST_BINS {
+                return Err(refused("at most 10000 bins"));
+            }
+        }
+        let width = match rows.as_slice() {
+            [(.., (first, ..)), (.., (second, ..)), ..] => second - first,
+            _ => f64::NAN,
+        };
+        let first = rows.first().map_or(f64::NAN, |(.., (first, ..))| *first);
+        let mut bins = Vec::with_capacity(rows.len());
+        for (index, (line, text, (middle, torque, windows))) in rows.into_iter().enumerate() {
+            let even = first + width * index as f64;
+            if !(width > 0.0 && (middle - even).abs() < EVEN_SHARE * width) {
+                return Err(MapTextError {
+                    line,
+                    found: text.chars().take(80).collect(),
+                    allowed: "rising bins of one width",
+                });
+            }
+            bins.push(MapBin {
+                from: even - 0.5 * width,
+                to: even + 0.5 * width,
+                windows,
+                torque,
+            });
+        }
+        let turn = width * bins.len() as f64;
+        let is_whole = match torque {
+            MappedTorque::Friction => bins.len().is_multiple_of(2),
+            MappedTorque::Cogging => (turn - TAU).abs() < EVEN_SHARE * TAU,
+        };
+        if bins.len() < 2 || !is_whole {
+            return Err(MapTextError {
+                line: bins.len() + 1,
+                found: format!("the end after {} bins", bins.len()),
+                allowed: "as many bins on both sides of zero, or one whole turn",
+            });
+        }
+        Ok(Self { torque, bins })
+    }
+
+    /// Largest torque that is known, N.m.
+    pub fn largest_n_m(&self) -> f64 {
+        let known = self.bins.iter().filter_map(MapBin::value);
+        known.fold(0.0, |most: f64, value| most.max(value.abs()))
+    }
+
+    /// Between the middles of two bins on their line, where one of them has no value what the place's own bin has; `None`
+    /// where that has none, outside the grid, and at rest, where friction is what holds the shaft. Friction does not lead
+    /// through zero: within the innermost bins it is theirs.
+    pub fn at(&self, place: f64) -> Option<f64> {
+        let count = self.bins.len();
+        let (first, width) = (self.bins[0].from, self.bins[0].to - self.bins[0].from);
+        let turns = self.torque == MappedTorque::Cogging;
+        let place = if turns { place.rem_euclid(TAU) } else { place };
+        let along = (place - first) / width;
+        let inside = turns || (along >= 0.0 && along <= count as f64 && place != 0.0);
+        if !(inside && along.is_finite()) {
+            return None;
+        }
+        let own = whole(along.floor()).min(count - 1);
+        let here = self.bins[own].value()?;
+        let off = along - own as f64 - 0.5;
+        let towards = if off < 0.0 { -1 } else { 1 };
+        let next = own.checked_add_signed(towards);
+        let next = match next {
+            Some(next) if next < count => Some(next),
+            _ if turns => Some((own + count).wrapping_add_signed(towards) % count),
+            _ => None,
+        };
+        let beyond = next.map(|next| self.bins[next]);
+        let beyond = beyond.filter(|bin| turns || bin.middle() * place > 0.0);
+        let there = beyond.and_then(|bin| bin.value()).unwrap_or(here);
+        Some(here + off.abs() * (there - here))
+    }
+}
+
+/// A line that is not of a map.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("line {line}: {found:?} is not allowed (expected {allowed})")]
+pub struct MapTextError {
+    line: usize,
+    found: String,
+    allowed: &'static str,
+}
+
+/// Middle, torque and windows of a row.
+fn row(line: &str) -> Result<(f64, Option<MappedValue>, usize), &'static str> {
+    const ALLOWED: &str = "a place, three torques or none, and a count";
+    let cells: Vec<&str> = line.trim().split(',').collect();
+    let [middle, torques @ .., windows] = cells.as_slice() else {
+        return Err(ALLOWED);
+    };
+    let number = |cell: &str| {
+        let value = cell.trim().parse().ok();
+        value.filter(|value: &f64| value.is_finite()).ok_or(ALLOWED)
+    };
+    let torque = match torques {
+        ["", "", ""] => None,
+        [mean, low, high] => {
+            let (torque_n_m, low_n_m, high_n_m) = (number(mean)?, number(low)?, number(high)?);
+            if !(low_n_m <= torque_n_m && torque_n_m <= high_n_m) {
+                return Err("a torque inside its interval");
+            }
+            Some(MappedValue {
+                torque_n_m,
+                low_n_m,
+                high_n_m,
+            })
+        }
+        _ => return Err(ALLOWED),
+    };
+    let windows = windows.trim().parse().map_err(|_| ALLOWED)?;
+    Ok((number(middle)?, torque, windows))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn grid(from: f64, to: f64, torques: &[Option<f64>]) -> Vec<MapBin> {
+        let width = (to - from) / torques.len() as f64;
+        let bin = |(index, value): (usize, &Option<f64>)| MapBin {
+            from: from + width * index as f64,
+            to: from + width * (index + 1) as f64,
+            windows: index,
+            torque: value.map(|torque_n_m| MappedValue {
+                torque_n_m,
+                low_n_m: torque_n_m - 0.25,
+                high_n_m: torque_n_m + 0.25,
+            }),
+        };
+        torques.iter().enumerate().map(bin).collect()
+    }
+
+    fn friction() -> TorqueMap {
+        TorqueMap {
+            torque: MappedTorque::Friction,
+            bins: grid(-20.0, 20.0, &[None, Some(-1.0), Some(1.0), Some(2.0)]),
+        }
+    }
+
+    fn cogging() -> TorqueMap {
+        TorqueMap {
+            torque: MappedTorque::Cogging,
+            bins: grid(0.0, TAU, &[1.0, 2.0, 3.0, 4.0].map(Some)),
+        }
+    }
+
+    #[test]
+    fn between_bins_it_is_a_line_and_where_nothing_was_measured_nothing() {
+        let map = friction();
+        let near = |place, value: f64| {
+            let found: f64 = map.at(place).unwrap();
+            assert!((found - value).abs() < 1e-12, "{place}: {found}");
+        };
+        near(10.0, 1.5);
+        near(5.0, 1.0);
+        near(0.1, 1.0);
+        near(-0.1, -1.0);
+        near(-9.9, -1.0);
+        near(19.0, 2.0);
+        for nothing in [0.0, -15.0, 20.1, -30.0, f64::NAN] {
+            assert_eq!(map.at(nothing), None, "{nothing}");
+        }
+        let turn = cogging();
+        assert!((turn.at(0.0).unwrap() - 2.5).abs() < 1e-12);
+        assert!((turn.at(TAU - 1e-9).unwrap() - 2.5).abs() < 1e-6);
+        assert!((turn.at(-TAU * 0.125).unwrap() - 4.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_is_written_is_read_again_and_what_is_no_map_is_refused_with_its_line() {
+        for map in [friction(), cogging()] {
+            let again = TorqueMap::from_csv(&map.to_csv()).unwrap();
+            assert_eq!(again.torque, map.torque);
+            for (read, written) in again.bins.iter().zip(&map.bins) {
+                assert!((read.from - written.from).abs() < 1e-12);
+                assert_eq!(read.torque, written.torque);
+                assert_eq!(read.windows, written.windows);
+            }
+            assert_eq!(again.bins.len(), map.bins.len());
+        }
+        let good = friction().to_csv();
+        for (text, words) in [
+            (String::new(), "line 1: \"\""),
+            ("time_s,voltage_v\n0,1\n".to_owned(), "header of a friction"),
+            (good.replace("-5.0,", "-6.0,"), "rising bins"),
+            (good.replace("-1.0,-1.25", "1e999,-1.25"), "line 3"),
+            (
+                good.replace("-1.0,-1.25", "-3.0,-1.25"),
+                "inside its interval",
+            ),
+            (
+                good.replace("\n15.0,2.0,1.75,2.25,3", ""),
+                "the end after 3 bins",
+            ),
+            (good.replace(",2.25,3", ",2.25,3,4"), "three torques"),
+        ] {
+            let error = TorqueMap::from_csv(&text).unwrap_err().to_string();
+            assert!(error.contains(words), "{error}");
+        }
+    }
+}

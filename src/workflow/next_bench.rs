@@ -1,0 +1,98 @@
+//! A recommended run as a bench file that `run` takes as it is.
+
+use drivebench_bench::{BenchFile, Protocol};
+use drivebench_diagnose::{ExperimentLimits, Recipe};
+use drivebench_model::plant::{Model, MotorKey};
+use drivebench_model::text::lines::wrapped;
+
+/// Currents in rated currents up to which a run is recommended: what the drive of such a motor gives, whatever the
+/// bench would let pass.
+const CURRENT_IN_RATED: f64 = 2.0;
+/// Exchanges per second that a serial line of Modbus carries: faster runs came over the stream.
+const FASTEST_MODBUS_HZ: f64 = 120.0;
+/// Separates the name of the bench from that of the recommended run.
+const NEXT: &str = "-next-";
+/// Stands for the port that only the reader knows: nothing of that name can be opened, and nothing else is put in its place.
+const UNKNOWN_PORT: &str = "port-of-your-drive";
+/// Width of the comment at the head of the file.
+const COMMENT_WIDTH: usize = 110;
+
+/// What a run on this bench may reach.
+pub fn experiment_limits(bench: &BenchFile) -> ExperimentLimits {
+    let limits = bench.limits();
+    let most_a = CURRENT_IN_RATED * bench.motor.rated_current_a;
+    ExperimentLimits {
+        voltage_v: limits.voltage_v,
+        current_a: limits.current_a.min(most_a),
+        speed_rad_s: limits.speed_rad_s,
+        rms_current_a: bench.motor.rated_current_a,
+        travel_rad: limits.travel_rad,
+        duration_s: limits.time_s,
+        // A slew that the bench leaves open is there for the current, which is planned.
+        slew_v_per_s: bench.limits.slew_v_per_s.unwrap_or(f64::INFINITY),
+        period_s: bench.link.rate_hz.recip(),
+    }
+}
+
+/// The bench with the recipe as its sequence, as the text of a file whose head says what it is for. The slew limit is the
+/// recipe's own, planned within that of the bench where it has one. What the bench does not know of the motor is taken
+/// from `model`.
+pub fn next_bench(bench: &BenchFile, recipe: &Recipe, model: &Model, sentence: &str) -> String {
+    let mut next = bench.clone();
+    let own = bench.name.split(NEXT).next().unwrap_or(&bench.name);
+    next.name = format!("{own}{NEXT}{}", recipe.id.replace('_', "-"));
+    next.sequence.clone_from(&recipe.segments);
+    next.limits.slew_v_per_s = Some(recipe.slew_v_per_s);
+    let motor = &mut next.motor;
+    let unknown = motor.is_unknown();
+    for (cell, key) in [
+        (&mut motor.resistance_ohm, MotorKey::Resistance),
+        (&mut motor.inductance_h, MotorKey::Inductance),
+        (&mut motor.back_emf_v_s_per_rad, MotorKey::BackEmf),
+        (&mut motor.inertia_kg_m2, MotorKey::Inertia),
+        (&mut motor.load_torque_n_m, MotorKey::LoadTorque),
+    ] {
+        if (unknown || cell.is_none()) && model.motor.get(key).is_some() {
+            *cell = model.motor.get(key);
+        }
+    }
+    // It has been found by now.
+    motor.unknown = false;
+    format!("{}\n{}", comment(sentence), next.to_toml())
+}
+
+/// A bench for runs of which nothing is known but what is in them: the embedded one with the motor that was found and the
+/// limits that the runs have set. Its port has to be given.
+pub fn bench_for(model: &Model, limits: &ExperimentLimits, rate_hz: f64) -> BenchFile {
+    let mut bench = BenchFile::embedded_default();
+    let or = |value: f64, other: f64| if value.is_finite() { value } else { other };
+    "next".clone_into(&mut bench.name);
+    // Its reference is for another motor.
+    bench.speed = None;
+    UNKNOWN_PORT.clone_into(&mut bench.link.port);
+    bench.link.rate_hz = rate_hz.clamp(1.0, 2000.0);
+    if rate_hz > FASTEST_MODBUS_HZ {
+        bench.link.protocol = Protocol::Stream;
+    }
+    let motor = &mut bench.motor;
+    if !model.motor.name.is_empty() {
+        motor.name.clone_from(&model.motor.name);
+    }
+    motor.unknown = true;
+    motor.rated_voltage_v = limits.voltage_v;
+    motor.rated_current_a = or(limits.rms_current_a, motor.rated_current_a);
+    motor.rated_speed_rad_s = or(limits.speed_rad_s, motor.rated_speed_rad_s);
+    bench.limits.voltage_v = Some(limits.voltage_v);
+    bench.limits.current_a = Some(or(limits.current_a, bench.limits().current_a));
+    bench.limits.speed_rad_s = Some(or(limits.speed_rad_s, bench.limits().speed_rad_s));
+    bench
+}
+
+/// The sentence as comment lines.
+fn comment(sentence: &str) -> String {
+    let rows = wrapped(sentence, COMMENT_WIDTH - 2);
+    format!("# {}\n", rows.join("\n# "))
+}
+
+#[cfg(test)]
+mod tests;
