@@ -47,6 +47,7 @@ impl Failure {
     }
 
     /// With this next step, where there is one.
+    #[must_use]
     pub fn helped_by(self, help: Option<impl Into<String>>) -> Self {
         let help = help.map(Into::into).or(self.help);
         Self { help, ..self }

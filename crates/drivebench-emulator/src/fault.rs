@@ -84,7 +84,7 @@ kinds! {
         ByteInserted "byte_inserted" "a byte too many"
         BitFlipped "bit_flipped" "one bit to three are wrong"
         DoubledReply "doubled_reply" "the reply comes twice"
-        LateReply "late_reply" "it comes late_ms late"
+        LateReply "late_reply" "it comes `late_ms` late"
         HeldReply "held_reply" "it is held back until something else is asked"
         HeldTwice "held_twice" "two copies of it are"
         WrongUnit "wrong_unit" "under the name of another unit; not on the stream"

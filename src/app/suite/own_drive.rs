@@ -60,8 +60,8 @@ impl OwnDrive {
         let mut child = process::start(command)?;
         match ready(&mut child, order.stop, READY_S) {
             Ok(address) => Ok(Self {
-                address,
                 child,
+                address,
                 is_network,
             }),
             Err(error) => {

@@ -181,9 +181,9 @@ const LINE: usize = 256;
 fn text_of(write: impl FnOnce(&mut csv::Writer<Vec<u8>>) -> csv::Result<()>) -> String {
     let mut builder = csv::WriterBuilder::new();
     let mut writer = builder.buffer_capacity(LINE).from_writer(Vec::new());
-    let written = write(&mut writer).map(|()| writer.into_inner());
-    let bytes = written.ok().and_then(Result::ok);
-    let text = bytes.map(String::from_utf8).and_then(Result::ok);
+    let written = write(&mut writer).ok();
+    let bytes = written.and_then(|()| writer.into_inner().ok());
+    let text = bytes.and_then(|bytes| String::from_utf8(bytes).ok());
     text.expect("text is written to memory")
 }
 

@@ -777,7 +777,7 @@ fn exclusions(candidates: &mut [Candidate], input: Input) {
     };
     // A model with one effect of a family does not get the other too.
     let names = |a: &Candidate, b: &Candidate| {
-        let card = a.effect.map(|effect| effect.card());
+        let card = a.effect.map(Effect::card);
         card.is_some_and(|card| {
             let mut others = card.alternatives.iter().chain(card.excludes);
             others.any(|id| *id == b.id)
