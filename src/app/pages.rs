@@ -161,7 +161,7 @@ pub(crate) fn commission<T>(
     let diagnosis = &result.diagnosis;
     let nameplate = Model::baseline(rig.plate.clone());
     let free_runs = FreeRuns::of(diagnosis, scenarios.get(2), diagnosis.model.noise)?;
-    let truth = (result.truth.as_ref()).map_or_else(Vec::new, Truth::lines);
+    let truth: Vec<String> = result.truth.iter().map(Truth::sentence).collect();
     let report = CommissionReport {
         kind: "Commission",
         title: &rig.bench.name,

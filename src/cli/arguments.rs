@@ -407,7 +407,7 @@ pub(super) struct LiveArguments {
     /// Write what goes over the wire into a new capture file (pcap, for Wireshark)
     #[arg(long, value_name = "FILE")]
     tap: Option<PathBuf>,
-    /// Write the samples of every run as columns too, samples.parquet beside samples.csv
+    /// Write the samples of every run as columns too, samples.parquet beside samples.csv (a build with the feature parquet)
     #[arg(long)]
     parquet: bool,
     /// Print all there is to say; without it what fits 100 columns and 30 lines

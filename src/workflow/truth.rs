@@ -1,5 +1,7 @@
 //! What a software drive hides, beside the values that were found.
 
+use std::fmt::Write as _;
+
 use serde::Serialize;
 
 use drivebench_diagnose::{Diagnosis, DiagnosisVerdict};
@@ -59,8 +61,8 @@ impl Truth {
         }
     }
 
-    /// One sentence, then a line for each size.
-    pub fn lines(&self) -> Vec<String> {
+    /// What the drive carries, whether the answer is right, and each true value beside the one that was found.
+    pub fn sentence(&self) -> String {
         let carried = match self.effects.as_slice() {
             [] => "no hidden effect".to_owned(),
             effects => effects.join(", "),
@@ -70,9 +72,16 @@ impl Truth {
         } else {
             "wrong"
         };
-        let sentence = format!("the emulator carries {carried}: the answer is {verdict}");
-        let sizes = self.sizes.iter().map(Size::text);
-        std::iter::once(sentence).chain(sizes).collect()
+        let mut sentence = format!("the emulator carries {carried}: the answer is {verdict}");
+        for size in &self.sizes {
+            let effect = if self.effects.len() > 1 {
+                format!("{}.", size.effect)
+            } else {
+                String::new()
+            };
+            let _ = write!(sentence, "; {effect}{}", size.text());
+        }
+        sentence
     }
 }
 
@@ -84,7 +93,7 @@ impl Size {
 
     fn text(&self) -> String {
         let number = |value: f64| with_unit(&shortest(value, 4), &self.unit);
-        let (effect, key, truth) = (&self.effect, &self.key, number(self.truth));
+        let (key, truth) = (&self.key, number(self.truth));
         let found = self.found.map_or_else(
             || "not found".to_owned(),
             |found| format!("found {}", number(found)),
@@ -93,7 +102,7 @@ impl Size {
             let sign = if percent < 0.0 { "" } else { "+" };
             format!(" ({sign}{} %)", fixed(percent, 1))
         });
-        format!("{effect}.{key}: true {truth}, {found}{error}")
+        format!("{key}: true {truth}, {found}{error}")
     }
 }
 
@@ -169,7 +178,7 @@ mod tests {
         let text = |found: Option<f64>| sizes([&ratio], |_, _| found)[0].text();
         let value = ratio.parameters[0].value;
         let lines = [text(None), text(Some(0.9 * value))];
-        assert!(lines[0].starts_with("load_dependent_friction.ratio: true 0."));
+        assert!(lines[0].starts_with("ratio: true 0."));
         assert!(lines[0].ends_with(", not found"), "{}", lines[0]);
         assert!(lines[1].ends_with(" (-10.0 %)"), "{}", lines[1]);
         assert!(!lines[1].contains(" - "), "{}", lines[1]);

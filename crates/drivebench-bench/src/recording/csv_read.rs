@@ -236,20 +236,9 @@ impl<R: BufRead> Cells<R> {
         self.lines_before + self.reader.position().line() - u64::from(!self.is_open())
     }
 
-    fn len(&self) -> usize {
-        self.record.len()
-    }
-
     /// A cell without the blanks around it.
     fn get(&self, field: usize) -> &str {
-        let cell = &self.record[field];
-        let bytes = cell.as_bytes();
-        match (bytes.first(), bytes.last()) {
-            (Some(first), Some(last)) if first.is_ascii_graphic() && last.is_ascii_graphic() => {
-                cell
-            }
-            _ => cell.trim(),
-        }
+        self.record[field].trim()
     }
 }
 
@@ -514,7 +503,7 @@ impl<R: BufRead> CsvRows<R> {
         let line = self.line();
         let first = self.cells.get(0);
         // With its carriage return a blank line is one cell.
-        if self.cells.len() == 1 && first.is_empty() {
+        if self.cells.record.len() == 1 && first.is_empty() {
             return Ok(None);
         }
         if first.starts_with('#') && !self.in_run_folder {
@@ -529,9 +518,9 @@ impl<R: BufRead> CsvRows<R> {
             line,
             problem,
         };
-        if self.cells.len() != headers.len() {
+        if self.cells.record.len() != headers.len() {
             return Err(wrong(RowProblem::FieldCount {
-                found: self.cells.len(),
+                found: self.cells.record.len(),
                 expected: headers.len(),
             }));
         }
