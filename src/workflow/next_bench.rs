@@ -88,7 +88,6 @@ pub fn bench_for(model: &Model, limits: &ExperimentLimits, rate_hz: f64) -> Benc
     bench
 }
 
-/// The sentence as comment lines.
 fn comment(sentence: &str) -> String {
     let rows = wrapped(sentence, COMMENT_WIDTH - 2);
     format!("# {}\n", rows.join("\n# "))

@@ -87,7 +87,6 @@ pub struct CheckOptions<'a> {
 /// The check that the line can carry the rate at all: nothing is measured, the bench file asks for too much.
 pub const RATE_CHECK: &str = "rate";
 
-/// One check with its figures.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CheckItem {
     pub name: &'static str,

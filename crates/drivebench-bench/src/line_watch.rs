@@ -46,7 +46,6 @@ struct Matter {
     seen_s: f64,
 }
 
-/// How one exchange went.
 #[derive(Clone, Copy, Debug)]
 struct Exchange {
     at_s: f64,

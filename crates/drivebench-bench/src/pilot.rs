@@ -41,7 +41,6 @@ impl Program for excitation::Program {
 /// What a pilot has to say in a cycle.
 #[derive(Clone, Debug, PartialEq)]
 pub enum PilotNews {
-    /// The gains have moved.
     Gains(String),
     /// The watch of the loop has found something.
     Watch(String),

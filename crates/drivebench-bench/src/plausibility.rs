@@ -227,7 +227,6 @@ impl Plausibility {
         }
     }
 
-    /// A command that left.
     pub(super) fn sent(&mut self, command: &Command) {
         self.history.sent(command);
     }

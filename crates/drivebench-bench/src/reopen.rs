@@ -21,7 +21,6 @@ use drivebench_model::sample::{Command, Demand, DriveState};
 /// Somebody who wants to leave is not kept waiting for longer, s.
 const LOOK_S: f64 = 0.05;
 
-/// How it ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ReopenEnding {
@@ -37,7 +36,6 @@ pub enum ReopenEnding {
     Interrupted,
 }
 
-/// What came of it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Reopened {
     pub ending: ReopenEnding,
@@ -48,7 +46,6 @@ pub struct Reopened {
     pub identity: Option<Identity>,
     /// What the drive said of itself after it was stopped.
     pub state: Option<&'static str>,
-    /// One sentence.
     pub text: String,
 }
 

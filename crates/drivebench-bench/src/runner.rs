@@ -61,7 +61,6 @@ pub struct RunOptions {
     pub auto_start: bool,
 }
 
-/// How a run went.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RunSummary {
     pub outcome: Outcome,

@@ -56,7 +56,6 @@ pub struct Session {
     reset_wanted: bool,
     /// Checks that the user waived and that no notice names yet.
     waived: Vec<String>,
-    /// What is not watched has been reported.
     unwatched_reported: bool,
     seq: u64,
     inputs: u64,

@@ -87,11 +87,9 @@ pub struct LastSeconds {
     pub to_row: usize,
 }
 
-/// Watches a run for its stop.
 #[derive(Debug, Default)]
 pub(super) struct StopWatch {
     was_on: bool,
-    /// When the run began.
     began_s: Option<f64>,
     asked_s: Option<f64>,
     decided_s: Option<f64>,

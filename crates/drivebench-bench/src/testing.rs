@@ -476,7 +476,6 @@ pub(super) fn random_motor(seed: u64) -> EmulatorConfig {
     config
 }
 
-/// The nameplate of exactly this motor.
 pub(super) fn plate_of(truth: MotorTruth) -> Nameplate {
     Nameplate {
         name: truth.name,

@@ -39,7 +39,6 @@ pub(super) struct LinkCore {
 pub(super) struct Answer<T> {
     pub(super) value: T,
     pub(super) span: Span,
-    /// The reply was complete.
     pub(super) complete_s: f64,
 }
 
@@ -83,13 +82,11 @@ impl LinkCore {
         LinkError::Gone(self.name.clone(), error.to_string())
     }
 
-    /// A command as it travels.
     pub(super) fn command(&mut self, command: Command) -> DriveCommand {
         self.last_seq = command.seq;
         timeline::command(command)
     }
 
-    /// The sample that came in answer to a command.
     pub(super) fn sample(&mut self, command: Command, answer: &Answer<Telemetry>) -> Sample {
         let mut sample = self
             .timeline

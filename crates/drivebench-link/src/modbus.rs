@@ -724,7 +724,6 @@ fn acknowledged(response: Response) -> Result<(), String> {
     }
 }
 
-/// The question for objects of the device identification.
 fn identification(code: ReadCode, object: u8, what: &str, allowed: Duration) -> Question<'_> {
     let request = Request::ReadDeviceIdentification(code, object);
     Question::plain(request, [43, 14, code.value(), object, 0], what, allowed)

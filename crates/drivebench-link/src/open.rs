@@ -22,7 +22,6 @@ use super::tap::{TapFile, TappedPort};
 use super::timing::LineTiming;
 use super::waiting::Waiting;
 
-/// Where the drive is.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Target {
     /// A serial port; what is `None` comes from the profile.

@@ -125,7 +125,6 @@ pub struct Watchdog {
     pub default_ms: Option<f64>,
 }
 
-/// Why there is no profile.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum ProfileError {
     #[error("drive profile {name:?} is not known")]
@@ -148,7 +147,6 @@ impl ProfileError {
 }
 
 impl DriveProfile {
-    /// A built-in profile.
     pub fn named(name: &str) -> Result<Self, ProfileError> {
         Self::parse(&format!("{name}.toml"), Self::text(name)?)
     }

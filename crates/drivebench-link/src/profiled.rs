@@ -381,7 +381,6 @@ impl<B: RegisterBus> ProfiledLink<B> {
         ))
     }
 
-    /// The steps of that command.
     fn way_down(&self, command: &str) -> &[Step] {
         match command {
             "coast" => &self.map.commands.coast,

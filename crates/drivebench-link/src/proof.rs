@@ -75,13 +75,11 @@ pub(super) enum Step {
     Silence(Instant),
     /// This PDU goes out, and only its reply is waited for.
     Probe([u8; 5]),
-    /// The line is never silent.
     NeverSilent,
     /// No probe came back alone; the next call begins anew.
     GiveUp,
 }
 
-/// How an exchange ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum End {
     Data,
@@ -120,7 +118,6 @@ enum Wait {
     Proof(Instant),
 }
 
-/// The probes of a resynchronisation.
 #[derive(Debug)]
 struct Probing {
     method: Method,

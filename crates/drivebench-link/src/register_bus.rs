@@ -16,7 +16,6 @@ pub(super) const WRITE_BYTES: usize = 9;
 pub(super) const READ_WRITE_BYTES: usize = 13;
 pub(super) const WRITTEN_BYTES: usize = 8;
 
-/// Which of the two register tables.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RegisterTable {
     Holding,

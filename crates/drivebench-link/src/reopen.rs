@@ -35,7 +35,6 @@ impl Backoff {
         }
     }
 
-    /// The next pause, s.
     pub fn pause_s(&mut self) -> f64 {
         let base_s = self.next_s;
         self.next_s = (2.0 * base_s).min(self.longest_s);

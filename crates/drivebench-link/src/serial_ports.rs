@@ -37,7 +37,6 @@ impl fmt::Display for Holder {
     }
 }
 
-/// One serial port.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct SerialPortInfo {
     /// Device file; its number changes from plug to plug.

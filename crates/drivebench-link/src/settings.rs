@@ -37,7 +37,6 @@ pub enum Protocol {
 impl Protocol {
     pub const ALL: [Self; 3] = [Self::ModbusRtu, Self::ModbusTcp, Self::Stream];
 
-    /// The protocol of this name.
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|known| known.name() == name)
     }
@@ -116,7 +115,6 @@ pub struct LinkSettings {
 pub enum KickedBy {
     /// Only a write of the command block.
     Command,
-    /// Any write.
     Write,
     /// Any message, reading too.
     Any,

@@ -132,7 +132,6 @@ impl Timeline {
         self.clock.follow(time_us, span.answered_s)
     }
 
-    /// The sample of an exchange.
     pub fn sample(&mut self, telemetry: &Telemetry, seq: u64, span: Span) -> Sample {
         let mut sample = Sample::at(self.note(telemetry.time_us, span));
         sample.host_time_s = Some(span.answered_s);
@@ -185,7 +184,6 @@ pub(super) const fn low_word(seq: u64) -> u16 {
     u16::from_be_bytes([high, low])
 }
 
-/// A command as it travels.
 pub const fn command(command: Command) -> DriveCommand {
     let control = match command.demand {
         Demand::Disable => Control::Disable,

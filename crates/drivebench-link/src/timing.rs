@@ -34,7 +34,6 @@ pub(super) fn char_s(baud: u32, framing: Framing) -> f64 {
     f64::from(framing.bits_per_char()) / f64::from(baud.max(1))
 }
 
-/// The times of one line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct LineTiming {
     /// Time of one character, s; 0: not a serial line.

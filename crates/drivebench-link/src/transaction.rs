@@ -73,7 +73,6 @@ impl Bound {
         self.until.is_some_and(|until| wanted || now >= until)
     }
 
-    /// Whether the exchange has to end before `at`.
     pub(super) fn ends_before(&self, at: Instant) -> bool {
         self.until.is_some_and(|until| until < at)
     }
@@ -180,7 +179,6 @@ pub(super) struct Reception {
     received: Vec<u8>,
     /// Ends of the pieces in which that came, and when.
     pieces: Vec<(usize, Instant)>,
-    /// The accepted reply.
     pub(super) reply: Vec<u8>,
     /// First byte of the request out, and first byte of its reply in.
     pub(super) asked: Option<Instant>,

@@ -67,7 +67,6 @@ impl Drop for InVirtualTime {
     }
 }
 
-/// How a link waits.
 pub(super) enum Waiting {
     Real(Runtime),
     Virtual,

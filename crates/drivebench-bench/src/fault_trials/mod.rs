@@ -190,7 +190,6 @@ impl Clock for LineClock {
     }
 }
 
-/// What came of a trial.
 struct Trial {
     status: i32,
     said: String,
@@ -393,7 +392,6 @@ fn trial_of(bench: &str, drive: Drive, host: Option<Host>, way: Way) -> Trial {
     trial
 }
 
-/// What was wrong with a trial.
 fn wrong(fault: &Fault, way: Way, seed: u64) -> Vec<String> {
     let trial = trial(fault, way, seed);
     let there = &trial.drive;

@@ -38,7 +38,6 @@ impl Page {
         }
     }
 
-    /// A key that is left out, and why.
     fn left_out(&mut self, key: &str, reason: &str) {
         self.comment(&format!("{key}: none. {}", capitalised(reason)));
     }

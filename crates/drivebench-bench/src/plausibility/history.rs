@@ -181,7 +181,6 @@ impl History {
         self.sent_in(from..=to)
     }
 
-    /// Demands with these numbers.
     fn sent_in(&self, seqs: RangeInclusive<u64>) -> impl Iterator<Item = Demand> {
         let sent = self.commands.iter();
         sent.filter_map(move |(seq, demand)| seqs.contains(seq).then_some(*demand))

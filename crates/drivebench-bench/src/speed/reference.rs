@@ -74,7 +74,6 @@ pub struct ReferenceStep {
     pub to_rad_s: f64,
 }
 
-/// A checked reference.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Reference {
     lines: Vec<Line>,

@@ -48,7 +48,6 @@ pub struct RawCounters {
     pub line: LineCounts,
 }
 
-/// How a write is asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WriteFunction {
     /// Function code 6: one register.
@@ -315,7 +314,6 @@ pub struct Read {
     pub values: Result<Vec<u16>, LinkError>,
 }
 
-/// What a batch gave.
 #[derive(Debug, Default)]
 pub struct Batch {
     /// The last round, in the order asked.

@@ -28,7 +28,6 @@ pub struct ProbeReport {
     /// Which drive the profile is of, how far it may be believed, and its source.
     pub provenance: String,
     pub verdict: ProbeVerdict,
-    /// One sentence: why.
     pub sentence: String,
     /// Vendor, product and revision as the unit gives them (function code 43).
     pub names: Vec<String>,
@@ -63,7 +62,6 @@ pub struct ProbedCheck {
     pub found: String,
 }
 
-/// One signal as it was read.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ProbedSignal {
     pub name: String,

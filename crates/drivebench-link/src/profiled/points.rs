@@ -185,7 +185,6 @@ impl Points {
         Ok(())
     }
 
-    /// When the next refresh is due, s.
     pub(super) fn next_due_s(&self) -> Option<f64> {
         let points = self.sent.iter().zip(&self.map.set_points);
         let due = points.filter_map(|(sent, point)| {
@@ -501,7 +500,6 @@ impl Points {
     }
 }
 
-/// A set-point and its position.
 fn find<'a>(map: &'a RegisterMap, name: &str) -> Option<(usize, &'a SetPoint)> {
     let mut points = map.set_points.iter().enumerate();
     points.find(|(_, point)| point.name == name)

@@ -102,7 +102,6 @@ impl Signal {
     }
 }
 
-/// What a reading is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Reading {
     /// In the profile's unit.
@@ -190,7 +189,6 @@ impl Condition {
     }
 }
 
-/// A write of a command.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Write {
     pub set_point: String,
@@ -199,7 +197,6 @@ pub struct Write {
     pub mask: Option<u16>,
 }
 
-/// One step of a command.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Step {
     Write(Write),
@@ -282,7 +279,6 @@ impl Supervision {
     }
 }
 
-/// The whole map.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RegisterMap {
     pub device: Device,
@@ -338,7 +334,6 @@ impl RegisterMap {
         self.signals.iter().find(|signal| signal.name == name)
     }
 
-    /// The signal that fills a channel.
     pub fn of_channel(&self, channel: Channel) -> Option<&Signal> {
         let is_it = |signal: &&Signal| signal.channel.is_some_and(|(has, _)| has == channel);
         self.signals.iter().find(is_it)

@@ -314,7 +314,6 @@ pub enum StoppedOnly {
 pub enum SupervisionKind {
     /// A register that takes the time.
     Register,
-    /// A parameter of the drive.
     Parameter,
     /// Part of the command itself: it has to be repeated.
     Implicit,
