@@ -76,7 +76,6 @@ fn every_key_of_a_suite_stands_in_its_example() {
             "baseline",
         ),
         (format!("{step}qqqqqqqq = 1"), "commission"),
-        (format!("{step}host = {{ qqqqqqqq = 1 }}"), "for_s"),
         (format!("{step}signal = [{{ qqqqqqqq = 1 }}]"), "channel"),
     ] {
         let error = Suite::parse("suite.toml", &wrong, |_| options()).expect_err(&wrong);

@@ -44,6 +44,8 @@ pub(super) struct Spoiler {
     /// Bytes of the host since the last reply or silence: the request.
     request: Vec<u8>,
     held: Vec<Vec<u8>>,
+    /// A drive answers one request after the other: no reply overtakes one that is late, which arrives then, s.
+    late_until_s: f64,
 }
 
 /// Bytes, and when they arrive, s.
@@ -59,6 +61,7 @@ impl Spoiler {
             dice: ChaCha8Rng::seed_from_u64(seed ^ OWN_DICE),
             request: Vec::new(),
             held: Vec::new(),
+            late_until_s: 0.0,
         }
     }
 
@@ -100,6 +103,7 @@ impl Spoiler {
         if self.faults.is_empty() {
             return vec![(due_s, answer)];
         }
+        let due_s = due_s.max(self.late_until_s);
         let request = std::mem::take(&mut self.request);
         let mut out: Vec<Timed> = self.held.drain(..).map(|late| (due_s, late)).collect();
         let of_reply = |fault: &&mut Lurking| is_of_reply(fault.entry.kind);
@@ -162,13 +166,15 @@ impl Spoiler {
             FaultKind::SplitReply => {
                 let rest = answer.split_off(self.below(length));
                 out.push((due_s, answer));
-                out.push((due_s + SPLIT_S, rest));
+                self.late_until_s = due_s + SPLIT_S;
+                out.push((self.late_until_s, rest));
                 return;
             }
             FaultKind::Echo => out.push((now_s, request.to_vec())),
             FaultKind::LateReply => {
                 let late_s = 1e-3 * entry.late_ms.unwrap_or(30.0);
-                out.push((due_s + late_s, answer));
+                self.late_until_s = due_s + late_s;
+                out.push((self.late_until_s, answer));
                 return;
             }
             FaultKind::HeldReply => return self.held.push(answer),

@@ -289,7 +289,6 @@ struct StepKeys {
     timeout_s: Option<Spanned<f64>>,
     status: Option<Statuses>,
     probe: Option<Spanned<toml::Table>>,
-    host: Option<Spanned<toml::Value>>,
     connect: Option<Spanned<toml::Table>>,
     plan: Option<Spanned<toml::Table>>,
     commission: Option<Spanned<toml::Table>>,
@@ -368,7 +367,14 @@ impl Suite {
         text: &str,
         options_of: impl Fn(Verb) -> Vec<String>,
     ) -> Result<Self, ConfigError> {
-        let keys: SuiteKeys = config_text::parse(file, text)?;
+        let keys: SuiteKeys = config_text::parse(file, text).map_err(|error| {
+            let is_host = error.message.contains("unknown field `host`");
+            let help = is_host.then(|| HOST_HELP.to_owned());
+            ConfigError {
+                help: help.unwrap_or_else(|| error.help.clone()),
+                ..error
+            }
+        })?;
         let error = |offset: usize, what: String, help: &str| {
             ConfigError::at(file, text, offset, what, help)
         };
@@ -479,10 +485,6 @@ fn read_step(
         Some(Statuses::One(status)) => vec![status],
         Some(Statuses::Any(statuses)) => statuses,
     };
-    if let Some(host) = &keys.host {
-        let what = format!("host = {} is not allowed", host.get_ref());
-        return Err((host.span().start, what, HOST_HELP.to_owned()));
-    }
     for (verb, word, _) in Verb::ALL {
         if let Some(table) = keys.options(verb) {
             let options = read_options(verb, word, table, before, options_of)?;
@@ -780,7 +782,7 @@ timeout_s = 9.0
             (
                 "speed = {}",
                 "speed = {}\nhost = { act = \"kill\" }",
-                "25:8: host = { act = \"kill\" } is not allowed",
+                "25:1: unknown field `host`",
             ),
             (
                 "missing = \"none\"",
@@ -830,6 +832,8 @@ timeout_s = 9.0
         }
         let twice = format!("{WHOLE}[[case]]\nname = \"plain\"\n[[case.step]]\nspeed = {{}}\n");
         assert!(parse(&twice).unwrap_err().message.contains("two cases"));
+        let host = WHOLE.replace("speed = {}", "speed = {}\nhost = { act = \"kill\" }");
+        assert_eq!(parse(&host).unwrap_err().help, HOST_HELP);
         let error = parse(&WHOLE.replace("run_seed", "runseed")).unwrap_err();
         assert_eq!(error.help, "did you mean `run_seed`?");
     }
