@@ -367,14 +367,13 @@ impl Suite {
         text: &str,
         options_of: impl Fn(Verb) -> Vec<String>,
     ) -> Result<Self, ConfigError> {
-        let keys: SuiteKeys = config_text::parse(file, text).map_err(|error| {
-            let is_host = error.message.contains("unknown field `host`");
-            let help = is_host.then(|| HOST_HELP.to_owned());
-            ConfigError {
-                help: help.unwrap_or_else(|| error.help.clone()),
-                ..error
-            }
-        })?;
+        let keys: SuiteKeys =
+            config_text::parse(file, text).map_err(|mut error: ConfigError| {
+                if error.message.contains("unknown field `host`") {
+                    HOST_HELP.clone_into(&mut error.help);
+                }
+                error
+            })?;
         let error = |offset: usize, what: String, help: &str| {
             ConfigError::at(file, text, offset, what, help)
         };
