@@ -24,10 +24,10 @@ ci:
 deny:
     cargo deny check
 
-# How often the diagnosis is right, written into docs/validation.md; half an hour on two cores
+# How often the diagnosis is right, written into docs/validation; half an hour on two cores
 validation:
     cargo run --release -p drivebench-studies -- discovery --out target/validation
-    cp target/validation/validation.md docs/validation.md
+    cp target/validation/tables.md docs/validation/tables.md
 
 # Speed, written into docs/benchmarks.md
 bench:

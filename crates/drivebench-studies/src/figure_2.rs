@@ -64,7 +64,7 @@ impl Method {
     }
 }
 
-/// Places of the parameters in [`ByParameter`].
+/// Places of the parameters in [`ByParameter`]; J stands between Ke and Mc.
 pub(super) const TM: usize = 0;
 pub(super) const TA: usize = 1;
 pub(super) const KE: usize = 2;

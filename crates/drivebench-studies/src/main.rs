@@ -92,11 +92,10 @@ impl Destination {
         self.out.clone().or(default)
     }
 
-    /// Runs a study, writes its files and prints what was found; `markdown` is the name of its page as Markdown.
+    /// Runs a study, writes its files and prints what was found.
     fn fill<T: Serialize>(
         &self,
         name: &str,
-        markdown: &str,
         study: impl FnOnce() -> Result<T, Failure>,
         page: impl FnOnce(&T) -> Result<FiguresAndTables, String>,
     ) -> Result<(), Failure> {
@@ -108,7 +107,12 @@ impl Destination {
         drop(shown);
         let page = page(&found).map_err(|error| Failure::internal(format!("{name}: {error}")))?;
         if let Some(folder) = folder {
-            write(&folder, &page.files(markdown))?;
+            // The page of the diagnosis is docs/validation/tables.md.
+            let markdown = match name {
+                "discovery" => "tables.md".to_owned(),
+                name => format!("{name}.md"),
+            };
+            write(&folder, &page.files(&markdown))?;
             output::message(&format!("written to {}", folder.display()));
         }
         output::result(&found, self.json, |_| page.text())
@@ -163,18 +167,8 @@ fn execute(study: &Study) -> Result<(), Failure> {
     let _endable = ends_at_once.then(signals::endable).transpose()?;
     let stage = |part: &str| progress::stage(part, 0);
     match study {
-        Study::PaperA(own) => own.fill(
-            "paper-a",
-            "paper-a.md",
-            || Ok(paper_a(stage)),
-            PaperA::report,
-        ),
-        Study::PaperB(own) => own.fill(
-            "paper-b",
-            "paper-b.md",
-            || Ok(paper_b(stage)),
-            PaperB::report,
-        ),
+        Study::PaperA(own) => own.fill("paper-a", || Ok(paper_a(stage)), PaperA::report),
+        Study::PaperB(own) => own.fill("paper-b", || Ok(paper_b(stage)), PaperB::report),
         Study::Lines(own) => {
             let found = || {
                 let runs = usize::try_from(own.sets.max(1)).unwrap_or(1);
@@ -182,13 +176,13 @@ fn execute(study: &Study) -> Result<(), Failure> {
                 Ok(lines::line_study(runs, own.seed, progress::at))
             };
             let destination = &own.destination;
-            destination.fill("lines", "lines.md", found, lines::LineStudy::report)
+            destination.fill("lines", found, lines::LineStudy::report)
         }
         Study::Discovery(own) => {
             let records = own.records.as_deref();
             let found = || commission::study(own.sets, own.mysteries, own.seed, records);
             let destination = &own.destination;
-            destination.fill("discovery", "validation.md", found, study::Study::report)
+            destination.fill("discovery", found, study::Study::report)
         }
     }
 }

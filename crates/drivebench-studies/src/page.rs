@@ -227,7 +227,7 @@ impl Findings {
             let (name, plot) = found.ok_or_else(|| format!("no picture {name}"))?;
             let caption = scope.fill(caption)?;
             page.blocks
-                .push(Block::Picture(*name, plot.clone(), caption));
+                .push(Block::Picture(name, plot.clone(), caption));
         } else if let Some((name, sentence)) = directive(line, "[grid ") {
             let found = self.grids.iter().find(|grid| grid.0 == name);
             let (_, table) = found.ok_or_else(|| format!("no grid {name}"))?;
@@ -344,7 +344,6 @@ impl Scope<'_> {
             ("range", _) => range(of("median"), of("low"), of("high")),
             ("counted" | "share" | "allowed", _) => share(value, format),
             _ if value.is_null() => "-".to_owned(),
-            ("", _) => plain(value),
             ("name", _) => {
                 let plain = plain(value);
                 let name = self.names.iter().find(|name| name.0 == plain);
@@ -352,7 +351,7 @@ impl Scope<'_> {
             }
             ("yes", _) => (if value == true { "yes" } else { "no" }).to_owned(),
             ("dot", Some(count)) if count.abs() < 0.5 => ".".to_owned(),
-            ("dot", Some(_)) => plain(value),
+            ("", _) | ("dot", Some(_)) => plain(value),
             ("time", Some(time_s)) => fixed(time_s, 3),
             ("e", Some(value)) => format!("{value:.0e}"),
             ("%", Some(value)) => percent(value),
@@ -536,7 +535,7 @@ mod tests {
     #[test]
     fn every_figure_and_table_is_a_file_of_its_own() {
         let page = findings().on(&[LAYOUT]).unwrap();
-        let files = page.files("page.md");
+        let files = page.files("validation.md");
         let content = |name: &str| &files.iter().find(|file| file.0 == name).unwrap().1;
         assert_eq!(files.len(), 5);
         let table = "N,\"a, b\",off\n8,\"one, two\",+5.0 %\n2,3,-\n";
@@ -544,7 +543,7 @@ mod tests {
         assert_eq!(content("figure-2-series.csv"), "time_s,a,b\n0,1,\n1,2,\n");
         let svg = content("figure-2.svg");
         assert!(svg.starts_with("<?xml") && svg.contains("xmlns=") && svg.contains("<style>"));
-        let (page, text) = (content("page.md"), page.text());
+        let (page, text) = (content("validation.md"), page.text());
         let head = "# paper\n\nof 1980\n\n## Met\n\nnearly\n";
         assert!(page.starts_with(head), "{page}");
         let link = "\n## Figure 2\n\n![Figure 2](figure-2.svg)\n\nTM\n";

@@ -94,7 +94,7 @@ fn a_study_of_mysteries_alone_counts_their_answers_and_intervals() {
     let (status, _, stderr) = call(study, Some(&out));
     assert_eq!(status, 0, "{stderr}");
     has(&stderr, &["mystery 4: hidden "]);
-    let page = fs::read_to_string(out.join("validation.md")).unwrap();
+    let page = fs::read_to_string(out.join("tables.md")).unwrap();
     let parts = [study, "Of 2 mystery drives", "| resistance_ohm "];
     has(&page, &parts);
     assert!(!page.contains("One hidden effect") && !page.contains("failed |"));

@@ -1,5 +1,5 @@
 //! The study of the diagnosis: what was asked, what was answered, what may be claimed. Its page in Markdown is
-//! `docs/validation.md`.
+//! `docs/validation/tables.md`.
 
 use drivebench::report::plot::{Claims, reliability};
 use drivebench::text::number::{fixed, significant};
@@ -16,7 +16,7 @@ use crate::study::{
 const NUMBERS: &str = "1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20 21 22 23 24 25 26 27 28 29 30 31 32 33 34 35 36 37 38 39 40";
 
 impl Study {
-    /// The page, which as Markdown is `docs/validation.md`; without the parts that were not asked for.
+    /// The page, which as Markdown is `docs/validation/tables.md`; without the parts that were not asked for.
     pub fn report(&self) -> Result<FiguresAndTables, String> {
         let counts = json!({
             "mystery_count": self.mysteries.len(),
@@ -71,10 +71,10 @@ impl Study {
         let mut groups: Vec<Value> = (named_groups(&self.answers).into_iter())
             .map(|name| {
                 let all = Calibration::of(self.of(|answer| answer.group.name() == name));
-                weighed(name, &all)
+                weighed(&name, &all)
             })
             .collect();
-        groups.push(weighed("all".to_owned(), &self.calibration));
+        groups.push(weighed("all", &self.calibration));
         let [noisy, lossy] = [Group::Noisy, Group::Lossy].map(|group| {
             let [before, after] = self.against_single(group).map(Tally::of);
             json!({"before": before, "after": after})
@@ -104,7 +104,7 @@ impl Study {
             "no_failures": no_failures.as_slice(),
             "failures": failures.collect::<Vec<_>>(),
         });
-        with(weighed(String::new(), all), counts)
+        with(weighed("", all), counts)
     }
 
     /// The machines that a group shares with the single effects and the nulls, as they are and as they are there.
@@ -337,7 +337,7 @@ const SUPPORTED: f64 = 0.9;
 const POSSIBLE: f64 = 0.1;
 
 /// A calibration with its group, and what it says of effects that were called supported and ruled out.
-fn weighed(group: String, all: &Calibration) -> Value {
+fn weighed(group: &str, all: &Calibration) -> Value {
     let of = |keep: &dyn Fn(&Bin) -> bool| together(all.bins.iter().filter(|bin| keep(bin)));
     let whole = of(&|_| true);
     // Brier score of the answer that gives every effect the share of effects that are there.
