@@ -40,7 +40,7 @@ fn page(run: &Run) -> String {
         last_seconds: None,
         speed_loop: None,
     };
-    let html = report.html();
+    let html = report.document().html();
     assert!(html.len() < 8_000_000, "{} bytes", html.len());
     html
 }

@@ -15,7 +15,7 @@ use drivebench::identification::noise::NoiseFloor;
 use drivebench::identification::output_error::FitError;
 use drivebench::plant::effect::{CATALOGUE, Card, ParameterRole};
 use drivebench::plant::{ActiveEffect, Model, Motor, testing};
-use drivebench::report::{effect_picture, plot};
+use drivebench::report::{curve_picture, plot};
 use drivebench::text::number::{significant, with_unit};
 
 /// Least ratio of the root mean squares of the error without and with an effect, so that its size exceeds the noise.
@@ -135,7 +135,7 @@ pub fn gallery() -> Result<Vec<(String, String)>, FitError> {
         let found = drawn(*effect)?;
         section(&mut page, card, found.as_ref());
         if let Some((_, curve)) = &found {
-            let picture = plot::standalone(&effect_picture(curve));
+            let picture = plot::standalone(&curve_picture(curve));
             files.push((format!("gallery/{}.svg", card.id), picture));
         }
     }

@@ -9,14 +9,11 @@ use super::failure::Failure;
 use super::files::read_model;
 use super::output::{self, quoted};
 use super::progress;
-use crate::report::plot::{
-    ResponseChart, ResponseCurve, ResponsePanel, ResponsePlace, Style, standalone,
-};
-use crate::report::{Card, Tone};
+use crate::report::plot::standalone;
+use crate::report::{Bars, Document, Tone, response_chart};
 use drivebench_bench::recording::{LoadedRun, RunFile, RunFolder};
 use drivebench_identify::frequency_response::{
-    CARRIED, Compared, Departure, FrequencyResponse, Mode, Pathway, PathwayResponse, ResponsePoint,
-    compared, of_model,
+    CARRIED, Compared, Departure, Mode, Pathway, PathwayResponse, ResponsePoint, compared, of_model,
 };
 use drivebench_model::plant::{Model, Scenario};
 use drivebench_model::sample::Channel;
@@ -144,11 +141,10 @@ impl Bode {
         ))
     }
 
-    /// `full`: every band in which the model departs.
-    pub(crate) fn card(&self, pathway: Pathway, full: bool) -> Card {
+    pub(crate) fn document(&self, pathway: Pathway) -> Document {
         let measured = &self.compared.measured;
         let Some(own) = measured.of(pathway) else {
-            return Card::new(Tone::Plain, "nothing", "was measured");
+            return Document::of(Tone::Plain, "nothing", "was measured");
         };
         let bands = own.bands_hz();
         let tone = if bands.is_empty() {
@@ -156,19 +152,21 @@ impl Bode {
         } else {
             Tone::Good
         };
-        let mut card = Card::new(tone, pathway.name(), &self.headline(own, &bands));
-        card.say("modes", self.other_modes(pathway), 2);
-        card.say("carried", [self.band_sentence(own, &bands)], 1);
-        card.say("rate", [measured.rate_sentence()], 1);
-        card.say("model", self.model_sentences(pathway, full), 3);
-        card.say("caution", measured.cautions.iter().map(String::as_str), 1);
+        let mut document = Document::of(tone, pathway.name(), self.headline(own, &bands));
+        document.say("modes", self.other_modes(pathway), 2);
+        document.say("carried", [self.band_sentence(own, &bands)], 1);
+        document.say("rate", [measured.rate_sentence()], 1);
+        let (model, farther) = self.model_sentences(pathway);
+        document.say("model", model, 3);
+        document.say("", farther, 0);
+        document.say("caution", measured.cautions.iter().map(String::as_str), 1);
         let bars = self.bars(own);
         if !bars.is_empty() {
             let unit = format!("magnitude, dB of 1 {}, where it is carried", own.unit);
-            card.bars("", bars, &unit);
+            document.bars("", Bars::new(bars, unit));
         }
-        self.go_on(&mut card, bands.is_empty());
-        card
+        self.go_on(&mut document, bands.is_empty());
+        document
     }
 
     fn headline(&self, own: &PathwayResponse, bands: &[(f64, f64)]) -> String {
@@ -236,9 +234,11 @@ impl Bode {
         )
     }
 
-    fn model_sentences(&self, shown: Pathway, full: bool) -> Vec<String> {
+    /// Of the model, and the bands farther down in which it departs.
+    fn model_sentences(&self, shown: Pathway) -> (Vec<String>, Vec<String>) {
         let Some(from) = &self.model_from else {
-            return vec!["none beside it: give one with --model".to_owned()];
+            let none = "none beside it: give one with --model";
+            return (vec![none.to_owned()], Vec::new());
         };
         let own = self.compared.model.as_ref();
         let own = own.map_or_else(Vec::new, |model| model.modes_of(shown));
@@ -252,7 +252,7 @@ impl Bode {
             told.push(format!(
                 "{from}: within the intervals wherever the response is carried"
             ));
-            return told;
+            return (told, Vec::new());
         }
         let missing = self.compared.missing_resonances();
         told.extend(missing.iter().map(|mode| {
@@ -266,12 +266,9 @@ impl Bode {
             let sizes = b.magnitude_db.abs().total_cmp(&a.magnitude_db.abs());
             is_other(a).cmp(&is_other(b)).then(sizes)
         });
-        let most = if full { bands.len() } else { 1 };
-        told.extend(bands.iter().take(most).map(|band| band.sentence()));
-        if let more @ 1.. = bands.len() - most {
-            told.push(format!("--full has {more} bands more in which it is off"));
-        }
-        told
+        let mut bands = bands.into_iter().map(Departure::sentence);
+        told.extend(bands.next());
+        (told, bands.collect())
     }
 
     /// A point of each interval of the logarithmic axis, that of a mode where there is one.
@@ -323,93 +320,34 @@ impl Bode {
         bars.collect()
     }
 
-    fn go_on(&self, card: &mut Card, is_empty: bool) {
+    fn go_on(&self, document: &mut Document, is_empty: bool) {
         let GoOn {
             run,
             model,
             map_words,
         } = &self.go_on;
         if is_empty {
-            card.say("record", [CHIRP], 1);
-            card.go_on("drivebench run BENCH.toml");
+            document.say("record", [CHIRP], 1);
+            document.go_on("drivebench run BENCH.toml");
             return;
         }
         match model {
-            Some(model) if !self.compared.missing_resonances().is_empty() => card.go_on(format!(
+            Some(model) if !self.compared.missing_resonances().is_empty() => document.go_on(format!(
                 "drivebench add elastic_coupling --model {model} --run {run}{map_words} --output model2.toml"
             )),
             Some(model) if self.compared.departures.is_empty() => {
-                card.go_on(format!("drivebench tune --model {model}"));
+                document.go_on(format!("drivebench tune --model {model}"));
             }
-            Some(model) => card.go_on(format!(
+            Some(model) => document.go_on(format!(
                 "drivebench diagnose {run} --model {model}{map_words}"
             )),
-            None => card.go_on(format!("drivebench diagnose {run}{map_words}")),
+            None => document.go_on(format!("drivebench diagnose {run}{map_words}")),
         }
     }
 
     /// Magnitude, phase and coherence of a pathway.
     pub(crate) fn svg(&self, pathway: Pathway) -> Result<String, Failure> {
-        let Compared {
-            measured, model, ..
-        } = &self.compared;
-        let bands = measured.of(pathway).map(PathwayResponse::bands_hz);
-        let bands = bands.unwrap_or_default();
-        let first_hz = bands.first().map_or(f64::INFINITY, |band| band.0);
-        let last_hz = bands.last().map_or(0.0, |band| band.1);
-        let curve = |label: &str, style, of: &FrequencyResponse, place: Place| {
-            let points = of.of(pathway).map_or(&[][..], |own| own.points.as_slice());
-            let points = points.iter().map(place);
-            // Beyond what was measured the model has nothing to be compared with.
-            let is_shown = |own: &ResponsePlace| {
-                style == Style::Measured || (first_hz..=last_hz).contains(&own.frequency_hz)
-            };
-            ResponseCurve {
-                label: label.to_owned(),
-                style,
-                points: points.filter(is_shown).collect(),
-            }
-        };
-        let unit = measured.of(pathway).map_or("", |own| own.unit);
-        let panel = |title: String, place: Place, shows, has_model: bool| {
-            let label = if has_model {
-                "measured, 95 %"
-            } else {
-                "measured"
-            };
-            let mut curves = vec![curve(label, Style::Measured, measured, place)];
-            let model = model.as_ref().filter(|_| has_model);
-            curves.extend(model.map(|model| curve("model", Style::Before, model, place)));
-            ResponsePanel {
-                title,
-                curves,
-                shows,
-            }
-        };
-        let chart = ResponseChart {
-            axis: format!("{}: frequency, Hz", pathway.name()),
-            panels: vec![
-                panel(
-                    format!("magnitude, dB of 1 {unit}"),
-                    magnitude_db,
-                    None,
-                    true,
-                ),
-                panel("phase, degrees".to_owned(), phase_deg, None, true),
-                panel("coherence".to_owned(), coherence, Some((0.0, 1.0)), false),
-            ],
-            modes: measured
-                .modes_of(pathway)
-                .iter()
-                .map(|mode| {
-                    let hertz = significant(mode.frequency_hz, 3);
-                    (
-                        format!("{} {hertz} Hz", mode.kind.name()),
-                        mode.frequency_hz,
-                    )
-                })
-                .collect(),
-        };
+        let chart = response_chart(&self.compared, pathway);
         let description = format!("frequency response, {}: {}", pathway.name(), self.title());
         match chart.svg(&description) {
             svg if svg.is_empty() => Err(Failure::not_identifiable(
@@ -471,34 +409,6 @@ impl Bode {
 
 /// What carries a response, as a bench file has it.
 const CHIRP: &str = "[[sequence]] chirp = { amplitude_v = 6.0, from_hz = 0.5, to_hz = 40.0, seconds = 30.0, offset_v = 20.0 } in the bench file, about an offset that keeps the shaft turning";
-
-/// Where a point stands in a picture.
-type Place = fn(&ResponsePoint) -> ResponsePlace;
-
-fn magnitude_db(point: &ResponsePoint) -> ResponsePlace {
-    let [value, low, high] = [point.magnitude, point.magnitude_low, point.magnitude_high]
-        .map(|value| 20.0 * value.log10());
-    placed(point, value, low, high)
-}
-
-fn phase_deg(point: &ResponsePoint) -> ResponsePlace {
-    let (value, half) = (point.phase_deg, point.phase_half_width_deg);
-    placed(point, value, value - half, value + half)
-}
-
-fn coherence(point: &ResponsePoint) -> ResponsePlace {
-    placed(point, point.coherence, point.coherence, point.coherence)
-}
-
-const fn placed(point: &ResponsePoint, value: f64, low: f64, high: f64) -> ResponsePlace {
-    ResponsePlace {
-        frequency_hz: point.frequency_hz,
-        value,
-        low,
-        high,
-        is_carried: point.is_carried,
-    }
-}
 
 #[derive(Serialize)]
 struct Row {

@@ -1,83 +1,69 @@
-//! The cards of commands over a live drive and of what is identified, and what stands above them with `--full`.
+//! The documents of commands over a live drive and of what is identified.
 
 use super::files::Recorded;
 use super::identify::{Answer, is_usable};
-use super::output::{fitted, quoted};
+use super::output::quoted;
+use super::report::last_rows;
 use super::run::Whole;
-use super::speed::SpeedResult;
-use crate::report::page::Table;
-use crate::report::{Card, Tone, conventions, tables};
-use crate::workflow::EscalationResult;
+use super::speed::{SpeedResult, delay_text};
+use crate::report::conventions::Converted;
+use crate::report::{Cell, Document, Table, Tone, conventions, tables};
 use drivebench_bench::recording::RunFile;
-use drivebench_bench::{Outcome, RunSummary, SpeedReport, StepFigures, Stop, Tracking, Watched};
+use drivebench_bench::{
+    LoopDelay, Outcome, RunSummary, SpeedReport, StepFigures, Stop, Tracking, Watched,
+};
 use drivebench_identify::misfit::Misfit;
 use drivebench_identify::nameplate::{self, Comparison, Fits};
 use drivebench_identify::recursive::INERTIA_HAS_CHANGED;
 use drivebench_identify::repeat::Repeated;
 use drivebench_model::plant::{Model, Motor};
 use drivebench_model::sample::{ParameterEstimate, Verdict};
-use drivebench_model::text::number::{fixed, with_std};
+use drivebench_model::text::number::{fixed, significant, with_std};
 
 /// Share of a run from which on it is worth a word that the drive's own limit held its output.
 const MUCH_LIMITED_SHARE: f64 = 0.1;
 
-/// The reasons of all verdicts, and how the motor was found.
-pub(crate) fn run_in_full(whole: &Whole, plate: Option<&Comparison>) -> Vec<String> {
-    let estimates = whole.recorded.summary.estimates.iter();
-    let reasons = estimates.map(|own| format!("{}: {}", own.key, own.verdict_text()));
-    let mut rows: Vec<String> = reasons.flat_map(|text| fitted(&text)).collect();
-    let escalation = whole.escalation.as_ref().map(EscalationResult::text);
-    let text = escalation.or_else(|| plate.map(Comparison::text));
-    rows.extend(text.iter().flat_map(|text| fitted(text)));
-    rows
-}
-
 /// How the run went, what was found on line, and whether the plate fits.
-pub(crate) fn run(whole: &Whole, plate: Option<&Comparison>) -> Card {
+pub(crate) fn run(whole: &Whole, plate: Option<&Comparison>) -> Document {
     let recorded = &whole.recorded;
     let timing = &recorded.summary.timing;
     let (achieved_hz, asked_hz) = (timing.rate_achieved_hz, timing.rate_asked_hz);
-    let mut card = account(
+    let mut document = account(
         &recorded.summary,
         &format!(" {achieved_hz:.1} of {asked_hz:.0} Hz,"),
     );
-    let escalation = whole.escalation.as_ref();
-    card.say("motor", escalation.map(|found| found.sentence.as_str()), 1);
+    if let Some(found) = &whole.escalation {
+        found.put("motor", &mut document);
+    }
     let estimates = recorded.summary.estimates.as_slice();
     let nameplate = Model::baseline(whole.plate.clone());
-    let parameters = tables::of_card(Some(&nameplate), &[], estimates);
-    card.table("on line", parameters, tables::SPARE, 5);
-    let told = estimates
-        .iter()
-        .filter_map(|own| Some((own, own.reason.as_ref()?)));
-    let told = told.map(|(own, reason)| format!("{}: {reason}", own.key));
-    card.say("", told.collect::<Vec<_>>(), 0);
-    card.say("plate", plate.into_iter().flat_map(Comparison::in_short), 1);
-    let folder = recorded.folder.path();
-    let run = quoted(folder);
+    let nameplate = Some(&nameplate);
+    tables::parameter_section(&mut document, "on line", nameplate, &[], estimates, 5);
+    tables::plate(&mut document, plate);
+    let run = quoted(recorded.folder.path());
     let word = match recorded.summary.outcome {
         Outcome::Done => "diagnose",
         _ => "view",
     };
-    card.go_on(format!("drivebench {word} {run}"));
-    end_of_run(&mut card, recorded);
-    card
+    document.go_on(format!("drivebench {word} {run}"));
+    end_of_run(&mut document, recorded);
+    document
 }
 
 /// The folder of a run, and last its page, where there is one.
-fn end_of_run(card: &mut Card, recorded: &Recorded) {
+fn end_of_run(document: &mut Document, recorded: &Recorded) {
     let page = recorded.folder.file(RunFile::Report);
     let last = if page.exists() {
-        card.is_of_a_motion();
+        document.is_of_a_motion();
         page.as_path()
     } else {
         recorded.folder.path()
     };
-    card.ends_with(last.display().to_string());
+    document.ends_with(last.display().to_string());
 }
 
 /// How a run went, in one line.
-fn account(summary: &RunSummary, rate: &str) -> Card {
+fn account(summary: &RunSummary, rate: &str) -> Document {
     let (outcome, rows) = (summary.outcome.name(), summary.rows);
     let (duration_s, missed) = (summary.duration_s, summary.timing.missed_cycles);
     let (lost, sent) = (summary.link.lost(), summary.link.sent);
@@ -88,16 +74,12 @@ fn account(summary: &RunSummary, rate: &str) -> Card {
     let sentence = format!(
         "{rows} rows in {duration_s:.1} s,{rate} {missed} cycles missed, {lost} of {sent} exchanges lost"
     );
-    let mut card = Card::new(tone, &outcome.replace('_', " "), &sentence);
+    let mut document = Document::of(tone, outcome.replace('_', " "), sentence);
     let is_plain =
         |stop: &&Stop| summary.outcome == Outcome::Done && stop.confirmed_after_ms.is_some();
     let stop = summary.stop.as_ref().filter(|stop| !is_plain(stop));
-    card.say("stopped", stop.map(Stop::sentence), 1);
-    let last = summary.last_seconds.map(|last| {
-        let (from, to) = (last.from_row, last.to_row);
-        format!("rows {from} to {to} of samples.csv; the page shows them enlarged")
-    });
-    card.say("last 2 s", last, 1);
+    document.say("stopped", stop.map(Stop::sentence), 1);
+    document.say("last 2 s", summary.last_seconds.map(last_rows), 1);
     let frozen = &summary.frozen;
     let is_much = frozen.rows as f64 > MUCH_LIMITED_SHARE * summary.rows as f64;
     let limited = is_much.then(|| {
@@ -107,12 +89,12 @@ fn account(summary: &RunSummary, rate: &str) -> Card {
              steps stay clear of it"
         )
     });
-    card.say("limited", limited, 1);
-    card
+    document.say("limited", limited, 1);
+    document
 }
 
 /// What was found by `scheme`, and whether the plate fits.
-pub(crate) fn identify(answer: &Answer, scheme: &str) -> Card {
+pub(crate) fn identify(answer: &Answer, scheme: &str) -> Document {
     let combined = || answer.combined.iter();
     let known = combined().filter(|own| is_usable(&own.estimate)).count();
     let all = answer.combined.len();
@@ -129,7 +111,7 @@ pub(crate) fn identify(answer: &Answer, scheme: &str) -> Card {
         runs => format!("mean of {runs} runs; the spread is that from run to run"),
     };
     let sentence = format!("{known} of {all} parameters by scheme {scheme}; {runs}");
-    let mut card = Card::new(tone, "Identified", &sentence);
+    let mut document = Document::of(tone, "Identified", sentence);
     let value = |own: &&Repeated| own.estimate.text(1.0);
     let mut table = Table::of(combined())
         .column("parameter", |own| own.estimate.key.clone())
@@ -141,134 +123,171 @@ pub(crate) fn identify(answer: &Answer, scheme: &str) -> Card {
         });
     }
     let table = table.column("verdict", |own| own.estimate.verdict.name());
-    card.table("motor", table, &[], 5);
+    document.table_on_card("motor", table, &[], 5);
     let reasons = combined().filter_map(|own| {
         let reason = own.estimate.reason.as_ref()?;
         Some(format!("{}: {reason}", own.estimate.key))
     });
-    card.say("why", reasons.collect::<Vec<_>>(), 1);
+    document.say("why", reasons, 1);
     let left = answer.misfit().and_then(Misfit::text);
-    card.say(
-        "misfit",
-        left.map(|left| format!("the model leaves {left}")),
-        1,
-    );
+    let left = left.map(|left| format!("the model leaves {left}"));
+    document.say("misfit", left, 1);
     let absolute = answer.absolute.as_deref().unwrap_or_default();
-    card.table("absolute", tables::of_card(None, &[], absolute), &[], 3);
+    tables::parameter_section(&mut document, "absolute", None, &[], absolute, 3);
+    let parameters = answer.parameters();
     if let Some(ratio) = answer.gear_ratio {
-        let load = conventions::on_load_shaft(&answer.parameters(), ratio);
-        card.table("load shaft", tables::of_card(None, &[], &load), &[], 2);
+        let load = conventions::on_load_shaft(&parameters, ratio);
+        tables::parameter_section(&mut document, "load shaft", None, &[], &load, 2);
     }
-    let plate = answer.nameplate.iter();
-    card.say("plate", plate.flat_map(Comparison::in_short), 1);
+    tables::plate(&mut document, answer.nameplate.as_ref());
     let notes = answer.runs.iter().flat_map(|run| &run.found.notes);
     let notes = answer.caution.iter().chain(notes);
-    card.say("note", notes.map(String::as_str), 1);
-    card
+    document.say("note", notes.map(String::as_str), 1);
+    let converted = conventions::of(&parameters);
+    if !converted.is_empty() {
+        document.section("In other units");
+        let number = |own: &Converted| format!("{} {}", with_std(own.value, own.std), own.unit);
+        document.table(
+            Table::of(&converted)
+                .column("value", |own| Cell::code(own.key))
+                .column("found ± std", |own| number(own)),
+        );
+        document.paragraph(conventions::RELATION);
+    }
+    document
 }
 
-/// The parameters in other units, and the whole plate.
-pub(crate) fn identify_in_full(answer: &Answer) -> Vec<String> {
-    let plate = answer.nameplate.as_ref().map(Comparison::text);
-    let mut rows: Vec<String> = plate.iter().flat_map(|text| fitted(text)).collect();
-    let converted = conventions::of(&answer.parameters());
-    if !converted.is_empty() {
-        rows.push("in other units".to_owned());
-        rows.extend(converted.iter().map(|own| {
-            let number = with_std(own.value, own.std);
-            format!("  {:<42} {number} {}", own.key, own.unit)
-        }));
-        rows.extend(fitted(&format!("  {}", conventions::RELATION)));
+/// Columns of the steps that a narrow terminal goes without, the first first.
+const SPARE: &[&str] = &["peak output", "limited, %", "IAE, rad", "from"];
+
+/// How a speed loop did: on the card of `speed`, and on the page of its run.
+pub(crate) fn speed_loop(result: &SpeedResult<'_>) -> Document {
+    let mut document = Document::new("", "");
+    let summary = result.summary;
+    let Some(report) = &summary.speed else {
+        return document;
+    };
+    let cycles = |delay: Option<&LoopDelay>| match delay {
+        Some(delay) => delay_text(delay),
+        None => "not measured: the drive does not say when a command was applied".to_owned(),
+    };
+    let facts = [
+        (
+            "controller",
+            format!(
+                "{} over a {} command",
+                report.controller,
+                report.actuator.name()
+            ),
+        ),
+        ("delay at rest", cycles(result.delay_at_rest.as_ref())),
+        ("delay while running", cycles(report.delay.as_ref())),
+        (
+            "tuned for",
+            format!("{:.2} cycles", report.timing.delay_cycles()),
+        ),
+        (
+            "cycles without a speed, output held",
+            report.held_cycles.to_string(),
+        ),
+    ];
+    document.facts(facts.map(|(label, value)| (label.to_owned(), value)).into());
+    let other = of_another_machine(result.motor, &summary.estimates);
+    document.say("machine", other, 2);
+    document.table_on_card("tracking", tracking(report), &["reference followed"], 2);
+    document.say("", softened_text(report), 1);
+    let mut all = steps_text(report);
+    if summary.outcome != Outcome::Done
+        && let Some(last) = all.last_mut()
+    {
+        last.push_str("; of whole steps: the last was cut short");
     }
-    rows
+    document.say("steps", all, 2);
+    document.table_on_card("", steps(report), SPARE, 3);
+    document.section("Gains");
+    document.labelled("why", report.reasons.iter().map(String::as_str));
+    let changes = report.gain_changes.iter();
+    let changes = changes.map(|change| format!("{:.2} s: {}", change.time_s, change.reason));
+    document.say("gains", changes, 0);
+    let found = report.watch.iter();
+    let found = found.map(|one| format!("{:.2} s: {}", one.time_s, one.reason));
+    document.say("watch", found, 3);
+    document.say("at end", report.gains.iter().map(String::as_str), 1);
+    document
+}
+
+fn tracking(report: &SpeedReport) -> Table {
+    let error = |value: f64| significant(value, 3);
+    Table::of(&report.tracking)
+        .column(
+            "feed-forward",
+            |pass| if pass.feed_forward { "on" } else { "off" },
+        )
+        .column("reference followed", |pass| {
+            format!("{} to {} s", fixed(pass.from_s, 1), fixed(pass.until_s, 1))
+        })
+        .column("error rms, rad/s", |pass| error(pass.rms_rad_s))
+        .column("mean, rad/s", |pass| error(pass.mean_abs_rad_s))
+        .column("peak, rad/s", |pass| error(pass.peak_rad_s))
+        .column("rms of reversals, rad/s", |pass| {
+            pass.reversal_rms_rad_s
+                .map_or_else(|| "-".to_owned(), error)
+        })
+        .into()
+}
+
+fn steps(report: &SpeedReport) -> Table {
+    let unit = report.actuator.unit();
+    Table::of(&report.steps)
+        .column("at, s", |step| fixed(step.step.at_s, 2))
+        .column("from", |step| fixed(step.speed_rad_s, 1))
+        .column("to, rad/s", |step| fixed(step.step.to_rad_s, 1))
+        .column("overshoot, %", |step| {
+            fixed(step.response.overshoot_percent, 1)
+        })
+        .column("settling, s", |step| {
+            let none = if step.settles_in_noise {
+                "in noise"
+            } else {
+                "never"
+            };
+            let settling = step.response.settling_s.map(|s| fixed(s, 3));
+            settling.unwrap_or_else(|| none.to_owned())
+        })
+        .column("IAE, rad", |step| {
+            fixed(step.response.absolute_error_rad, 2)
+        })
+        .column("peak output", |step| {
+            format!("{} {unit}", fixed(step.peak_output, 1))
+        })
+        .column("limited, %", |step| fixed(100.0 * step.limited_share, 0))
+        .into()
 }
 
 /// How closely the reference was followed, and what the gains were at the end.
-pub(crate) fn speed(result: &SpeedResult<'_>, recorded: &Recorded, words: &str) -> Card {
+pub(crate) fn speed(result: &SpeedResult<'_>, recorded: &Recorded, words: &str) -> Document {
     let summary = result.summary;
-    let mut card = account(summary, "");
-    if let Some(report) = &summary.speed {
-        let other = of_another_machine(result.motor, &summary.estimates);
-        card.say("machine", other, 2);
-        card.say("tracking", report.tracking.iter().map(tracking_text), 2);
-        card.say("", softened_text(report), 1);
-        let mut steps = steps_text(report);
-        if summary.outcome != Outcome::Done
-            && let Some(last) = steps.last_mut()
-        {
-            last.push_str("; of whole steps: the last was cut short");
-        }
-        card.say("steps", steps, 2);
-        let steps = Table::of(&report.steps)
-            .column("at s", |step| fixed(step.step.at_s, 2))
-            .column("from", |step| fixed(step.speed_rad_s, 1))
-            .column("to rad/s", |step| fixed(step.step.to_rad_s, 1))
-            .column("overshoot %", |step| {
-                fixed(step.response.overshoot_percent, 1)
-            })
-            .column("settling s", |step| {
-                let settling = step.response.settling_s.map(|s| fixed(s, 3));
-                let none = if step.settles_in_noise {
-                    "in noise"
-                } else {
-                    "never"
-                };
-                settling.unwrap_or_else(|| none.to_owned())
-            })
-            .column("IAE rad", |step| fixed(step.response.absolute_error_rad, 2))
-            .column("limited %", |step| fixed(100.0 * step.limited_share, 0));
-        card.table("", steps, &["limited %", "IAE rad", "from"], 3);
-        let changes = report.gain_changes.iter();
-        let changes = changes.map(|change| format!("{:.2} s: {}", change.time_s, change.reason));
-        card.say("gains", changes.collect::<Vec<_>>(), 0);
-        let found = report.watch.iter();
-        let found = found.map(|one| format!("{:.2} s: {}", one.time_s, one.reason));
-        card.say("watch", found.collect::<Vec<_>>(), 3);
-        card.say("at end", report.gains.iter().map(String::as_str), 1);
-    }
+    let mut document = account(summary, "");
+    document.append(speed_loop(result));
     if summary.outcome == Outcome::Done {
         let both = summary
             .speed
             .as_ref()
             .is_some_and(|report| report.tracking.len() > 1);
-        card.go_on(match result.model_file() {
+        document.go_on(match result.model_file() {
             Some(model) if !both => {
                 format!("drivebench speed{words} --model {model} --feed-forward compare")
             }
             _ => format!("drivebench replay {}", quoted(recorded.folder.path())),
         });
     } else {
-        card.go_on(format!(
+        document.go_on(format!(
             "drivebench view {}",
             quoted(recorded.folder.path())
         ));
     }
-    end_of_run(&mut card, recorded);
-    card
-}
-
-/// The loop, its gains over time and why they are what they are.
-pub(crate) fn speed_in_full(result: &SpeedResult<'_>) -> Vec<String> {
-    let Some(report) = &result.summary.speed else {
-        return Vec::new();
-    };
-    let mut rows: Vec<String> = report
-        .reasons
-        .iter()
-        .flat_map(|text| fitted(text))
-        .collect();
-    rows.extend(report.delay.as_ref().map(|delay| {
-        let (median, p99) = (delay.median_cycles, delay.p99_cycles);
-        let tuned = report.timing.delay_cycles();
-        format!("loop delay {median:.2} cycles while running, 99 % within {p99:.2}; tuned for {tuned:.2}")
-    }));
-    let changes = report.gain_changes.iter();
-    let changes = changes.map(|change| format!("{:>8.2} s  {}", change.time_s, change.reason));
-    rows.extend(changes.flat_map(|text| fitted(&text)));
-    let found = report.watch.iter();
-    let found = found.map(|one| format!("{:>8.2} s  {}", one.time_s, one.reason));
-    rows.extend(found.flat_map(|text| fitted(&text)));
-    rows
+    end_of_run(&mut document, recorded);
+    document
 }
 
 /// Values that are not those that the loop was tuned on, as far as they are known; of an inertia that changed what is known so far.
@@ -365,15 +384,4 @@ fn steps_text(report: &SpeedReport) -> Vec<String> {
 
 const fn forward_word(pass: &Tracking) -> &'static str {
     if pass.feed_forward { "with" } else { "without" }
-}
-
-fn tracking_text(pass: &Tracking) -> String {
-    let with = forward_word(pass);
-    let (rms, mean, peak) = (pass.rms_rad_s, pass.mean_abs_rad_s, pass.peak_rad_s);
-    let reversals = pass.reversal_rms_rad_s;
-    let reversals =
-        reversals.map_or_else(String::new, |rms| format!("; {rms:.2} rms at reversals"));
-    format!(
-        "error {with} feed-forward {rms:.2} rad/s rms, {mean:.2} mean, {peak:.2} at most{reversals}"
-    )
 }

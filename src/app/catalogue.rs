@@ -3,6 +3,7 @@
 use serde_json::{Value, json};
 
 use super::failure::Failure;
+use crate::report::{Document, Tone, card_facts};
 use drivebench_model::config_text::help_for_unknown;
 use drivebench_model::plant::{Card, Enters, ParameterRole, ParameterSpec, effect};
 use drivebench_model::text::lines::wrapped;
@@ -89,11 +90,9 @@ pub(crate) fn list_text(entries: &[Entry]) -> String {
         .collect()
 }
 
-/// Column of the titles of a card.
-const TITLES: usize = 12;
-
-pub(crate) fn card_text((card, parameters): Entry) -> String {
-    let mut text = format!("{} ({})\n\n", card.name, card.id);
+pub(crate) fn card_document((card, parameters): Entry) -> Document {
+    let title = format!("{} ({})", card.name, card.id);
+    let mut document = Document::of(Tone::Plain, "", title);
     let enters = match card.enters {
         Enters::Voltage => "the voltage balance, subtracted from the voltage applied",
         Enters::Torque => "the torque balance, subtracted from the torque of the motor",
@@ -105,25 +104,13 @@ pub(crate) fn card_text((card, parameters): Entry) -> String {
             "neither balance: it lies between what is commanded or measured and the motor"
         }
     };
-    for (title, body) in [
-        ("equation", card.equation),
-        ("enters", enters),
-        ("causes", card.causes),
-        ("looks like", card.looks_like),
-        ("excite it", card.excite),
-        ("remedy", card.remedy),
-    ] {
-        text += &block(title, TITLES, body);
-    }
-    if card.needs_angle {
-        let needed =
-            "needed: as measured, else the speed is integrated, which starts anywhere and drifts";
-        text += &block("angle", TITLES, needed);
-    }
-    for spec in parameters {
-        text += &block("parameter", TITLES, &parameter_text(spec));
-    }
-    text
+    document.labelled("enters", [enters]);
+    card_facts(&mut document, card);
+    let angle =
+        "needed: as measured, else the speed is integrated, which starts anywhere and drifts";
+    document.labelled("angle", card.needs_angle.then_some(angle));
+    document.labelled("parameter", parameters.iter().map(parameter_text));
+    document
 }
 
 fn parameter_text(spec: &ParameterSpec) -> String {
@@ -165,7 +152,9 @@ mod tests {
             .collect();
         let list = list_text(&entries);
         for (card, parameters) in entries {
-            let text = card_text((card, parameters));
+            let rows = card_document((card, parameters)).full(WIDTH);
+            let rows: Vec<String> = rows.iter().map(ToString::to_string).collect();
+            let text = rows.join("\n");
             for line in text.lines().chain(list.lines()) {
                 assert!(line.chars().count() <= WIDTH, "{line}");
                 assert_eq!(line, line.trim_end());

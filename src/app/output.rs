@@ -13,7 +13,8 @@ use serde::Serialize;
 
 use super::failure::{Failure, INTERNAL};
 use super::{progress, signals};
-use crate::report::card::{COLUMNS, Card};
+use crate::report::Document;
+use crate::report::terminal::{COLUMNS, Row};
 use drivebench_model::text::lines::{folded, wrapped};
 
 pub(crate) use drivebench_model::text::shell::{quoted, quoted_word};
@@ -52,26 +53,23 @@ pub(crate) fn text(text: &str) -> Result<(), Failure> {
     line(&folded(text.trim_end(), columns()).join("\n"))
 }
 
-/// Prints a result as one JSON document, or as its card, in `full` or as much of it as fits, with what stands above it as it
-/// is: a model that is not written to a file, among others.
-pub(crate) fn card<T: Serialize>(
+/// Prints a result as one JSON object, or its document: all of it, or the card that fits a screenful.
+pub(crate) fn document<T: Serialize>(
     value: &T,
     json: bool,
     full: bool,
-    above: Vec<String>,
-    card: impl FnOnce() -> Card,
+    document: &Document,
 ) -> Result<(), Failure> {
     unfolded(value, json, |_| {
-        let mut rows = above;
-        if !rows.is_empty() {
-            rows.push(String::new());
-        }
         if full {
-            rows.extend(card().rows(columns()));
+            let rows = document.full(columns());
+            rows.iter()
+                .map(Row::to_string)
+                .collect::<Vec<_>>()
+                .join("\n")
         } else {
-            rows.push(card().text(columns()));
+            document.card(columns())
         }
-        rows.join("\n")
     })
 }
 

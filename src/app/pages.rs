@@ -10,8 +10,8 @@ use super::files::{Recorded, early_end};
 use super::output;
 use super::rig::Rig;
 use crate::report::{
-    CommissionReport, ComparisonReport, ConfirmRun, Context, Facts, LastSeconds, RunReport,
-    SpeedLoop, Target,
+    CommissionReport, ComparisonReport, ConfirmRun, Context, Document, Facts, LastSeconds,
+    RunReport, Target,
 };
 use crate::tui::StoppedAt;
 use crate::workflow::{CommissionResult, Truth};
@@ -19,8 +19,7 @@ use drivebench_bench::recording::{LoadedRun, Manifest, RunFile};
 use drivebench_bench::{self as bench, BenchFile, Plan, Stop};
 use drivebench_diagnose::{Comparison, Diagnosis, EffectCurve, ErrorOf, compare, error_curve};
 use drivebench_identify::noise::NoiseFloor;
-use drivebench_identify::output_error;
-use drivebench_model::plant::{Input, Model, Motor, Scenario, Trajectory};
+use drivebench_model::plant::{Input, Model, Motor, Scenario};
 use drivebench_model::sample::Channel;
 
 /// Writes the page of one run into its folder; where there is none that is said.
@@ -28,7 +27,7 @@ pub(crate) fn write_run(
     recorded: &mut Recorded,
     plan: Option<&Plan>,
     nameplate: &Motor,
-    speed_loop: Option<&SpeedLoop>,
+    speed_loop: Option<&Document>,
 ) {
     match run(recorded, plan, nameplate, speed_loop) {
         Ok(page) => drop(recorded.write(RunFile::Report, &page)),
@@ -40,7 +39,7 @@ fn run(
     recorded: &Recorded,
     plan: Option<&Plan>,
     nameplate: &Motor,
-    speed_loop: Option<&SpeedLoop>,
+    speed_loop: Option<&Document>,
 ) -> Result<String, Failure> {
     let loaded = recorded.load()?;
     let manifest = &recorded.manifest;
@@ -60,7 +59,7 @@ fn run(
         last_seconds: last_seconds(manifest),
         speed_loop,
     };
-    Ok(report.html())
+    Ok(report.document().html())
 }
 
 /// The last seconds of a run that tripped or lost its drive, with the limits of its bench file.
@@ -87,69 +86,36 @@ pub(crate) fn last_seconds(manifest: &Manifest) -> Option<LastSeconds> {
     })
 }
 
-/// The free runs of the models before and after, where the run that shows them has a voltage.
-struct FreeRuns<'a> {
-    scenario: Option<&'a Scenario>,
-    noise: NoiseFloor,
-    before: Option<Trajectory>,
-    after: Option<Trajectory>,
+/// Of the model that a diagnosis began with and, where it added anything, of the one that it found: free runs over the run that
+/// shows them, where it has a voltage, and the curve of each effect that was found; where none was found, that of the error.
+fn shown_on(
+    found: &Diagnosis,
+    run: Option<&Scenario>,
+    noise: &NoiseFloor,
+) -> Result<(Option<ConfirmRun>, Vec<EffectCurve>), Failure> {
+    let Some(run) = run else {
+        return Ok((None, Vec::new()));
+    };
+    let (before, after) = (&found.baseline.model, &found.model.model);
+    let after = Some(after).filter(|_| !found.effects.is_empty());
+    let series = ConfirmRun::of(before, after, run, noise)?;
+    let mut curves = Vec::new();
+    if found.effects.is_empty() {
+        curves.extend(found.curve_of(None, run, noise)?);
+    }
+    for id in &found.effects {
+        curves.extend(found.curve_of(Some(*id), run, noise)?);
+    }
+    Ok((Some(series), curves))
 }
 
-impl<'a> FreeRuns<'a> {
-    /// Of the model that a diagnosis began with and, where it added anything, of the one that it found.
-    fn of(
-        found: &Diagnosis,
-        scenario: Option<&'a Scenario>,
-        noise: NoiseFloor,
-    ) -> Result<Self, Failure> {
-        let simulated = |model: &Model| -> Result<Option<Trajectory>, Failure> {
-            let Some(run) = scenario else { return Ok(None) };
-            Ok(Some(output_error::predict(model, run, &noise)?.trajectory))
-        };
-        let before = simulated(&found.baseline.model)?;
-        let after = simulated(&found.model.model)?;
-        Ok(Self {
-            scenario,
-            noise,
-            before,
-            after: after.filter(|_| !found.effects.is_empty()),
-        })
-    }
-
-    /// The curve of each effect that was found, on the run that is shown; where none was found, that of the error.
-    fn curves(&self, found: &Diagnosis) -> Result<Vec<EffectCurve>, Failure> {
-        let Some(run) = self.scenario else {
-            return Ok(Vec::new());
-        };
-        let found_ones: Vec<Option<&str>> = match found.effects.as_slice() {
-            [] => vec![None],
-            effects => effects.iter().map(|id| Some(*id)).collect(),
-        };
-        let mut curves = Vec::new();
-        for id in found_ones {
-            curves.extend(found.curve_of(id, run, &self.noise)?);
-        }
-        Ok(curves)
-    }
-
-    fn series(&self) -> Option<ConfirmRun<'_>> {
-        Some(ConfirmRun {
-            scenario: self.scenario?,
-            before: self.before.as_ref()?,
-            after: self.after.as_ref(),
-            noise: &self.noise,
-        })
-    }
-}
-
-/// What `take` makes of the report of a commissioning, with measured and simulated signals of the confirming run.
-pub(crate) fn commission<T>(
+/// The report of a commissioning, with measured and simulated signals of the confirming run.
+pub(crate) fn commission(
     scenarios: &[Scenario],
     result: &CommissionResult,
     rig: &Rig,
     records: &[Recorded],
-    take: impl FnOnce(&CommissionReport<'_>) -> T,
-) -> Result<T, Failure> {
+) -> Result<Document, Failure> {
     let runs = result.runs.iter();
     let folders = runs.filter_map(|run| run.folder.as_deref().map(Path::new));
     let manifest = records.first().map(|first| first.manifest.clone());
@@ -160,7 +126,8 @@ pub(crate) fn commission<T>(
     }
     let diagnosis = &result.diagnosis;
     let nameplate = Model::baseline(rig.plate.clone());
-    let free_runs = FreeRuns::of(diagnosis, scenarios.get(2), diagnosis.model.noise)?;
+    let noise = &diagnosis.model.noise;
+    let (series, curves) = shown_on(diagnosis, scenarios.get(2), noise)?;
     let truth: Vec<String> = result.truth.iter().map(Truth::sentence).collect();
     let report = CommissionReport {
         kind: "Commission",
@@ -174,19 +141,15 @@ pub(crate) fn commission<T>(
         diagnosis,
         ladder: &result.ladder,
         confirm: Some(&result.confirmed),
-        series: free_runs.series(),
-        curves: &free_runs.curves(diagnosis)?,
+        series: series.as_ref(),
+        curves: &curves,
         truth: &truth,
     };
-    Ok(take(&report))
+    Ok(report.document())
 }
 
-/// What `take` makes of the report of a diagnosis of recorded runs.
-pub(crate) fn diagnosis<T>(
-    prepared: &Prepared,
-    found: &Diagnosis,
-    take: impl FnOnce(&CommissionReport<'_>) -> T,
-) -> Result<T, Failure> {
+/// The report of a diagnosis of recorded runs.
+pub(crate) fn diagnosis(prepared: &Prepared, found: &Diagnosis) -> Result<Document, Failure> {
     let context = of_data(&prepared.about, &prepared.run);
     let mut evidence = prepared.evidence.clone();
     let is_electrical = evidence.training.input == Input::Voltage;
@@ -200,7 +163,7 @@ pub(crate) fn diagnosis<T>(
     ];
     let shown = evidence.confirm.as_ref().unwrap_or(&evidence.holdout);
     let shown = Some(shown).filter(|_| is_electrical);
-    let free_runs = FreeRuns::of(found, shown, evidence.noise)?;
+    let (series, curves) = shown_on(found, shown, &evidence.noise)?;
     let confirm = evidence.confirm.as_ref().filter(|_| is_electrical);
     let confirm = confirm.map(|run| found.rungs_on(run, &evidence.noise));
     let confirm = confirm.transpose()?;
@@ -216,31 +179,26 @@ pub(crate) fn diagnosis<T>(
         diagnosis: found,
         ladder: &found.ladder,
         confirm: confirm.as_ref(),
-        series: free_runs.series(),
-        curves: &free_runs.curves(found)?,
+        series: series.as_ref(),
+        curves: &curves,
         truth: &[],
     };
-    Ok(take(&report))
+    Ok(report.document())
 }
 
-/// What `take` makes of the report of a comparison of recorded runs.
-pub(crate) fn comparison<T>(
+/// The report of a comparison of recorded runs.
+pub(crate) fn comparison(
     prepared: &Prepared,
     comparison: &Comparison,
-    take: impl FnOnce(&ComparisonReport<'_>) -> T,
-) -> Result<T, Failure> {
+) -> Result<Document, Failure> {
     let about = &prepared.about;
     let evidence = &prepared.evidence;
     let (run, noise) = (&evidence.holdout, evidence.noise);
     let model = &prepared.model.file.model;
-    let free_run = match evidence.training.input {
-        Input::Voltage => Some(output_error::predict(model, run, &noise)?.trajectory),
-        Input::Current | Input::Torque => None,
-    };
-    let curve = match &free_run {
-        Some(_) => error_curve(model, run, &noise)?,
-        None => None,
-    };
+    let is_electrical = evidence.training.input == Input::Voltage;
+    let series = is_electrical.then(|| ConfirmRun::of(model, None, run, &noise));
+    let curve = is_electrical.then(|| error_curve(model, run, &noise));
+    let (series, curve) = (series.transpose()?, curve.transpose()?.flatten());
     let report = ComparisonReport {
         title: &about.title,
         context: &of_data(about, &prepared.run),
@@ -248,15 +206,10 @@ pub(crate) fn comparison<T>(
         model: &prepared.model.from,
         holdout_objected: about.holdout_objected,
         parameters: &[],
-        series: free_run.as_ref().map(|trajectory| ConfirmRun {
-            scenario: run,
-            before: trajectory,
-            after: None,
-            noise: &noise,
-        }),
+        series: series.as_ref(),
         curve: curve.as_ref(),
     };
-    Ok(take(&report))
+    Ok(report.document())
 }
 
 /// Writes a page where none is yet.

@@ -9,8 +9,7 @@ use serde_json::{Map, Value};
 use super::failure::Failure;
 use super::files::read_text;
 use super::{output, pages};
-use crate::report::page::Tone;
-use crate::report::{EarlyEnd, Page, RunReport, SpeedLoop, plot};
+use crate::report::{Document, EarlyEnd, RunReport, Tone, plot};
 use drivebench_bench::recording::{LoadedRun, Manifest, RunFile, RunFolder};
 use drivebench_bench::{BenchFile, LastSeconds, Stop};
 use drivebench_model::plant::{Model, MotorKey};
@@ -34,39 +33,41 @@ pub(crate) struct Reported {
     page: Option<PathBuf>,
     pictures: Vec<PathBuf>,
     #[serde(skip)]
-    markdown: String,
+    pub(crate) markdown: String,
 }
 
 impl Reported {
-    /// A few lines, the page last; or the page of the record as Markdown.
-    pub(crate) fn text(&self, markdown: bool) -> String {
-        if markdown {
-            return self.markdown.clone();
-        }
-        let mut text = String::new();
+    /// A few lines, the page last.
+    pub(crate) fn document(&self) -> Document {
+        let mut document = Document::new("", "");
         if let (Some(run), Some(rows), Some(duration_s)) = (&self.run, self.rows, self.duration_s) {
-            let run = format!("{run}: {rows} rows over {duration_s:.3} s");
-            output::lines(&mut text, "run      ", [run]);
+            document.say(
+                "run",
+                [format!("{run}: {rows} rows over {duration_s:.3} s")],
+                1,
+            );
         }
-        output::lines(&mut text, "outcome  ", &self.outcome);
-        output::lines(
-            &mut text,
-            "stopped  ",
-            self.stop.as_ref().map(Stop::sentence),
+        document.say("outcome", self.outcome.as_deref(), 1);
+        document.say("stopped", self.stop.as_ref().map(Stop::sentence), 1);
+        document.say("last 2 s", self.trip.map(last_rows), 1);
+        let pictures = self.pictures.iter();
+        document.say(
+            "picture",
+            pictures.map(|path| path.display().to_string()),
+            1,
         );
-        let last = self.trip.map(|last| {
-            let (from, to) = (last.from_row, last.to_row);
-            format!("rows {from} to {to} of samples.csv; the page shows them enlarged")
-        });
-        output::lines(&mut text, "last 2 s ", last);
-        let pictures = self.pictures.iter().map(|path| path.display());
-        output::lines(&mut text, "picture  ", pictures);
         match &self.page {
-            Some(page) => output::lines(&mut text, "page     ", [page.display()]),
-            None => text.push_str("page     none: name one with --output PAGE.html\n"),
+            Some(page) => document.ends_with(page.display().to_string()),
+            None => document.say("page", ["none: name one with --output PAGE.html"], 1),
         }
-        text
+        document
     }
+}
+
+/// Which rows of a record a page shows enlarged.
+pub(crate) fn last_rows(last: LastSeconds) -> String {
+    let (from, to) = (last.from_row, last.to_row);
+    format!("rows {from} to {to} of samples.csv; the page shows them enlarged")
 }
 
 /// Writes what is asked for: the page under `output`, else into the run's folder where there is none yet; its pictures into
@@ -132,7 +133,7 @@ pub(crate) fn report(
             Some(folder) => write_pictures(&html, folder)?,
             None => Vec::new(),
         },
-        markdown: page.text(),
+        markdown: page.markdown(),
     })
 }
 
@@ -155,7 +156,7 @@ fn write_pictures(html: &str, folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     Ok(pictures.into_iter().map(|(path, _)| path).collect())
 }
 
-fn page(loaded: &LoadedRun, estimates: &[ParameterEstimate]) -> Page {
+fn page(loaded: &LoadedRun, estimates: &[ParameterEstimate]) -> Document {
     let none = Manifest::default();
     let manifest = loaded.manifest.as_ref().unwrap_or(&none);
     let bench = manifest.configs.get("bench");
@@ -163,10 +164,10 @@ fn page(loaded: &LoadedRun, estimates: &[ParameterEstimate]) -> Page {
     let nameplate = bench.map(|bench| Model::baseline(bench.motor.motor()));
     let mut context = pages::context(manifest, &loaded.folder.iter().collect::<Vec<_>>());
     context.notes.clone_from(&loaded.warnings);
-    let speed_loop = SpeedLoop {
-        facts: pages::table(&manifest.speed_loop),
-        ..SpeedLoop::default()
-    };
+    let facts = pages::table(&manifest.speed_loop);
+    let has_loop = !facts.is_empty();
+    let mut speed_loop = Document::new("", "");
+    speed_loop.facts(facts);
     let outcome = manifest.outcome.as_deref();
     let report = RunReport {
         title: if manifest.name.is_empty() {
@@ -187,9 +188,9 @@ fn page(loaded: &LoadedRun, estimates: &[ParameterEstimate]) -> Page {
                 reason: outcome.to_owned(),
             }),
         last_seconds: pages::last_seconds(manifest),
-        speed_loop: (!speed_loop.facts.is_empty()).then_some(&speed_loop),
+        speed_loop: has_loop.then_some(&speed_loop),
     };
-    report.page()
+    report.document()
 }
 
 /// What the live estimators said, as the run's folder keeps it; nothing where there is no such word.

@@ -14,8 +14,7 @@ use super::files::model_file;
 use super::output::quoted;
 use super::rig::{OpenRig, Rig, RigOptions};
 use super::{output, pages, progress, signals};
-use crate::report::card::COLUMNS;
-use crate::report::{Card, CommissionReport};
+use crate::report::{Document, tables};
 use crate::workflow::{
     BurstResult, Called, Commission, CommissionResult, Discovery, Escalate, EscalationResult,
     Progress, Role, RunRecord, Task, compared, scaled_sentence,
@@ -324,7 +323,12 @@ pub(crate) fn escalate(
         if let Some(refusal) = scaled.refusal.as_ref().filter(|_| claimed && !fits) {
             // The plate is believed by whoever wrote the sequence: run as written it would be too much.
             if let Some(comparison) = nameplate {
-                comparison.text().lines().for_each(&mut tell);
+                tell(&comparison.verdict());
+                comparison.rows.iter().for_each(|row| tell(&row.sentence));
+                comparison
+                    .causes
+                    .iter()
+                    .for_each(|cause| tell(&format!("likely: {cause}")));
             }
             return Err(Failure::usage(
                 format!(
@@ -351,34 +355,32 @@ pub fn escalation_failure(result: &EscalationResult) -> Option<Failure> {
 }
 
 /// What goes on from a commissioning, and its page.
-fn go_on(card: &mut Card, result: &CommissionResult, rig: &Rig, records: &[Recorded]) {
+fn go_on(document: &mut Document, result: &CommissionResult, rig: &Rig, records: &[Recorded]) {
     let Some(first) = records.first() else { return };
     let words = rig.asked.words.as_str();
     let (folder, file) = (first.folder.path(), |file| quoted(&first.folder.file(file)));
     let next = result.diagnosis.next_experiment.as_ref();
     if next.is_some_and(|next| next.bench.is_some()) {
-        card.go_on(format!("drivebench run {}", file(RunFile::NextBench)));
+        document.go_on(format!("drivebench run {}", file(RunFile::NextBench)));
         // A run that was not made judges nothing.
         let judging = ["--holdout", "--confirm"].iter().zip(&records[1..]);
         let judging =
             judging.map(|(option, run)| format!(" {option} {}", quoted(run.folder.path())));
         let judging: String = judging.collect();
-        card.go_on(format!(
+        document.go_on(format!(
             "drivebench diagnose {} --model baseline{judging} --with NEW_RUN",
             quoted(folder)
         ));
     }
     let model = file(RunFile::Model);
-    card.go_on(format!("drivebench speed{words} --model {model}"));
-    card.ends_with(first.folder.file(RunFile::Report).display().to_string());
+    document.go_on(format!("drivebench speed{words} --model {model}"));
+    document.ends_with(first.folder.file(RunFile::Report).display().to_string());
 }
 
 /// What the loop leaves behind.
 pub struct CommissionDone {
     pub result: CommissionResult,
-    pub card: Card,
-    /// What the card has no room for.
-    pub full: Vec<String>,
+    pub document: Document,
     /// As the screen has it at the end: the steps that can follow among it.
     pub progress: Progress,
     /// What the screen saw last of the bench.
@@ -429,35 +431,21 @@ pub fn commission(
         .result()
         .cloned()
         .ok_or_else(|| Failure::internal("the loop ended without a result"))?;
-    let both = |report: &CommissionReport<'_>| (report.card(), report.page().plain(COLUMNS));
-    let scenarios = workflow.scenarios();
-    let (mut card, mut full) = pages::commission(scenarios, &result, &rig, &records, both)?;
-    let (escalation, plate) = (result.escalation.as_ref(), result.nameplate.as_ref());
-    card.say(
-        "found by",
-        escalation.map(|found| found.sentence.as_str()),
-        1,
-    );
+    let mut document = pages::commission(workflow.scenarios(), &result, &rig, &records)?;
+    if let Some(found) = &result.escalation {
+        found.put("found by", &mut document);
+    }
     let burst = result.burst.as_ref().map(BurstResult::text);
     let samples = burst.as_ref().and_then(|text| text.lines().next());
-    card.say("burst", samples, 0);
-    card.say("plate", plate.into_iter().flat_map(Comparison::in_short), 1);
-    let texts = [
-        escalation.map(EscalationResult::text),
-        plate.map(Comparison::text),
-    ];
-    for text in texts.iter().flatten() {
-        full.push(String::new());
-        full.extend(output::fitted(text));
-    }
-    go_on(&mut card, &result, &rig, &records);
+    document.say("burst", samples, 0);
+    tables::plate(&mut document, result.nameplate.as_ref());
+    go_on(&mut document, &result, &rig, &records);
     let mut progress = workflow.progress();
-    progress.report = Some(card.clone());
+    progress.report = Some(Arc::new(document.clone()));
     publish(&progress);
     Ok(CommissionDone {
         result,
-        card,
-        full,
+        document,
         progress,
         last: controls.snapshots.latest(),
         discovery: workflow.discovery().cloned(),
@@ -566,8 +554,7 @@ fn save(workflow: &Commission, rig: &Rig, records: &mut [Recorded]) -> Result<St
         &result.ladder,
         found.noise_floor_from,
     );
-    let html = |report: &CommissionReport<'_>| report.html();
-    let page = pages::commission(workflow.scenarios(), result, rig, records, html)?;
+    let page = pages::commission(workflow.scenarios(), result, rig, records)?.html();
     let next = &result.diagnosis.next_experiment;
     let bench = next.as_ref().and_then(|next| next.bench.as_ref());
     if let (Some(text), Some(record)) = (bench, records.first_mut()) {

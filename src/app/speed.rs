@@ -15,21 +15,18 @@ use super::files::Recorded;
 use super::opening::wired_profile;
 use super::rig::{OpenRig, RigOptions, SpeedAbout, nameplate};
 use super::run::tell_checks;
-use super::{files, output, pages};
-use crate::report::SpeedLoop;
-use crate::report::page::{Cell, Table};
+use super::{cards, files, output, pages};
 use drivebench_bench::recording::RunFile;
 use drivebench_bench::{
     BenchFile, CheckReport, ControllerKind, Design, EMBEDDED_NAME, ForwardUse, Limits, LoopDelay,
     Nameplate, PilotSettings, Reference, Regulator, RegulatorError, RunSummary, SpeedPilot,
-    SpeedReport, SpeedSection, loop_timing,
+    SpeedSection, loop_timing,
 };
 use drivebench_control::Actuator;
 use drivebench_control::tuning::Rule;
 use drivebench_link::offer::Purpose;
 use drivebench_model::plant::{Model, ModelFile, Motor, TorqueMap};
 use drivebench_model::sample::Channel;
-use drivebench_model::text::number::{fixed, significant};
 
 /// Standard deviation of a speed sample below which a sensor is not believed to be quieter, rad/s.
 const LEAST_NOISE_RAD_S: f64 = 0.02;
@@ -58,7 +55,7 @@ pub struct SpeedResult<'a> {
     #[serde(skip)]
     pub(super) motor: &'a Motor,
     /// At rest, before the loop was tuned; null where the drive does not say when a command was applied.
-    delay_at_rest: Option<LoopDelay>,
+    pub(crate) delay_at_rest: Option<LoopDelay>,
     #[serde(flatten)]
     pub(crate) summary: &'a RunSummary,
 }
@@ -294,8 +291,8 @@ pub fn speed(
     if let Some(text) = adaptation {
         whole.recorded.write(RunFile::Adaptation, &text);
     }
-    if let Some(report) = &whole.recorded.summary.speed {
-        let page = speed_loop(report, whole.delay.as_ref());
+    if whole.recorded.summary.speed.is_some() {
+        let page = cards::speed_loop(&speed_result(&whole));
         let plate = request.motor.motor();
         pages::write_run(&mut whole.recorded, None, &plate, Some(&page));
     }
@@ -369,7 +366,7 @@ fn tell(
     }
 }
 
-fn delay_text(delay: &LoopDelay) -> String {
+pub(crate) fn delay_text(delay: &LoopDelay) -> String {
     let (median, p99) = (delay.median_cycles, delay.p99_cycles);
     let median_ms = 1e3 * delay.median_s;
     format!("{median:.2} cycles ({median_ms:.2} ms), 99 % within {p99:.2}")
@@ -384,95 +381,5 @@ pub(crate) fn speed_result(whole: &SpeedDone) -> SpeedResult<'_> {
         motor: &whole.motor,
         delay_at_rest: whole.delay,
         summary: &whole.recorded.summary,
-    }
-}
-
-/// What the page of a run says about its speed loop.
-fn speed_loop(report: &SpeedReport, at_rest: Option<&LoopDelay>) -> SpeedLoop {
-    let cycles = |delay: Option<&LoopDelay>| match delay {
-        Some(delay) => delay_text(delay),
-        None => "not measured: the drive does not say when a command was applied".to_owned(),
-    };
-    let fact = |label: &str, value: String| (label.to_owned(), value);
-    let command = report.actuator.name();
-    let controller = format!("{} over a {command} command", report.controller);
-    let tuned_for = format!("{:.2} cycles", report.timing.delay_cycles());
-    let held = report.held_cycles.to_string();
-    let changes = report.gain_changes.iter();
-    let changes = changes.map(|change| format!("{:.2} s: {}", change.time_s, change.reason));
-    let found = (report.watch.iter()).map(|one| format!("{:.2} s: {}", one.time_s, one.reason));
-    let last = report
-        .gains
-        .iter()
-        .map(|line| format!("at the end: {line}"));
-    SpeedLoop {
-        facts: vec![
-            fact("controller", controller),
-            fact("delay at rest", cycles(at_rest)),
-            fact("delay while running", cycles(report.delay.as_ref())),
-            fact("tuned for", tuned_for),
-            fact("cycles without a speed, output held", held),
-        ],
-        tables: vec![tracking(report), steps(report)],
-        reasons: report.reasons.clone(),
-        changes: changes.chain(found).chain(last).collect(),
-    }
-}
-
-fn tracking(report: &SpeedReport) -> Table {
-    let rows = report.tracking.iter().map(|pass| {
-        let with = if pass.feed_forward { "on" } else { "off" };
-        let (from, until) = (fixed(pass.from_s, 1), fixed(pass.until_s, 1));
-        let errors = [pass.rms_rad_s, pass.mean_abs_rad_s, pass.peak_rad_s];
-        let errors = errors.map(|error| Cell::text(significant(error, 3)));
-        let reversal = pass.reversal_rms_rad_s.map(|error| significant(error, 3));
-        let reversal = Cell::text(reversal.unwrap_or_else(|| "-".to_owned()));
-        let followed = Cell::text(format!("{from} to {until} s"));
-        [Cell::text(with), followed]
-            .into_iter()
-            .chain(errors)
-            .chain([reversal])
-            .collect()
-    });
-    Table {
-        head: vec![
-            "feed-forward",
-            "reference followed",
-            "error rms, rad/s",
-            "mean, rad/s",
-            "peak, rad/s",
-            "rms of reversals, rad/s",
-        ],
-        rows: rows.collect(),
-    }
-}
-
-fn steps(report: &SpeedReport) -> Table {
-    let unit = report.actuator.unit();
-    let rows = report.steps.iter().map(|step| {
-        let response = &step.response;
-        let (from, to) = (fixed(step.speed_rad_s, 1), fixed(step.step.to_rad_s, 1));
-        let settling = response.settling_s.map(|s| fixed(s, 3));
-        vec![
-            Cell::text(fixed(step.step.at_s, 2)),
-            Cell::text(format!("{from} to {to}")),
-            Cell::text(fixed(response.overshoot_percent, 1)),
-            Cell::text(settling.unwrap_or_else(|| "never".to_owned())),
-            Cell::text(fixed(response.absolute_error_rad, 2)),
-            Cell::text(format!("{} {unit}", fixed(step.peak_output, 1))),
-            Cell::text(fixed(100.0 * step.limited_share, 0)),
-        ]
-    });
-    Table {
-        head: vec![
-            "at, s",
-            "speed, rad/s",
-            "overshoot, %",
-            "settling, s",
-            "IAE, rad",
-            "peak output",
-            "limited, %",
-        ],
-        rows: rows.collect(),
     }
 }

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::failure::Failure;
 use super::files::{read_text, speed_command};
-use crate::report::{Card, Tone};
+use crate::report::{Bars, Document, Tone};
 use drivebench_control::tuning::{Request, Tuning, TuningError, tune_over};
 use drivebench_control::{
     Actuator, LinearPlant, LoopShape, LoopTiming, Margins, PiGains, PlantError, Schedule,
@@ -53,8 +53,72 @@ impl TuneResult {
         })
     }
 
-    pub(crate) fn card(&self, model: &Path) -> Card {
-        card(self, model)
+    pub(crate) fn document(&self, model: &Path) -> Document {
+        let Tuning {
+            rule,
+            gains,
+            margins,
+            response,
+            reasons,
+            ..
+        } = &self.tuning;
+        let (kp, tn_s) = (gains.proportional, gains.integral_time_s);
+        let mut sentence = format!("Kp = {kp:.4} V per rad/s, Tn = {tn_s:.4} s");
+        if let Some(notch) = &gains.notch {
+            let _ = write!(sentence, ", notch at {:.1} Hz", notch.frequency_hz);
+        }
+        if gains.reference_filter_s > 0.0 {
+            let _ = write!(
+                sentence,
+                ", reference filter {:.4} s",
+                gains.reference_filter_s
+            );
+        }
+        let mut document = Document::of(Tone::Good, rule.name(), sentence);
+        document.say("why", reasons.iter().map(String::as_str), 1);
+        let drawn = self.tuning.draws.as_ref().map(|draws| {
+            let (count, stable) = (draws.count, 100.0 * draws.stable_share);
+            let worst = margins_text(&draws.worst);
+            format!("worst of {count} draws of the parameters ({stable:.0} % stable): {worst}")
+        });
+        let margins = [margins_text(margins)].into_iter().chain(drawn);
+        document.say("margins", margins, 2);
+        let (low, high) = self.adaptation_range;
+        let range =
+            format!("gains can follow an inertia of {low:.2} to {high:.1} times the model's");
+        let ends = ["below", "above"].into_iter().zip(&self.adaptation_ends);
+        let ends = ends.filter_map(|(side, why)| Some(format!("{side}: {}", why.as_ref()?)));
+        document.say("range", [range].into_iter().chain(ends), 2);
+        let settling = match response.settling_s {
+            None => "does not settle".to_owned(),
+            Some(s) => format!("settles within 5 % in {s:.3} s"),
+        };
+        let overshoot = response.overshoot_percent;
+        let step = format!("overshoot {overshoot:.1} %, {settling}; linear, no limit is met");
+        document.say("step", [step], 1);
+        let shown_s = 2.0 * response.settling_s.unwrap_or(1.0).max(0.01);
+        let last = self
+            .step
+            .partition_point(|point| point.time_s <= shown_s)
+            .max(2);
+        let points = (0..LINES).map(|n| &self.step[n * (last - 1) / (LINES - 1)]);
+        let bars = points.map(|point| {
+            let (time_s, speed) = (point.time_s, point.speed);
+            let band = point
+                .low
+                .zip(point.high)
+                .map_or_else(String::new, |(low, high)| {
+                    format!("  {low:.3} to {high:.3}")
+                });
+            (
+                format!("{time_s:>8.3} s"),
+                speed,
+                format!("{speed:.3}{band}"),
+            )
+        });
+        document.bars("", Bars::new(bars.collect(), "speed over its reference"));
+        document.go_on(speed_command(&self.history, model, ""));
+        document
     }
 }
 
@@ -108,73 +172,6 @@ impl KeptGains {
         let help = "tune this model: `drivebench tune --model MODEL.toml --json`";
         Err(Failure::usage(headline, help))
     }
-}
-
-fn card(result: &TuneResult, model: &Path) -> Card {
-    let Tuning {
-        rule,
-        gains,
-        margins,
-        response,
-        reasons,
-        ..
-    } = &result.tuning;
-    let (kp, tn_s) = (gains.proportional, gains.integral_time_s);
-    let mut sentence = format!("Kp = {kp:.4} V per rad/s, Tn = {tn_s:.4} s");
-    if let Some(notch) = &gains.notch {
-        let _ = write!(sentence, ", notch at {:.1} Hz", notch.frequency_hz);
-    }
-    if gains.reference_filter_s > 0.0 {
-        let _ = write!(
-            sentence,
-            ", reference filter {:.4} s",
-            gains.reference_filter_s
-        );
-    }
-    let mut card = Card::new(Tone::Good, rule.name(), &sentence);
-    card.say("why", reasons.iter().map(String::as_str), 1);
-    let drawn = result.tuning.draws.as_ref().map(|draws| {
-        let (count, stable) = (draws.count, 100.0 * draws.stable_share);
-        let worst = margins_text(&draws.worst);
-        format!("worst of {count} draws of the parameters ({stable:.0} % stable): {worst}")
-    });
-    let margins = [margins_text(margins)].into_iter().chain(drawn);
-    card.say("margins", margins.collect::<Vec<_>>(), 2);
-    let (low, high) = result.adaptation_range;
-    let range = format!("gains can follow an inertia of {low:.2} to {high:.1} times the model's");
-    let ends = ["below", "above"].into_iter().zip(&result.adaptation_ends);
-    let ends = ends.filter_map(|(side, why)| Some(format!("{side}: {}", why.as_ref()?)));
-    card.say("range", [range].into_iter().chain(ends), 2);
-    let settling = match response.settling_s {
-        None => "does not settle".to_owned(),
-        Some(s) => format!("settles within 5 % in {s:.3} s"),
-    };
-    let overshoot = response.overshoot_percent;
-    let step = format!("overshoot {overshoot:.1} %, {settling}; linear, no limit is met");
-    card.say("step", [step], 1);
-    let shown_s = 2.0 * response.settling_s.unwrap_or(1.0).max(0.01);
-    let last = result
-        .step
-        .partition_point(|point| point.time_s <= shown_s)
-        .max(2);
-    let points = (0..LINES).map(|n| &result.step[n * (last - 1) / (LINES - 1)]);
-    let bars = points.map(|point| {
-        let (time_s, speed) = (point.time_s, point.speed);
-        let band = point
-            .low
-            .zip(point.high)
-            .map_or_else(String::new, |(low, high)| {
-                format!("  {low:.3} to {high:.3}")
-            });
-        (
-            format!("{time_s:>8.3} s"),
-            speed,
-            format!("{speed:.3}{band}"),
-        )
-    });
-    card.bars("", bars.collect(), "speed over its reference");
-    card.go_on(speed_command(&result.history, model, ""));
-    card
 }
 
 fn margins_text(margins: &Margins) -> String {

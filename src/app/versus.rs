@@ -1,6 +1,5 @@
 //! Two models on one run, side by side, with what each of them is.
 
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -9,9 +8,8 @@ use super::evidence::{Prepared, was_fitted_on};
 use super::failure::Failure;
 use super::files::read_model;
 use super::{output, progress};
-use crate::report::card::COLUMNS;
-use drivebench_diagnose::{HoldoutFrom, Versus, versus};
-use drivebench_model::text::lines::wrapped;
+use crate::report::{Document, Table, Tone};
+use drivebench_diagnose::{HoldoutFrom, SignalVersus, Versus, versus};
 use drivebench_model::text::number::{fit, significant};
 
 #[derive(Serialize)]
@@ -56,32 +54,27 @@ impl VersusResult {
         })
     }
 
-    pub(crate) fn text(&self) -> String {
-        let mut text = String::new();
+    pub(crate) fn document(&self) -> Document {
+        let mut document = Document::of(Tone::Plain, "", &self.found.sentence);
         for (name, model) in ["A", "B"].into_iter().zip(&self.models) {
             let effects = match model.effects.as_slice() {
                 [] => "no effect beyond the baseline".to_owned(),
                 effects => effects.join(", "),
             };
-            let _ = writeln!(text, "{name}  {}: {effects}", model.file);
+            document.say(name, [format!("{}: {effects}", model.file)], 1);
         }
-        let _ = writeln!(
-            text,
-            "\n{:<12} {:>16} {:>16} {:>12} {:>12}",
-            "held out", "A error", "B error", "A fit", "B fit"
-        );
-        for own in &self.found.signals {
-            let error = |value: f64| format!("{} {}", significant(value, 3), own.unit);
-            let [first, second] = own.rmse.map(error);
-            let [first_fit, second_fit] = own.fit_percent.map(fit);
-            let _ = writeln!(
-                text,
-                "{:<12} {first:>16} {second:>16} {first_fit:>12} {second_fit:>12}",
-                own.signal
-            );
-        }
-        let sentence = wrapped(&self.found.sentence, COLUMNS).join("\n");
-        let _ = writeln!(text, "\n{sentence}");
-        text
+        let signals = &self.found.signals;
+        let error = |place: usize| {
+            move |own: &&SignalVersus| format!("{} {}", significant(own.rmse[place], 3), own.unit)
+        };
+        let table = Table::of(signals)
+            .column("signal", |own| own.signal)
+            .column("A error", error(0))
+            .column("B error", error(1))
+            .column("A fit", |own| fit(own.fit_percent[0]))
+            .column("B fit", |own| fit(own.fit_percent[1]));
+        document.table_on_card("held out", table, &[], signals.len());
+        document.say("note", self.notes.iter().map(String::as_str), 1);
+        document
     }
 }

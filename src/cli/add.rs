@@ -10,8 +10,8 @@ use super::failure::{Failure, REFUSED};
 use super::{output, progress, signals};
 use crate::app::evidence::Judging;
 use crate::app::files::{model_file, speed_command};
-use crate::report::Card;
-use crate::report::comparison::{change_card, change_in_full};
+use crate::report::Document;
+use crate::report::comparison::change_document;
 use crate::workflow::{curve_table, four_digits, hold_what_the_curve_holds};
 use drivebench_diagnose::{AddResult, AxisMap, Evidence, add, axis_map, remove};
 use drivebench_identify::output_error;
@@ -184,20 +184,11 @@ fn run(arguments: &Arguments, adding: Option<&AddArguments>) -> Result<(), Failu
     // A refused model is not handed out.
     let model = result.accepted.then(|| file.to_toml());
     value["model"] = model.clone().into();
-    let printed = model.filter(|_| arguments.output.is_none());
-    let mut above: Vec<String> = Vec::new();
-    if arguments.full {
-        above.extend(change_in_full(&result));
+    if let Some(model) = model.filter(|_| arguments.output.is_none() && !arguments.json) {
+        output::line(&model)?;
     }
-    above.extend(
-        printed
-            .iter()
-            .flat_map(|model| model.lines().map(str::to_owned)),
-    );
-    let full = arguments.full;
-    output::card(&value, arguments.json, full, above, || {
-        card(&result, arguments)
-    })?;
+    let document = document(&result, arguments);
+    output::document(&value, arguments.json, arguments.full, &document)?;
     if result.accepted {
         return Ok(());
     }
@@ -221,8 +212,8 @@ fn run(arguments: &Arguments, adding: Option<&AddArguments>) -> Result<(), Failu
 }
 
 /// What came of it, and the commands that go on from here; where no file was named, the new model above it.
-fn card(result: &AddResult, arguments: &Arguments) -> Card {
-    let mut card = change_card(result);
+fn document(result: &AddResult, arguments: &Arguments) -> Document {
+    let mut document = change_document(result);
     let run = output::quoted(&arguments.run);
     let words = arguments.evidence.words();
     let model = |path: &Option<PathBuf>| {
@@ -235,15 +226,15 @@ fn card(result: &AddResult, arguments: &Arguments) -> Card {
     } else {
         &arguments.model
     });
-    card.go_on(format!("drivebench diagnose {run}{of}{words}"));
+    document.go_on(format!("drivebench diagnose {run}{of}{words}"));
     if let Some(model) = kept {
         let runs = FileHistory {
             fitted_on: vec![arguments.run.display().to_string()],
             ..FileHistory::default()
         };
-        card.go_on(speed_command(&runs, model, " --feed-forward compare"));
+        document.go_on(speed_command(&runs, model, " --feed-forward compare"));
     }
-    card
+    document
 }
 
 fn custom(id: &str, arguments: &DefinitionArguments) -> Result<&'static dyn Effect, Failure> {

@@ -82,6 +82,6 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         show_response(found.title(), found.compared.clone(), Some(pathway))?;
     }
     let (json, full) = (arguments.json, arguments.full);
-    output::card(&found, json, full, Vec::new(), || found.card(pathway, full))?;
+    output::document(&found, json, full, &found.document(pathway))?;
     found.check()
 }

@@ -90,17 +90,12 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         endable = Some(signals::endable()?);
     }
     let _endable = endable;
-    let full = arguments.full;
-    let (mut card, above, html) = pages::comparison(&prepared, &comparison, |report| {
-        let above = if full { report.in_full() } else { Vec::new() };
-        let html = arguments.html.as_ref().map(|_| report.html());
-        (report.card(), above, html)
-    })?;
-    if let (Some(path), Some(html)) = (&arguments.html, html) {
-        pages::write(path, &html)?;
-        card.ends_with(path.display().to_string());
+    let mut document = pages::comparison(&prepared, &comparison)?;
+    if let Some(path) = &arguments.html {
+        pages::write(path, &document.html())?;
+        document.ends_with(path.display().to_string());
     }
-    card.go_on(format!(
+    document.go_on(format!(
         "drivebench diagnose {}{}{}",
         output::quoted(&arguments.run),
         model_words(arguments.model.first().map(PathBuf::as_path)),
@@ -110,7 +105,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     value["model"] = from.into();
     value["refitted"] = judged.refitted.into();
     value["undecided"] = comparison.undecided().into();
-    output::card(&value, arguments.json, full, above, || card)?;
+    output::document(&value, arguments.json, arguments.full, &document)?;
     check_fit(&comparison, arguments.min_fit)
 }
 
@@ -129,7 +124,7 @@ fn both(
     let prepared = (arguments.evidence).prepare(&arguments.run, Some(first), judging)?;
     let result = VersusResult::of(&prepared, second, &arguments.run)?;
     drop(shown);
-    output::result(&result, arguments.json, VersusResult::text)
+    output::document(&result, arguments.json, arguments.full, &result.document())
 }
 
 fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failure> {

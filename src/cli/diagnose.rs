@@ -9,8 +9,7 @@ use crate::app::by_hand::{self, Shown};
 use crate::app::evidence::Judging;
 use crate::app::evidence::Place;
 use crate::app::{pages, screen};
-use crate::report::Card;
-use crate::report::card::COLUMNS;
+use crate::report::Document;
 use crate::tui::Opens;
 use crate::workflow::Discovery;
 use drivebench_diagnose::{Diagnosis, DiagnosisVerdict, diagnose_with};
@@ -142,40 +141,26 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(path) = &arguments.next_bench {
         place.write(path, &diagnosis, &after_new_run(arguments))?;
     }
-    let full = arguments.full;
-    let (mut card, above, html) = pages::diagnosis(&prepared, &diagnosis, |report| {
-        let above = if full {
-            report.page().plain(COLUMNS)
-        } else {
-            Vec::new()
-        };
-        let html = arguments.html.as_ref().map(|_| report.html());
-        (report.card(), above, html)
-    })?;
-    card.say("by hand", by_hand.lines(), 1);
+    let mut document = pages::diagnosis(&prepared, &diagnosis)?;
+    if let Some(path) = &arguments.html {
+        pages::write(path, &document.html())?;
+        document.ends_with(path.display().to_string());
+    }
+    document.say("by hand", by_hand.lines(), 1);
     if by_hand.is_empty() {
         let model = written.as_deref().map(Path::new);
         let model = model.or(arguments.model.as_deref());
         let from = written.as_deref().unwrap_or(&prepared.model.from);
-        go_on(&mut card, arguments, (model, from), &diagnosis);
+        go_on(&mut document, arguments, (model, from), &diagnosis);
     } else if let Some(model) = &written {
         let model = output::quoted_word(model);
-        card.go_on(format!("drivebench tune --model {model}"));
+        document.go_on(format!("drivebench tune --model {model}"));
     } else {
         let (run, words) = (output::quoted(&arguments.run), arguments.evidence.words());
-        card.go_on(format!("drivebench diagnose {run}{words} --screen"));
+        document.go_on(format!("drivebench diagnose {run}{words} --screen"));
     }
-    if let (Some(path), Some(html)) = (&arguments.html, html) {
-        pages::write(path, &html)?;
-        card.ends_with(path.display().to_string());
-    }
-    output::card(
-        &prepared.result(&diagnosis),
-        arguments.json,
-        full,
-        above,
-        || card,
-    )
+    let (json, full) = (arguments.json, arguments.full);
+    output::document(&prepared.result(&diagnosis), json, full, &document)
 }
 
 /// The same diagnosis with the run that was recommended, once it is made.
@@ -195,7 +180,7 @@ fn bench_words(arguments: &Arguments) -> String {
 
 /// The commands that go on from here: add what was found, or make the run that would tell more.
 fn go_on(
-    card: &mut Card,
+    document: &mut Document,
     arguments: &Arguments,
     (model, from): (Option<&Path>, &str),
     diagnosis: &Diagnosis,
@@ -206,30 +191,30 @@ fn go_on(
     let curve = diagnosis.axis_map.first();
     let curve = curve.filter(|map| map.is_followed() && Axis::from_key(map.axis).is_some());
     if let Some(effect) = diagnosis.effect {
-        card.go_on(format!("drivebench add {effect}{of} --output model2.toml"));
+        document.go_on(format!("drivebench add {effect}{of} --output model2.toml"));
     } else if let Some(map) = curve {
         let (equation, axis) = (map.equation, map.axis);
         let table = format!("drivebench add table --equation {equation} --axis {axis}");
-        card.go_on(format!("{table}{of} --output model2.toml"));
+        document.go_on(format!("{table}{of} --output model2.toml"));
     }
     let next = diagnosis.next_experiment.as_ref();
     if next.is_some_and(|next| next.recipe.is_some()) {
         if let Some(path) = &arguments.next_bench {
-            card.go_on(format!("drivebench run {}", output::quoted(path)));
-            card.go_on(after_new_run(arguments));
+            document.go_on(format!("drivebench run {}", output::quoted(path)));
+            document.go_on(after_new_run(arguments));
         } else if diagnosis.effect.is_none() {
             let (words, bench) = (arguments.evidence.words(), bench_words(arguments));
-            card.go_on(format!(
+            document.go_on(format!(
                 "drivebench diagnose {run}{model}{words}{bench} --next-bench next.toml"
             ));
         }
     }
     if diagnosis.verdict == DiagnosisVerdict::NotFitted {
         let map = arguments.evidence.map_words();
-        card.go_on(format!("drivebench identify {run}{map} --full"));
+        document.go_on(format!("drivebench identify {run}{map} --full"));
     }
     if diagnosis.effect.is_none() && diagnosis.verdict == DiagnosisVerdict::None {
-        card.go_on(if from == "baseline" {
+        document.go_on(if from == "baseline" {
             format!(
                 "drivebench identify {run}{} --output model.toml",
                 arguments.evidence.map_words()

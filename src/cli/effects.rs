@@ -4,7 +4,7 @@ use serde_json::Value;
 
 use super::failure::Failure;
 use super::output;
-use crate::app::catalogue::{card_json, card_text, chosen, list_text};
+use crate::app::catalogue::{card_document, card_json, chosen, list_text};
 
 /// List the physical effects the program can name, or show one effect's card
 #[derive(clap::Args)]
@@ -20,11 +20,8 @@ pub(super) struct Arguments {
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let chosen = chosen(arguments.id.as_deref())?;
     let value: Value = chosen.iter().map(|entry| card_json(*entry)).collect();
-    output::result(&value, arguments.json, |_| {
-        if arguments.id.is_some() {
-            card_text(chosen[0])
-        } else {
-            list_text(&chosen)
-        }
-    })
+    if arguments.id.is_some() {
+        return output::document(&value, arguments.json, true, &card_document(chosen[0]));
+    }
+    output::result(&value, arguments.json, |_| list_text(&chosen))
 }

@@ -157,26 +157,17 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         answer.nameplate = Some(nameplate::compare(&plate(path)?, &answer.parameters()));
     }
     drop(shown);
-    let full = arguments.full;
-    let above = if full {
-        cards::identify_in_full(&answer)
-    } else {
-        Vec::new()
-    };
     let run = output::quoted(&arguments.runs[0]);
-    let card = || {
-        let mut card = cards::identify(&answer, &schemes(&answer));
-        let model = arguments.output.as_deref().or(arguments.model.as_deref());
-        let model = model.map_or_else(String::new, |path| {
-            format!(" --model {}", output::quoted(path))
-        });
-        card.go_on(format!(
-            "drivebench diagnose {run}{model}{}",
-            arguments.map.words()
-        ));
-        card
-    };
-    output::card(&json_of(&answer), arguments.json, full, above, card)?;
+    let mut document = cards::identify(&answer, &schemes(&answer));
+    let model = arguments.output.as_deref().or(arguments.model.as_deref());
+    let model = model.map_or_else(String::new, |path| {
+        format!(" --model {}", output::quoted(path))
+    });
+    document.go_on(format!(
+        "drivebench diagnose {run}{model}{}",
+        arguments.map.words()
+    ));
+    output::document(&json_of(&answer), arguments.json, arguments.full, &document)?;
     if let Some(path) = &arguments.output {
         answer.write(path, file)?;
     }

@@ -40,7 +40,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let (page, pictures) = (arguments.output.as_deref(), arguments.svg.as_deref());
     let done = report(&arguments.run, load, page, pictures)?;
     if arguments.markdown {
-        return output::unfolded(&done, arguments.json, |done| done.text(true));
+        return output::unfolded(&done, arguments.json, |done| done.markdown.clone());
     }
-    output::result(&done, arguments.json, |done| done.text(false))
+    output::document(&done, arguments.json, true, &done.document())
 }

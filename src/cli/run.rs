@@ -13,8 +13,8 @@ use crate::app::{
     Audience, Connection, Rig, RigOptions, RunDone, SpeedRequest, by_hand, cards, commission,
     conduct, connect, escalation_failure, run, run_result, speed, speed_result,
 };
-use crate::report::Card;
-use crate::workflow::{Called, EscalationResult, Progress, ProgressCell, StepState};
+use crate::report::{Document, tables};
+use crate::workflow::{Called, Progress, ProgressCell, StepState};
 use drivebench_bench::{ControllerKind, ForwardUse};
 use drivebench_control::Actuator;
 
@@ -54,22 +54,20 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let left = done.left;
     match &done.work {
         RunDone::Named(escalation) => {
-            output::result(escalation.as_ref(), json, EscalationResult::text)?;
+            let mut document = Document::new("", "");
+            escalation.put("motor", &mut document);
+            tables::plate(&mut document, escalation.nameplate.as_ref());
+            output::document(escalation.as_ref(), json, true, &document)?;
             left.conclude(escalation_failure(escalation))
         }
         RunDone::Run(whole) => {
             let result = run_result(whole);
             let plate = result.nameplate.as_ref();
-            let mut above = Vec::new();
-            if live.full {
-                above = cards::run_in_full(whole, plate);
-            }
             let seen = by_hand::go_on(&left, whole.recorded.folder.path());
             // However it was left: the result of the run is there all the same.
             let written = seen.as_ref().ok().cloned().flatten();
-            output::card(&result, json, live.full, above, || {
-                with_model(cards::run(whole, plate), written)
-            })?;
+            let document = with_model(cards::run(whole, plate), written);
+            output::document(&result, json, live.full, &document)?;
             // A trip or a lost drive is said before anything that became of the look at its record.
             left.conclude(whole.recorded.failure()).and(seen.map(drop))
         }
@@ -90,12 +88,12 @@ fn check(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// With the command that goes on from a model that was written by hand.
-fn with_model(mut card: Card, model: Option<String>) -> Card {
+fn with_model(mut document: Document, model: Option<String>) -> Document {
     if let Some(model) = model {
         let model = output::quoted_word(&model);
-        card.go_on(format!("drivebench tune --model {model}"));
+        document.go_on(format!("drivebench tune --model {model}"));
     }
-    card
+    document
 }
 
 /// The whole loop: check, plan, excite, identify, compare, name the missing effect, add it, report
@@ -134,9 +132,8 @@ pub(super) fn execute_commission(arguments: CommissionArguments) -> Result<(), F
     let followed = guided::follow(done.work, done.left, &options, &source);
     // However it was left: the result of the loop is there all the same.
     let mut done = followed.done;
-    done.card.say("then", followed.said, 4);
-    let above = if live.full { done.full } else { Vec::new() };
-    output::card(&done.result, live.json, live.full, above, || done.card)?;
+    done.document.say("then", followed.said, 4);
+    output::document(&done.result, live.json, live.full, &done.document)?;
     followed.outcome
 }
 
@@ -245,15 +242,10 @@ pub(super) fn execute_speed(arguments: SpeedArguments) -> Result<(), Failure> {
         speed(request, Box::new(Rig::open), strings)
     })?;
     let (result, recorded) = (speed_result(&done.work), &done.work.recorded);
-    let mut above = Vec::new();
-    if full {
-        above = cards::speed_in_full(&result);
-    }
     let seen = by_hand::go_on(&done.left, recorded.folder.path());
     let written = seen.as_ref().ok().cloned().flatten();
-    output::card(&result, json, full, above, || {
-        with_model(cards::speed(&result, recorded, &words), written)
-    })?;
+    let document = with_model(cards::speed(&result, recorded, &words), written);
+    output::document(&result, json, full, &document)?;
     done.left
         .conclude(done.work.recorded.failure())
         .and(seen.map(drop))

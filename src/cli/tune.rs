@@ -75,9 +75,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     };
     let result = TuneResult::of(&file, &timing, &request)?;
     let (json, full) = (arguments.json, arguments.full);
-    output::card(&result, json, full, Vec::new(), || {
-        result.card(&arguments.model)
-    })
+    output::document(&result, json, full, &result.document(&arguments.model))
 }
 
 fn timing(arguments: &Arguments) -> Result<LoopTiming, Failure> {

@@ -1,15 +1,11 @@
 //! The report of a commission: what was missing, how the error fell, what the motor is, where the model still fails.
 
-use super::card::Card;
-use super::page::{Page, Table, Tone};
-use super::plot::bars;
 use super::traces::{ConfirmRun, model_names, traces};
-use super::{Context, Target, comparison, findings, tables};
+use super::{Bars, Context, Document, Table, Target, Tone, comparison, findings, tables};
 use drivebench_diagnose::{Answer, Comparison, Diagnosis, EffectCurve, HoldoutFrom, Rung};
 use drivebench_identify::noise::FloorSource;
 use drivebench_model::plant::Model;
 use drivebench_model::sample::ParameterEstimate;
-use drivebench_model::text::lines::capitalised;
 use drivebench_model::text::number::{fixed, percent};
 
 /// Parameters that a card shows whatever the room: those of the motor, and of an effect or two.
@@ -35,7 +31,7 @@ pub struct CommissionReport<'a> {
     pub ladder: &'a [Rung],
     /// Errors before and after on the run that neither fitted nor selected: the headline.
     pub confirm: Option<&'a [Rung; 2]>,
-    pub series: Option<ConfirmRun<'a>>,
+    pub series: Option<&'a ConfirmRun>,
     /// The curve of each effect that was found; without one, that of the error.
     pub curves: &'a [EffectCurve],
     /// What the emulator really had, as sentences. Left out for hardware whatever is given.
@@ -43,49 +39,43 @@ pub struct CommissionReport<'a> {
 }
 
 impl CommissionReport<'_> {
-    /// `report.html`.
-    pub fn html(&self) -> String {
-        self.page().html()
-    }
-
-    /// The same for a terminal, the verdict first.
-    pub fn text(&self) -> String {
-        self.page().text()
-    }
-
-    /// The page itself, for callers that have more to add.
-    pub fn page(&self) -> Page {
-        let mut page = Page::new(self.title, self.subtitle());
-        tables::about(&mut page, self.context);
-        let answer = self.diagnosis.answer();
-        let sentence = capitalised(&self.diagnosis.sentence);
-        page.lead(tone(answer), answer.name(), self.headline(&sentence));
-        let limits = self.diagnosis.limits.iter();
-        page.list(limits.map(|limit| capitalised(limit)).collect());
-        tables::data_notes(&mut page, self.context);
-        self.ladder_section(&mut page);
+    pub fn document(&self) -> Document {
+        let mut document = Document::new(self.title, self.subtitle());
+        let found = self.diagnosis;
+        tables::about(&mut document, self.context);
+        let answer = found.answer();
+        document.lead(tone(answer), answer.name(), self.headline());
+        let limits = found.limits.iter().map(String::as_str);
+        document.say("note", limits.chain(found.equivalences.iter().copied()), 1);
+        tables::data_notes(&mut document, self.context);
+        self.ladder_section(&mut document);
         // Where nothing was added there is one model, not a model before and after.
         let (before, after) = if self.after.is_some() {
             (self.parameters_before, self.parameters_after)
         } else {
             (&[][..], self.parameters_before)
         };
-        tables::parameter_section(&mut page, self.nameplate, before, after);
-        findings::effects(&mut page, self.diagnosis, self.curves);
-        self.comparison_section(&mut page);
-        comparison::places(&mut page, &self.comparisons());
-        findings::curves(&mut page, self.diagnosis);
-        findings::candidates(&mut page, self.diagnosis);
-        findings::next_run(&mut page, self.diagnosis);
-        if self.context.target == Target::Emulator && !self.truth.is_empty() {
-            page.section("Truth of the emulator");
-            page.paragraph(
-                "Known only because the drive is software. The diagnosis did not see it.",
-            );
-            page.list(self.truth.to_vec());
+        let (nameplate, most) = (self.nameplate, MOST_PARAMETERS);
+        tables::parameter_section(&mut document, "motor", nameplate, before, after, most);
+        findings::effects(&mut document, found, self.curves);
+        findings::others(&mut document, found);
+        document.section("Model beside measurement");
+        if let Some(run) = self.series {
+            traces(&mut document, run);
         }
-        tables::conditions(&mut page, self.context);
-        page
+        comparison::figures(&mut document, &self.comparisons(), self.heads());
+        comparison::places(&mut document, &self.comparisons());
+        findings::curves(&mut document, found);
+        findings::candidates(&mut document, found);
+        document.section("Next run");
+        findings::next_run(&mut document, found.next_experiment.as_ref());
+        if self.context.target == Target::Emulator {
+            document.section("Truth of the emulator");
+            let truth = self.truth.iter().map(String::as_str);
+            document.say("truth", truth, 1);
+        }
+        tables::conditions(&mut document, self.context);
+        document
     }
 
     fn subtitle(&self) -> String {
@@ -100,34 +90,6 @@ impl CommissionReport<'_> {
         }
     }
 
-    /// A few lines of it for a terminal; what goes on from here is for the command to say.
-    pub fn card(&self) -> Card {
-        let (found, answer) = (self.diagnosis, self.diagnosis.answer());
-        let headline = self.headline(found.after_name());
-        let mut card = Card::new(tone(answer), answer.name(), &headline);
-        let ladder = self.ladder.iter().enumerate().map(|(place, rung)| {
-            let error = rung.holdout_rmse;
-            (self.step_name(place, rung), error, fixed(error, 2))
-        });
-        let unit = format!("held-out error, in units of {}", self.unit_of_error());
-        card.bars("ladder", ladder.collect(), &unit);
-        let (before, after) = if self.after.is_some() {
-            (self.parameters_before, self.parameters_after)
-        } else {
-            (&[][..], self.parameters_before)
-        };
-        let parameters = tables::of_card(self.nameplate, before, after);
-        card.table("motor", parameters, tables::SPARE, MOST_PARAMETERS);
-        comparison::on_card(&mut card, &self.comparisons(), self.heads());
-        findings::on_card(&mut card, found);
-        if self.context.target == Target::Emulator {
-            card.say("truth", self.truth.iter().map(String::as_str), 1);
-        }
-        let next = found.next_experiment.as_ref();
-        card.say("next run", next.map(|next| next.sentence.as_str()), 1);
-        card
-    }
-
     /// What a rung adds to the one above it.
     fn step_name(&self, place: usize, rung: &Rung) -> String {
         let above = place
@@ -140,7 +102,8 @@ impl CommissionReport<'_> {
         added.map_or_else(|| rung_name(rung), |effect| format!("+ {effect}"))
     }
 
-    fn headline(&self, sentence: &str) -> String {
+    fn headline(&self) -> String {
+        let sentence = self.diagnosis.after_name();
         let Some([before, after]) = self.confirm else {
             return format!("{sentence}.");
         };
@@ -174,8 +137,8 @@ impl CommissionReport<'_> {
         self.diagnosis.noise_floor_from.unit()
     }
 
-    fn ladder_section(&self, page: &mut Page) {
-        page.section("Ladder of models");
+    fn ladder_section(&self, document: &mut Document) {
+        document.section("Ladder of models");
         let source = match self.diagnosis.noise_floor_from {
             FloorSource::Standstill => "The noise floor is what the sensors show at rest.",
             FloorSource::Repeat => {
@@ -189,26 +152,27 @@ impl CommissionReport<'_> {
             HoldoutFrom::Run => "a run that the fit has not seen",
             HoldoutFrom::Split => "the last part of the run, which the fit has not seen",
         };
-        page.paragraph(format!(
+        document.paragraph(format!(
             "Error of the free run on {from}, in units of {}. {source}",
             self.unit_of_error()
         ));
         let floor_known = self.diagnosis.noise_floor_from != FloorSource::None;
-        let ladder = self.ladder.iter();
-        let ladder: Vec<_> = ladder
-            .map(|rung| (rung_name(rung), rung.holdout_rmse))
-            .collect();
-        page.figure(
-            bars(
-                "held-out error of each model of the ladder",
-                &format!("held-out error, in units of {}", self.unit_of_error()),
-                &ladder,
-                floor_known.then_some(("noise floor", 1.0)),
-            ),
-            if floor_known {
-                "A perfect model of a record without holes ends at the noise floor."
-            } else {
-                "Where a perfect model would end is not known."
+        let ladder = self.ladder.iter().enumerate().map(|(place, rung)| {
+            let error = rung.holdout_rmse;
+            (self.step_name(place, rung), error, fixed(error, 2))
+        });
+        let caption = if floor_known {
+            "A perfect model of a record without holes ends at the noise floor."
+        } else {
+            "Where a perfect model would end is not known."
+        };
+        let unit = format!("held-out error, in units of {}", self.unit_of_error());
+        document.bars(
+            "ladder",
+            Bars {
+                goal: floor_known.then_some(("noise floor", 1.0)),
+                caption: caption.to_owned(),
+                ..Bars::new(ladder.collect(), unit)
             },
         );
         let change = |rung: usize| {
@@ -218,7 +182,7 @@ impl CommissionReport<'_> {
             );
             percent(100.0 * (errors.0 / errors.1 - 1.0))
         };
-        page.table(
+        document.table(
             Table::of(self.ladder.iter().enumerate())
                 .column("rung", |(rung, _)| rung.to_string())
                 .column("model", |(_, model)| rung_name(model))
@@ -228,14 +192,6 @@ impl CommissionReport<'_> {
                     rung => change(*rung),
                 }),
         );
-    }
-
-    fn comparison_section(&self, page: &mut Page) {
-        page.section("Model beside measurement");
-        if let Some(run) = self.series {
-            traces(page, run);
-        }
-        comparison::figures(page, &self.comparisons(), self.heads());
     }
 }
 

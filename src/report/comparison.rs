@@ -1,11 +1,9 @@
 //! A model beside a measurement: the page of `compare`, and its blocks, which the page of a commission has too: figures of
 //! each signal, residual lights, balances, and the places where the model fails.
 
-use super::card::{COLUMNS, Card};
-use super::page::{Cell, Page, Table, Tone};
 use super::plot::MapChart;
 use super::traces::{ConfirmRun, traces};
-use super::{Context, findings, tables};
+use super::{Bars, Cell, Context, Document, Table, Tone, findings, tables};
 use drivebench_diagnose::{
     AddResult, Comparison, EffectCurve, FailureLocation, HoldoutFrom, MapCell, MapDigits,
     SignalComparison, SignalScore, Signals,
@@ -33,16 +31,12 @@ pub struct ComparisonReport<'a> {
     /// Of the model that is compared; may be empty.
     pub parameters: &'a [ParameterEstimate],
     /// The model's free run over what is held out, where there is a voltage.
-    pub series: Option<ConfirmRun<'a>>,
+    pub series: Option<&'a ConfirmRun>,
     /// What the worse equation lacks along its axis.
     pub curve: Option<&'a EffectCurve>,
 }
 
 impl ComparisonReport<'_> {
-    pub fn html(&self) -> String {
-        self.page().html()
-    }
-
     /// How good the model is, in a sentence.
     fn verdict(&self) -> (Tone, &'static str, String) {
         let found = self.comparison;
@@ -79,53 +73,50 @@ impl ComparisonReport<'_> {
         (tone, word, sentence)
     }
 
-    /// A few lines of it for a terminal; what goes on from here is for the command to say.
-    pub fn card(&self) -> Card {
-        let (tone, word, sentence) = self.verdict();
-        let mut card = Card::new(tone, word, &sentence);
-        card.say("model", [self.model], 1);
-        on_card(&mut card, &[("model", Some(self.comparison))], HELD_OUT);
-        let (_, places) = self.comparison.where_it_fails();
-        let places = places.iter().take(MOST_PLACES);
-        card.say("", places.map(|place| place.sentence.as_str()), 0);
-        let balances = self.comparison.balances.iter();
-        card.say("balance", balances.map(|own| own.sentence.as_str()), 1);
-        let notes = self.context.notes.iter().chain(&self.comparison.limits);
-        card.say("note", notes.map(String::as_str), 1);
-        card
-    }
-
-    /// The page for a terminal, and the map of the worse equation in digits.
-    pub fn in_full(&self) -> Vec<String> {
-        let mut rows = self.page().plain(COLUMNS);
-        rows.extend(map_in_digits(self.comparison));
-        rows
-    }
-
-    pub fn page(&self) -> Page {
-        let found = self.comparison;
-        let mut page = Page::new(self.title, "Comparison of a model with a run");
-        tables::about(&mut page, self.context);
-        let (tone, word, sentence) = self.verdict();
-        page.lead(tone, word, sentence);
-        tables::data_notes(&mut page, self.context);
-        let models = [("model", Some(found))];
-        page.section("Model beside measurement");
+    pub fn document(&self) -> Document {
+        let mut document = Document::new(self.title, "Comparison of a model with a run");
+        tables::about(&mut document, self.context);
+        let (tone, verdict, sentence) = self.verdict();
+        document.lead(tone, verdict, sentence);
+        document.say("model", [self.model], 1);
+        tables::data_notes(&mut document, self.context);
+        let models = [("model", Some(self.comparison))];
+        document.section("Model beside measurement");
         if let Some(run) = self.series {
-            traces(&mut page, run);
+            traces(&mut document, run);
         }
-        figures(&mut page, &models, HELD_OUT);
+        figures(&mut document, &models, HELD_OUT);
+        document.section("What the equations lack");
         if let Some(curve) = self.curve {
-            page.section("What the equations lack");
-            findings::effect_curve(&mut page, curve);
+            findings::effect_curve(&mut document, curve);
         }
-        places(&mut page, &models);
-        if !self.parameters.is_empty() {
-            tables::parameter_section(&mut page, None, &[], self.parameters);
-        }
-        tables::conditions(&mut page, self.context);
-        page
+        places(&mut document, &models);
+        let parameters = self.parameters;
+        tables::parameter_section(&mut document, "motor", None, &[], parameters, 0);
+        tables::conditions(&mut document, self.context);
+        document
     }
+}
+
+/// A comparison alone, for a screen: errors, what is left in the residual, where the model fails.
+pub fn comparison_document(comparison: &Comparison) -> Document {
+    let mut document = Document::new("", "");
+    let models = [("model", Some(comparison))];
+    figures(&mut document, &models, HELD_OUT);
+    places(&mut document, &models);
+    document
+}
+
+/// The held-out error of each signal before and after a change.
+pub fn error_changes(result: &AddResult) -> String {
+    let [before, after] =
+        [&result.before, &result.after].map(|own| SignalFigures::all(&own.signals));
+    let changes = before.iter().filter_map(|old| {
+        let new = after.iter().find(|new| new.signal == old.signal)?;
+        let [old_rmse, new_rmse] = [old, new].map(|own| significant(own.holdout.rmse, 3));
+        Some(format!("{old_rmse} -> {new_rmse} {}", old.unit))
+    });
+    changes.collect::<Vec<_>>().join(", ")
 }
 
 /// A comparison with what its model is called.
@@ -192,57 +183,43 @@ impl SignalFigures {
 }
 
 /// What adding or removing an effect did: before and after; what goes on from here is for the command to say.
-pub fn change_card(result: &AddResult) -> Card {
-    let (tone, word) = match (result.forced, result.accepted) {
+pub fn change_document(result: &AddResult) -> Document {
+    let (tone, verdict) = match (result.forced, result.accepted) {
         (true, _) => (Tone::Attention, "Forced"),
         (false, true) => (Tone::Good, "Accepted"),
         (false, false) => (Tone::Attention, "Refused"),
     };
     // Of an effect that was taken out, or taken in by force, neither size nor cause is told as if it were there.
     let is_found = result.accepted && !result.forced && result.fit.model.has(result.effect);
-    let mut card = Card::new(tone, word, &result.reason);
-    let ladder = result
-        .ladder
-        .iter()
-        .zip(["before", "after"])
-        .map(|(rung, name)| {
-            let error = rung.holdout_rmse;
-            (name.to_owned(), error, fixed(error, 2))
-        });
+    let mut document = Document::of(tone, verdict, &result.reason);
+    let ladder = result.ladder.iter().zip(["before", "after"]);
+    let ladder = ladder.map(|(rung, name)| {
+        let error = rung.holdout_rmse;
+        (name.to_owned(), error, fixed(error, 2))
+    });
     let unit = result.before.noise_floor_from.unit();
-    card.bars(
+    document.bars(
         "ladder",
-        ladder.collect(),
-        &format!("held-out error, in units of {unit}"),
+        Bars::new(
+            ladder.collect(),
+            format!("held-out error, in units of {unit}"),
+        ),
     );
     if let Some([before, after]) = &result.confirm {
         let (before, after) = (before.holdout_rmse, after.holdout_rmse);
         let times = result.before.noise_floor_from.times();
-        card.say("confirm", [format!("{before:.2} -> {after:.2} {times}")], 1);
+        document.say("confirm", [format!("{before:.2} -> {after:.2} {times}")], 1);
     }
     if !result.accepted || result.fit.model.has(result.effect) {
-        card.table(
-            "size",
-            tables::of_card(None, &[], &result.parameters),
-            &[],
-            2,
-        );
+        tables::parameter_section(&mut document, "size", None, &[], &result.parameters, 2);
     }
-    on_card(&mut card, &change(result), HELD_OUT);
+    figures(&mut document, &change(result), HELD_OUT);
+    places(&mut document, &change(result));
     if let Some(effect) = effect::find(result.effect).filter(|_| is_found) {
-        card.say("cause", [effect.card().causes], 1);
-        card.say("remedy", [effect.card().remedy], 1);
+        document.say("cause", [effect.card().causes], 1);
+        document.say("remedy", [effect.card().remedy], 1);
     }
-    card.say("note", result.after.limits.iter().map(String::as_str), 0);
-    card
-}
-
-/// Both comparisons for a terminal.
-pub fn change_in_full(result: &AddResult) -> Vec<String> {
-    let mut page = Page::new("", "");
-    figures(&mut page, &change(result), HELD_OUT);
-    places(&mut page, &change(result));
-    page.plain(COLUMNS)
+    document
 }
 
 fn change(result: &AddResult) -> [Named<'_>; 2] {
@@ -252,55 +229,25 @@ fn change(result: &AddResult) -> [Named<'_>; 2] {
     ]
 }
 
-/// The run that errors are of, in heads of columns: error, fit and, on a page, root mean square.
-pub(super) type Heads = [&'static str; 3];
-pub(super) const HELD_OUT: Heads = ["held-out error", "held-out fit", "held-out rms error"];
-pub(super) const CONFIRMING: Heads = ["confirming error", "confirming fit", "confirming rms error"];
-
-/// Error of every signal under each model beside the noise, and what is left in the residual of each.
-pub(super) fn on_card(
-    card: &mut Card,
-    comparisons: &[Named<'_>],
-    [error_head, fit_head, _]: Heads,
-) {
-    let known = comparisons.iter();
-    let known: Vec<_> = known
-        .filter_map(|(label, own)| Some((*label, (*own)?)))
-        .collect();
-    let (Some((_, first)), Some((_, last))) = (known.first(), known.last()) else {
-        return;
-    };
-    let error = |own: &SignalFigures| {
-        let times = own.times_noise().map(|times| format!(" = {times} x noise"));
-        let (rmse, unit) = (significant(own.holdout.rmse, 3), own.unit);
-        format!("{rmse} {unit}{}", times.unwrap_or_default())
-    };
-    let [old, new] = [first, last].map(|own| SignalFigures::all(&own.signals));
-    let mut table = Table::of(&new).column("signal", |own| own.name.clone());
-    if known.len() > 1 {
-        let before =
-            |own: &&SignalFigures| old.iter().find(|old| old.signal == own.signal).map(error);
-        table = table.column("error before", move |own| before(own).unwrap_or_default());
-    }
-    let head = if known.len() > 1 { "after" } else { error_head };
-    let table = table
-        .column(head, |own| error(own))
-        .column(fit_head, |own| fit(own.holdout.fit_percent));
-    card.table("residual", table, &[HELD_OUT[1], CONFIRMING[1]], 3);
-    let left = known.iter().map(|(label, own)| {
-        let sentence = own.residual.sentence();
-        match label.strip_prefix("model ") {
-            Some(when) => format!("{when}: {sentence}"),
-            None => sentence,
-        }
-    });
-    card.say("", left.collect::<Vec<_>>(), 2);
-    card.say("", last.residual.details(), 0);
-    card.say("where", [last.where_it_fails().0], 1);
-}
+/// The run that errors are of, in heads of columns: fit, root mean square.
+pub(super) type Heads = [&'static str; 2];
+pub(super) const HELD_OUT: Heads = ["held-out fit", "held-out rms error"];
+pub(super) const CONFIRMING: Heads = ["confirming fit", "confirming rms error"];
 
 /// Fit and error of every signal, what is left in the residual, and its lights.
-pub(super) fn figures(page: &mut Page, comparisons: &[Named<'_>], [_, fit_head, rms_head]: Heads) {
+pub(super) fn figures(
+    document: &mut Document,
+    comparisons: &[Named<'_>],
+    [fit_head, rms_head]: Heads,
+) {
+    const SPARE: &[&str] = &[
+        "one-step rms error",
+        "training rms error",
+        "training fit",
+        "noise floor",
+        HELD_OUT[0],
+        CONFIRMING[0],
+    ];
     let known = comparisons.iter();
     let known: Vec<_> = known
         .filter_map(|(label, own)| Some((*label, (*own)?)))
@@ -316,22 +263,25 @@ pub(super) fn figures(page: &mut Page, comparisons: &[Named<'_>], [_, fit_head, 
     let or = |value: Option<f64>, row: &SignalFigures, word: &str| {
         value.map_or_else(|| Cell::text(word), |value| row.cell(value))
     };
-    page.table(
-        Table::of(rows)
-            .column("signal", |(_, row)| row.name.clone())
-            .column("model", |(label, _)| *label)
-            .column(fit_head, |(_, row)| fit(row.holdout.fit_percent))
-            .column(rms_head, |(_, row)| row.cell(row.holdout.rmse))
-            .column("noise floor", |(_, row)| {
-                or(row.noise_floor, row, "not known")
-            })
-            .column("training fit", |(_, row)| fit(row.fit_percent))
-            .column("training rms error", |(_, row)| row.cell(row.rmse))
-            .column("one-step rms error", |(_, row)| {
-                or(row.one_step_rmse, row, "-")
-            }),
-    );
-    let residual = |(label, comparison): &(&str, &Comparison)| {
+    let count = rows.len();
+    let table = Table::of(rows)
+        .column("signal", |(_, row)| row.name.clone())
+        .column("model", |(label, _)| *label)
+        .column(fit_head, |(_, row)| fit(row.holdout.fit_percent))
+        .column(rms_head, |(_, row)| row.cell(row.holdout.rmse))
+        .column("x noise", |(_, row)| {
+            row.times_noise().unwrap_or_else(|| "-".to_owned())
+        })
+        .column("noise floor", |(_, row)| {
+            or(row.noise_floor, row, "not known")
+        })
+        .column("training fit", |(_, row)| fit(row.fit_percent))
+        .column("training rms error", |(_, row)| row.cell(row.rmse))
+        .column("one-step rms error", |(_, row)| {
+            or(row.one_step_rmse, row, "-")
+        });
+    document.table_on_card("errors", table, SPARE, count);
+    for (label, comparison) in &known {
         let residual = &comparison.residual;
         let sentence = residual.sentence();
         let chance = if residual.enough_samples && residual.white {
@@ -342,14 +292,15 @@ pub(super) fn figures(page: &mut Page, comparisons: &[Named<'_>], [_, fit_head, 
         } else {
             String::new()
         };
-        format!("Residual of the {label}: {sentence}{chance}.")
-    };
-    page.list(known.iter().map(residual).collect());
-    lights(page, &known);
+        document.say("residual", [format!("{label}: {sentence}{chance}")], 1);
+    }
+    let last = known.last().into_iter();
+    document.say("", last.flat_map(|(_, last)| last.residual.details()), 0);
+    lights(document, &known);
 }
 
 /// The residual lights of each model, in multiples of their 99 % band.
-fn lights(page: &mut Page, models: &[(&'static str, &Comparison)]) {
+fn lights(document: &mut Document, models: &[(&'static str, &Comparison)]) {
     let of_model = |(label, own): &(&'static str, &Comparison)| {
         let label = *label;
         let signals = own.residual.named();
@@ -361,7 +312,7 @@ fn lights(page: &mut Page, models: &[(&'static str, &Comparison)]) {
     if rows.is_empty() {
         return;
     }
-    page.paragraph(
+    document.paragraph(
         "Residual lights, lags 0 to 25: the largest correlation over its 99 % band. A right model stays near 1; a wrong one \
          shows 18 to 42 in the first column.",
     );
@@ -385,30 +336,42 @@ fn lights(page: &mut Page, models: &[(&'static str, &Comparison)]) {
                 format!("{} {word}", significant(light.largest_over_band, 2))
             })
         });
-    page.table(table.column("Ljung-Box (of 99 % limit)", |(_, _, lights)| {
+    document.table(table.column("Ljung-Box (of 99 % limit)", |(_, _, lights)| {
         let (found, limit) = (lights.ljung_box, lights.ljung_box_limit);
         format!("{} of {}", significant(found, 3), significant(limit, 3))
     }));
 }
 
-/// Where each model fails: sentences, balances, the map.
-pub(super) fn places(page: &mut Page, comparisons: &[Named<'_>]) {
-    page.section("Where the model fails");
-    for (label, comparison) in comparisons {
-        let Some(comparison) = comparison else {
-            continue;
+/// Where each model fails: sentences, balances, the map; those of the last model are on the card.
+pub(super) fn places(document: &mut Document, comparisons: &[Named<'_>]) {
+    document.section("Where the model fails");
+    let known = comparisons.iter();
+    let known = known.filter_map(|(label, own)| Some((*label, (*own)?)));
+    let mut known = known.peekable();
+    while let Some((label, comparison)) = known.next() {
+        let is_last = known.peek().is_none();
+        let mut say = |label: &str, sentences: Vec<String>, least| {
+            if is_last {
+                document.say(label, sentences, least);
+            } else {
+                document.labelled(label, sentences);
+            }
         };
-        let label = capitalised(label);
         let (sentence, places) = comparison.where_it_fails();
         let mut first = comparison.locations.first().into_iter();
         let first = first.find(|place| place.sentence == sentence);
         let along = first.and_then(along_r_min).unwrap_or_default();
-        page.paragraph(format!("{label}: {sentence}{along}."));
-        page.list(places.iter().take(MOST_PLACES).map(place).collect());
-        balances(page, comparison);
-        map(page, comparison);
-        let limits = comparison.limits.iter();
-        page.list(limits.map(|limit| capitalised(limit)).collect());
+        say("where", vec![format!("{label}: {sentence}{along}")], 1);
+        say("", places.iter().take(MOST_PLACES).map(place).collect(), 0);
+        let balances = comparison.balances.iter();
+        say(
+            "balance",
+            balances.map(|own| own.sentence.clone()).collect(),
+            1,
+        );
+        say("note", comparison.limits.clone(), 1);
+        self::balances(document, comparison);
+        map(document, comparison);
     }
 }
 
@@ -426,16 +389,14 @@ fn along_r_min(location: &FailureLocation) -> Option<String> {
 }
 
 /// What each equation lacks, with its share of the error.
-fn balances(page: &mut Page, comparison: &Comparison) {
+fn balances(document: &mut Document, comparison: &Comparison) {
     let known = |value: Option<f64>| {
         value.map_or_else(|| "not known".to_owned(), |value| significant(value, 3))
     };
     let part = |part: Option<f64>| part.map_or_else(|| "-".to_owned(), share);
-    page.table(
+    document.table(
         Table::of(&comparison.balances)
-            .column("equation", |own| {
-                Cell::text(own.equation).with_note(capitalised(&own.sentence))
-            })
+            .column("equation", |own| own.equation)
             .column("what it lacks, rms", |own| {
                 format!("{} {}", significant(own.rms, 3), own.unit)
             })
@@ -476,7 +437,7 @@ fn map_in_digits(comparison: &Comparison) -> Vec<String> {
 }
 
 /// The map of the equation that fails worse; nothing where none fails.
-fn map(page: &mut Page, comparison: &Comparison) {
+fn map(document: &mut Document, comparison: &Comparison) {
     let Some((map, worst)) = comparison.map.as_ref().zip(comparison.failing()) else {
         return;
     };
@@ -487,12 +448,13 @@ fn map(page: &mut Page, comparison: &Comparison) {
         values: map.cells(worst.equation),
         counts: &map.count,
     };
-    page.figure(
+    document.figure_with_text(
         chart.svg("error of the model over speed and current"),
         format!(
             "Root mean square of what the {} equation lacks, over speed and current, on the held-out run. Where there is no \
              cell the run never was.",
             worst.equation
         ),
+        map_in_digits(comparison),
     );
 }

@@ -1,12 +1,11 @@
-//! Findings of a diagnosis as blocks of a page: cards, curves, candidates, the next run.
+//! Findings of a diagnosis as blocks of a document: cards of effects, curves, candidates, the next run.
 
-use super::card::Card;
-use super::page::{Cell, Page, Table};
-use super::plot::{AxisChart, PointSet, Style};
+use super::plot::{AxisChart, AxisPanel, Drawn, Place, PointSet, Style};
+use super::{Cell, Document, Table};
 use drivebench_diagnose::{
-    AxisMap, Candidate, CurvePoint, Diagnosis, EffectCurve, Reached, Status,
+    AxisMap, Candidate, CurvePoint, Diagnosis, EffectCurve, NextExperiment, Reached, Status,
 };
-use drivebench_model::plant::effect;
+use drivebench_model::plant::{Effect, effect};
 use drivebench_model::sample::{ParameterEstimate, TWO_SIDED_95};
 use drivebench_model::text::lines::capitalised;
 use drivebench_model::text::number::{fixed, probability, share, significant};
@@ -14,65 +13,82 @@ use drivebench_model::text::number::{fixed, probability, share, significant};
 /// Pictures of curves that an error follows, at most.
 const MOST_CURVES: usize = 3;
 
-/// Card and curve of each effect that was named, and what it cannot be told from; where none was, the curve of the error.
-pub(super) fn effects(page: &mut Page, diagnosis: &Diagnosis, curves: &[EffectCurve]) {
+/// Card and curve of each effect that was named; where none was, the curve of the error.
+pub(super) fn effects(document: &mut Document, diagnosis: &Diagnosis, curves: &[EffectCurve]) {
     let named = diagnosis.effects.iter();
     let named: Vec<_> = named.filter_map(|id| effect::find(id)).collect();
     if named.is_empty() {
-        if let Some(curve) = curves.first() {
-            page.section("What the equations lack");
-            effect_curve(page, curve);
-        }
-        return;
+        document.section("What the equations lack");
+        curves
+            .iter()
+            .take(1)
+            .for_each(|curve| effect_curve(document, curve));
     }
-    page.section("What was found");
-    for effect in named {
+    document.section("What was found");
+    for (place, effect) in named.into_iter().enumerate() {
         let card = effect.card();
-        page.paragraph(format!(
-            "{} ({}): {}",
-            capitalised(card.name),
-            card.id,
-            card.equation
-        ));
-        page.list(vec![
-            format!("Possible causes: {}.", card.causes),
-            format!("Looks like: {}.", card.looks_like),
-            format!("Remedy: {}.", card.remedy),
-        ]);
+        let (name, least) = (capitalised(card.name), usize::from(place == 0));
+        document.paragraph(format!("{name} ({}): {}", card.id, card.equation));
+        document.say("cause", [format!("{}: {}", card.name, card.causes)], least);
+        document.labelled("looks like", [card.looks_like]);
+        document.say("remedy", [format!("{}: {}", card.name, card.remedy)], least);
         let mut own = curves.iter();
         if let Some(curve) = own.find(|curve| curve.effect == Some(card.id)) {
-            effect_curve(page, curve);
+            effect_curve(document, curve);
         }
     }
-    let mut rivals: Vec<String> = diagnosis
-        .confusable
-        .iter()
-        .map(|[name, rival]| format!("{name} and {rival} cannot be told apart by these runs."))
-        .collect();
-    let never = diagnosis.equivalences.iter();
-    rivals.extend(never.map(|sentence| format!("{}.", capitalised(sentence))));
-    page.list(rivals);
+}
+
+/// Equation, causes, signature, excitation and remedy of an effect.
+pub fn card_facts(document: &mut Document, card: &effect::Card) {
+    document.labelled("equation", [card.equation]);
+    document.labelled("causes", [card.causes]);
+    document.labelled("looks like", [card.looks_like]);
+    document.labelled("excite it", [card.excite]);
+    document.labelled("remedy", [card.remedy]);
+}
+
+/// An effect for a screen that shows nothing else, with what the runs say of it where they are judged.
+pub fn effect_document(effect: &dyn Effect, candidate: Option<&Candidate>) -> Document {
+    let card = effect.card();
+    let mut document = Document::new(format!("{} ({})", card.name, card.id), "");
+    if let Some(own) = candidate {
+        let status = if own.is_open {
+            "left open"
+        } else {
+            own.status.name()
+        };
+        document.labelled("here", [format!("{status}: {}", own.evidence)]);
+        let sizes = own.parameters.iter().map(|parameter| {
+            let reason = parameter.reason.as_deref();
+            let reason = reason.map_or_else(String::new, |reason| format!(" ({reason})"));
+            format!("{}{reason}, 95 % interval", size(parameter))
+        });
+        document.labelled("size", sizes.chain(own.at_most()));
+        document.labelled("visible", own.seen_from());
+        let peaks = own.reached.iter().flat_map(Reached::peaks);
+        document.labelled("reached", peaks.map(|peak| peak.text(TWO_SIDED_95)));
+        let is_named = !own.parameters.is_empty();
+        document.labelled("intervals", own.widened().filter(|_| is_named));
+        let there = probability(own.probability);
+        let training = own.error_after.map_or_else(String::new, |after| {
+            format!("; training error {:.2} -> {after:.2}", own.error_before)
+        });
+        document.labelled(
+            "rank",
+            [format!("{}; there with {there}{training}", own.rank)],
+        );
+    }
+    card_facts(&mut document, card);
+    document
 }
 
 /// Effects of a list that are shown, at most.
 const MOST_LISTED: usize = 4;
 
-/// Effects that are likely beside others, and whose refit does not lower the error.
-fn not_borne_out_in_words(effects: &[String]) -> Option<String> {
-    let names = listed(effects)?;
-    Some(format!(
-        "{names}: likely beside the others, but not borne out by a refit"
-    ))
-}
-
-/// What was named with cause and remedy, what may be as well, and what was not asked.
-pub(super) fn on_card(card: &mut Card, diagnosis: &Diagnosis) {
-    let of_named = |text: fn(&effect::Card) -> &'static str| {
-        let named = diagnosis.effects.iter().filter_map(|id| effect::find(id));
-        named.map(move |effect| format!("{}: {}", effect.card().name, text(effect.card())))
-    };
-    card.say("cause", of_named(|card| card.causes), 1);
-    card.say("remedy", of_named(|card| card.remedy), 1);
+/// What may be there besides what was named, what is ruled out, and what the runs did not show.
+pub(super) fn others(document: &mut Document, diagnosis: &Diagnosis) {
+    document.section("Other effects");
     let unnamed = diagnosis.candidates.iter();
     let unnamed = unnamed.filter(|own| !diagnosis.effects.contains(&own.effect));
     let rivals = unnamed.clone().filter_map(|own| {
@@ -82,7 +98,14 @@ pub(super) fn on_card(card: &mut Card, diagnosis: &Diagnosis) {
             own.effect
         ))
     });
-    card.say("rival", rivals, 1);
+    let is_paired = |one: &str, other: &str| {
+        let mut unnamed = unnamed.clone();
+        unnamed.any(|own| own.effect == one && own.as_good_as == Some(other))
+    };
+    let pairs = diagnosis.confusable.iter();
+    let pairs = pairs.filter(|[one, other]| !is_paired(one, other) && !is_paired(other, one));
+    let pairs = pairs.map(|[one, other]| not_told_apart(one, other));
+    document.say("rival", rivals.chain(pairs), 1);
     let with = |status: Status| {
         let of_status = unnamed.clone().filter(move |own| own.status == status);
         of_status.filter(|own| own.as_good_as.is_none())
@@ -94,50 +117,60 @@ pub(super) fn on_card(card: &mut Card, diagnosis: &Diagnosis) {
             .map_or_else(String::new, |most| format!(", {most}"));
         format!("{} ({}{most})", own.effect, probability(own.probability))
     });
-    card.say("possible", listed(&possible.collect::<Vec<_>>()), 1);
+    document.say("possible", listed(possible), 1);
+    let id = |own: &Candidate| own.effect.to_owned();
     let not_borne_out = with(Status::Possible).filter(|own| own.is_not_borne_out());
-    let not_borne_out: Vec<String> = not_borne_out.map(|own| own.effect.to_owned()).collect();
-    card.say("not named", not_borne_out_in_words(&not_borne_out), 1);
+    let not_borne_out = listed(not_borne_out.map(id))
+        .map(|names| format!("{names}: likely beside the others, but not borne out by a refit"));
+    document.say("not named", not_borne_out, 1);
     // What is ruled out is a size.
-    let ruled_out: Vec<String> = with(Status::RuledOut)
-        .map(|own| {
-            let most = own.at_most();
-            most.map_or_else(
-                || own.effect.to_owned(),
-                |most| format!("{} ({most})", own.effect),
-            )
-        })
-        .collect();
-    card.say("ruled out", listed(&ruled_out), 1);
-    let (open, unseen): (Vec<&Candidate>, Vec<&Candidate>) =
-        with(Status::NotExcited).partition(|own| own.is_open);
-    let ids = |of: &[&Candidate]| {
-        listed(
-            &of.iter()
-                .map(|own| own.effect.to_owned())
-                .collect::<Vec<_>>(),
-        )
-    };
-    card.say("left open", ids(&open), 1);
-    card.say("not shown", ids(&unseen), 1);
-    card.say(
+    let ruled_out = with(Status::RuledOut).map(|own| match own.at_most() {
+        Some(most) => format!("{} ({most})", own.effect),
+        None => id(own),
+    });
+    document.say("ruled out", listed(ruled_out), 1);
+    let unseen = |is_open: bool| with(Status::NotExcited).filter(move |own| own.is_open == is_open);
+    document.say("left open", listed(unseen(true).map(id)), 1);
+    document.say("not shown", listed(unseen(false).map(id)), 1);
+    document.say(
         "unknown",
         diagnosis.unknown.iter().map(|part| part.sentence.as_str()),
         1,
     );
-    if let Some(map) = diagnosis.axis_map.first().filter(|map| map.is_followed()) {
-        card.say("curve", [map.sentence.as_str()], 1);
-    }
-    let notes = diagnosis.limits.iter().map(String::as_str);
-    card.say(
-        "note",
-        notes.chain(diagnosis.equivalences.iter().copied()),
-        1,
+}
+
+fn not_told_apart(one: &str, other: &str) -> String {
+    format!("{one} and {other} cannot be told apart by these runs")
+}
+
+/// What these runs do not tell, and the run that would, or why there is `none`.
+pub fn open_questions(
+    diagnosis: &Diagnosis,
+    next: Option<&NextExperiment>,
+    none: Option<&str>,
+) -> Document {
+    let mut document = Document::new("what these runs do not tell", "");
+    let pairs = diagnosis.confusable.iter();
+    document.labelled(
+        "rival",
+        pairs.map(|[one, other]| not_told_apart(one, other)),
     );
+    document.labelled("limit", diagnosis.limits.iter().map(String::as_str));
+    document.labelled("by no run", diagnosis.equivalences.iter().copied());
+    let curves = diagnosis.axis_map.iter().map(|map| map.sentence.as_str());
+    document.labelled("the error", curves);
+    next_run(&mut document, next);
+    let is_empty = document
+        .blocks
+        .is_empty()
+        .then_some("none is asked for: these runs tell what they can");
+    document.labelled("next run", none.or(is_empty));
+    document
 }
 
 /// Names in one line, the rest of them counted.
-fn listed(names: &[String]) -> Option<String> {
+fn listed(names: impl Iterator<Item = String>) -> Option<String> {
+    let names: Vec<String> = names.collect();
     let more = names.len().saturating_sub(MOST_LISTED);
     let shown = names
         .iter()
@@ -153,11 +186,11 @@ fn listed(names: &[String]) -> Option<String> {
 }
 
 /// What an equation lacks along its axis, the effect drawn through the points, and what it lacks with the effect.
-pub(super) fn effect_curve(page: &mut Page, curve: &EffectCurve) {
+pub(super) fn effect_curve(document: &mut Document, curve: &EffectCurve) {
     let why = curve.why_axis.iter();
     let why = why.map(|why| format!(" {}.", capitalised(why)));
-    page.figure(
-        effect_picture(curve),
+    document.figure(
+        curve_picture(curve),
         format!(
             "{}. Each point is a mean with its 95 % interval; a loss is positive.{}",
             capitalised(&curve.sentence()),
@@ -166,94 +199,97 @@ pub(super) fn effect_curve(page: &mut Page, curve: &EffectCurve) {
     );
 }
 
-/// The picture of the curve of an effect.
-pub fn effect_picture(curve: &EffectCurve) -> String {
-    let axis = curve.axis_label();
-    let of = |label, style, points: &[CurvePoint]| PointSet {
-        label,
+/// The curve of an effect, or of an error that no effect explains, as a chart.
+pub fn curve_chart(curve: &EffectCurve) -> AxisChart {
+    let of = |label: &str, style, drawn, points: &[CurvePoint]| PointSet {
+        label: label.to_owned(),
         style,
-        points: points.iter().map(|p| (p.at, p.mean, p.std)).collect(),
-        is_joined: false,
+        drawn,
+        points: (points.iter().map(|p| Place::new(p.at, p.mean, p.std))).collect(),
     };
     // Where no effect is drawn there is nothing that the points are without.
-    let (label, line, without) = match curve.effect {
+    let (line, sets) = match curve.effect {
+        _ if curve.is_unexplained() => {
+            let knots = of("", Style::After, Drawn::Knots, &curve.points);
+            ((String::new(), Vec::new()), vec![knots])
+        }
         Some(effect) => (
-            format!("{effect} at its size"),
-            curve.line.as_slice(),
-            "without the effect",
+            (format!("{effect} at its size"), curve.line.clone()),
+            vec![
+                of(
+                    "without the effect",
+                    Style::Before,
+                    Drawn::Apart,
+                    &curve.points,
+                ),
+                of("with it", Style::After, Drawn::Apart, &curve.with_it),
+            ],
         ),
-        None => (String::new(), &[][..], ""),
+        None => (
+            (String::new(), Vec::new()),
+            vec![of("", Style::Before, Drawn::Apart, &curve.points)],
+        ),
     };
-    let chart = AxisChart {
-        title: curve.title(),
-        axis: &axis,
-        sets: vec![
-            of(without, Style::Before, &curve.points),
-            of("with it", Style::After, &curve.with_it),
-        ],
-        line: (&label, line),
-    };
-    chart.svg(&format!("{} error over {axis}", curve.equation))
+    AxisChart {
+        axis: curve.axis_label(),
+        panels: vec![AxisPanel {
+            title: curve.title(),
+            height: 210.0,
+            holds: vec![0.0],
+            sets,
+            line,
+        }],
+        ..AxisChart::default()
+    }
+}
+
+/// The picture of a curve.
+pub fn curve_picture(curve: &EffectCurve) -> String {
+    let description = format!("{} error over {}", curve.equation, curve.axis_label());
+    curve_chart(curve).svg(&description)
 }
 
 /// The curves that an unexplained error follows.
-pub(super) fn curves(page: &mut Page, diagnosis: &Diagnosis) {
-    if diagnosis.axis_map.is_empty() {
-        return;
-    }
-    page.section("What the error follows");
+pub(super) fn curves(document: &mut Document, diagnosis: &Diagnosis) {
+    document.section("What the error follows");
     let is_followed = |map: &&AxisMap| map.is_followed() && map.knots.len() > 1;
     let (followed, rest): (Vec<&AxisMap>, Vec<&AxisMap>) =
         diagnosis.axis_map.iter().partition(is_followed);
     let is_any = !followed.is_empty();
     for map in followed.iter().take(MOST_CURVES) {
-        let axis = map.axis_label();
-        let stds = map.std.iter().copied().chain(std::iter::repeat(f64::NAN));
-        let points = map.knots.iter().zip(&map.values).zip(stds);
-        let points = points.map(|((knot, value), std)| (*knot, *value, std));
-        let chart = AxisChart {
-            title: map.title(),
-            axis: &axis,
-            sets: vec![PointSet {
-                label: "",
-                style: Style::After,
-                points: points.collect(),
-                is_joined: true,
-            }],
-            line: ("", &[]),
-        };
-        page.figure(
-            chart.svg(&format!("{} error over {axis}", map.equation)),
+        document.figure(
+            curve_picture(&EffectCurve::from(*map)),
             format!(
                 "{}. The band is the 95 % interval; a loss is positive.",
                 capitalised(&map.sentence)
             ),
         );
     }
+    let clearest = followed.first().map(|map| map.sentence.as_str());
+    document.say("curve", clearest, 1);
     let others = followed.into_iter().skip(MOST_CURVES).chain(rest);
     let sentence = |map: &AxisMap| format!("{}.", capitalised(&map.sentence));
-    page.list(others.map(sentence).collect());
-    if !is_any {
-        return;
+    document.list(others.map(sentence));
+    if is_any {
+        document.paragraph(
+            "No effect of the catalogue explains these curves. The clearest can be added as it is, with the command drivebench add table, so that the \
+             error falls while its cause is looked for.",
+        );
     }
-    page.paragraph(
-        "No effect of the catalogue explains these curves. The clearest can be added as it is, with the command drivebench add table, so that the \
-         error falls while its cause is looked for.",
-    );
 }
 
 /// Every effect that was tried: status, error, share, size with interval, what it reached.
-pub(super) fn candidates(page: &mut Page, diagnosis: &Diagnosis) {
-    page.section("Effects that were tried");
+pub(super) fn candidates(document: &mut Document, diagnosis: &Diagnosis) {
+    document.section("Effects that were tried");
     let mut named = diagnosis
         .candidates
         .iter()
         .filter(|c| has_paid(c) && !c.parameters.is_empty());
     if let Some(words) = named.find_map(Candidate::widened) {
-        page.paragraph(format!("Intervals of sizes: {words}."));
+        document.paragraph(format!("Intervals of sizes: {words}."));
     }
     let dash = || "-".to_owned();
-    page.table(
+    document.table(
         Table::of(&diagnosis.candidates)
             .column("rank", |own| own.rank.to_string())
             .column("effect", |own| Cell::code(own.effect))
@@ -302,16 +338,10 @@ fn size(parameter: &ParameterEstimate) -> String {
     format!("{key} {}", parameter.text(TWO_SIDED_95))
 }
 
-/// The run that would tell more.
-pub(super) fn next_run(page: &mut Page, diagnosis: &Diagnosis) {
-    let Some(next) = &diagnosis.next_experiment else {
-        return;
-    };
-    page.section("Next run");
-    page.paragraph(format!(
-        "{}.",
-        capitalised(next.sentence.trim_end_matches('.'))
-    ));
+/// The run that would tell more, among all that the limits allow.
+pub(super) fn next_run(document: &mut Document, next: Option<&NextExperiment>) {
+    let Some(next) = next else { return };
+    document.say("next run", [next.sentence.as_str()], 1);
     if next.menu.is_empty() {
         return;
     }
@@ -333,8 +363,8 @@ pub(super) fn next_run(page: &mut Page, diagnosis: &Diagnosis) {
             "promises none",
         ]
     };
-    page.paragraph(format!("Every run that the limits allow, with {what}."));
-    page.table(
+    document.paragraph(format!("Every run that the limits allow, with {what}."));
+    document.table(
         Table::of(&next.menu)
             .column("run", |entry| Cell::code(entry.program))
             .column(figure, |entry| significant(entry.expected_separation, 2))

@@ -1,36 +1,40 @@
-//! Reports: one page that needs nothing but itself, and its plain-text twin.
+//! Results as documents, and what prints them: pages that need nothing but themselves, Markdown, and text for a terminal.
 //!
 //! ```text
-//! CommissionReport, RunReport --(facts, tables, figures)--> Page --> html: one file, inline CSS and SVG
-//!                                                             '----> text: Markdown that a terminal shows well
+//! CommissionReport, ComparisonReport, RunReport, commands --> Document (headline, facts, tables, charts, lists, commands)
+//!     Document --> html: one file, inline CSS and SVG       --> markdown: the page as text
+//!              '-> terminal: the card, or all of it; screens show the same rows
 //! Model and gains -> export: source text of other languages, from the formula of each effect
 //! scenario, trajectories --> plot (ticks, decimation, gaps) --> SVG figure in the page
 //! ```
 //!
-//! What a command prints is a [`card::Card`] of the same report: a few lines, with the commands that go on.
-//!
-//! Both forms come from the same [`page::Page`], so they cannot say different things. No estimate is printed without its
+//! All forms come from the same [`Document`], so they cannot say different things. No estimate is printed without its
 //! standard deviation and verdict ([`drivebench_model::text::number`]); a value that is missing is a gap or a word, never a zero and
 //! never NaN.
 
-pub mod card;
 pub mod commission;
 pub mod comparison;
 pub mod conventions;
+mod document;
 pub mod export;
 mod findings;
-pub mod page;
+mod html;
+mod markdown;
 pub mod plot;
+mod response;
 pub mod run;
+mod table;
 pub(crate) mod tables;
+pub mod terminal;
 mod traces;
 
-pub use card::Card;
 pub use commission::CommissionReport;
-pub use comparison::{ComparisonReport, SignalFigures};
-pub use findings::effect_picture;
-pub use page::{Page, Tone};
-pub use run::{EarlyEnd, LastSeconds, RunReport, SpeedLoop};
+pub use comparison::{ComparisonReport, SignalFigures, comparison_document, error_changes};
+pub use document::{Bars, Document, Tone};
+pub use findings::{card_facts, curve_chart, curve_picture, effect_document, open_questions};
+pub use response::response_chart;
+pub use run::{EarlyEnd, LastSeconds, RunReport};
+pub use table::{Cell, Columns, Table};
 pub use traces::ConfirmRun;
 
 /// Stands on every page and at the end of every text.

@@ -2,9 +2,8 @@
 
 use std::ops::Range;
 
-use super::page::{Cell, Page, Table, Tone};
 use super::plot::{MOST_POINTS, Panel, Style, TIME, stacked};
-use super::{Context, Facts, tables};
+use super::{Cell, Context, Document, Facts, Table, Tone, tables};
 use drivebench_model::plant::Model;
 use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Run};
 use drivebench_model::text::number::{r_min, significant};
@@ -26,7 +25,7 @@ pub struct RunReport<'a> {
     /// What came last, where it ended by a trip or a lost link.
     pub last_seconds: Option<LastSeconds>,
     /// How the speed loop did, where there was one.
-    pub speed_loop: Option<&'a SpeedLoop>,
+    pub speed_loop: Option<&'a Document>,
 }
 
 /// The last seconds of a run that tripped.
@@ -50,46 +49,25 @@ pub struct EarlyEnd {
     pub reason: String,
 }
 
-/// The closed loop of a run, for its page.
-#[derive(Clone, Debug, Default)]
-pub struct SpeedLoop {
-    pub facts: Facts,
-    /// Error over each pass, and the response to each step.
-    pub tables: Vec<Table>,
-    /// Why the gains were what they were, and each change of them.
-    pub reasons: Vec<String>,
-    pub changes: Vec<String>,
-}
-
 impl RunReport<'_> {
-    /// `report.html`.
-    pub fn html(&self) -> String {
-        self.page().html()
-    }
-
-    /// The same for a terminal.
-    pub fn text(&self) -> String {
-        self.page().text()
-    }
-
-    pub fn page(&self) -> Page {
+    pub fn document(&self) -> Document {
         let run = self.run;
-        let mut page = Page::new(
+        let mut document = Document::new(
             self.title,
             format!("Run {}, {}", run.name, self.context.target.name()),
         );
-        tables::about(&mut page, self.context);
+        tables::about(&mut document, self.context);
         let time_s = run.time_s();
         let duration_s =
             time_s.last().copied().unwrap_or(0.0) - time_s.first().copied().unwrap_or(0.0);
         let rows = format!("{} rows over {} s", run.rows(), significant(duration_s, 3));
         match &self.early_end {
-            Some(end) => page.lead(
+            Some(end) => document.lead(
                 end.tone,
                 end.title,
                 format!("{}. Recorded until then: {rows}.", end.reason),
             ),
-            None if run.rows_dropped > 0 => page.lead(
+            None if run.rows_dropped > 0 => document.lead(
                 Tone::Attention,
                 "Incomplete",
                 format!(
@@ -97,10 +75,10 @@ impl RunReport<'_> {
                     run.rows_dropped
                 ),
             ),
-            None => page.lead(Tone::Good, "Recorded", format!("{rows}, to its end.")),
+            None => document.lead(Tone::Good, "Recorded", format!("{rows}, to its end.")),
         }
-        page.section("Signals");
-        page.figure(
+        document.section("Signals");
+        document.figure(
             stacked(
                 "recorded signals over time",
                 TIME,
@@ -111,32 +89,23 @@ impl RunReport<'_> {
         );
         let last = self.last_seconds.as_ref();
         if let Some(last) = last {
-            last_seconds(&mut page, run, last);
+            last_seconds(&mut document, run, last);
         }
         if let Some(speed_loop) = self.speed_loop {
-            page.section("Speed loop");
-            page.facts(speed_loop.facts.clone());
-            for table in &speed_loop.tables {
-                page.table(table.clone());
-            }
-            page.section("Gains");
-            page.list(speed_loop.reasons.clone());
-            page.list(speed_loop.changes.clone());
+            document.section("Speed loop");
+            document.append(speed_loop.clone());
         }
         if last.is_some() || self.speed_loop.is_some() {
-            page.section("Range of the signals");
+            document.section("Range of the signals");
         }
-        page.table(signals(run));
-        page.list(run.notes.clone());
-        if !self.parameters.is_empty() {
-            tables::parameter_section(&mut page, self.nameplate, &[], self.parameters);
-        }
-        if !self.timing.is_empty() {
-            page.section("Timing");
-            page.facts(self.timing.clone());
-        }
-        tables::conditions(&mut page, self.context);
-        page
+        document.table(signals(run));
+        document.list(run.notes.clone());
+        let parameters = self.parameters;
+        tables::parameter_section(&mut document, "on line", self.nameplate, &[], parameters, 5);
+        document.section("Timing");
+        document.facts(self.timing.clone());
+        tables::conditions(&mut document, self.context);
+        document
     }
 }
 
@@ -183,13 +152,13 @@ const fn origin(origin: Origin) -> &'static str {
 }
 
 /// The stretch in which it came to the trip, every sample of it, and how near the limits were.
-fn last_seconds(page: &mut Page, run: &Run, last: &LastSeconds) {
+fn last_seconds(document: &mut Document, run: &Run, last: &LastSeconds) {
     let rows = last.rows.start..last.rows.end.min(run.rows());
     let Some(part) = part(run, rows.clone()).filter(|part| part.rows() > 0) else {
         return;
     };
-    page.section("The last seconds");
-    page.figure(
+    document.section("The last seconds");
+    document.figure(
         stacked(
             "recorded signals before the trip and until the end",
             TIME,
@@ -203,12 +172,12 @@ fn last_seconds(page: &mut Page, run: &Run, last: &LastSeconds) {
         "Rows {from} to {to} of samples.csv are these seconds; it has every sample."
     )];
     facts.extend(last.stop.clone());
-    page.list(facts);
+    document.list(facts);
     let extreme = |channel: Channel| {
         let values = part.points(channel).map(|(_, value)| value.abs());
         values.fold(f64::NAN, f64::max)
     };
-    page.table(
+    document.table(
         Table::of(
             last.limits
                 .iter()
@@ -310,7 +279,7 @@ mod tests {
             }),
             speed_loop: None,
         };
-        let text = report.text();
+        let text = report.document().markdown();
         assert!(text.starts_with("SAFETY TRIP: current 31.0 A is above the limit of 30 A. Recorded until then: 50 rows over 0.490 s."), "{text}");
         assert!(
             text.contains("| current | A     | measured | n/a"),
@@ -319,7 +288,7 @@ mod tests {
         assert!(text.contains("Rows 31 to 50 of samples.csv"), "{text}");
         assert!(text.contains("stop sent 0.1 ms"), "{text}");
         assert!(text.contains("| 98.0 %"), "{text}");
-        let html = report.html();
+        let html = report.document().html();
         assert!(!html.contains("NaN") && !html.contains(">inf"));
         // The lost sample cuts the speed's line in two.
         let (_, path) = html.split_once("data-label=\"speed\" d=\"").unwrap();

@@ -1,7 +1,7 @@
 //! Tables and lines that the reports share.
 
-use super::page::{Cell, Page, Table};
-use super::{Context, Facts, SAFETY_NOTICE};
+use super::{Cell, Context, Document, Facts, SAFETY_NOTICE, Table};
+use drivebench_identify::nameplate::{Comparison, Fits};
 use drivebench_link::drive_name;
 use drivebench_model::plant::Model;
 use drivebench_model::sample::ParameterEstimate;
@@ -18,7 +18,8 @@ fn given_in_words(nameplate: Option<&Model>, key: &str) -> String {
     given(nameplate, key).map_or_else(|| "-".to_owned(), |v| number::significant(v, 4))
 }
 
-/// Parameters side by side, keyed by `after`'s order; `before` may be empty.
+/// Parameters side by side, in the order of `after`; `before` may be empty. An effect's parameter goes by its own key where
+/// no other one has it.
 fn parameters(
     nameplate: Option<&Model>,
     before: &[ParameterEstimate],
@@ -30,73 +31,46 @@ fn parameters(
             keys.push(&parameter.key);
         }
     }
-    let of = |all: &'_ [ParameterEstimate], key: &str| all.iter().find(|p| p.key == key).cloned();
-    let unit = |key: &str| of(after, key).or(of(before, key)).map_or("", |p| p.unit);
-    let mut table = Table::of(keys)
-        .column("parameter", |key| Cell::code(*key))
+    let shown = |key: &str| {
+        let same = keys
+            .iter()
+            .filter(|other| short_key(other) == short_key(key));
+        let is_alone = same.count() == 1;
+        Cell::code(if is_alone { short_key(key) } else { key })
+    };
+    let found = |all: &[ParameterEstimate], key: &str| {
+        ParameterEstimate::find(all, key).map_or("", |found| found.unit)
+    };
+    let unit = |key: &str| match found(after, key) {
+        "" => found(before, key),
+        unit => unit,
+    };
+    let mut table = Table::of(keys.clone())
+        .column("parameter", |key| shown(key))
         .column("unit", |key| unit(key));
     if nameplate.is_some() {
         table = table.column("nameplate", |key| given_in_words(nameplate, key));
     }
     let models: &[_] = if before.is_empty() {
-        &[("estimate ± std", "verdict", after)]
+        &[("found ± std", "verdict", after)]
     } else {
         &[
             ("before ± std", "verdict before", before),
-            ("after ± std", "verdict after", after),
+            ("after ± std", "verdict", after),
         ]
     };
     for (value, verdict, found) in models {
+        let cells =
+            |key: &str| estimate(ParameterEstimate::find(found, key), given(nameplate, key));
         table = table
-            .column(value, |key| {
-                estimate(of(found, key), given(nameplate, key))[0].clone()
-            })
-            .column(verdict, |key| {
-                estimate(of(found, key), given(nameplate, key))[1].clone()
-            });
+            .column(value, |key| cells(key)[0].clone())
+            .column(verdict, |key| cells(key)[1].clone());
     }
     table.into()
 }
 
-/// The same for a card: keys carry their unit, and of the model before only the value is told. Heads that a narrow card goes
-/// without, the first first, are [`SPARE`].
-pub(crate) fn of_card(
-    nameplate: Option<&Model>,
-    before: &[ParameterEstimate],
-    after: &[ParameterEstimate],
-) -> Table {
-    let is_alone = |own: &&ParameterEstimate| {
-        let short = short_key(&own.key);
-        let same = after.iter().filter(|other| short_key(&other.key) == short);
-        same.count() == 1
-    };
-    let mut table = Table::of(after).column("parameter", |own| {
-        let key = own.key.as_str();
-        let key = if is_alone(own) { short_key(key) } else { key };
-        key.to_owned()
-    });
-    if nameplate.is_some() {
-        table = table.column("nameplate", |own| given_in_words(nameplate, &own.key));
-    }
-    if !before.is_empty() {
-        table = table.column("before", |own| {
-            let old = ParameterEstimate::find(before, &own.key);
-            old.map_or("-".to_owned(), |old| old.number(1.0))
-        });
-    }
-    let head = if before.is_empty() {
-        "found ± std"
-    } else {
-        "after ± std"
-    };
-    table
-        .column(head, |own| own.number(1.0))
-        .column("verdict", |own| own.verdict.name())
-        .into()
-}
-
-/// What a narrow card leaves out of it.
-pub(crate) const SPARE: &[&str] = &["nameplate", "before"];
+/// What a narrow terminal leaves out of it, the first first.
+const SPARE: &[&str] = &["verdict before", "unit", "nameplate", "before ± std"];
 
 /// An effect's parameter by its own key.
 fn short_key(key: &str) -> &str {
@@ -104,7 +78,7 @@ fn short_key(key: &str) -> &str {
 }
 
 /// Value and verdict; a model that does not have the parameter gives two dashes.
-fn estimate(parameter: Option<ParameterEstimate>, nameplate: Option<f64>) -> [Cell; 2] {
+fn estimate(parameter: Option<&ParameterEstimate>, nameplate: Option<f64>) -> [Cell; 2] {
     let Some(parameter) = parameter else {
         return [Cell::text("-"), Cell::text("not in this model")];
     };
@@ -120,15 +94,18 @@ fn estimate(parameter: Option<ParameterEstimate>, nameplate: Option<f64>) -> [Ce
     [value, Cell::text(parameter.verdict.name())]
 }
 
-/// Parameters with their verdicts, and below them the reason of every verdict that has one.
-pub(super) fn parameter_section(
-    page: &mut Page,
+/// Parameters with their verdicts on the card, under `label`, and below them the reason of every verdict that has one.
+pub(crate) fn parameter_section(
+    document: &mut Document,
+    label: &str,
     nameplate: Option<&Model>,
     before: &[ParameterEstimate],
     after: &[ParameterEstimate],
+    least: usize,
 ) {
-    page.section("Parameters");
-    page.table(parameters(nameplate, before, after));
+    document.section("Parameters");
+    let table = parameters(nameplate, before, after);
+    document.table_on_card(label, table, SPARE, least);
     let two = !before.is_empty();
     let reason = |when: &str, parameter: &ParameterEstimate| {
         let when = if two { when } else { "" };
@@ -138,11 +115,22 @@ pub(super) fn parameter_section(
     };
     let old = before.iter().filter_map(|p| reason(" (before)", p));
     let new = after.iter().filter_map(|p| reason(" (after)", p));
-    page.list(old.chain(new).collect());
+    document.say("", old.chain(new), 0);
+}
+
+/// Whether the nameplate fits, what differs and why; the values that fit are not on the card.
+pub(crate) fn plate(document: &mut Document, plate: Option<&Comparison>) {
+    let Some(plate) = plate else { return };
+    let differences = plate.differences().map(str::to_owned);
+    let causes = plate.causes.iter().map(|cause| format!("likely: {cause}"));
+    let verdict = std::iter::once(plate.verdict());
+    document.say("plate", verdict.chain(differences).chain(causes), 1);
+    let others = plate.rows.iter().filter(|row| row.fits != Fits::No);
+    document.labelled("", others.map(|row| row.sentence.as_str()));
 }
 
 /// Date, drive, serial number and motor, at the start of every report; what is not told is said to be so.
-pub(super) fn about(page: &mut Page, context: &Context) {
+pub(super) fn about(document: &mut Document, context: &Context) {
     let identity = |key: &str| {
         let mut facts = context.identity.iter();
         let fact = facts.find(|(label, _)| label == key);
@@ -156,7 +144,7 @@ pub(super) fn about(page: &mut Page, context: &Context) {
         ("serial number", identity("serial number")),
         ("motor", &context.motor),
     ];
-    page.about(
+    document.about(
         facts
             .map(|(label, value)| (label.to_owned(), told(value)))
             .into(),
@@ -164,7 +152,7 @@ pub(super) fn about(page: &mut Page, context: &Context) {
 }
 
 /// What is to be known of the data before any figure is believed; nothing where there is nothing.
-pub(super) fn data_notes(page: &mut Page, context: &Context) {
+pub(super) fn data_notes(document: &mut Document, context: &Context) {
     let mut notes = context.notes.clone();
     if context.rows_dropped > 0 {
         notes.push(format!(
@@ -172,24 +160,22 @@ pub(super) fn data_notes(page: &mut Page, context: &Context) {
             context.rows_dropped
         ));
     }
-    if !notes.is_empty() {
-        page.section("About the data");
-        page.list(notes);
-    }
+    document.section("About the data");
+    document.say("note", notes, 1);
 }
 
 /// Conditions of the measurement, at the end of every report.
-pub(super) fn conditions(page: &mut Page, context: &Context) {
-    page.section("Drive and link");
+pub(super) fn conditions(document: &mut Document, context: &Context) {
+    document.section("Drive and link");
     let mut facts = vec![("target".to_owned(), context.target.name().to_owned())];
     facts.extend(context.identity.iter().cloned());
     facts.extend(context.link.iter().cloned());
-    page.facts(facts);
+    document.facts(facts);
     if !context.plan.is_empty() {
-        page.section("Plan and limits");
-        page.facts(context.plan.clone());
+        document.section("Plan and limits");
+        document.facts(context.plan.clone());
     }
-    page.section("Repeat this");
+    document.section("Repeat this");
     let seed = context
         .seed
         .as_ref()
@@ -199,6 +185,6 @@ pub(super) fn conditions(page: &mut Page, context: &Context) {
     for (position, folder) in context.run_folders.iter().enumerate() {
         facts.push((format!("run {}", position + 1), folder.clone()));
     }
-    page.facts(facts);
-    page.notice(SAFETY_NOTICE);
+    document.facts(facts);
+    document.notice(SAFETY_NOTICE);
 }

@@ -2,8 +2,7 @@
 
 use std::sync::LazyLock;
 
-use super::card::Card;
-use super::page::{Table, Tone};
+use super::{Bars, Document, Table, Tone};
 use drivebench_diagnose::next_experiment::MenuEntry;
 use drivebench_diagnose::{
     Candidate, Comparison, Diagnosis, DiagnosisVerdict, EquationBalance, ErrorMap, ErrorOf,
@@ -238,16 +237,21 @@ pub(crate) fn comparison(rmse: f64) -> Comparison {
     }
 }
 
-/// The card of a commissioning that has found a fan.
-pub(crate) fn card() -> Card {
-    let mut card = Card::new(
+/// The document of a commissioning that has found a fan.
+pub(crate) fn document() -> Document {
+    let mut document = Document::of(
         Tone::Good,
         "Effect found",
         "quadratic_load; held-out error 5.10 -> 1.03 times the noise floor",
     );
     let bar = |name: &str, error: f64| (name.to_owned(), error, format!("{error:.2}"));
-    let ladder = vec![bar("baseline", 5.1), bar("+ quadratic_load", 1.03)];
-    card.bars("ladder", ladder, "times the noise floor");
+    document.bars(
+        "ladder",
+        Bars::new(
+            vec![bar("baseline", 5.1), bar("+ quadratic_load", 1.03)],
+            "times the noise floor",
+        ),
+    );
     let parameters = [
         (
             "resistance_ohm",
@@ -269,8 +273,9 @@ pub(crate) fn card() -> Card {
         .column("before", |row| row.2)
         .column("after ± std", |row| row.3)
         .column("verdict", |_| "settled");
-    card.table("motor", table, &["nameplate", "before"], 5);
-    card.go_on("drivebench speed --model runs/20260102T030405Z-zk-22fc-emulated-fit/model.toml");
-    card.ends_with("runs/20260102T030405Z-zk-22fc-emulated-fit/report.html");
-    card
+    document.table_on_card("motor", table, &["nameplate", "before"], 5);
+    document
+        .go_on("drivebench speed --model runs/20260102T030405Z-zk-22fc-emulated-fit/model.toml");
+    document.ends_with("runs/20260102T030405Z-zk-22fc-emulated-fit/report.html");
+    document
 }

@@ -1,14 +1,13 @@
 //! The whole page on a fixed input, and on a real diagnosis of a simulated motor.
 
-use super::page::Page;
+use super::html::escape;
 use super::testing::{candidate, comparison, diagnosis, next_experiment, rung};
 use super::*;
 use drivebench_diagnose::{
     Candidate, Comparison, DiagnosisVerdict, ErrorOf, Evidence, NextExperiment, ResidualLights,
     Status, compare, diagnose,
 };
-use drivebench_identify::output_error;
-use drivebench_model::plant::{Model, Motor, Scenario, Trajectory, testing};
+use drivebench_model::plant::{Model, Motor, Scenario, testing};
 use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Run};
 
 /// Where to write the demonstration pages, to be looked at.
@@ -49,7 +48,7 @@ fn the_checker_sees_tags_that_cross() {
 #[test]
 fn markup_becomes_text() {
     assert_eq!(
-        page::escape("<b a='1'>\"x\" & y</b>\u{0}"),
+        escape("<b a='1'>\"x\" & y</b>\u{0}"),
         "&lt;b a=&#39;1&#39;&gt;&quot;x&quot; &amp; y&lt;/b&gt;\u{fffd}"
     );
 }
@@ -125,8 +124,8 @@ fn the_text_says_the_verdict_first_and_everything_with_its_uncertainty() {
         curves: &[],
         truth: &["stribeck_friction of 0.12 N.m".to_owned()],
     };
-    insta::assert_snapshot!(report.text());
-    let html = report.html();
+    insta::assert_snapshot!(report.document().markdown());
+    let html = report.document().html();
     assert_balanced(&html);
     assert!(html.contains("software drive &lt;1&gt;"));
     // On hardware nobody knows the truth, whatever the caller passes.
@@ -138,8 +137,13 @@ fn the_text_says_the_verdict_first_and_everything_with_its_uncertainty() {
         context: &hardware,
         ..report.clone()
     };
-    assert!(report.text().contains("Truth of the emulator"));
-    assert!(!on_hardware.text().contains("Truth"));
+    assert!(
+        report
+            .document()
+            .markdown()
+            .contains("Truth of the emulator")
+    );
+    assert!(!on_hardware.document().markdown().contains("Truth"));
     assert!(!html.contains("http"), "nothing is fetched from elsewhere");
 }
 
@@ -175,14 +179,10 @@ fn commission(truth: &Model, name: &str) -> String {
     let found = diagnose(&nameplate, evidence.clone()).unwrap();
     let compare = |model: &Model| compare(model, &evidence, ErrorOf::Structure).unwrap();
     let confirm = evidence.confirm.as_ref().unwrap();
-    let free_run = |model: &Model| -> Trajectory {
-        let predicted = output_error::predict(model, confirm, &evidence.noise);
-        predicted.unwrap().trajectory
-    };
     let (baseline, model) = (&found.baseline.model, &found.model.model);
     let named = !found.effects.is_empty();
     let (before, after) = (compare(baseline), named.then(|| compare(model)));
-    let (old, new) = (free_run(baseline), named.then(|| free_run(model)));
+    let run = ConfirmRun::of(baseline, named.then_some(model), confirm, &evidence.noise).unwrap();
     let curve = |id: &str| found.curve_of(Some(id), confirm, &evidence.noise).unwrap();
     let curves: Vec<_> = (found.effects.iter()).filter_map(|id| curve(id)).collect();
     let confirmed = found.rungs_on(confirm, &evidence.noise).unwrap();
@@ -198,18 +198,13 @@ fn commission(truth: &Model, name: &str) -> String {
         diagnosis: &found,
         ladder: &found.ladder,
         confirm: Some(&confirmed),
-        series: Some(ConfirmRun {
-            scenario: confirm,
-            before: &old,
-            after: new.as_ref(),
-            noise: &evidence.noise,
-        }),
+        series: Some(&run),
         curves: &curves,
         truth: &["stribeck_friction 0.12 N.m".to_owned()],
     };
-    let html = report.html();
+    let html = report.document().html();
     write_demo(&format!("{name}.html"), &html);
-    write_demo(&format!("{name}.txt"), &report.text());
+    write_demo(&format!("{name}.txt"), &report.document().markdown());
     html
 }
 
@@ -269,9 +264,9 @@ fn the_page_of_a_run_is_whole() {
         last_seconds: None,
         speed_loop: None,
     };
-    let html = report.html();
+    let html = report.document().html();
     write_demo("run.html", &html);
-    write_demo("run.txt", &report.text());
+    write_demo("run.txt", &report.document().markdown());
     assert_balanced(&html);
     assert!(html.contains("first &lt;run&gt;") && html.contains("&quot;first&quot; &amp; only"));
 }
@@ -294,9 +289,9 @@ fn a_run_tells_from_what_its_own_diagnosis_asks_for() {
     ] {
         let next = next_experiment();
         found.next_experiment = Some(NextExperiment { pair, ..next });
-        let mut page = Page::new("title", "subtitle");
-        findings::next_run(&mut page, &found);
-        let html = page.html();
+        let mut document = Document::new("title", "subtitle");
+        findings::next_run(&mut document, found.next_experiment.as_ref());
+        let html = document.html();
         assert_balanced(&html);
         assert!(html.contains(figure), "{html}");
         for (program, verdict) in ["slow_<wbr>ramp", "dither"].into_iter().zip(verdicts) {

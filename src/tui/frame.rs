@@ -8,6 +8,8 @@ use ratatui::widgets::{Block, Borders, Clear, Paragraph, Widget, Wrap};
 
 use super::keys::{self, On};
 use super::theme;
+use crate::report::Document;
+use crate::report::terminal::Row;
 use drivebench_model::text::lines::{cut, wrapped};
 
 /// The smallest screen that can be read.
@@ -234,33 +236,55 @@ pub(super) fn bar_spans(share: f64, length: usize, style: Style) -> [Span<'stati
     [Span::styled(full, style), Span::styled(empty, theme::DIM)]
 }
 
-/// A title and its text as one paragraph of a page.
-pub(super) fn paragraph(title: &str, text: impl Into<String>) -> Line<'static> {
-    let title = Span::styled(format!("{title}: "), theme::BOLD);
-    Line::from(vec![title, Span::raw(text.into())])
-}
-
 /// The first row that is shown after a move by so many, from where the last page had room.
 pub(super) fn scrolled(first: usize, by: i32, hidden: usize) -> usize {
     first.min(hidden).saturating_add_signed(by as isize)
 }
 
-/// Paragraphs from row `first` on; the last page stays full. Returns the rows for which there is no room.
-pub(super) fn page(
-    lines: Vec<Line<'static>>,
+/// Rows of a document, their labels in bold.
+pub(super) fn document_lines(rows: Vec<Row>) -> impl Iterator<Item = Line<'static>> {
+    rows.into_iter().map(|row| {
+        let label = Span::styled(format!(" {}", row.label), theme::BOLD);
+        Line::from(vec![label, Span::raw(row.text)])
+    })
+}
+
+/// A whole document under its title, from row `first` on. Returns the rows for which there is no room.
+pub(super) fn document(
+    document: &Document,
     first: usize,
     area: Rect,
     buffer: &mut Buffer,
 ) -> usize {
-    let width = usize::from(area.width).max(1);
-    // Counted generously, as words are not broken between rows.
-    let rows = lines.iter().map(|line| 1 + line.width() * 5 / (4 * width));
-    let hidden = rows.sum::<usize>().saturating_sub(usize::from(area.height));
-    let offset = u16::try_from(first.min(hidden)).unwrap_or(u16::MAX);
-    Paragraph::new(lines)
-        .wrap(Wrap { trim: true })
-        .scroll((offset, 0))
-        .render(area, buffer);
+    let inner = titled(document.title(), area, buffer);
+    let rows = document.full(usize::from(inner.width.saturating_sub(2)));
+    let lines: Vec<_> = document_lines(rows).collect();
+    scrolling(&lines, first, inner, buffer)
+}
+
+/// Rows from `first` on; the last page stays full. Returns the rows for which there is no room.
+pub(super) fn scrolling(
+    lines: &[Line<'_>],
+    first: usize,
+    area: Rect,
+    buffer: &mut Buffer,
+) -> usize {
+    let hidden = lines.len().saturating_sub(usize::from(area.height));
+    let first = first.min(hidden);
+    rows(&lines[first..], area, buffer);
+    if first < hidden {
+        let more = Line::styled(" … ▼ Down: more ", theme::CAREFUL).right_aligned();
+        let last = area.rows().next_back().unwrap_or(area);
+        Clear.render(
+            Rect {
+                x: last.right().saturating_sub(more.width() as u16).max(last.x),
+                width: (more.width() as u16).min(last.width),
+                ..last
+            },
+            buffer,
+        );
+        row(&more, last, buffer);
+    }
     hidden
 }
 

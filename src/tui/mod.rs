@@ -10,7 +10,8 @@
 //! * `application`: the event loop, which shows one screen, a value, until it is left, and gives the terminal back on every
 //!   path.
 //! * `keys`: the key table, one meaning for each key on every screen.
-//! * `frame`, `plot`, `theme`: help, hints, panels, charts and colours that all screens have in common.
+//! * `frame`, `axis_chart`, `plot`, `theme`: documents, help, hints, panels, charts and colours that all screens have in
+//!   common.
 //! * `live/`: the screen of a run and of the steps around it; `diagnosis/`: the screen on which effects are added by hand;
 //!   `traces/`: the page of both on which measured and model stand over time; `response/`: the page, and the screen, on which
 //!   they stand over frequency.
@@ -22,6 +23,7 @@
 )]
 
 mod application;
+mod axis_chart;
 mod diagnosis;
 mod frame;
 mod keys;

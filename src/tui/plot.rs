@@ -4,44 +4,37 @@
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
 use ratatui::style::Style;
+use ratatui::text::Line;
 
+use super::frame::row as title_row;
 use super::theme;
+use crate::report::plot::axis::Domain;
 use drivebench_model::text::number::shortest;
 
 /// Columns of the axis labels, with the axis.
 pub(super) const LABELS: u16 = 7;
 
-/// Smallest and largest of the values that a chart can show; none where there is none.
-pub(super) fn range(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
-    values
-        .filter(|value| value.is_finite() && value.abs() < 1e15)
-        .fold(None, |range: Option<(f64, f64)>, value| {
-            let (low, high) = range.unwrap_or((value, value));
-            Some((low.min(value), high.max(value)))
-        })
+/// The range of the values that a chart can show; none where there is none.
+pub(super) fn range(values: impl Iterator<Item = f64>) -> Option<Domain> {
+    Domain::of(values.filter(|value| value.abs() < 1e15))
 }
 
-/// Round bounds that hold both.
-pub(super) fn round(low: f64, high: f64) -> (f64, f64) {
-    // Beside a large value a small difference is none that the axis could tell.
-    let least = 1e-9_f64.max(1e-9 * low.abs().max(high.abs()));
-    let high = if high - low < least { low + 1.0 } else { high };
-    let step = nice_step((high - low) / 8.0);
-    ((low / step).floor() * step, (high / step).ceil() * step)
-}
-
-/// 1, 2, 2.5 or 5 times a power of ten, not below `rough`.
-fn nice_step(rough: f64) -> f64 {
-    let power = 10_f64.powf(rough.log10().floor());
-    let factor = [1.0, 2.0, 2.5, 5.0]
-        .into_iter()
-        .find(|factor| factor * power >= rough)
-        .unwrap_or(10.0);
-    factor * power
+/// A chart's title, and below it the axis of its values; returns the place of its lines.
+pub(super) fn framed(title: &Line<'_>, values: Domain, area: Rect, buffer: &mut Buffer) -> Rect {
+    title_row(title, Rect { height: 1, ..area }, buffer);
+    let inner = Rect {
+        x: area.x + LABELS,
+        y: area.y + 1,
+        width: area.width.saturating_sub(LABELS),
+        height: area.height.saturating_sub(1),
+    };
+    value_axis(values, inner, buffer);
+    inner
 }
 
 /// Labels of the top, the bottom and zero, and a dotted line there.
-pub(super) fn value_axis(low: f64, high: f64, plot_area: Rect, buffer: &mut Buffer) {
+fn value_axis(values: Domain, plot_area: Rect, buffer: &mut Buffer) {
+    let (low, high) = (values.from, values.to);
     let rows = f64::from(plot_area.height);
     let last = plot_area.height.saturating_sub(1);
     let zero = ((high / (high - low) * rows) as u16).min(last);
@@ -154,19 +147,30 @@ pub(super) struct Trace {
     pub(super) beyond: Option<(f64, Style)>,
 }
 
-/// What the corners of the area stand for.
+impl Trace {
+    /// A line whose gaps are values that are not finite.
+    pub(super) const fn new(points: Vec<(f64, f64)>, stroke: Stroke, style: Style) -> Self {
+        Self {
+            points,
+            longest_s: f64::INFINITY,
+            stroke,
+            style,
+            beyond: None,
+        }
+    }
+}
+
+/// What the area stands for: across and upwards.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Bounds {
-    pub(super) from: f64,
-    pub(super) to: f64,
-    pub(super) low: f64,
-    pub(super) high: f64,
+    pub(super) x: Domain,
+    pub(super) y: Domain,
 }
 
 impl Bounds {
     /// The cell of a place on the lower axis; `None` outside.
     pub(super) fn column(&self, at: f64, area: Rect) -> Option<u16> {
-        let share = (at - self.from) / (self.to - self.from);
+        let share = (at - self.x.from) / (self.x.to - self.x.from);
         (0.0..=1.0).contains(&share).then(|| {
             let cell = (share * f64::from(area.width)) as u16;
             area.x + cell.min(area.width.saturating_sub(1))
@@ -177,6 +181,15 @@ impl Bounds {
     pub(super) fn row(&self, value: f64, area: Rect) -> u16 {
         let cell = row(value, *self, usize::from(area.height)) / DOTS_Y;
         area.y + cell as u16
+    }
+}
+
+/// Marks a place on the lower axis over the whole height.
+pub(super) fn vertical(at: f64, mark: char, bounds: Bounds, area: Rect, buffer: &mut Buffer) {
+    if let Some(x) = bounds.column(at, area) {
+        for y in area.y..area.bottom() {
+            buffer[(x, y)].set_char(mark).set_style(theme::DIM);
+        }
     }
 }
 
@@ -215,7 +228,7 @@ pub(super) fn plot(traces: &[Trace], bounds: Bounds, area: Rect, buffer: &mut Bu
 /// Row of dots of a value, the top one being 0; values outside stick to the edge.
 fn row(value: f64, bounds: Bounds, height: usize) -> usize {
     let dots = height * DOTS_Y;
-    let share = ((bounds.high - value) / (bounds.high - bounds.low)).clamp(0.0, 1.0);
+    let share = ((bounds.y.to - value) / (bounds.y.to - bounds.y.from)).clamp(0.0, 1.0);
     ((share * dots as f64) as usize).min(dots.saturating_sub(1))
 }
 
@@ -227,11 +240,11 @@ fn columns(
     count: usize,
 ) -> Vec<Option<(f64, f64)>> {
     let mut columns = vec![None; count];
-    let span_s = bounds.to - bounds.from;
+    let span_s = bounds.x.to - bounds.x.from;
     if count == 0 || !(span_s > 0.0 && span_s.is_finite()) {
         return columns;
     }
-    let position = |time_s: f64| (time_s - bounds.from) / span_s * count as f64;
+    let position = |time_s: f64| (time_s - bounds.x.from) / span_s * count as f64;
     let mut put = |column: f64, value: f64| {
         if (0.0..count as f64).contains(&column) {
             let span: &mut Option<(f64, f64)> = &mut columns[(column as usize).min(count - 1)];
@@ -293,10 +306,14 @@ mod tests {
     }
 
     const BOUNDS: Bounds = Bounds {
-        from: 0.0,
-        to: 10.0,
-        low: -1.0,
-        high: 1.0,
+        x: Domain {
+            from: 0.0,
+            to: 10.0,
+        },
+        y: Domain {
+            from: -1.0,
+            to: 1.0,
+        },
     };
 
     #[test]
@@ -329,12 +346,9 @@ mod tests {
     fn the_top_is_the_high_bound() {
         let area = Rect::new(0, 0, 4, 2);
         let mut buffer = Buffer::empty(area);
-        let line = |value, stroke| Trace {
-            points: (0..=100).map(|k| (f64::from(k) * 0.1, value)).collect(),
-            longest_s: 1.0,
-            stroke,
-            style: Style::new(),
-            beyond: None,
+        let line = |value, stroke| {
+            let points = (0..=100).map(|k| (f64::from(k) * 0.1, value));
+            Trace::new(points.collect(), stroke, Style::new())
         };
         let lines = [line(1.0, Stroke::Solid), line(-1.0, Stroke::Dashed)];
         plot(&lines, BOUNDS, area, &mut buffer);

@@ -12,7 +12,7 @@ use super::guide::{Called, Role, Step};
 use super::keyed::with_keys;
 use super::next_bench::{experiment_limits, next_bench};
 use super::truth::Truth;
-use crate::report::Card;
+use crate::report::Document;
 use drivebench_bench::{
     BenchFile, CheckReport, Design, Nameplate, Plan, Refusal, Scaled, bounds, loop_timing, scale,
 };
@@ -448,10 +448,10 @@ impl StepView {
 }
 
 /// The loop so far, and the report once it is over.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Progress {
     pub steps: Vec<StepView>,
-    pub report: Option<Card>,
+    pub report: Option<Arc<Document>>,
     pub finished: bool,
 }
 
@@ -671,22 +671,19 @@ impl EscalationResult {
         })
     }
 
-    /// For people: stages, motor, plate, sequence.
-    pub fn text(&self) -> String {
-        use std::fmt::Write as _;
-        let mut text = format!("{}\n", self.sentence);
-        for (index, StageRecord { stage, .. }) in self.stages.iter().enumerate() {
-            let (number, kind) = (index + 1, stage.kind.name());
-            let _ = writeln!(text, "  {number:>2}. {kind:<10} {}", stage.line);
-        }
-        if let Some(comparison) = &self.nameplate {
-            text.push_str(&comparison.text());
-        }
-        let refused = |scaled: &&Scaled| scaled.refusal.is_some();
-        if let Some(scaled) = self.scaled.as_ref().filter(refused) {
-            let _ = writeln!(text, "{}", scaled_sentence(scaled));
-        }
-        text
+    /// Puts what was found under a label, and its stages, which are not on the card.
+    pub fn put(&self, label: &str, document: &mut Document) {
+        document.say(label, [self.sentence.as_str()], 1);
+        let stages = self.stages.iter().enumerate();
+        let stages = stages.map(|(index, StageRecord { stage, .. })| {
+            format!("{}. {}: {}", index + 1, stage.kind.name(), stage.line)
+        });
+        document.labelled("stages", stages);
+        let refused = self
+            .scaled
+            .as_ref()
+            .filter(|scaled| scaled.refusal.is_some());
+        document.labelled("sequence", refused.map(scaled_sentence));
     }
 }
 

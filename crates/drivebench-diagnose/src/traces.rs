@@ -159,6 +159,18 @@ pub struct RunTraces {
 }
 
 impl RunTraces {
+    /// Speed and current of a complete model over a run that a voltage drives, and that voltage.
+    pub fn free_run(model: &Model, run: &Scenario, noise: &NoiseFloor) -> Result<Self, FitError> {
+        let mut signals = free_run(model, run, noise)?;
+        signals.push(command(run));
+        Ok(Self {
+            run: run.name.clone(),
+            part: Part::HoldOut,
+            held_out_from_s: None,
+            signals,
+        })
+    }
+
     /// First and last instant of all signals; zero and one where there is none.
     pub fn span_s(&self) -> (f64, f64) {
         let ends = self.signals.iter().filter_map(|signal| {
@@ -256,17 +268,8 @@ impl Traces {
                         .collect()
                 }
             };
-            let (time_s, measured) = run.events.iter().copied().unzip::<_, _, Vec<_>, Vec<_>>();
             if run.input == Input::Voltage {
-                signals.push(SignalTrace {
-                    quantity: Quantity::Channel(run.input_channel),
-                    time_s: time_s.iter().map(since).collect(),
-                    measured,
-                    model: Vec::new(),
-                    noise: None,
-                    std: Vec::new(),
-                    is_held: true,
-                });
+                signals.push(command(run));
             }
             let others: Vec<SignalTrace> = recorded.beside(&run.name, &signals).collect();
             signals.extend(others);
@@ -286,6 +289,20 @@ impl Traces {
             runs: runs.collect::<Result<_, FitError>>()?,
             effects: model.effect_ids(),
         })
+    }
+}
+
+/// What was commanded, since the run's begin.
+fn command(run: &Scenario) -> SignalTrace {
+    let since = |(time_s, _): &(f64, f64)| time_s - run.begin_s();
+    SignalTrace {
+        quantity: Quantity::Channel(run.input_channel),
+        time_s: run.events.iter().map(since).collect(),
+        measured: run.events.iter().map(|event| event.1).collect(),
+        model: Vec::new(),
+        noise: None,
+        std: Vec::new(),
+        is_held: true,
     }
 }
 

@@ -101,18 +101,8 @@ impl Comparison {
         self.doubt = Some(reason);
     }
 
-    /// Whether it fits, then what does not and why, one a line.
-    pub fn in_short(&self) -> Vec<String> {
-        let text = self.text();
-        let mut lines = vec![text.lines().next().unwrap_or_default().to_owned()];
-        lines.extend(self.differences().map(str::to_owned));
-        lines.extend(self.causes.iter().map(|cause| format!("likely: {cause}")));
-        lines
-    }
-
-    /// A table for people.
-    pub fn text(&self) -> String {
-        use std::fmt::Write as _;
+    /// Whether it fits.
+    pub fn verdict(&self) -> String {
         let judged = self.rows.iter().any(|row| row.fits != Fits::NotTold);
         let open: Vec<&str> = self
             .rows
@@ -121,8 +111,8 @@ impl Comparison {
             .map(|row| row.key)
             .collect();
         let fits_in_part = format!("fits but for what was not told: {}", open.join(", "));
-        let mut text = format!(
-            "nameplate {} (within {:.0} % and the uncertainty)\n",
+        format!(
+            "nameplate {} (within {:.0} % and the uncertainty)",
             match (&self.doubt, judged, self.fits) {
                 (Some(doubt), ..) => doubt,
                 (None, false, _) => "not judged: nothing was identified that it says",
@@ -131,14 +121,7 @@ impl Comparison {
                 (None, true, false) => "does NOT fit",
             },
             100.0 * self.tolerance
-        );
-        for row in &self.rows {
-            let _ = writeln!(text, "  {}", row.sentence);
-        }
-        for cause in &self.causes {
-            let _ = writeln!(text, "  likely: {cause}");
-        }
-        text
+        )
     }
 }
 
@@ -398,7 +381,7 @@ mod tests {
     #[test]
     fn a_specimen_within_the_tolerance_fits() {
         let found = scaled([1.2, 0.8, 1.05, 0.9, 1.3]);
-        assert!(found.fits && found.causes.is_empty(), "{}", found.text());
+        assert!(found.fits && found.causes.is_empty(), "{}", found.verdict());
         // The same excess beyond the tolerance and two deviations does not.
         let found = scaled([1.34, 1.0, 1.0, 1.0, 1.0]);
         assert!(!found.fits);

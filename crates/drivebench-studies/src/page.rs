@@ -1,7 +1,7 @@
 //! Figures and tables: what a study found (JSON, pictures, grids) on a page that is laid out in Markdown.
 //!
 //! ```text
-//! layouts/*.md + Findings (JSON of the study, pictures, grids) -> FiguresAndTables -> report::Page -> HTML, text, Markdown
+//! layouts/*.md + Findings (JSON of the study, pictures, grids) -> FiguresAndTables -> report::Document -> HTML, text, Markdown
 //!                                                                            '-> a file of each picture, table, series
 //! ```
 //!
@@ -24,8 +24,8 @@
 
 use std::fmt::{Display, Write as _};
 
-use drivebench::report::page::{Cell, Page, Table, Tone};
 use drivebench::report::plot::{Panel, Plot, Style, TIME, stacked, standalone};
+use drivebench::report::{Cell, Document, Table, Tone};
 use drivebench::text::number::{fixed, significant};
 use serde::Serialize;
 use serde_json::Value;
@@ -456,11 +456,11 @@ impl FiguresAndTables {
 
     /// The same for a terminal; its pictures are in the files.
     pub fn text(&self) -> String {
-        self.page().text()
+        self.page().markdown()
     }
 
-    fn page(&self) -> Page {
-        let mut page = Page::new(&self.title, &self.subtitle);
+    fn page(&self) -> Document {
+        let mut page = Document::new(&self.title, &self.subtitle);
         page.lead(Tone::Plain, &self.lead.0, &self.lead.1);
         self.fill(page, |page, _, plot, caption| {
             page.figure(plot.clone(), caption);
@@ -470,16 +470,20 @@ impl FiguresAndTables {
     /// The text as a page of the documentation: the title first, the answer as its first section, the pictures as files
     /// beside it.
     pub fn markdown(&self) -> String {
-        let mut page = Page::new(&self.title, &self.subtitle);
+        let mut page = Document::new(&self.title, &self.subtitle);
         page.section(&self.lead.0);
         page.paragraph(&self.lead.1);
         let page = self.fill(page, |page, [heading, name], _, caption| {
             page.paragraph(format!("![{heading}]({name}.svg)\n\n{caption}"));
         });
-        page.text()
+        page.markdown()
     }
 
-    fn fill(&self, mut page: Page, picture: impl Fn(&mut Page, [&str; 2], &Plot, &str)) -> Page {
+    fn fill(
+        &self,
+        mut page: Document,
+        picture: impl Fn(&mut Document, [&str; 2], &Plot, &str),
+    ) -> Document {
         let mut heading = "";
         for block in &self.blocks {
             match block {

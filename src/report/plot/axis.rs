@@ -1,17 +1,17 @@
-//! Axes: the range that is shown, and round tick values with their labels.
+//! Axes of pictures and of charts in a terminal: the range that is shown, and round tick values with their labels.
 
 use drivebench_model::text::number::{exponent_of, places};
 
 /// The range of values along an axis; always finite and wider than nothing.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Domain {
-    pub(super) from: f64,
-    pub(super) to: f64,
+pub struct Domain {
+    pub from: f64,
+    pub to: f64,
 }
 
 impl Domain {
     /// The range of the finite values, widened where it is a single value; `None` where nothing is finite.
-    pub(super) fn of(values: impl IntoIterator<Item = f64>) -> Option<Self> {
+    pub fn of(values: impl IntoIterator<Item = f64>) -> Option<Self> {
         // Values so large that their span would overflow count as missing.
         let (from, to) = values
             .into_iter()
@@ -36,7 +36,7 @@ impl Domain {
 
     /// Wider by `share` of its length at both ends, so that lines do not touch the frame.
     #[must_use]
-    pub(super) fn padded(self, share: f64) -> Self {
+    pub fn padded(self, share: f64) -> Self {
         let pad = share * (self.to - self.from);
         Self {
             from: self.from - pad,
@@ -44,9 +44,32 @@ impl Domain {
         }
     }
 
+    /// Wider, to the next round values at both ends: the axis of a chart that grows moves seldom.
+    #[must_use]
+    pub fn rounded(self) -> Self {
+        let rough = (self.to - self.from) / 8.0;
+        let power = 10_f64.powf(rough.log10().floor());
+        let mut factors = [1.0, 2.0, 2.5, 5.0].into_iter();
+        let factor = factors.find(|factor| factor * power >= rough);
+        let step = factor.unwrap_or(10.0) * power;
+        Self {
+            from: (self.from / step).floor() * step,
+            to: (self.to / step).ceil() * step,
+        }
+    }
+
+    /// The range that holds these values as well.
+    #[must_use]
+    pub const fn with(self, values: [f64; 2]) -> Self {
+        Self {
+            from: self.from.min(values[0]),
+            to: self.to.max(values[1]),
+        }
+    }
+
     /// The same range in another unit.
     #[must_use]
-    pub(super) fn scaled(self, factor: f64) -> Self {
+    pub fn scaled(self, factor: f64) -> Self {
         Self {
             from: self.from * factor,
             to: self.to * factor,
@@ -61,7 +84,7 @@ const ALL_DIGITS: usize = 17;
 const SAFE_DIGITS: usize = 7;
 
 /// Round values (1, 2 or 5 times a power of ten apart) inside the domain, at most `most` of them.
-pub(super) fn ticks(domain: Domain, most: usize) -> Vec<f64> {
+pub fn ticks(domain: Domain, most: usize) -> Vec<f64> {
     let span = domain.to - domain.from;
     let most = most.max(2);
     if !(span.is_finite() && span > 0.0) {
@@ -100,7 +123,7 @@ pub(super) fn ticks(domain: Domain, most: usize) -> Vec<f64> {
 }
 
 /// Labels of ticks, all with the same number of decimals.
-pub(super) fn labels(ticks: &[f64]) -> Vec<String> {
+pub fn labels(ticks: &[f64]) -> Vec<String> {
     let step = ticks
         .windows(2)
         .map(|pair| pair[1] - pair[0])
@@ -125,6 +148,25 @@ pub(super) fn labels(ticks: &[f64]) -> Vec<String> {
     let decimals = places(-last);
     let label = |tick: &f64| format!("{tick:.decimals$}");
     ticks.iter().map(label).collect()
+}
+
+/// Powers of ten inside a domain of exponents, and 2 and 5 times them where there are few.
+pub fn powers(domain: Domain) -> Vec<f64> {
+    let Domain { from, to } = domain;
+    let few = to - from < 4.0;
+    let factors: &[f64] = if few { &[1.0, 2.0, 5.0] } else { &[1.0] };
+    let all = (-30..=30).flat_map(|power| factors.iter().map(move |f| f * 10f64.powi(power)));
+    all.filter(|tick| (from - 1e-9..=to + 1e-9).contains(&tick.log10()))
+        .collect()
+}
+
+/// A tick without an exponent where it is short.
+pub fn plain(value: f64) -> String {
+    if (1e-3..1e4).contains(&value) {
+        format!("{value}")
+    } else {
+        format!("{value:e}")
+    }
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use super::axis::{Domain, labels};
-use crate::report::page::escape;
+use crate::report::html::escape;
 
 /// Width of every picture and margins about its frame, px.
 pub(super) const WIDTH: f64 = 900.0;

@@ -1,6 +1,6 @@
-//! The pictures that are no course over time: bars, a curve with its band, curves over ratios, a map, reliability.
+//! The pictures that are no course over time: bars, curves with their intervals, curves over ratios, a map, reliability.
 
-use super::axis::{Domain, labels, ticks};
+use super::axis::{Domain, labels, plain, powers, ticks};
 use super::chart::{Along, FOOT, HEAD, LEFT, RIGHT, Scale, Svg, WIDTH, polyline, px, width};
 use super::panels::Style;
 use drivebench_model::sample::TWO_SIDED_95;
@@ -56,104 +56,261 @@ pub fn bars(
     svg.close("plot", base + FOOT, description, "")
 }
 
-/// Values along one axis with their 95 % intervals: what an equation lacks over speed, current, angle or time; and a line
-/// drawn through them, the effect that is to explain it.
+/// Curves with their 95 % intervals over one axis, in panels one under the other: what an equation lacks over speed, current,
+/// angle or time; a frequency response.
+#[derive(Clone, Debug, Default)]
+pub struct AxisChart {
+    pub axis: String,
+    pub is_logarithmic: bool,
+    pub panels: Vec<AxisPanel>,
+    /// Names and places on the axis that a line marks in all panels.
+    pub marks: Vec<(String, f64)>,
+}
+
+/// One quantity.
 #[derive(Clone, Debug)]
-pub struct AxisChart<'a> {
+pub struct AxisPanel {
     pub title: String,
-    pub axis: &'a str,
-    pub sets: Vec<PointSet<'a>>,
-    /// Its label and points, all finite; may be empty.
-    pub line: (&'a str, &'a [(f64, f64)]),
+    pub height: f64,
+    /// What the axis shows at least.
+    pub holds: Vec<f64>,
+    pub sets: Vec<PointSet>,
+    /// Drawn through the points: its label, and points that are all finite; may be empty.
+    pub line: (String, Vec<(f64, f64)>),
 }
 
 /// Points of one kind.
 #[derive(Clone, Debug)]
-pub struct PointSet<'a> {
+pub struct PointSet {
     /// In the legend; empty: none.
-    pub label: &'a str,
+    pub label: String,
     pub style: Style,
-    /// Place on the axis, rising; value; its standard deviation. What is not finite is left out, a deviation taken for none.
-    pub points: Vec<(f64, f64, f64)>,
-    /// Joined by a curve with a band about it, not points with intervals of their own.
-    pub is_joined: bool,
+    pub drawn: Drawn,
+    /// Places on the axis are rising.
+    pub points: Vec<Place>,
+}
+
+/// How points are drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Drawn {
+    /// Each with its interval.
+    Apart,
+    /// Joined by a curve within a band, a dot at each.
+    Knots,
+    /// The same without dots; what is not finite is a gap.
+    Curve,
+    /// As faint dots, which move no axis.
+    Faint,
+}
+
+/// A value with the ends of its interval.
+#[derive(Clone, Copy, Debug)]
+pub struct Place {
+    pub at: f64,
+    pub value: f64,
+    pub low: f64,
+    pub high: f64,
+}
+
+impl Place {
+    /// With a standard deviation; one that is not finite is taken for none.
+    pub fn new(at: f64, value: f64, std: f64) -> Self {
+        let half = if std.is_finite() {
+            TWO_SIDED_95 * std
+        } else {
+            0.0
+        };
+        Self {
+            at,
+            value,
+            low: value - half,
+            high: value + half,
+        }
+    }
+
+    pub fn is_known(&self) -> bool {
+        let all = [self.at, self.value, self.low, self.high];
+        all.into_iter().all(f64::is_finite)
+    }
+}
+
+impl PointSet {
+    /// The points that are known.
+    pub fn known(&self) -> impl Iterator<Item = &Place> + Clone {
+        self.points.iter().filter(|point| point.is_known())
+    }
+}
+
+impl AxisPanel {
+    /// What the axis of values holds; none where there are not two points.
+    pub fn values(&self) -> Option<Domain> {
+        let sets = self.sets.iter().filter(|set| set.drawn != Drawn::Faint);
+        let known = sets.flat_map(PointSet::known);
+        let ends = known.clone().flat_map(|point| [point.low, point.high]);
+        let line = self.line.1.iter().map(|point| point.1);
+        let values = Domain::of(ends.chain(line).chain(self.holds.iter().copied()));
+        values.filter(|_| known.count() > 1)
+    }
 }
 
 /// Share of the axis over which a line is drawn without a point of it.
 const WIDEST_GAP: f64 = 0.1;
 
-impl AxisChart<'_> {
-    /// Empty where there are not two points.
+impl AxisChart {
+    fn shown(&self) -> impl Iterator<Item = (&AxisPanel, Domain)> {
+        let panels = self.panels.iter();
+        panels.filter_map(|panel| Some((panel, panel.values()?)))
+    }
+
+    /// What all panels span, exponents where the axis is logarithmic.
+    pub fn across(&self) -> Option<Domain> {
+        let sets = || self.shown().flat_map(|(panel, _)| &panel.sets);
+        let points = sets().flat_map(PointSet::known).map(|point| point.at);
+        let lines = self.shown().flat_map(|(panel, _)| &panel.line.1);
+        let places = points.chain(lines.map(|point| point.0));
+        Domain::of(places.map(|at| self.along().place(at)))
+    }
+
+    const fn along(&self) -> Along {
+        if self.is_logarithmic {
+            Along::Log
+        } else {
+            Along::Linear
+        }
+    }
+
+    /// Empty where no panel has two points.
     pub fn svg(&self, description: &str) -> String {
-        let known = |set: &PointSet<'_>| -> Vec<(f64, f64, f64)> {
-            let points = set.points.iter().copied();
-            let known = points.filter(|(place, value, _)| place.is_finite() && value.is_finite());
-            known
-                .map(|(place, value, std)| {
-                    let std = if std.is_finite() { std } else { 0.0 };
-                    (place, value, TWO_SIDED_95 * std)
-                })
-                .collect()
-        };
-        let sets: Vec<_> = self.sets.iter().map(|set| (set, known(set))).collect();
-        let (label, line) = self.line;
-        let all = || sets.iter().flat_map(|(_, points)| points);
-        let edges = all().flat_map(|(_, value, half)| [value - half, value + half]);
-        let across = all().map(|point| point.0);
-        let across = Domain::of(across.chain(line.iter().map(|point| point.0)));
-        let upwards = edges.chain(line.iter().map(|point| point.1)).chain([0.0]);
-        let (Some(across), Some(upwards), true) = (across, Domain::of(upwards), all().count() > 1)
-        else {
+        const GAP: f64 = 12.0;
+        let Some(across) = self.across() else {
             return String::new();
         };
-        let base = HEAD + 210.0;
-        let x = Scale::across(Along::Linear, across);
-        let y = Scale::new(Along::Linear, upwards.padded(0.05), base, HEAD);
-        let mut svg = Svg::default();
-        svg.text("title", LEFT, HEAD - 9.0, &self.title);
-        let at = ticks(y.domain, 6);
-        svg.axis_upwards(&x, &y, &at, &labels(&at));
-        let at = ticks(x.domain, 10);
-        svg.axis_across(&x, &at, HEAD, base);
-        svg.frame(&x, HEAD, base);
-        let place = |place: f64, value: f64| (x.px(place), y.px(value));
-        let mut right = x.to_px;
-        if !line.is_empty() {
-            right = svg.legend_entry(right, HEAD - 9.0, "command", label);
-        }
-        for (set, points) in &sets {
-            let class = set.style.class();
-            if set.is_joined {
-                let above = points.iter().map(|(at, v, half)| place(*at, v + half));
-                let below = points.iter().map(|(at, v, half)| place(*at, v - half));
-                svg.path("spread", &(polyline(above.chain(below.rev())) + "Z"));
-                let curve = points.iter().map(|(at, value, _)| place(*at, *value));
-                svg.path(&format!("series {class}"), &polyline(curve));
+        let x = Scale::across(self.along(), across);
+        let at = if self.is_logarithmic {
+            powers(across)
+        } else {
+            ticks(across, 10)
+        };
+        let (mut svg, mut upper, mut base) = (Svg::default(), HEAD, HEAD);
+        let last = self.shown().count() - 1;
+        for (place, (panel, values)) in self.shown().enumerate() {
+            base = upper + panel.height;
+            let y = Scale::new(Along::Linear, values.padded(0.05), base, upper);
+            svg.text("title", LEFT, upper - 9.0, &panel.title);
+            let values = ticks(y.domain, 6);
+            svg.axis_upwards(&x, &y, &values, &labels(&values));
+            if place == last && !self.is_logarithmic {
+                svg.axis_across(&x, &at, upper, base);
             } else {
-                for (at, value, half) in points.iter().filter(|point| point.2 > 0.0) {
-                    let ends = (place(*at, value - half), place(*at, value + half));
-                    svg.line(&format!("interval {class}"), ends.0, ends.1);
+                svg.grid_across(&x, &at, upper, base);
+            }
+            svg.frame(&x, upper, base);
+            panel.draw(&mut svg, &x, &y, upper);
+            self.draw_marks(&mut svg, &x, (upper, base), place == 0);
+            upper = base + GAP + HEAD;
+        }
+        for tick in at.iter().filter(|_| self.is_logarithmic) {
+            svg.text("tick middle", x.px(*tick), base + 16.0, &plain(*tick));
+        }
+        svg.unit_across(&x, base + 34.0, &self.axis);
+        svg.close("plot", base + FOOT, description, "")
+    }
+
+    /// The places that are marked, with their names in the first panel.
+    fn draw_marks(&self, svg: &mut Svg, x: &Scale, (upper, base): (f64, f64), named: bool) {
+        for (row, (name, place)) in self.marks.iter().enumerate() {
+            let at = x.px(*place);
+            svg.line("divider", (at, upper), (at, base));
+            // Beside the line, on the side where there is room, each in a row of its own.
+            let left = if at + width(name) + 8.0 < x.to_px {
+                at + 4.0
+            } else {
+                at - width(name) - 4.0
+            };
+            if named {
+                svg.text("tick", left, upper + 13.0 + 14.0 * row as f64, name);
+            }
+        }
+    }
+}
+
+impl AxisPanel {
+    fn draw(&self, svg: &mut Svg, x: &Scale, y: &Scale, upper: f64) {
+        let level = upper - 9.0;
+        let mut right = x.to_px;
+        let (label, line) = &self.line;
+        if !line.is_empty() {
+            right = svg.legend_entry(right, level, "command", label);
+        }
+        for set in &self.sets {
+            set.draw(svg, x, y);
+            if !set.label.is_empty() && set.known().count() > 0 {
+                let class = set.style.class();
+                let key = right - width(&set.label) - 18.0;
+                right = svg.legend_entry(right, level, class, &set.label);
+                if set.drawn == Drawn::Apart {
+                    svg.dot(class, (key, level - 4.0), 3);
                 }
-            }
-            for (at, value, _) in points {
-                svg.dot(class, place(*at, *value), 3);
-            }
-            if !set.label.is_empty() && !points.is_empty() {
-                let key = right - width(set.label) - 18.0;
-                right = svg.legend_entry(right, HEAD - 9.0, class, set.label);
-                svg.dot(class, (key, HEAD - 13.0), 3);
             }
         }
         // Where the run never was the line says nothing.
-        let widest = WIDEST_GAP * (across.to - across.from);
+        let widest = WIDEST_GAP * (x.domain.to - x.domain.from);
         let pieces = line.chunk_by(|a, b| b.0 - a.0 <= widest);
+        let place = |(at, value): &(f64, f64)| (x.px(*at), y.px(*value));
         let path: String = pieces
-            .map(|piece| polyline(piece.iter().map(|(at, value)| place(*at, *value))) + "h0")
+            .map(|piece| polyline(piece.iter().map(place)) + "h0")
             .collect();
         svg.path("series command", &path);
-        svg.unit_across(&x, base + 34.0, self.axis);
-        svg.close("plot", base + FOOT, description, "")
     }
+}
+
+impl PointSet {
+    fn draw(&self, svg: &mut Svg, x: &Scale, y: &Scale) {
+        let class = self.style.class();
+        let place = |point: &Place, value: f64| (x.px(point.at), y.px(value));
+        let known: Vec<&Place> = self.known().collect();
+        match self.drawn {
+            Drawn::Faint => {
+                let Domain { from, to } = y.domain;
+                let inside = known.iter().filter(|own| (from..=to).contains(&own.value));
+                return inside.for_each(|own| svg.dot("faint", place(own, own.value), 1));
+            }
+            Drawn::Apart => {
+                for own in known.iter().filter(|own| own.high > own.low) {
+                    let ends = (place(own, own.low), place(own, own.high));
+                    svg.line(&format!("interval {class}"), ends.0, ends.1);
+                }
+            }
+            Drawn::Knots => draw_curve(svg, class, &known, place, ""),
+            Drawn::Curve => {
+                let pieces = self.points.split(|own| !own.is_known());
+                for piece in pieces.filter(|piece| !piece.is_empty()) {
+                    let piece: Vec<&Place> = piece.iter().collect();
+                    // A point between two gaps: no length and round ends make a dot.
+                    draw_curve(svg, class, &piece, place, "h0");
+                }
+                return;
+            }
+        }
+        for own in &known {
+            svg.dot(class, place(own, own.value), 3);
+        }
+    }
+}
+
+/// A curve within its band.
+fn draw_curve(
+    svg: &mut Svg,
+    class: &str,
+    points: &[&Place],
+    place: impl Fn(&Place, f64) -> (f64, f64),
+    end: &str,
+) {
+    let above = points.iter().map(|own| place(own, own.high));
+    let below = points.iter().rev().map(|own| place(own, own.low));
+    svg.path("spread", &(polyline(above.chain(below)) + "Z"));
+    let curve = polyline(points.iter().map(|own| place(own, own.value)));
+    svg.path(&format!("series {class}"), &(curve + end));
 }
 
 /// A grid of cells: the darker, the larger; the value stands in each, so that grey paper says the same.
@@ -254,7 +411,7 @@ impl CurveChart {
             self.panel(&mut svg, panel, &x, top + HEAD, top + HEAD + PANEL - 14.0);
             top += HEAD + PANEL;
         }
-        for tick in powers(&x) {
+        for tick in powers(x.domain) {
             svg.text("tick middle", x.px(tick), top + 16.0, &plain(tick));
         }
         svg.unit_across(&x, top + 34.0, &self.axis);
@@ -285,8 +442,8 @@ impl CurveChart {
         let y = Scale::new(Along::Log, Domain { from, to }, lower, upper);
         svg.write(format_args!("<g class=\"panel\">"));
         svg.frame(x, upper, lower);
-        svg.grid_across(x, &powers(x), upper, lower);
-        let at = powers(&y);
+        svg.grid_across(x, &powers(x.domain), upper, lower);
+        let at = powers(y.domain);
         svg.axis_upwards(
             x,
             &y,
@@ -329,25 +486,6 @@ fn mark(svg: &mut Svg, index: usize, (x, y): (f64, f64)) {
     let filled = if index < 5 { " filled" } else { "" };
     let class = format!("dot {}{filled}", class(index));
     svg.path(&class, &(polyline([(x, y)]) + shape));
-}
-
-/// Powers of ten, and 2 and 5 times them where there are few.
-pub(super) fn powers(scale: &Scale) -> Vec<f64> {
-    let Domain { from, to } = scale.domain;
-    let few = to - from < 4.0;
-    let factors: &[f64] = if few { &[1.0, 2.0, 5.0] } else { &[1.0] };
-    let all = (-30..=30).flat_map(|power| factors.iter().map(move |f| f * 10f64.powi(power)));
-    all.filter(|tick| (from - 1e-9..=to + 1e-9).contains(&tick.log10()))
-        .collect()
-}
-
-/// A tick without an exponent where it is short.
-pub(super) fn plain(value: f64) -> String {
-    if (1e-3..1e4).contains(&value) {
-        format!("{value}")
-    } else {
-        format!("{value:e}")
-    }
 }
 
 /// Claims of about one probability, and the share of them that came true with its bounds.
@@ -434,21 +572,25 @@ mod tests {
     #[test]
     fn knots_stand_at_their_place_and_a_missing_one_is_left_out() {
         let chart = |values: &[f64], std: &[f64]| {
-            let (title, axis) = ("what <it> lacks".to_owned(), "speed, rad/s");
             let stds = std.iter().copied().chain(std::iter::repeat(f64::NAN));
             let points = [-100.0, 0.0, 100.0].into_iter().zip(values).zip(stds);
-            let points = points.map(|((knot, value), std)| (knot, *value, std));
-            let sets = vec![PointSet {
-                label: "",
+            let points = points.map(|((knot, value), std)| Place::new(knot, *value, std));
+            let set = PointSet {
+                label: String::new(),
                 style: Style::After,
+                drawn: Drawn::Knots,
                 points: points.collect(),
-                is_joined: true,
-            }];
+            };
             AxisChart {
-                title,
-                axis,
-                sets,
-                line: ("", &[]),
+                axis: "speed, rad/s".to_owned(),
+                panels: vec![AxisPanel {
+                    title: "what <it> lacks".to_owned(),
+                    height: 210.0,
+                    holds: vec![0.0],
+                    sets: vec![set],
+                    line: (String::new(), Vec::new()),
+                }],
+                ..AxisChart::default()
             }
             .svg("curve")
         };
@@ -463,6 +605,55 @@ mod tests {
         assert_eq!(svg.matches("class=\"knot").count(), 2);
         assert!(!svg.contains("NaN"));
         assert_eq!(chart(&[f64::NAN, 0.1, f64::INFINITY], &[]), "");
+    }
+
+    #[test]
+    fn a_curve_over_frequency_has_gaps_faint_dots_and_names_of_modes() {
+        let chart = |is_carried: fn(i32) -> bool| {
+            let set = |label: &str, drawn, shows: bool| {
+                let place = |k: i32| Place {
+                    at: 0.5 * 1.2_f64.powi(k),
+                    value: if is_carried(k) == shows {
+                        f64::from(k)
+                    } else {
+                        f64::NAN
+                    },
+                    low: f64::from(k) - 1.0,
+                    high: if k == 3 { f64::NAN } else { f64::from(k) + 1.0 },
+                };
+                PointSet {
+                    label: label.to_owned(),
+                    style: Style::Measured,
+                    drawn,
+                    points: (0..30).map(place).collect(),
+                }
+            };
+            let sets = vec![
+                set("measured <1>", Drawn::Curve, true),
+                set("", Drawn::Faint, false),
+            ];
+            let panel = AxisPanel {
+                title: "magnitude, dB".to_owned(),
+                height: 150.0,
+                holds: Vec::new(),
+                sets,
+                line: (String::new(), Vec::new()),
+            };
+            AxisChart {
+                axis: "frequency, Hz".to_owned(),
+                is_logarithmic: true,
+                panels: vec![panel],
+                marks: vec![("resonance".to_owned(), 5.0)],
+            }
+            .svg("response")
+        };
+        let svg = chart(|k| !(10..20).contains(&k));
+        assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+        assert_eq!(svg.matches("class=\"knot faint\"").count(), 10);
+        // One of three pieces is cut in two by the point whose interval is not known.
+        assert_eq!(svg.matches("class=\"spread\"").count(), 3);
+        assert!(svg.contains("measured &lt;1&gt;") && svg.contains(">resonance</text>"));
+        assert_eq!(chart(|_| false), "");
     }
 
     #[test]

@@ -4,34 +4,34 @@
 //! chart: margins, scales (linear, logarithmic, log odds), axes with their ticks, pieces of SVG: the same for all
 //! samples -> pieces (cut at gaps) -> decimate (extremes per column) -> panels over one time axis
 //!                                '-> detail: the points for zooming in, decimated far less
-//! frequencies -> response: magnitude, phase and coherence with their intervals
+//! what an equation lacks over one axis, the effect through it; magnitude, phase and coherence over frequency -> axis chart,
+//! which a terminal draws as well
 //! ratios -> curves        rungs -> bars with the noise floor as the goal    error over speed x current -> map
-//! what an equation lacks over one axis, the effect through it -> axis chart    given probabilities and what came true -> reliability
+//! given probabilities and what came true -> reliability
 //! ```
 //!
 //! Every line has a dash pattern beside its colour, and every colour is a variable of the page, so that a page printed
 //! in grey or shown on a dark screen says the same.
 
-mod axis;
+pub mod axis;
 mod chart;
 mod charts;
 mod decimate;
 mod detail;
 mod panels;
-mod response;
 
 pub use charts::{
-    AxisChart, Claims, CurveChart, CurvePanel, MapChart, PointSet, bars, reliability,
+    AxisChart, AxisPanel, Claims, CurveChart, CurvePanel, Drawn, MapChart, Place, PointSet, bars,
+    reliability,
 };
 pub use detail::MOST_POINTS;
 pub use panels::{Panel, Style, TIME, stacked};
-pub use response::{ResponseChart, ResponseCurve, ResponsePanel, ResponsePlace};
 
 /// Light, dark and printed. Every kind of line has a dash pattern beside its colour.
 pub(super) const STYLE: &str = include_str!("plot.css");
 
 /// A picture and, where its lines run over one axis, the points behind them, with which the script of a page zooms.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Plot {
     pub svg: String,
     /// One line of text for each line of the picture, in its order; empty where there is nothing to zoom.

@@ -6,7 +6,7 @@ use super::axis::{Domain, labels, ticks};
 use super::chart::{Along, LEFT, Scale, Svg, WIDTH, polyline, px, width};
 use super::decimate::{Pieces, decimate, held, pieces};
 use super::{Plot, detail};
-use crate::report::page::escape;
+use crate::report::html::escape;
 use drivebench_model::text::number::significant;
 
 /// Room for a second unit on the right, above each panel, between panels, and below the last one, px.

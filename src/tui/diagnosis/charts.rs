@@ -9,28 +9,19 @@ use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
 use super::state::State;
+use crate::report::curve_chart;
+use crate::tui::axis_chart;
 use crate::tui::frame::{rows, titled_with};
-use crate::tui::plot::{
-    Bounds, LABELS, Stroke, Trace, across, plot, range, round, tick, value_axis,
-};
 use crate::tui::theme;
-use drivebench_diagnose::{AxisMap, CurvePoint, EffectCurve, MapCell, MapDigits, Off};
-use drivebench_model::plant::effect::Axis;
+use drivebench_diagnose::{CurvePoint, EffectCurve, MapCell, MapDigits, Off};
 use drivebench_model::text::lines::wrapped;
 use drivebench_model::text::number::{shortest, significant, with_std};
 
-/// Standard deviations that an error bar reaches to either side.
-const BAR_SIGMAS: f64 = 2.0;
 /// Rows that the words above the chart take at most, where there is room and where there is not.
 const MOST_WORDS: usize = 4;
 const FEW_WORDS: usize = 1;
 /// Rows from which on there is room for words.
 const TALL: u16 = 16;
-/// Share of the range that is left free at either end of the axis.
-const MARGIN: f64 = 0.02;
-
-const WITHOUT: char = '●';
-const WITH: char = '○';
 
 /// Error against its axis, the effect drawn through it. `index` counts what there is to be drawn; the cursor is on a point.
 pub(super) fn curve(
@@ -68,44 +59,23 @@ pub(super) fn curve(
     let said = said.into_iter();
     let said = said.map(|row| Line::styled(format!(" {row}"), theme::BOLD));
     let mut lines: Vec<Line<'static>> = said.collect();
-    lines.push(legend(curve));
-    if let Some(point) = cursor.and_then(|at| curve.points.get(at).map(|point| (at, point))) {
-        lines.push(at_cursor(curve, point));
-    }
+    let cursor = cursor.and_then(|at| Some((at, curve.points.get(at)?)));
+    lines.extend(cursor.map(|point| at_cursor(curve, point)));
     let head = u16::try_from(lines.len()).unwrap_or(u16::MAX);
     rows(&lines, inner, buffer);
-    let height = inner.height.saturating_sub(head);
-    if height < 3 || inner.width < LABELS + 8 {
-        return;
-    }
     let below = Rect {
-        y: inner.y + head,
-        height: height - 1,
+        y: inner.y + head.min(inner.height),
+        height: inner.height.saturating_sub(head),
         ..inner
     };
-    chart(curve, cursor, below, buffer);
+    let at = cursor.map(|(_, point)| point.at);
+    axis_chart::axis_chart(&curve_chart(curve), at, below, buffer);
 }
 
 fn words(curve: &Arc<EffectCurve>) -> Vec<String> {
     // A map of an unexplained error has its sentence, and no figures of windows.
-    let figures = curve.rms_without.is_finite().then(|| curve.sentence());
+    let figures = (!curve.is_unexplained()).then(|| curve.sentence());
     figures.into_iter().chain(curve.why_axis.clone()).collect()
-}
-
-fn legend(curve: &EffectCurve) -> Line<'static> {
-    let mut spans = vec![Span::styled(format!(" {WITHOUT} "), theme::CAREFUL)];
-    match curve.effect {
-        Some(effect) => {
-            spans.push(Span::raw(format!("without {effect} ")));
-            let line = format!(" {} {effect} at its size ", Stroke::Solid.sample());
-            spans.push(Span::styled(line, theme::SPEED));
-            spans.push(Span::styled(format!(" {WITH} "), theme::GOOD));
-            spans.push(Span::raw("with it "));
-        }
-        None => spans.push(Span::raw("error of the model ")),
-    }
-    spans.push(Span::styled(" │ ± 2 std", theme::DIM));
-    Line::from(spans)
 }
 
 fn at_cursor(curve: &EffectCurve, (at, point): (usize, &CurvePoint)) -> Line<'static> {
@@ -123,115 +93,11 @@ fn at_cursor(curve: &EffectCurve, (at, point): (usize, &CurvePoint)) -> Line<'st
     Line::styled(text, theme::BOLD)
 }
 
-/// What the chart of a curve spans; none where there is nothing to draw.
-fn bounds(curve: &EffectCurve) -> Option<Bounds> {
-    let points = || curve.points.iter().chain(&curve.with_it);
-    let places = points().map(|point| point.at);
-    let places = range(places.chain(curve.line.iter().map(|at| at.0)));
-    let ends = points().flat_map(|point| {
-        let bar = if point.std.is_finite() {
-            BAR_SIGMAS * point.std
-        } else {
-            0.0
-        };
-        [point.mean - bar, point.mean + bar]
-    });
-    let values = range(ends.chain(curve.line.iter().map(|at| at.1)));
-    let ((first, last), (least, most)) = (places?, values?);
-    let (low, high) = round(least.min(0.0), most.max(0.0));
-    let margin = MARGIN * (last - first);
-    Some(Bounds {
-        from: first - margin,
-        to: last + margin,
-        low,
-        high,
-    })
-}
-
 /// The point of a curve that is drawn nearest to this column of the page.
 pub(super) fn point_at(state: &State, index: usize, column: u16, area: Rect) -> Option<usize> {
     let drawn = state.drawn();
     let (curve, _) = drawn.get(index)?;
-    let bounds = bounds(curve)?;
-    let chart = Rect {
-        x: area.x + LABELS,
-        width: area.width.checked_sub(LABELS)?,
-        ..area
-    };
-    let columns = curve.points.iter().enumerate().filter_map(|(at, point)| {
-        let drawn = bounds.column(point.at, chart)?;
-        Some((drawn.abs_diff(column), at))
-    });
-    columns.min().map(|(_, at)| at)
-}
-
-/// The chart with the labels of its axis in the row below `area`.
-fn chart(curve: &EffectCurve, cursor: Option<usize>, area: Rect, buffer: &mut Buffer) {
-    let Some(bounds) = bounds(curve) else { return };
-    let inner = Rect {
-        x: area.x + LABELS,
-        width: area.width - LABELS,
-        ..area
-    };
-    value_axis(bounds.low, bounds.high, inner, buffer);
-    let here = cursor.and_then(|at| curve.points.get(at));
-    if let Some(x) = here.and_then(|point| bounds.column(point.at, inner)) {
-        for y in inner.y..inner.bottom() {
-            buffer[(x, y)].set_char('┊').set_style(theme::DIM);
-        }
-    }
-    let line = Trace {
-        points: curve.line.clone(),
-        longest_s: f64::INFINITY,
-        stroke: Stroke::Solid,
-        style: theme::SPEED,
-        beyond: None,
-    };
-    plot(&[line], bounds, inner, buffer);
-    for (points, mark, style) in [
-        (&curve.with_it, WITH, theme::GOOD),
-        (&curve.points, WITHOUT, theme::CAREFUL),
-    ] {
-        for point in points {
-            dot(point, mark, style, bounds, inner, buffer);
-        }
-    }
-    let (first, last) = (bounds.from, bounds.to);
-    let labels = [first, f64::midpoint(first, last), last].map(tick);
-    let [left, middle, right] = &labels;
-    let right = format!("{right} {}", curve.axis_unit);
-    let below = Rect {
-        y: area.bottom(),
-        height: 1,
-        ..area
-    };
-    across([left, middle, &right], theme::DIM, below, buffer);
-}
-
-/// One point with its error bar.
-fn dot(
-    point: &CurvePoint,
-    mark: char,
-    style: Style,
-    bounds: Bounds,
-    area: Rect,
-    buffer: &mut Buffer,
-) {
-    let Some(x) = bounds
-        .column(point.at, area)
-        .filter(|_| point.mean.is_finite())
-    else {
-        return;
-    };
-    let y = bounds.row(point.mean, area);
-    if point.std.is_finite() {
-        let bar = BAR_SIGMAS * point.std;
-        let [top, bottom] = [point.mean + bar, point.mean - bar].map(|end| bounds.row(end, area));
-        for at in (top..=bottom).filter(|at| *at != y) {
-            buffer[(x, at)].set_char('│').set_style(theme::DIM);
-        }
-    }
-    buffer[(x, y)].set_char(mark).set_style(style);
+    axis_chart::point_at(&curve_chart(curve), column, area)
 }
 
 /// The signed error of one equation over speed x current: digits, letters and shades that need no colour. `index` 0 is
@@ -306,41 +172,5 @@ const fn shade(off: Off) -> Style {
         Off::TooLow => theme::TOO_LOW,
         Off::TooHigh => theme::TOO_HIGH,
         Off::BothWays => theme::CAREFUL,
-    }
-}
-
-/// The curve that an unexplained error follows, as one that is drawn.
-pub(super) fn of_a_map(map: &AxisMap) -> EffectCurve {
-    let axis = Axis::from_key(map.axis);
-    let points = map.knots.iter().zip(&map.values).enumerate();
-    let point = |(knot, (at, mean)): (usize, (&f64, &f64))| CurvePoint {
-        at: *at,
-        mean: *mean,
-        std: map.std.get(knot).copied().unwrap_or(f64::NAN),
-        count: 0,
-    };
-    EffectCurve {
-        effect: None,
-        equation: map.equation,
-        unit: if map.equation == "voltage" {
-            "V"
-        } else {
-            "N.m"
-        },
-        axis: map.axis,
-        axis_unit: axis.map_or("", Axis::unit),
-        axis_name: map
-            .axis_label()
-            .split(',')
-            .next()
-            .unwrap_or_default()
-            .to_owned(),
-        why_axis: Some(map.sentence.clone()),
-        points: points.map(point).collect(),
-        line: Vec::new(),
-        with_it: Vec::new(),
-        noise: None,
-        rms_without: f64::NAN,
-        rms_with: None,
     }
 }

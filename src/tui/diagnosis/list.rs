@@ -240,7 +240,7 @@ fn share(share: Option<f64>, length: usize) -> Vec<Span<'static>> {
 }
 
 /// The status as a word with its mark, and the colour that repeats it.
-pub(super) const fn status(candidate: &Candidate) -> (&'static str, Style) {
+const fn status(candidate: &Candidate) -> (&'static str, Style) {
     match candidate.status {
         Status::Supported => ("✓ supported", theme::GOOD),
         Status::Possible => ("~ possible", theme::CAREFUL),

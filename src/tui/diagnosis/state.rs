@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::Opens;
-use super::charts::of_a_map;
 use super::list::{Judged, Row};
 use crate::tui::application::{Effect, Exit};
 use crate::tui::frame::scrolled;
@@ -187,7 +186,7 @@ impl State {
         let own = selected.and_then(|id| of(Some(id))).or_else(|| of(None));
         let mut drawn: Vec<_> = own.map(|own| (Arc::clone(own), None)).into_iter().collect();
         let maps = self.curves().into_iter();
-        drawn.extend(maps.map(|(place, map)| (Arc::new(of_a_map(map)), Some(place))));
+        drawn.extend(maps.map(|(place, map)| (Arc::new(EffectCurve::from(map)), Some(place))));
         drawn
     }
 

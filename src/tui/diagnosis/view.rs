@@ -10,22 +10,18 @@ use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
 use super::charts;
-use super::list::{candidates, status};
+use super::list::candidates;
 use super::state::{Over, State, Step};
-use crate::report::SignalFigures;
+use crate::report::{comparison_document, effect_document, error_changes, open_questions};
 use crate::tui::frame::{
-    help, hint_rows, hints, is_too_small, page, paragraph, row, rows, text, titled,
+    document, document_lines, help, hint_rows, hints, is_too_small, row, rows, text, titled,
 };
 use crate::tui::keys::On;
 use crate::tui::response::{self, ResponsePage};
 use crate::tui::theme;
 use crate::tui::traces::{self, TracesPage};
-use drivebench_diagnose::{
-    AddResult, Answer, Comparison, Diagnosis, DiagnosisVerdict, Reached, ResidualLights,
-};
-use drivebench_model::sample::TWO_SIDED_95;
+use drivebench_diagnose::{AddResult, Answer, Diagnosis, DiagnosisVerdict};
 use drivebench_model::text::lines::{cut, wrapped};
-use drivebench_model::text::number::{fit, probability, significant};
 
 /// Rungs that are shown; the latest ones where there are more.
 const MOST_RUNGS: usize = 5;
@@ -74,7 +70,8 @@ fn places(state: &State, area: Rect) -> Places {
         20..=29 => 6,
         _ => 9,
     };
-    let failing_rows = failing_rows(state, area.width).min(most);
+    let failing_rows = failing_lines(state, area.width).len() as u16 + 1;
+    let failing_rows = failing_rows.min(most);
     let rungs = state.ladder.len().min(MOST_RUNGS) as u16;
     let change_rows = u16::try_from(changes(state, area.width).len()).unwrap_or(0);
     let strip_rows = strip_rows(state, area);
@@ -347,12 +344,6 @@ fn keys(state: &State) -> (Vec<&'static str>, &'static str) {
     )
 }
 
-/// Places that are told.
-const MOST_PLACES: usize = 3;
-/// Below this width the signals have a row each, where there are so many rows.
-const SIDE_BY_SIDE: u16 = 106;
-const TALL: u16 = 4;
-
 /// How good the model is and where it fails: figures, lights, places.
 fn failing(state: &State, area: Rect, buffer: &mut Buffer) {
     if area.height == 0 {
@@ -364,79 +355,16 @@ fn failing(state: &State, area: Rect, buffer: &mut Buffer) {
         "held-out run: fit, error, where it fails"
     };
     let inner = titled(title, area, buffer);
-    let lines = state.compared().map_or_else(
-        || vec![Line::styled(" comparing ...", theme::DIM)],
-        |comparison| failing_lines(comparison, inner),
-    );
-    text(lines, inner, buffer);
+    let lines = failing_lines(state, inner.width);
+    rows(&lines, inner, buffer);
 }
 
-fn failing_lines(comparison: &Comparison, area: Rect) -> Vec<Line<'static>> {
-    let figure = |own: SignalFigures| {
-        let times = own.times_noise().map(|times| format!(" = {times} x noise"));
-        let (fit, rmse) = (
-            fit(own.holdout.fit_percent),
-            significant(own.holdout.rmse, 3),
-        );
-        let (name, unit, times) = (own.name, own.unit, times.unwrap_or_default());
-        let text = format!(" {name} fit {fit}, error {rmse} {unit}{times} ");
-        Span::styled(text, theme::BOLD)
+fn failing_lines(state: &State, width: u16) -> Vec<Line<'static>> {
+    let Some(comparison) = state.compared() else {
+        return vec![Line::styled(" comparing ...", theme::DIM)];
     };
-    let figures = SignalFigures::all(&comparison.signals).into_iter();
-    let figures: Vec<_> = figures.map(figure).collect();
-    let mut lines: Vec<Line<'static>> = if area.width < SIDE_BY_SIDE && area.height >= TALL {
-        figures.into_iter().map(Line::from).collect()
-    } else {
-        vec![Line::from(figures)]
-    };
-    lines.push(lights(&comparison.residual, area.width));
-    let (sentence, places) = comparison.where_it_fails();
-    lines.push(Line::raw(format!(" - {sentence}")));
-    let places = places.iter().take(MOST_PLACES - 1);
-    lines.extend(places.map(|place| Line::raw(format!(" - {}", place.sentence))));
-    if comparison.locations.is_empty() {
-        let balances = comparison.balances.iter();
-        lines.extend(balances.map(|balance| Line::raw(format!(" - {}", balance.sentence))));
-    }
-    let notes = comparison.limits.iter();
-    lines.extend(notes.map(|note| Line::styled(format!(" note: {note}"), theme::DIM)));
-    lines
-}
-
-/// Rows that there is something for, with the title.
-fn failing_rows(state: &State, width: u16) -> u16 {
-    let area = Rect::new(0, 0, width, TALL);
-    let room = usize::from(width).saturating_sub(1);
-    let rows = state.compared().map_or(1, |comparison| {
-        let lines = failing_lines(comparison, area);
-        let rows = lines
-            .iter()
-            .map(|line| wrapped(&line.to_string(), room).len());
-        rows.sum()
-    });
-    u16::try_from(rows + 1).unwrap_or(u16::MAX)
-}
-
-/// One light for each question; the word says what the colour does.
-fn lights(residual: &ResidualLights, width: u16) -> Line<'static> {
-    if !residual.enough_samples {
-        let text = " residual: too few samples to say whether only noise is left";
-        return Line::styled(text, theme::DIM);
-    }
-    // A tick only where nothing is to be said against it.
-    let (mark, style) = if residual.is_noise() {
-        ("✓", theme::GOOD)
-    } else {
-        ("✗", theme::BAD)
-    };
-    let sentence = residual.sentence();
-    let words = sentence.strip_prefix("more than noise is left: ");
-    let room = usize::from(width).saturating_sub(" residual: ".len() + 3);
-    let words = cut(words.unwrap_or(&sentence), room);
-    Line::from(vec![
-        Span::raw(" residual: "),
-        Span::styled(format!("{mark} {words}"), style),
-    ])
+    let document = comparison_document(comparison);
+    document_lines(document.rows(usize::from(width.saturating_sub(2)))).collect()
 }
 
 /// Longest bar.
@@ -525,14 +453,7 @@ fn change(added: bool, result: &AddResult) -> (String, Style) {
         );
     }
     let word = if added { "added" } else { "removed" };
-    let [before, after] =
-        [&result.before, &result.after].map(|own| SignalFigures::all(&own.signals));
-    let figures = before.iter().filter_map(|old| {
-        let new = after.iter().find(|new| new.signal == old.signal)?;
-        let [old_rmse, new_rmse] = [old, new].map(|own| significant(own.holdout.rmse, 3));
-        Some(format!("{old_rmse} -> {new_rmse} {}", old.unit))
-    });
-    let figures = figures.collect::<Vec<_>>().join(", ");
+    let figures = error_changes(result);
     let mut text = format!("✓ {word} {}: {figures}", result.effect);
     if let Some([before, after]) = &result.confirm {
         let (before, after) = (before.holdout_rmse, after.holdout_rmse);
@@ -543,101 +464,24 @@ fn change(added: bool, result: &AddResult) -> (String, Style) {
 }
 
 /// The card of the selected effect, and what this run says of it.
-pub(super) fn card(state: &State, first: usize, area: Rect, buffer: &mut Buffer) {
+fn card(state: &State, first: usize, area: Rect, buffer: &mut Buffer) {
     let Some(effect) = state.row().and_then(|row| row.effect()) else {
         return;
     };
-    let card = effect.card();
-    let inner = titled(&format!("{} ({})", card.name, card.id), area, buffer);
-    let mut lines = Vec::new();
-    if let Some(candidate) = state.candidate(card.id) {
-        let word = status(candidate).0;
-        lines.push(paragraph("here", format!("{word}: {}", candidate.evidence)));
-        for parameter in &candidate.parameters {
-            let key = parameter.key.rsplit('.').next().unwrap_or(&parameter.key);
-            let reason = parameter.reason.as_deref();
-            let reason = reason.map_or_else(String::new, |reason| format!(" ({reason})"));
-            let text = format!("{}{reason}, 95 % interval", parameter.text(TWO_SIDED_95));
-            lines.push(paragraph(key, text));
-        }
-        lines.extend(candidate.at_most().map(|text| paragraph("size", text)));
-        lines.extend(candidate.seen_from().map(|text| paragraph("visible", text)));
-        for peak in candidate.reached.iter().flat_map(Reached::peaks) {
-            lines.push(paragraph("reached", peak.text(TWO_SIDED_95)));
-        }
-        let is_named = !candidate.parameters.is_empty();
-        let widened = candidate.widened().filter(|_| is_named);
-        lines.extend(widened.map(|text| paragraph("intervals", text)));
-        let there = probability(candidate.probability);
-        let mut text = format!("{}; there with {there}", candidate.rank);
-        if let Some(after) = candidate.error_after {
-            let before = candidate.error_before;
-            let _ = write!(text, "; training error {before:.2} -> {after:.2}");
-        }
-        lines.push(paragraph("rank", text));
-    }
-    for (title, text) in [
-        ("equation", card.equation),
-        ("causes", card.causes),
-        ("looks like", card.looks_like),
-        ("excite it", card.excite),
-        ("remedy", card.remedy),
-    ] {
-        lines.push(paragraph(title, text));
-    }
-    state.hidden.set(page(lines, first, inner, buffer));
+    let card = effect_document(effect, state.candidate(effect.card().id));
+    state.hidden.set(document(&card, first, area, buffer));
 }
 
 /// What these runs do not tell, and the run that would.
-pub(super) fn next(state: &State, first: usize, area: Rect, buffer: &mut Buffer) {
+fn next(state: &State, first: usize, area: Rect, buffer: &mut Buffer) {
     let Some(diagnosis) = &state.diagnosis else {
         return;
     };
-    let inner = titled("what these runs do not tell", area, buffer);
-    let mut lines = Vec::new();
-    for [one, other] in &diagnosis.confusable {
-        lines.push(paragraph("not told apart", format!("{one} and {other}")));
-    }
-    for sentence in &diagnosis.limits {
-        lines.push(paragraph("limit", sentence.clone()));
-    }
-    for sentence in &diagnosis.equivalences {
-        lines.push(paragraph("by no run", *sentence));
-    }
-    for map in &diagnosis.axis_map {
-        lines.push(paragraph("the error", map.sentence.clone()));
-    }
-    if let Some(next) = &state.next {
-        lines.push(paragraph("next run", next.sentence.clone()));
-        if !next.menu.is_empty() {
-            let text = match next.pair {
-                Some(_) => "expected separation of each run, and from which on that run tells",
-                None => {
-                    "foreseen precision of the effect that each run shows best, and from which on that is promised"
-                }
-            };
-            lines.push(paragraph("compared", text));
-        }
-        for entry in &next.menu {
-            let is_told = entry.is_told();
-            let (mark, style) = if is_told {
-                ("✓", theme::GOOD)
-            } else {
-                ("·", theme::DIM)
-            };
-            let [expected, needed] =
-                [entry.expected_separation, entry.needed].map(|value| significant(value, 2));
-            let text = format!("{mark} {:<20} {expected:>10} of {needed}", entry.program);
-            lines.push(Line::styled(text, style));
-        }
-    }
     let none = match (state.looks, &state.failure) {
         (true, _) => Some("being looked for"),
         (false, Some(_)) if state.next.is_none() => Some("none is known"),
-        _ => lines
-            .is_empty()
-            .then_some("none is asked for: these runs tell what they can"),
+        _ => None,
     };
-    lines.extend(none.map(|none| paragraph("next run", none)));
-    state.hidden.set(page(lines, first, inner, buffer));
+    let questions = open_questions(diagnosis, state.next.as_deref(), none);
+    state.hidden.set(document(&questions, first, area, buffer));
 }

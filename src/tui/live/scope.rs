@@ -7,9 +7,9 @@ use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
-use crate::tui::frame::row;
+use crate::report::plot::axis::Domain;
 use crate::tui::plot::{
-    self, Bounds, LABELS, Stroke, Trace, across, longest_step_s, range, round, tick, value_axis,
+    self, Bounds, LABELS, Stroke, Trace, across, framed, longest_step_s, range, tick,
 };
 use crate::tui::theme;
 use drivebench_bench::{Snapshot, TracePoint};
@@ -150,34 +150,22 @@ fn draw(
         Chart::Speed => trace(&|point| point.model_speed_rad_s),
         _ => Vec::new(),
     };
-    let (low, high) = bounds(&measured, &model);
+    let values = bounds(&measured, &model);
     let newest = measured.last().map_or(f64::NAN, |point| point.1);
     let title = title(chart, snapshot, follows, newest, area.width);
-    row(&title, Rect { height: 1, ..area }, buffer);
-
-    let plot_area = Rect {
-        x: area.x + LABELS,
-        y: area.y + 1,
-        width: area.width - LABELS,
-        height: area.height - 1,
-    };
-    value_axis(low, high, plot_area, buffer);
+    let plot_area = framed(&title, values, area, buffer);
     let line = |points: Vec<(f64, f64)>, stroke, style| Trace {
         longest_s: longest_step_s(points.len(), |k| points[k].0),
-        points,
-        stroke,
-        style,
-        beyond: None,
+        ..Trace::new(points, stroke, style)
     };
     let traces = [
         line(model, Stroke::Dashed, theme::MODEL),
         line(measured, Stroke::Solid, chart.look().1),
     ];
+    let (from, to) = (from_s, to_s);
     let bounds = Bounds {
-        from: from_s,
-        to: to_s,
-        low,
-        high,
+        x: Domain { from, to },
+        y: values,
     };
     plot::plot(&traces, bounds, plot_area, buffer);
 }
@@ -230,21 +218,17 @@ fn reading(value: f64) -> String {
 }
 
 /// Round bounds that hold the measurement and zero; a model that runs away does not squeeze the measurement.
-fn bounds(measured: &[(f64, f64)], model: &[(f64, f64)]) -> (f64, f64) {
+fn bounds(measured: &[(f64, f64)], model: &[(f64, f64)]) -> Domain {
     let values = |points: &[(f64, f64)]| range(points.iter().map(|point| point.1));
-    let (mut low, mut high) = match (values(measured), values(model)) {
-        (Some((low, high)), Some((model_low, model_high))) => {
-            let room = STRETCH * (high.max(0.0) - low.min(0.0));
-            (
-                low.min(model_low.max(low - room)),
-                high.max(model_high.min(high + room)),
-            )
+    let both = match (values(measured), values(model)) {
+        (Some(own), Some(model)) => {
+            let room = STRETCH * (own.to.max(0.0) - own.from.min(0.0));
+            own.with([model.from.max(own.from - room), model.to.min(own.to + room)])
         }
         (Some(range), None) | (None, Some(range)) => range,
-        (None, None) => (0.0, 1.0),
+        (None, None) => Domain { from: 0.0, to: 1.0 },
     };
-    (low, high) = (low.min(0.0), high.max(0.0));
-    round(low, high)
+    both.with([0.0, 0.0]).rounded()
 }
 
 fn time_axis(from_s: f64, to_s: f64, stands: Option<&str>, area: Rect, buffer: &mut Buffer) {
@@ -276,11 +260,15 @@ mod tests {
     #[test]
     fn bounds_are_round_hold_zero_and_are_not_squeezed_by_a_runaway_model() {
         let measured: Vec<_> = (0..=100).map(|k| (f64::from(k), f64::from(k))).collect();
-        assert_eq!(bounds(&measured, &[]), (0.0, 100.0));
         let runaway = [(0.0, -1e9), (1.0, 1e12), (2.0, f64::INFINITY)];
-        assert_eq!(bounds(&measured, &runaway), (-50.0, 150.0));
-        assert_eq!(bounds(&[], &[]), (0.0, 1.0));
-        assert_eq!(bounds(&[(0.0, 0.0)], &[(0.0, f64::NAN)]), (0.0, 1.0));
+        for (measured, model, (from, to)) in [
+            (&measured[..], &[][..], (0.0, 100.0)),
+            (&measured[..], &runaway[..], (-50.0, 150.0)),
+            (&[][..], &[][..], (0.0, 1.0)),
+            (&[(0.0, 0.0)][..], &[(0.0, f64::NAN)][..], (-1.0, 1.0)),
+        ] {
+            assert_eq!(bounds(measured, model), Domain { from, to });
+        }
     }
 
     #[test]

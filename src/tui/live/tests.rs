@@ -228,8 +228,8 @@ fn workflow(finished: bool) -> Progress {
             (Step::Diagnose, Done, found),
             (confirm, Failed, "the third run was stopped"),
         ];
-        let card = crate::report::testing::card();
-        (steps, Some(card))
+        let document = crate::report::testing::document();
+        (steps, Some(Arc::new(document)))
     } else {
         let steps = [
             checked,

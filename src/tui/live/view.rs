@@ -9,7 +9,9 @@ use ratatui::widgets::{Block, BorderType, Clear, Padding, Paragraph, Widget, Wra
 
 use super::model::{Model, Page};
 use super::scope::scope;
-use crate::tui::frame::{bar_spans, help, hint_rows, hints, is_too_small, row, rows, text};
+use crate::tui::frame::{
+    bar_spans, document_lines, help, hint_rows, hints, is_too_small, row, rows, scrolling, text,
+};
 use crate::tui::keys::On;
 use crate::tui::theme;
 use crate::workflow::{Progress, Step, StepState, StepView};
@@ -321,24 +323,9 @@ fn steps_page(model: &Model, area: Rect, buffer: &mut Buffer) {
         return;
     };
     let lines = step_lines(model, workflow, usize::from(area.width));
-    let hidden = lines.len().saturating_sub(usize::from(area.height));
-    model.hidden.set(hidden);
-    let first = model.scroll.min(hidden);
-    let shown = lines.into_iter().skip(first);
-    rows(&shown.collect::<Vec<_>>(), area, buffer);
-    if first < hidden {
-        let more = Line::styled(" … ▼ Down: more ", theme::CAREFUL).right_aligned();
-        let last = area.rows().next_back().unwrap_or(area);
-        Clear.render(
-            Rect {
-                x: last.right().saturating_sub(more.width() as u16).max(last.x),
-                width: (more.width() as u16).min(last.width),
-                ..last
-            },
-            buffer,
-        );
-        row(&more, last, buffer);
-    }
+    model
+        .hidden
+        .set(scrolling(&lines, model.scroll, area, buffer));
 }
 
 /// What a step needs, what it makes possible and which command does the same.
@@ -423,12 +410,9 @@ fn step_lines(model: &Model, workflow: &Progress, width: usize) -> Vec<Line<'sta
         head.chain(more.into_iter().flatten()).collect::<Vec<_>>()
     });
     let mut lines = Vec::new();
-    if let Some(card) = &workflow.report {
-        let rows = card.rows(width.saturating_sub(2));
-        lines.extend(rows.into_iter().map(|row| Line::raw(format!(" {row}"))));
-    }
-    // What it came to, then how, and what can follow.
-    if workflow.report.is_some() {
+    if let Some(document) = &workflow.report {
+        lines.extend(document_lines(document.rows(width.saturating_sub(2))));
+        // What it came to, then how, and what can follow.
         lines.push(Line::default());
     }
     lines.extend(steps);

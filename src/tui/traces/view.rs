@@ -7,9 +7,10 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Clear, Paragraph, Widget};
 
 use super::{Panel, Shows, TracesPage, first_panels};
+use crate::report::plot::axis::Domain;
 use crate::tui::frame::{row, titled_with};
 use crate::tui::plot::{
-    Bounds, LABELS, Stroke, Trace, across, longest_step_s, plot, range, round, value_axis,
+    Bounds, LABELS, Stroke, Trace, across, framed, longest_step_s, plot, range, vertical,
 };
 use crate::tui::theme;
 use drivebench_diagnose::{Quantity, RunTraces, SignalTrace};
@@ -25,6 +26,8 @@ const LOW: u16 = 10;
 /// Standard deviations of the noise that the band holds, and from which on a residual is marked.
 const BAND_SIGMAS: f64 = 2.0;
 const MARKED_SIGMAS: f64 = 3.0;
+/// What the axis of a panel without a value holds.
+const NOTHING: Domain = Domain { from: 0.0, to: 1.0 };
 /// From this width on legends are written out.
 const WIDE: u16 = 76;
 
@@ -179,40 +182,11 @@ const fn style_of(quantity: Quantity) -> Style {
     }
 }
 
-/// The part of a panel below its title.
-fn below_title(area: Rect) -> Rect {
-    Rect {
-        x: area.x + LABELS,
-        y: area.y + 1,
-        width: area.width - LABELS,
-        height: area.height.saturating_sub(1),
-    }
-}
-
-fn vertical(at_s: f64, mark: char, bounds: Bounds, area: Rect, buffer: &mut Buffer) {
-    if let Some(x) = bounds.column(at_s, area) {
-        for y in area.y..area.bottom() {
-            buffer[(x, y)].set_char(mark).set_style(theme::DIM);
-        }
-    }
-}
-
-/// Marks of the time axis that all panels have: where the hold-out begins, and the cursor.
-fn marks(page: &TracesPage, run: &RunTraces, bounds: Bounds, area: Rect, buffer: &mut Buffer) {
-    if let Some(at_s) = run.held_out_from_s {
-        vertical(at_s, '╎', bounds, area, buffer);
-    }
-    if let Some(at_s) = page.cursor_s {
-        vertical(at_s, '┊', bounds, area, buffer);
-    }
-}
-
 /// What a panel draws of its signal.
 struct Drawn {
     title: Line<'static>,
-    /// Ends of the axis of values.
-    low: f64,
-    high: f64,
+    /// What the axis of values holds.
+    values: Domain,
     /// Later ones over earlier ones.
     traces: Vec<Trace>,
     /// Half the width of the band of the noise.
@@ -230,31 +204,31 @@ fn panel(
     let is_wide = area.width >= WIDE;
     let Drawn {
         title,
-        low,
-        high,
+        values,
         traces,
         band,
     } = match shows {
         Shows::Both => both(page, signal, is_wide),
         Shows::Residual => residual(page, signal, is_wide),
     };
-    row(&title, Rect { height: 1, ..area }, buffer);
-    let inner = below_title(area);
-    value_axis(low, high, inner, buffer);
     let (from, to) = page.window_s();
     let bounds = Bounds {
-        from,
-        to,
-        low,
-        high,
+        x: Domain { from, to },
+        y: values.rounded(),
     };
+    let inner = framed(&title, bounds.y, area, buffer);
     for edge in band.into_iter().flat_map(|band| [-band, band]) {
         let y = bounds.row(edge, inner);
         for x in (inner.x..inner.right()).filter(|_| inner.height > 2) {
             buffer[(x, y)].set_char('┈').set_style(theme::GOOD);
         }
     }
-    marks(page, run, bounds, inner, buffer);
+    // On the time axis that all panels have: where the hold-out begins, and the cursor.
+    for (at_s, mark) in [(run.held_out_from_s, '╎'), (page.cursor_s, '┊')] {
+        if let Some(at_s) = at_s {
+            vertical(at_s, mark, bounds, inner, buffer);
+        }
+    }
     plot(&traces, bounds, inner, buffer);
 }
 
@@ -266,11 +240,8 @@ fn line(signal: &SignalTrace, points: Vec<(f64, f64)>, stroke: Stroke, style: St
         longest_step_s(signal.time_s.len(), |k| signal.time_s[k])
     };
     Trace {
-        points,
         longest_s,
-        stroke,
-        style,
-        beyond: None,
+        ..Trace::new(points, stroke, style)
     }
 }
 
@@ -296,13 +267,8 @@ fn both(page: &TracesPage, signal: &SignalTrace, is_wide: bool) -> Drawn {
         let pairs = signal.measured.iter().zip(&signal.std);
         seen(&mut pairs.map(|(value, std)| value + sigmas * std))
     };
-    let values = [&measured, &model, &before].map(|points| range(points.iter().map(|p| p.1)));
-    let (low, high) = values
-        .into_iter()
-        .flatten()
-        .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
-        .unwrap_or((0.0, 1.0));
-    let (low, high) = round(low, high);
+    let values = [&measured, &model, &before].into_iter().flatten();
+    let values = range(values.map(|point| point.1)).unwrap_or(NOTHING);
 
     let style = style_of(signal.quantity);
     let head = format!(" {}, {}", signal.quantity.name(), signal.quantity.unit());
@@ -348,8 +314,7 @@ fn both(page: &TracesPage, signal: &SignalTrace, is_wide: bool) -> Drawn {
     let traces = traces.map(|(points, stroke, style)| line(signal, points, stroke, style));
     Drawn {
         title,
-        low,
-        high,
+        values,
         traces: traces.into(),
         band: None,
     }
@@ -366,13 +331,13 @@ fn residual(page: &TracesPage, signal: &SignalTrace, is_wide: bool) -> Drawn {
         points.extend(old.into_iter().filter(|point| point.0 > border_s));
     }
     let band = signal.noise.map(|noise| BAND_SIGMAS * noise);
-    let (least, most) = range(points.iter().map(|point| point.1)).unwrap_or((-1.0, 1.0));
     // Of both models, so that the axis stands still while a change is drawn.
     let old = before.filter(|_| page.is_moving());
-    let old = old.and_then(|before| range(before.residual()));
-    let (least, most) = old.map_or((least, most), |old| (least.min(old.0), most.max(old.1)));
-    let largest = least.abs().max(most.abs()).max(1.5 * band.unwrap_or(0.0));
-    let (low, high) = round(-largest, largest);
+    let old = old.into_iter().flat_map(SignalTrace::residual);
+    let values = points.iter().map(|point| point.1).chain(old);
+    let ends = values.flat_map(|value| [value, -value]);
+    let least = band.into_iter().flat_map(|band| [-1.5 * band, 1.5 * band]);
+    let values = range(ends.chain(least)).unwrap_or(NOTHING);
 
     let known = points.iter().map(|point| point.1).filter(|r| r.is_finite());
     let (squares, count) = known.fold((0.0, 0.0), |(sum, n), r| (sum + r * r, n + 1.0));
@@ -411,8 +376,7 @@ fn residual(page: &TracesPage, signal: &SignalTrace, is_wide: bool) -> Drawn {
     };
     Drawn {
         title,
-        low,
-        high,
+        values,
         traces: vec![trace],
         band: band.filter(|band| *band > 0.0),
     }

@@ -75,22 +75,6 @@ impl AxisMap {
         self.r2 >= FOLLOWS_SHARE
     }
 
-    /// What its values are, with their unit.
-    pub fn title(&self) -> String {
-        let unit = if self.equation == "voltage" {
-            "V"
-        } else {
-            "N.m"
-        };
-        format!("what the {} equation lacks, {unit}", self.equation)
-    }
-
-    /// Its axis with the unit.
-    pub fn axis_label(&self) -> String {
-        let (name, unit) = name_and_unit(self.axis);
-        format!("{name}, {unit}")
-    }
-
     /// The knot with the largest value that stands out from its uncertainty.
     fn peak(&self) -> Option<usize> {
         let sure = |knot: &usize| self.values[*knot].abs() > FOUND_SIGMAS * self.std[*knot];

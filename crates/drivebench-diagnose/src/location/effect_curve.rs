@@ -14,6 +14,7 @@ use std::f64::consts::TAU;
 use serde::Serialize;
 
 use super::axis::{Search, name_and_unit};
+use super::curve::AxisMap;
 use super::windows::{FEWEST_HALF, Window, Windows, own_keys};
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::FitError;
@@ -117,12 +118,49 @@ impl EffectCurve {
         }
     }
 
+    /// Whether it is an error that no effect explains, over knots and not over windows of a run.
+    pub const fn is_unexplained(&self) -> bool {
+        !self.rms_without.is_finite()
+    }
+
     fn beside_noise(&self) -> String {
         let unit = self.unit;
         self.noise.map_or_else(String::new, |noise| {
             let noise = significant(noise, 2);
             format!("; noise alone leaves {noise} {unit} (root mean squares of a window)")
         })
+    }
+}
+
+impl From<&AxisMap> for EffectCurve {
+    fn from(map: &AxisMap) -> Self {
+        let (name, axis_unit) = name_and_unit(map.axis);
+        let points = map.knots.iter().zip(&map.values).enumerate();
+        let point = |(knot, (at, mean)): (usize, (&f64, &f64))| CurvePoint {
+            at: *at,
+            mean: *mean,
+            std: map.std.get(knot).copied().unwrap_or(f64::NAN),
+            count: 0,
+        };
+        Self {
+            effect: None,
+            equation: map.equation,
+            unit: if map.equation == "voltage" {
+                "V"
+            } else {
+                "N.m"
+            },
+            axis: map.axis,
+            axis_unit,
+            axis_name: name.to_owned(),
+            why_axis: Some(map.sentence.clone()),
+            points: points.map(point).collect(),
+            line: Vec::new(),
+            with_it: Vec::new(),
+            noise: None,
+            rms_without: f64::NAN,
+            rms_with: None,
+        }
     }
 }
 

@@ -1,0 +1,296 @@
+//! A result as one document: its headline, labelled sentences and facts, tables, charts and lists, and the commands that
+//! follow. A command builds it once; `html`, `markdown`, `terminal` and the screens print it.
+
+use super::Facts;
+use super::plot::Plot;
+use super::table::Table;
+
+/// How a statement is to be taken; shown by a word and a mark, the colour only repeats it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tone {
+    Good,
+    Attention,
+    Bad,
+    Plain,
+}
+
+/// The verdict in a word or two, and the sentence that answers the reader's question.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Lead {
+    pub(super) tone: Tone,
+    pub(super) verdict: String,
+    pub(super) sentence: String,
+}
+
+/// Horizontal bars, as those of the ladder of models.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Bars {
+    /// Name, length, figure beside it.
+    pub bars: Vec<(String, f64, String)>,
+    /// What the lengths are.
+    pub unit: String,
+    /// Name and length of a line that the bars should reach; drawn on a page.
+    pub goal: Option<(&'static str, f64)>,
+    pub caption: String,
+}
+
+impl Bars {
+    pub fn new(bars: Vec<(String, f64, String)>, unit: impl Into<String>) -> Self {
+        Self {
+            bars,
+            unit: unit.into(),
+            goal: None,
+            caption: String::new(),
+        }
+    }
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Content {
+    Heading(String),
+    Paragraph(String),
+    List(Vec<String>),
+    Facts(Facts),
+    Table {
+        table: Table,
+        /// Columns that a narrow terminal goes without, the first first.
+        spare: &'static [&'static str],
+    },
+    Bars(Bars),
+    Figure {
+        /// SVG from this room, already escaped.
+        plot: Plot,
+        caption: String,
+        /// The picture in rows of characters; empty where a terminal shows nothing of it.
+        text: Vec<String>,
+    },
+    Notice(String),
+}
+
+impl Content {
+    /// Entries that a card can leave out one by one.
+    pub(super) const fn entries(&self) -> usize {
+        match self {
+            Self::List(items) => items.len(),
+            Self::Facts(facts) => facts.len(),
+            Self::Table { table, .. } => table.rows.len(),
+            Self::Bars(bars) => bars.bars.len(),
+            Self::Heading(_) | Self::Paragraph(_) | Self::Figure { .. } | Self::Notice(_) => 1,
+        }
+    }
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Block {
+    pub(super) label: String,
+    /// Entries that a card keeps whatever the room; `None` where the block is not on the card.
+    pub(super) least: Option<usize>,
+    pub(super) content: Content,
+}
+
+/// A result. Text is plain: each form escapes it for itself.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Document {
+    pub(super) title: String,
+    pub(super) subtitle: String,
+    pub(super) about: Facts,
+    pub(super) lead: Option<Lead>,
+    pub(super) blocks: Vec<Block>,
+    pub(super) commands: Vec<String>,
+    pub(super) page: Option<String>,
+    /// What has the entries that a card leaves out.
+    pub(super) rest: &'static str,
+}
+
+impl Document {
+    pub fn new(title: impl Into<String>, subtitle: impl Into<String>) -> Self {
+        Self {
+            title: title.into(),
+            subtitle: subtitle.into(),
+            about: Facts::new(),
+            lead: None,
+            blocks: Vec::new(),
+            commands: Vec::new(),
+            page: None,
+            rest: "--full",
+        }
+    }
+
+    /// A result that has no page: the verdict, and the sentence behind it.
+    pub fn of(tone: Tone, verdict: impl Into<String>, sentence: impl Into<String>) -> Self {
+        let mut document = Self::new("", "");
+        document.lead(tone, verdict, sentence);
+        document
+    }
+
+    pub fn title(&self) -> &str {
+        &self.title
+    }
+
+    /// Labels and values above everything else of a page.
+    pub fn about(&mut self, facts: Facts) {
+        self.about = facts;
+    }
+
+    pub fn lead(&mut self, tone: Tone, verdict: impl Into<String>, sentence: impl Into<String>) {
+        self.lead = Some(Lead {
+            tone,
+            verdict: verdict.into(),
+            sentence: sentence.into(),
+        });
+    }
+
+    /// A heading; one with nothing below it is left out.
+    pub fn section(&mut self, heading: impl Into<String>) {
+        self.drop_empty_heading();
+        self.push(Content::Heading(heading.into()));
+    }
+
+    fn drop_empty_heading(&mut self) {
+        let last = self.blocks.last().map(|block| &block.content);
+        if let Some(Content::Heading(_)) = last {
+            self.blocks.pop();
+        }
+    }
+
+    pub fn paragraph(&mut self, text: impl Into<String>) {
+        self.push(Content::Paragraph(text.into()));
+    }
+
+    pub fn notice(&mut self, text: impl Into<String>) {
+        self.push(Content::Notice(text.into()));
+    }
+
+    /// Sentences, one a line; nothing where there are none.
+    pub fn list<T: Into<String>>(&mut self, items: impl IntoIterator<Item = T>) {
+        self.push(Content::List(items.into_iter().map(Into::into).collect()));
+    }
+
+    /// Sentences with a label, not on the card.
+    pub fn labelled<T: Into<String>>(
+        &mut self,
+        label: impl Into<String>,
+        sentences: impl IntoIterator<Item = T>,
+    ) {
+        self.list_as(label.into(), sentences, None);
+    }
+
+    /// The same on the card, where `least` of them are kept whatever the room.
+    pub fn say<T: Into<String>>(
+        &mut self,
+        label: impl Into<String>,
+        sentences: impl IntoIterator<Item = T>,
+        least: usize,
+    ) {
+        self.list_as(label.into(), sentences, Some(least));
+    }
+
+    fn list_as<T: Into<String>>(
+        &mut self,
+        label: String,
+        sentences: impl IntoIterator<Item = T>,
+        least: Option<usize>,
+    ) {
+        let sentences = sentences.into_iter().map(Into::into).collect();
+        self.put(label, least, Content::List(sentences));
+    }
+
+    /// Labels and values; nothing where there are none.
+    pub fn facts(&mut self, facts: Facts) {
+        self.push(Content::Facts(facts));
+    }
+
+    pub fn table(&mut self, table: impl Into<Table>) {
+        let (table, spare) = (table.into(), &[][..]);
+        self.push(Content::Table { table, spare });
+    }
+
+    /// A table that is on the card as well, which a narrow terminal shows without the columns with these heads, the first
+    /// first.
+    pub fn table_on_card(
+        &mut self,
+        label: impl Into<String>,
+        table: impl Into<Table>,
+        spare: &'static [&'static str],
+        least: usize,
+    ) {
+        let table = table.into();
+        self.put(label.into(), Some(least), Content::Table { table, spare });
+    }
+
+    /// Bars, of which the card keeps two.
+    pub fn bars(&mut self, label: impl Into<String>, bars: Bars) {
+        self.put(label.into(), Some(2), Content::Bars(bars));
+    }
+
+    /// A picture made by [`super::plot`]; nothing where it is empty.
+    pub fn figure(&mut self, plot: impl Into<Plot>, caption: impl Into<String>) {
+        self.figure_with_text(plot, caption, Vec::new());
+    }
+
+    /// The same with the rows of characters that a terminal shows in its place.
+    pub(super) fn figure_with_text(
+        &mut self,
+        plot: impl Into<Plot>,
+        caption: impl Into<String>,
+        text: Vec<String>,
+    ) {
+        let (plot, mut caption) = (plot.into(), caption.into());
+        if plot.svg.is_empty() {
+            return;
+        }
+        if let Some(column) = &plot.thinned {
+            caption += &format!(
+                " Looked at closely, each {column} has its first, lowest, highest and last value."
+            );
+        }
+        self.push(Content::Figure {
+            plot,
+            caption,
+            text,
+        });
+    }
+
+    /// The blocks of another one behind its own.
+    pub fn append(&mut self, other: Self) {
+        self.blocks.extend(other.blocks);
+    }
+
+    fn push(&mut self, content: Content) {
+        self.put(String::new(), None, content);
+    }
+
+    fn put(&mut self, label: String, least: Option<usize>, content: Content) {
+        if content.entries() > 0 {
+            let least = least.map(|least| least.min(content.entries()));
+            self.blocks.push(Block {
+                label,
+                least,
+                content,
+            });
+        }
+    }
+
+    /// A command that follows from the result.
+    pub fn go_on(&mut self, command: impl Into<String>) {
+        self.commands.push(command.into());
+    }
+
+    /// The page that has the rest: the last line of a card.
+    pub fn ends_with(&mut self, page: impl Into<String>) {
+        self.page = Some(page.into());
+    }
+
+    /// The command with `--full` would turn the motor again: what a card leaves out stands on the page.
+    pub fn is_of_a_motion(&mut self) {
+        self.rest = "the page below";
+    }
+
+    /// The blocks without a heading that has nothing below it.
+    pub(super) fn shown(&self) -> &[Block] {
+        match self.blocks.split_last() {
+            Some((last, before)) if matches!(last.content, Content::Heading(_)) => before,
+            _ => &self.blocks,
+        }
+    }
+}

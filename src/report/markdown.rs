@@ -1,0 +1,66 @@
+//! A document as Markdown, the verdict first, with tables that are aligned for a terminal.
+
+use std::fmt::Write;
+
+use super::document::{Block, Content, Document};
+use super::table::{Table, padded};
+use drivebench_model::text::columns;
+
+impl Document {
+    pub fn markdown(&self) -> String {
+        let mut out = String::new();
+        if let Some(lead) = &self.lead {
+            let (verdict, sentence) = (lead.verdict.to_uppercase(), &lead.sentence);
+            let _ = writeln!(out, "{verdict}: {sentence}\n");
+        }
+        let _ = writeln!(out, "# {}\n\n{}", self.title, self.subtitle);
+        if !self.about.is_empty() {
+            let facts: Vec<String> = self.about.iter().map(fact).collect();
+            let _ = writeln!(out, "\n{}", facts.join("; "));
+        }
+        for block in self.shown() {
+            out.push_str(&markdown(block));
+        }
+        out
+    }
+}
+
+fn fact((label, value): &(String, String)) -> String {
+    format!("{label}: {value}")
+}
+
+fn items(items: impl Iterator<Item = String>) -> String {
+    let items: String = items.map(|item| format!("- {item}\n")).collect();
+    format!("\n{items}")
+}
+
+fn markdown(block: &Block) -> String {
+    match &block.content {
+        Content::Heading(heading) => format!("\n## {heading}\n"),
+        Content::Paragraph(text) => format!("\n{text}\n"),
+        Content::Notice(text) => format!("\n> {text}\n"),
+        Content::List(all) if block.label.is_empty() => items(all.iter().cloned()),
+        Content::List(all) => items(all.iter().map(|item| format!("{}: {item}", block.label))),
+        Content::Facts(facts) => items(facts.iter().map(fact)),
+        Content::Table { table, .. } => table_text(table),
+        Content::Bars(_) | Content::Figure { .. } => String::new(),
+    }
+}
+
+fn table_text(table: &Table) -> String {
+    let plain = |text: &str| text.replace('|', "/").replace('\n', " ");
+    let head = table.head.iter().map(|head| (*head).to_owned()).collect();
+    let rows = table.rows.iter().map(|row| {
+        let cells = padded(row, table.head.len());
+        cells.map(|cell| plain(&cell.text)).collect()
+    });
+    let mut rows: Vec<Vec<String>> = std::iter::once(head).chain(rows).collect();
+    let widths = columns::widths(&rows, 3);
+    let rules = widths.iter().map(|width| "-".repeat(*width)).collect();
+    rows.insert(1, rules);
+    let line = |row: &Vec<String>| {
+        let cells = columns::padded(row, &widths).join(" | ");
+        format!("| {cells} |\n")
+    };
+    format!("\n{}", rows.iter().map(line).collect::<String>())
+}
