@@ -137,7 +137,7 @@ pub(crate) fn identify(answer: &Answer, scheme: &str) -> Document {
     let parameters = answer.parameters();
     if let Some(ratio) = answer.gear_ratio {
         let load = conventions::on_load_shaft(&parameters, ratio);
-        tables::parameter_section(&mut document, "load shaft", None, &[], &load, 2);
+        tables::parameter_section(&mut document, "at load", None, &[], &load, 2);
     }
     tables::plate(&mut document, answer.nameplate.as_ref());
     let notes = answer.runs.iter().flat_map(|run| &run.found.notes);

@@ -58,19 +58,22 @@ impl CommissionReport<'_> {
         let (nameplate, most) = (self.nameplate, MOST_PARAMETERS);
         tables::parameter_section(&mut document, "motor", nameplate, before, after, most);
         findings::effects(&mut document, found, self.curves);
-        findings::others(&mut document, found);
         document.section("Model beside measurement");
         if let Some(run) = self.series {
             traces(&mut document, run);
         }
         comparison::figures(&mut document, &self.comparisons(), self.heads());
         comparison::places(&mut document, &self.comparisons());
+        findings::others(&mut document, found);
         findings::curves(&mut document, found);
         findings::candidates(&mut document, found);
         document.section("Next run");
         findings::next_run(&mut document, found.next_experiment.as_ref());
-        if self.context.target == Target::Emulator {
+        if self.context.target == Target::Emulator && !self.truth.is_empty() {
             document.section("Truth of the emulator");
+            document.paragraph(
+                "Known only because the drive is software. The diagnosis did not see it.",
+            );
             let truth = self.truth.iter().map(String::as_str);
             document.say("truth", truth, 1);
         }

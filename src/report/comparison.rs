@@ -263,10 +263,11 @@ pub(super) fn figures(
     let or = |value: Option<f64>, row: &SignalFigures, word: &str| {
         value.map_or_else(|| Cell::text(word), |value| row.cell(value))
     };
-    let count = rows.len();
-    let table = Table::of(rows)
-        .column("signal", |(_, row)| row.name.clone())
-        .column("model", |(label, _)| *label)
+    let mut table = Table::of(rows).column("signal", |(_, row)| row.name.clone());
+    if known.len() > 1 {
+        table = table.column("model", |(label, _)| *label);
+    }
+    let table = table
         .column(fit_head, |(_, row)| fit(row.holdout.fit_percent))
         .column(rms_head, |(_, row)| row.cell(row.holdout.rmse))
         .column("x noise", |(_, row)| {
@@ -280,8 +281,8 @@ pub(super) fn figures(
         .column("one-step rms error", |(_, row)| {
             or(row.one_step_rmse, row, "-")
         });
-    document.table_on_card("errors", table, SPARE, count);
-    for (label, comparison) in &known {
+    document.table_on_card("errors", table, SPARE, 2);
+    for (place, (label, comparison)) in known.iter().enumerate() {
         let residual = &comparison.residual;
         let sentence = residual.sentence();
         let chance = if residual.enough_samples && residual.white {
@@ -292,7 +293,9 @@ pub(super) fn figures(
         } else {
             String::new()
         };
-        document.say("residual", [format!("{label}: {sentence}{chance}")], 1);
+        let least = usize::from(place + 1 == known.len());
+        let model = label_of(&known, label);
+        document.say("residual", [format!("{model}{sentence}{chance}")], least);
     }
     let last = known.last().into_iter();
     document.say("", last.flat_map(|(_, last)| last.residual.details()), 0);
@@ -342,14 +345,24 @@ fn lights(document: &mut Document, models: &[(&'static str, &Comparison)]) {
     }));
 }
 
+/// What the sentences of a model begin with, where there is more than one.
+fn label_of(known: &[(&'static str, &Comparison)], label: &str) -> String {
+    if known.len() > 1 {
+        format!("{label}: ")
+    } else {
+        String::new()
+    }
+}
+
 /// Where each model fails: sentences, balances, the map; those of the last model are on the card.
 pub(super) fn places(document: &mut Document, comparisons: &[Named<'_>]) {
     document.section("Where the model fails");
     let known = comparisons.iter();
-    let known = known.filter_map(|(label, own)| Some((*label, (*own)?)));
-    let mut known = known.peekable();
-    while let Some((label, comparison)) = known.next() {
-        let is_last = known.peek().is_none();
+    let known: Vec<_> = known
+        .filter_map(|(label, own)| Some((*label, (*own)?)))
+        .collect();
+    for (place, (label, comparison)) in known.iter().enumerate() {
+        let is_last = place + 1 == known.len();
         let mut say = |label: &str, sentences: Vec<String>, least| {
             if is_last {
                 document.say(label, sentences, least);
@@ -361,13 +374,15 @@ pub(super) fn places(document: &mut Document, comparisons: &[Named<'_>]) {
         let mut first = comparison.locations.first().into_iter();
         let first = first.find(|place| place.sentence == sentence);
         let along = first.and_then(along_r_min).unwrap_or_default();
-        say("where", vec![format!("{label}: {sentence}{along}")], 1);
-        say("", places.iter().take(MOST_PLACES).map(place).collect(), 0);
+        let model = label_of(&known, label);
+        say("where", vec![format!("{model}{sentence}{along}")], 1);
+        let places = places.iter().take(MOST_PLACES);
+        say("", places.map(self::place).collect(), 0);
         let balances = comparison.balances.iter();
         say(
             "balance",
             balances.map(|own| own.sentence.clone()).collect(),
-            1,
+            0,
         );
         say("note", comparison.limits.clone(), 1);
         self::balances(document, comparison);

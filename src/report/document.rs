@@ -1,6 +1,8 @@
 //! A result as one document: its headline, labelled sentences and facts, tables, charts and lists, and the commands that
 //! follow. A command builds it once; `html`, `markdown`, `terminal` and the screens print it.
 
+use std::fmt::Write;
+
 use super::Facts;
 use super::plot::Plot;
 use super::table::Table;
@@ -191,8 +193,9 @@ impl Document {
         sentences: impl IntoIterator<Item = T>,
         least: Option<usize>,
     ) {
-        let sentences = sentences.into_iter().map(Into::into).collect();
-        self.put(label, least, Content::List(sentences));
+        let sentences = sentences.into_iter().map(Into::into);
+        let sentences = sentences.filter(|sentence: &String| !sentence.is_empty());
+        self.put(label, least, Content::List(sentences.collect()));
     }
 
     /// Labels and values; nothing where there are none.
@@ -240,7 +243,8 @@ impl Document {
             return;
         }
         if let Some(column) = &plot.thinned {
-            caption += &format!(
+            let _ = write!(
+                caption,
                 " Looked at closely, each {column} has its first, lowest, highest and last value."
             );
         }

@@ -30,7 +30,7 @@ pub(super) fn effects(document: &mut Document, diagnosis: &Diagnosis, curves: &[
         let (name, least) = (capitalised(card.name), usize::from(place == 0));
         document.paragraph(format!("{name} ({}): {}", card.id, card.equation));
         document.say("cause", [format!("{}: {}", card.name, card.causes)], least);
-        document.labelled("looks like", [card.looks_like]);
+        document.labelled("signature", [card.looks_like]);
         document.say("remedy", [format!("{}: {}", card.name, card.remedy)], least);
         let mut own = curves.iter();
         if let Some(curve) = own.find(|curve| curve.effect == Some(card.id)) {
@@ -43,7 +43,7 @@ pub(super) fn effects(document: &mut Document, diagnosis: &Diagnosis, curves: &[
 pub fn card_facts(document: &mut Document, card: &effect::Card) {
     document.labelled("equation", [card.equation]);
     document.labelled("causes", [card.causes]);
-    document.labelled("looks like", [card.looks_like]);
+    document.labelled("signature", [card.looks_like]);
     document.labelled("excite it", [card.excite]);
     document.labelled("remedy", [card.remedy]);
 }

@@ -73,6 +73,8 @@ impl Document {
             }
         }
         let end = if open { "</section>\n" } else { "" };
+        // Lists that follow each other are one.
+        let out = out.replace("</ul>\n<ul>\n", "");
         out + end + &format!("</main>\n<script>{SCRIPT}</script>\n</body>\n</html>\n")
     }
 }

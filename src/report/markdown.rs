@@ -18,8 +18,14 @@ impl Document {
             let facts: Vec<String> = self.about.iter().map(fact).collect();
             let _ = writeln!(out, "\n{}", facts.join("; "));
         }
+        let mut follows_list = false;
         for block in self.shown() {
-            out.push_str(&markdown(block));
+            let text = markdown(block);
+            // Lists that follow each other are one.
+            let is_list = matches!(block.content, Content::List(_) | Content::Facts(_));
+            let is_joined = follows_list && is_list;
+            out.push_str(if is_joined { text.trim_start() } else { &text });
+            follows_list = is_list;
         }
         out
     }
@@ -30,8 +36,8 @@ fn fact((label, value): &(String, String)) -> String {
 }
 
 fn items(items: impl Iterator<Item = String>) -> String {
-    let items: String = items.map(|item| format!("- {item}\n")).collect();
-    format!("\n{items}")
+    let item = |item| format!("- {item}\n");
+    format!("\n{}", items.map(item).collect::<String>())
 }
 
 fn markdown(block: &Block) -> String {

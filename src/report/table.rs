@@ -112,8 +112,8 @@ impl Table {
     }
 
     /// The same with the notes of each row below it.
-    pub(super) fn with_notes(&self, width: usize, spare: &[&str]) -> Vec<String> {
-        let mut fitted = self.fitted(width, spare).into_iter();
+    pub(super) fn with_notes(&self, width: usize) -> Vec<String> {
+        let mut fitted = self.fitted(width, &[]).into_iter();
         let mut lines: Vec<String> = fitted.next().into_iter().collect();
         for (line, row) in fitted.zip(&self.rows) {
             lines.push(line);

@@ -109,9 +109,8 @@ pub(crate) fn parameter_section(
     let two = !before.is_empty();
     let reason = |when: &str, parameter: &ParameterEstimate| {
         let when = if two { when } else { "" };
-        let verdict = parameter.verdict_text();
-        let sentence = format!("{}{when}: {verdict}", parameter.key);
-        parameter.reason.is_some().then_some(sentence)
+        let reason = parameter.reason.as_ref()?;
+        Some(format!("{}{when}: {reason}", parameter.key))
     };
     let old = before.iter().filter_map(|p| reason(" (before)", p));
     let new = after.iter().filter_map(|p| reason(" (after)", p));

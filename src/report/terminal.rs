@@ -18,7 +18,7 @@ pub const COLUMNS: usize = 100;
 pub const LINES: usize = 30;
 
 /// Column in which what stands behind a label begins; in a narrower card a label has a line of its own.
-const LABEL: usize = 11;
+const LABEL: usize = 10;
 const INDENT: usize = 2;
 const WIDE: usize = 70;
 /// Rows of the headline, and of one sentence of a list.
@@ -130,10 +130,10 @@ impl Block {
                 let rows = |(label, text): &(String, String)| item(&format!("{label}: {text}"));
                 facts.flat_map(rows).collect()
             }
-            Content::Table { table, spare } => {
+            Content::Table { table, .. } => {
                 let label = self.label.as_str();
                 let label = (!label.is_empty()).then(|| Row::of(label));
-                let rows = table.with_notes(width, spare);
+                let rows = table.with_notes(width);
                 label
                     .into_iter()
                     .chain(rows.into_iter().map(Row::of))

@@ -66,8 +66,8 @@ fn places(state: &State, area: Rect) -> Places {
         .sum::<usize>();
     let most = match area.height {
         0..=11 => 0,
-        12..=19 => 2,
-        20..=29 => 6,
+        12..=19 => 4,
+        20..=29 => 8,
         _ => 9,
     };
     let failing_rows = failing_lines(state, area.width).len() as u16 + 1;

@@ -93,14 +93,6 @@ impl ParameterEstimate {
         with_unit(&self.number(deviations), self.unit)
     }
 
-    /// Verdict with its reason.
-    pub fn verdict_text(&self) -> String {
-        match &self.reason {
-            Some(reason) => format!("{}: {reason}", self.verdict.name()),
-            None => self.verdict.name().to_owned(),
-        }
-    }
-
     /// The estimate of a key.
     pub fn find<'a>(parameters: &'a [Self], key: &str) -> Option<&'a Self> {
         parameters.iter().find(|parameter| parameter.key == key)
@@ -176,7 +168,6 @@ mod tests {
     fn what_the_data_do_not_carry_has_no_number() {
         let mut parameter = ParameterEstimate::not_observable("inductance_h", "H", "sample faster");
         assert_eq!(parameter.text(1.0), "n/a");
-        assert_eq!(parameter.verdict_text(), "not observable: sample faster");
         parameter.value = Some(0.01);
         parameter.verdict = Verdict::Searching;
         assert_eq!(parameter.text(1.0), "0.0100 ± unknown H");
