@@ -5,7 +5,7 @@
 //!
 //! ```text
 //! crates:  model < identify < {diagnose, control};  model < link < emulator;  {identify, control, link, emulator} < bench
-//! program: report < workflow < tui < app < cli < main
+//! program: report < workflow < tui < runtime < commands < main
 //! ```
 //!
 //! A motor of which the voltage is known is identified, and a run that it gives is explained by its own model:
@@ -32,8 +32,8 @@ pub use drivebench_identify as identification;
 pub use drivebench_link as drive;
 pub use drivebench_model::{config_text, excitation, numerics, plant, sample, signal, text, units};
 
-pub mod app;
-pub mod cli;
+pub mod commands;
 pub mod report;
+pub mod runtime;
 pub mod tui;
 pub mod workflow;

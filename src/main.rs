@@ -3,5 +3,5 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    drivebench::cli::main()
+    drivebench::commands::main()
 }

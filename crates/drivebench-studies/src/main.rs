@@ -7,7 +7,7 @@ use std::process::ExitCode;
 
 use serde::Serialize;
 
-use drivebench::app::{Failure, output, progress, signals};
+use drivebench::runtime::{Failure, output, progress, signals};
 use drivebench_studies::page::FiguresAndTables;
 use drivebench_studies::study::commission;
 use drivebench_studies::{PaperA, PaperB, lines, paper_a, paper_b, study};
@@ -80,9 +80,9 @@ fn main() -> ExitCode {
     // Mystery drives are commissioned by the program itself, which this binary is under that name.
     let name = std::env::args_os().next();
     if name.is_some_and(|name| name == commission::PROGRAM) {
-        return drivebench::cli::main();
+        return drivebench::commands::main();
     }
-    drivebench::cli::program(|arguments: Arguments| execute(&arguments.study))
+    drivebench::commands::program(|arguments: Arguments| execute(&arguments.study))
 }
 
 impl Destination {

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use rayon::prelude::*;
 use serde_json::Value;
 
-use drivebench::app::{Failure, output, progress, signals};
+use drivebench::runtime::{Failure, output, progress, signals};
 
 use super::{Answer, MysteryAnswer, Outcome, RecordAnswer, Size, Study, files, records, run};
 use crate::lines::{KINDS, line_study};

@@ -1,0 +1,227 @@
+//! The runs that a command line names: folders of runs, runs, files and patterns, each run once, in the order of their paths.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Component, Path, PathBuf};
+
+use crate::runtime::failure::Failure;
+use drivebench_bench::recording::{RunFile, RunFolder, resolved};
+
+/// Folders below a folder of runs that are looked into: a suite keeps its runs three below its own.
+const DEEPEST: usize = 8;
+
+/// Every run that is named, sorted by its path.
+///
+/// # Errors
+/// A path that is not there, and a pattern that nothing has.
+pub(super) fn runs(named: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
+    // By where it is in truth: a run that is named twice, or by a link too, is one run.
+    let mut found: BTreeMap<PathBuf, PathBuf> = BTreeMap::new();
+    let mut add = |path: PathBuf| {
+        let place = fs::canonicalize(&path).unwrap_or_else(|_| path.clone());
+        found.entry(place).or_insert(path);
+    };
+    for path in named {
+        if path.exists() {
+            let inside = if path.is_dir() {
+                below(path)
+            } else {
+                Vec::new()
+            };
+            if inside.is_empty() {
+                // Also a folder without a run in it: that it has none is its answer.
+                add(resolved(path));
+            }
+            inside.into_iter().for_each(&mut add);
+            continue;
+        }
+        let text = path.to_string_lossy();
+        if !is_pattern(&text) {
+            let headline = format!("{}: there is no such run or folder of runs", path.display());
+            return Err(Failure::usage(headline, "check the path"));
+        }
+        let matched: Vec<PathBuf> = expanded(path)
+            .into_iter()
+            .flat_map(|path| below(&path))
+            .collect();
+        if matched.is_empty() {
+            let headline = format!("{text}: no run has a path like this");
+            let help = "* and ? stand for letters of one name, ** for any folders between";
+            return Err(Failure::usage(headline, help));
+        }
+        matched.into_iter().for_each(&mut add);
+    }
+    let mut runs: Vec<PathBuf> = found.into_values().collect();
+    runs.sort();
+    Ok(runs)
+}
+
+/// The path itself where it is a run, else the runs in the folders below it. What a link leads to stands elsewhere.
+fn below(path: &Path) -> Vec<PathBuf> {
+    let mut runs = Vec::new();
+    let mut open = vec![(path.to_owned(), 0)];
+    while let Some((path, depth)) = open.pop() {
+        if is_run(&path) {
+            runs.push(resolved(&path));
+        } else if depth < DEEPEST {
+            let entries = fs::read_dir(&path).into_iter().flatten().flatten();
+            let folders = entries.filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_dir()));
+            open.extend(folders.map(|entry| (entry.path(), depth + 1)));
+        }
+    }
+    runs
+}
+
+fn is_run(path: &Path) -> bool {
+    if path.is_file() {
+        return path.extension().is_some_and(|ending| ending == "csv");
+    }
+    let folder = RunFolder::existing(path);
+    folder.samples().exists() || folder.file(RunFile::Manifest).exists()
+}
+
+fn is_pattern(text: &str) -> bool {
+    text.contains(['*', '?'])
+}
+
+/// The paths that a pattern stands for.
+fn expanded(pattern: &Path) -> Vec<PathBuf> {
+    let mut found = vec![PathBuf::new()];
+    for part in pattern.components() {
+        let text = part.as_os_str().to_string_lossy();
+        found = match part {
+            Component::Normal(_) if text == "**" => {
+                found.iter().flat_map(|base| folders_below(base)).collect()
+            }
+            Component::Normal(_) if is_pattern(&text) => found
+                .iter()
+                .flat_map(|base| names(base).into_iter().map(move |name| (base, name)))
+                .filter(|(_, name)| has_form(name.as_bytes(), text.as_bytes()))
+                .map(|(base, name)| base.join(name))
+                .collect(),
+            part => found.iter().map(|base| base.join(part)).collect(),
+        };
+    }
+    found.retain(|path| path.exists());
+    found
+}
+
+fn here(base: &Path) -> &Path {
+    if base.as_os_str().is_empty() {
+        Path::new(".")
+    } else {
+        base
+    }
+}
+
+fn names(base: &Path) -> Vec<String> {
+    let entries = fs::read_dir(here(base)).into_iter().flatten().flatten();
+    entries
+        .map(|entry| entry.file_name().to_string_lossy().into_owned())
+        .collect()
+}
+
+/// The folder and all below it.
+fn folders_below(base: &Path) -> Vec<PathBuf> {
+    let mut found = vec![base.to_owned()];
+    let mut open = vec![(base.to_owned(), 0)];
+    while let Some((folder, depth)) = open.pop() {
+        for path in names(&folder).into_iter().map(|name| folder.join(name)) {
+            if depth < DEEPEST && path.is_dir() && !path.is_symlink() {
+                found.push(path.clone());
+                open.push((path, depth + 1));
+            }
+        }
+    }
+    found
+}
+
+/// Whether a name has the form of a pattern: `*` for any letters, `?` for one. A name that begins with a dot is hidden.
+fn has_form(name: &[u8], pattern: &[u8]) -> bool {
+    if name.first() == Some(&b'.') && pattern.first() != Some(&b'.') {
+        return false;
+    }
+    // Where the last star stood, and what it has taken so far.
+    let (mut at, mut of, mut star) = (0, 0, None);
+    while at < name.len() {
+        match pattern.get(of) {
+            Some(b'*') => {
+                star = Some((of, at));
+                of += 1;
+            }
+            Some(letter) if *letter == b'?' || *letter == name[at] => {
+                at += 1;
+                of += 1;
+            }
+            _ => match star {
+                Some((place, taken)) => {
+                    (at, of, star) = (taken + 1, place + 1, Some((place, taken + 1)));
+                }
+                None => return false,
+            },
+        }
+    }
+    pattern[of..].iter().all(|letter| *letter == b'*')
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pattern_takes_names_of_its_form_alone() {
+        for (name, pattern, is_so) in [
+            ("2026-a", "2026-*", true),
+            ("2025-a", "2026-*", false),
+            ("abcabx", "*abx", true),
+            ("abcab", "*abx", false),
+            ("a", "?", true),
+            ("ab", "?", false),
+            ("", "*", true),
+            (".git", "*", false),
+            (".git", ".*", true),
+            ("axbxc", "a*b*c", true),
+        ] {
+            assert_eq!(
+                has_form(name.as_bytes(), pattern.as_bytes()),
+                is_so,
+                "{name} {pattern}"
+            );
+        }
+    }
+
+    #[test]
+    fn each_run_is_there_once_and_in_order() {
+        let root = tempfile::tempdir().unwrap();
+        for run in ["b/2", "b/1", "a/deep/3", "c"] {
+            fs::create_dir_all(root.path().join(run)).unwrap();
+        }
+        for run in [
+            "b/2/samples.csv",
+            "b/1/samples.csv",
+            "a/deep/3/manifest.json",
+        ] {
+            fs::write(root.path().join(run), "").unwrap();
+        }
+        std::os::unix::fs::symlink("1", root.path().join("b/latest")).unwrap();
+        let named = |names: &[&str]| {
+            let paths: Vec<PathBuf> = names.iter().map(|name| root.path().join(name)).collect();
+            let found = runs(&paths).map_err(|error| error.headline().to_owned())?;
+            let short = |path: PathBuf| {
+                let path = path.strip_prefix(root.path()).unwrap().to_owned();
+                path.display().to_string()
+            };
+            Ok::<_, String>(found.into_iter().map(short).collect::<Vec<_>>())
+        };
+        assert_eq!(named(&[""]).unwrap(), ["a/deep/3", "b/1", "b/2"]);
+        assert_eq!(named(&["b/2", "b", "b/latest"]).unwrap(), ["b/1", "b/2"]);
+        assert_eq!(named(&["b/*"]).unwrap(), ["b/1", "b/2"]);
+        assert_eq!(named(&["**/3"]).unwrap(), ["a/deep/3"]);
+        assert_eq!(
+            named(&["c"]).unwrap(),
+            ["c"],
+            "its row says that nothing is in it"
+        );
+        assert!(named(&["c*"]).is_err() && named(&["d"]).is_err());
+    }
+}

@@ -1,0 +1,573 @@
+//! One run as one row of the table: what it is, its parameters with interval and verdict, what its model leaves over, and, where
+//! that is asked for, the effects that a diagnosis names.
+
+use std::fs::File;
+use std::io::Read as _;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::AnalysisRequest;
+use crate::commands::evidence::{BASELINE, EvidenceFiles, Judging, prepare};
+use crate::commands::identify::{OneRun, identify, is_usable};
+use crate::runtime::failure::{Failure, INTERNAL};
+use crate::runtime::output;
+use drivebench_bench::recording::{
+    ColumnKind, LoadedRun, Machine, Manifest, RunFile, RunFolder, number_text,
+};
+use drivebench_diagnose::{Candidate, Score, diagnose};
+use drivebench_identify::noise::NoiseFloor;
+use drivebench_identify::temperature;
+use drivebench_model::numerics::checksum::{EMPTY, fnv_1a};
+use drivebench_model::plant::{Input, Model, MotorKey, Slot};
+use drivebench_model::sample::{Channel, ParameterEstimate, Verdict};
+
+/// A cell of the table.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Cell {
+    Empty,
+    Word(String),
+    Quantity(f64),
+    Count(u64),
+}
+
+impl Cell {
+    fn word(text: impl Into<String>) -> Self {
+        let text: String = text.into();
+        // A row is a line.
+        let text = text.replace(['\n', '\r'], " ");
+        if text.is_empty() {
+            Self::Empty
+        } else {
+            Self::Word(text)
+        }
+    }
+
+    fn quantity(value: Option<f64>) -> Self {
+        value
+            .filter(|value| value.is_finite())
+            .map_or(Self::Empty, Self::Quantity)
+    }
+
+    fn count(count: Option<usize>) -> Self {
+        count
+            .and_then(|count| u64::try_from(count).ok())
+            .map_or(Self::Empty, Self::Count)
+    }
+
+    /// As a cell of a CSV.
+    pub(super) fn text(&self) -> String {
+        match self {
+            Self::Empty => String::new(),
+            Self::Word(text) => text.clone(),
+            Self::Quantity(value) => number_text(*value),
+            Self::Count(count) => count.to_string(),
+        }
+    }
+
+    pub(super) fn json(&self) -> Value {
+        match self {
+            Self::Empty => Value::Null,
+            Self::Word(text) => text.as_str().into(),
+            Self::Quantity(value) => (*value).into(),
+            Self::Count(count) => (*count).into(),
+        }
+    }
+}
+
+/// How far the analysis of a run came.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Status {
+    Ok,
+    /// It was read; nothing can be identified from it.
+    NotIdentified,
+    /// It could not be read, or not as a run.
+    Unread,
+}
+
+impl Status {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Ok => "ok",
+            Self::NotIdentified => "not_identified",
+            Self::Unread => "unread",
+        }
+    }
+
+    pub(super) fn named(name: &str) -> Option<Self> {
+        [Self::Ok, Self::NotIdentified, Self::Unread]
+            .into_iter()
+            .find(|status| status.name() == name)
+    }
+}
+
+/// The columns before those of the parameters, and behind them.
+const ABOUT: [(&str, ColumnKind); 22] = [
+    ("run", ColumnKind::Word),
+    ("status", ColumnKind::Word),
+    ("reason", ColumnKind::Word),
+    ("name", ColumnKind::Word),
+    ("begin", ColumnKind::Instant),
+    ("drive", ColumnKind::Word),
+    ("drive_serial", ColumnKind::Word),
+    ("motor", ColumnKind::Word),
+    ("link", ColumnKind::Word),
+    ("outcome", ColumnKind::Word),
+    ("recorded_by", ColumnKind::Word),
+    ("rows", ColumnKind::Count),
+    ("rows_used", ColumnKind::Count),
+    ("rows_dropped", ColumnKind::Count),
+    ("rows_limited", ColumnKind::Count),
+    ("exchanges", ColumnKind::Count),
+    ("exchanges_lost", ColumnKind::Count),
+    ("missed_cycles", ColumnKind::Count),
+    ("duration_s", ColumnKind::Quantity),
+    ("period_s", ColumnKind::Quantity),
+    ("input", ColumnKind::Word),
+    ("scheme", ColumnKind::Word),
+];
+const ANSWER: [(&str, ColumnKind); 11] = [
+    ("residual", ColumnKind::Quantity),
+    ("residual_in", ColumnKind::Word),
+    ("verdict", ColumnKind::Word),
+    ("effects", ColumnKind::Word),
+    ("effect_probabilities", ColumnKind::Word),
+    ("held_out_error", ColumnKind::Quantity),
+    ("explained_percent", ColumnKind::Quantity),
+    ("notes", ColumnKind::Word),
+    ("program", ColumnKind::Word),
+    ("analysis", ColumnKind::Word),
+    ("content", ColumnKind::Word),
+];
+
+/// Place of the columns by which a row is known again.
+pub(super) const RUN: usize = 0;
+pub(super) const STATUS: usize = 1;
+/// From the end: program, analysis and content.
+pub(super) const KNOWN_BY: usize = 3;
+
+/// The parameters of which the table has columns: all of a motor, the resistance at 20 °C, and those of the effects of the
+/// model that all runs are identified with. They depend on no run, so that tables of any runs go together.
+#[derive(Clone, Debug)]
+pub(super) struct Columns {
+    /// What is sought in every run.
+    model: Model,
+    keys: Vec<String>,
+}
+
+impl Columns {
+    pub(super) fn of(model: Model) -> Self {
+        let motor = MotorKey::ALL.map(|key| key.key().to_owned());
+        let slots = model.slots();
+        let effects = slots
+            .iter()
+            .filter(|slot| matches!(slot, Slot::Effect { .. }));
+        let keys = motor
+            .into_iter()
+            .chain([temperature::KEY.to_owned()])
+            .chain(effects.map(Slot::key));
+        let keys = keys.collect();
+        Self { model, keys }
+    }
+
+    /// Every column with what stands in it.
+    pub(super) fn all(&self) -> Vec<(String, ColumnKind)> {
+        let own = |(name, kind): (&str, ColumnKind)| (name.to_owned(), kind);
+        let parameters = self.keys.iter().flat_map(|key| {
+            let name = key.replace('.', "_");
+            [
+                (name.clone(), ColumnKind::Quantity),
+                (format!("{name}_std"), ColumnKind::Quantity),
+                (format!("{name}_low"), ColumnKind::Quantity),
+                (format!("{name}_high"), ColumnKind::Quantity),
+                (format!("{name}_verdict"), ColumnKind::Word),
+            ]
+        });
+        ABOUT
+            .map(own)
+            .into_iter()
+            .chain(parameters)
+            .chain(ANSWER.map(own))
+            .collect()
+    }
+}
+
+/// The checksum of what a run holds: its samples and its manifest.
+pub(super) fn content(run: &Path) -> String {
+    let folder = RunFolder::existing(run);
+    let files = if run.is_dir() {
+        vec![folder.samples(), folder.file(RunFile::Manifest)]
+    } else {
+        vec![run.to_owned()]
+    };
+    let mut hash = EMPTY;
+    let mut buffer = vec![0; 1 << 16];
+    for path in files {
+        let Ok(mut file) = File::open(path) else {
+            continue;
+        };
+        while let Ok(count @ 1..) = file.read(&mut buffer) {
+            hash = fnv_1a(hash, buffer[..count].iter().copied());
+        }
+        // So that what one file lost and the next one got is told from neither.
+        hash = fnv_1a(hash, [0]);
+    }
+    format!("{hash:016x}")
+}
+
+/// The run as the column `run` names it.
+pub(super) fn name(run: &Path) -> String {
+    Cell::word(run.display().to_string()).text()
+}
+
+/// What is known of a run, as far as its analysis came.
+#[derive(Default)]
+struct Found {
+    about: Option<About>,
+    one: Option<Identified>,
+    answer: Option<Answer>,
+}
+
+/// What a run says of itself.
+#[derive(Default)]
+struct About {
+    manifest: Manifest,
+    machine: Machine,
+    rows: usize,
+    rows_dropped: usize,
+    rows_limited: usize,
+    duration_s: Option<f64>,
+    period_s: Option<f64>,
+    notes: Vec<String>,
+}
+
+struct Identified {
+    rows_used: usize,
+    input: &'static str,
+    scheme: &'static str,
+    parameters: Vec<ParameterEstimate>,
+    residual: Option<(f64, &'static str)>,
+    notes: Vec<String>,
+}
+
+struct Answer {
+    verdict: Value,
+    effects: Vec<String>,
+    probabilities: Vec<String>,
+    holdout: f64,
+    explained: f64,
+}
+
+/// Analyses one run; whatever goes wrong with it stands in its row.
+pub(super) fn row(
+    run: &Path,
+    content: &str,
+    request: &AnalysisRequest<'_>,
+    columns: &Columns,
+) -> (Vec<Cell>, Status) {
+    let mut found = Found::default();
+    let work = || analyse(run, request, &columns.model, &mut found);
+    let (ended, said) = output::aside(|| {
+        catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| {
+            Err(Failure::new(
+                INTERNAL,
+                "a fault of the program, which this run brings about",
+            ))
+        })
+    });
+    let (status, reason) = judged(ended, &found);
+    let cells = cells(
+        run,
+        content,
+        request,
+        columns,
+        (status, &reason),
+        &found,
+        said,
+    );
+    (cells, status)
+}
+
+/// How far it came, and why no further. What was read is not unread whatever comes behind it.
+fn judged(ended: Result<(), Failure>, found: &Found) -> (Status, String) {
+    let reason = ended
+        .err()
+        .map(|failure| match (failure.headline(), &found.one) {
+            (headline, Some(_)) => format!("no diagnosis: {headline}"),
+            (headline, None) => headline.to_owned(),
+        });
+    let parameters = || found.one.iter().flat_map(|one| &one.parameters);
+    if found.about.is_none() {
+        (Status::Unread, reason.unwrap_or_default())
+    } else if parameters().any(is_found) {
+        (Status::Ok, reason.unwrap_or_default())
+    } else {
+        let own = || parameters().find_map(|parameter| parameter.reason.clone());
+        (
+            Status::NotIdentified,
+            reason.or_else(own).unwrap_or_default(),
+        )
+    }
+}
+
+fn is_found(parameter: &ParameterEstimate) -> bool {
+    is_usable(parameter) && parameter.verdict != Verdict::Fixed
+}
+
+fn analyse(
+    run: &Path,
+    request: &AnalysisRequest<'_>,
+    sought: &Model,
+    found: &mut Found,
+) -> Result<(), Failure> {
+    let loaded = (request.load)(run)?;
+    found.about = Some(About::of(&loaded));
+    let one = identify(loaded, sought, request.scheme, &[], false)?;
+    found.one = Some(Identified::of(&one));
+    drop(one);
+    if request.diagnose {
+        let given = Some(request.model.unwrap_or(Path::new(BASELINE)));
+        let files = EvidenceFiles {
+            run,
+            model: given,
+            holdout: None,
+            confirm: None,
+            later: &[],
+            for_screen: false,
+        };
+        let prepared = prepare(files, |path, _| (request.load)(path), Judging::Refits)?;
+        let found_effects = diagnose(&prepared.model.file.model, prepared.evidence)?;
+        let named = |id: &&'static str| {
+            let is_it = |candidate: &&Candidate| candidate.effect == *id;
+            found_effects
+                .candidates
+                .iter()
+                .find(is_it)
+                .map_or(f64::NAN, |candidate| candidate.probability)
+        };
+        found.answer = Some(Answer {
+            verdict: serde_json::to_value(found_effects.verdict).unwrap_or_default(),
+            effects: found_effects
+                .effects
+                .iter()
+                .map(|id| (*id).to_owned())
+                .collect(),
+            probabilities: found_effects
+                .effects
+                .iter()
+                .map(|id| format!("{:.4}", named(id)))
+                .collect(),
+            holdout: found_effects.holdout_after,
+            explained: found_effects.explained_percent,
+        });
+    }
+    Ok(())
+}
+
+impl About {
+    fn of(loaded: &LoadedRun) -> Self {
+        let run = &loaded.run;
+        let manifest = loaded.manifest.clone().unwrap_or_default();
+        let period = [Channel::Current, Channel::Speed]
+            .into_iter()
+            .find_map(|channel| run.period_s(channel));
+        let (times, rows) = (run.time_s(), run.rows());
+        Self {
+            machine: manifest.machine(),
+            rows,
+            rows_dropped: run.rows_dropped,
+            rows_limited: run.limited_rows().len(),
+            duration_s: times
+                .first()
+                .zip(times.last())
+                .map(|(begin, end)| end - begin),
+            period_s: period,
+            notes: loaded.warnings.clone(),
+            manifest,
+        }
+    }
+
+    fn statistic(&self, key: &str) -> Option<u64> {
+        self.manifest.link_statistics.get(key)?.as_u64()
+    }
+}
+
+impl Identified {
+    fn of(one: &OneRun) -> Self {
+        Self {
+            rows_used: one.scenario.samples(),
+            input: one.scenario.input_channel.key(),
+            scheme: one.found.scheme,
+            parameters: one.found.parameters.clone(),
+            residual: residual(one),
+            notes: one
+                .loaded
+                .run
+                .notes
+                .iter()
+                .chain(&one.found.notes)
+                .cloned()
+                .collect(),
+        }
+    }
+}
+
+/// What the free run of the identified model leaves over, in multiples of the noise at rest; where the run shows no rest, of
+/// the signals' own spread.
+fn residual(one: &OneRun) -> Option<(f64, &'static str)> {
+    let scenario = &one.scenario;
+    if scenario.input != Input::Voltage {
+        return None;
+    }
+    one.found.model.require_complete().ok()?;
+    let at_rest = NoiseFloor::from_standstill(scenario);
+    let unit = if at_rest.is_some() {
+        "noise_at_rest"
+    } else {
+        "share_of_spread"
+    };
+    let noise = at_rest.unwrap_or_else(|| NoiseFloor::from_spread(scenario));
+    let score = Score::of(&one.found.model, scenario, &noise).ok()?;
+    Some((score.nrms, unit))
+}
+
+fn cells(
+    run: &Path,
+    content: &str,
+    request: &AnalysisRequest<'_>,
+    columns: &Columns,
+    (status, reason): (Status, &str),
+    found: &Found,
+    said: Vec<String>,
+) -> Vec<Cell> {
+    let (about, one, answer) = (
+        found.about.as_ref(),
+        found.one.as_ref(),
+        found.answer.as_ref(),
+    );
+    let word = |of: fn(&About) -> String| about.map_or(Cell::Empty, |about| Cell::word(of(about)));
+    let count = |of: fn(&About) -> Option<u64>| about.and_then(of).map_or(Cell::Empty, Cell::Count);
+    let size = |of: fn(&About) -> usize| Cell::count(about.map(of));
+    let mut cells = vec![
+        Cell::word(name(run)),
+        Cell::word(status.name()),
+        Cell::word(reason),
+        word(|about| about.manifest.name.clone()),
+        word(|about| about.manifest.began().unwrap_or_default()),
+        word(|about| about.machine.drive.clone()),
+        word(|about| about.machine.drive_serial.clone()),
+        word(|about| about.machine.motor.clone()),
+        word(|about| about.manifest.link.clone()),
+        word(|about| about.manifest.outcome.clone().unwrap_or_default()),
+        word(|about| about.manifest.program_version.clone()),
+        size(|about| about.rows),
+        Cell::count(one.map(|one| one.rows_used)),
+        size(|about| about.rows_dropped),
+        size(|about| about.rows_limited),
+        count(|about| about.statistic("sent")),
+        count(|about| {
+            Some(
+                about
+                    .statistic("sent")?
+                    .saturating_sub(about.statistic("ok")?),
+            )
+        }),
+        count(|about| about.manifest.missed_cycles),
+        Cell::quantity(about.and_then(|about| about.duration_s)),
+        Cell::quantity(about.and_then(|about| about.period_s)),
+        Cell::word(one.map_or("", |one| one.input)),
+        Cell::word(one.map_or("", |one| one.scheme)),
+    ];
+    for key in &columns.keys {
+        let parameter = one.and_then(|one| ParameterEstimate::find(&one.parameters, key));
+        let interval = parameter.and_then(ParameterEstimate::interval_95);
+        cells.extend([
+            Cell::quantity(parameter.and_then(|p| p.value)),
+            Cell::quantity(parameter.and_then(|p| p.std)),
+            Cell::quantity(interval.map(|interval| interval[0])),
+            Cell::quantity(interval.map(|interval| interval[1])),
+            Cell::word(parameter.map_or(String::new(), |p| p.verdict.name().replace(' ', "_"))),
+        ]);
+    }
+    let mut notes: Vec<String> = Vec::new();
+    let own = about.into_iter().flat_map(|about| &about.notes);
+    let own = own
+        .chain(one.into_iter().flat_map(|one| &one.notes))
+        .cloned();
+    for note in own.chain(said) {
+        let note = note
+            .strip_prefix("warning: ")
+            .map(str::to_owned)
+            .unwrap_or(note);
+        if !notes.contains(&note) {
+            notes.push(note);
+        }
+    }
+    let residual = one.and_then(|one| one.residual);
+    cells.extend([
+        Cell::quantity(residual.map(|(size, _)| size)),
+        Cell::word(residual.map_or("", |(_, unit)| unit)),
+        Cell::word(
+            answer
+                .and_then(|answer| answer.verdict.as_str())
+                .unwrap_or_default(),
+        ),
+        Cell::word(answer.map_or(String::new(), |answer| answer.effects.join(";"))),
+        Cell::word(answer.map_or(String::new(), |answer| answer.probabilities.join(";"))),
+        Cell::quantity(answer.map(|answer| answer.holdout)),
+        Cell::quantity(answer.map(|answer| answer.explained)),
+        Cell::word(notes.join(" | ")),
+        Cell::word(env!("CARGO_PKG_VERSION")),
+        Cell::word(request.analysis.clone()),
+        Cell::word(content),
+    ]);
+    cells
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cell_is_one_line_and_no_number_that_is_none() {
+        assert_eq!(Cell::word("a\nb").text(), "a b");
+        assert_eq!(Cell::quantity(Some(f64::NAN)), Cell::Empty);
+        assert_eq!(Cell::quantity(Some(0.1)).text(), "0.1");
+        assert_eq!(Cell::Empty.json(), Value::Null);
+    }
+
+    #[test]
+    fn what_was_read_and_identified_stays_so_where_its_diagnosis_fails() {
+        let refused = || Err(Failure::usage("the hold-out is short", ""));
+        let mut found = Found::default();
+        let unread = (Status::Unread, "the hold-out is short".to_owned());
+        assert_eq!(judged(refused(), &found), unread);
+        found.about = Some(About::default());
+        let (status, _) = judged(refused(), &found);
+        assert_eq!(status, Status::NotIdentified);
+        let of = |parameter| Identified {
+            rows_used: 1,
+            input: "",
+            scheme: "",
+            parameters: vec![parameter],
+            residual: None,
+            notes: Vec::new(),
+        };
+        let reason = "no diagnosis: the hold-out is short".to_owned();
+        let nothing = ParameterEstimate::not_observable("inductance_h", "H", "sample faster");
+        found.one = Some(of(nothing));
+        assert_eq!(
+            judged(Ok(()), &found),
+            (Status::NotIdentified, "sample faster".to_owned())
+        );
+        assert_eq!(
+            judged(refused(), &found),
+            (Status::NotIdentified, reason.clone())
+        );
+        let inertia = ParameterEstimate::found("inertia_kg_m2", "kg.m2", 0.004, 1e-5, None);
+        found.one = Some(of(inertia));
+        assert_eq!(judged(Ok(()), &found), (Status::Ok, String::new()));
+        assert_eq!(judged(refused(), &found), (Status::Ok, reason));
+    }
+}

@@ -1,0 +1,606 @@
+//! Arguments that commands have in common: runs with their columns, a line to a unit, a run on a live drive.
+
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::time::Duration;
+
+use clap::Args;
+use clap::builder::{PathBufValueParser, TypedValueParser};
+
+use crate::commands::evidence::{EvidenceFiles, Judging, Prepared, prepare};
+use crate::runtime::ending::Audience;
+use crate::runtime::failure::Failure;
+use crate::runtime::files::require_parquet;
+use crate::runtime::files::{load, read_text};
+use crate::runtime::opening::Tap;
+use crate::runtime::rig::{MYSTERY, RigOptions};
+use crate::runtime::{opening, output};
+use crate::workflow::ProgressCell;
+use drivebench_bench::recording::{ColumnMap, LoadedRun, resolved};
+use drivebench_bench::{BenchFile, EMBEDDED_NAME, Port, Waivers};
+use drivebench_identify::sanity;
+use drivebench_link::{Framing, RawClient, RawSettings, Target, standard_gap_s};
+use drivebench_model::sample::{Channel, Origin, Run, Side};
+
+/// A run on the command line; `runs/latest` is the folder that it names now.
+pub(super) fn run_path() -> impl TypedValueParser<Value = PathBuf> {
+    PathBufValueParser::new().map(|path| resolved(&path))
+}
+
+/// How foreign columns are read.
+#[derive(Args, Clone, Debug, Default)]
+pub(super) struct MapArguments {
+    /// Columns of a foreign CSV: 'target=header[*factor][+offset],...', as time_s=t,speed_rad_s=rpm*0.104719755; a factor may be
+    /// a column (voltage_v=duty*bus_v) or sign(COLUMN), the last sign of a command that was not zero, for a speed without one
+    /// (speed_rad_s=rpm*0.104719755*sign(duty))
+    #[arg(long, value_name = "MAP")]
+    #[expect(
+        clippy::doc_markdown,
+        reason = "the help in a terminal shows backticks as they are"
+    )]
+    map: Option<String>,
+    /// Another map for the hold-out and the confirming run
+    #[arg(long, value_name = "MAP")]
+    map_holdout: Option<String>,
+    /// Where signals come from, as voltage_v=commanded,current_a=supply: measured, estimated, commanded; terminal, supply
+    #[arg(long, value_name = "KEY=WORD,...")]
+    #[expect(
+        clippy::doc_markdown,
+        reason = "the help in a terminal shows backticks as they are"
+    )]
+    origin: Option<Provenance>,
+}
+
+impl MapArguments {
+    /// Whether columns are named at all.
+    pub(super) const fn is_given(&self) -> bool {
+        self.map.is_some()
+    }
+
+    /// The maps as they are given here, for the commands that go on; each with a space before it.
+    pub(super) fn words(&self) -> String {
+        let maps = [("map", &self.map), ("map-holdout", &self.map_holdout)];
+        let given = maps
+            .into_iter()
+            .filter_map(|(name, map)| Some((name, map.as_deref()?)));
+        given.fold(String::new(), |words, (name, map)| {
+            words + " --" + name + " " + &output::quoted_word(map)
+        })
+    }
+
+    /// Opens the run with its map; what the command line says of origins goes before what a manifest says.
+    pub(super) fn load(&self, path: &Path) -> Result<LoadedRun, Failure> {
+        self.load_with(path, self.map.as_deref())
+    }
+
+    fn load_with(&self, path: &Path, map: Option<&str>) -> Result<LoadedRun, Failure> {
+        let map = map.map(str::parse::<ColumnMap>).transpose()?;
+        let items = map.as_ref().map(ColumnMap::items).unwrap_or_default();
+        // A header that names another unit than its target's, with no factor in the map.
+        let finding = items.iter().find_map(|item| {
+            let target = item.target.map_or("time_s", Channel::key);
+            sanity::of_header(target, &item.header, item.scaled)
+        });
+        if let Some(finding) = finding {
+            return Err(Failure::usage(finding.sentence, finding.help));
+        }
+        let mut loaded = load(path, map.as_ref())?;
+        if let Some(provenance) = &self.origin {
+            provenance.apply(&mut loaded.run);
+        }
+        Ok(loaded)
+    }
+}
+
+/// Where the signals of a file come from, as the user knows it.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Provenance {
+    origins: Vec<(Channel, Origin)>,
+    sides: Vec<(Channel, Side)>,
+}
+
+impl FromStr for Provenance {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let mut provenance = Self::default();
+        for item in text.split(',').map(str::trim).filter(|i| !i.is_empty()) {
+            let (key, word) = item
+                .split_once('=')
+                .ok_or_else(|| format!("{item:?} is not of the form KEY=WORD"))?;
+            let (key, word) = (key.trim(), word.trim());
+            let channel = Channel::from_key(key).ok_or_else(|| {
+                let keys = Channel::ALL.map(Channel::key).join(", ");
+                format!("unknown signal {key:?} (allowed: {keys})")
+            })?;
+            let origin = Origin::ALL.into_iter().find(|origin| origin.name() == word);
+            let side = Side::ALL.into_iter().find(|side| side.name() == word);
+            let has_sides = matches!(
+                channel,
+                Channel::Voltage | Channel::VoltageCmd | Channel::Current
+            );
+            match (origin, side) {
+                (Some(origin), _) => provenance.origins.push((channel, origin)),
+                (None, Some(side)) if has_sides => provenance.sides.push((channel, side)),
+                (None, Some(_)) => {
+                    return Err(format!(
+                        "{item:?}: only a voltage or a current is of the terminal or the supply side"
+                    ));
+                }
+                (None, None) => {
+                    let origins = Origin::ALL.map(Origin::name).join(", ");
+                    let sides = Side::ALL.map(Side::name).join(", ");
+                    return Err(format!(
+                        "{item:?}: {word:?} is not allowed (allowed: {origins}, {sides})"
+                    ));
+                }
+            }
+        }
+        Ok(provenance)
+    }
+}
+
+impl Provenance {
+    fn apply(&self, run: &mut Run) {
+        for &(channel, origin) in &self.origins {
+            run.set_origin(channel, origin);
+        }
+        for &(channel, side) in &self.sides {
+            run.set_side(channel, side);
+        }
+    }
+}
+
+/// Fit run, hold-out and confirming run of a command, and the model that they judge.
+#[derive(Args, Clone, Debug)]
+pub(super) struct EvidenceArguments {
+    /// Another run, which the fit has not seen; without it the last 40 % of RUN are held out, more where they stand still
+    #[arg(long, value_name = "RUN2", value_parser = run_path())]
+    holdout: Option<PathBuf>,
+    /// A third run, which has no part in the answer: the answer is repeated on it, and the headline error is from there
+    #[arg(long, value_name = "RUN3", value_parser = run_path())]
+    confirm: Option<PathBuf>,
+    /// A later run of the same machine, as a recommended one: fitted behind RUN, so that what both tell counts; may be
+    /// given again
+    #[arg(long = "with", value_name = "RUN4", value_parser = run_path())]
+    later: Vec<PathBuf>,
+    #[command(flatten)]
+    map: MapArguments,
+}
+
+/// What stands behind the run where one is asked for: a second one, that was to be an option.
+#[derive(Args, Clone, Debug)]
+pub(super) struct MoreRuns {
+    #[arg(hide = true, value_name = "ANOTHER")]
+    more: Vec<PathBuf>,
+}
+
+impl MoreRuns {
+    pub(super) fn refuse(&self) -> Result<(), Failure> {
+        self.more.first().map_or(Ok(()), |second| {
+            let headline = format!("one run is judged, and another is given: {}", second.display());
+            let help = "name the run to judge by with --holdout, one to fit with it with --with, a third with --confirm, models with --model";
+            Err(Failure::usage(headline, help))
+        })
+    }
+}
+
+/// The model as it is given, with a space before it.
+pub(super) fn model_words(model: Option<&Path>) -> String {
+    let model = model.map(output::quoted);
+    model.map_or_else(String::new, |model| format!(" --model {model}"))
+}
+
+impl EvidenceArguments {
+    /// The maps alone.
+    pub(super) fn map_words(&self) -> String {
+        self.map.words()
+    }
+
+    /// The options as they are given here, for the commands that go on; each with a space before it.
+    pub(super) fn words(&self) -> String {
+        let path = |name: &str, path: &Option<PathBuf>| {
+            let path = path.as_deref().map(output::quoted);
+            path.map(|path| format!(" --{name} {path}"))
+        };
+        let words = [
+            path("holdout", &self.holdout),
+            path("confirm", &self.confirm),
+            Some(self.map.words()),
+        ];
+        let later = self.later.iter();
+        let later = later.map(|run| format!(" --with {}", output::quoted(run)));
+        words.into_iter().flatten().chain(later).collect()
+    }
+
+    /// Opens the runs and the model; data that cannot be judged end the command.
+    pub(super) fn prepare(
+        &self,
+        run: &Path,
+        model: Option<&Path>,
+        judging: Judging,
+    ) -> Result<Prepared, Failure> {
+        self.prepared(run, model, judging, false)
+    }
+
+    /// The same with every channel, which a screen may show.
+    pub(super) fn prepare_for_screen(
+        &self,
+        run: &Path,
+        model: Option<&Path>,
+        judging: Judging,
+    ) -> Result<Prepared, Failure> {
+        self.prepared(run, model, judging, true)
+    }
+
+    fn prepared(
+        &self,
+        run: &Path,
+        model: Option<&Path>,
+        judging: Judging,
+        for_screen: bool,
+    ) -> Result<Prepared, Failure> {
+        let files = EvidenceFiles {
+            run,
+            model,
+            holdout: self.holdout.as_deref(),
+            confirm: self.confirm.as_deref(),
+            later: &self.later,
+            for_screen,
+        };
+        let map = &self.map;
+        let load = |path: &Path, is_other: bool| {
+            let own = map.map_holdout.as_deref().filter(|_| is_other);
+            map.load_with(path, own.or(map.map.as_deref()))
+        };
+        prepare(files, load, judging)
+    }
+}
+
+/// Options of the commands that talk to any Modbus unit.
+#[derive(Args, Clone, Debug)]
+pub(super) struct WireArguments {
+    /// Serial port (Modbus RTU), or tcp:HOST:PORT
+    #[arg(long, value_name = "PORT", conflicts_with = "host")]
+    port: Option<String>,
+    /// Address of a Modbus TCP server
+    #[arg(long, value_name = "HOST:PORT")]
+    host: Option<String>,
+    /// Baud rate of a serial port
+    #[arg(long, value_name = "BAUD", default_value_t = 115_200, value_parser = clap::value_parser!(u32).range(1..))]
+    baud: u32,
+    /// Characters of a serial port: 8N1, 8E1, 8O1 or 8N2
+    #[arg(long, value_name = "FRAMING", default_value = "8N1", value_parser = framing)]
+    framing: Framing,
+    /// Address of the unit on the line
+    #[arg(long, value_name = "UNIT", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=247))]
+    unit: u8,
+    /// Time for one reply
+    #[arg(long, value_name = "MS", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..=60_000))]
+    timeout_ms: u64,
+    /// Silence before a request over a serial line; without it what the standard says for the baud rate
+    #[arg(long, value_name = "US", value_parser = clap::value_parser!(u64).range(..=1_000_000))]
+    gap_us: Option<u64>,
+    /// The same in ms; 0 for a peer that needs no silence to tell frames apart
+    #[arg(long, value_name = "MS", conflicts_with = "gap_us", value_parser = gap_ms)]
+    gap: Option<f64>,
+    /// Write what goes over the wire into a new capture file (pcap, for Wireshark)
+    #[arg(long, value_name = "FILE")]
+    tap: Option<PathBuf>,
+}
+
+pub(super) fn framing(text: &str) -> Result<Framing, String> {
+    match text.to_ascii_uppercase().as_str() {
+        "8N1" => Ok(Framing::EightNoneOne),
+        "8E1" => Ok(Framing::EightEvenOne),
+        "8O1" => Ok(Framing::EightOddOne),
+        "8N2" => Ok(Framing::EightNoneTwo),
+        _ => Err("expected 8N1, 8E1, 8O1 or 8N2".to_owned()),
+    }
+}
+
+/// Longest silence before a request that may be asked for, ms.
+const LONGEST_GAP_MS: f64 = 1000.0;
+
+fn gap_ms(text: &str) -> Result<f64, String> {
+    let ms = text.parse().ok();
+    ms.filter(|ms| (0.0..=LONGEST_GAP_MS).contains(ms))
+        .ok_or_else(|| format!("{text:?} is not a number of ms from 0 to {LONGEST_GAP_MS}"))
+}
+
+impl WireArguments {
+    pub(super) fn target(&self) -> Result<Target, Failure> {
+        let text = match (&self.port, &self.host) {
+            (Some(port), _) => port.clone(),
+            (None, Some(host)) => format!("tcp:{}", host.strip_prefix("tcp:").unwrap_or(host)),
+            (None, None) => {
+                return Err(Failure::usage(
+                    "no port is given",
+                    "give --port PATH or --host HOST:PORT; `drivebench ports` lists what is plugged in",
+                ));
+            }
+        };
+        Ok(text.parse()?)
+    }
+
+    pub(super) fn settings(&self) -> RawSettings {
+        let gap = self.gap.map(|ms| Duration::from_secs_f64(ms * 1e-3));
+        RawSettings {
+            baud: self.baud,
+            framing: self.framing,
+            unit: self.unit,
+            timeout: Duration::from_millis(self.timeout_ms),
+            gap: gap.or(self.gap_us.map(Duration::from_micros)),
+        }
+    }
+
+    pub(super) fn tap(&self) -> Result<Tap, Failure> {
+        Tap::create(self.tap.as_deref())
+    }
+
+    pub(super) fn open(&self, tap: &Tap) -> Result<RawClient, Failure> {
+        open_line(&self.target()?, &self.settings(), tap)
+    }
+}
+
+/// A line with these settings; a silence below that of the standard is the user's choice, and said.
+pub(super) fn open_line(
+    target: &Target,
+    settings: &RawSettings,
+    tap: &Tap,
+) -> Result<RawClient, Failure> {
+    let client = RawClient::open(target, settings, tap.file())?;
+    if let (Some(gap), Target::Serial { baud, .. }) = (settings.gap, target) {
+        let (baud, framing) = (baud.unwrap_or(settings.baud), settings.framing);
+        let (gap_s, standard_s) = (gap.as_secs_f64(), standard_gap_s(baud, framing));
+        if gap_s < standard_s {
+            output::message(&format!(
+                "warning: {} ms of silence before a request is below the standard's {:.2} ms at {baud} {}: a unit that tells frames by silence may take two for one",
+                1e3 * gap_s,
+                1e3 * standard_s,
+                framing.name()
+            ));
+        }
+    }
+    Ok(client)
+}
+
+/// Options of every command that may energise a motor.
+#[derive(Args, Clone, Debug)]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "switches of a command line, each independent of the others"
+)]
+pub(super) struct LiveArguments {
+    /// Bench file; without it the embedded one: the emulated ZK-22FC with a hidden effect
+    pub(super) bench: Option<PathBuf>,
+    /// Serial port, tcp:HOST:PORT, sim: (in memory, virtual time), sim:rtu (the same over Modbus RTU) or emulator; overrides the bench file
+    #[arg(long, value_name = "PORT")]
+    pub(super) port: Option<String>,
+    /// Motor of the software drive: an embedded name (zk-22fc-plain, ...) or a file; counts with the ports emulator and sim:
+    /// only, which it does not choose
+    #[arg(long, value_name = "EMULATOR")]
+    emulator: Option<String>,
+    /// Seed of the software drive: draws the specimen and the sensor noise
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Hide an effect that this number draws in the emulated motor; `commission` shows it at the end
+    #[arg(long, value_name = "SEED", conflicts_with_all = ["emulator", "seed"])]
+    mystery: Option<u64>,
+    /// Where run folders are made
+    #[arg(long, value_name = "DIR", default_value = "runs")]
+    out: PathBuf,
+    /// No screen and no question: progress on stderr, the result on stdout, and the motor starts once the checks have passed.
+    /// So too with --json, and where stdout is no terminal
+    #[arg(long)]
+    headless: bool,
+    /// The drive is real and its shaft may turn: needed without a screen, and for the pulse of the checks
+    #[arg(long)]
+    hardware: bool,
+    #[command(flatten)]
+    waive: Waive,
+    /// First clear a fault that the drive has latched, as after a killed host; then go on as without it: the motor turns
+    #[arg(long)]
+    reset_fault: bool,
+    /// After a lost link: how long to look for the drive and bring it to rest, 0 (not at all) to 86400. Without it: the
+    /// drive's watchdog time and 10 s; beside a screen until Space, q or Ctrl-C ends the search
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    reopen_s: Option<f64>,
+    /// Write what goes over the wire into a new capture file (pcap, for Wireshark)
+    #[arg(long, value_name = "FILE")]
+    tap: Option<PathBuf>,
+    /// Write the samples of every run as columns too, samples.parquet beside samples.csv (a build with the feature parquet)
+    #[arg(long)]
+    parquet: bool,
+    /// Print all there is to say; without it what fits 100 columns and 30 lines
+    #[arg(long)]
+    pub(super) full: bool,
+    /// Print JSON; as with --headless there is no question before the motor starts
+    #[arg(long)]
+    pub(super) json: bool,
+}
+
+impl LiveArguments {
+    /// Without a terminal, and for JSON, there is no screen.
+    pub(super) fn is_headless(&self) -> bool {
+        use std::io::IsTerminal;
+        self.headless || self.json || !std::io::stdout().is_terminal()
+    }
+
+    /// Who looks at the run.
+    pub(super) fn audience(&self, progress: Option<ProgressCell>) -> Audience {
+        if self.is_headless() {
+            Audience::Headless
+        } else {
+            Audience::Screen(progress)
+        }
+    }
+
+    /// What is asked of the rig.
+    pub(super) fn options(&self, escalate: bool) -> Result<RigOptions, Failure> {
+        if self.parquet {
+            require_parquet()?;
+        }
+        Ok(RigOptions {
+            bench: self.bench_file()?,
+            out: self.out.clone(),
+            headless: self.is_headless(),
+            hardware: self.hardware,
+            escalate,
+            waivers: self.waive.waivers(),
+            reset_fault: self.reset_fault,
+            reopen_s: self.reopen_s,
+            tap: self.tap.clone(),
+            mystery: self.mystery.is_some(),
+            parquet: self.parquet,
+            words: self.words(),
+        })
+    }
+
+    /// Bench, link and motor as they are named here, for the commands that go on; each with a space before it.
+    pub(super) fn words(&self) -> String {
+        let bench = self.bench.as_deref().map(output::quoted);
+        let option = |name: &str, value: Option<String>| {
+            let value = value.map(|value| output::quoted_word(&value));
+            value.map(|value| format!("--{name} {value}"))
+        };
+        let switch = |name: &str, is_set: bool| is_set.then(|| format!("--{name}"));
+        let number = |number: Option<u64>| number.map(|number| number.to_string());
+        let words = [
+            bench,
+            option("port", self.port.clone()),
+            option("emulator", self.emulator.clone()),
+            option("seed", number(self.seed)),
+            option("mystery", number(self.mystery)),
+            switch("headless", self.headless),
+            switch("hardware", self.hardware),
+        ];
+        words
+            .into_iter()
+            .flatten()
+            .fold(String::new(), |all, word| all + " " + &word)
+    }
+
+    /// Name and text of the bench file, for what is wrong in it; no text of the embedded one.
+    pub(super) fn source(&self) -> Result<(String, String), Failure> {
+        Ok(match &self.bench {
+            Some(path) => (path.display().to_string(), read_text(path)?),
+            None => (EMBEDDED_NAME.to_owned(), String::new()),
+        })
+    }
+
+    /// The bench file with the command line's overrides.
+    fn bench_file(&self) -> Result<BenchFile, Failure> {
+        let mut bench = match &self.bench {
+            Some(path) => opening::bench_file(path)?,
+            None => BenchFile::embedded_default(),
+        };
+        if let Some(port) = &self.port {
+            if Port::parse(port).is_none() {
+                let headline = format!("--port {port:?} is not a port");
+                let help = "a serial port, tcp:HOST:PORT, sim:, sim:rtu or emulator";
+                return Err(Failure::usage(headline, help));
+            }
+            bench.link.port.clone_from(port);
+        }
+        if let Some(emulator) = &self.emulator {
+            bench.emulator.config.clone_from(emulator);
+        }
+        if let Some(seed) = self.seed.or(self.mystery) {
+            bench.emulator.seed = seed;
+        }
+        if self.mystery.is_some() {
+            MYSTERY.clone_into(&mut bench.emulator.config);
+        }
+        Ok(bench)
+    }
+}
+
+/// Checks that may be gone without, each by its own word. What is waived stands in the manifest, the log and the messages.
+#[derive(Args, Clone, Copy, Debug)]
+#[expect(clippy::struct_field_names, reason = "the words of the command line")]
+struct Waive {
+    /// Go on although the drive's watchdog is not proven: if this computer or the cable fails, perhaps nothing stops the
+    /// motor; the waiver is recorded
+    #[arg(long)]
+    waive_watchdog: bool,
+    /// Make no pulse before the first run: directions and nameplate stay unproven; the waiver is recorded
+    #[arg(long)]
+    waive_direction: bool,
+    /// Go on although the pulse does not fit the nameplate; the waiver is recorded
+    #[arg(long)]
+    waive_plausibility: bool,
+}
+
+impl Waive {
+    const fn waivers(self) -> Waivers {
+        Waivers {
+            watchdog: self.waive_watchdog,
+            direction: self.waive_direction,
+            plausibility: self.waive_plausibility,
+        }
+    }
+}
+
+/// Part I of N of what is to be done.
+pub(super) fn shard(text: &str) -> Result<(u64, u64), String> {
+    let parts = text.split_once('/');
+    let numbers = parts.and_then(|(part, of)| Some((part.parse().ok()?, of.parse().ok()?)));
+    match numbers {
+        Some((part, of)) if part >= 1 && part <= of => Ok((part, of)),
+        _ => Err("expected I/N with 1 <= I <= N, as 2/4".to_owned()),
+    }
+}
+
+/// Longest time that may be asked for, s: a day.
+const MOST_S: f64 = 86_400.0;
+
+/// The time of `--reopen-s`.
+fn seconds(text: &str) -> Result<f64, String> {
+    let parsed = text.parse::<f64>();
+    let seconds = parsed.map_err(|_| "expected a number of seconds".to_owned())?;
+    let allowed = (0.0..=MOST_S).contains(&seconds);
+    allowed
+        .then_some(seconds)
+        .ok_or_else(|| format!("allowed: 0 (off) to {MOST_S} s"))
+}
+
+/// For commands that find a motor of which nothing is known.
+#[derive(clap::Args, Clone, Copy, Debug)]
+pub(super) struct UnknownMotor {
+    /// Find the motor from small steps first and compare it with its nameplate; the sequence runs only if it suits the
+    /// motor that was found (motor.unknown = true in the bench file makes it smaller instead)
+    #[arg(long)]
+    pub(super) escalate: bool,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn words_set_origin_or_side_and_wrong_ones_are_named() {
+        let provenance: Provenance = "voltage_v=commanded, current_a=supply,current_a=measured"
+            .parse()
+            .unwrap();
+        let mut run = Run::new("r", vec![0.0, 1.0]).unwrap();
+        run.set_column(Channel::Current, vec![1.0, 2.0], Origin::Unknown)
+            .unwrap();
+        provenance.apply(&mut run);
+        assert_eq!(run.origin(Channel::Voltage), Origin::Commanded);
+        assert_eq!(
+            crate::commands::evidence::signals(&run),
+            json!({ "current_a": { "origin": "measured", "side": "supply" } })
+        );
+        for (text, part) in [
+            ("volts=measured", "unknown signal"),
+            ("voltage_v", "KEY=WORD"),
+            ("voltage_v=guessed", "allowed: measured"),
+            ("speed_rad_s=supply", "only a voltage or a current"),
+        ] {
+            let error = text.parse::<Provenance>().unwrap_err();
+            assert!(error.contains(part), "{text}: {error}");
+        }
+    }
+}

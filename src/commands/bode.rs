@@ -1,0 +1,531 @@
+//! `bode`: the frequency response of recorded runs, a model's beside it.
+//!
+//! The frequency response of recorded runs, a model's beside it: its card, its table and its picture.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use crate::commands::arguments::{MapArguments, run_path};
+use crate::commands::by_hand::show_response;
+use crate::commands::evidence::{cautions, name_voltage};
+use crate::commands::view::needs_terminal;
+use crate::report::plot::standalone;
+use crate::report::{Bars, Document, Tone, response_chart};
+use crate::runtime::failure::Failure;
+use crate::runtime::files::read_model;
+use crate::runtime::output::quoted;
+use crate::runtime::{output, progress, signals};
+use drivebench_bench::recording::{LoadedRun, RunFile, RunFolder};
+use drivebench_identify::frequency_response::{
+    CARRIED, Compared, Departure, Mode, Pathway, PathwayResponse, ResponsePoint, compared, of_model,
+};
+use drivebench_model::plant::{Model, Scenario};
+use drivebench_model::sample::Channel;
+use drivebench_model::text::number::significant;
+
+/// Frequency response of recorded runs: magnitude, phase, coherence; resonances with their damping; a model's beside it
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  drivebench bode runs/latest
+  drivebench bode runs/a --model model.toml --svg bode.svg     where model and measurement differ
+  drivebench bode runs/a runs/b --csv bode.csv                 of one machine, taken together
+A chirp about an offset carries most: bench-configs/benches/zk-22fc-frequency-response.toml.")]
+pub(super) struct Arguments {
+    /// Run folders, samples.csv, or any CSV with --map, all of one machine
+    #[arg(required = true, value_parser = run_path())]
+    runs: Vec<PathBuf>,
+    /// Model file; without it that of the first run's folder
+    #[arg(long, value_parser = run_path())]
+    model: Option<PathBuf>,
+    /// voltage-to-speed, voltage-to-current or current-to-speed; without it the one that tells most
+    #[arg(long, value_parser = pathway)]
+    pathway: Option<Pathway>,
+    #[command(flatten)]
+    map: MapArguments,
+    /// Write a row for each point and pathway; never overwritten
+    #[arg(long, value_name = "FILE.csv")]
+    csv: Option<PathBuf>,
+    /// Write a picture: magnitude, phase, coherence, the model's beside them; never overwritten
+    #[arg(long, value_name = "FILE.svg")]
+    svg: Option<PathBuf>,
+    /// See it on the screen
+    #[arg(long, conflicts_with = "json")]
+    screen: bool,
+    /// Print all there is to say; without it what fits 100 columns and 30 lines
+    #[arg(long)]
+    full: bool,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+fn pathway(text: &str) -> Result<Pathway, String> {
+    let keys = Pathway::ALL.map(Pathway::key);
+    let mut all = Pathway::ALL.into_iter();
+    all.find(|own| own.key() == text)
+        .ok_or_else(|| format!("allowed: {}", keys.join(", ")))
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    for (path, option) in [(&arguments.csv, "--csv"), (&arguments.svg, "--svg")] {
+        path.as_deref()
+            .map_or(Ok(()), |path| output::refuse_existing(path, option))?;
+    }
+    if arguments.screen {
+        let help = "leave --screen out: the result is printed as text";
+        needs_terminal("--screen", help)?;
+    }
+    let attended = (signals::endable()?, progress::begin("bode"));
+    let found = Bode::of(&BodeRequest {
+        runs: &arguments.runs,
+        model: arguments.model.as_deref(),
+        load: &|path| arguments.map.load(path),
+        map_words: arguments.map.words(),
+    })?;
+    let pathway = found.shown(arguments.pathway)?;
+    if let Some(path) = &arguments.csv {
+        output::file(path, &found.csv()?)?;
+    }
+    if let Some(path) = &arguments.svg {
+        output::file(path, &found.svg(pathway)?)?;
+    }
+    // From here on a screen owns the terminal and hears the signals.
+    drop(attended);
+    if arguments.screen {
+        show_response(found.title(), found.compared.clone(), Some(pathway))?;
+    }
+    let (json, full) = (arguments.json, arguments.full);
+    output::document(&found, json, full, &found.document(pathway))?;
+    found.check()
+}
+
+/// Lines of the magnitude on the card, and what the shortest of them stands for, dB below the smallest.
+const LINES: usize = 12;
+const SHORTEST_DB: f64 = 3.0;
+/// Share of its frequency within which a point is at a mode.
+const AT_A_MODE: f64 = 0.01;
+/// Bands that are told of a pathway.
+const MOST_BANDS: usize = 4;
+
+/// What is asked.
+pub(crate) struct BodeRequest<'a> {
+    pub(crate) runs: &'a [PathBuf],
+    /// Without it that of the first run's folder, where it is complete.
+    pub(crate) model: Option<&'a Path>,
+    pub(crate) load: &'a dyn Fn(&Path) -> Result<LoadedRun, Failure>,
+    /// What the commands that go on repeat of the arguments.
+    pub(crate) map_words: String,
+}
+
+/// The response of the runs, as `bode --json` prints it.
+#[derive(Serialize)]
+pub(crate) struct Bode {
+    runs: Vec<String>,
+    /// File of the model; null where there is none.
+    model_from: Option<String>,
+    #[serde(flatten)]
+    pub(crate) compared: Compared,
+    notes: Vec<String>,
+    #[serde(skip)]
+    go_on: GoOn,
+}
+
+/// What the next commands name.
+#[derive(Default)]
+struct GoOn {
+    run: String,
+    model: Option<String>,
+    map_words: String,
+}
+
+impl Bode {
+    pub(crate) fn of(request: &BodeRequest<'_>) -> Result<Self, Failure> {
+        progress::stage("reads the runs", 0);
+        let loaded = request.runs.iter().map(|path| (request.load)(path));
+        let loaded = loaded.collect::<Result<Vec<LoadedRun>, Failure>>()?;
+        let (mut notes, mut of_runs) = (Vec::new(), Vec::new());
+        let mut scenarios = Vec::new();
+        for loaded in &loaded {
+            let run = &loaded.run;
+            let scenario = Scenario::from_run(run)?;
+            name_voltage(run, &scenario);
+            notes.extend(run.notes.iter().cloned());
+            let mut found = cautions(run, &scenario);
+            if run.points(Channel::Reference).next().is_some() {
+                found.push(format!(
+                    "{}: recorded in a closed loop: what disturbs the speed moves the voltage too, and draws the response towards that of the regulator turned round",
+                    run.name
+                ));
+            }
+            output::warn(&found);
+            of_runs.extend(found);
+            scenarios.push(scenario);
+        }
+        let model = model(request.model, loaded.first())?;
+        let (model_from, model) = model.unzip();
+        progress::stage("follows the model", 0);
+        let beside = model
+            .map(|model| of_model(&model, &scenarios))
+            .transpose()?;
+        progress::stage("estimates the response", 0);
+        let mut compared = compared(&scenarios, beside.as_deref())?;
+        compared.measured.cautions.extend(of_runs);
+        Ok(Self {
+            runs: loaded.iter().map(|own| own.run.name.clone()).collect(),
+            go_on: GoOn {
+                run: request
+                    .runs
+                    .first()
+                    .map_or_else(String::new, |run| quoted(run)),
+                model: model_from.as_deref().map(quoted),
+                map_words: request.map_words.clone(),
+            },
+            model_from: model_from.map(|path| path.display().to_string()),
+            compared,
+            notes,
+        })
+    }
+
+    /// The pathway that is asked for, else the one that tells most.
+    pub(crate) fn shown(&self, asked: Option<Pathway>) -> Result<Pathway, Failure> {
+        let measured = &self.compared.measured;
+        match asked {
+            None => measured.telling().ok_or_else(|| {
+                Failure::not_identifiable("neither current nor speed was measured", "map a column")
+            }),
+            Some(asked) if measured.of(asked).is_some() => Ok(asked),
+            Some(asked) => {
+                let there = measured.pathways.iter().map(|own| own.pathway.key());
+                let there: Vec<&str> = there.collect();
+                Err(Failure::usage(
+                    format!(
+                        "--pathway {}: one of its signals was not measured (there: {})",
+                        asked.key(),
+                        there.join(", ")
+                    ),
+                    "choose another pathway, or map the column with --map",
+                ))
+            }
+        }
+    }
+
+    /// Fails where the excitation carries nothing; to be asked once the result has been told.
+    pub(crate) fn check(&self) -> Result<(), Failure> {
+        let mut pathways = self.compared.measured.pathways.iter();
+        if pathways.any(|own| !own.bands_hz().is_empty()) {
+            return Ok(());
+        }
+        Err(Failure::not_identifiable(
+            format!("no frequency has a coherence of {CARRIED} in these runs"),
+            CHIRP,
+        ))
+    }
+
+    pub(crate) fn document(&self, pathway: Pathway) -> Document {
+        let measured = &self.compared.measured;
+        let Some(own) = measured.of(pathway) else {
+            return Document::of(Tone::Plain, "nothing", "was measured");
+        };
+        let bands = own.bands_hz();
+        let tone = if bands.is_empty() {
+            Tone::Attention
+        } else {
+            Tone::Good
+        };
+        let mut document = Document::of(tone, pathway.name(), self.headline(own, &bands));
+        document.say("modes", self.other_modes(pathway), 2);
+        document.say("carried", [self.band_sentence(own, &bands)], 1);
+        document.say("rate", [measured.rate_sentence()], 1);
+        let (model, farther) = self.model_sentences(pathway);
+        document.say("model", model, 3);
+        document.say("", farther, 0);
+        document.say("caution", measured.cautions.iter().map(String::as_str), 1);
+        let bars = self.bars(own);
+        if !bars.is_empty() {
+            let unit = format!("magnitude, dB of 1 {}, where it is carried", own.unit);
+            document.bars("", Bars::new(bars, unit));
+        }
+        self.go_on(&mut document, bands.is_empty());
+        document
+    }
+
+    fn headline(&self, own: &PathwayResponse, bands: &[(f64, f64)]) -> String {
+        let modes = self.compared.measured.modes_of(own.pathway);
+        match (modes.as_slice(), bands) {
+            (_, []) => "the excitation carries no frequency".to_owned(),
+            ([], [(from, _), .., (_, to)] | [(from, to)]) => format!(
+                "no resonance is named from {} to {} Hz",
+                significant(*from, 3),
+                significant(*to, 3)
+            ),
+            (modes, _) => {
+                let modes: Vec<String> = modes.iter().map(Mode::text).collect();
+                modes.join("; ")
+            }
+        }
+    }
+
+    /// Of the other pathways.
+    fn other_modes(&self, shown: Pathway) -> Vec<String> {
+        let measured = &self.compared.measured;
+        let others = Pathway::ALL.into_iter().filter(|own| *own != shown);
+        let told = others.filter_map(|pathway| {
+            let modes = measured.modes_of(pathway);
+            let modes: Vec<String> = modes.iter().map(Mode::text).collect();
+            (!modes.is_empty()).then(|| format!("{}: {}", pathway.name(), modes.join("; ")))
+        });
+        told.collect()
+    }
+
+    fn band_sentence(&self, own: &PathwayResponse, bands: &[(f64, f64)]) -> String {
+        let measured = &self.compared.measured;
+        let [used, lowest] = [measured.used_s, measured.lowest_hz].map(|own| significant(own, 3));
+        let stretches = match measured.stretches {
+            1 => "one stretch".to_owned(),
+            many => format!("{many} stretches"),
+        };
+        let told = bands
+            .iter()
+            .take(MOST_BANDS)
+            .map(|(from, to)| format!("{} to {} Hz", significant(*from, 3), significant(*to, 3)));
+        let told: Vec<String> = told.collect();
+        let more = match bands.len().saturating_sub(MOST_BANDS) {
+            0 => String::new(),
+            more => format!(" and {more} bands more"),
+        };
+        let told = if told.is_empty() {
+            "nothing".to_owned()
+        } else {
+            told.join(", ")
+        };
+        let is_inside = |point: &&ResponsePoint| {
+            let hertz = point.frequency_hz;
+            bands
+                .iter()
+                .any(|(from, to)| (*from..=*to).contains(&hertz))
+        };
+        let inside: Vec<&ResponsePoint> = own.points.iter().filter(is_inside).collect();
+        let but = match inside.iter().filter(|point| !point.is_carried).count() {
+            0 => String::new(),
+            few => format!(" but for {few} of {} points", inside.len()),
+        };
+        format!(
+            "{told}{more}{but} (coherence {CARRIED} and more; {used} s in {stretches}, from {lowest} Hz on)"
+        )
+    }
+
+    /// Of the model, and the bands farther down in which it departs.
+    fn model_sentences(&self, shown: Pathway) -> (Vec<String>, Vec<String>) {
+        let Some(from) = &self.model_from else {
+            let none = "none beside it: give one with --model";
+            return (vec![none.to_owned()], Vec::new());
+        };
+        let own = self.compared.model.as_ref();
+        let own = own.map_or_else(Vec::new, |model| model.modes_of(shown));
+        let own: Vec<String> = own.iter().map(Mode::text).collect();
+        let mut told = Vec::new();
+        if !own.is_empty() {
+            told.push(format!("its own {}", own.join("; ")));
+        }
+        let all = &self.compared.departures;
+        if all.is_empty() {
+            told.push(format!(
+                "{from}: within the intervals wherever the response is carried"
+            ));
+            return (told, Vec::new());
+        }
+        let missing = self.compared.missing_resonances();
+        told.extend(missing.iter().map(|mode| {
+            let at = significant(mode.frequency_hz, 3);
+            format!("no resonance at {at} Hz: an elastic coupling would look like that")
+        }));
+        let mut bands: Vec<&Departure> = all.iter().collect();
+        // What is shown first, and of it what is farthest off.
+        bands.sort_by(|a, b| {
+            let is_other = |own: &Departure| own.pathway != shown;
+            let sizes = b.magnitude_db.abs().total_cmp(&a.magnitude_db.abs());
+            is_other(a).cmp(&is_other(b)).then(sizes)
+        });
+        let mut bands = bands.into_iter().map(Departure::sentence);
+        told.extend(bands.next());
+        (told, bands.collect())
+    }
+
+    /// A point of each interval of the logarithmic axis, that of a mode where there is one.
+    fn bars(&self, own: &PathwayResponse) -> Vec<(String, f64, String)> {
+        let carried = own.points.iter().filter(|point| point.is_carried);
+        let carried: Vec<&ResponsePoint> = carried.collect();
+        let (Some(first), Some(last)) = (carried.first(), carried.last()) else {
+            return Vec::new();
+        };
+        let span = (last.frequency_hz / first.frequency_hz).ln().max(1e-9);
+        let place = |hertz: f64| {
+            let share = (hertz / first.frequency_hz).ln() / span * LINES as f64;
+            share.floor().min(LINES as f64 - 1.0)
+        };
+        let modes = self.compared.measured.modes_of(own.pathway);
+        let shown =
+            carried.chunk_by(|a, b| (place(a.frequency_hz) - place(b.frequency_hz)).abs() < 0.5);
+        let shown = shown.map(|points| {
+            let in_reach = |mode: &&Mode| {
+                (place(mode.frequency_hz) - place(points[0].frequency_hz)).abs() < 0.5
+            };
+            let mode = modes.iter().find(in_reach);
+            let point = mode.map_or(points[points.len() / 2], |mode| {
+                let apart =
+                    |point: &ResponsePoint| (point.frequency_hz / mode.frequency_hz).ln().abs();
+                let nearest = points.iter().min_by(|a, b| apart(a).total_cmp(&apart(b)));
+                nearest.unwrap_or(&points[0])
+            });
+            (point, mode)
+        });
+        let shown: Vec<(&ResponsePoint, Option<&Mode>)> = shown.collect();
+        let decibel = |point: &ResponsePoint| 20.0 * point.magnitude.log10();
+        let least = shown.iter().map(|(point, _)| decibel(point));
+        let least = least.fold(f64::INFINITY, f64::min);
+        let bars = shown.into_iter().map(|(point, mode)| {
+            let mode = mode.map_or_else(String::new, |mode| {
+                let apart = (point.frequency_hz / mode.frequency_hz).ln().abs();
+                let beside = if apart > AT_A_MODE { "beside the " } else { "" };
+                format!("{beside}{}", mode.kind.name())
+            });
+            let name = format!("{:>7} Hz {mode}", significant(point.frequency_hz, 3));
+            let value = decibel(point);
+            (
+                name.trim_end().to_owned(),
+                value - least + SHORTEST_DB,
+                format!("{value:+.1}"),
+            )
+        });
+        bars.collect()
+    }
+
+    fn go_on(&self, document: &mut Document, is_empty: bool) {
+        let GoOn {
+            run,
+            model,
+            map_words,
+        } = &self.go_on;
+        if is_empty {
+            document.say("record", [CHIRP], 1);
+            document.go_on("drivebench run BENCH.toml");
+            return;
+        }
+        match model {
+            Some(model) if !self.compared.missing_resonances().is_empty() => document.go_on(format!(
+                "drivebench add elastic_coupling --model {model} --run {run}{map_words} --output model2.toml"
+            )),
+            Some(model) if self.compared.departures.is_empty() => {
+                document.go_on(format!("drivebench tune --model {model}"));
+            }
+            Some(model) => document.go_on(format!(
+                "drivebench diagnose {run} --model {model}{map_words}"
+            )),
+            None => document.go_on(format!("drivebench diagnose {run}{map_words}")),
+        }
+    }
+
+    /// Magnitude, phase and coherence of a pathway.
+    pub(crate) fn svg(&self, pathway: Pathway) -> Result<String, Failure> {
+        let chart = response_chart(&self.compared, pathway);
+        let description = format!("frequency response, {}: {}", pathway.name(), self.title());
+        match chart.svg(&description) {
+            svg if svg.is_empty() => Err(Failure::not_identifiable(
+                format!(
+                    "{}: nothing is carried, there is nothing to draw",
+                    pathway.name()
+                ),
+                CHIRP,
+            )),
+            svg => Ok(standalone(&svg)),
+        }
+    }
+
+    /// The runs, and the model.
+    pub(crate) fn title(&self) -> String {
+        let runs = self.runs.join(" and ");
+        let model = self.model_from.as_ref();
+        model.map_or_else(|| runs.clone(), |model| format!("{runs}; model: {model}"))
+    }
+
+    /// A row for each point of each pathway, the model's values beside the measured ones.
+    pub(crate) fn csv(&self) -> Result<String, Failure> {
+        let Compared {
+            measured, model, ..
+        } = &self.compared;
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        let failed = |error: csv::Error| Failure::internal(format!("the table: {error}"));
+        for own in &measured.pathways {
+            let beside = model.as_ref().and_then(|model| model.of(own.pathway));
+            let beside = beside.map_or(&[][..], |beside| beside.points.as_slice());
+            for point in &own.points {
+                let place = beside.partition_point(|other| other.frequency_hz < point.frequency_hz);
+                let other = beside.get(place);
+                let other = other.filter(|other| other.frequency_hz <= point.frequency_hz);
+                writer
+                    .serialize(Row {
+                        pathway: own.pathway.key(),
+                        frequency_hz: point.frequency_hz,
+                        magnitude_unit: own.unit,
+                        magnitude: point.magnitude,
+                        magnitude_low: point.magnitude_low,
+                        magnitude_high: point.magnitude_high,
+                        phase_rad: point.phase_deg.to_radians(),
+                        phase_half_width_rad: point.phase_half_width_deg.to_radians(),
+                        coherence: point.coherence,
+                        is_carried: point.is_carried,
+                        model_magnitude: other.map(|other| other.magnitude),
+                        model_phase_rad: other.map(|other| other.phase_deg.to_radians()),
+                    })
+                    .map_err(failed)?;
+            }
+        }
+        let bytes = writer
+            .into_inner()
+            .map_err(|error| Failure::internal(format!("the table: {error}")))?;
+        String::from_utf8(bytes).map_err(|error| Failure::internal(format!("the table: {error}")))
+    }
+}
+
+/// What carries a response, as a bench file has it.
+const CHIRP: &str = "[[sequence]] chirp = { amplitude_v = 6.0, from_hz = 0.5, to_hz = 40.0, seconds = 30.0, offset_v = 20.0 } in the bench file, about an offset that keeps the shaft turning";
+
+#[derive(Serialize)]
+struct Row {
+    pathway: &'static str,
+    frequency_hz: f64,
+    magnitude_unit: &'static str,
+    magnitude: f64,
+    magnitude_low: f64,
+    magnitude_high: f64,
+    phase_rad: f64,
+    phase_half_width_rad: f64,
+    coherence: f64,
+    is_carried: bool,
+    model_magnitude: Option<f64>,
+    model_phase_rad: Option<f64>,
+}
+
+/// The model that is named, else the one in the run's folder; that one may have gaps, and is then left out.
+fn model(
+    path: Option<&Path>,
+    first: Option<&LoadedRun>,
+) -> Result<Option<(PathBuf, Model)>, Failure> {
+    if let Some(path) = path {
+        let model = read_model(path)?.model;
+        model.require_complete()?;
+        return Ok(Some((path.to_owned(), model)));
+    }
+    let folder = first.and_then(|run| run.folder.as_ref());
+    let path = folder.map(|folder| RunFolder::existing(folder).file(RunFile::Model));
+    let Some(path) = path.filter(|path| path.exists()) else {
+        return Ok(None);
+    };
+    let model = read_model(&path)?.model;
+    if let Err(error) = model.require_complete() {
+        output::message(&format!("{}: not shown: {error}", path.display()));
+        return Ok(None);
+    }
+    Ok(Some((path, model)))
+}

@@ -1,0 +1,387 @@
+//! The documents of commands over a live drive and of what is identified.
+
+use crate::commands::identify::{Answer, is_usable};
+use crate::commands::report::last_rows;
+use crate::commands::run::Whole;
+use crate::commands::speed::{SpeedResult, delay_text};
+use crate::report::conventions::Converted;
+use crate::report::{Cell, Document, Table, Tone, conventions, tables};
+use crate::runtime::files::Recorded;
+use crate::runtime::output::quoted;
+use drivebench_bench::recording::RunFile;
+use drivebench_bench::{
+    LoopDelay, Outcome, RunSummary, SpeedReport, StepFigures, Stop, Tracking, Watched,
+};
+use drivebench_identify::misfit::Misfit;
+use drivebench_identify::nameplate::{self, Comparison, Fits};
+use drivebench_identify::recursive::INERTIA_HAS_CHANGED;
+use drivebench_identify::repeat::Repeated;
+use drivebench_model::plant::{Model, Motor};
+use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::text::number::{fixed, significant, with_std};
+
+/// Share of a run from which on it is worth a word that the drive's own limit held its output.
+const MUCH_LIMITED_SHARE: f64 = 0.1;
+
+/// How the run went, what was found on line, and whether the plate fits.
+pub(crate) fn run(whole: &Whole, plate: Option<&Comparison>) -> Document {
+    let recorded = &whole.recorded;
+    let timing = &recorded.summary.timing;
+    let (achieved_hz, asked_hz) = (timing.rate_achieved_hz, timing.rate_asked_hz);
+    let mut document = account(
+        &recorded.summary,
+        &format!(" {achieved_hz:.1} of {asked_hz:.0} Hz,"),
+    );
+    if let Some(found) = &whole.escalation {
+        found.put("motor", &mut document);
+    }
+    let estimates = recorded.summary.estimates.as_slice();
+    let nameplate = Model::baseline(whole.plate.clone());
+    let nameplate = Some(&nameplate);
+    tables::parameter_section(&mut document, "on line", nameplate, &[], estimates, 5);
+    tables::plate(&mut document, plate);
+    let run = quoted(recorded.folder.path());
+    let word = match recorded.summary.outcome {
+        Outcome::Done => "diagnose",
+        _ => "view",
+    };
+    document.go_on(format!("drivebench {word} {run}"));
+    end_of_run(&mut document, recorded);
+    document
+}
+
+/// The folder of a run, and last its page, where there is one.
+fn end_of_run(document: &mut Document, recorded: &Recorded) {
+    let page = recorded.folder.file(RunFile::Report);
+    let last = if page.exists() {
+        document.is_of_a_motion();
+        page.as_path()
+    } else {
+        recorded.folder.path()
+    };
+    document.ends_with(last.display().to_string());
+}
+
+/// How a run went, in one line.
+fn account(summary: &RunSummary, rate: &str) -> Document {
+    let (outcome, rows) = (summary.outcome.name(), summary.rows);
+    let (duration_s, missed) = (summary.duration_s, summary.timing.missed_cycles);
+    let (lost, sent) = (summary.link.lost(), summary.link.sent);
+    let tone = match summary.outcome {
+        Outcome::Done => Tone::Good,
+        _ => Tone::Attention,
+    };
+    let sentence = format!(
+        "{rows} rows in {duration_s:.1} s,{rate} {missed} cycles missed, {lost} of {sent} exchanges lost"
+    );
+    let mut document = Document::of(tone, outcome.replace('_', " "), sentence);
+    let is_plain =
+        |stop: &&Stop| summary.outcome == Outcome::Done && stop.confirmed_after_ms.is_some();
+    let stop = summary.stop.as_ref().filter(|stop| !is_plain(stop));
+    document.say("stopped", stop.map(Stop::sentence), 1);
+    document.say("last 2 s", summary.last_seconds.map(last_rows), 1);
+    let frozen = &summary.frozen;
+    let is_much = frozen.rows as f64 > MUCH_LIMITED_SHARE * summary.rows as f64;
+    let limited = is_much.then(|| {
+        let (held, seconds) = (frozen.rows, frozen.seconds);
+        format!(
+            "a limit of the drive held its output in {held} of {rows} rows, {seconds:.1} s: nothing is learnt there; slower or smaller \
+             steps stay clear of it"
+        )
+    });
+    document.say("limited", limited, 1);
+    document
+}
+
+/// What was found by `scheme`, and whether the plate fits.
+pub(crate) fn identify(answer: &Answer, scheme: &str) -> Document {
+    let combined = || answer.combined.iter();
+    let known = combined().filter(|own| is_usable(&own.estimate)).count();
+    let all = answer.combined.len();
+    let tone = if known == all {
+        Tone::Good
+    } else {
+        Tone::Attention
+    };
+    let runs = match answer.runs.len() {
+        1 => "± is one standard deviation, 1.96 of them hold 95 %".to_owned(),
+        runs if answer.joint.is_some() => {
+            format!("{runs} runs, fitted one by one and as one; the spread is that from run to run")
+        }
+        runs => format!("mean of {runs} runs; the spread is that from run to run"),
+    };
+    let sentence = format!("{known} of {all} parameters by scheme {scheme}; {runs}");
+    let mut document = Document::of(tone, "Identified", sentence);
+    let value = |own: &&Repeated| own.estimate.text(1.0);
+    let mut table = Table::of(combined())
+        .column("parameter", |own| own.estimate.key.clone())
+        .column("found ± std", value);
+    if answer.runs.len() > 1 {
+        table = table.column("spread", |own| {
+            own.run_to_run_std
+                .map_or_else(|| "-".to_owned(), |std| format!("{std:.1e}"))
+        });
+    }
+    let table = table.column("verdict", |own| own.estimate.verdict.name());
+    document.table_on_card("motor", table, &[], 5);
+    let reasons = combined().filter_map(|own| {
+        let reason = own.estimate.reason.as_ref()?;
+        Some(format!("{}: {reason}", own.estimate.key))
+    });
+    document.say("why", reasons, 1);
+    let left = answer.misfit().and_then(Misfit::text);
+    let left = left.map(|left| format!("the model leaves {left}"));
+    document.say("misfit", left, 1);
+    let absolute = answer.absolute.as_deref().unwrap_or_default();
+    tables::parameter_section(&mut document, "absolute", None, &[], absolute, 3);
+    let parameters = answer.parameters();
+    if let Some(ratio) = answer.gear_ratio {
+        let load = conventions::on_load_shaft(&parameters, ratio);
+        tables::parameter_section(&mut document, "at load", None, &[], &load, 2);
+    }
+    tables::plate(&mut document, answer.nameplate.as_ref());
+    let notes = answer.runs.iter().flat_map(|run| &run.found.notes);
+    let notes = answer.caution.iter().chain(notes);
+    document.say("note", notes.map(String::as_str), 1);
+    let converted = conventions::of(&parameters);
+    if !converted.is_empty() {
+        document.section("In other units");
+        let number = |own: &Converted| format!("{} {}", with_std(own.value, own.std), own.unit);
+        document.table(
+            Table::of(&converted)
+                .column("value", |own| Cell::code(own.key))
+                .column("found ± std", |own| number(own)),
+        );
+        document.paragraph(conventions::RELATION);
+    }
+    document
+}
+
+/// Columns of the steps that a narrow terminal goes without, the first first.
+const SPARE: &[&str] = &["peak output", "limited, %", "IAE, rad", "from"];
+
+/// How a speed loop did: on the card of `speed`, and on the page of its run.
+pub(crate) fn speed_loop(result: &SpeedResult<'_>) -> Document {
+    let mut document = Document::new("", "");
+    let summary = result.summary;
+    let Some(report) = &summary.speed else {
+        return document;
+    };
+    let cycles = |delay: Option<&LoopDelay>| match delay {
+        Some(delay) => delay_text(delay),
+        None => "not measured: the drive does not say when a command was applied".to_owned(),
+    };
+    let facts = [
+        (
+            "controller",
+            format!(
+                "{} over a {} command",
+                report.controller,
+                report.actuator.name()
+            ),
+        ),
+        ("delay at rest", cycles(result.delay_at_rest.as_ref())),
+        ("delay while running", cycles(report.delay.as_ref())),
+        (
+            "tuned for",
+            format!("{:.2} cycles", report.timing.delay_cycles()),
+        ),
+        (
+            "cycles without a speed, output held",
+            report.held_cycles.to_string(),
+        ),
+    ];
+    document.facts(facts.map(|(label, value)| (label.to_owned(), value)).into());
+    let other = of_another_machine(result.motor, &summary.estimates);
+    document.say("machine", other, 2);
+    document.table_on_card("tracking", tracking(report), &["reference followed"], 2);
+    document.say("", softened_text(report), 1);
+    let mut all = steps_text(report);
+    if summary.outcome != Outcome::Done
+        && let Some(last) = all.last_mut()
+    {
+        last.push_str("; of whole steps: the last was cut short");
+    }
+    document.say("steps", all, 2);
+    document.table_on_card("", steps(report), SPARE, 3);
+    document.section("Gains");
+    document.labelled("why", report.reasons.iter().map(String::as_str));
+    let changes = report.gain_changes.iter();
+    let changes = changes.map(|change| format!("{:.2} s: {}", change.time_s, change.reason));
+    document.say("gains", changes, 0);
+    let found = report.watch.iter();
+    let found = found.map(|one| format!("{:.2} s: {}", one.time_s, one.reason));
+    document.say("watch", found, 3);
+    document.say("at end", report.gains.iter().map(String::as_str), 1);
+    document
+}
+
+fn tracking(report: &SpeedReport) -> Table {
+    let error = |value: f64| significant(value, 3);
+    Table::of(&report.tracking)
+        .column(
+            "feed-forward",
+            |pass| if pass.feed_forward { "on" } else { "off" },
+        )
+        .column("reference followed", |pass| {
+            format!("{} to {} s", fixed(pass.from_s, 1), fixed(pass.until_s, 1))
+        })
+        .column("error rms, rad/s", |pass| error(pass.rms_rad_s))
+        .column("mean, rad/s", |pass| error(pass.mean_abs_rad_s))
+        .column("peak, rad/s", |pass| error(pass.peak_rad_s))
+        .column("rms of reversals, rad/s", |pass| {
+            pass.reversal_rms_rad_s
+                .map_or_else(|| "-".to_owned(), error)
+        })
+        .into()
+}
+
+fn steps(report: &SpeedReport) -> Table {
+    let unit = report.actuator.unit();
+    Table::of(&report.steps)
+        .column("at, s", |step| fixed(step.step.at_s, 2))
+        .column("from", |step| fixed(step.speed_rad_s, 1))
+        .column("to, rad/s", |step| fixed(step.step.to_rad_s, 1))
+        .column("overshoot, %", |step| {
+            fixed(step.response.overshoot_percent, 1)
+        })
+        .column("settling, s", |step| {
+            let none = if step.settles_in_noise {
+                "in noise"
+            } else {
+                "never"
+            };
+            let settling = step.response.settling_s.map(|s| fixed(s, 3));
+            settling.unwrap_or_else(|| none.to_owned())
+        })
+        .column("IAE, rad", |step| {
+            fixed(step.response.absolute_error_rad, 2)
+        })
+        .column("peak output", |step| {
+            format!("{} {unit}", fixed(step.peak_output, 1))
+        })
+        .column("limited, %", |step| fixed(100.0 * step.limited_share, 0))
+        .into()
+}
+
+/// How closely the reference was followed, and what the gains were at the end.
+pub(crate) fn speed(result: &SpeedResult<'_>, recorded: &Recorded, words: &str) -> Document {
+    let summary = result.summary;
+    let mut document = account(summary, "");
+    document.append(speed_loop(result));
+    if summary.outcome == Outcome::Done {
+        let both = summary
+            .speed
+            .as_ref()
+            .is_some_and(|report| report.tracking.len() > 1);
+        document.go_on(match result.model_file() {
+            Some(model) if !both => {
+                format!("drivebench speed{words} --model {model} --feed-forward compare")
+            }
+            _ => format!("drivebench replay {}", quoted(recorded.folder.path())),
+        });
+    } else {
+        document.go_on(format!(
+            "drivebench view {}",
+            quoted(recorded.folder.path())
+        ));
+    }
+    end_of_run(&mut document, recorded);
+    document
+}
+
+/// Values that are not those that the loop was tuned on, as far as they are known; of an inertia that changed what is known so far.
+fn of_another_machine(tuned_on: &Motor, found: &[ParameterEstimate]) -> Vec<String> {
+    let compared = nameplate::compare(tuned_on, found);
+    let rows = compared.rows.iter().filter(|row| row.fits == Fits::No);
+    let sentences = rows.filter_map(|row| {
+        let estimate = ParameterEstimate::find(found, row.key)?;
+        let reason = estimate.reason.as_deref().unwrap_or_default();
+        let has_changed = reason.starts_with(INERTIA_HAS_CHANGED);
+        let is_known = estimate.verdict == Verdict::Settled || has_changed;
+        let (value, ratio) = (row.found.filter(|_| is_known)?, row.ratio?);
+        let number = with_std(value, row.std);
+        let why = if has_changed {
+            format!("; {reason}")
+        } else {
+            String::new()
+        };
+        Some(format!(
+            "{} is {number} {}, {ratio:.2} times what the loop was tuned on{why}",
+            row.key, row.unit
+        ))
+    });
+    sentences.collect()
+}
+
+/// Where a reference is followed twice and the watch lowered the gains, what the passes differ by is not only what is given
+/// forward.
+fn softened_text(report: &SpeedReport) -> Option<String> {
+    let softest = |pass: &Tracking| {
+        let inside = |found: &&Watched| (pass.from_s..pass.until_s).contains(&found.time_s);
+        let shares = report
+            .watch
+            .iter()
+            .filter(inside)
+            .map(|found| found.gain_share);
+        shares.fold(1.0, f64::min)
+    };
+    let shares: Vec<f64> = report.tracking.iter().map(softest).collect();
+    let is_softened = shares.len() > 1 && shares.iter().any(|share| *share < 1.0);
+    is_softened.then(|| {
+        let each = report.tracking.iter().zip(&shares);
+        let each = each.map(|(pass, share)| {
+            format!("{:.0} % {} feed-forward", 100.0 * share, forward_word(pass))
+        });
+        format!(
+            "the loop swung and its gain fell to {}: the passes are those of two loops, not of feed-forward alone",
+            each.collect::<Vec<_>>().join(", ")
+        )
+    })
+}
+
+/// The worst step of the report, or where it was followed twice the means of each pass, so that both are seen.
+fn steps_text(report: &SpeedReport) -> Vec<String> {
+    let overshoot = |step: &&StepFigures| step.response.overshoot_percent;
+    let mean = |steps: &[&StepFigures], value: fn(&StepFigures) -> Option<f64>| {
+        let values: Vec<f64> = steps.iter().filter_map(|step| value(step)).collect();
+        (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+    };
+    let pass = |pass: &Tracking| {
+        let inside = |step: &&StepFigures| (pass.from_s..pass.until_s).contains(&step.step.at_s);
+        let steps: Vec<&StepFigures> = report.steps.iter().filter(inside).collect();
+        let overshoot = mean(&steps, |step| Some(step.response.overshoot_percent))?;
+        let error = mean(&steps, |step| Some(step.response.absolute_error_rad))?;
+        let settled = steps
+            .iter()
+            .filter(|step| step.response.settling_s.is_some());
+        let settled = match mean(&steps, |step| step.response.settling_s) {
+            Some(mean) => format!("{} settled in {mean:.3} s", settled.count()),
+            None => "none settled".to_owned(),
+        };
+        let (with, count) = (forward_word(pass), steps.len());
+        Some(format!(
+            "{count} {with} feed-forward, on the mean: overshoot {overshoot:.1} %, IAE {error:.2} rad; {settled}"
+        ))
+    };
+    if report.tracking.len() > 1 {
+        return report.tracking.iter().filter_map(pass).collect();
+    }
+    let mut steps = report.steps.iter();
+    let worst = steps
+        .by_ref()
+        .skip(1)
+        .max_by(|a, b| overshoot(a).total_cmp(&overshoot(b)));
+    let worst = worst.filter(|_| report.steps.len() > 2);
+    let text = worst.map(|step| {
+        format!(
+            "most overshoot at {:.2} s: {:.1} %, {:.2} rad of error (IAE)",
+            step.step.at_s, step.response.overshoot_percent, step.response.absolute_error_rad
+        )
+    });
+    text.into_iter().collect()
+}
+
+const fn forward_word(pass: &Tracking) -> &'static str {
+    if pass.feed_forward { "with" } else { "without" }
+}

@@ -1,0 +1,221 @@
+//! `compare`: the model as given beside the measurement.
+//!
+//! Two models on one run, side by side, with what each of them is.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use crate::commands::arguments::{EvidenceArguments, MoreRuns, model_words, run_path};
+use crate::commands::evidence::{Judging, Prepared, was_fitted_on};
+use crate::commands::{pages, view};
+use crate::report::{Document, SignalFigures, Table, Tone};
+use crate::runtime::failure::{Failure, REFUSED, USAGE};
+use crate::runtime::files::read_model;
+use crate::runtime::{output, progress, signals};
+use drivebench_diagnose::{Comparison, HoldoutFrom, SignalVersus, Versus, compare, versus};
+use drivebench_model::text::number::{fit, significant};
+
+/// Compare a model with a run: fit, error, noise floor, and where it fails
+#[derive(clap::Args)]
+#[command(
+    after_help = "Examples:\n  drivebench compare runs/a --model model.toml --holdout runs/b --min-fit 90\n  drivebench compare runs/a --model before.toml --model after.toml --holdout runs/b     which is better\n  drivebench compare runs/a --holdout runs/b --screen     measured and model over time, on the screen"
+)]
+pub(super) struct Arguments {
+    /// Run folder, samples.csv, or any CSV with --map
+    #[arg(value_parser = run_path())]
+    run: PathBuf,
+    #[command(flatten)]
+    more: MoreRuns,
+    /// Model file; without it the run folder's, else a fitted baseline. Two of them are compared with each other
+    #[arg(long, value_parser = run_path())]
+    model: Vec<PathBuf>,
+    /// Exit with status 1 when a held-out fit is below this, in per cent
+    #[arg(long, value_name = "P")]
+    min_fit: Option<f64>,
+    #[command(flatten)]
+    evidence: EvidenceArguments,
+    /// Write the page: figures, lights, where the model fails; never overwritten
+    #[arg(long, value_name = "PAGE.html")]
+    html: Option<PathBuf>,
+    /// See it on the screen: measured and model over time, where the model fails
+    #[arg(long, conflicts_with = "json")]
+    screen: bool,
+    /// Print all there is to say; without it what fits 100 columns and 30 lines
+    #[arg(long)]
+    full: bool,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    arguments.more.refuse()?;
+    if let Some(path) = &arguments.html {
+        output::refuse_existing(path, "--html")?;
+    }
+    if arguments.screen {
+        view::needs_terminal(
+            "--screen",
+            "leave --screen out: the result is printed as text",
+        )?;
+    }
+    let mut endable = Some(signals::endable()?);
+    let shown = progress::begin("compare");
+    let model = match arguments.model.as_slice() {
+        [_, _] if arguments.screen => {
+            let help = "--screen shows one model beside the run";
+            return Err(Failure::usage("two models are given with --screen", help));
+        }
+        [first, second] => return both(arguments, first, second, shown),
+        [_, _, _, ..] => {
+            let help = "give two models, and compare the better with the third";
+            return Err(Failure::usage("more than two models are given", help));
+        }
+        models => models.first().map(PathBuf::as_path),
+    };
+    let (evidence, run) = (&arguments.evidence, &arguments.run);
+    let judging = Judging::of(model);
+    let mut prepared = if arguments.screen {
+        evidence.prepare_for_screen(run, model, judging)?
+    } else {
+        evidence.prepare(run, model, judging)?
+    };
+    let from = prepared.model.from.clone();
+    let judged = prepared.judge_as_diagnose(model.is_some())?;
+    progress::stage("compares", 0);
+    let model = &prepared.model.file.model;
+    let comparison = compare(model, &prepared.evidence, judged.error_of)?;
+    drop(shown);
+    if arguments.screen {
+        // Meanwhile the screen owns the terminal and hears the signals.
+        drop(endable.take());
+        view::show(&prepared, judged.error_of)?;
+        endable = Some(signals::endable()?);
+    }
+    let _endable = endable;
+    let mut document = pages::comparison(&prepared, &comparison)?;
+    if let Some(path) = &arguments.html {
+        pages::write(path, &document.html())?;
+        document.ends_with(path.display().to_string());
+    }
+    document.go_on(format!(
+        "drivebench diagnose {}{}{}",
+        output::quoted(&arguments.run),
+        model_words(arguments.model.first().map(PathBuf::as_path)),
+        arguments.evidence.words()
+    ));
+    let mut value = prepared.result(&comparison);
+    value["model"] = from.into();
+    value["refitted"] = judged.refitted.into();
+    value["undecided"] = comparison.undecided().into();
+    output::document(&value, arguments.json, arguments.full, &document)?;
+    check_fit(&comparison, arguments.min_fit)
+}
+
+/// Two models on the same run.
+fn both(
+    arguments: &Arguments,
+    first: &Path,
+    second: &Path,
+    shown: progress::Shown,
+) -> Result<(), Failure> {
+    if arguments.min_fit.is_some() || arguments.html.is_some() {
+        let headline = "--min-fit and --html judge one model, and two are given";
+        return Err(Failure::usage(headline, "leave one --model out"));
+    }
+    let judging = Judging::AsGiven;
+    let prepared = (arguments.evidence).prepare(&arguments.run, Some(first), judging)?;
+    let result = VersusResult::of(&prepared, second, &arguments.run)?;
+    drop(shown);
+    output::document(&result, arguments.json, arguments.full, &result.document())
+}
+
+fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failure> {
+    let Some(least) = min_fit else { return Ok(()) };
+    if !least.is_finite() {
+        let headline = format!("--min-fit {least} is not a number of per cent");
+        return Err(Failure::new(USAGE, headline));
+    }
+    let figures = SignalFigures::all(&comparison.signals);
+    if figures.is_empty() {
+        let headline = "no signal stands in both runs: there is no fit to judge";
+        return Err(Failure::new(REFUSED, headline));
+    }
+    for own in figures {
+        let found = own.holdout.fit_percent;
+        if found.is_nan() || found < least {
+            let (name, found) = (own.signal, fit(found));
+            let headline = format!("held-out {name} fit {found} is below {least} %");
+            return Err(Failure::new(REFUSED, headline));
+        }
+    }
+    Ok(())
+}
+
+#[derive(Serialize)]
+pub(crate) struct VersusResult {
+    /// Files of the models, and the effects in them.
+    models: [ModelOf; 2],
+    #[serde(flatten)]
+    found: Versus,
+    notes: Vec<String>,
+}
+
+#[derive(Serialize)]
+struct ModelOf {
+    file: String,
+    effects: Vec<&'static str>,
+}
+
+impl VersusResult {
+    /// The prepared model and another, as they are, on the same hold-out.
+    pub(crate) fn of(prepared: &Prepared, second: &Path, run: &Path) -> Result<Self, Failure> {
+        let other = read_model(second)?;
+        let first = &prepared.model.file.model;
+        first.require_complete()?;
+        other.model.require_complete()?;
+        let mut notes = prepared.run.run.notes.clone();
+        let holdout = prepared.about.runs.get(1).map(PathBuf::as_path);
+        let holdout = holdout.filter(|_| prepared.evidence.holdout_from == HoldoutFrom::Run);
+        let fitted = was_fitted_on(&other.history.fitted_on, run, holdout);
+        let fitted = fitted.map(|sentence| format!("B: {sentence}"));
+        output::warn(fitted.as_slice());
+        notes.extend(fitted);
+        progress::stage("compares", 0);
+        let found = versus([first, &other.model], &prepared.evidence)?;
+        let of = |file: String, effects| ModelOf { file, effects };
+        Ok(Self {
+            models: [
+                of(prepared.model.from.clone(), first.effect_ids()),
+                of(second.display().to_string(), other.model.effect_ids()),
+            ],
+            found,
+            notes,
+        })
+    }
+
+    pub(crate) fn document(&self) -> Document {
+        let mut document = Document::of(Tone::Plain, "", &self.found.sentence);
+        for (name, model) in ["A", "B"].into_iter().zip(&self.models) {
+            let effects = match model.effects.as_slice() {
+                [] => "no effect beyond the baseline".to_owned(),
+                effects => effects.join(", "),
+            };
+            document.say(name, [format!("{}: {effects}", model.file)], 1);
+        }
+        let signals = &self.found.signals;
+        let error = |place: usize| {
+            move |own: &&SignalVersus| format!("{} {}", significant(own.rmse[place], 3), own.unit)
+        };
+        let table = Table::of(signals)
+            .column("signal", |own| own.signal)
+            .column("A error", error(0))
+            .column("B error", error(1))
+            .column("A fit", |own| fit(own.fit_percent[0]))
+            .column("B fit", |own| fit(own.fit_percent[1]));
+        document.table_on_card("held out", table, &[], signals.len());
+        document.say("note", self.notes.iter().map(String::as_str), 1);
+        document
+    }
+}

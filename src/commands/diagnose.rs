@@ -1,0 +1,227 @@
+//! `diagnose`: which physical effect is missing.
+
+use std::path::{Path, PathBuf};
+
+use crate::commands::arguments::{EvidenceArguments, MoreRuns, model_words, run_path};
+use crate::commands::by_hand;
+use crate::commands::by_hand::Shown;
+use crate::commands::evidence::Judging;
+use crate::commands::evidence::Place;
+use crate::commands::{pages, view};
+use crate::report::Document;
+use crate::runtime::failure::Failure;
+use crate::runtime::{output, progress, signals};
+use crate::tui::Opens;
+use crate::workflow::Discovery;
+use drivebench_diagnose::{Diagnosis, DiagnosisVerdict, diagnose_with};
+use drivebench_model::plant::effect::Axis;
+
+/// Name the physical effect that a model is missing, judged on data the fit has not seen
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  drivebench diagnose runs/a --model model.toml --holdout runs/b
+  drivebench diagnose runs/a --holdout runs/b --html page.html     the same with every picture
+  drivebench diagnose runs/a --next-bench next.toml     and, where two effects are not told apart, the run that would:
+  drivebench run next.toml && drivebench diagnose runs/a --with runs/NEW
+  drivebench diagnose runs/a --holdout runs/b --screen     see where it fails, add the effect with one key
+
+Answers:
+  EFFECT FOUND    these effects lower the held-out error; NOT SUFFICIENT where more than noise is left
+  AMBIGUOUS       several effects explain the runs alike
+  NOTHING FOUND   no effect of the catalogue pays on the hold-out
+  UNEXPLAINED     something is missing, and no effect of the catalogue explains it
+  NOT FITTED      the model predicts the hold-out no better than its mean, its last value or a first-order lag:
+                  nothing is named; `identify --full` has what the run carries of each parameter")]
+pub(super) struct Arguments {
+    /// Run folder, samples.csv, or any CSV with --map
+    #[arg(value_parser = run_path())]
+    run: PathBuf,
+    #[command(flatten)]
+    more: MoreRuns,
+    /// Model file; without it the run folder's, else a fitted baseline
+    #[arg(long)]
+    model: Option<PathBuf>,
+    /// Name every effect that the runs ask for; so it is without this, too, which scripts may go on giving
+    #[arg(long)]
+    until_floor: bool,
+    #[command(flatten)]
+    evidence: EvidenceArguments,
+    #[command(flatten)]
+    on_screen: ScreenArguments,
+    /// Bench whose drive, motor and limits the recommended next run keeps; without it that of the run folder, else
+    /// nothing beyond what the runs have reached
+    #[arg(long, value_name = "BENCH.toml")]
+    bench: Option<PathBuf>,
+    /// Write the bench file of the recommended next run
+    #[arg(long, value_name = "FILE")]
+    next_bench: Option<PathBuf>,
+    /// Write the page: ladder, where the model fails, every effect that was tried; never overwritten
+    #[arg(long, value_name = "PAGE.html")]
+    html: Option<PathBuf>,
+    /// Print all there is to say; without it what fits 100 columns and 30 lines
+    #[arg(long)]
+    full: bool,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// The diagnosis on the screen.
+#[derive(clap::Args)]
+struct ScreenArguments {
+    /// Work on the screen: see where the model fails, add and remove effects, write the model
+    #[arg(long, conflicts_with = "json")]
+    screen: bool,
+    /// On the screen: where the model is written to; never overwritten
+    #[arg(long, value_name = "MODEL2.toml", requires = "screen")]
+    output: Option<PathBuf>,
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    arguments.more.refuse()?;
+    let on_screen = &arguments.on_screen;
+    if on_screen.screen {
+        let help = "leave --screen out: the answer is printed as text";
+        view::needs_terminal("--screen", help)?;
+    }
+    for (path, option) in [(&on_screen.output, "--output"), (&arguments.html, "--html")] {
+        let path = path.as_deref();
+        path.map_or(Ok(()), |path| output::refuse_existing(path, option))?;
+    }
+    let mut attended = Some((signals::endable()?, progress::begin("diagnose")));
+    let (model, judging) = (arguments.model.as_deref(), Judging::Refits);
+    let (evidence, run) = (&arguments.evidence, &arguments.run);
+    let prepared = if on_screen.screen {
+        evidence.prepare_for_screen(run, model, judging)?
+    } else {
+        evidence.prepare(run, model, judging)?
+    };
+    if let Some(path) = &arguments.next_bench {
+        output::refuse_existing(path, "--next-bench")?;
+    }
+    let place = Place::of(arguments.bench.as_deref(), &prepared)?;
+    let original = prepared.model.file.model.clone();
+    let evidence = prepared.evidence.clone();
+    let (mut by_hand, mut written) = (String::new(), None);
+    let mut known_next = None;
+    let mut diagnosis = if on_screen.screen {
+        // From here on the screen owns the terminal and hears the signals.
+        drop(attended.take());
+        let shown = Shown {
+            title: prepared.about.title.clone(),
+            opens: Opens::Search,
+            stopped_at: pages::stopped_at(&prepared),
+            fitted_on: prepared.run.run.name.clone(),
+            history: prepared.model.file.history.clone(),
+            output: on_screen.output.clone(),
+        };
+        let discovery = Discovery::new(original, evidence)
+            .with_limits(place.limits())
+            .with_recorded(prepared.recorded.clone());
+        let left = by_hand::show(discovery, shown)?;
+        attended = Some((signals::endable()?, progress::begin("diagnose")));
+        // Asked only now: from here on a signal ends the program by itself.
+        if left.is_interrupted() {
+            return Err(Failure::interrupted("interrupted"));
+        }
+        by_hand = left.standing.heading();
+        written = left.standing.model().map(str::to_owned);
+        known_next = left.standing.next;
+        let no_answer = || Failure::interrupted("left before there was an answer");
+        left.standing.diagnosis.ok_or_else(no_answer)?
+    } else {
+        diagnose_with(&original, evidence, &progress::diagnosis)?
+    };
+    if let Some(next) = known_next {
+        place.take_over(&mut diagnosis, next);
+    } else {
+        progress::stage("looks for the run that would tell more", 0);
+        place.recommend(&mut diagnosis, &prepared)?;
+    }
+    let _endable = attended.map(|(endable, _)| endable);
+    if let Some(path) = &arguments.next_bench {
+        place.write(path, &diagnosis, &after_new_run(arguments))?;
+    }
+    let mut document = pages::diagnosis(&prepared, &diagnosis)?;
+    if let Some(path) = &arguments.html {
+        pages::write(path, &document.html())?;
+        document.ends_with(path.display().to_string());
+    }
+    document.say("by hand", by_hand.lines(), 1);
+    if by_hand.is_empty() {
+        let model = written.as_deref().map(Path::new);
+        let model = model.or(arguments.model.as_deref());
+        let from = written.as_deref().unwrap_or(&prepared.model.from);
+        go_on(&mut document, arguments, (model, from), &diagnosis);
+    } else if let Some(model) = &written {
+        let model = output::quoted_word(model);
+        document.go_on(format!("drivebench tune --model {model}"));
+    } else {
+        let (run, words) = (output::quoted(&arguments.run), arguments.evidence.words());
+        document.go_on(format!("drivebench diagnose {run}{words} --screen"));
+    }
+    let (json, full) = (arguments.json, arguments.full);
+    output::document(&prepared.result(&diagnosis), json, full, &document)
+}
+
+/// The same diagnosis with the run that was recommended, once it is made.
+fn after_new_run(arguments: &Arguments) -> String {
+    let run = output::quoted(&arguments.run);
+    let model = model_words(arguments.model.as_deref());
+    let words = arguments.evidence.words();
+    let bench = bench_words(arguments);
+    format!("drivebench diagnose {run}{model}{words}{bench} --with NEW_RUN")
+}
+
+/// The bench whose limits the recommended run keeps, with a space before it.
+fn bench_words(arguments: &Arguments) -> String {
+    let bench = arguments.bench.as_deref().map(output::quoted);
+    bench.map_or_else(String::new, |bench| format!(" --bench {bench}"))
+}
+
+/// The commands that go on from here: add what was found, or make the run that would tell more.
+fn go_on(
+    document: &mut Document,
+    arguments: &Arguments,
+    (model, from): (Option<&Path>, &str),
+    diagnosis: &Diagnosis,
+) {
+    let run = output::quoted(&arguments.run);
+    let model = model_words(model);
+    let of = format!("{model} --run {run}{}", arguments.evidence.words());
+    let curve = diagnosis.axis_map.first();
+    let curve = curve.filter(|map| map.is_followed() && Axis::from_key(map.axis).is_some());
+    if let Some(effect) = diagnosis.effect {
+        document.go_on(format!("drivebench add {effect}{of} --output model2.toml"));
+    } else if let Some(map) = curve {
+        let (equation, axis) = (map.equation, map.axis);
+        let table = format!("drivebench add table --equation {equation} --axis {axis}");
+        document.go_on(format!("{table}{of} --output model2.toml"));
+    }
+    let next = diagnosis.next_experiment.as_ref();
+    if next.is_some_and(|next| next.recipe.is_some()) {
+        if let Some(path) = &arguments.next_bench {
+            document.go_on(format!("drivebench run {}", output::quoted(path)));
+            document.go_on(after_new_run(arguments));
+        } else if diagnosis.effect.is_none() {
+            let (words, bench) = (arguments.evidence.words(), bench_words(arguments));
+            document.go_on(format!(
+                "drivebench diagnose {run}{model}{words}{bench} --next-bench next.toml"
+            ));
+        }
+    }
+    if diagnosis.verdict == DiagnosisVerdict::NotFitted {
+        let map = arguments.evidence.map_words();
+        document.go_on(format!("drivebench identify {run}{map} --full"));
+    }
+    if diagnosis.effect.is_none() && diagnosis.verdict == DiagnosisVerdict::None {
+        document.go_on(if from == "baseline" {
+            format!(
+                "drivebench identify {run}{} --output model.toml",
+                arguments.evidence.map_words()
+            )
+        } else {
+            format!("drivebench tune --model {}", output::quoted_word(from))
+        });
+    }
+}

@@ -1,0 +1,625 @@
+//! `ports` and `doctor`: which serial ports are there, why does a line not work, and how fast can it be?
+//!
+//! ```text
+//! port, settings -> app::doctor -> findings: text, JSON, one line for a report
+//! ```
+//!
+//! It only reads: function codes 03, 43 and 08.
+//!
+//! What is to be known of a line: who holds its port, its latency timer, what answers, how fast, and the loop rates that
+//! follow.
+//!
+//! ```text
+//! port -> opened alone? -> latency timer -> scan -> 50 requests -> arithmetic -> findings
+//! ```
+
+use std::fmt::Write as _;
+use std::path::Path;
+use std::time::Duration;
+
+use serde::Serialize;
+
+use crate::commands::arguments::{WireArguments, open_line};
+use crate::commands::probe::{Scan, scan};
+use crate::runtime::failure::{Failure, LINK};
+use crate::runtime::opening::Tap;
+use crate::runtime::output;
+use crate::runtime::output::lines;
+use drivebench_link::serial_ports::{SerialPortInfo, describe, latency_file, list};
+use drivebench_link::{
+    Framing, LinkError, LoopRates, MeasuredLine, RawClient, RawCounters, RawSettings, ReadRequest,
+    RegisterTable, Target, standard_gap_s,
+};
+
+/// List serial ports: stable name, adapter, driver, who holds them
+#[derive(clap::Args)]
+#[command(after_help = "Example:
+  drivebench ports
+  drivebench ports --json
+
+Use the name from /dev/serial/by-id in bench files: /dev/ttyUSB0 may be another adapter tomorrow.")]
+pub(super) struct PortsArguments {
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Serialize)]
+struct Ports {
+    ports: Vec<SerialPortInfo>,
+}
+
+pub(super) fn execute_ports(arguments: &PortsArguments) -> Result<(), Failure> {
+    let ports = Ports {
+        ports: list(Path::new("/")),
+    };
+    output::result(&ports, arguments.json, ports_text)
+}
+
+fn ports_text(ports: &Ports) -> String {
+    if ports.ports.is_empty() {
+        return "no serial port is plugged in; `drivebench emulate` makes one with a software drive behind it"
+            .to_owned();
+    }
+    ports.ports.iter().map(port_text).collect()
+}
+
+/// Check a line: permission, holder, latency, round trips, reachable loop rate, scan
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  drivebench doctor --port /dev/ttyUSB0
+  drivebench doctor --port /dev/ttyUSB0 --scan                 which baud rate, parity and unit answer?
+  drivebench doctor --port /dev/ttyUSB0 --set-latency --json
+
+Nothing is written to the unit: function codes 03, 43 and 08 only.")]
+pub(super) struct Arguments {
+    #[command(flatten)]
+    wire: WireArguments,
+    /// Try baud rates and framings until something answers, then the units
+    #[arg(long)]
+    scan: bool,
+    /// Units that a scan asks
+    #[arg(long, value_name = "FIRST-LAST", default_value = "1-16", value_parser = units)]
+    units: (u8, u8),
+    /// Holding register that the round-trip probe reads
+    #[arg(long, value_name = "ADDRESS", default_value_t = 0)]
+    address: u16,
+    /// Set the latency timer of an FTDI adapter to 1 ms
+    #[arg(long)]
+    set_latency: bool,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    let wire = &arguments.wire;
+    let target = wire.target()?;
+    let (tap, settings) = (wire.tap()?, wire.settings());
+    let look = Look {
+        units: arguments.scan.then_some(arguments.units),
+        set_latency: arguments.set_latency,
+        address: arguments.address,
+    };
+    let open = |settings: &RawSettings| open_line(&target, settings, &tap);
+    let (findings, last_error) = Findings::of(&target, settings, &look, &tap, open)?;
+    output::result(&findings, arguments.json, Findings::text)?;
+    match (findings.round_trip, last_error) {
+        (Some(_), _) => Ok(()),
+        (None, Some(error)) => Err(error.into()),
+        (None, None) => Err(Failure::new(LINK, "no request was answered")),
+    }
+}
+
+fn units(text: &str) -> Result<(u8, u8), String> {
+    let (first, last) = text.split_once('-').unwrap_or((text, text));
+    match (first.parse(), last.parse()) {
+        (Ok(first), Ok(last)) if (1..=last).contains(&first) && last <= 247 => Ok((first, last)),
+        _ => Err("expected FIRST-LAST within 1-247, as 1-16".to_owned()),
+    }
+}
+
+/// One port in a few lines.
+pub(crate) fn port_text(port: &SerialPortInfo) -> String {
+    let mut text = format!("{}\n", port.path.display());
+    let by_id = port.by_id.iter().map(|name| name.display());
+    lines(&mut text, "  stable name  ", by_id);
+    if let Some(usb) = &port.usb {
+        let names = [&usb.manufacturer, &usb.product].map(|name| name.as_deref());
+        let names = names.map(Option::unwrap_or_default).join(" ");
+        let serial = usb.serial_number.as_deref().unwrap_or("none");
+        let (id, names) = (
+            format!("{}:{}", usb.vendor_id, usb.product_id),
+            names.trim(),
+        );
+        let _ = writeln!(text, "  adapter      {id} {names}, serial number {serial}");
+    }
+    lines(&mut text, "  driver       ", &port.driver);
+    let latency = port.latency_ms.map(|ms| format!("{ms} ms"));
+    lines(&mut text, "  latency      ", latency);
+    lines(&mut text, "  held by      ", &port.holders);
+    text
+}
+
+/// Requests of the round-trip probe.
+const PROBES: usize = 50;
+/// Probes without any answer after which the rest is not worth its wait.
+const SILENT_PROBES: usize = 3;
+/// What an FTDI adapter can be set to, ms.
+const SHORTEST_LATENCY_MS: u32 = 1;
+
+/// Reads the latency timer, and sets it if asked; what cannot be set is told with the rule that sets it for good.
+fn latency(root: &Path, port: &SerialPortInfo, set: bool) -> Option<Latency> {
+    let before_ms = port.latency_ms?;
+    let mut latency = Latency {
+        before_ms,
+        now_ms: before_ms,
+        refused: None,
+    };
+    if set && before_ms > SHORTEST_LATENCY_MS {
+        let file = latency_file(root, &port.path)?;
+        if let Err(error) = std::fs::write(&file, SHORTEST_LATENCY_MS.to_string()) {
+            latency.refused = Some(format!("{}: {error}", file.display()));
+        }
+        latency.now_ms = describe(root, &port.path).latency_ms.unwrap_or(before_ms);
+    }
+    Some(latency)
+}
+
+/// Round trips of the requests that were answered, how many of them with an exception, and why the last one was not.
+fn probe(
+    client: &mut RawClient,
+    address: u16,
+) -> Result<(Vec<Duration>, usize, Option<LinkError>), Failure> {
+    let request = ReadRequest {
+        table: RegisterTable::Holding,
+        address,
+        count: 1,
+    };
+    let (mut round_trips, mut exceptions, mut last_error) = (Vec::new(), 0, None);
+    for asked in 0..PROBES {
+        if asked >= SILENT_PROBES && !client.has_answered() {
+            break;
+        }
+        let reply = client.read(request);
+        exceptions += usize::from(matches!(reply, Err(LinkError::Exception { .. })));
+        match reply {
+            Ok(_) | Err(LinkError::Exception { .. }) => round_trips.push(client.last_round_trip()),
+            Err(error @ LinkError::Gone { .. }) => return Err(error.into()),
+            Err(error) => last_error = Some(error),
+        }
+    }
+    Ok((round_trips, exceptions, last_error))
+}
+
+/// More than this beside wire, gap and a quick drive is worth a remark, s.
+const REMARKABLE_S: f64 = 3e-3;
+/// The rule that sets the latency timer of FTDI adapters whenever one is plugged in.
+const UDEV_RULE: &str =
+    r#"ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1""#;
+
+/// Everything that was found.
+#[derive(Serialize)]
+pub(crate) struct Findings {
+    link: String,
+    /// Null over a network.
+    port: Option<SerialPortInfo>,
+    /// The port was opened for this program alone (exclusive mark and lock).
+    exclusive: bool,
+    latency: Option<Latency>,
+    /// A timer was to be set, and there is none.
+    #[serde(skip)]
+    no_timer: bool,
+    settings: Settings,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    scan: Option<Scan>,
+    /// Null where nothing answered.
+    pub(crate) round_trip: Option<RoundTripFindings>,
+    /// Vendor, product, revision, as the unit gives them.
+    names: Vec<String>,
+    answers_function_8: Option<bool>,
+    counters: RawCounters,
+}
+
+#[derive(Clone, Copy, Serialize)]
+struct Settings {
+    baud: u32,
+    framing: Framing,
+    unit: u8,
+}
+
+/// The latency timer of an FTDI adapter.
+#[derive(Serialize)]
+struct Latency {
+    before_ms: u32,
+    now_ms: u32,
+    /// Why it could not be set.
+    refused: Option<String>,
+}
+
+/// Measured round trips, and what follows from them.
+#[derive(Serialize)]
+pub(crate) struct RoundTripFindings {
+    asked: usize,
+    /// Exceptions included.
+    answered: usize,
+    exceptions: usize,
+    p50_us: f64,
+    p99_us: f64,
+    worst_us: f64,
+    /// What drive, adapter and host add to the wire time of one exchange, by the median, us; null over a network.
+    added_us: Option<f64>,
+    /// Loop rates that this line carries, by arithmetic with what was measured; null over a network.
+    reachable: Option<LoopRates>,
+}
+
+impl RoundTripFindings {
+    /// `budget`: the serial line with its gaps, nothing added yet.
+    fn of(
+        mut round_trips: Vec<Duration>,
+        exceptions: usize,
+        asked: usize,
+        budget: Option<MeasuredLine>,
+    ) -> Option<Self> {
+        round_trips.sort_unstable();
+        let last = round_trips.len().checked_sub(1)?;
+        let at = |permille: usize| round_trips[(last * permille + 500) / 1000].as_secs_f64();
+        let p50_s = at(500);
+        // The gap before the request is no part of the round trip, and on a pseudo-terminal nothing takes its wire time.
+        let added = budget.map(|line| {
+            let no_gaps = MeasuredLine { gap_s: 0.0, ..line };
+            let added_s = (p50_s - no_gaps.read_s(1)).max(0.0);
+            (added_s, MeasuredLine { added_s, ..line }.rates())
+        });
+        Some(Self {
+            asked,
+            answered: round_trips.len(),
+            exceptions,
+            p50_us: p50_s * 1e6,
+            p99_us: at(990) * 1e6,
+            worst_us: at(1000) * 1e6,
+            added_us: added.map(|(added_s, _)| added_s * 1e6),
+            reachable: added.map(|(_, rates)| rates),
+        })
+    }
+}
+
+/// What is looked at beside the line itself.
+pub(crate) struct Look {
+    /// Units to ask at every setting, first and last.
+    pub(crate) units: Option<(u8, u8)>,
+    pub(crate) set_latency: bool,
+    /// Holding register that the round trips read.
+    pub(crate) address: u16,
+}
+
+impl Findings {
+    /// Looks at the line, and says why the last request was not answered; `open` opens it once the settings are known.
+    pub(crate) fn of(
+        target: &Target,
+        mut settings: RawSettings,
+        look: &Look,
+        tap: &Tap,
+        open: impl FnOnce(&RawSettings) -> Result<RawClient, Failure>,
+    ) -> Result<(Self, Option<LinkError>), Failure> {
+        let root = Path::new("/");
+        let port = match target {
+            Target::Serial { path, .. } => Some(describe(root, Path::new(path))),
+            Target::Tcp { .. } => None,
+        };
+        let set = look.set_latency;
+        let latency = port.as_ref().and_then(|port| latency(root, port, set));
+        let scan = look
+            .units
+            .map(|units| scan(target, &mut settings, units, tap));
+        let scan = scan.transpose()?;
+        let mut client = open(&settings)?;
+        let (round_trips, exceptions, last_error) = probe(&mut client, look.address)?;
+        let names = client.names()?;
+        let answers_function_8 = client.sends_back()?;
+        let counters = client.counters();
+        drop(client);
+        let (baud, framing, unit) = (settings.baud, settings.framing, settings.unit);
+        let gap_s = settings.gap.map(|gap| gap.as_secs_f64());
+        let budget = port.as_ref().map(|_| MeasuredLine {
+            baud,
+            framing,
+            gap_s: gap_s.unwrap_or_else(|| standard_gap_s(baud, framing)),
+            added_s: 0.0,
+        });
+        let settings = Settings {
+            baud,
+            framing,
+            unit,
+        };
+        let findings = Self {
+            link: target.to_string(),
+            exclusive: port.is_some(),
+            port,
+            no_timer: set && latency.is_none(),
+            latency,
+            settings,
+            scan,
+            round_trip: RoundTripFindings::of(round_trips, exceptions, PROBES, budget),
+            names,
+            answers_function_8,
+            counters,
+        };
+        Ok((findings, last_error))
+    }
+
+    pub(crate) fn text(&self) -> String {
+        let mut text = match &self.port {
+            Some(port) => port_text(port),
+            None => format!("{}\n", self.link),
+        };
+        let mut line = |name: &str, what: String| {
+            let _ = writeln!(text, "  {name:<12} {what}");
+        };
+        if self.exclusive {
+            line("access", "opened for this program alone".to_owned());
+        }
+        if let Some(latency) = &self.latency {
+            line("latency", latency.text());
+        }
+        if self.no_timer {
+            let none = "nothing to set: this port has no latency timer (FTDI adapters have one)";
+            line("latency", none.to_owned());
+        }
+        if let Some(scan) = &self.scan {
+            line("scan", scan_text(scan, self.port.is_some()));
+        }
+        line("asked at", self.settings_text());
+        match &self.round_trip {
+            None => line("round trip", "nothing answered".to_owned()),
+            Some(trips) => {
+                line("round trip", trips.text());
+                if let Some(remark) = trips.remark(self.latency.as_ref()) {
+                    line("", remark);
+                }
+                if let Some(rates) = trips.reachable {
+                    line(
+                        "loop rate",
+                        format!(
+                            "{:.0} Hz with function code 23, {:.0} Hz with a write and a read a cycle (ten registers in, standard gap)",
+                            rates.read_write_hz, rates.write_then_read_hz
+                        ),
+                    );
+                }
+            }
+        }
+        if !self.names.is_empty() {
+            line("unit says", self.names.join(", "));
+        }
+        if self.counters.line.echoes {
+            let echo = "the line returns what is sent (two-wire RS-485); it is taken out";
+            line("local echo", echo.to_owned());
+        }
+        line("bug report", self.line());
+        text
+    }
+
+    fn settings_text(&self) -> String {
+        let at = &self.settings;
+        match self.port {
+            Some(_) => format!("{} {} unit {}", at.baud, at.framing.name(), at.unit),
+            None => format!("unit {}", at.unit),
+        }
+    }
+
+    /// Everything that matters, to be pasted.
+    fn line(&self) -> String {
+        let mut parts = vec![
+            format!("drivebench {}", env!("CARGO_PKG_VERSION")),
+            format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
+            self.link.clone(),
+        ];
+        if let Some(port) = &self.port {
+            if let Some(usb) = &port.usb {
+                parts.push(format!("usb {}:{}", usb.vendor_id, usb.product_id));
+            }
+            let driver = port.driver.as_deref().unwrap_or("no driver");
+            parts.push(driver.to_owned());
+        }
+        if let Some(latency) = &self.latency {
+            parts.push(format!("latency {} ms", latency.now_ms));
+        }
+        parts.push(self.settings_text());
+        let c = &self.counters;
+        let r = &c.requests;
+        parts.push(format!(
+            "{} sent, {} ok, {} timeout, {} crc, {} stale, {} mismatch, {} exception",
+            r.sent, r.ok, r.timeout, r.crc, r.stale, r.mismatch, r.exception
+        ));
+        parts.push(match &self.round_trip {
+            None => "no answer".to_owned(),
+            Some(trips) => format!("p50 {:.0} us, p99 {:.0} us", trips.p50_us, trips.p99_us),
+        });
+        let yes_no = |answer: bool| if answer { "yes" } else { "no" };
+        parts.push(format!("echo {}", yes_no(c.line.echoes)));
+        if let Some(answers) = self.answers_function_8 {
+            parts.push(format!("fc08 {}", yes_no(answers)));
+        }
+        if !self.names.is_empty() {
+            parts.push(format!("{:?}", self.names.join(" ")));
+        }
+        parts.join("; ")
+    }
+}
+
+impl Latency {
+    fn text(&self) -> String {
+        let now_ms = self.now_ms;
+        match &self.refused {
+            Some(reason) => format!(
+                "{now_ms} ms, cannot be set ({reason}); as root, into /etc/udev/rules.d/99-ftdi.rules: {UDEV_RULE}"
+            ),
+            None if now_ms < self.before_ms => {
+                format!("set from {} to {now_ms} ms", self.before_ms)
+            }
+            None if now_ms > 1 => {
+                format!("{now_ms} ms holds every reply back; --set-latency sets 1 ms")
+            }
+            None => format!("{now_ms} ms"),
+        }
+    }
+}
+
+impl RoundTripFindings {
+    fn text(&self) -> String {
+        let refused = match self.exceptions {
+            0 => "",
+            all if all == self.answered => {
+                ", all with an exception (--address names a register that the unit does not have)"
+            }
+            _ => ", some with an exception",
+        };
+        format!(
+            "{} of {} requests answered{refused}; {:.0} us (median), {:.0} us (99 %), {:.0} us (worst)",
+            self.answered, self.asked, self.p50_us, self.p99_us, self.worst_us
+        )
+    }
+
+    fn remark(&self, latency: Option<&Latency>) -> Option<String> {
+        let added_us = self.added_us.filter(|added| *added > REMARKABLE_S * 1e6)?;
+        let cause = match latency {
+            Some(latency) if latency.now_ms > 1 => "the latency timer above",
+            _ => "a slow drive (look for its reply delay parameter) or adapter",
+        };
+        let added_ms = added_us * 1e-3;
+        Some(format!(
+            "{added_ms:.1} ms more than the wire takes: {cause}"
+        ))
+    }
+}
+
+fn scan_text(scan: &Scan, is_serial: bool) -> String {
+    match scan.found {
+        None if !is_serial => "nothing answered".to_owned(),
+        None => format!("nothing answered at {} settings", scan.tried),
+        Some((baud, framing)) => {
+            let units: Vec<String> = scan.units.iter().map(u8::to_string).collect();
+            let units = units.join(", ");
+            if is_serial {
+                format!("answers at {baud} {}: unit {units}", framing.name())
+            } else {
+                format!("answers: unit {units}")
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use drivebench_link::{LinkStatistics, standard_gap_s};
+
+    #[test]
+    fn ranges_of_units_are_read_and_bounded() {
+        assert_eq!(units("1-16"), Ok((1, 16)));
+        assert_eq!(units("7"), Ok((7, 7)));
+        for wrong in ["", "0-3", "3-1", "1-248", "a-b", "1-2-3"] {
+            assert!(units(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    fn findings() -> Findings {
+        let framing = Framing::EightNoneOne;
+        let budget = MeasuredLine {
+            baud: 115_200,
+            framing,
+            gap_s: standard_gap_s(115_200, framing),
+            added_s: 0.0,
+        };
+        // 15 characters take 1.302 ms.
+        let trips = vec![Duration::from_micros(18_302); 50];
+        Findings {
+            link: "/dev/ttyUSB0".to_owned(),
+            port: Some(SerialPortInfo {
+                path: "/dev/ttyUSB0".into(),
+                by_id: vec!["/dev/serial/by-id/usb-FTDI_A1-if00".into()],
+                driver: Some("ftdi_sio".to_owned()),
+                usb: None,
+                latency_ms: Some(16),
+                holders: Vec::new(),
+            }),
+            exclusive: true,
+            latency: Some(Latency {
+                before_ms: 16,
+                now_ms: 16,
+                refused: Some("permission denied".to_owned()),
+            }),
+            no_timer: false,
+            settings: Settings {
+                baud: 115_200,
+                framing,
+                unit: 1,
+            },
+            scan: None,
+            round_trip: RoundTripFindings::of(trips, 0, 50, Some(budget)),
+            names: vec!["Acme".to_owned(), "VX-1".to_owned()],
+            answers_function_8: Some(false),
+            counters: RawCounters {
+                requests: LinkStatistics {
+                    sent: 52,
+                    ok: 50,
+                    timeout: 2,
+                    ..LinkStatistics::default()
+                },
+                ..RawCounters::default()
+            },
+        }
+    }
+
+    #[test]
+    fn the_arithmetic_takes_the_wire_out_and_names_the_cause() {
+        let findings = findings();
+        let trips = findings.round_trip.as_ref().unwrap();
+        assert!((trips.added_us.unwrap() - 17_000.0).abs() < 1.0);
+        // 42 characters, two gaps and 17 ms.
+        let cycle_s = 42.0 * 10.0 / 115_200.0 + 2.0 * 0.00175 + 0.017;
+        let rate_hz = trips.reachable.unwrap().read_write_hz;
+        assert!((rate_hz * cycle_s - 1.0).abs() < 1e-4, "{rate_hz}");
+        let text = findings.text();
+        assert!(text.contains("17.0 ms more than the wire takes: the latency timer above"));
+        assert!(text.contains(UDEV_RULE), "{text}");
+    }
+
+    #[test]
+    fn exceptions_a_missing_timer_and_a_network_are_told() {
+        let mut findings = findings();
+        findings.latency = None;
+        findings.no_timer = true;
+        if let Some(trips) = &mut findings.round_trip {
+            trips.exceptions = 50;
+        }
+        let text = findings.text();
+        assert!(text.contains("50 of 50 requests answered, all with an exception"));
+        assert!(text.contains("no latency timer"), "{text}");
+        let scan = Scan {
+            tried: 1,
+            found: Some((115_200, Framing::EightNoneOne)),
+            units: vec![1, 3],
+        };
+        assert_eq!(scan_text(&scan, false), "answers: unit 1, 3");
+        assert_eq!(scan_text(&scan, true), "answers at 115200 8N1: unit 1, 3");
+    }
+
+    #[test]
+    fn the_line_for_a_report_is_one_line_with_everything() {
+        let line = findings().line();
+        assert!(!line.contains('\n'));
+        for part in [
+            "/dev/ttyUSB0",
+            "ftdi_sio",
+            "latency 16 ms",
+            "115200 8N1 unit 1",
+            "52 sent, 50 ok, 2 timeout",
+            "p50 18302 us",
+            "fc08 no",
+            "Acme VX-1",
+        ] {
+            assert!(line.contains(part), "{part} in {line}");
+        }
+    }
+}

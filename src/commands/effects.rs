@@ -1,0 +1,196 @@
+//! `effects`: the catalogue, or one effect's card.
+//!
+//! The catalogue of effects for a person and for programs: one line for each, or one effect's card.
+
+use serde_json::{Value, json};
+
+use crate::report::{Document, Tone, card_facts};
+use crate::runtime::failure::Failure;
+use crate::runtime::output;
+use drivebench_model::config_text::help_for_unknown;
+use drivebench_model::plant::{Card, Enters, ParameterRole, ParameterSpec, effect};
+use drivebench_model::text::lines::wrapped;
+
+/// List the physical effects the program can name, or show one effect's card
+#[derive(clap::Args)]
+#[command(after_help = "Example:\n  drivebench effects stribeck_friction")]
+pub(super) struct Arguments {
+    /// Id of one effect
+    id: Option<String>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    let chosen = chosen(arguments.id.as_deref())?;
+    let value: Value = chosen.iter().map(|entry| card_json(*entry)).collect();
+    if arguments.id.is_some() {
+        return output::document(&value, arguments.json, true, &card_document(chosen[0]));
+    }
+    output::result(&value, arguments.json, |_| list_text(&chosen))
+}
+
+/// A card and the parameters that go with it.
+pub(crate) type Entry = (&'static Card, &'static [ParameterSpec]);
+
+/// All that can be named, or the one effect with this id.
+pub(crate) fn chosen(id: Option<&str>) -> Result<Vec<Entry>, Failure> {
+    let catalogue = effect::CATALOGUE
+        .iter()
+        .map(|effect| (effect.card(), effect.parameters()));
+    // What the user or the data define has its parameters in its settings.
+    let defined = effect::FAMILIES.iter().map(|card| (*card, &[][..]));
+    let mut chosen: Vec<Entry> = catalogue.chain(defined).collect();
+    if let Some(id) = id {
+        let known: Vec<&str> = chosen.iter().map(|(card, _)| card.id).collect();
+        let help = help_for_unknown(id, known.iter().copied());
+        chosen.retain(|(card, _)| card.id == id);
+        if chosen.is_empty() {
+            let headline = format!("effect {id:?} is not in the catalogue");
+            return Err(Failure::usage(headline, help));
+        }
+    }
+    Ok(chosen)
+}
+
+pub(crate) fn card_json((card, parameters): Entry) -> Value {
+    let parameters: Vec<Value> = parameters.iter().map(parameter_json).collect();
+    json!({
+        "id": card.id, "name": card.name, "enters": enters(card.enters), "equation": card.equation,
+        "causes": card.causes, "looks_like": card.looks_like, "excite": card.excite, "remedy": card.remedy,
+        "needs_angle": card.needs_angle, "parameters": parameters,
+    })
+}
+
+/// A bound that is none is null.
+fn parameter_json(spec: &ParameterSpec) -> Value {
+    let bound = |value: f64| (value.abs() < f64::MAX).then_some(value);
+    json!({
+        "key": spec.key, "unit": spec.unit, "found_as": role(spec.role),
+        "min": bound(spec.min), "max": bound(spec.max), "tried": spec.shapes,
+    })
+}
+
+const fn role(role: ParameterRole) -> &'static str {
+    match role {
+        ParameterRole::Coefficient => "coefficient",
+        ParameterRole::Shape => "shape",
+        ParameterRole::Choice => "choice",
+        ParameterRole::EventTime => "event_time",
+    }
+}
+
+const fn enters(enters: Enters) -> &'static str {
+    match enters {
+        Enters::Voltage => "voltage",
+        Enters::Torque => "torque",
+        Enters::Both => "both",
+        Enters::Path => "path",
+    }
+}
+
+/// Longest line, as an editor's half screen or a terminal beside another shows it.
+const WIDTH: usize = 96;
+
+/// `text` under `title`, whose column is `room` wide, broken between words.
+fn block(title: &str, room: usize, text: &str) -> String {
+    let rows = wrapped(text, WIDTH - room);
+    let indent = format!("\n{:room$}", "");
+    format!("{title:<room$}{}\n", rows.join(indent.as_str()))
+}
+
+pub(crate) fn list_text(entries: &[Entry]) -> String {
+    let longest = |of: fn(&Card) -> usize| entries.iter().map(|(card, _)| of(card)).max();
+    let ids = longest(|card| card.id.len()).unwrap_or(0) + 2;
+    let balances = longest(|card| enters(card.enters).len()).unwrap_or(0) + 2;
+    entries
+        .iter()
+        .map(|(card, _)| {
+            let title = format!("{:<ids$}{:<balances$}", card.id, enters(card.enters));
+            block(&title, ids + balances, card.equation)
+        })
+        .collect()
+}
+
+pub(crate) fn card_document((card, parameters): Entry) -> Document {
+    let title = format!("{} ({})", card.name, card.id);
+    let mut document = Document::of(Tone::Plain, "", title);
+    let enters = match card.enters {
+        Enters::Voltage => "the voltage balance, subtracted from the voltage applied",
+        Enters::Torque => "the torque balance, subtracted from the torque of the motor",
+        Enters::Both if effect::family(card.id).is_some() => {
+            "the voltage or the torque balance, as its settings say"
+        }
+        Enters::Both => "the voltage and the torque balance",
+        Enters::Path => {
+            "neither balance: it lies between what is commanded or measured and the motor"
+        }
+    };
+    document.labelled("enters", [enters]);
+    card_facts(&mut document, card);
+    let angle =
+        "needed: as measured, else the speed is integrated, which starts anywhere and drifts";
+    document.labelled("angle", card.needs_angle.then_some(angle));
+    document.labelled("parameter", parameters.iter().map(parameter_text));
+    document
+}
+
+fn parameter_text(spec: &ParameterSpec) -> String {
+    let end = |value: f64| (value.abs() < f64::MAX).then(|| value.to_string());
+    let bounds = match (end(spec.min), end(spec.max)) {
+        (Some(min), Some(max)) => format!("{min} to {max}"),
+        (Some(min), None) => format!("{min} or more"),
+        (None, _) => "any value".to_owned(),
+    };
+    let tried: Vec<String> = spec.shapes.iter().map(f64::to_string).collect();
+    let how = match spec.role {
+        ParameterRole::Coefficient => bounds,
+        ParameterRole::Shape => {
+            format!(
+                "{bounds}; not given, it is fitted from {}",
+                tried.join(", ")
+            )
+        }
+        ParameterRole::Choice => {
+            let (first, last) = (&tried[0], &tried[tried.len() - 1]);
+            format!("{bounds}; not given, it is chosen from {first} to {last}")
+        }
+        ParameterRole::EventTime => {
+            "since the run's first command; found anew in each run, unless it is fixed".to_owned()
+        }
+    };
+    format!("{} [{}]: {how}", spec.key, spec.unit)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_list_and_every_card_keep_to_the_width_and_lose_no_word() {
+        let entries: Vec<Entry> = effect::CATALOGUE
+            .iter()
+            .map(|effect| (effect.card(), effect.parameters()))
+            .collect();
+        let list = list_text(&entries);
+        for (card, parameters) in entries {
+            let rows = card_document((card, parameters)).full(WIDTH);
+            let rows: Vec<String> = rows.iter().map(ToString::to_string).collect();
+            let text = rows.join("\n");
+            for line in text.lines().chain(list.lines()) {
+                assert!(line.chars().count() <= WIDTH, "{line}");
+                assert_eq!(line, line.trim_end());
+            }
+            let words = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+            let (text, list) = (words(&text), words(&list));
+            for body in [card.causes, card.looks_like, card.excite, card.remedy] {
+                assert!(text.contains(body), "{}: {body}", card.id);
+            }
+            assert!(list.contains(card.equation), "{}", card.id);
+            for spec in parameters {
+                assert!(text.contains(&format!("{} [{}]", spec.key, spec.unit)));
+            }
+        }
+    }
+}

@@ -1,0 +1,228 @@
+//! `emulate`: the software drive for other programs.
+
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use crate::runtime::failure::{Failure, LINK, USAGE};
+use crate::runtime::files::read_text;
+use crate::runtime::{opening, output, signals};
+use drivebench_emulator::mystery::{self, Mystery};
+use drivebench_emulator::{
+    EmulatorConfig, Endpoint, Guise, Journal, Served, UNIT, ready_line, serve,
+};
+use drivebench_link::{DriveProfile, Protocol};
+
+/// Serve the software drive on a pseudo-terminal or a TCP port until interrupted
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  drivebench emulate --link modbus-rtu --pty drive.pty
+  drivebench run --port ./drive.pty --headless
+  drivebench emulate --mystery 7 --pty drive.pty      a hidden effect that the seed draws; shown at the end
+  drivebench emulate --profile siemens-v20 --pty v20.pty  answers as that drive, with its registers and its watchdog"
+)]
+pub(super) struct Arguments {
+    /// Emulator file, or the name of an embedded one; without it the ZK-22FC with a hidden effect
+    emulator: Option<String>,
+    /// modbus-rtu, modbus-tcp or stream; without it that of the profile
+    #[arg(long)]
+    link: Option<String>,
+    /// Path of the pseudo-terminal's symlink; without it one in the temporary folder
+    #[arg(long, value_name = "PATH", conflicts_with = "listen")]
+    pty: Option<PathBuf>,
+    /// TCP address, as 127.0.0.1:1502; port 0 takes a free one. Up to 8 hosts at once: each may read, one is in command until
+    /// it is gone or has commanded nothing for 2 s; who says nothing for 60 s is let go
+    #[arg(long, value_name = "ADDR")]
+    listen: Option<SocketAddr>,
+    /// Draws the specimen within its tolerance, and the sensor noise
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Hide an effect that this number draws, and its size; both are printed when the drive ends
+    #[arg(long, value_name = "SEED", conflicts_with_all = ["emulator", "seed"])]
+    mystery: Option<u64>,
+    /// Drive to answer as: a built-in profile or a file
+    #[arg(long, value_name = "DRIVE", default_value = "own")]
+    profile: String,
+    /// The watchdog time of another drive, as set at its keypad, ms; 0 is off; without it as delivered
+    #[arg(long, value_name = "MS")]
+    watchdog_ms: Option<f64>,
+    /// Write what the motor does into a new CSV file, by the drive's own truth: a row at each change and every 10 ms, in the
+    /// monotonic time of this machine
+    #[arg(long, value_name = "FILE")]
+    journal: Option<PathBuf>,
+    /// Print JSON: one object a line, `ready` when the drive can be opened and `stopped` at the end
+    #[arg(long)]
+    json: bool,
+}
+
+/// A line of `--json`.
+#[derive(Serialize)]
+#[serde(tag = "state", rename_all = "snake_case")]
+enum State<'a> {
+    Ready {
+        link: String,
+        /// Path of the pseudo-terminal, or HOST:PORT.
+        address: &'a str,
+        unit: u8,
+        baud: u32,
+        profile: &'a str,
+    },
+    Stopped {
+        link: String,
+        address: &'a str,
+    },
+}
+
+impl State<'_> {
+    /// A caller that does not read the line does not need it.
+    fn print(&self) {
+        if let Ok(text) = serde_json::to_string(self) {
+            let _ = output::line(&text);
+        }
+    }
+}
+
+pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
+    let (profile, _) = opening::profile(&arguments.profile)?;
+    let guise = guise(&profile, arguments.watchdog_ms)?;
+    let asked = arguments
+        .link
+        .as_deref()
+        .unwrap_or_else(|| profile.link.protocol.name());
+    let link = Protocol::named(asked).ok_or_else(|| {
+        let headline = format!("link {asked:?} is not known");
+        Failure::usage(headline, "allowed: modbus-rtu, modbus-tcp, stream")
+    })?;
+    if guise.is_some() {
+        if link == Protocol::Stream {
+            let headline = opening::not_the_stream(&profile);
+            return Err(Failure::usage(headline, "allowed: modbus-rtu, modbus-tcp"));
+        }
+        opening::announce(&profile);
+    }
+    let mystery = arguments.mystery.map(mystery::draw);
+    let seed = arguments.mystery.unwrap_or(arguments.seed);
+    let config = match &arguments.emulator {
+        None => match &mystery {
+            Some(mystery) => mystery.config.clone(),
+            None => EmulatorConfig::embedded_default(),
+        },
+        Some(name) if Path::new(name).exists() => {
+            EmulatorConfig::parse(name, &read_text(name.as_ref())?)?
+        }
+        Some(name) => opening::emulator_config(name)?,
+    };
+    config.suits(guise.is_some(), link)?;
+    let endpoint = match (arguments.pty, arguments.listen) {
+        (Some(path), _) => Endpoint::Pty(path),
+        (None, Some(address)) => Endpoint::Tcp(address),
+        (None, None) if link == Protocol::ModbusTcp => {
+            Endpoint::Tcp(SocketAddr::from(([127, 0, 0, 1], 0)))
+        }
+        (None, None) => Endpoint::temporary_pty(),
+    };
+    if let Endpoint::Tcp(address) = &endpoint
+        && let Some(warning) = open_to_others(*address)
+    {
+        output::message(&warning);
+    }
+    let journal = arguments.journal.as_deref().map(|path| {
+        output::refuse_existing(path, "--journal")?;
+        Journal::create(path).map_err(|error| output::cannot_write(path, &error))
+    });
+    let served_drive = Served {
+        guise: guise.as_ref(),
+        config: &config,
+        seed,
+        link,
+        journal: journal.transpose()?,
+    };
+    let stop = signals::flag()?;
+    let mut served = String::new();
+    let (unit, baud) = match &guise {
+        Some(guise) => (guise.unit, guise.line.baud),
+        None => (UNIT, config.line.baud),
+    };
+    serve(served_drive, &endpoint, &stop, |address| {
+        address.clone_into(&mut served);
+        if arguments.json {
+            let state = State::Ready {
+                link: link.to_string(),
+                address,
+                unit,
+                baud,
+                profile: &profile.name,
+            };
+            state.print();
+        } else {
+            // A caller that does not read the line does not need it.
+            let _ = output::line(&ready_line(link, address, &config, guise.as_ref()));
+        }
+    })
+    .map_err(|error| {
+        let status = if error.is_usage() { USAGE } else { LINK };
+        Failure::with_help(status, error.to_string(), error.help())
+    })?;
+    if let Some(Mystery { seed, truth, .. }) = &mystery {
+        let hidden = truth.effect().map(ToString::to_string);
+        let hidden = hidden.unwrap_or_else(|| "no effect".to_owned());
+        output::message(&format!("mystery {seed} hides {hidden}"));
+    }
+    if arguments.json {
+        let state = State::Stopped {
+            link: link.to_string(),
+            address: &served,
+        };
+        state.print();
+    }
+    Ok(())
+}
+
+/// What to say of an address that other machines reach.
+fn open_to_others(address: SocketAddr) -> Option<String> {
+    let who = match address.ip() {
+        ip if ip.is_loopback() => return None,
+        ip if ip.is_unspecified() => format!("{ip} is every address of this machine"),
+        ip => format!("{ip} is reached from other machines"),
+    };
+    Some(format!(
+        "warning: --listen {address}: {who}: anybody on the network can drive this; 127.0.0.1 is for this machine only"
+    ))
+}
+
+/// The guise of a profile; our own map needs none.
+fn guise(profile: &DriveProfile, watchdog_ms: Option<f64>) -> Result<Option<Guise>, Failure> {
+    let guise = Guise::of(profile);
+    match (guise, watchdog_ms) {
+        (guise, None) => Ok(guise),
+        (Some(guise), Some(ms)) if (0.0..=60_000.0).contains(&ms) => Ok(Some(Guise {
+            watchdog_s: Some(ms * 1e-3),
+            ..guise
+        })),
+        (Some(_), Some(ms)) => {
+            let headline = format!("--watchdog-ms {ms} is not allowed");
+            Err(Failure::usage(headline, "allowed: 0 to 60000"))
+        }
+        (None, Some(_)) => Err(Failure::usage(
+            "--watchdog-ms is for the profile of another drive",
+            "for our own: watchdog_ms in the emulator file",
+        )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_that_others_reach_is_warned_of() {
+        let told = |address: &str| open_to_others(address.parse().unwrap());
+        for open in ["0.0.0.0:502", "[::]:502", "192.168.1.7:502"] {
+            let warning = told(open).unwrap();
+            assert!(warning.contains("anybody on the network"), "{warning}");
+        }
+        assert_eq!(told("127.0.0.1:502"), None);
+        assert_eq!(told("[::1]:502"), None);
+    }
+}

@@ -1,0 +1,405 @@
+use std::io;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::channel;
+use std::sync::{Arc, Mutex};
+use std::thread;
+use std::time::Duration;
+
+use crate::commands::run::{RunDone, run};
+use crate::runtime::controls::{Controls, DriveWord};
+use crate::runtime::ending::{Ended, Left, Watched, alone, beside_screen, watched};
+use crate::runtime::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP};
+use crate::runtime::files::Recorded;
+use crate::runtime::rig::{OpenRig, Rig, RigOptions};
+use crate::tui::Exit;
+use drivebench_bench::recording::open_run;
+use drivebench_bench::{BenchFile, Outcome, SnapshotCell, VirtualClock, Waivers};
+use drivebench_emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive};
+use drivebench_link::offer::Purpose;
+use drivebench_link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
+use drivebench_model::sample::{Command, Demand, DriveState, Sample};
+
+const SEQUENCE: &str = "\
+[[sequence]]
+standstill = { seconds = 0.3 }
+[[sequence]]
+steps = { levels_v = [40.0, 0.0], hold_s = 1.0 }
+";
+
+/// What the drive is asked with the motor at speed, before it is asked.
+type Hook = Box<dyn FnMut() + Send>;
+
+/// The drive in memory, with a list of what it was asked and something that happens while its motor turns.
+struct Witness {
+    drive: Arc<Mutex<MemoryLink>>,
+    asked: Arc<Mutex<Vec<Demand>>>,
+    at_speed: Option<Hook>,
+    /// Exchanges at speed that are left before it happens.
+    before: u32,
+}
+
+impl DriveLink for Witness {
+    fn name(&self) -> LinkName {
+        self.drive.lock().unwrap().name()
+    }
+
+    fn identify(&mut self) -> Result<Identity, LinkError> {
+        self.drive.lock().unwrap().identify()
+    }
+
+    fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
+        if matches!(command.demand, Demand::Voltage(volts) if volts > 30.0) {
+            self.before = self.before.saturating_sub(1);
+            if self.before == 0
+                && let Some(mut hook) = self.at_speed.take()
+            {
+                hook();
+            }
+        }
+        self.asked.lock().unwrap().push(command.demand);
+        self.drive.lock().unwrap().exchange(command)
+    }
+
+    fn stop(&mut self) -> Result<(), LinkError> {
+        self.asked.lock().unwrap().push(Demand::Stop);
+        self.drive.lock().unwrap().stop()
+    }
+
+    fn statistics(&self) -> LinkStatistics {
+        self.drive.lock().unwrap().statistics()
+    }
+
+    fn shortest_cycle_s(&self) -> Option<f64> {
+        None
+    }
+}
+
+/// A bench in virtual time with a drive that is asked afterwards what became of it.
+struct Lab {
+    out: tempfile::TempDir,
+    drive: Arc<Mutex<MemoryLink>>,
+    asked: Arc<Mutex<Vec<Demand>>>,
+    clock: VirtualClock,
+}
+
+impl Lab {
+    fn new() -> Self {
+        let config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
+        let clock = VirtualClock::new();
+        let drive = MemoryLink::new(
+            SoftDrive::new(&config, 1),
+            clock.clone(),
+            Latency::default(),
+        );
+        Self {
+            out: tempfile::tempdir().unwrap(),
+            drive: Arc::new(Mutex::new(drive)),
+            asked: Arc::default(),
+            clock,
+        }
+    }
+
+    fn runs(&self) -> std::path::PathBuf {
+        self.out.path().join("runs")
+    }
+
+    fn options(&self) -> RigOptions {
+        let text = include_str!("../../bench-configs/benches/zk-22fc-emulated.toml");
+        let (head, _) = text.split_once("[[sequence]]").unwrap();
+        let bench = BenchFile::parse("bench.toml", &format!("{head}{SEQUENCE}")).unwrap();
+        RigOptions {
+            bench,
+            out: self.runs(),
+            headless: true,
+            hardware: false,
+            escalate: false,
+            waivers: Waivers::default(),
+            reset_fault: false,
+            reopen_s: None,
+            tap: None,
+            mystery: false,
+            parquet: false,
+            words: String::new(),
+        }
+    }
+
+    /// A rig over the drive, to which nothing happens.
+    fn rig(&self) -> Rig {
+        let open = self.opener(|| ());
+        open(self.options(), None, Purpose::Voltages).unwrap()
+    }
+
+    fn opener(&self, hook: impl FnMut() + Send + 'static) -> OpenRig {
+        let link = Witness {
+            drive: Arc::clone(&self.drive),
+            asked: Arc::clone(&self.asked),
+            at_speed: Some(Box::new(hook)),
+            before: 5,
+        };
+        let clock = self.clock.clone();
+        Box::new(move |options, _, purpose| {
+            Rig::with_link(options, purpose, Box::new(link), Box::new(clock), None)
+        })
+    }
+
+    fn work(
+        &self,
+        hook: impl FnMut() + Send + 'static,
+    ) -> impl FnOnce(&Controls) -> Result<RunDone, Failure> + Send + 'static {
+        let (options, open) = (self.options(), self.opener(hook));
+        move |controls| run(options, None, open, controls)
+    }
+
+    /// By the drive's own word: off, without a fault, and not by its watchdog.
+    #[track_caller]
+    fn expect_stopped(&self) {
+        let last = self.asked.lock().unwrap().last().copied();
+        assert_eq!(last, Some(Demand::Stop));
+        let mut drive = self.drive.lock().unwrap();
+        let command = Command {
+            seq: 1 << 20,
+            demand: Demand::Disable,
+        };
+        let sample = drive.exchange(command).unwrap();
+        assert_ne!(sample.state, Some(DriveState::Running));
+        assert_eq!(sample.fault.unwrap_or(0), 0, "{:?}", sample.fault_text);
+    }
+}
+
+fn headless<T>(work: impl FnOnce(&Controls) -> Result<T, Failure>) -> Result<T, Failure> {
+    let (listener, notices) = channel();
+    let (controls, _ends) = Controls::new(SnapshotCell::heard_by(listener));
+    alone(controls, notices, work)
+}
+
+fn recorded(done: Result<RunDone, Failure>) -> Recorded {
+    match done {
+        Ok(RunDone::Run(whole)) => whole.recorded,
+        Ok(RunDone::Named(ending)) => panic!("{ending:?}"),
+        Err(failure) => panic!("{failure:?}"),
+    }
+}
+
+#[test]
+fn a_bench_that_panics_stops_its_drive_and_is_status_6() {
+    let lab = Lab::new();
+    let work = lab.work(|| panic!("on purpose"));
+    let failure = headless(work).map(|_| ()).unwrap_err();
+    assert_eq!(failure.status, INTERNAL);
+    let headline = failure.headline();
+    assert!(headline.contains("(on purpose)"), "{headline}");
+    assert!(headline.contains("told to stop and took it"), "{headline}");
+    lab.expect_stopped();
+}
+
+#[test]
+fn a_bench_that_panics_in_its_checks_stops_its_drive_too() {
+    let lab = Lab::new();
+    let (controls, _ends) = Controls::new(SnapshotCell::default());
+    let mut rig = lab.rig();
+    rig.energises(&controls, 0.0);
+    let unwound = catch_unwind(AssertUnwindSafe(move || {
+        let command = Command {
+            seq: 1,
+            demand: Demand::Voltage(5.0),
+        };
+        rig.way.link.exchange(command).unwrap();
+        panic!("on purpose");
+    }));
+    assert!(unwound.is_err());
+    assert_eq!(controls.drive.get(), DriveWord::Panicked(Ok(())));
+    lab.expect_stopped();
+}
+
+/// The screen panics, or fails, while the motor turns; the drive is told to stop by a ramp, and only then it is over.
+fn left_at_speed(
+    show: impl FnOnce() -> io::Result<Exit> + Send + 'static,
+) -> (Lab, Result<Ended<RunDone>, Failure>) {
+    let lab = Lab::new();
+    let (at_speed, is_at_speed) = channel();
+    let (controls, ends) = Controls::new(SnapshotCell::default());
+    let asked = Arc::clone(&controls.interrupted);
+    let work = lab.work(move || {
+        at_speed.send(()).unwrap();
+        // Virtual time stands until the screen is gone.
+        while !asked.load(Ordering::Acquire) {
+            thread::yield_now();
+        }
+    });
+    let ended = beside_screen(
+        controls,
+        &ends,
+        None,
+        move |_| {
+            is_at_speed.recv().unwrap();
+            show()
+        },
+        work,
+    );
+    (lab, ended)
+}
+
+/// The record of a run that was ended so, and the status of the command.
+#[track_caller]
+fn interrupted(lab: &Lab, ended: Result<Ended<RunDone>, Failure>) -> Failure {
+    lab.expect_stopped();
+    let ended = ended.unwrap_or_else(|failure| panic!("{failure:?}"));
+    let recorded = recorded(Ok(ended.work));
+    assert_eq!(recorded.summary.outcome, Outcome::Interrupted);
+    ended.left.conclude(recorded.failure()).unwrap_err()
+}
+
+#[test]
+fn a_screen_that_panics_ends_the_run_with_status_6() {
+    let (lab, ended) = left_at_speed(|| panic!("on purpose"));
+    let failure = interrupted(&lab, ended);
+    assert_eq!(failure.status, INTERNAL);
+    let headline = failure.headline();
+    let said = "screen has panicked (on purpose)";
+    assert!(headline.contains(said), "{headline}");
+    // Down a ramp, and not at once: somebody is asked once, however often that shows.
+    let asked = lab.asked.lock().unwrap();
+    let volts = |demand: &Demand| match demand {
+        Demand::Voltage(volts) => *volts,
+        _ => 0.0,
+    };
+    let fast = asked.iter().rposition(|demand| volts(demand) > 39.0);
+    let ramp = asked[fast.unwrap_or_default()..].iter();
+    let ramp = ramp.filter(|demand| volts(demand) > 0.0 && volts(demand) < 39.0);
+    assert!(ramp.count() > 3, "{asked:?}");
+}
+
+#[test]
+fn a_terminal_that_is_gone_ends_the_run_with_status_130() {
+    let (lab, ended) = left_at_speed(|| Err(io::Error::from_raw_os_error(5)));
+    assert_eq!(interrupted(&lab, ended).status, INTERRUPTED);
+}
+
+/// As one that reads keys from a terminal that is just being closed: the work is over, and the screen is not.
+#[test]
+fn a_screen_that_does_not_come_back_is_left_alone() {
+    let stuck = || -> io::Result<Exit> {
+        loop {
+            thread::sleep(Duration::from_secs(1));
+        }
+    };
+    let shown = watched(stuck, || (), || true);
+    assert!(matches!(shown, Ok(Watched::Failed(_))));
+}
+
+#[test]
+fn how_a_run_ended_is_said_before_what_happened_to_its_screen() {
+    let failure = |status| Failure::new(status, "a headline");
+    let status =
+        |left: Left, run: Option<u8>| left.conclude(run.map(failure)).map_err(|f| f.status);
+    let panicked = || Left::Panicked(failure(INTERNAL));
+    let gone = || Left::Gone(failure(INTERRUPTED));
+    let closed = || Left::Screen(Exit::Interrupted);
+    for (left, run, expected) in [
+        (panicked(), Some(LINK), Err(LINK)),
+        (gone(), Some(LINK), Err(LINK)),
+        (panicked(), Some(TRIP), Err(TRIP)),
+        (gone(), Some(TRIP), Err(TRIP)),
+        (panicked(), Some(INTERRUPTED), Err(INTERNAL)),
+        (panicked(), None, Err(INTERNAL)),
+        (gone(), Some(INTERRUPTED), Err(INTERRUPTED)),
+        (gone(), Some(INTERNAL), Err(INTERNAL)),
+        (gone(), None, Err(INTERRUPTED)),
+        (closed(), Some(INTERRUPTED), Err(INTERRUPTED)),
+        (closed(), None, Ok(())),
+    ] {
+        let case = format!("{left:?} {run:?}");
+        assert_eq!(status(left, run), expected, "{case}");
+    }
+}
+
+#[test]
+fn a_computer_that_was_suspended_ends_the_run_as_a_lost_link() {
+    let lab = Lab::new();
+    let clock = lab.clock.clone();
+    let asked = Arc::clone(&lab.asked);
+    let before = Arc::new(Mutex::new(0));
+    let mark = Arc::clone(&before);
+    let done = headless(lab.work(move || {
+        clock.suspend_s(30.0);
+        *mark.lock().unwrap() = asked.lock().unwrap().len();
+    }));
+    let recorded = recorded(done);
+    let failure = recorded.failure().unwrap();
+    assert_eq!(failure.status, LINK);
+    let headline = failure.headline();
+    let said = "this computer was suspended for 30.0 s";
+    assert!(headline.contains(said), "{headline}");
+    // The command that was on its way, then nothing but stop.
+    let asked = lab.asked.lock().unwrap();
+    let after = &asked[*before.lock().unwrap() + 1..];
+    assert!(
+        !after.is_empty() && after.iter().all(|demand| *demand == Demand::Stop),
+        "{after:?}"
+    );
+    let told = format!("{:?}", recorded.summary.notices);
+    let events = std::fs::read_to_string(recorded.folder.events()).unwrap();
+    for text in [&told, &events] {
+        for other in ["stood still", "silent"] {
+            assert!(!text.contains(other), "{text}");
+        }
+        assert!(text.contains("suspended for 30.0 s"), "{text}");
+    }
+}
+
+#[track_caller]
+fn expect_whole(folder: &Path, rows: u64) {
+    let loaded = open_run(folder, None).unwrap();
+    assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
+    assert_eq!(loaded.run.rows() as u64, rows);
+    for file in ["result.json", "model.toml", "report.html", "events.jsonl"] {
+        assert!(folder.join(file).exists(), "{file}");
+    }
+}
+
+#[test]
+fn a_run_whose_folder_is_deleted_goes_on_and_its_record_is_made_again() {
+    let lab = Lab::new();
+    let runs = lab.runs();
+    let done = headless(lab.work(move || {
+        // At once: while it is emptied file by file, the recorder makes it again.
+        let gone = runs.with_extension("gone");
+        std::fs::rename(&runs, &gone).unwrap();
+        std::fs::remove_dir_all(gone).unwrap();
+    }));
+    let recorded = recorded(done);
+    assert_eq!(recorded.summary.outcome, Outcome::Done);
+    assert!(recorded.failure().is_none(), "{:?}", recorded.failure());
+    let error = recorded.summary.recorder_error.as_deref();
+    let error = error.unwrap_or_default();
+    assert!(error.contains("was deleted or renamed"), "{error}");
+    expect_whole(recorded.folder.path(), recorded.summary.rows);
+}
+
+#[test]
+fn a_run_that_follows_others_goes_on_without_a_disk_and_is_analysed_from_memory() {
+    let lab = Lab::new();
+    let (controls, _ends) = Controls::new(SnapshotCell::default());
+    let mut rig = lab.rig();
+    rig.check(&controls).unwrap();
+    let first = rig.record("one", 1, &controls).unwrap();
+    assert!(first.failure().is_none());
+    std::fs::remove_dir_all(lab.runs()).unwrap();
+    std::fs::write(lab.runs(), "a file stands in the way").unwrap();
+    let mut second = rig.record("two", 2, &controls).unwrap();
+    assert_eq!(second.summary.outcome, Outcome::Done);
+    assert!(second.run_failure().is_none());
+    let failure = second.failure().unwrap();
+    assert_eq!(failure.status, INTERNAL);
+    let headline = failure.headline();
+    assert!(headline.contains("record could not be kept"), "{headline}");
+    let loaded = second.load().unwrap();
+    assert_eq!(loaded.run.rows() as u64, second.summary.rows);
+    assert!(loaded.run.rows() > 100);
+    // The first is gone as well since then.
+    assert_eq!(first.load().unwrap().run.rows() as u64, first.summary.rows);
+    second.forget();
+    assert!(second.load().is_err());
+}

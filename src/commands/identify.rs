@@ -1,0 +1,718 @@
+//! `identify`: parameters with confidence and verdict, from one run or several of the same machine; or the load torque
+//! over time.
+//!
+//! The parameters of one run or of several of the same machine: each run by its scheme, then what they say together; and the
+//! on-line estimators over a log once more, row by row, beside what they said live.
+
+use std::fmt::Write as _;
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use serde_json::{Map, Value, json};
+
+use crate::commands::arguments::{MapArguments, run_path};
+use crate::commands::cards;
+use crate::commands::evidence::{before_identify, model, name_voltage, signals};
+use crate::report::conventions;
+use crate::runtime::failure::{Failure, NOT_IDENTIFIABLE, USAGE};
+use crate::runtime::files::read_text;
+use crate::runtime::{output, progress, signals};
+use drivebench_bench::recording::{ColumnMap, LoadedRun, RunFile, RunFolder, RunRows};
+use drivebench_bench::{
+    Difference, MotorSection, OnlineResult, OnlineSettings, first_difference, replay,
+};
+use drivebench_diagnose::known_along;
+use drivebench_identify::added_inertia::Seen;
+use drivebench_identify::kalman::{LoadTrace, load_torque_trace};
+use drivebench_identify::misfit::Misfit;
+use drivebench_identify::nameplate::Comparison;
+use drivebench_identify::online::OnlineConfig;
+use drivebench_identify::repeat::Repeated;
+use drivebench_identify::sanity::Finding;
+use drivebench_identify::scheme::{Data, Identified, Scheme};
+use drivebench_identify::{
+    added_inertia, claims, lost_rows, nameplate, physical, repeat, sanity, scheme, temperature,
+    voltage_departure,
+};
+use drivebench_model::config_text;
+use drivebench_model::config_text::help_for_unknown;
+use drivebench_model::plant::{
+    ActiveEffect, FittedValue, Model, ModelFile, Motor, MotorKey, Scenario,
+};
+use drivebench_model::sample::{Channel, ParameterEstimate, Run, Verdict};
+
+/// Gearboxes that exist, with room.
+const GEAR_RATIOS: RangeInclusive<f64> = 1e-3..=1e5;
+
+/// Find the motor's parameters in a recorded run, each with its uncertainty and verdict
+#[derive(clap::Args)]
+#[command(after_help = after_help())]
+pub(super) struct Arguments {
+    /// Run folder, samples.csv, or any CSV with --map; several runs of one machine are also fitted as one, and give the spread between them
+    #[arg(required = true, value_name = "RUN", value_parser = run_path())]
+    runs: Vec<PathBuf>,
+    /// Model file: which parameters are sought, which are fixed; without it the five-parameter baseline
+    #[arg(long)]
+    model: Option<PathBuf>,
+    /// Method, one of the schemes listed below
+    #[arg(long, value_name = "S")]
+    scheme: Option<String>,
+    /// Exit with status 5 unless each of these keys was found
+    #[arg(long, value_name = "KEY,...", value_delimiter = ',')]
+    require: Vec<String>,
+    /// A run of the same machine with a known inertia added to the motor shaft: fixes Kt, J and Mc absolutely
+    #[arg(long, value_name = "RUN=KG_M2")]
+    added_inertia: Option<String>,
+    /// Motor turns per turn of the load: inertia and load torque are then also given on the load's shaft
+    #[arg(long, value_name = "N")]
+    gear_ratio: Option<f64>,
+    /// Instead of parameters: the load torque over time, with the parameters of --model, into this file
+    #[arg(long, value_name = "FILE.csv", requires = "model")]
+    load_torque: Option<PathBuf>,
+    /// Motor file (as in bench-configs/motors) to compare with: what differs, and what would explain it
+    #[arg(long, value_name = "MOTOR.toml")]
+    nameplate: Option<PathBuf>,
+    /// Write the identified model here
+    #[arg(long, value_name = "MODEL2.toml")]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    map: MapArguments,
+    /// Print all there is to say; without it what fits 100 columns and 30 lines
+    #[arg(long)]
+    full: bool,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// The schemes as the catalogue has them, then examples.
+fn after_help() -> String {
+    let mut text = "Schemes:\n".to_owned();
+    for scheme in scheme::CATALOGUE {
+        let _ = writeln!(text, "  {:<17} {}", scheme.id(), scheme.summary());
+    }
+    text.push_str(
+        "
+Examples:
+  drivebench identify runs/a --model runs/a/model.toml --require inertia_kg_m2
+  drivebench identify runs/a runs/b runs/c
+  drivebench identify runs/a --nameplate bench-configs/motors/zk-22fc.toml
+  drivebench identify runs/bare --added-inertia runs/disc=0.002
+  drivebench identify axis.csv --model axis.toml --map time_s=t,torque_n_m=force,angle_rad=position",
+    );
+    text
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    let _endable = signals::endable()?;
+    let ratio = arguments.gear_ratio;
+    if let Some(ratio) = ratio.filter(|ratio| !GEAR_RATIOS.contains(ratio)) {
+        return Err(Failure::usage(
+            format!("--gear-ratio {ratio} is not allowed (expected 0.001 to 100000)"),
+            "give motor turns per turn of the load, as --gear-ratio 10",
+        ));
+    }
+    for (place, path) in arguments.runs.iter().enumerate() {
+        if arguments.runs[..place].contains(path) {
+            return Err(Failure::usage(
+                format!("{}: given twice", path.display()),
+                "several runs count as independent records: give each once",
+            ));
+        }
+    }
+    let shown = progress::begin("identify");
+    progress::stage("identifies the runs", arguments.runs.len());
+    let mut file = None;
+    let mut runs = Vec::new();
+    for path in &arguments.runs {
+        let loaded = arguments.map.load(path)?;
+        let file = match &mut file {
+            Some(file) => file,
+            none => none.insert(model(arguments.model.as_deref(), &loaded)?.file),
+        };
+        if let Some(trace) = &arguments.load_torque {
+            if arguments.runs.len() > 1 {
+                let runs = arguments.runs.len();
+                let headline =
+                    format!("--load-torque with {runs} runs is not allowed (expected one)");
+                let help = "a trace over time belongs to one run";
+                return Err(Failure::usage(headline, help));
+            }
+            let scenario = Scenario::from_run(&loaded.run)?;
+            let mut run = loaded.run;
+            before_identify(&mut run, &scenario, &file.model, &[], arguments.json)?;
+            drop(shown);
+            return trace_load(trace, &run, &file.model, arguments.json);
+        }
+        runs.push(one(loaded, &file.model, arguments)?);
+        progress::at(runs.len());
+    }
+    let commanded = |run: &&OneRun| run.scenario.input_channel == Channel::VoltageCmd;
+    if let Some(run) = runs.iter().find(commanded).or(runs.first()) {
+        name_voltage(&run.loaded.run, &run.scenario);
+    }
+    let file = file.ok_or_else(|| Failure::new(USAGE, "no run is given"))?;
+    let mut absolute = with_added_inertia(arguments, &file.model, &runs)?;
+    let joint = jointly(&runs, &file.model);
+    let combined = combined(&runs, joint.as_ref());
+    let caution = caution(&combined, absolute.as_deref());
+    if let Some(caution) = &caution {
+        for parameter in absolute.iter_mut().flatten() {
+            parameter.verdict = Verdict::Invalid;
+            parameter.reason = Some(caution.clone());
+        }
+    }
+    let mut answer = Answer {
+        joint,
+        caution,
+        combined,
+        absolute,
+        gear_ratio: arguments.gear_ratio,
+        nameplate: None,
+        runs,
+    };
+    if let Some(path) = &arguments.nameplate {
+        answer.nameplate = Some(nameplate::compare(&plate(path)?, &answer.parameters()));
+    }
+    drop(shown);
+    let run = output::quoted(&arguments.runs[0]);
+    let mut document = cards::identify(&answer, &schemes(&answer));
+    let model = arguments.output.as_deref().or(arguments.model.as_deref());
+    let model = model.map_or_else(String::new, |path| {
+        format!(" --model {}", output::quoted(path))
+    });
+    document.go_on(format!(
+        "drivebench diagnose {run}{model}{}",
+        arguments.map.words()
+    ));
+    output::document(&json_of(&answer), arguments.json, arguments.full, &document)?;
+    if let Some(path) = &arguments.output {
+        answer.write(path, file)?;
+    }
+    verdict(&arguments.require, &answer.parameters())
+}
+
+/// What the runs say together, one by one and in one fit.
+fn combined(runs: &[OneRun], joint: Option<&Identified>) -> Vec<Repeated> {
+    let per_run = runs.iter().map(|run| run.found.parameters.clone());
+    let per_run: Vec<Vec<ParameterEstimate>> = per_run.collect();
+    repeat::combine(&per_run, joint.map_or(&[], |joint| &joint.parameters))
+}
+
+fn one(loaded: LoadedRun, model: &Model, arguments: &Arguments) -> Result<OneRun, Failure> {
+    let scheme = arguments.scheme.as_deref();
+    identify(loaded, model, scheme, &arguments.require, arguments.json)
+}
+
+/// The absolute scale from the run with the added inertia, where one is given.
+fn with_added_inertia(
+    arguments: &Arguments,
+    model: &Model,
+    runs: &[OneRun],
+) -> Result<Option<Vec<ParameterEstimate>>, Failure> {
+    let (Some(text), Some(without)) = (&arguments.added_inertia, runs.first()) else {
+        return Ok(None);
+    };
+    let wrong = || {
+        Failure::usage(
+            format!("--added-inertia {text:?} is not allowed (expected RUN=KG_M2, above 0)"),
+            "name the run with the disc and the disc's inertia, as --added-inertia runs/disc=0.002",
+        )
+    };
+    let (path, added) = text.rsplit_once('=').ok_or_else(wrong)?;
+    let added = added
+        .parse()
+        .ok()
+        .filter(|added: &f64| added.is_finite() && *added > 0.0);
+    let added = added.ok_or_else(wrong)?;
+    let with = one(arguments.map.load(Path::new(path))?, model, arguments)?;
+    absolute(without, &with, added).map(Some)
+}
+
+/// Status 5 when nothing, or not everything that was required, could be found.
+fn verdict(require: &[String], parameters: &[ParameterEstimate]) -> Result<(), Failure> {
+    let find = |key: &String| parameters.iter().find(|parameter| parameter.key == *key);
+    let missing = |key: &&String| !find(key).is_some_and(is_usable);
+    if let Some(key) = require.iter().find(missing) {
+        let reason = find(key).and_then(|parameter| parameter.reason.clone());
+        let Some(reason) = reason else {
+            let headline =
+                format!("{key} could not be identified: it is not a parameter of this model");
+            let help = help_for_unknown(key, parameters.iter().map(|own| own.key.as_str()));
+            return Err(Failure::not_identifiable(headline, help));
+        };
+        let headline = format!("{key} could not be identified: {reason}");
+        return Err(Failure::new(NOT_IDENTIFIABLE, headline));
+    }
+    let found = |p: &ParameterEstimate| is_usable(p) && p.verdict != Verdict::Fixed;
+    if !parameters.iter().any(found) {
+        if parameters.iter().any(|p| p.verdict == Verdict::Invalid) {
+            let headline = "no parameter can be identified soundly: the values found are invalid";
+            return Err(Failure::new(NOT_IDENTIFIABLE, headline));
+        }
+        return Err(Failure::not_identifiable(
+            "no parameter can be identified from these data",
+            "excite the motor: steps of voltage in both directions, with some time at rest first",
+        ));
+    }
+    Ok(())
+}
+
+/// Kt over Ke of real direct-current machines: iron loss takes some of the torque (ZK-22FC: 0.85), sensor gains add some
+/// per cent either way.
+const PLAUSIBLE_RATIO: RangeInclusive<f64> = 0.7..=1.1;
+
+/// One run with what was found in it.
+pub(crate) struct OneRun {
+    pub(crate) loaded: LoadedRun,
+    pub(crate) scenario: Scenario,
+    pub(crate) found: Identified,
+    findings: Vec<Finding>,
+}
+
+/// Everything that `identify` answers.
+pub(crate) struct Answer {
+    pub(crate) runs: Vec<OneRun>,
+    /// One fit to all of several runs.
+    pub(crate) joint: Option<Identified>,
+    pub(crate) combined: Vec<Repeated>,
+    /// Torque constant, inertia and load torque on the absolute scale of a known inertia.
+    pub(crate) absolute: Option<Vec<ParameterEstimate>>,
+    pub(crate) gear_ratio: Option<f64>,
+    pub(crate) nameplate: Option<Comparison>,
+    /// What the found values, each sound by itself, say together that cannot be.
+    pub(crate) caution: Option<String>,
+}
+
+impl Answer {
+    /// What the fit to all runs leaves beside the noise, else that to the first.
+    pub(crate) fn misfit(&self) -> Option<&Misfit> {
+        let first = self.runs.first().map(|run| &run.found);
+        self.joint.as_ref().or(first)?.misfit.as_ref()
+    }
+
+    /// What the model file, `--require` and the exit status go by.
+    pub(crate) fn parameters(&self) -> Vec<ParameterEstimate> {
+        let of_runs = self.combined.iter().map(|repeated| &repeated.estimate);
+        let absolute = self.absolute.iter().flatten().filter(|p| is_usable(p));
+        let replaced = |key: &str| absolute.clone().any(|p| p.key == key);
+        let kept = of_runs.filter(|p| !replaced(&p.key));
+        kept.chain(absolute.clone()).cloned().collect()
+    }
+
+    /// Writes the model: `file` with what was found. What was not observable stays as it was given, or is left out.
+    pub(crate) fn write(&self, path: &Path, mut file: ModelFile) -> Result<(), Failure> {
+        output::refuse_existing(path, "--output")?;
+        let mut parameters = self.parameters();
+        parameters.retain(is_usable);
+        file.model = Identified::new("", &file.model, parameters.clone()).model;
+        let names = self.runs.iter().map(|run| run.loaded.run.name.clone());
+        file.history.fitted_on = names.collect();
+        file.history.fitted = FittedValue::all(&parameters);
+        output::file(path, &file.to_toml())
+    }
+}
+
+/// A value that may be used: found or given, and not forbidden by physics or by where its signals come from.
+pub(crate) fn is_usable(parameter: &ParameterEstimate) -> bool {
+    parameter.value.is_some() && parameter.verdict != Verdict::Invalid
+}
+
+/// The motor of a nameplate file.
+pub(crate) fn plate(path: &Path) -> Result<Motor, Failure> {
+    let file: MotorSection = config_text::parse(&path.display().to_string(), &read_text(path)?)?;
+    Ok(file.motor())
+}
+
+/// Identifies one run by the scheme of this name, else by that which its signals suggest.
+pub(crate) fn identify(
+    mut loaded: LoadedRun,
+    model: &Model,
+    scheme: Option<&str>,
+    require: &[String],
+    json: bool,
+) -> Result<OneRun, Failure> {
+    let scenario = Scenario::from_run(&loaded.run)?;
+    let findings = before_identify(&mut loaded.run, &scenario, model, require, json)?;
+    let scheme = match scheme {
+        Some(id) => scheme::find(id)?,
+        None => scheme::default_for(&scenario),
+    };
+    let data = Data {
+        run: &loaded.run,
+        scenario: &scenario,
+        model,
+    };
+    let found = judged(scheme, &data, &findings)?;
+    Ok(OneRun {
+        loaded,
+        scenario,
+        found,
+        findings,
+    })
+}
+
+/// One fit to several runs of a machine behind each other, where each was fitted by its free run and nothing of the model
+/// happens in one of them alone.
+pub(crate) fn jointly(runs: &[OneRun], model: &Model) -> Option<Identified> {
+    let (first, others) = runs
+        .split_first()
+        .filter(|(_, others)| !others.is_empty())?;
+    let is_fitted = |run: &OneRun| run.found.scheme == scheme::FREE_RUN;
+    let goes_on = |own: &ActiveEffect| own.effect.goes_on_over_runs();
+    if !runs.iter().all(is_fitted) || model.effects.iter().any(goes_on) {
+        return None;
+    }
+    let follow = |all: Scenario, next: &OneRun| all.followed_by(&next.scenario);
+    let data = Data {
+        run: &first.loaded.run,
+        scenario: &others.iter().fold(first.scenario.clone(), follow),
+        model,
+    };
+    let findings: Vec<Finding> = runs.iter().flat_map(|run| run.findings.clone()).collect();
+    judged(scheme::find(scheme::FREE_RUN).ok()?, &data, &findings).ok()
+}
+
+/// What a scheme finds, with what physics and the origin of the signals allow to be said of it.
+fn judged(scheme: &Scheme, data: &Data<'_>, findings: &[Finding]) -> Result<Identified, Failure> {
+    let (run, scenario) = (data.run, data.scenario);
+    let mut found = scheme.identify(data)?;
+    if scheme.id() == scheme::FREE_RUN {
+        found = known_along(scenario, found);
+    }
+    physical::refuse(&mut found.parameters, &found.model.motor, scenario);
+    if scenario.input_channel == Channel::VoltageCmd
+        && let Some(departure) = voltage_departure::find(run)
+    {
+        departure.limit(&mut found.parameters);
+        found.notes.push(departure.sentence());
+    }
+    sanity::doubt(&mut found.parameters, findings);
+    for open in found
+        .parameters
+        .iter_mut()
+        .filter(|own| own.value.is_none())
+    {
+        // What is wrong with a signal may be all that stands in the way.
+        let about = |it: &&Finding| it.doubts.iter().any(|key| key.key() == open.key);
+        if let (Some(reason), Some(finding)) = (&mut open.reason, findings.iter().find(about)) {
+            *reason = format!("{}; {reason}", finding.sentence);
+        }
+    }
+    let limits = claims::limit(&mut found.parameters, run, scenario);
+    found.notes.extend(limits);
+    found.notes.extend(lost_rows::sentence(run, scenario));
+    Ok(temperature::complete(found, run, scenario))
+}
+
+/// The absolute scale from a run of the same machine with `added_kg_m2` on its shaft.
+pub(crate) fn absolute(
+    without: &OneRun,
+    with: &OneRun,
+    added_kg_m2: f64,
+) -> Result<Vec<ParameterEstimate>, Failure> {
+    let seen = |run: &'_ OneRun| run.found.model.motor.torque_constant();
+    let (Some(kt_without), Some(kt_with)) = (seen(without), seen(with)) else {
+        return Err(Failure::not_identifiable(
+            "neither run carries a torque constant to start from",
+            "give torque_n_m_per_a or back_emf_v_s_per_rad in the model file: any value will do, the added inertia corrects it",
+        ));
+    };
+    let without = Seen {
+        parameters: &without.found.parameters,
+        torque_n_m_per_a: kt_without,
+    };
+    let with = Seen {
+        parameters: &with.found.parameters,
+        torque_n_m_per_a: kt_with,
+    };
+    Ok(added_inertia::absolute(&without, &with, added_kg_m2))
+}
+
+/// Kt above Ke would be a machine that gives more power than it takes; far below, most of it would be lost in the iron.
+pub(crate) fn caution(
+    combined: &[Repeated],
+    absolute: Option<&[ParameterEstimate]>,
+) -> Option<String> {
+    let of = |key: MotorKey| move |p: &&ParameterEstimate| p.key == key.key();
+    let kt = absolute?.iter().find(of(MotorKey::TorqueConstant))?.value?;
+    let mut found = combined.iter().map(|repeated| &repeated.estimate);
+    let ke = found.find(of(MotorKey::BackEmf))?.value?;
+    let ratio = kt / ke;
+    (!PLAUSIBLE_RATIO.contains(&ratio)).then(|| {
+        format!(
+            "Kt is {ratio:.2} times Ke, {:.2} to {:.2} is plausible: check the added inertia, the shaft it is given on, \
+             and that both runs are of the same machine",
+            PLAUSIBLE_RATIO.start(),
+            PLAUSIBLE_RATIO.end()
+        )
+    })
+}
+
+/// The answer as `identify --json` prints it.
+pub(crate) fn json_of(answer: &Answer) -> Value {
+    let first = answer.runs.first();
+    let of_runs = |of: fn(&OneRun) -> usize| answer.runs.iter().map(of).sum::<usize>();
+    let mut notes: Vec<&String> = Vec::new();
+    for run in &answer.runs {
+        for note in run.loaded.run.notes.iter().chain(&run.found.notes) {
+            if !notes.contains(&note) {
+                notes.push(note);
+            }
+        }
+    }
+    notes.extend(&answer.caution);
+    let combined = answer.combined.iter().map(|r| (r.estimate.key.as_str(), r));
+    let parameters = if answer.runs.len() > 1 {
+        keyed(combined)
+    } else {
+        keyed(combined.map(|(key, r)| (key, &r.estimate)))
+    };
+    let converted = conventions::of(&answer.parameters());
+    let mut value = json!({
+        "scheme": schemes(answer),
+        "parameters": parameters,
+        "rows": of_runs(|run| run.loaded.run.rows()),
+        "rows_used": of_runs(|run| run.scenario.samples()),
+        "rows_dropped": of_runs(|run| run.loaded.run.rows_dropped),
+        "period_s": first.and_then(period_s),
+        "input": first.map(|run| run.scenario.input_channel.key()),
+        "signals": first.map(|run| signals(&run.loaded.run)),
+        "shaft": "motor",
+        "conventions": keyed(converted.iter().map(|c| (c.key, c))),
+        "misfit": answer.misfit(),
+        "joint": answer.joint.is_some(),
+        "notes": notes,
+    });
+    if answer.runs.len() > 1 {
+        let each = answer.runs.iter().map(|run| {
+            json!({
+                "run": run.loaded.run.name,
+                "scheme": run.found.scheme,
+                "rows": run.loaded.run.rows(),
+                "parameters": estimates(&run.found.parameters),
+                "misfit": run.found.misfit,
+            })
+        });
+        value["runs"] = each.collect();
+    }
+    if let Some(absolute) = &answer.absolute {
+        value["absolute"] = estimates(absolute);
+    }
+    if let Some(comparison) = &answer.nameplate {
+        value["nameplate"] = serde_json::to_value(comparison).unwrap_or_default();
+    }
+    if let Some(ratio) = answer.gear_ratio {
+        let load = conventions::on_load_shaft(&answer.parameters(), ratio);
+        value["load_shaft"] = json!({ "gear_ratio": ratio, "parameters": estimates(&load) });
+    }
+    value
+}
+
+/// What the runs were identified by, each scheme once: those of another kind may have another one.
+pub(crate) fn schemes(answer: &Answer) -> String {
+    let mut schemes: Vec<&str> = answer.runs.iter().map(|run| run.found.scheme).collect();
+    schemes.dedup();
+    schemes.join(" and ")
+}
+
+/// Median distance of the measurements, s.
+fn period_s(run: &OneRun) -> Option<f64> {
+    [Channel::Current, Channel::Speed]
+        .into_iter()
+        .find_map(|channel| run.loaded.run.period_s(channel))
+}
+
+fn estimates(parameters: &[ParameterEstimate]) -> Value {
+    Value::Object(keyed(parameters.iter().map(|p| (p.key.as_str(), p))))
+}
+
+fn keyed<'a, T: Serialize + 'a>(
+    entries: impl Iterator<Item = (&'a str, &'a T)>,
+) -> Map<String, Value> {
+    entries
+        .map(|(key, value)| {
+            let value = serde_json::to_value(value).unwrap_or_default();
+            (key.to_owned(), value)
+        })
+        .collect()
+}
+
+/// Tracks the load torque, writes it to `path` and prints a summary.
+pub(crate) fn trace_load(path: &Path, run: &Run, model: &Model, json: bool) -> Result<(), Failure> {
+    if path.exists() {
+        let path = path.display();
+        let headline = format!("{path}: exists already, and records are never overwritten");
+        let help = "choose another name for --load-torque";
+        return Err(Failure::usage(headline, help));
+    }
+    let trace = load_torque_trace(run, model)?;
+    output::file(path, &trace_csv(&trace))?;
+    let extreme = |better: fn(f64, f64) -> bool| {
+        let points = trace.points.iter();
+        let found = points.reduce(|a, b| {
+            let is_better = better(b.load_torque_n_m, a.load_torque_n_m);
+            if is_better { b } else { a }
+        });
+        found.map(|p| {
+            json!({ "time_s": p.time_s, "load_torque_n_m": p.load_torque_n_m, "load_torque_std_n_m": p.std_n_m })
+        })
+    };
+    let summary = json!({
+        "output": path,
+        "rows": trace.points.len(),
+        "rows_followed": trace.rows_followed,
+        "input": format!("{:?}", trace.input).to_lowercase(),
+        "rate_n_m_per_sqrt_s": trace.rate_n_m_per_sqrt_s,
+        "rate_from_data": true,
+        "median_std_n_m": trace.median_std_n_m(),
+        "least": extreme(|a, b| a < b),
+        "most": extreme(|a, b| a > b),
+        "innovation_over_noise": { "current": trace.consistency[0], "speed": trace.consistency[1] },
+        "notes": trace.notes,
+    });
+    output::result(&summary, json, |_| trace_text(&trace, path))
+}
+
+fn trace_text(trace: &LoadTrace, path: &Path) -> String {
+    let mut text = format!(
+        "load torque at {} instants written to {}\nmedian standard deviation {:.2e} N.m; expected change {:.2e} N.m/sqrt(s), found from the run; motor turning at {} rows\n",
+        trace.points.len(),
+        path.display(),
+        trace.median_std_n_m(),
+        trace.rate_n_m_per_sqrt_s,
+        trace.rows_followed
+    );
+    output::lines(&mut text, "", &trace.notes);
+    text
+}
+
+/// The load torque over time as a file.
+fn trace_csv(trace: &LoadTrace) -> String {
+    let mut csv = "time_s,load_torque_n_m,load_torque_std_n_m\n".to_owned();
+    for point in &trace.points {
+        let (time_s, torque, std) = (point.time_s, point.load_torque_n_m, point.std_n_m);
+        let _ = writeln!(csv, "{time_s},{torque},{std}");
+    }
+    csv
+}
+
+/// The result as JSON; its estimates have the names that they have in `result.json`.
+#[derive(Serialize)]
+pub(crate) struct Replayed {
+    pub(crate) run: String,
+    pub(crate) rows_dropped: usize,
+    #[serde(flatten)]
+    pub(crate) online: OnlineResult,
+    pub(crate) configuration: OnlineSettings,
+    /// `manifest`, or `default` where nobody has said.
+    pub(crate) configuration_from: &'static str,
+    /// Null where there is nothing to compare with.
+    pub(crate) identical: Option<bool>,
+    pub(crate) first_difference: Option<Difference>,
+    /// The file compared with, or why there is none.
+    pub(crate) compared_with: Option<String>,
+    pub(crate) not_compared_because: Option<String>,
+}
+
+/// Runs the estimators over a run and compares with what they said live.
+pub(crate) fn replayed(run: &Path, map: Option<&ColumnMap>) -> Result<Replayed, Failure> {
+    let mut rows = RunRows::open(run, map)?;
+    let (settings, configuration_from) = settings(&rows)?;
+    let estimator = replay(|| rows.rows.next_row(), OnlineConfig::from(settings))?;
+    if let Some(dialect) = rows.rows.dialect() {
+        output::message(&dialect);
+    }
+    let mut warnings = rows.warnings();
+    warnings.extend(why_silent(&rows));
+    output::warn(&warnings);
+    let online = estimator.result();
+    let live = live_result(&rows, map.is_some()).and_then(|live| {
+        let is_known = configuration_from == "manifest";
+        let reason = "the manifest does not hold the configuration of the live estimators";
+        is_known.then_some(live).ok_or_else(|| reason.to_owned())
+    });
+    let (mut difference, mut compared_with, mut because) = (None, None, None);
+    match live {
+        Ok((path, live)) => {
+            let replayed = serde_json::to_value(&online).map_err(|error| {
+                Failure::internal(format!("the result has no JSON form: {error}"))
+            })?;
+            difference = Some(first_difference(&live, &replayed));
+            compared_with = Some(path.display().to_string());
+        }
+        Err(reason) => because = Some(reason),
+    }
+    Ok(Replayed {
+        run: run.display().to_string(),
+        rows_dropped: rows.rows.rows_dropped(),
+        online,
+        configuration: settings,
+        configuration_from,
+        identical: difference.as_ref().map(Option::is_none),
+        first_difference: difference.flatten(),
+        compared_with,
+        not_compared_because: because,
+    })
+}
+
+/// What the live estimators were configured with.
+fn settings(rows: &RunRows) -> Result<(OnlineSettings, &'static str), Failure> {
+    let kept = rows
+        .manifest
+        .as_ref()
+        .and_then(|manifest| manifest.configs.get(OnlineSettings::NAME));
+    let Some(text) = kept else {
+        return Ok((OnlineSettings::from(OnlineConfig::default()), "default"));
+    };
+    let settings = toml::from_str(text).map_err(|error| {
+        Failure::usage(
+            format!(
+                "manifest.json: configs.{} cannot be read: {}",
+                OnlineSettings::NAME,
+                error.message()
+            ),
+            "it was written by another version of the program, or changed by hand",
+        )
+    })?;
+    Ok((settings, "manifest"))
+}
+
+/// The file with the live estimates and what it says; or why there is none.
+fn live_result(rows: &RunRows, mapped: bool) -> Result<(PathBuf, Value), String> {
+    let folder = rows
+        .folder
+        .as_deref()
+        .filter(|_| !mapped)
+        .ok_or("a foreign file holds no live estimates")?;
+    let path = RunFolder::existing(folder).file(RunFile::Result);
+    let text = match read_text(&path).ok() {
+        Some(text) => text,
+        None if rows.manifest.as_ref().is_some_and(|m| !m.finished) => {
+            return Err("the run was not finished: its live estimates were never written".into());
+        }
+        None => return Err(format!("there is no {}", path.display())),
+    };
+    let mut document: Map<String, Value> = serde_json::from_str(&text)
+        .map_err(|error| format!("{} cannot be read: {error}", path.display()))?;
+    match document.shift_remove("online") {
+        Some(live) => Ok((path, live)),
+        None => Err(format!("{} holds no live estimates", path.display())),
+    }
+}
+
+/// What the estimators cannot do without.
+fn why_silent(rows: &RunRows) -> Option<String> {
+    let missing: Vec<&str> = [Channel::Current, Channel::Speed]
+        .into_iter()
+        .filter(|needed| rows.rows.channels().all(|channel| channel != *needed))
+        .map(Channel::key)
+        .collect();
+    (!missing.is_empty()).then(|| {
+        format!(
+            "no {}: the on-line estimators need measured current and speed",
+            missing.join(" and no ")
+        )
+    })
+}

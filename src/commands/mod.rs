@@ -1,0 +1,327 @@
+//! The command line: one file per subcommand or family of them, thin. Results go to stdout, progress and messages to stderr.
+//!
+//! ```text
+//! arguments -> order of work (runtime: rig, files, every way out) -> document or JSON -> exit status
+//! ```
+
+mod add;
+mod analyse;
+mod arguments;
+mod bode;
+mod by_hand;
+mod cards;
+pub mod commission;
+mod compare;
+mod diagnose;
+mod doctor;
+mod effects;
+mod emulate;
+#[cfg(test)]
+mod ending_tests;
+mod evidence;
+mod export;
+mod front;
+mod identify;
+mod init;
+mod pages;
+mod plan;
+mod probe;
+mod registers;
+mod replay;
+mod report;
+mod reproduce;
+pub mod run;
+mod shell;
+mod simulate;
+pub mod speed;
+mod test;
+mod tune;
+mod view;
+
+use std::path::Path;
+use std::process::ExitCode;
+
+use clap::error::ErrorKind;
+use clap::{Parser, Subcommand};
+
+use crate::runtime::{failure, output};
+use crate::tui::{use_light, use_mouse};
+
+/// Exit statuses, as `--help` prints them.
+const EXIT_STATUSES: &str = "\
+Exit status:
+  0    done and passed (any verdict of diagnose)
+  1    done and not accepted: --min-fit, a refused effect, a drive that is not plausible, a replay that differs, a run
+       of many that cannot be read
+  2    usage or configuration, or more asked than plan or line allow
+  3    link or device: no answer, another drive, a failed check, no --hardware, a locked or open motor
+  4    safety trip
+  5    not identified: nothing at all, or a key of --require
+  6    internal error, or a record that could not be kept
+  130  interrupted, after a safe stop";
+
+/// Talks to a motor drive, identifies the motor on line, and names the physical effect its model is missing.
+#[derive(Parser)]
+#[command(name = "drivebench", version, after_help = EXIT_STATUSES)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Option<Command>,
+    /// Colours of screens: the terminal's sixteen, those for a white background, or none (as with NO_COLOR)
+    #[arg(long, global = true, value_enum, value_name = "THEME")]
+    #[expect(
+        clippy::doc_markdown,
+        reason = "the help in a terminal shows backticks as they are"
+    )]
+    theme: Option<Theme>,
+    /// Screens take the mouse: the wheel zooms traces and scrolls, a click selects; text is then selected with Shift held
+    #[arg(long, global = true)]
+    mouse: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Theme {
+    Colour,
+    Light,
+    Mono,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Commission(commission::Arguments),
+    Emulate(emulate::Arguments),
+    Init(init::Arguments),
+    Ports(doctor::PortsArguments),
+    Doctor(doctor::Arguments),
+    Probe(probe::Arguments),
+    Registers(registers::Arguments),
+    Plan(plan::Arguments),
+    Run(run::Arguments),
+    Speed(speed::Arguments),
+    Identify(identify::Arguments),
+    Analyse(analyse::Arguments),
+    Replay(replay::Arguments),
+    Simulate(simulate::Arguments),
+    Test(test::Arguments),
+    Compare(compare::Arguments),
+    View(view::Arguments),
+    Bode(bode::Arguments),
+    Diagnose(diagnose::Arguments),
+    Add(add::AddArguments),
+    Remove(add::Arguments),
+    Effects(effects::Arguments),
+    Tune(tune::Arguments),
+    Export(export::Arguments),
+    Report(report::Arguments),
+    #[command(hide = true)]
+    Reproduce(reproduce::Arguments),
+    Completions(shell::Completions),
+    Man(shell::Man),
+}
+
+/// Runs the program with the process's arguments.
+pub fn main() -> ExitCode {
+    program(execute)
+}
+
+/// Runs a program with the process's arguments: a usage error, like a failure, is printed as headline and help line.
+pub fn program<A: Parser>(execute: impl FnOnce(A) -> Result<(), failure::Failure>) -> ExitCode {
+    let done = match A::try_parse() {
+        Ok(arguments) => execute(arguments),
+        Err(error) if error.use_stderr() => Err(usage_failure(&error, A::command())),
+        Err(error) => {
+            // Help and version; a broken pipe there is nobody's concern.
+            let _ = error.print();
+            Ok(())
+        }
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            failure.print();
+            ExitCode::from(failure.status)
+        }
+    }
+}
+
+fn execute(arguments: Arguments) -> Result<(), failure::Failure> {
+    if let Some(theme) = arguments.theme {
+        crossterm::style::force_color_output(theme != Theme::Mono);
+        if theme == Theme::Light {
+            use_light();
+        }
+    }
+    if arguments.mouse {
+        use_mouse();
+    }
+    let Some(command) = arguments.command else {
+        return output::text(&front::page(Path::new(".")));
+    };
+    match command {
+        Command::Commission(arguments) => commission::execute(arguments),
+        Command::Emulate(arguments) => emulate::execute(arguments),
+        Command::Init(arguments) => init::execute(&arguments),
+        Command::Ports(arguments) => doctor::execute_ports(&arguments),
+        Command::Doctor(arguments) => doctor::execute(&arguments),
+        Command::Probe(arguments) => probe::execute(&arguments),
+        Command::Registers(arguments) => registers::execute(&arguments),
+        Command::Plan(arguments) => plan::execute(&arguments),
+        Command::Run(arguments) => run::execute(&arguments),
+        Command::Speed(arguments) => speed::execute(arguments),
+        Command::Identify(arguments) => identify::execute(&arguments),
+        Command::Analyse(arguments) => analyse::execute(&arguments),
+        Command::Replay(arguments) => replay::execute(&arguments),
+        Command::Simulate(arguments) => simulate::execute(&arguments),
+        Command::Test(arguments) => test::execute(arguments),
+        Command::Compare(arguments) => compare::execute(&arguments),
+        Command::View(arguments) => view::execute(&arguments),
+        Command::Bode(arguments) => bode::execute(&arguments),
+        Command::Diagnose(arguments) => diagnose::execute(&arguments),
+        Command::Add(arguments) => add::execute_add(&arguments),
+        Command::Remove(arguments) => add::execute_remove(&arguments),
+        Command::Effects(arguments) => effects::execute(&arguments),
+        Command::Tune(arguments) => tune::execute(&arguments),
+        Command::Export(arguments) => export::execute(&arguments),
+        Command::Report(arguments) => report::execute(&arguments),
+        Command::Reproduce(arguments) => reproduce::execute(&arguments),
+        Command::Completions(arguments) => shell::execute_completions(&arguments),
+        Command::Man(arguments) => shell::execute_man(&arguments),
+    }
+}
+
+/// The command of a program that these words begin with, and how it is called.
+fn called(
+    mut command: clap::Command,
+    words: impl Iterator<Item = String>,
+) -> (clap::Command, String) {
+    let mut path = command.get_name().to_owned();
+    for word in words {
+        let Some(below) = command.find_subcommand(&word).cloned() else {
+            break;
+        };
+        path = format!("{path} {word}");
+        command = below;
+    }
+    (command, path)
+}
+
+/// The first example of the command on its help page, which may show others on the way to it.
+fn example(command: &clap::Command, path: &str) -> Option<String> {
+    let text = command.get_after_help()?.to_string();
+    let mut lines = text.lines().map(str::trim);
+    let line = lines.find(|line| line.starts_with(path))?;
+    // What it is for stands behind it.
+    Some(line.split("  ").next().unwrap_or(line).to_owned())
+}
+
+/// What the library that reads numbers says, in words of the reader.
+const WORDS: [(&str, &str); 6] = [
+    (
+        "invalid digit found in string",
+        "expected a whole number from 0",
+    ),
+    ("number too large to fit in target type", "it is too large"),
+    ("invalid float literal", "expected a number"),
+    (
+        "cannot parse integer from empty string",
+        "expected a whole number",
+    ),
+    ("cannot parse float from empty string", "expected a number"),
+    (
+        "invalid socket address syntax",
+        "expected ADDRESS:PORT, as 127.0.0.1:1502",
+    ),
+];
+
+/// clap's message as one headline and one help line, like every other error.
+fn usage_failure(error: &clap::Error, program: clap::Command) -> failure::Failure {
+    let (command, path) = called(program, std::env::args().skip(1));
+    let page = format!("see {path} --help");
+    if error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
+        let below = command.get_subcommands().map(clap::Command::get_name);
+        let below: Vec<&str> = below.filter(|name| *name != "help").collect();
+        let headline = format!(
+            "{path}: no command is given (allowed: {})",
+            below.join(", ")
+        );
+        return failure::Failure::usage(headline, page);
+    }
+    let text = error.render().to_string();
+    let (mut headline, mut tip, mut usage) = (String::new(), None, None);
+    for line in text.lines().map(str::trim).filter(|l| !l.is_empty()) {
+        if let Some(found) = line.strip_prefix("tip: ") {
+            // How to pass an option as a value is not what was meant.
+            tip = tip.or_else(|| found.contains("similar").then(|| meant(found)));
+        } else if let Some(found) = line.strip_prefix("Usage: ") {
+            usage = Some(found);
+            break;
+        } else if !line.starts_with("For more information") {
+            // A headline that ends with a colon lists what is missing on the lines after it.
+            let line = line.strip_prefix("error: ").unwrap_or(line);
+            headline.push_str(if headline.is_empty() { "" } else { " " });
+            headline.push_str(line);
+        }
+    }
+    if let Some((head, allowed)) = headline.split_once(" [possible values: ") {
+        headline = format!("{head} (allowed: {})", allowed.trim_end_matches(']'));
+    }
+    for (theirs, ours) in WORDS {
+        headline = headline.replace(theirs, ours);
+    }
+    let unexpected = headline.strip_prefix("unexpected argument '");
+    let is_option = unexpected.is_some_and(|word| word.starts_with('-'));
+    let help = match (tip, usage) {
+        (Some(tip), _) => tip,
+        _ if is_option => page,
+        (None, Some(usage)) if unexpected.is_some() && command.get_name() == "view" => {
+            format!("give the run to judge by with --holdout RUN2; usage: {usage}")
+        }
+        (None, Some(usage)) if error.kind() == ErrorKind::MissingRequiredArgument => {
+            let example = example(&command, &path).map(|text| format!("; for example `{text}`"));
+            format!("usage: {usage}{}", example.unwrap_or_default())
+        }
+        (None, Some(usage)) if error.kind() != ErrorKind::InvalidSubcommand => {
+            format!("usage: {usage}")
+        }
+        _ => page,
+    };
+    failure::Failure::usage(headline, help)
+}
+
+/// What clap takes to have been meant, in the words of our other errors.
+fn meant(tip: &str) -> String {
+    let names = tip.split('\'').skip(1).step_by(2);
+    let names: Vec<String> = names.map(|name| format!("`{name}`")).collect();
+    format!("did you mean {}?", names.join(" or "))
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory as _;
+
+    use super::*;
+
+    #[test]
+    fn a_usage_error_names_the_help_page_of_its_own_command() {
+        let path = |words: &[&str]| {
+            let words = words.iter().map(|word| (*word).to_owned());
+            called(Arguments::command(), words).1
+        };
+        assert_eq!(path(&["probe", "--baud", "x"]), "drivebench probe");
+        assert_eq!(
+            path(&["registers", "write", "probe"]),
+            "drivebench registers write"
+        );
+        assert_eq!(path(&["--what"]), "drivebench");
+    }
+
+    #[test]
+    fn every_command_that_needs_something_has_an_example() {
+        let all = Arguments::command();
+        for command in all.get_subcommands() {
+            let needs = command.get_arguments().any(clap::Arg::is_required_set);
+            let name = command.get_name();
+            let shown = example(command, &format!("drivebench {name}"));
+            assert!(!needs || shown.is_some(), "{name} has no example");
+        }
+    }
+}

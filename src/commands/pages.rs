@@ -1,0 +1,356 @@
+//! Fills in the report pages from what a run, a commissioning, or a diagnosis of recorded runs left.
+
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+
+use crate::commands::evidence::{About, Prepared};
+use crate::report::{
+    CommissionReport, ComparisonReport, ConfirmRun, Context, Document, Facts, LastSeconds,
+    RunReport, Target,
+};
+use crate::runtime::failure::Failure;
+use crate::runtime::files::{Recorded, early_end};
+use crate::runtime::output;
+use crate::runtime::rig::Rig;
+use crate::tui::StoppedAt;
+use crate::workflow::{CommissionResult, Truth};
+use drivebench_bench::recording::{LoadedRun, Manifest, RunFile};
+use drivebench_bench::{self as bench, BenchFile, Plan, Stop};
+use drivebench_diagnose::{Comparison, Diagnosis, EffectCurve, ErrorOf, compare, error_curve};
+use drivebench_identify::noise::NoiseFloor;
+use drivebench_model::plant::{Input, Model, Motor, Scenario};
+use drivebench_model::sample::Channel;
+
+/// Writes the page of one run into its folder; where there is none that is said.
+pub(crate) fn write_run(
+    recorded: &mut Recorded,
+    plan: Option<&Plan>,
+    nameplate: &Motor,
+    speed_loop: Option<&Document>,
+) {
+    match run(recorded, plan, nameplate, speed_loop) {
+        Ok(page) => drop(recorded.write(RunFile::Report, &page)),
+        Err(failure) => output::message(&format!("no report: {}", failure.headline())),
+    }
+}
+
+fn run(
+    recorded: &Recorded,
+    plan: Option<&Plan>,
+    nameplate: &Motor,
+    speed_loop: Option<&Document>,
+) -> Result<String, Failure> {
+    let loaded = recorded.load()?;
+    let manifest = &recorded.manifest;
+    let mut context = context(manifest, &[recorded.folder.path()]);
+    context.plan = plan.map(plan_facts).unwrap_or_default();
+    let model = Model::baseline(nameplate.clone());
+    let summary = &recorded.summary;
+    let ended = early_end(&summary.outcome, summary.stop_error.as_deref());
+    let report = RunReport {
+        title: &manifest.name,
+        context: &context,
+        run: &loaded.run,
+        nameplate: Some(&model),
+        parameters: &recorded.summary.estimates,
+        timing: &timing(manifest),
+        early_end: ended.map(|(.., page)| page),
+        last_seconds: last_seconds(manifest),
+        speed_loop,
+    };
+    Ok(report.document().html())
+}
+
+/// The last seconds of a run that tripped or lost its drive, with the limits of its bench file.
+pub(crate) fn last_seconds(manifest: &Manifest) -> Option<LastSeconds> {
+    let slice: bench::LastSeconds = serde_json::from_value(manifest.trip.clone()).ok()?;
+    let text = manifest.configs.get("bench");
+    let bench = text.and_then(|text| BenchFile::parse("bench", text).ok());
+    let limits = bench.map(|bench| bench.limits());
+    let limits = limits.into_iter().flat_map(|limits| {
+        [
+            (Channel::Current, Some(limits.current_a)),
+            (Channel::Speed, Some(limits.speed_rad_s)),
+            (Channel::Voltage, Some(limits.voltage_v)),
+            (Channel::Bus, limits.bus_max_v),
+        ]
+    });
+    Some(LastSeconds {
+        time_s: slice.time_s,
+        rows: slice.from_row.saturating_sub(1)..slice.to_row,
+        limits: limits
+            .filter_map(|(channel, limit)| Some((channel, limit?)))
+            .collect(),
+        stop: stop(manifest).map(|stop| stop.sentence()),
+    })
+}
+
+/// Of the model that a diagnosis began with and, where it added anything, of the one that it found: free runs over the run that
+/// shows them, where it has a voltage, and the curve of each effect that was found; where none was found, that of the error.
+fn shown_on(
+    found: &Diagnosis,
+    run: Option<&Scenario>,
+    noise: &NoiseFloor,
+) -> Result<(Option<ConfirmRun>, Vec<EffectCurve>), Failure> {
+    let Some(run) = run else {
+        return Ok((None, Vec::new()));
+    };
+    let (before, after) = (&found.baseline.model, &found.model.model);
+    let after = Some(after).filter(|_| !found.effects.is_empty());
+    let series = ConfirmRun::of(before, after, run, noise)?;
+    let mut curves = Vec::new();
+    if found.effects.is_empty() {
+        curves.extend(found.curve_of(None, run, noise)?);
+    }
+    for id in &found.effects {
+        curves.extend(found.curve_of(Some(*id), run, noise)?);
+    }
+    Ok((Some(series), curves))
+}
+
+/// The report of a commissioning, with measured and simulated signals of the confirming run.
+pub(crate) fn commission(
+    scenarios: &[Scenario],
+    result: &CommissionResult,
+    rig: &Rig,
+    records: &[Recorded],
+) -> Result<Document, Failure> {
+    let runs = result.runs.iter();
+    let folders = runs.filter_map(|run| run.folder.as_deref().map(Path::new));
+    let manifest = records.first().map(|first| first.manifest.clone());
+    let mut context = context(&manifest.unwrap_or_default(), &folders.collect::<Vec<_>>());
+    context.plan = plan_facts(&rig.plan(rig.bench.runs.fit)?);
+    if let Some(burst) = &result.burst {
+        context.plan.push(fact("burst capture", burst.text()));
+    }
+    let diagnosis = &result.diagnosis;
+    let nameplate = Model::baseline(rig.plate.clone());
+    let noise = &diagnosis.model.noise;
+    let (series, curves) = shown_on(diagnosis, scenarios.get(2), noise)?;
+    let truth: Vec<String> = result.truth.iter().map(Truth::sentence).collect();
+    let report = CommissionReport {
+        kind: "Commission",
+        title: &rig.bench.name,
+        context: &context,
+        nameplate: Some(&nameplate),
+        parameters_before: &result.parameters_before,
+        parameters_after: &result.parameters,
+        before: &result.before,
+        after: (!diagnosis.effects.is_empty()).then_some(&result.after),
+        diagnosis,
+        ladder: &result.ladder,
+        confirm: Some(&result.confirmed),
+        series: series.as_ref(),
+        curves: &curves,
+        truth: &truth,
+    };
+    Ok(report.document())
+}
+
+/// The report of a diagnosis of recorded runs.
+pub(crate) fn diagnosis(prepared: &Prepared, found: &Diagnosis) -> Result<Document, Failure> {
+    let context = of_data(&prepared.about, &prepared.run);
+    let mut evidence = prepared.evidence.clone();
+    let is_electrical = evidence.training.input == Input::Voltage;
+    if is_electrical {
+        // Without a floor of its own the first fit gave the scale.
+        evidence.noise = found.baseline.noise;
+    }
+    let [before, after] = [
+        compare(&found.baseline.model, &evidence, ErrorOf::Structure)?,
+        compare(&found.model.model, &evidence, ErrorOf::Structure)?,
+    ];
+    let shown = evidence.confirm.as_ref().unwrap_or(&evidence.holdout);
+    let shown = Some(shown).filter(|_| is_electrical);
+    let (series, curves) = shown_on(found, shown, &evidence.noise)?;
+    let confirm = evidence.confirm.as_ref().filter(|_| is_electrical);
+    let confirm = confirm.map(|run| found.rungs_on(run, &evidence.noise));
+    let confirm = confirm.transpose()?;
+    let report = CommissionReport {
+        kind: "Diagnosis",
+        title: &prepared.about.title,
+        context: &context,
+        nameplate: None,
+        parameters_before: &found.baseline.parameters,
+        parameters_after: &found.model.parameters,
+        before: &before,
+        after: (!found.effects.is_empty()).then_some(&after),
+        diagnosis: found,
+        ladder: &found.ladder,
+        confirm: confirm.as_ref(),
+        series: series.as_ref(),
+        curves: &curves,
+        truth: &[],
+    };
+    Ok(report.document())
+}
+
+/// The report of a comparison of recorded runs.
+pub(crate) fn comparison(
+    prepared: &Prepared,
+    comparison: &Comparison,
+) -> Result<Document, Failure> {
+    let about = &prepared.about;
+    let evidence = &prepared.evidence;
+    let (run, noise) = (&evidence.holdout, evidence.noise);
+    let model = &prepared.model.file.model;
+    let is_electrical = evidence.training.input == Input::Voltage;
+    let series = is_electrical.then(|| ConfirmRun::of(model, None, run, &noise));
+    let curve = is_electrical.then(|| error_curve(model, run, &noise));
+    let (series, curve) = (series.transpose()?, curve.transpose()?.flatten());
+    let report = ComparisonReport {
+        title: &about.title,
+        context: &of_data(about, &prepared.run),
+        comparison,
+        model: &prepared.model.from,
+        holdout_objected: about.holdout_objected,
+        parameters: &[],
+        series: series.as_ref(),
+        curve: curve.as_ref(),
+    };
+    Ok(report.document())
+}
+
+/// Writes a page where none is yet.
+pub(crate) fn write(path: &Path, html: &str) -> Result<(), Failure> {
+    output::file(path, html)?;
+    output::message(&format!("page written to {}", path.display()));
+    Ok(())
+}
+
+/// The runs that were used, with what is to be known of them.
+fn of_data(about: &About, run: &LoadedRun) -> Context {
+    let folders: Vec<&Path> = about.runs.iter().map(PathBuf::as_path).collect();
+    let manifest = run.manifest.clone().unwrap_or_default();
+    Context {
+        notes: run.run.notes.clone(),
+        rows_dropped: run.run.rows_dropped,
+        ..context(&manifest, &folders)
+    }
+}
+
+/// Entries of a JSON object that are a single value, as labels and values.
+pub(crate) fn table(value: &Value) -> Facts {
+    let text = |value: &Value| {
+        value
+            .as_str()
+            .map_or_else(|| value.to_string(), str::to_owned)
+    };
+    let entries = value.as_object().into_iter().flatten();
+    let told = entries.filter(|(_, value)| !value.is_null() && !value.is_array());
+    told.map(|(key, value)| fact(&key.replace('_', " "), text(value)))
+        .collect()
+}
+
+/// How the run was stopped, where its output was on.
+pub(crate) fn stop(manifest: &Manifest) -> Option<Stop> {
+    serde_json::from_value(manifest.stop.clone()).ok()
+}
+
+/// Where a run that tripped or lost its drive was stopped, for a screen that shows it.
+pub(crate) fn stopped_at(prepared: &Prepared) -> Option<StoppedAt> {
+    let manifest = prepared.run.manifest.as_ref()?;
+    let last: bench::LastSeconds = serde_json::from_value(manifest.trip.clone()).ok()?;
+    let at_s = last.time_s - prepared.evidence.training.begin_s();
+    let stop = Stop {
+        at_s: Some(at_s),
+        ..stop(manifest)?
+    };
+    let kinds = [
+        ("current", Channel::Current),
+        ("circuit", Channel::Current),
+        ("bus", Channel::Bus),
+    ];
+    let kind = kinds
+        .into_iter()
+        .find(|(word, _)| stop.cause.contains(word));
+    Some(StoppedAt {
+        run: prepared.run.run.name.clone(),
+        at_s,
+        shows: kind.map(|(_, channel)| channel),
+        text: stop.short(),
+    })
+}
+
+/// Rate and lateness of a run, and how it was stopped.
+pub(crate) fn timing(manifest: &Manifest) -> Facts {
+    let hz = |period_s: f64| 1.0 / period_s;
+    let achieved = manifest.period_achieved_s.map(hz);
+    let rate = achieved.zip(manifest.period_asked_s.map(hz));
+    let late = manifest.lateness_p50_s.zip(manifest.lateness_p99_s);
+    let facts = [
+        rate.map(|(achieved, asked)| fact("rate", format!("{achieved:.1} of {asked:.0} Hz"))),
+        (manifest.missed_cycles).map(|missed| fact("missed cycles", missed.to_string())),
+        late.map(|(p50_s, p99_s)| {
+            let (p50_ms, p99_ms) = (1e3 * p50_s, 1e3 * p99_s);
+            let lateness = format!("{p50_ms:.2} ms, {p99_ms:.2} ms");
+            fact("lateness, median and 99 %", lateness)
+        }),
+        stop(manifest).map(|stop| fact("stop", stop.sentence())),
+    ];
+    facts.into_iter().flatten().collect()
+}
+
+pub(crate) fn context(manifest: &Manifest, folders: &[impl AsRef<Path>]) -> Context {
+    let mut link = vec![fact("link", manifest.link.clone())];
+    link.extend(table(&manifest.link_statistics));
+    link.extend(table(&manifest.wire));
+    let folders = folders
+        .iter()
+        .map(|folder| folder.as_ref().display().to_string());
+    Context {
+        target: match manifest.identity["is_emulator"].as_bool() {
+            Some(true) => Target::Emulator,
+            Some(false) => Target::Hardware,
+            None => Target::Unknown,
+        },
+        date: date(&manifest.stamp),
+        motor: motor(manifest),
+        run_folders: folders.collect(),
+        identity: table(&manifest.identity),
+        plan: Facts::new(),
+        link,
+        seed: manifest.seed,
+        versions: vec![fact("drivebench", manifest.program_version.clone())],
+        ..Context::default()
+    }
+}
+
+/// A folder's stamp as people write it; one that is none as it stands.
+fn date(stamp: &str) -> String {
+    let parsed = jiff::civil::DateTime::strptime("%Y%m%dT%H%M%SZ", stamp);
+    parsed.map_or_else(
+        |_| stamp.to_owned(),
+        |date| date.strftime("%Y-%m-%d %H:%M:%S UTC").to_string(),
+    )
+}
+
+/// What the bench file of a run calls its motor.
+fn motor(manifest: &Manifest) -> String {
+    let bench = manifest.configs.get("bench");
+    let bench = bench.and_then(|text| text.parse::<toml::Table>().ok());
+    let name = bench
+        .as_ref()
+        .and_then(|bench| bench.get("motor")?.get("name")?.as_str());
+    name.unwrap_or_default().to_owned()
+}
+
+fn plan_facts(plan: &Plan) -> Facts {
+    let (peak_a, times) = (plan.peak_current_a, plan.peak_current_ratio);
+    let current = format!("{peak_a:.1} A ({times:.1} times rated)");
+    let speed = format!("{:.0} rad/s", plan.peak_speed_rad_s);
+    vec![
+        fact("duration", format!("{:.1} s", plan.duration_s)),
+        fact("predicted peak current", current),
+        fact("predicted peak speed", speed),
+        fact(
+            "predicted copper loss",
+            format!("{:.0} J", plan.copper_loss_j),
+        ),
+    ]
+}
+
+fn fact(label: &str, value: String) -> (String, String) {
+    (label.to_owned(), value)
+}

@@ -1,0 +1,293 @@
+//! `plan`: what a sequence will do to the motor, before anything is energised.
+//!
+//! Forecast of a sequence before anything is energised: the plan of the motor and that of the line.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use crate::runtime::failure::Failure;
+use crate::runtime::files::read_text;
+use crate::runtime::opening::wired_profile;
+use crate::runtime::output;
+use crate::runtime::output::lines;
+use drivebench_bench::{
+    BenchFile, BenchFileError, EMBEDDED_DEFAULT, EMBEDDED_NAME, Foresight, Plan, Port, Reference,
+    foresee, plan,
+};
+use drivebench_link::{DriveProfile, LineBudget, LostReply, offer};
+
+/// Predict peak current, speed, travel, heat and duration of a bench file's sequence
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  drivebench plan bench-configs/benches/zk-22fc-emulated.toml\n\n\
+A motor that is not known (motor.unknown = true, or values left out) is found from small steps first: then the plan tells the\n\
+first of them and what follows. Where only load_torque_n_m is left out, the sequence is predicted without friction."
+)]
+pub(super) struct Arguments {
+    /// Bench file; without it the embedded one
+    bench: Option<PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    let (file, source) = match &arguments.bench {
+        Some(path) => (path.display().to_string(), read_text(path)?),
+        None => (EMBEDDED_NAME.to_owned(), EMBEDDED_DEFAULT.to_owned()),
+    };
+    let found = forecast(&file, &source)?;
+    output::result(&found, arguments.json, |found| match found {
+        Forecast::Known(known) => known_text(known),
+        Forecast::Unknown(unknown) => unknown_text(unknown),
+    })?;
+    let refusal = match &found {
+        Forecast::Known(known) => known.plan.refusals.first(),
+        Forecast::Unknown(_) => None,
+    };
+    refusal.map_or(Ok(()), |refusal| {
+        let headline = format!("plan refused: {refusal}");
+        Err(Failure::usage(headline, refusal.help()))
+    })
+}
+
+fn unknown_text(unknown: &Unknown) -> String {
+    let mut text = "the motor is not known: before the sequence it is found from small steps, each as large as the one before allows\n".to_owned();
+    if let Some(told) = &unknown.escalation {
+        let first = &told.first;
+        let _ = writeln!(
+            text,
+            "\nfirst stage ({}): up to {:.3} V, {:.1} V/s, {:.1} s; ends with {:.2} A or {:.2} rad/s",
+            first.kind.name(),
+            first.peak_v,
+            first.slew_v_per_s,
+            told.duration_s,
+            first.stop_current_a,
+            first.stop_speed_rad_s
+        );
+        lines(&mut text, "then ", &told.next);
+        let _ = writeln!(
+            text,
+            "in every stage a run ends beyond {:.1} A, {:.0} rad/s, {:.0} V, or after {:.2} s without a reply. What the sequence does \
+             is planned for the motor that was found, and made smaller where that asks for it",
+            told.current_limit_a, told.speed_limit_rad_s, told.voltage_limit_v, told.link_silence_s
+        );
+    }
+    lines(&mut text, "\n", unknown.line.as_ref().map(line_text));
+    lines(&mut text, "warning: ", &unknown.warnings);
+    text
+}
+
+fn known_text(forecast: &Known) -> String {
+    let mut text = match &forecast.reference {
+        Some(reference) => reference_text(reference),
+        None => sequence_text(&forecast.plan),
+    };
+    lines(&mut text, "\n", forecast.line.as_ref().map(line_text));
+    lines(&mut text, "warning: ", &forecast.plan.warnings);
+    text
+}
+
+/// What moves a drive that takes no voltage.
+fn reference_text(reference: &Forward) -> String {
+    format!(
+        "this drive takes no voltage: only the reference of [speed] moves the motor, with `drivebench speed`: {:.1} s, up to {:.0} rad/s either way; \
+         the limits are {:.0} rad/s, {:.1} A and {:.0} s. What the drive's own loop draws is not predicted\n",
+        reference.duration_s,
+        reference.peak_speed_rad_s,
+        reference.speed_limit_rad_s,
+        reference.current_limit_a,
+        reference.time_limit_s
+    )
+}
+
+fn sequence_text(plan: &Plan) -> String {
+    let mut text = format!(
+        "{:.1} s, {} rows, peak {:.1} A ({:.1} times rated), {:.0} rad/s, {:.0} V, copper loss {:.0} J\n\n",
+        plan.duration_s,
+        plan.rows,
+        plan.peak_current_a,
+        plan.peak_current_ratio,
+        plan.peak_speed_rad_s,
+        plan.peak_voltage_v,
+        plan.copper_loss_j
+    );
+    let _ = writeln!(
+        text,
+        "{:<14} {:>7} {:>7} {:>8} {:>8} {:>9}",
+        "segment", "from s", "to s", "peak V", "peak A", "rad/s"
+    );
+    for segment in &plan.segments {
+        let _ = writeln!(
+            text,
+            "{:<14} {:>7.2} {:>7.2} {:>8.1} {:>8.1} {:>9.1}",
+            segment.name,
+            segment.start_s,
+            segment.end_s,
+            segment.peak_voltage_v,
+            segment.peak_current_a,
+            segment.peak_speed_rad_s
+        );
+    }
+    let _ = writeln!(text);
+    for parameter in &plan.parameters {
+        let prospect = format!("{:?}", parameter.prospect).to_lowercase();
+        let (key, reason) = (&parameter.key, &parameter.reason);
+        let _ = writeln!(text, "{key:<24} {prospect:<14} {reason}");
+    }
+    text
+}
+
+/// The arithmetic of the line, a rate for each kind of adapter.
+fn line_text(line: &LineBudget) -> String {
+    let mut text = format!(
+        "{} at {} baud: {} + {} bytes in {} request{} take {:.2} ms, silences {:.2} ms, the drive up to {:.2} ms\n",
+        line.protocol.name(),
+        line.baud,
+        line.request_bytes,
+        line.reply_bytes,
+        line.exchanges,
+        if line.exchanges == 1 { "" } else { "s" },
+        line.wire_ms,
+        line.gaps_ms,
+        line.reply_ms
+    );
+    for rate in &line.rates {
+        let _ = writeln!(text, "  {:<34} {:>6.0} Hz", rate.adapter, rate.rate_hz);
+    }
+    lines(&mut text, "", line.reply_text());
+    text
+}
+
+/// What can be said of a bench file.
+#[derive(Serialize)]
+#[serde(untagged)]
+pub(crate) enum Forecast {
+    /// The plan of the motor and that of the line.
+    Known(Box<Known>),
+    /// What is settled for a motor that is not known.
+    Unknown(Box<Unknown>),
+}
+
+#[derive(Serialize)]
+pub(crate) struct Known {
+    #[serde(flatten)]
+    pub(crate) plan: Plan,
+    /// Of a drive that takes no voltage: the plan of the sequence then moves nothing. `null`: the sequence is what moves.
+    pub(crate) reference: Option<Forward>,
+    /// `null` where no serial line is involved.
+    pub(crate) line: Option<LineBudget>,
+}
+
+#[derive(Serialize)]
+pub(crate) struct Unknown {
+    pub(crate) escalation: Option<Foresight>,
+    pub(crate) line: Option<LineBudget>,
+    pub(crate) warnings: Vec<String>,
+}
+
+/// What the reference of a speed run asks for, and what bounds it.
+#[derive(Serialize)]
+pub(crate) struct Forward {
+    pub(crate) duration_s: f64,
+    pub(crate) peak_speed_rad_s: f64,
+    pub(crate) speed_limit_rad_s: f64,
+    pub(crate) current_limit_a: f64,
+    pub(crate) time_limit_s: f64,
+}
+
+impl Forward {
+    fn of(reference: &Reference, bench: &BenchFile) -> Self {
+        let limits = bench.limits();
+        Self {
+            duration_s: reference.duration_s(),
+            peak_speed_rad_s: reference.peak_rad_s(),
+            speed_limit_rad_s: limits.speed_rad_s,
+            current_limit_a: limits.current_a,
+            time_limit_s: limits.time_s,
+        }
+    }
+}
+
+/// Predicts what the bench file `file`, with the text `source`, asks for.
+pub(crate) fn forecast(file: &str, source: &str) -> Result<Forecast, Failure> {
+    let mut bench = BenchFile::parse(file, source)?;
+    let in_file = |name: &str, error| BenchFileError::Sequence {
+        file: name.to_owned(),
+        error,
+    };
+    let program = bench.program(bench.runs.fit);
+    let program = program.map_err(|error| in_file(&bench.name, error))?;
+    let (profile, _) = wired_profile(&mut bench)?;
+    let line = match bench.port() {
+        Port::Tcp(_) => None,
+        Port::Emulator | Port::Sim | Port::SimRtu | Port::Serial(_) => LineBudget::of(&profile),
+    };
+    let asked_hz = bench.link.rate_hz;
+    let carried_hz = line.as_ref().map_or(asked_hz, LineBudget::rate_hz);
+    let rate_hz = asked_hz.min(carried_hz);
+    let mut warnings: Vec<String> = silence_warning(&bench, &profile, line.is_some())
+        .into_iter()
+        .collect();
+    // Without its friction a motor is still known well enough for a prediction; with less it is not.
+    let assumed = bench.motor.without_friction();
+    if let Some(assumed) = assumed.as_ref().filter(|_| !bench.motor.unknown) {
+        bench.motor = assumed.into();
+        warnings.push(
+            "motor.load_torque_n_m is left out: 0 N.m is assumed, the friction is not known. The motor will draw more current and turn \
+             slower than is told here by as much as its friction asks for; `drivebench run` and `commission` find the motor from small \
+             steps first"
+                .to_owned(),
+        );
+    }
+    let voltages = offer::refusal(&profile, offer::Purpose::Voltages);
+    let nameplate = bench.nameplate().filter(|_| !bench.motor.unknown);
+    let Some(nameplate) = nameplate else {
+        // The first stage of its escalation, and what follows.
+        if let Some(refusal) = voltages {
+            let headline = format!(
+                "the motor is not known, and small steps cannot find it with this drive: {refusal}"
+            );
+            return Err(Failure::usage(headline, "complete [motor]"));
+        }
+        let escalation = foresee(&bench).map_err(|error| in_file(&bench.name, error))?;
+        warnings.extend(bench.motor.doubts());
+        return Ok(Forecast::Unknown(Box::new(Unknown {
+            escalation,
+            line,
+            warnings,
+        })));
+    };
+    let mut plan = plan(&program, &nameplate, &bench.limits(), rate_hz, None)?;
+    plan.warnings.extend(warnings);
+    if rate_hz < asked_hz {
+        plan.warnings.push(format!(
+            "{asked_hz} Hz is asked, the line carries {rate_hz:.0} Hz: cycles will be missed, and the prospects above are \
+             those of {rate_hz:.0} Hz"
+        ));
+    }
+    plan.warnings.extend(bench.motor.doubts());
+    let mut reference = None;
+    if let Some(speed) = bench.speed.as_ref().filter(|_| voltages.is_some()) {
+        bench.check_speed(file, source)?;
+        let found = bench.reference(speed).ok();
+        reference = found.map(|found| Forward::of(&found, &bench));
+    }
+    Ok(Forecast::Known(Box::new(Known {
+        plan,
+        reference,
+        line,
+    })))
+}
+
+/// A slow drive of which one lost reply takes longer than the silence that ends a run.
+fn silence_warning(bench: &BenchFile, profile: &DriveProfile, is_line: bool) -> Option<String> {
+    let limit_s = bench.limits().link_silence_s;
+    let lost = LostReply::of(profile).filter(|lost| is_line && lost.total_s() > limit_s)?;
+    let text = lost.text();
+    Some(format!(
+        "{text}; limits.link_silence_s is {limit_s} s, so that a single lost reply may end the run"
+    ))
+}

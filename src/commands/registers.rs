@@ -1,0 +1,496 @@
+//! `registers`: raw Modbus registers, read and written, of any unit.
+//!
+//! ```text
+//! registers read  -> batch of reads -> app::registers: values that are vouched for, rates, counters
+//! registers write -> app::registers: what is there, what is to come -> yes? -> write once -> read back
+//! ```
+//!
+//! Raw registers: what a batch of reads brought, and a write that is shown before it is made, made once, and read back.
+//!
+//! Writing is guarded, because a register of a drive may start a motor.
+
+use std::fmt::Write as _;
+use std::sync::atomic::AtomicBool;
+
+use clap::Subcommand;
+use serde::Serialize;
+
+use crate::commands::arguments::WireArguments;
+use crate::runtime::failure::Failure;
+use crate::runtime::output::lines;
+use crate::runtime::{output, signals};
+use drivebench_link::{
+    Batch, LinkError, MOST_READ, MOST_WRITTEN, RawClient, RawCounters, ReadRequest, RegisterTable,
+    WriteFunction, read_batch, registers,
+};
+
+/// Read or write raw Modbus registers of any unit, over a serial port or TCP
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  drivebench registers read 0:16 --port /dev/ttyUSB0 --baud 19200 --framing 8E1 --unit 3
+  drivebench registers write 100 1500 --host 192.168.1.7:502")]
+pub(super) struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Read(ReadArguments),
+    Write(WriteArguments),
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    match &arguments.command {
+        Command::Read(arguments) => read(arguments),
+        Command::Write(arguments) => write(arguments),
+    }
+}
+
+/// What a register takes: as [`number`], or negative in two's complement.
+fn value(text: &str) -> Result<u16, String> {
+    match text.parse::<i16>() {
+        Ok(negative) if negative < 0 => Ok(u16::from_be_bytes(negative.to_be_bytes())),
+        _ => number(text).map_err(|_| {
+            format!("{text:?} is not a number from -32768 to 65535 (0x... for hexadecimal)")
+        }),
+    }
+}
+
+/// Decimal, or hexadecimal with 0x.
+fn number(text: &str) -> Result<u16, String> {
+    let parsed = match text.strip_prefix("0x").or_else(|| text.strip_prefix("0X")) {
+        Some(digits) => u16::from_str_radix(digits, 16).ok(),
+        None => text.parse().ok(),
+    };
+    parsed
+        .ok_or_else(|| format!("{text:?} is not a number from 0 to 65535 (0x... for hexadecimal)"))
+}
+
+/// Read registers by protocol address; exit status 0 when every read is answered, 3 otherwise
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  drivebench registers read 10 --port /dev/ttyUSB0
+  drivebench registers read 0:16 0x2100:4 --host 192.168.1.7:502 --unit 2 --json
+  drivebench registers read 0:10 --port drive.pty --repeat 1000 --gap-us 0     how fast is this line?
+
+Addresses are those of the protocol, from 0: register 40001 of a manual is address 0.")]
+struct ReadArguments {
+    /// Registers to read: ADDRESS, or ADDRESS:COUNT
+    #[arg(required = true, value_name = "ADDRESS[:COUNT]", value_parser = span)]
+    spans: Vec<(u16, u16)>,
+    #[command(flatten)]
+    wire: WireArguments,
+    /// Input registers instead of holding registers
+    #[arg(long)]
+    input: bool,
+    /// Rounds of all reads; the values of the last are shown
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
+    repeat: u64,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+fn span(text: &str) -> Result<(u16, u16), String> {
+    let (address, count) = text.split_once(':').unwrap_or((text, "1"));
+    let (address, count) = (number(address)?, number(count)?);
+    if !(1..=MOST_READ).contains(&count) {
+        let most = format!("1 to {MOST_READ}, what one request can carry");
+        return Err(format!("{count} registers are not {most}"));
+    }
+    let last = address.checked_add(count - 1);
+    let beyond = || format!("{count} registers at {address} reach beyond address 65535");
+    last.map(|_| (address, count)).ok_or_else(beyond)
+}
+
+fn read(arguments: &ReadArguments) -> Result<(), Failure> {
+    let table = if arguments.input {
+        RegisterTable::Input
+    } else {
+        RegisterTable::Holding
+    };
+    let spans = arguments.spans.iter();
+    let requests = spans.map(|&(address, count)| ReadRequest {
+        table,
+        address,
+        count,
+    });
+    let requests: Vec<ReadRequest> = requests.collect();
+    let stop = signals::flag()?;
+    let tap = arguments.wire.tap()?;
+    let mut client = arguments.wire.open(&tap)?;
+    let batch = read_batch(&mut client, &requests, arguments.repeat, &stop);
+    let counters = client.counters();
+    drop(client);
+    drop(tap);
+    let result = ReadResult::of(&batch, counters);
+    output::result(&result, arguments.json, ReadResult::text)?;
+    if batch.is_interrupted {
+        let headline = format!("interrupted after {} of the reads", batch.asked);
+        return Err(Failure::interrupted(headline));
+    }
+    verdict(batch)
+}
+
+/// Write holding registers once, read them back and compare; asks before, or needs --yes
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  drivebench registers write 100 1500 --port /dev/ttyUSB0          shows what changes, then asks
+  drivebench registers write 0x2000 18 3000 --host 192.168.1.7:502 --yes --hardware
+
+A register of a drive may start a motor. A write is never repeated by itself: when its reply is lost, what the unit
+holds is read and shown. --hardware is needed with --yes for anything that does not identify itself as our emulator.")]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "switches of a command line, each independent of the others"
+)]
+struct WriteArguments {
+    /// Protocol address of the first register, from 0
+    #[arg(value_parser = number)]
+    address: u16,
+    /// Values, one for each register from there on
+    #[arg(required = true, value_name = "VALUE", value_parser = value, allow_negative_numbers = true)]
+    values: Vec<u16>,
+    #[command(flatten)]
+    wire: WireArguments,
+    /// Function code 16 for a single register too; many drives have only one of 6 and 16
+    #[arg(long)]
+    multiple: bool,
+    /// Write without a question
+    #[arg(long)]
+    yes: bool,
+    /// The unit is real and may move something (needed with --yes)
+    #[arg(long)]
+    hardware: bool,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+fn write(arguments: &WriteArguments) -> Result<(), Failure> {
+    let (address, values) = (arguments.address, arguments.values.as_slice());
+    let count = u16::try_from(values.len()).unwrap_or(u16::MAX);
+    if values.len() > MOST_WRITTEN || address.checked_add(count - 1).is_none() {
+        let headline = format!(
+            "{} at {address} do not fit one request",
+            registers(count.into())
+        );
+        let help = format!("at most {MOST_WRITTEN} registers, up to address 65535");
+        return Err(Failure::usage(headline, help));
+    }
+    let tap = arguments.wire.tap()?;
+    let mut client = arguments.wire.open(&tap)?;
+    let consent = |is_emulator| consent(arguments, is_emulator);
+    let (result, verdict) = write_once(&mut client, address, values, arguments.multiple, consent)?;
+    drop(client);
+    drop(tap);
+    output::result(&result, arguments.json, WriteResult::text)?;
+    verdict
+}
+
+fn consent(arguments: &WriteArguments, is_emulator: bool) -> Result<(), Failure> {
+    if arguments.yes {
+        if is_emulator || arguments.hardware {
+            return Ok(());
+        }
+        return Err(Failure::usage(
+            "the unit does not identify itself as an emulator: nothing was written",
+            "add --hardware when a real drive may get this value, with the emergency stop within reach",
+        ));
+    }
+    let answer = if arguments.json {
+        None
+    } else {
+        output::ask("write? [y/N] ")
+    };
+    match answer.as_deref().map(str::trim) {
+        Some("y" | "Y" | "yes") => Ok(()),
+        Some(_) => Err(Failure::usage("nothing was written", "answer y to write")),
+        None => Err(Failure::usage(
+            "nothing was written: there is nobody to ask",
+            "add --yes to write without a question",
+        )),
+    }
+}
+
+/// What a link error means to someone who named the registers himself.
+fn failure(error: LinkError) -> Failure {
+    match error {
+        LinkError::Exception { .. } => Failure::link(
+            error.to_string(),
+            "the unit has no such register, or not so many in one request; addresses count from 0 (40001 is 0)",
+        ),
+        LinkError::Gone { .. } => {
+            let help = "the cable or the peer went away: check it, and ask again";
+            Failure::link(error.to_string(), help)
+        }
+        other => other.into(),
+    }
+}
+
+/// Values on one line of the text.
+const A_LINE: usize = 8;
+
+/// The result as JSON.
+#[derive(Serialize)]
+pub(crate) struct ReadResult {
+    reads: Vec<ReadOutcome>,
+    /// Reads of all rounds.
+    asked: u64,
+    answered: u64,
+    rate_hz: Option<f64>,
+    p50_us: Option<f64>,
+    p99_us: Option<f64>,
+    worst_us: Option<f64>,
+    counters: RawCounters,
+}
+
+#[derive(Serialize)]
+struct ReadOutcome {
+    address: u16,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    values: Option<Vec<u16>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    error: Option<String>,
+}
+
+impl ReadResult {
+    pub(crate) fn of(batch: &Batch, counters: RawCounters) -> Self {
+        let us = |time_s: Option<f64>| time_s.map(|time_s| time_s * 1e6);
+        let reads = batch.reads.iter().map(|read| ReadOutcome {
+            address: read.request.address,
+            values: read.values.as_ref().ok().cloned(),
+            error: read.values.as_ref().err().map(ToString::to_string),
+        });
+        Self {
+            reads: reads.collect(),
+            asked: batch.asked,
+            answered: batch.answered,
+            rate_hz: batch.rate_hz(),
+            p50_us: us(batch.quantile_s(0.5)),
+            p99_us: us(batch.quantile_s(0.99)),
+            worst_us: us(batch.quantile_s(1.0)),
+            counters,
+        }
+    }
+
+    /// For a person: the registers, and the counters where not all went well.
+    pub(crate) fn text(&self) -> String {
+        let result = self;
+        let mut text = String::new();
+        for read in &result.reads {
+            if let Some(error) = &read.error {
+                let _ = writeln!(text, "{:>5}  error: {error}", read.address);
+            }
+            let lines = read.values.as_deref().unwrap_or_default().chunks(A_LINE);
+            for (index, line) in lines.enumerate() {
+                let decimal: Vec<String> = line.iter().map(|value| format!("{value:>5}")).collect();
+                let hexadecimal: Vec<String> = line.iter().map(|v| format!("{v:04x}")).collect();
+                let (decimal, hexadecimal) = (decimal.join(" "), hexadecimal.join(" "));
+                let address = usize::from(read.address) + index * A_LINE;
+                let _ = writeln!(text, "{address:>5}  {decimal:<48} {hexadecimal}");
+            }
+        }
+        let c = &result.counters;
+        let r = &c.requests;
+        if let (true, Some(rate_hz), Some(p50), Some(p99), Some(worst)) = (
+            result.asked > result.reads.len() as u64,
+            result.rate_hz,
+            result.p50_us,
+            result.p99_us,
+            result.worst_us,
+        ) {
+            let _ = writeln!(
+                text,
+                "{} of {} reads answered, {rate_hz:.0} per second; round trip {p50:.0} us (median), {p99:.0} us (99 %), {worst:.0} us (worst)",
+                result.answered, result.asked
+            );
+        }
+        // What a probe that the line is in step was refused is no refusal of anything that was asked for.
+        let is_clean = result.answered == result.asked
+            && result.reads.iter().all(|read| read.error.is_none())
+            && r.timeout + r.crc + r.stale + r.mismatch + r.aborted == 0;
+        if !is_clean {
+            let probes = match c.probes {
+                0 => String::new(),
+                1 => " and 1 probe that the line is in step".to_owned(),
+                count => format!(" and {count} probes that the line is in step"),
+            };
+            let _ = writeln!(
+                text,
+                "{} requests{probes}: {} ok, {} timeout, {} crc, {} stale, {} mismatch, {} exception, {} aborted",
+                r.sent - c.probes,
+                r.ok,
+                r.timeout,
+                r.crc,
+                r.stale,
+                r.mismatch,
+                r.exception,
+                r.aborted
+            );
+        }
+        text
+    }
+}
+
+/// Every read was answered, or the first that was not is the failure.
+pub(crate) fn verdict(batch: Batch) -> Result<(), Failure> {
+    if batch.is_all_answered() {
+        return Ok(());
+    }
+    let missing = batch.asked - batch.answered.min(batch.asked);
+    match batch.reads.into_iter().find_map(|read| read.values.err()) {
+        Some(error) => Err(failure(error)),
+        None => Err(Failure::link(
+            format!("{missing} of {} reads got no answer", batch.asked),
+            "see the counters: timeout (cable, power), crc (noise, baud rate), stale (late replies: a longer --timeout-ms)",
+        )),
+    }
+}
+
+/// The result as JSON.
+#[derive(Serialize)]
+pub(crate) struct WriteResult<'a> {
+    address: u16,
+    /// Null where the registers cannot be read.
+    before: Option<Vec<u16>>,
+    written: &'a [u16],
+    after: Option<Vec<u16>>,
+    /// The registers read back what was written.
+    confirmed: bool,
+    /// Why the write itself was not acknowledged.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    error: Option<String>,
+    is_emulator: bool,
+    counters: RawCounters,
+}
+
+impl WriteResult<'_> {
+    pub(crate) fn text(&self) -> String {
+        let result = self;
+        let mut text = String::new();
+        let (what, address) = (registers(result.written.len()), result.address);
+        let confirmed = if result.confirmed {
+            "confirmed by reading back"
+        } else {
+            "NOT confirmed"
+        };
+        let _ = writeln!(text, "{what} at {address}: {confirmed}");
+        let after = result.after.as_ref().filter(|_| !result.confirmed);
+        lines(
+            &mut text,
+            "the unit holds ",
+            after.map(|after| format!("{after:?}")),
+        );
+        text
+    }
+}
+
+/// Shows what is there and what is to come, writes where `consent` lets it (told whether the unit is an emulator), and reads
+/// back; the result, and what is wrong with it.
+pub(crate) fn write_once<'a>(
+    client: &mut RawClient,
+    address: u16,
+    values: &'a [u16],
+    multiple: bool,
+    consent: impl FnOnce(bool) -> Result<(), Failure>,
+) -> Result<(WriteResult<'a>, Result<(), Failure>), Failure> {
+    let count = u16::try_from(values.len()).unwrap_or(u16::MAX);
+    let is_emulator = is_emulator(client)?;
+    let before = read_back(client, address, count);
+    if let Err(error @ (LinkError::Timeout { .. } | LinkError::Gone { .. })) = before {
+        return Err(error.into());
+    }
+    let before = before.ok();
+    announce(address, before.as_deref(), values);
+    consent(is_emulator)?;
+    let function = if values.len() > 1 || multiple {
+        WriteFunction::Multiple
+    } else {
+        WriteFunction::Single
+    };
+    let written = client.write(function, address, values);
+    // Whether it was acknowledged or not, what counts is what the unit holds.
+    let after = read_back(client, address, count);
+    let confirmed = after.as_ref().is_ok_and(|after| after == values);
+    let result = WriteResult {
+        address,
+        before,
+        written: values,
+        after: after.as_ref().ok().cloned(),
+        confirmed,
+        error: written.as_ref().err().map(ToString::to_string),
+        is_emulator,
+        counters: client.counters(),
+    };
+    let verdict = match (written, after) {
+        (Err(error), _) | (Ok(()), Err(error)) => Err(failure(error)),
+        (Ok(()), Ok(_)) if confirmed => Ok(()),
+        (Ok(()), Ok(after)) => Err(Failure::link(
+            format!("the unit acknowledged {values:?} at {address} and holds {after:?}"),
+            "the register may be limited, clear itself, or be writable only in another state; see the drive's manual",
+        )),
+    };
+    Ok((result, verdict))
+}
+
+/// Only what says so itself is an emulator; a unit that answers otherwise, or not, counts as hardware.
+fn is_emulator(client: &mut RawClient) -> Result<bool, Failure> {
+    match client.identify() {
+        Ok(identity) => Ok(identity.is_some_and(|identity| identity.is_emulator)),
+        Err(error) if error.is_transient() => Ok(false),
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// The values now, vouched for.
+fn read_back(client: &mut RawClient, address: u16, count: u16) -> Result<Vec<u16>, LinkError> {
+    let request = ReadRequest {
+        table: RegisterTable::Holding,
+        address,
+        count,
+    };
+    let never = AtomicBool::new(false);
+    let reads = read_batch(client, &[request], 1, &never).reads;
+    let read = reads.into_iter().next();
+    read.map_or(Ok(Vec::new()), |read| read.values)
+}
+
+/// Told before anything is asked or done.
+fn announce(address: u16, before: Option<&[u16]>, values: &[u16]) {
+    for (index, value) in values.iter().enumerate() {
+        let there = before.and_then(|before| before.get(index));
+        let there = there.map_or("?".to_owned(), ToString::to_string);
+        let address = usize::from(address) + index;
+        output::message(&format!("{address:>5}  {there} -> {value} (0x{value:04x})"));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_register_takes_what_sixteen_bits_hold_signed_or_not() {
+        assert_eq!(value("-1"), Ok(0xFFFF));
+        assert_eq!(value("-32768"), Ok(0x8000));
+        assert_eq!(value("65535"), Ok(0xFFFF));
+        assert_eq!(value("0x10"), Ok(16));
+        for wrong in ["-32769", "65536", "1.5", ""] {
+            assert!(value(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn spans_are_read_in_both_bases_and_bounded() {
+        assert_eq!(span("10"), Ok((10, 1)));
+        assert_eq!(span("0x2100:0x10"), Ok((0x2100, 16)));
+        assert_eq!(span("65535:1"), Ok((65_535, 1)));
+        for wrong in [
+            "", ":", "a", "-1", "65536", "0:0", "0:126", "65535:2", "1:2:3",
+        ] {
+            assert!(span(wrong).is_err(), "{wrong}");
+        }
+    }
+}

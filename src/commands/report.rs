@@ -1,0 +1,265 @@
+//! `report`: the page of a recorded run, and its pictures as files.
+//!
+//! `report`: the page of a recorded run, the one that stands in its folder or one made anew from the record, and the pictures of
+//! any page of ours as files.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use serde_json::{Map, Value};
+
+use crate::commands::arguments::MapArguments;
+use crate::commands::pages;
+use crate::report::{Document, EarlyEnd, RunReport, Tone, plot};
+use crate::runtime::failure::Failure;
+use crate::runtime::files::read_text;
+use crate::runtime::{output, signals};
+use drivebench_bench::recording::{LoadedRun, Manifest, RunFile, RunFolder};
+use drivebench_bench::{BenchFile, LastSeconds, Stop};
+use drivebench_model::plant::{Model, MotorKey};
+use drivebench_model::sample::{ParameterEstimate, Verdict};
+
+/// The page of a recorded run, anew where none is kept, and its pictures, as files
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  drivebench report runs/a --svg figures          pictures of the page that runs/a keeps
+  drivebench report runs/a --output page.html     the page of the record alone, made anew")]
+pub(super) struct Arguments {
+    /// Run folder, samples.csv, any CSV with --map; or a page, with --svg
+    run: PathBuf,
+    /// Make the page anew and write it here; never overwritten
+    #[arg(long, value_name = "PAGE.html")]
+    output: Option<PathBuf>,
+    /// Write every picture of the page into this folder
+    #[arg(long, value_name = "DIR")]
+    svg: Option<PathBuf>,
+    /// Print the page of the record as Markdown
+    #[arg(long, conflicts_with = "json")]
+    markdown: bool,
+    #[command(flatten)]
+    map: MapArguments,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    if let Some(path) = &arguments.output {
+        output::refuse_existing(path, "--output")?;
+    }
+    let _endable = signals::endable()?;
+    let load = || arguments.map.load(&arguments.run);
+    let (page, pictures) = (arguments.output.as_deref(), arguments.svg.as_deref());
+    let done = report(&arguments.run, load, page, pictures)?;
+    if arguments.markdown {
+        return output::unfolded(&done, arguments.json, |done| done.markdown.clone());
+    }
+    output::document(&done, arguments.json, true, &done.document())
+}
+
+/// What became of it.
+#[derive(Default, Serialize)]
+pub(crate) struct Reported {
+    /// Null, as what follows, where a page was named and no run.
+    run: Option<String>,
+    rows: Option<usize>,
+    rows_dropped: Option<usize>,
+    duration_s: Option<f64>,
+    /// How the run ended, as its manifest says.
+    outcome: Option<String>,
+    /// How it was stopped, and which rows hold the last seconds before a trip.
+    stop: Option<Stop>,
+    trip: Option<LastSeconds>,
+    /// What the live estimators said at the end.
+    parameters: Map<String, Value>,
+    page: Option<PathBuf>,
+    pictures: Vec<PathBuf>,
+    #[serde(skip)]
+    pub(crate) markdown: String,
+}
+
+impl Reported {
+    /// A few lines, the page last.
+    pub(crate) fn document(&self) -> Document {
+        let mut document = Document::new("", "");
+        if let (Some(run), Some(rows), Some(duration_s)) = (&self.run, self.rows, self.duration_s) {
+            document.say(
+                "run",
+                [format!("{run}: {rows} rows over {duration_s:.3} s")],
+                1,
+            );
+        }
+        document.say("outcome", self.outcome.as_deref(), 1);
+        document.say("stopped", self.stop.as_ref().map(Stop::sentence), 1);
+        document.say("last 2 s", self.trip.map(last_rows), 1);
+        let pictures = self.pictures.iter();
+        document.say(
+            "picture",
+            pictures.map(|path| path.display().to_string()),
+            1,
+        );
+        match &self.page {
+            Some(page) => document.ends_with(page.display().to_string()),
+            None => document.say("page", ["none: name one with --output PAGE.html"], 1),
+        }
+        document
+    }
+}
+
+/// Which rows of a record a page shows enlarged.
+pub(crate) fn last_rows(last: LastSeconds) -> String {
+    let (from, to) = (last.from_row, last.to_row);
+    format!("rows {from} to {to} of samples.csv; the page shows them enlarged")
+}
+
+/// Writes what is asked for: the page under `output`, else into the run's folder where there is none yet; its pictures into
+/// `pictures`. Of a page that is named itself there are the pictures only.
+pub(crate) fn report(
+    path: &Path,
+    load: impl FnOnce() -> Result<LoadedRun, Failure>,
+    output: Option<&Path>,
+    pictures: Option<&Path>,
+) -> Result<Reported, Failure> {
+    if path.extension().is_some_and(|ending| ending == "html") {
+        let Some(folder) = pictures.filter(|_| output.is_none()) else {
+            let headline = format!("{}: is a page already", path.display());
+            let help = "name a folder for its pictures with --svg DIR, or a run";
+            return Err(Failure::usage(headline, help));
+        };
+        return Ok(Reported {
+            pictures: write_pictures(&read_text(path)?, folder)?,
+            page: Some(path.to_owned()),
+            ..Reported::default()
+        });
+    }
+    let loaded = load()?;
+    let kept = kept_estimates(&loaded);
+    let page = page(&loaded, &kept);
+    let folder = loaded.folder.as_ref().map(RunFolder::existing);
+    let there = folder.as_ref().map(|folder| folder.file(RunFile::Report));
+    let there = there.filter(|path| output.is_none() && path.exists());
+    let html = match &there {
+        Some(path) => read_text(path)?,
+        None => page.html(),
+    };
+    let path = match (output, there, folder) {
+        (Some(path), ..) => {
+            output::file(path, &html)?;
+            Some(path.to_owned())
+        }
+        (None, Some(path), _) => Some(path),
+        (None, None, Some(folder)) => Some(folder.write(RunFile::Report, &html)?),
+        (None, None, None) => None,
+    };
+    let run = &loaded.run;
+    let times = run.time_s();
+    let ends = times.first().zip(times.last());
+    let parameters = kept.iter().map(|estimate| {
+        let value = serde_json::to_value(estimate).unwrap_or_default();
+        (estimate.key.clone(), value)
+    });
+    Ok(Reported {
+        run: Some(run.name.clone()),
+        rows: Some(run.rows()),
+        rows_dropped: Some(run.rows_dropped),
+        duration_s: ends.map(|(first, last)| last - first),
+        outcome: loaded.manifest.as_ref().and_then(|m| m.outcome.clone()),
+        stop: loaded.manifest.as_ref().and_then(pages::stop),
+        trip: loaded
+            .manifest
+            .as_ref()
+            .and_then(|m| serde_json::from_value(m.trip.clone()).ok()),
+        parameters: parameters.collect(),
+        page: path,
+        pictures: match pictures {
+            Some(folder) => write_pictures(&html, folder)?,
+            None => Vec::new(),
+        },
+        markdown: page.markdown(),
+    })
+}
+
+/// Every picture of a page as a file of its own, in their order: `figure-1.svg`, ...
+fn write_pictures(html: &str, folder: &Path) -> Result<Vec<PathBuf>, Failure> {
+    std::fs::create_dir_all(folder).map_err(|error| output::cannot_write(folder, &error))?;
+    let pictures = plot::pictures(html).into_iter().enumerate();
+    let pictures = pictures.map(|(place, svg)| {
+        let path = folder.join(format!("figure-{}.svg", place + 1));
+        (path, svg)
+    });
+    let pictures: Vec<_> = pictures.collect();
+    // All of them or none.
+    for (path, _) in &pictures {
+        output::refuse_existing(path, "--svg (a folder)")?;
+    }
+    for (path, svg) in &pictures {
+        output::file(path, svg)?;
+    }
+    Ok(pictures.into_iter().map(|(path, _)| path).collect())
+}
+
+fn page(loaded: &LoadedRun, estimates: &[ParameterEstimate]) -> Document {
+    let none = Manifest::default();
+    let manifest = loaded.manifest.as_ref().unwrap_or(&none);
+    let bench = manifest.configs.get("bench");
+    let bench = bench.and_then(|text| BenchFile::parse("manifest.json", text).ok());
+    let nameplate = bench.map(|bench| Model::baseline(bench.motor.motor()));
+    let mut context = pages::context(manifest, &loaded.folder.iter().collect::<Vec<_>>());
+    context.notes.clone_from(&loaded.warnings);
+    let facts = pages::table(&manifest.speed_loop);
+    let has_loop = !facts.is_empty();
+    let mut speed_loop = Document::new("", "");
+    speed_loop.facts(facts);
+    let outcome = manifest.outcome.as_deref();
+    let report = RunReport {
+        title: if manifest.name.is_empty() {
+            &loaded.run.name
+        } else {
+            &manifest.name
+        },
+        context: &context,
+        run: &loaded.run,
+        nameplate: nameplate.as_ref(),
+        parameters: estimates,
+        timing: &pages::timing(manifest),
+        early_end: outcome
+            .filter(|outcome| *outcome != "passed")
+            .map(|outcome| EarlyEnd {
+                tone: Tone::Attention,
+                title: "Ended early",
+                reason: outcome.to_owned(),
+            }),
+        last_seconds: pages::last_seconds(manifest),
+        speed_loop: has_loop.then_some(&speed_loop),
+    };
+    report.document()
+}
+
+/// What the live estimators said, as the run's folder keeps it; nothing where there is no such word.
+fn kept_estimates(loaded: &LoadedRun) -> Vec<ParameterEstimate> {
+    let folder = loaded.folder.as_ref().map(RunFolder::existing);
+    let text = folder.and_then(|f| read_text(&f.file(RunFile::Result)).ok());
+    let result = text.and_then(|text| serde_json::from_str::<Value>(&text).ok());
+    let result = result.unwrap_or_default();
+    let kept = result["online"]["parameters"].as_object();
+    let estimate = |(key, value): (&String, &Value)| {
+        let verdicts = [
+            Verdict::Settled,
+            Verdict::Searching,
+            Verdict::NotObservable,
+            Verdict::Invalid,
+            Verdict::Fixed,
+        ];
+        let is_it =
+            |verdict: &Verdict| serde_json::to_value(verdict).ok().as_ref() == value.get("verdict");
+        Some(ParameterEstimate {
+            key: key.clone(),
+            value: value["value"].as_f64(),
+            std: value["std"].as_f64(),
+            unit: MotorKey::from_key(key)?.unit(),
+            verdict: verdicts.into_iter().find(is_it)?,
+            reason: value["reason"].as_str().map(str::to_owned),
+        })
+    };
+    kept.into_iter().flatten().filter_map(estimate).collect()
+}

@@ -1,0 +1,427 @@
+//! `run`: excite the motor, record the run and identify on line. The order of work: check, find the motor where it is unknown,
+//! plan, record, keep what was found.
+
+use std::path::Path;
+
+use serde::Serialize;
+use serde_json::{Map, Value};
+
+use crate::commands::arguments::{LiveArguments, UnknownMotor};
+use crate::commands::{by_hand, cards, pages};
+use crate::report::{Document, tables};
+use crate::runtime::controls::Controls;
+use crate::runtime::ending::{Audience, conduct};
+use crate::runtime::failure::{Failure, LINK, NOT_IDENTIFIABLE};
+use crate::runtime::files::Recorded;
+use crate::runtime::output;
+use crate::runtime::rig::{OpenRig, Rig, RigOptions};
+use crate::workflow::{Escalate, EscalationResult, compared, scaled_sentence};
+use drivebench_bench::recording::RunFile;
+use drivebench_bench::{CheckReport, Plan, RunSummary};
+use drivebench_diagnose::{Evidence, Score};
+use drivebench_identify::escalation::Ending;
+use drivebench_identify::nameplate::Comparison;
+use drivebench_identify::noise::FloorSource;
+use drivebench_identify::start;
+use drivebench_link::offer::Purpose;
+use drivebench_model::plant::{FittedValue, Model, ModelFile, Motor, MotorKey, Scenario};
+use drivebench_model::sample::Verdict;
+
+/// Excite the motor, record the run and identify on line; live screen unless --headless
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  drivebench run                            the emulated motor, on the live screen
+  drivebench run bench.toml --port /dev/ttyUSB0 --hardware --check      everything that can be told before the shaft turns
+  drivebench run bench.toml --port /dev/ttyUSB0 --hardware --headless
+  drivebench run --escalate --port sim: --emulator small-servo-behind-zk-22fc   find the motor first")]
+pub(super) struct Arguments {
+    #[command(flatten)]
+    live: LiveArguments,
+    #[command(flatten)]
+    unknown: UnknownMotor,
+    /// Seed of the sequence's random parts, and of the emulator's noise on that day (no number of a run): as runs.fit, select
+    /// or confirm of the bench file. Without it runs.fit
+    #[arg(long, value_name = "N")]
+    run_seed: Option<u64>,
+    /// Only the checks before the first move: who is there, limits, rate, noise at rest, the drive's watchdog; and whether the
+    /// sequence would be refused. No screen, nothing moves, no run is made. The watchdog is proven with the output on at zero
+    #[arg(long)]
+    check: bool,
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    if arguments.check {
+        return check(arguments);
+    }
+    let live = &arguments.live;
+    let json = live.json;
+    let options = live.options(arguments.unknown.escalate)?;
+    let run_seed = arguments.run_seed;
+    let done = conduct(arguments.live.audience(None), move |controls| {
+        run(options, run_seed, Box::new(Rig::open), controls)
+    })?;
+    let left = done.left;
+    match &done.work {
+        RunDone::Named(escalation) => {
+            let mut document = Document::new("", "");
+            escalation.put("motor", &mut document);
+            tables::plate(&mut document, escalation.nameplate.as_ref());
+            output::document(escalation.as_ref(), json, true, &document)?;
+            left.conclude(escalation_failure(escalation))
+        }
+        RunDone::Run(whole) => {
+            let result = run_result(whole);
+            let plate = result.nameplate.as_ref();
+            let seen = by_hand::go_on(&left, whole.recorded.folder.path());
+            // However it was left: the result of the run is there all the same.
+            let written = seen.as_ref().ok().cloned().flatten();
+            let document = with_model(cards::run(whole, plate), written);
+            output::document(&result, json, live.full, &document)?;
+            // A trip or a lost drive is said before anything that became of the look at its record.
+            left.conclude(whole.recorded.failure()).and(seen.map(drop))
+        }
+    }
+}
+
+/// Without a screen, whatever stdout is: there is nothing to watch.
+fn check(arguments: &Arguments) -> Result<(), Failure> {
+    let options = RigOptions {
+        headless: true,
+        ..arguments.live.options(arguments.unknown.escalate)?
+    };
+    let run_seed = arguments.run_seed;
+    let done = conduct(Audience::Headless, move |controls| {
+        connect(options, run_seed, Box::new(Rig::open), controls)
+    })?;
+    output::result(&done.work, arguments.live.json, Connection::text)
+}
+
+/// With the command that goes on from a model that was written by hand.
+pub(super) fn with_model(mut document: Document, model: Option<String>) -> Document {
+    if let Some(model) = model {
+        let model = output::quoted_word(&model);
+        document.go_on(format!("drivebench tune --model {model}"));
+    }
+    document
+}
+
+/// An end between two runs.
+pub(super) const BETWEEN_RUNS: &str =
+    "interrupted; nothing is energised, what was recorded is kept";
+
+/// The result as JSON.
+#[derive(Serialize)]
+pub(crate) struct RunResult<'a> {
+    folder: String,
+    plan: &'a Plan,
+    #[serde(flatten)]
+    summary: &'a RunSummary,
+    /// How an unknown motor was found.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    escalation: Option<&'a EscalationResult>,
+    /// What was found against the plate, where there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) nameplate: Option<Comparison>,
+    /// The estimates with their keys.
+    parameters: Map<String, Value>,
+}
+
+/// How far it came.
+pub enum RunDone {
+    /// The motor could not be found.
+    Named(Box<EscalationResult>),
+    Run(Box<Whole>),
+}
+
+pub struct Whole {
+    plan: Plan,
+    pub recorded: Recorded,
+    pub(crate) escalation: Option<EscalationResult>,
+    /// What the bench file says about the motor.
+    pub(super) plate: Motor,
+    /// What was found against it, where it says anything.
+    nameplate: Option<Comparison>,
+}
+
+/// Makes one run over the rig that `open` gives. `run_seed`: that of the sequence's random parts; without it `runs.fit` of the
+/// bench file.
+///
+/// # Errors
+/// What stood in the way of a run; how a run that began went is in its record.
+pub fn run(
+    options: RigOptions,
+    run_seed: Option<u64>,
+    open: OpenRig,
+    controls: &Controls,
+) -> Result<RunDone, Failure> {
+    let mut rig = open(options, run_seed, Purpose::Voltages)?;
+    let headless = rig.asked.headless;
+    let report = rig.check(controls)?;
+    if headless {
+        tell_checks(&report);
+    }
+    let mut escalation = None;
+    if rig.escalates {
+        let result = escalate(&mut rig, controls, |line| {
+            if headless {
+                output::message(line);
+            }
+        })?;
+        if result.ending.is_some() {
+            return Ok(RunDone::Named(Box::new(result)));
+        }
+        escalation = Some(result);
+    }
+    let seed = run_seed.unwrap_or(rig.bench.runs.fit);
+    let plan = rig.plan(seed)?;
+    let name = rig.bench.name.clone();
+    let recorded = rig.record(&name, seed, controls)?;
+    let nameplate = rig.nameplate()?.motor();
+    let mut whole = Whole {
+        plan,
+        recorded,
+        escalation,
+        plate: rig.plate.clone(),
+        nameplate: None,
+    };
+    whole.nameplate = match &whole.escalation {
+        // The escalation's fit is the sharper one; where there was none, what was found on line.
+        Some(escalation) => escalation.nameplate.clone(),
+        None => compared(&whole.plate, &whole.recorded.summary.estimates),
+    };
+    judge_plate(&mut whole, &nameplate);
+    write_results(&mut whole, &nameplate);
+    Ok(RunDone::Run(Box::new(whole)))
+}
+
+/// A drive that has answered every check before the first move.
+#[derive(Serialize)]
+pub struct Connection {
+    link: String,
+    /// Where its profile comes from, and how far it may be believed.
+    profile: String,
+    #[serde(flatten)]
+    checks: CheckReport,
+    /// What the bench file asks for, Hz.
+    rate_hz: f64,
+    /// What the sequence would do to the motor of the bench file; `null` where that is not known.
+    plan: Option<Plan>,
+}
+
+/// Carries out every check before the first move, predicts the sequence, and leaves the drive stopped: nothing has moved.
+///
+/// # Errors
+/// The check that is not passed, or why the sequence would be refused.
+pub fn connect(
+    options: RigOptions,
+    run_seed: Option<u64>,
+    open: OpenRig,
+    controls: &Controls,
+) -> Result<Connection, Failure> {
+    let mut rig = open(options, run_seed, Purpose::Voltages)?;
+    let checks = rig.check_at_rest(controls)?;
+    let seed = run_seed.unwrap_or(rig.bench.runs.fit);
+    let is_known = rig.bench.nameplate().is_some();
+    let plan = is_known.then(|| rig.plan(seed)).transpose()?;
+    Ok(Connection {
+        link: rig.way.link.name().to_string(),
+        profile: rig.profile.provenance(),
+        rate_hz: rig.bench.link.rate_hz,
+        checks,
+        plan,
+    })
+}
+
+impl Connection {
+    /// For a person: each check, and what a run would do.
+    pub fn text(&self) -> String {
+        let line = |name: &str, text: &str| format!("{name:<18} {text}");
+        let mut lines = vec![line("link", &self.link), line("profile", &self.profile)];
+        lines.extend(
+            self.checks
+                .items
+                .iter()
+                .map(|item| line(item.name, &item.text)),
+        );
+        let plan = self.plan.as_ref().map_or_else(
+            || {
+                "the motor is not known: `drivebench run` finds it from small steps first"
+                    .to_owned()
+            },
+            |plan| {
+                format!(
+                    "`drivebench run` would take {:.1} s and is within every limit",
+                    plan.duration_s
+                )
+            },
+        );
+        lines.push(line("sequence", &plan));
+        lines.push("ready: the drive is stopped, and nothing has moved".to_owned());
+        lines.join("\n")
+    }
+}
+
+/// Takes back that the plate does not fit where the model that says so misses something on this run: what it misses is in
+/// its values, and a brush drop looks like another motor. With what is missing named, the plate is judged anew. A model
+/// that cannot be held against its run judges nothing either.
+fn judge_plate(whole: &mut Whole, nameplate: &Motor) {
+    let Some(comparison) = whole.nameplate.as_mut().filter(|found| !found.fits) else {
+        return;
+    };
+    let left = || -> Result<Option<f64>, Failure> {
+        let loaded = whole.recorded.load()?;
+        let run = Scenario::from_run(&loaded.run)?;
+        let start = Model::baseline(nameplate.clone());
+        let start = start::complete(&start, &run)?;
+        let (evidence, fit) = Evidence::new(run, None, None).with_baseline(&start)?;
+        // A model that holds where the excitation is slow may not hold where it is fast.
+        let parts = [&evidence.training, &evidence.holdout];
+        let errors =
+            parts.map(|part| Score::of(&fit.model, part, &evidence.noise).map(|score| score.nrms));
+        let [fitted, held_out] = errors;
+        let error = fitted?.max(held_out?);
+        let is_explained = evidence.noise.is_at_the_floor(error);
+        Ok((evidence.noise.source != FloorSource::None && !is_explained).then_some(error))
+    };
+    match left() {
+        Ok(Some(times)) => comparison.doubt(format!(
+            "not judged: the five-parameter model leaves {times:.1} times the noise, and what it misses may be in these values; \
+             drivebench diagnose names it"
+        )),
+        Ok(None) => {}
+        Err(error) => comparison.doubt(format!(
+            "not judged: the five-parameter model cannot be held against this run ({})",
+            error.headline()
+        )),
+    }
+}
+
+/// Model and result beside the samples: whatever was measured is kept, also after a trip.
+fn write_results(whole: &mut Whole, nameplate: &Motor) {
+    let recorded = &mut whole.recorded;
+    let model = online_model(&recorded.summary, nameplate, recorded.folder.path());
+    recorded.write(RunFile::Model, &model.to_toml());
+    let result = serde_json::to_value(run_result(whole)).unwrap_or_default();
+    whole.recorded.write_result(&result);
+    pages::write_run(&mut whole.recorded, Some(&whole.plan), nameplate, None);
+}
+
+/// Each check and what came of it, for who reads along.
+pub(super) fn tell_checks(report: &CheckReport) {
+    for item in &report.items {
+        output::message(&format!("{:<18} {}", item.name, item.text));
+    }
+}
+
+/// The baseline with what the on-line estimators settled on; the nameplate's value where they did not.
+fn online_model(summary: &RunSummary, nameplate: &Motor, folder: &Path) -> ModelFile {
+    let mut file = ModelFile {
+        model: Model::baseline(nameplate.clone()),
+        ..ModelFile::default()
+    };
+    file.history.fitted_on = vec![folder.display().to_string()];
+    for estimate in &summary.estimates {
+        let settled = estimate
+            .value
+            .filter(|_| estimate.verdict == Verdict::Settled);
+        if let (Some(key), Some(value)) = (MotorKey::from_key(&estimate.key), settled) {
+            file.model.motor.set(key, value);
+            let key = estimate.key.clone();
+            let fitted = estimate.std.map(|std| FittedValue { key, std });
+            file.history.fitted.extend(fitted);
+        }
+    }
+    file
+}
+
+/// What a run has to say, for its folder and for whoever asked for it.
+pub(crate) fn run_result(whole: &Whole) -> RunResult<'_> {
+    let recorded = &whole.recorded;
+    let estimates = recorded.summary.estimates.iter();
+    RunResult {
+        folder: recorded.folder.path().display().to_string(),
+        plan: &whole.plan,
+        summary: &recorded.summary,
+        escalation: whole.escalation.as_ref(),
+        nameplate: whole.nameplate.clone(),
+        parameters: estimates
+            .map(|e| (e.key.clone(), serde_json::to_value(e).unwrap_or_default()))
+            .collect(),
+    }
+}
+
+/// Runs the stages until the motor is found or the reason why not is named. With a motor the rig goes on with its values
+/// as nameplate. `tell` gets a line for each stage.
+pub(crate) fn escalate(
+    rig: &mut Rig,
+    controls: &Controls,
+    mut tell: impl FnMut(&str),
+) -> Result<EscalationResult, Failure> {
+    let mut workflow = Escalate::new(&rig.bench);
+    let mut number = 0;
+    while let Some(stage) = workflow.stage().cloned() {
+        if controls.is_stopped() {
+            return Err(Failure::interrupted(BETWEEN_RUNS));
+        }
+        number += 1;
+        tell(&format!(
+            "{} {number}: up to {:.3} V ({})",
+            stage.kind.name(),
+            stage.peak_v,
+            stage.reason
+        ));
+        let name = format!("{}-escalation-{number:02}", rig.bench.name);
+        let mut recorded = rig.record_stage(&name, &stage, number > 1, controls)?;
+        if let Some(failure) = recorded.run_failure() {
+            return Err(failure);
+        }
+        let folder = recorded.folder.path().display().to_string();
+        let record = workflow.ran(&recorded.load()?.run, Some(folder))?;
+        recorded.write_result(&record);
+        tell(&record.stage.line);
+    }
+    let mut result = workflow.result();
+    if let Some(found) = result.found(&rig.bench) {
+        tell(&result.sentence);
+        let claimed = !rig.bench.motor.is_unknown();
+        if let Some(refusal) = result.scale(&rig.bench, rig.drive_current_limit_a())? {
+            let headline = format!("plan refused for the motor that was found: {refusal}");
+            return Err(Failure::usage(headline, refusal.help()));
+        }
+        let nothing = || Failure::internal("a motor was found and nothing planned");
+        let scaled = result.scaled.as_ref().ok_or_else(nothing)?;
+        let nameplate = result.nameplate.as_ref();
+        let fits = nameplate.is_none_or(|comparison| comparison.fits);
+        if let Some(refusal) = scaled.refusal.as_ref().filter(|_| claimed && !fits) {
+            // The plate is believed by whoever wrote the sequence: run as written it would be too much.
+            if let Some(comparison) = nameplate {
+                tell(&comparison.verdict());
+                comparison.rows.iter().for_each(|row| tell(&row.sentence));
+                comparison
+                    .causes
+                    .iter()
+                    .for_each(|cause| tell(&format!("likely: {cause}")));
+            }
+            return Err(Failure::usage(
+                format!(
+                    "the nameplate does not fit, and with the motor that was found the sequence is refused: {refusal}"
+                ),
+                "correct [motor], or set motor.unknown = true to have the sequence made smaller",
+            ));
+        }
+        tell(&scaled_sentence(scaled));
+        rig.bench = scaled.bench.clone();
+        rig.bench.motor = (&found).into();
+    }
+    Ok(result)
+}
+
+/// The failure for what stands in the way of a motor: it is the device.
+pub fn escalation_failure(result: &EscalationResult) -> Option<Failure> {
+    let ending = result.ending.as_ref()?;
+    let status = match ending {
+        Ending::NotIdentified { .. } => NOT_IDENTIFIABLE,
+        _ => LINK,
+    };
+    Some(Failure::with_help(status, ending.sentence(), ending.help()))
+}

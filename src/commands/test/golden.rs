@@ -1,0 +1,153 @@
+//! A suite from recorded runs: the folders read, the bench and the software drive that they were made with written beside it.
+
+use std::path::{Path, PathBuf};
+
+use crate::runtime::failure::Failure;
+use crate::runtime::files::read_text;
+use crate::runtime::output;
+use crate::workflow::suite::golden::{Golden, GoldenRun, Place, golden};
+use drivebench_bench::recording::{Manifest, resolved};
+
+/// What was written.
+pub(crate) struct Written {
+    pub(crate) golden: Golden,
+    /// Suite, bench, and the software drive where there was one.
+    pub(crate) files: Vec<PathBuf>,
+}
+
+/// Writes the suite `out` from run folders.
+pub(crate) fn write(folders: &[PathBuf], out: &Path) -> Result<Written, Failure> {
+    let mut runs: Vec<GoldenRun> = Vec::new();
+    let mut origin: Option<(Manifest, PathBuf)> = None;
+    let mut commissionings: Vec<String> = Vec::new();
+    for folder in folders {
+        let (manifest, run) = read(folder)?;
+        // Every run of a commissioning holds its result: it counts once.
+        if let Some(first) = run
+            .result
+            .pointer("/runs/0/folder")
+            .and_then(serde_json::Value::as_str)
+        {
+            if commissionings.iter().any(|own| own == first) {
+                continue;
+            }
+            commissionings.push(first.to_owned());
+        }
+        if let Some((other, of)) = &origin {
+            same_machine(other, of, &manifest, folder)?;
+        } else {
+            origin = Some((manifest, folder.clone()));
+        }
+        runs.push(run);
+    }
+    let Some((manifest, _)) = origin else {
+        return Err(Failure::usage("--suite names no run", "give run folders"));
+    };
+    let [bench, emulator] = ["bench", "emulator"].map(|kind| beside(out, kind));
+    let config = |key: &str| manifest.configs.get(key);
+    let is_emulated = manifest.identity["is_emulator"] == true && config("emulator").is_some();
+    let name = |path: &Path| {
+        path.file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned()
+    };
+    let serial = manifest.identity["serial_number"].as_str();
+    let place = Place {
+        bench: name(&bench),
+        emulator: is_emulated.then(|| name(&emulator)),
+        port: match (manifest.link.as_str(), is_emulated) {
+            ("sim:", _) => "sim:".to_owned(),
+            (_, true) => "emulator".to_owned(),
+            (link, false) => link.to_owned(),
+        },
+        // Its serial number is the seed that drew it.
+        seed: serial
+            .filter(|_| is_emulated)
+            .and_then(|text| text.parse().ok()),
+    };
+    let stem = out.file_stem().unwrap_or_default().to_string_lossy();
+    let made = golden(&stem, &runs, &place).map_err(|(what, help)| Failure::usage(what, help))?;
+    let mut files = vec![(out.to_owned(), made.text.clone())];
+    files.push((bench, config("bench").cloned().unwrap_or_default()));
+    if is_emulated {
+        files.push((emulator, config("emulator").cloned().unwrap_or_default()));
+    }
+    for (path, _) in &files {
+        output::refuse_existing(path, "--out")?;
+    }
+    for (path, text) in &files {
+        output::file(path, text)?;
+    }
+    Ok(Written {
+        golden: made,
+        files: files.into_iter().map(|(path, _)| path).collect(),
+    })
+}
+
+/// `suite.toml` and `bench`: `suite-bench.toml`.
+fn beside(out: &Path, kind: &str) -> PathBuf {
+    let stem = out.file_stem().unwrap_or_default().to_string_lossy();
+    out.with_file_name(format!("{stem}-{kind}.toml"))
+}
+
+fn read(folder: &Path) -> Result<(Manifest, GoldenRun), Failure> {
+    let folder = resolved(folder);
+    let parsed = |name: &str| -> Result<serde_json::Value, Failure> {
+        let path = folder.join(name);
+        serde_json::from_str(&read_text(&path)?).map_err(|error| {
+            Failure::usage(
+                format!("{}: {error}", path.display()),
+                "give the folder of a run that ended",
+            )
+        })
+    };
+    let wrong = |error: serde_json::Error| {
+        Failure::usage(
+            format!("{}: {error}", folder.display()),
+            "give the folder of a run",
+        )
+    };
+    let manifest: Manifest = serde_json::from_value(parsed("manifest.json")?).map_err(wrong)?;
+    // A run that was cut short has none, and is refused for that.
+    let result = if manifest.finished {
+        parsed("result.json")?
+    } else {
+        serde_json::Value::Null
+    };
+    let run = GoldenRun {
+        name: folder.display().to_string(),
+        is_whole: manifest.finished,
+        outcome: manifest.outcome.clone(),
+        seed: manifest.seed,
+        result,
+    };
+    Ok((manifest, run))
+}
+
+/// Runs of different benches, or of different drives, are no machine to hold to.
+fn same_machine(one: &Manifest, of: &Path, other: &Manifest, folder: &Path) -> Result<(), Failure> {
+    let differs = ["bench", "drive", "emulator"]
+        .into_iter()
+        .find(|key| one.configs.get(*key) != other.configs.get(*key));
+    let what = differs.or_else(|| {
+        let serial = |manifest: &Manifest| manifest.identity["serial_number"].clone();
+        // The seed of a software drive without a tolerance draws its noise, and the machine is the same.
+        let text = one.configs.get("emulator").map_or("", String::as_str);
+        let drawn = toml::from_str::<toml::Table>(text)
+            .ok()
+            .and_then(|table| table.get("tolerance")?.as_float());
+        (serial(one) != serial(other) && drawn != Some(0.0)).then_some("drive's serial number")
+    });
+    what.map_or(Ok(()), |what| {
+        let headline = format!(
+            "{} and {} differ in their {what}",
+            of.display(),
+            folder.display()
+        );
+        Err(Failure::usage(
+            headline,
+            "a suite holds one machine on one bench to what it was; give its runs alone",
+        ))
+    })
+}

@@ -1,0 +1,566 @@
+//! `test`: a suite of bench tests, with a verdict for people and for machines.
+//!
+//! Suites of bench tests, carried out: which cases, on which bench, how many at once, and what is left of them.
+//!
+//! ```text
+//! SUITE.toml -> Suite -> cases x repeats -> [ case.rs: a process for each step ] -> SuiteOutcome -> lines, JUnit, metrics, JSON
+//!                                                own_drive.rs: a software drive in a process of its own
+//! ```
+//!
+//! In virtual time as many cases run at once as the machine has cores; over a line they run one after the other, but for cases
+//! with a drive of their own, which mostly wait. `baseline`: earlier runs and results, and what has drifted since.
+
+pub(crate) mod baseline;
+mod case;
+pub(crate) mod golden;
+mod own_drive;
+mod process;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+use std::sync::{Mutex, PoisonError};
+
+use baseline::Baseline;
+use case::Bench;
+use clap::CommandFactory as _;
+use process::Watch;
+
+use crate::commands::arguments::shard;
+use crate::runtime::failure::{Failure, INTERRUPTED};
+use crate::runtime::files::read_text;
+use crate::runtime::{opening, output, signals};
+use crate::workflow::suite::{
+    Action, Case, CaseOutcome, Need, Suite, SuiteOutcome, Verb, Verdict, junit, open_metrics,
+};
+use drivebench_bench::Port;
+use drivebench_bench::recording::utc_stamp;
+
+/// Run a suite of bench tests, on the software drive or a real one: cases of steps, limits, a verdict for each
+#[derive(clap::Args)]
+#[expect(
+    clippy::struct_excessive_bools,
+    clippy::doc_markdown,
+    reason = "switches of a command line; the help in a terminal shows backticks as they are"
+)]
+#[command(after_help = "Examples:
+  drivebench test bench-configs/suites/acceptance.toml                        the software drive, in virtual time
+  drivebench test suite.toml --junit junit.xml --json > result.json           for a CI job
+  drivebench test suite.toml --filter smoke --port /dev/ttyUSB0 --hardware    the same cases on the bench
+  drivebench test suite.toml --baseline suites/MARCH/result.json              what has drifted since then
+  drivebench test suite.toml --shard 2/4                                      the second quarter, on one of four machines
+
+Each step is a command of this program, with the options that its --help has. The motor is stopped by the guard of that
+command, also where a step fails or runs out of its time, and else by the drive's watchdog: no step has to do it.
+Exit status: 0 all passed or skipped; 1 a limit was not kept; else that of the steps that ended their cases.")]
+pub(super) struct Arguments {
+    /// The suite
+    suite: PathBuf,
+    /// Instead of the ports that the suite names: a serial port, tcp:HOST:PORT, sim: or emulator
+    #[arg(long, value_name = "PORT")]
+    port: Option<String>,
+    /// The drive is real, its shaft is free and may turn; without it a person at the terminal is asked
+    #[arg(long)]
+    hardware: bool,
+    /// Where the folder of this suite is made, with the evidence of each case that did not pass
+    #[arg(long, value_name = "DIR", default_value = "suites")]
+    out: PathBuf,
+    /// Cases with this word in their name, or as a tag; may be given more than once
+    #[arg(long, value_name = "WORD")]
+    filter: Vec<String>,
+    /// Part I of N of the cases
+    #[arg(long, value_name = "I/N", value_parser = shard)]
+    shard: Option<(u64, u64)>,
+    /// Keep the folders of the cases that passed too
+    #[arg(long)]
+    keep: bool,
+    /// Write JUnit XML
+    #[arg(long, value_name = "FILE")]
+    junit: Option<PathBuf>,
+    /// Write the figures as OpenMetrics text
+    #[arg(long, value_name = "FILE")]
+    metrics: Option<PathBuf>,
+    /// Compare what the steps that identify find with an earlier run of the same machine, or with result.json of an earlier
+    /// suite, and name what has drifted; may be given again
+    #[arg(long, value_name = "RUN")]
+    baseline: Vec<PathBuf>,
+    /// Compare also where the baseline is of another machine, or does not say of which
+    #[arg(long, requires = "baseline")]
+    any_machine: bool,
+    /// List the cases and do nothing
+    #[arg(long)]
+    list: bool,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
+    let suite = read(&arguments.suite, options_of)?;
+    if arguments.list {
+        return list(&suite, &arguments);
+    }
+    let request = SuiteRequest {
+        file: arguments.suite,
+        port: arguments.port,
+        hardware: arguments.hardware,
+        out: arguments.out,
+        filter: arguments.filter,
+        shard: arguments.shard,
+        keep: arguments.keep,
+        junit: arguments.junit,
+        metrics: arguments.metrics,
+        baseline: arguments.baseline,
+        any_machine: arguments.any_machine,
+    };
+    let outcome = carry_out(&suite, &request)?;
+    output::result(&outcome, arguments.json, text)?;
+    match outcome.exit_status() {
+        0 => Ok(()),
+        status => {
+            let headline = format!(
+                "{} of {} cases did not pass",
+                outcome.failed + outcome.errors,
+                outcome.cases.len()
+            );
+            let help = "each names its folder, with what every step said";
+            Err(Failure::with_help(status, headline, help))
+        }
+    }
+}
+
+fn list(suite: &Suite, arguments: &Arguments) -> Result<(), Failure> {
+    let cases = selected(suite, &arguments.filter)?;
+    let rows: Vec<serde_json::Value> = cases
+        .iter()
+        .map(|case| serde_json::json!({ "name": case.name, "tags": case.tags, "repeat": case.repeat, "steps": case.steps.len() }))
+        .collect();
+    output::result(&rows, arguments.json, |_| {
+        let line = |case: &&crate::workflow::suite::Case| {
+            let times = if case.repeat > 1 {
+                format!(" x{}", case.repeat)
+            } else {
+                String::new()
+            };
+            format!("{}{times}  [{}]", case.name, case.tags.join(", "))
+        };
+        cases.iter().map(line).collect::<Vec<_>>().join("\n")
+    })
+}
+
+/// Cases that did not pass of which the verdict says why.
+const MOST_LINES: usize = 20;
+
+/// The verdict in a few lines: the cases themselves stood on stderr as they ended.
+fn text(outcome: &SuiteOutcome) -> String {
+    let mut lines = vec![format!(
+        "{}: {} passed, {} failed, {} errors, {} skipped in {:.1} s",
+        outcome.suite,
+        outcome.passed,
+        outcome.failed,
+        outcome.errors,
+        outcome.skipped,
+        outcome.took_s
+    )];
+    if !outcome.confusion.is_empty() {
+        lines.push("hidden, and what was named for it in how many answers:".to_owned());
+    }
+    let width = outcome.confusion.rows.iter().map(String::len).max();
+    for (hidden, named) in outcome.confusion.named() {
+        let named = named.iter().map(|(name, count)| format!("{name} {count}"));
+        let named = named.collect::<Vec<_>>().join(", ");
+        lines.push(format!("  {hidden:<0$}  {named}", width.unwrap_or(0)));
+    }
+    let wrong = outcome.cases.iter().filter_map(|case| match &case.verdict {
+        Verdict::Failed(reason) | Verdict::Error(reason) => {
+            Some(format!("{}: {reason}", case.name))
+        }
+        Verdict::Passed | Verdict::Skipped(_) => None,
+    });
+    let wrong: Vec<String> = wrong.collect();
+    lines.extend(
+        wrong
+            .iter()
+            .take(MOST_LINES)
+            .flat_map(|line| output::fitted(line)),
+    );
+    if wrong.len() > MOST_LINES {
+        lines.push(format!("and {} more", wrong.len() - MOST_LINES));
+    }
+    lines.extend(
+        baseline::lines(outcome)
+            .iter()
+            .flat_map(|line| output::fitted(line)),
+    );
+    lines.join("\n")
+}
+
+/// Long names of the options of the command that a verb is.
+fn options_of(verb: Verb) -> Vec<String> {
+    let program = super::Arguments::command();
+    let command = program.find_subcommand(verb.command());
+    let options = command.into_iter().flat_map(clap::Command::get_arguments);
+    options
+        .filter_map(|option| option.get_long().map(str::to_owned))
+        .collect()
+}
+
+/// Cases with a software drive of their own that run at once: they mostly wait, and their cycles stay punctual.
+const OWN_DRIVES_AT_ONCE: usize = 3;
+
+/// What is asked of a suite.
+pub(crate) struct SuiteRequest {
+    pub(crate) file: PathBuf,
+    /// Instead of the ports in the file.
+    pub(crate) port: Option<String>,
+    pub(crate) hardware: bool,
+    pub(crate) out: PathBuf,
+    /// Words, of which a case has one in its name or as a tag.
+    pub(crate) filter: Vec<String>,
+    /// Part `0` of `1`, counted from 1.
+    pub(crate) shard: Option<(u64, u64)>,
+    pub(crate) keep: bool,
+    pub(crate) junit: Option<PathBuf>,
+    pub(crate) metrics: Option<PathBuf>,
+    /// Earlier runs or results that the steps are compared with.
+    pub(crate) baseline: Vec<PathBuf>,
+    pub(crate) any_machine: bool,
+}
+
+/// One case with one of its seeds.
+struct Job<'a> {
+    case: &'a Case,
+    seed: u64,
+    port: String,
+}
+
+/// Reads a suite; unknown options are refused by what `options_of` says of a command.
+pub(crate) fn read(
+    file: &Path,
+    options_of: impl Fn(Verb) -> Vec<String>,
+) -> Result<Suite, Failure> {
+    let text = read_text(file)?;
+    Ok(Suite::parse(
+        &file.display().to_string(),
+        &text,
+        options_of,
+    )?)
+}
+
+/// The cases that are asked for, each as often as it repeats.
+fn jobs<'a>(suite: &'a Suite, request: &SuiteRequest) -> Result<Vec<Job<'a>>, Failure> {
+    let mut jobs = Vec::new();
+    for case in selected(suite, &request.filter)? {
+        let port = request.port.clone().or_else(|| case.port.clone());
+        let port = port.unwrap_or_else(|| "sim:".to_owned());
+        if Port::parse(&port).is_none() {
+            let headline = format!("case {:?}: {port:?} is not a port", case.name);
+            return Err(Failure::usage(
+                headline,
+                "a serial port, tcp:HOST:PORT, sim:, sim:rtu or emulator",
+            ));
+        }
+        for repeat in 0..case.repeat {
+            jobs.push(Job {
+                case,
+                seed: case.seed.wrapping_add(repeat),
+                port: port.clone(),
+            });
+        }
+    }
+    if let Some((part, of)) = request.shard {
+        let mut number = 0;
+        jobs.retain(|_| {
+            number += 1;
+            (number - 1) % of == part - 1
+        });
+    }
+    Ok(jobs)
+}
+
+/// Cases with one of the words in their name or as a tag; all where there is none.
+pub(crate) fn selected<'a>(suite: &'a Suite, filter: &[String]) -> Result<Vec<&'a Case>, Failure> {
+    let has = |case: &Case, word: &String| {
+        case.tags.contains(word) || case.name.to_lowercase().contains(&word.to_lowercase())
+    };
+    let is_asked = |case: &&Case| filter.is_empty() || filter.iter().any(|word| has(case, word));
+    let cases: Vec<&Case> = suite.cases.iter().filter(is_asked).collect();
+    if cases.is_empty() {
+        let headline = format!(
+            "no case of {:?} has {} in its name or its tags",
+            suite.name,
+            filter.join(" or ")
+        );
+        return Err(Failure::usage(
+            headline,
+            "drivebench test SUITE.toml --list shows all",
+        ));
+    }
+    Ok(cases)
+}
+
+/// Carries a suite out.
+///
+/// # Errors
+/// What stood in the way of beginning; how the cases went is in the outcome.
+pub(crate) fn carry_out(suite: &Suite, request: &SuiteRequest) -> Result<SuiteOutcome, Failure> {
+    let jobs = jobs(suite, request)?;
+    for (path, option) in [(&request.junit, "--junit"), (&request.metrics, "--metrics")] {
+        if let Some(path) = path {
+            output::refuse_existing(path, option)?;
+        }
+    }
+    let is_real = |job: &Job<'_>| !Port::parse(&job.port).is_some_and(|port| port.is_emulated());
+    let real: Vec<&Job<'_>> = jobs.iter().filter(|job| is_real(job)).collect();
+    let mut risks: Vec<String> = real.iter().filter_map(|job| risk(job.case)).collect();
+    risks.dedup();
+    // Part of the question, and said as well where nobody is asked.
+    for line in risks {
+        output::message(&line);
+    }
+    if !request.hardware && !real.is_empty() {
+        consent(real.len())?;
+    }
+    let baseline = Baseline::read(&request.baseline, request.any_machine)?;
+    let program = std::env::current_exe()
+        .map_err(|error| Failure::internal(format!("cannot find this program itself: {error}")))?;
+    let stop = signals::flag()?;
+    let began = opening::now();
+    let watch = Watch::start();
+    let folder = first_free(&request.out, &utc_stamp(began), &suite.name)?;
+    let home = request.file.parent().unwrap_or(Path::new(""));
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let total = jobs.len();
+    let mut outcomes: Vec<Option<CaseOutcome>> = vec![None; total];
+    let (in_memory, on_a_line): (Vec<_>, Vec<_>) = jobs
+        .iter()
+        .enumerate()
+        .partition(|(_, job)| Port::parse(&job.port).is_some_and(|port| port.is_virtual()));
+    let (by_themselves, on_a_line): (Vec<_>, Vec<_>) = on_a_line
+        .into_iter()
+        .partition(|(_, job)| job.case.has_own_drive());
+    // Real time first and alone: what is done beside it would make its cycles late.
+    for (part, at_once) in [
+        (by_themselves, OWN_DRIVES_AT_ONCE),
+        (on_a_line, 1),
+        (in_memory, cores),
+    ] {
+        let done = Mutex::new(&mut outcomes);
+        each(part, at_once, |(index, job)| {
+            let bench = Bench {
+                program: &program,
+                home,
+                port: job.port.clone(),
+                hardware: is_real(job),
+                threads: (cores / at_once).max(1),
+                stop: &stop,
+                baseline: baseline.as_ref(),
+            };
+            let outcome = one(&bench, job, &folder.join(format!("{:04}", index + 1)));
+            output::message(&line(&outcome, job.case.repeat));
+            if outcome.verdict == Verdict::Passed && !request.keep {
+                // What cannot be removed stays; it is in nobody's way.
+                let _ = fs::remove_dir_all(folder.join(format!("{:04}", index + 1)));
+            }
+            lock(&done)[index] = Some(outcome);
+        });
+    }
+    let mut cases: Vec<CaseOutcome> = outcomes.into_iter().flatten().collect();
+    if !request.keep {
+        for case in cases
+            .iter_mut()
+            .filter(|case| case.verdict == Verdict::Passed)
+        {
+            case.evidence = None;
+        }
+    }
+    let outcome = SuiteOutcome::of(
+        &suite.name,
+        began.to_string(),
+        machine(),
+        watch.took_s(),
+        cases,
+    );
+    write_results(&outcome, request, &folder)?;
+    if stop.load(Ordering::Acquire) {
+        let headline = format!("interrupted after {} of {total} cases", outcome.cases.len());
+        return Err(Failure::new(INTERRUPTED, headline));
+    }
+    Ok(outcome)
+}
+
+fn one(bench: &Bench<'_>, job: &Job<'_>, folder: &Path) -> CaseOutcome {
+    if bench.stop.load(Ordering::Acquire) {
+        return CaseOutcome::skipped(job.case, job.seed, "interrupted");
+    }
+    if let Some(reason) = unfit(job, bench) {
+        return CaseOutcome::skipped(job.case, job.seed, reason);
+    }
+    case::carry_out(bench, job.case, job.seed, folder)
+}
+
+/// Why a case cannot be done on this bench.
+fn unfit(job: &Job<'_>, bench: &Bench<'_>) -> Option<String> {
+    let case = job.case;
+    let has_fault = case
+        .steps
+        .iter()
+        .any(|step| matches!(step.action, Action::Fault(_)));
+    let wants_emulator = case.needs.contains(&Need::Emulator)
+        || case.emulator.is_some()
+        || has_fault
+        || case.has_own_drive();
+    if bench.hardware && wants_emulator {
+        return Some("it sets up the software drive, and this one is real".to_owned());
+    }
+    if bench.baseline.is_none() && case.needs.contains(&Need::Baseline) {
+        return Some("it compares with an earlier run, and there is no --baseline".to_owned());
+    }
+    let is_in_memory = Port::parse(&job.port).is_some_and(|port| port.is_virtual());
+    let wants_line = case.needs.contains(&Need::Line) || case.has_own_drive();
+    (is_in_memory && wants_line)
+        .then(|| "it needs a line in real time, and sim: is a drive in memory".to_owned())
+}
+
+/// What a case does without, or undoes, that keeps a real motor safe.
+fn risk(case: &Case) -> Option<String> {
+    let mut names: Vec<&str> = Vec::new();
+    for step in &case.steps {
+        let Action::Command { options, .. } = &step.action else {
+            continue;
+        };
+        for (key, value) in options {
+            let is_risk = key.starts_with("waive") || key.replace('-', "_") == "reset_fault";
+            if is_risk && *value == toml::Value::Boolean(true) && !names.contains(&key.as_str()) {
+                names.push(key);
+            }
+        }
+    }
+    let names = names.join(", ");
+    (!names.is_empty()).then(|| {
+        format!(
+            "case {:?} sets {names}: checks that keep a real motor safe are gone without, or a fault is reset",
+            case.name
+        )
+    })
+}
+
+/// A person says that the shaft may turn.
+fn consent(cases: usize) -> Result<(), Failure> {
+    let question = format!(
+        "{cases} cases move a real motor, one after the other and unasked. Is the shaft free and nobody near it? Type yes: "
+    );
+    if output::ask(&question).is_some_and(|answer| answer.trim() == "yes") {
+        return Ok(());
+    }
+    let headline = "the port is no software drive, and nobody has said that its motor may turn";
+    Err(Failure::link(
+        headline,
+        "clear the shaft, then give --hardware; --port sim: runs the suite without a drive",
+    ))
+}
+
+/// A folder for this suite that holds nothing yet.
+fn first_free(root: &Path, stamp: &str, name: &str) -> Result<PathBuf, Failure> {
+    let folder = drivebench_bench::recording::RunFolder::create(root, stamp, name)?;
+    Ok(folder.path().to_owned())
+}
+
+fn write_results(
+    outcome: &SuiteOutcome,
+    request: &SuiteRequest,
+    folder: &Path,
+) -> Result<(), Failure> {
+    let json = serde_json::to_string_pretty(outcome)
+        .map_err(|error| Failure::internal(format!("the result has no JSON form: {error}")))?;
+    let mut files = vec![(folder.join("result.json"), json)];
+    if !outcome.confusion.is_empty() {
+        files.push((folder.join("confusion.csv"), outcome.confusion.csv()));
+    }
+    if let Some(path) = &request.junit {
+        files.push((path.clone(), junit::document(outcome)));
+    }
+    if let Some(path) = &request.metrics {
+        files.push((path.clone(), open_metrics::text(outcome)));
+    }
+    for (path, text) in files {
+        output::file(&path, &text)?;
+    }
+    Ok(())
+}
+
+/// One line for a case, and beneath it why it did not pass.
+fn line(outcome: &CaseOutcome, repeats: u64) -> String {
+    let seed = if repeats > 1 {
+        format!(", seed {}", outcome.seed)
+    } else {
+        String::new()
+    };
+    let (word, reason) = match &outcome.verdict {
+        Verdict::Passed => ("PASSED", None),
+        Verdict::Failed(reason) => ("FAILED", Some(reason)),
+        Verdict::Error(reason) => ("ERROR", Some(reason)),
+        Verdict::Skipped(reason) => ("skipped", Some(reason)),
+    };
+    let mut line = format!("{word:<8}{:>7.1} s  {}{seed}", outcome.took_s, outcome.name);
+    let evidence = outcome.evidence.as_ref().filter(|_| reason.is_some());
+    for text in reason.into_iter().chain(evidence) {
+        line.push_str("\n                   ");
+        line.push_str(text);
+    }
+    line
+}
+
+/// What the suite ran on.
+fn machine() -> String {
+    format!("{} {}", std::env::consts::OS, std::env::consts::ARCH)
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Works on each in their order, on so many at once.
+fn each<T: Send>(
+    all: impl IntoIterator<Item = T, IntoIter: Send>,
+    at_once: usize,
+    work: impl Fn(T) + Sync,
+) {
+    let all = Mutex::new(all.into_iter());
+    // Its lock ends here: in the head of a loop it would be held while that one is worked on.
+    let next = || lock(&all).next();
+    std::thread::scope(|scope| {
+        for _ in 0..at_once {
+            scope.spawn(|| {
+                while let Some(one) = next() {
+                    work(one);
+                }
+            });
+        }
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Condvar;
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn as_many_as_are_allowed_are_worked_on_at_once() {
+        let (begun, changed) = (Mutex::new(Vec::new()), Condvar::new());
+        each(0..2, 2, |one| {
+            lock(&begun).push(one);
+            changed.notify_all();
+            // Each waits for the other: the time is only there to fail in.
+            let waited = changed
+                .wait_timeout_while(lock(&begun), Duration::from_secs(60), |all| all.len() < 2)
+                .unwrap();
+            assert!(!waited.1.timed_out(), "one after the other");
+        });
+        each(2..9, 1, |one| lock(&begun).push(one));
+        let all = begun.into_inner().unwrap();
+        assert_eq!(all[2..], [2, 3, 4, 5, 6, 7, 8]);
+    }
+}

@@ -1,0 +1,175 @@
+//! A software drive in a process of its own: it outlives the commands of its case.
+
+use std::fs::{self, File};
+use std::io::{self, ErrorKind, Read as _};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use nix::sys::signal::Signal;
+use serde_json::Value;
+
+use super::process;
+use super::process::Watch;
+use drivebench_link::Protocol;
+
+/// Longest wait for a drive that can be opened, s.
+const READY_S: f64 = 60.0;
+/// Longest wait beyond that, s: a machine that stands still.
+const PATIENCE_S: f64 = 10.0;
+
+/// What is asked of it.
+pub(super) struct DriveOrder<'a> {
+    pub(super) program: &'a Path,
+    pub(super) folder: &'a Path,
+    /// Of its files, among several in one folder.
+    pub(super) name: String,
+    /// Embedded name or file of its motor.
+    pub(super) emulator: String,
+    pub(super) profile: String,
+    pub(super) protocol: Protocol,
+    pub(super) seed: u64,
+    /// Nobody waits for it any more.
+    pub(super) stop: &'a AtomicBool,
+}
+
+/// Dropping it ends the process, and waits for that.
+pub(super) struct OwnDrive {
+    child: Child,
+    /// Path of the terminal, or HOST:PORT.
+    address: String,
+    is_network: bool,
+}
+
+impl OwnDrive {
+    /// Starts the process; returns once the drive can be opened.
+    pub(super) fn start(order: &DriveOrder<'_>) -> io::Result<Self> {
+        let file = |ending: &str| order.folder.join(format!("{}{ending}", order.name));
+        let is_network = order.protocol == Protocol::ModbusTcp;
+        let mut command = Command::new(order.program);
+        command.args(["emulate", &order.emulator]);
+        command.args(["--profile", &order.profile]);
+        command.args(["--link", order.protocol.name()]);
+        command.args(["--seed", &order.seed.to_string(), "--json"]);
+        if is_network {
+            command.args(["--listen", "127.0.0.1:0"]);
+        } else {
+            command.arg("--pty").arg(file(".pty"));
+        }
+        command.stdin(Stdio::null()).stdout(Stdio::piped());
+        command.stderr(File::create(file(".txt"))?);
+        let mut child = process::start(command)?;
+        match ready(&mut child, order.stop, READY_S) {
+            Ok(address) => Ok(Self {
+                child,
+                address,
+                is_network,
+            }),
+            Err(error) => {
+                let _ = child.kill();
+                let _ = child.wait();
+                let said = fs::read_to_string(file(".txt")).unwrap_or_default();
+                let said = said.lines().last().unwrap_or_default();
+                let text = format!("it did not start: {error} {said}");
+                Err(io::Error::other(text.trim_end().to_owned()))
+            }
+        }
+    }
+
+    /// As `--port` takes it.
+    pub(super) fn port(&self) -> String {
+        if self.is_network {
+            format!("tcp:{}", self.address)
+        } else {
+            self.address.clone()
+        }
+    }
+
+    /// It is gone at once, and its motor with it.
+    fn kill(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+        if !self.is_network {
+            // As a cable that is pulled: the name would lead to whichever drive is given the terminal's number next.
+            let _ = fs::remove_file(&self.address);
+        }
+    }
+
+    /// It has ended.
+    pub(super) fn is_gone(&mut self) -> bool {
+        !self.child.try_wait().is_ok_and(|ended| ended.is_none())
+    }
+}
+
+impl Drop for OwnDrive {
+    fn drop(&mut self) {
+        process::signal(&self.child, Signal::SIGTERM);
+        let asked = Watch::start();
+        while asked.took_s() < PATIENCE_S {
+            if !self.child.try_wait().is_ok_and(|ended| ended.is_none()) {
+                return;
+            }
+            std::thread::sleep(process::LOOK);
+        }
+        self.kill();
+    }
+}
+
+/// The address that a drive says once it can be opened.
+fn ready(child: &mut Child, stop: &AtomicBool, limit_s: f64) -> io::Result<String> {
+    let no_line = || io::Error::other("it has not said how it is opened;");
+    let stdout = child.stdout.as_mut().ok_or_else(no_line)?;
+    process::do_not_block(&*stdout)?;
+    let (mut said, mut bytes) = (Vec::new(), [0; 1024]);
+    let watch = Watch::start();
+    while !said.contains(&b'\n') {
+        if stop.load(Ordering::Acquire) {
+            return Err(io::Error::other("interrupted"));
+        }
+        if watch.took_s() > limit_s {
+            return Err(io::Error::other(format!("not ready in {limit_s} s;")));
+        }
+        match stdout.read(&mut bytes) {
+            Ok(0) => break,
+            Ok(count) => said.extend_from_slice(&bytes[..count]),
+            Err(error) if error.kind() == ErrorKind::WouldBlock => {
+                std::thread::sleep(process::LOOK);
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    let line = said.split(|byte| *byte == b'\n').next();
+    let ready: Value = serde_json::from_slice(line.unwrap_or_default()).unwrap_or_default();
+    let address = ready.get("address").and_then(Value::as_str);
+    address.map(str::to_owned).ok_or_else(no_line)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What a process that says this, and goes on, is taken for.
+    fn opened(script: &str, stop: bool) -> Result<String, String> {
+        let mut command = Command::new("sh");
+        command.args(["-c", script]).stdout(Stdio::piped());
+        let mut child = process::start(command).unwrap();
+        let found = ready(&mut child, &AtomicBool::new(stop), 0.5);
+        child.kill().unwrap();
+        child.wait().unwrap();
+        found.map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn a_drive_that_does_not_say_how_it_is_opened_is_not_waited_for_for_ever() {
+        let said = opened("echo '{\"address\": \"x\"}'; exec sleep 60", false);
+        assert_eq!(said.as_deref(), Ok("x"));
+        let silent = |stop| opened("exec sleep 60", stop).unwrap_err();
+        assert_eq!(silent(false), "not ready in 0.5 s;");
+        assert_eq!(silent(true), "interrupted");
+        assert!(
+            opened("echo no", false)
+                .unwrap_err()
+                .contains("has not said")
+        );
+    }
+}

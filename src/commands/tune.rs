@@ -1,0 +1,282 @@
+//! `tune`: from a model and the link's timing to the gains of a speed regulator, with reasons, before the motor moves.
+//!
+//! The gains of a speed regulator, their margins over what is not known of the inertia, and the predicted step; gains from a
+//! file, which go with the model that they were tuned on.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::report::{Bars, Document, Tone};
+use crate::runtime::failure::Failure;
+use crate::runtime::files::{read_model, read_text, speed_command};
+use crate::runtime::output;
+use drivebench_control::tuning::{NotchUse, Request, Rule, Tuning, TuningError, tune_over};
+use drivebench_control::{
+    Actuator, LinearPlant, LoopShape, LoopTiming, Margins, PiGains, PlantError, Schedule,
+    StepPoint, drawn,
+};
+use drivebench_model::plant::{FileHistory, Model, ModelFile};
+
+/// Gains of a speed regulator from an identified model, with reasons, margins and the predicted step response
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  drivebench tune --model model.toml                          100 Hz, one cycle of delay
+  drivebench tune --model model.toml --delay-cycles 2 --rule symmetrical-optimum
+  drivebench tune --model model.toml --rule pole-placement --bandwidth-hz 0.5")]
+pub(super) struct Arguments {
+    /// Model file with every value of the motor (drivebench identify writes one)
+    #[arg(long)]
+    model: PathBuf,
+    /// Tuning rule
+    #[arg(long, value_enum, default_value_t = RuleName::ModulusOptimum)]
+    rule: RuleName,
+    /// Cycles of the loop per second
+    #[arg(long, value_name = "HZ", default_value_t = 100.0)]
+    rate_hz: f64,
+    /// From a sample to the instant at which its answer is applied, in cycles: what `speed` measures on the link
+    #[arg(long, value_name = "N", default_value_t = 1.0)]
+    delay_cycles: f64,
+    /// Time constant of the speed's filter in the drive, ms
+    #[arg(long, value_name = "MS", default_value_t = 0.0)]
+    filter_ms: f64,
+    /// Bandwidth of the closed loop; without it the rule's own
+    #[arg(long, value_name = "HZ")]
+    bandwidth_hz: Option<f64>,
+    /// No notch at the frequency of a coupling: for a regulator that has none; the loop is slowed down instead
+    #[arg(long)]
+    no_notch: bool,
+    /// Print all there is to say; without it what fits 100 columns and 30 lines
+    #[arg(long)]
+    full: bool,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum RuleName {
+    /// Kessler 1955: the large time constant is cancelled
+    ModulusOptimum,
+    /// Kessler 1958: for a plant that integrates
+    SymmetricalOptimum,
+    /// Natural frequency and damping of the slow poles
+    PolePlacement,
+}
+
+impl From<RuleName> for Rule {
+    fn from(name: RuleName) -> Self {
+        match name {
+            RuleName::ModulusOptimum => Self::ModulusOptimum,
+            RuleName::SymmetricalOptimum => Self::SymmetricalOptimum,
+            RuleName::PolePlacement => Self::PolePlacement,
+        }
+    }
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    let file = read_model(&arguments.model)?;
+    let timing = timing(arguments)?;
+    let request = Request {
+        rule: arguments.rule.into(),
+        bandwidth_rad_s: arguments.bandwidth_hz.map(|hz| std::f64::consts::TAU * hz),
+        notch: NotchUse::unless(arguments.no_notch),
+    };
+    let result = TuneResult::of(&file, &timing, &request)?;
+    let (json, full) = (arguments.json, arguments.full);
+    output::document(&result, json, full, &result.document(&arguments.model))
+}
+
+fn timing(arguments: &Arguments) -> Result<LoopTiming, Failure> {
+    for (what, value, least, most, unit) in [
+        ("rate-hz", arguments.rate_hz, 1.0, 20_000.0, " Hz"),
+        ("delay-cycles", arguments.delay_cycles, 0.0, 64.0, ""),
+        ("filter-ms", arguments.filter_ms, 0.0, 10_000.0, " ms"),
+    ] {
+        if !(least..=most).contains(&value) {
+            let range = format!("{least} to {most}{unit}");
+            let headline = format!("--{what} {value} is not allowed (expected {range})");
+            let help = "drivebench tune --help shows the defaults";
+            return Err(Failure::usage(headline, help));
+        }
+    }
+    let period_s = 1.0 / arguments.rate_hz;
+    Ok(LoopTiming {
+        period_s,
+        delay_s: arguments.delay_cycles * period_s,
+        filter_s: 1e-3 * arguments.filter_ms,
+    })
+}
+
+/// Lines of the predicted step response.
+const LINES: usize = 16;
+
+#[derive(Serialize)]
+pub(crate) struct TuneResult {
+    #[serde(flatten)]
+    tuning: Tuning,
+    step: Vec<StepPoint>,
+    /// Inertia over the model's between which gains can follow it on line.
+    adaptation_range: (f64, f64),
+    /// Why it ends below and above, where the rule refuses what lies beyond.
+    adaptation_ends: [Option<String>; 2],
+    #[serde(skip)]
+    history: FileHistory,
+}
+
+impl TuneResult {
+    pub(crate) fn of(
+        file: &ModelFile,
+        timing: &LoopTiming,
+        request: &Request,
+    ) -> Result<Self, Failure> {
+        let own = plant(&file.model)?;
+        let draws = drawn(&file.model, &file.history.fitted, plant);
+        let mut tuning = tune_over(&own, &draws, timing, request)?;
+        tuning.put_band(&draws);
+        let schedule = Schedule::new(&own, &draws, timing, request)?;
+        let why = |error: &Option<TuningError>| error.as_ref().map(ToString::to_string);
+        Ok(Self {
+            step: tuning.step.clone(),
+            adaptation_range: schedule.range(),
+            adaptation_ends: schedule.refused().each_ref().map(why),
+            history: file.history.clone(),
+            tuning,
+        })
+    }
+
+    pub(crate) fn document(&self, model: &Path) -> Document {
+        let Tuning {
+            rule,
+            gains,
+            margins,
+            response,
+            reasons,
+            ..
+        } = &self.tuning;
+        let (kp, tn_s) = (gains.proportional, gains.integral_time_s);
+        let mut sentence = format!("Kp = {kp:.4} V per rad/s, Tn = {tn_s:.4} s");
+        if let Some(notch) = &gains.notch {
+            let _ = write!(sentence, ", notch at {:.1} Hz", notch.frequency_hz);
+        }
+        if gains.reference_filter_s > 0.0 {
+            let _ = write!(
+                sentence,
+                ", reference filter {:.4} s",
+                gains.reference_filter_s
+            );
+        }
+        let mut document = Document::of(Tone::Good, rule.name(), sentence);
+        document.say("why", reasons.iter().map(String::as_str), 1);
+        let drawn = self.tuning.draws.as_ref().map(|draws| {
+            let (count, stable) = (draws.count, 100.0 * draws.stable_share);
+            let worst = margins_text(&draws.worst);
+            format!("worst of {count} draws of the parameters ({stable:.0} % stable): {worst}")
+        });
+        let margins = [margins_text(margins)].into_iter().chain(drawn);
+        document.say("margins", margins, 2);
+        let (low, high) = self.adaptation_range;
+        let range =
+            format!("gains can follow an inertia of {low:.2} to {high:.1} times the model's");
+        let ends = ["below", "above"].into_iter().zip(&self.adaptation_ends);
+        let ends = ends.filter_map(|(side, why)| Some(format!("{side}: {}", why.as_ref()?)));
+        document.say("range", [range].into_iter().chain(ends), 2);
+        let settling = match response.settling_s {
+            None => "does not settle".to_owned(),
+            Some(s) => format!("settles within 5 % in {s:.3} s"),
+        };
+        let overshoot = response.overshoot_percent;
+        let step = format!("overshoot {overshoot:.1} %, {settling}; linear, no limit is met");
+        document.say("step", [step], 1);
+        let shown_s = 2.0 * response.settling_s.unwrap_or(1.0).max(0.01);
+        let last = self
+            .step
+            .partition_point(|point| point.time_s <= shown_s)
+            .max(2);
+        let points = (0..LINES).map(|n| &self.step[n * (last - 1) / (LINES - 1)]);
+        let bars = points.map(|point| {
+            let (time_s, speed) = (point.time_s, point.speed);
+            let band = point
+                .low
+                .zip(point.high)
+                .map_or_else(String::new, |(low, high)| {
+                    format!("  {low:.3} to {high:.3}")
+                });
+            (
+                format!("{time_s:>8.3} s"),
+                speed,
+                format!("{speed:.3}{band}"),
+            )
+        });
+        document.bars("", Bars::new(bars.collect(), "speed over its reference"));
+        document.go_on(speed_command(&self.history, model, ""));
+        document
+    }
+}
+
+/// The plant that a regulator of the voltage sees.
+fn plant(model: &Model) -> Result<LinearPlant, PlantError> {
+    LinearPlant::of(model, Actuator::Voltage, 0.0)
+}
+
+/// What `tune --json` prints, as far as a regulator needs it.
+#[derive(Deserialize)]
+pub(crate) struct KeptGains {
+    pub(crate) gains: PiGains,
+    pub(crate) timing: LoopTiming,
+    margins: KeptMargins,
+}
+
+#[derive(Deserialize)]
+struct KeptMargins {
+    phase_margin_deg: f64,
+    crossover_rad_s: f64,
+}
+
+/// Degrees of phase margin, and share of the crossover, within which two loops are the same.
+const SAME_MARGIN: f64 = 1e-3;
+
+impl KeptGains {
+    /// Reads gains; those whose loop has other margins on this model than it had where they were tuned are refused.
+    pub(crate) fn read(path: &Path, model: &Model) -> Result<Self, Failure> {
+        let name = path.display();
+        let kept: Self = serde_json::from_str(&read_text(path)?).map_err(|error| {
+            let headline = format!("{name}: not the result of a tuning: {error}");
+            Failure::usage(
+                headline,
+                "write it with `drivebench tune --model MODEL.toml --json`",
+            )
+        })?;
+        let here = LoopShape::new(&plant(model)?, &kept.timing, &kept.gains).margins();
+        let there = &kept.margins;
+        let phase = (here.phase_margin_deg - there.phase_margin_deg).abs();
+        let crossover = (here.crossover_rad_s / there.crossover_rad_s - 1.0).abs();
+        if phase <= SAME_MARGIN && crossover <= SAME_MARGIN {
+            return Ok(kept);
+        }
+        let headline = format!(
+            "{name}: gains of another model: the loop has {:.1} degrees of phase margin at {:.1} rad/s there, {:.1} degrees at {:.1} rad/s here",
+            there.phase_margin_deg,
+            there.crossover_rad_s,
+            here.phase_margin_deg,
+            here.crossover_rad_s
+        );
+        let help = "tune this model: `drivebench tune --model MODEL.toml --json`";
+        Err(Failure::usage(headline, help))
+    }
+}
+
+fn margins_text(margins: &Margins) -> String {
+    let bandwidth_rad_s = margins.bandwidth_rad_s;
+    let bandwidth = if bandwidth_rad_s.is_finite() {
+        let hertz = bandwidth_rad_s / std::f64::consts::TAU;
+        format!("bandwidth {bandwidth_rad_s:.2} rad/s ({hertz:.2} Hz)")
+    } else {
+        "no bandwidth (it never falls by 3 dB)".to_owned()
+    };
+    format!(
+        "phase {:.0} degrees, gain {:.2} times, crossover {:.2} rad/s, {bandwidth}, radius {:.4}",
+        margins.phase_margin_deg, margins.gain_margin, margins.crossover_rad_s, margins.radius
+    )
+}

@@ -1,0 +1,84 @@
+//! `view`: a recorded run on the screen, measured and model over time.
+//!
+//! A comparison on the screen: what `compare --screen` and `view` show, before anything is searched.
+
+use std::io::IsTerminal as _;
+use std::path::PathBuf;
+
+use crate::commands::arguments::{EvidenceArguments, model_words, run_path};
+use crate::commands::by_hand::{Left, Shown};
+use crate::commands::evidence::{Judging, Place, Prepared};
+use crate::commands::{by_hand, pages};
+use crate::runtime::failure::Failure;
+use crate::runtime::{output, progress, signals};
+use crate::tui::Opens;
+use crate::workflow::Discovery;
+use drivebench_diagnose::ErrorOf;
+
+/// Look at a recorded run on the screen: measured and model over time, where the model fails, and why
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  drivebench view runs/a
+  drivebench view runs/a --model model.toml --holdout runs/b     another run, which the fit has not seen, comes first")]
+pub(super) struct Arguments {
+    /// Run folder, samples.csv, or any CSV with --map
+    #[arg(value_parser = run_path())]
+    run: PathBuf,
+    /// Model file; without it the run folder's, else a fitted baseline
+    #[arg(long)]
+    model: Option<PathBuf>,
+    #[command(flatten)]
+    evidence: EvidenceArguments,
+}
+
+pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+    let help = "`drivebench compare RUN` prints the same as text";
+    needs_terminal("view", help)?;
+    let attended = (signals::endable()?, progress::begin("view"));
+    let model = arguments.model.as_deref();
+    let (run, judging) = (&arguments.run, Judging::of(model));
+    let mut prepared = arguments.evidence.prepare_for_screen(run, model, judging)?;
+    let judged = prepared.judge_as_diagnose(model.is_some())?;
+    // From here on the screen owns the terminal and hears the signals.
+    drop(attended);
+    let left = show(&prepared, judged.error_of)?;
+    left.standing.heading().lines().for_each(output::message);
+    if let Some(diagnosis) = &left.standing.diagnosis {
+        output::message(&diagnosis.sentence);
+    }
+    let (run, words) = (output::quoted(run), arguments.evidence.words());
+    let model = model_words(model);
+    output::message(&format!("next: drivebench diagnose {run}{model}{words}"));
+    Ok(())
+}
+
+/// A screen needs a terminal; `help` says what does without one.
+pub(crate) fn needs_terminal(what: &str, help: &str) -> Result<(), Failure> {
+    if std::io::stdout().is_terminal() {
+        return Ok(());
+    }
+    let headline = format!("{what}: standard output is not a terminal");
+    Err(Failure::usage(headline, help))
+}
+
+/// Shows the complete model beside its runs until the screen is left; from there a person may search what it misses.
+pub(crate) fn show(prepared: &Prepared, error_of: ErrorOf) -> Result<Left, Failure> {
+    let model = prepared.model.file.model.clone();
+    let place = Place::of(None, prepared)?;
+    let discovery = Discovery::new(model, prepared.evidence.clone())
+        .with_recorded(prepared.recorded.clone())
+        .with_limits(place.limits());
+    let shown = Shown {
+        title: format!("{}; model: {}", prepared.about.title, prepared.model.from),
+        opens: Opens::Comparison(error_of),
+        stopped_at: pages::stopped_at(prepared),
+        fitted_on: prepared.run.run.name.clone(),
+        history: prepared.model.file.history.clone(),
+        output: None,
+    };
+    let left = by_hand::show(discovery, shown)?;
+    if left.is_interrupted() {
+        return Err(Failure::interrupted("interrupted"));
+    }
+    Ok(left)
+}

@@ -1,0 +1,425 @@
+//! Runs, models and texts from files, and the files that commands write: models with their history; a run that
+//! has been recorded: its files, what ended it early, and what could not be kept of it.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use serde::Serialize;
+
+use crate::report::{EarlyEnd, Tone};
+use crate::runtime::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP, USAGE};
+use crate::runtime::output;
+use drivebench_bench::recording::{
+    self, ColumnKind, ColumnMap, Kept, KeptLogs, LATEST, LoadedRun, Manifest, RecordingError,
+    RunFile, RunFolder, open_run, run_from_memory, write_run,
+};
+use drivebench_bench::{BenchFile, OnlineResult, Outcome, RunSummary};
+use drivebench_diagnose::{Fitted, Rung};
+use drivebench_identify::noise::FloorSource;
+use drivebench_identify::{sanity, speed_from_angle};
+use drivebench_model::plant::{FileHistory, FittedValue, ModelFile, Scenario};
+
+/// Opens a run, prints its warnings, and derives the speed from the angle where there is none.
+pub(crate) fn load(path: &Path, map: Option<&ColumnMap>) -> Result<LoadedRun, Failure> {
+    complete(open_run(path, map)?)
+}
+
+/// Makes missing what is no measurement, derives the speed from the angle where there is none, and prints the warnings of a
+/// run. A run folder's own recorder left empty what it did not receive, and is replayed as it is.
+pub(crate) fn complete(mut loaded: LoadedRun) -> Result<LoadedRun, Failure> {
+    let before = loaded.run.notes.len();
+    if loaded.manifest.is_none() {
+        let masked = sanity::mask(&mut loaded.run);
+        let name = &loaded.run.name;
+        let masked = masked.iter().map(|sentence| format!("{name}: {sentence}"));
+        let masked: Vec<String> = masked.collect();
+        loaded.run.notes.extend(masked);
+    }
+    let complete = speed_from_angle::complete(&loaded.run);
+    loaded.run = complete.map_err(|error| Failure::new(USAGE, error.to_string()))?;
+    let derived = &loaded.run.notes[before..];
+    loaded.warnings.extend_from_slice(derived);
+    if let Some(dialect) = &loaded.dialect {
+        output::message(dialect);
+    }
+    output::warn(&loaded.warnings);
+    Ok(loaded)
+}
+
+pub(crate) fn read_model(path: &Path) -> Result<ModelFile, Failure> {
+    let name = path.display().to_string();
+    let text = read_text(path)?;
+    Ok(ModelFile::parse(&name, &text)?)
+}
+
+/// The speed loop with a model, on a bench to be named where its runs are of another one than the embedded.
+pub(crate) fn speed_command(history: &FileHistory, model: &Path, options: &str) -> String {
+    let embedded = BenchFile::embedded_default().name;
+    let is_another = history.is_of_another_bench(&embedded);
+    let bench = if is_another { " BENCH.toml" } else { "" };
+    let model = output::quoted(model);
+    format!("drivebench speed{bench} --model {model}{options}")
+}
+
+pub(crate) fn read_text(path: &Path) -> Result<String, Failure> {
+    let cannot = |error| format!("{}: cannot read: {error}", path.display());
+    recording::read_text(path).map_err(|error| Failure::usage(cannot(error), meant(path)))
+}
+
+/// What may have been meant by what is no file that can be read.
+fn meant(path: &Path) -> String {
+    let model = RunFolder::existing(path).file(RunFile::Model);
+    if model.is_file() {
+        format!("this is a run; its model is {}", model.display())
+    } else if path.is_dir() {
+        "this is a folder; give a file in it".to_owned()
+    } else {
+        "check the path".to_owned()
+    }
+}
+
+/// The model of a fit as a file: what it was fitted on, and its rungs after those of the model before it.
+pub(crate) fn model_file(
+    fit: &Fitted,
+    before: &FileHistory,
+    fitted_on: Option<String>,
+    ladder: &[Rung],
+    floor: FloorSource,
+) -> ModelFile {
+    let mut history = FileHistory {
+        fitted_on: fitted_on.into_iter().collect(),
+        fitted: FittedValue::all(&fit.parameters),
+        ..before.clone()
+    };
+    for rung in ladder.iter().map(|rung| rung_text(rung, floor)) {
+        if history.ladder.last() != Some(&rung) {
+            history.ladder.push(rung);
+        }
+    }
+    let model = fit.model.clone();
+    ModelFile { model, history }
+}
+
+/// One line of a model file's ladder.
+fn rung_text(rung: &Rung, floor: FloorSource) -> String {
+    let effects = match rung.effects.as_slice() {
+        [] => "baseline".to_owned(),
+        effects => effects.join(" + "),
+    };
+    let (error, times) = (rung.holdout_rmse, floor.times());
+    format!("{effects}: held-out error {error:.2} {times}")
+}
+
+/// A run that was recorded, to its end or not.
+pub struct Recorded {
+    pub folder: RunFolder,
+    pub summary: RunSummary,
+    /// What the on-line estimators said at the end; `replay` compares itself with it.
+    pub(crate) online: OnlineResult,
+    pub(crate) manifest: Manifest,
+    /// Where the burst of the drive's own recorder is.
+    pub(crate) capture: Option<PathBuf>,
+    /// `None` when the rows are not needed any more.
+    logs: Option<KeptLogs>,
+    /// Why the record on the disk is not whole, and the folder where samples and events are then, where there is one.
+    unkept: Option<String>,
+    rescued: Option<String>,
+}
+
+/// `result.json`: what a command has to say, and what the live estimators said.
+#[derive(Serialize)]
+struct KeptResult<'a, T> {
+    #[serde(flatten)]
+    result: &'a T,
+    online: &'a OnlineResult,
+}
+
+impl Recorded {
+    pub(crate) fn new(
+        kept: Kept,
+        manifest: Manifest,
+        summary: RunSummary,
+        online: OnlineResult,
+    ) -> Self {
+        let mut recorded = Self {
+            folder: kept.folder,
+            summary,
+            online,
+            manifest,
+            capture: None,
+            logs: Some(kept.logs),
+            unkept: None,
+            rescued: None,
+        };
+        if let Some(error) = &kept.error {
+            recorded.note(&error.to_string());
+            recorded.rescue();
+        }
+        recorded.link_latest();
+        recorded
+    }
+
+    /// What the disk does not take goes to the place for temporary files, which is often on another one.
+    fn rescue(&mut self) {
+        let place = std::env::temp_dir();
+        let logs = self.logs.as_ref();
+        match logs.and_then(|logs| logs.rescue(&self.folder, &place, &self.manifest)) {
+            Some(Ok(folder)) => {
+                let folder = folder.path().display();
+                output::message(&format!("samples and events are in {folder}"));
+                self.rescued = Some(folder.to_string());
+            }
+            Some(Err(error)) => {
+                output::message(&format!("the record is not rescued either: {error}"));
+            }
+            None => {
+                output::message(
+                    "the record is not whole in memory either: what is missing is lost",
+                );
+            }
+        }
+    }
+
+    /// The newest run is `latest` beside it; where there can be no link, that is told once.
+    fn link_latest(&self) {
+        static TOLD: AtomicBool = AtomicBool::new(false);
+        if !self.folder.path().is_dir() {
+            return;
+        }
+        if let Err(error) = self.folder.link_latest()
+            && !TOLD.swap(true, Ordering::Relaxed)
+        {
+            let folder = self.folder.path().display();
+            output::message(&format!("no link `{LATEST}` to {folder}: {error}"));
+        }
+    }
+
+    /// The run as anyone can replay it, read back from the disk; where the record there is damaged or gone, as the file
+    /// that is still open and the memory have it.
+    pub(crate) fn load(&self) -> Result<LoadedRun, Failure> {
+        let path = self.folder.path();
+        let from_disk = match &self.unkept {
+            None => load(path, None),
+            Some(reason) => Err(Failure::internal(reason.clone())),
+        };
+        from_disk.or_else(|failure| {
+            let Some(samples) = self.logs.as_ref().and_then(KeptLogs::samples) else {
+                return Err(failure);
+            };
+            let (folder, reason) = (path.display(), failure.headline());
+            output::message(&format!("{folder}: {reason}; what was recorded is used"));
+            complete(run_from_memory(path, &samples, &self.manifest)?)
+        })
+    }
+
+    /// The burst as it is kept on the disk, with its path.
+    pub(crate) fn burst(&self) -> Option<(&Path, Result<Scenario, Failure>)> {
+        let path = self.capture.as_deref()?;
+        let loaded = load(path, None);
+        let burst = loaded.and_then(|loaded| Ok(Scenario::from_run(&loaded.run)?));
+        Some((path, burst))
+    }
+
+    /// The rows are not needed any more; what they were for is done.
+    pub(crate) fn forget(&mut self) {
+        self.logs = None;
+    }
+
+    /// Writes `result.json`; a disk that does not take it is told of and no end.
+    pub(crate) fn write_result<T: Serialize>(&mut self, result: &T) {
+        let kept = KeptResult {
+            result,
+            online: &self.online,
+        };
+        match serde_json::to_string_pretty(&kept) {
+            Ok(text) => drop(self.write(RunFile::Result, &text)),
+            Err(error) => self.note(&format!("the result has no JSON form: {error}")),
+        }
+    }
+
+    /// Writes one file of the folder; where that is not possible it is told, and the result is there all the same.
+    pub(crate) fn write(
+        &mut self,
+        file: RunFile,
+        content: &(impl AsRef<[u8]> + ?Sized),
+    ) -> Option<PathBuf> {
+        let written = self.folder.write(file, content);
+        self.kept(written)
+    }
+
+    /// Keeps what the drive recorded in a burst beside the samples, as a run that every command takes.
+    pub(crate) fn keep_capture(&mut self, name: &str) {
+        let Some(capture) = &self.summary.capture else {
+            return;
+        };
+        let run = match capture.run(name) {
+            Ok(run) => run,
+            Err(error) => return output::message(&format!("burst not used: {error}")),
+        };
+        let (rows, rate_hz) = (run.rows(), 1.0 / capture.period_s);
+        let written = self.folder.write_capture(&write_run(&run));
+        self.capture = self.kept(written);
+        if let Some(path) = &self.capture {
+            let samples = format!("{rows} samples at {rate_hz:.0} Hz");
+            output::message(&format!("burst capture: {samples} in {}", path.display()));
+        }
+    }
+
+    /// Keeps the samples as columns beside them, as far as the run came.
+    pub(crate) fn keep_parquet(&mut self) {
+        let recorded = self.logs.as_ref().and_then(KeptLogs::samples);
+        let columns = recorded
+            .map_or_else(|| std::fs::read(self.folder.samples()), Ok)
+            .map_err(|error| error.to_string())
+            .and_then(|table| samples_as_parquet(&table));
+        match columns {
+            Ok(columns) => drop(self.write(RunFile::Parquet, &columns)),
+            Err(error) => self.note(&format!("no {}: {error}", RunFile::Parquet.name())),
+        }
+    }
+
+    fn kept(&mut self, written: Result<PathBuf, RecordingError>) -> Option<PathBuf> {
+        written.map_err(|error| self.note(&error.to_string())).ok()
+    }
+
+    /// Told at once; the first reason is the one that stays.
+    fn note(&mut self, reason: &str) {
+        if self.unkept.is_none() {
+            output::message(&format!("warning: the record is not whole: {reason}"));
+            self.unkept = Some(reason.to_owned());
+        }
+    }
+
+    /// The failure of a record that could not be kept, for a command whose result is printed.
+    pub(crate) fn record_failure(&self) -> Option<Failure> {
+        let reason = self.unkept.as_ref()?;
+        let folder = self.folder.path().display();
+        let headline = format!("the record could not be kept: {reason}");
+        let help = match &self.rescued {
+            Some(rescued) => {
+                format!("the result is printed, and samples and events are in {rescued}")
+            }
+            None => format!(
+                "the result is computed from memory and printed; see what {folder} holds, make room, and repeat the run"
+            ),
+        };
+        Some(Failure::with_help(INTERNAL, headline, help))
+    }
+
+    /// The failure that ended the run early, else that of its record, if any.
+    pub fn failure(&self) -> Option<Failure> {
+        self.run_failure().or_else(|| self.record_failure())
+    }
+
+    /// The failure that ended the run early, if any.
+    pub(crate) fn run_failure(&self) -> Option<Failure> {
+        let mut kept = match &self.unkept {
+            None => format!("the record is kept in {}", self.folder.path().display()),
+            Some(reason) => format!("the record could not be kept: {reason}"),
+        };
+        if let Some(reopened) = &self.summary.reopened {
+            kept = format!("{}; {kept}", reopened.text);
+        }
+        let summary = &self.summary;
+        let (status, headline, _) = early_end(&summary.outcome, summary.stop_error.as_deref())?;
+        Some(Failure::with_help(status, headline, kept))
+    }
+}
+
+/// How a run ended that did not go to its end, or whose drive did not confirm its stop: exit status and headline, and the
+/// same as its page has it.
+pub(crate) fn early_end(
+    outcome: &Outcome,
+    stop_error: Option<&str>,
+) -> Option<(u8, String, EarlyEnd)> {
+    let unstopped = stop_error.map(|error| format!("the last stop was not confirmed: {error}"));
+    let by_hand = "it was ended by hand";
+    let (status, tone, title, reason) = match outcome {
+        Outcome::Done if unstopped.is_none() => return None,
+        Outcome::Done => (
+            LINK,
+            Tone::Bad,
+            "Stop not confirmed",
+            "the sequence went to its end",
+        ),
+        Outcome::Stopped => (INTERRUPTED, Tone::Attention, "Stopped", by_hand),
+        Outcome::Interrupted => (INTERRUPTED, Tone::Attention, "Interrupted", by_hand),
+        Outcome::Tripped(trip) => (TRIP, Tone::Bad, "Safety trip", trip.reason.as_str()),
+        Outcome::LinkLost { reason } => (LINK, Tone::Bad, "Link lost", reason.as_str()),
+        Outcome::NotStarted { reason } => (LINK, Tone::Attention, "Not started", reason.as_str()),
+    };
+    let itself = || format!("{}: {reason}", title.to_lowercase());
+    let (status, headline) = match (outcome, &unstopped) {
+        // Whoever ended it by hand must not take it for stopped.
+        (Outcome::Done | Outcome::Stopped | Outcome::Interrupted, Some(unstopped)) => {
+            (LINK, unstopped.clone())
+        }
+        (Outcome::Stopped | Outcome::Interrupted, None) => {
+            (status, "stopped before the end of the sequence".to_owned())
+        }
+        (Outcome::Tripped(_), Some(unstopped)) => (status, format!("{}; {unstopped}", itself())),
+        _ => (status, itself()),
+    };
+    let page = EarlyEnd {
+        tone: if unstopped.is_some() { Tone::Bad } else { tone },
+        title,
+        reason: unstopped.map_or_else(|| reason.to_owned(), |why| format!("{reason}; {why}")),
+    };
+    Some((status, headline, page))
+}
+
+/// The table of `samples.csv` as Parquet.
+pub(crate) fn samples_as_parquet(table: &[u8]) -> Result<Vec<u8>, String> {
+    parquet(table, ColumnKind::of_samples)
+}
+
+/// The table of a CSV as Parquet.
+#[cfg(feature = "parquet")]
+pub(crate) fn parquet(
+    table: impl std::io::Read,
+    kind: impl Fn(&str) -> ColumnKind,
+) -> Result<Vec<u8>, String> {
+    drivebench_bench::recording::parquet(table, kind).map_err(|error| error.to_string())
+}
+
+#[cfg(not(feature = "parquet"))]
+pub(crate) fn parquet(
+    _table: impl std::io::Read,
+    _kind: impl Fn(&str) -> ColumnKind,
+) -> Result<Vec<u8>, String> {
+    Err(NO_PARQUET.to_owned())
+}
+
+const NO_PARQUET: &str = "this program was built without Parquet";
+
+/// Refuses Parquet where this program was built without it; to be asked before the work.
+pub(crate) fn require_parquet() -> Result<(), Failure> {
+    let help = "pandas, Polars and DuckDB read the CSV as it is; or install with `cargo install --path . --features parquet`";
+    let refused = Failure::usage(NO_PARQUET, help);
+    cfg!(feature = "parquet").then_some(()).ok_or(refused)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_whose_drive_did_not_confirm_its_stop_never_ends_as_stopped() {
+        let lost = Outcome::LinkLost {
+            reason: "gone".to_owned(),
+        };
+        for (outcome, sure, unsure) in [
+            (Outcome::Done, None, LINK),
+            (Outcome::Stopped, Some(INTERRUPTED), LINK),
+            (Outcome::Interrupted, Some(INTERRUPTED), LINK),
+            (lost, Some(LINK), LINK),
+        ] {
+            let confirmed = early_end(&outcome, None);
+            assert_eq!(confirmed.map(|end| end.0), sure, "{outcome:?}");
+            let (status, headline, _) = early_end(&outcome, Some("no reply")).unwrap();
+            assert_eq!(status, unsure, "{outcome:?}");
+            let is_said = headline.contains("not confirmed") || headline.contains("lost");
+            assert!(is_said, "{outcome:?}: {headline}");
+        }
+    }
+}

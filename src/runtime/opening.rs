@@ -1,0 +1,336 @@
+//! From the bench file to a link: the protocol, the far end of the wire, and the emulator behind it where it is ours; the
+//! capture of what goes over the wire; how the same link is opened once more.
+//!
+//! This file owns the wall clock (the stamps of run folders and captures).
+
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+use crate::runtime::failure::Failure;
+use crate::runtime::files::read_text;
+use crate::runtime::output;
+use drivebench_bench::{BenchFile, DriveFacts, Port, Protocol, check_signals};
+use drivebench_emulator::{
+    EmulatorConfig, Endpoint, ForeignBus, ForeignDrive, Guise, Latency, MemoryLink, ServerHandle,
+    SoftDrive, VirtualClock, open_line, spawn_as,
+};
+use drivebench_link::serial_ports::holder_names;
+use drivebench_link::{
+    self as drive, Anchor, DriveLink, DriveProfile, LinkError, ProfiledLink, TapFile, Target,
+    offer, open_tapped,
+};
+
+/// A bench file; the profile beside it is found from wherever the program is started.
+pub(crate) fn bench_file(path: &Path) -> Result<BenchFile, Failure> {
+    let mut bench = BenchFile::parse(&path.display().to_string(), &read_text(path)?)?;
+    let profile = &mut bench.drive.profile;
+    let near = path.parent().map(|folder| folder.join(&*profile));
+    if let Some(near) = near.filter(|near| near.is_file() && !Path::new(&*profile).exists()) {
+        *profile = near.display().to_string();
+    }
+    Ok(bench)
+}
+
+/// A drive profile by its built-in name, else from a file; with its text.
+pub(crate) fn profile(name: &str) -> Result<(DriveProfile, String), Failure> {
+    let path = Path::new(name);
+    refuse_missing(path)?;
+    let read = if DriveProfile::names().any(|known| known == name) || !path.exists() {
+        DriveProfile::named(name).and_then(|read| Ok((read, DriveProfile::text(name)?.to_owned())))
+    } else {
+        let text = read_text(path)?;
+        DriveProfile::parse(name, &text).map(|read| (read, text))
+    };
+    Ok(read?)
+}
+
+/// What looks like a path is a file, and no name that might be built in.
+fn refuse_missing(path: &Path) -> Result<(), Failure> {
+    let text = path.to_string_lossy();
+    let is_toml = path.extension().is_some_and(|end| end == "toml");
+    if (is_toml || text.contains(['/', '\\'])) && !path.exists() {
+        return Err(Failure::usage(
+            format!("{text}: no such file"),
+            "check the path; built-in ones are named without a folder and without .toml",
+        ));
+    }
+    Ok(())
+}
+
+/// The profile of a bench, which takes the profile's baud rate where it gives none of its own.
+fn drive_profile(bench: &mut BenchFile) -> Result<(DriveProfile, String), Failure> {
+    let (profile, text) = profile(&bench.drive.profile)?;
+    bench.link.baud.get_or_insert(profile.link.baud);
+    if profile.registers.is_some() && bench.link.protocol == Protocol::Stream {
+        let headline = not_the_stream(&profile);
+        let help = "set link.protocol to modbus-rtu or modbus-tcp";
+        return Err(Failure::usage(headline, help));
+    }
+    Ok((profile, text))
+}
+
+/// Why a foreign drive cannot be asked in our own words.
+pub(crate) fn not_the_stream(profile: &DriveProfile) -> String {
+    let name = &profile.name;
+    format!("{name} does not speak the stream of our own drive")
+}
+
+/// Refuses what the drive's signals cannot carry; says which profile is used and what to know about it.
+pub(crate) fn suited(
+    profile: &DriveProfile,
+    purpose: offer::Purpose,
+    headless: bool,
+) -> Result<(), Failure> {
+    let signals = check_signals(profile, purpose);
+    if let Some(help) = signals.help {
+        let only_speed = purpose == offer::Purpose::Voltages
+            && offer::refusal(profile, offer::Purpose::SpeedLoop).is_none();
+        let help = if only_speed {
+            "the drive takes a speed or a current: use `drivebench speed`, with a [speed] section in the bench file"
+        } else {
+            help
+        };
+        return Err(Failure::usage(signals.text, help));
+    }
+    if headless {
+        announce(profile);
+    }
+    Ok(())
+}
+
+/// How far the profile may be believed, and what to know before the drive is used.
+pub(crate) fn announce(profile: &DriveProfile) {
+    output::message(&profile.provenance());
+    for (channel, text) in offer::carried(profile) {
+        output::message(&format!("  {:<14} {text}", channel.key()));
+    }
+    for remark in offer::remarks(profile) {
+        output::message(&format!("  {remark}"));
+    }
+}
+
+/// An embedded emulator by name, else a file.
+pub(crate) fn emulator_config(name: &str) -> Result<EmulatorConfig, Failure> {
+    let path = Path::new(name);
+    refuse_missing(path)?;
+    let config = if EmulatorConfig::embedded_names().any(|known| known == name) || !path.exists() {
+        EmulatorConfig::embedded(name)
+    } else {
+        EmulatorConfig::parse(name, &read_text(path)?)
+    };
+    Ok(config?)
+}
+
+/// The software drive in memory, in the guise of another where the profile is one.
+pub(crate) fn in_memory(
+    config: &EmulatorConfig,
+    bench: &BenchFile,
+    guise: Option<&Guise>,
+    time: VirtualClock,
+) -> Result<Box<dyn DriveLink>, Failure> {
+    if config.needs_line() {
+        return Err(Failure::usage(
+            "--port sim: has no line, and the emulator's [[fault]] happens on one",
+            "give --port sim:rtu, or --port emulator",
+        ));
+    }
+    config.suits(guise.is_some(), bench.link.protocol)?;
+    let seed = bench.emulator.seed;
+    Ok(if let Some(guise) = guise {
+        let drive = ForeignDrive::new(guise, config, seed);
+        let bus = ForeignBus::new(drive, guise, time);
+        Box::new(ProfiledLink::new(Arc::clone(&guise.map), bus))
+    } else {
+        let drive = SoftDrive::new(config, seed);
+        Box::new(MemoryLink::new(drive, time, latency(config, bench)))
+    })
+}
+
+/// The software drive at the far end of a line in memory, which is one of Modbus RTU.
+pub(crate) fn on_a_line(
+    config: &EmulatorConfig,
+    bench: &BenchFile,
+    guise: Option<&Guise>,
+    profile: &DriveProfile,
+    time: VirtualClock,
+) -> Result<Box<dyn DriveLink>, Failure> {
+    let protocol = bench.link.protocol;
+    if protocol != Protocol::ModbusRtu {
+        return Err(Failure::usage(
+            format!("--port sim:rtu is a line of Modbus RTU, and link.protocol is {protocol}"),
+            "set link.protocol to modbus-rtu, or give --port sim:",
+        ));
+    }
+    let seed = bench.emulator.seed;
+    Ok(open_line(guise, config, seed, profile, time)?)
+}
+
+/// What an exchange of the bench's protocol takes over its line, for a drive in memory.
+fn latency(config: &EmulatorConfig, bench: &BenchFile) -> Latency {
+    let mut line = config.line.clone();
+    line.baud = match bench.link.protocol {
+        Protocol::ModbusTcp => 0,
+        Protocol::ModbusRtu | Protocol::Stream => bench.baud(),
+    };
+    Latency::of_line(&line, bench.link.protocol == Protocol::ModbusRtu)
+}
+
+/// Serves the emulator from a thread of this process.
+pub(crate) fn serve(
+    protocol: drive::Protocol,
+    config: EmulatorConfig,
+    seed: u64,
+    guise: Option<Guise>,
+) -> Result<ServerHandle, Failure> {
+    config.suits(guise.is_some(), protocol)?;
+    let local = Endpoint::Tcp(SocketAddr::from(([127, 0, 0, 1], 0)));
+    let endpoint = match protocol {
+        drive::Protocol::ModbusRtu | drive::Protocol::Stream => Endpoint::temporary_pty(),
+        drive::Protocol::ModbusTcp => local,
+    };
+    spawn_as(guise, config, seed, protocol, endpoint)
+        .map_err(|error| Failure::link(error.to_string(), error.help()))
+}
+
+/// Where a served emulator is reached.
+pub(crate) fn address(protocol: drive::Protocol, handle: &ServerHandle) -> String {
+    match protocol {
+        drive::Protocol::ModbusTcp => format!("tcp:{}", handle.address()),
+        drive::Protocol::ModbusRtu | drive::Protocol::Stream => handle.address().to_owned(),
+    }
+}
+
+/// The drive's profile, wired up as the bench file says, with its text: the profile only knows what is usual.
+pub(crate) fn wired_profile(bench: &mut BenchFile) -> Result<(DriveProfile, String), Failure> {
+    let (mut profile, text) = drive_profile(bench)?;
+    profile.link.protocol = bench.link.protocol;
+    bench.drive_facts = DriveFacts::of(&profile);
+    if let Some((key, value, most)) = bench.beyond_drive() {
+        return Err(Failure::usage(
+            format!(
+                "{key} = {value}: the drive profile {} allows at most {most}",
+                profile.name
+            ),
+            "lower it in the bench file, or correct [limits] of the drive's profile",
+        ));
+    }
+    profile.link.baud = bench.baud();
+    profile.link.unit = bench.link.unit;
+    profile.link.deadline_ms = bench.link.deadline_ms.or(profile.link.deadline_ms);
+    profile.link.emulated = bench.port().is_emulated();
+    Ok((profile, text))
+}
+
+/// The capture of a run. Where no wire is involved there is nothing to tap.
+pub(crate) fn tap(path: Option<&Path>, port: &Port) -> Result<Tap, Failure> {
+    if path.is_some() && port.is_virtual() {
+        return Err(Failure::usage(
+            "--tap has nothing to record: there is no line outside this program",
+            "give --port emulator, or a serial port, or tcp:HOST:PORT",
+        ));
+    }
+    Tap::create(path)
+}
+
+/// The far end of the wire with the bench file's baud rate and unit.
+pub(crate) fn target(address: &str, bench: &BenchFile) -> Result<Target, Failure> {
+    let (baud, unit) = (Some(bench.baud()), Some(bench.link.unit));
+    Ok(match address.parse()? {
+        Target::Serial { path, .. } => Target::Serial { path, baud, unit },
+        Target::Tcp { host, port, .. } => Target::Tcp { host, port, unit },
+    })
+}
+
+/// The capture that a command was asked for, if it was.
+pub(crate) struct Tap(Option<TapFile>);
+
+impl Tap {
+    /// A new file, if one was asked for. Nothing is running yet, so one that cannot be made is refused.
+    pub(crate) fn create(path: Option<&Path>) -> Result<Self, Failure> {
+        let Some(path) = path else {
+            return Ok(Self(None));
+        };
+        output::refuse_existing(path, "--tap")?;
+        let file = TapFile::create(path, now().into());
+        Ok(Self(Some(
+            file.map_err(|e| output::cannot_write(path, &e))?,
+        )))
+    }
+
+    pub(crate) fn file(&self) -> Option<&TapFile> {
+        self.0.as_ref()
+    }
+}
+
+impl Drop for Tap {
+    fn drop(&mut self) {
+        if let Some(Err(reason)) = self.0.take().map(TapFile::finish) {
+            output::message(&format!("warning: {reason}"));
+        }
+    }
+}
+
+/// How a link is opened once more.
+type Open = dyn Fn(&DriveProfile, Option<&TapFile>) -> Result<Box<dyn DriveLink>, LinkError> + Send;
+
+/// What it takes to open a link again.
+pub struct Reopener {
+    pub(crate) link: String,
+    pub(crate) limit_s: Option<f64>,
+    pub(crate) open: Box<Open>,
+    /// Of a serial port.
+    path: Option<PathBuf>,
+}
+
+impl Reopener {
+    /// To be made when the link has just been opened.
+    pub(crate) fn of(target: &Target, epoch: Instant, limit_s: Option<f64>) -> Self {
+        let anchor = Anchor::of(Path::new("/"), target);
+        Self {
+            link: anchor.target().to_string(),
+            limit_s,
+            path: match target {
+                Target::Serial { path, .. } => Some(PathBuf::from(path)),
+                Target::Tcp { .. } => None,
+            },
+            open: Box::new(move |profile, tap| {
+                if let Some(reason) = anchor.stranger(Path::new("/")) {
+                    return Err(LinkError::Identity(anchor.target().to_string(), reason));
+                }
+                open_tapped(anchor.target(), profile, epoch, tap)
+            }),
+        }
+    }
+
+    /// Over a link that is opened by `open`, for at most `limit_s`; `None`: as long as seems right.
+    pub fn with(
+        link: &str,
+        limit_s: Option<f64>,
+        open: impl Fn() -> Result<Box<dyn DriveLink>, LinkError> + Send + 'static,
+    ) -> Self {
+        Self {
+            link: link.to_owned(),
+            limit_s,
+            open: Box::new(move |_, _| open()),
+            path: None,
+        }
+    }
+
+    /// Who else has the serial port open, in a sentence: what another program reads of it is missing here.
+    pub(crate) fn other_reader(&self) -> Option<String> {
+        let names = holder_names(self.path.as_deref()?)?;
+        Some(format!(
+            "{names} has the port open as well: the replies that it reads are missing here"
+        ))
+    }
+}
+
+#[expect(
+    clippy::disallowed_methods,
+    reason = "the stamp of a run folder is wall-clock time"
+)]
+pub(crate) fn now() -> jiff::Timestamp {
+    jiff::Timestamp::now()
+}

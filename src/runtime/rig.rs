@@ -1,0 +1,770 @@
+//! The rig of a run on a live drive: link, clock, the emulator where it is ours, and the record of one run after the other.
+//!
+//! ```text
+//! bench file + what was asked -> Rig (link, clock, emulator if it is ours) -> check -> record -> run folder
+//! ```
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+
+use crate::runtime::controls::{Controls, DriveCell, DriveWord};
+use crate::runtime::failure::{Failure, LINK, USAGE};
+use crate::runtime::files::Recorded;
+use crate::runtime::opening;
+use crate::runtime::opening::{
+    Reopener, Tap, emulator_config, in_memory, now, on_a_line, serve, suited, tap, target,
+    wired_profile,
+};
+use crate::runtime::output;
+use drivebench_bench::recording::{
+    Event, Layout, Manifest, Record as _, Recorder, RunFolder, utc_stamp,
+};
+use drivebench_bench::{
+    Bench, BenchFile, BenchFileError, CheckError, CheckOptions, CheckReport, Clock, FirstMove,
+    Guard, Level, LoopDelay, MonotonicClock, Nameplate, Notice, OnlineSettings, Outcome, Plan,
+    Port, RATE_CHECK, ReopenBench, ReopenOptions, Reopened, RowEstimator, RunOptions, RunSummary,
+    Session, Snapshot, SpeedPilot, Target, Waivers, check, layout, layout_with_reference, manifest,
+    measure_delay, plan, reopen, run, stage_session,
+};
+use drivebench_emulator::{EmulatorConfig, Guise, ServerHandle, VirtualClock, mystery};
+use drivebench_identify::escalation::Stage;
+use drivebench_identify::online::OnlineConfig;
+use drivebench_link::offer::{self, Purpose};
+use drivebench_link::{CutIn, DriveLink, DriveProfile, Identity, open_tapped};
+use drivebench_model::numerics::count::whole;
+use drivebench_model::plant::{Model, Motor};
+use drivebench_model::sample::{Channel, Origin};
+
+/// What stands for the emulator's configuration in a bench file that hides it.
+pub(crate) const MYSTERY: &str = "mystery";
+
+/// What checks, a burst or the last words over a link may take beside the times of the drive itself, s.
+const EXCHANGES_S: f64 = 5.0;
+/// Beside the time in which the drive's own watchdog stops it, s: a plug pulled and put back.
+const PATIENCE_S: f64 = 10.0;
+/// The shaft's way to rest after the output has reached zero, as session and checks allow it, s.
+const TO_REST_S: f64 = 8.0;
+
+/// What is asked of a rig.
+#[derive(Clone, Debug)]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "switches of a command line, each independent of the others"
+)]
+pub struct RigOptions {
+    pub bench: BenchFile,
+    /// Where run folders are made.
+    pub out: PathBuf,
+    /// Nobody looks at a screen.
+    pub headless: bool,
+    /// The drive is real and its shaft may turn, in so many words.
+    pub hardware: bool,
+    /// The motor is to be found from small steps before anything is planned.
+    pub escalate: bool,
+    pub waivers: Waivers,
+    pub reset_fault: bool,
+    /// How long to look for a drive that was lost, s; `None`: as long as seems right.
+    pub reopen_s: Option<f64>,
+    /// Where the capture of the wire goes.
+    pub tap: Option<PathBuf>,
+    /// A mystery was asked for, which only our own emulator has.
+    pub mystery: bool,
+    /// The samples of a run are kept as columns too.
+    pub parquet: bool,
+    /// Bench, link and motor as the command line names them, for the commands that go on.
+    pub words: String,
+}
+
+/// How a rig is come by: [`Rig::open`], or a test's own.
+pub type OpenRig = Box<dyn FnOnce(RigOptions, Option<u64>, Purpose) -> Result<Rig, Failure> + Send>;
+
+/// A session that is ready to be recorded.
+struct Planned {
+    session: Session,
+    motor: Option<Nameplate>,
+    /// It goes on with what was started by hand before.
+    follows: bool,
+    speed: Option<SpeedAbout>,
+}
+
+/// What the record says about a speed loop.
+pub(crate) struct SpeedAbout {
+    /// The model that it was tuned on, as a model file.
+    pub(crate) model: String,
+    pub(crate) manifest: serde_json::Value,
+}
+
+/// An open drive with its clock, and the emulator's thread where it is ours.
+///
+/// Whatever unwinds through it, in the checks, in a run or between two, leaves the drive told to stop.
+pub struct Rig {
+    /// As it was asked for, but for the bench, which changes with the motor that is found, and what is done once.
+    pub(crate) asked: RigOptions,
+    pub(crate) bench: BenchFile,
+    pub(crate) profile: DriveProfile,
+    /// Its file, as it was read.
+    profile_text: String,
+    pub(crate) way: Opened,
+    /// A run has lost its drive: none follows it, and the checks with their pulse are for whoever starts the program anew.
+    lost: bool,
+    /// The drive that has answered its checks, whether it has passed them or not.
+    pub(crate) answered: Option<Identity>,
+    pub(crate) last_seq: u64,
+    /// There are runs of it already, which are worth nothing without the one that follows.
+    has_recorded: bool,
+    pub(crate) check: Option<CheckReport>,
+    /// The motor is to be found from small steps before anything is planned.
+    pub(crate) escalates: bool,
+    /// What the bench file says about the motor, whatever is found later.
+    pub(crate) plate: Motor,
+    /// Told whether the drive may be on.
+    word: DriveCell,
+}
+
+/// A way to a drive that is open.
+pub(crate) struct Opened {
+    pub(crate) link: Box<dyn DriveLink>,
+    pub(crate) clock: Box<dyn Clock + Send>,
+    /// Opens the link again; `None` for a drive in memory.
+    pub(crate) reopener: Option<Reopener>,
+    /// Dropping it completes the capture, so it outlives the link.
+    pub(crate) tap: Tap,
+    /// None on a real drive.
+    pub(crate) emulator: Option<EmulatorConfig>,
+    /// Dropping it ends the emulator, so it outlives the link.
+    _server: Option<ServerHandle>,
+}
+
+impl Rig {
+    /// Opens the link. The emulator is used only where the bench file or the command line names it.
+    ///
+    /// `run_seed` where one run of several is asked for: the emulator then has another day.
+    /// What the drive's signals cannot carry of the `purpose` is refused before anything is opened.
+    pub fn open(
+        mut options: RigOptions,
+        run_seed: Option<u64>,
+        purpose: Purpose,
+    ) -> Result<Self, Failure> {
+        let (profile, profile_text) = wired_profile(&mut options.bench)?;
+        suited(&profile, purpose, options.headless)?;
+        let opened = Opened::of(&options, run_seed, &profile)?;
+        Ok(Self::of(options, profile, profile_text, opened))
+    }
+
+    /// A rig over a link and a clock that are there already, as a test in virtual time has them; `reopener` opens the link
+    /// anew after a run that has lost it.
+    pub fn with_link(
+        mut options: RigOptions,
+        purpose: Purpose,
+        link: Box<dyn DriveLink>,
+        clock: Box<dyn Clock + Send>,
+        reopener: Option<Reopener>,
+    ) -> Result<Self, Failure> {
+        let (profile, profile_text) = wired_profile(&mut options.bench)?;
+        suited(&profile, purpose, false)?;
+        let opened = Opened {
+            link,
+            clock,
+            reopener,
+            tap: Tap::create(None)?,
+            emulator: None,
+            _server: None,
+        };
+        Ok(Self::of(options, profile, profile_text, opened))
+    }
+
+    fn of(options: RigOptions, profile: DriveProfile, profile_text: String, way: Opened) -> Self {
+        let bench = options.bench.clone();
+        Self {
+            lost: false,
+            answered: None,
+            profile,
+            profile_text,
+            way,
+            last_seq: 0,
+            has_recorded: false,
+            check: None,
+            escalates: options.escalate || bench.motor.is_unknown(),
+            plate: bench.motor.motor(),
+            word: DriveCell::default(),
+            asked: options,
+            bench,
+        }
+    }
+
+    /// From here on the drive may be on, until what is returned is dropped.
+    pub(crate) fn energises(&mut self, controls: &Controls, ramp_s: f64) {
+        let end_s = ramp_s + TO_REST_S + EXCHANGES_S + self.way.link.command_times().stop_s;
+        self.word = controls.drive.clone();
+        self.word.set(DriveWord::MayBeOn { end_s });
+    }
+
+    /// The drive has confirmed that it stopped, and nothing more is asked of it for now.
+    pub(crate) fn rests(&self) {
+        self.word.set(DriveWord::Off);
+    }
+
+    /// Identity, limits, link probe, watchdog proof, direction pulse; the refusal is the first check that failed.
+    pub(crate) fn check(&mut self, controls: &Controls) -> Result<CheckReport, Failure> {
+        self.checked(controls, false)
+    }
+
+    /// The same up to the first move, which is not made.
+    pub(crate) fn check_at_rest(&mut self, controls: &Controls) -> Result<CheckReport, Failure> {
+        self.checked(controls, true)
+    }
+
+    fn checked(&mut self, controls: &Controls, at_rest: bool) -> Result<CheckReport, Failure> {
+        if self.escalates && self.bench.load.vertical {
+            return Err(Failure::usage(
+                "the small steps that find an unknown motor would let a vertical load fall",
+                "give the motor's data in [motor], or take the load off",
+            ));
+        }
+        if !at_rest && !self.has_recorded {
+            self.can_record()?;
+        }
+        self.energises(controls, 0.0);
+        let plate = self.bench.nameplate().filter(|_| !self.escalates);
+        let flags = controls.stop_flags();
+        let stopped = move || flags.iter().any(|flag| flag.load(Ordering::Acquire));
+        let first_move = plate.as_ref().map(|plate| FirstMove {
+            plate,
+            profile: &self.profile,
+            is_withheld: at_rest,
+        });
+        let options = CheckOptions {
+            rate_hz: self.bench.link.rate_hz,
+            // A person at a screen sees SIM or HARDWARE and starts by hand; without one the word is needed.
+            hardware_allowed: self.asked.hardware || !self.asked.headless,
+            hardware_said: self.asked.hardware,
+            waivers: self.asked.waivers,
+            first_move,
+            stopped: &stopped,
+            reset_fault: std::mem::take(&mut self.asked.reset_fault),
+        };
+        let (link, clock) = (self.way.link.as_mut(), self.way.clock.as_mut());
+        let report = check(link, clock, &self.bench.limits(), options);
+        if matches!(report, Ok(_) | Err(CheckError::Stopped)) {
+            self.rests();
+        }
+        let report = report.map_err(|error| {
+            let reopener = self.way.reopener.as_ref();
+            Failure::from(error).beside(reopener.and_then(Reopener::other_reader).as_deref())
+        })?;
+        self.answered = Some(report.identity.clone());
+        if controls.is_stopped() {
+            return Err(Failure::interrupted(
+                "interrupted in the checks; nothing is energised",
+            ));
+        }
+        if let Some(item) = report.refusal() {
+            let headline = format!("{}: {}", item.name, item.text);
+            // Too much was asked, by arithmetic; what the link reaches is measured.
+            let status = if item.name == RATE_CHECK { USAGE } else { LINK };
+            let failure = Failure::new(status, headline);
+            return Err(failure.helped_by(item.help));
+        }
+        self.last_seq = report.last_seq;
+        self.check = Some(report.clone());
+        Ok(report)
+    }
+
+    /// Predicts the sequence with this seed and refuses what would be too much.
+    pub(crate) fn plan(&self, seed: u64) -> Result<Plan, Failure> {
+        let (program, plate) = (self.program(seed)?, self.nameplate()?);
+        let (limits, rate_hz) = (self.bench.limits(), self.bench.link.rate_hz);
+        let plan = plan(
+            &program,
+            &plate,
+            &limits,
+            rate_hz,
+            self.drive_current_limit_a(),
+        )?;
+        if let Some(refusal) = plan.refusals.first() {
+            let headline = format!("plan refused: {refusal}");
+            return Err(Failure::usage(headline, refusal.help()));
+        }
+        Ok(plan)
+    }
+
+    /// The motor that is planned with: of the bench file, or as it was found.
+    pub(crate) fn nameplate(&self) -> Result<Nameplate, Failure> {
+        nameplate(&self.bench)
+    }
+
+    /// The drive's own limit, as read back by the check.
+    pub(crate) fn drive_current_limit_a(&self) -> Option<f64> {
+        self.check.as_ref()?.identity.current_limit_a
+    }
+
+    /// The drive can record bursts by itself.
+    pub(crate) fn records_bursts(&mut self) -> bool {
+        self.way.link.burst().is_some()
+    }
+
+    fn program(&self, seed: u64) -> Result<drivebench_model::excitation::Program, Failure> {
+        let file = self.bench.name.clone();
+        let program = self.bench.program(seed);
+        program.map_err(|error| BenchFileError::Sequence { file, error }.into())
+    }
+
+    fn guard(&self, motor: &Nameplate) -> Guard {
+        Guard::new(self.bench.limits(), motor, self.drive_current_limit_a())
+            .with_period(self.bench.period_s())
+    }
+
+    /// Records one run into a new folder. The drive is at zero output on return, whatever happened.
+    pub(crate) fn record(
+        &mut self,
+        name: &str,
+        seed: u64,
+        controls: &Controls,
+    ) -> Result<Recorded, Failure> {
+        let motor = self.nameplate()?;
+        let guard = self.guard(&motor);
+        let brake = self.bench.load.brake();
+        let hold_v = brake.map_or(0.0, |brake| brake.hold_current_a * motor.resistance_ohm);
+        let session = Session::holding(Box::new(self.program(seed)?), guard, hold_v)
+            .with_burst_at(self.bench.runs.burst_at.map(|part| part - 1));
+        let run = Planned {
+            session,
+            motor: Some(motor),
+            follows: false,
+            speed: None,
+        };
+        self.record_session(name, seed, run, controls)
+    }
+
+    /// Measures the delay of a loop over this link, with the output off; `None` where the drive does not tell.
+    pub(crate) fn measure_delay(
+        &mut self,
+        controls: &Controls,
+    ) -> Result<Option<LoopDelay>, Failure> {
+        let rate_hz = self.bench.link.rate_hz;
+        self.energises(controls, 0.0);
+        let (link, clock) = (self.way.link.as_mut(), self.way.clock.as_mut());
+        let measured = measure_delay(link, clock, rate_hz, self.last_seq);
+        let (delay, last_seq) = measured?;
+        self.rests();
+        self.last_seq = last_seq;
+        Ok(delay)
+    }
+
+    /// Records one run of a speed loop; `about` goes into its manifest.
+    pub(crate) fn record_loop(
+        &mut self,
+        name: &str,
+        pilot: SpeedPilot,
+        about: SpeedAbout,
+        controls: &Controls,
+    ) -> Result<Recorded, Failure> {
+        let motor = self.nameplate()?;
+        let guard = self.guard(&motor);
+        let run = Planned {
+            session: Session::with_pilot(Box::new(pilot), guard),
+            motor: Some(motor),
+            follows: false,
+            speed: Some(about),
+        };
+        self.record_session(name, self.bench.runs.fit, run, controls)
+    }
+
+    /// Records one stage of an escalation. The first one beside a real motor is started by hand; the others `follow` it.
+    pub(crate) fn record_stage(
+        &mut self,
+        name: &str,
+        stage: &Stage,
+        follows: bool,
+        controls: &Controls,
+    ) -> Result<Recorded, Failure> {
+        let file = self.bench.name.clone();
+        let session = stage_session(&self.bench, stage)
+            .map_err(|error| Failure::from(BenchFileError::Sequence { file, error }))?;
+        let run = Planned {
+            session,
+            motor: None,
+            follows,
+            speed: None,
+        };
+        self.record_session(name, self.bench.runs.fit, run, controls)
+    }
+
+    fn record_session(
+        &mut self,
+        name: &str,
+        seed: u64,
+        planned: Planned,
+        controls: &Controls,
+    ) -> Result<Recorded, Failure> {
+        if self.lost {
+            let headline =
+                "the drive was lost in the run before: nothing is started again by itself";
+            return Err(Failure::new(LINK, headline));
+        }
+        let unchecked = || Failure::internal("a run without a check before it");
+        let report = self.check.clone().ok_or_else(unchecked)?;
+        let target = Target::of(&report.identity);
+        let session = planned
+            .session
+            .after_seq(self.last_seq)
+            .with_rest(&report.rest)
+            .with_brake(self.bench.load.brake())
+            .with_watchdog(report.identity.watchdog_s)
+            .with_waivers(report.waived.iter().map(|&name| name.to_owned()).collect());
+        let mut manifest = self.manifest(name, seed, &report);
+        let mut layout = match planned.speed {
+            Some(about) => {
+                manifest.set_origin(Channel::Reference, Origin::Commanded);
+                manifest.configs.insert("model".to_owned(), about.model);
+                manifest.speed_loop = about.manifest;
+                layout_with_reference(&report.signals)
+            }
+            None => layout(&report.signals),
+        };
+        if !self.way.clock.is_real() {
+            layout = layout.without_host_time();
+        }
+        let config = OnlineConfig::from_model(&Model::baseline(self.bench.motor.motor()));
+        let settings = OnlineSettings::from(config).text();
+        let name_of_settings = OnlineSettings::NAME.to_owned();
+        manifest.configs.insert(name_of_settings, settings);
+        let mut recorder = self.recorder(name, &layout, &manifest)?;
+        let mut online = RowEstimator::new(config);
+        let sent_before = self.way.link.statistics().sent;
+        self.energises(controls, session.guard().ramp_down_s());
+        if let Some(cut_in) = self.way.link.cut_in() {
+            *cut_in = CutIn::watching(controls.stop_flags());
+        }
+        let mut summary = run(
+            session,
+            Bench {
+                link: self.way.link.as_mut(),
+                clock: self.way.clock.as_mut(),
+                recorder: &mut recorder,
+                estimator: Some(&mut online),
+                intents: controls.intents(),
+                interrupted: &controls.interrupted,
+                snapshots: &controls.snapshots,
+            },
+            &RunOptions {
+                name: name.to_owned(),
+                target,
+                rate_hz: self.bench.link.rate_hz,
+                motor: planned.motor,
+                // Beside a screen a real motor is started by hand, after a question.
+                auto_start: target == Target::Sim || self.asked.headless || planned.follows,
+            },
+        );
+        self.last_seq += summary.link.sent - sent_before + 1;
+        self.name_other_reader(&mut summary, &mut recorder, controls);
+        if summary.stop_error.is_none() {
+            self.rests();
+        }
+        if summary.lost_its_drive() {
+            self.lost = true;
+            self.get_back(&mut summary, &mut recorder, controls);
+        }
+        summary.describe(&mut manifest);
+        if let Some(report) = &summary.speed {
+            manifest.speed_loop["delay_while_running"] = serde_json::json!(report.delay);
+        }
+        // The writer thread may still have been busy when the run ended: only now is every row counted.
+        let kept = recorder.finish(&manifest);
+        self.has_recorded = true;
+        summary.rows = kept.status.rows as u64;
+        summary.recorder_error.clone_from(&kept.status.error);
+        let shown = Snapshot {
+            rows: summary.rows,
+            ..(*controls.snapshots.latest()).clone()
+        };
+        controls.snapshots.publish(shown);
+        manifest.finished = true;
+        manifest.rows = Some(kept.status.rows);
+        let mut recorded = Recorded::new(kept, manifest, summary, online.result());
+        recorded.keep_capture(name);
+        // Kept at once: whoever goes on with this run may be interrupted.
+        recorded.write_result(&serde_json::json!({}));
+        if self.asked.parquet {
+            recorded.keep_parquet();
+        }
+        Ok(recorded)
+    }
+
+    /// The first move is made only where a folder for the record can be: one is made and removed again, where that of the
+    /// runs is or would be.
+    fn can_record(&self) -> Result<(), Failure> {
+        let mut places = self.asked.out.ancestors();
+        let place = places.find(|place| place.exists());
+        let place = place.unwrap_or(Path::new("."));
+        let made = RunFolder::create(place, &utc_stamp(now()), &self.bench.name)?;
+        let path = made.path();
+        let headline = |error| format!("{}: cannot remove: {error}", path.display());
+        std::fs::remove_dir(path).map_err(|error| Failure::new(USAGE, headline(error)))
+    }
+
+    /// A run whose record cannot be begun is refused, with nothing energised; one that follows others goes on in memory.
+    fn recorder(
+        &self,
+        name: &str,
+        layout: &Layout,
+        manifest: &Manifest,
+    ) -> Result<Recorder, Failure> {
+        let sync_every = whole(self.bench.link.rate_hz.ceil());
+        let made = RunFolder::create(&self.asked.out, &manifest.stamp, name)
+            .and_then(|folder| Recorder::create(folder, layout.clone(), manifest, sync_every));
+        match made {
+            Err(error) if self.has_recorded => {
+                let folder = RunFolder::unmade(&self.asked.out, &manifest.stamp, name);
+                let in_memory = Recorder::without_disk;
+                Ok(in_memory(
+                    folder,
+                    layout.clone(),
+                    manifest,
+                    sync_every,
+                    &error,
+                )?)
+            }
+            made => Ok(made?),
+        }
+    }
+
+    fn manifest(&self, name: &str, seed: u64, report: &CheckReport) -> Manifest {
+        let link = self.way.link.name();
+        let mut manifest = manifest(&self.bench, seed, &link, report);
+        name.clone_into(&mut manifest.name);
+        manifest.stamp = utc_stamp(now());
+        if let Some(emulator) = &self.way.emulator {
+            let text = toml::to_string(emulator).unwrap_or_default();
+            manifest.configs.insert("emulator".to_owned(), text);
+        }
+        let configs = &mut manifest.configs;
+        configs.insert("drive".to_owned(), self.profile_text.clone());
+        configs.insert("drive_provenance".to_owned(), self.profile.provenance());
+        for (channel, text) in offer::carried(&self.profile) {
+            manifest.carried.insert(channel.key().to_owned(), text);
+        }
+        for channel in Channel::ALL {
+            if let Some(origin) = self.profile.signals.get(channel) {
+                manifest.set_origin(channel, origin);
+            }
+            if let Some(side) = self.profile.sides.get(channel) {
+                manifest.set_side(channel, side);
+            }
+        }
+        manifest
+    }
+
+    /// Says who else has the port open where replies were lost on it, once the drive has been told to stop.
+    fn name_other_reader(
+        &self,
+        summary: &mut RunSummary,
+        recorder: &mut Recorder,
+        controls: &Controls,
+    ) {
+        let reopener = self.way.reopener.as_ref();
+        let has_lost = summary.link.sent > summary.link.ok;
+        let Some(text) = reopener
+            .filter(|_| has_lost)
+            .and_then(Reopener::other_reader)
+        else {
+            return;
+        };
+        let time_s = self.way.clock.now_s() + summary.end.drive_minus_host_s;
+        let event = Event::new(time_s, None, "other_reader");
+        recorder.event(event.with("text", text.as_str()));
+        if let Outcome::LinkLost { reason } = &mut summary.outcome {
+            *reason = format!("{reason}; {text}");
+        }
+        let level = Level::Warning;
+        let notice = Notice { level, text };
+        let mut shown = (*controls.snapshots.latest()).clone();
+        shown.notices.push(notice.clone());
+        controls.snapshots.publish(shown);
+        controls.snapshots.tell(&notice);
+        summary.notices.push(notice);
+    }
+
+    /// Looks for the drive again, brings it to rest and says what was found; the run stays lost.
+    pub(crate) fn get_back(
+        &mut self,
+        summary: &mut RunSummary,
+        recorder: &mut Recorder,
+        controls: &Controls,
+    ) {
+        let (Some(reopener), Some(check)) = (&self.way.reopener, &self.check) else {
+            return;
+        };
+        // Beside a screen somebody sits who ends it.
+        let default_s = self
+            .asked
+            .headless
+            .then(|| check.identity.watchdog_s.unwrap_or(0.0) + PATIENCE_S);
+        let limit_s = reopener.limit_s.or(default_s);
+        if limit_s == Some(0.0) {
+            return;
+        }
+        self.way.link.close();
+        let link = reopener.link.as_str();
+        if self.asked.headless {
+            let time = limit_s.map_or_else(String::new, |limit_s| format!(" for {limit_s:.1} s"));
+            output::message(&format!(
+                "link lost: looking for {link} again{time}; Ctrl-C ends that"
+            ));
+        }
+        let options = ReopenOptions {
+            link,
+            before: &check.identity,
+            end: summary.end,
+            seq: self.last_seq,
+            limit_s,
+            seed: std::process::id().into(),
+        };
+        let (profile, tap) = (&self.profile, self.way.tap.file());
+        let (reopened, link) = reopen(
+            ReopenBench {
+                clock: self.way.clock.as_mut(),
+                recorder,
+                stopped: &|| controls.is_stopped(),
+                intents: controls.intents(),
+                snapshots: &controls.snapshots,
+            },
+            &options,
+            &mut || (reopener.open)(profile, tap),
+        );
+        if let Some(link) = link {
+            self.way.link = link;
+            self.last_seq += 1;
+        }
+        if self.asked.headless {
+            output::message(&self.told(&reopened));
+        }
+        if reopened.is_safe() {
+            self.rests();
+        }
+        summary.reopened = Some(reopened);
+    }
+
+    /// What was found, with what the profile says of a drive that has just been switched on.
+    fn told(&self, reopened: &Reopened) -> String {
+        let registers = self.profile.registers.as_ref();
+        let blind_s = registers.map_or(0.0, |map| map.watchdog.keys.boot_delay_s);
+        let blind = if blind_s > 0.0 && reopened.identity.is_some() {
+            format!("; if it was switched off, its watchdog is blind for {blind_s} s")
+        } else {
+            String::new()
+        };
+        format!("{}{blind}", reopened.text)
+    }
+}
+
+impl Opened {
+    fn of(
+        options: &RigOptions,
+        run_seed: Option<u64>,
+        profile: &DriveProfile,
+    ) -> Result<Self, Failure> {
+        let bench = &options.bench;
+        let guise = Guise::of(profile);
+        let port = bench.port();
+        let mut emulator = match &port {
+            // The next experiment of a mystery is a bench file that names it, so that the same machine can be run again.
+            Port::Emulator | Port::Sim | Port::SimRtu if bench.emulator.config == MYSTERY => {
+                Some(mystery::draw(bench.emulator.seed).config)
+            }
+            Port::Emulator | Port::Sim | Port::SimRtu => {
+                Some(emulator_config(&bench.emulator.config)?)
+            }
+            Port::Tcp(_) | Port::Serial(_) if !options.mystery => None,
+            Port::Tcp(_) | Port::Serial(_) => {
+                let port = &bench.link.port;
+                return Err(Failure::usage(
+                    format!(
+                        "--mystery hides an effect in our own emulator, and the port is {port}"
+                    ),
+                    "give --port sim: or --port emulator; for another program's port, `drivebench emulate --mystery SEED`",
+                ));
+            }
+        };
+        if let (Some(config), Some(seed)) = (&mut emulator, run_seed) {
+            config.day = seed.wrapping_sub(bench.runs.fit);
+        }
+        let tap = tap(options.tap.as_deref(), &port)?;
+        let real = MonotonicClock::start();
+        let (mut clock, mut server): (Box<dyn Clock + Send>, _) = (Box::new(real), None);
+        let mut address = bench.link.port.clone();
+        let open = |address: &str| {
+            let target = target(address, bench)?;
+            Ok::<_, Failure>(open_tapped(&target, profile, real.origin(), tap.file())?)
+        };
+        let link: Box<dyn DriveLink> = match (&port, &emulator) {
+            (Port::Sim, Some(config)) => {
+                let time = VirtualClock::new();
+                clock = Box::new(time.clone());
+                in_memory(config, bench, guise.as_ref(), time)?
+            }
+            (Port::SimRtu, Some(config)) => {
+                let time = VirtualClock::new();
+                clock = Box::new(time.clone());
+                on_a_line(config, bench, guise.as_ref(), profile, time)?
+            }
+            (Port::Emulator, Some(config)) => {
+                let (protocol, mut served) = (profile.link.protocol, config.clone());
+                served.line.baud = bench.baud();
+                let handle = serve(protocol, served, bench.emulator.seed, guise)?;
+                if options.headless {
+                    output::message(&format!("software drive {}", handle.ready_line()));
+                }
+                address = opening::address(protocol, &handle);
+                server = Some(handle);
+                open(&address)?
+            }
+            (Port::Tcp(_) | Port::Serial(_), _) => open(&address)?,
+            (Port::Sim | Port::SimRtu | Port::Emulator, None) => {
+                let headline = "an emulator was asked for and not configured";
+                return Err(Failure::internal(headline));
+            }
+        };
+        let reopener = if port.is_virtual() {
+            None
+        } else {
+            let target = target(&address, bench)?;
+            Some(Reopener::of(&target, real.origin(), options.reopen_s))
+        };
+        Ok(Self {
+            link,
+            clock,
+            reopener,
+            tap,
+            _server: server,
+            emulator,
+        })
+    }
+}
+
+impl Drop for Rig {
+    fn drop(&mut self) {
+        if !std::thread::panicking() || self.lost {
+            return;
+        }
+        // What has panicked may be the link itself, and nothing may unwind out of here.
+        let link = &mut self.way.link;
+        let stopped = catch_unwind(AssertUnwindSafe(|| link.stop()));
+        self.word.set(DriveWord::Panicked(match stopped {
+            Ok(told) => told.map_err(|error| error.to_string()),
+            Err(_) => Err("the link has panicked as well".to_owned()),
+        }));
+    }
+}
+
+/// The whole nameplate of a bench file.
+pub(crate) fn nameplate(bench: &BenchFile) -> Result<Nameplate, Failure> {
+    bench.nameplate().ok_or_else(|| {
+        let key = bench.motor.missing().unwrap_or("a value");
+        Failure::usage(
+            format!("motor.{key} is left out: the motor is not known, so nothing can be planned"),
+            "`drivebench run` and `commission` find it from small steps first; or complete [motor]",
+        )
+    })
+}
