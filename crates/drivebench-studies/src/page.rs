@@ -17,10 +17,10 @@
 //! {a.b.0}  {a/b*100:FORMAT}         a path from the row, or else from the root; quotient and factor; format
 //! ```
 //!
-//! Formats: `2` two decimals, `~3` three significant digits, with `%` behind them per cent; `e` a power of ten, `%` a signed
-//! error in per cent, `off` the distance of a quotient from 1 as such an error; `time` (null: never), `yes`, `dot` (0: a dot),
-//! `name`; `range` of a spread; `counted`, `share`, `allowed` of a count. What is null is a dash. A path that does not exist is an
-//! error, but for one that ends with `?`.
+//! Formats: `2` two decimals, `n2` the same with n/a where there is none, `~3` three significant digits, with `%` behind them
+//! per cent; `e` a power of ten, `%` a signed error in per cent, `off` the distance of a quotient from 1 as such an error;
+//! `time` (null: never), `yes`, `dot` (0: a dot), `name`; `range` of a spread; `counted`, `share`, `allowed` of a count. What is
+//! null is a dash. A path that does not exist is an error, but for one that ends with `?`.
 
 use std::fmt::{Display, Write as _};
 
@@ -339,10 +339,14 @@ impl Scope<'_> {
     fn shown(&self, value: &Value, format: &str) -> Result<String, String> {
         let number = value.as_f64();
         let of = |key: &str| value[key].as_f64();
+        let digits = |text: &str| text.parse::<usize>().map_err(|_| unknown(format));
         Ok(match (format, number) {
             ("time", _) if value.is_null() => "never".to_owned(),
             ("range", _) => range(of("median"), of("low"), of("high")),
             ("counted" | "share" | "allowed", _) => share(value, format),
+            _ if format.starts_with('n') && format != "name" => {
+                fixed(number.unwrap_or(f64::NAN), digits(&format[1..])?)
+            }
             _ if value.is_null() => "-".to_owned(),
             ("name", _) => {
                 let plain = plain(value);
@@ -356,14 +360,11 @@ impl Scope<'_> {
             ("e", Some(value)) => format!("{value:.0e}"),
             ("%", Some(value)) => percent(value),
             ("off", Some(quotient)) => percent(100.0 * (quotient - 1.0)),
-            (_, Some(number)) => {
-                let digits = |text: &str| text.parse::<usize>().map_err(|_| unknown(format));
-                match (format.strip_suffix('%'), format.strip_prefix('~')) {
-                    (Some(format), _) => self.shown(value, format)? + " %",
-                    (None, Some(text)) => significant(number, digits(text)?),
-                    (None, None) => fixed(number, digits(format)?),
-                }
-            }
+            (_, Some(number)) => match (format.strip_suffix('%'), format.strip_prefix('~')) {
+                (Some(format), _) => self.shown(value, format)? + " %",
+                (None, Some(text)) => significant(number, digits(text)?),
+                (None, None) => fixed(number, digits(format)?),
+            },
             _ => return Err(unknown(format)),
         })
     }

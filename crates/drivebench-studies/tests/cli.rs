@@ -97,7 +97,7 @@ fn a_study_of_mysteries_alone_counts_their_answers_and_intervals() {
     let page = fs::read_to_string(out.join("tables.md")).unwrap();
     let parts = [study, "Of 2 mystery drives", "| resistance_ohm "];
     has(&page, &parts);
-    assert!(!page.contains("One hidden effect") && !page.contains("failed |"));
+    assert!(!page.contains("One hidden effect") && !page.contains("(failed)"));
 }
 
 /// One run serves the text and the files; a second one, as JSON, is the same to the bit.

@@ -1,7 +1,6 @@
 //! 95 % intervals of records over a line cover the truth, counted over many machines.
 //!
 //! `cargo test --release -p drivebench-studies --test coverage -- --nocapture` prints the table.
-#![expect(clippy::print_stdout, reason = "the table is its product")]
 
 use drivebench_studies::lines::{self, ALL_ERRORS, HOST_STAMPED, Told, VoltageKnown};
 
