@@ -1,4 +1,4 @@
-//! The command line: one file per subcommand or family of them, thin. Results go to stdout, progress and messages to stderr.
+//! The command line: one file a command, with its arguments, order of work and result. Results go to stdout, messages to stderr.
 //!
 //! ```text
 //! arguments -> order of work (runtime: rig, files, every way out) -> document or JSON -> exit status

@@ -26,7 +26,7 @@ const FLOORS: &[(&str, &str)] = &[
         "crates/drivebench-model/src/",
         "units config_text < text < sample < signal < numerics < plant excitation",
     ),
-    ("src/", "report < workflow < tui < app < cli < main"),
+    ("src/", "report < workflow < tui < runtime < commands < main"),
 ];
 
 /// Libraries that a room must not use all the same, outside its tests: screens know no drive.
@@ -40,9 +40,9 @@ const CLOCK_FILES: &[&str] = &[
     "crates/drivebench-bench/src/clock.rs",
     "crates/drivebench-emulator/src/server.rs",
     "crates/drivebench-link/src/waiting.rs",
-    "src/app/opening.rs",
-    "src/app/progress.rs",
-    "src/app/suite/process.rs",
+    "src/commands/test/process.rs",
+    "src/runtime/opening.rs",
+    "src/runtime/progress.rs",
     "src/tui/application.rs",
 ];
 
@@ -304,11 +304,11 @@ fn the_check_of_the_floors_can_fail() {
         (model, "units.rs", "use crate::config_text::E;", 1),
         (model, "sample/a.rs", "use super::super::plant::Motor;", 1),
         (model, "kitchen/a.rs", "", 1),
-        ("src", "report/a.rs", "let x = crate::cli::main();", 1),
+        ("src", "report/a.rs", "let x = crate::commands::main();", 1),
         (
             "src",
             "workflow/a.rs",
-            "use crate::{\n    report::{a, b},\n    cli::Failure, tui,\n};",
+            "use crate::{\n    report::{a, b},\n    commands::Failure, tui,\n};",
             2,
         ),
         ("src", "tui/a.rs", "use drivebench_link::DriveLink;", 1),
@@ -317,13 +317,13 @@ fn the_check_of_the_floors_can_fail() {
         (
             "src",
             "report/a.rs",
-            "// crate::cli\n/// crate::cli\nlet a = \"crate::cli\"; let b = '\"';",
+            "// crate::commands\n/// crate::commands\nlet a = \"crate::commands\"; let b = '\"';",
             0,
         ),
         (
             "src",
             "report/a.rs",
-            "let b = '\"'; let c = '\\''; use crate::cli; // '\"'",
+            "let b = '\"'; let c = '\\''; use crate::commands; // '\"'",
             1,
         ),
     ] {
@@ -331,8 +331,8 @@ fn the_check_of_the_floors_can_fail() {
         assert_eq!(found.len(), arrows, "{file}: {text}: {found:?}");
     }
     // The number of a line is that of the path.
-    let found = floor_violations("src/report/a.rs", "\n\nuse crate::cli::Failure;");
-    assert_eq!(found, ["src/report/a.rs:3: report uses cli"]);
+    let found = floor_violations("src/report/a.rs", "\n\nuse crate::commands::Failure;");
+    assert_eq!(found, ["src/report/a.rs:3: report uses commands"]);
 }
 
 #[test]
