@@ -50,15 +50,12 @@ pub fn parse<T: DeserializeOwned>(file: &str, text: &str) -> Result<T, ConfigErr
         let help = help_for(&message);
         let headline = match message.split_once(", expected") {
             Some((headline, _)) if message.starts_with("unknown") => headline.to_owned(),
-            _ => in_words(&message.replace('\n', " ")),
+            _ => without_types(&message.replace('\n', " ")),
         };
         let offset = error.span().map_or(0, |span| span.start);
         ConfigError::at(file, text, offset, headline, help)
     })
 }
-
-/// Letters of a word to one of which it may be another.
-const NEAR: usize = 3;
 
 /// The name in `allowed` that is most like `given`.
 pub fn nearest<'a>(given: &str, allowed: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
@@ -66,14 +63,11 @@ pub fn nearest<'a>(given: &str, allowed: impl IntoIterator<Item = &'a str>) -> O
         Some(0) => 0,
         Some(_) => 1,
         None => {
-            // A word that is nearly how a longer name begins.
+            // A misspelt beginning of a longer name: one letter in three may be wrong.
             let begin: String = name.chars().take(given.chars().count()).collect();
             let (near, whole) = (edit_distance(given, &begin), edit_distance(given, name));
-            if NEAR * near <= given.len() {
-                whole.min(1 + near)
-            } else {
-                whole
-            }
+            let is_begin = 3 * near <= given.len();
+            whole.min(if is_begin { 1 + near } else { whole })
         }
     };
     let names = allowed.into_iter().filter(|name| !name.is_empty());
@@ -81,7 +75,7 @@ pub fn nearest<'a>(given: &str, allowed: impl IntoIterator<Item = &'a str>) -> O
     (distance <= name.len().max(given.len()).div_ceil(2)).then_some(name)
 }
 
-/// Keys that only one kind of file has at its top: who finds one elsewhere was given another file than was meant.
+/// Keys that only one kind of file has at its top: elsewhere they show that it is the wrong file.
 const OF_A_KIND: [(&str, &str); 9] = [
     ("capabilities", "drive profiles"),
     ("case", "suites"),
@@ -121,7 +115,7 @@ pub fn help_for_unknown<'a>(
     format!("allowed: {}", shown.collect::<Vec<_>>().join(", "))
 }
 
-/// Types of the language in words of the reader.
+/// Types of the parser and what a user can write for them.
 const TYPES: [(&str, &str); 9] = [
     ("u8", "a whole number from 0 to 255"),
     ("u16", "a whole number from 0 to 65535"),
@@ -135,18 +129,18 @@ const TYPES: [(&str, &str); 9] = [
 ];
 
 /// A message of the parser without the names of types.
-fn in_words(message: &str) -> String {
+fn without_types(message: &str) -> String {
     let Some((what, expected)) = message.rsplit_once(", expected ") else {
         return message.to_owned();
     };
-    let words = TYPES.iter().find(|(name, _)| *name == expected);
-    let words = words.map_or(expected, |(_, words)| words);
+    let plain = TYPES.iter().find(|(name, _)| *name == expected);
+    let plain = plain.map_or(expected, |(_, plain)| plain);
     let what = what
         .replace("invalid value: ", "not allowed: ")
         .replace("invalid type: ", "not allowed: ")
         .replace("floating point `", "number `")
         .replace("integer `", "number `");
-    format!("{what}, expected {words}")
+    format!("{what}, expected {plain}")
 }
 
 fn help_for(message: &str) -> String {
@@ -160,7 +154,6 @@ fn help_for(message: &str) -> String {
     }
 }
 
-/// Levenshtein distance.
 fn edit_distance(a: &str, b: &str) -> usize {
     let b: Vec<char> = b.chars().collect();
     let mut row: Vec<usize> = (0..=b.len()).collect();
@@ -179,68 +172,59 @@ fn edit_distance(a: &str, b: &str) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-
     #[derive(Debug, serde::Deserialize)]
     #[serde(deny_unknown_fields)]
+    #[expect(dead_code, reason = "only names and types of the keys matter here")]
     struct Limits {
-        #[expect(dead_code, reason = "only the key's name matters here")]
         current_a: f64,
-        #[expect(dead_code, reason = "only the key's name matters here")]
         speed_rad_s: Option<f64>,
+        unit: Option<u8>,
     }
 
     #[test]
-    fn an_unknown_key_is_named_with_its_place_and_the_nearest_key() {
-        let error =
-            parse::<Limits>("limits.toml", "current_a = 3.0\nspeed_rads = 5\n").unwrap_err();
-        assert_eq!((error.line, error.column), (2, 1));
-        assert_eq!(error.message, "unknown field `speed_rads`");
-        assert_eq!(error.help, "did you mean `speed_rad_s`?");
-    }
-
-    #[test]
-    fn a_key_of_another_kind_of_file_asks_for_the_right_file() {
-        let error = parse::<Limits>("m.toml", "current_a = 3.0\n[history]\n").unwrap_err();
-        assert_eq!(error.message, "unknown field `history`");
-        let help = "`history` is a key of model files: is it the right file?";
-        assert_eq!(error.help, help);
+    fn an_error_has_its_line_its_reason_and_a_help() {
+        let byte = "expected a whole number from 0 to 255";
+        let history = "`history` is a key of model files: is it the right file?";
+        for (text, line, message, help) in [
+            (
+                "speed_rads = 5",
+                2,
+                "unknown field `speed_rads`",
+                "did you mean `speed_rad_s`?",
+            ),
+            ("[history]", 2, "unknown field `history`", history),
+            (
+                "\nspeed_rad_s = \"x\"",
+                3,
+                "not allowed: string \"x\"",
+                "see",
+            ),
+            ("speed_rad_s = = 3", 2, "", "see"),
+            ("unit = 300", 2, "not allowed: number `300`, ", "see"),
+            ("unit = 300", 2, byte, "see"),
+            ("unit = \"x\"", 2, byte, "see"),
+        ] {
+            let error = parse::<Limits>("l", &format!("current_a = 3.0\n{text}\n")).unwrap_err();
+            assert_eq!(
+                (error.line, &error.help[..help.len()]),
+                (line, help),
+                "{text}"
+            );
+            assert!(error.message.contains(message), "{text}: {error}");
+        }
+        let missing = parse::<Limits>("l", "").unwrap_err();
+        assert!(missing.help.starts_with("add `current_a`"));
     }
 
     #[test]
     fn a_place_within_a_character_is_at_its_beginning() {
         let text = "a = 1\nb\u{b5}\u{3a9} = 2";
-        let columns: Vec<usize> = (6..12)
-            .map(|offset| ConfigError::at("f", text, offset, "m", "h").column)
-            .collect();
-        assert_eq!(columns, [1, 2, 2, 3, 3, 4]);
+        let column = |offset| ConfigError::at("f", text, offset, "m", "h").column;
+        assert_eq!([6, 7, 8, 9, 10, 11].map(column), [1, 2, 2, 3, 3, 4]);
     }
 
     #[test]
-    fn a_wrong_type_and_a_broken_text_have_a_place_too() {
-        for (text, line) in [("\n\ncurrent_a = \"x\"\n", 3), ("current_a = = 3\n", 1)] {
-            let error = parse::<Limits>("l", text).unwrap_err();
-            assert_eq!(error.line, line, "{text}");
-        }
-    }
-
-    #[test]
-    fn a_wrong_type_is_told_in_words_and_a_missing_key_by_its_name() {
-        #[derive(Debug, serde::Deserialize)]
-        struct Unit {
-            #[expect(dead_code, reason = "only the key's type matters here")]
-            unit: u8,
-        }
-        let error = parse::<Unit>("l", "unit = 300").unwrap_err();
-        let said = "not allowed: number `300`, expected a whole number from 0 to 255";
-        assert_eq!(error.message, said);
-        let error = parse::<Unit>("l", "unit = \"x\"").unwrap_err();
-        assert!(error.message.ends_with("a whole number from 0 to 255"));
-        let error = parse::<Unit>("l", "").unwrap_err();
-        assert!(error.help.starts_with("add `unit`"), "{}", error.help);
-    }
-
-    #[test]
-    fn nothing_is_near_to_something_altogether_different() {
+    fn the_nearest_name_is_one_that_begins_alike_or_none() {
         assert_eq!(nearest("xyzzy", ["resistance_ohm"]), None);
         let near = nearest("inertia", ["inertia_kg_m2", "inductance_h"]);
         assert_eq!(near, Some("inertia_kg_m2"));

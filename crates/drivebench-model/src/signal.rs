@@ -1,4 +1,4 @@
-//! Signals over time: what an input held, what lies between two points, and means under a smooth test function.
+//! Signals over time: zero-order hold, linear interpolation, and means under a smooth test function.
 //!
 //! ```text
 //! (time, value) --zero-order hold--> held, pieces, integral, mean
@@ -21,7 +21,7 @@ pub fn holding_since(points: &[Point], time_s: f64) -> &[Point] {
     &points[next.saturating_sub(1)..]
 }
 
-/// The zero-order hold between two instants as `(length, value)`; before the first point its value is all that is known.
+/// The zero-order hold between two instants as `(length, value)`; the first value holds before its point too.
 pub fn pieces(points: &[Point], from_s: f64, to_s: f64) -> impl Iterator<Item = Point> + Clone {
     let first = points.partition_point(|point| point.0 <= from_s).max(1) - 1;
     let held = points.iter().enumerate().skip(first);
@@ -128,10 +128,8 @@ impl Window {
     }
 
     fn sum(&self, weights: &[f64], value: impl Fn(usize) -> f64) -> f64 {
-        let weighted = weights.iter().zip(self.begin..);
-        weighted
-            .map(|(weight, sample)| weight * value(sample))
-            .sum()
+        let samples = weights.iter().zip(self.begin..);
+        samples.map(|(weight, sample)| weight * value(sample)).sum()
     }
 
     /// Norms of the weights and of those for a rate: what white noise makes of a mean and of a mean rate.
@@ -149,10 +147,8 @@ mod tests {
 
     #[test]
     fn a_held_signal_is_read_in_pieces_from_any_instant_on() {
-        assert_eq!(
-            [-1.0, 0.0, 1.5].map(|t| held(&STEPS, t)),
-            [None, Some(5.0), Some(6.0)]
-        );
+        let at = [-1.0, 0.0, 1.5].map(|t| held(&STEPS, t));
+        assert_eq!(at, [None, Some(5.0), Some(6.0)]);
         let between = |from_s, to_s| pieces(&STEPS, from_s, to_s).collect::<Vec<_>>();
         assert_eq!(between(0.5, 2.5), [(0.5, 5.0), (1.0, 6.0), (0.5, 7.0)]);
         assert_eq!(between(-1.0, 0.5), [(1.5, 5.0)]);

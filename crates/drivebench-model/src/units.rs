@@ -2,19 +2,14 @@
 
 use std::f64::consts::TAU;
 
-const STANDARD_GRAVITY_M_S2: f64 = 9.806_65;
-
-/// Converts revolutions per minute to radians per second.
 pub fn rad_s_from_rpm(rpm: f64) -> f64 {
     rpm * TAU / 60.0
 }
 
-/// Converts radians per second to revolutions per minute.
 pub fn rpm_from_rad_s(speed_rad_s: f64) -> f64 {
     speed_rad_s * 60.0 / TAU
 }
 
-/// Converts an angle in radians to turns.
 pub fn turns_from_rad(angle_rad: f64) -> f64 {
     angle_rad / TAU
 }
@@ -29,29 +24,27 @@ pub fn rpm_per_v_from_v_s_per_rad(back_emf_v_s_per_rad: f64) -> f64 {
     rpm_from_rad_s(1.0 / back_emf_v_s_per_rad)
 }
 
-/// Converts an inertia from kg.m2 to kg.cm2.
 pub fn kg_cm2_from_kg_m2(inertia_kg_m2: f64) -> f64 {
     1e4 * inertia_kg_m2
 }
 
-/// Converts an inertia from kg.m2 to the flywheel effect GD2 = 4 g J in N.m2.
+/// Converts an inertia from kg.m2 to the flywheel effect GD2 = 4 g J in N.m2, with the standard gravity g.
 pub fn gd2_n_m2_from_kg_m2(inertia_kg_m2: f64) -> f64 {
-    4.0 * STANDARD_GRAVITY_M_S2 * inertia_kg_m2
+    4.0 * 9.806_65 * inertia_kg_m2
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
     #[test]
-    fn one_turn_per_second_is_sixty_rpm() {
-        assert!((rpm_from_rad_s(TAU) - 60.0).abs() < 1e-12);
-        assert!((rad_s_from_rpm(60.0) - TAU).abs() < 1e-12);
-    }
-
-    #[test]
-    fn volts_per_krpm_of_the_paper_motor() {
-        // paper B: 0.097 V/(r/min) = 97 V/krpm = 0.9263 V.s/rad
-        assert!((v_per_krpm_from_v_s_per_rad(0.926_282) - 97.0).abs() < 1e-3);
+    fn conversions_agree_with_their_definitions() {
+        for (found, expected) in [
+            (rpm_from_rad_s(TAU), 60.0),
+            (rad_s_from_rpm(60.0), TAU),
+            // Paper B: 0.097 V/(r/min) = 97 V/krpm.
+            (v_per_krpm_from_v_s_per_rad(0.926_282), 97.0),
+        ] {
+            assert!((found / expected - 1.0).abs() < 1e-6, "{found}");
+        }
     }
 }

@@ -1,6 +1,5 @@
-//! Keys, units and types that somebody gives as other programs call them: what to write instead, with the conversion.
-//!
-//! The nearest name alone would be accepted with a number that is wrong by a factor.
+//! Keys, units and types in the convention of other programs, and what to write instead: the nearest name alone would be
+//! accepted with a number that is wrong by a factor.
 
 /// Endings of keys in another unit: given, ours, and what one of it is in ours.
 const ENDINGS: [(&str, &str, &str); 31] = [
@@ -86,65 +85,57 @@ pub(super) fn help<'a>(
     allowed: &(impl IntoIterator<Item = &'a str> + Clone),
 ) -> Option<String> {
     let known = |name: &str| allowed.clone().into_iter().any(|other| other == name);
-    for (other, ours, text) in ENDINGS {
-        let Some(stem) = given.strip_suffix(other) else {
-            continue;
-        };
-        let name = format!("{stem}{ours}");
-        if known(&name) {
-            return Some(format!("give {name}: {text}"));
-        }
+    let in_ours = |(other, ours, text): &(&str, &str, &str)| {
+        let name = format!("{}{ours}", given.strip_suffix(other)?);
+        known(&name).then(|| format!("give {name}: {text}"))
+    };
+    if let Some(help) = ENDINGS.iter().find_map(in_ours) {
+        return Some(help);
     }
-    let unit = UNITS
-        .iter()
-        .find(|(other, ours, _)| *other == given && known(ours));
-    if let Some((other, ours, factor)) = unit {
-        return Some(format!(
-            "give unit {ours:?} with scale {factor}: 1 {other} is {factor} {ours}"
-        ));
+    let mut units = UNITS.iter();
+    if let Some((other, ours, factor)) = units.find(|unit| unit.0 == given && known(unit.1)) {
+        let help = format!("give unit {ours:?} with scale {factor}: 1 {other} is {factor} {ours}");
+        return Some(help);
     }
     let plain = given.to_ascii_lowercase();
-    let name = NAMES
-        .iter()
-        .find(|(other, ours)| *other == plain && known(ours));
-    name.map(|(_, ours)| format!("give `{ours}`"))
+    let name = NAMES.iter().find(|name| name.0 == plain && known(name.1))?;
+    Some(format!("give `{}`", name.1))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
     #[test]
-    fn another_unit_is_converted_and_not_only_renamed() {
-        let keys = [
-            "rated_current_a",
-            "rated_speed_rad_s",
-            "inductance_h",
-            "reply_ms",
-        ];
-        let speed = "give rated_speed_rad_s: 1 r/min is 0.10472 rad/s";
-        for (given, said) in [
-            ("rated_speed_rpm", speed),
-            ("rated_current_ma", "give rated_current_a: 1 mA is 0.001 A"),
-            ("inductance_mh", "give inductance_h: 1 mH is 0.001 H"),
-            ("reply_s", "give reply_ms: 1 s is 1000 ms"),
+    fn names_of_other_conventions_are_converted() {
+        let keys = ["rated_current_a", "rated_speed_rad_s", "reply_ms"];
+        let (units, types) = (["", "A", "V", "rpm", "N.m"], ["u16", "i16", "i32"]);
+        for (given, allowed, expected) in [
+            (
+                "rated_speed_rpm",
+                &keys[..],
+                "give rated_speed_rad_s: 1 r/min is 0.10472 rad/s",
+            ),
+            (
+                "rated_current_ma",
+                &keys,
+                "give rated_current_a: 1 mA is 0.001 A",
+            ),
+            ("reply_s", &keys, "give reply_ms: 1 s is 1000 ms"),
+            ("rated_speed", &keys, ""),
+            ("power_kw", &keys, ""),
+            (
+                "mA",
+                &units,
+                "give unit \"A\" with scale 0.001: 1 mA is 0.001 A",
+            ),
+            ("MA", &units, ""),
+            ("Nm", &units, "give `N.m`"),
+            ("s32", &types, "give `i32`"),
+            ("UINT16", &types, "give `u16`"),
+            ("i24", &types, ""),
         ] {
-            assert_eq!(help(given, &keys).as_deref(), Some(said));
+            let found = help(given, &allowed.iter().copied()).unwrap_or_default();
+            assert_eq!(found, expected, "{given}");
         }
-        assert_eq!(help("rated_speed", &keys), None);
-        assert_eq!(help("power_kw", &keys), None);
-    }
-
-    #[test]
-    fn units_with_a_prefix_and_types_of_other_manuals() {
-        let units = ["", "A", "V", "rpm"];
-        let said = "give unit \"A\" with scale 0.001: 1 mA is 0.001 A";
-        assert_eq!(help("mA", &units).as_deref(), Some(said));
-        assert_eq!(help("MA", &units), None);
-        let types = ["u16", "i16", "u32", "i32", "f32"];
-        assert_eq!(help("s32", &types).as_deref(), Some("give `i32`"));
-        assert_eq!(help("UINT16", &types).as_deref(), Some("give `u16`"));
-        assert_eq!(help("i24", &types), None);
-        assert_eq!(help("Nm", &["N.m"]).as_deref(), Some("give `N.m`"));
     }
 }

@@ -19,7 +19,6 @@ pub enum Channel {
 impl Channel {
     pub const COUNT: usize = 10;
 
-    /// Every channel, in the order of the CSV columns.
     pub const ALL: [Self; Self::COUNT] = [
         Self::Reference,
         Self::VoltageCmd,
@@ -33,7 +32,6 @@ impl Channel {
         Self::TimeHalfWidth,
     ];
 
-    /// `(key, name, symbol, unit)`.
     const fn row(self) -> (&'static str, &'static str, &'static str, &'static str) {
         match self {
             Self::Reference => ("reference_rad_s", "speed reference", "w*", "rad/s"),
@@ -66,7 +64,6 @@ impl Channel {
         self.row().3
     }
 
-    /// Position in [`Channel::ALL`].
     pub const fn index(self) -> usize {
         self as usize
     }

@@ -1,4 +1,4 @@
-//! Command, what the host asks of the drive in one exchange.
+//! Command, the request of the host to the drive in one exchange.
 
 /// One demand with the sequence number that the drive echoes, so that a late reply cannot be taken for another.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -7,7 +7,7 @@ pub struct Command {
     pub demand: Demand,
 }
 
-/// The output that is asked for. Everything but the three set-points means zero output.
+/// The requested output. Everything but the three set-points means zero output.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Demand {
     /// Output off, state machine at rest; the exchange only reads.
@@ -25,7 +25,6 @@ pub enum Demand {
 }
 
 impl Demand {
-    /// Whether the drive's output is to be on.
     pub const fn energises(self) -> bool {
         matches!(self, Self::Voltage(_) | Self::Current(_) | Self::Speed(_))
     }

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::text::number::{self, significant, with_std, with_unit};
 
-/// What the data allow to be said about a parameter.
+/// What the data allow to claim about a parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
@@ -79,7 +79,7 @@ impl ParameterEstimate {
         Some([value - half, value + half])
     }
 
-    /// `value ± std` with so many standard deviations, without the unit; says so where the data do not carry it.
+    /// `value ± std` with so many standard deviations, without the unit; `n/a` where the data do not carry it.
     pub fn number(&self, deviations: f64) -> String {
         match (self.verdict, self.value) {
             (Verdict::NotObservable, _) | (_, None) => number::MISSING.to_owned(),
@@ -88,17 +88,14 @@ impl ParameterEstimate {
         }
     }
 
-    /// The number with its unit.
     pub fn text(&self, deviations: f64) -> String {
         with_unit(&self.number(deviations), self.unit)
     }
 
-    /// The estimate of a key.
     pub fn find<'a>(parameters: &'a [Self], key: &str) -> Option<&'a Self> {
         parameters.iter().find(|parameter| parameter.key == key)
     }
 
-    /// The value of a key, where it was found.
     pub fn value_of(parameters: &[Self], key: &str) -> Option<f64> {
         Self::find(parameters, key)?.value
     }
@@ -125,17 +122,15 @@ impl ParameterEstimate {
         std: f64,
         doubt: Option<String>,
     ) -> Self {
+        let verdict = doubt.as_ref().map(|_| Verdict::Searching);
         Self {
-            verdict: doubt
-                .as_ref()
-                .map_or(Verdict::Settled, |_| Verdict::Searching),
+            verdict: verdict.unwrap_or(Verdict::Settled),
             reason: doubt,
             std: Some(std),
             ..Self::fixed(key, unit, value)
         }
     }
 
-    /// A value that was given and not fitted.
     pub fn fixed(key: impl Into<String>, unit: &'static str, value: f64) -> Self {
         Self {
             key: key.into(),
@@ -147,15 +142,13 @@ impl ParameterEstimate {
         }
     }
 
-    /// A parameter that the data do not carry.
     pub fn not_observable(key: &str, unit: &'static str, reason: impl Into<String>) -> Self {
         Self {
-            key: key.to_owned(),
             value: None,
             std: None,
-            unit,
             verdict: Verdict::NotObservable,
             reason: Some(reason.into()),
+            ..Self::fixed(key, unit, f64::NAN)
         }
     }
 }

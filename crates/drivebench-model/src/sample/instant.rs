@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use super::Channel;
 
-/// How far a measured value may be believed.
+/// Validity of a measured value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Quality {
     Good,
-    /// Read, but older than the sample says.
+    /// Older than the stamp of the sample.
     Stale,
     #[default]
     Missing,
@@ -35,7 +35,7 @@ impl DriveState {
     }
 }
 
-/// What keeps a drive from doing what the bus says, beside a fault of its own.
+/// What keeps a drive from following the bus, beside a fault of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hindrance {
     /// Its keypad, its terminals or another master has the command.
@@ -45,7 +45,6 @@ pub enum Hindrance {
 }
 
 impl Hindrance {
-    /// What is the case, and what to do about it.
     pub const fn sentence(self) -> &'static str {
         match self {
             Self::LocalControl => {
@@ -61,9 +60,7 @@ impl Hindrance {
 /// When a command reached the motor: without it every run seems to have a command delay.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Applied {
-    /// Sequence number of the command, unwrapped.
     pub seq: u64,
-    /// Drive time, s, unwrapped.
     pub time_s: f64,
 }
 
@@ -83,9 +80,9 @@ pub struct Sample {
     pub status: Option<u16>,
     /// The drive's fault code, if it is in fault.
     pub fault: Option<u16>,
-    /// The same in words, where they are known.
+    /// Its description, where one is known.
     pub fault_text: Option<Arc<str>>,
-    /// What keeps the drive from following, where it tells.
+    /// What keeps the drive from following, where it reports that.
     pub hindrance: Option<Hindrance>,
     /// A limit of the drive held its output: the motor had another voltage than was commanded.
     pub limited: bool,
@@ -113,7 +110,6 @@ impl Sample {
         }
     }
 
-    /// The value of a channel if it is good.
     pub fn good(&self, channel: Channel) -> Option<f64> {
         let is_good = self.quality(channel) == Quality::Good;
         self.get(channel).filter(|_| is_good)
@@ -151,20 +147,14 @@ impl Sample {
 #[cfg(test)]
 mod tests {
     use super::*;
-
     #[test]
-    fn a_value_that_is_not_finite_is_missing_not_zero() {
-        let sample = Sample::at(0.0).with(Channel::Current, f64::NAN);
-        assert_eq!(sample.get(Channel::Current), None);
-        assert_eq!(sample.quality(Channel::Current), Quality::Missing);
-    }
-
-    #[test]
-    fn staleness_ends_with_the_next_value() {
+    fn staleness_ends_with_the_next_value_and_nan_is_missing() {
         let mut sample = Sample::at(0.0).with(Channel::Speed, 1.0);
         sample.set_stale(Channel::Speed);
         assert_eq!(sample.quality(Channel::Speed), Quality::Stale);
         sample.set(Channel::Speed, 2.0);
         assert_eq!(sample.quality(Channel::Speed), Quality::Good);
+        sample.set(Channel::Speed, f64::NAN);
+        assert_eq!(sample.quality(Channel::Speed), Quality::Missing);
     }
 }

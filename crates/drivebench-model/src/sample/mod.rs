@@ -7,7 +7,7 @@
 //! ```
 //!
 //! * [`Channel`] is the table of quantities: CSV header, plot axes and configuration keys come from it.
-//! * [`Sample`] is one measured instant; [`Command`] is what the host asks of the drive.
+//! * [`Sample`] is one measured instant; [`Command`] is a request of the host to the drive.
 //! * [`Run`] is a recorded data set; [`ParameterEstimate`] is a number that never goes without its uncertainty.
 
 mod channel;

@@ -12,7 +12,7 @@ pub enum Origin {
     Measured,
     /// Computed by the drive from other quantities.
     Estimated,
-    /// What was asked, stamped with the instant from which it was applied.
+    /// The requested value, stamped with the instant from which it was applied.
     Commanded,
     /// Computed by this program, as speed from angle.
     Derived,
@@ -41,7 +41,7 @@ impl Origin {
     }
 }
 
-/// On which side of the drive's power stage a voltage or current is taken.
+/// Side of the drive's power stage at which a voltage or current is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Side {
@@ -92,14 +92,6 @@ pub enum RunError {
         rows: usize,
         expected: usize,
     },
-    #[error("run {run:?}: no {needed} in the data")]
-    Missing { run: String, needed: &'static str },
-    #[error("run {run:?}: {rows} usable rows, at least {needed} are needed")]
-    TooShort {
-        run: String,
-        rows: usize,
-        needed: usize,
-    },
 }
 
 /// Columns over one strictly increasing time axis, which need not be equidistant. NaN marks a missing cell.
@@ -113,7 +105,7 @@ pub struct Run {
     columns: [Option<Vec<f64>>; Channel::COUNT],
     origins: [Origin; Channel::COUNT],
     sides: [Option<Side>; Channel::COUNT],
-    /// Rows, in order, at which the drive said that a limit of its own held the output.
+    /// Rows, in order, at which the drive reported that a limit of its own held the output.
     limited_rows: Vec<usize>,
     /// Rows that were torn or unreadable and left out.
     pub rows_dropped: usize,
@@ -126,19 +118,15 @@ impl Run {
     pub fn new(name: impl Into<String>, time_s: Vec<f64>) -> Result<Self, RunError> {
         let name = name.into();
         refuse_absurd(&name, "time_s", &time_s)?;
-        for (row, pair) in time_s.windows(2).enumerate() {
-            // A comparison that is false for NaN as well.
-            if !matches!(
-                pair[1].partial_cmp(&pair[0]),
-                Some(std::cmp::Ordering::Greater)
-            ) {
-                return Err(RunError::TimeNotIncreasing {
-                    run: name,
-                    row: row + 1,
-                    time_s: pair[1],
-                    before_s: pair[0],
-                });
-            }
+        // False for NaN as well.
+        let increases = |pair: &[f64]| pair[1] > pair[0];
+        if let Some(row) = time_s.windows(2).position(|pair| !increases(pair)) {
+            return Err(RunError::TimeNotIncreasing {
+                run: name,
+                row: row + 1,
+                time_s: time_s[row + 1],
+                before_s: time_s[row],
+            });
         }
         Ok(Self {
             name,
@@ -167,17 +155,17 @@ impl Run {
         Ok(())
     }
 
-    /// Says where a signal comes from, which the column itself does not know.
+    /// Sets the origin of a signal.
     pub fn set_origin(&mut self, channel: Channel, origin: Origin) {
         self.origins[channel.index()] = origin;
     }
 
-    /// Says on which side of the power stage a voltage or current is taken.
+    /// Sets the side of the power stage at which a voltage or current is measured.
     pub fn set_side(&mut self, channel: Channel, side: Side) {
         self.sides[channel.index()] = Some(side);
     }
 
-    /// Says at which rows, in order, a limit of the drive held the output.
+    /// Sets the rows, in order, at which a limit of the drive held the output.
     pub fn set_limited_rows(&mut self, rows: Vec<usize>) {
         self.limited_rows = rows;
     }
@@ -212,7 +200,7 @@ impl Run {
         self.origins[channel.index()]
     }
 
-    /// `None`: nobody said.
+    /// `None`: not stated.
     pub fn side(&self, channel: Channel) -> Option<Side> {
         self.sides[channel.index()]
     }
@@ -252,80 +240,73 @@ impl Run {
 
 /// NaN is a missing cell; infinity and sizes that nothing has are damage.
 fn refuse_absurd(run: &str, column: &'static str, values: &[f64]) -> Result<(), RunError> {
-    match values.iter().position(|value| value.abs() > LARGEST) {
-        Some(row) => Err(RunError::Absurd {
+    let absurd = values.iter().position(|value| value.abs() > LARGEST);
+    absurd.map_or(Ok(()), |row| {
+        Err(RunError::Absurd {
             run: run.to_owned(),
             column,
             row,
             value: values[row],
-        }),
-        None => Ok(()),
-    }
+        })
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn run() -> Run {
+    #[test]
+    fn time_must_increase_and_sizes_be_possible() {
+        for (times, message) in [
+            (vec![], ""),
+            (vec![0.0, 0.0], "row 1: time 0 s is not after 0 s"),
+            (vec![0.0, f64::NAN], "is not after"),
+            (vec![0.0, 1.0, f64::INFINITY], "row 2: time_s inf"),
+            (vec![f64::NEG_INFINITY, 0.0], "row 0: time_s -inf"),
+            (vec![0.0, 1e15], "row 1: time_s 1e15"),
+        ] {
+            let error = Run::new("r", times).err();
+            let text = error.map_or_else(String::new, |error| error.to_string());
+            assert!(
+                text.contains(message) && text.is_empty() == message.is_empty(),
+                "{text}"
+            );
+        }
         let mut run = Run::new("r", vec![0.0, 0.1, 0.25, 0.3]).unwrap();
-        let none = f64::NAN;
-        for (channel, column, origin) in [
-            (
-                Channel::VoltageCmd,
-                [1.0, none, none, 2.0],
-                Origin::Commanded,
-            ),
-            (Channel::Current, [none, 0.5, 0.6, 0.7], Origin::Measured),
-        ] {
-            run.set_column(channel, column.into(), origin).unwrap();
-        }
-        run
-    }
-
-    #[test]
-    fn time_must_increase_and_nan_is_not_a_time() {
-        assert!(matches!(
-            Run::new("r", vec![0.0, 0.0]),
-            Err(RunError::TimeNotIncreasing { row: 1, .. })
-        ));
-        assert!(Run::new("r", vec![0.0, f64::NAN]).is_err());
-        assert!(Run::new("r", vec![]).is_ok());
-    }
-
-    #[test]
-    fn infinite_and_absurd_values_are_refused_with_their_row() {
-        for times in [
-            vec![0.0, 1.0, f64::INFINITY],
-            vec![f64::NEG_INFINITY, 0.0],
-            vec![0.0, 1e15],
-        ] {
-            let error = Run::new("r", times).unwrap_err();
-            let is_of_time = matches!(error, RunError::Absurd { column, .. } if column == "time_s");
-            assert!(is_of_time, "{error}");
-        }
-        let mut run = run();
         let wild = vec![0.0, f64::NAN, 1e300, 0.0];
         let error = run.set_column(Channel::Speed, wild, Origin::Unknown);
-        let said =
+        let text =
             "run \"r\": row 2: speed_rad_s 1e300 is not allowed (expected a size up to 1e12)";
-        assert_eq!(error.unwrap_err().to_string(), said);
+        assert_eq!(error.unwrap_err().to_string(), text);
+        assert!(
+            run.set_column(Channel::Speed, vec![0.0], Origin::Unknown)
+                .is_err()
+        );
     }
 
     #[test]
-    fn samples_carry_the_cells_that_are_there() {
-        let samples: Vec<Sample> = run().samples().collect();
-        assert_eq!(samples.len(), 4);
-        assert_eq!(samples[0].get(Channel::VoltageCmd), Some(1.0));
-        assert_eq!(samples[0].get(Channel::Current), None);
-        assert_eq!(samples[1].get(Channel::VoltageCmd), None);
-        let last = Sample::at(0.3).with(Channel::VoltageCmd, 2.0);
-        assert_eq!(samples[3], last.with(Channel::Current, 0.7));
-    }
-
-    #[test]
-    fn points_leave_missing_cells_out() {
-        assert_eq!(run().points(Channel::Current).count(), 3);
-        assert!((run().period_s(Channel::Current).unwrap() - 0.15).abs() < 1e-12);
+    fn samples_and_points_hold_the_cells_that_are_there() {
+        let mut run = Run::new("r", vec![0.0, 0.1, 0.25, 0.3]).unwrap();
+        let none = f64::NAN;
+        for (channel, cells) in [
+            (Channel::VoltageCmd, [1.0, none, none, 2.0]),
+            (Channel::Current, [none, 0.5, 0.6, 0.7]),
+        ] {
+            run.set_column(channel, cells.into(), Origin::Measured)
+                .unwrap();
+        }
+        run.set_limited_rows(vec![1]);
+        let mut limited = Sample::at(0.1).with(Channel::Current, 0.5);
+        limited.limited = true;
+        let expected = [
+            Sample::at(0.0).with(Channel::VoltageCmd, 1.0),
+            limited,
+            Sample::at(0.25).with(Channel::Current, 0.6),
+            Sample::at(0.3)
+                .with(Channel::VoltageCmd, 2.0)
+                .with(Channel::Current, 0.7),
+        ];
+        assert!(run.samples().eq(expected));
+        assert_eq!(run.points(Channel::Current).count(), 3);
+        assert!((run.period_s(Channel::Current).unwrap() - 0.15).abs() < 1e-12);
     }
 }

@@ -3,19 +3,18 @@
 /// The rows of a text that is broken between words; a word longer than a row is broken where the row ends. What fits stays
 /// as it is, and rows of what is broken keep the indentation of their line.
 pub fn wrapped(text: &str, width: usize) -> Vec<String> {
-    let mut rows: Vec<String> = text.lines().flat_map(|line| broken(line, width)).collect();
-    if rows.is_empty() {
-        rows.push(String::new());
+    if text.is_empty() {
+        return vec![String::new()];
     }
-    rows
+    text.lines().flat_map(|line| broken(line, width)).collect()
 }
 
 fn broken(line: &str, width: usize) -> Vec<String> {
     if line.chars().count() <= width {
         return vec![line.to_owned()];
     }
-    let indent = line.chars().take_while(|c| c.is_whitespace()).count();
-    let indent = indent.min(width.saturating_sub(1));
+    let spaces = line.chars().take_while(|c| c.is_whitespace()).count();
+    let indent = spaces.min(width.saturating_sub(1));
     let room = width.saturating_sub(indent).max(1);
     let mut rows = Vec::new();
     let (mut row, mut length) = (String::new(), 0);
@@ -53,9 +52,6 @@ pub fn folded(text: &str, width: usize) -> Vec<String> {
         .collect()
 }
 
-/// Share of the width, in thirds, beyond which nothing stands beneath a last column.
-const LAST_COLUMN: usize = 2;
-
 fn folded_line(line: &str, width: usize) -> Vec<String> {
     let text = line.trim_start();
     if line.chars().count() <= width || text.starts_with('|') {
@@ -66,7 +62,8 @@ fn folded_line(line: &str, width: usize) -> Vec<String> {
     let head = &line[..gap.unwrap_or(own.len())];
     let column = head.chars().count();
     let (mut row, text, indent) = match gap {
-        Some(at) if column <= width * LAST_COLUMN / 3 => (head.to_owned(), &line[at..], column),
+        // Beyond two thirds of the width too little is left beneath the last column.
+        Some(at) if column <= width * 2 / 3 => (head.to_owned(), &line[at..], column),
         _ => (own.to_owned(), text, own.chars().count() + 2),
     };
     let mut rows = Vec::new();
@@ -126,16 +123,13 @@ pub fn capitalised(sentence: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
     #[test]
     fn no_word_is_lost_between_rows_and_no_row_is_too_long() {
         let text = "  held-out error 2.82 -> 2.74 times the noise aaaaaaaaaaaaaaaaaaaaaaaaa";
         for width in 1..80 {
             let rows = wrapped(text, width);
-            assert!(
-                rows.iter().all(|row| row.chars().count() <= width),
-                "{rows:?}"
-            );
+            let fits = rows.iter().all(|row| row.chars().count() <= width);
+            assert!(fits, "{rows:?}");
             let joined: String = rows.concat().split_whitespace().collect();
             assert_eq!(joined, text.split_whitespace().collect::<String>());
         }
@@ -146,35 +140,35 @@ mod tests {
     }
 
     #[test]
-    fn what_is_folded_goes_on_beneath_its_column_and_leaves_whole_what_is_copied() {
-        for (text, rows) in [
-            ("short\n\n  as it is", &["short", "", "  as it is"][..]),
+    fn folding_keeps_columns_commands_and_paths() {
+        for (text, folded_text) in [
+            ("short\n\n  as it is", "short\n\n  as it is"),
             (
                 "error: one two three four five",
-                &["error: one two three", "  four five"],
+                "error: one two three\n  four five",
             ),
             (
                 "key  kind  a reason of words",
-                &["key  kind  a reason", "           of words"],
+                "key  kind  a reason\n           of words",
             ),
             (
                 "  /a/path/that/is/long is",
-                &["  /a/path/that/is/long", "    is"],
+                "  /a/path/that/is/long\n    is",
             ),
             (
                 "help: so and `do this now` or",
-                &["help: so and", "  `do this now` or"],
+                "help: so and\n  `do this now` or",
             ),
             (
                 "| a row of a table | with bars |",
-                &["| a row of a table | with bars |"],
+                "| a row of a table | with bars |",
             ),
             (
                 "x `a command that is longer than a row`",
-                &["x `a command that is", "  longer than a row`"],
+                "x `a command that is\n  longer than a row`",
             ),
         ] {
-            assert_eq!(folded(text, 20), rows, "{text}");
+            assert_eq!(folded(text, 20).join("\n"), folded_text, "{text}");
         }
     }
 }

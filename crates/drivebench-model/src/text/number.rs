@@ -2,11 +2,7 @@
 
 use crate::units::rpm_from_rad_s;
 
-/// Stands for a value that is not there.
 pub const MISSING: &str = "n/a";
-
-/// Powers of ten between which a number is written without an exponent.
-const PLAIN: std::ops::Range<i32> = -3..6;
 
 /// `value` to `digits` significant digits; digits before the decimal point are never dropped.
 pub fn significant(value: f64, digits: usize) -> String {
@@ -15,17 +11,19 @@ pub fn significant(value: f64, digits: usize) -> String {
     }
     let digits = digits.max(1);
     let exponent = exponent_of(value, digits);
-    if value == 0.0 || PLAIN.contains(&exponent) {
+    if value == 0.0 {
+        "0".to_owned()
+    } else if is_plain(exponent) {
         let wanted = i32::try_from(digits).unwrap_or(i32::MAX);
-        let decimals = places(wanted - 1 - exponent);
-        format!(
-            "{:.*}",
-            if value == 0.0 { 0 } else { decimals },
-            value + 0.0
-        )
+        format!("{value:.*}", places(wanted - 1 - exponent))
     } else {
         format!("{value:.*e}", digits - 1)
     }
+}
+
+/// Whether a number of this power of ten is written without an exponent.
+fn is_plain(exponent: i32) -> bool {
+    (-3..6).contains(&exponent)
 }
 
 /// `value ± std`, the standard deviation with two significant digits and the value to the same decimal.
@@ -43,21 +41,15 @@ pub fn with_std(value: f64, std: impl Into<Option<f64>>) -> String {
     if std == 0.0 {
         return format!("{} ± 0", significant(value, 5));
     }
-    if PLAIN.contains(&leading) {
+    if is_plain(leading) {
         let decimals = places(-last);
-        format!(
-            "{:.decimals$} ± {:.decimals$}",
-            rounded(value, last),
-            rounded(std, last)
-        )
+        let (value, std) = (rounded(value, last), rounded(std, last));
+        format!("{value:.decimals$} ± {std:.decimals$}")
     } else {
         let unit = 10f64.powi(leading);
         let decimals = places(leading - last);
-        format!(
-            "({:.decimals$} ± {:.decimals$})e{leading}",
-            value / unit + 0.0,
-            std / unit
-        )
+        let (value, std) = (value / unit + 0.0, std / unit);
+        format!("({value:.decimals$} ± {std:.decimals$})e{leading}")
     }
 }
 
@@ -67,13 +59,12 @@ pub fn fixed(value: f64, decimals: usize) -> String {
         return MISSING.to_owned();
     }
     let text = format!("{value:.decimals$}");
-    let nothing = text.chars().all(|c| matches!(c, '-' | '0' | '.'));
-    text.strip_prefix('-')
-        .filter(|_| nothing)
-        .map_or_else(|| text.clone(), str::to_owned)
+    let is_zero = text.chars().all(|c| matches!(c, '-' | '0' | '.'));
+    let sign = usize::from(is_zero && text.starts_with('-'));
+    text[sign..].to_owned()
 }
 
-/// At most `digits` significant digits: zeros behind the point, which say nothing, are left out.
+/// At most `digits` significant digits, without zeros behind the point.
 pub fn shortest(value: f64, digits: usize) -> String {
     let text = significant(value, digits);
     let (number, power) = text.split_at(text.find('e').unwrap_or(text.len()));
@@ -104,7 +95,6 @@ pub fn r_min(speed_rad_s: f64) -> String {
     format!("{} r/min", significant(rpm_from_rad_s(speed_rad_s), 3))
 }
 
-/// A percentage with one decimal.
 pub fn percent(value: f64) -> String {
     with_unit(&fixed(value, 1), "%")
 }
@@ -118,7 +108,6 @@ pub fn fit(fit_percent: f64) -> String {
     }
 }
 
-/// A share as a percentage without decimals.
 pub fn share(share: f64) -> String {
     with_unit(&fixed(100.0 * share, 0), "%")
 }
@@ -139,10 +128,9 @@ pub fn places(decimals: i32) -> usize {
 
 /// Power of ten of the first digit after rounding to `digits`; 0 for zero.
 pub fn exponent_of(value: f64, digits: usize) -> i32 {
-    format!("{value:.*e}", digits - 1)
-        .rsplit_once('e')
-        .and_then(|(_, exponent)| exponent.parse().ok())
-        .unwrap_or(0)
+    let text = format!("{value:.*e}", digits - 1);
+    let exponent = text.rsplit_once('e').map(|(_, exponent)| exponent.parse());
+    exponent.and_then(Result::ok).unwrap_or(0)
 }
 
 /// `value` rounded at the decimal place `10^place` where that stands left of the point; unchanged otherwise.
@@ -180,27 +168,19 @@ mod tests {
 
     #[test]
     fn significant_digits_are_kept_and_nothing_more() {
-        for (value, digits, text) in [
-            (0.0, 3, "0"),
-            (-0.0, 3, "0"),
-            (0.999_6, 3, "1.00"),
-            (12_345.6, 3, "12346"),
-            (1.234e-5, 3, "1.23e-5"),
-            (f64::INFINITY, 3, "n/a"),
-        ] {
-            assert_eq!(significant(value, digits), text);
-        }
-        for (value, text) in [
-            (-13_107.300_000_000_001, "-13107.3"),
-            (-1.200_000_000_000_000_2, "-1.2"),
-            (-0.0, "0"),
-            (65_536.0, "65536"),
-            (2.5e6, "2.5e6"),
-            (-5e-4, "-5e-4"),
-        ] {
-            assert_eq!(reading(value), text);
-        }
         for (found, text) in [
+            (significant(0.0, 3), "0"),
+            (significant(-0.0, 3), "0"),
+            (significant(0.999_6, 3), "1.00"),
+            (significant(12_345.6, 3), "12346"),
+            (significant(1.234e-5, 3), "1.23e-5"),
+            (significant(f64::INFINITY, 3), "n/a"),
+            (reading(-13_107.300_000_000_001), "-13107.3"),
+            (reading(-1.200_000_000_000_000_2), "-1.2"),
+            (reading(-0.0), "0"),
+            (reading(65_536.0), "65536"),
+            (reading(2.5e6), "2.5e6"),
+            (reading(-5e-4), "-5e-4"),
             (fixed(-0.04, 1), "0.0"),
             (fixed(-0.06, 1), "-0.1"),
             (with_unit(&significant(0.2, 2), "-"), "0.20"),
