@@ -1,9 +1,9 @@
 //! FNV-1a of 64 bits: a checksum of bytes that is the same on every machine and in every version.
 
-/// What an empty text has.
+/// The checksum of an empty text (the offset basis).
 pub const EMPTY: u64 = 0xcbf2_9ce4_8422_2325;
 
-/// The checksum of what had `before` with these bytes behind it.
+/// Continues the checksum `before` with these bytes.
 pub fn fnv_1a(before: u64, bytes: impl IntoIterator<Item = u8>) -> u64 {
     bytes.into_iter().fold(before, |hash, byte| {
         (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)

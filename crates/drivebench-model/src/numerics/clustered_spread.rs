@@ -5,9 +5,6 @@
 //! stamp that is off, a parameter that changed) that is far too small. Here the contributions `K e` of the rows of one
 //! block are added up before they are squared (Liang and Zeger, *Biometrika* 73, 1986, for the batch form).
 
-/// Rows of one block.
-const BLOCK_ROWS: u32 = 25;
-
 #[derive(Clone, Debug)]
 pub(super) struct ClusteredSpread<const N: usize> {
     /// Error that the rows of the open block have made.
@@ -25,7 +22,7 @@ impl<const N: usize> ClusteredSpread<N> {
         }
     }
 
-    /// One row with its gain and what it misses its value by after the update.
+    /// One row with its gain and its residual after the update. Blocks have 25 rows.
     pub(super) fn take(&mut self, psi: &[f64; N], gain: &[f64; N], residual: f64) {
         let along: f64 = (0..N).map(|j| psi[j] * self.open[j]).sum();
         for (open, gain) in self.open.iter_mut().zip(gain) {
@@ -41,7 +38,7 @@ impl<const N: usize> ClusteredSpread<N> {
             }
         }
         self.rows += 1;
-        if self.rows >= BLOCK_ROWS {
+        if self.rows >= 25 {
             for i in 0..N {
                 for j in 0..N {
                     self.closed[i][j] += self.open[i] * self.open[j];
@@ -82,10 +79,7 @@ mod tests {
                 rls.update(&[1.0], 3.0 + error);
             }
             errors += (rls.parameters()[0] - 3.0_f64).powi(2);
-            claims += rls
-                .standard_deviations()
-                .map_or(f64::NAN, |stds| stds[0])
-                .powi(2);
+            claims += rls.standard_deviations().unwrap()[0].powi(2);
         }
         (errors / claims).sqrt()
     }

@@ -5,7 +5,7 @@
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
-    reason = "the cast saturates and turns NaN to zero, as the summary says"
+    reason = "the cast saturates and turns NaN to zero, as documented"
 )]
 pub const fn whole(quotient: f64) -> usize {
     quotient as usize

@@ -45,11 +45,7 @@ impl Butterworth {
         Some(Self { order, sections })
     }
 
-    pub const fn order(&self) -> usize {
-        self.order
-    }
-
-    /// One pass forwards, started as if the first value had stood there for ever. The phase lags.
+    /// One pass forwards from the steady state of the first value. The phase lags.
     pub fn forward(&self, values: &[f64]) -> Vec<f64> {
         let mut out = values.to_vec();
         let Some(&first) = values.first() else {
@@ -77,7 +73,7 @@ impl Butterworth {
             return Vec::new();
         };
         let first = values[0];
-        let reach = self.padding().min(values.len() - 1);
+        let reach = (3 * (self.order + 1)).min(values.len() - 1);
         let mut padded = Vec::with_capacity(values.len() + 2 * reach);
         padded.extend(values[1..=reach].iter().rev().map(|v| 2.0 * first - v));
         padded.extend_from_slice(values);
@@ -89,25 +85,16 @@ impl Butterworth {
         out.reverse();
         out[reach..reach + values.len()].to_vec()
     }
-
-    /// Values by which each end is continued: three times the number of taps.
-    const fn padding(&self) -> usize {
-        3 * (self.order + 1)
-    }
 }
 
 /// Every `factor`-th value from `offset` on. The values must have been low-passed below half of the new rate.
 pub fn decimated(values: &[f64], factor: usize, offset: usize) -> Vec<f64> {
-    values
-        .iter()
-        .copied()
-        .skip(offset)
-        .step_by(factor.max(1))
-        .collect()
+    let kept = values.iter().skip(offset).step_by(factor.max(1));
+    kept.copied().collect()
 }
 
-/// Natural cubic spline through `points` (abscissae strictly increasing), read at `at` in ascending order; beyond the
-/// ends the end cubic goes on. Fewer than three points are joined by a line.
+/// Natural cubic spline through `points` (abscissae strictly increasing) at the ascending places `at`; beyond the ends the
+/// end cubic goes on. Fewer than three points are joined by a line.
 pub fn spline(points: &[(f64, f64)], at: &[f64]) -> Vec<f64> {
     let n = points.len();
     if n < 2 {

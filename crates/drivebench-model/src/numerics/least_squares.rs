@@ -1,4 +1,5 @@
-//! Linear least squares with columns scaled to one and a covariance that is honest about correlated residuals.
+//! Linear least squares with columns scaled to one and a cluster-robust (sandwich) covariance for correlated residuals:
+//! Liang and Zeger, *Biometrika* 73, 1986.
 
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 
@@ -12,7 +13,6 @@ pub struct Solution {
     pub x: DVector<f64>,
     /// `A G A` with the meat summed over blocks; a parameter that the data leave undetermined has a NaN variance.
     pub covariance: DMatrix<f64>,
-    /// `right - matrix x`.
     pub residual: DVector<f64>,
 }
 
@@ -48,7 +48,7 @@ fn scaled_to_one(columns: &mut DMatrix<f64>) -> Vec<f64> {
 pub fn ridge(mut columns: DMatrix<f64>, right: &DVector<f64>) -> (DVector<f64>, f64) {
     let scales = scaled_to_one(&mut columns);
     let projected = columns.tr_mul(right);
-    // A hair of damping: a column that does nothing, or what another does, stays at zero.
+    // Tikhonov damping: a column of zeros, or one that repeats another, stays at zero.
     let normal = columns.tr_mul(&columns) + DMatrix::identity(scales.len(), scales.len()) * 1e-10;
     let mut solution = normal.cholesky().map_or_else(
         || DVector::zeros(scales.len()),
@@ -80,16 +80,14 @@ pub struct NormalFit<const N: usize> {
     pub error: f64,
 }
 
-/// Least squares by normal equations of scaled columns: a few coefficients, no precision wanted. Rows with a missing
-/// value are left out; `None` where a coefficient is not determined: the others leave less than `least_own` of its column.
+/// Least squares by normal equations of scaled columns, for a few coefficients. Rows with a missing value are left out; `None`
+/// where a coefficient is not determined: the others leave less than `least_own` of its column.
 pub fn fit_normal<const N: usize>(
     rows: &[([f64; N], f64)],
     least_own: f64,
 ) -> Option<NormalFit<N>> {
-    let good = || {
-        rows.iter()
-            .filter(|(x, y)| y.is_finite() && x.iter().all(|x| x.is_finite()))
-    };
+    let is_good = |(x, y): &&([f64; N], f64)| y.is_finite() && x.iter().all(|x| x.is_finite());
+    let good = || rows.iter().filter(is_good);
     let count = good().count();
     if count < 4 * N {
         return None;
@@ -119,12 +117,9 @@ pub fn fit_normal<const N: usize>(
         return None;
     }
     let solution = inverse * right;
-    let left: f64 = good()
-        .map(|(x, y)| {
-            let sum: f64 = (0..N).map(|k| solution[k] * x[k] / scale[k]).sum();
-            (y - sum).powi(2)
-        })
-        .sum();
+    let residual =
+        |(x, y): &([f64; N], f64)| y - (0..N).map(|k| solution[k] * x[k] / scale[k]).sum::<f64>();
+    let left: f64 = good().map(|row| residual(row).powi(2)).sum();
     let variance = left / (count - N) as f64;
     Some(NormalFit {
         x: std::array::from_fn(|k| solution[k] / scale[k]),
@@ -133,10 +128,7 @@ pub fn fit_normal<const N: usize>(
     })
 }
 
-/// Blocks below which the meat of the sandwich is not trusted.
-const FEWEST_BLOCKS: usize = 8;
-
-/// Sandwich covariance from the bread `(J'J)^-1`.
+/// Sandwich covariance from the bread `(J'J)^-1`; the plain one with fewer than eight blocks.
 pub fn clustered(
     jacobian: &DMatrix<f64>,
     residual: &DVector<f64>,
@@ -157,7 +149,7 @@ pub fn clustered(
         }
     }
     let blocks = scores.len();
-    let mut covariance = if blocks < FEWEST_BLOCKS.max(unknowns + 2) {
+    let mut covariance = if blocks < 8.max(unknowns + 2) {
         let spare = residual.len().saturating_sub(unknowns).max(1) as f64;
         bread * (residual.norm_squared() / spare)
     } else {
@@ -186,11 +178,8 @@ pub fn inverse_of_normal(normal: &DMatrix<f64>) -> (DMatrix<f64>, Vec<bool>) {
     if unknowns == 0 {
         return (DMatrix::zeros(0, 0), Vec::new());
     }
-    let norms: Vec<f64> = normal
-        .diagonal()
-        .iter()
-        .map(|square| square.sqrt())
-        .collect();
+    let diagonal = normal.diagonal();
+    let norms: Vec<f64> = diagonal.iter().map(|square| square.sqrt()).collect();
     let largest = norms.iter().copied().fold(0.0, f64::max);
     let is_known = |norm: &f64| *norm > 1e-12 * largest && *norm > 0.0;
     let mut determined: Vec<bool> = norms.iter().map(is_known).collect();
@@ -224,35 +213,33 @@ mod tests {
 
     fn data(seed: u64) -> (DMatrix<f64>, DVector<f64>, Vec<usize>) {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
-        let matrix = DMatrix::from_fn(400, 2, |_, column| {
-            (rng.random::<f64>() - 0.5) * [1.0, 1e5][column]
-        });
+        let mut random = || rng.random::<f64>() - 0.5;
+        let matrix = DMatrix::from_fn(400, 2, |_, column| random() * [1.0, 1e5][column]);
         let right = DVector::from_fn(400, |row, _| {
-            2.0 * matrix[(row, 0)] - 3e-5 * matrix[(row, 1)] + 0.1 * (rng.random::<f64>() - 0.5)
+            2.0 * matrix[(row, 0)] - 3e-5 * matrix[(row, 1)] + 0.1 * random()
         });
         (matrix, right, (0..400).map(|row| row / 20).collect())
     }
 
     #[test]
     fn the_truth_lies_within_the_interval_however_the_columns_are_scaled() {
-        let (mut outside, runs) = (0, 100);
-        for seed in 0..runs {
+        let mut outside = 0;
+        for seed in 0..100 {
             let (matrix, right, blocks) = data(seed);
             let solution = solve(&matrix, &right, &blocks).unwrap();
             let std = solution.covariance[(0, 0)].sqrt();
             outside += u32::from((solution.x[0] - 2.0).abs() > 2.1 * std);
             assert!((solution.x[1] + 3e-5).abs() < 1e-6);
         }
-        assert!(outside <= 15, "{outside} of {runs}");
+        assert!(outside <= 15, "{outside} of 100");
     }
 
     #[test]
-    fn a_column_of_zeros_and_a_repeated_column_are_undetermined_and_spoil_nothing_else() {
+    fn columns_of_zeros_and_repeated_ones_are_undetermined_and_spoil_nothing() {
         let (matrix, right, blocks) = data(1);
-        let wide = DMatrix::from_fn(400, 4, |row, column| match column {
-            0 => matrix[(row, 0)],
-            1 | 2 => matrix[(row, 1)],
-            _ => 0.0,
+        let sources = [Some(0), Some(1), Some(1), None];
+        let wide = DMatrix::from_fn(400, 4, |row, column| {
+            sources[column].map_or(0.0, |source| matrix[(row, source)])
         });
         let solution = solve(&wide, &right, &blocks).unwrap();
         assert!((solution.x[0] - 2.0).abs() < 0.1 && solution.covariance[(0, 0)].is_finite());

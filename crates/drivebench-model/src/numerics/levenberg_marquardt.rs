@@ -1,6 +1,5 @@
-//! Levenberg-Marquardt for a least-squares problem whose residual is a simulation: forward differences where slopes are not
-//! known, Marquardt scaling, and a step that is clipped so that one bad direction cannot throw the simulation out of its
-//! range.
+//! Levenberg-Marquardt (Marquardt 1963) for a least-squares problem whose residual is a simulation: forward differences where
+//! slopes are not known, Marquardt scaling, clipped steps, and optional rank-one updates of the Jacobian (Broyden 1965).
 
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -18,7 +17,6 @@ pub trait Problem: Sync {
     fn slopes(&self, x: &[f64]) -> Vec<Option<Vec<f64>>> {
         vec![None; x.len()]
     }
-    /// Whether the search has to end where it stands, because of what it has cost so far.
     fn is_spent(&self) -> bool {
         false
     }
@@ -29,18 +27,14 @@ pub struct Options {
     pub most_iterations: usize,
     /// Stops when the cost falls by less than this share.
     pub relative_cost: f64,
-    /// Longest step of one parameter.
     pub longest_step: f64,
-    /// Carries the Jacobian on from step to step by rank-one corrections (Broyden) and takes differences anew only where
-    /// it has ceased to serve. Saves most of the simulations; the Jacobian at the end is then approximate.
+    /// Updates the Jacobian from step to step by rank-one corrections (Broyden) and takes differences anew only where a step
+    /// gains little. Saves most of the simulations; the Jacobian at the end is then approximate.
     pub carry_jacobian: bool,
-    /// Takes the differences of a long residual one after the other: where several searches run side by side, each would
-    /// hold a Jacobian of its own while it waits for the others.
+    /// Takes the differences of a residual longer than 200,000 one after the other: where several searches run side by side,
+    /// each would hold a Jacobian of its own while it waits for the others.
     pub one_of_many: bool,
 }
-
-/// Length of a residual up to which its differences are taken in parallel in any case.
-const SHORT: usize = 200_000;
 
 impl Default for Options {
     fn default() -> Self {
@@ -55,7 +49,7 @@ impl Default for Options {
 }
 
 impl Options {
-    /// For many rivals of which most will lose: a tenth of a per mille of the cost decides nothing between them.
+    /// For the comparison of many candidates: a tenth of a per mille of the cost decides nothing between them.
     pub const fn thrifty() -> Self {
         Self {
             most_iterations: 15,
@@ -71,22 +65,23 @@ impl Options {
 #[derive(Clone, Debug)]
 pub struct Minimum {
     pub x: Vec<f64>,
-    /// Sum of squares of the residual.
     pub cost: f64,
     pub residual: Vec<f64>,
-    /// Residual by parameter, `n x k`, at `x`; zero where no iteration was asked for.
+    /// Residual by parameter, `n x k`, at `x`; zero without iterations.
     pub jacobian: DMatrix<f64>,
     pub iterations: usize,
     pub converged: bool,
 }
 
 impl Minimum {
-    /// Without what is as long as the residual: where only the end of the search counts, and many are kept.
+    /// Without residual and Jacobian: where only the end of the search counts, and many are kept.
     #[must_use]
-    pub fn brief(mut self) -> Self {
-        self.residual = Vec::new();
-        self.jacobian = DMatrix::zeros(0, 0);
-        self
+    pub fn brief(self) -> Self {
+        Self {
+            residual: Vec::new(),
+            jacobian: DMatrix::zeros(0, 0),
+            ..self
+        }
     }
 }
 
@@ -94,7 +89,7 @@ impl Minimum {
 pub fn minimise(problem: &impl Problem, start: &[f64], options: Options) -> Option<Minimum> {
     let mut search = Search::at(problem, start)?;
     let (mut iterations, mut converged) = (0, start.is_empty());
-    let in_parallel = !options.one_of_many || problem.residual_len() <= SHORT;
+    let in_parallel = !options.one_of_many || problem.residual_len() <= 200_000;
     if options.most_iterations > 0 {
         search.jacobian = differences(problem, &search.x, &search.residual, in_parallel);
     }
@@ -108,29 +103,30 @@ pub fn minimise(problem: &impl Problem, start: &[f64], options: Options) -> Opti
             .jacobian
             .tr_mul(&DVector::from_column_slice(&search.residual));
         // Where even a linear problem would gain nothing, no step need be tried.
-        let step = if promised(&normal, &gradient) <= 0.3 * options.relative_cost * before {
-            None
-        } else {
-            let trials = if exact { 8 } else { 2 };
-            search.step(problem, options, (&normal, &gradient), trials)
-        };
+        let can_gain = promised(&normal, &gradient) > 0.3 * options.relative_cost * before;
+        let trials = if exact { 8 } else { 2 };
+        let step = can_gain
+            .then(|| search.step(problem, options, (&normal, &gradient), trials))
+            .flatten();
         let gained = before - search.cost;
         let small = gained <= options.relative_cost * before;
         if small && !exact {
-            // A carried Jacobian cannot tell a minimum from its own error.
+            // With an updated Jacobian a small gain may come from its own error.
             search.jacobian = differences(problem, &search.x, &search.residual, in_parallel);
             exact = true;
             continue;
         }
         let Some(step) = step else {
-            // Where much is promised and no step keeps it, the slopes are wrong or the residual is not smooth: no minimum.
+            // Where much is promised and no step keeps it, the slopes are wrong or the residual is not smooth: no minimum. A gain
+            // of a quarter of a mean square moves no parameter by more than half of its standard deviation and is negligible:
+            // where friction holds and releases, fits end a tenth away as a rule.
             let within = search.promised_within_bounds(problem, &normal, &gradient);
-            let negligible = NEGLIGIBLE / search.residual.len().max(1) as f64;
+            let negligible = 0.25 / search.residual.len().max(1) as f64;
             converged = within <= options.relative_cost.max(negligible) * before;
             break;
         };
         converged = small;
-        let worthwhile = gained > CARRIES_ON * before;
+        let worthwhile = gained > 0.3 * before;
         if options.carry_jacobian && (converged || worthwhile) {
             search.correct(&step);
             exact = false;
@@ -160,19 +156,12 @@ fn promised(normal: &DMatrix<f64>, gradient: &DVector<f64>) -> f64 {
     })
 }
 
-/// Gain in mean squares of the residual that may be left where a search ends without a step: it moves no parameter by more
-/// than half of its standard deviation. Where friction holds and releases, fits end a tenth away as a rule.
-const NEGLIGIBLE: f64 = 0.25;
-/// Share of the cost that a step must gain for its Jacobian to be carried on.
-const CARRIES_ON: f64 = 0.3;
-
-/// What a step changed.
+/// The change of a step and the residual before it.
 struct Step {
     moved: Vec<f64>,
     residual_before: Vec<f64>,
 }
 
-/// The state of a search.
 struct Search {
     x: Vec<f64>,
     residual: Vec<f64>,
@@ -244,7 +233,7 @@ impl Search {
         None
     }
 
-    /// What a full step promises of those parameters that it would not take out of their bounds.
+    /// The promised reduction by those parameters that a full step would not take out of their bounds.
     fn promised_within_bounds(
         &self,
         problem: &impl Problem,
@@ -278,10 +267,8 @@ impl Search {
     }
 }
 
-/// The Jacobian, by forward differences where the problem does not know it; a direction that cannot be evaluated forwards is
-/// tried backwards, else it is zero.
-///
-/// Its columns are found in parallel and do not depend on each other: the result is the same for any number of threads.
+/// The Jacobian, by forward differences where the problem does not give its slopes; a direction that cannot be evaluated
+/// forwards is tried backwards, else it is zero. The result is the same for any number of threads.
 pub fn jacobian_at(problem: &impl Problem, x: &[f64], residual: &[f64]) -> DMatrix<f64> {
     differences(problem, x, residual, true)
 }
@@ -302,12 +289,11 @@ fn differences(
         None => difference(problem, x, residual, index, column),
     };
     // Column after column in memory.
-    let cells = jacobian.as_mut_slice();
+    let (cells, rows) = (jacobian.as_mut_slice(), residual.len());
     if in_parallel {
-        let columns = cells.par_chunks_mut(residual.len());
-        columns.enumerate().for_each(fill);
+        cells.par_chunks_mut(rows).enumerate().for_each(fill);
     } else {
-        cells.chunks_mut(residual.len()).enumerate().for_each(fill);
+        cells.chunks_mut(rows).enumerate().for_each(fill);
     }
     jacobian
 }
@@ -344,7 +330,6 @@ fn sum_of_squares(values: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-
     /// Decaying exponential with gain and rate.
     struct Decay {
         data: Vec<f64>,
@@ -378,59 +363,44 @@ mod tests {
         }
     }
 
-    fn decay() -> Decay {
+    fn decay(gain: f64) -> Decay {
+        let data = (0..30).map(|k| gain * (-0.2 * f64::from(k)).exp());
         Decay {
-            data: (0..30).map(|k| 3.0 * (-0.2 * f64::from(k)).exp()).collect(),
+            data: data.collect(),
             can_evaluate: true,
             misleads: false,
         }
     }
 
-    #[track_caller]
-    fn is_the_truth(minimum: &Minimum, within: f64) {
-        let off = [minimum.x[0] - 3.0, minimum.x[1].exp() - 0.2];
-        assert!(off.iter().all(|off| off.abs() < within), "{minimum:?}");
+    #[test]
+    fn gain_and_rate_are_found_from_far_away_and_with_a_carried_jacobian() {
+        let mut thrifty = Options::thrifty();
+        thrifty.relative_cost = 1e-9;
+        for (start, options, within) in [
+            ([0.3, 0.5f64.ln()], Options::default(), 1e-6),
+            ([2.0, 0.25f64.ln()], thrifty, 1e-4),
+        ] {
+            let minimum = minimise(&decay(3.0), &start, options).unwrap();
+            let off = [minimum.x[0] - 3.0, minimum.x[1].exp() - 0.2];
+            assert!(off.iter().all(|off| off.abs() < within), "{minimum:?}");
+            assert!(minimum.cost < within, "{minimum:?}");
+            assert!(minimum.converged || options.carry_jacobian, "{minimum:?}");
+        }
     }
 
     #[test]
-    fn recovers_gain_and_rate_from_far_away() {
-        let minimum = minimise(&decay(), &[0.3, 0.5f64.ln()], Options::default()).unwrap();
-        is_the_truth(&minimum, 1e-6);
-        assert!(minimum.converged && minimum.cost < 1e-10);
-    }
-
-    #[test]
-    fn a_carried_jacobian_ends_at_the_same_minimum() {
-        let thrifty = Options {
-            relative_cost: 1e-9,
-            ..Options::thrifty()
-        };
-        let minimum = minimise(&decay(), &[2.0, 0.25f64.ln()], thrifty).unwrap();
-        is_the_truth(&minimum, 1e-4);
-    }
-
-    #[test]
-    fn stays_within_bounds_and_says_so_when_nothing_can_be_evaluated() {
-        let bounded = Decay {
-            data: decay().data.iter().map(|value| 10.0 * value).collect(),
-            ..decay()
-        };
-        let patient = Options {
+    fn a_search_stays_within_bounds_and_reports_where_it_fails() {
+        let options = Options {
             most_iterations: 1000,
             ..Options::default()
         };
-        let minimum = minimise(&bounded, &[1.0, -3.0], patient).unwrap();
+        let minimum = minimise(&decay(30.0), &[1.0, -3.0], options).unwrap();
         assert!(minimum.x[0] <= 10.0 && minimum.converged, "{minimum:?}");
-        let misleading = Decay {
-            misleads: true,
-            ..decay()
-        };
-        let minimum = minimise(&misleading, &[0.3, 0.2f64.ln()], Options::default()).unwrap();
+        let mut problem = decay(3.0);
+        problem.misleads = true;
+        let minimum = minimise(&problem, &[0.3, 0.2f64.ln()], Options::default()).unwrap();
         assert!(!minimum.converged && minimum.cost > 1.0, "{minimum:?}");
-        let broken = Decay {
-            can_evaluate: false,
-            ..decay()
-        };
-        assert!(minimise(&broken, &[1.0, -3.0], Options::default()).is_none());
+        problem.can_evaluate = false;
+        assert!(minimise(&problem, &[1.0, -3.0], Options::default()).is_none());
     }
 }

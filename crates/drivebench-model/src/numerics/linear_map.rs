@@ -17,10 +17,8 @@ pub fn radius(size: usize, mut step: impl FnMut(&mut [f64])) -> f64 {
         return f64::INFINITY;
     }
     let eigenvalues = matrix.complex_eigenvalues();
-    eigenvalues
-        .iter()
-        .map(|value| value.norm())
-        .fold(0.0, f64::max)
+    let sizes = eigenvalues.iter().map(|value| value.norm());
+    sizes.fold(0.0, f64::max)
 }
 
 #[cfg(test)]
@@ -30,10 +28,8 @@ mod tests {
     #[test]
     fn a_rotation_has_its_scale_and_a_delay_line_is_dead_beat() {
         let turned = radius(2, |x| {
-            (x[0], x[1]) = (
-                0.9 * (0.6 * x[0] - 0.8 * x[1]),
-                0.9 * (0.8 * x[0] + 0.6 * x[1]),
-            );
+            let [a, b] = [0.6 * x[0] - 0.8 * x[1], 0.8 * x[0] + 0.6 * x[1]];
+            x.copy_from_slice(&[0.9 * a, 0.9 * b]);
         });
         assert!((turned - 0.9).abs() < 1e-12, "{turned}");
         let late = radius(4, |x| {

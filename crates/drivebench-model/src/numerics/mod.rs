@@ -1,4 +1,4 @@
-//! Mathematics without physics: filters, least squares (batch, recursive, non-linear) and statistics.
+//! Mathematics without physics: filters, least squares (batch, recursive, non-linear), propagators and statistics.
 //!
 //! ```text
 //! rows of a balance -> least_squares | recursive_least_squares -> estimate, covariance

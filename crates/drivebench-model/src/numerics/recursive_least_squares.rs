@@ -1,15 +1,10 @@
 //! Recursive least squares with factored covariance and forgetting gated by excitation.
 //!
 //! `P = U D U'` (U unit upper triangular, D diagonal): Bierman, *Factorization Methods for Discrete Sequential
-//! Estimation* (1977), chapter V; it stays positive in floating point where the plain form does not. Wind-up cannot
-//! happen: rows forget only while they bring news, and never beyond the prior variance.
+//! Estimation* (1977), chapter V; it stays positive in floating point where the plain form does not. There is no wind-up:
+//! rows forget only while they excite, and never beyond the prior variance. `news` of a row is `psi' P psi`.
 
 use super::clustered_spread::ClusteredSpread;
-
-/// Rows over which the news is averaged.
-const NEWS_ROWS: f64 = 16.0;
-/// Rows that the parameters still follow freely say nothing about the noise: `psi' P psi` above this.
-const FREE_ROW: f64 = 10.0;
 
 /// The noise of a row as the difference of two errors of unit variance, `e_end - carry e_begin`.
 ///
@@ -22,7 +17,6 @@ pub struct RowNoise {
 }
 
 impl RowNoise {
-    /// A row of independent noise.
     pub const WHITE: Self = Self {
         carry: 0.0,
         continues: false,
@@ -60,8 +54,8 @@ pub struct RecursiveLeastSquares<const N: usize> {
 }
 
 impl<const N: usize> RecursiveLeastSquares<N> {
-    /// Forgetting pauses while the recent mean of `psi' P psi` is below this many times `1 - lambda`. In the mean it is the number of directions
-    /// that the rows excite: a machine at constant speed excites one, and the others would be forgotten for nothing.
+    /// Forgetting pauses while the recent mean of `psi' P psi` is below this many times `1 - lambda`. In the mean it is the
+    /// number of directions that the rows excite: a machine at constant speed excites one, and the others would be forgotten.
     const LEAST_NEWS: f64 = if N > 1 { 1.2 } else { 0.0 };
 
     /// `scale` gives the size of each parameter (positive), `prior` the variance of `parameter / scale` before any data
@@ -113,10 +107,10 @@ impl<const N: usize> RecursiveLeastSquares<N> {
         if !(innovation.is_finite() && news.is_finite()) {
             return None;
         }
-        self.recent_news += (news.min(1.0) - self.recent_news) * (1.0 / NEWS_ROWS);
+        self.recent_news += (news.min(1.0) - self.recent_news) * (1.0 / 16.0);
         let forgets = self.recent_news >= self.least_news
             && self.variance.iter().all(|variance| *variance < self.prior);
-        // Whatever does not need the gain comes first: a processor works on it while it waits for the divisions.
+        // Before the divisions of the gain, so that a processor overlaps both.
         let foreseen = self.foresee_spread(&psi, noise);
         let growth = if forgets { self.growth } else { 1.0 };
         let (gain, news) = self.measure(&f, growth);
@@ -127,9 +121,10 @@ impl<const N: usize> RecursiveLeastSquares<N> {
         if let Some(clustered) = &mut self.clustered {
             clustered.take(&psi, &gain, innovation / (1.0 + news));
         }
-        if news < FREE_ROW {
-            let square =
-                innovation * innovation / ((1.0 + news) * (1.0 + noise.carry * noise.carry));
+        // Rows that the parameters still follow freely tell nothing about the noise.
+        if news < 10.0 {
+            let carried = 1.0 + noise.carry * noise.carry;
+            let square = innovation * innovation / ((1.0 + news) * carried);
             self.noise_sum = self.forgetting * self.noise_sum + square;
             self.noise_weight = self.forgetting * self.noise_weight + 1.0;
         }
@@ -206,14 +201,13 @@ impl<const N: usize> RecursiveLeastSquares<N> {
         std::array::from_fn(|j| self.scaled[j] * self.scale[j])
     }
 
-    /// Changes the memory from the next row on; limited to 0.5..1.
     pub fn set_forgetting(&mut self, forgetting: f64) {
         self.forgetting = forgetting.clamp(0.5, 1.0);
         self.growth = 1.0 / self.forgetting;
         self.least_news = Self::LEAST_NEWS * (1.0 - self.forgetting);
     }
 
-    /// Variance of one sample's error; `None` before more rows than parameters have spoken of it.
+    /// Variance of one sample's error; `None` without more rows than parameters.
     pub fn noise_variance(&self) -> Option<f64> {
         (self.rows > N as u64 && self.noise_weight > 1.0)
             .then(|| self.noise_sum / self.noise_weight)
@@ -253,7 +247,6 @@ impl<const N: usize> RecursiveLeastSquares<N> {
         self.variance[parameter] / self.prior
     }
 
-    /// Rows taken so far.
     pub fn rows(&self) -> u64 {
         self.rows
     }
@@ -278,9 +271,29 @@ mod tests {
         [1.0, 100.0, 0.01].map(|size| size * random.random_range(-1.0..1.0))
     }
 
+    /// Sum of twelve uniforms: variance one.
     fn noise(random: &mut ChaCha8Rng) -> f64 {
-        // Sum of twelve uniforms: variance one.
         (0..12).map(|_| random.random_range(-0.5..0.5)).sum()
+    }
+
+    /// An estimator with memory and so many rows of these parameters, noise included.
+    fn trained(seed: u64, rows: usize, truth: &[f64; 3]) -> (ChaCha8Rng, RecursiveLeastSquares<3>) {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut rls = RecursiveLeastSquares::new([0.0; 3], SCALE, 1e6, 0.97);
+        feed(&mut random, &mut rls, rows, truth);
+        (random, rls)
+    }
+
+    fn feed(
+        random: &mut ChaCha8Rng,
+        rls: &mut RecursiveLeastSquares<3>,
+        rows: usize,
+        truth: &[f64; 3],
+    ) {
+        for _ in 0..rows {
+            let psi = row(random);
+            rls.update(&psi, dot(&psi, truth) + 0.01 * noise(random));
+        }
     }
 
     #[test]
@@ -310,8 +323,7 @@ mod tests {
             let psi = random.random_range(0.5..1.5);
             let value = 3.0 * psi + noise(&mut random);
             one.update(&[psi], value).unwrap();
-            above = 0.9 * above + psi * value;
-            below = 0.9 * below + psi * psi;
+            (above, below) = (0.9 * above + psi * value, 0.9 * below + psi * psi);
         }
         assert!((one.parameters()[0] - above / below).abs() < 1e-9);
     }
@@ -319,6 +331,10 @@ mod tests {
     #[test]
     fn standard_deviations_are_those_of_repeated_trials_under_forgetting() {
         for carry in [0.0, 1.0] {
+            let kind = RowNoise {
+                carry,
+                continues: true,
+            };
             let (mut squares, mut claimed) = ([0.0; 3], [0.0; 3]);
             for seed in 0..300 {
                 let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -329,16 +345,12 @@ mod tests {
                     let error = noise(&mut random);
                     let value = dot(&psi, &TRUE) + 0.1 * (error - carry * before);
                     before = error;
-                    let kind = RowNoise {
-                        carry,
-                        continues: true,
-                    };
                     rls.update_row(&psi, value, kind).unwrap();
                 }
                 let (found, std) = (rls.parameters(), rls.standard_deviations().unwrap());
                 for j in 0..3 {
-                    squares[j] += (found[j] - TRUE[j]).powi(2) / 300.0;
-                    claimed[j] += std[j].powi(2) / 300.0;
+                    squares[j] += (found[j] - TRUE[j]).powi(2);
+                    claimed[j] += std[j].powi(2);
                 }
             }
             for j in 0..3 {
@@ -350,60 +362,38 @@ mod tests {
 
     #[test]
     fn a_million_rows_of_one_direction_neither_wind_up_nor_forget_the_others() {
-        let mut random = ChaCha8Rng::seed_from_u64(2);
-        let mut rls = RecursiveLeastSquares::new([0.0; 3], SCALE, 1e6, 0.97);
-        for _ in 0..300 {
-            let psi = row(&mut random);
-            rls.update(&psi, dot(&psi, &TRUE) + 0.01 * noise(&mut random));
-        }
+        let (mut random, mut rls) = trained(2, 300, &TRUE);
         let psi = [1.0, 0.0, 0.01];
         for _ in 0..1_000_000 {
-            rls.update(&psi, dot(&psi, &TRUE) + 0.01 * noise(&mut random))
-                .unwrap();
+            let value = dot(&psi, &TRUE) + 0.01 * noise(&mut random);
+            rls.update(&psi, value).unwrap();
         }
+        let stds = rls.standard_deviations().unwrap();
         for (j, found) in rls.parameters().iter().enumerate() {
             assert!((found / TRUE[j] - 1.0).abs() < 0.05, "{j} {found}");
-            assert!(rls.ignorance(j) > 0.0 && rls.ignorance(j) < 1e-3);
+            assert!(rls.ignorance(j) > 0.0 && rls.ignorance(j) < 1e-3 && stds[j].is_finite());
         }
-        assert!(
-            rls.standard_deviations()
-                .unwrap()
-                .iter()
-                .all(|s| s.is_finite())
-        );
     }
 
     #[test]
     fn a_jump_of_a_parameter_is_followed() {
-        let mut random = ChaCha8Rng::seed_from_u64(3);
-        let mut rls = RecursiveLeastSquares::new([0.0; 3], SCALE, 1e6, 0.97);
-        for step in 0..1200 {
-            let truth = if step < 600 {
-                TRUE
-            } else {
-                [4.0, -0.03, 500.0]
-            };
-            let psi = row(&mut random);
-            rls.update(&psi, dot(&psi, &truth) + 0.01 * noise(&mut random));
-            if step == 599 {
-                assert!((rls.parameters()[0] - 2.0).abs() < 0.02);
-            }
-        }
+        let (mut random, mut rls) = trained(3, 600, &TRUE);
+        assert!((rls.parameters()[0] - 2.0).abs() < 0.02);
+        feed(&mut random, &mut rls, 600, &[4.0, -0.03, 500.0]);
         assert!((rls.parameters()[0] - 4.0).abs() < 0.02);
     }
 
     #[test]
     fn what_is_not_finite_changes_nothing() {
-        let mut random = ChaCha8Rng::seed_from_u64(4);
-        let mut rls = RecursiveLeastSquares::new([0.0; 3], SCALE, 1e6, 0.97);
-        for _ in 0..20 {
-            let psi = row(&mut random);
-            rls.update(&psi, dot(&psi, &TRUE));
-        }
+        let (_, mut rls) = trained(4, 20, &TRUE);
         let before = format!("{rls:?}");
-        assert_eq!(rls.update(&[1.0, f64::NAN, 0.0], 1.0), None);
-        assert_eq!(rls.update(&[1.0, 1.0, 0.0], f64::INFINITY), None);
-        assert_eq!(rls.update(&[1e200, 1e200, 0.0], 1.0), None);
+        for (psi, value) in [
+            ([1.0, f64::NAN, 0.0], 1.0),
+            ([1.0, 1.0, 0.0], f64::INFINITY),
+            ([1e200, 1e200, 0.0], 1.0),
+        ] {
+            assert_eq!(rls.update(&psi, value), None);
+        }
         assert_eq!(format!("{rls:?}"), before);
     }
 }

@@ -1,6 +1,5 @@
-//! Riccati recursions, run to their steady gain: Kalman filter and optimal state feedback.
-//!
-//! Both are iterated as the papers do it, with the symmetric (Joseph) form where one exists, until the gain stops moving.
+//! Riccati recursions, run to their steady gain: Kalman filter and linear-quadratic state feedback, both in the symmetric
+//! (Joseph) form.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -13,11 +12,6 @@ pub struct Steady<const N: usize> {
     /// Largest change of the gain in each iteration, relative to its size.
     pub changes: Vec<f64>,
 }
-
-/// Relative change of the covariance, or of the cost to go, in one iteration that is no rest.
-const GROWS: f64 = 1e-3;
-/// Iterations after which a recursion is given up.
-const MOST_ITERATIONS: usize = 20_000;
 
 /// Kalman filter for one measured quantity `y = c x + v` (Paper B, eq. (10)): `P- = G P G' + Q`, `K = P- c' / (c P- c' + r)`,
 /// until the change of `K` is below `tolerance`. `None` where it does not come to rest.
@@ -67,13 +61,13 @@ fn iterate<const N: usize>(
 ) -> Option<Steady<N>> {
     let mut changes = Vec::new();
     let mut last = SMatrix::<f64, N, N>::zeros();
-    for _ in 0..MOST_ITERATIONS {
+    for _ in 0..20_000 {
         let (k, matrix) = next();
         if !(k.iter().all(|x| x.is_finite()) && matrix.iter().all(|x| x.is_finite())) {
             return None;
         }
         // A mode that the gain does not reach may grow while the gain stands still.
-        let grows = (matrix - last).amax() > GROWS * matrix.amax();
+        let grows = (matrix - last).amax() > 1e-3 * matrix.amax();
         last = matrix;
         let change = (k - *gain).norm() / k.norm().max(f64::MIN_POSITIVE);
         *gain = k;
@@ -100,14 +94,9 @@ mod tests {
         let (g, q, r) = (0.95_f64, 0.3, 2.0);
         let b = r - g * g * r - q;
         let p = 0.5 * (-b + (b * b + 4.0 * q * r).sqrt());
-        let found = filter(
-            &SMatrix::<f64, 1, 1>::new(g),
-            &SMatrix::<f64, 1, 1>::new(q),
-            &SVector::<f64, 1>::new(1.0),
-            r,
-            1e-14,
-        );
-        assert!((found.unwrap().gain[0] - p / (p + r)).abs() < 1e-12);
+        let one = SMatrix::<f64, 1, 1>::new;
+        let found = filter(&one(g), &one(q), &one(1.0), r, 1e-14).unwrap();
+        assert!((found.gain[0] - p / (p + r)).abs() < 1e-12);
     }
 
     #[test]
@@ -117,15 +106,13 @@ mod tests {
         let weight = Matrix2::new(1.0, 0.0, 0.0, 0.1);
         let found = feedback(&g, &h, &weight, 0.5, 1e-13).unwrap();
         let cost = |k: Vector2<f64>| {
-            let mut x = Vector2::new(1.0, -0.3);
-            (0..2000)
-                .map(|_| {
-                    let u = -k.dot(&x);
-                    let now = x.dot(&(weight * x)) + 0.5 * u * u;
-                    x = g * x + h * u;
-                    now
-                })
-                .sum::<f64>()
+            let (mut x, mut sum) = (Vector2::new(1.0, -0.3), 0.0);
+            for _ in 0..2000 {
+                let u = -k.dot(&x);
+                sum += x.dot(&(weight * x)) + 0.5 * u * u;
+                x = g * x + h * u;
+            }
+            sum
         };
         let best = cost(found.gain);
         for (a, b) in [(0.05, 0.0), (-0.05, 0.0), (0.0, 0.05), (0.0, -0.05)] {
@@ -133,10 +120,7 @@ mod tests {
         }
         let x = Vector2::new(1.0, -0.3);
         assert!((x.dot(&(found.matrix * x)) - best).abs() < 1e-9 * best);
-    }
-
-    #[test]
-    fn what_cannot_be_controlled_is_none() {
+        // An unstable mode that the input does not reach.
         let g = Matrix2::new(1.2, 0.0, 0.0, 0.9);
         let h = Vector2::new(0.0, 1.0);
         assert!(feedback(&g, &h, &Matrix2::identity(), 1.0, 1e-12).is_none());

@@ -1,12 +1,7 @@
-//! The place where a quantity that was positive becomes negative.
+//! Root finding: the Illinois method and bisection.
 
-/// Zero at which the search ends.
-const CLOSE: f64 = 1e-12;
-/// Share of the span below which a bracket is a place.
-const NARROW: f64 = 1e-9;
-
-/// Bisection guarded secant (Illinois, Dowell and Jarratt 1971) between `low`, where the quantity `at_low` is positive, and
-/// `high`, where `at_high` is negative. `span` says how narrow a bracket is a place; after `most` steps the upper end serves.
+/// The modified regula falsi of Illinois (Dowell and Jarratt 1971) between `low`, where the quantity `at_low` is positive, and
+/// `high`, where `at_high` is negative. It ends in a bracket of 1e-9 of `span`; after `most` steps the upper end serves.
 #[inline]
 pub fn falling_through_zero(
     (mut low, mut at_low): (f64, f64),
@@ -19,22 +14,20 @@ pub fn falling_through_zero(
     for _ in 0..most {
         let place = (low * at_high - high * at_low) / (at_high - at_low);
         let there = quantity(place);
-        if there.abs() < CLOSE || high - low < NARROW * span {
+        if there.abs() < 1e-12 || high - low < 1e-9 * span {
             return place;
         }
         let is_low = there > 0.0;
-        if is_low {
-            (low, at_low) = (place, there);
-        } else {
-            (high, at_high) = (place, there);
-        }
         // An end that stays twice in a row is weighted down, else the secant would creep.
-        if last_was_low == Some(is_low) {
-            if is_low {
-                at_high *= 0.5;
-            } else {
-                at_low *= 0.5;
-            }
+        let weight = if last_was_low == Some(is_low) {
+            0.5
+        } else {
+            1.0
+        };
+        if is_low {
+            (low, at_low, at_high) = (place, there, at_high * weight);
+        } else {
+            (high, at_high, at_low) = (place, there, at_low * weight);
         }
         last_was_low = Some(is_low);
     }
@@ -60,14 +53,14 @@ mod tests {
 
     #[test]
     fn the_zero_is_found_in_few_steps_however_bent_the_way() {
-        let mut asked = 0;
+        let mut evaluations = 0;
         let bent = |t: f64| 0.3 - t.powi(9);
         let place = falling_through_zero((0.0, bent(0.0)), (1.0, bent(1.0)), 1.0, 30, |t| {
-            asked += 1;
+            evaluations += 1;
             bent(t)
         });
         assert!((place - 0.3_f64.powf(1.0 / 9.0)).abs() < 1e-9, "{place}");
-        assert!(asked < 20, "{asked}");
+        assert!(evaluations < 20, "{evaluations}");
         let line = falling_through_zero((0.0, 1.0), (4.0, -3.0), 4.0, 30, |t| 1.0 - t);
         assert!((line - 1.0).abs() < 1e-12);
         // A jump has no zero: the first place beyond it is as good.

@@ -24,7 +24,6 @@ pub fn extent<V: Borrow<f64>>(values: impl IntoIterator<Item = V>) -> (f64, f64)
     })
 }
 
-/// Mean distance between instants.
 pub fn mean_step(times: &[f64]) -> f64 {
     (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64
 }
@@ -47,12 +46,11 @@ pub fn median(values: &[f64]) -> f64 {
         return f64::NAN;
     }
     let (below, &mut middle, _) = values.select_nth_unstable_by(count / 2, f64::total_cmp);
-    if count.is_multiple_of(2) {
-        let before = below.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        0.5 * (before + middle)
-    } else {
-        middle
+    if !count.is_multiple_of(2) {
+        return middle;
     }
+    let before = below.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    0.5 * (before + middle)
 }
 
 /// Median distance between instants; NaN for fewer than two.
@@ -61,21 +59,20 @@ pub fn median_step(times: &[f64]) -> f64 {
     median(&steps)
 }
 
-/// The values that are finite.
 pub fn finite(values: &[f64]) -> Vec<f64> {
-    let finite = values.iter().copied().filter(|value| value.is_finite());
-    finite.collect()
+    values.iter().copied().filter(|v| v.is_finite()).collect()
 }
 
-/// Largest value but for one sample in two hundred: a single bad cell must not set the scale.
+/// Largest magnitude but for one sample in two hundred: a single bad cell must not set the scale.
 pub fn largest_but_outliers(values: &[f64]) -> f64 {
-    let mut sizes = finite(values);
-    for value in &mut sizes {
-        *value = value.abs();
-    }
+    let mut sizes: Vec<f64> = finite(values).into_iter().map(f64::abs).collect();
     sizes.sort_by(f64::total_cmp);
-    let dropped = sizes.len() / 200;
-    sizes.iter().rev().nth(dropped).copied().unwrap_or(0.0)
+    sizes
+        .iter()
+        .rev()
+        .nth(sizes.len() / 200)
+        .copied()
+        .unwrap_or(0.0)
 }
 
 /// Median absolute deviation times 1.4826: the standard deviation of normal values, whatever the outliers.
@@ -92,31 +89,24 @@ pub fn autocorrelation(values: &[f64], most: usize) -> Vec<f64> {
     if values.len() <= most || !(power.is_finite() && power > 0.0) {
         return Vec::new();
     }
-    (1..=most)
-        .map(|lag| {
-            let product: f64 = values[lag..]
-                .iter()
-                .zip(values)
-                .map(|(later, earlier)| (later - centre) * (earlier - centre))
-                .sum();
-            product / power
-        })
-        .collect()
+    let product = |(later, earlier): (&f64, &f64)| (later - centre) * (earlier - centre);
+    let at = |lag: usize| values[lag..].iter().zip(values).map(product).sum::<f64>() / power;
+    (1..=most).map(at).collect()
 }
 
-/// Lags over which whiteness is judged.
+/// Lags of the test of whiteness.
 pub const WHITENESS_LAGS: usize = 25;
-/// Half width of the 99 % band of a correlation, times the root of the number of samples.
+/// Half-width of the 99 % band of a correlation, times the root of the number of samples.
 pub const BAND_99: f64 = 2.58;
-/// Share of lags outside that band up to which chance is to blame: by chance more than three of 25 in one run of 8,000.
+/// Share of lags outside that band that chance explains: by chance more than three of 25 in one run of 8,000.
 pub const OUTSIDE_BY_CHANCE: f64 = 0.12;
 
-/// Probability below which the Ljung-Box statistic of white values is not laid to chance: as rare as the count of lags above,
-/// so that neither raises the other's false alarms by much.
+/// Significance of the Ljung-Box test: as rare as the count of lags above, so that neither raises the other's false alarms by
+/// much.
 pub const COLOURED_BY_CHANCE: f64 = 1e-4;
 
-/// Whether neighbouring values go together beyond chance; false also where there are too few to say. By the number of lags
-/// outside their band, which sees a little colour everywhere, and by the Ljung-Box statistic, which sees one strong lag.
+/// Whether the values are autocorrelated beyond chance; false also where there are too few for a test. The number of lags
+/// outside their band detects weak correlation at many lags, the Ljung-Box statistic strong correlation at one.
 pub fn is_coloured(values: &[f64]) -> bool {
     if values.len() < 4 * WHITENESS_LAGS {
         return false;
@@ -132,11 +122,9 @@ pub fn is_coloured(values: &[f64]) -> bool {
 /// Ljung-Box statistic of the correlations at lags 1, 2, ... of so many values (Ljung and Box 1978).
 pub fn ljung_box_statistic(correlations: &[f64], values: usize) -> f64 {
     let n = values as f64;
-    let lags = correlations.iter().enumerate();
-    let sum: f64 = lags
-        .map(|(index, rho)| rho * rho / (n - (index + 1) as f64))
-        .sum();
-    n * (n + 2.0) * sum
+    let lags = correlations.iter().zip(1..);
+    let terms = lags.map(|(rho, lag)| rho * rho / (n - f64::from(lag)));
+    n * (n + 2.0) * terms.sum::<f64>()
 }
 
 /// The statistic over `lags` that white values exceed with this probability.
@@ -158,28 +146,29 @@ mod tests {
     #[test]
     fn moments_and_order_statistics() {
         let values = [4.0, 1.0, 3.0, 2.0];
-        assert!((mean(&values) - 2.5).abs() < 1e-15);
-        assert!((variance(&values) - 5.0 / 3.0).abs() < 1e-15);
-        assert!((median(&values) - 2.5).abs() < 1e-15);
-        assert!((median(&[9.0, 1.0, f64::NAN, 2.0]) - 2.0).abs() < 1e-15);
-        assert!(median(&[]).is_nan() && variance(&[1.0]).is_nan());
-        assert!((median_step(&[0.0, 1.0, 5.0, 7.0]) - 2.0).abs() < 1e-15);
-        assert!((largest([1.0, f64::NAN, -3.0]) - 3.0).abs() < 1e-15 && largest::<f64>([]) < 1e-15);
-    }
-
-    #[test]
-    fn outliers_do_not_move_the_robust_deviation() {
-        let mut values = noise(3, 2000);
-        for value in values.iter_mut().take(200) {
-            *value = 1e6;
+        for (name, found, expected) in [
+            ("mean", mean(&values), 2.5),
+            ("variance", variance(&values), 5.0 / 3.0),
+            ("median", median(&values), 2.5),
+            ("odd median", median(&[9.0, 1.0, f64::NAN, 2.0]), 2.0),
+            ("step", median_step(&[0.0, 1.0, 5.0, 7.0]), 2.0),
+            ("largest", largest([1.0, f64::NAN, -3.0]), 3.0),
+            ("largest of none", largest::<f64>([]), 0.0),
+        ] {
+            assert!((found - expected).abs() < 1e-15, "{name}: {found}");
         }
+        assert!(median(&[]).is_nan() && variance(&[1.0]).is_nan());
+        let mut values = noise(3, 2000);
+        values[..200].fill(1e6);
         assert!((robust_deviation(&values) - 1.0).abs() < 0.2);
     }
 
     #[test]
-    fn white_noise_passes_and_a_filtered_one_fails_the_test_of_whiteness() {
-        let statistic =
-            |values: &[f64]| ljung_box_statistic(&autocorrelation(values, 25), values.len());
+    fn white_noise_passes_the_ljung_box_test_and_a_moving_mean_fails() {
+        let statistic = |values: &[f64]| {
+            let correlations = autocorrelation(values, 25);
+            ljung_box_statistic(&correlations, values.len())
+        };
         let white = noise(1, 2000);
         assert!(statistic(&white) < ljung_box_limit(25, 0.01));
         let filtered: Vec<f64> = white.windows(3).map(|w| w.iter().sum()).collect();
@@ -193,19 +182,18 @@ mod tests {
 
     #[test]
     fn one_strong_lag_is_colour_and_white_noise_is_hardly_ever() {
-        // Ten in a hundred of what was five samples before: one lag stands out, the others are noise.
         let echoed = |seed: u64| -> Vec<f64> {
             let white = noise(seed, 5000);
             let echo = |k: usize| if k >= 5 { 0.14 * white[k - 5] } else { 0.0 };
             (0..5000).map(|k| white[k] + echo(k)).collect()
         };
-        let seen = (0..50).filter(|seed| is_coloured(&echoed(*seed))).count();
-        assert!(seen >= 48, "{seen} of 50");
+        let detected = (0..50).filter(|seed| is_coloured(&echoed(*seed))).count();
+        assert!(detected >= 48, "{detected} of 50");
         let correlations = autocorrelation(&echoed(1), WHITENESS_LAGS);
         let is_outside = |rho: &&f64| rho.abs() > BAND_99 / 5000_f64.sqrt();
         let outside = correlations.iter().filter(is_outside).count() as f64;
-        let sees_it = outside > OUTSIDE_BY_CHANCE * WHITENESS_LAGS as f64;
-        assert!(!sees_it, "the number of lags alone does not see it");
+        let by_count = outside > OUTSIDE_BY_CHANCE * WHITENESS_LAGS as f64;
+        assert!(!by_count, "the number of lags alone does not detect it");
         for rows in [100, 500, 4000] {
             let is_alarm = |seed: &u64| is_coloured(&noise(10_000 + seed, rows));
             let alarms = (0..2000).filter(is_alarm).count();
