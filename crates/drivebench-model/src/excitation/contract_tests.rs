@@ -3,89 +3,6 @@
 use super::*;
 use proptest::prelude::*;
 
-/// The example of every card, and the same kinds with arbitrary values.
-fn any_segment() -> impl Strategy<Value = Segment> {
-    let volts = || -20.0..20.0f64;
-    let dither = || {
-        prop::option::of((0.0..5.0f64, 0.02..0.05f64, any::<u64>()).prop_map(
-            |(amplitude_v, clock_s, seed)| Dither {
-                amplitude_v,
-                clock_s,
-                seed,
-            },
-        ))
-    };
-    prop_oneof![
-        (0.1..2.0f64).prop_map(|seconds| Segment::Standstill(Standstill { seconds })),
-        (0.1..2.0f64).prop_map(|seconds| Segment::CoastDown(CoastDown { seconds })),
-        (prop::collection::vec(volts(), 1..6), 0.05..0.5f64, dither()).prop_map(
-            |(levels_v, hold_s, dither)| Segment::Steps(Steps {
-                levels_v,
-                hold_s,
-                dither
-            })
-        ),
-        (volts(), volts(), 2..9u16, 0.05..0.5f64, dither()).prop_map(
-            |(from_v, to_v, levels, hold_s, dither)| Segment::Staircase(Staircase {
-                from_v,
-                to_v,
-                levels,
-                hold_s,
-                dither
-            })
-        ),
-        (volts(), volts(), 0.1..3.0f64, dither()).prop_map(|(from_v, to_v, seconds, dither)| {
-            Segment::Ramp(Ramp {
-                from_v,
-                to_v,
-                seconds,
-                dither,
-            })
-        }),
-        (
-            0.0..20.0f64,
-            0.01..0.1f64,
-            0.2..3.0f64,
-            any::<u64>(),
-            volts(),
-            2..9u16
-        )
-            .prop_map(|(amplitude_v, clock_s, seconds, seed, offset_v, levels)| {
-                Segment::Prbs(Prbs {
-                    amplitude_v,
-                    clock_s,
-                    seconds,
-                    seed,
-                    offset_v,
-                    levels,
-                })
-            }),
-        (0.0..20.0f64, 0.1..5.0f64, 0.2..3.0f64).prop_map(
-            |(amplitude_v, frequency_hz, seconds)| Segment::Sine(Sine {
-                amplitude_v,
-                frequency_hz,
-                seconds
-            })
-        ),
-        (
-            0.0..20.0f64,
-            0.5..5.0f64,
-            1.1..20.0f64,
-            2.0..4.0f64,
-            volts()
-        )
-            .prop_map(
-                |(amplitude_v, from_hz, factor, seconds, offset_v)| Segment::Chirp(Chirp {
-                    amplitude_v,
-                    from_hz,
-                    to_hz: from_hz * factor,
-                    seconds,
-                    offset_v
-                })
-            ),
-    ]
-}
-
 #[derive(Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Bench {
@@ -96,59 +13,89 @@ fn bench(text: &str) -> Result<Bench, crate::config_text::ConfigError> {
     crate::config_text::parse("bench.toml", text)
 }
 
+fn segment(text: &str) -> Segment {
+    let bench = bench(&format!("[[sequence]]\n{text}\n"));
+    bench
+        .unwrap_or_else(|error| panic!("{text}: {error}"))
+        .sequence
+        .remove(0)
+}
+
+/// Every kind with arbitrary values: voltages, shares of their ranges, number of levels, seed.
+fn any_segment() -> impl Strategy<Value = Segment> {
+    let volts = prop::array::uniform5(-20.0..20.0f64);
+    let shares = prop::array::uniform4(0.0..1.0f64);
+    (0..8, volts, shares, 2..9u16, any::<u32>(), any::<bool>()).prop_map(
+        |(kind, volts, [x, y, z, share], levels, seed, has_dither)| {
+            let [from_v, to_v, offset_v, ..] = volts;
+            let (clock_s, amplitude_v) = (0.02 + 0.03 * x, 20.0 * y);
+            let (seconds, hold_s) = (0.2 + 2.8 * z, 0.05 + 0.45 * z);
+            let dither = format!(", dither = {{ amplitude_v = {y:?}, clock_s = {clock_s:?}, seed = {seed} }}");
+            let dither = if has_dither { dither } else { String::new() };
+            let (from_hz, long_s) = (0.5 + 4.5 * x, 2.0 + 2.0 * z);
+            let to_hz = from_hz * (1.1 + 18.9 * share);
+            let line = format!("from_v = {from_v:?}, to_v = {to_v:?}");
+            let peak = format!("amplitude_v = {amplitude_v:?}, offset_v = {offset_v:?}");
+            let steps = &volts[usize::from(levels) % 5..];
+            let part = match kind {
+                0 => format!("standstill = {{ seconds = {seconds:?} }}"),
+                1 => format!("coast_down = {{ seconds = {seconds:?} }}"),
+                2 => format!("steps = {{ levels_v = {steps:?}, hold_s = {hold_s:?}{dither} }}"),
+                3 => format!("staircase = {{ {line}, levels = {levels}, hold_s = {hold_s:?}{dither} }}"),
+                4 => format!("ramp = {{ {line}, seconds = {seconds:?}{dither} }}"),
+                5 => format!("sine = {{ amplitude_v = {amplitude_v:?}, frequency_hz = {from_hz:?}, seconds = {seconds:?} }}"),
+                6 => format!("prbs = {{ {peak}, clock_s = {clock_s:?}, seconds = {seconds:?}, seed = {seed}, levels = {levels} }}"),
+                _ => format!("chirp = {{ {peak}, from_hz = {from_hz:?}, to_hz = {to_hz:?}, seconds = {long_s:?} }}"),
+            };
+            segment(&part)
+        },
+    )
+}
+
 #[test]
-fn the_example_of_every_card_is_a_program_of_its_kind() {
-    let mut ids = Vec::new();
+fn examples_of_the_cards_are_programs_and_read_back() {
+    let backwards: Vec<usize> = (0..POINTS).rev().collect();
+    let mut ids = std::collections::BTreeSet::new();
     for card in Segment::CARDS {
-        let bench = bench(&format!("[[sequence]]\n{}\n", card.example)).unwrap();
-        assert_eq!(bench.sequence[0].card(), *card);
-        Program::new(&bench.sequence, 400.0).unwrap();
-        ids.push(card.id);
+        let segment = segment(card.example);
+        assert_eq!(segment.card(), *card);
+        assert!(ids.insert(card.id), "{}", card.id);
+        keeps_the_contract(&[segment], 400.0, &backwards);
     }
-    ids.sort_unstable();
-    ids.dedup();
-    assert_eq!(ids.len(), Segment::CARDS.len());
-}
-
-#[test]
-fn an_unknown_key_or_kind_is_named_with_its_line_and_the_nearest() {
-    let error =
-        bench("[[sequence]]\nsteps = { levels_v = [1.0], hold_s = 1.0 }\n[[sequence]]\nramp = { from_v = 0.0, to_v = 1.0, second = 2.0 }\n")
-            .unwrap_err();
-    assert_eq!(
-        (error.line, error.message.as_str()),
-        (4, "unknown field `second`")
-    );
-    assert_eq!(error.help, "did you mean `seconds`?");
-    let error = bench("[[sequence]]\nstepps = { levels_v = [1.0], hold_s = 1.0 }\n").unwrap_err();
-    assert_eq!(error.line, 2);
-    assert_eq!(error.help, "did you mean `steps`?");
-}
-
-#[test]
-fn a_sequence_can_be_written_and_read_back() {
-    let sequence = rich(24.0, 400.0, 7);
-    let written = Bench { sequence };
+    let written = Bench {
+        sequence: rich(24.0, 400.0, 7),
+    };
     let text = toml::to_string(&written).unwrap();
     assert_eq!(bench(&text).unwrap(), written, "{text}");
 }
 
-/// How far the asked-for voltage goes from zero; the slew limit can only make it less.
+#[test]
+fn an_unknown_key_or_kind_is_named_with_its_line_and_the_nearest() {
+    let good = "[[sequence]]\nsteps = { levels_v = [1.0], hold_s = 1.0 }\n";
+    let ramp = "[[sequence]]\nramp = { from_v = 0.0, to_v = 1.0, second = 2.0 }\n";
+    for (text, line, help) in [
+        (format!("{good}{ramp}"), 4, "did you mean `seconds`?"),
+        (good.replace("steps", "stepps"), 2, "did you mean `steps`?"),
+    ] {
+        let error = bench(&text).unwrap_err();
+        assert_eq!((error.line, error.help.as_str()), (line, help));
+    }
+}
+
+/// Largest set-point; the slew limit can only make it less.
 fn peak_of_target(segments: &[Segment]) -> f64 {
     let pieces = |segment: &Segment| match segment.excitation().target() {
         Target::Voltage(pieces) => pieces,
         Target::Coast => Vec::new(),
     };
-    let ends = segments
-        .iter()
-        .flat_map(pieces)
-        .flat_map(|piece| [piece.from_v, piece.to_v]);
+    let pieces = segments.iter().flat_map(pieces);
+    let ends = pieces.flat_map(|piece| [piece.from_v, piece.to_v]);
     ends.fold(0.0, |peak_v, volts| peak_v.max(volts.abs()))
 }
 
 proptest! {
     #[test]
-    fn pieces_of_a_target_have_no_gaps_and_the_asked_length(segment in any_segment()) {
+    fn pieces_of_a_target_have_no_gaps_and_the_set_length(segment in any_segment()) {
         let excitation = segment.excitation();
         prop_assert!(excitation.check().is_ok());
         if let Target::Voltage(pieces) = excitation.target() {
@@ -169,27 +116,15 @@ proptest! {
     }
 }
 
-#[test]
-fn every_card_keeps_the_contract() {
-    let backwards: Vec<usize> = (0..POINTS).rev().collect();
-    for card in Segment::CARDS {
-        let bench = bench(&format!("[[sequence]]\n{}\n", card.example)).unwrap();
-        keeps_the_contract(&bench.sequence, 400.0, &backwards);
-    }
-}
-
 const POINTS: usize = 400;
 
 fn keeps_the_contract(segments: &[Segment], slew_v_per_s: f64, order: &[usize]) {
     let program = Program::new(segments, slew_v_per_s).unwrap();
-    let duration_s = program.duration_s();
-    let lengths = segments
-        .iter()
-        .map(|segment| segment.excitation().duration_s());
-    let asked_s: f64 = lengths.sum();
-    let peak_v = program.peak_v();
-    assert!(duration_s >= asked_s - 1e-9);
-    assert!(duration_s <= asked_s + peak_v / slew_v_per_s + 1e-9);
+    let (duration_s, peak_v) = (program.duration_s(), program.peak_v());
+    let lengths = segments.iter().map(|part| part.excitation().duration_s());
+    let set_s: f64 = lengths.sum();
+    let most_s = set_s + peak_v / slew_v_per_s;
+    assert!((set_s - 1e-9..=most_s + 1e-9).contains(&duration_s));
     assert!(peak_v <= peak_of_target(segments) + 1e-9);
 
     let step_s = (duration_s + 0.2) / POINTS as f64;
@@ -211,11 +146,9 @@ fn keeps_the_contract(segments: &[Segment], slew_v_per_s: f64, order: &[usize]) 
     }
     // The slew limit holds between any two neighbours, the 0 V before and after included.
     for (index, pair) in in_order.windows(2).enumerate() {
-        let coast_between = program
-            .spans()
-            .iter()
-            .any(|span| span.coast && span.end_s > at(index) && span.start_s < at(index + 1));
-        if let ([Output::Voltage(a), Output::Voltage(b)], false) = (pair, coast_between) {
+        let mut coasts = program.spans().iter().filter(|span| span.coast);
+        let is_coast = coasts.any(|span| span.end_s > at(index) && span.start_s < at(index + 1));
+        if let ([Output::Voltage(a), Output::Voltage(b)], false) = (pair, is_coast) {
             let most_v = slew_v_per_s * step_s * (1.0 + 1e-6) + 1e-9;
             assert!((b - a).abs() <= most_v, "{a} to {b} at {} s", at(index));
         }

@@ -1,4 +1,4 @@
-//! Why a sequence makes no program.
+//! Errors of a sequence and the checks of its values.
 
 use thiserror::Error;
 
@@ -29,7 +29,6 @@ pub enum ExcitationError {
 }
 
 impl ExcitationError {
-    /// The next step for the user.
     pub const fn help(&self) -> &'static str {
         match self {
             Self::Value { .. } => "correct the value in the bench file's sequence",
@@ -45,9 +44,6 @@ impl ExcitationError {
 /// The longest program, s: a day.
 pub(super) const LONGEST_S: f64 = 86_400.0;
 
-/// The most changes of level in one part; more would be a mistake in a unit.
-const MOST_CHANGES: f64 = 1e6;
-
 pub(super) fn finite(key: &'static str, value: f64) -> Result<(), Refusal> {
     refuse_unless(value.is_finite(), key, value, "a finite number")
 }
@@ -62,15 +58,11 @@ pub(super) fn duration(key: &'static str, value: f64) -> Result<(), Refusal> {
     refuse_unless(good, key, value, "more than 0 s, up to 86400 s")
 }
 
-/// A clock that is not longer than what it divides and gives no more than a million changes.
+/// A clock that is not longer than what it divides; more than a million changes would be a mistake in a unit.
 pub(super) fn clock(key: &'static str, value: f64, seconds: f64) -> Result<(), Refusal> {
-    let good = value > 0.0 && value <= seconds && seconds / value <= MOST_CHANGES;
-    refuse_unless(
-        good,
-        key,
-        value,
-        "more than 0 s, up to the length of its part, at most 1e6 changes",
-    )
+    let good = value > 0.0 && value <= seconds && seconds / value <= 1e6;
+    let allowed = "more than 0 s, up to the length of its part, at most 1e6 changes";
+    refuse_unless(good, key, value, allowed)
 }
 
 pub(super) fn refuse_unless(
@@ -79,13 +71,10 @@ pub(super) fn refuse_unless(
     value: f64,
     allowed: &'static str,
 ) -> Result<(), Refusal> {
-    if good {
-        Ok(())
-    } else {
-        Err(Refusal {
-            key,
-            value,
-            allowed,
-        })
-    }
+    let refusal = Refusal {
+        key,
+        value,
+        allowed,
+    };
+    if good { Ok(()) } else { Err(refusal) }
 }

@@ -28,12 +28,8 @@ impl Steps {
 impl Excitation for Steps {
     fn check(&self) -> Result<(), Refusal> {
         let count = self.levels_v.len();
-        refuse_unless(
-            (1..=10_000).contains(&count),
-            "number of levels_v",
-            count as f64,
-            "1 to 10000",
-        )?;
+        let good = (1..=10_000).contains(&count);
+        refuse_unless(good, "number of levels_v", count as f64, "1 to 10000")?;
         for level_v in &self.levels_v {
             finite("levels_v", *level_v)?;
         }
@@ -75,12 +71,8 @@ impl Excitation for Staircase {
     fn check(&self) -> Result<(), Refusal> {
         finite("from_v", self.from_v)?;
         finite("to_v", self.to_v)?;
-        refuse_unless(
-            (2..=10_000).contains(&self.levels),
-            "levels",
-            f64::from(self.levels),
-            "2 to 10000",
-        )?;
+        let good = (2..=10_000).contains(&self.levels);
+        refuse_unless(good, "levels", f64::from(self.levels), "2 to 10000")?;
         duration("hold_s", self.hold_s)?;
         check_dither(self.dither.as_ref(), self.duration_s())
     }

@@ -1,4 +1,4 @@
-//! The maximal-length shift register behind every pseudo-random binary sequence here.
+//! Maximal-length linear-feedback shift register for pseudo-random sequences.
 
 /// A Fibonacci register of 16 bits with taps 16, 15, 13 and 4: x^16 + x^15 + x^13 + x^4 + 1 is primitive, so every state
 /// but zero comes up once in 65,535 steps.
@@ -41,25 +41,20 @@ impl Lfsr {
 #[cfg(test)]
 mod tests {
     use super::*;
-
     #[test]
     fn the_sequence_has_the_full_length_and_is_balanced() {
         let start = Lfsr::new(1);
         let mut register = start.clone();
-        let mut ones = 0;
-        let mut steps = 0;
-        loop {
+        let (mut ones, mut steps) = (0, 0);
+        while steps == 0 || register != start {
             ones += u32::from(register.next_bit());
             steps += 1;
-            if register == start {
-                break;
-            }
         }
         assert_eq!((steps, ones), (65_535, 32_768));
     }
 
     #[test]
-    fn levels_come_up_equally_often_and_stay_in_range() {
+    fn levels_come_up_equally_often_and_seeds_differ() {
         for count in [2, 3, 5, 8] {
             let mut register = Lfsr::new(7);
             let mut hits = vec![0_u32; usize::from(count)];
@@ -67,14 +62,9 @@ mod tests {
                 hits[usize::from(register.next_level(count))] += 1;
             }
             let fair = 60_000 / u32::from(count);
-            for hit in hits {
-                assert!(hit.abs_diff(fair) < fair / 10, "{count}: {hit} of {fair}");
-            }
+            let is_fair = |hit: &u32| hit.abs_diff(fair) < fair / 10;
+            assert!(hits.iter().all(is_fair), "{count}: {hits:?}");
         }
-    }
-
-    #[test]
-    fn seeds_give_different_sequences() {
         let bits = |seed| {
             let mut register = Lfsr::new(seed);
             (0..64).map(|_| register.next_bit()).collect::<Vec<_>>()

@@ -5,11 +5,9 @@
 //!   a kind of excitation        straight lines   exact        polyline    in any order
 //! ```
 //!
-//! Everything is a polyline: the slew limit is then exact, and the value at an instant is found by searching, so it does
-//! not depend on what was asked before. A new kind is one struct and one line in the catalogue below; the contract test
-//! in `contract_tests.rs` then covers it.
+//! Everything is a polyline: the slew limit is then exact, and the value at an instant is found by binary search. A new kind
+//! is one struct and one line in the catalogue below; the contract test in `contract_tests.rs` then covers it.
 
-mod chirp;
 mod dither;
 mod error;
 mod levels;
@@ -22,7 +20,6 @@ mod rich;
 mod sine;
 mod slew;
 
-pub use chirp::Chirp;
 pub use dither::Dither;
 pub use error::ExcitationError;
 pub use levels::{Ramp, Staircase, Steps};
@@ -31,28 +28,25 @@ pub use prbs::Prbs;
 pub use program::{Output, Program, Span};
 pub use rest::{CoastDown, Standstill};
 pub use rich::{RICH_SECONDS, rich};
-pub use sine::Sine;
+pub use sine::{Chirp, Sine};
 
 use error::Refusal;
 
-/// What a kind of excitation is called, and how it stands in a bench file.
+/// A kind of excitation: its key in a bench file and an example.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Card {
-    /// Its key in a bench file.
     pub id: &'static str,
-    /// An example for a bench file.
     pub example: &'static str,
 }
 
-/// One kind of excitation: what is asked for, before the slew limit.
+/// One kind of excitation before the slew limit. Length and target are those of checked values.
 pub trait Excitation {
     /// Refuses values that make no program.
     fn check(&self) -> Result<(), Refusal>;
 
-    /// Length in s; only asked for after [`Excitation::check`].
     fn duration_s(&self) -> f64;
 
-    /// The wanted voltage over `0..duration_s`, without gaps; only asked for after [`Excitation::check`].
+    /// The set-point of the voltage over `0..duration_s`, without gaps.
     fn target(&self) -> Target;
 }
 
@@ -66,7 +60,6 @@ macro_rules! catalogue {
         }
 
         impl Segment {
-            /// Every kind, in the order of the catalogue.
             pub const CARDS: &[Card] = &[$($kind::CARD),*];
 
             pub const fn card(&self) -> Card {

@@ -10,7 +10,6 @@ pub struct Piece {
 }
 
 impl Piece {
-    /// From one `(time, voltage)` to another.
     pub const fn line((start_s, from_v): (f64, f64), (end_s, to_v): (f64, f64)) -> Self {
         Self {
             start_s,
@@ -43,7 +42,7 @@ impl Piece {
     }
 }
 
-/// What one excitation asks for over its own time, which begins at 0.
+/// The set-point of one excitation over its own time, which begins at 0.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Target {
     /// Pieces that follow each other without gaps; the voltage may jump between them.
@@ -64,7 +63,20 @@ pub(super) fn levels(hold_s: f64, values_v: impl IntoIterator<Item = f64>) -> Ve
     pieces
 }
 
-/// Makes the pieces end at `end_s`: what is later goes, and the last one is cut or drawn out by a hair.
+/// Chords of a curve from time 0 through `ends` to `last_s`.
+pub(super) fn chords(
+    ends: impl Iterator<Item = f64>,
+    last_s: f64,
+    value_v: impl Fn(f64) -> f64,
+) -> Vec<Piece> {
+    let mut from = (0.0, value_v(0.0));
+    let corners = ends.chain([last_s]).map(|end_s| (end_s, value_v(end_s)));
+    corners
+        .map(|to| Piece::line(std::mem::replace(&mut from, to), to))
+        .collect()
+}
+
+/// Makes the pieces end at `end_s`: later ones go, and the last one is cut or extended.
 pub(super) fn cut(pieces: &mut Vec<Piece>, end_s: f64) {
     while pieces.last().is_some_and(|piece| piece.start_s >= end_s) {
         pieces.pop();

@@ -1,4 +1,4 @@
-//! Pseudo-random levels at a fixed clock.
+//! Pseudo-random binary and multi-level sequences at a fixed clock.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,6 +6,7 @@ use super::error::{Refusal, amplitude, clock, duration, finite, refuse_unless};
 use super::lfsr::Lfsr;
 use super::piece::{cut, levels};
 use super::{Card, Excitation, Target};
+use crate::numerics::count::whole;
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -34,17 +35,6 @@ impl Prbs {
         id: "prbs",
         example: "prbs = { amplitude_v = 8.0, clock_s = 0.04, seconds = 4.0, seed = 1, offset_v = 0.0, levels = 5 }",
     };
-
-    fn count(&self) -> u32 {
-        // `check` keeps it under 1e6; the cast saturates in any case.
-        #[expect(
-            clippy::cast_possible_truncation,
-            clippy::cast_sign_loss,
-            reason = "a checked duration over a checked clock is between 1 and 1e6"
-        )]
-        let count = (self.seconds / self.clock_s).ceil() as u32;
-        count.max(1)
-    }
 }
 
 impl Excitation for Prbs {
@@ -53,12 +43,8 @@ impl Excitation for Prbs {
         duration("seconds", self.seconds)?;
         clock("clock_s", self.clock_s, self.seconds)?;
         finite("offset_v", self.offset_v)?;
-        refuse_unless(
-            (2..=1_000).contains(&self.levels),
-            "levels",
-            f64::from(self.levels),
-            "2 to 1000",
-        )
+        let good = (2..=1_000).contains(&self.levels);
+        refuse_unless(good, "levels", f64::from(self.levels), "2 to 1000")
     }
 
     fn duration_s(&self) -> f64 {
@@ -68,12 +54,13 @@ impl Excitation for Prbs {
     fn target(&self) -> Target {
         let mut register = Lfsr::new(self.seed);
         let last = f64::from(self.levels - 1);
-        let values_v = (0..self.count()).map(|_| {
+        let count = whole((self.seconds / self.clock_s).ceil()).max(1);
+        let values_v = (0..count).map(|_| {
             let share = 2.0 * f64::from(register.next_level(self.levels)) / last - 1.0;
             self.offset_v + self.amplitude_v * share
         });
         let mut pieces = levels(self.clock_s, values_v);
-        // The last clock may be cut short, or rounding may leave a hair: the length is what was asked for.
+        // The last clock may be cut short, or the length be off by rounding.
         cut(&mut pieces, self.seconds);
         Target::Voltage(pieces)
     }
@@ -82,8 +69,15 @@ impl Excitation for Prbs {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn values(prbs: &Prbs) -> Vec<f64> {
+    fn levels_of(levels: u16, seed: u64) -> Vec<f64> {
+        let prbs = Prbs {
+            amplitude_v: 4.0,
+            clock_s: 0.01,
+            seconds: 5.0,
+            seed,
+            offset_v: 1.0,
+            levels,
+        };
         match prbs.target() {
             Target::Voltage(pieces) => pieces.iter().map(|piece| piece.from_v).collect(),
             Target::Coast => vec![],
@@ -91,43 +85,16 @@ mod tests {
     }
 
     #[test]
-    fn binary_and_five_level_sequences_have_their_levels() {
-        let mut prbs = Prbs {
-            amplitude_v: 4.0,
-            clock_s: 0.01,
-            seconds: 5.0,
-            seed: 3,
-            offset_v: 1.0,
-            levels: 2,
-        };
-        let binary = values(&prbs);
-        assert_eq!(binary.len(), 500);
-        let is_one_of_two = |v: &f64| (v - 5.0).abs() < 1e-12 || (v + 3.0).abs() < 1e-12;
-        assert!(binary.iter().all(is_one_of_two));
-        prbs.levels = 5;
-        let found = values(&prbs).into_iter().map(|volts| format!("{volts:.3}"));
-        let found: std::collections::BTreeSet<String> = found.collect();
-        assert!(
-            found
-                .iter()
-                .eq(["-1.000", "-3.000", "1.000", "3.000", "5.000"]),
-            "{found:?}"
-        );
-    }
-
-    #[test]
-    fn another_seed_is_another_sequence() {
-        let of = |seed| {
-            values(&Prbs {
-                amplitude_v: 1.0,
-                clock_s: 0.1,
-                seconds: 5.0,
-                seed,
-                offset_v: 0.0,
-                levels: 3,
-            })
-        };
-        assert_eq!(of(1), of(1));
-        assert_ne!(of(1), of(2));
+    fn sequences_have_their_levels_and_differ_by_their_seed() {
+        for (levels, expected) in [(2, &[-3.0, 5.0][..]), (5, &[-3.0, -1.0, 1.0, 3.0, 5.0])] {
+            let mut found = levels_of(levels, 3);
+            assert_eq!(found.len(), 500);
+            found.sort_by(f64::total_cmp);
+            found.dedup_by(|a, b| (*a - *b).abs() < 1e-12);
+            let alike = |(a, b): (&f64, &f64)| (a - b).abs() < 1e-12;
+            assert!(found.len() == usize::from(levels) && found.iter().zip(expected).all(alike));
+        }
+        assert_eq!(levels_of(3, 1), levels_of(3, 1));
+        assert_ne!(levels_of(3, 1), levels_of(3, 2));
     }
 }

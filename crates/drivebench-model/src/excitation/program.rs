@@ -1,11 +1,11 @@
-//! A sequence made ready: one polyline that can be asked for any instant in any order.
+//! A sequence under its slew limit: one polyline, evaluated at any instant in any order.
 
 use super::error::{ExcitationError, LONGEST_S};
 use super::slew::SlewLimit;
 use super::{Piece, Segment, Target};
 use crate::sample::Demand;
 
-/// What the program asks for at an instant.
+/// The set-point of the program at an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Output {
     /// Armature voltage, V.
@@ -73,21 +73,16 @@ impl Program {
             }
             let target = excitation.target();
             let coast = target == Target::Coast;
-            match target {
-                Target::Voltage(targets) => {
-                    for target in targets {
-                        limit.follow(&target.shifted(start_s), &mut pieces);
-                    }
+            if let Target::Voltage(targets) = target {
+                for target in targets {
+                    limit.follow(&target.shifted(start_s), &mut pieces);
                 }
-                Target::Coast => {
-                    pieces.push(Piece::level(start_s, end_s, 0.0));
-                    limit.voltage_v = 0.0;
-                }
+            } else {
+                pieces.push(Piece::level(start_s, end_s, 0.0));
+                limit.voltage_v = 0.0;
             }
-            let earlier = segments[..index]
-                .iter()
-                .filter(|other| other.card().id == kind);
-            let name = match earlier.count() {
+            let earlier = segments[..index].iter().map(|other| other.card().id);
+            let name = match earlier.filter(|id| *id == kind).count() {
                 0 => kind.to_owned(),
                 earlier => format!("{kind} {}", earlier + 1),
             };
@@ -116,7 +111,7 @@ impl Program {
         self.spans.last().map_or(0.0, |span| span.end_s)
     }
 
-    /// What is asked for at `time_s`; 0 V before the beginning and from the end on.
+    /// The set-point at `time_s`; 0 V before the beginning and from the end on.
     pub fn value_at(&self, time_s: f64) -> Output {
         match self.span_at(time_s) {
             Some(span) if span.coast => Output::Coast,
@@ -136,17 +131,10 @@ impl Program {
 
     /// Farthest voltage from zero, V.
     pub fn peak_v(&self) -> f64 {
-        let ends = self
-            .pieces
-            .iter()
-            .map(|piece| piece.from_v.abs().max(piece.to_v.abs()));
-        ends.fold(0.0, f64::max)
-    }
-
-    /// Steepest change, V/s; the jump to output off is none.
-    pub fn peak_slew_v_per_s(&self) -> f64 {
-        let slopes = self.pieces.iter().map(|piece| piece.slope_v_per_s().abs());
-        slopes.fold(0.0, f64::max)
+        let pieces = self.pieces.iter();
+        pieces.fold(0.0, |peak_v, piece| {
+            peak_v.max(piece.from_v.abs()).max(piece.to_v.abs())
+        })
     }
 
     /// Corners `(time_s, voltage_v)` for a plot; two at one instant where a coast-down begins.
@@ -169,9 +157,8 @@ impl Program {
 
     fn voltage_at(&self, time_s: f64) -> f64 {
         let after = self.pieces.partition_point(|piece| piece.end_s <= time_s);
-        self.pieces
-            .get(after)
-            .map_or(0.0, |piece| piece.value(time_s))
+        let piece = self.pieces.get(after);
+        piece.map_or(0.0, |piece| piece.value(time_s))
     }
 }
 
@@ -188,88 +175,74 @@ mod tests {
         })
     }
 
-    fn volts(program: &Program, time_s: f64) -> f64 {
-        match program.value_at(time_s) {
-            Output::Voltage(volts) => volts,
-            Output::Coast => f64::NAN,
+    #[track_caller]
+    fn assert_volts(program: &Program, points: &[(f64, f64)]) {
+        for (time_s, expected_v) in points {
+            let found = program.value_at(*time_s);
+            let is_near = matches!(found, Output::Voltage(v) if (v - expected_v).abs() < 1e-9);
+            assert!(is_near, "{time_s} s: {found:?}");
         }
     }
 
     #[test]
     fn parts_follow_each_other_under_one_slew_limit() {
-        let parts = [
-            Segment::Standstill(Standstill { seconds: 0.5 }),
-            steps(&[10.0, -10.0]),
-            steps(&[5.0]),
-        ];
+        let rest = Segment::Standstill(Standstill { seconds: 0.5 });
+        let parts = [rest, steps(&[10.0, -10.0]), steps(&[5.0])];
         let program = Program::new(&parts, 100.0).unwrap();
-        for (time_s, expected_v) in [
-            (-1.0, 0.0),
-            (0.25, 0.0),
-            (0.55, 5.0),
-            (0.7, 10.0),
-            (1.1, 0.0),
-            (1.3, -10.0),
-            (1.65, 5.0),
-            (2.025, 2.5),
-            (2.05, 0.0),
-            (9.0, 0.0),
-            (f64::NAN, 0.0),
-        ] {
-            let found_v = volts(&program, time_s);
-            assert!((found_v - expected_v).abs() < 1e-9, "{time_s}: {found_v}");
-        }
+        assert_volts(
+            &program,
+            &[(-1.0, 0.0), (0.25, 0.0), (0.55, 5.0), (0.7, 10.0)],
+        );
+        assert_volts(
+            &program,
+            &[(1.1, 0.0), (1.3, -10.0), (1.65, 5.0), (2.025, 2.5)],
+        );
+        assert_volts(&program, &[(2.05, 0.0), (9.0, 0.0), (f64::NAN, 0.0)]);
         let names: Vec<_> = program.spans().iter().map(|span| &span.name).collect();
         assert_eq!(names, ["standstill", "steps", "steps 2", "ramp down"]);
         assert_eq!(program.segment_at(1.0), Some("steps"));
         assert_eq!(program.segment_at(2.05), None);
         assert!((program.duration_s() - 2.05).abs() < 1e-12);
         assert!((program.peak_v() - 10.0).abs() < 1e-12);
-        assert!((program.peak_slew_v_per_s() - 100.0).abs() < 1e-6);
     }
 
     #[test]
     fn a_coast_down_switches_off_and_the_next_part_begins_at_zero() {
-        let parts = [
-            steps(&[10.0]),
-            Segment::CoastDown(CoastDown { seconds: 1.0 }),
-            steps(&[10.0]),
-        ];
+        let coast = Segment::CoastDown(CoastDown { seconds: 1.0 });
+        let parts = [steps(&[10.0]), coast, steps(&[10.0])];
         let program = Program::new(&parts, 100.0).unwrap();
-        assert!((volts(&program, 0.4999) - 10.0).abs() < 1e-9);
+        assert_volts(&program, &[(0.499_999_999_9, 10.0), (1.55, 5.0)]);
         assert_eq!(program.value_at(0.5), Output::Coast);
         assert_eq!(Demand::from(program.value_at(1.2)), Demand::Disable);
-        assert!((volts(&program, 1.55) - 5.0).abs() < 1e-9);
     }
 
     #[test]
     fn a_wrong_value_is_named_with_its_place() {
-        let parts = [
-            steps(&[1.0]),
-            Segment::Prbs(Prbs {
-                amplitude_v: 1.0,
-                clock_s: 0.0,
-                seconds: 1.0,
-                seed: 0,
-                offset_v: 0.0,
-                levels: 2,
-            }),
-        ];
-        assert_eq!(
-            Program::new(&parts, 100.0).unwrap_err().to_string(),
-            "sequence part 2 (prbs): clock_s = 0 is not allowed (allowed: more than 0 s, up to the length of its part, \
-             at most 1e6 changes)"
-        );
-        assert!(matches!(
-            Program::new(&parts, 0.0),
-            Err(ExcitationError::Slew(_))
-        ));
-        assert_eq!(Program::new(&[], 1.0), Err(ExcitationError::Empty));
-        assert!(Program::new(&[steps(&[f64::NAN])], 1.0).is_err());
+        let prbs = Segment::Prbs(Prbs {
+            amplitude_v: 1.0,
+            clock_s: 0.0,
+            seconds: 1.0,
+            seed: 0,
+            offset_v: 0.0,
+            levels: 2,
+        });
         let day = Segment::Standstill(Standstill { seconds: 86_400.0 });
-        assert!(matches!(
-            Program::new(&[day.clone(), day], 1.0),
-            Err(ExcitationError::TooLong(_))
-        ));
+        let clock = "sequence part 2 (prbs): clock_s = 0 is not allowed (allowed: more than 0 s, up to the length of \
+             its part, at most 1e6 changes)";
+        for (parts, slew_v_per_s, message) in [
+            (vec![steps(&[1.0]), prbs], 100.0, clock),
+            (vec![steps(&[1.0])], 0.0, "slew_v_per_s = 0 is"),
+            (vec![], 1.0, "the sequence has no parts"),
+            (
+                vec![steps(&[f64::NAN])],
+                1.0,
+                "sequence part 1 (steps): levels_v = NaN",
+            ),
+            (vec![day.clone(), day], 1.0, "the sequence lasts 172800 s"),
+        ] {
+            let error = Program::new(&parts, slew_v_per_s).unwrap_err();
+            assert!(error.to_string().starts_with(message), "{error}");
+            assert!(!error.help().is_empty());
+        }
     }
 }

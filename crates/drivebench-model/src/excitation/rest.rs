@@ -1,4 +1,4 @@
-//! Rest and run-out: zero volts shows noise floor and sensor offsets, output off friction and inertia from the free run.
+//! Standstill and coast-down: zero volts shows noise floor and sensor offsets, output off friction over inertia.
 
 use serde::{Deserialize, Serialize};
 

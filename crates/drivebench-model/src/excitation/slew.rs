@@ -1,4 +1,4 @@
-//! The slew limit in closed form: a straight line chased at a limited rate is itself made of straight lines.
+//! The slew limit in closed form: a straight line followed at a limited rate is itself made of straight lines.
 
 use super::Piece;
 
@@ -6,7 +6,6 @@ use super::Piece;
 #[derive(Clone, Debug)]
 pub(super) struct SlewLimit {
     pub(super) rate_v_per_s: f64,
-    /// Where the voltage is now, V.
     pub(super) voltage_v: f64,
 }
 
