@@ -2,10 +2,7 @@
 
 use crate::numerics::count::whole;
 
-/// Periods per turn up to which a wave is a power of the first; rounding grows with the power.
-const HIGHEST_POWER: f64 = 200.0;
-
-/// An angle of the shaft. Its sine and cosine are found once: effects ask for theirs many times at each instant.
+/// An angle of the shaft. Its sine and cosine are computed once: effects use them many times at each instant.
 #[derive(Clone, Copy, Debug)]
 pub struct ShaftAngle {
     rad: f64,
@@ -31,9 +28,9 @@ impl ShaftAngle {
         self.rad
     }
 
-    /// Sine and cosine of a wave with `order` periods per turn.
+    /// Sine and cosine of a wave with `order` periods per turn: up to 200 as a power of the first (rounding grows with it).
     pub fn wave(&self, order: f64) -> [f64; 2] {
-        let is_whole = order.fract() == 0.0 && (0.0..=HIGHEST_POWER).contains(&order);
+        let is_whole = order.fract() == 0.0 && (0.0..=200.0).contains(&order);
         if !is_whole {
             return (order * self.rad).sin_cos().into();
         }
@@ -64,27 +61,22 @@ fn of_sum([sin_a, cos_a]: [f64; 2], [sin_b, cos_b]: [f64; 2]) -> [f64; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
-
     #[test]
     fn a_wave_is_the_sine_of_so_many_times_the_angle() {
         for rad in [-0.3, 0.0, 1.1, 12.5] {
             let angle = ShaftAngle::at(rad);
             for order in [0.0, 1.0, 2.0, 7.0, 24.0, 200.0, 201.0, 1000.0, 2.5, -3.0] {
-                let alike = |wave: [f64; 2], order: f64| {
+                let wave = angle.wave(order);
+                for (wave, order) in [(wave, order), (angle.next_wave(wave), order + 1.0)] {
                     let (sin, cos) = (order * rad).sin_cos();
                     let off = (wave[0] - sin).abs().max((wave[1] - cos).abs());
                     assert!(off < 1e-12, "{order} times {rad}: {off}");
-                };
-                let wave = angle.wave(order);
-                alike(wave, order);
-                alike(angle.next_wave(wave), order + 1.0);
+                }
             }
         }
         assert!(ShaftAngle::at(f64::NAN).wave(3.0)[0].is_nan());
         let none = ShaftAngle::default();
-        let [sine, cosine] = none.wave(7.0);
-        for (value, expected) in [(none.rad(), 0.0_f64), (sine, 0.0), (cosine, 1.0)] {
-            assert_eq!(value.to_bits(), expected.to_bits());
-        }
+        let bits = [none.rad(), none.wave(7.0)[0], none.wave(7.0)[1]].map(f64::to_bits);
+        assert_eq!(bits, [0.0_f64, 0.0, 1.0].map(f64::to_bits));
     }
 }

@@ -1,4 +1,4 @@
-//! Voltage that reaches the motor later than it was stamped.
+//! Command delay: the voltage reaches the motor later than its stamp.
 
 use super::{BiasedFit, Card, Enters, ParameterSpec, path};
 

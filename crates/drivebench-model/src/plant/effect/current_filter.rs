@@ -1,4 +1,4 @@
-//! Measured current that lags behind the winding's by a first-order filter.
+//! First-order filter of the measured current.
 
 use super::{BiasedFit, Card, Enters, ParameterSpec, Place, path};
 

@@ -1,4 +1,4 @@
-//! Current sensor whose zero is off.
+//! Offset of the current sensor.
 
 use super::{BiasedFit, Card, Enters, ParameterSpec, Place, path};
 

@@ -1,9 +1,8 @@
-//! What every definition of an effect is read with: its error, its settings, and the one place where it lives.
+//! Definitions of effects: errors, settings, and interning.
 //!
-//! The rest of the program takes effects as `&'static dyn Effect`, because the catalogue's are. A definition is
-//! therefore kept for the life of the process, once: the same definition gives the same reference. That is bounded,
-//! because definitions come only from model files, command lines and axis maps, a handful in a process; fits,
-//! bootstraps and simulations change values, which are no part of a definition.
+//! The rest of the program takes effects as `&'static dyn Effect`. A definition is therefore kept for the life of the
+//! process, once: the same definition gives the same reference. That is bounded, because definitions come only from model
+//! files, command lines and axis maps; fits, bootstraps and simulations change values, which are no part of a definition.
 
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
@@ -17,7 +16,6 @@ use crate::config_text::help_for_unknown;
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{message}")]
 pub struct DefinitionError {
-    /// The setting that is wrong.
     pub key: String,
     /// Byte within the setting's text, where the mistake has a place of its own.
     pub offset: Option<usize>,
@@ -64,11 +62,8 @@ pub(super) fn leaked(text: &str) -> &'static str {
 }
 
 pub(super) fn unknown_key(key: &str, allowed: &[&str]) -> DefinitionError {
-    DefinitionError::new(
-        key,
-        format!("unknown key `{key}`"),
-        help_for_unknown(key, allowed.iter().copied()),
-    )
+    let help = help_for_unknown(key, allowed.iter().copied());
+    DefinitionError::new(key, format!("unknown key `{key}`"), help)
 }
 
 pub(super) fn text_of<'a>(
@@ -78,46 +73,40 @@ pub(super) fn text_of<'a>(
 ) -> Result<&'a str, DefinitionError> {
     let (at, message) = match settings.get(key) {
         Some(toml::Value::String(text)) => return Ok(text),
-        Some(other) => (
-            key,
-            format!("{key} is a {}, expected a text", other.type_str()),
-        ),
+        Some(other) => {
+            let message = format!("{key} is a {}, expected a text", other.type_str());
+            (key, message)
+        }
         None => ("id", format!("{key} is missing")),
     };
     let help = format!("as {key} = {example:?}");
     Err(DefinitionError::new(at, message, help))
 }
 
-/// The key `equation`.
 pub(super) fn balance_of(settings: &toml::Table) -> Result<Balance, DefinitionError> {
     match text_of(settings, "equation", "torque")? {
         "torque" => Ok(Balance::Torque),
         "voltage" => Ok(Balance::Voltage),
         other => {
             let message = format!("equation {other:?} is not known");
-            Err(DefinitionError::new(
-                "equation",
-                message,
-                "torque or voltage",
-            ))
+            let help = "torque or voltage";
+            Err(DefinitionError::new("equation", message, help))
         }
     }
 }
 
 pub(super) fn number_of(key: &str, value: &toml::Value) -> Result<f64, DefinitionError> {
-    let (message, help) = match value
-        .as_float()
-        .or(value.as_integer().map(|whole| whole as f64))
-    {
+    let whole = value.as_integer().map(|whole| whole as f64);
+    let (message, help) = match value.as_float().or(whole) {
         Some(number) if number.is_finite() => return Ok(number),
         Some(number) => (
             format!("{key} = {number} is not allowed"),
             "a finite number",
         ),
-        None => (
-            format!("{key} is a {}, expected a number", value.type_str()),
-            "as 0.02",
-        ),
+        None => {
+            let message = format!("{key} is a {}, expected a number", value.type_str());
+            (message, "as 0.02")
+        }
     };
     Err(DefinitionError::new(key, message, help))
 }

@@ -3,7 +3,7 @@
 use super::{Axis, Balance, Card, Enters, Limit, ParameterSpec, Place, voltage};
 
 /// Currents from which on gaps, not brushes, bend the voltage, A: nine times the 0.1 A over which a drop of brushes builds up,
-/// whatever the motor: contacts know no rated current. A softer drop would pass for gaps.
+/// whatever the rated current of the motor. A softer drop would pass for gaps.
 const LEAST_BOUNDARY_A: f64 = 0.9;
 
 pub(super) const EFFECT: Card = Card {

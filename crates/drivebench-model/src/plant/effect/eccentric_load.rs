@@ -1,4 +1,4 @@
-//! Load of position, once per turn.
+//! Eccentric load: a torque of position, once per turn.
 
 use super::{Axis, Balance, Card, Enters, ParameterSpec, Place, torque};
 

@@ -1,7 +1,7 @@
-//! The law of an effect written down, so that other programs can compute it.
+//! The law of an effect as a formula for other programs.
 //!
-//! The laws that a simulation evaluates are written for speed; each card states its own a second time, as text in the
-//! notation of `custom`, and a test holds the two together. Who renders a formula for another language walks its tree.
+//! The laws of the simulation are written for speed; each card states its own a second time, as text in the notation of
+//! `custom`, and a test proves them equal. An export to another language walks the tree of the formula.
 
 use super::grammar::{self, Tree};
 
@@ -20,9 +20,9 @@ pub enum Place {
     Inertia,
     /// Time derivative of the effect's one state `x`, which starts at zero.
     StateRate,
-    /// What the sensor of the current adds to the truth, A.
+    /// Offset of the current sensor, A.
     CurrentReading,
-    /// What the sensor of the speed adds to the truth, rad/s.
+    /// Offset of the speed sensor, rad/s.
     SpeedReading,
 }
 
@@ -39,7 +39,6 @@ pub struct Formula {
     pub tree: Tree,
 }
 
-/// Reads a term; `None` where it is none.
 pub(super) fn read(text: &str, parameters: &[&str]) -> Option<Tree> {
     let names = |name: &str| {
         let all = || SYMBOLS.iter().chain(parameters);
@@ -58,9 +57,9 @@ mod tests {
     use crate::plant::{Motor, ParameterRole, ParameterSpec};
 
     /// A value of a parameter, from a share of its range.
-    fn value(spec: &ParameterSpec, share: f64) -> f64 {
+    fn value((spec, share): (&ParameterSpec, &f64)) -> f64 {
         match spec.role {
-            // None of a delay or a filter is no time to divide by.
+            // A delay or a filter of zero is no time to divide by.
             ParameterRole::Coefficient if spec.min >= 0.0 => spec.scale * (0.1 + 3.0 * share),
             ParameterRole::Coefficient => {
                 (spec.scale * 6.0 * (share - 0.5)).clamp(spec.min, spec.max)
@@ -68,55 +67,32 @@ mod tests {
             ParameterRole::Choice => (1.0 + 40.0 * share).round(),
             ParameterRole::EventTime => 4.0 * share,
             ParameterRole::Shape => {
-                let first = spec.shapes[0];
-                (first + share * (spec.shapes[spec.shapes.len() - 1] - first).max(first))
-                    .clamp(spec.min, spec.max)
+                let (first, last) = (spec.shapes[0], spec.shapes[spec.shapes.len() - 1]);
+                (first + share * (last - first).max(first)).clamp(spec.min, spec.max)
             }
         }
     }
 
-    /// What the formulas of an effect add in this place.
-    fn sum(formulas: &[Formula], place: Place, all: &[f64]) -> f64 {
-        let here = formulas.iter().filter(|formula| formula.place == place);
-        here.map(|formula| formula.tree.value(&|index| all[index]))
-            .sum()
-    }
-
     fn check(effect: &dyn Effect, formulas: &[Formula], at: &Instant, shares: &[f64], x: f64) {
-        let id = effect.card().id;
-        let specs = effect.parameters();
-        let values: Vec<f64> = specs
-            .iter()
-            .zip(shares)
-            .map(|(spec, share)| value(spec, *share))
-            .collect();
-        let symbols = [
-            at.voltage_v,
-            at.current_a,
-            at.speed_rad_s,
-            at.angle.rad(),
-            at.time_s,
-            at.resistance_ohm,
-            at.back_emf_v_s_per_rad,
-            at.torque_n_m_per_a,
-            at.supply_v,
-            x,
-        ];
+        let values: Vec<f64> = effect.parameters().iter().zip(shares).map(value).collect();
+        let (u, i, w) = (at.voltage_v, at.current_a, at.speed_rad_s);
+        let (theta, t, supply) = (at.angle.rad(), at.time_s, at.supply_v);
+        let (ke, kt) = (at.back_emf_v_s_per_rad, at.torque_n_m_per_a);
+        let symbols = [u, i, w, theta, t, at.resistance_ohm, ke, kt, supply, x];
         let all = [&symbols[..], &values].concat();
         let terms = effect.terms(&values);
         let own = vec![x; terms.states()];
         let mut rates = vec![0.0; terms.states()];
         terms.derivative(at, &own, &mut rates);
-        let sums = terms.sums(at, &own);
-        let path = terms.path();
+        let (sums, path) = (terms.sums(at, &own), terms.path());
         // A filter's state is the reading; elsewhere the law has none.
-        let filtered = |time_constant_s: f64, truth: f64| (time_constant_s > 0.0).then_some(truth);
-        let current = filtered(path.current_filter_s, at.current_a);
-        let speed = filtered(path.speed_filter_s, at.speed_rad_s);
-        let lag = |tau: f64, truth: f64| if tau > 0.0 { (truth - x) / tau } else { 0.0 };
-        let rate = rates.iter().sum::<f64>()
-            + lag(path.current_filter_s, at.current_a)
-            + lag(path.speed_filter_s, at.speed_rad_s);
+        let lag = |tau: f64, truth: f64| if tau > 0.0 { x - truth } else { 0.0 };
+        let lags = [
+            (path.current_filter_s, lag(path.current_filter_s, i)),
+            (path.speed_filter_s, lag(path.speed_filter_s, w)),
+        ];
+        let filtered = lags.map(|(tau, lag)| if tau > 0.0 { -lag / tau } else { 0.0 });
+        let rate = rates.iter().chain(&filtered).sum::<f64>();
         for (place, law) in [
             (Place::Voltage, sums.voltage_v),
             (Place::Torque, sums.torque_n_m),
@@ -124,41 +100,31 @@ mod tests {
             (Place::CurrentRate, sums.current_rate_gain),
             (Place::Inertia, sums.inertia_gain),
             (Place::StateRate, rate),
-            (
-                Place::CurrentReading,
-                path.current_offset_a + current.map_or(0.0, |truth| x - truth),
-            ),
-            (
-                Place::SpeedReading,
-                path.speed_offset_rad_s + speed.map_or(0.0, |truth| x - truth),
-            ),
+            (Place::CurrentReading, path.current_offset_a + lags[0].1),
+            (Place::SpeedReading, path.speed_offset_rad_s + lags[1].1),
         ] {
-            let written = sum(formulas, place, &all);
-            let off = (written - law).abs();
+            let here = formulas.iter().filter(|formula| formula.place == place);
+            let written: f64 = here.map(|formula| formula.tree.value(&all)).sum();
+            let is_same = (written - law).abs() <= 1e-9 * law.abs().max(1e-6);
+            let id = effect.card().id;
             assert!(
-                off <= 1e-9 * law.abs().max(1e-6),
+                is_same,
                 "{id}: {place:?} is {law}, written {written}, for {values:?} at {at:?}"
             );
         }
     }
 
     fn instants() -> impl Strategy<Value = (Instant, Vec<f64>, f64)> {
-        let at = (
-            -120.0..120.0_f64,
-            -20.0..20.0_f64,
-            -300.0..300.0_f64,
-            -9.0..9.0_f64,
-            0.0..5.0_f64,
-        );
         let shares = proptest::collection::vec(0.0..1.0_f64, 6);
-        (at, shares, 0.0..50.0_f64).prop_map(|((u, i, w, theta, t), shares, x)| {
+        let at = proptest::array::uniform5(-1.0..1.0_f64);
+        (at, shares, 0.0..50.0_f64).prop_map(|([u, i, w, theta, t], shares, x)| {
             let at = Instant {
-                time_s: t,
-                voltage_v: u,
+                time_s: 2.5 * (1.0 + t),
+                voltage_v: 120.0 * u,
                 supply_v: 110.0,
-                current_a: i,
-                speed_rad_s: w,
-                angle: ShaftAngle::at(theta),
+                current_a: 20.0 * i,
+                speed_rad_s: 300.0 * w,
+                angle: ShaftAngle::at(9.0 * theta),
                 ..Instant::of(&Motor::zk_22fc())
             };
             (at, shares, x)
@@ -166,35 +132,23 @@ mod tests {
     }
 
     #[test]
-    fn every_effect_is_written_as_its_law_is_or_says_that_it_is_not() {
-        let unwritten: Vec<&str> = CATALOGUE
-            .iter()
-            .filter(|effect| effect.formula().is_none())
-            .map(|effect| effect.card().id)
-            .collect();
-        assert_eq!(
-            unwritten,
-            [
-                "command_delay",
-                "start_delay",
-                "restart_delay",
-                "speed_delay",
-                "elastic_coupling",
-                "backlash"
-            ]
-        );
+    fn every_effect_of_the_catalogue_has_its_law_or_is_more_than_one() {
+        let unwritten = CATALOGUE.iter().filter(|effect| effect.formula().is_none());
+        let unwritten: Vec<&str> = unwritten.map(|effect| effect.card().id).collect();
+        let delays = "command_delay start_delay restart_delay speed_delay";
+        let expected = format!("{delays} elastic_coupling backlash");
+        assert_eq!(unwritten.join(" "), expected);
         for effect in CATALOGUE {
-            let stated = effect.card().formula.len();
-            let read = effect.formula().map_or(0, |formulas| formulas.len());
-            assert_eq!(read, stated, "{} is not read", effect.card().id);
-            let terms = effect.terms(&vec![1.0; effect.parameters().len()]);
-            assert!(
-                terms.states() <= 1,
-                "{} has one state `x`",
-                effect.card().id
+            let (id, stated) = (effect.card().id, effect.card().formula.len());
+            assert_eq!(
+                effect.formula().map_or(0, |own| own.len()),
+                stated,
+                "{id} is not read"
             );
+            let terms = effect.terms(&vec![1.0; effect.parameters().len()]);
+            assert!(terms.states() <= 1, "{id} has one state `x`");
             let is_more = terms.coupling().is_some() || terms.path() != Path::default();
-            assert!(stated > 0 || is_more, "{} says why", effect.card().id);
+            assert!(stated > 0 || is_more, "{id}");
         }
         proptest!(|((at, shares, x) in instants())| {
             for effect in CATALOGUE {
@@ -213,30 +167,31 @@ mod tests {
     }
 
     #[test]
-    fn what_a_user_or_the_data_define_is_written_too() {
-        let tables = [
-            "equation = \"torque\"\nexpression = \"a*abs(w)*w + c*sin(3*theta)\"\nparameters = [\"a\", \"c\"]",
-            "equation = \"torque\"\nexpression = \"(a + b*exp(-(w/9)^2))*sgn(w)\"\nparameters = [\"a\", \"b\"]",
-            "equation = \"voltage\"\nexpression = \"a*sgn(i)*u\"\nparameters = [\"a\"]",
-        ];
-        let curves = [
-            "equation = \"torque\"\naxis = \"speed_rad_s\"\nknots = [-200.0, -10.0, 0.0, 30.0]",
-            "equation = \"voltage\"\naxis = \"current_a\"\nknots = [-9.0, 9.0]",
-        ];
-        let own = tables.map(|text| ("custom", text));
-        let learned = curves.map(|text| ("table", text));
-        for (id, text) in own.into_iter().chain(learned) {
+    fn effects_of_users_and_data_have_their_laws() {
+        for (id, equation, law, list) in [
+            ("custom", "torque", "a*abs(w)*w + b*sin(3*theta)", "a b"),
+            ("custom", "torque", "(a + b*exp(-(w/9)^2))*sgn(w)", "a b"),
+            ("custom", "voltage", "a*sgn(i)*u", "a"),
+            ("table", "torque", "speed_rad_s", "-200.0 -10.0 0.0 30.0"),
+            ("table", "voltage", "current_a", "-9.0 9.0"),
+            ("table", "torque", "angle_rad", "1.0 2.0"),
+        ] {
+            let text = if id == "custom" {
+                let names = list.replace(' ', "\", \"");
+                format!("expression = \"{law}\"\nparameters = [\"{names}\"]")
+            } else {
+                format!("axis = \"{law}\"\nknots = [{}]", list.replace(' ', ", "))
+            };
+            let text = format!("equation = \"{equation}\"\n{text}");
             let (effect, _) = define(id, &text.parse().unwrap()).unwrap();
-            let formulas = effect.formula().unwrap();
-            proptest!(|((at, shares, x) in instants())| {
-                check(effect, &formulas, &at, &shares, x);
-            });
+            // A curve that closes over a turn has none.
+            let formulas = effect.formula();
+            assert_eq!(formulas.is_none(), law == "angle_rad", "{text}");
+            if let Some(formulas) = formulas {
+                proptest!(|((at, shares, x) in instants())| {
+                    check(effect, &formulas, &at, &shares, x);
+                });
+            }
         }
-        let turn = "equation = \"torque\"\naxis = \"angle_rad\"\nknots = [1.0, 2.0]";
-        let (effect, _) = define("table", &turn.parse().unwrap()).unwrap();
-        assert!(
-            effect.formula().is_none(),
-            "a curve that closes over a turn"
-        );
     }
 }

@@ -1,4 +1,4 @@
-//! Drag in proportion to the speed that is there from some moment on.
+//! Step of the viscous friction at a moment of the run.
 
 use super::{Card, Enters, ParameterSpec, Place, begun, torque};
 

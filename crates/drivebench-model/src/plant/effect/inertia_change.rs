@@ -1,4 +1,4 @@
-//! Inertia that is another one from some moment on.
+//! Step of the inertia at a moment of the run.
 
 use super::{Card, Enters, ParameterSpec, Place, begun, inertia_gain};
 

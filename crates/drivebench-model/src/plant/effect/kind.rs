@@ -1,4 +1,4 @@
-//! Facts of effects that are more than a number: the term that one is, the limit that it has, the fits that it biases.
+//! Properties of effects that are more than a number: elementary term, limit, harmonic, biased fits.
 
 use super::{
     Card, Effect, command_delay, constant_load, current_filter, speed_delay, viscous_friction,
@@ -8,7 +8,7 @@ use super::{
 pub use viscous_friction::SLOPE as VISCOUS_SLOPE;
 pub use voltage_drop::DROP as VOLTAGE_DROP;
 
-/// A term that the rest of the program needs by itself, whatever the catalogue calls it.
+/// An elementary term that the rest of the program needs by itself, independent of the ids of the catalogue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TermKind {
     /// Torque in proportion to the speed.
@@ -54,7 +54,6 @@ pub enum Harmonic {
 /// The simpler effect that one turns into at the lower end of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limit {
-    /// The id of the simpler one.
     pub simpler: &'static str,
     /// The parameter, by its place, and its least value that is not the simpler one yet.
     pub parameter: usize,

@@ -1,4 +1,4 @@
-//! Friction-like load that is there from some moment on.
+//! Step of a friction-like load at a moment of the run.
 
 use super::{Axis, Balance, Card, Enters, ParameterSpec, Place, begun, friction};
 

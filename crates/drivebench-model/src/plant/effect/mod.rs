@@ -1,7 +1,7 @@
 //! The catalogue of physical effects beyond the baseline: one file each, one line in [`CATALOGUE`].
 //!
 //! ```text
-//! Effect (card, parameters) --terms(values)--> Terms: what it adds to
+//! Effect (card, parameters) --terms(values)--> Terms: additions to
 //!     the voltage balance (V, subtracted from u)      the friction level (N.m, against the motion)
 //!     the torque balance (N.m, subtracted)            states of its own
 //!     the rates of current and speed (gains on 1/L and on J)
@@ -100,7 +100,6 @@ pub const CATALOGUE: &[&dyn Effect] = &[
     &backlash::EFFECT,
 ];
 
-/// The effect with this id.
 pub fn find(id: &str) -> Option<&'static dyn Effect> {
     CATALOGUE
         .iter()
@@ -127,7 +126,6 @@ pub enum Enters {
 }
 
 impl Balance {
-    /// As it stands in a model file.
     pub const fn key(self) -> &'static str {
         match self {
             Self::Voltage => "voltage",
@@ -153,7 +151,6 @@ impl From<Balance> for Enters {
 }
 
 impl Enters {
-    /// Whether it adds a term to this balance.
     pub const fn includes(self, balance: Balance) -> bool {
         matches!(
             (self, balance),
@@ -162,7 +159,7 @@ impl Enters {
     }
 }
 
-/// An effect: what a person should know about it, its parameters and its terms.
+/// An effect: its description, its parameters and its terms.
 #[derive(Debug)]
 pub struct Card {
     pub id: &'static str,
@@ -174,21 +171,18 @@ pub struct Card {
     pub looks_like: &'static str,
     pub excite: &'static str,
     pub remedy: &'static str,
-    /// Whether its terms depend on the angle of the shaft.
     pub needs_angle: bool,
-    /// Whether it takes power, so that a size below zero is no machine: a fit that asks for one leans on something else (a
-    /// Stribeck curve of the wrong sign, gaps of a converter that would give power). A voltage drop may be
-    /// over-compensated by the drive, so that it is not among them.
+    /// Whether it dissipates power, so that a negative size is impossible and the fit compensates something else (a Stribeck
+    /// curve of the wrong sign). A drive may over-compensate a voltage drop, which is not among them.
     pub takes_power: bool,
-    /// Share of machines and runs in which it shows, as far as is known beforehand: one in ten. Drag is in every bearing; what
-    /// happens within a run, but for a step of the load, is rare.
+    /// Prior probability: the share of machines and runs in which it shows.
     pub share_beforehand: f64,
     /// Equation and axis of the curve that it is; `None` where it is more than a curve.
     pub curve: Option<(Balance, Axis)>,
-    /// Effects that say the same thing, of which a model holds one: simple ones that this one contains, or nearly, and
-    /// ones that are this one to first order.
+    /// Equivalent effects, of which a model holds one: simple ones that this one contains, and ones that are this one to first
+    /// order.
     pub alternatives: &'static [&'static str],
-    /// Effects that a set does not hold beside it, although each of them is another: together they would be a third.
+    /// Effects that a set does not hold beside it: together they would be a third.
     pub excludes: &'static [&'static str],
     /// Pairs of effects that are together this one, to first order.
     pub stands_for: &'static [[&'static str; 2]],
@@ -198,19 +192,19 @@ pub struct Card {
     pub harmonic: Option<Harmonic>,
     /// Whether steps of it at many moments add up to the random walk of the load that a Kalman filter follows.
     pub is_disturbance_step: bool,
-    /// What it changes from its moment on, in words that can stand before a signed size; the name where it has none.
+    /// The quantity that it changes, before a signed size in a text; the name where it has none.
     pub changes: Option<&'static str>,
-    /// What makes its size another one from run to run.
+    /// Cause of a drift of its size from run to run.
     pub drift_cause: Option<&'static str>,
     /// Fits that it biases most where the model lacks it.
     pub biases: &'static [BiasedFit],
-    /// What no run tells it from, because the two are one equation: stated, never computed.
+    /// Effects that no run can separate from it, because the two are one equation: stated, never computed.
     pub equivalences: &'static [&'static str],
     /// The first gives the effect its size.
     pub parameters: &'static [ParameterSpec],
-    /// Its law written down, in [`SYMBOLS`] and its parameters; empty where it is more than that.
+    /// Its law as a formula of [`SYMBOLS`] and its parameters; empty where it is more than that.
     pub formula: &'static [(Place, &'static str)],
-    /// What it adds to the equations, for values in the order of the parameters.
+    /// Its terms, for values in the order of the parameters.
     pub terms: fn(&[f64]) -> Box<dyn Terms>,
 }
 
@@ -264,17 +258,17 @@ pub trait Effect: Sync {
         (self.card().terms)(values)
     }
 
-    /// Whether it happens once in a run, counts from its first command or keeps a state of its own, so that no run of its
-    /// machine can be put behind another: see [`Terms`].
+    /// Whether it happens once in a run, counts from its first command or has a state of its own, so that runs of its machine
+    /// cannot be concatenated: see [`Terms`].
     fn goes_on_over_runs(&self) -> bool {
         let specs = self.parameters().iter();
-        // Of a size of zero nothing would be seen.
+        // A size of zero would have no terms.
         let present = |value: f64| if value == 0.0 { 1.0 } else { value };
         let values: Vec<f64> = specs.map(|spec| present(spec.guess())).collect();
         self.terms(&values).goes_on_over_runs()
     }
 
-    /// Its law written down; `None` where it is more than terms of the equations, as a delay or a second inertia is.
+    /// Its law; `None` where it is more than terms of the equations, as a delay or a second inertia is.
     fn formula(&self) -> Option<Vec<Formula>> {
         let keys: Vec<&str> = self.parameters().iter().map(|spec| spec.key).collect();
         let stated = self.card().formula;
@@ -285,7 +279,7 @@ pub trait Effect: Sync {
         (!stated.is_empty()).then(|| formulas.collect()).flatten()
     }
 
-    /// What defines the effect beside its parameters, as a model file keeps it: nothing for those of the catalogue.
+    /// The definition beside the parameters in a model file: empty for effects of the catalogue.
     fn settings(&self) -> Vec<(&'static str, toml::Value)> {
         Vec::new()
     }

@@ -1,4 +1,4 @@
-//! Load that pulls one way whichever way the shaft turns, and is there from some moment on.
+//! Step of a load of one sign, whatever the direction of motion.
 
 use super::{Card, Enters, ParameterSpec, Place, begun, torque};
 

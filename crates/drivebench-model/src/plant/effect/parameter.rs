@@ -6,7 +6,6 @@ pub(super) const WAVE_ORDERS: &[f64] = &[
     19.0, 20.0, 21.0, 22.0, 23.0, 24.0,
 ];
 
-/// How a parameter is found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ParameterRole {
     /// The effect is proportional to it, or nearly: zero is no effect.
@@ -21,7 +20,6 @@ pub enum ParameterRole {
     EventTime,
 }
 
-/// One parameter of an effect.
 #[derive(Debug)]
 pub struct ParameterSpec {
     pub key: &'static str,
@@ -98,7 +96,6 @@ impl ParameterSpec {
         }
     }
 
-    /// One value out of a grid.
     pub const fn choice(
         key: &'static str,
         unit: &'static str,

@@ -1,4 +1,4 @@
-//! Drive that lets every start from rest wait: it applies zero for a while after each.
+//! Restart delay: the drive applies zero for a while after every start from rest.
 
 use super::start_delay::LATE_START;
 use super::{Card, Enters, path};

@@ -1,4 +1,4 @@
-//! Measured speed that is that of some time before.
+//! Delay of the measured speed.
 
 use super::{BiasedFit, Card, Enters, ParameterSpec, path};
 

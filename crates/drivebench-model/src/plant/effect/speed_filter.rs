@@ -1,4 +1,4 @@
-//! Measured speed that lags behind the shaft by a first-order filter.
+//! First-order filter of the measured speed.
 
 use super::{Card, Enters, ParameterSpec, Place, path};
 

@@ -1,4 +1,4 @@
-//! Speed sensor whose zero is off.
+//! Offset of the speed sensor.
 
 use super::{Card, Enters, ParameterSpec, Place, path};
 

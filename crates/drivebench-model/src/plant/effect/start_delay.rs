@@ -1,4 +1,4 @@
-//! Drive that enables late: it applies zero for a while after the first command.
+//! Start delay: the drive applies zero for a while after the first command.
 
 use super::{Card, Enters, ParameterSpec, path};
 

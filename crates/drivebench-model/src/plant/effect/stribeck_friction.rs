@@ -1,4 +1,4 @@
-//! Extra friction near standstill.
+//! Stribeck friction: extra friction near standstill.
 
 use super::{Axis, Balance, Card, Enters, ParameterSpec, Place, friction};
 

@@ -1,4 +1,4 @@
-//! Supply that gives way under load, before a chopper that sets its share of it.
+//! Internal resistance of the supply before a chopper.
 
 use super::{Card, Enters, ParameterSpec, Place, voltage};
 

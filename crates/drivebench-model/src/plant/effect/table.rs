@@ -1,4 +1,4 @@
-//! `table`: a learned curve over one axis, for an effect whose name is still unknown.
+//! `table`: a learned piecewise linear curve over one axis, for an unidentified effect.
 
 use std::f64::consts::TAU;
 
@@ -13,20 +13,17 @@ use super::{
 pub(super) const CARD: Card = Card {
     id: "table",
     name: "learned curve",
-    // In the one or the other, as the settings say.
+    // In one of both, by its settings.
     enters: Enters::Both,
     equation: "T or U = piecewise linear over speed, current, angle or time, constant beyond the ends",
-    causes: "not known yet: the curve holds what the data show until the effect has a name",
+    causes: "not known yet: the curve follows the data until the effect is identified",
     looks_like: "the error follows one axis, and no effect of the catalogue has this form",
     excite: "slowly over the whole range of the axis, both ways",
     remedy: "look at the curve: its form is the way to its cause; compensate by feed-forward from the table",
     ..Card::PLAIN
 };
 
-const FEWEST_KNOTS: usize = 2;
-const MOST_KNOTS: usize = 64;
-
-/// What a curve runs over.
+/// Abscissa of a curve.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Axis {
     Speed,
@@ -111,10 +108,8 @@ pub(super) fn define(
     }
     let known = ["id", "equation", "axis", "knots", "values", "value_1"];
     for (key, value) in settings {
-        let number = key
-            .strip_prefix("value_")
-            .and_then(|n| n.parse::<usize>().ok());
-        match number.and_then(|number| values.get_mut(number.checked_sub(1)?)) {
+        let number = key.strip_prefix("value_").and_then(|n| n.parse().ok());
+        match number.and_then(|number: usize| values.get_mut(number.checked_sub(1)?)) {
             Some(place) => *place = Some(number_of(key, value)?),
             None if known[..5].contains(&key.as_str()) => {}
             None => return Err(unknown_key(key, &known)),
@@ -122,13 +117,9 @@ pub(super) fn define(
     }
     let key = format!("{id}|{balance:?}|{axis:?}|{knots:?}");
     let effect = interned(&key, || {
-        let unit = match balance {
-            Balance::Torque => "N.m",
-            Balance::Voltage => "V",
-        };
         let value = |number| {
             let key = leaked(&format!("value_{number}"));
-            ParameterSpec::coefficient(key, unit, 0.1)
+            ParameterSpec::coefficient(key, balance.unit(), 0.1)
         };
         let values: Vec<ParameterSpec> = (1..=knots.len()).map(value).collect();
         let card = Card {
@@ -162,18 +153,17 @@ fn list(settings: &toml::Table, key: &str) -> Result<Option<Vec<f64>>, Definitio
 }
 
 fn check(axis: Axis, knots: &[f64]) -> Result<(), DefinitionError> {
-    let refused = |message: String, help: String| Err(DefinitionError::new("knots", message, help));
-    if !(FEWEST_KNOTS..=MOST_KNOTS).contains(&knots.len()) {
-        let help = format!("{FEWEST_KNOTS} to {MOST_KNOTS} are allowed");
-        return refused(format!("{} knots", knots.len()), help);
+    let refused = |message: String, help: &str| Err(DefinitionError::new("knots", message, help));
+    if !(2..=64).contains(&knots.len()) {
+        return refused(format!("{} knots", knots.len()), "2 to 64 are allowed");
     }
     if let Some([before, after, ..]) = knots.windows(2).find(|pair| pair[0] >= pair[1]) {
-        let help = "knots must rise from one to the next".to_owned();
+        let help = "knots must rise from one to the next";
         return refused(format!("knot {after} follows {before}"), help);
     }
     let (first, last) = (knots[0], knots[knots.len() - 1]);
     if axis.is_periodic() && !(first >= 0.0 && last < TAU) {
-        let help = "angles lie from 0 to below 2 pi".to_owned();
+        let help = "angles lie from 0 to below 2 pi";
         return refused(format!("knots from {first} to {last} rad"), help);
     }
     Ok(())
@@ -198,13 +188,9 @@ impl Effect for Table {
         // The mean of both ends, and half of each change of the slope times the distance from its knot.
         let value = |knot: usize| Tree::Name(SYMBOLS.len() + knot);
         let slope = |knot: usize| {
-            let after = knot + 1;
-            let rise = self.knots.get(after).map(|end| end - self.knots[knot]);
-            rise.map(|length| {
-                value(after)
-                    .both('-', value(knot))
-                    .both('/', Tree::Number(length))
-            })
+            let length = self.knots.get(knot + 1)? - self.knots[knot];
+            let rise = value(knot + 1).both('-', value(knot));
+            Some(rise.both('/', Tree::Number(length)))
         };
         let axis = Tree::Name(match self.axis {
             Axis::Voltage => 0,
@@ -264,9 +250,8 @@ struct Curve {
 impl Curve {
     fn at(&self, at: &Instant) -> f64 {
         let weights = weights(self.axis, self.knots, self.axis.of(at)).into_iter();
-        weights
-            .map(|(knot, weight)| weight * self.values[knot])
-            .sum()
+        let parts = weights.map(|(knot, weight)| weight * self.values[knot]);
+        parts.sum()
     }
 }
 
@@ -283,7 +268,7 @@ pub fn weights(axis: Axis, knots: &[f64], place: f64) -> [(usize, f64); 2] {
         let (low, high) = (knots[after - 1], knots[after]);
         (after - 1, after, (place - low) / (high - low))
     } else if axis.is_periodic() {
-        // Beyond the last knot or before the first: on the way from the one to the other, one turn on.
+        // Between the last knot and the first, one turn on.
         let gap = knots[0] + TAU - knots[last];
         let beyond = (place - knots[last]).rem_euclid(TAU);
         (last, 0, beyond / gap)
@@ -292,7 +277,7 @@ pub fn weights(axis: Axis, knots: &[f64], place: f64) -> [(usize, f64); 2] {
     } else {
         (last, last, 0.0)
     };
-    // A place that is not known has no value.
+    // An unknown place has no value.
     let share = if place.is_nan() { f64::NAN } else { share };
     [(low, 1.0 - share), (high, share)]
 }
@@ -316,7 +301,7 @@ impl Terms for Curve {
 #[cfg(test)]
 mod tests {
     use super::*;
-
+    use crate::plant::ShaftAngle;
     fn table(text: &str) -> Result<(&'static dyn Effect, Vec<Option<f64>>), DefinitionError> {
         define("table", &text.parse::<toml::Table>().unwrap())
     }
@@ -324,45 +309,42 @@ mod tests {
     const SPEED: &str = "equation = \"torque\"\naxis = \"speed_rad_s\"\nknots = [-10.0, 0.0, 20]\n";
 
     #[test]
-    fn it_is_linear_between_knots_and_constant_beyond() {
-        let (effect, values) = table(&format!("{SPEED}values = [1.0, 0.0, 4]")).unwrap();
-        let values: Vec<f64> = values.into_iter().flatten().collect();
-        let terms = effect.terms(&values);
+    fn a_curve_is_linear_between_knots_and_constant_beyond_or_closes_the_turn() {
+        let turn = "equation = \"voltage\"\naxis = \"angle_rad\"\nknots = [1.0, 2.0, 5.0]\n";
+        let speed = format!("{SPEED}values = [1.0, 0.0, 4]");
+        let turn = format!("{turn}values = [10.0, 20.0, 50.0]");
+        let curve = |text: &str| {
+            let (effect, values) = table(text).unwrap();
+            effect.terms(&values.into_iter().flatten().collect::<Vec<f64>>())
+        };
+        let (speed, turn) = (curve(&speed), curve(&turn));
+        let at = |speed_rad_s: f64, angle_rad: f64| Instant {
+            speed_rad_s,
+            angle: ShaftAngle::at(angle_rad),
+            ..Instant::default()
+        };
         let speeds = [-50.0, -10.0, -5.0, 0.0, 5.0, 20.0, 30.0];
         let torques = [1.0, 1.0, 0.5, 0.0, 1.0, 4.0, 4.0];
         for (speed_rad_s, expected) in speeds.into_iter().zip(torques) {
-            let at = Instant {
-                speed_rad_s,
-                ..Instant::default()
-            };
-            let off = terms.torque_n_m(&at, &[]) - expected;
-            assert!(off.abs() < 1e-12, "{speed_rad_s}");
-            assert!(terms.voltage_v(&at, &[]).abs() < 1e-300);
+            let sums = speed.sums(&at(speed_rad_s, 0.0), &[]);
+            assert!((sums.torque_n_m - expected).abs() < 1e-12, "{speed_rad_s}");
+            assert!(sums.voltage_v.abs() < 1e-300);
         }
-    }
-
-    #[test]
-    fn over_the_angle_it_closes_the_turn() {
-        let knots = [1.0, 2.0, 5.0];
-        let value = |angle: f64| -> f64 {
-            let weights = weights(Axis::Angle, &knots, angle).into_iter();
-            weights
-                .map(|(knot, weight)| weight * [10.0, 20.0, 50.0][knot])
-                .sum()
-        };
         // From 5 to 1 + 2 pi the curve falls from 50 to 10.
         let gap = 1.0 + TAU - 5.0;
-        for (angle, expected) in [
-            (1.5, 15.0),
-            (5.0 + 0.25 * gap, 40.0),
-            (1.0 - 0.25 * gap, 20.0),
-            (1.0 + 3.0 * TAU, 10.0),
-            (1.5 - 2.0 * TAU, 15.0),
-        ] {
-            let off = value(angle) - expected;
-            assert!(off.abs() < 1e-9, "{angle}: {off}");
+        let angles = [
+            1.5,
+            5.0 + 0.25 * gap,
+            1.0 - 0.25 * gap,
+            1.0 + 3.0 * TAU,
+            1.5 - 2.0 * TAU,
+        ];
+        for (angle, expected) in angles.into_iter().zip([15.0, 40.0, 20.0, 10.0, 15.0]) {
+            let sums = turn.sums(&at(0.0, angle), &[]);
+            let off = (sums.voltage_v - expected).abs() + sums.torque_n_m.abs();
+            assert!(off < 1e-9, "{angle}: {off}");
         }
-        assert!(value(f64::NAN).is_nan());
+        assert!(turn.voltage_v(&at(0.0, f64::NAN), &[]).is_nan());
     }
 
     #[test]
@@ -388,7 +370,7 @@ mod tests {
                 "axis =",
                 "values = [1.0]\naxis =",
                 "values",
-                "1 values for 3 knots",
+                "1 values for 3",
             ),
             ("speed_rad_s", "angle_rad", "knots", "rad"),
         ] {

@@ -1,4 +1,4 @@
-//! Terms: what an effect adds to the equations of the baseline, and the frames that make them from a single law.
+//! Terms that effects add to the equations of the baseline, and their construction from a single law.
 
 use super::ShaftAngle;
 use crate::plant::motor::{Motor, MotorKey};
@@ -33,7 +33,7 @@ impl Instant {
     }
 }
 
-/// What effects add to the balances at one instant, as [`Terms`] defines the signs.
+/// Additions of effects to the balances at one instant, with the signs of [`Terms`].
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Sums {
     pub voltage_v: f64,
@@ -43,7 +43,19 @@ pub struct Sums {
     pub inertia_gain: f64,
 }
 
-/// What an effect adds to the baseline's equations. `own` are the effect's states.
+impl Sums {
+    pub(super) const fn all(&self) -> [f64; 5] {
+        [
+            self.voltage_v,
+            self.torque_n_m,
+            self.friction_n_m,
+            self.current_rate_gain,
+            self.inertia_gain,
+        ]
+    }
+}
+
+/// The additions of an effect to the baseline's equations. `own` are the effect's states.
 pub trait Terms: Send + Sync {
     /// Voltage drop, V: subtracted in the voltage balance.
     fn voltage_v(&self, _at: &Instant, _own: &[f64]) -> f64 {
@@ -94,7 +106,7 @@ pub trait Terms: Send + Sync {
     /// Time derivatives of the effect's states.
     fn derivative(&self, _at: &Instant, _own: &[f64], _out: &mut [f64]) {}
 
-    /// What it does on the way of command and measurement.
+    /// Its delays, filters and offsets in the path of command and measurement.
     fn path(&self) -> Path {
         Path::default()
     }
@@ -106,7 +118,7 @@ pub trait Terms: Send + Sync {
 }
 
 impl dyn Terms + '_ {
-    /// Why it is more than a term of a balance; `None` where it is one.
+    /// The reason why it is more than a term of a balance; `None` where it is one.
     pub fn why_no_term(&self) -> Option<&'static str> {
         if self.path() != Path::default() {
             Some("it lies on the way of command or measurement, not in a balance")
@@ -119,38 +131,26 @@ impl dyn Terms + '_ {
         }
     }
 
-    /// Whether it counts the time since a run's first command, or keeps a state of its own: in a run that is put behind
-    /// another it would go on from that one.
+    /// Whether it counts the time since a run's first command, or has a state of its own: in a run that is put behind another
+    /// it would continue from that one.
     pub fn goes_on_over_runs(&self) -> bool {
         let at = |time_s: f64| {
             let here = Instant {
                 time_s,
                 ..of_ones()
             };
-            let sums = self.sums(&here, &[]);
-            [
-                sums.voltage_v,
-                sums.torque_n_m,
-                sums.friction_n_m,
-                sums.current_rate_gain,
-                sums.inertia_gain,
-            ]
+            self.sums(&here, &[]).all()
         };
-        let changes = || {
-            let first = at(0.0);
-            TIMES_S.iter().any(|time_s| {
-                let pairs = at(*time_s).into_iter().zip(first);
-                // What is not a number is not known to stay.
-                !pairs
-                    .into_iter()
-                    .all(|(one, other)| (one - other).abs() <= 1e-12 * other.abs())
-            })
-        };
-        self.states() > 0 || self.path().start_delay_s > 0.0 || changes()
+        // False for NaN.
+        let same = |(one, other): (f64, f64)| (one - other).abs() <= 1e-12 * other.abs();
+        let stays = |time_s: f64| at(time_s).into_iter().zip(at(0.0)).all(same);
+        // Times since a run's first command, s, at which an effect that counts them differs.
+        let mut changes = [0.37, 1.9, 7.3, 31.0, 611.0, 1e9].into_iter();
+        self.states() > 0 || self.path().start_delay_s > 0.0 || changes.any(|time_s| !stays(time_s))
     }
 
-    /// Whether it is a term that voltage, current, speed and angle of an instant decide: what runs along with a machine
-    /// knows neither the time since a run's first command nor its supply, and takes inductance and inertia as constant.
+    /// Whether it is a term of voltage, current, speed and angle of an instant alone: an on-line observer has neither the time
+    /// since a run's first command nor the supply, and constant inductance and inertia.
     pub fn is_of_the_instant(&self) -> bool {
         if self.why_no_term().is_some() {
             return false;
@@ -185,10 +185,7 @@ fn of_ones() -> Instant {
     }
 }
 
-/// Times since a run's first command, s, at which one that counts them differs.
-const TIMES_S: [f64; 6] = [0.37, 1.9, 7.3, 31.0, 611.0, 1e9];
-
-/// The way of the command to the motor and of the measurement back; all zero is the direct way.
+/// The path of the command to the motor and of the measurement back; all zero is the direct path.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Path {
     /// The motor gets every voltage this much later than it was stamped.
@@ -202,13 +199,13 @@ pub struct Path {
     /// Time constants of first-order filters in the measurement.
     pub speed_filter_s: f64,
     pub current_filter_s: f64,
-    /// What a sensor adds to the truth.
+    /// Offsets of the sensors.
     pub current_offset_a: f64,
     pub speed_offset_rad_s: f64,
 }
 
 impl Path {
-    /// Both ways one after the other.
+    /// Both paths in series.
     #[must_use]
     pub fn plus(self, other: Self) -> Self {
         Self {
@@ -227,7 +224,7 @@ impl Path {
         self.command_delay_s > 0.0 || self.start_delay_s > 0.0 || self.restart_delay_s > 0.0
     }
 
-    /// Whether what is measured is the truth.
+    /// Whether the sensors have no dynamics and no offsets.
     pub fn measures_directly(&self) -> bool {
         [
             self.speed_delay_s,
@@ -261,13 +258,6 @@ pub struct Coupling {
     pub gap_rad: f64,
 }
 
-/// The method of [`Terms`] that a [`Law`] answers.
-const VOLTAGE: u8 = 0;
-const TORQUE: u8 = 1;
-const FRICTION: u8 = 2;
-const CURRENT_RATE: u8 = 3;
-const INERTIA: u8 = 4;
-
 /// A law of the instant and the effect's values.
 pub(super) trait OneLaw<const N: usize>:
     Fn(&Instant, [f64; N]) -> f64 + Send + Sync + 'static
@@ -279,78 +269,44 @@ impl<F, const N: usize> OneLaw<N> for F where
 {
 }
 
-/// Terms that are one law.
-struct Law<F, const N: usize, const METHOD: u8> {
-    values: [f64; N],
-    law: F,
-}
+/// Terms that are one law in one method of [`Terms`], for values in the order of the effect's parameters.
+macro_rules! one_law {
+    ($(#[$text:meta])* $name:ident, $method:ident($($own:ident)?)) => {
+        $(#[$text])*
+        pub(super) fn $name<const N: usize>(values: &[f64], law: impl OneLaw<N>) -> Box<dyn Terms> {
+            struct Law<F, const N: usize>(F, [f64; N]);
 
-impl<F: OneLaw<N>, const N: usize, const METHOD: u8> Law<F, N, METHOD> {
-    /// `values` as they stand in the effect's parameters.
-    fn boxed(values: &[f64], law: F) -> Box<dyn Terms> {
-        let values = std::array::from_fn(|index| values[index]);
-        Box::new(Self { values, law })
-    }
+            impl<F: OneLaw<N>, const N: usize> Terms for Law<F, N> {
+                fn $method(&self, at: &Instant $(, $own: &[f64])?) -> f64 {
+                    (self.0)(at, self.1)
+                }
+            }
 
-    /// The law for its own method, nothing for the others; which it is, the compiler knows.
-    fn of(&self, method: u8, at: &Instant) -> f64 {
-        if method == METHOD {
-            (self.law)(at, self.values)
-        } else {
-            0.0
+            Box::new(Law(law, std::array::from_fn(|index| values[index])))
         }
-    }
+    };
 }
 
-impl<F: OneLaw<N>, const N: usize, const METHOD: u8> Terms for Law<F, N, METHOD> {
-    fn voltage_v(&self, at: &Instant, _own: &[f64]) -> f64 {
-        self.of(VOLTAGE, at)
-    }
-
-    fn torque_n_m(&self, at: &Instant, _own: &[f64]) -> f64 {
-        self.of(TORQUE, at)
-    }
-
-    fn friction_n_m(&self, at: &Instant) -> f64 {
-        self.of(FRICTION, at)
-    }
-
-    fn current_rate_gain(&self, at: &Instant) -> f64 {
-        self.of(CURRENT_RATE, at)
-    }
-
-    fn inertia_gain(&self, at: &Instant) -> f64 {
-        self.of(INERTIA, at)
-    }
-}
-
-/// Terms of a voltage drop, V.
-pub(super) fn voltage<const N: usize>(values: &[f64], law: impl OneLaw<N>) -> Box<dyn Terms> {
-    Law::<_, N, VOLTAGE>::boxed(values, law)
-}
-
-/// Terms of a torque against positive motion, N.m.
-pub(super) fn torque<const N: usize>(values: &[f64], law: impl OneLaw<N>) -> Box<dyn Terms> {
-    Law::<_, N, TORQUE>::boxed(values, law)
-}
-
-/// Terms of an addition to the Coulomb level, N.m.
-pub(super) fn friction<const N: usize>(values: &[f64], law: impl OneLaw<N>) -> Box<dyn Terms> {
-    Law::<_, N, FRICTION>::boxed(values, law)
-}
-
-/// Terms of a relative addition to the rate of the current.
-pub(super) fn current_rate_gain<const N: usize>(
-    values: &[f64],
-    law: impl OneLaw<N>,
-) -> Box<dyn Terms> {
-    Law::<_, N, CURRENT_RATE>::boxed(values, law)
-}
-
-/// Terms of a relative addition to the inertia.
-pub(super) fn inertia_gain<const N: usize>(values: &[f64], law: impl OneLaw<N>) -> Box<dyn Terms> {
-    Law::<_, N, INERTIA>::boxed(values, law)
-}
+one_law!(
+    /// Terms of a voltage drop, V.
+    voltage, voltage_v(_own)
+);
+one_law!(
+    /// Terms of a torque against positive motion, N.m.
+    torque, torque_n_m(_own)
+);
+one_law!(
+    /// Terms of an addition to the Coulomb level, N.m.
+    friction, friction_n_m()
+);
+one_law!(
+    /// Terms of a relative addition to the rate of the current.
+    current_rate_gain, current_rate_gain()
+);
+one_law!(
+    /// Terms of a relative addition to the inertia.
+    inertia_gain, inertia_gain()
+);
 
 /// Terms of one cause in both balances: voltage drop (V) and torque (N.m).
 pub(super) fn voltage_and_torque(
@@ -378,7 +334,7 @@ impl Terms for Path {
     }
 }
 
-/// Terms of one value on the way of command and measurement.
+/// Terms of one value in the path of command and measurement.
 pub(super) fn path(value: f64, field: fn(&mut Path) -> &mut f64) -> Box<dyn Terms> {
     let mut path = Path::default();
     *field(&mut path) = value;
@@ -391,18 +347,14 @@ impl Terms for Coupling {
     }
 }
 
-/// Time over which what begins at some moment builds up, s; a true jump would leave its time without a slope to fit it by.
-const RISE_S: f64 = 0.01;
-/// Rise times after which it has come, to the last bit.
-const SETTLED: f64 = 37.0;
-
-/// How much is there of what begins at `time_s`, found anew in each run.
+/// Logistic step from 0 to 1 at `time_s`, with a time constant of 10 ms: a true jump would leave its time without a slope
+/// for the fit.
 pub(super) fn begun(at: &Instant, time_s: f64) -> f64 {
-    let since = (at.time_s - time_s) / RISE_S;
-    // Beyond, the exponential is lost in the rounding of the one that it is added to, and costs most of a free run.
-    if since > SETTLED {
+    let since = (at.time_s - time_s) / 0.01;
+    // Beyond 37 the exponential is lost in the rounding of the one, and costs most of a free run.
+    if since > 37.0 {
         1.0
-    } else if since < -SETTLED {
+    } else if since < -37.0 {
         0.0
     } else {
         1.0 / (1.0 + (-since).exp())

@@ -1,4 +1,4 @@
-//! Torque constant that depends on the position: ripple in proportion to the current.
+//! Torque ripple: a torque constant that depends on the position.
 
 use super::{Card, Enters, Harmonic, ParameterSpec, Place, WAVE_ORDERS, torque};
 

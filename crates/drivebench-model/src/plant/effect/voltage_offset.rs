@@ -1,4 +1,4 @@
-//! Drive that applies more or less than it was told, by the same amount always.
+//! Constant offset of the applied voltage.
 
 use super::{BiasedFit, Card, Enters, ParameterSpec, Place, voltage};
 

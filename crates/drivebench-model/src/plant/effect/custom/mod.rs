@@ -1,15 +1,15 @@
 //! `custom`: the user's own expression in the voltage or the torque balance.
 //!
 //! ```text
-//! text --grammar--> fully parenthesised --exmex--> Expression (value, symbolic derivatives)
-//!                                                       |
-//! parameters {value, guess, min, max, unit} --roles-----+--> coefficient (linear in it) or shape (not)
-//!                                                       '--> sgn(w) in a torque: friction level, with true stiction
+//! text --grammar--> Tree ---> Expression (value, second derivatives)
+//!                                         |
+//! parameters {value, guess, min, max, unit} --roles--> coefficient (linear in it) or shape (not)
+//!                                         '--> sgn(w) in a torque: friction level, with true stiction
 //! ```
 //!
-//! In a torque that is linear in `sgn(w)`, what stands with `sgn(w)` joins the Coulomb level: it is always against the
-//! motion and holds the shaft at rest. Any other jump at standstill, as of `tanh(1000*w)`, is an explicit torque that a
-//! simulation can only chatter about; the card says so.
+//! In a torque that is linear in `sgn(w)`, the factor of `sgn(w)` joins the Coulomb level: it is always against the motion and
+//! holds the shaft at rest. Any other jump at standstill, as of `tanh(1000*w)`, is an explicit torque with which a simulation
+//! chatters.
 
 mod expression;
 mod parameters;
@@ -30,7 +30,7 @@ use super::{
 pub(super) const CARD: Card = Card {
     id: "custom",
     name: "own expression",
-    // In the one or the other, as the settings say.
+    // In one of both, by its settings.
     enters: Enters::Both,
     equation: "T or U = expression in u, i, w, theta, t and named parameters",
     causes: "what the user knows of the machine and the catalogue does not hold",
@@ -40,9 +40,6 @@ pub(super) const CARD: Card = Card {
     remedy: "as the expression says",
     ..Card::PLAIN
 };
-
-/// Characters of an expression; longer ones are data rather than an equation.
-const LONGEST: usize = 500;
 
 /// Builds the effect from its settings; gives the values that stand in `parameters`, too.
 pub(super) fn define(
@@ -55,9 +52,9 @@ pub(super) fn define(
     }
     let balance = balance_of(settings)?;
     let text = text_of(settings, "expression", "a*abs(w)*w")?;
-    if text.len() > LONGEST {
+    if text.len() > 500 {
         let length = text.len();
-        let message = format!("expression has {length} characters, at most {LONGEST} are allowed");
+        let message = format!("expression has {length} characters, at most 500 are allowed");
         let help = "split it into two effects, custom_one and custom_two";
         return Err(DefinitionError::new("expression", message, help));
     }
@@ -158,7 +155,7 @@ struct Custom {
 struct Body {
     expression: Expression,
     balance: Balance,
-    /// Whether what stands with `sgn(w)` is a friction level.
+    /// Whether the factor of `sgn(w)` is a friction level.
     splits: bool,
 }
 
@@ -186,8 +183,15 @@ impl Effect for Custom {
         if !self.body.splits {
             return Some(vec![one(Place::Torque, whole)]);
         }
-        // As in `split`: what stands with sgn(w) at rest, where it is positive, is the level of a friction.
-        let jump = at_rest(&whole, 1.0).both('-', at_rest(&whole, 0.0));
+        // As in `split`: the factor of sgn(w) at rest, where it is positive, is the level of a friction.
+        let at_rest = |direction: f64| {
+            whole.replaced(&|part: &Tree| match part {
+                Tree::Name(formula::SPEED) => Some(Tree::Number(0.0)),
+                sign if sign.is_sign_of(formula::SPEED) => Some(Tree::Number(direction)),
+                _ => None,
+            })
+        };
+        let jump = at_rest(1.0).both('-', at_rest(0.0));
         let level = jump.clone().both('+', jump.call("abs"));
         let level = Tree::Number(0.5).both('*', level);
         let direction = Tree::Name(formula::SPEED).call("sgn");
@@ -214,21 +218,6 @@ impl Effect for Custom {
     }
 }
 
-/// A formula with the speed at zero and its sign as given.
-fn at_rest(tree: &Tree, direction: f64) -> Tree {
-    match tree {
-        Tree::Name(formula::SPEED) => Tree::Number(0.0),
-        Tree::Call("sgn", argument) if **argument == Tree::Name(formula::SPEED) => {
-            Tree::Number(direction)
-        }
-        Tree::Call(function, argument) => at_rest(argument, direction).call(function),
-        Tree::Both(left, operator, right) => {
-            at_rest(left, direction).both(*operator, at_rest(right, direction))
-        }
-        other => other.clone(),
-    }
-}
-
 struct Evaluated {
     body: &'static Body,
     /// Variables, `sgn(w)`, parameters.
@@ -249,9 +238,8 @@ impl Evaluated {
         self.body.expression.value(&all)
     }
 
-    /// `(torque, friction level)`. A friction level holds the shaft and is never below zero, so what stands with `sgn(w)`
-    /// is one only as far as it is there at rest and positive; the rest pushes as it is written, as `a*w` does in
-    /// `(b + a*w)*sgn(w)`.
+    /// `(torque, friction level)`. A friction level holds the shaft and is never below zero, so the factor of `sgn(w)` is one
+    /// only as far as it is positive at rest; the remainder is a torque, as `a*w` in `(b + a*w)*sgn(w)`.
     fn split(&self, at: &Instant) -> (f64, f64) {
         let direction = sign(at.speed_rad_s);
         if !self.body.splits {

@@ -8,11 +8,6 @@ use crate::plant::effect::definition::{DefinitionError, leaked, number_of, unkno
 use crate::plant::effect::grammar::{FUNCTIONS, PI};
 use crate::plant::effect::{ParameterRole, ParameterSpec};
 
-/// Unit of a parameter that is declared without one.
-const NO_UNIT: &str = "-";
-/// Share of the guess, and multiple of it, between which a shape is sought that has no bounds of its own.
-const WIDE: f64 = 100.0;
-
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Declared {
     pub(super) name: String,
@@ -26,20 +21,20 @@ pub(super) struct Declared {
 
 /// Reads the declarations, in the order of their names.
 pub(super) fn read(value: Option<&toml::Value>) -> Result<Vec<Declared>, DefinitionError> {
+    let wrong_form = || {
+        let help = "as parameters = { a = 1e-6, b = {} } or parameters = [\"a\", \"b\"]";
+        let message = "parameters must be a table or a list of names";
+        DefinitionError::new("parameters", message, help)
+    };
     let nothing = toml::Value::Table(toml::Table::new());
     let declared: Vec<Declared> = match value {
         None => Vec::new(),
-        Some(toml::Value::Array(names)) => {
-            let names = names
-                .iter()
-                .map(|name| name.as_str().ok_or_else(wrong_form));
-            let declared = names.map(|name| one(name?, &nothing));
-            declared.collect::<Result<_, _>>()?
-        }
-        Some(toml::Value::Table(table)) => {
-            let declared = table.iter().map(|(name, value)| one(name, value));
-            declared.collect::<Result<_, _>>()?
-        }
+        Some(toml::Value::Array(names)) => (names.iter())
+            .map(|name| one(name.as_str().ok_or_else(wrong_form)?, &nothing))
+            .collect::<Result<_, _>>()?,
+        Some(toml::Value::Table(table)) => (table.iter())
+            .map(|(name, value)| one(name, value))
+            .collect::<Result<_, _>>()?,
         Some(_) => return Err(wrong_form()),
     };
     for (index, one) in declared.iter().enumerate() {
@@ -55,25 +50,14 @@ pub(super) fn read(value: Option<&toml::Value>) -> Result<Vec<Declared>, Definit
     Ok(declared)
 }
 
-fn wrong_form() -> DefinitionError {
-    DefinitionError::new(
-        "parameters",
-        "parameters must be a table or a list of names",
-        "as parameters = { a = 1e-6, b = {} } or parameters = [\"a\", \"b\"]",
-    )
-}
-
 fn one(name: &str, value: &toml::Value) -> Result<Declared, DefinitionError> {
-    let is_name = name
-        .chars()
-        .enumerate()
-        .all(|(place, c)| c == '_' || c.is_alphabetic() || (place > 0 && c.is_alphanumeric()));
-    if !is_name || name.is_empty() {
-        return Err(DefinitionError::new(
-            name,
-            format!("{name:?} is not a name for a parameter"),
-            "letters, digits and _, the first not a digit",
-        ));
+    let is_first = |c: char| c == '_' || c.is_alphabetic();
+    let is_name =
+        name.starts_with(is_first) && name.chars().all(|c| is_first(c) || c.is_alphanumeric());
+    if !is_name {
+        let message = format!("{name:?} is not a name for a parameter");
+        let help = "letters, digits and _, the first not a digit";
+        return Err(DefinitionError::new(name, message, help));
     }
     if VARIABLES.contains(&name) || FUNCTIONS.contains(&name) || name == PI {
         let message = format!("`{name}` has a meaning already and cannot name a parameter");
@@ -90,11 +74,12 @@ fn one(name: &str, value: &toml::Value) -> Result<Declared, DefinitionError> {
         return Ok(declared);
     };
     for (key, value) in table {
+        let number = || number_of(name, value).map(Some);
         match key.as_str() {
-            "value" => declared.value = Some(number_of(name, value)?),
-            "guess" => declared.guess = Some(number_of(name, value)?),
-            "min" => declared.min = Some(number_of(name, value)?),
-            "max" => declared.max = Some(number_of(name, value)?),
+            "value" => declared.value = number()?,
+            "guess" => declared.guess = number()?,
+            "min" => declared.min = number()?,
+            "max" => declared.max = number()?,
             "unit" => {
                 let unit = value.as_str().ok_or_else(|| {
                     let message = format!("unit of `{name}` is not a text");
@@ -103,11 +88,9 @@ fn one(name: &str, value: &toml::Value) -> Result<Declared, DefinitionError> {
                 declared.unit = Some(unit.to_owned());
             }
             other => {
-                let error = unknown_key(other, &["value", "guess", "min", "max", "unit"]);
-                return Err(DefinitionError {
-                    key: name.to_owned(),
-                    ..error
-                });
+                let mut error = unknown_key(other, &["value", "guess", "min", "max", "unit"]);
+                name.clone_into(&mut error.key);
+                return Err(error);
             }
         }
     }
@@ -115,26 +98,25 @@ fn one(name: &str, value: &toml::Value) -> Result<Declared, DefinitionError> {
 }
 
 impl Declared {
-    /// Fills in what a shape needs: a guess and bounds around it.
+    /// Completes a shape: a guess, and bounds a factor of a hundred to either side of it.
     pub(super) fn complete(&mut self) -> Result<(), DefinitionError> {
         let name = &self.name;
+        let refuse = |message: String, help: &str| Err(DefinitionError::new(name, message, help));
         if !self.is_coefficient {
             let middle = || Some(0.5 * (self.min? + self.max?));
             let Some(guess) = self.guess.or(self.value).or_else(middle) else {
-                return Err(DefinitionError::new(
-                    name,
-                    format!("the expression is not linear in `{name}`, so it needs a guess"),
-                    format!("as {name} = {{ guess = 10.0, min = 1.0, max = 40.0 }}"),
-                ));
+                let message =
+                    format!("the expression is not linear in `{name}`, so it needs a guess");
+                return refuse(
+                    message,
+                    &format!("as {name} = {{ guess = 10.0, min = 1.0, max = 40.0 }}"),
+                );
             };
             if guess == 0.0 && (self.min.is_none() || self.max.is_none()) {
-                return Err(DefinitionError::new(
-                    name,
-                    format!("`{name}` is guessed as 0, which says nothing of its size"),
-                    "give min and max",
-                ));
+                let message = format!("`{name}` is guessed as 0, which gives no size");
+                return refuse(message, "give min and max");
             }
-            let ends = (guess / WIDE, guess * WIDE);
+            let ends = (guess / 100.0, guess * 100.0);
             self.min.get_or_insert(f64::min(ends.0, ends.1));
             self.max.get_or_insert(f64::max(ends.0, ends.1));
             self.guess = Some(guess);
@@ -142,45 +124,33 @@ impl Declared {
         let (min, max) = self.bounds();
         for (what, value) in [("value", self.value), ("guess", self.guess)] {
             if let Some(value) = value.filter(|value| !(min..=max).contains(value)) {
-                return Err(DefinitionError::new(
-                    name,
-                    format!("{what} of `{name}` is {value}, outside of {min} to {max}"),
-                    "widen min and max",
-                ));
+                let message = format!("{what} of `{name}` is {value}, outside of {min} to {max}");
+                return refuse(message, "widen min and max");
             }
         }
         if min < max {
-            Ok(())
-        } else {
-            Err(DefinitionError::new(
-                name,
-                format!("min of `{name}` is {min} and max {max}"),
-                "min must be below max",
-            ))
+            return Ok(());
         }
+        refuse(
+            format!("min of `{name}` is {min} and max {max}"),
+            "min must be below max",
+        )
     }
 
     fn bounds(&self) -> (f64, f64) {
         (self.min.unwrap_or(-f64::MAX), self.max.unwrap_or(f64::MAX))
     }
 
-    /// What tells two definitions apart; the value does not.
+    /// The identity of the declaration, without its value.
     pub(super) fn key(&self) -> String {
-        let Self {
-            name,
-            guess,
-            min,
-            max,
-            unit,
-            ..
-        } = self;
-        format!("|{name} {guess:?} {min:?} {max:?} {unit:?}")
+        let (guess, min, max, unit) = (self.guess, self.min, self.max, &self.unit);
+        format!("|{} {guess:?} {min:?} {max:?} {unit:?}", self.name)
     }
 
     pub(super) fn spec(&self) -> ParameterSpec {
         let (min, max) = self.bounds();
         let key = leaked(&self.name);
-        let unit = leaked(self.unit.as_deref().unwrap_or(NO_UNIT));
+        let unit = leaked(self.unit.as_deref().unwrap_or("-"));
         if self.is_coefficient {
             let size = self.guess.filter(|guess| *guess != 0.0);
             return ParameterSpec {
@@ -191,10 +161,12 @@ impl Declared {
         }
         let guess = self.guess.unwrap_or(0.5 * (min + max));
         let logarithmic = min > 0.0;
-        let grid = if logarithmic {
-            [guess / 3.0, guess, guess * 3.0]
+        let (grid, scale) = if logarithmic {
+            ([guess / 3.0, guess, guess * 3.0], guess)
         } else {
-            [0.5 * (guess + min), guess, 0.5 * (guess + max)]
+            let size = guess.abs().max(1e-9);
+            let grid = [0.5 * (guess + min), guess, 0.5 * (guess + max)];
+            (grid, 0.1 * (max - min).min(10.0 * size))
         };
         let grid: Vec<f64> = grid.iter().map(|shape| shape.clamp(min, max)).collect();
         ParameterSpec {
@@ -202,11 +174,7 @@ impl Declared {
             unit,
             min,
             max,
-            scale: if logarithmic {
-                guess
-            } else {
-                0.1 * (max - min).min(10.0 * guess.abs().max(1e-9))
-            },
+            scale,
             role: ParameterRole::Shape,
             logarithmic,
             shapes: grid.leak(),
@@ -223,9 +191,8 @@ impl Declared {
             ("unit", self.unit.clone().map(Into::into)),
         ];
         let known = known.into_iter();
-        let table: toml::Table = known
-            .filter_map(|(key, value)| Some((key.to_owned(), value?)))
-            .collect();
+        let known = known.filter_map(|(key, value)| Some((key.to_owned(), value?)));
+        let table: toml::Table = known.collect();
         match value {
             Some(value) if table.len() == 1 => value.into(),
             _ => toml::Value::Table(table),

@@ -6,99 +6,81 @@ fn defined(text: &str) -> Result<(&'static dyn Effect, Vec<Option<f64>>), Defini
     define("custom", &text.parse::<toml::Table>().unwrap())
 }
 
+fn text(equation: &str, expression: &str, parameters: &str) -> String {
+    format!("equation = \"{equation}\"\nexpression = \"{expression}\"\nparameters = {parameters}")
+}
+
 fn torque(expression: &str, parameters: &str) -> &'static dyn Effect {
-    defined(&format!(
-        "equation = \"torque\"\nexpression = \"{expression}\"\nparameters = {parameters}"
-    ))
-    .unwrap()
-    .0
+    defined(&text("torque", expression, parameters)).unwrap().0
+}
+
+/// Sums of an effect whose parameters have these values by their keys, at a speed and a current.
+fn sums(effect: &dyn Effect, values: &[(&str, f64)], speed_rad_s: f64, current_a: f64) -> Sums {
+    let value = |spec: &ParameterSpec| values.iter().find(|own| own.0 == spec.key).unwrap().1;
+    let values: Vec<f64> = effect.parameters().iter().map(value).collect();
+    let at = Instant {
+        current_a,
+        speed_rad_s,
+        ..Instant::default()
+    };
+    effect.terms(&values).sums(&at, &[])
 }
 
 #[test]
 fn a_parameter_that_enters_linearly_is_a_coefficient_and_comes_first() {
-    let effect = torque("z*exp(-(w/b)^2)*sgn(w)", "{ b = 9.0, z = {} }");
-    let [size, shape] = effect.parameters() else {
-        panic!("two parameters");
-    };
-    assert_eq!((size.key, size.role), ("z", ParameterRole::Coefficient));
-    assert_eq!((shape.key, shape.role), ("b", ParameterRole::Shape));
-    assert!((shape.guess() - 9.0).abs() < 1e-12 && shape.logarithmic);
-    // Either could be the coefficient of a product; both at once could not.
-    let product = torque("a*(w + b*w^2)", "{ a = {}, b = 0.01 }");
-    let roles: Vec<ParameterRole> = product.parameters().iter().map(|spec| spec.role).collect();
-    assert_eq!(roles, [ParameterRole::Coefficient, ParameterRole::Shape]);
-}
-
-#[test]
-fn what_stands_with_the_sign_of_the_speed_is_friction() {
-    let effect = torque(
-        "a*w + b*sgn(w)*(1 + c*abs(i))",
-        "{ a = {}, b = {}, c = 0.5 }",
-    );
-    let values: Vec<f64> = effect
-        .parameters()
-        .iter()
-        .map(|spec| match spec.key {
-            "a" => 0.01,
-            "b" => 0.2,
-            _ => 0.5,
-        })
-        .collect();
-    let at = Instant {
-        speed_rad_s: -3.0,
-        current_a: -2.0,
-        ..Instant::default()
-    };
-    let sums = effect.terms(&values).sums(&at, &[]);
-    assert!((sums.torque_n_m + 0.03).abs() < 1e-12, "{sums:?}");
-    assert!((sums.friction_n_m - 0.4).abs() < 1e-12, "{sums:?}");
-    // In the voltage balance it is a voltage.
-    let drop = "equation = \"voltage\"\nexpression = \"a*sgn(w)\"\nparameters = [\"a\"]";
-    let sums = defined(drop).unwrap().0.terms(&[0.5]).sums(&at, &[]);
-    assert!((sums.voltage_v + 0.5).abs() < 1e-12 && sums.friction_n_m.abs() < 1e-300);
-}
-
-#[test]
-fn what_falls_below_zero_beside_the_sign_of_the_speed_still_pushes() {
-    let effect = torque("(b + a*w)*sgn(w)", "{ a = {}, b = {} }");
-    let values: Vec<f64> = effect
-        .parameters()
-        .iter()
-        .map(|spec| if spec.key == "a" { 0.02 } else { 0.1 })
-        .collect();
-    for (speed_rad_s, expected) in [(30.0, 0.7), (3.0, 0.16), (-3.0, -0.04), (-30.0, 0.5)] {
-        let at = Instant {
-            speed_rad_s,
-            ..Instant::default()
-        };
-        let sums = effect.terms(&values).sums(&at, &[]);
-        // As a simulation adds it up, with nothing but this friction.
-        let total = sums.torque_n_m + speed_rad_s.signum() * sums.friction_n_m.max(0.0);
-        assert!((total - expected).abs() < 1e-12, "{speed_rad_s}: {total}");
-        assert!((sums.friction_n_m - 0.1).abs() < 1e-12, "{sums:?}");
+    use ParameterRole::{Coefficient, Shape};
+    for (expression, parameters, roles) in [
+        (
+            "z*exp(-(w/b)^2)*sgn(w)",
+            "{ b = 9.0, z = {} }",
+            [("z", Coefficient), ("b", Shape)],
+        ),
+        // Either could be the coefficient of a product; both at once could not.
+        (
+            "a*(w + b*w^2)",
+            "{ a = {}, b = 0.01 }",
+            [("a", Coefficient), ("b", Shape)],
+        ),
+        (
+            "(1 + a*w)*z",
+            "{ a = 0.01, z = {} }",
+            [("z", Coefficient), ("a", Shape)],
+        ),
+    ] {
+        let specs = torque(expression, parameters).parameters();
+        assert!(
+            specs.iter().map(|spec| (spec.key, spec.role)).eq(roles),
+            "{expression}"
+        );
+        let guess = specs[1].guess();
+        assert!(specs[1].logarithmic && parameters.contains(&format!("{guess:?}")));
     }
 }
 
 #[test]
-fn a_parameter_that_leaves_a_part_at_zero_gives_no_size() {
-    let effect = torque("(1 + a*w)*z", "{ a = 0.01, z = {} }");
-    let [size, shape] = [0, 1].map(|n| (effect.parameters()[n].key, effect.parameters()[n].role));
-    assert_eq!(size, ("z", ParameterRole::Coefficient));
-    assert_eq!(shape, ("a", ParameterRole::Shape));
-    let text = "equation = \"torque\"\nexpression = \"0.1 + a*w\"\nparameters = [\"a\"]";
-    let error = defined(text).err().unwrap();
-    assert!(error.message.contains("stands without one"), "{error}");
-}
-
-#[test]
-fn signs_within_signs_are_read_at_once() {
+fn the_factor_of_the_sign_of_the_speed_is_friction() {
+    let effect = torque(
+        "a*w + b*sgn(w)*(1 + c*abs(i))",
+        "{ a = {}, b = {}, c = 0.5 }",
+    );
+    let found = sums(effect, &[("a", 0.01), ("b", 0.2), ("c", 0.5)], -3.0, -2.0);
+    assert!((found.torque_n_m + 0.03).abs() < 1e-12, "{found:?}");
+    assert!((found.friction_n_m - 0.4).abs() < 1e-12, "{found:?}");
+    // In the voltage balance it is a voltage.
+    let (drop, _) = defined(&text("voltage", "a*sgn(w)", "[\"a\"]")).unwrap();
+    let found = sums(drop, &[("a", 0.5)], -3.0, -2.0);
+    assert!((found.voltage_v + 0.5).abs() < 1e-12 && found.friction_n_m.abs() < 1e-300);
+    // The part that falls below zero is a torque: both together as a simulation adds them up.
+    let effect = torque("(b + a*w)*sgn(w)", "{ a = {}, b = {} }");
+    for (speed_rad_s, expected) in [(30.0, 0.7), (3.0, 0.16), (-3.0, -0.04), (-30.0, 0.5)] {
+        let found = sums(effect, &[("a", 0.02), ("b", 0.1)], speed_rad_s, 0.0);
+        let total = found.torque_n_m + speed_rad_s.signum() * found.friction_n_m.max(0.0);
+        assert!((total - expected).abs() < 1e-12, "{speed_rad_s}: {total}");
+        assert!((found.friction_n_m - 0.1).abs() < 1e-12, "{found:?}");
+    }
     let nested = format!("a*{}i{}", "sgn(".repeat(60), ")".repeat(60));
-    let effect = torque(&nested, "[\"a\"]");
-    let at = Instant {
-        current_a: -2.0,
-        ..Instant::default()
-    };
-    assert!((effect.terms(&[0.3]).sums(&at, &[]).torque_n_m + 0.3).abs() < 1e-12);
+    let found = sums(torque(&nested, "[\"a\"]"), &[("a", 0.3)], 0.0, -2.0);
+    assert!((found.torque_n_m + 0.3).abs() < 1e-12);
 }
 
 #[test]
@@ -126,11 +108,7 @@ fn its_own_coulomb_friction_holds_the_shaft_as_the_baseline_does() {
 
 #[test]
 fn a_definition_is_kept_once_whatever_its_values() {
-    let drag = |equation: &str, parameters: &str| {
-        let text = "expression = \"a*w\"";
-        let text = format!("equation = \"{equation}\"\n{text}\nparameters = {parameters}");
-        defined(&text).unwrap()
-    };
+    let drag = |equation, parameters| defined(&text(equation, "a*w", parameters)).unwrap();
     let (one, _) = drag("torque", "{ a = 1 }");
     let (same, values) = drag("torque", "{ a = 2.5 }");
     assert!(std::ptr::addr_eq(one, same));
@@ -141,29 +119,47 @@ fn a_definition_is_kept_once_whatever_its_values() {
 
 #[test]
 fn wrong_definitions_are_named() {
-    let good = "equation = \"torque\"\nexpression = \"a*w\"\nparameters = { a = 1.0 }";
     for (from, to, key, part) in [
         ("a*w", "a*q", "expression", "unknown name `q`"),
         ("a*w", "w", "parameters", "does not stand in"),
         ("a*w", "exp(a*w)", "expression", "linear in none"),
+        ("a*w", "0.1 + a*w", "expression", "stands without one"),
         ("a = 1.0", "w = 1.0", "w", "meaning already"),
         ("a = 1.0", "a = true", "a", "expected a number"),
         ("a = 1.0", "a = nan", "a", "not allowed"),
         ("a = 1.0", "a = { size = 2.0 }", "a", "unknown key"),
+        (
+            "a = 1.0",
+            "a = { unit = 2.0 }",
+            "a",
+            "unit of `a` is not a text",
+        ),
         ("a = 1.0", "a = { value = 3.0, max = 2.0 }", "a", "outside"),
+        (
+            "a = 1.0",
+            "a = { min = 3.0, max = 2.0 }",
+            "a",
+            "min of `a` is 3",
+        ),
         ("{ a = 1.0 }", "[\"a\", \"a\"]", "parameters", "twice"),
         ("{ a = 1.0 }", "7", "parameters", "a table or a list"),
         ("{ a = 1.0 }", "{ \"1a\" = 1.0 }", "1a", "not a name"),
         ("torque", "power", "equation", "power"),
         ("equation", "equatoin", "equatoin", "unknown key"),
     ] {
-        let error = defined(&good.replace(from, to)).err().unwrap();
+        let wrong = text("torque", "a*w", "{ a = 1.0 }").replace(from, to);
+        let error = defined(&wrong).err().unwrap();
         assert_eq!(error.key, key, "{error}");
         assert!(error.message.contains(part), "{error}");
         assert!(!error.help.is_empty());
     }
-    let two = "equation = \"torque\"\nexpression = \"a*sin(b*t)\"\nparameters = [\"a\", \"b\"]";
-    let error = defined(two).err().unwrap();
-    let is_named = error.key == "b" && error.message.contains("needs a guess");
-    assert!(is_named, "{error}");
+    for (parameters, part) in [
+        ("[\"a\", \"b\"]", "needs a guess"),
+        ("{ a = {}, b = 0 }", "no size"),
+    ] {
+        let error = defined(&text("torque", "a*sin(b*t)", parameters))
+            .err()
+            .unwrap();
+        assert!(error.key == "b" && error.message.contains(part), "{error}");
+    }
 }
