@@ -13,13 +13,6 @@ use crate::numerics::count::whole;
 use crate::sample::{Channel, Run};
 use crate::signal::{self, Point};
 
-/// Inputs are held, so that a line is a staircase; its steps are about as long as this, s, and not more than so many.
-const STEP_S: f64 = 0.5e-3;
-const MOST_STEPS: usize = 50;
-
-/// Share of the current at a limit by which it may differ from sample to sample and count as held, and as close to it before.
-const NEAR: f64 = 0.1;
-
 /// The interval within which the output of a drive came to its current limit: the whole command up to when the current was there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LimitReached {
@@ -28,7 +21,7 @@ pub struct LimitReached {
     pub command_v: f64,
     /// Where the limit held the current, A.
     pub current_a: f64,
-    /// Square of what the command and the voltage at the limit differ by, V2: what is not known of the voltage between.
+    /// Square of the difference of the command and the voltage at the limit, V2: the variance of the voltage between.
     pub variance: f64,
 }
 
@@ -57,14 +50,15 @@ pub(super) fn applied(run: &Run, commands: &[Point]) -> (Vec<Point>, Vec<LimitRe
 
 fn stretches(run: &Run) -> Vec<Stretch> {
     let limited = run.limited_rows();
-    // A row of a command alone lies between two samples and says nothing of the limit.
-    let is_sample = |row: &usize| {
-        run.column(Channel::Voltage)
-            .is_some_and(|v| v[*row].is_finite())
-    };
-    let rows = (0..run.rows()).filter(is_sample);
-    let rows: Vec<(usize, bool)> = rows
-        .map(|row| (row, limited.binary_search(&row).is_ok()))
+    // A row of a command alone lies between two samples and tells nothing of the limit.
+    let volts = run
+        .column(Channel::Voltage)
+        .unwrap_or_default()
+        .iter()
+        .enumerate();
+    let rows: Vec<(usize, bool)> = volts
+        .filter(|(_, volts)| volts.is_finite())
+        .map(|(row, _)| (row, limited.binary_search(&row).is_ok()))
         .collect();
     let points: Vec<Point> = run.points(Channel::Voltage).collect();
     let currents = run.column(Channel::Current).unwrap_or_default();
@@ -90,8 +84,8 @@ fn replaced(events: &[Point], stretch: &Stretch, reached: &mut Vec<LimitReached>
     let held = |time_s: f64| signal::held(events, time_s).unwrap_or(events[0].1);
     let samples = &stretch.samples;
     let (first, last) = (samples[0], samples[samples.len() - 1]);
-    // Above (+1) or below (-1) the command: the side on which the limit held the output, so where it let go. A stretch in
-    // which the voltage was reversed begins on one side and ends on the other.
+    // Above (+1) or below (-1) the command: the side on which the limit held the output. A stretch with a reversal of the
+    // voltage begins on one side and ends on the other.
     let side = |&(time_s, volts): &Point| sign(volts - held(time_s));
     let sides: Vec<f64> = samples.iter().map(side).collect();
     let mut decided = sides.iter().copied().filter(|side| *side != 0.0);
@@ -107,7 +101,8 @@ fn replaced(events: &[Point], stretch: &Stretch, reached: &mut Vec<LimitReached>
     };
     let mut inside = Vec::new();
     let pieces = |from_s: f64, to_s: f64, volts: &dyn Fn(f64) -> f64| -> Vec<Point> {
-        let count = whole(((to_s - from_s) / STEP_S).ceil()).min(MOST_STEPS);
+        // Inputs are held, so that a line is a staircase: steps of 0.5 ms, at most 50.
+        let count = whole(((to_s - from_s) / 0.5e-3).ceil()).min(50);
         let share = |at: f64| from_s + (to_s - from_s) * at / count as f64;
         let piece = |k: usize| (share(k as f64), volts(share(k as f64 + 0.5)));
         (0..count).map(piece).collect()
@@ -116,16 +111,15 @@ fn replaced(events: &[Point], stretch: &Stretch, reached: &mut Vec<LimitReached>
     // `line` are the pieces that lead to the limit at sample `to`; `behind` is the next one on its side of it.
     let mut reach = |line: &[Point], before_a: f64, to: usize, behind: Option<usize>| {
         let (at_a, behind_a) = (current(to), behind.map_or(f64::NAN, current));
-        let is_near = |a: f64| (a - at_a).abs() <= NEAR * at_a.abs();
+        // A tenth is the share by which a current may differ and count as held at the limit, or close to it.
+        let is_near = |a: f64| (a - at_a).abs() <= 0.1 * at_a.abs();
         let limit_a = match behind {
             Some(_) if is_near(behind_a) => 0.5 * (at_a + behind_a),
             Some(_) => return,
             None => at_a,
         };
-        let below = line
-            .iter()
-            .find(|piece| (held(piece.0) - piece.1).abs() > 0.0);
-        if let Some(&(from_s, line_v)) = below
+        let is_below = |piece: &&Point| (held(piece.0) - piece.1).abs() > 0.0;
+        if let Some(&(from_s, line_v)) = line.iter().find(is_below)
             && before_a.is_finite()
             && limit_a.is_finite()
             && !is_near(before_a)
@@ -181,9 +175,13 @@ fn replaced(events: &[Point], stretch: &Stretch, reached: &mut Vec<LimitReached>
     let after_s = stretch.after_s.max(last.0);
     let before = events.iter().filter(|event| event.0 < stretch.before_s);
     let after = events.iter().filter(|event| event.0 > after_s);
-    let (before, after) = (before.copied(), after.copied());
-    let end = [(after_s, held(after_s))];
-    before.chain(inside).chain(end).chain(after).collect()
+    let end = (after_s, held(after_s));
+    before
+        .copied()
+        .chain(inside)
+        .chain([end])
+        .chain(after.copied())
+        .collect()
 }
 
 /// When within `(from_s, to_s]` the command changed most, if it did.
@@ -191,10 +189,10 @@ fn largest_step(events: &[Point], from_s: f64, to_s: f64) -> Option<f64> {
     let steps = events
         .windows(2)
         .map(|pair| (pair[1].0, (pair[1].1 - pair[0].1).abs()));
-    steps
-        .filter(|(time_s, step_v)| *time_s > from_s && *time_s <= to_s && *step_v > 0.0)
+    let within = steps.filter(|step| step.0 > from_s && step.0 <= to_s && step.1 > 0.0);
+    within
         .max_by(|one, other| one.1.total_cmp(&other.1))
-        .map(|(time_s, _)| time_s)
+        .map(|step| step.0)
 }
 
 fn sign(of: f64) -> f64 {
@@ -204,58 +202,70 @@ fn sign(of: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::numerics::statistics::largest;
     use crate::plant::testing::{held, run_of};
     use crate::plant::{ActiveEffect, Input, Model, Motor, Plant, Scenario, State, effect};
     use crate::sample::Origin;
 
     /// A ramp of 10 V a sample, held by the drive at `30 + 2 k` V while it is beyond it, and its commands.
     fn ramp() -> (Run, Vec<Point>) {
-        let row = |k: u8| f64::from(k);
-        let command = |k: u8| if k < 7 { 10.0 * row(k) } else { 0.0 };
-        let measured = (0..12).map(|k| command(k).min(30.0 + 2.0 * row(k)));
+        let command = |k: f64| if k < 7.0 { 10.0 * k } else { 0.0 };
+        let rows = || (0..12).map(f64::from);
+        let measured = rows().map(|k| command(k).min(30.0 + 2.0 * k)).collect();
         let columns = [
             (
                 Channel::VoltageCmd,
-                (0..12).map(command).collect(),
+                rows().map(command).collect(),
                 Origin::Commanded,
             ),
-            (Channel::Voltage, measured.collect(), Origin::Measured),
+            (Channel::Voltage, measured, Origin::Measured),
         ];
-        let run = run_of("r", (0..12).map(|k| 0.01 * row(k)).collect(), columns);
+        let mut run = run_of("r", rows().map(|k| 0.01 * k).collect(), columns);
+        run.set_limited_rows(vec![4, 5, 6]);
         let commands = run.points(Channel::VoltageCmd).collect();
         (run, commands)
     }
 
-    /// That the events have these levels at these instants.
     #[track_caller]
-    fn assert_held<const N: usize>(events: &[Point], at: [f64; N], levels: [f64; N], within: f64) {
-        for (time_s, volts) in at.into_iter().zip(levels) {
-            let found = signal::held(events, time_s).unwrap();
-            let off = (found - volts).abs();
-            assert!(off < within, "{time_s} s: {found}: {events:?}");
+    fn assert_held(events: &[Point], points: &[Point], within: f64) {
+        for (time_s, volts) in points {
+            let found = signal::held(events, *time_s).unwrap();
+            assert!(
+                (found - volts).abs() < within,
+                "{time_s} s: {found}: {events:?}"
+            );
         }
     }
 
     #[test]
-    fn without_a_limit_the_commands_stand() {
-        let (run, commands) = ramp();
-        assert_eq!(applied(&run, &commands), (commands, vec![]));
+    fn without_a_limit_or_a_measurement_the_commands_stand() {
+        let (mut run, commands) = ramp();
+        let blind = run.without(Channel::Voltage);
+        run.set_limited_rows(vec![]);
+        for run in [run, blind] {
+            assert_eq!(applied(&run, &commands), (commands.clone(), vec![]));
+        }
     }
 
     #[test]
     fn between_limited_samples_the_measured_voltage_stands_and_outside_the_command() {
-        let (mut run, commands) = ramp();
-        run.set_limited_rows(vec![4, 5, 6]);
+        let (run, commands) = ramp();
         let (events, reached) = applied(&run, &commands);
-        assert_eq!(reached, [], "no current tells of it");
+        assert_eq!(reached, [], "no current was measured");
         let grows = events.windows(2).all(|pair| pair[0].0 < pair[1].0);
         assert!(grows, "{events:?}");
         // Inside: 38 to 40 to 42 V; the command was 40 to 60 V.
-        let (inside, volts) = ([0.0451, 0.0551, 0.0651], [39.0, 41.0, 43.0]);
-        assert_held(&events, inside, volts, 0.1);
+        assert_held(
+            &events,
+            &[(0.0451, 39.0), (0.0551, 41.0), (0.0651, 43.0)],
+            0.1,
+        );
         // Before the line is crossed the command of 30 V holds; after the release it is back.
-        let (outside, volts) = ([0.025, 0.035, 0.0725], [20.0, 30.0, 0.0]);
-        assert_held(&events, outside, volts, 1e-12);
+        assert_held(
+            &events,
+            &[(0.025, 20.0), (0.035, 30.0), (0.0725, 0.0)],
+            1e-12,
+        );
     }
 
     #[test]
@@ -273,80 +283,65 @@ mod tests {
         run.set_limited_rows((2..9).collect());
         let commands = held([0.0, 0.015, 0.045, 0.085], [0.0, 60.0, -60.0, -20.0]);
         let (events, reached) = applied(&run, &commands);
-        assert_eq!(reached, [], "no current tells of it");
+        assert_eq!(reached, [], "no current was measured");
         // To the instant of the reversal on the one side, on the other from there.
-        let (at, volts) = (
-            [0.0121, 0.0171, 0.0351, 0.0421, 0.0449],
-            [0.0, 31.7, 33.5, 34.2, 34.5],
+        assert_held(
+            &events,
+            &[(0.0121, 0.0), (0.0171, 31.7), (0.0351, 33.5)],
+            0.15,
         );
-        assert_held(&events, at, volts, 0.15);
-        let (at, volts) = (
-            [0.0451, 0.0481, 0.0651, 0.0831, 0.0871, 0.0951],
-            [-34.5, -34.8, -36.5, -38.3, -20.0, -20.0],
+        assert_held(
+            &events,
+            &[(0.0421, 34.2), (0.0449, 34.5), (0.0451, -34.5)],
+            0.15,
         );
-        assert_held(&events, at, volts, 0.15);
+        assert_held(
+            &events,
+            &[(0.0481, -34.8), (0.0651, -36.5), (0.0831, -38.3)],
+            0.15,
+        );
+        assert_held(&events, &[(0.0871, -20.0), (0.0951, -20.0)], 0.15);
     }
 
-    #[test]
-    fn a_limit_that_nobody_measured_changes_nothing() {
-        let (run, commands) = ramp();
-        let mut run = run.without(Channel::Voltage);
-        run.set_limited_rows(vec![4, 5, 6]);
-        assert_eq!(applied(&run, &commands), (commands, vec![]));
-    }
-
-    /// A motor at a drive that gives the command from `start_s` on and holds the current below 10 A, sampled every 10 ms: by
-    /// small steps that know nothing of the plant's.
+    /// A motor at a drive that gives the command from `start_s` on and holds the current below 10 A, sampled every 10 ms, by
+    /// small Euler steps.
     fn chopped(commands: &[Point], start_s: f64) -> Run {
         let (r, l, ke, j, mc) = (1.1, 0.0099, 0.3538, 0.0045, 0.455);
         let (limit_a, h_s) = (10.0, 1e-6);
         let (mut i, mut w) = (0.0_f64, 0.0_f64);
         let mut columns = [vec![], vec![], vec![], vec![]];
         let mut limited = Vec::new();
-        for row in 0..40_u32 {
-            for step in 0..10_000_u32 {
-                let time_s = 0.01 * f64::from(row) + h_s * f64::from(step);
-                let command_v = signal::held(commands, time_s + 1e-9).unwrap();
-                let given_v = if time_s + 1e-9 < start_s {
-                    0.0
-                } else {
-                    command_v
-                };
-                let held_v = |a: f64| r * a + ke * w + l * (a - i) / h_s;
-                let volts = given_v.clamp(held_v(-limit_a), held_v(limit_a));
+        for step in 0..400_000_u32 {
+            let time_s = h_s * f64::from(step) + 1e-9;
+            let command_v = signal::held(commands, time_s).unwrap();
+            let given_v = if time_s < start_s { 0.0 } else { command_v };
+            let held_v = |a: f64| r * a + ke * w + l * (a - i) / h_s;
+            let volts = given_v.clamp(held_v(-limit_a), held_v(limit_a));
+            if step % 10_000 == 0 {
                 let is_limited = (volts - given_v).abs() > 0.0;
-                if step == 0 {
-                    let told_v = if is_limited { r * i + ke * w } else { given_v };
-                    let cells = [command_v, told_v, i, w];
-                    columns
-                        .iter_mut()
-                        .zip(cells)
-                        .for_each(|(own, cell)| own.push(cell));
-                    limited.extend(is_limited.then_some(row as usize));
+                let measured_v = if is_limited { r * i + ke * w } else { given_v };
+                for (column, cell) in columns.iter_mut().zip([command_v, measured_v, i, w]) {
+                    column.push(cell);
                 }
-                i += h_s * (volts - r * i - ke * w) / l;
-                let torque = ke * i;
-                let is_held = w <= 0.0 && torque.abs() <= mc;
-                w = if is_held {
-                    0.0
-                } else {
-                    w + h_s * (torque - mc * w.signum()) / j
-                };
+                limited.extend(is_limited.then_some(step as usize / 10_000));
             }
+            i += h_s * (volts - r * i - ke * w) / l;
+            let is_held = w <= 0.0 && (ke * i).abs() <= mc;
+            w = if is_held {
+                0.0
+            } else {
+                w + h_s * (ke * i - mc * w.signum()) / j
+            };
         }
-        let channels = [
-            (Channel::VoltageCmd, Origin::Commanded),
-            (Channel::Voltage, Origin::Measured),
-            (Channel::Current, Origin::Measured),
-            (Channel::Speed, Origin::Measured),
+        let [command, voltage, current, speed] = columns;
+        let columns = [
+            (Channel::VoltageCmd, command, Origin::Commanded),
+            (Channel::Voltage, voltage, Origin::Measured),
+            (Channel::Current, current, Origin::Measured),
+            (Channel::Speed, speed, Origin::Measured),
         ];
-        let columns = channels.into_iter().zip(columns);
-        let columns = columns.map(|((channel, origin), cells)| (channel, cells, origin));
-        let mut run = run_of(
-            "r",
-            (0..40).map(|row| 0.01 * f64::from(row)).collect(),
-            columns,
-        );
+        let times = (0..40).map(|row| 0.01 * f64::from(row));
+        let mut run = run_of("r", times.collect(), columns);
         run.set_limited_rows(limited);
         run
     }
@@ -362,30 +357,21 @@ mod tests {
             let [limit] = scenario.limits[..] else {
                 panic!("{:?}", scenario.limits)
             };
-            assert!((limit.to_s - 0.06).abs() < 1e-9, "{limit:?}");
-            assert!((limit.current_a - 10.0).abs() < 0.05, "{limit:?}");
+            let is_near = (limit.to_s - 0.06).abs() < 1e-9 && (limit.current_a - 10.0).abs() < 0.05;
+            assert!(is_near, "{limit:?}");
             let mut model = Model::baseline(Motor::zk_22fc());
             if late_s > 0.0 {
                 let late = effect::find("start_delay").unwrap();
                 model.effects.push(ActiveEffect::with(late, &[late_s]));
             }
-            let misses = || -> [f64; 2] {
-                let mut plant = Plant::new(&model, Input::Voltage).unwrap();
-                let found = plant.simulate(&scenario, State::default());
-                [
-                    (&found.current_a, &scenario.current_a),
-                    (&found.speed_rad_s, &scenario.speed_rad_s),
-                ]
-                .map(|(found, own)| {
-                    let pairs = found.iter().zip(own);
-                    pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
-                })
-            };
-            let [current_a, speed_rad_s] = misses();
-            assert!(
-                current_a < 0.1 && speed_rad_s < 0.15,
-                "{late_s}: {current_a} {speed_rad_s}"
-            );
+            let mut plant = Plant::new(&model, Input::Voltage).unwrap();
+            let found = plant.simulate(&scenario, State::default());
+            let miss =
+                |one: &[f64], other: &[f64]| largest(one.iter().zip(other).map(|(a, b)| a - b));
+            let current_a = miss(&found.current_a, &scenario.current_a);
+            let speed_rad_s = miss(&found.speed_rad_s, &scenario.speed_rad_s);
+            let is_near = current_a < 0.1 && speed_rad_s < 0.15;
+            assert!(is_near, "{late_s}: {current_a} {speed_rad_s}");
         }
     }
 }

@@ -94,19 +94,20 @@ impl ActiveEffect {
 
     /// Values in the order of the effect's parameters, the unset ones at their first guess.
     pub fn values_or_guess(&self) -> Vec<f64> {
-        let specs = self.effect.parameters();
-        self.values
-            .iter()
-            .zip(specs)
-            .map(|(value, spec)| value.unwrap_or_else(|| spec.guess()))
-            .collect()
+        let values = self.values.iter().zip(self.effect.parameters());
+        let values = values.map(|(value, spec)| value.unwrap_or_else(|| spec.guess()));
+        values.collect()
     }
 
-    /// Its terms where they are known at any instant: every value is given, and nothing but that instant decides them.
-    pub fn terms_of_the_instant(&self) -> Option<Box<dyn Terms>> {
+    /// Its terms, where every value is given.
+    fn given_terms(&self) -> Option<Box<dyn Terms>> {
         let values: Option<Vec<f64>> = self.values.iter().copied().collect();
-        let terms = self.effect.terms(&values?);
-        terms.is_of_the_instant().then_some(terms)
+        Some(self.effect.terms(&values?))
+    }
+
+    /// Its terms where every value is given and nothing but the instant decides them.
+    pub fn terms_of_the_instant(&self) -> Option<Box<dyn Terms>> {
+        self.given_terms().filter(|terms| terms.is_of_the_instant())
     }
 }
 
@@ -150,7 +151,7 @@ pub struct Model {
     pub motor: Motor,
     pub effects: Vec<ActiveEffect>,
     pub fixed: Vec<String>,
-    /// Those of `fixed` that are it only for the sake of an effect.
+    /// Those of `fixed` that are fixed only while an effect is in the model.
     pub held: Vec<Held>,
 }
 
@@ -205,14 +206,12 @@ impl Model {
     }
 
     /// True when no electrical key is given: only the torque balance can be used.
-    pub fn is_mechanical_only(&self) -> bool {
-        let mechanical = self.motor.get(MotorKey::Inertia).is_some()
-            || self.motor.get(MotorKey::LoadTorque).is_some();
-        mechanical
-            && MotorKey::ALL
-                .into_iter()
-                .filter(|key| key.is_electrical())
-                .all(|key| self.motor.get(key).is_none())
+    fn is_mechanical_only(&self) -> bool {
+        let mut given = MotorKey::ALL
+            .into_iter()
+            .filter(|key| self.motor.get(*key).is_some());
+        let has_any = given.clone().next().is_some();
+        has_any && !given.any(MotorKey::is_electrical)
     }
 
     pub fn get(&self, slot: &Slot) -> Option<f64> {
@@ -246,23 +245,22 @@ impl Model {
         if self.has(id) {
             return Err(ModelError::Duplicate { id: id.to_owned() });
         }
-        let effect =
-            effect::find(id).ok_or_else(|| ModelError::UnknownEffect { id: id.to_owned() })?;
+        let effect = effect::find(id);
+        let effect = effect.ok_or_else(|| ModelError::UnknownEffect { id: id.to_owned() })?;
         let mut model = self.clone();
         model.effects.push(ActiveEffect::new(effect));
         Ok(model)
     }
 
-    /// The way of command and measurement, as far as its effects have their values.
+    /// The path of command and measurement, by the effects that have their values.
     pub fn known_path(&self) -> Path {
-        let known = self.effects.iter().filter_map(|active| {
-            let values: Option<Vec<f64>> = active.values.iter().copied().collect();
-            Some(active.effect.terms(&values?).path())
-        });
-        known.fold(Path::default(), Path::plus)
+        let known = self.effects.iter().filter_map(ActiveEffect::given_terms);
+        known
+            .map(|terms| terms.path())
+            .fold(Path::default(), Path::plus)
     }
 
-    /// Fixes the parameter `key` for as long as the effect `id` is in the model. False where somebody fixed it for good.
+    /// Fixes the parameter `key` for as long as the effect `id` is in the model. False where it is fixed independently.
     pub fn hold(&mut self, id: &str, key: &str) -> bool {
         let is_fixed = self.fixed.iter().any(|fixed| fixed == key);
         if is_fixed && !self.held.iter().any(|held| held.key == key) {
@@ -281,7 +279,7 @@ impl Model {
         true
     }
 
-    /// The model with one effect less, and free what was fixed for its sake.
+    /// The model with one effect less, and without the parameters that were fixed for it.
     pub fn without_effect(&self, id: &str) -> Result<Self, ModelError> {
         if !self.has(id) {
             return Err(ModelError::Absent { id: id.to_owned() });
@@ -301,57 +299,50 @@ impl Model {
 
     /// Checks that every given value is finite, positive where physics wants it, and within its bounds.
     pub fn validate(&self) -> Result<(), ModelError> {
-        let refuse = |key: String, value: f64, allowed: &str| {
-            Err(ModelError::Value {
-                key,
-                value,
-                allowed: allowed.to_owned(),
-            })
-        };
         for slot in self.slots() {
             let Some(value) = self.get(&slot) else {
                 continue;
             };
-            match &slot {
-                Slot::Motor(MotorKey::LoadTorque) if !(value >= 0.0 && value.is_finite()) => {
-                    return refuse(slot.key(), value, "0 or more");
+            let finite = value.is_finite();
+            let (is_good, allowed) = match &slot {
+                Slot::Motor(MotorKey::LoadTorque) => {
+                    (value >= 0.0 && finite, "0 or more".to_owned())
                 }
-                Slot::Motor(key)
-                    if *key != MotorKey::LoadTorque && !(value > 0.0 && value.is_finite()) =>
-                {
-                    return refuse(slot.key(), value, "a number above 0");
+                Slot::Motor(_) => (value > 0.0 && finite, "a number above 0".to_owned()),
+                Slot::Effect { spec, .. } if spec.is_coefficient() => {
+                    let is_good = (spec.min..=spec.max).contains(&value);
+                    (is_good, "a finite number".to_owned())
                 }
-                Slot::Effect { spec, .. } if !(spec.min..=spec.max).contains(&value) => {
-                    let allowed = if spec.is_coefficient() {
-                        "a finite number".to_owned()
-                    } else {
-                        format!("{} to {} {}", spec.min, spec.max, spec.unit)
-                    };
-                    return refuse(slot.key(), value, &allowed);
-                }
-                _ => {}
+                Slot::Effect { spec, .. } => (
+                    (spec.min..=spec.max).contains(&value),
+                    format!("{} to {} {}", spec.min, spec.max, spec.unit),
+                ),
+            };
+            if !is_good {
+                let key = slot.key();
+                return Err(ModelError::Value {
+                    key,
+                    value,
+                    allowed,
+                });
             }
         }
         let keys: Vec<String> = self.slots().iter().map(Slot::key).collect();
-        match self.fixed.iter().find(|key| !keys.contains(key)) {
-            Some(key) => Err(ModelError::UnknownParameter { key: key.clone() }),
-            None => Ok(()),
-        }
+        let unknown = self.fixed.iter().find(|key| !keys.contains(key)).cloned();
+        unknown.map_or(Ok(()), |key| Err(ModelError::UnknownParameter { key }))
     }
 
-    /// A parameter that has no value and is not to be fitted, if there is one.
+    /// Refuses a model with a parameter without a value.
     pub fn require_complete(&self) -> Result<(), ModelError> {
-        match self.slots().iter().find(|slot| self.get(slot).is_none()) {
-            Some(slot) => Err(ModelError::Unset { key: slot.key() }),
-            None => Ok(()),
-        }
+        let slots = self.slots();
+        let unset = slots.iter().find(|slot| self.get(slot).is_none());
+        unset.map_or(Ok(()), |slot| Err(ModelError::Unset { key: slot.key() }))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
     #[test]
     fn effects_are_added_once_and_removed_with_their_fixed_keys() {
         let base = Model::baseline(Motor::zk_22fc());
@@ -359,16 +350,15 @@ mod tests {
         more.fixed
             .push("stribeck_friction.stribeck_speed_rad_s".to_owned());
         assert!(more.validate().is_ok());
-        assert!(matches!(
-            more.with_effect("stribeck_friction"),
-            Err(ModelError::Duplicate { .. })
-        ));
+        let duplicate = more.with_effect("stribeck_friction").unwrap_err();
+        assert!(matches!(duplicate, ModelError::Duplicate { .. }));
         let back = more.without_effect("stribeck_friction").unwrap();
         assert!(back.effects.is_empty() && back.fixed.is_empty());
-        assert!(matches!(
-            base.with_effect("gremlins"),
-            Err(ModelError::UnknownEffect { .. })
-        ));
+        let unknown = base.with_effect("gremlins").unwrap_err();
+        assert!(matches!(unknown, ModelError::UnknownEffect { .. }));
+        more.fixed.push("gremlins".to_owned());
+        assert_eq!(more.validate().unwrap_err().key(), "gremlins");
+        assert_eq!(more.require_complete().unwrap_err().key(), "stribeck_n_m");
     }
 
     #[test]
@@ -379,7 +369,10 @@ mod tests {
             model = model.with_effect(id).unwrap();
             assert!(model.hold(id, "resistance_ohm"));
         }
-        assert!(!model.hold("supply_sag", "inductance_h"), "fixed for good");
+        assert!(
+            !model.hold("supply_sag", "inductance_h"),
+            "fixed independently"
+        );
         assert_eq!(model.fixed, ["inductance_h", "resistance_ohm"]);
         let one = model.without_effect("supply_sag").unwrap();
         assert_eq!(one.fixed, model.fixed, "the other still holds it");
@@ -389,20 +382,14 @@ mod tests {
     }
 
     #[test]
-    fn a_negative_inertia_and_nan_are_refused() {
+    fn impossible_values_are_refused_and_mechanical_models_have_mechanical_slots() {
         for value in [-1.0, 0.0, f64::NAN, f64::INFINITY] {
             let motor = Motor::zk_22fc().with(MotorKey::Inertia, value);
             assert!(Model::baseline(motor).validate().is_err(), "{value}");
         }
-    }
-
-    #[test]
-    fn a_mechanical_model_has_no_electrical_slots() {
-        let motor = Motor::new("axis")
-            .with(MotorKey::Inertia, 90.0)
-            .with(MotorKey::LoadTorque, 10.0);
-        let model = Model::baseline(motor);
-        assert_eq!(model.slots().len(), 2);
-        assert!(Model::baseline(Motor::new("unknown")).slots().len() == 5);
+        let axis = Motor::new("axis").with(MotorKey::Inertia, 90.0);
+        let axis = axis.with(MotorKey::LoadTorque, 10.0);
+        assert_eq!(Model::baseline(axis).slots().len(), 2);
+        assert_eq!(Model::baseline(Motor::new("unknown")).slots().len(), 5);
     }
 }

@@ -11,7 +11,7 @@ use super::motor::{Motor, MotorKey};
 use crate::config_text::{ConfigError, help_for_unknown_key, nearest};
 use crate::sample::ParameterEstimate;
 
-/// Key of an effect under which the motor's parameters stand that are fixed for its sake.
+/// Key of an effect with the list of the motor's parameters that are fixed while it is in the model.
 const HOLDS: &str = "holds";
 
 /// Standard deviation of one fitted value.
@@ -50,19 +50,14 @@ pub struct FileHistory {
     pub fitted: Vec<FittedValue>,
 }
 
-/// Characters of a run's time stamp before its `Z`.
-const STAMP: usize = 15;
-
 impl FileHistory {
-    /// Whether the values come from runs of other benches than the one of this name, as far as the folders tell: a run's
-    /// is called `20261126T073220Z-NAME`.
+    /// Whether the values come from runs of other benches than the one of this name, by the folders of the runs, such as
+    /// `20261126T073220Z-NAME`.
     pub fn is_of_another_bench(&self, name: &str) -> bool {
         let is_foreign = |run: &String| {
             let folder = run.rsplit('/').next().unwrap_or_default();
-            let stamped = folder
-                .split_once("Z-")
-                .filter(|(stamp, _)| stamp.len() == STAMP);
-            stamped.is_some_and(|(_, bench)| !bench.starts_with(name))
+            let parts = folder.split_once("Z-");
+            parts.is_some_and(|(stamp, bench)| stamp.len() == 15 && !bench.starts_with(name))
         };
         !self.fitted_on.is_empty() && self.fitted_on.iter().all(is_foreign)
     }
@@ -95,7 +90,7 @@ impl ModelFile {
                 other => return Err(reader.unknown(0, other, &["motor", "effect", "history"])),
             }
         }
-        // Behind `fixed`: what stands there too is fixed for good.
+        // After `fixed`: what is listed there too is fixed independently.
         for (id, key) in &held {
             model.hold(id, key);
         }
@@ -144,17 +139,16 @@ impl ModelFile {
         for (key, value) in active.effect.settings() {
             let _ = writeln!(text, "{key} = {value}");
         }
-        let layout = active.effect.layout();
-        match layout {
-            Layout::List(key) if active.values.iter().all(Option::is_some) => {
-                let values: Vec<f64> = active.values.iter().copied().flatten().collect();
+        let values: Option<Vec<f64>> = active.values.iter().copied().collect();
+        match (active.effect.layout(), values) {
+            (Layout::List(key), Some(values)) => {
                 let _ = writeln!(text, "{key} = {values:?}");
                 return;
             }
-            Layout::Table(name) => {
+            (Layout::Table(name), _) => {
                 let _ = writeln!(text, "\n[effect.{name}]");
             }
-            Layout::List(_) | Layout::Keys => {}
+            _ => {}
         }
         for (parameter, spec) in active.effect.parameters().iter().enumerate() {
             if let Some(value) = active.effect.written(parameter, active.values[parameter]) {
@@ -177,10 +171,11 @@ impl ModelFile {
     /// The standard deviation and unit beside a value, for the human reader.
     fn comment(&self, slot: &Slot) -> String {
         let key = slot.key();
-        match self.history.fitted.iter().find(|fitted| fitted.key == key) {
-            Some(fitted) => format!("  # +- {:?} {}", fitted.std, slot.unit()),
-            None => String::new(),
-        }
+        let mut fitted = self.history.fitted.iter();
+        let fitted = fitted.find(|fitted| fitted.key == key);
+        fitted.map_or_else(String::new, |it| {
+            format!("  # +- {:?} {}", it.std, slot.unit())
+        })
     }
 }
 
@@ -219,7 +214,7 @@ struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    /// An error at the first place at or after byte `from` where a line assigns `key`.
+    /// An error at the first line from byte `from` on that assigns `key`.
     fn error(&self, from: usize, key: &str, message: &str) -> ConfigError {
         let help = "see bench-configs/motors for a commented example";
         self.at(self.find(from, key), message, help)
@@ -249,10 +244,6 @@ impl Reader<'_> {
     fn number(&self, from: usize, key: &str, value: &toml::Value) -> Result<f64, ConfigError> {
         match value {
             toml::Value::Float(number) => Ok(*number),
-            #[expect(
-                clippy::cast_precision_loss,
-                reason = "no physical quantity is a large integer"
-            )]
             toml::Value::Integer(number) => Ok(*number as f64),
             other => {
                 let message = format!("{key} is a {}, expected a number", other.type_str());
@@ -269,9 +260,9 @@ impl Reader<'_> {
         for (key, value) in table {
             match key.as_str() {
                 "name" => {
-                    let name = value
-                        .as_str()
-                        .ok_or_else(|| self.error(0, key, "name must be a string"))?;
+                    let Some(name) = value.as_str() else {
+                        return Err(self.error(0, key, "name must be a string"));
+                    };
                     name.clone_into(&mut model.motor.name);
                 }
                 "fixed" => model.fixed = self.strings(key, value)?,
@@ -305,12 +296,11 @@ impl Reader<'_> {
         };
         let mut from = 0;
         for table in tables {
-            from = self.text[from..]
-                .find("[[effect]]")
-                .map_or(from, |offset| from + offset + 1);
-            let table = table
-                .as_table()
-                .ok_or_else(|| self.error(from, "", "an effect must be a table"))?;
+            let next = self.text[from..].find("[[effect]]");
+            from = next.map_or(from, |offset| from + offset + 1);
+            let Some(table) = table.as_table() else {
+                return Err(self.error(from, "", "an effect must be a table"));
+            };
             let Some(id) = table.get("id").and_then(toml::Value::as_str) else {
                 let message = "an effect needs an id, as id = \"viscous_friction\"";
                 return Err(self.error(from, "id", message));
@@ -398,39 +388,26 @@ id = "stribeck_friction"
 stribeck_n_m = 0.2
 "#;
 
+    #[track_caller]
+    fn parsed(text: &str) -> ModelFile {
+        ModelFile::parse("m.toml", text).unwrap()
+    }
+
     #[test]
-    fn what_is_written_reads_back_to_the_same_model() {
-        let mut file = ModelFile::parse("m.toml", TEXT).unwrap();
+    fn a_written_file_reads_back_to_the_same_model() {
+        let mut file = parsed(TEXT);
         file.history.fitted_on.push("runs/x \"quoted\"".to_owned());
         file.history.fitted.push(FittedValue {
             key: "inertia_kg_m2".into(),
             std: 2e-6,
         });
-        let again = ModelFile::parse("m.toml", &file.to_toml()).unwrap();
+        let again = parsed(&file.to_toml());
         assert_eq!(again.model.motor, file.model.motor);
         assert_eq!(again.model.fixed, file.model.fixed);
         assert_eq!(again.history, file.history);
         assert_eq!(again.model.effects[1].values, vec![Some(0.2), None]);
         let line = "inertia_kg_m2 = 0.0045  # +- 2e-6 kg.m2";
         assert!(file.to_toml().contains(line));
-    }
-
-    #[test]
-    fn a_misspelt_key_is_named_with_place_and_nearest() {
-        for (from, to, line, nearest) in [
-            ("inertia_kg_m2", "inertia_kgm2", 6, "`inertia_kg_m2`"),
-            ("stribeck_n_m", "stribek_n_m", 15, "`stribeck_n_m`"),
-            (
-                "\"viscous_friction\"",
-                "\"viscous\"",
-                11,
-                "\"viscous_friction\"",
-            ),
-        ] {
-            let error = ModelFile::parse("m.toml", &TEXT.replace(from, to)).unwrap_err();
-            assert_eq!((error.line, error.column), (line, 1), "{error}");
-            assert_eq!(error.help, format!("did you mean {nearest}?"));
-        }
     }
 
     const DEFINED: &str = r#"[motor]
@@ -465,13 +442,15 @@ value_2 = 1.5
 
     #[test]
     fn effects_that_the_user_defines_read_back_to_the_same_effects() {
-        let mut file = ModelFile::parse("m.toml", DEFINED).unwrap();
+        let mut file = parsed(DEFINED);
         file.history.fitted.push(FittedValue {
             key: "custom.a".into(),
             std: 1e-8,
         });
+        file.model.fixed = vec!["inertia_kg_m2".to_owned()];
+        assert!(file.model.hold("table_time", "resistance_ohm"));
         let text = file.to_toml();
-        let again = ModelFile::parse("m.toml", &text).unwrap();
+        let again = parsed(&text);
         assert_eq!(again.model.effect_ids(), file.model.effect_ids());
         for (one, other) in file.model.effects.iter().zip(&again.model.effects) {
             assert!(std::ptr::addr_eq(one.effect, other.effect), "{text}");
@@ -480,25 +459,18 @@ value_2 = 1.5
         assert_eq!(again.to_toml(), text);
         let values = &again.model.effects[0].values;
         assert_eq!(*values, [Some(1e-6), None, Some(9.0)], "coefficients first");
-        assert!(text.contains("a = 1e-6  # +- 1e-8"), "{text}");
-        assert!(text.contains("values = [0.1, 0.0, 0.2]"), "{text}");
-        assert!(text.contains("\nvalue_2 = 1.5"), "{text}");
-    }
-
-    #[test]
-    fn what_a_curve_holds_is_free_again_without_it() {
-        let mut file = ModelFile::parse("m.toml", DEFINED).unwrap();
-        file.model.fixed = vec!["inertia_kg_m2".to_owned()];
-        assert!(file.model.hold("table_time", "resistance_ohm"));
-        let text = file.to_toml();
-        assert!(text.contains("holds = [\"resistance_ohm\"]"), "{text}");
-        let again = ModelFile::parse("m.toml", &text).unwrap();
+        for line in [
+            "a = 1e-6  # +- 1e-8",
+            "values = [0.1, 0.0, 0.2]",
+            "\nvalue_2 = 1.5",
+            "holds = [\"resistance_ohm\"]",
+        ] {
+            assert!(text.contains(line), "{line}: {text}");
+        }
         assert_eq!(again.model.fixed, ["inertia_kg_m2", "resistance_ohm"]);
         assert_eq!(again.model.held, file.model.held);
         let without = again.model.without_effect("table_time").unwrap();
         assert_eq!(without.fixed, ["inertia_kg_m2"]);
-        let wrong = text.replace("holds = [\"resistance_ohm\"]", "holds = [\"resistance\"]");
-        assert!(ModelFile::parse("m.toml", &wrong).is_err());
     }
 
     #[test]
@@ -506,51 +478,59 @@ value_2 = 1.5
         let text = DEFINED
             .replace("a = 1e-6", "\"\u{b5}\" = 1e-6")
             .replace("a*abs", "\u{b5}*abs");
-        assert!(text != DEFINED);
-        let mut file = ModelFile::parse("m.toml", &text).unwrap();
+        let mut file = parsed(&text);
         file.model.fixed = vec!["custom.\u{b5}".to_owned()];
-        let again = ModelFile::parse("m.toml", &file.to_toml()).unwrap();
+        let again = parsed(&file.to_toml());
         assert_eq!(again.model.fixed, file.model.fixed);
         assert_eq!(again.model.effects[0].values, [None, Some(1e-6), Some(9.0)]);
         // An escape is longer than what it stands for, so that a place behind it may fall into another letter.
-        let wrong = text.replace(
-            "expression = \"\u{b5}*abs",
-            "expression = \"\\u00b5*\u{b5}\u{b5}\u{b5}q*abs",
-        );
+        let wrong = text.replace("\"\u{b5}*abs", "\"\\u00b5*\u{b5}\u{b5}\u{b5}q*abs");
         let error = ModelFile::parse("m.toml", &wrong).unwrap_err();
         assert_eq!(error.line, 7, "{error}");
     }
 
     #[test]
-    fn a_mistake_in_an_expression_is_named_with_its_line_and_column() {
-        for (from, to, line, column) in [
-            ("abs(w)*w", "abs(w)*ww", 7, 24),
-            ("tanh(i/0.1)", "tanh(i/0.1", 13, 21),
-            ("[\"d\"]", "[\"d\", \"e\"]", 14, 1),
-            ("ws = { value", "ws = { valeu", 8, 1),
-            ("a = 1e-6", "a = \"x\"", 8, 1),
-            ("equation = \"voltage\"\nexpression", "expression", 11, 1),
-            ("0.0, 100.0]", "0.0, -1.0]", 20, 1),
-            ("value_2", "value_3", 28, 1),
-            ("\"custom_drop\"", "\"custom\"", 11, 1),
-            ("\"custom_drop\"", "\"custom-drop\"", 11, 1),
+    fn mistakes_are_named_with_their_place() {
+        for (text, from, to, line, column) in [
+            (TEXT, "inertia_kg_m2", "inertia_kgm2", 6, 1),
+            (TEXT, "stribeck_n_m", "stribek_n_m", 15, 1),
+            (TEXT, "\"viscous_friction\"", "\"viscous\"", 11, 1),
+            (TEXT, "0.0045", "-0.0045", 6, 1),
+            (TEXT, "0.0045", "\"0.0045\"", 6, 1),
+            (TEXT, "0.0045", "nan", 6, 1),
+            (TEXT, "[motor]\nname = \"ZK-22FC\"", "[[motor]]", 1, 1),
+            (DEFINED, "abs(w)*w", "abs(w)*ww", 7, 24),
+            (DEFINED, "tanh(i/0.1)", "tanh(i/0.1", 13, 21),
+            (DEFINED, "[\"d\"]", "[\"d\", \"e\"]", 14, 1),
+            (DEFINED, "ws = { value", "ws = { valeu", 8, 1),
+            (DEFINED, "a = 1e-6", "a = \"x\"", 8, 1),
+            (
+                DEFINED,
+                "equation = \"voltage\"\nexpression",
+                "expression",
+                11,
+                1,
+            ),
+            (DEFINED, "0.0, 100.0]", "0.0, -1.0]", 20, 1),
+            (DEFINED, "value_2", "value_3", 28, 1),
+            (DEFINED, "value_2 = 1.5", "holds = [\"resistance\"]", 1, 1),
+            (DEFINED, "\"custom_drop\"", "\"custom\"", 11, 1),
+            (DEFINED, "\"custom_drop\"", "\"custom-drop\"", 11, 1),
         ] {
-            let error = ModelFile::parse("m.toml", &DEFINED.replace(from, to)).unwrap_err();
+            let error = ModelFile::parse("m.toml", &text.replace(from, to)).unwrap_err();
             assert_eq!((error.line, error.column), (line, column), "{to}: {error}");
             assert!(!error.help.is_empty());
         }
-    }
-
-    #[test]
-    fn values_out_of_range_and_of_the_wrong_type_are_refused() {
-        for (from, to) in [
-            ("0.0045", "-0.0045"),
-            ("0.0045", "\"0.0045\""),
-            ("0.0045", "nan"),
-            ("[motor]", "motor = 3"),
+        for (from, to, nearest) in [
+            ("inertia_kg_m2", "inertia_kgm2", "`inertia_kg_m2`"),
+            (
+                "\"viscous_friction\"",
+                "\"viscous\"",
+                "\"viscous_friction\"",
+            ),
         ] {
-            let read = ModelFile::parse("m.toml", &TEXT.replace(from, to));
-            assert!(read.is_err(), "{to}");
+            let error = ModelFile::parse("m.toml", &TEXT.replace(from, to)).unwrap_err();
+            assert_eq!(error.help, format!("did you mean {nearest}?"));
         }
     }
 }

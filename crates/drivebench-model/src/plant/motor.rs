@@ -1,4 +1,4 @@
-//! The five (six) parameters of the baseline motor.
+//! The parameters of the baseline motor.
 
 /// A key of the `[motor]` table, with its unit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -50,9 +50,7 @@ impl MotorKey {
     }
 
     pub fn from_key(key: &str) -> Option<Self> {
-        Self::ALL
-            .into_iter()
-            .find(|candidate| candidate.key() == key)
+        Self::ALL.into_iter().find(|own| own.key() == key)
     }
 }
 
@@ -102,11 +100,8 @@ impl Motor {
 
     /// Mechanical time constant R J/(Ke Kt), s.
     pub fn mechanical_time_constant_s(&self) -> Option<f64> {
-        let inertia = self.get(MotorKey::Inertia)?;
-        Some(
-            self.get(MotorKey::Resistance)? * inertia
-                / (self.get(MotorKey::BackEmf)? * self.torque_constant()?),
-        )
+        let constants = self.get(MotorKey::BackEmf)? * self.torque_constant()?;
+        Some(self.get(MotorKey::Resistance)? * self.get(MotorKey::Inertia)? / constants)
     }
 
     /// Motor of paper A with the values of its catalogue: the nameplate of the embedded emulator.

@@ -1,4 +1,4 @@
-//! Scenario, what a simulation needs of a run: the input as applied, the instants at which something was measured, the angle.
+//! Scenario: the part of a run that a simulation needs. The input as applied, the instants of the measurements, the angle.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -7,11 +7,11 @@ use thiserror::Error;
 
 use super::limited::{LimitReached, applied};
 use super::shaft_angle::continuous;
-use super::unknown_input::{self, Told, UnknownInput};
+use super::unknown_input::{self, Rows, UnknownInput};
 use crate::numerics::count::whole;
-use crate::numerics::statistics::median;
+use crate::numerics::statistics::{mean, mean_step, median_step, variance};
 use crate::sample::{Channel, Origin, Run};
-use crate::signal;
+use crate::signal::{self, Point};
 
 /// What drives the model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,7 +70,6 @@ impl ScenarioError {
 pub struct Scenario {
     pub name: String,
     pub input: Input,
-    /// Which column served as input.
     pub input_channel: Channel,
     /// `(time, value)`, held until the next; strictly increasing.
     pub events: Vec<(f64, f64)>,
@@ -83,7 +82,7 @@ pub struct Scenario {
     pub angle: Vec<(f64, f64)>,
     /// Half-widths of the stamps of the samples, s, zero where the drive stamped them itself. Empty: it stamped all.
     pub time_half_width_s: Vec<f64>,
-    /// Where rows were lost that told the voltage, in order; `events` hold its estimate there. Empty in a whole record.
+    /// Where rows with the voltage were lost, in order; `events` hold its estimate there. Empty in a whole record.
     pub unknown_input: Vec<UnknownInput>,
     /// Where the drive came to its current limit from afar, in order.
     pub limits: Vec<LimitReached>,
@@ -94,19 +93,14 @@ pub struct Scenario {
 /// Supply to which a sag is referred, V: in the model file and in the configuration of the emulator.
 pub const REFERENCE_SUPPLY_V: f64 = 110.0;
 
-/// Half-widths of a stamp within which a command of the same host was applied: its own exchange and the reading one.
-const EXCHANGE: f64 = 2.0;
-/// Share of a period that a write takes at least where the samples are stamped more sharply than the commands.
-const WRITING: f64 = 0.1;
 /// Longest time without a sample, s: a motor's transients are over long before.
 const LONGEST_GAP_S: f64 = 60.0;
-/// Time between runs that are put behind each other, s. What a run does is over by then, but for what a simulation begins
-/// again with.
+/// Time between concatenated runs, s. The transients of a run are over by then.
 const AT_REST_S: f64 = 3.0;
-/// Standard deviations of the mean of the first samples within which a run begins at rest.
-const REST_SIGMAS: f64 = 4.0;
-/// Rows below which nothing can be said about a motor.
+/// Fewest rows that tell anything about a motor.
 const FEWEST_ROWS: usize = 20;
+/// Share of the largest torque or current that moves nothing: they are measured with noise.
+const NEARLY_ZERO_MEASURED: f64 = 0.05;
 
 impl Scenario {
     /// An input and the instants to simulate at; nothing is measured.
@@ -138,7 +132,7 @@ impl Scenario {
         let (input, channel) = input_of(run).ok_or_else(|| ScenarioError::NoInput {
             run: run.name.clone(),
         })?;
-        let mut events: Vec<(f64, f64)> = run.points(channel).collect();
+        let mut events: Vec<Point> = run.points(channel).collect();
         let mut limits = Vec::new();
         if channel == Channel::VoltageCmd {
             (events, limits) = applied(run, &events);
@@ -156,9 +150,8 @@ impl Scenario {
                 input: channel.name(),
             });
         }
-        let rows = run.time_s().iter().enumerate();
-        let rows = rows.filter(|(row, time_s)| **time_s >= start_s && is_measured(*row));
-        let rows: Vec<usize> = rows.map(|(row, _)| row).collect();
+        let is_usable = |row: &usize| run.time_s()[*row] >= start_s && is_measured(*row);
+        let rows: Vec<usize> = (0..run.rows()).filter(is_usable).collect();
         if rows.len() < FEWEST_ROWS {
             return Err(ScenarioError::TooShort {
                 run: run.name.clone(),
@@ -171,7 +164,7 @@ impl Scenario {
             rows.iter().map(cell).collect()
         };
         let times = cells(run.time_s(), f64::NAN);
-        let speed: Vec<(f64, f64)> = run.points(Channel::Speed).collect();
+        let speed: Vec<Point> = run.points(Channel::Speed).collect();
         let half_width_s = |cell: f64| if cell.is_finite() { cell.abs() } else { 0.0 };
         let half_widths = run.column(Channel::TimeHalfWidth);
         let mut scenario = Self {
@@ -192,11 +185,10 @@ impl Scenario {
         Ok(scenario)
     }
 
-    /// Finds where the voltage is not known and puts its estimate there. What was measured in a long hole, and what a
-    /// simulation begins again with behind it, is no longer there to be met.
+    /// Puts estimates where the voltage is unknown. Measurements in a long hole, and those that a simulation restarts from
+    /// after it, no longer count.
     fn bridge_lost_rows(&mut self) {
         let times = &self.sample_time_s;
-        let steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let mut sample = 0;
         let measured: Vec<[f64; 2]> = (self.events.iter())
             .map(|(time_s, _)| {
@@ -212,10 +204,10 @@ impl Scenario {
                 }
             })
             .collect();
-        let holes = unknown_input::find(&Told {
+        let holes = unknown_input::find(&Rows {
             input: &self.events,
             measured: &measured,
-            sample_period_s: median(&steps),
+            sample_period_s: median_step(times),
         });
         if holes.is_empty() {
             return;
@@ -269,19 +261,18 @@ impl Scenario {
     /// that was sampled changed some time between two samples.
     pub fn input_delay_s(&self) -> Option<(f64, f64)> {
         let half_width_s = self.typical_half_width_s()?;
-        let length_s = self.sample_time_s.last()? - self.sample_time_s.first()?;
-        let period_s = length_s / (self.samples() - 1) as f64;
+        let period_s = self.mean_period_s();
         match (self.input, self.input_channel) {
             (Input::Voltage, Channel::VoltageCmd) => {
-                let own_s = EXCHANGE * half_width_s;
-                Some((0.0, own_s.max(WRITING * period_s)))
+                // Within two exchanges, its own and the reading one; a write takes a tenth of a period at least.
+                Some((0.0, (2.0 * half_width_s).max(0.1 * period_s)))
             }
             (Input::Voltage, _) => Some((-0.5 * period_s, 0.5 * period_s)),
             _ => None,
         }
     }
 
-    /// The same with every change of the input later by `delay_s`; what held first holds from the same instant.
+    /// The same with every change of the input later by `delay_s`; the first value holds from the same instant.
     #[must_use]
     pub fn with_input_delayed(&self, delay_s: f64) -> Self {
         let mut delayed = self.clone();
@@ -298,19 +289,16 @@ impl Scenario {
         self.events[0].0
     }
 
-    /// Input that holds at `time_s`.
     pub fn input_at(&self, time_s: f64) -> f64 {
         signal::held(&self.events, time_s).unwrap_or(self.events[0].1)
     }
 
-    /// Full voltage of the supply that effects of the duty refer to. A run does not tell it, and what one run happened
-    /// to reach would give the same machine another number in the next: a fixed reference.
-    /// Zero where the run is not driven by a voltage.
+    /// Full voltage of the supply that effects of the duty refer to; zero where the run is not driven by a voltage. A run
+    /// does not tell it, and its largest voltage would give the same machine another number in the next run.
     pub fn supply_v(&self) -> f64 {
-        if self.input == Input::Voltage {
-            REFERENCE_SUPPLY_V
-        } else {
-            0.0
+        match self.input {
+            Input::Voltage => REFERENCE_SUPPLY_V,
+            Input::Current | Input::Torque => 0.0,
         }
     }
 
@@ -320,29 +308,27 @@ impl Scenario {
         if !self.angle.is_empty() {
             return Cow::Borrowed(&self.angle);
         }
-        let mut points: Vec<(f64, f64)> = Vec::with_capacity(self.samples());
+        let speeds = self.sample_time_s.iter().zip(&self.speed_rad_s);
         let (mut angle_rad, mut last) = (0.0, None);
-        for (&time_s, &speed_rad_s) in self.sample_time_s.iter().zip(&self.speed_rad_s) {
-            if !speed_rad_s.is_finite() {
-                continue;
-            }
-            if let Some((before_s, before_rad_s)) = last {
-                angle_rad += 0.5 * (speed_rad_s + before_rad_s) * (time_s - before_s);
-            }
-            points.push((time_s, angle_rad));
-            last = Some((time_s, speed_rad_s));
-        }
-        Cow::Owned(points)
+        let integrated =
+            speeds
+                .filter(|point| point.1.is_finite())
+                .map(|(&time_s, &speed_rad_s)| {
+                    if let Some((before_s, before_rad_s)) = last {
+                        angle_rad += 0.5 * (speed_rad_s + before_rad_s) * (time_s - before_s);
+                    }
+                    last = Some((time_s, speed_rad_s));
+                    (time_s, angle_rad)
+                });
+        Cow::Owned(integrated.collect())
     }
 
     pub fn samples(&self) -> usize {
         self.sample_time_s.len()
     }
 
-    /// Mean time between two samples.
     pub fn mean_period_s(&self) -> f64 {
-        let (times, last) = (&self.sample_time_s, self.samples() - 1);
-        (times[last] - times[0]) / last as f64
+        mean_step(&self.sample_time_s)
     }
 
     /// The first part and the whole with only its last part scored: a split of one run into training and hold-out.
@@ -367,12 +353,12 @@ impl Scenario {
         (training, holdout)
     }
 
-    /// Samples of a run that has not begun to move at the first of them, which are all of it; its name tells which part it is.
+    /// A stretch of a run as a run of its own, at whose first sample the machine has not begun to move.
     #[must_use]
     pub fn stretch(&self, samples: Range<usize>) -> Self {
         let times = &self.sample_time_s[samples.clone()];
         let (begin_s, end_s) = (times[0], times[times.len() - 1]);
-        // A whole beginning keeps what was commanded before its first sample.
+        // A whole beginning keeps the commands before its first sample.
         let begin = if samples.start == 0 {
             0
         } else {
@@ -407,108 +393,109 @@ impl Scenario {
 
     /// When the shaft turns first, s: a little torque may keep it turning.
     fn turns_from_s(&self) -> f64 {
-        let sizes = self.speed_rad_s.iter().map(|speed| speed.abs());
+        let mut sizes = self.speed_rad_s.iter().map(|speed| speed.abs());
         let fastest = sizes.clone().fold(0.0, f64::max);
-        let first = sizes
-            .into_iter()
-            .position(|size| size > NEARLY_ZERO_MEASURED * fastest);
+        let first = sizes.position(|size| size > NEARLY_ZERO_MEASURED * fastest);
         first.map_or(f64::INFINITY, |sample| self.sample_time_s[sample])
     }
 
-    /// This run and behind it a later one of the same machine as one record. Between them the input is zero; a simulation
-    /// does not go through that time but begins again with what the later run begins with. What comes behind this run's last
-    /// sample, which is held out, is no part of it.
+    /// This run and a later one of the same machine as one record. Between them the input is zero; a simulation does not go
+    /// through that time but restarts with the initial state of the later run. Inputs after this run's last sample, which are
+    /// held out, are no part of it.
     #[must_use]
     pub fn followed_by(&self, later: &Self) -> Self {
         let shift_s = self.whole_s() + self.begin_s() - later.begin_s();
         let there = |time_s: f64| time_s + shift_s;
-        let points = |points: &[(f64, f64)]| -> Vec<(f64, f64)> {
-            let points = points.iter();
+        let begins_s = there(later.begin_s());
+        let ended_s = begins_s - AT_REST_S;
+        let own = |points: &[Point]| -> Vec<Point> {
             points
-                .map(|(time_s, value)| (there(*time_s), *value))
+                .iter()
+                .copied()
+                .filter(|point| point.0 < ended_s)
+                .collect()
+        };
+        let moved = |points: &[Point]| -> Vec<Point> {
+            points
+                .iter()
+                .map(|point| (there(point.0), point.1))
                 .collect()
         };
         let joined = |a: &[f64], b: &[f64]| [a, b].concat();
-        let begins_s = there(later.begin_s());
-        let ended_s = begins_s - AT_REST_S;
-        let own = |points: &[(f64, f64)]| -> Vec<(f64, f64)> {
-            let own = points.iter().filter(|point| point.0 < ended_s);
-            own.copied().collect()
-        };
-        let mut events = own(&self.events);
-        events.push((ended_s, 0.0));
-        events.extend(points(&later.events));
-        // Without the angle of one of them nobody knows where the shaft was.
-        let angle = if self.angle.is_empty() || later.angle.is_empty() {
-            Vec::new()
-        } else {
-            [own(&self.angle), points(&later.angle)].concat()
-        };
-        let is_sharp = self.time_half_width_s.is_empty() && later.time_half_width_s.is_empty();
+        let events = [
+            own(&self.events),
+            vec![(ended_s, 0.0)],
+            moved(&later.events),
+        ]
+        .concat();
+        // Without the angle of one of them the position of the shaft is unknown.
+        let mut angle = Vec::new();
+        if !self.angle.is_empty() && !later.angle.is_empty() {
+            angle = [own(&self.angle), moved(&later.angle)].concat();
+        }
         let widths = |run: &Self| -> Vec<f64> {
-            let samples = 0..run.samples();
-            samples.map(|sample| run.half_width_s(sample)).collect()
+            (0..run.samples())
+                .map(|sample| run.half_width_s(sample))
+                .collect()
         };
-        // Of a hole that reaches beyond the end only what lies before it.
-        let holes = self.unknown_input.iter();
-        let holes = holes.filter(|hole| hole.from_s < ended_s);
-        let mut unknown_input: Vec<UnknownInput> = holes
-            .map(|hole| UnknownInput {
-                to_s: hole.to_s.min(ended_s),
-                restart: hole.restart.filter(|_| hole.to_s < ended_s),
-                ..*hole
-            })
-            .collect();
-        let begins_with = later.begins_with();
-        unknown_input.push(UnknownInput::between_runs(ended_s, begins_s, begins_with));
-        unknown_input.extend(later.unknown_input.iter().map(|hole| UnknownInput {
+        let mut time_half_width_s = Vec::new();
+        if !self.time_half_width_s.is_empty() || !later.time_half_width_s.is_empty() {
+            time_half_width_s = joined(&widths(self), &widths(later));
+        }
+        // Of a hole that reaches beyond the end only the part before it.
+        let holes = self
+            .unknown_input
+            .iter()
+            .filter(|hole| hole.from_s < ended_s);
+        let holes = holes.map(|hole| UnknownInput {
+            to_s: hole.to_s.min(ended_s),
+            restart: hole.restart.filter(|_| hole.to_s < ended_s),
+            ..*hole
+        });
+        let between = UnknownInput::between_runs(ended_s, begins_s, later.begins_with());
+        let later_holes = later.unknown_input.iter().map(|hole| UnknownInput {
             from_s: there(hole.from_s),
             to_s: there(hole.to_s),
             ..*hole
-        }));
+        });
         let limits = self.limits.iter().copied();
-        let mut limits: Vec<LimitReached> = limits.filter(|limit| limit.to_s < ended_s).collect();
-        limits.extend(later.limits.iter().map(|limit| LimitReached {
+        let later_limits = later.limits.iter().map(|limit| LimitReached {
             from_s: there(limit.from_s),
             to_s: there(limit.to_s),
             ..*limit
-        }));
+        });
         let times: Vec<f64> = later.sample_time_s.iter().copied().map(there).collect();
+        let times = joined(&self.sample_time_s, &times);
+        let name = format!("{} and {}", self.name, later.name);
         Self {
             angle,
-            limits,
+            limits: limits
+                .filter(|limit| limit.to_s < ended_s)
+                .chain(later_limits)
+                .collect(),
             current_a: joined(&self.current_a, &later.current_a),
             speed_rad_s: joined(&self.speed_rad_s, &later.speed_rad_s),
-            time_half_width_s: if is_sharp {
-                Vec::new()
-            } else {
-                joined(&widths(self), &widths(later))
-            },
-            unknown_input,
-            ..Self::planned(
-                format!("{} and {}", self.name, later.name),
-                self.input,
-                self.input_channel,
-                events,
-                joined(&self.sample_time_s, &times),
-            )
+            time_half_width_s,
+            unknown_input: holes.chain([between]).chain(later_holes).collect(),
+            ..Self::planned(name, self.input, self.input_channel, events, times)
         }
     }
 
-    /// Current and speed that a run begins with: zero where its first samples do not differ from it by more than their
-    /// noise, else the first ones measured; not a number where missing.
+    /// Current and speed that a run begins with: zero where the mean of its first samples is within four standard deviations
+    /// of zero, else the first ones measured; not a number where missing.
     pub fn begins_with(&self) -> [f64; 2] {
         let at_rest = self.leading_standstill();
         let begin = |values: &[f64]| {
             let first = values.iter().copied().find(|value| value.is_finite());
-            let rest = values.get(at_rest.clone()).unwrap_or_default().iter();
-            let rest = rest.copied().filter(|value| value.is_finite());
-            let rest: Vec<f64> = rest.take(FEWEST_ROWS).collect();
-            let count = rest.len() as f64;
-            let mean = rest.iter().sum::<f64>() / count;
-            let squares: f64 = rest.iter().map(|value| (value - mean).powi(2)).sum();
-            let rests = rest.len() == FEWEST_ROWS
-                && mean.abs() <= REST_SIGMAS * (squares / (count - 1.0) / count).sqrt();
+            let rest = values
+                .get(at_rest.clone())
+                .unwrap_or_default()
+                .iter()
+                .copied();
+            let rest = rest.filter(|value| value.is_finite()).take(FEWEST_ROWS);
+            let rest: Vec<f64> = rest.collect();
+            let deviation = (variance(&rest) / rest.len() as f64).sqrt();
+            let rests = rest.len() == FEWEST_ROWS && mean(&rest).abs() <= 4.0 * deviation;
             if rests {
                 0.0
             } else {
@@ -524,21 +511,21 @@ impl Scenario {
         last_s + self.mean_period_s() - self.begin_s() + AT_REST_S
     }
 
-    /// Samples of the leading standstill: the input is still zero, but for a hair beside what comes later. The first
-    /// instants of a bumpless start, which takes over what the sensor of the voltage showed, do not belong to it.
+    /// Samples of the leading standstill: the input is still zero, or nearly so. The first instants of a bumpless start, which
+    /// takes over the reading of the voltage sensor, do not belong to it.
     pub fn leading_standstill(&self) -> Range<usize> {
         let sizes = self.events.iter().map(|event| event.1.abs());
         let largest = sizes.fold(0.0, f64::max);
-        let nearly_zero = if self.input == Input::Voltage {
-            NEARLY_ZERO
-        } else {
-            NEARLY_ZERO_MEASURED
+        // A bumpless start leaves a little voltage.
+        let nearly_zero = match self.input {
+            Input::Voltage => 0.002,
+            Input::Current | Input::Torque => NEARLY_ZERO_MEASURED,
         };
-        let moves = |event: &&(f64, f64)| event.1.abs() > nearly_zero * largest;
+        let moves = |event: &&Point| event.1.abs() > nearly_zero * largest;
+        // A bumpless start comes to zero within two small commands.
         let taken_over = self.events.iter().take_while(moves).count();
-        let is_small = |event: &(f64, f64)| event.1.abs() <= BUMPLESS_SHARE * largest;
-        let bumpless =
-            taken_over <= BUMPLESS_EVENTS && self.events[..taken_over].iter().all(is_small);
+        let is_small = |event: &Point| event.1.abs() <= 0.05 * largest;
+        let bumpless = taken_over <= 2 && self.events[..taken_over].iter().all(is_small);
         let (begin, begin_s) = match self.events.get(taken_over) {
             Some(event) if bumpless => (taken_over, event.0),
             _ => (0, f64::NEG_INFINITY),
@@ -553,17 +540,8 @@ impl Scenario {
     }
 }
 
-/// Commands, and their largest share of the largest input, that a bumpless start takes to come to zero.
-const BUMPLESS_EVENTS: usize = 2;
-const BUMPLESS_SHARE: f64 = 0.05;
-
-/// Share of the largest input that moves nothing: what a bumpless start leaves behind.
-const NEARLY_ZERO: f64 = 0.002;
-/// The same of a torque or a current, which is measured with noise.
-const NEARLY_ZERO_MEASURED: f64 = 0.05;
-
-/// The column that drives the model. A commanded voltage with the instants at which it was applied tells when the
-/// voltage changed; a measured one only what it was at the sample, so it serves where there is no command.
+/// The column that drives the model. A commanded voltage is stamped with the instants of its changes; a measured one is known
+/// at the samples only, so it serves where there is no command.
 fn input_of(run: &Run) -> Option<(Input, Channel)> {
     let has = |channel| run.points(channel).next().is_some();
     let stamped = run.origin(Channel::VoltageCmd) == Origin::Commanded && has(Channel::VoltageCmd);
@@ -582,7 +560,8 @@ fn input_of(run: &Run) -> Option<(Input, Channel)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plant::testing::run_of;
+    use crate::plant::testing::{self, record, run_of};
+    use crate::plant::{Model, Plant, State};
 
     fn run(origin: Origin) -> Run {
         let times = (0..40).map(|row| f64::from(row) * 0.01).collect();
@@ -594,8 +573,13 @@ mod tests {
         run_of("r", times, columns)
     }
 
+    fn with_column(mut run: Run, channel: Channel, cells: Vec<f64>, origin: Origin) -> Scenario {
+        run.set_column(channel, cells, origin).unwrap();
+        Scenario::from_run(&run).unwrap()
+    }
+
     #[test]
-    fn a_stamped_command_beats_an_instantaneous_measurement() {
+    fn a_run_becomes_a_scenario_of_its_input_and_its_usable_rows() {
         for (origin, channel) in [
             (Origin::Commanded, Channel::VoltageCmd),
             (Origin::Unknown, Channel::Voltage),
@@ -603,83 +587,77 @@ mod tests {
             let scenario = Scenario::from_run(&run(origin)).unwrap();
             assert_eq!(scenario.input_channel, channel);
         }
-    }
-
-    #[test]
-    fn rows_before_the_first_voltage_are_not_used() {
-        let mut late = run(Origin::Commanded);
+        // Rows before the first voltage are not used.
         let mut cells = vec![f64::NAN; 40];
         cells[15] = 3.0;
-        late.set_column(Channel::VoltageCmd, cells, Origin::Commanded)
-            .unwrap();
-        let scenario = Scenario::from_run(&late).unwrap();
-        assert_eq!(scenario.samples(), 25);
-        assert_eq!(scenario.events, vec![(0.15, 3.0)]);
-    }
-
-    #[test]
-    fn a_split_scores_the_tail_but_starts_at_the_beginning() {
+        let late = run(Origin::Commanded);
+        let late = with_column(late, Channel::VoltageCmd, cells, Origin::Commanded);
+        assert_eq!((late.samples(), late.events), (25, vec![(0.15, 3.0)]));
+        // A split scores the tail but starts at the beginning.
         let whole = Scenario::from_run(&run(Origin::Commanded)).unwrap();
         let (training, holdout) = whole.split(0.6);
         assert_eq!((training.samples(), training.scored), (24, 0..24));
         assert_eq!((holdout.samples(), holdout.scored), (40, 24..40));
+        // An angle within one turn is made continuous.
+        let turns = |k: u16| 0.2 * f64::from(k);
+        let cells = (0..40).map(|k| turns(k).fract() * std::f64::consts::TAU);
+        let wrapped = run(Origin::Commanded);
+        let wrapped = with_column(wrapped, Channel::Angle, cells.collect(), Origin::Measured);
+        let end_rad = wrapped.shaft_angle()[39].1;
+        assert!((end_rad - turns(39) * std::f64::consts::TAU).abs() < 1e-9);
     }
 
     #[test]
-    fn milliseconds_taken_for_seconds_and_a_stamp_far_away_are_named() {
+    fn records_that_cannot_be_simulated_are_refused() {
+        let of = |times: Vec<f64>, channels: [Channel; 2]| {
+            let columns = channels.map(|own| (own, vec![1.0; times.len()], Origin::Unknown));
+            Scenario::from_run(&run_of("r", times, columns)).unwrap_err()
+        };
+        let (volts, amperes, speed) = (Channel::Voltage, Channel::Current, Channel::Speed);
         let seconds: Vec<f64> = (0..39).map(f64::from).collect();
-        let milliseconds = (0..40).map(|k| f64::from(k) * 1000.0).collect();
-        for times in [milliseconds, [&seconds[..], &[1e12]].concat()] {
-            let channels = [Channel::Voltage, Channel::Speed];
-            let columns = channels.map(|channel| (channel, vec![1.0; 40], Origin::Unknown));
-            let refused = Scenario::from_run(&run_of("r", times, columns));
-            assert!(matches!(refused, Err(ScenarioError::Gap { .. })));
+        let milliseconds: Vec<f64> = (0..40).map(|k| f64::from(k) * 1000.0).collect();
+        for (times, channels, message) in [
+            (
+                milliseconds,
+                [volts, speed],
+                "1000 s pass between two samples",
+            ),
+            (
+                [&seconds[..], &[1e12]].concat(),
+                [volts, speed],
+                "s pass between",
+            ),
+            (seconds[..5].to_vec(), [volts, amperes], "has 5 usable rows"),
+            (
+                seconds.clone(),
+                [volts, Channel::Bus],
+                "has neither current nor speed",
+            ),
+            (seconds.clone(), [speed, Channel::Bus], "has no voltage"),
+        ] {
+            let error = of(times, channels);
+            assert!(error.to_string().contains(message), "{error}");
+            assert!(!error.help().is_empty());
         }
     }
 
     #[test]
-    fn what_a_host_stamped_has_a_delay_that_is_not_known_and_what_a_drive_stamped_has_none() {
+    fn the_input_of_a_host_is_late_by_an_unknown_time_and_that_of_a_drive_is_not() {
         let drive = run(Origin::Commanded);
         assert_eq!(Scenario::from_run(&drive).unwrap().input_delay_s(), None);
-        let mut host = drive;
-        host.set_column(Channel::TimeHalfWidth, vec![0.002; 40], Origin::Derived)
-            .unwrap();
-        let commanded = Scenario::from_run(&host).unwrap();
+        let widths = || (Channel::TimeHalfWidth, vec![0.002; 40], Origin::Derived);
+        let (channel, cells, origin) = widths();
+        let commanded = with_column(drive.clone(), channel, cells, origin);
         assert_eq!(commanded.time_half_width_s.len(), commanded.samples());
         assert_eq!(commanded.input_delay_s(), Some((0.0, 0.004)));
-        let sampled = Scenario::from_run(&host.without(Channel::VoltageCmd)).unwrap();
+        let (channel, cells, origin) = widths();
+        let sampled = with_column(drive.without(Channel::VoltageCmd), channel, cells, origin);
         let (mean_s, std_s) = sampled.input_delay_s().unwrap();
         assert!((mean_s + 0.005).abs() < 1e-9 && (std_s - 0.005).abs() < 1e-9);
         let later = commanded.with_input_delayed(0.0005);
         let (before, after) = (&commanded.events, &later.events);
-        assert_eq!(after[0], before[0], "what held first holds on");
+        assert_eq!(after[0], before[0], "the first value holds on");
         assert!((after[1].0 - before[1].0 - 0.0005).abs() < 1e-12);
-    }
-
-    #[test]
-    fn an_angle_within_one_turn_is_made_continuous() {
-        let mut wrapped = run(Origin::Commanded);
-        let turns = |k: u16| 0.2 * f64::from(k);
-        let cells = (0..40)
-            .map(|k| turns(k).fract() * std::f64::consts::TAU)
-            .collect();
-        wrapped
-            .set_column(Channel::Angle, cells, Origin::Measured)
-            .unwrap();
-        let angle = Scenario::from_run(&wrapped).unwrap();
-        let angle = angle.shaft_angle();
-        assert!((angle[39].1 - turns(39) * std::f64::consts::TAU).abs() < 1e-9);
-    }
-
-    #[test]
-    fn too_few_rows_and_no_input_are_named() {
-        let error = |run: &Run| Scenario::from_run(run).unwrap_err();
-        let columns = [Channel::Voltage, Channel::Current]
-            .map(|channel| (channel, vec![1.0; 5], Origin::Unknown));
-        let short = error(&run_of("short", (0..5).map(f64::from).collect(), columns));
-        assert!(matches!(short, ScenarioError::TooShort { rows: 5, .. }));
-        let empty = error(&Run::new("empty", vec![]).unwrap());
-        assert!(matches!(empty, ScenarioError::NoInput { .. }));
     }
 
     /// A switched voltage at 1 kHz of which a row and 0.2 s are lost.
@@ -701,48 +679,59 @@ mod tests {
 
     #[test]
     fn lost_rows_have_a_variance_and_a_whole_record_none() {
-        let is_unknown = |record: &Scenario, from_s: f64, to_s: f64| {
-            let mut holes = record.unknown_input.iter();
-            holes.any(|hole| hole.to_s > from_s && hole.from_s < to_s && hole.variance > 0.0)
-        };
         let holes = with_holes();
-        assert_eq!(holes.unknown_input.len(), 2);
-        let long = holes.unknown_input[1];
-        assert!((1.1999..1.25).contains(&long.from_s) && long.variance > 0.0);
-        assert!(is_unknown(&holes, 1.15, 1.25) && !is_unknown(&holes, 0.6, 1.1999));
+        let [one, long] = holes.unknown_input[..] else {
+            panic!("{:?}", holes.unknown_input);
+        };
+        assert!((one.from_s - 0.5).abs() < 1e-9 && (one.to_s - 0.501).abs() < 1e-9);
+        assert!((long.from_s - 1.2).abs() < 1e-9 && long.variance > 0.0);
         assert!((holes.input_at(1.3) - long.mean).abs() < 1e-12);
+        // The simulation restarts from what was measured behind it, which is not compared.
+        let restart = long.restart.unwrap();
+        assert!(restart[0].is_nan() && (restart[1] - 1400.0).abs() < 1e-9);
+        let missing = holes.speed_rad_s.iter().filter(|speed| speed.is_nan());
+        assert_eq!(missing.count(), 1);
         let whole = Scenario::from_run(&run(Origin::Unknown)).unwrap();
-        assert!(whole.unknown_input.is_empty() && !is_unknown(&whole, 0.0, 1.0));
-        assert_eq!(whole.events.len(), 40);
+        assert!(whole.unknown_input.is_empty() && whole.events.len() == 40);
+    }
+
+    fn speeds(model: &Model, run: &Scenario) -> Vec<f64> {
+        let mut plant = Plant::new(model, Input::Voltage).unwrap();
+        plant.simulate(run, State::default()).speed_rad_s
     }
 
     #[test]
     fn a_run_behind_another_is_simulated_as_it_is_by_itself() {
-        let values = [1.1, 0.0099, 0.3538, 0.0045, 0.455];
-        let model = crate::plant::Model::baseline(crate::plant::testing::motor("m", &values));
-        let run = |volts: f64, seed| {
-            let events = vec![(0.0, 0.0), (0.3, volts), (0.9, -0.5 * volts)];
-            crate::plant::testing::record(&model, events, 0.01, 2.0, seed)
-        };
-        let (first, second) = (run(40.0, 1), run(60.0, 2));
-        let both = first.followed_by(&second);
-        assert_eq!(both.samples(), first.samples() + second.samples());
-        let simulated = |run: &Scenario| {
-            let mut plant = crate::plant::Plant::new(&model, Input::Voltage).unwrap();
-            plant
-                .simulate(run, crate::plant::State::default())
-                .speed_rad_s
-        };
-        let (whole, alone) = (simulated(&both), simulated(&second));
-        for (a, b) in whole[first.samples()..].iter().zip(&alone) {
-            assert!((a - b).abs() < 1e-6, "{a} {b}");
+        // The heavy machine turns on for long after the end of its run.
+        for (inertia_kg_m2, seconds, within) in [(0.0045, 2.0, 1e-6), (0.3, 3.0, 0.5)] {
+            let values = [1.1, 0.0099, 0.3538, inertia_kg_m2, 0.455];
+            let model = Model::baseline(testing::motor("m", &values));
+            let run = |volts: f64, seed| {
+                let events = vec![(0.0, 0.0), (0.3, volts), (0.9, 0.7 * volts)];
+                record(&model, events, 0.01, seconds, seed)
+            };
+            let (first, whole) = (run(40.0, 1), run(60.0, 2));
+            assert_eq!(first.begins_with().map(f64::to_bits), [0, 0]);
+            let alone = speeds(&model, &whole);
+            let moving = whole.stretch(120..whole.samples());
+            assert!(moving.begins_with()[1] > 1.0);
+            for (later, from) in [(&whole, 0), (&moving, 120)] {
+                let both = first.followed_by(later);
+                assert_eq!(both.samples(), first.samples() + later.samples());
+                let begins_s = both.sample_time_s[first.samples()] - first.begin_s();
+                let own_s = later.sample_time_s[0] - later.begin_s();
+                assert!((begins_s - first.whole_s() - own_s).abs() < 1e-9);
+                let within = if from == 0 { within } else { 0.5 };
+                let simulated = speeds(&model, &both);
+                for (a, b) in simulated[first.samples()..].iter().zip(&alone[from..]) {
+                    assert!((a - b).abs() < within, "{inertia_kg_m2} {from}: {a} {b}");
+                }
+            }
         }
-        let from_s = both.sample_time_s[first.samples()] - first.begin_s();
-        assert!((from_s - first.whole_s() - second.sample_time_s[0]).abs() < 1e-9);
     }
 
     #[test]
-    fn what_is_held_out_of_a_run_is_no_part_of_it_where_another_comes_behind() {
+    fn inputs_that_are_held_out_are_no_part_of_a_run_before_another() {
         let mut first = with_holes();
         let times = first.sample_time_s.iter();
         first.angle = times.map(|time_s| (*time_s, 3.0 * time_s)).collect();
@@ -766,40 +755,5 @@ mod tests {
         assert!((between.to_s - begins_s).abs() < 1e-9 && between.from_s >= end_s);
         let inside = |time_s: f64| (between.from_s..begins_s).contains(&time_s);
         assert!(!both.angle.iter().any(|point| inside(point.0)));
-    }
-
-    #[test]
-    fn a_run_that_begins_in_motion_is_simulated_from_what_it_begins_with() {
-        let values = [1.1, 0.0099, 0.3538, 0.3, 0.455];
-        let model = crate::plant::Model::baseline(crate::plant::testing::motor("m", &values));
-        let run = |seed| {
-            let events = vec![(0.0, 0.0), (0.3, 60.0), (0.9, 40.0)];
-            crate::plant::testing::record(&model, events, 0.01, 3.0, seed)
-        };
-        // So heavy that it turns on for long after its end; the other is the end of a run.
-        let (first, whole) = (run(1), run(2));
-        let second = whole.stretch(120..whole.samples());
-        assert_eq!(first.begins_with().map(f64::to_bits), [0, 0]);
-        assert!(second.begins_with()[1] > 1.0);
-        for (later, from) in [(&second, 120), (&whole, 0)] {
-            let both = first.followed_by(later);
-            let mut plant = crate::plant::Plant::new(&model, Input::Voltage).unwrap();
-            let start = crate::plant::State::default();
-            let simulated = plant.simulate(&both, start).speed_rad_s;
-            let alone = plant.simulate(&whole, start).speed_rad_s;
-            let pairs = simulated[first.samples()..].iter().zip(&alone[from..]);
-            for (a, b) in pairs {
-                assert!((a - b).abs() < 0.5, "{a} {b}");
-            }
-        }
-    }
-
-    #[test]
-    fn what_a_simulation_begins_again_with_is_not_met_by_it() {
-        let holes = with_holes();
-        let restart = holes.unknown_input[1].restart.unwrap();
-        assert!(restart[0].is_nan() && (restart[1] - 1400.0).abs() < 1e-9);
-        let missing = holes.speed_rad_s.iter().filter(|speed| speed.is_nan());
-        assert_eq!(missing.count(), 1);
     }
 }

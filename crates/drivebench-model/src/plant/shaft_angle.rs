@@ -1,14 +1,8 @@
-//! A measured angle that starts again after each turn, made continuous: between two samples an effect of position has to
-//! see the way that the shaft went, not the jump back.
+//! Phase unwrapping of a measured angle that starts again after each turn.
 
 use std::f64::consts::TAU;
 
 use crate::numerics::statistics::extent;
-
-/// Share of a turn by which the values of a wrapped angle may exceed one: an encoder's last count.
-const SLACK: f64 = 0.02;
-/// Longest step, in turns, up to which the nearest way round is taken without asking the speed.
-const SURE: f64 = 0.25;
 
 /// `angle` as `(time, angle)`, continuous. An angle that never jumps, or that leaves one turn, is continuous already. The
 /// nearest way round is taken; where that could be either, `speed` (at its own times, NaN where missing) decides.
@@ -17,9 +11,9 @@ pub(super) fn continuous(angle: Vec<(f64, f64)>, speed: &[(f64, f64)]) -> Vec<(f
         return angle;
     }
     let nearest = |step: f64| step - TAU * (step / TAU).round();
-    let sure = angle
-        .windows(2)
-        .all(|pair| nearest(pair[1].1 - pair[0].1).abs() < SURE * TAU);
+    let mut steps = angle.windows(2).map(|pair| pair[1].1 - pair[0].1);
+    // With steps of less than a quarter of a turn the nearest way round is certain.
+    let sure = steps.all(|step| nearest(step).abs() < 0.25 * TAU);
     let mut track = Integral::new(if sure { &[] } else { speed });
     let mut turns = 0.0;
     let mut last = angle[0];
@@ -34,11 +28,11 @@ pub(super) fn continuous(angle: Vec<(f64, f64)>, speed: &[(f64, f64)]) -> Vec<(f
     out
 }
 
-/// All values within one turn, and steps of more than half of it.
+/// All values within one turn and the last count of an encoder, and steps of more than half a turn.
 fn is_wrapped(angle: &[(f64, f64)]) -> bool {
     let (least, most) = extent(angle.iter().map(|point| point.1));
     let mut steps = angle.windows(2).map(|pair| pair[1].1 - pair[0].1);
-    most - least < (1.0 + SLACK) * TAU && steps.any(|step| step.abs() > 0.5 * TAU)
+    most - least < 1.02 * TAU && steps.any(|step| step.abs() > 0.5 * TAU)
 }
 
 /// Integral of a speed over intervals that come in the order of time.
@@ -57,21 +51,13 @@ impl<'a> Integral<'a> {
         while self.next < self.speed.len() && self.speed[self.next].0 < from_s {
             self.next += 1;
         }
-        let (mut sum, mut count) = (0.0, 0.0);
-        for point in &self.speed[self.next..] {
-            if point.0 > to_s && count > 0.0 {
-                break;
-            }
-            sum += point.1;
-            count += 1.0;
-            if point.0 > to_s {
-                break;
-            }
-        }
-        if count > 0.0 {
-            sum / count * (to_s - from_s)
-        } else {
-            0.0
+        let rest = &self.speed[self.next..];
+        let within = rest.iter().take_while(|point| point.0 <= to_s).count();
+        let speeds = &rest[..within.max(1).min(rest.len())];
+        let sum = speeds.iter().fold(0.0, |sum, point| sum + point.1);
+        match speeds.len() {
+            0 => 0.0,
+            count => sum / count as f64 * (to_s - from_s),
         }
     }
 }
@@ -79,14 +65,9 @@ impl<'a> Integral<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
     /// There and back, many turns each way, up to 300 rad/s.
     fn motion(t: f64) -> f64 {
         0.5 + 100.0 * (3.0 * t).sin()
-    }
-
-    fn speed(t: f64) -> f64 {
-        300.0 * (3.0 * t).cos()
     }
 
     /// A signal every `period_s`.
@@ -100,24 +81,18 @@ mod tests {
     }
 
     #[test]
-    fn a_wrapped_angle_becomes_the_motion_from_any_start_of_the_turn() {
+    fn a_wrapped_angle_becomes_the_motion_where_need_be_by_the_speed() {
         for from in [0.0, -0.5 * TAU] {
             let wrapped = sampled(0.002, |t| (motion(t) - from).rem_euclid(TAU) + from);
             assert!(largest_error(&continuous(wrapped, &[])) < 1e-9);
         }
-    }
-
-    #[test]
-    fn where_half_a_turn_passes_between_samples_the_speed_tells_the_way() {
+        // More than half a turn passes between two samples.
         let wrapped = || sampled(0.015, |t| motion(t).rem_euclid(TAU));
-        assert!(largest_error(&continuous(wrapped(), &sampled(0.015, speed))) < 1e-9);
+        let speed = sampled(0.015, |t| 300.0 * (3.0 * t).cos());
+        assert!(largest_error(&continuous(wrapped(), &speed)) < 1e-9);
         assert!(largest_error(&continuous(wrapped(), &[])) > 1.0);
-    }
-
-    #[test]
-    fn what_does_not_wrap_stays_as_it_is() {
         let long = sampled(0.015, motion);
-        assert_eq!(continuous(long.clone(), &sampled(0.015, speed)), long);
+        assert_eq!(continuous(long.clone(), &speed), long);
         let small = sampled(0.01, |t| 2.0 * t.sin());
         assert_eq!(continuous(small.clone(), &[]), small);
         assert!(continuous(vec![], &[]).is_empty());

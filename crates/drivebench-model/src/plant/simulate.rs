@@ -1,4 +1,4 @@
-//! Free run of a model: exact zero-order hold where it is linear, true stick-slip, no chatter.
+//! Event-driven simulation of a model: exact zero-order hold where it is linear, true stick-slip, no chatter.
 //!
 //! Motion has three modes: stuck, forward, backward. The sign of the friction comes from the mode, never from a noisy
 //! or vanishing speed. A zero crossing inside a step is located and the step is cut there; the shaft then sticks if the
@@ -13,8 +13,6 @@ mod sensors;
 mod steep;
 mod steps;
 mod two_mass;
-
-use std::borrow::Cow;
 
 pub use commands::starts_from_rest;
 pub use equations::State;
@@ -33,23 +31,6 @@ use crate::numerics::root;
 
 /// Longest sub-step with effects, s: drops at current reversals and Stribeck humps are resolved.
 const LONGEST_STEP_WITH_EFFECTS_S: f64 = 5e-4;
-/// Longest sub-step of the bare baseline, s: exact within, but a reversal must not hide inside.
-const LONGEST_STEP_S: f64 = 5e-3;
-/// Longest sub-step with a second inertia and no other effect, s: exact within, but a load that rings turns often.
-const LONGEST_RINGING_STEP_S: f64 = 1e-3;
-
-/// Share of the fastest time constant that a step of the classical Runge-Kutta method may take: its error is then below a
-/// thousandth of a per cent.
-const RUNGE_KUTTA_SHARE: f64 = 0.25;
-
-/// Cost of a sub-step with effects, and of one with a second inertia, over that of an exact one of a linear machine: measured on
-/// runs with gaps of the current, cogging and a shaft that rings.
-const EFFECTS_COST: u64 = 10;
-const SECOND_INERTIA_COST: u64 = 20;
-
-/// Longest piece of a command that acts until the current is at a limit, s, and the share of that current that it misses it by.
-const LONGEST_RISE_S: f64 = 5e-4;
-const AT_THE_LIMIT: f64 = 1e-3;
 
 /// A simulated run at the scenario's sample times.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -58,7 +39,7 @@ pub struct Trajectory {
     pub speed_rad_s: Vec<f64>,
 }
 
-/// What is taken over from a measurement; of a change that is not a number nothing is.
+/// Correction of the state by a measurement; a change that is not a number is none.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Correction {
     pub current_a: f64,
@@ -69,14 +50,13 @@ pub struct Correction {
     pub voltage_v: f64,
 }
 
-/// A model made ready for simulation: numbers only.
+/// A model compiled for simulation.
 pub struct Plant {
     equations: Equations,
     longest_step_s: f64,
     moving: Steps,
     /// While stuck: the current alone.
     stuck: Steps,
-    /// Where the load is a second inertia behind a shaft.
     two_mass: Option<Box<TwoMass>>,
     /// Where something lies between the motion and its measurement.
     sensors: Option<Sensors>,
@@ -96,16 +76,16 @@ fn reading(time_s: f64, state: &State) -> Reading {
 }
 
 impl Plant {
-    /// Compiles a complete model for one kind of input.
     pub fn new(model: &Model, input: Input) -> Result<Self, ModelError> {
         let equations = Equations::new(model, input)?;
         let still = [[equations.a[0][0], 0.0], [0.0, 0.0]];
         let linear = equations.is_linear();
         Ok(Self {
-            // The sensors take the motion between two steps for a straight line: they need them short.
+            // Linear steps are exact, but a reversal must not hide inside, and a ringing load turns often. For the sensors the
+            // motion between two steps is a straight line: they need them short.
             longest_step_s: match (&equations.coupling, equations.path.measures_directly()) {
-                (None, true) if linear => LONGEST_STEP_S,
-                (Some(_), true) if linear => LONGEST_RINGING_STEP_S,
+                (None, true) if linear => 5e-3,
+                (Some(_), true) if linear => 1e-3,
                 _ => LONGEST_STEP_WITH_EFFECTS_S,
             },
             moving: Steps::new(&equations.a, !linear),
@@ -121,8 +101,8 @@ impl Plant {
         })
     }
 
-    /// With sub-steps of `step_s` where effects ask for shorter ones: runs that are compared with each other, not with a
-    /// measurement, share what that costs in accuracy. A second inertia keeps its own.
+    /// With sub-steps of `step_s` where effects need shorter ones: runs that are compared with each other, not with a
+    /// measurement, share the loss of accuracy. A second inertia keeps its own.
     #[must_use]
     pub fn coarse(mut self, step_s: f64) -> Self {
         if self.two_mass.is_none() {
@@ -136,44 +116,30 @@ impl Plant {
         self.work
     }
 
-    /// A step that the classical Runge-Kutta method follows every motion of this plant by, s: for programs that have no
-    /// exact propagators.
+    /// Step of the classical Runge-Kutta method for this plant, s, for programs that have no exact propagators: a quarter of
+    /// the fastest time constant, with an error below a thousandth of a per cent.
     pub fn runge_kutta_step_s(&mut self) -> f64 {
         self.equations.set_supply(REFERENCE_SUPPLY_V);
         let equations = &self.equations;
         let a = &equations.a;
         let swing = (a[0][1] * a[1][0]).abs().sqrt();
-        let filters = [
-            equations.path.speed_filter_s,
-            equations.path.current_filter_s,
-        ];
-        let lags = filters.into_iter().filter(|tau| *tau > 0.0);
-        let lag = lags.map(f64::recip).fold(0.0, f64::max);
+        let path = &equations.path;
+        let lags = [path.speed_filter_s, path.current_filter_s].into_iter();
+        let lag = lags
+            .filter(|tau| *tau > 0.0)
+            .map(f64::recip)
+            .fold(0.0, f64::max);
         let rate = a[0][0].abs() + swing + lag + steep::fastest(equations);
-        (RUNGE_KUTTA_SHARE / rate).min(LONGEST_STEP_WITH_EFFECTS_S)
+        (0.25 / rate).min(LONGEST_STEP_WITH_EFFECTS_S)
     }
 
-    /// Number of states of all effects together.
     pub fn effect_states(&self) -> usize {
         self.equations.states()
     }
 
     /// Simulates `scenario` from `start` (the state at its first input event) into `out`, whose memory is used again.
     pub fn simulate_into(&mut self, scenario: &Scenario, start: State, out: &mut Trajectory) {
-        self.run(scenario, start, out, |_, _, _| None);
-    }
-
-    /// Follows a measurement: after every sample `correct` is asked, given the sample's number, what the sensors would
-    /// show and the state behind it, how far the state is to move and what load torque to expect from there on. `out`
-    /// holds what was predicted before each correction.
-    pub fn follow_into(
-        &mut self,
-        scenario: &Scenario,
-        start: State,
-        out: &mut Trajectory,
-        correct: impl FnMut(usize, [f64; 2], &State) -> Option<Correction>,
-    ) {
-        self.run(scenario, start, out, correct);
+        self.follow_into(scenario, start, out, |_, _, _| None);
     }
 
     /// Predictions over short horizons: after every `horizon` samples the current and speed are set to the measured
@@ -198,22 +164,20 @@ impl Plant {
         let mut out = Trajectory::default();
         let horizon = horizon.max(1);
         let first = first % horizon;
-        self.run(
-            scenario,
-            start,
-            &mut out,
-            |sample, [current_a, speed_rad_s], _| {
-                (sample % horizon == first).then(|| Correction {
-                    current_a: scenario.current_a[sample] - current_a,
-                    speed_rad_s: scenario.speed_rad_s[sample] - speed_rad_s,
-                    ..Correction::default()
-                })
-            },
-        );
+        let correct = |sample: usize, [current_a, speed_rad_s]: [f64; 2], _: &State| {
+            (sample % horizon == first).then(|| Correction {
+                current_a: scenario.current_a[sample] - current_a,
+                speed_rad_s: scenario.speed_rad_s[sample] - speed_rad_s,
+                ..Correction::default()
+            })
+        };
+        self.follow_into(scenario, start, &mut out, correct);
         out
     }
 
-    fn run(
+    /// Follows a measurement: after every sample `correct` receives the sample's number, the readings of the sensors and the
+    /// state, and returns the correction. `out` holds the predictions before each correction.
+    pub fn follow_into(
         &mut self,
         scenario: &Scenario,
         start: State,
@@ -230,26 +194,25 @@ impl Plant {
             two_mass.start(&state);
         }
         let mut event = 0;
-        let mut restarts = (scenario.unknown_input.iter())
-            .filter_map(|hole| hole.restart.map(|measured| (hole.to_s, measured)))
-            .peekable();
+        let holes = scenario.unknown_input.iter();
+        let restarts = holes.filter_map(|hole| Some((hole.to_s, hole.restart?)));
+        let mut restarts = restarts.peekable();
         let late_s = self.equations.path.command_delay_s;
-        let mut shadows = (scenario.unknown_input.iter())
-            .filter(|hole| late_s > 0.0 && hole.restart.is_some())
-            .map(|hole| hole.to_s..hole.to_s + late_s)
-            .peekable();
+        let shadows = restarts.clone().filter(|_| late_s > 0.0);
+        let shadows = shadows.map(|(to_s, _)| to_s..to_s + late_s);
+        let mut shadows = shadows.peekable();
         let mut limits = scenario.limits.iter().peekable();
         let events = commands::applied(&scenario.events, &self.equations.path);
         self.begin_s = scenario.begin_s();
         self.equations.set_supply(scenario.supply_v());
         self.steep = Steep::of(&self.equations, self.longest_step_s);
         let mut now_s = self.begin_s;
-        let angles = if self.equations.needs_angle {
-            scenario.shaft_angle()
-        } else {
-            Cow::Borrowed(&[][..])
+        let needs_angle = self.equations.needs_angle;
+        let angles = needs_angle.then(|| scenario.shaft_angle());
+        let mut angle = AngleTrack {
+            points: angles.as_deref().unwrap_or_default(),
+            next: 0,
         };
-        let mut angle = AngleTrack::new(&angles);
         self.sensors = (!self.equations.path.measures_directly())
             .then(|| Sensors::new(self.equations.path, reading(now_s, &state)));
         for (sample, &sample_s) in scenario.sample_time_s.iter().enumerate() {
@@ -269,7 +232,6 @@ impl Plant {
                     input = limit.command_v;
                     next_s = next_s.min(now_s + rise_s);
                 }
-                // One that lies before the simulation begins is none of its own.
                 let again = restarts.next_if(|restart| restart.0 <= next_s);
                 if let Some((at_s, _)) = again {
                     next_s = at_s.max(now_s);
@@ -285,7 +247,7 @@ impl Plant {
                 let held = events.partition_point(|(time, _)| *time <= sample_s).max(1) - 1;
                 state.current_a = events[held].1;
             }
-            // A late command of the hole acts until behind it: up to then nobody knows where the state goes.
+            // A delayed command of the hole acts until after it: up to then the state is unknown.
             if shadows.peek().is_some_and(|shadow| shadow.start < sample_s) {
                 let measured = [scenario.current_a[sample], scenario.speed_rad_s[sample]];
                 self.take_over(&mut state, measured);
@@ -302,12 +264,12 @@ impl Plant {
         }
     }
 
-    /// Time for which the whole command acts before the current is where a limit holds it by `held_v`, or comes nearer, s; none
-    /// where it is there, or the drive has not started yet.
+    /// Time for which the whole command acts before the current is within 0.1 % of where a limit holds it by `held_v`, s, at
+    /// most 0.5 ms; none where it is there, or the drive has not started yet.
     fn rise_s(&self, limit: &LimitReached, held_v: f64, state: &State, now_s: f64) -> Option<f64> {
         let direction = (limit.command_v - held_v).signum();
         let missing_a = direction * (limit.current_a - state.current_a);
-        if held_v == 0.0 || missing_a <= AT_THE_LIMIT * limit.current_a.abs() {
+        if held_v == 0.0 || missing_a <= 1e-3 * limit.current_a.abs() {
             return None;
         }
         let at = Instant {
@@ -319,12 +281,8 @@ impl Plant {
         let [[by_current, by_speed], _] = self.equations.a;
         let linear = by_current * state.current_a + by_speed * state.speed_rad_s;
         let rate = direction * (linear + self.equations.forcing(state, &at)[0]);
-        let longest_s = LONGEST_RISE_S;
-        Some(if rate > 0.0 {
-            (missing_a / rate).min(longest_s)
-        } else {
-            longest_s
-        })
+        let rise_s = missing_a / rate;
+        Some(if rate > 0.0 { rise_s.min(5e-4) } else { 5e-4 })
     }
 
     /// Moves the state. What lies between motion and reading (a filter, an offset) stays between them.
@@ -338,30 +296,27 @@ impl Plant {
         state.anchor(current_a, speed_rad_s);
     }
 
-    /// Current and speed as the sensors show them.
     fn shown(&self, state: &State) -> [f64; 2] {
         let direct = [state.current_a, state.speed_rad_s];
         self.sensors.as_ref().map_or(direct, Sensors::read)
     }
 
-    /// Goes on from what was measured behind a hole in the input: how the state came there is not known.
+    /// Continues from the measurement after a hole in the input.
     fn take_over(&mut self, state: &mut State, [current_a, speed_rad_s]: [f64; 2]) {
         let shown = self.shown(state);
         self.anchor(state, current_a - shown[0], speed_rad_s - shown[1]);
-        // A load that had stopped or turned back in the simulation would now be torn along.
+        // A load that had stopped or turned back in the simulation would be pulled along.
         if let Some(two_mass) = &mut self.two_mass {
             two_mass.start(state);
         }
     }
 
-    /// Simulates `scenario` from `start`.
     pub fn simulate(&mut self, scenario: &Scenario, start: State) -> Trajectory {
         let mut out = Trajectory::default();
         self.simulate_into(scenario, start, &mut out);
         out
     }
 
-    /// Advances by `dt_s` under a constant input.
     fn advance(
         &mut self,
         state: &mut State,
@@ -370,7 +325,7 @@ impl Plant {
         input: f64,
         angle: &mut AngleTrack<'_>,
     ) {
-        // A hair of slack: 1 ms split into steps of 0.5 ms must not become three because of rounding.
+        // Slack for rounding: 1 ms in steps of 0.5 ms are two steps, not three.
         let (steps, h) = if dt_s <= self.longest_step_s * (1.0 + 1e-6) {
             (1, dt_s)
         } else {
@@ -430,9 +385,10 @@ impl Plant {
         if self.equations.input != Input::Voltage {
             state.current_a = at.voltage_v;
         }
+        // Relative cost of a step, measured on runs with gaps of the current, cogging and a shaft that rings.
         self.work += match (&self.two_mass, self.equations.is_linear()) {
-            (Some(_), _) => SECOND_INERTIA_COST,
-            (None, false) => EFFECTS_COST,
+            (Some(_), _) => 20,
+            (None, false) => 10,
             (None, true) => 1,
         };
         if let Some(two_mass) = &mut self.two_mass {
@@ -473,7 +429,6 @@ impl Plant {
     }
 
     /// Time within `(0, h]` at which the mode ends: the zero of the speed, or the moment of breaking away.
-    /// Bisection guarded secant (Illinois); a few evaluations at each of the rare events.
     fn locate(&mut self, state: &State, at: &Instant, h: f64, mode: Mode) -> f64 {
         let margin = |plant: &mut Self, t: f64| {
             let there = plant.trial(state, at, t);
@@ -490,10 +445,9 @@ impl Plant {
     /// How far a state is from the end of its mode; negative beyond.
     #[inline]
     fn margin(&self, state: &State, at: &Instant, mode: Mode) -> f64 {
-        if mode == Mode::Stuck {
-            self.equations.hold(state, at)
-        } else {
-            state.speed_rad_s * mode.sign()
+        match mode {
+            Mode::Stuck => self.equations.hold(state, at),
+            moving => state.speed_rad_s * moving.sign(),
         }
     }
 
@@ -503,7 +457,8 @@ impl Plant {
         if h <= 0.0 {
             return *state;
         }
-        let steps = if state.mode == Mode::Stuck {
+        let is_stuck = state.mode == Mode::Stuck;
+        let steps = if is_stuck {
             &mut self.stuck
         } else {
             &mut self.moving
@@ -534,11 +489,7 @@ struct AngleTrack<'a> {
     next: usize,
 }
 
-impl<'a> AngleTrack<'a> {
-    const fn new(points: &'a [(f64, f64)]) -> Self {
-        Self { points, next: 0 }
-    }
-
+impl AngleTrack<'_> {
     const fn is_empty(&self) -> bool {
         self.points.is_empty()
     }
@@ -548,17 +499,15 @@ impl<'a> AngleTrack<'a> {
         while self.next < self.points.len() && self.points[self.next].0 <= time_s {
             self.next += 1;
         }
-        Some(
-            match (self.next.checked_sub(1), self.points.get(self.next)) {
-                (Some(before), Some(after)) => {
-                    let before = self.points[before];
-                    let share = (time_s - before.0) / (after.0 - before.0);
-                    before.1 + share * (after.1 - before.1)
-                }
-                (None, Some(first)) => first.1,
-                (_, None) => last.1,
-            },
-        )
+        let before = self.next.checked_sub(1).map(|before| self.points[before]);
+        Some(match (before, self.points.get(self.next)) {
+            (Some(before), Some(after)) => {
+                let share = (time_s - before.0) / (after.0 - before.0);
+                before.1 + share * (after.1 - before.1)
+            }
+            (None, Some(first)) => first.1,
+            (_, None) => last.1,
+        })
     }
 }
 

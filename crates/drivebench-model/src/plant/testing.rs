@@ -54,7 +54,6 @@ pub fn held<const N: usize>(times: [f64; N], levels: [f64; N]) -> Vec<(f64, f64)
     times.into_iter().zip(levels).collect()
 }
 
-/// The motor of R, L, Ke, J, Mc.
 pub fn motor(name: &str, values: &[f64; 5]) -> Motor {
     use MotorKey::{BackEmf, Inductance, Inertia, LoadTorque, Resistance};
     let keys = [Resistance, Inductance, BackEmf, Inertia, LoadTorque];
@@ -64,7 +63,6 @@ pub fn motor(name: &str, values: &[f64; 5]) -> Motor {
     })
 }
 
-/// A run of these columns.
 pub fn run_of(
     name: &str,
     times: Vec<f64>,

@@ -1,4 +1,4 @@
-//! A torque as a table: friction over both directions of the speed, or cogging over a turn of the shaft, as it was measured.
+//! A measured torque as a table: friction over both directions of the speed, or cogging over a turn of the shaft.
 
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
@@ -8,21 +8,19 @@ use serde::Serialize;
 use super::effect::Axis;
 use super::{ActiveEffect, Balance, Model, MotorKey};
 use crate::numerics::count::whole;
+use crate::numerics::statistics::largest;
 
 /// Columns behind the axis.
 const COLUMNS: &str = "torque_n_m,torque_low_n_m,torque_high_n_m,windows";
-/// Bins of a file at most.
-const MOST_BINS: usize = 10_000;
-/// Share of a bin by which a place in a file may be off the even grid.
-const EVEN_SHARE: f64 = 1e-3;
+/// Share of a bin, or of a turn, by which a place in a file may be off the even grid.
+const OFF_GRID: f64 = 1e-3;
 
-/// The torque that is mapped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MappedTorque {
     /// Everything that depends on the speed alone, over the speed.
     Friction,
-    /// What the shaft's position asks for whatever the current is, over one turn.
+    /// The part that depends on the angle and not on the current, over one turn.
     Cogging,
 }
 
@@ -48,7 +46,6 @@ impl MappedTorque {
         }
     }
 
-    /// Whether an effect is part of it.
     pub fn holds(self, active: &ActiveEffect) -> bool {
         let axis = match self {
             Self::Friction => Axis::Speed,
@@ -57,7 +54,6 @@ impl MappedTorque {
         active.effect.card().curve == Some((Balance::Torque, axis))
     }
 
-    /// The model without it.
     pub fn taken_out_of(self, model: &Model) -> Model {
         let mut rest = model.clone();
         if self == Self::Friction {
@@ -68,12 +64,10 @@ impl MappedTorque {
     }
 }
 
-/// One bin of the grid.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct MapBin {
     pub from: f64,
     pub to: f64,
-    /// Windows in it.
     pub windows: usize,
     pub torque: Option<MappedValue>,
 }
@@ -105,7 +99,6 @@ pub struct TorqueMap {
 }
 
 impl TorqueMap {
-    /// Bins that have a value.
     pub fn known(&self) -> usize {
         self.bins.iter().filter(|bin| bin.torque.is_some()).count()
     }
@@ -113,24 +106,19 @@ impl TorqueMap {
     /// Bins whose torque is known not to be zero.
     pub fn differ(&self) -> usize {
         let known = self.bins.iter().filter_map(|bin| bin.torque);
-        known
-            .filter(|it| it.low_n_m > 0.0 || it.high_n_m < 0.0)
-            .count()
+        let differs = |it: &MappedValue| it.low_n_m > 0.0 || it.high_n_m < 0.0;
+        known.filter(differs).count()
     }
 
     /// As CSV: a row for each bin at its middle, its cells empty where nothing was measured.
     pub fn to_csv(&self) -> String {
         let mut text = format!("{},{COLUMNS}\n", self.torque.axis().0);
         for bin in &self.bins {
-            let _ = write!(text, "{:?},", bin.middle());
-            match bin.torque {
-                Some(it) => {
-                    let (mean, low, high) = (it.torque_n_m, it.low_n_m, it.high_n_m);
-                    let _ = write!(text, "{mean:?},{low:?},{high:?}");
-                }
-                None => text.push_str(",,"),
-            }
-            let _ = writeln!(text, ",{}", bin.windows);
+            let torque = bin.torque.map_or_else(
+                || ",,".to_owned(),
+                |it| format!("{:?},{:?},{:?}", it.torque_n_m, it.low_n_m, it.high_n_m),
+            );
+            let _ = writeln!(text, "{:?},{torque},{}", bin.middle(), bin.windows);
         }
         text
     }
@@ -140,41 +128,37 @@ impl TorqueMap {
     /// # Errors
     /// The line that is not of such a map, with what is allowed there.
     pub fn from_csv(text: &str) -> Result<Self, MapTextError> {
-        let mut lines = text.lines().enumerate();
+        let refused = |line: usize, found: &str, allowed| MapTextError {
+            line,
+            found: found.chars().take(80).collect(),
+            allowed,
+        };
+        let mut lines = (1..).zip(text.lines());
         let header = lines.next().map_or("", |(_, line)| line.trim());
         let is_its = |torque: &MappedTorque| header == format!("{},{COLUMNS}", torque.axis().0);
         let torque = MappedTorque::ALL.into_iter().find(is_its);
-        let torque = torque.ok_or_else(|| MapTextError {
-            line: 1,
-            found: header.chars().take(80).collect(),
-            allowed: "the header of a friction or cogging map",
-        })?;
+        let torque =
+            torque.ok_or_else(|| refused(1, header, "the header of a friction or cogging map"))?;
         let mut rows = Vec::new();
-        for (index, line) in lines.filter(|(_, line)| !line.trim().is_empty()) {
-            let refused = |allowed| MapTextError {
-                line: index + 1,
-                found: line.chars().take(80).collect(),
-                allowed,
-            };
-            rows.push((index + 1, line, row(line).map_err(refused)?));
-            if rows.len() > MOST_BINS {
-                return Err(refused("at most 10000 bins"));
+        for (line, text) in lines.filter(|(_, text)| !text.trim().is_empty()) {
+            rows.push((
+                line,
+                text,
+                row(text).map_err(|allowed| refused(line, text, allowed))?,
+            ));
+            if rows.len() > 10_000 {
+                return Err(refused(line, text, "at most 10000 bins"));
             }
         }
-        let width = match rows.as_slice() {
-            [(.., (first, ..)), (.., (second, ..)), ..] => second - first,
-            _ => f64::NAN,
+        let (first, width) = match rows.as_slice() {
+            [(.., (first, ..)), (.., (second, ..)), ..] => (*first, second - first),
+            _ => (f64::NAN, f64::NAN),
         };
-        let first = rows.first().map_or(f64::NAN, |(.., (first, ..))| *first);
         let mut bins = Vec::with_capacity(rows.len());
         for (index, (line, text, (middle, torque, windows))) in rows.into_iter().enumerate() {
             let even = first + width * index as f64;
-            if !(width > 0.0 && (middle - even).abs() < EVEN_SHARE * width) {
-                return Err(MapTextError {
-                    line,
-                    found: text.chars().take(80).collect(),
-                    allowed: "rising bins of one width",
-                });
+            if !(width > 0.0 && (middle - even).abs() < OFF_GRID * width) {
+                return Err(refused(line, text, "rising bins of one width"));
             }
             bins.push(MapBin {
                 from: even - 0.5 * width,
@@ -186,27 +170,23 @@ impl TorqueMap {
         let turn = width * bins.len() as f64;
         let is_whole = match torque {
             MappedTorque::Friction => bins.len().is_multiple_of(2),
-            MappedTorque::Cogging => (turn - TAU).abs() < EVEN_SHARE * TAU,
+            MappedTorque::Cogging => (turn - TAU).abs() < OFF_GRID * TAU,
         };
         if bins.len() < 2 || !is_whole {
-            return Err(MapTextError {
-                line: bins.len() + 1,
-                found: format!("the end after {} bins", bins.len()),
-                allowed: "as many bins on both sides of zero, or one whole turn",
-            });
+            let found = format!("the end after {} bins", bins.len());
+            let allowed = "as many bins on both sides of zero, or one whole turn";
+            return Err(refused(bins.len() + 1, &found, allowed));
         }
         Ok(Self { torque, bins })
     }
 
-    /// Largest torque that is known, N.m.
     pub fn largest_n_m(&self) -> f64 {
-        let known = self.bins.iter().filter_map(MapBin::value);
-        known.fold(0.0, |most: f64, value| most.max(value.abs()))
+        largest(self.bins.iter().filter_map(MapBin::value))
     }
 
-    /// Between the middles of two bins on their line, where one of them has no value what the place's own bin has; `None`
-    /// where that has none, outside the grid, and at rest, where friction is what holds the shaft. Friction does not lead
-    /// through zero: within the innermost bins it is theirs.
+    /// Linear interpolation between the middles of two bins; where one of them has no value, that of the place's own bin.
+    /// `None` where that has none, outside the grid, and at rest, where friction holds the shaft. Friction is not interpolated
+    /// through zero.
     pub fn at(&self, place: f64) -> Option<f64> {
         let count = self.bins.len();
         let (first, width) = (self.bins[0].from, self.bins[0].to - self.bins[0].from);
@@ -243,7 +223,6 @@ pub struct MapTextError {
     allowed: &'static str,
 }
 
-/// Middle, torque and windows of a row.
 fn row(line: &str) -> Result<(f64, Option<MappedValue>, usize), &'static str> {
     const ALLOWED: &str = "a place, three torques or none, and a count";
     let cells: Vec<&str> = line.trim().split(',').collect();
@@ -276,9 +255,8 @@ fn row(line: &str) -> Result<(f64, Option<MappedValue>, usize), &'static str> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn grid(from: f64, to: f64, torques: &[Option<f64>]) -> Vec<MapBin> {
-        let width = (to - from) / torques.len() as f64;
+    fn map(torque: MappedTorque, from: f64, to: f64, torques: [Option<f64>; 4]) -> TorqueMap {
+        let width = 0.25 * (to - from);
         let bin = |(index, value): (usize, &Option<f64>)| MapBin {
             from: from + width * index as f64,
             to: from + width * (index + 1) as f64,
@@ -289,75 +267,73 @@ mod tests {
                 high_n_m: torque_n_m + 0.25,
             }),
         };
-        torques.iter().enumerate().map(bin).collect()
+        let bins = torques.iter().enumerate().map(bin).collect();
+        TorqueMap { torque, bins }
     }
 
     fn friction() -> TorqueMap {
-        TorqueMap {
-            torque: MappedTorque::Friction,
-            bins: grid(-20.0, 20.0, &[None, Some(-1.0), Some(1.0), Some(2.0)]),
-        }
+        let torques = [None, Some(-1.0), Some(1.0), Some(2.0)];
+        map(MappedTorque::Friction, -20.0, 20.0, torques)
     }
 
     fn cogging() -> TorqueMap {
-        TorqueMap {
-            torque: MappedTorque::Cogging,
-            bins: grid(0.0, TAU, &[1.0, 2.0, 3.0, 4.0].map(Some)),
-        }
+        map(
+            MappedTorque::Cogging,
+            0.0,
+            TAU,
+            [1.0, 2.0, 3.0, 4.0].map(Some),
+        )
     }
 
     #[test]
-    fn between_bins_it_is_a_line_and_where_nothing_was_measured_nothing() {
-        let map = friction();
-        let near = |place, value: f64| {
-            let found: f64 = map.at(place).unwrap();
-            assert!((found - value).abs() < 1e-12, "{place}: {found}");
-        };
-        near(10.0, 1.5);
-        near(5.0, 1.0);
-        near(0.1, 1.0);
-        near(-0.1, -1.0);
-        near(-9.9, -1.0);
-        near(19.0, 2.0);
+    fn values_are_interpolated_between_bins_and_missing_elsewhere() {
+        let (map, turn) = (friction(), cogging());
+        for (map, place, value) in [
+            (&map, 10.0, 1.5),
+            (&map, 5.0, 1.0),
+            (&map, 0.1, 1.0),
+            (&map, -0.1, -1.0),
+            (&map, -9.9, -1.0),
+            (&map, 19.0, 2.0),
+            (&turn, 0.0, 2.5),
+            (&turn, TAU - 1e-9, 2.5),
+            (&turn, -TAU * 0.125, 4.0),
+        ] {
+            let found = map.at(place).unwrap();
+            assert!((found - value).abs() < 1e-6, "{place}: {found}");
+        }
         for nothing in [0.0, -15.0, 20.1, -30.0, f64::NAN] {
             assert_eq!(map.at(nothing), None, "{nothing}");
         }
-        let turn = cogging();
-        assert!((turn.at(0.0).unwrap() - 2.5).abs() < 1e-12);
-        assert!((turn.at(TAU - 1e-9).unwrap() - 2.5).abs() < 1e-6);
-        assert!((turn.at(-TAU * 0.125).unwrap() - 4.0).abs() < 1e-12);
+        let counts = (map.known(), map.differ(), map.largest_n_m());
+        assert_eq!(counts, (3, 3, 2.0));
     }
 
     #[test]
-    fn what_is_written_is_read_again_and_what_is_no_map_is_refused_with_its_line() {
+    fn a_written_map_reads_back_and_other_texts_are_refused_with_their_line() {
         for map in [friction(), cogging()] {
             let again = TorqueMap::from_csv(&map.to_csv()).unwrap();
-            assert_eq!(again.torque, map.torque);
+            assert_eq!((again.torque, again.bins.len()), (map.torque, 4));
             for (read, written) in again.bins.iter().zip(&map.bins) {
                 assert!((read.from - written.from).abs() < 1e-12);
-                assert_eq!(read.torque, written.torque);
-                assert_eq!(read.windows, written.windows);
+                assert_eq!(
+                    (read.torque, read.windows),
+                    (written.torque, written.windows)
+                );
             }
-            assert_eq!(again.bins.len(), map.bins.len());
         }
         let good = friction().to_csv();
-        for (text, words) in [
-            (String::new(), "line 1: \"\""),
-            ("time_s,voltage_v\n0,1\n".to_owned(), "header of a friction"),
-            (good.replace("-5.0,", "-6.0,"), "rising bins"),
-            (good.replace("-1.0,-1.25", "1e999,-1.25"), "line 3"),
-            (
-                good.replace("-1.0,-1.25", "-3.0,-1.25"),
-                "inside its interval",
-            ),
-            (
-                good.replace("\n15.0,2.0,1.75,2.25,3", ""),
-                "the end after 3 bins",
-            ),
-            (good.replace(",2.25,3", ",2.25,3,4"), "three torques"),
+        for (from, to, words) in [
+            (&good[..], "", "line 1: \"\""),
+            ("speed_rad_s,", "time_s,", "header of a friction"),
+            ("-5.0,", "-6.0,", "rising bins"),
+            ("-1.0,-1.25", "1e999,-1.25", "line 3"),
+            ("-1.0,-1.25", "-3.0,-1.25", "inside its interval"),
+            ("\n15.0,2.0,1.75,2.25,3", "", "the end after 3 bins"),
+            (",2.25,3", ",2.25,3,4", "three torques"),
         ] {
-            let error = TorqueMap::from_csv(&text).unwrap_err().to_string();
-            assert!(error.contains(words), "{error}");
+            let error = TorqueMap::from_csv(&good.replace(from, to)).unwrap_err();
+            assert!(error.to_string().contains(words), "{error}");
         }
     }
 }

@@ -1,16 +1,9 @@
-//! Typical size of an effect, which would matter in a run: where fits start and in which unit they step.
+//! Typical size of an effect that matters in a run: start and unit of the steps of a fit.
 
 use super::effect::{Effect, Instant, ShaftAngle};
 use super::model::Model;
 use super::scenario::{Input, Scenario};
 use crate::numerics::statistics::{finite, largest};
-
-/// Share of the run's largest voltage or torque that an effect of typical size reaches.
-const SHARE: f64 = 0.03;
-/// Of the largest torque what accelerates, for a change of the inertia.
-const OF_TORQUE: f64 = 0.5;
-/// Samples that are looked at.
-const LOOKS: usize = 500;
 
 /// The size of one coefficient at which the effect reaches three per cent of the largest voltage (torque) of the run: a
 /// milliwatt motor and a mill have drags of very different size. Shape parameters have their own.
@@ -25,22 +18,20 @@ pub fn typical_size(
         return specs[parameter].guess();
     }
     let values = specs.iter().enumerate().map(|(index, spec)| {
-        match (spec.is_coefficient(), index == parameter) {
-            // Nearly proportional there; a large size may saturate.
-            (true, true) => spec.scale,
-            (true, false) => 0.0,
-            (false, _) => spec.guess(),
-        }
+        // Nearly proportional at the scale; a large size may saturate. A coefficient's guess is its scale.
+        let is_other = spec.is_coefficient() && index != parameter;
+        if is_other { 0.0 } else { spec.guess() }
     });
     let terms = effect.terms(&values.collect::<Vec<f64>>());
     let times = &scenario.sample_time_s;
     let duration_s = times[times.len() - 1] - times[0];
     let currents = finite(&scenario.current_a);
     let mean_square = currents.iter().map(|i| i * i).sum::<f64>() / currents.len().max(1) as f64;
-    // States of effects gather what the current leaves behind: by the end of the run as much as this.
+    // States of effects integrate the square of the current: by the end of the run as much as this.
     let own = vec![mean_square * duration_s; terms.states()];
     let supply_v = scenario.supply_v();
-    let stride = times.len().div_ceil(LOOKS);
+    // 500 samples are enough.
+    let stride = times.len().div_ceil(500);
     let largest_input = largest(scenario.events.iter().map(|event| event.1));
     let largest_current = largest(&currents);
     let largest_torque = match scenario.input {
@@ -65,25 +56,26 @@ pub fn typical_size(
             speed_rad_s: scenario.speed_rad_s[sample],
             voltage_v: input,
             supply_v,
-            // Any angles will do, as long as they are many.
+            // Any angles serve, as long as they are many.
             angle: ShaftAngle::at(sample as f64),
             ..motor
         };
         let voltage = terms.voltage_v(&at, &own).abs() / largest_input;
         let torque = terms.torque_n_m(&at, &own).abs() + terms.friction_n_m(&at).abs();
-        // Comparisons that drop NaN, as of a sample without a speed.
+        // Comparisons that drop NaN, as of a sample without a speed. Half of the largest torque accelerates.
         reached = reached
             .max(voltage)
             .max(torque / largest_torque)
             .max(terms.current_rate_gain(&at).abs())
-            .max(OF_TORQUE * terms.inertia_gain(&at).abs());
+            .max(0.5 * terms.inertia_gain(&at).abs());
     }
     let path = terms.path();
     let reached = reached
         .max(path.current_offset_a.abs() / largest_current)
         .max(path.speed_offset_rad_s.abs() / largest(&scenario.speed_rad_s));
-    let size = SHARE * specs[parameter].scale / reached;
-    if size.is_finite() && size > 0.0 {
+    let size = 0.03 * specs[parameter].scale / reached;
+    let is_size = size.is_finite() && size > 0.0;
+    if is_size {
         size
     } else {
         specs[parameter].scale

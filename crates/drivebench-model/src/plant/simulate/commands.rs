@@ -1,13 +1,11 @@
-//! The commands as they reach the motor.
+//! Commands as they reach the motor: delayed, and zero until the drive has started.
 
 use std::borrow::Cow;
 
 use crate::plant::effect::Path;
+use crate::signal;
 
-/// Time for which zero was commanded before a start from rest, s.
-const REST_S: f64 = 0.2;
-
-/// Times at which a command that is not zero follows a rest; what was before the first command was one.
+/// Times at which a command that is not zero follows a rest of 0.2 s or more; before the first command is one.
 pub fn starts_from_rest(events: &[(f64, f64)]) -> Vec<f64> {
     let mut starts = Vec::new();
     let mut zero_since_s = Some(f64::NEG_INFINITY);
@@ -15,7 +13,7 @@ pub fn starts_from_rest(events: &[(f64, f64)]) -> Vec<f64> {
         if value == 0.0 {
             zero_since_s.get_or_insert(time_s);
         } else if let Some(since_s) = zero_since_s.take()
-            && time_s - since_s >= REST_S
+            && time_s - since_s >= 0.2
         {
             starts.push(time_s);
         }
@@ -27,21 +25,17 @@ pub fn starts_from_rest(events: &[(f64, f64)]) -> Vec<f64> {
 fn waiting(events: &[(f64, f64)], delay_s: f64) -> Vec<(f64, f64)> {
     let starts = starts_from_rest(events);
     let waits = |time_s: f64| {
-        let mut before = starts.iter().rev().filter(|start_s| **start_s <= time_s);
-        before
-            .next()
-            .is_some_and(|start_s| time_s < start_s + delay_s)
+        let before = starts.iter().rev().find(|start_s| **start_s <= time_s);
+        before.is_some_and(|start_s| time_s < start_s + delay_s)
     };
-    let mut out: Vec<(f64, f64)> = events
-        .iter()
-        .map(|&(time_s, value)| (time_s, if waits(time_s) { 0.0 } else { value }))
-        .collect();
-    for start_s in &starts {
-        let end_s = start_s + delay_s;
-        let held = events.iter().rev().find(|event| event.0 <= end_s);
-        if let Some((_, value)) = held {
+    let mut out = events.to_vec();
+    for event in out.iter_mut().filter(|event| waits(event.0)) {
+        event.1 = 0.0;
+    }
+    for end_s in starts.iter().map(|start_s| start_s + delay_s) {
+        if let Some(value) = signal::held(events, end_s) {
             let at = out.partition_point(|event| event.0 < end_s);
-            out.insert(at, (end_s, *value));
+            out.insert(at, (end_s, value));
         }
     }
     out
@@ -55,7 +49,7 @@ pub(super) fn applied<'a>(events: &'a [(f64, f64)], path: &Path) -> Cow<'a, [(f6
     let waited = (path.restart_delay_s > 0.0).then(|| waiting(events, path.restart_delay_s));
     let events = waited.as_deref().unwrap_or(events);
     let (begin_s, first) = events[0];
-    // What was held before the first command is not known; the first command stands for it.
+    // The first command stands for the unknown one before it.
     let mut out = vec![(begin_s, first)];
     let started_s = events
         .iter()
@@ -89,58 +83,50 @@ mod tests {
     use super::*;
     use crate::plant::testing::held;
 
-    fn events() -> Vec<(f64, f64)> {
-        held(
+    #[test]
+    fn commands_are_delayed_and_zero_until_the_drive_has_started() {
+        let events = held(
             [1.0, 1.5, 2.0, 2.1, 2.5, 3.0],
             [0.0, 0.0, 5.0, 6.0, 6.0, -5.0],
-        )
-    }
-
-    #[test]
-    fn a_delay_moves_every_change_and_drops_repeats() {
-        let path = Path {
-            command_delay_s: 0.25,
-            ..Path::default()
-        };
-        let expected = held([1.0, 2.25, 2.35, 3.25], [0.0, 5.0, 6.0, -5.0]);
-        assert_eq!(*applied(&events(), &path), expected);
-        let (events, direct) = (events(), Path::default());
-        assert!(matches!(applied(&events, &direct), Cow::Borrowed(_)));
-    }
-
-    #[test]
-    fn every_start_from_rest_waits_and_nothing_else_does() {
-        let events = held(
+        );
+        let restarts = held(
             [0.0, 1.0, 1.1, 2.0, 2.4, 2.45, 3.0],
             [5.0, 0.0, 4.0, 0.0, -5.0, -6.0, 0.0],
         );
-        assert_eq!(starts_from_rest(&events), [0.0, 2.4]);
-        let path = Path {
-            restart_delay_s: 0.1,
-            ..Path::default()
-        };
-        let expected = held(
+        assert_eq!(starts_from_rest(&restarts), [0.0, 2.4]);
+        let waited = held(
             [0.0, 0.1, 1.0, 1.1, 2.0, 2.5, 3.0],
             [0.0, 5.0, 0.0, 4.0, 0.0, -6.0, 0.0],
         );
-        assert_eq!(*applied(&events, &path), expected);
-    }
-
-    #[test]
-    fn a_late_start_swallows_the_first_commands() {
-        for (start_delay_s, expected) in [
+        // Delays of every command, of the first start and of every start; repeats are dropped.
+        for (events, delays, expected) in [
             (
-                0.05,
-                &[(1.0, 0.0), (2.05, 5.0), (2.1, 6.0), (3.0, -5.0)][..],
+                &events,
+                [0.25, 0.0, 0.0],
+                &[(1.0, 0.0), (2.25, 5.0), (2.35, 6.0), (3.25, -5.0)][..],
             ),
-            (0.3, &[(1.0, 0.0), (2.3, 6.0), (3.0, -5.0)]),
-            (2.0, &[(1.0, 0.0), (4.0, -5.0)]),
+            (
+                &events,
+                [0.0, 0.05, 0.0],
+                &[(1.0, 0.0), (2.05, 5.0), (2.1, 6.0), (3.0, -5.0)],
+            ),
+            (
+                &events,
+                [0.0, 0.3, 0.0],
+                &[(1.0, 0.0), (2.3, 6.0), (3.0, -5.0)],
+            ),
+            (&events, [0.0, 2.0, 0.0], &[(1.0, 0.0), (4.0, -5.0)]),
+            (&restarts, [0.0, 0.0, 0.1], &waited),
+            (&events, [0.0; 3], &events),
         ] {
+            let [command_delay_s, start_delay_s, restart_delay_s] = delays;
             let path = Path {
+                command_delay_s,
                 start_delay_s,
+                restart_delay_s,
                 ..Path::default()
             };
-            assert_eq!(*applied(&events(), &path), *expected, "{start_delay_s}");
+            assert_eq!(*applied(events, &path), *expected, "{delays:?}");
         }
     }
 }

@@ -29,7 +29,6 @@ pub(super) enum Mode {
 }
 
 impl Mode {
-    /// The motion that goes with this sign.
     pub(super) fn towards(direction: f64) -> Self {
         if direction > 0.0 {
             Self::Forward
@@ -56,7 +55,7 @@ impl State {
         }
     }
 
-    /// The same state with the states of the effects at these values, as a winding that is warm already.
+    /// The same state with these states of the effects, such as a warm winding.
     #[must_use]
     pub fn with_effects(mut self, own: &[f64]) -> Self {
         for (state, value) in self.own.iter_mut().zip(own) {
@@ -65,7 +64,7 @@ impl State {
         self
     }
 
-    /// Moves by what was measured, where that is a number; the mode of motion follows from it.
+    /// Moves by the changes that are numbers; the mode of motion follows.
     pub(super) fn anchor(&mut self, change_a: f64, change_rad_s: f64) {
         if change_a.is_finite() {
             self.current_a += change_a;
@@ -90,15 +89,13 @@ impl State {
     }
 }
 
-/// An effect's terms and the number of their states.
 struct Entry {
     terms: Box<dyn Terms>,
     states: usize,
 }
 
-/// A model as numbers.
 pub(super) struct Equations {
-    /// The motor's constants, in every instant that effects are asked about.
+    /// The motor's constants, part of every instant.
     motor: Instant,
     pub(super) inverse_inertia: f64,
     /// Whether effects make the inertia another one.
@@ -109,7 +106,6 @@ pub(super) struct Equations {
     pub(super) input: Input,
     /// Linear part: `d/dt [i, w] = A [i, w] + forcing`.
     pub(super) a: M2,
-    /// Forcing per volt.
     per_volt: f64,
     /// Effects that enter a balance.
     terms: Vec<Entry>,
@@ -119,7 +115,6 @@ pub(super) struct Equations {
     pub(super) needs_angle: bool,
     /// Load torque beyond the model's, against positive motion.
     pub(super) load_n_m: f64,
-    /// Voltage beyond the input.
     pub(super) extra_v: f64,
 }
 
@@ -134,7 +129,7 @@ impl Equations {
             let terms = active.effect.terms(&active.values_or_guess());
             (active.effect.card().enters, terms)
         });
-        let effects: Vec<(Enters, Box<dyn Terms>)> = effects.collect();
+        let effects: Vec<_> = effects.collect();
         let paths = effects.iter().map(|(_, terms)| terms.path());
         let path = paths.fold(Path::default(), Path::plus);
         let mut couplings = effects.iter().filter_map(|(_, terms)| terms.coupling());
@@ -151,11 +146,8 @@ impl Equations {
         let mut motor = Instant::of(&model.motor);
         let (torque_constant, a, per_volt) = match input {
             Input::Voltage => {
-                let (r, l, ke) = (
-                    value(MotorKey::Resistance)?,
-                    value(MotorKey::Inductance)?,
-                    value(MotorKey::BackEmf)?,
-                );
+                let (r, l) = (value(MotorKey::Resistance)?, value(MotorKey::Inductance)?);
+                let ke = value(MotorKey::BackEmf)?;
                 let kt = model.motor.torque_constant().unwrap_or(ke);
                 (kt, [[-r / l, -ke / l], [kt / inertia, 0.0]], 1.0 / l)
             }
@@ -170,8 +162,10 @@ impl Equations {
             time_s: f64::MAX,
             ..motor
         };
-        let changes = |(_, terms): &(Enters, Box<dyn Terms>)| terms.inertia_gain(&at_last) != 0.0;
-        let changes_inertia = effects.iter().any(changes);
+        let mut gains = effects
+            .iter()
+            .map(|(_, terms)| terms.inertia_gain(&at_last));
+        let changes_inertia = gains.any(|gain| gain != 0.0);
         let terms: Vec<Entry> = effects
             .into_iter()
             .filter(|(enters, terms)| *enters != Enters::Path && terms.coupling().is_none())
@@ -199,22 +193,19 @@ impl Equations {
         })
     }
 
-    /// Tells effects the supply of the run that is simulated next.
+    /// Sets the supply of the run that is simulated next.
     pub(super) const fn set_supply(&mut self, supply_v: f64) {
         self.motor.supply_v = supply_v;
     }
 
-    /// Whether the equations are linear between mode changes.
     pub(super) fn is_linear(&self) -> bool {
         self.terms.is_empty()
     }
 
-    /// Number of states of all effects together.
     pub(super) const fn states(&self) -> usize {
         self.states
     }
 
-    /// What all effects add.
     fn sums(&self, state: &State, at: &Instant) -> Sums {
         let mut sums = Sums::default();
         if self.terms.is_empty() {
@@ -251,7 +242,7 @@ impl Equations {
                 acceleration
             }
         };
-        // The current is given, and what the motor leaves out would make it no number.
+        // A given current has no rate; the motor may lack its electrical constants.
         if self.input != Input::Voltage {
             return [0.0, acceleration];
         }
@@ -265,7 +256,7 @@ impl Equations {
         [voltage_v * self.per_volt, acceleration]
     }
 
-    /// What effects take from any acceleration because the inertia is another one: its share.
+    /// The share by which effects that change the inertia reduce any acceleration.
     pub(super) fn slowed(&self, state: &State, at: &Instant) -> f64 {
         if !self.changes_inertia {
             return 0.0;
@@ -274,7 +265,7 @@ impl Equations {
         gain / (1.0 + gain)
     }
 
-    /// What the full supply would drive through the resistance alone, A.
+    /// Current of the full supply through the resistance alone, A.
     pub(super) fn stall_current_a(&self) -> f64 {
         (self.motor.supply_v / self.motor.resistance_ohm).abs()
     }
@@ -296,16 +287,13 @@ impl Equations {
         ((1.0 + gain) * (resistance_ohm + slope_ohm) - resistance_ohm).abs() * self.per_volt
     }
 
-    /// The angle as the effects see it, which is the same over a sub-step; none where no effect asks.
+    /// The angle for the effects, the same over a sub-step; zero where no effect needs it.
     pub(super) fn angle(&self, angle_rad: f64) -> ShaftAngle {
-        if self.needs_angle {
-            ShaftAngle::at(angle_rad)
-        } else {
-            ShaftAngle::default()
-        }
+        let angle = self.needs_angle.then(|| ShaftAngle::at(angle_rad));
+        angle.unwrap_or_default()
     }
 
-    /// The instant `at` with what is known here.
+    /// The instant `at` with the state and the motor.
     fn instant(&self, state: &State, at: &Instant) -> Instant {
         Instant {
             time_s: at.time_s,

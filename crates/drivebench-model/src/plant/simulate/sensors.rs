@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use crate::plant::effect::Path;
 
-/// One instant of the motion, or of what is read of it.
+/// One instant of the motion or of its reading.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Reading {
     pub(super) time_s: f64,
@@ -25,7 +25,7 @@ pub(super) struct Sensors {
 }
 
 impl Sensors {
-    /// Sensors that have seen the motion rest at `first`.
+    /// Sensors in the steady state of `first`.
     pub(super) fn new(path: Path, first: Reading) -> Self {
         Self {
             path,
@@ -35,7 +35,6 @@ impl Sensors {
         }
     }
 
-    /// The motion has come to `now`.
     pub(super) fn follow(&mut self, now: Reading) {
         let interval_s = now.time_s - self.delayed.time_s;
         if interval_s <= 0.0 {
@@ -57,7 +56,6 @@ impl Sensors {
         self.delayed = delayed;
     }
 
-    /// Current and speed that the sensors show at the latest instant.
     pub(super) fn read(&self) -> [f64; 2] {
         [
             self.filtered.current_a + self.path.current_offset_a,
@@ -65,22 +63,17 @@ impl Sensors {
         ]
     }
 
-    /// The motion is set to what was measured, this far from what the sensors showed. All that they remember of it moves
-    /// along, so that they show the measured values at once: what still comes out of a delay or a filter would otherwise
-    /// be corrected again at every sample. What was not measured stays.
+    /// Moves the motion by measured changes. The states of delay and filters move along, so that the sensors show the measured
+    /// values at once: their output would otherwise be corrected again at every sample. A change that is not finite is none.
     pub(super) fn anchor(&mut self, change_a: f64, change_rad_s: f64) {
-        let moved = |value: &mut f64, change: f64| {
-            if change.is_finite() {
-                *value += change;
+        let past = self.past.iter_mut();
+        for reading in past.chain([&mut self.delayed, &mut self.filtered]) {
+            if change_a.is_finite() {
+                reading.current_a += change_a;
             }
-        };
-        for reading in self
-            .past
-            .iter_mut()
-            .chain([&mut self.delayed, &mut self.filtered])
-        {
-            moved(&mut reading.current_a, change_a);
-            moved(&mut reading.speed_rad_s, change_rad_s);
+            if change_rad_s.is_finite() {
+                reading.speed_rad_s += change_rad_s;
+            }
         }
     }
 
@@ -115,7 +108,6 @@ fn filter(output: f64, input: (f64, f64), interval_s: f64, time_constant_s: f64)
 #[cfg(test)]
 mod tests {
     use super::*;
-
     fn motion(time_s: f64) -> Reading {
         Reading {
             time_s,
@@ -135,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn a_delay_shows_what_was_and_an_offset_is_added() {
+    fn delays_offsets_and_filters_are_those_of_the_path() {
         let path = Path {
             speed_delay_s: 0.0123,
             current_offset_a: 0.2,
@@ -145,19 +137,16 @@ mod tests {
         let [current, speed] = followed(path, 0.4);
         assert!((current - motion(0.4).current_a - 0.2).abs() < 1e-9);
         assert!((speed + 1.0 - motion(0.4 - 0.0123).speed_rad_s).abs() < 2e-3);
-    }
-
-    #[test]
-    fn a_filter_has_the_gain_and_phase_of_the_first_order() {
-        let (tau, end_s) = (3e-3, 1.0);
+        // Gain and phase of the first order.
+        let tau = 3e-3;
         let path = Path {
             speed_filter_s: tau,
             current_filter_s: tau,
             ..Path::default()
         };
-        let [current, speed] = followed(path, end_s);
+        let [current, speed] = followed(path, 1.0);
         let expected = |amplitude: f64, w: f64| {
-            amplitude * (w * end_s - (w * tau).atan()).sin() / (1.0 + (w * tau).powi(2)).sqrt()
+            amplitude * (w - (w * tau).atan()).sin() / (1.0 + (w * tau).powi(2)).sqrt()
         };
         assert!((current - expected(1.0, 9.0)).abs() < 1e-5);
         assert!((speed - expected(40.0, 7.0)).abs() < 3e-4);

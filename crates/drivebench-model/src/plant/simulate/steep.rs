@@ -11,18 +11,16 @@
 //!            0          i
 //! ```
 
+use std::cmp::Ordering;
+
 use super::equations::Equations;
 use crate::numerics::count::whole;
 use crate::plant::scenario::Input;
 
-/// The table's currents: each so many times the next, and so many to either side of zero.
-const RATIO: f64 = 1.15;
+/// Cells of the table to either side of zero; each current is 1.15 times the next.
 const CELLS_ASIDE: usize = 80;
-/// Rate times step up to which a sub-step is good as it is, and that of the pieces of a longer one.
+/// Rate times step up to which a sub-step needs no pieces.
 const LONGEST: f64 = 1.0;
-const LONGEST_PIECE: f64 = 0.5;
-/// Pieces of one sub-step: what is steeper still than they resolve has no physical size, only a fit's trial has.
-const MOST_PIECES: f64 = 256.0;
 
 /// Rates that effects add to that of the armature circuit, by current.
 #[derive(Clone, Debug, Default)]
@@ -39,9 +37,9 @@ fn table(equations: &Equations) -> Vec<(f64, f64, f64)> {
         return Vec::new();
     }
     let grid = |place: usize| match place.cmp(&CELLS_ASIDE) {
-        std::cmp::Ordering::Less => -most_a * RATIO.powf(-(place as f64)),
-        std::cmp::Ordering::Equal => 0.0,
-        std::cmp::Ordering::Greater => most_a * RATIO.powf(-((2 * CELLS_ASIDE - place) as f64)),
+        Ordering::Less => -most_a * 1.15_f64.powf(-(place as f64)),
+        Ordering::Equal => 0.0,
+        Ordering::Greater => most_a * 1.15_f64.powf(-((2 * CELLS_ASIDE - place) as f64)),
     };
     let cells = (0..2 * CELLS_ASIDE).map(|place| {
         let (from_a, to_a) = (grid(place), grid(place + 1));
@@ -68,18 +66,14 @@ impl Steep {
         self.cells.is_empty()
     }
 
-    /// Into how many pieces a sub-step of length `h` has to be cut whose current went from one value to the other.
+    /// Number of pieces of a sub-step of length `h` whose current went from one value to the other. Steeper effects than 256
+    /// pieces resolve have no physical size, but occur in trials of a fit.
     pub(super) fn pieces(&self, from_a: f64, to_a: f64, h: f64) -> usize {
         let (low, high) = (from_a.min(to_a), from_a.max(to_a));
         let first = self.cells.partition_point(|cell| cell.1 < low);
-        let rate = self.cells[first..]
-            .iter()
-            .take_while(|cell| cell.0 <= high)
-            .fold(0.0_f64, |most, cell| most.max(cell.2));
-        if rate * h <= LONGEST {
-            1
-        } else {
-            whole((rate * h / LONGEST_PIECE).ceil().min(MOST_PIECES))
-        }
+        let between = self.cells[first..].iter().take_while(|cell| cell.0 <= high);
+        let rate = between.fold(0.0_f64, |most, cell| most.max(cell.2));
+        let pieces = whole((rate * h / 0.5).ceil().min(256.0));
+        if rate * h <= LONGEST { 1 } else { pieces }
     }
 }

@@ -2,15 +2,12 @@
 
 use crate::plant::propagator::{LinearPart, M2, Propagator};
 
-/// Lengths that differ by less, relative, are one: stamps carry rounding.
-const SAME_LENGTH: f64 = 1e-9;
-
 /// Propagators over one step and half of it.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Step<P = Propagator> {
     pub(super) length_s: f64,
     pub(super) whole: P,
-    /// Only where effects are there to be evaluated in the middle.
+    /// Only where effects are evaluated in the middle.
     pub(super) half: P,
 }
 
@@ -22,10 +19,10 @@ impl<P> Step<P> {
     }
 }
 
-/// Whether two lengths are one.
+/// Whether two lengths are equal but for the rounding of stamps.
 #[inline]
 pub(super) fn is_same(one_s: f64, other_s: f64) -> bool {
-    (one_s - other_s).abs() <= SAME_LENGTH * other_s
+    (one_s - other_s).abs() <= 1e-9 * other_s
 }
 
 /// The two latest lengths of one linear part: a command between two samples makes two.
@@ -34,7 +31,6 @@ pub(super) struct Steps {
     linear: LinearPart,
     with_half: bool,
     latest: [Step; 2],
-    /// Which of them was used last.
     last: usize,
 }
 

@@ -16,14 +16,8 @@ use super::steps::{self, is_same};
 use crate::numerics::root;
 use crate::plant::effect::{Coupling, Instant};
 
-/// Changes of mode within one sub-step beyond which both sides are taken as coming to rest.
-const MOST_EVENTS: usize = 8;
-
-/// Margins within are at the edge of their mode: what a located crossing and rounding leave, rad/s or N.m.
+/// Margin of a located crossing and of rounding at the edge of a mode, rad/s or N.m.
 const EDGE: f64 = 1e-11;
-
-/// Passages of zero that are no deeper are rounding, rad/s.
-const SHALLOW_RAD_S: f64 = 1e-9;
 
 /// The load side.
 #[derive(Clone, Copy, Debug, Default)]
@@ -66,7 +60,6 @@ enum Side {
 
 const SIDES: [Side; 3] = [Side::Motor, Side::Load, Side::Play];
 
-/// Where a step begins.
 struct Begin {
     motor: State,
     load: Load,
@@ -75,7 +68,6 @@ struct Begin {
 }
 
 impl Begin {
-    /// Which of the linear modes holds.
     fn index(&self) -> usize {
         usize::from(self.motor.mode == Mode::Stuck)
             + 2 * usize::from(self.load.mode == Mode::Stuck)
@@ -108,29 +100,27 @@ impl TwoMass {
         let inverse_motor = equations.inverse_inertia;
         let motor_inertia = 1.0 / inverse_motor;
         let flow = |index: usize| {
-            let moves = |stuck: bool| f64::from(u8::from(!stuck));
-            let (motor, load) = (moves(index & 1 != 0), moves(index & 2 != 0));
-            let spring = moves(index & 4 != 0);
-            Flow::new(
-                Sparse {
-                    current: [equations.a[0][0], motor * equations.a[0][1]],
-                    motor: [
-                        equations.a[1][0],
-                        -2.0 * zeta * w0 * r,
-                        load * 2.0 * zeta * w0 * r,
-                        -spring * w0 * r,
-                    ]
-                    .map(|rate| motor * rate),
-                    load: [
-                        motor * 2.0 * zeta * w0 * (1.0 - r),
-                        -2.0 * zeta * w0 * (1.0 - r),
-                        spring * w0 * (1.0 - r),
-                    ]
-                    .map(|rate| load * rate),
-                    twist: [motor * w0, -load * w0],
-                },
-                !equations.is_linear(),
-            )
+            let moves = |bit: usize| f64::from(u8::from(index & bit == 0));
+            let (motor, load, spring) = (moves(1), moves(2), moves(4));
+            let (a, ahead, behind) = (&equations.a, w0 * r, w0 * (1.0 - r));
+            let of_motor = [
+                a[1][0],
+                -2.0 * zeta * w0 * r,
+                load * 2.0 * zeta * w0 * r,
+                -spring * ahead,
+            ];
+            let of_load = [
+                motor * 2.0 * zeta * w0 * (1.0 - r),
+                -2.0 * zeta * w0 * (1.0 - r),
+                spring * behind,
+            ];
+            let sparse = Sparse {
+                current: [a[0][0], motor * a[0][1]],
+                motor: of_motor.map(|rate| motor * rate),
+                load: of_load.map(|rate| load * rate),
+                twist: [motor * w0, -load * w0],
+            };
+            Flow::new(sparse, !equations.is_linear())
         };
         Self {
             stiffness: w0 * r * motor_inertia,
@@ -144,8 +134,7 @@ impl TwoMass {
         }
     }
 
-    /// Puts the load where it is if nothing has changed for long: as fast as the motor, the shaft loaded with the load's
-    /// friction.
+    /// Puts the load into its steady state: as fast as the motor, the shaft loaded with the load's friction.
     pub(super) fn start(&mut self, state: &State) {
         for flow in &mut self.flows {
             flow.clear();
@@ -163,8 +152,8 @@ impl TwoMass {
         self.load.contact = self.contact_of(self.load.twist_rad_s);
     }
 
-    /// The motor's speed is set to a measured one, `change_rad_s` away from the simulated. The load goes along, so that
-    /// the shaft's torque stays; a load at rest stays at rest.
+    /// Moves the load along with a correction of the motor's speed, so that the shaft's torque stays; a load at rest stays at
+    /// rest.
     pub(super) fn anchor(&mut self, change_rad_s: f64) {
         if self.load.mode != Mode::Stuck && change_rad_s.is_finite() {
             self.load.speed_rad_s += change_rad_s;
@@ -172,7 +161,7 @@ impl TwoMass {
         }
     }
 
-    /// The load side as it is, to come back to.
+    /// The state of the load side, for a repeated step.
     pub(super) const fn load(&self) -> Load {
         self.load
     }
@@ -197,7 +186,8 @@ impl TwoMass {
             self.load.mode = self.load_mode(state);
         }
         let mut left = h;
-        for _ in 0..MOST_EVENTS {
+        // More than eight changes of mode in one sub-step are both sides coming to rest.
+        for _ in 0..8 {
             let from = self.begin(equations, state, at);
             self.flows[from.index()].ready(left);
             let next = self.trial(equations, &from, left);
@@ -260,8 +250,8 @@ impl TwoMass {
         first
     }
 
-    /// The instant at which a speed turned back, if it may have passed zero and come back within the step: its friction
-    /// would have changed its direction, or held it.
+    /// The instant at which a speed turned back, if it may have passed zero and come back within the step, where its friction
+    /// changes its direction or holds it.
     #[inline]
     fn turned_within(
         &self,
@@ -291,10 +281,11 @@ impl TwoMass {
             return None;
         }
         let turn = h * falling / (falling - rising);
-        (sign * before + 0.5 * falling * turn < -SHALLOW_RAD_S).then_some(turn)
+        // A shallower passage of zero is rounding.
+        (sign * before + 0.5 * falling * turn < -1e-9).then_some(turn)
     }
 
-    /// The mode of `side` has come to its end; without it `beyond` would have come.
+    /// Changes the mode of `side` at its end; `beyond` is the state that the old mode leads to.
     fn change(
         &mut self,
         equations: &Equations,
@@ -336,7 +327,7 @@ impl TwoMass {
     }
 
     fn contact_of(&self, twist_rad_s: f64) -> Contact {
-        // Without play the shaft is always in contact, on whichever side.
+        // Without play the shaft is always in contact.
         if twist_rad_s > self.half_play_rad_s || self.half_play_rad_s == 0.0 {
             Contact::Ahead
         } else if twist_rad_s < -self.half_play_rad_s {
@@ -400,7 +391,7 @@ impl TwoMass {
         }
     }
 
-    /// Time within `[0, h]` at which the mode of `side` ends, if it does. Bisection guarded secant (Illinois).
+    /// Time within `[0, h]` at which the mode of `side` ends, if it does.
     #[inline(never)]
     fn locate(&self, equations: &Equations, from: &Begin, h: f64, side: Side) -> Option<f64> {
         let margin = |t: f64| {
@@ -416,7 +407,7 @@ impl TwoMass {
             return Some(0.0);
         }
         if at_low <= EDGE {
-            // The mode has just begun at its own edge: it lasts from there until it comes back to it.
+            // The mode has just begun at its own edge: it lasts until it comes back to it.
             low = h;
             while at_low <= EDGE {
                 low *= 0.5;
@@ -472,7 +463,7 @@ impl TwoMass {
         };
         let slowed = equations.slowed(state, at);
         if slowed != 0.0 {
-            // Both inertias are others than those that the shaft's torque stands over so far.
+            // The shaft's torque acts on both changed inertias.
             let shaft = self.shaft_torque(state, load);
             if state.mode != Mode::Stuck {
                 motor += slowed * shaft * self.inverse_motor;
@@ -516,13 +507,9 @@ type X = [f64; 4];
 /// Non-zero elements of `A`, rows named by what they drive.
 #[derive(Clone, Copy, Debug, Default)]
 struct Sparse {
-    /// Current from current and motor speed.
     current: [f64; 2],
-    /// Motor speed from current, motor speed, load speed and twist.
     motor: X,
-    /// Load speed from motor speed, load speed and twist.
     load: [f64; 3],
-    /// Twist from motor speed and load speed.
     twist: [f64; 2],
 }
 
@@ -558,8 +545,6 @@ impl Sparse {
 
 /// Rates times step up to which the series is used as it is.
 const LONGEST_SERIES: f64 = 1.0;
-/// Terms of the series: at a product of one the rest is below 1e-16.
-const MOST_TERMS: u32 = 18;
 
 /// `Phi` and the first three columns of `Gamma` (nothing forces the twist), by columns.
 #[derive(Clone, Copy, Debug, Default)]
@@ -612,7 +597,8 @@ fn unit<const N: usize>(place: usize) -> [f64; N] {
 fn series(a: &Sparse, x: X, g: [f64; 3], t: f64) -> X {
     let mut out = x;
     let mut term = a.rates(x, g);
-    for order in 1..=MOST_TERMS {
+    // At a product of one the rest is below 1e-16.
+    for order in 1..=18 {
         let factor = t / f64::from(order);
         let mut largest_change = 0.0_f64;
         for (sum, part) in out.iter_mut().zip(&mut term) {
@@ -664,9 +650,9 @@ impl Flow {
         if self.steps[self.last].is(length_s) {
             return;
         }
-        self.last = 1 - self.last;
-        if !self.steps[self.last].is(length_s) {
+        if self.steps[1 - self.last].is(length_s) {
             self.last = 1 - self.last;
+        } else {
             self.miss(length_s);
         }
     }
@@ -675,11 +661,13 @@ impl Flow {
     fn miss(&mut self, length_s: f64) {
         if is_same(self.missed_s, length_s) {
             self.last = 1 - self.last;
-            let half = self.with_half.then_some(0.5 * length_s);
+            let half = self
+                .with_half
+                .then(|| Matrices::over(&self.a, 0.5 * length_s));
             self.steps[self.last] = Step {
                 length_s,
                 whole: Matrices::over(&self.a, length_s),
-                half: half.map_or_else(Matrices::default, |half_s| Matrices::over(&self.a, half_s)),
+                half: half.unwrap_or_default(),
             };
         }
         self.missed_s = length_s;
