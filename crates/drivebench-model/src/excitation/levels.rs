@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::dither::{check_dither, dithered};
 use super::error::{Refusal, duration, finite, refuse_unless};
 use super::piece::levels;
-use super::{Card, Dither, Excitation, Piece, Target};
+use super::{Dither, Excitation, Piece, Target};
 
 /// Levels given one by one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -16,13 +16,6 @@ pub struct Steps {
     /// How long each one lasts, the slew to it included, s.
     pub hold_s: f64,
     pub dither: Option<Dither>,
-}
-
-impl Steps {
-    pub const CARD: Card = Card {
-        id: "steps",
-        example: "steps = { levels_v = [12.0, 0.0, -12.0], hold_s = 0.5, dither = { amplitude_v = 2.0, clock_s = 0.03, seed = 1 } }",
-    };
 }
 
 impl Excitation for Steps {
@@ -60,13 +53,6 @@ pub struct Staircase {
     pub dither: Option<Dither>,
 }
 
-impl Staircase {
-    pub const CARD: Card = Card {
-        id: "staircase",
-        example: "staircase = { from_v = -12.0, to_v = 12.0, levels = 9, hold_s = 0.5 }",
-    };
-}
-
 impl Excitation for Staircase {
     fn check(&self) -> Result<(), Refusal> {
         finite("from_v", self.from_v)?;
@@ -100,13 +86,6 @@ pub struct Ramp {
     pub to_v: f64,
     pub seconds: f64,
     pub dither: Option<Dither>,
-}
-
-impl Ramp {
-    pub const CARD: Card = Card {
-        id: "ramp",
-        example: "ramp = { from_v = -4.0, to_v = 4.0, seconds = 2.0 }",
-    };
 }
 
 impl Excitation for Ramp {

@@ -32,13 +32,6 @@ pub use sine::{Chirp, Sine};
 
 use error::Refusal;
 
-/// A kind of excitation: its key in a bench file and an example.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Card {
-    pub id: &'static str,
-    pub example: &'static str,
-}
-
 /// One kind of excitation before the slew limit. Length and target are those of checked values.
 pub trait Excitation {
     /// Refuses values that make no program.
@@ -51,7 +44,7 @@ pub trait Excitation {
 }
 
 macro_rules! catalogue {
-    ($($kind:ident),* $(,)?) => {
+    ($($kind:ident = $key:literal),* $(,)?) => {
         /// One part of a sequence, as it stands in a bench file: `steps = { levels_v = [12.0, -12.0], hold_s = 0.5 }`.
         #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
         #[serde(rename_all = "snake_case")]
@@ -60,11 +53,10 @@ macro_rules! catalogue {
         }
 
         impl Segment {
-            pub const CARDS: &[Card] = &[$($kind::CARD),*];
-
-            pub const fn card(&self) -> Card {
+            /// Its key in a bench file.
+            pub(super) const fn key(&self) -> &'static str {
                 match self {
-                    $(Self::$kind(_) => $kind::CARD,)*
+                    $(Self::$kind(_) => $key,)*
                 }
             }
 
@@ -78,7 +70,14 @@ macro_rules! catalogue {
 }
 
 catalogue![
-    Standstill, Steps, Staircase, Ramp, Prbs, Sine, Chirp, CoastDown,
+    Standstill = "standstill",
+    Steps = "steps",
+    Staircase = "staircase",
+    Ramp = "ramp",
+    Prbs = "prbs",
+    Sine = "sine",
+    Chirp = "chirp",
+    CoastDown = "coast_down",
 ];
 
 #[cfg(test)]

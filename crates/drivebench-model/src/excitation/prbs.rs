@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::error::{Refusal, amplitude, clock, duration, finite, refuse_unless};
 use super::lfsr::Lfsr;
 use super::piece::{cut, levels};
-use super::{Card, Excitation, Target};
+use super::{Excitation, Target};
 use crate::numerics::count::whole;
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -28,13 +28,6 @@ pub struct Prbs {
 
 const fn two() -> u16 {
     2
-}
-
-impl Prbs {
-    pub const CARD: Card = Card {
-        id: "prbs",
-        example: "prbs = { amplitude_v = 8.0, clock_s = 0.04, seconds = 4.0, seed = 1, offset_v = 0.0, levels = 5 }",
-    };
 }
 
 impl Excitation for Prbs {

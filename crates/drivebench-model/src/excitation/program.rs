@@ -59,7 +59,7 @@ impl Program {
         let mut start_s = 0.0;
         for (index, segment) in segments.iter().enumerate() {
             let excitation = segment.excitation();
-            let kind = segment.card().id;
+            let kind = segment.key();
             let number = index + 1;
             let refused = |refusal| ExcitationError::Value {
                 number,
@@ -81,7 +81,7 @@ impl Program {
                 pieces.push(Piece::level(start_s, end_s, 0.0));
                 limit.voltage_v = 0.0;
             }
-            let earlier = segments[..index].iter().map(|other| other.card().id);
+            let earlier = segments[..index].iter().map(Segment::key);
             let name = match earlier.filter(|id| *id == kind).count() {
                 0 => kind.to_owned(),
                 earlier => format!("{kind} {}", earlier + 1),

@@ -3,19 +3,12 @@
 use serde::{Deserialize, Serialize};
 
 use super::error::{Refusal, duration};
-use super::{Card, Excitation, Piece, Target};
+use super::{Excitation, Piece, Target};
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Standstill {
     pub seconds: f64,
-}
-
-impl Standstill {
-    pub const CARD: Card = Card {
-        id: "standstill",
-        example: "standstill = { seconds = 0.5 }",
-    };
 }
 
 impl Excitation for Standstill {
@@ -36,13 +29,6 @@ impl Excitation for Standstill {
 #[serde(deny_unknown_fields)]
 pub struct CoastDown {
     pub seconds: f64,
-}
-
-impl CoastDown {
-    pub const CARD: Card = Card {
-        id: "coast_down",
-        example: "coast_down = { seconds = 2.0 }",
-    };
 }
 
 impl Excitation for CoastDown {

@@ -88,11 +88,12 @@ mod tests {
             assert!(program.peak_v() > 0.9 * voltage_v);
             let corners = program.polyline();
             assert!(corners.last().unwrap().1.abs() < 1e-9, "{corners:?}");
-            let is_limited = |pair: &[(f64, f64)]| {
+            // Pieces of no length have no slope.
+            let is_steep = |pair: &[(f64, f64)]| {
                 let most_v = slew_v_per_s * (pair[1].0 - pair[0].0);
-                (pair[1].1 - pair[0].1).abs() <= most_v * (1.0 + 1e-6) + 1e-9
+                (pair[1].1 - pair[0].1).abs() > most_v * (1.0 + 1e-6) + 1e-9
             };
-            assert!(corners.windows(2).all(is_limited));
+            assert!(!corners.windows(2).any(is_steep));
             let all = volts(&program);
             assert!(all[..40].iter().all(|volts| *volts == 0.0));
             let [ups, downs] = [1.0, -1.0].map(|sign| all.iter().filter(move |v| **v * sign > 0.0));

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::error::{Refusal, amplitude, duration, finite, refuse_unless};
 use super::piece::chords;
-use super::{Card, Excitation, Target};
+use super::{Excitation, Target};
 
 /// A sine that begins at zero.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -16,13 +16,6 @@ pub struct Sine {
     pub amplitude_v: f64,
     pub frequency_hz: f64,
     pub seconds: f64,
-}
-
-impl Sine {
-    pub const CARD: Card = Card {
-        id: "sine",
-        example: "sine = { amplitude_v = 12.0, frequency_hz = 0.4, seconds = 5.0 }",
-    };
 }
 
 impl Excitation for Sine {
@@ -68,11 +61,6 @@ pub struct Chirp {
 }
 
 impl Chirp {
-    pub const CARD: Card = Card {
-        id: "chirp",
-        example: "chirp = { amplitude_v = 6.0, from_hz = 0.5, to_hz = 40.0, seconds = 20.0, offset_v = 20.0 }",
-    };
-
     fn periods_at(&self, time_s: f64) -> f64 {
         let octaves = (self.to_hz / self.from_hz).ln();
         self.from_hz * self.seconds / octaves * (octaves * time_s / self.seconds).exp_m1()

@@ -66,13 +66,8 @@ pub fn finite(values: &[f64]) -> Vec<f64> {
 /// Largest magnitude but for one sample in two hundred: a single bad cell must not set the scale.
 pub fn largest_but_outliers(values: &[f64]) -> f64 {
     let mut sizes: Vec<f64> = finite(values).into_iter().map(f64::abs).collect();
-    sizes.sort_by(f64::total_cmp);
-    sizes
-        .iter()
-        .rev()
-        .nth(sizes.len() / 200)
-        .copied()
-        .unwrap_or(0.0)
+    sizes.sort_by(|a, b| b.total_cmp(a));
+    sizes.get(sizes.len() / 200).copied().unwrap_or(0.0)
 }
 
 /// Median absolute deviation times 1.4826: the standard deviation of normal values, whatever the outliers.

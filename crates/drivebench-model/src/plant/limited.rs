@@ -51,15 +51,10 @@ pub(super) fn applied(run: &Run, commands: &[Point]) -> (Vec<Point>, Vec<LimitRe
 fn stretches(run: &Run) -> Vec<Stretch> {
     let limited = run.limited_rows();
     // A row of a command alone lies between two samples and tells nothing of the limit.
-    let volts = run
-        .column(Channel::Voltage)
-        .unwrap_or_default()
-        .iter()
-        .enumerate();
-    let rows: Vec<(usize, bool)> = volts
-        .filter(|(_, volts)| volts.is_finite())
-        .map(|(row, _)| (row, limited.binary_search(&row).is_ok()))
-        .collect();
+    let volts = run.column(Channel::Voltage).unwrap_or_default();
+    let rows = (0..volts.len()).filter(|row| volts[*row].is_finite());
+    let is_limited = |row: usize| limited.binary_search(&row).is_ok();
+    let rows: Vec<(usize, bool)> = rows.map(|row| (row, is_limited(row))).collect();
     let points: Vec<Point> = run.points(Channel::Voltage).collect();
     let currents = run.column(Channel::Current).unwrap_or_default();
     let current = |at: usize| currents.get(rows[at].0).copied().unwrap_or(f64::NAN);
@@ -176,12 +171,8 @@ fn replaced(events: &[Point], stretch: &Stretch, reached: &mut Vec<LimitReached>
     let before = events.iter().filter(|event| event.0 < stretch.before_s);
     let after = events.iter().filter(|event| event.0 > after_s);
     let end = (after_s, held(after_s));
-    before
-        .copied()
-        .chain(inside)
-        .chain([end])
-        .chain(after.copied())
-        .collect()
+    let before = before.copied().chain(inside).chain([end]);
+    before.chain(after.copied()).collect()
 }
 
 /// When within `(from_s, to_s]` the command changed most, if it did.

@@ -487,11 +487,8 @@ impl Scenario {
         let at_rest = self.leading_standstill();
         let begin = |values: &[f64]| {
             let first = values.iter().copied().find(|value| value.is_finite());
-            let rest = values
-                .get(at_rest.clone())
-                .unwrap_or_default()
-                .iter()
-                .copied();
+            let rest = values.get(at_rest.clone()).unwrap_or_default();
+            let rest = rest.iter().copied();
             let rest = rest.filter(|value| value.is_finite()).take(FEWEST_ROWS);
             let rest: Vec<f64> = rest.collect();
             let deviation = (variance(&rest) / rest.len() as f64).sqrt();

@@ -125,10 +125,8 @@ impl Plant {
         let swing = (a[0][1] * a[1][0]).abs().sqrt();
         let path = &equations.path;
         let lags = [path.speed_filter_s, path.current_filter_s].into_iter();
-        let lag = lags
-            .filter(|tau| *tau > 0.0)
-            .map(f64::recip)
-            .fold(0.0, f64::max);
+        let rates = lags.filter(|tau| *tau > 0.0).map(f64::recip);
+        let lag = rates.fold(0.0, f64::max);
         let rate = a[0][0].abs() + swing + lag + steep::fastest(equations);
         (0.25 / rate).min(LONGEST_STEP_WITH_EFFECTS_S)
     }

@@ -39,10 +39,8 @@ pub fn record(
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut noisy = |values: &[f64], sigma: f64| -> Vec<f64> {
         let noise = Normal::new(0.0, sigma).expect("a positive deviation");
-        values
-            .iter()
-            .map(|value| value + noise.sample(&mut rng))
-            .collect()
+        let noisy = values.iter().map(|value| value + noise.sample(&mut rng));
+        noisy.collect()
     };
     scenario.current_a = noisy(&out.current_a, CURRENT_NOISE_A);
     scenario.speed_rad_s = noisy(&out.speed_rad_s, SPEED_NOISE_RAD_S);

@@ -150,10 +150,8 @@ fn lost_rows(record: &Rows<'_>) -> Option<(f64, Vec<usize>)> {
     let is_on_the_grid =
         |(step, multiple): &(&f64, &f64)| (*step / period_s - *multiple).abs() <= OFF_THE_GRID;
     let on_the_grid = steps.iter().zip(&multiples).filter(is_on_the_grid).count();
-    let single = multiples
-        .iter()
-        .filter(|multiple| **multiple <= 1.0)
-        .count();
+    let is_single = |multiple: &&f64| **multiple <= 1.0;
+    let single = multiples.iter().filter(is_single).count();
     let own_rows = (record.sample_period_s / period_s - 1.0).abs() > OFF_THE_GRID;
     // Loops keep to a grid of whole milliseconds each; a clock keeps to its schedule, but for the rounding of its stamps, and
     // polls come up to a quarter of a period late.

@@ -1,5 +1,5 @@
 //! Expressions: recursive-descent parser with the place of each mistake, evaluation, and second derivatives by forward-mode
-//! automatic differentiation (hyper-dual numbers: Fike and Alonso, AIAA 2011-886).
+//! automatic differentiation (hyper-dual numbers, AIAA paper 2011-886).
 //!
 //! ```text
 //! sum     = product {("+" | "-") product}

@@ -101,10 +101,8 @@ pub const CATALOGUE: &[&dyn Effect] = &[
 ];
 
 pub fn find(id: &str) -> Option<&'static dyn Effect> {
-    CATALOGUE
-        .iter()
-        .copied()
-        .find(|effect| effect.card().id == id)
+    let mut effects = CATALOGUE.iter().copied();
+    effects.find(|effect| effect.card().id == id)
 }
 
 /// An equation of the baseline.

@@ -51,10 +51,8 @@ pub(super) fn applied<'a>(events: &'a [(f64, f64)], path: &Path) -> Cow<'a, [(f6
     let (begin_s, first) = events[0];
     // The first command stands for the unknown one before it.
     let mut out = vec![(begin_s, first)];
-    let started_s = events
-        .iter()
-        .find(|event| event.1 != 0.0)
-        .map_or(f64::NEG_INFINITY, |event| event.0 + path.start_delay_s);
+    let first_start = events.iter().find(|event| event.1 != 0.0);
+    let started_s = first_start.map_or(f64::NEG_INFINITY, |event| event.0 + path.start_delay_s);
     if path.start_delay_s > 0.0 {
         out[0].1 = 0.0;
     }
