@@ -82,7 +82,7 @@ fn examples_of_all_kinds_are_programs_and_read_back() {
 }
 
 #[test]
-fn an_unknown_key_or_kind_is_named_with_its_line_and_the_nearest() {
+fn an_unknown_key_or_kind_is_named_with_line_and_nearest() {
     let good = "[[sequence]]\nsteps = { levels_v = [1.0], hold_s = 1.0 }\n";
     let ramp = "[[sequence]]\nramp = { from_v = 0.0, to_v = 1.0, second = 2.0 }\n";
     for (text, line, help) in [

@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn the_truth_lies_within_the_interval_however_the_columns_are_scaled() {
+    fn the_interval_covers_the_truth_at_any_scale_of_the_columns() {
         let mut outside = 0;
         for seed in 0..100 {
             let (matrix, right, blocks) = data(seed);
@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_of_zeros_and_repeated_ones_are_undetermined_and_spoil_nothing() {
+    fn columns_of_zeros_and_repeated_ones_are_undetermined() {
         let (matrix, right, blocks) = data(1);
         let sources = [Some(0), Some(1), Some(1), None];
         let wide = DMatrix::from_fn(400, 4, |row, column| {

@@ -373,7 +373,7 @@ mod tests {
     }
 
     #[test]
-    fn gain_and_rate_are_found_from_far_away_and_with_a_carried_jacobian() {
+    fn gain_and_rate_are_found_also_with_a_carried_jacobian() {
         let mut thrifty = Options::thrifty();
         thrifty.relative_cost = 1e-9;
         for (start, options, within) in [

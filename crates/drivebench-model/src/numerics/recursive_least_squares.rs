@@ -329,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn standard_deviations_are_those_of_repeated_trials_under_forgetting() {
+    fn standard_deviations_are_those_of_repeated_trials() {
         for carry in [0.0, 1.0] {
             let kind = RowNoise {
                 carry,
@@ -361,7 +361,7 @@ mod tests {
     }
 
     #[test]
-    fn a_million_rows_of_one_direction_neither_wind_up_nor_forget_the_others() {
+    fn a_million_rows_of_one_direction_do_not_wind_up() {
         let (mut random, mut rls) = trained(2, 300, &TRUE);
         let psi = [1.0, 0.0, 0.01];
         for _ in 0..1_000_000 {

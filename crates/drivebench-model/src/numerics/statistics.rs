@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn white_noise_passes_the_ljung_box_test_and_a_moving_mean_fails() {
+    fn white_noise_passes_the_ljung_box_test_a_moving_mean_fails() {
         let statistic = |values: &[f64]| {
             let correlations = autocorrelation(values, 25);
             ljung_box_statistic(&correlations, values.len())

@@ -239,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn between_limited_samples_the_measured_voltage_stands_and_outside_the_command() {
+    fn between_limited_samples_the_measured_voltage_holds() {
         let (run, commands) = ramp();
         let (events, reached) = applied(&run, &commands);
         assert_eq!(reached, [], "no current was measured");

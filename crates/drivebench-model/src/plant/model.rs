@@ -382,7 +382,7 @@ mod tests {
     }
 
     #[test]
-    fn impossible_values_are_refused_and_mechanical_models_have_mechanical_slots() {
+    fn impossible_values_are_refused_and_slots_follow_the_keys() {
         for value in [-1.0, 0.0, f64::NAN, f64::INFINITY] {
             let motor = Motor::zk_22fc().with(MotorKey::Inertia, value);
             assert!(Model::baseline(motor).validate().is_err(), "{value}");

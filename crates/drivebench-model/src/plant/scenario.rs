@@ -639,7 +639,7 @@ mod tests {
     }
 
     #[test]
-    fn the_input_of_a_host_is_late_by_an_unknown_time_and_that_of_a_drive_is_not() {
+    fn the_input_of_a_host_is_late_by_an_unknown_time() {
         let drive = run(Origin::Commanded);
         assert_eq!(Scenario::from_run(&drive).unwrap().input_delay_s(), None);
         let widths = || (Channel::TimeHalfWidth, vec![0.002; 40], Origin::Derived);

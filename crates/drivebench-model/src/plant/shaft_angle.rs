@@ -14,14 +14,29 @@ pub(super) fn continuous(angle: Vec<(f64, f64)>, speed: &[(f64, f64)]) -> Vec<(f
     let mut steps = angle.windows(2).map(|pair| pair[1].1 - pair[0].1);
     // With steps of less than a quarter of a turn the nearest way round is certain.
     let sure = steps.all(|step| nearest(step).abs() < 0.25 * TAU);
-    let mut track = Integral::new(if sure { &[] } else { speed });
+    let speed: &[(f64, f64)] = if sure { &[] } else { speed };
+    let mut next = 0;
+    // The mean of the speeds within an interval, or beside it, times its length; zero without a speed.
+    let mut travelled = |from_s: f64, to_s: f64| {
+        while speed.get(next).is_some_and(|point| point.0 < from_s) {
+            next += 1;
+        }
+        let rest = &speed[next..];
+        let within = rest.iter().take_while(|point| point.0 <= to_s).count();
+        let speeds = &rest[..within.max(1).min(rest.len())];
+        let sum = speeds.iter().fold(0.0, |sum, point| sum + point.1);
+        match speeds.len() {
+            0 => 0.0,
+            count => sum / count as f64 * (to_s - from_s),
+        }
+    };
     let mut turns = 0.0;
     let mut last = angle[0];
     let mut out = Vec::with_capacity(angle.len());
     out.push(last);
     for &point in &angle[1..] {
         let step = point.1 - last.1;
-        turns -= ((step - track.over(last.0, point.0)) / TAU).round();
+        turns -= ((step - travelled(last.0, point.0)) / TAU).round();
         out.push((point.0, point.1 + TAU * turns));
         last = point;
     }
@@ -33,33 +48,6 @@ fn is_wrapped(angle: &[(f64, f64)]) -> bool {
     let (least, most) = extent(angle.iter().map(|point| point.1));
     let mut steps = angle.windows(2).map(|pair| pair[1].1 - pair[0].1);
     most - least < 1.02 * TAU && steps.any(|step| step.abs() > 0.5 * TAU)
-}
-
-/// Integral of a speed over intervals that come in the order of time.
-struct Integral<'a> {
-    speed: &'a [(f64, f64)],
-    next: usize,
-}
-
-impl<'a> Integral<'a> {
-    const fn new(speed: &'a [(f64, f64)]) -> Self {
-        Self { speed, next: 0 }
-    }
-
-    /// Mean of the speeds within the interval, or beside it, times its length; zero without a speed.
-    fn over(&mut self, from_s: f64, to_s: f64) -> f64 {
-        while self.next < self.speed.len() && self.speed[self.next].0 < from_s {
-            self.next += 1;
-        }
-        let rest = &self.speed[self.next..];
-        let within = rest.iter().take_while(|point| point.0 <= to_s).count();
-        let speeds = &rest[..within.max(1).min(rest.len())];
-        let sum = speeds.iter().fold(0.0, |sum, point| sum + point.1);
-        match speeds.len() {
-            0 => 0.0,
-            count => sum / count as f64 * (to_s - from_s),
-        }
-    }
 }
 
 #[cfg(test)]
@@ -81,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wrapped_angle_becomes_the_motion_where_need_be_by_the_speed() {
+    fn a_wrapped_angle_becomes_continuous_if_need_be_by_the_speed() {
         for from in [0.0, -0.5 * TAU] {
             let wrapped = sampled(0.002, |t| (motion(t) - from).rem_euclid(TAU) + from);
             assert!(largest_error(&continuous(wrapped, &[])) < 1e-9);

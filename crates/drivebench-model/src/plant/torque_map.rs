@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn a_written_map_reads_back_and_other_texts_are_refused_with_their_line() {
+    fn a_written_map_reads_back_and_other_texts_are_refused() {
         for map in [friction(), cogging()] {
             let again = TorqueMap::from_csv(&map.to_csv()).unwrap();
             assert_eq!((again.torque, again.bins.len()), (map.torque, 4));

@@ -621,7 +621,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_neighbours_prove_the_value_between_only_in_a_slow_input() {
+    fn equal_neighbours_prove_the_value_between_in_a_slow_input() {
         let one_row = |row: usize| row % 13 == 6;
         let slow = holes(&switched(10), false, one_row);
         let fast = holes(&switched(1), false, one_row);

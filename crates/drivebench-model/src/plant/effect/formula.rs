@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn every_effect_of_the_catalogue_has_its_law_or_is_more_than_one() {
+    fn every_effect_of_the_catalogue_has_its_law_or_is_more() {
         let unwritten = CATALOGUE.iter().filter(|effect| effect.formula().is_none());
         let unwritten: Vec<&str> = unwritten.map(|effect| effect.card().id).collect();
         let delays = "command_delay start_delay restart_delay speed_delay";

@@ -7,6 +7,7 @@ use super::definition::{
 };
 use super::{
     Balance, Card, Effect, Enters, Formula, Instant, ParameterSpec, Place, SYMBOLS, Terms, Tree,
+    torque, voltage,
 };
 
 /// The family's card: what `effects table` shows.
@@ -218,12 +219,15 @@ impl Effect for Table {
     }
 
     fn terms(&self, values: &[f64]) -> Box<dyn Terms> {
-        Box::new(Curve {
-            balance: self.balance,
-            axis: self.axis,
-            knots: self.knots,
-            values: values.to_vec(),
-        })
+        let (axis, knots, values) = (self.axis, self.knots, values.to_vec());
+        let curve = move |at: &Instant, []: [f64; 0]| {
+            let [low, high] = weights(axis, knots, axis.of(at));
+            low.1 * values[low.0] + high.1 * values[high.0]
+        };
+        match self.balance {
+            Balance::Voltage => voltage(&[], curve),
+            Balance::Torque => torque(&[], curve),
+        }
     }
 
     fn settings(&self) -> Vec<(&'static str, toml::Value)> {
@@ -237,21 +241,6 @@ impl Effect for Table {
 
     fn layout(&self) -> Layout {
         Layout::List("values")
-    }
-}
-
-struct Curve {
-    balance: Balance,
-    axis: Axis,
-    knots: &'static [f64],
-    values: Vec<f64>,
-}
-
-impl Curve {
-    fn at(&self, at: &Instant) -> f64 {
-        let weights = weights(self.axis, self.knots, self.axis.of(at)).into_iter();
-        let parts = weights.map(|(knot, weight)| weight * self.values[knot]);
-        parts.sum()
     }
 }
 
@@ -282,22 +271,6 @@ pub fn weights(axis: Axis, knots: &[f64], place: f64) -> [(usize, f64); 2] {
     [(low, 1.0 - share), (high, share)]
 }
 
-impl Terms for Curve {
-    fn voltage_v(&self, at: &Instant, _own: &[f64]) -> f64 {
-        match self.balance {
-            Balance::Voltage => self.at(at),
-            Balance::Torque => 0.0,
-        }
-    }
-
-    fn torque_n_m(&self, at: &Instant, _own: &[f64]) -> f64 {
-        match self.balance {
-            Balance::Voltage => 0.0,
-            Balance::Torque => self.at(at),
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -309,7 +282,7 @@ mod tests {
     const SPEED: &str = "equation = \"torque\"\naxis = \"speed_rad_s\"\nknots = [-10.0, 0.0, 20]\n";
 
     #[test]
-    fn a_curve_is_linear_between_knots_and_constant_beyond_or_closes_the_turn() {
+    fn a_curve_is_linear_between_knots_and_constant_or_periodic() {
         let turn = "equation = \"voltage\"\naxis = \"angle_rad\"\nknots = [1.0, 2.0, 5.0]\n";
         let speed = format!("{SPEED}values = [1.0, 0.0, 4]");
         let turn = format!("{turn}values = [10.0, 20.0, 50.0]");
@@ -348,7 +321,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_settings_are_the_same_effect_and_other_knots_another() {
+    fn the_same_settings_are_the_same_effect() {
         let (one, _) = table(SPEED).unwrap();
         let (same, values) = table(&format!("{SPEED}value_2 = 0.5")).unwrap();
         let (other, _) = table(&SPEED.replace("20", "21")).unwrap();

@@ -259,7 +259,7 @@ fn size_zero_adds_nothing_and_a_small_size_adds_in_proportion() {
 }
 
 #[test]
-fn an_effect_enters_the_balance_that_its_card_names_and_no_other() {
+fn an_effect_enters_only_the_balance_that_its_card_names() {
     for effect in CATALOGUE.iter().filter(|effect| !couples(**effect)) {
         let card = effect.card();
         let [voltage, torque, friction, rate, inertia] = added(*effect, 1.0).map(f64::abs);
@@ -295,7 +295,7 @@ fn effects_that_depend_on_the_angle_are_marked() {
 }
 
 #[test]
-fn every_effect_changes_a_simulated_run_and_none_of_size_zero_does() {
+fn every_effect_but_one_of_size_zero_changes_a_simulated_run() {
     let baseline = run(vec![]);
     for &effect in CATALOGUE {
         let changes = |share: f64| {

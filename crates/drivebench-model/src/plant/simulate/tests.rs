@@ -254,7 +254,7 @@ fn no_place_is_steep_on_an_ordinary_motor() {
 }
 
 #[test]
-fn behind_a_long_hole_the_simulation_goes_on_from_the_measurement() {
+fn after_a_long_hole_a_simulation_restarts_from_the_measurement() {
     let cases: [(&str, Effects<'_>, f64); 4] = [
         ("one mass", &[], 1.0),
         (

@@ -27,7 +27,7 @@ fn sums(effect: &dyn Effect, values: &[(&str, f64)], speed_rad_s: f64, current_a
 }
 
 #[test]
-fn a_parameter_that_enters_linearly_is_a_coefficient_and_comes_first() {
+fn linear_parameters_are_coefficients_and_come_first() {
     use ParameterRole::{Coefficient, Shape};
     for (expression, parameters, roles) in [
         (
@@ -84,7 +84,7 @@ fn the_factor_of_the_sign_of_the_speed_is_friction() {
 }
 
 #[test]
-fn its_own_coulomb_friction_holds_the_shaft_as_the_baseline_does() {
+fn a_custom_coulomb_friction_holds_the_shaft_as_the_baseline() {
     // 0.3 N.m holds against 0.8 A times 0.3538, and not against 4 A.
     let events = vec![(0.0, 0.8 * 1.1), (1.0, 12.0), (2.0, 0.5)];
     let times = (0..3000).map(|k| f64::from(k) * 0.001).collect();
