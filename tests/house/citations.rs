@@ -6,7 +6,7 @@ use std::path::Path;
 use super::architecture::{files, root};
 
 /// Names of pages that the program writes.
-const WRITTEN: &[&str] = &["validation.md", "lines.md"];
+const WRITTEN: &[&str] = &["tables.md", "validation.md", "lines.md"];
 
 /// Every name of a Markdown page in a text.
 fn cited(text: &str) -> impl Iterator<Item = &str> {
