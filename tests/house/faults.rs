@@ -96,7 +96,7 @@ fn every_fault_has_a_proof_that_is_there() {
     }
 }
 
-/// Number, injector and kinds of each row, as "bytes late_reply".
+/// Number, injector and kinds of each row, as "bytes" and its kinds.
 fn injected(page: &str) -> Vec<(usize, String, Vec<String>)> {
     let cells = page.lines().filter_map(|line| {
         let cells: Vec<&str> = line.trim_matches('|').split(" | ").collect();
