@@ -8,10 +8,7 @@ use super::verdict;
 use drivebench_model::plant::{MotorKey, Slot};
 use drivebench_model::sample::ParameterEstimate;
 
-/// J/Kt must differ by this many of its standard deviations, or the disc was too small to be seen.
-const LEAST_DIFFERENCE: f64 = 3.0;
-
-/// One run seen with the torque constant that its scheme assumed.
+/// One run with the torque constant that its scheme assumed.
 #[derive(Clone, Copy, Debug)]
 pub struct Seen<'a> {
     pub parameters: &'a [ParameterEstimate],
@@ -46,7 +43,7 @@ pub fn absolute(without: &Seen<'_>, with: &Seen<'_>, added_kg_m2: f64) -> Vec<Pa
     };
     let difference = a2 - a1;
     let doubt = s1.hypot(s2);
-    if difference < LEAST_DIFFERENCE * doubt {
+    if difference < 3.0 * doubt {
         return none(&format!(
             "the added inertia changes J/Kt by {difference:.3e} kg.m2.A/(N.m), which is known to {doubt:.1e} only: \
              add more, or excite more"
@@ -57,10 +54,9 @@ pub fn absolute(without: &Seen<'_>, with: &Seen<'_>, added_kg_m2: f64) -> Vec<Pa
     let kt_std = kt * doubt / difference;
     let inertia_std = kt / difference * (a2 * s1).hypot(a1 * s2);
     let key = MotorKey::LoadTorque;
-    let load = if let Some((load, load_std)) = without.over_torque_constant(key) {
-        judged(key, kt * load, (kt * load_std).hypot(load * kt_std))
-    } else {
-        verdict::unknown(key, "the run without the added inertia does not carry it")
+    let load = match without.over_torque_constant(key) {
+        Some((load, std)) => judged(key, kt * load, (kt * std).hypot(load * kt_std)),
+        None => verdict::unknown(key, "the run without the added inertia does not carry it"),
     };
     vec![
         judged(MotorKey::TorqueConstant, kt, kt_std),
@@ -103,10 +99,7 @@ mod tests {
             assert_eq!(parameter.verdict, Verdict::Settled);
             assert!(parameter.std.unwrap() > 1e-3 * value, "{parameter:?}");
         }
-    }
-
-    #[test]
-    fn a_disc_too_small_to_be_seen_fixes_nothing() {
+        // A disc too small for its noise fixes nothing.
         let (without, with) = (run(0.0048, 0.48), run(0.004_805, 0.48));
         for parameter in absolute(&seen(&without, 0.36), &seen(&with, 0.36), 5e-6) {
             assert_eq!(parameter.verdict, Verdict::NotObservable);

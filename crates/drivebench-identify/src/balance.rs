@@ -17,9 +17,6 @@ use drivebench_model::plant::{
 use drivebench_model::sample::ParameterEstimate;
 use drivebench_model::text::number::with_std;
 
-/// Size, in units of the typical one, at which every effect is proportional to its coefficient.
-const PROPORTIONAL: f64 = 1e-4;
-
 /// Why an effect is no term of a balance that is linear in its coefficients, or `None` where it is one. `electrical`: there
 /// is a voltage balance.
 pub(super) fn why_no_regressor(
@@ -50,10 +47,8 @@ pub(super) fn why_no_regressor(
         speed_rad_s: 1.0,
         ..Instant::of(motor)
     };
-    let later = Instant {
-        time_s: f64::MAX,
-        ..somewhere
-    };
+    let mut later = somewhere;
+    later.time_s = f64::MAX;
     if terms.inertia_gain(&later) != 0.0 {
         return Some("it changes the inertia, which the balance takes as constant");
     }
@@ -166,7 +161,7 @@ impl Signals<'_> {
     fn effect(&self, active: &ActiveEffect, parameter: usize) -> Vec<f64> {
         let specs = active.effect.parameters();
         let mut values = active.values_or_guess();
-        let size = PROPORTIONAL * specs[parameter].scale;
+        let size = 1e-4 * specs[parameter].scale;
         for (other, spec) in specs.iter().enumerate() {
             if spec.is_coefficient() {
                 values[other] = if other == parameter { size } else { 0.0 };
@@ -174,8 +169,7 @@ impl Signals<'_> {
         }
         let terms = active.effect.terms(&values);
         let own = vec![0.0; terms.states()];
-        let speeds = self.speed_rad_s.iter().enumerate();
-        let added = speeds.map(|(sample, speed)| {
+        let added = |(sample, speed): (usize, &f64)| {
             let at = (self.at)(sample);
             match self.equation {
                 Balance::Voltage => terms.voltage_v(&at, &own),
@@ -183,13 +177,13 @@ impl Signals<'_> {
                     terms.torque_n_m(&at, &own) + speed.signum() * terms.friction_n_m(&at)
                 }
             }
-        });
-        added.map(|added| added / size).collect()
+        };
+        let speeds = self.speed_rad_s.iter().enumerate();
+        speeds.map(|at| added(at) / size).collect()
     }
 }
 
-/// Takes what one balance found over into the model of the next; gives the relative standard deviation that its torque
-/// constant comes with.
+/// Puts the values of one balance into the model of the next; the relative standard deviation of its torque constant.
 pub(super) fn hand_on(model: &mut Model, found: &[ParameterEstimate]) -> f64 {
     let given = model.motor.get(MotorKey::TorqueConstant).is_some();
     let mut doubt_of_torque = 0.0;
@@ -209,7 +203,7 @@ pub(super) fn lacks_torque_constant(model: &Model, scenario: &Scenario) -> bool 
     scenario.input == Input::Current && model.motor.torque_constant().is_none()
 }
 
-/// A value in units of the unknown torque constant: the ratio is told in the reason, but it is not the parameter.
+/// A value in units of the unknown torque constant: the ratio stands in the reason, but it is not the parameter.
 pub(super) fn as_ratio(found: ParameterEstimate) -> ParameterEstimate {
     let (Some(value), Some(std)) = (found.value, found.std) else {
         return found;

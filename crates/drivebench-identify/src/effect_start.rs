@@ -15,11 +15,6 @@ use drivebench_model::plant::{
     ActiveEffect, Model, ParameterRole, ParameterSpec, Scenario, typical_size,
 };
 
-/// Values of the grid from which a fit starts.
-const STARTS: usize = 3;
-/// Share of the best value's gain from which on another explains the run as well.
-const AS_GOOD: f64 = 0.95;
-
 /// Models to start from, the most promising first.
 #[derive(Clone, Debug)]
 pub struct Starts {
@@ -58,7 +53,7 @@ pub fn scan(model: &Model, scenario: &Scenario, noise: &NoiseFloor) -> Result<St
         }
         // The other values serve as starts for the effect that was tried last: starts must not multiply.
         starts.models.truncate(1);
-        for other in tried.iter().skip(1).take(STARTS - 1) {
+        for other in tried.iter().skip(1).take(2) {
             let mut start = starts.models[0].clone();
             put(&mut start, &other.active);
             starts.models.push(start);
@@ -96,7 +91,7 @@ fn choices(active: &ActiveEffect, tried: &[Tried]) -> Vec<(String, Option<String
         let rival = tried
             .iter()
             .find(|other| other.active.values[index] != Some(value))
-            .filter(|other| other.gain > AS_GOOD * best.gain)
+            .filter(|other| other.gain > 0.95 * best.gain)
             .and_then(|other| other.active.values[index]);
         let doubt = rival.map(|rival| {
             format!("{key} {value} and {rival} explain this run nearly alike: more turns, slower")
@@ -210,8 +205,8 @@ impl<'a> Trial<'a> {
             });
             residual_of(&model, self.scenario, self.noise)
         };
-        let silent =
-            free.iter().all(|index| values[*index] == 0.0) && free.len() == coefficients(active);
+        let coefficients = specs.iter().filter(|spec| spec.is_coefficient()).count();
+        let silent = free.iter().all(|index| values[*index] == 0.0) && free.len() == coefficients;
         let before = if silent && !free.is_empty() {
             self.residual.clone()
         } else {
@@ -244,11 +239,6 @@ impl<'a> Trial<'a> {
     }
 }
 
-fn coefficients(active: &ActiveEffect) -> usize {
-    let specs = active.effect.parameters().iter();
-    specs.filter(|spec| spec.is_coefficient()).count()
-}
-
 fn is_free_coefficient(model: &Model, active: &ActiveEffect, index: usize) -> bool {
     active.effect.parameters()[index].is_coefficient() && !is_fixed(model, active, index)
 }
@@ -275,15 +265,11 @@ mod tests {
 
     /// Slow turns both ways, so that effects of position show.
     fn record(truth: &Model) -> Scenario {
-        let steps = [
-            (0.0, 0.0),
-            (0.2, 6.0),
-            (1.2, 12.0),
-            (2.0, -5.0),
-            (3.0, -20.0),
-            (3.5, 0.0),
-        ];
-        testing::record(truth, steps.to_vec(), 0.002, 4.0, 3)
+        let events = held(
+            [0.0, 0.2, 1.2, 2.0, 3.0, 3.5],
+            [0.0, 6.0, 12.0, -5.0, -20.0, 0.0],
+        );
+        testing::record(truth, events, 0.002, 4.0, 3)
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! First-order lag of the speed behind the voltage: what voltage and speed alone say of any motor, whatever its parameters.
+//! First-order lag with dead time of the speed behind the voltage: what voltage and speed alone determine of any motor.
 //!
 //! ```text
 //! T w' = g (u(t - d) - u_c sgn u) - w        g = 1/Ke, T = R J/(Ke Kt), u_c = R Mc/Kt
@@ -19,15 +19,8 @@ use drivebench_model::numerics::statistics::largest;
 use drivebench_model::plant::{Input, Scenario};
 use drivebench_model::sample::ParameterEstimate;
 
-/// Time constants that are tried, from the sample interval to the length of the run, evenly in their logarithm.
-const TIME_CONSTANTS: i32 = 40;
-/// Dead times that are tried, in sample intervals: a reading that comes a few exchanges late.
-const DEAD_TIMES: [f64; 9] = [0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0];
 /// Readings below which nothing is fitted.
 const FEWEST: usize = 8;
-/// Squared sine of the angle between the two columns from which on friction and gain are two things: below, all levels of
-/// the voltage are one.
-const APART: f64 = 1e-3;
 /// Share of the largest speed below which a shaft without a voltage has no direction.
 const RESTS: f64 = 0.02;
 
@@ -63,7 +56,9 @@ impl FirstOrder {
     }
 
     fn refined(run: &Scenario) -> Option<(Self, [f64; 4])> {
-        Refined::of(&Self::on_grid(run, &DEAD_TIMES, true)?, run)
+        // In sample intervals: a reading that comes a few exchanges late.
+        let dead_times = [0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0];
+        Refined::of(&Self::on_grid(run, &dead_times, true)?, run)
     }
 
     fn on_grid(run: &Scenario, dead_times: &[f64], frictions: bool) -> Option<Self> {
@@ -72,16 +67,13 @@ impl FirstOrder {
         }
         let period_s = run.mean_period_s();
         let ratio = (run.samples() - 1) as f64;
+        // Time constants from the sample interval to the length of the run, evenly in their logarithm.
         let tried = dead_times.iter().flat_map(|periods| {
-            let late = delayed(run, periods * period_s);
-            (0..TIME_CONSTANTS).filter_map(move |k| {
-                let share = f64::from(k) / f64::from(TIME_CONSTANTS - 1);
-                Self::fitted(
-                    &late,
-                    periods * period_s,
-                    period_s * ratio.powf(share),
-                    frictions,
-                )
+            let dead_time_s = periods * period_s;
+            let late = delayed(run, dead_time_s);
+            (0..40).filter_map(move |k| {
+                let time_constant_s = period_s * ratio.powf(f64::from(k) / 39.0);
+                Self::fitted(&late, dead_time_s, time_constant_s, frictions)
             })
         });
         tried.min_by(|a, b| a.left_rad_s.total_cmp(&b.left_rad_s))
@@ -112,7 +104,8 @@ impl FirstOrder {
             let apart = voltages * directions - both * both;
             let gain = (directions * moved - both * turned) / apart;
             let friction_v = -(voltages * turned - both * moved) / apart / gain;
-            if apart > APART * voltages * directions && friction_v > 0.0 && gain > 0.0 {
+            // Where the columns lie along each other, all levels of the voltage are one.
+            if apart > 1e-3 * voltages * directions && friction_v > 0.0 && gain > 0.0 {
                 (found.gain_rad_s_per_v, found.friction_v) = (gain, friction_v);
             }
         }
@@ -142,22 +135,19 @@ impl FirstOrder {
         key.starts_with("first_order.")
     }
 
-    /// What `identify` says of a run that has no current; empty where no lag follows the speed.
+    /// The lag as estimates, for a run that has no current; empty where no lag follows the speed.
     pub fn estimates(run: &Scenario) -> Vec<ParameterEstimate> {
         let Some((found, deviations)) = Self::refined(run) else {
             return Vec::new();
         };
         let all = [
-            (
-                "first_order.gain_rad_s_per_v",
-                "rad/s/V",
-                found.gain_rad_s_per_v,
-            ),
-            ("first_order.time_constant_s", "s", found.time_constant_s),
-            ("first_order.dead_time_s", "s", found.dead_time_s),
-            ("first_order.friction_v", "V", found.friction_v),
+            ("gain_rad_s_per_v", "rad/s/V", found.gain_rad_s_per_v),
+            ("time_constant_s", "s", found.time_constant_s),
+            ("dead_time_s", "s", found.dead_time_s),
+            ("friction_v", "V", found.friction_v),
         ];
         let of = |((key, unit, value), std): ((&str, &'static str, f64), f64)| {
+            let key = format!("first_order.{key}");
             let relative = std / value.abs();
             let doubt = (relative > SETTLED)
                 .then(|| format!("relative uncertainty {:.1} %", 100.0 * relative));
@@ -203,10 +193,8 @@ fn response(run: &Scenario, time_constant_s: f64) -> Vec<Row> {
     let (mut voltage, mut direction, mut now_s, mut event) = (0.0, 0.0, begin_s, 0);
     let mut turning = 0.0;
     let events = &run.events;
-    let mut restarts = run.unknown_input.iter().filter_map(|hole| {
-        let [_, speed] = hole.restart?;
-        Some((hole.to_s, speed))
-    });
+    let mut restarts = (run.unknown_input.iter())
+        .filter_map(|hole| hole.restart.map(|[_, speed]| (hole.to_s, speed)));
     let mut restart = restarts.next();
     let samples = run.sample_time_s.iter().zip(&run.speed_rad_s);
     samples
@@ -266,21 +254,16 @@ impl<'a> Refined<'a> {
             frictions: coarse.friction_v > 0.0,
             rows: known(run, coarse.time_constant_s).len(),
         };
-        let mut start = vec![
-            1.0,
-            coarse.time_constant_s.ln(),
-            coarse.dead_time_s / period_s,
-        ];
+        let dead_time = coarse.dead_time_s / period_s;
+        let mut start = vec![1.0, coarse.time_constant_s.ln(), dead_time];
         start.extend(problem.frictions.then_some(1.0));
         let minimum = levenberg_marquardt::minimise(&problem, &start, Options::default())?;
         let mut found = problem.at(&minimum.x);
         found.left_rad_s = (minimum.cost / problem.rows as f64).sqrt();
         let (bread, determined) = inverse_where_determined(&minimum.jacobian);
-        let times = run.scored.clone().map(|sample| run.sample_time_s[sample]);
-        let speeds = run.scored.clone().map(|sample| run.speed_rad_s[sample]);
-        let known = times.zip(speeds).filter(|row| row.1.is_finite());
+        let known = (run.scored.clone()).filter(|sample| run.speed_rad_s[*sample].is_finite());
         let blocks: Vec<usize> = known
-            .map(|row| whole((row.0 - run.begin_s()).max(0.0) / BLOCK_S))
+            .map(|sample| whole((run.sample_time_s[sample] - run.begin_s()).max(0.0) / BLOCK_S))
             .collect();
         let residual = DVector::from_column_slice(&minimum.residual);
         // The lag has no other form than its own: what it leaves along the whole run counts like any model's misfit.
@@ -340,14 +323,13 @@ mod tests {
         let one = |volts: &f64| {
             let times = every(0.05, 3.0);
             let events = vec![(0.0, *volts)];
-            let channel = drivebench_model::sample::Channel::Voltage;
-            let mut run = Scenario::planned("step", Input::Voltage, channel, events, times);
+            let mut run = simulated(&paper(), Input::Voltage, events, times);
             let speed = |time_s: &f64| {
                 let gone = (-(time_s - 0.06).max(0.0) / 0.12).exp();
                 2.4 * (volts - 0.4) * (1.0 - gone)
             };
             run.speed_rad_s = run.sample_time_s.iter().map(speed).collect();
-            run.current_a = vec![f64::NAN; run.samples()];
+            run.current_a.fill(f64::NAN);
             run
         };
         let mut runs = levels.iter().map(one);
@@ -356,17 +338,22 @@ mod tests {
     }
 
     #[test]
-    fn several_steps_together_give_gain_time_constant_dead_time_and_friction() {
+    fn several_steps_give_gain_time_constant_dead_time_and_friction() {
         let found = FirstOrder::with_dead_time(&steps_of(&[4.0, 8.0, 6.0])).unwrap();
         assert_near(found.gain_rad_s_per_v, 2.4, 0.02);
         assert_near(found.time_constant_s, 0.12, 0.05);
         assert_near(found.dead_time_s, 0.06, 0.1);
         assert_near(found.friction_v, 0.4, 0.1);
         assert!(found.left_of(&steps_of(&[10.0])) < 0.1, "{found:?}");
+        // One step does not separate friction from the gain.
+        let found = FirstOrder::estimates(&steps_of(&[8.0]));
+        let gain = of(&found, "first_order.gain_rad_s_per_v");
+        assert_near(gain.value.unwrap(), 2.4 * 7.6 / 8.0, 0.02);
+        assert!(ParameterEstimate::find(&found, "first_order.friction_v").is_none());
     }
 
     #[test]
-    fn what_a_lag_leaves_along_the_whole_run_widens_it_more_than_noise_of_that_size() {
+    fn a_lasting_misfit_widens_the_interval_more_than_noise_does() {
         let gain = |error: &dyn Fn(usize, f64) -> f64| {
             let mut run = steps_of(&[4.0, 8.0, 6.0]);
             for (row, speed) in run.speed_rad_s.iter_mut().enumerate() {
@@ -379,28 +366,8 @@ mod tests {
         };
         // A speed that reads too little the faster it is, and one that errs to either side in turn.
         let (bent, left_rad_s) = gain(&|_, speed| -4e-3 * speed * speed);
-        let (noisy, of_noise) = gain(&|row, _| {
-            if row % 2 == 0 {
-                left_rad_s
-            } else {
-                -left_rad_s
-            }
-        });
-        assert!(
-            (of_noise / left_rad_s - 1.0).abs() < 0.1,
-            "{of_noise} {left_rad_s}"
-        );
+        let (noisy, of_noise) = gain(&|row, _| [left_rad_s, -left_rad_s][row % 2]);
+        assert_near(of_noise, left_rad_s, 0.1);
         assert!(bent > 2.0 * noisy, "{bent} {noisy}");
-    }
-
-    #[test]
-    fn one_step_does_not_tell_friction_from_the_gain() {
-        let found = FirstOrder::estimates(&steps_of(&[8.0]));
-        assert_near(
-            of(&found, "first_order.gain_rad_s_per_v").value.unwrap(),
-            2.4 * 7.6 / 8.0,
-            0.02,
-        );
-        assert!(ParameterEstimate::find(&found, "first_order.friction_v").is_none());
     }
 }

@@ -9,9 +9,6 @@ use super::stamps;
 use drivebench_model::plant::{Model, MotorKey};
 use drivebench_model::sample::{Channel, ParameterEstimate, Sample};
 
-/// Least length of a row of scheme 2, s.
-const STRIDE_S: f64 = 0.01;
-
 /// What the user may set.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct OnlineConfig {
@@ -41,11 +38,6 @@ pub(super) struct AppliedVoltage {
 }
 
 impl AppliedVoltage {
-    /// A command came beside the samples.
-    pub(super) const fn command(&mut self) {
-        self.commanded = true;
-    }
-
     pub(super) fn of(&mut self, sample: &Sample) -> Option<f64> {
         let command = sample.get(Channel::VoltageCmd);
         self.commanded |= command.is_some();
@@ -63,14 +55,14 @@ pub struct Online {
     /// `None`: the drive stamps its samples itself.
     late: Option<Box<Scheme3>>,
     applied: AppliedVoltage,
-    /// Largest half-width of a stamp lately, s; zero where the drive stamps its samples itself.
+    /// Largest half-width of a stamp over about the last hundred samples, s; zero where the drive stamps them itself.
     half_width_s: f64,
     frozen: Frozen,
     last_s: Option<f64>,
 }
 
 /// Samples of which nothing is learnt, because a limit of the drive held its output: the motor had another voltage than
-/// was asked for.
+/// was commanded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Frozen {
     pub rows: u64,
@@ -89,17 +81,11 @@ impl Frozen {
     }
 }
 
-/// Share of a half-width that is left of it one sample later.
-const HALF_WIDTH_MEMORY: f64 = 0.99;
-
 impl Online {
     pub fn new(config: OnlineConfig) -> Self {
         Self {
-            scheme_2: Scheme2::new(
-                CurrentIntegral::Trapezoid,
-                config.memory.mechanical,
-                STRIDE_S,
-            ),
+            // Rows of 10 ms at least.
+            scheme_2: Scheme2::new(CurrentIntegral::Trapezoid, config.memory.mechanical, 0.01),
             scheme_3: Scheme3::new(config.memory, config.torque_n_m_per_a, config.start),
             late: None,
             applied: AppliedVoltage::default(),
@@ -109,10 +95,10 @@ impl Online {
         }
     }
 
-    /// The voltage that the drive has applied from `time_s` on (drive time, as the samples). The reply that tells it
+    /// The voltage that the drive has applied from `time_s` on (drive time, as the samples). The reply that reports it
     /// comes with a sample of a later stamp: call this first, then [`Self::push`].
     pub fn command_applied(&mut self, time_s: f64, voltage_v: f64) {
-        self.applied.command();
+        self.applied.commanded = true;
         self.hold(time_s, voltage_v);
     }
 
@@ -135,7 +121,7 @@ impl Online {
             self.frozen.take(time_s, sample.limited, self.last_s);
             self.last_s = Some(time_s);
             let half_width_s = sample.time_half_width_s.unwrap_or(0.0).abs();
-            self.half_width_s = half_width_s.max(HALF_WIDTH_MEMORY * self.half_width_s);
+            self.half_width_s = half_width_s.max(0.99 * self.half_width_s);
             if half_width_s > 0.0 && self.late.is_none() {
                 self.late = Some(Box::new(self.scheme_3.clone()));
             }

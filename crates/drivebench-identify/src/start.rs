@@ -1,5 +1,5 @@
 //! Starting values for a fit when the model file gives none: two small regressions on integrals of the signals; without a
-//! current what a first-order lag of the speed says.
+//! current the first-order lag of the speed.
 //!
 //! The voltage is integrated exactly; what coarse sampling biases the rest by a starting value may be off.
 
@@ -12,11 +12,8 @@ use drivebench_model::numerics::statistics::largest;
 use drivebench_model::plant::{Input, Model, ModelError, MotorKey, Scenario};
 use drivebench_model::signal;
 
-/// Resistance, inductance and back-EMF constant where the record tells none.
+/// Resistance, inductance and back-EMF constant where the record gives none.
 const MODEST: [f64; 3] = [1.0, 1e-3, 0.1];
-
-/// Speeds below this share of the largest have no direction.
-const DEAD_ZONE: f64 = 0.01;
 
 /// Fills in the motor values that `model` leaves out; what the user gave stays as it is.
 pub fn complete(model: &Model, scenario: &Scenario) -> Result<Model, FitError> {
@@ -32,18 +29,17 @@ pub fn complete(model: &Model, scenario: &Scenario) -> Result<Model, FitError> {
         return checked(model);
     }
     let sums = integrals(scenario);
-    let electrical = sums
-        .iter()
-        .map(|s| [s.current, s.current_step, s.angle, s.voltage]);
-    let electrical: Vec<[f64; 4]> = electrical.collect();
+    let electrical: Vec<[f64; 4]> = (sums.iter())
+        .map(|s| [s.current, s.current_step, s.angle, s.voltage])
+        .collect();
     let [resistance, inductance, back_emf] = positive(solve_rows(&electrical), MODEST);
     set(&mut model, MotorKey::Resistance, resistance);
     set(&mut model, MotorKey::Inductance, inductance);
     set(&mut model, MotorKey::BackEmf, back_emf);
     let kt = model.motor.torque_constant().unwrap_or(back_emf);
-    let moving = sums.iter().filter(|s| s.direction != 0.0);
-    let mechanical = moving.map(|s| [s.speed_step, s.direction * s.length_s, kt * s.current]);
-    let mechanical: Vec<[f64; 3]> = mechanical.collect();
+    let mechanical: Vec<[f64; 3]> = (sums.iter().filter(|s| s.direction != 0.0))
+        .map(|s| [s.speed_step, s.direction * s.length_s, kt * s.current])
+        .collect();
     let [inertia, load] = positive(solve_rows(&mechanical), [1e-3, 1e-2]);
     set(&mut model, MotorKey::Inertia, inertia);
     set(&mut model, MotorKey::LoadTorque, load);
@@ -63,28 +59,16 @@ fn checked(model: Model) -> Result<Model, FitError> {
 /// Voltage and speed hold gain, time constant and friction voltage; a resistance that is not given only scales the rest.
 fn without_current(model: &mut Model, scenario: &Scenario) {
     let [resistance_ohm, inductance_h, back_emf] = MODEST;
-    set(model, MotorKey::Resistance, resistance_ohm);
-    let resistance_ohm = model
-        .motor
-        .get(MotorKey::Resistance)
-        .unwrap_or(resistance_ohm);
+    let resistance_ohm = set(model, MotorKey::Resistance, resistance_ohm);
     set(model, MotorKey::Inductance, inductance_h * resistance_ohm);
     let lag = FirstOrder::with_dead_time(scenario).filter(|lag| lag.gain_rad_s_per_v > 0.0);
-    set(
-        model,
-        MotorKey::BackEmf,
-        lag.map_or(back_emf, |lag| lag.gain_rad_s_per_v.recip()),
-    );
-    let back_emf = model.motor.get(MotorKey::BackEmf).unwrap_or(back_emf);
-    let kt = model.motor.torque_constant().unwrap_or(back_emf);
-    let per_volt = kt / resistance_ohm;
+    let back_emf = lag.map_or(back_emf, |lag| lag.gain_rad_s_per_v.recip());
+    let back_emf = set(model, MotorKey::BackEmf, back_emf);
+    let per_volt = model.motor.torque_constant().unwrap_or(back_emf) / resistance_ohm;
     let (time_constant_s, friction_v) =
         lag.map_or((0.1, 0.0), |lag| (lag.time_constant_s, lag.friction_v));
-    set(
-        model,
-        MotorKey::Inertia,
-        time_constant_s * back_emf * per_volt,
-    );
+    let inertia = time_constant_s * back_emf * per_volt;
+    set(model, MotorKey::Inertia, inertia);
     set(model, MotorKey::LoadTorque, friction_v * per_volt);
 }
 
@@ -100,24 +84,32 @@ fn mechanical(mut model: Model, scenario: &Scenario) -> Model {
     model
 }
 
-fn set(model: &mut Model, key: MotorKey, value: f64) {
-    if model.motor.get(key).is_none() {
+/// The value that the model has then: the given one where there is one.
+fn set(model: &mut Model, key: MotorKey, value: f64) -> f64 {
+    let kept = model.motor.get(key);
+    if kept.is_none() {
         model.motor.set(key, value);
     }
+    kept.unwrap_or(value)
 }
 
 /// Values that physics allows: where noise or poor excitation gives none, a modest default.
 fn positive<const N: usize>(found: Option<[f64; N]>, otherwise: [f64; N]) -> [f64; N] {
     let found = found.unwrap_or(otherwise);
-    let sound = |value: &f64| *value > 0.0;
-    std::array::from_fn(|index| Some(found[index]).filter(sound).unwrap_or(otherwise[index]))
+    std::array::from_fn(|k| {
+        if found[k] > 0.0 {
+            found[k]
+        } else {
+            otherwise[k]
+        }
+    })
 }
 
 fn integrals(scenario: &Scenario) -> Vec<Sums> {
     let times = &scenario.sample_time_s;
     let current = between(times, &scenario.current_a);
     let speed = between(times, &scenario.speed_rad_s);
-    let zone = DEAD_ZONE * largest(&speed);
+    let zone = 0.01 * largest(&speed);
     let windows = windows(times).into_iter().map(|window| {
         let voltage = signal::integral(&scenario.events, times[window.start], times[window.end]);
         Sums::over(&window, times, voltage, [&current, &speed], zone)
@@ -145,17 +137,14 @@ fn between(times: &[f64], values: &[f64]) -> Vec<f64> {
 mod tests {
     use super::*;
     use crate::testing::*;
-    use drivebench_model::plant::Motor;
-    use drivebench_model::sample::Channel;
 
-    /// Values within the factor that a fit can bridge.
+    /// Within the factor that a fit can bridge.
     #[track_caller]
     fn starts_near(scenario: &Scenario) {
         let found = complete(&unknown(), scenario).unwrap();
-        let truth = paper();
-        for slot in truth.slots() {
-            let ratio = found.get(&slot).unwrap() / truth.get(&slot).unwrap();
-            assert!((0.5..2.0).contains(&ratio), "{} {ratio}", slot.key());
+        for key in KEYS {
+            let ratio = found.motor.get(key).unwrap() / paper().motor.get(key).unwrap();
+            assert!((0.5..2.0).contains(&ratio), "{key:?} {ratio}");
         }
     }
 
@@ -169,48 +158,27 @@ mod tests {
             let times = every(period_s, 4.0);
             starts_near(&simulated(&paper(), Input::Voltage, events.clone(), times));
         }
-    }
-
-    #[test]
-    fn current_and_speed_on_rows_of_their_own_give_a_start_too() {
-        let events = held([0.0, 0.3, 0.8, 1.5, 2.2], [0.0, 20.0, -25.0, 60.0, -10.0]);
-        let mut scenario = record(&paper(), events, 0.005, 3.0, 1);
-        for row in 0..scenario.samples() {
-            let missing = if row.is_multiple_of(2) {
-                &mut scenario.current_a
-            } else {
-                &mut scenario.speed_rad_s
-            };
-            missing[row] = f64::NAN;
+        // Current and speed on rows of their own.
+        let mut apart = record(&paper(), events, 0.005, 3.0, 1);
+        for row in 0..apart.samples() {
+            let columns = [&mut apart.current_a, &mut apart.speed_rad_s];
+            columns[row % 2][row] = f64::NAN;
         }
-        starts_near(&scenario);
+        starts_near(&apart);
     }
 
     #[test]
-    fn without_a_current_the_lag_gives_the_start_beside_a_given_resistance() {
+    fn without_a_current_the_lag_gives_the_start_beside_given_values() {
         let events = held([0.0, 0.5, 2.0, 3.5], [0.0, 20.0, 60.0, 40.0]);
         let mut scenario = record(&paper(), events, 0.01, 5.0, 1);
         scenario.current_a.fill(f64::NAN);
         let mut model = unknown();
         model.motor.set(MotorKey::Resistance, 1.1);
         let found = complete(&model, &scenario).unwrap();
+        assert_eq!(found.motor.get(MotorKey::Resistance), Some(1.1));
         for key in [MotorKey::BackEmf, MotorKey::Inertia, MotorKey::LoadTorque] {
             let ratio = found.motor.get(key).unwrap() / paper().motor.get(key).unwrap();
             assert!((0.7..1.4).contains(&ratio), "{key:?} {ratio}");
         }
-    }
-
-    #[test]
-    fn what_the_user_gave_is_kept() {
-        let motor = Motor::zk_22fc().with(MotorKey::Resistance, 3.0);
-        let model = Model::baseline(motor);
-        let (input, channel) = (Input::Voltage, Channel::Voltage);
-        let mut scenario = Scenario::planned("r", input, channel, vec![(0.0, 0.0)], vec![0.0; 20]);
-        (scenario.current_a, scenario.speed_rad_s) = (vec![0.0; 20], vec![0.0; 20]);
-        let mut partial = model.clone();
-        partial.motor.clear(MotorKey::Inertia);
-        let completed = complete(&partial, &scenario).unwrap();
-        assert_eq!(completed.motor.get(MotorKey::Resistance), Some(3.0));
-        assert!(completed.motor.get(MotorKey::Inertia).unwrap() > 0.0);
     }
 }

@@ -143,10 +143,10 @@ pub(super) fn changed(run: &Run, channel: Channel, cell: impl Fn(usize, f64) -> 
     other
 }
 
-/// The run of a drive of which a limit let 60 % of the commands of that time through, and said so until the next one.
+/// The run of a drive of which a limit let 60 % of the commands of that time through; reported until the next one.
 pub(super) fn limited(run: &Run, within_s: std::ops::Range<f64>) -> Run {
     let times = run.time_s();
-    let asked = |row: usize, volts: f64| {
+    let commanded = |row: usize, volts: f64| {
         let share = if within_s.contains(&times[row]) {
             0.6
         } else {
@@ -154,12 +154,12 @@ pub(super) fn limited(run: &Run, within_s: std::ops::Range<f64>) -> Run {
         };
         volts / share
     };
-    let mut asked = changed(run, Channel::VoltageCmd, asked);
+    let mut out = changed(run, Channel::VoltageCmd, commanded);
     let until_s = within_s.end + 0.15;
     let rows = 0..run.rows();
     let rows = rows.filter(|row| (within_s.start..until_s).contains(&times[*row]));
-    asked.set_limited_rows(rows.collect());
-    asked
+    out.set_limited_rows(rows.collect());
+    out
 }
 
 /// The run that a scenario was recorded as: voltage as applied, current and speed as measured.

@@ -8,7 +8,7 @@
 //! quadrature of second order a third of the move is the error at the full rate, of first order all of it; the current has
 //! a corner at each step of the voltage, so the move over 1.5 is taken and added to the uncertainty. Noise in
 //! a regressor pulls its value towards zero: the pull follows from the noise, is taken back, and what is not known of it
-//! is added too. A torque constant found in the same run hands its uncertainty on to everything in the torque balance.
+//! is added too. The uncertainty of a torque constant found in the same run enters everything in the torque balance.
 //!
 //! Voltage: `<u> = R <i> + L <i'> + Ke <w> + effects`. Torque: `Kt <i> = J <w'> + Mc <sgn w> + effects`.
 
@@ -29,26 +29,14 @@ use drivebench_model::plant::{
 use drivebench_model::sample::ParameterEstimate;
 use drivebench_model::signal::{self, Window};
 
-/// Half length of the windows, s: the armature circuit is faster than the shaft.
-const VOLTAGE_HALF_S: f64 = 0.012;
+/// Half length of the windows of the torque balance, s.
 const TORQUE_HALF_S: f64 = 0.03;
 /// Samples that a half window has at least.
 const FEWEST_HALF: usize = 4;
-/// Speeds below this share of the largest count as standstill, where friction is not determined; so does what lies
-/// within four standard deviations of the speed's noise, up to the second share.
-const DEAD_ZONE: f64 = 0.01;
-const WIDEST_DEAD_ZONE: f64 = 0.1;
 /// Move by leaving out every second sample over the error at the full rate: between first order (1) and second (3).
 const SAMPLING_ORDER: f64 = 1.5;
 /// A regressor whose own part is less than this many times its noise (in power) carries no information.
 const LEAST_SIGNAL: f64 = 4.0;
-
-/// Periods without a measured torque across which it is not interpolated.
-const LONGEST_GAP: f64 = 5.0;
-/// Share of the largest speed below which friction is not yet developed: a reversal runs through presliding first.
-const REVERSAL: f64 = 0.015;
-/// Multiple of its nominal length beyond which a window spans a hole in the data.
-const LONGEST_WINDOW: f64 = 2.0;
 
 /// Estimates of one balance with its residual.
 #[derive(Clone, Debug)]
@@ -58,7 +46,7 @@ pub struct Balanced {
     /// What the balance misses in each window, V or N.m.
     pub residual: Vec<f64>,
     /// Root mean square that measurement noise alone would leave in the residual, V or N.m; `None` where the run has no
-    /// standstill to tell the noise.
+    /// standstill that shows the noise.
     pub noise_floor: Option<f64>,
 }
 
@@ -216,8 +204,9 @@ impl System {
             speed_rad_s: &scenario.speed_rad_s,
             at: &at,
         };
-        let columns = unknowns.iter().map(|unknown| signals.column(&unknown.slot));
-        let columns: Vec<Column> = columns.collect();
+        let columns: Vec<Column> = (unknowns.iter())
+            .map(|unknown| signals.column(&unknown.slot))
+            .collect();
         let is_free = |index: &usize| unknowns[*index].fixed.is_none();
         let free: Vec<usize> = (0..unknowns.len()).filter(is_free).collect();
         let (mut rows, mut right, mut windows) = (Vec::new(), Vec::new(), Vec::new());
@@ -262,13 +251,10 @@ impl System {
         }
     }
 
-    fn blocks(&self, begin_s: f64) -> Vec<usize> {
-        let block = |window: &Window| whole((window.middle_s - begin_s) / BLOCK_S);
-        self.windows.iter().map(block).collect()
-    }
-
     fn solve(&self, begin_s: f64) -> Option<least_squares::Solution> {
-        least_squares::solve(&self.matrix, &self.right, &self.blocks(begin_s))
+        let block = |window: &Window| whole((window.middle_s - begin_s) / BLOCK_S);
+        let blocks: Vec<usize> = self.windows.iter().map(block).collect();
+        least_squares::solve(&self.matrix, &self.right, &blocks)
     }
 
     fn doubts(
@@ -278,12 +264,9 @@ impl System {
         noise: &Noise,
     ) -> Vec<Doubt> {
         let (bread, _) = least_squares::inverse_where_determined(&self.matrix);
-        let free: Vec<&Unknown> = (self.unknowns.iter())
-            .filter(|it| it.fixed.is_none())
-            .collect();
         let own = |place: usize| 1.0 / bread[(place, place)].max(f64::MIN_POSITIVE);
+        let free = self.unknowns.iter().filter(|it| it.fixed.is_none());
         let power: Vec<f64> = free
-            .iter()
             .map(|unknown| {
                 let spread = noise.spread(&unknown.slot, self.gain, self.rate_gain);
                 self.windows.len() as f64 * spread * spread
@@ -302,32 +285,25 @@ impl System {
             }
         };
         let finite = |pull: f64| if pull.is_finite() { pull } else { 0.0 };
-        (0..free.len())
-            .map(|place| Doubt {
-                sampling: coarse
-                    .map(|coarse| (coarse.x[place] - solution.x[place]).abs() / SAMPLING_ORDER)
-                    .filter(|moved| moved.is_finite())
-                    .unwrap_or(0.0),
-                pulled: (0..free.len())
-                    .filter(|other| !lost(*other))
-                    .map(|other| finite(pull(place, other)))
-                    .sum(),
-                noise: (0..free.len())
-                    .map(|other| {
-                        let share = if lost(other) { 1.0 } else { noise.uncertainty };
-                        share * finite(pull(place, other)).abs()
-                    })
-                    .sum(),
-                // The own part is a sum of regressors: the noise of each counts by its share in it.
-                signal: own(place)
-                    / (0..free.len())
-                        .map(|other| {
-                            finite((bread[(place, other)] * own(place)).powi(2) * power[other])
-                        })
-                        .sum::<f64>()
-                        .max(f64::MIN_POSITIVE),
-            })
-            .collect()
+        let places = || 0..power.len();
+        let doubt = |place: usize| {
+            let moved = coarse.map_or(0.0, |coarse| (coarse.x[place] - solution.x[place]).abs());
+            let pulled = |other: usize| finite(pull(place, other));
+            let open = |other: usize| {
+                let share = if lost(other) { 1.0 } else { noise.uncertainty };
+                share * pulled(other).abs()
+            };
+            // The own part is a sum of regressors: the noise of each counts by its share in it.
+            let noisy =
+                |other: usize| finite((bread[(place, other)] * own(place)).powi(2) * power[other]);
+            Doubt {
+                sampling: finite(moved / SAMPLING_ORDER),
+                pulled: places().filter(|other| !lost(*other)).map(pulled).sum(),
+                noise: places().map(open).sum(),
+                signal: own(place) / places().map(noisy).sum::<f64>().max(f64::MIN_POSITIVE),
+            }
+        };
+        places().map(doubt).collect()
     }
 }
 
@@ -359,8 +335,9 @@ fn left(model: &Model, scenario: &Scenario, equation: Balance) -> Vec<f64> {
 
 fn half_window(scenario: &Scenario, equation: Balance) -> usize {
     let period_s = statistics::mean_step(&scenario.sample_time_s);
+    // The armature circuit is faster than the shaft.
     let half_s = match equation {
-        Balance::Voltage => VOLTAGE_HALF_S,
+        Balance::Voltage => 0.012,
         Balance::Torque => TORQUE_HALF_S,
     };
     whole((half_s / period_s).round()).max(FEWEST_HALF)
@@ -397,6 +374,7 @@ fn thinned(scenario: &Scenario) -> Scenario {
 struct Noise {
     current_a: f64,
     speed_rad_s: f64,
+    /// Below it the shaft may stand, where friction is not determined.
     dead_zone_rad_s: f64,
     from_standstill: bool,
     /// Relative standard deviation of the noise power.
@@ -415,9 +393,7 @@ impl Noise {
         Self {
             current_a: or_roughness(floor.map(|f| f.current_a), &scenario.current_a),
             speed_rad_s,
-            dead_zone_rad_s: (4.0 * speed_rad_s)
-                .min(WIDEST_DEAD_ZONE * largest)
-                .max(DEAD_ZONE * largest),
+            dead_zone_rad_s: (4.0 * speed_rad_s).min(0.1 * largest).max(0.01 * largest),
             from_standstill: floor.is_some(),
             // Of a variance from n samples; the roughness of a signal also holds some of the signal.
             uncertainty: floor.map_or(1.0, |f| (2.0 / f.samples as f64).sqrt()),
@@ -468,7 +444,7 @@ impl Noise {
 /// Definition: windows of 60 ms that overlap by half, test function `(1 - s^2)^4`, quadrature by the trapezoid rule on the
 /// true stamps; windows that touch a speed within the dead zone are left out. A given torque is held from one stamp to the
 /// next, as the simulation holds it: each sample counts with its mean over half a period either side, else the trapezoid
-/// rule sees it half a sample late. On the EMPS axis, at 1 kHz, that half millisecond is the difference
+/// rule takes it half a sample late. On the EMPS axis, at 1 kHz, that half millisecond is the difference
 /// between a relative error of 3.40 % (2.04 % with friction that differs by direction) and one of 3.17 % (1.63 %).
 pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
     let noise = Noise::of(scenario);
@@ -483,17 +459,15 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
     let (scored_from_s, scored_to_s) = scored_s(scenario)?;
     // Windows are laid on the samples that have a speed; the quadrature runs in true time.
     let speeds: Vec<f64> = at.iter().map(|at| at.speed_rad_s).collect();
-    let dead_zone_rad_s = noise
-        .dead_zone_rad_s
-        .max(REVERSAL * largest_but_outliers(&speeds));
+    // At a reversal friction runs through presliding first.
+    let dead_zone_rad_s = (noise.dead_zone_rad_s).max(0.015 * largest_but_outliers(&speeds));
     let (mut windows, mut inertia, mut lefts) = (Vec::new(), Vec::new(), Vec::new());
     let (mut gain, mut rate_gain) = (0.0, 0.0);
     for begin in (0..times.len().saturating_sub(2 * half)).step_by(half) {
         let end = begin + 2 * half;
-        let resting = speeds[begin..=end]
-            .iter()
-            .any(|speed| speed.abs() <= dead_zone_rad_s);
-        let whole_window = times[end] - times[begin] <= LONGEST_WINDOW * nominal_s;
+        let resting = (speeds[begin..=end].iter()).any(|speed| speed.abs() <= dead_zone_rad_s);
+        // A longer one spans a hole in the data.
+        let whole_window = times[end] - times[begin] <= 2.0 * nominal_s;
         let scored = times[begin] >= scored_from_s && times[end] <= scored_to_s;
         if resting || !whole_window || !scored {
             continue;
@@ -545,9 +519,11 @@ fn samples(model: &Model, scenario: &Scenario) -> (Vec<Instant>, Vec<f64>) {
     };
     let commanded_s: Vec<f64> = scenario.events.iter().map(|event| event.0).collect();
     let step_s = statistics::median_step(&commanded_s);
-    let longest_gap_s = Some(LONGEST_GAP * step_s)
-        .filter(|gap_s| gap_s.is_finite())
-        .unwrap_or(0.0);
+    let longest_gap_s = if step_s.is_finite() {
+        5.0 * step_s
+    } else {
+        0.0
+    };
     let kt = model.motor.torque_constant().unwrap_or(f64::NAN);
     let constants = Instant::of(&model.motor);
     let (mut at, mut left) = (Vec::new(), Vec::new());
@@ -559,8 +535,7 @@ fn samples(model: &Model, scenario: &Scenario) -> (Vec<Instant>, Vec<f64>) {
         let (current_a, torque_n_m, torque_n_m_per_a) = if scenario.input == Input::Torque {
             // Where the torque has a hole it is not known what was held.
             let beside = signal::line_across(&scenario.events, time_s, longest_gap_s);
-            let is_known = beside.is_finite();
-            let torque = if is_known {
+            let torque = if beside.is_finite() {
                 held_mean(scenario, sample)
             } else {
                 f64::NAN

@@ -1,4 +1,4 @@
-//! Integrals of the signals over short windows: both balances in their integral form, good enough to start from or to tell
+//! Integrals of the signals over short windows: both balances in their integral form, good enough to start from or to find
 //! which column is which.
 //!
 //! `int u = R int i + L (i_b - i_a) + Ke int w` and `Kt int i = J (w_b - w_a) + Mc int sgn w`, current and speed by the
@@ -11,14 +11,12 @@ use drivebench_model::numerics::statistics::median_step;
 /// Length of a window, s, and samples it has at least.
 const WINDOW_S: f64 = 0.03;
 const FEWEST_SAMPLES: usize = 3;
-/// Periods, and at least a window's length, that may pass between two rows of a window: nothing is integrated over a pause,
-/// where nobody knows what the signals did, and whose one window would outweigh all others.
-const LONGEST_STEP: f64 = 3.0;
 
 /// First and last row of each window.
 pub(super) fn windows(times: &[f64]) -> Vec<Range<usize>> {
     let mut windows = Vec::new();
-    let longest_s = WINDOW_S.max(LONGEST_STEP * median_step(times));
+    // Nothing is integrated over a pause, where the signals are not known and whose one window would outweigh all others.
+    let longest_s = WINDOW_S.max(3.0 * median_step(times));
     let mut begin = 0;
     while begin + FEWEST_SAMPLES <= times.len() {
         let mut end = begin + FEWEST_SAMPLES - 1;

@@ -38,10 +38,6 @@ use drivebench_model::signal;
 
 /// An acceleration whose own part is less than this many times its noise (in power) carries no inertia.
 const LEAST_SIGNAL: f64 = 4.0;
-/// Period as a share of the electrical time constant beyond which the current is not resolved.
-const SLOWEST: f64 = 0.5;
-/// A left-hand side that varies less than this, relatively, is a stuck column and no measurement.
-const STUCK: f64 = 1e-9;
 
 /// Estimates of one balance, and how they came about.
 #[derive(Clone, Debug)]
@@ -81,7 +77,7 @@ pub fn fit(model: &Model, run: &Run, scenario: &Scenario) -> Vec<Balanced> {
         let balance = match &gridded {
             None => case.refused(
                 None,
-                "no stretch of 60 samples without a gap tells speed or angle and what drives the shaft",
+                "no stretch of 60 samples without a gap has speed or angle and what drives the shaft",
             ),
             Some(gridded) => case.solved(&gridded.parts, Processing::choose(gridded)),
         };
@@ -94,27 +90,21 @@ pub fn fit(model: &Model, run: &Run, scenario: &Scenario) -> Vec<Balanced> {
         && let Some(ta_s) = model.motor.electrical_time_constant_s()
     {
         let period_s = gridded.parts[0].period_s;
-        let slow = period_s > SLOWEST * ta_s;
+        let slow = period_s > 0.5 * ta_s;
         let all = balances.iter_mut().flat_map(|b| &mut b.parameters);
-        all.filter(|_| slow)
-            .for_each(|parameter| unresolved(parameter, period_s, ta_s));
+        // The current moves on between two samples, and half the samples miss it as well: what they differ by understates
+        // the error, up to 2.3 times where the period equals the time constant (measured on the ZK-22FC at 10 ms).
+        for parameter in all.filter(|p| slow && p.value.is_some() && p.verdict != Verdict::Fixed) {
+            parameter.std = parameter.std.map(|std| 3.0 * std);
+            parameter.unsettle(format!(
+                "the period of {:.1} ms does not resolve the armature circuit (L/R = {:.1} ms): use the output-error fit, \
+                 or sample faster",
+                1e3 * period_s,
+                1e3 * ta_s
+            ));
+        }
     }
     balances
-}
-
-/// The current moves on between two samples, and half the samples miss it as well: what they differ by understates the
-/// error, up to 2.3 times where the period equals the time constant (measured on the ZK-22FC at 10 ms).
-fn unresolved(parameter: &mut ParameterEstimate, period_s: f64, ta_s: f64) {
-    if parameter.value.is_none() || parameter.verdict == Verdict::Fixed {
-        return;
-    }
-    parameter.std = parameter.std.map(|std| 3.0 * std);
-    parameter.unsettle(format!(
-        "the period of {:.1} ms does not resolve the armature circuit (L/R = {:.1} ms): use the output-error fit, or \
-         sample faster",
-        1e3 * period_s,
-        1e3 * ta_s
-    ));
 }
 
 /// One balance of one run.
@@ -129,11 +119,10 @@ struct Case<'a> {
 
 impl Case<'_> {
     fn refused(&self, processing: Option<Processing>, reason: &str) -> Balanced {
-        let parameters = self.unknowns.iter().map(|unknown| unknown.unsolved(reason));
-        let parameters = parameters.collect();
+        let unsolved = |unknown: &Unknown| unknown.unsolved(reason);
         Balanced {
             equation: self.equation,
-            parameters,
+            parameters: self.unknowns.iter().map(unsolved).collect(),
             relative_error_percent: f64::NAN,
             rows: 0,
             rows_left_out: 0,
@@ -176,30 +165,21 @@ impl Case<'_> {
         let relative = self.equation == Balance::Torque
             && self.scenario.input != Input::Torque
             && self.model.motor.torque_constant().is_none();
-        let estimates = free.iter().enumerate().map(|(place, slot)| {
-            let found = solved.judged(
-                place,
-                slot,
-                &free,
-                &others,
-                (&processing, self.doubt_of_left),
-            );
+        let mut places = 0..;
+        let estimate = |unknown: &Unknown| {
+            let place = (unknown.fixed.is_none()).then(|| places.next()).flatten();
+            let Some(place) = place else {
+                return unknown.unsolved("");
+            };
+            let doubt = (&processing, self.doubt_of_left);
+            let found = solved.judged(place, &free, &others, doubt);
             if relative {
                 as_ratio(found)
             } else {
-                gated(found, slot)
+                gated(found, &unknown.slot)
             }
-        });
-        let mut estimates = estimates.collect::<Vec<_>>().into_iter();
-        let parameters = unknowns
-            .iter()
-            .map(|unknown| match unknown.fixed {
-                Some(_) => unknown.unsolved(""),
-                None => estimates
-                    .next()
-                    .expect("one estimate was made for every unknown that is not fixed"),
-            })
-            .collect();
+        };
+        let parameters = unknowns.iter().map(estimate).collect();
         let total: usize = full.iter().map(|rows| rows.valid.len()).sum();
         Balanced {
             equation: self.equation,
@@ -231,18 +211,16 @@ impl Case<'_> {
         if let Some(column) = (0..unknowns.len()).find(|column| unknown(*column)) {
             return Some(match &unknowns[column].slot {
                 Slot::Motor(_) => "the run has no current".to_owned(),
-                Slot::Effect { id, .. } => {
-                    format!(
-                        "effect {id} needs a signal that the run does not have (angle or current)"
-                    )
-                }
+                Slot::Effect { id, .. } => format!(
+                    "effect {id} needs a signal that the run does not have (angle or current)"
+                ),
             });
         }
         let (least, most) = extent(lefts());
-        let stuck = most - least <= STUCK * most.abs().max(least.abs());
-        stuck.then(|| {
-        format!("what drives the shaft is {most} throughout, to the last digit: no excitation, or a stuck column")
-    })
+        let stuck = most - least <= 1e-9 * most.abs().max(least.abs());
+        stuck.then(|| format!(
+            "what drives the shaft is {most} throughout, to the last digit: no excitation, or a stuck column"
+        ))
     }
 
     fn rows(&self, part: &Part, processing: &Processing) -> Option<Rows> {
@@ -255,7 +233,7 @@ impl Case<'_> {
             (Balance::Voltage, _) => filtered.beside(&held_means(scenario, part)),
             (Balance::Torque, Input::Torque) => spanned(&filtered.beside(&part.torque_n_m)),
             (Balance::Torque, Input::Voltage | Input::Current) => {
-                // Without a torque constant in units of it: the caller says so.
+                // Without a torque constant in units of it: the caller reports that.
                 let kt = model.motor.torque_constant().unwrap_or(1.0);
                 spanned(&current).iter().map(|i| kt * i).collect()
             }
@@ -284,7 +262,6 @@ impl Case<'_> {
             Column::Values(values) => low_pass(&spanned(&values)),
             Column::Rate(values) => low_pass(&rate(&values, part.period_s)),
         };
-        let columns = self.unknowns.iter().map(column).collect();
         let reach = processing.reach(part.period_s);
         let valid = match equation {
             Balance::Voltage => vec![true; speed.len()],
@@ -293,7 +270,7 @@ impl Case<'_> {
         Some(Rows {
             time_s: (0..part.samples()).map(|k| part.time_s(k)).collect(),
             left: low_pass(&left),
-            columns,
+            columns: self.unknowns.iter().map(column).collect(),
             valid: inside(valid, reach),
         })
     }
@@ -302,7 +279,7 @@ impl Case<'_> {
 /// The mean of the fits over all offsets of the decimation.
 struct Solved {
     x: DVector<f64>,
-    /// Mean of the block-clustered covariances: neighbouring offsets see the same noise, so averaging them gains nothing.
+    /// Mean of the block-clustered covariances: neighbouring offsets have the same noise, so averaging them gains nothing.
     covariance: DMatrix<f64>,
     bread: DMatrix<f64>,
     rows: usize,
@@ -319,16 +296,22 @@ impl Solved {
         let count = fits.len() as f64;
         let first = fits.first()?;
         let size = first.solution.x.len();
-        let zero = DMatrix::zeros(size, size);
-        let sum = fits
-            .iter()
-            .fold(DVector::zeros(size), |sum, fit| sum + &fit.solution.x);
-        let mean = sum / count;
+        let (mut mean, mut covariance) = (
+            DVector::<f64>::zeros(size),
+            DMatrix::<f64>::zeros(size, size),
+        );
+        let mut bread = covariance.clone();
+        for fit in &fits {
+            mean += &fit.solution.x;
+            covariance += &fit.solution.covariance;
+            bread += &fit.bread;
+        }
+        mean /= count;
         // A value that is lost in its noise is no measure for its own spread.
         let size_of = |place: usize| {
             let std = first.solution.covariance[(place, place)].max(0.0).sqrt();
-            let known = Some(std).filter(|std| std.is_finite()).unwrap_or(0.0);
-            mean[place].abs().max(known).max(f64::MIN_POSITIVE)
+            let known = if std.is_finite() { std } else { 0.0 };
+            f64::abs(mean[place]).max(known).max(f64::MIN_POSITIVE)
         };
         let spread = |place: usize| {
             let off = fits.iter().map(|fit| fit.solution.x[place] - mean[place]);
@@ -336,10 +319,6 @@ impl Solved {
             100.0 * (squares / count).sqrt() / size_of(place)
         };
         let spread_percent = (0..size).map(spread).fold(0.0, f64::max);
-        let covariance = fits
-            .iter()
-            .fold(zero.clone(), |sum, fit| sum + &fit.solution.covariance);
-        let bread = fits.iter().fold(zero, |sum, fit| sum + &fit.bread);
         let rows: usize = fits.iter().map(|fit| fit.solution.residual.len()).sum();
         let errors = fits
             .iter()
@@ -358,30 +337,26 @@ impl Solved {
     fn judged(
         &self,
         place: usize,
-        slot: &Slot,
         free: &[&Slot],
         others: &[Option<Self>],
         (processing, doubt_of_left): (&Processing, f64),
     ) -> ParameterEstimate {
-        let own = |place: usize| 1.0 / self.bread[(place, place)].max(f64::MIN_POSITIVE);
+        let slot = free[place];
+        let own = 1.0 / self.bread[(place, place)].max(f64::MIN_POSITIVE);
         let power = self.rows_per_fit * processing.acceleration_noise.powi(2);
         let accelerates = |slot: &Slot| matches!(slot, Slot::Motor(MotorKey::Inertia));
         let determined = self.covariance[(place, place)].is_finite();
-        if determined && accelerates(slot) && own(place) < LEAST_SIGNAL * power {
+        if determined && accelerates(slot) && own < LEAST_SIGNAL * power {
             let reason = format!(
                 "the acceleration is {:.1} times its noise in power, at least {LEAST_SIGNAL} is needed: \
                  the run does not excite it",
-                own(place) / power
+                own / power
             );
             return ParameterEstimate::not_observable(&slot.key(), slot.unit(), reason);
         }
         // Noise in the acceleration pulls the inertia towards zero, and with it every value that shares its direction.
-        let pull = free
-            .iter()
-            .position(|slot| accelerates(slot))
-            .map_or(0.0, |inertia| {
-                self.bread[(place, inertia)] * power * self.x[inertia]
-            });
+        let inertia = free.iter().position(|slot| accelerates(slot));
+        let pull = inertia.map_or(0.0, |j| self.bread[(place, j)] * power * self.x[j]);
         let moves = others
             .iter()
             .flatten()
@@ -428,11 +403,8 @@ impl Fit {
                 blocks.push(whole((time_s[row] - begin_s) / BLOCK_S));
             }
         }
-        let free = unknowns
-            .iter()
-            .filter(|unknown| unknown.fixed.is_none())
-            .count();
-        let matrix = DMatrix::from_row_slice(right.len(), free, &cells);
+        let free = unknowns.iter().filter(|unknown| unknown.fixed.is_none());
+        let matrix = DMatrix::from_row_slice(right.len(), free.count(), &cells);
         let right = DVector::from_vec(right);
         let (bread, _) = least_squares::inverse_where_determined(&matrix);
         Some(Self {
@@ -445,10 +417,8 @@ impl Fit {
 
 /// Physics gates of a value that was found.
 fn gated(found: ParameterEstimate, slot: &Slot) -> ParameterEstimate {
-    let (Slot::Motor(_), Some(value)) = (slot, found.value) else {
-        return found;
-    };
-    if value >= 0.0 {
+    let negative = found.value.is_some_and(|value| value < 0.0);
+    if !(negative && matches!(slot, Slot::Motor(_))) {
         return found;
     }
     ParameterEstimate {
@@ -482,13 +452,14 @@ impl Filtered {
         let filter = filter(processing.cut_off_hz, part.period_s)?;
         let angular = processing.motion == Motion::Angle;
         let motion = filter.zero_phase(&part.motion);
+        let speed = if angular {
+            rate(&motion, part.period_s)
+        } else {
+            motion
+        };
         Some(Self {
             filter,
-            speed: if angular {
-                rate(&motion, part.period_s)
-            } else {
-                motion
-            },
+            speed,
             angular,
         })
     }
@@ -514,7 +485,7 @@ fn inside(mut valid: Vec<bool>, reach: usize) -> Vec<bool> {
 }
 
 /// False at rest and within the filter's reach of it: a shaft that sticks is held by less than the Coulomb torque. A
-/// reversal passes through zero speed faster than the filter sees, and stays.
+/// reversal passes through zero speed faster than the filter resolves, and stays.
 fn moving(speed: &[f64], dead_zone_rad_s: f64, reach: usize) -> Vec<bool> {
     let mut moving = vec![true; speed.len()];
     let shortest = (reach / 2).max(3);
@@ -567,7 +538,7 @@ impl Stretch {
 /// pass of order 4 at a tenth of the rate; speed and acceleration as central differences; terms formed from these; then
 /// both sides of the balance through the low pass of a decimation, at half of that cut-off, so that one row in ten holds
 /// all of it. Published figures are of those rows: on the EMPS axis a relative error of 4.08 %, and 3.11 % with friction
-/// that differs by direction. Every row is taken here instead of one in ten, which after that filter says the same
+/// that differs by direction. Every row is taken here instead of one in ten, which after that filter gives the same
 /// (4.03 to 4.11 % over the ten offsets, 4.07 % over all rows). Without it the figure is 4.30 %, and of one row in ten
 /// anything between 3.97 and 4.60 %: this axis turns round every 3.12 s exactly, always at the same offset, and what the
 /// filter rings with there is caught or missed.
@@ -630,8 +601,7 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
         return None;
     }
     let averaging = move |values: &[f64]| -> Vec<f64> {
-        stretches
-            .iter()
+        (stretches.iter())
             .flat_map(|stretch| stretch.averaged(values))
             .collect()
     };

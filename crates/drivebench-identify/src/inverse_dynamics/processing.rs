@@ -12,18 +12,7 @@ use drivebench_model::sample::{Channel, Origin, Run};
 use drivebench_model::signal;
 
 /// Order of the low pass. With both passes the gain falls by 48 dB per octave.
-pub(super) const ORDER: usize = 4;
-/// Cut-off as a share of the sampling rate where noise does not ask for less: the choice of the reference processing
-/// (100 Hz at 1 kHz), low enough for central differences and high enough for the motion.
-const SHARE_OF_RATE: f64 = 0.1;
-/// Share of the acceleration's power that may be noise before the cut-off is lowered.
-const ALLOWED_NOISE: f64 = 1e-3;
-/// Lowest cut-off as a share of the first choice, and the step on the way.
-const LOWEST: f64 = 0.05;
-const STEP: f64 = 0.8;
-/// Rows within this many standard deviations of zero speed, or this share of the largest, may be at rest.
-const DEAD_ZONE_DEVIATIONS: f64 = 4.0;
-const DEAD_ZONE_SHARE: f64 = 1e-3;
+const ORDER: usize = 4;
 
 /// The processing of both sides of a balance.
 #[derive(Clone, Debug)]
@@ -37,7 +26,7 @@ pub struct Processing {
     /// Parts of the run without gaps.
     pub parts: usize,
     pub interpolated: bool,
-    /// Whether noise asked for a lower cut-off than a tenth of the rate.
+    /// Whether noise requires a lower cut-off than a tenth of the rate.
     pub lowered: bool,
     /// Below this the shaft may be at rest, rad/s.
     pub dead_zone_rad_s: f64,
@@ -57,27 +46,28 @@ impl Processing {
         let noise = noise(parts);
         // Differentiations that lead to the speed; one more leads to the acceleration.
         let of_speed = u16::from(gridded.motion == Motion::Angle);
-        let first_hz = SHARE_OF_RATE * rate_hz;
+        // The choice of the reference processing (100 Hz at 1 kHz): low enough for central differences, high enough for the
+        // motion.
+        let first_hz = 0.1 * rate_hz;
         let mut best = (f64::INFINITY, first_hz);
         let mut cut_off_hz = first_hz;
-        while cut_off_hz >= LOWEST * first_hz {
+        while cut_off_hz >= 0.05 * first_hz {
             let error = noise_of(1 + of_speed, noise, cut_off_hz, rate_hz).powi(2);
             let power = acceleration_power(gridded, cut_off_hz, rate_hz);
             let share = error / (power - error).max(f64::MIN_POSITIVE);
             if share < best.0 {
                 best = (share, cut_off_hz);
             }
-            if share <= ALLOWED_NOISE {
+            if share <= 1e-3 {
                 break;
             }
-            cut_off_hz *= STEP;
+            cut_off_hz *= 0.8;
         }
         let cut_off_hz = best.1;
-        let fastest = parts
+        let speeds = parts
             .iter()
-            .flat_map(|part| filtered_speed(gridded.motion, part, cut_off_hz, rate_hz))
-            .map(f64::abs)
-            .fold(0.0, f64::max);
+            .flat_map(|part| filtered_speed(gridded.motion, part, cut_off_hz, rate_hz));
+        let fastest = statistics::largest(speeds);
         let deviation = noise_of(of_speed, noise, cut_off_hz, rate_hz);
         Self {
             motion: gridded.motion,
@@ -88,7 +78,7 @@ impl Processing {
             parts: parts.len(),
             interpolated: gridded.interpolated,
             lowered: cut_off_hz < 0.999 * first_hz,
-            dead_zone_rad_s: (DEAD_ZONE_DEVIATIONS * deviation).max(DEAD_ZONE_SHARE * fastest),
+            dead_zone_rad_s: (4.0 * deviation).max(1e-3 * fastest),
             acceleration_noise: noise_of(1 + of_speed, noise, cut_off_hz, rate_hz),
         }
     }
@@ -226,14 +216,10 @@ fn noise_of(derivatives: u16, sigma: f64, cut_off_hz: f64, rate_hz: f64) -> f64 
     sigma * (2.0 * cut_off_hz / rate_hz * omega.powf(power) / (power + 1.0)).sqrt()
 }
 
-/// Periods without a sample that end a part.
-const LONGEST_GAP: f64 = 5.0;
 /// Deviation from an even grid, in periods, up to which stamps count as even.
 const EVEN: f64 = 0.02;
-/// Samples below which a part is left out: the filter's ends would be all there is.
-const FEWEST: usize = 60;
 
-/// What tells the motion.
+/// The signal that holds the motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Motion {
     Speed,
@@ -287,8 +273,8 @@ pub(super) struct Gridded {
 
 type Points = Vec<(f64, f64)>;
 
-/// What is measured beside the angle: the processing filters the angle before it differentiates it, so it has to know
-/// whether the speed was derived from it.
+/// What is measured beside the angle, and whether the speed was derived from it: the processing filters the angle before it
+/// differentiates it.
 pub(super) struct Measured {
     speed: Points,
     speed_is_derived: bool,
@@ -358,15 +344,13 @@ pub(super) fn gridded(measured: &Measured, scenario: &Scenario) -> Option<Gridde
     if needed.is_empty() {
         return None;
     }
-    let period_s = needed
-        .iter()
-        .map(|points| median_gap(points))
-        .fold(0.0, f64::max);
+    let period_s = statistics::largest(needed.iter().map(|points| median_gap(points)));
     for (from_s, to_s) in stretches(&needed, period_s) {
         let inside = |points: &Points| within(points.iter().copied(), from_s, to_s);
         let moving = inside(&moving);
         let grid = even(&moving, period_s).unwrap_or_else(|| over(from_s, to_s, period_s));
-        if grid.len() < FEWEST {
+        // The filter's ends would be all there is.
+        if grid.len() < 60 {
             continue;
         }
         let mut carried = |points: &Points, curved: bool| {
@@ -408,7 +392,7 @@ fn stretches(needed: &[&Points], period_s: f64) -> Vec<(f64, f64)> {
     let mut gaps: Vec<(f64, f64)> = needed
         .iter()
         .flat_map(|points| points.windows(2).map(|w| (w[0].0, w[1].0)))
-        .filter(|gap| gap.1 - gap.0 > LONGEST_GAP * period_s)
+        .filter(|gap| gap.1 - gap.0 > 5.0 * period_s)
         .collect();
     gaps.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut stretches = Vec::new();

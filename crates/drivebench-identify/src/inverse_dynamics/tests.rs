@@ -77,21 +77,17 @@ fn fitted(model: &Model, run: &Run) -> Vec<Balanced> {
 
 #[test]
 fn a_linear_axis_in_a_closed_loop_gives_all_four_values() {
-    let balances = fitted(&axis_model(), &axis(9.6, 0.0));
-    let processing = balances[0].processing.as_ref().unwrap();
+    let [plain, skewed] = [0.0, 37.0].map(|asymmetry| fitted(&axis_model(), &axis(9.6, asymmetry)));
+    let processing = plain[0].processing.as_ref().unwrap();
     assert_eq!(processing.motion, Motion::Angle);
     assert!((processing.cut_off_hz - 100.0).abs() < 0.1 && processing.decimation == 5);
     for (key, truth) in TRUTH {
-        let parameter = found(&balances, key);
+        let parameter = found(&plain, key);
         assert_covers(parameter, truth, 0.005, 3.0);
         assert_eq!(parameter.verdict, Verdict::Settled, "{parameter:?}");
     }
-    assert!(balances[0].relative_error_percent < 3.0);
-}
-
-#[test]
-fn friction_that_differs_by_direction_shows_in_the_error_and_widens_the_interval() {
-    let [plain, skewed] = [0.0, 37.0].map(|asymmetry| fitted(&axis_model(), &axis(9.6, asymmetry)));
+    assert!(plain[0].relative_error_percent < 3.0);
+    // Friction that differs by direction shows in the error and widens the interval.
     assert!(skewed[0].relative_error_percent > 1.5 * plain[0].relative_error_percent);
     let key = "viscous_friction.viscous_n_m_s_per_rad";
     assert!(found(&skewed, key).std > found(&plain, key).std);
@@ -106,7 +102,7 @@ fn bench(seed: u64, times: Vec<f64>) -> Run {
     let until_s = times[times.len() - 1];
     let (mut events, mut at_s) = (vec![(0.0, 0.0)], 0.3);
     while at_s < until_s {
-        // On a row, so that the recorded voltage says when it changed.
+        // On a row, so that the recorded voltage has the instant.
         let on_a_row = (at_s * 100.0).round() / 100.0 - 1e-9;
         events.push((on_a_row, rng.random_range(-60.0..60.0)));
         at_s += rng.random_range(0.08..0.4);
@@ -153,15 +149,15 @@ fn a_voltage_run_gives_both_balances() {
         (found.value.unwrap(), found.std.unwrap())
     };
     let (ke, ke_std) = of(&balances, "back_emf_v_s_per_rad");
-    let mut told = testing::unknown();
-    told.motor.set(MotorKey::TorqueConstant, ke);
-    let (_, sure) = of(&fitted(&told, &run), "inertia_kg_m2");
+    let mut given = testing::unknown();
+    given.motor.set(MotorKey::TorqueConstant, ke);
+    let (_, sure) = of(&fitted(&given, &run), "inertia_kg_m2");
     let (inertia, doubted) = of(&balances, "inertia_kg_m2");
     assert_near(doubted, sure.hypot(inertia * ke_std / ke), 1e-9);
 }
 
 #[test]
-fn current_and_speed_alone_with_jitter_missing_cells_and_rows_of_their_own() {
+fn current_and_speed_alone_bear_jitter_missing_cells_and_a_pause() {
     let mut rng = ChaCha8Rng::seed_from_u64(8);
     let jittered: Vec<f64> = every(0.002, 6.0)
         .into_iter()
@@ -177,53 +173,46 @@ fn current_and_speed_alone_with_jitter_missing_cells_and_rows_of_their_own() {
         });
         apart = changed(&apart, channel, |k, cell| missing_if(k % 2 != shift, cell));
     }
-    for (run, within) in [(&whole_run, 0.01), (&holed, 0.02), (&apart, 0.03)] {
+    let pause = |k: usize, cell| {
+        if (1200..1500).contains(&k) {
+            f64::NAN
+        } else {
+            cell
+        }
+    };
+    let cut = changed(&whole_run, Channel::Current, pause);
+    let cut = changed(&cut, Channel::Speed, pause);
+    for (run, within, parts) in [
+        (&whole_run, 0.01, 1),
+        (&holed, 0.02, 1),
+        (&apart, 0.03, 1),
+        (&cut, 0.02, 2),
+    ] {
         let balances = fitted(&model, run);
         assert_eq!(balances.len(), 1);
+        assert_eq!(balances[0].processing.as_ref().unwrap().parts, parts);
         near(&balances, "inertia_kg_m2", 0.0045, within);
         near(&balances, "load_torque_n_m", 0.455, within);
     }
-}
-
-#[test]
-fn without_a_torque_constant_the_ratios_are_told_and_nothing_else() {
-    let run = without_voltage(&bench(3, every(0.002, 6.0)));
-    let balances = fitted(&testing::unknown(), &run);
+    // Without a torque constant only the ratios to it.
+    let balances = fitted(&testing::unknown(), &whole_run);
     for (key, ratio) in [
         ("inertia_kg_m2", 0.0045 / 0.3538),
         ("load_torque_n_m", 0.455 / 0.3538),
     ] {
         let parameter = found(&balances, key);
-        assert_eq!(parameter.value, None);
-        assert_eq!(parameter.verdict, Verdict::NotObservable);
-        let reason = parameter.reason.as_deref().unwrap();
-        let mut words = reason.split_whitespace();
+        assert_eq!(
+            (parameter.value, parameter.verdict),
+            (None, Verdict::NotObservable)
+        );
+        let mut words = parameter.reason.as_deref().unwrap().split_whitespace();
         let number = words.find_map(|word| word.parse::<f64>().ok());
         assert_near(number.unwrap(), ratio, 0.02);
     }
 }
 
 #[test]
-fn a_pause_in_the_record_is_left_out_and_the_parts_serve_together() {
-    let run = bench(4, every(0.002, 6.0));
-    let mut cut = without_voltage(&run);
-    for channel in [Channel::Current, Channel::Speed] {
-        let gap = |k, cell| {
-            if (1200..1500).contains(&k) {
-                f64::NAN
-            } else {
-                cell
-            }
-        };
-        cut = changed(&cut, channel, gap);
-    }
-    let balances = fitted(&paper(), &cut);
-    assert_eq!(balances[0].processing.as_ref().unwrap().parts, 2);
-    near(&balances, "inertia_kg_m2", 0.0045, 0.02);
-}
-
-#[test]
-fn a_coarse_angle_lowers_the_cut_off_and_is_said_to() {
+fn a_coarse_angle_lowers_the_cut_off() {
     // 1000 counts per turn at 2 ms, starting again after each turn.
     let run = bench(5, every(0.002, 8.0));
     let (mut angle, mut angles) = (0.0, Vec::new());
@@ -291,7 +280,7 @@ const KINDS: [Kind; 4] = [
 ];
 
 #[test]
-fn the_interval_covers_on_even_jittered_slow_and_quantised_data() {
+fn intervals_cover_on_even_jittered_slow_and_quantised_data() {
     use rayon::prelude::*;
     let truth = Motor::zk_22fc();
     let model = Model::baseline(Motor::new("?").with(MotorKey::TorqueConstant, 0.3538));
@@ -326,13 +315,11 @@ fn the_interval_covers_on_even_jittered_slow_and_quantised_data() {
 fn rest_is_left_out_with_the_filters_reach_and_a_reversal_stays() {
     let mut speed = vec![1.0; 60];
     speed[20..30].fill(0.0);
-    // A reversal: one sample within the dead zone.
-    speed[50] = 0.005;
-    speed[51..].fill(-1.0);
+    // A reversal is one sample within the dead zone; rest may last to the end.
+    speed[40] = 0.005;
+    speed[41..57].fill(-1.0);
+    speed[57..].fill(0.0);
     let moving = moving(&speed, 0.01, 6);
-    assert!(moving[..14].iter().all(|m| *m) && moving[36..].iter().all(|m| *m));
-    assert!(moving[14..36].iter().all(|m| !*m));
-    // Rest that lasts to the end is rest as well.
-    speed[51..].fill(0.0);
-    assert!(!super::moving(&speed, 0.01, 6)[59]);
+    let rests: Vec<usize> = (0..60).filter(|k| !moving[*k]).collect();
+    assert_eq!(rests, (14..36).chain(51..60).collect::<Vec<_>>());
 }

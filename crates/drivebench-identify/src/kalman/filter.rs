@@ -3,9 +3,9 @@
 //! ```text
 //!            +--- |w| clear of zero, same sign --> Turning(s): predict, test, update
 //! Unknown ---+
-//!  (state =  +--- a run of samples at zero ------> AtRest: only the winding is predicted; says nothing of friction
+//!  (state =  +--- a run of samples at zero ------> AtRest: only the winding is predicted; nothing on friction
 //!  the sample)
-//!      ^--------- reversal, start, stop, gap, late voltage: the interval is not used, parameters keep what they know
+//!      ^--------- reversal, start, stop, gap, late voltage: the interval is not used, the parameters stay
 //! ```
 //!
 //! Between such breaks the model is linear in its state and exact (`physics`); its derivatives to the parameters are
@@ -76,10 +76,9 @@ impl Belief {
 
     /// Adds `q g g'` for the states I, W, TL.
     pub(super) fn disturb(&mut self, g: [f64; 3], q: f64) {
-        const AT: [usize; 3] = [I, W, TL];
-        for k in 0..3 {
-            for m in 0..3 {
-                self.p[AT[k]][AT[m]] += q * g[k] * g[m];
+        for (k, gk) in [I, W, TL].into_iter().zip(g) {
+            for (m, gm) in [I, W, TL].into_iter().zip(g) {
+                self.p[k][m] += q * gk * gm;
             }
         }
     }
@@ -113,32 +112,12 @@ impl Belief {
     }
 }
 
-/// Standard deviations of the speed noise, and share of the largest speed, below which its sign is not certain.
-const CERTAIN: f64 = 4.0;
-const SHARE: f64 = 0.005;
-/// Multiple of that speed at which a motion begins to be used; it ends at the speed itself.
-const STARTS: f64 = 2.0;
-/// Samples at zero speed in a row that make a rest, and the deviation that ends it.
-const REST_ROWS: u32 = 8;
+/// Deviation of the speed from zero that ends a rest, in standard deviations of its noise.
 const REST_ENDS: f64 = 3.0;
-/// Share of the Coulomb torque above which a rest may end at any time.
-const NEAR_BREAKAWAY: f64 = 0.8;
-/// A longer gap between samples ends the prediction, s.
-const LONGEST_GAP_S: f64 = 0.25;
-/// Innovation, in standard deviations, that is an outlier; so many in a row say that the parameters have changed.
+/// Innovation, in standard deviations, that is an outlier.
 const OUTLIER: f64 = 5.0;
-const OUTLIERS: u32 = 3;
-/// Variance by which the parameters are opened then.
-const REOPEN: f64 = 16.0;
-/// Loss of information of the first rows, which were linearised about a poor start, and how long it lasts.
-const EARLY_LOSS: f64 = 0.05;
-const EARLY_ROWS: f64 = 60.0;
 /// Gauss's two points of an interval.
 const GAUSS: [f64; 2] = [0.211_324_865_405_187_1, 0.788_675_134_594_812_9];
-/// Relative step of the differences that give the derivatives.
-const STEP: f64 = 1e-5;
-/// Largest change of a logarithm in one update.
-const LARGEST_STEP: f64 = 0.4;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) enum Mode {
@@ -158,7 +137,7 @@ pub(super) enum Source {
     Current,
 }
 
-/// Counts of what was and was not used.
+/// Counts of the rows.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Tally {
     pub(super) used: u64,
@@ -189,10 +168,11 @@ pub(super) struct Filter {
     /// Normalised innovations squared of the rows used, their number, and the logarithm of their likelihood.
     pub(super) log_likelihood: f64,
     /// Parameters about which the model is linearised, where that is not the present estimate: derivatives that follow a
-    /// noisy estimate tell directions that the data do not (Huang, Mourikis and Roumeliotis, Int. J. Robotics Research
-    /// 29 (2010) 502).
+    /// noisy estimate make directions observable that the data do not (Huang, Mourikis and Roumeliotis, Int. J. Robotics
+    /// Research 29 (2010) 502).
     pub(super) reference: Option<[f64; N]>,
-    early: f64,
+    /// Loss of information of the first rows, which were linearised about a poor start: now, and at a start.
+    pub(super) early: f64,
     early_loss: f64,
     /// Only the load is tracked: the noise is that of the rest, where there was one.
     pub(super) fixed_noise: bool,
@@ -210,7 +190,7 @@ impl Filter {
             torque_n_m_per_a,
             now_s: f64::NAN,
             period_s: f64::NAN,
-            early_loss: EARLY_LOSS,
+            early_loss: 0.05,
             ..Self::default()
         };
         (filter.belief.x[I], filter.belief.x[W]) = (x[I], x[W]);
@@ -232,11 +212,6 @@ impl Filter {
         self.prior = variance;
         self.early = self.early_loss;
         self.stop();
-    }
-
-    /// No loss of early information: the start is a good one.
-    pub(super) fn trust_start(&mut self) {
-        self.early = 0.0;
     }
 
     /// The parameters are known and nothing depends on the sign of the speed.
@@ -269,7 +244,7 @@ impl Filter {
     /// Speed below which its sign is not certain, rad/s.
     pub(super) fn zone_rad_s(&self) -> f64 {
         let sensor = &self.sensors[1];
-        (CERTAIN * sensor.variance().sqrt()).max(SHARE * sensor.largest)
+        (4.0 * sensor.variance().sqrt()).max(0.005 * sensor.largest)
     }
 
     /// One sample later than the last; what is missing or not finite is `None`. False: it could not be used.
@@ -281,15 +256,15 @@ impl Filter {
         }
         for (sensor, value) in self.sensors.iter_mut().zip(measured) {
             if let Some(value) = value {
-                sensor.see(value, !self.voltage.energised);
+                sensor.take(value, !self.voltage.energised);
             }
         }
         if !first {
             self.period_s = steady_period(self.period_s, length_s);
         }
         let powered = self.source == Source::Current || self.voltage.at(self.now_s).is_some();
-        let follows =
-            powered && !self.asleep && !first && !self.voltage.torn && length_s <= LONGEST_GAP_S;
+        // A longer gap between samples ends the prediction.
+        let follows = powered && !self.asleep && !first && !self.voltage.torn && length_s <= 0.25;
         let used = match self.mode {
             Mode::Turning(s) if follows => self.turn(length_s, s, measured),
             Mode::AtRest if follows => self.rest(length_s, measured),
@@ -317,8 +292,7 @@ impl Filter {
 
     /// Root mean square of the recent innovations over the noise at rest: current (or torque), speed; `None` without a rest.
     pub(super) fn consistency(&self) -> [Option<f64>; 2] {
-        let found = self.sensors.map(|sensor| sensor.consistency());
-        found.map(|found| found.map(|(ratio, _)| ratio))
+        (self.sensors).map(|sensor| sensor.consistency().map(|(ratio, _)| ratio))
     }
 
     fn turn(&mut self, length_s: f64, s: f64, measured: [Option<f64>; 2]) -> bool {
@@ -373,10 +347,10 @@ impl Filter {
         let level = self.belief.x[MC] - self.belief.p[MC][MC].sqrt();
         let torque = self.physics().kt * current_a - self.belief.x[TL];
         let noise = self.physics().kt * self.sensors[0].variance().sqrt();
-        torque.abs() > (NEAR_BREAKAWAY * level).max(REST_ENDS * noise)
+        torque.abs() > (0.8 * level).max(REST_ENDS * noise)
     }
 
-    /// The load torque walks on, unseen.
+    /// The load torque is a random walk.
     fn walk(&mut self, length_s: f64) {
         self.belief.p[TL][TL] += self.load_rate.powi(2) * length_s;
     }
@@ -399,8 +373,7 @@ impl Filter {
         }
         let mut rows = [[0.0; N]; 2];
         for (k, row) in rows.iter_mut().enumerate() {
-            row[I] = step.phi[k][0];
-            row[W] = step.phi[k][1];
+            [row[I], row[W]] = step.phi[k];
             if s != 0.0 {
                 row[TL] = -step.gamma[k][1] / physics.j;
                 row[MC] = s * row[TL];
@@ -417,9 +390,10 @@ impl Filter {
                 shifted.b = physics.b;
                 self.solve(&shifted, &x, length_s, s, offsets).0
             };
-            let (up, down) = (shifted(STEP), shifted(-STEP));
+            let step = 1e-5;
+            let (up, down) = (shifted(step), shifted(-step));
             for k in 0..2 {
-                rows[k][state] = (up[k] - down[k]) / (2.0 * STEP);
+                rows[k][state] = (up[k] - down[k]) / (2.0 * step);
             }
         }
         self.belief.propagate(mean, &rows);
@@ -479,14 +453,11 @@ impl Filter {
         let gain = share / physics.j;
         let torque = 0.5 * physics.kt * (x[I] + current_a) - s * x[MC] - x[TL] - offsets.torque_n_m;
         let speed = kept * x[W] + gain * torque;
-        let mut row = [0.0; N];
-        row[I] = 0.5 * physics.kt * gain;
-        row[W] = kept;
-        row[TL] = -gain;
-        row[MC] = -s * gain;
-        row[J] = -gain * torque;
-        let noise = self.sensors[0].variance();
         let half = 0.5 * physics.kt * gain;
+        let mut row = [0.0; N];
+        (row[I], row[W], row[TL]) = (half, kept, -gain);
+        (row[MC], row[J]) = (-s * gain, -gain * torque);
+        let noise = self.sensors[0].variance();
         self.belief.propagate([current_a, speed], &[[0.0; N], row]);
         // The noise of the current that ends the interval enters the speed and is what its own state is off by.
         self.belief.disturb([1.0, half, 0.0], noise);
@@ -498,9 +469,13 @@ impl Filter {
 
     /// False: an outlier too many, the interval is broken off.
     fn update(&mut self, measured: [Option<f64>; 2]) -> bool {
-        self.fade();
+        if self.early > 1e-5 {
+            self.scale(1.0 / (1.0 - self.early));
+            self.early *= 1.0 - 1.0 / 60.0;
+        }
         let mut limit = [f64::INFINITY; N];
-        limit[R..=J].fill(LARGEST_STEP);
+        // Largest change of a logarithm in one update.
+        limit[R..=J].fill(0.4);
         for (channel, value) in measured.into_iter().enumerate() {
             let Some(value) = value else { continue };
             if channel == I && self.source == Source::Current {
@@ -510,13 +485,17 @@ impl Filter {
             let own = self.belief.p[channel][channel];
             let noise = self.sensors[channel].variance();
             let square = innovation * innovation / (own + noise);
-            self.sensors[channel].take(innovation, own, self.fixed_noise);
+            self.sensors[channel].innovate(innovation, own, self.fixed_noise);
             self.log_likelihood -= 0.5 * (square.min(OUTLIER * OUTLIER) + (own + noise).ln());
             if square > OUTLIER * OUTLIER {
                 self.tally.outliers += 1;
                 self.streak[channel] += 1;
-                if self.streak[channel] >= OUTLIERS {
-                    self.reopen();
+                if self.streak[channel] >= 3 {
+                    // Something has changed: the parameters are sought again.
+                    self.tally.reopened += 1;
+                    self.streak = [0; 2];
+                    self.scale(16.0);
+                    self.early = self.early_loss;
                     return false;
                 }
                 continue;
@@ -525,21 +504,6 @@ impl Filter {
             self.belief.measure(channel, innovation, noise, &limit);
         }
         true
-    }
-
-    /// Several outliers in a row: something has changed, the parameters are sought again.
-    fn reopen(&mut self) {
-        self.tally.reopened += 1;
-        self.streak = [0; 2];
-        self.scale(REOPEN);
-        self.early = self.early_loss;
-    }
-
-    fn fade(&mut self) {
-        if self.early > 1e-5 {
-            self.scale(1.0 / (1.0 - self.early));
-            self.early *= 1.0 - 1.0 / EARLY_ROWS;
-        }
     }
 
     /// Multiplies the covariance, no parameter beyond its prior.
@@ -560,7 +524,7 @@ impl Filter {
         }
     }
 
-    /// The state is what the sample says; the parameters keep what they know.
+    /// The state is that of the sample; the parameters stay.
     fn anchor(&mut self, measured: [Option<f64>; 2]) {
         if self.mode != Mode::Unknown {
             self.tally.breaks += 1;
@@ -581,22 +545,17 @@ impl Filter {
             return;
         }
         if !self.voltage.energised && self.sensors[1].at_rest().is_none() {
-            // Too early to tell noise from motion.
+            // Too early to separate noise from motion.
             return;
         }
         let zone = self.zone_rad_s();
-        let heading = if speed.abs() > STARTS * zone {
-            speed.signum()
-        } else {
-            0.0
-        };
+        let clear = speed.abs() > 2.0 * zone;
+        let heading = if clear { speed.signum() } else { 0.0 };
         let before = std::mem::replace(&mut self.heading, heading);
         // The sample that first clears the zone was chosen by its noise: the state begins with the one after it, and so
         // far outside that noise does not decide whether the next interval is used. Else the friction comes out high.
         if before != 0.0 && before * speed > zone {
-            (self.zeros, self.zero_sum) = (0, 0.0);
             self.mode = Mode::Turning(before);
-            return;
         }
         if speed.abs() > zone {
             (self.zeros, self.zero_sum) = (0, 0.0);
@@ -605,7 +564,7 @@ impl Filter {
         self.zeros = self.zeros.saturating_add(1);
         self.zero_sum += speed;
         let rows = f64::from(self.zeros);
-        if self.zeros >= REST_ROWS {
+        if self.zeros >= 8 {
             let mean = self.zero_sum / rows;
             let still = mean.abs() < REST_ENDS * (mechanical / rows).sqrt() + 1e-9;
             (self.zeros, self.zero_sum) = (0, 0.0);

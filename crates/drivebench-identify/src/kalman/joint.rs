@@ -7,7 +7,7 @@
 use super::filter::{Filter, I, J, KE, L, MC, Mode, N, R, Tally};
 use super::physics::KnownEffects;
 use crate::online::AppliedVoltage;
-use crate::recursive::{Memory, Scheme3};
+use crate::recursive::{IGNORANT, Memory, Scheme3};
 use crate::verdict;
 use drivebench_model::plant::{Model, MotorKey, Slot};
 use drivebench_model::sample::{Channel, ParameterEstimate, Run, Sample, Verdict};
@@ -20,31 +20,12 @@ const PARAMETERS: [(MotorKey, usize); 5] = [
     (MotorKey::Inertia, J),
     (MotorKey::LoadTorque, MC),
 ];
-/// Relative standard deviations of the start: a model's values, scheme 3's, and an inductance that nobody has told.
-const GUESS_SPREAD: f64 = 0.5;
+/// Relative standard deviation of a start from scheme 3, at most.
 const START_SPREAD: f64 = 0.3;
-const UNKNOWN_SPREAD: f64 = 1.0;
-/// Standard deviations of one start that the next is wide, and how narrow it may be at least.
+/// Standard deviations of one start that the next is wide.
 const WIDER: f64 = 10.0;
-const LEAST_SPREAD: f64 = 0.01;
-const LEAST_FIRST_SPREAD: f64 = 0.05;
-/// Passes over a recorded run after the first, and the change, in standard deviations, after which there is none.
-const MOST_PASSES: u32 = 3;
-const SETTLED_STEP: f64 = 0.3;
-/// Share of the largest electrical torque by which the Coulomb torque may be off whatever the start says.
-const LOAD_SPREAD: f64 = 0.05;
-/// Relative standard deviation from which scheme 3 counts as certain, and the contradiction that discards the start.
+/// Relative standard deviation from which scheme 3 counts as certain.
 const CERTAIN: f64 = 0.2;
-const CONTRADICTION: f64 = 0.2;
-/// Samples between two looks at scheme 3, and before the filter starts from a model.
-const LOOK: u32 = 8;
-const FEWEST_SAMPLES: u32 = 12;
-/// Share of the prior variance above which nothing was learnt.
-const IGNORANT: f64 = 0.3;
-/// Innovations so many times the noise say that the model does not describe the data at all.
-const HOPELESS: f64 = 10.0;
-/// Share of the rows that are outliers from which on nothing is settled.
-const MOST_OUTLIERS: f64 = 0.02;
 
 /// The joint filter: the parameters are constant, and there is no load torque beside the Coulomb torque.
 #[derive(Clone, Debug)]
@@ -79,7 +60,7 @@ impl Kalman {
         let [r, l, ke, j] = [0, 1, 2, 3].map(|k| motor.get(PARAMETERS[k].0).filter(positive));
         if let (Some(r), Some(l), Some(ke), Some(j)) = (r, l, ke, j) {
             let load = motor.get(MotorKey::LoadTorque).unwrap_or(0.0);
-            kalman.start([r, l, ke, j, load], [GUESS_SPREAD; 5]);
+            kalman.start([r, l, ke, j, load], [0.5; 5]);
         }
         kalman
     }
@@ -87,21 +68,22 @@ impl Kalman {
     /// Starts from what another pass over the same data has found; no other start is looked for.
     fn again(model: &Model, found: &Self) -> Self {
         let mut kalman = Self::new(model);
-        let seen = &found.filter.sensors;
-        if seen.iter().any(|sensor| sensor.at_rest().is_none()) {
-            kalman.filter.sensors = *seen;
+        let sensors = &found.filter.sensors;
+        if sensors.iter().any(|sensor| sensor.at_rest().is_none()) {
+            kalman.filter.sensors = *sensors;
         }
-        kalman.filter.sensors[I].largest = seen[I].largest;
+        kalman.filter.sensors[I].largest = sensors[I].largest;
         kalman.starter = None;
         let values = found.values();
         let spread = std::array::from_fn(|k| {
             let state = PARAMETERS[k].1;
             let size = if state == MC { values[k].abs() } else { 1.0 };
             let std = (found.filter.belief.p[state][state] * found.widening()).sqrt();
-            (WIDER * std / size.max(f64::MIN_POSITIVE)).clamp(LEAST_SPREAD, START_SPREAD)
+            (WIDER * std / size.max(f64::MIN_POSITIVE)).clamp(0.01, START_SPREAD)
         });
         kalman.start(values, spread);
-        kalman.filter.trust_start();
+        // The start is a good one.
+        kalman.filter.early = 0.0;
         kalman.filter.reference = Some(kalman.filter.belief.x);
         kalman
     }
@@ -111,21 +93,14 @@ impl Kalman {
         for (k, (_, state)) in PARAMETERS.into_iter().enumerate() {
             let value = self.fixed[k].unwrap_or(values[k]);
             x[state] = if state == MC { value } else { value.ln() };
-            variance[state] = if self.fixed[k].is_some() {
-                0.0
-            } else {
-                spread[k].powi(2)
-            };
+            variance[state] = self.fixed[k].map_or(spread[k].powi(2), |_| 0.0);
         }
         let torque = self.filter.torque_n_m_per_a.unwrap_or(x[KE].exp());
         let most = torque * self.filter.sensors[I].largest.max(1e-3);
         if variance[MC] > 0.0 {
-            // A start without any friction says nothing of its size.
-            let unknown = if spread[4] < START_SPREAD {
-                0.0
-            } else {
-                LOAD_SPREAD * most
-            };
+            // A start without any friction leaves its size open: 5 % of the largest electrical torque.
+            let known = spread[4] < START_SPREAD;
+            let unknown = if known { 0.0 } else { 0.05 * most };
             variance[MC] = (spread[4] * x[MC]).powi(2).max(unknown.powi(2));
         }
         self.filter.restart(x, variance);
@@ -149,20 +124,20 @@ impl Kalman {
             return;
         }
         self.samples = self.samples.saturating_add(1);
-        self.filter.asleep = !self.begun || self.samples < FEWEST_SAMPLES;
+        self.filter.asleep = !self.begun || self.samples < 12;
         self.filter.push(time_s, measured);
         self.filter.voltage.torn |= sample.limited;
         if let (Some(starter), [Some(current), Some(speed)]) = (&mut self.starter, measured) {
             starter.set_limited(sample.limited);
             starter.push(time_s, current, speed);
-            if self.samples.is_multiple_of(LOOK) {
-                self.look_at_starter();
+            if self.samples.is_multiple_of(8) {
+                self.start_from_scheme_3();
             }
         }
     }
 
     /// Scheme 3 gives the start once it is certain of R, Ke and J, and is not needed after that.
-    fn look_at_starter(&mut self) {
+    fn start_from_scheme_3(&mut self) {
         let Some(starter) = &self.starter else { return };
         let found = starter.estimates();
         let value = |k: usize| {
@@ -175,21 +150,19 @@ impl Kalman {
         };
         let mut spread: [f64; 5] = std::array::from_fn(|k| {
             let relative = found.get(k).and_then(|e| Some(e.std? / e.value?.abs()));
-            relative.map_or(START_SPREAD, |std| {
-                (WIDER * std).clamp(LEAST_FIRST_SPREAD, START_SPREAD)
-            })
+            relative.map_or(START_SPREAD, |std| (WIDER * std).clamp(0.05, START_SPREAD))
         });
         let l = value(1).unwrap_or_else(|| {
-            spread[1] = UNKNOWN_SPREAD;
+            spread[1] = 1.0;
             r * self.filter.period_s / 3.0
         });
         let load = found.get(4).and_then(|e| e.value).unwrap_or(0.0);
         self.starter = None;
         let now = self.values();
-        let apart = [(0, r), (2, ke), (3, j)].into_iter().any(|(k, value)| {
-            self.fixed[k].is_none() && (now[k] / value - 1.0).abs() > CONTRADICTION
-        });
-        if !self.begun || apart {
+        let apart = |(k, value): (usize, f64)| {
+            self.fixed[k].is_none() && (now[k] / value - 1.0).abs() > 0.2
+        };
+        if !self.begun || [(0, r), (2, ke), (3, j)].into_iter().any(apart) {
             self.start([r, l, ke, j, load], spread);
         }
     }
@@ -219,14 +192,9 @@ impl Kalman {
                 return verdict::unknown(key, self.why_not(key, (left / prior).sqrt()));
             }
             let size = if state == MC { 1.0 } else { value };
-            let std = size * (left * widening).sqrt();
-            let slot = Slot::Motor(key);
-            self.doubt(verdict::judge(
-                &slot,
-                value,
-                Some(std),
-                self.filter.period_s,
-            ))
+            let std = Some(size * (left * widening).sqrt());
+            let (slot, period_s) = (Slot::Motor(key), self.filter.period_s);
+            self.doubt(verdict::judge(&slot, value, std, period_s))
         };
         parameters.map(estimate).collect()
     }
@@ -246,7 +214,7 @@ impl Kalman {
             let figure = format!(
                 "innovation of the {name} {ratio:.2} times its noise at rest (chance allows {allowed:.2})"
             );
-            if ratio > HOPELESS {
+            if ratio > 10.0 {
                 judged.verdict = Verdict::Invalid;
                 judged.reason = Some(format!("{figure}: the model does not describe these data"));
             } else {
@@ -257,7 +225,7 @@ impl Kalman {
         } else {
             let rows = self.filter.tally.used.max(1) as f64;
             let share = self.filter.tally.outliers as f64 / rows;
-            if share > MOST_OUTLIERS {
+            if share > 0.02 {
                 judged.unsettle(format!("{:.1} % of the rows are outliers", 100.0 * share));
             }
         }
@@ -274,7 +242,7 @@ impl Kalman {
             .max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// What was used and what was not, in a sentence.
+    /// Counts of rows and consistency of the innovations, in a sentence.
     pub fn summary(&self) -> String {
         let Tally {
             used,
@@ -315,11 +283,8 @@ impl Kalman {
 
     fn why_not(&self, key: MotorKey, left: f64) -> String {
         let [current, speed] = self.filter.sensors.map(|sensor| sensor.largest);
-        let state = if self.filter.mode == Mode::AtRest {
-            ", now at rest"
-        } else {
-            ""
-        };
+        let rests = self.filter.mode == Mode::AtRest;
+        let state = if rests { ", now at rest" } else { "" };
         let period_ms = 1e3 * self.filter.period_s;
         let learnt = format!(
             "{:.0} % of its first uncertainty is left after {} rows",
@@ -351,7 +316,7 @@ impl Kalman {
 pub fn identify(model: &Model, run: &Run) -> Kalman {
     let mut found = Kalman::new(model);
     run.samples().for_each(|sample| found.push(&sample));
-    for _ in 0..MOST_PASSES {
+    for _ in 0..3 {
         let values = found.values();
         let usable = found.begun
             && values.iter().all(|value| value.is_finite())
@@ -363,7 +328,7 @@ pub fn identify(model: &Model, run: &Run) -> Kalman {
         run.samples().for_each(|sample| next.push(&sample));
         let still = PARAMETERS.iter().all(|(_, state)| {
             let step = next.filter.belief.x[*state] - found.filter.belief.x[*state];
-            step.abs() <= SETTLED_STEP * next.filter.belief.p[*state][*state].sqrt()
+            step.abs() <= 0.3 * next.filter.belief.p[*state][*state].sqrt()
         });
         found = next;
         if still {

@@ -14,14 +14,6 @@ use drivebench_model::numerics::statistics;
 use drivebench_model::plant::{Input, Model, MotorKey, Scenario, ScenarioError};
 use drivebench_model::sample::{Channel, Run, Sample};
 
-/// Standard deviation of the voltage as share of itself: a resistance that is warm by 3 K errs as much. It keeps the
-/// current near its measurement, where a prediction without it would be believed for ever.
-const VOLTAGE_SHARE: f64 = 0.01;
-/// First standard deviation of the load, in units of what is known of its size: nothing is known.
-const IGNORANCE: f64 = 100.0;
-/// Standard deviations of the current that a torque at rest is uncertain by.
-const REST_NOISE: f64 = 3.0;
-
 /// Load torque with its standard deviation at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LoadPoint {
@@ -31,7 +23,7 @@ pub struct LoadPoint {
     pub std_n_m: f64,
 }
 
-/// Why the load torque cannot be tracked.
+/// Why the load torque is not tracked.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum LoadError {
     #[error("the model has no {key}, which the load torque needs")]
@@ -40,7 +32,7 @@ pub enum LoadError {
     Value { key: &'static str, value: f64 },
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
-    #[error("run {run:?}: no load torque can be told: {reason}")]
+    #[error("run {run:?}: the load torque is not observable: {reason}")]
     NothingSeen { run: String, reason: String },
 }
 
@@ -61,7 +53,7 @@ impl LoadError {
 
 /// Follows the load torque sample by sample.
 #[derive(Clone, Debug)]
-pub struct LoadTracker {
+struct LoadTracker {
     filter: Filter,
     input: Input,
     applied: AppliedVoltage,
@@ -72,21 +64,16 @@ pub struct LoadTracker {
 impl LoadTracker {
     /// `model` gives inertia, torque constant and friction, under [`Input::Voltage`] also R, L, Ke;
     /// `rate_n_m_per_sqrt_s` how fast the load is expected to change.
-    pub fn new(model: &Model, input: Input, rate_n_m_per_sqrt_s: f64) -> Result<Self, LoadError> {
+    fn new(model: &Model, input: Input, rate_n_m_per_sqrt_s: f64) -> Result<Self, LoadError> {
         let motor = &model.motor;
+        let refused = |key, value| Err(LoadError::Value { key, value });
         let positive = |key: MotorKey| match motor.get(key) {
             None => Err(LoadError::Incomplete { key: key.key() }),
             Some(value) if value > 0.0 && value.is_finite() => Ok(value),
-            Some(value) => Err(LoadError::Value {
-                key: key.key(),
-                value,
-            }),
+            Some(value) => refused(key.key(), value),
         };
         if !(rate_n_m_per_sqrt_s > 0.0 && rate_n_m_per_sqrt_s.is_finite()) {
-            return Err(LoadError::Value {
-                key: "rate_n_m_per_sqrt_s",
-                value: rate_n_m_per_sqrt_s,
-            });
+            refused("rate_n_m_per_sqrt_s", rate_n_m_per_sqrt_s)?;
         }
         let torque = match input {
             Input::Torque => 1.0,
@@ -104,7 +91,8 @@ impl LoadTracker {
         }
         x[MC] = motor.get(MotorKey::LoadTorque).unwrap_or(0.0);
         let mut variance = [0.0; N];
-        variance[TL] = (IGNORANCE * (x[MC].abs() + rate_n_m_per_sqrt_s)).powi(2);
+        // Of the load nothing is known at first.
+        variance[TL] = (100.0 * (x[MC].abs() + rate_n_m_per_sqrt_s)).powi(2);
         let mut filter = Filter::new(x, variance, Some(torque));
         let (effects, left_out) = KnownEffects::of(model);
         filter.effects = effects;
@@ -114,7 +102,9 @@ impl LoadTracker {
             Source::Current
         };
         filter.load_rate = rate_n_m_per_sqrt_s;
-        filter.voltage_share = VOLTAGE_SHARE;
+        // A resistance that is warm by 3 K errs as much. It keeps the current near its measurement, where a prediction
+        // without it would be trusted for ever.
+        filter.voltage_share = 0.01;
         filter.freeze();
         Ok(Self {
             filter,
@@ -126,7 +116,7 @@ impl LoadTracker {
 
     /// Takes a sample as [`crate::online::Online::push`] does, and gives the load torque at its instant;
     /// `None` where it carries neither current nor speed.
-    pub fn push(&mut self, sample: &Sample) -> Option<LoadPoint> {
+    fn push(&mut self, sample: &Sample) -> Option<LoadPoint> {
         let time_s = sample.time_s;
         // While a limit of the drive holds its output the motor has another voltage than was commanded.
         let unlike_command = self.input == Input::Voltage && sample.limited;
@@ -164,7 +154,7 @@ impl LoadTracker {
     fn bound_by_friction(&mut self) {
         let kt = self.filter.physics().kt;
         let noise = kt * self.filter.sensors[0].variance().sqrt();
-        let half = self.filter.belief.x[MC].abs() + REST_NOISE * noise;
+        let half = self.filter.belief.x[MC].abs() + 3.0 * noise;
         let centre = kt * self.filter.belief.x[I];
         let belief = &mut self.filter.belief;
         let bound = belief.x[TL].clamp(centre - half, centre + half);
@@ -184,12 +174,7 @@ const fn driving(input: Input) -> Channel {
     }
 }
 
-/// Rates that are tried, as powers of ten of the largest torque per sqrt(s): four per decade.
-const FIRST_TRIAL: i32 = -16;
-const LAST_TRIAL: i32 = 8;
-const PER_DECADE: f64 = 4.0;
-/// Rows without which nothing is told.
-const FEWEST_ROWS: u64 = 20;
+/// Rows in motion without which there is no trace.
 const FEWEST_ROWS_IN_MOTION: usize = 20;
 
 /// The load torque of a run.
@@ -199,7 +184,7 @@ pub struct LoadTrace {
     /// The rate under which the run is likeliest.
     pub rate_n_m_per_sqrt_s: f64,
     pub input: Input,
-    /// Rows at which the motor turned and the model followed: there the load was seen.
+    /// Rows at which the motor turned and the model followed: there the load is observed.
     pub rows_followed: usize,
     /// Root mean square of the last innovations over the noise at rest: current, speed.
     pub consistency: [Option<f64>; 2],
@@ -241,7 +226,7 @@ pub fn load_torque_trace(run: &Run, model: &Model) -> Result<LoadTrace, LoadErro
             points.push(point);
         }
     }
-    if tracker.filter.tally.used < FEWEST_ROWS || rows_followed < FEWEST_ROWS_IN_MOTION {
+    if tracker.filter.tally.used < 20 || rows_followed < FEWEST_ROWS_IN_MOTION {
         let speed = tracker.filter.sensors[1].largest;
         return Err(LoadError::NothingSeen {
             run: run.name.clone(),
@@ -275,9 +260,10 @@ pub fn load_torque_trace(run: &Run, model: &Model) -> Result<LoadTrace, LoadErro
 
 /// The rate at which the innovations are likeliest, by trial on a logarithmic scale and a parabola through the best three.
 fn likeliest_rate(run: &Run, model: &Model, input: Input, size: f64) -> Result<f64, LoadError> {
-    let rate = |power: f64| size * 10f64.powf(power / PER_DECADE);
+    // Four rates per decade.
+    let rate = |power: f64| size * 10f64.powf(power / 4.0);
     let mut scores = Vec::new();
-    for power in FIRST_TRIAL..=LAST_TRIAL {
+    for power in -16..=8 {
         let mut tracker = LoadTracker::new(model, input, rate(f64::from(power)))?;
         for sample in run.samples() {
             tracker.push(&sample);

@@ -14,10 +14,6 @@ mod load;
 mod physics;
 mod signals;
 
-/// Ids of the effects of `model` that the filters do not subtract.
-pub fn effects_left_out(model: &drivebench_model::plant::Model) -> Vec<&'static str> {
-    physics::KnownEffects::left_out(model)
-}
-
 pub use joint::{Kalman, identify};
-pub use load::{LoadError, LoadPoint, LoadTrace, LoadTracker, load_torque_trace};
+pub use load::{LoadError, LoadPoint, LoadTrace, load_torque_trace};
+pub(crate) use physics::KnownEffects;

@@ -26,7 +26,7 @@ impl Physics {
         LinearPart::new(&[winding, [self.kt / self.j, -self.b / self.j]]).over(h)
     }
 
-    /// The shaft stands: only the winding lives.
+    /// The shaft stands: only the current moves.
     pub(super) fn at_rest(&self, h: f64) -> Propagator {
         let lost = -(-h * self.r / self.l).exp_m1();
         Propagator {
@@ -40,7 +40,7 @@ impl Physics {
         [voltage_v / self.l, -torque_n_m / self.j]
     }
 
-    /// The present state as the terms of effects see it.
+    /// The present state for the terms of effects.
     pub(super) fn instant(&self, time_s: f64, voltage_v: f64, state: [f64; 2]) -> Instant {
         Instant {
             time_s,
@@ -57,7 +57,7 @@ impl Physics {
 
 /// Effects whose values are known; they are subtracted, not estimated.
 #[derive(Clone, Default)]
-pub(super) struct KnownEffects {
+pub(crate) struct KnownEffects {
     terms: Arc<Vec<Box<dyn Terms>>>,
 }
 
@@ -77,7 +77,7 @@ pub(super) struct Offsets {
 impl KnownEffects {
     /// The effects of `model` that can be subtracted, and the identifiers of those that cannot: a value is missing, or
     /// they are more than terms of a balance in voltage, current and speed.
-    pub(super) fn of(model: &Model) -> (Self, Vec<&'static str>) {
+    pub(crate) fn of(model: &Model) -> (Self, Vec<&'static str>) {
         let (mut known, mut left) = (Vec::new(), Vec::new());
         for active in &model.effects {
             let terms = active.terms_of_the_instant();
@@ -90,11 +90,6 @@ impl KnownEffects {
         (Self { terms }, left)
     }
 
-    /// The effects of `model` that the filter leaves out.
-    pub(super) fn left_out(model: &Model) -> Vec<&'static str> {
-        Self::of(model).1
-    }
-
     pub(super) fn is_empty(&self) -> bool {
         self.terms.is_empty()
     }
@@ -104,12 +99,12 @@ impl KnownEffects {
         if self.terms.is_empty() {
             return Offsets::default();
         }
+        let sum = |of: &dyn Fn(&dyn Terms) -> f64| {
+            self.terms.iter().map(|terms| of(&**terms)).sum::<f64>()
+        };
         let torque = |speed_rad_s: f64| -> f64 {
             let at = Instant { speed_rad_s, ..*at };
-            self.terms
-                .iter()
-                .map(|terms| terms.torque_n_m(&at, &[]) + direction * terms.friction_n_m(&at))
-                .sum()
+            sum(&|terms| terms.torque_n_m(&at, &[]) + direction * terms.friction_n_m(&at))
         };
         let step = 1e-3 * (1.0 + at.speed_rad_s.abs());
         let here = torque(at.speed_rad_s);
@@ -117,11 +112,7 @@ impl KnownEffects {
         // Friction that falls with speed stays below what would make the motor itself unstable.
         physics.b = slope.max(-0.5 * physics.ke * physics.kt / physics.r);
         Offsets {
-            voltage_v: self
-                .terms
-                .iter()
-                .map(|terms| terms.voltage_v(at, &[]))
-                .sum(),
+            voltage_v: sum(&|terms| terms.voltage_v(at, &[])),
             torque_n_m: here - physics.b * at.speed_rad_s,
         }
     }

@@ -2,21 +2,9 @@
 
 use drivebench_model::signal;
 
-/// Samples at rest from which on their scatter counts, and the most that they weigh against the innovations.
+/// Samples at rest from which on their scatter counts.
 const FEWEST_AT_REST: f64 = 10.0;
-const MOST_AT_REST: f64 = 200.0;
-/// Without samples at rest: standard deviation as share of the largest value, and the samples that this is worth.
-const DEFAULT_SHARE: f64 = 0.01;
-const DEFAULT_WEIGHT: f64 = 20.0;
-/// No sensor is better than this share of its largest value: keeps the filter regular on noiseless data.
-const LEAST_SHARE: f64 = 1e-6;
-/// Innovations that the estimate of the noise remembers, and those that the test of consistency does.
-const MEMORY: f64 = 2000.0;
-const WINDOW: f64 = 500.0;
-/// Most that one row counts: an outlier is one row.
-const CLIP: f64 = 9.0;
-const CLIP_TEST: f64 = 100.0;
-/// Rows without which the test says nothing.
+/// Innovations without which there is no test of consistency.
 const FEWEST_TESTED: f64 = 30.0;
 
 /// Noise variance: from the scatter at rest where there was one, carried on by the innovations.
@@ -46,8 +34,8 @@ struct Test {
 }
 
 impl Sensor {
-    /// Sees every sample; `at_rest` while nothing has been applied yet.
-    pub(super) fn see(&mut self, value: f64, at_rest: bool) {
+    /// Takes every sample; `at_rest` while nothing has been applied yet.
+    pub(super) fn take(&mut self, value: f64, at_rest: bool) {
         self.largest = self.largest.max(value.abs());
         if let Some(last) = self.last {
             let step = (value - last).abs();
@@ -70,14 +58,17 @@ impl Sensor {
             .then(|| (self.squares / self.differences).max(self.least()))
     }
 
+    /// Of the resolution; no sensor is better than a millionth of its largest value, which keeps the filter regular on
+    /// noiseless data.
     fn least(&self) -> f64 {
-        (self.smallest_step * self.smallest_step / 12.0).max((LEAST_SHARE * self.largest).powi(2))
+        (self.smallest_step * self.smallest_step / 12.0).max((1e-6 * self.largest).powi(2))
     }
 
     pub(super) fn variance(&self) -> f64 {
+        // The start and how many innovations it is worth; without samples at rest 1 % of the largest value.
         let (start, weight) = match self.at_rest() {
-            Some(variance) => (variance, self.differences.min(MOST_AT_REST)),
-            None => ((DEFAULT_SHARE * self.largest).powi(2), DEFAULT_WEIGHT),
+            Some(variance) => (variance, self.differences.min(200.0)),
+            None => ((0.01 * self.largest).powi(2), 20.0),
         };
         ((weight * start + self.innovation_squares) / (weight + self.innovations))
             .max(self.least())
@@ -86,23 +77,23 @@ impl Sensor {
 
     /// One innovation, of which the filter itself explains the variance `own`. `fixed`: the noise stays that of the rest,
     /// where there was one.
-    pub(super) fn take(&mut self, innovation: f64, own: f64, fixed: bool) {
+    pub(super) fn innovate(&mut self, innovation: f64, own: f64, fixed: bool) {
         let noise = self.variance();
         let square = innovation * innovation;
         let reference = self.at_rest().unwrap_or(noise);
         let whole = own + noise;
-        self.test.take(
-            innovation / whole.sqrt(),
-            (square / (own + reference)).min(CLIP_TEST),
-        );
+        // An outlier is one row and counts as ten standard deviations at most.
+        let expected = (square / (own + reference)).min(100.0);
+        self.test.take(innovation / whole.sqrt(), expected);
         if fixed && self.at_rest().is_some() {
             return;
         }
-        // While the parameters are still moving the innovation says little about the sensor.
-        if own < 0.5 * noise || square > CLIP * whole {
+        // While the parameters are still moving the innovation is not that of the sensor.
+        let clipped = 9.0 * whole;
+        if own < 0.5 * noise || square > clipped {
             self.innovations += 1.0;
-            self.innovation_squares += square.min(CLIP * whole) - own;
-            if self.innovations > MEMORY {
+            self.innovation_squares += square.min(clipped) - own;
+            if self.innovations > 2000.0 {
                 self.innovations *= 0.5;
                 self.innovation_squares *= 0.5;
             }
@@ -143,17 +134,18 @@ impl Sensor {
 
 impl Test {
     fn take(&mut self, normalised: f64, expected: f64) {
-        const KEPT: f64 = 1.0 - 1.0 / WINDOW;
+        // A memory of 500 rows.
+        let kept = 1.0 - 1.0 / 500.0;
         let normalised = normalised.clamp(-10.0, 10.0);
-        self.rows = KEPT * self.rows + 1.0;
-        self.expected = KEPT * self.expected + expected;
-        self.squares = KEPT * self.squares + normalised * normalised;
-        self.products = KEPT * self.products + normalised * self.last.unwrap_or(0.0);
+        self.rows = kept * self.rows + 1.0;
+        self.expected = kept * self.expected + expected;
+        self.squares = kept * self.squares + normalised * normalised;
+        self.products = kept * self.products + normalised * self.last.unwrap_or(0.0);
         self.last = Some(normalised);
     }
 }
 
-/// Changes of voltage between two samples that are told apart.
+/// Changes of voltage that are kept.
 const MOST: usize = 16;
 
 /// Voltage as applied, piece by piece, in a fixed store.
@@ -162,7 +154,7 @@ pub(super) struct HeldVoltage {
     /// `(from, volts)` in the order of time; the first holds at the filter's present instant.
     pieces: [(f64, f64); MOST],
     count: usize,
-    /// The interval that comes is not known: too many changes in it, or one was told too late.
+    /// The interval that comes is not known: too many changes in it, or one came too late.
     pub(super) torn: bool,
     pub(super) energised: bool,
 }
@@ -182,17 +174,13 @@ impl HeldVoltage {
             self.pieces[at].1 = voltage_v;
             return;
         }
-        // The same voltage once more changes nothing, unless something else was told for later.
+        // The same voltage once more changes nothing, unless another holds later.
         if known && at == self.count {
             return;
         }
-        if time_s < now_s && self.count > 0 {
-            self.torn = true;
-        }
-        if self.count == MOST {
-            self.torn = true;
-            self.count -= 1;
-        }
+        let full = self.count == MOST;
+        self.torn |= full || (time_s < now_s && self.count > 0);
+        self.count -= usize::from(full);
         let at = at.min(self.count);
         self.pieces.copy_within(at..self.count, at + 1);
         self.pieces[at] = (time_s, voltage_v);
@@ -236,51 +224,41 @@ mod tests {
         (0..rows).map(|_| normal.sample(&mut random)).collect()
     }
 
-    #[test]
-    fn the_rest_gives_the_noise_and_a_drift_does_not_enter() {
+    fn rested(samples: impl IntoIterator<Item = f64>) -> Sensor {
         let mut sensor = Sensor::default();
-        for (k, value) in noise(0.15, 400, 1).iter().enumerate() {
-            sensor.see(value + 0.01 * k as f64, true);
-        }
-        let sigma = sensor.at_rest().unwrap().sqrt();
+        samples
+            .into_iter()
+            .for_each(|value| sensor.take(value, true));
+        sensor
+    }
+
+    #[test]
+    fn the_rest_gives_the_noise_without_drift_or_the_resolution() {
+        let drifting = noise(0.15, 400, 1).into_iter().zip(0..);
+        let drifting = rested(drifting.map(|(value, k)| value + 0.01 * f64::from(k)));
+        let sigma = drifting.at_rest().unwrap().sqrt();
         assert!((sigma / 0.15 - 1.0).abs() < 0.1, "{sigma}");
+        let mut still = rested([0.0; 40]);
+        (1..11).for_each(|k| still.take(0.5 * f64::from(k), false));
+        assert!((still.variance().sqrt() - 0.5 / 12f64.sqrt()).abs() < 1e-12);
     }
 
     #[test]
-    fn a_sensor_that_never_moves_at_rest_has_the_noise_of_its_resolution() {
-        let mut sensor = Sensor::default();
-        for k in 0..50 {
-            sensor.see(if k < 40 { 0.0 } else { 0.5 * f64::from(k - 39) }, k < 40);
-        }
-        assert!((sensor.variance().sqrt() - 0.5 / 12f64.sqrt()).abs() < 1e-12);
-    }
-
-    #[test]
-    fn innovations_correct_a_wrong_rest_and_the_test_says_how_wrong_it_was() {
-        let mut sensor = Sensor::default();
-        for value in noise(0.1, 200, 2) {
-            sensor.see(value, true);
-        }
+    fn innovations_correct_the_noise_at_rest_and_their_colour_widens() {
+        let mut sensor = rested(noise(0.1, 200, 2));
         for innovation in noise(0.3, 3000, 3) {
-            sensor.take(innovation, 1e-4, false);
+            sensor.innovate(innovation, 1e-4, false);
         }
         let (ratio, allowed) = sensor.consistency().unwrap();
-        let told = (ratio / 3.0 - 1.0).abs() < 0.15 && ratio > allowed;
-        assert!(told, "{ratio} {allowed}");
+        let found = (ratio / 3.0 - 1.0).abs() < 0.15 && ratio > allowed;
+        assert!(found, "{ratio} {allowed}");
         assert!((sensor.variance().sqrt() / 0.3 - 1.0).abs() < 0.1);
         assert!((sensor.colour() - 1.0).abs() < 1e-12);
-    }
-
-    #[test]
-    fn coloured_innovations_widen() {
-        let mut sensor = Sensor::default();
-        for value in noise(0.1, 200, 4) {
-            sensor.see(value, true);
-        }
+        let mut sensor = rested(noise(0.1, 200, 4));
         let mut value = 0.0;
         for step in noise(0.06, 3000, 5) {
             value = 0.8 * value + step;
-            sensor.take(value, 1e-6, false);
+            sensor.innovate(value, 1e-6, false);
         }
         // rho = 0.8: (1 + 0.8)/(1 - 0.8) = 9.
         let colour = sensor.colour();
@@ -288,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn pieces_cover_the_interval_whatever_the_order_of_telling() {
+    fn pieces_cover_the_interval_in_any_order_of_the_changes() {
         let mut held = HeldVoltage::default();
         assert_eq!(held.at(1.0), None);
         for (time_s, volts) in [(0.0, 5.0), (2.0, 7.0), (1.0, 6.0), (f64::NAN, 9.0)] {
@@ -299,21 +277,15 @@ mod tests {
         held.advance(2.0);
         assert_eq!((held.at(1.5), held.at(2.0)), (None, Some(7.0)));
         assert!(!held.torn);
-    }
-
-    #[test]
-    fn a_change_told_too_late_or_too_many_of_them_tear_the_interval() {
-        let mut held = HeldVoltage::default();
-        held.apply(0.0, 5.0, f64::NAN);
-        held.advance(1.0);
-        held.apply(0.9, 6.0, 1.0);
+        // One that comes too late, or too many of them, tear the interval.
+        held.apply(1.9, 6.0, 2.0);
         assert!(held.torn);
-        held.advance(2.0);
-        assert_eq!(held.at(2.0), Some(6.0));
+        held.advance(3.0);
+        assert_eq!(held.at(3.0), Some(7.0));
         for k in 0..40 {
-            held.apply(2.0 + 0.001 * f64::from(k), f64::from(k), 2.0);
+            held.apply(3.0 + 0.001 * f64::from(k), f64::from(k), 3.0);
         }
         assert!(held.torn);
-        assert_eq!(held.at(3.0), Some(39.0));
+        assert_eq!(held.at(4.0), Some(39.0));
     }
 }

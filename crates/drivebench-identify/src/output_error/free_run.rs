@@ -12,21 +12,6 @@ use drivebench_model::plant::{
     typical_size,
 };
 
-/// Share of the torque that the largest input drives, at which a fit of a Coulomb level starts that was given as zero, whose
-/// logarithm does not exist: a millionth, which no sensor of torque or speed shows. As a share it follows the scale of the model,
-/// which no run without a current fixes.
-const SMALLEST_LOAD_SHARE: f64 = 1e-6;
-
-/// Unit in which the start of a signal without a measurement is fitted: A or rad/s.
-const UNMEASURED_START: f64 = 30.0;
-/// Unit in which initial states of effects are fitted: A2.s of heat in a winding.
-const EFFECT_STATE_SCALE: f64 = 100.0;
-
-/// Share of a signal's power left as residual from which on it carries nothing.
-const STILL: f64 = 0.8;
-/// Spread of a signal over its mean from which on it changes, if it is no noise.
-const CHANGES: f64 = 0.1;
-
 /// How a parameter and its scaled coordinate belong together.
 #[derive(Clone, Copy, Debug)]
 enum Scaling {
@@ -74,25 +59,10 @@ impl Scaling {
         }
     }
 
-    /// d(value)/dx.
-    fn slope(self, value: f64) -> f64 {
-        match self {
-            Self::Logarithm { .. } => value,
-            Self::Linear { scale, .. } => scale,
-        }
-    }
-
     fn clamp(self, x: f64) -> f64 {
         match self {
             Self::Logarithm { min, max } => x.clamp(min.ln(), max.ln()),
             Self::Linear { scale, min, max } => x.clamp(min / scale, max / scale),
-        }
-    }
-
-    const fn difference_step(self) -> f64 {
-        match self {
-            Self::Logarithm { .. } => 2e-3,
-            Self::Linear { .. } => 1e-2,
         }
     }
 }
@@ -142,14 +112,13 @@ impl<'a> FreeRun<'a> {
             }
         }
         model.require_complete()?;
-        let rows: Vec<(usize, bool)> = scenario
-            .scored
-            .clone()
+        let is_measured = |(sample, is_speed): &(usize, bool)| {
+            let (values, level) = measured(scenario, &noise, *is_speed);
+            values[*sample].is_finite() && level.is_finite()
+        };
+        let rows: Vec<(usize, bool)> = (scenario.scored.clone())
             .flat_map(|sample| [(sample, false), (sample, true)])
-            .filter(|(sample, is_speed)| {
-                let (values, level) = measured(scenario, &noise, *is_speed);
-                values[*sample].is_finite() && level.is_finite()
-            })
+            .filter(is_measured)
             .collect();
         if rows.is_empty() {
             return Err(FitError::NothingMeasured {
@@ -227,8 +196,11 @@ impl<'a> FreeRun<'a> {
     /// d(parameter)/dx of the free parameters at `x`.
     pub fn slopes(&self, x: &[f64]) -> Vec<f64> {
         let free = self.scaling.iter().zip(x);
-        free.map(|(scaling, x)| scaling.slope(scaling.to_value(*x)))
-            .collect()
+        free.map(|(scaling, x)| match scaling {
+            Scaling::Logarithm { .. } => x.exp(),
+            Scaling::Linear { scale, .. } => *scale,
+        })
+        .collect()
     }
 
     pub fn initial_state(&self, x: &[f64]) -> State {
@@ -239,7 +211,8 @@ impl<'a> FreeRun<'a> {
             state = State::at(own[0] * scale.0, own[1] * scale.1);
             own = &own[2..];
         }
-        let effects: Vec<f64> = own.iter().map(|x| x * EFFECT_STATE_SCALE).collect();
+        // A2.s of heat in a winding.
+        let effects: Vec<f64> = own.iter().map(|x| x * 100.0).collect();
         state.with_effects(&effects)
     }
 
@@ -255,37 +228,19 @@ impl<'a> FreeRun<'a> {
                 .unzip();
             let spread = statistics::variance(&signal);
             let changes = statistics::is_coloured(&signal)
-                && spread.sqrt() > CHANGES * statistics::mean(&signal).abs();
+                && spread.sqrt() > 0.1 * statistics::mean(&signal).abs();
             (signal.len() > 2).then(|| (statistics::variance(&left) / spread, changes))
         };
         let shares: Vec<(f64, bool)> = [false, true].into_iter().filter_map(share).collect();
-        let most = shares
-            .iter()
-            .fold(f64::INFINITY, |most, share| most.min(share.0));
-        let explained = 100.0 * (1.0 - most).max(0.0);
-        (most > STILL).then(|| {
-            if shares.iter().any(|share| share.1) {
-                format!(
-                    "the model explains {explained:.0} % of what the signals do: its free run does not follow them; check \
-                     columns, units and what drives the shaft"
-                )
-            } else {
-                format!(
-                    "the model explains {explained:.0} % of what the signals do, the rest is noise: the run is a steady state"
-                )
-            }
-        })
-    }
-
-    /// A trajectory to write over.
-    fn borrowed(&self) -> Trajectory {
-        let mut spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner);
-        spare.pop().unwrap_or_default()
-    }
-
-    fn give_back(&self, used: Trajectory) {
-        let mut spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner);
-        spare.push(used);
+        let least = (shares.iter()).fold(f64::INFINITY, |least, share| least.min(share.0));
+        let explained = 100.0 * (1.0 - least).max(0.0);
+        let why = if shares.iter().any(|share| share.1) {
+            ": its free run does not follow them; check columns, units and what drives the shaft"
+        } else {
+            ", the rest is noise: the run is a steady state"
+        };
+        (least > 0.8)
+            .then(|| format!("the model explains {explained:.0} % of what the signals do{why}"))
     }
 
     pub fn trajectory(&self, x: &[f64]) -> Result<Trajectory, FitError> {
@@ -298,11 +253,16 @@ impl<'a> FreeRun<'a> {
         Ok(plant.coarse(self.coarse_s))
     }
 
-    /// Units in which the initial state is fitted.
+    /// Units in which the initial state is fitted; 30 A or rad/s without a measurement.
     fn start_scale(&self) -> (f64, f64) {
-        let unit = |noise: f64| Some(10.0 * noise).filter(|unit| unit.is_finite());
-        let finite = |noise: f64| unit(noise).unwrap_or(UNMEASURED_START);
-        (finite(self.noise.current_a), finite(self.noise.speed_rad_s))
+        let unit = |noise: f64| {
+            if noise.is_finite() {
+                10.0 * noise
+            } else {
+                30.0
+            }
+        };
+        (unit(self.noise.current_a), unit(self.noise.speed_rad_s))
     }
 }
 
@@ -339,12 +299,13 @@ impl Problem for FreeRun<'_> {
         let Ok(mut plant) = self.plant(x) else {
             return false;
         };
-        let mut simulated = self.borrowed();
+        let spare = || self.spare.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut simulated = spare().pop().unwrap_or_default();
         plant.simulate_into(self.scenario, start, &mut simulated);
         for (cell, row) in out.iter_mut().zip(&self.rows) {
             *cell = weighted_residual(*row, &simulated, self.scenario, &self.noise);
         }
-        self.give_back(simulated);
+        spare().push(simulated);
         out.iter().all(|value| value.is_finite())
     }
 
@@ -353,7 +314,10 @@ impl Problem for FreeRun<'_> {
     }
 
     fn difference_step(&self, index: usize) -> f64 {
-        (self.scaling.get(index)).map_or(1e-2, |scaling| scaling.difference_step())
+        match self.scaling.get(index) {
+            Some(Scaling::Logarithm { .. }) => 2e-3,
+            _ => 1e-2,
+        }
     }
 
     fn clamp(&self, x: &mut [f64]) {
@@ -363,7 +327,9 @@ impl Problem for FreeRun<'_> {
     }
 }
 
-/// Torque of a Coulomb level that no input of the run shows.
+/// Torque of a Coulomb level at which a fit starts that was given as zero, whose logarithm does not exist: a millionth of
+/// what the largest input drives, which no sensor shows. As a share it follows the scale of the model, which no run
+/// without a current fixes.
 fn smallest_load_n_m(model: &Model, scenario: &Scenario) -> f64 {
     let inputs: Vec<f64> = scenario.events.iter().map(|event| event.1).collect();
     let kt = model.motor.torque_constant().unwrap_or(1.0);
@@ -372,7 +338,7 @@ fn smallest_load_n_m(model: &Model, scenario: &Scenario) -> f64 {
         Input::Current => kt,
         Input::Torque => 1.0,
     };
-    let driven = SMALLEST_LOAD_SHARE * per_unit.abs() * statistics::largest(&inputs);
+    let driven = 1e-6 * per_unit.abs() * statistics::largest(&inputs);
     driven.max(f64::MIN_POSITIVE)
 }
 
@@ -381,21 +347,19 @@ fn first_finite(values: &[f64]) -> f64 {
     values.find(|value| value.is_finite()).unwrap_or(0.0)
 }
 
-/// Samples by which rest is told.
-const FIRST_SAMPLES: usize = 20;
-
 /// At rest: the first speeds are zero within their noise while the input is still zero, or the run begins with both
 /// signals within the noise of zero.
 fn starts_at_rest(scenario: &Scenario, noise: &NoiseFloor) -> bool {
     let leading = scenario.leading_standstill();
     let begin = leading.start.min(scenario.samples());
-    let end = leading.end.clamp(begin + 1, begin + FIRST_SAMPLES);
+    let end = leading.end.clamp(begin + 1, begin + 20);
     let first = begin..end.min(scenario.samples());
     let quiet = |values: &[f64], level: f64| {
-        let mut present = values[first.clone()]
-            .iter()
-            .filter(|value| value.is_finite());
-        !level.is_finite() || present.all(|value| value.abs() <= 6.0 * level)
+        // A missing value is not above.
+        !level.is_finite()
+            || !values[first.clone()]
+                .iter()
+                .any(|value| value.abs() > 6.0 * level)
     };
     quiet(&scenario.speed_rad_s, noise.speed_rad_s)
         && (!leading.is_empty() || quiet(&scenario.current_a, noise.current_a))

@@ -109,14 +109,12 @@ pub fn fit_with(
     let mut failure = cannot_simulate(scenario);
     for start in starts {
         match fit_from(start, scenario, noise, options) {
-            Ok(found)
-                if best
-                    .as_ref()
-                    .is_none_or(|best| found.minimum.cost < best.minimum.cost) =>
-            {
-                best = Some(found);
+            Ok(found) => {
+                let better = |best: &Fit| found.minimum.cost < best.minimum.cost;
+                if best.as_ref().is_none_or(better) {
+                    best = Some(found);
+                }
             }
-            Ok(_) => {}
             Err(error) => failure = error,
         }
     }
@@ -160,10 +158,8 @@ fn nrms(minimum: &Minimum, rows: &[(usize, bool)]) -> f64 {
         *count += 1.0;
     }
     let present = sums.iter().filter(|(_, count)| *count > 0.0);
-    let (sum, signals) = present.fold((0.0, 0.0), |(sum, signals), (squares, count)| {
-        (sum + squares / count, signals + 1.0)
-    });
-    (sum / f64::max(signals, 1.0)).sqrt()
+    let means: Vec<f64> = present.map(|(squares, count)| squares / count).collect();
+    (means.iter().sum::<f64>() / f64::max(means.len() as f64, 1.0)).sqrt()
 }
 
 /// Estimates of every slot of the model, free and fixed; `shared` is what a common unknown of the record adds to the
@@ -186,11 +182,8 @@ fn estimates(
         .map(|slot| {
             let key = slot.key();
             let value = model.get(slot);
-            let Some(index) = problem
-                .free_slots()
-                .iter()
-                .position(|free| free.key() == key)
-            else {
+            let mut free = problem.free_slots().iter();
+            let Some(index) = free.position(|free| free.key() == key) else {
                 let fixed = ParameterEstimate::fixed(key, slot.unit(), f64::NAN);
                 return ParameterEstimate { value, ..fixed };
             };
@@ -219,13 +212,12 @@ pub const BLOCK_S: f64 = 0.25;
 /// would make.
 fn covariance_at(minimum: &Minimum, rows: &[(usize, bool)], scenario: &Scenario) -> DMatrix<f64> {
     let (bread, determined) = inverse_where_determined(&minimum.jacobian);
-    let begin_s = rows
-        .first()
-        .map_or(0.0, |row| scenario.sample_time_s[row.0]);
-    let blocks: Vec<usize> = rows
+    let times: Vec<f64> = rows
         .iter()
-        .map(|row| whole((scenario.sample_time_s[row.0] - begin_s) / BLOCK_S))
+        .map(|row| scenario.sample_time_s[row.0])
         .collect();
+    let block = |time_s: &f64| whole((time_s - times[0]) / BLOCK_S);
+    let blocks: Vec<usize> = times.iter().map(block).collect();
     let residual = DVector::from_column_slice(&minimum.residual);
     let spare = residual.len().saturating_sub(bread.ncols()).max(1) as f64;
     let white = bread.diagonal() * (residual.norm_squared() / spare);
@@ -238,9 +230,6 @@ fn covariance_at(minimum: &Minimum, rows: &[(usize, bool)], scenario: &Scenario)
     covariance
 }
 
-/// What standard deviations are multiplied by where more than noise is left over.
-const WIDENED: f64 = 2.0;
-
 /// Factor on every standard deviation of a fit. Blocks cover what neighbouring samples share, but not what a missing effect
 /// puts into whole stretches of the run: where the error stands above the noise, or is coloured, the interval is doubled.
 /// It then holds if nothing else is missing.
@@ -249,26 +238,12 @@ fn interval_factor(minimum: &Minimum, rows: &[(usize, bool)], noise: &NoiseFloor
     let nrms = nrms(minimum, rows);
     let above = noise.source != FloorSource::None && !noise.is_at_the_floor(nrms);
     let is_coloured = |speed: bool| {
-        let of_signal: Vec<f64> = rows
-            .iter()
-            .zip(residual)
-            .filter(|((_, is_speed), _)| *is_speed == speed)
-            .map(|(_, value)| *value)
-            .collect();
-        statistics::is_coloured(&of_signal)
+        let of_signal = rows.iter().zip(residual).filter(|(row, _)| row.1 == speed);
+        statistics::is_coloured(&of_signal.map(|(_, value)| *value).collect::<Vec<f64>>())
     };
-    if above || is_coloured(false) || is_coloured(true) {
-        WIDENED
-    } else {
-        1.0
-    }
+    let widened = above || is_coloured(false) || is_coloured(true);
+    if widened { 2.0 } else { 1.0 }
 }
-
-/// Rounds at most, and the step in standard deviations at which they end.
-const MOST_ROUNDS: usize = 6;
-const SMALL_STEP: f64 = 0.1;
-/// Share of what is known beforehand that the derivative is taken over.
-const DIFFERENCE: f64 = 0.02;
 
 /// Output-error fit where the host stamped samples and commands: by how much the input came later than its stamps say is
 /// one more unknown of the record, with what is known of it beforehand.
@@ -287,7 +262,7 @@ pub fn fit_delayed(
     };
     let mut delay_s = mean_s;
     let mut found = fit(starts, &scenario.with_input_delayed(delay_s), noise)?;
-    for round in 0..MOST_ROUNDS {
+    for round in 0..6 {
         let here = scenario.with_input_delayed(delay_s);
         let x = &found.minimum.x;
         let residual_at = |delay_s: f64| -> Result<DVector<f64>, FitError> {
@@ -300,7 +275,7 @@ pub fn fit_delayed(
                 Err(cannot_simulate(scenario))
             }
         };
-        let half_s = DIFFERENCE * prior_s;
+        let half_s = 0.02 * prior_s;
         let gradient =
             (residual_at(delay_s + half_s)? - residual_at(delay_s - half_s)?) / (2.0 * half_s);
         let jacobian = &found.minimum.jacobian;
@@ -314,36 +289,31 @@ pub fn fit_delayed(
         let pull = own.dot(&residual) / left + (delay_s - mean_s) / prior_s.powi(2);
         let white_s = information.sqrt().recip();
         let step_s = -pull / information;
-        if step_s.abs() > SMALL_STEP * white_s && round + 1 < MOST_ROUNDS {
+        if step_s.abs() > 0.1 * white_s && round < 5 {
             delay_s += step_s.clamp(-prior_s, prior_s);
             let next = scenario.with_input_delayed(delay_s);
             found = fit(std::slice::from_ref(&found.model), &next, noise)?;
             continue;
         }
         // What neighbouring samples err by together, as the parameters' own intervals have it.
-        let mut blocks: Vec<f64> = Vec::new();
-        let mut last = None;
-        for (row, (sample, _)) in problem.rows().iter().enumerate() {
-            let block = (here.sample_time_s[*sample] / BLOCK_S).floor();
-            if last != Some(block) {
-                blocks.push(0.0);
-                last = Some(block);
-            }
-            if let Some(score) = blocks.last_mut() {
-                *score += own[row] * residual[row];
-            }
-        }
-        let scores: f64 = blocks.iter().map(|score| score * score).sum();
+        let rows: Vec<(usize, usize)> =
+            problem.rows().iter().map(|row| row.0).enumerate().collect();
+        let block = |row: &(usize, usize)| (here.sample_time_s[row.1] / BLOCK_S).floor();
+        let scores = rows
+            .chunk_by(|a, b| block(a).total_cmp(&block(b)).is_eq())
+            .map(|block| {
+                let score: f64 = block
+                    .iter()
+                    .map(|(row, _)| own[*row] * residual[*row])
+                    .sum();
+                score * score
+            });
+        let scores: f64 = scores.sum();
         let clustered_s = found.interval_factor * scores.sqrt() / (left * information);
         let std_s = white_s.max(clustered_s).min(prior_s);
         let shared: Vec<f64> = along.iter().map(|share| share * std_s).collect();
-        found.parameters = estimates(
-            &problem,
-            &found.minimum,
-            &here,
-            found.interval_factor,
-            &shared,
-        );
+        let factor = found.interval_factor;
+        found.parameters = estimates(&problem, &found.minimum, &here, factor, &shared);
         break;
     }
     Ok(found)
@@ -392,7 +362,7 @@ pub fn predict(
             })
             .collect();
         placed.sort_by(|a, b| a.0.total_cmp(&b.0));
-        placed.truncate(BEST_PLACES);
+        placed.truncate(3);
     }
     placed
         .iter()
@@ -401,11 +371,6 @@ pub fn predict(
         .map(|(prediction, _)| prediction)
         .ok_or_else(|| cannot_simulate(scenario))
 }
-
-/// Time behind a run's end at which what begins there does nothing in it, s.
-const BEHIND_S: f64 = 1.0;
-/// Places of an event from which a search starts.
-const BEST_PLACES: usize = 3;
 
 /// Free run from one start with its cost.
 fn predict_from(
@@ -433,8 +398,8 @@ fn event_starts(model: &Model, event: &Slot, scenario: &Scenario) -> Vec<Model> 
         return vec![model.clone()];
     };
     let places = spec.shapes.iter().map(|share| share * length_s);
-    // It need not happen in this run at all.
-    let there = places.chain([length_s + BEHIND_S]).map(|time_s| {
+    // It need not happen in this run at all: behind the end what begins there does nothing.
+    let there = places.chain([length_s + 1.0]).map(|time_s| {
         let mut there = model.clone();
         there.set(event, time_s);
         there

@@ -7,37 +7,12 @@ use drivebench_model::numerics::recursive_least_squares::{RecursiveLeastSquares,
 use drivebench_model::plant::{MotorKey, Slot};
 use drivebench_model::sample::{ParameterEstimate, Verdict};
 
-/// Sizes of Kt/J, rad/(A.s^2), and Mc/J, rad/s^2, of a machine of some 100 W, and a prior wide enough for any other.
-const SCALE: [f64; 2] = [100.0, 100.0];
-const PRIOR: f64 = 1e8;
-/// Rows below which nothing is said.
+/// Rows below which there is no estimate.
 const FEWEST_ROWS: u64 = 4;
-
-/// Rows that must have spoken before a change is told, and rows after it before anything is settled again.
-const BELIEVED_ROWS: u64 = 40;
+/// Rows after a change before anything is settled again.
 const REOPENED_ROWS: u64 = 60;
 /// How a reason begins where the inertia is found anew.
 pub const INERTIA_HAS_CHANGED: &str = "the inertia has changed";
-/// Share of the moves of the last rows that their misses add up to where the inertia has changed: more than what a
-/// missing effect makes of them.
-const CHANGE_SHARE: f64 = 0.15;
-/// Motor torque over friction from which on a row tells of the inertia.
-const DRIVEN: f64 = 3.0;
-
-/// Share by which inertia or load may change where a friction that grows with the speed is allowed beside it, at most, and the
-/// standard deviations of that which count.
-const MOST_SLOPE_DOUBT: f64 = 0.06;
-const TWO_SIDED: f64 = 2.0;
-/// Standard deviations from which on such a friction is told from none: what is widened by it stays as narrow as it was
-/// where there is none.
-const TOLD: f64 = 4.0;
-
-/// Move by leaving out every second sample over the error at the full rate. A rule of second order would give 3, but the
-/// current has a corner at each step of the voltage, and where L/R is not resolved the order falls to the first.
-pub(super) const SAMPLING_ORDER: f64 = 1.5;
-
-/// A torque constant with its standard deviation, N.m/A.
-pub(super) type TorqueConstant = (f64, f64);
 
 /// What is forgotten together.
 #[derive(Clone, Debug)]
@@ -52,13 +27,14 @@ struct Fits {
 
 impl Fits {
     fn new(forgetting: f64) -> Self {
-        let estimator = RecursiveLeastSquares::new([0.0; 2], SCALE, PRIOR, forgetting).clustered();
-        let scale = [SCALE[0], SCALE[1], 1.0];
-        let sloping = RecursiveLeastSquares::new([0.0; 3], scale, PRIOR, forgetting).clustered();
+        // Sizes of a machine of some 100 W, and a prior wide enough for any other.
+        let estimator =
+            RecursiveLeastSquares::new([0.0; 2], [100.0; 2], 1e8, forgetting).clustered();
+        let scale = [100.0, 100.0, 1.0];
         Self {
             doubtful: estimator.clone(),
             estimator,
-            sloping,
+            sloping: RecursiveLeastSquares::new([0.0; 3], scale, 1e8, forgetting).clustered(),
         }
     }
 }
@@ -112,7 +88,8 @@ impl MechanicalBalance {
             last_end_s: f64::NAN,
             innovation_rad_s: None,
             blocked_rows: 0,
-            watch: ChangeWatch::new(CHANGE_SHARE, 0.0),
+            // Misses of 15 % of the moves of the last rows: more than what a missing effect makes of them.
+            watch: ChangeWatch::new(0.15, 0.0),
             changes: 0,
             forgetting,
         }
@@ -148,21 +125,16 @@ impl MechanicalBalance {
     fn watch_inertia(&mut self, regressor: &[f64; 2], step_rad_s: f64, continues: bool) {
         let [a, b] = self.fits.estimator.parameters();
         let (driven, braked) = (a * regressor[0], b * regressor[1]);
-        let tells = driven.abs() > DRIVEN * braked.abs();
+        let tells = driven.abs() > 3.0 * braked.abs();
         if !continues || !tells {
             self.watch.interrupt();
         }
-        let believed = self.fits.estimator.rows() >= BELIEVED_ROWS;
-        if tells && self.watch.take(driven + braked, step_rad_s, believed) {
-            self.reopen();
+        let is_founded = self.fits.estimator.rows() >= 40;
+        if tells && self.watch.take(driven + braked, step_rad_s, is_founded) {
+            self.fits = Fits::new(self.forgetting);
+            self.watch.interrupt();
+            self.changes += 1;
         }
-    }
-
-    /// The inertia is not what it was: what was known is dropped.
-    fn reopen(&mut self) {
-        self.fits = Fits::new(self.forgetting);
-        self.watch.interrupt();
-        self.changes += 1;
     }
 
     /// Why nothing may be settled now although the rows agree.
@@ -181,24 +153,25 @@ impl MechanicalBalance {
         let [a, b, _] = self.fits.sloping.parameters();
         let (sloping, of) = [(a, value), (b / a, value * a)][at];
         let std = self.fits.sloping.standard_deviations()?[at];
-        let doubt = (sloping / value - 1.0).abs() + TWO_SIDED * std / of.abs();
+        let doubt = (sloping / value - 1.0).abs() + 2.0 * std / of.abs();
         // A comparison that is false for NaN as well.
-        let sure = doubt <= MOST_SLOPE_DOUBT;
+        let sure = doubt <= 0.06;
         (!sure).then(|| {
             format!(
-                "a friction that grows with the speed, of which these speeds do not tell, would change it by up to {:.0} %",
+                "a friction that grows with the speed, which these speeds do not rule out, would change it by up to {:.0} %",
                 (100.0 * doubt).min(100.0)
             )
         })
     }
 
     /// By how much Kt/J, relative, and Mc/Kt, A, are off because a friction that grows with the speed is there; zero where
-    /// the rows do not tell it from none. `ratio` is Mc/Kt.
+    /// the rows do not separate it from none. `ratio` is Mc/Kt.
     fn slope_bias(&self, ratio: f64) -> [f64; 2] {
         let [a, b, slope] = self.fits.sloping.parameters();
-        let told = (self.fits.sloping.standard_deviations())
-            .is_some_and(|stds| slope.abs() > TOLD * stds[2]);
-        if !told {
+        // Where there is none, what is widened by it stays as narrow as it was.
+        let significant = (self.fits.sloping.standard_deviations())
+            .is_some_and(|stds| slope.abs() > 4.0 * stds[2]);
+        if !significant {
             return [0.0; 2];
         }
         let known = self.fits.estimator.parameters()[0];
@@ -207,12 +180,6 @@ impl MechanicalBalance {
 
     pub(super) fn innovation_rad_s(&self) -> Option<f64> {
         self.innovation_rad_s
-    }
-
-    /// Kt/J where the data carry it to this relative standard deviation, for the speed between samples.
-    pub(super) fn acceleration_per_ampere(&self, uncertainty: f64) -> Option<f64> {
-        let (value, std) = self.acceleration_with_std()?;
-        (value > 0.0 && std < uncertainty * value).then_some(value)
     }
 
     /// Kt/J and its standard deviation as the rows have it now, rad/(A.s^2).
@@ -227,7 +194,7 @@ impl MechanicalBalance {
         self.fits.estimator.noise_variance()
     }
 
-    /// Kt/J and Mc/J once enough rows have spoken of them.
+    /// Kt/J and Mc/J once there are enough rows.
     pub(super) fn values(&self) -> Option<[f64; 2]> {
         let [a, b] = self.fits.estimator.parameters();
         (self.fits.estimator.rows() >= FEWEST_ROWS && a > 0.0).then_some([a, b])
@@ -242,17 +209,14 @@ impl MechanicalBalance {
     }
 
     pub(super) fn ignorance(&self) -> [f64; 2] {
-        [
-            self.fits.estimator.ignorance(0),
-            self.fits.estimator.ignorance(1),
-        ]
+        [0, 1].map(|j| self.fits.estimator.ignorance(j))
     }
 
-    /// Inertia and load torque; `moved` knows the largest speed so far and the dead zone, `sampling` is the relative
-    /// error of J and the error of Mc/Kt, A, that coarse sampling leaves.
+    /// Inertia and load torque from the torque constant, N.m/A, with its standard deviation. `moved` has the largest speed
+    /// so far and the dead zone; `sampling` is the relative error of J and the error of Mc/Kt, A, that coarse sampling leaves.
     pub(super) fn estimates(
         &self,
-        torque: Option<TorqueConstant>,
+        torque: Option<(f64, f64)>,
         moved: &Direction,
         period_s: f64,
         sampling: [f64; 2],
@@ -299,18 +263,14 @@ impl MechanicalBalance {
                 .hypot(kt * load_bias);
             Some((inertia_std, load_std))
         })();
-        let relative = [
-            sampling[0],
-            kt * sampling[1] / load.abs().max(f64::MIN_POSITIVE),
-        ];
+        let load_doubt = kt * sampling[1] / load.abs().max(f64::MIN_POSITIVE);
         let found = [
-            (MotorKey::Inertia, inertia, stds.map(|s| s.0)),
-            (MotorKey::LoadTorque, load, stds.map(|s| s.1)),
+            (MotorKey::Inertia, inertia, stds.map(|s| s.0), sampling[0]),
+            (MotorKey::LoadTorque, load, stds.map(|s| s.1), load_doubt),
         ];
         found
             .into_iter()
-            .zip(relative)
-            .map(|((key, value, std), doubt)| {
+            .map(|(key, value, std, doubt)| {
                 let mut judged = verdict::judge(&Slot::Motor(key), value, std, period_s);
                 let most = std.is_some_and(|std| doubt * value.abs() > std / 2f64.sqrt());
                 if most && judged.value.is_some() {
@@ -323,13 +283,8 @@ impl MechanicalBalance {
                         100.0 * doubt
                     ));
                 }
-                let why_open = self.reopened().or_else(|| {
-                    if key == MotorKey::Inertia {
-                        self.not_constant(a, 0)
-                    } else {
-                        self.not_constant(b / a, 1)
-                    }
-                });
+                let (fitted, at) = if key == MotorKey::Inertia { (a, 0) } else { (b / a, 1) };
+                let why_open = self.reopened().or_else(|| self.not_constant(fitted, at));
                 if let Some(reason) = why_open {
                     judged.unsettle(reason);
                 }

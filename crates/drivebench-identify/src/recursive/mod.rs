@@ -16,11 +16,10 @@ pub use mechanical::INERTIA_HAS_CHANGED;
 pub use scheme_2::{CurrentIntegral, Scheme2};
 pub use scheme_3::{Memory, Scheme3, StartValues};
 
-/// Share of the largest speed so far, and the smallest speed, rad/s, that count as moving.
-const SHARE_OF_LARGEST: f64 = 0.01;
-const LEAST_RAD_S: f64 = 0.5;
-/// Standard deviations of the standstill noise that count as moving.
-const NOISE_MULTIPLE: f64 = 4.0;
+/// Share of the prior variance above which a parameter counts as not excited.
+pub(crate) const IGNORANT: f64 = 0.3;
+/// A longer gap between samples ends a row, s: the current between them is not known.
+const LONGEST_GAP_S: f64 = 0.1;
 
 /// Sign of the speed from a dead zone, never from noise around zero.
 #[derive(Clone, Copy, Debug, Default)]
@@ -47,9 +46,9 @@ impl Direction {
     }
 
     pub(crate) fn dead_zone_rad_s(&self) -> f64 {
-        (SHARE_OF_LARGEST * self.largest_rad_s)
-            .max(NOISE_MULTIPLE * self.noise_rad_s)
-            .max(LEAST_RAD_S)
+        (0.01 * self.largest_rad_s)
+            .max(4.0 * self.noise_rad_s)
+            .max(0.5)
     }
 
     pub(crate) fn largest_rad_s(&self) -> f64 {
@@ -59,13 +58,11 @@ impl Direction {
 
 /// Sampling period as it is usually, s: one gap in the stamps does not change it.
 pub(crate) fn steady_period(known_s: f64, step_s: f64) -> f64 {
-    const GAP: f64 = 2.5;
-    const ROWS: f64 = 16.0;
-    if known_s.is_nan() || step_s < known_s / GAP {
+    if known_s.is_nan() || step_s < known_s / 2.5 {
         step_s
-    } else if step_s > GAP * known_s {
+    } else if step_s > 2.5 * known_s {
         known_s
     } else {
-        known_s + (step_s - known_s) / ROWS
+        known_s + (step_s - known_s) / 16.0
     }
 }

@@ -3,14 +3,11 @@
 //! `w_k - w_{k-1} = (Kt/J) int i - (Mc/J) sgn(w) T` on consecutive samples with their true stamps.
 //! Between samples the current is known only as a straight line. What that costs is measured, not assumed: a second
 //! estimate from every second sample moves by one (first order) to three times (second order) the error (Richardson), and
-//! its move over 1.5 is part of the standard deviation. Scheme 3 knows the current between samples and does not have this error.
+//! its move over 1.5 is part of the standard deviation. Scheme 3 computes the current between samples: it has no such error.
 
-use super::Direction;
-use super::mechanical::{MechanicalBalance, MechanicalRow, SAMPLING_ORDER};
+use super::mechanical::{MechanicalBalance, MechanicalRow};
+use super::{Direction, LONGEST_GAP_S};
 use drivebench_model::sample::ParameterEstimate;
-
-/// A longer gap between samples ends the row: the current between them is not known.
-const LONGEST_GAP_S: f64 = 0.1;
 
 /// How the current is integrated between two samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -121,8 +118,10 @@ impl Scheme2 {
         else {
             return [0.0; 2];
         };
+        // A rule of second order would give 3, but the current has a corner at each step of the voltage, and where L/R is
+        // not resolved the order falls to the first.
         let order = match self.integral {
-            CurrentIntegral::Trapezoid => SAMPLING_ORDER,
+            CurrentIntegral::Trapezoid => 1.5,
             CurrentIntegral::Rectangle => 1.0,
         };
         [

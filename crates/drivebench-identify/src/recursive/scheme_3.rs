@@ -10,7 +10,7 @@
 use super::mechanical::{self, MechanicalBalance, MechanicalRow};
 use super::track::{Block, SampleNoise, Track};
 use super::winding::{self, Interval, Winding};
-use super::{Direction, steady_period};
+use super::{Direction, IGNORANT, LONGEST_GAP_S, steady_period};
 use crate::verdict;
 use drivebench_model::numerics::recursive_least_squares::RecursiveLeastSquares;
 use drivebench_model::plant::{Motor, MotorKey, Slot};
@@ -22,48 +22,19 @@ const LONGEST_BLOCK_S: f64 = 0.01;
 const NEARLY_ZERO_V: f64 = 0.05;
 /// Voltage events that are kept while no sample comes that could use them.
 const MOST_EVENTS: usize = 4096;
-/// A longer gap between samples ends the block.
-const LONGEST_GAP_S: f64 = 0.1;
-/// Sizes of R, L, Ke for the linear start, and a prior wide enough for any machine.
-const START_SCALE: Winding = [1.0, 1e-2, 0.1];
-const START_PRIOR: f64 = 1e8;
 /// The linear start hands over at this many rows and this relative standard deviation.
 const START_ROWS: u64 = 20;
 const START_UNCERTAINTY: f64 = 0.2;
 /// Noise where none was measured: share of the largest value.
 const NOISE_SHARE: f64 = 1e-3;
-/// A current counts as one above so many standard deviations of its noise and above this share of the largest.
-const CURRENT_NOISE: f64 = 5.0;
-const CURRENT_SHARE: f64 = 0.01;
-/// Rows after which the linear start hands over R and Ke alone, and the L/R in periods that then compete: where L/R is
-/// short against the period, a regression on integrals does not see the inductance.
-const LATE_ROWS: u64 = 60;
-const LATE_TIME_CONSTANTS: [f64; 4] = [0.6, 0.25, 0.1, 0.04];
-/// Rows of a trial at most, and the factor by which such a one may change a value.
-const LONGEST_TRIAL_ROWS: u32 = 80;
-const LARGEST_MOVE: f64 = 2.0;
-/// Rows of a trial at least, the relative standard deviations below which it ends, and how far it may have moved a value
-/// to be the last one. Its torque balance forgets faster than later.
+/// Rows of a trial at least. Its torque balance forgets faster than later.
 const TRIAL_ROWS: u32 = 40;
-const TRIAL_UNCERTAINTY: f64 = 0.1;
-const TRIAL_MOVE: f64 = 0.05;
 const TRIAL_FORGETTING: f64 = 0.95;
-/// Relative standard deviation of Kt/J below which a newer value replaces the last one.
-const ACCELERATION_UNCERTAINTY: f64 = 0.05;
-/// Periods per electrical time constant (as estimated) beyond which the inductance is not claimed.
-const MOST_PERIODS: f64 = 3.0;
 const KEYS: [MotorKey; 3] = [
     MotorKey::Resistance,
     MotorKey::Inductance,
     MotorKey::BackEmf,
 ];
-
-/// Share of the prior variance above which a parameter counts as not excited.
-const IGNORANT: f64 = 0.3;
-/// Root mean square of the normalised innovation over the last rows above which nothing is settled.
-const LARGEST_MISFIT: f64 = 3.0;
-/// Relative standard deviation of the resistance from which on that estimate is trusted.
-const CERTAIN_RATIO: f64 = 0.01;
 
 /// Forgetting factors per row; a row is one block.
 #[derive(Clone, Copy, Debug)]
@@ -160,10 +131,11 @@ impl Scheme3 {
             memory,
             torque_n_m_per_a,
             guess: start.map(|s| [s.resistance_ohm, s.inductance_h, s.back_emf_v_s_per_rad]),
+            // Sizes of R, L, Ke, and a prior wide enough for any machine.
             starting: Some(RecursiveLeastSquares::new(
                 [0.0; 3],
-                START_SCALE,
-                START_PRIOR,
+                [1.0, 1e-2, 0.1],
+                1e8,
                 memory.electrical,
             )),
             tracks: Vec::with_capacity(2),
@@ -201,7 +173,7 @@ impl Scheme3 {
         self.limited = limited;
     }
 
-    /// The voltage that holds from `time_s` on. Must be told before the first sample after that instant.
+    /// The voltage that holds from `time_s` on, before the first sample after that instant.
     pub fn voltage_applied(&mut self, time_s: f64, voltage_v: f64) {
         if !(time_s.is_finite() && voltage_v.is_finite()) {
             return;
@@ -284,12 +256,8 @@ impl Scheme3 {
             .min_by(|a, b| a.misfit().total_cmp(&b.misfit()))
     }
 
-    fn intervals(&self) -> impl Iterator<Item = (&Reading, &Reading, Interval<'_>)> {
-        self.intervals_at(self.acceleration.unwrap_or(0.0))
-    }
-
-    /// With this Kt/J, rad/(A.s^2).
-    fn intervals_at(
+    /// The samples two by two and what is between them, with this Kt/J, rad/(A.s^2).
+    fn intervals(
         &self,
         acceleration: f64,
     ) -> impl Iterator<Item = (&Reading, &Reading, Interval<'_>)> {
@@ -329,16 +297,15 @@ impl Scheme3 {
     ) -> f64 {
         let [mut first, last] = speed_errors;
         let end = self.readings.len().saturating_sub(2);
-        self.intervals_at(acceleration).enumerate().fold(
-            begin_a,
-            |current, (index, (_, _, mut interval))| {
-                interval.speed[0] -= std::mem::take(&mut first);
-                if index == end {
-                    interval.speed[1] -= last;
-                }
-                winding::propagate(winding, current, &interval).0
-            },
-        )
+        let mut current = begin_a;
+        for (index, (_, _, mut interval)) in self.intervals(acceleration).enumerate() {
+            interval.speed[0] -= std::mem::take(&mut first);
+            if index == end {
+                interval.speed[1] -= last;
+            }
+            current = winding::propagate(winding, current, &interval).0;
+        }
+        current
     }
 
     fn take_block(&mut self, begin_s: f64, end_s: f64) {
@@ -359,8 +326,12 @@ impl Scheme3 {
             row.direction = 0;
         }
         self.balance.take(&row);
-        let known = (self.balance).acceleration_per_ampere(ACCELERATION_UNCERTAINTY);
-        self.acceleration = known.or(self.acceleration);
+        if let Some((value, std)) = self.balance.acceleration_with_std()
+            && value > 0.0
+            && std < 0.05 * value
+        {
+            self.acceleration = Some(value);
+        }
     }
 
     /// The shaft breaks away, comes to rest or turns inside an interval: when, and so the shape of the speed, is not
@@ -381,8 +352,8 @@ impl Scheme3 {
     /// Nothing applied, no motion, no current: such a block is noise, which would pass for certainty.
     fn is_at_rest(&self) -> bool {
         let begin_s = self.readings[0].time_s;
-        let noise = self.current_noise_a().unwrap_or(0.0);
-        let least = (CURRENT_NOISE * noise).max(CURRENT_SHARE * self.largest_current_a);
+        let noise = self.current_at_rest.deviation().unwrap_or(0.0);
+        let least = (5.0 * noise).max(0.01 * self.largest_current_a);
         holding_since(&self.voltage, begin_s)
             .iter()
             .all(|event| event.1.abs() <= NEARLY_ZERO_V)
@@ -406,7 +377,8 @@ impl Scheme3 {
         };
         SampleNoise {
             current_a: least(
-                self.current_noise_a()
+                self.current_at_rest
+                    .deviation()
                     .or_else(|| by_rows(self.best()?.estimator().noise_variance()))
                     .unwrap_or(NOISE_SHARE * self.largest_current_a),
                 self.largest_current_a,
@@ -422,17 +394,12 @@ impl Scheme3 {
         }
     }
 
-    /// Noise of one current sample, A: from the time before anything was applied.
-    fn current_noise_a(&self) -> Option<f64> {
-        self.current_at_rest.deviation()
-    }
-
     fn take_start_row(&mut self, length_s: f64) {
         if self.starting.is_none() {
             return;
         }
         let (mut charge, mut angle, mut volt_s) = (0.0, 0.0, 0.0);
-        for (a, b, interval) in self.intervals() {
+        for (a, b, interval) in self.intervals(0.0) {
             charge += 0.5 * (a.current_a + b.current_a) * interval.length_s;
             angle += 0.5 * (a.speed_rad_s + b.speed_rad_s) * interval.length_s;
             volt_s += winding::voltage_integral(&interval);
@@ -457,8 +424,9 @@ impl Scheme3 {
         let [r, _, ke] = found;
         let rivals: Vec<Winding> = if certain(1) {
             vec![found]
-        } else if rows >= LATE_ROWS {
-            LATE_TIME_CONSTANTS
+        } else if rows >= 60 {
+            // Where L/R is short against the period, a regression on integrals does not show the inductance.
+            [0.6, 0.25, 0.1, 0.04]
                 .map(|share| [r, share * self.period_s * r, ke])
                 .to_vec()
         } else {
@@ -490,17 +458,12 @@ impl Scheme3 {
     fn take_prediction_error(&mut self, length_s: f64, continues: bool) {
         let noise = self.stamped_noise(length_s);
         let mut tracks = std::mem::take(&mut self.tracks);
-        let (known, doubtful) = (
-            self.acceleration.unwrap_or(0.0),
-            self.doubtful_acceleration(),
-        );
+        let known = self.acceleration.unwrap_or(0.0);
         let block = Block {
-            predict: |winding: &Winding, begin_a, speed_errors| {
-                self.predict(known, winding, begin_a, speed_errors)
+            predict: |acceleration, winding: &Winding, begin_a, speed_errors| {
+                self.predict(acceleration, winding, begin_a, speed_errors)
             },
-            predict_doubtful: |winding: &Winding, begin_a, speed_errors| {
-                self.predict(doubtful, winding, begin_a, speed_errors)
-            },
+            acceleration: [known, self.doubtful_acceleration()],
             first_current_a: self.readings[0].current_a,
             last_current_a: self.readings[self.readings.len() - 1].current_a,
             length_s,
@@ -527,23 +490,17 @@ impl Scheme3 {
             return;
         };
         let values = best.estimator().parameters();
-        let gone = self.is_gone(&values);
         // An inductance that is gone between two samples need not be known.
-        let asked = |j: &usize| *j != 1 || !gone;
+        let needed = |j: &usize| *j != 1 || !self.is_gone(&values);
         let near = self.acceleration.is_some()
-            && best.estimator().standard_deviations().is_some_and(|stds| {
-                (0..3)
-                    .filter(asked)
-                    .all(|j| stds[j] < TRIAL_UNCERTAINTY * values[j])
-            });
-        if !near && rows < LONGEST_TRIAL_ROWS {
+            && (best.estimator().standard_deviations())
+                .is_some_and(|stds| (0..3).filter(needed).all(|j| stds[j] < 0.1 * values[j]));
+        if !near && rows < 80 {
             return;
         }
-        let last = near && (0..3).filter(asked).all(|j| best.moved(j) < TRIAL_MOVE);
+        let last = near && (0..3).filter(needed).all(|j| best.moved(j) < 0.05);
         let from = best.winding();
-        let start = std::array::from_fn(|j| {
-            values[j].clamp(from[j] / LARGEST_MOVE, from[j] * LARGEST_MOVE)
-        });
+        let start = std::array::from_fn(|j| values[j].clamp(from[j] / 2.0, from[j] * 2.0));
         self.tracks = vec![self.track(start, last)];
         let (memory, trial) = if last {
             (self.memory.mechanical, Trial::Over)
@@ -555,14 +512,14 @@ impl Scheme3 {
 
     /// Whether nothing is left of the transient of the winding between two samples.
     fn is_gone(&self, [r, l, _]: &Winding) -> bool {
-        self.period_s * r > MOST_PERIODS * l
+        self.period_s * r > 3.0 * l
     }
 
     fn mechanical_row(&self, begin_s: f64, end_s: f64) -> MechanicalRow {
         let winding = self.winding();
         // The chord through the measured ends, and what the winding bends away from a chord.
         let charge = |winding: Option<Winding>| -> f64 {
-            self.intervals()
+            self.intervals(self.acceleration.unwrap_or(0.0))
                 .map(|(a, b, interval)| {
                     let h = interval.length_s;
                     let chord = 0.5 * h * (a.current_a + b.current_a);
@@ -605,11 +562,10 @@ impl Scheme3 {
 
     /// How far the data carry R, L, Ke, Kt/J, Mc/J: 0 nothing learnt, 1 learnt.
     pub fn excitation(&self) -> [f64; 5] {
-        let electrical = self.electrical().map_or([1.0; 3], |estimator| {
+        let [r, l, ke] = self.electrical().map_or([1.0; 3], |estimator| {
             [0, 1, 2].map(|j| estimator.ignorance(j))
         });
         let [a, b] = self.balance.ignorance();
-        let [r, l, ke] = electrical;
         [r, l, ke, a, b].map(|ignorance| (1.0 - ignorance).clamp(0.0, 1.0))
     }
 
@@ -641,38 +597,29 @@ impl Scheme3 {
         }
         let (torque, moved) = (self.torque_constant(), &self.direction);
         out.extend((self.balance).estimates(torque, moved, self.period_s, [0.0; 2]));
-        let doubt = if self.limited {
-            Some("stands still: a limit of the drive holds its output, so that the motor has another voltage than was commanded".to_owned())
-        } else {
-            self.misfit().map(|times| {
-                format!(
-                    "the measured current misses the prediction by {times:.1} times its noise: \
-                     an effect is missing, a signal is wrong, or the estimate went astray"
-                )
-            })
-        };
+        // How many times its noise the current misses the prediction by.
+        let misfit = (self.current_at_rest.deviation().and(self.best()))
+            .map(|track| track.misfit().sqrt())
+            .filter(|times| *times > 3.0);
         // One voltage is shared by R and Ke, and the current between two samples is theirs: without R nothing is sure.
-        let resistance = out.iter().find(|p| p.key == MotorKey::Resistance.key());
+        let resistance = ParameterEstimate::find(&out, MotorKey::Resistance.key());
         let open = resistance.is_none_or(|resistance| resistance.verdict != Verdict::Settled);
-        let doubt = doubt.or_else(|| {
-            open.then(|| {
-                "rests on the resistance, which the run does not settle: it takes a current that changes at every speed"
-                    .to_owned()
-            })
-        });
-        if let Some(reason) = doubt {
-            for parameter in &mut out {
-                parameter.unsettle(reason.as_str());
-            }
+        let doubt = if self.limited {
+            "stands still: a limit of the drive holds its output, so that the motor has another voltage than was commanded".to_owned()
+        } else if let Some(times) = misfit {
+            format!(
+                "the measured current misses the prediction by {times:.1} times its noise: \
+                 an effect is missing, a signal is wrong, or the estimate went astray"
+            )
+        } else if open {
+            "rests on the resistance, which the run does not settle: it takes a current that changes at every speed".to_owned()
+        } else {
+            return out;
+        };
+        for parameter in &mut out {
+            parameter.unsettle(doubt.as_str());
         }
         out
-    }
-
-    /// How many times its noise the current misses the prediction by, where that is no chance.
-    fn misfit(&self) -> Option<f64> {
-        self.current_noise_a()?;
-        let times = self.best()?.misfit().sqrt();
-        (times > LARGEST_MISFIT).then_some(times)
     }
 
     /// Why the integral of the current between samples is not known yet, once the shaft has moved.
@@ -698,16 +645,16 @@ impl Scheme3 {
         let starting = self.tracks.is_empty();
         let values = estimator.parameters();
         let stds = match self.best() {
+            _ if estimator.rows() < START_ROWS => None,
             Some(track) => track.standard_deviations(),
             None => estimator.standard_deviations(),
         };
-        let stds = stds.filter(|_| estimator.rows() >= START_ROWS);
         let certain = |j: usize| {
             estimator.ignorance(j) < IGNORANT
                 && stds.is_some_and(|stds| stds[j] < START_UNCERTAINTY * values[j])
         };
-        // In steady state the noise of the current passes for its excitation and R and Ke share one voltage: neither
-        // may be told from the linear start without the other.
+        // In steady state the noise of the current passes for its excitation and R and Ke share one voltage: the linear
+        // start gives neither without the other.
         let moved = self.direction.largest_rad_s() > self.direction.dead_zone_rad_s();
         let confounded = starting && moved && !(certain(0) && certain(2));
         (0..3)
@@ -719,9 +666,8 @@ impl Scheme3 {
                 };
                 let time_constant_s = values[1] / values[0];
                 // Early on the ratio itself is not known well enough to say so.
-                let known = !starting && stds[0] < CERTAIN_RATIO * values[0];
-                let gone = self.is_gone(&values);
-                if key == MotorKey::Inductance && known && gone {
+                let known = !starting && stds[0] < 0.01 * values[0];
+                if key == MotorKey::Inductance && known && self.is_gone(&values) {
                     // What is left of the transient between two samples is below the noise of everything else.
                     let reason = format!(
                         "L/R = {:.1} ms or less against a period of {:.1} ms; sample faster, or use burst capture",
@@ -749,7 +695,7 @@ impl Scheme3 {
         let speed = self.direction.largest_rad_s();
         let zone = self.direction.dead_zone_rad_s();
         if self.voltage.is_empty() {
-            return "no voltage command seen yet".into();
+            return "no voltage command yet".into();
         }
         if rows < START_ROWS {
             return format!("{rows} rows so far, at least {START_ROWS} are needed");

@@ -9,21 +9,6 @@
 use super::winding::Winding;
 use drivebench_model::numerics::recursive_least_squares::{RecursiveLeastSquares, RowNoise};
 
-/// Relative prior standard deviation.
-const PRIOR: f64 = 0.5;
-/// Forgetting of the first rows (Ljung and Soderstrom, section 5.6), and how long it lasts: they were linearised about a
-/// start that is some per cent off.
-const EARLY_LOSS: f64 = 0.08;
-const EARLY_ROWS: f64 = 40.0;
-/// Relative standard deviation below which a parameter is linearised about its estimate; before that about the start,
-/// because the first few rows may throw an estimate anywhere.
-const CERTAIN: f64 = 0.02;
-/// A gradient below this many standard deviations of what noise makes of it is noise: taking it would pull the parameter
-/// away in steady state.
-const GRADIENT_NOISE: f64 = 3.0;
-/// Rows over which the innovations of rivals are compared.
-const CONTEST_ROWS: f64 = 40.0;
-
 /// Standard deviations of the noise of one sample.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SampleNoise {
@@ -35,14 +20,11 @@ pub(super) struct SampleNoise {
 }
 
 /// One block.
-pub(super) struct Block<
-    F: Fn(&Winding, f64, [f64; 2]) -> f64,
-    D: Fn(&Winding, f64, [f64; 2]) -> f64,
-> {
-    /// Current at the end from the winding, the current at the begin and the errors of the first and the last speed.
+pub(super) struct Block<F: Fn(f64, &Winding, f64, [f64; 2]) -> f64> {
+    /// Current at the end from Kt/J, the winding, the current at the begin and the errors of the first and the last speed.
     pub(super) predict: F,
-    /// The same if the speed between the samples has another shape, as far as that is not known.
-    pub(super) predict_doubtful: D,
+    /// Kt/J, and the same off by as much as it is not known: the speed between the samples then has another shape.
+    pub(super) acceleration: [f64; 2],
     pub(super) first_current_a: f64,
     pub(super) last_current_a: f64,
     pub(super) length_s: f64,
@@ -81,9 +63,12 @@ pub(super) struct Track {
     /// The same with predictions off by what is not known of the speed between samples.
     doubtful: RecursiveLeastSquares<3>,
     start: Winding,
-    /// Where the model is linearised.
+    /// Where the model is linearised: at the estimates that are certain, before that at the start, because the first few
+    /// rows may throw an estimate anywhere.
     anchor: Winding,
     forgetting: f64,
+    /// Forgetting of the first rows (Ljung and Soderstrom, section 5.6): they were linearised about a start that is some
+    /// per cent off.
     early_loss: f64,
     filtered: Option<Filtered>,
     /// Recent mean square of the normalised innovation.
@@ -93,7 +78,7 @@ pub(super) struct Track {
 impl Track {
     /// `certain`: the start is near the truth, no early rows need be forgotten.
     pub(super) fn new(start: Winding, noise: SampleNoise, forgetting: f64, certain: bool) -> Self {
-        let prior = (PRIOR / noise.current_a).powi(2);
+        let prior = (0.5 / noise.current_a).powi(2);
         let doubtful = RecursiveLeastSquares::new(start, start, prior, forgetting);
         Self {
             estimator: doubtful.clone().clustered(),
@@ -101,7 +86,7 @@ impl Track {
             start,
             anchor: start,
             forgetting,
-            early_loss: if certain { 0.0 } else { EARLY_LOSS },
+            early_loss: if certain { 0.0 } else { 0.08 },
             filtered: None,
             misfit: f64::NAN,
         }
@@ -123,7 +108,7 @@ impl Track {
         (self.estimator.parameters()[parameter] / self.start[parameter] - 1.0).abs()
     }
 
-    /// R, L, Ke as far as they may be relied on.
+    /// R, L, Ke about which the model is linearised.
     pub(super) fn winding(&self) -> Winding {
         self.anchor
     }
@@ -133,12 +118,14 @@ impl Track {
     }
 
     /// Takes a block and returns the innovation, A.
-    pub(super) fn take<F, D>(&mut self, block: &Block<F, D>, noise: SampleNoise) -> Option<f64>
+    pub(super) fn take<F>(&mut self, block: &Block<F>, noise: SampleNoise) -> Option<f64>
     where
-        F: Fn(&Winding, f64, [f64; 2]) -> f64,
-        D: Fn(&Winding, f64, [f64; 2]) -> f64,
+        F: Fn(f64, &Winding, f64, [f64; 2]) -> f64,
     {
-        const STEP: f64 = 1e-4;
+        let [known, doubtful] = block.acceleration;
+        let predict = |winding: &Winding, begin_a: f64, speed_errors: [f64; 2]| {
+            (block.predict)(known, winding, begin_a, speed_errors)
+        };
         let winding = self.anchor;
         let power = noise.current_a.powi(2);
         let speed_power = noise.speed_rad_s.powi(2);
@@ -154,27 +141,25 @@ impl Track {
             });
         self.filtered = None;
         let errors = [begin.speed_error, 0.0];
-        let predicted = (block.predict)(&winding, begin.current_a, errors);
+        let predicted = predict(&winding, begin.current_a, errors);
         let surprise = block.last_current_a - predicted;
         // Along each parameter, with the begin that goes with it.
         let psi: [f64; 3] = std::array::from_fn(|j| {
-            let step = STEP * winding[j];
+            let step = 1e-4 * winding[j];
             let at = |step: f64| {
                 let mut moved = winding;
                 moved[j] += step;
-                (block.predict)(
-                    &moved,
-                    begin.current_a + step * begin.current_by[j],
-                    [begin.speed_error + step * begin.speed_error_by[j], 0.0],
-                )
+                let speed_error = begin.speed_error + step * begin.speed_error_by[j];
+                let current_a = begin.current_a + step * begin.current_by[j];
+                predict(&moved, current_a, [speed_error, 0.0])
             };
             (at(step) - at(-step)) / (2.0 * step)
         });
         let share = block.length_s * winding[0] / winding[1];
         // The prediction is affine in the begin and in the errors.
-        let carry = (block.predict)(&winding, begin.current_a + 1.0, errors) - predicted;
-        let first = (block.predict)(&winding, begin.current_a, [errors[0] + 1.0, 0.0]) - predicted;
-        let last = (block.predict)(&winding, begin.current_a, [errors[0], 1.0]) - predicted;
+        let carry = predict(&winding, begin.current_a + 1.0, errors) - predicted;
+        let first = predict(&winding, begin.current_a, [errors[0] + 1.0, 0.0]) - predicted;
+        let last = predict(&winding, begin.current_a, [errors[0], 1.0]) - predicted;
         let between = inner_speed_gain(&winding, share, block.intervals);
         let [current, cross, speed] = begin.covariance;
         let variance = carry * carry * current
@@ -190,21 +175,19 @@ impl Track {
             share * (-share).exp() * state / winding[1],
             by_speed / winding[2],
         ];
+        // A gradient that noise may have made would pull the parameter away in steady state.
         let gated: [f64; 3] = std::array::from_fn(|j| {
-            if psi[j].abs() < GRADIENT_NOISE * least[j] {
-                0.0
-            } else {
-                psi[j]
-            }
+            let is_noise = psi[j].abs() < 3.0 * least[j];
+            if is_noise { 0.0 } else { psi[j] }
         });
         let weight = (power / total).sqrt() / noise.by_stamp;
         let row = gated.map(|g| weight * g);
         let value = surprise + (0..3).map(|j| gated[j] * winding[j]).sum::<f64>();
         let age = f64::from(u32::try_from(self.estimator.rows()).unwrap_or(u32::MAX));
-        let lack = (1.0 - self.forgetting).max(self.early_loss * (-age / EARLY_ROWS).exp());
+        let lack = (1.0 - self.forgetting).max(self.early_loss * (-age / 40.0).exp());
         self.estimator.set_forgetting(1.0 - lack);
         self.doubtful.set_forgetting(1.0 - lack);
-        let other = predicted - (block.predict_doubtful)(&winding, begin.current_a, errors);
+        let other = predicted - (block.predict)(doubtful, &winding, begin.current_a, errors);
         (self.doubtful).update_row(&row, weight * (value + other), RowNoise::WHITE);
         let innovation = self
             .estimator
@@ -227,7 +210,7 @@ impl Track {
         self.misfit = if self.misfit.is_nan() {
             square
         } else {
-            self.misfit + (square - self.misfit) / CONTEST_ROWS
+            self.misfit + (square - self.misfit) / 40.0
         };
         Some(innovation)
     }
@@ -241,7 +224,7 @@ impl Track {
         };
         let values = self.estimator.parameters();
         for j in 0..3 {
-            if values[j] > 0.0 && stds[j] < CERTAIN * values[j] {
+            if values[j] > 0.0 && stds[j] < 0.02 * values[j] {
                 let step = values[j] - self.anchor[j];
                 self.anchor[j] = values[j];
                 filtered.current_a += filtered.current_by[j] * step;

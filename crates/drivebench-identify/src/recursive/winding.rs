@@ -23,13 +23,6 @@ pub(super) struct Interval<'a> {
     pub(super) voltage: &'a [Point],
 }
 
-impl Interval<'_> {
-    /// `(length, volts)` of the held pieces inside the interval.
-    fn pieces(&self) -> impl Iterator<Item = Point> + '_ {
-        pieces(self.voltage, self.begin_s, self.begin_s + self.length_s)
-    }
-}
-
 /// Current at the end and its integral over the interval.
 pub(super) fn propagate(
     [r, l, ke]: &Winding,
@@ -43,7 +36,7 @@ pub(super) fn propagate(
     let h = interval.length_s;
     let whole = linear.over(h);
     let mut x = [current_a, w_begin];
-    for (length_s, volts) in interval.pieces() {
+    for (length_s, volts) in pieces(interval.voltage, interval.begin_s, interval.begin_s + h) {
         let forcing = [volts / l, 0.0];
         x = if length_s < h {
             linear.over(length_s).apply(x, forcing)

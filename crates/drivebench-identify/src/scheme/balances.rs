@@ -79,9 +79,6 @@ fn filtered_balances(id: &'static str, data: &Data<'_>) -> Result<Identified, Id
     Ok(identified.leaving_out(data.model, of_balances(data.model, electrical)))
 }
 
-/// Periods per L/R above which a window's quadrature error is of the order of what it measures.
-const COARSE: f64 = 1.0 / 3.0;
-
 /// Where the samples do not resolve the armature circuit nothing from it is settled, and nothing that rests on it: every
 /// second sample left out then moves the values by chance more than by what is wrong with them.
 fn doubt_coarse_sampling(parameters: &mut [ParameterEstimate], scenario: &Scenario) {
@@ -93,7 +90,7 @@ fn doubt_coarse_sampling(parameters: &mut [ParameterEstimate], scenario: &Scenar
         .zip(value(MotorKey::Resistance))
         .map(|(l, r)| l / r);
     let period_s = median_step(&scenario.sample_time_s);
-    if time_constant_s.is_some_and(|ta| period_s <= COARSE * ta) {
+    if time_constant_s.is_some_and(|ta| period_s <= 1.0 / 3.0 * ta) {
         return;
     }
     let ta = time_constant_s.map_or_else(
@@ -121,24 +118,26 @@ fn parameters(model: &Model, scenario: &Scenario) -> (Vec<ParameterEstimate>, Mi
     let balances = weak_form::fit(&model, scenario);
     let misfit = Misfit::of_balances(&balances);
     let rows = balances.last().map_or(0, |torque| torque.residual.len());
-    let in_ratio = |found: ParameterEstimate| match found.verdict {
-        Verdict::Fixed => found,
-        _ if relative => as_ratio(found),
-        _ => found,
+    let of_all = |balances: Vec<weak_form::Balanced>| -> Vec<ParameterEstimate> {
+        balances
+            .into_iter()
+            .flat_map(|balance| balance.parameters)
+            .collect()
     };
-    let found = balances
-        .into_iter()
-        .flat_map(|balance| balance.parameters)
-        .map(in_ratio);
-    let mut found = once_each(found.collect());
+    let mut found = of_all(balances);
+    if relative {
+        let unknown = found
+            .iter_mut()
+            .filter(|found| found.verdict != Verdict::Fixed);
+        unknown.for_each(|found| *found = as_ratio(found.clone()));
+    }
+    let mut found = once_each(found);
     if scenario.input != Input::Voltage {
         widen_by_forms_of_torque(&mut found, rows, |form| {
-            let with = weak_form::fit(&model.with_effect(form).ok()?, scenario);
-            Some(
-                with.into_iter()
-                    .flat_map(|balance| balance.parameters)
-                    .collect(),
-            )
+            Some(of_all(weak_form::fit(
+                &model.with_effect(form).ok()?,
+                scenario,
+            )))
         });
     }
     (found, misfit)
@@ -151,11 +150,12 @@ fn compared(ours: &[ParameterEstimate], weak: &[ParameterEstimate]) -> Option<St
         .filter_map(|p| {
             let value = p.value.filter(|_| p.std != Some(0.0))?;
             let other = ParameterEstimate::value_of(weak, &p.key)?;
+            // Five digits of the value.
+            let digits = whole((4.0 - value.abs().max(1e-12).log10().floor()).max(0.0));
             Some(format!(
                 "{} {value:.digits$} here, {other:.digits$} there ({:+.1} %)",
                 p.key,
-                100.0 * (other / value - 1.0),
-                digits = decimals(value)
+                100.0 * (other / value - 1.0)
             ))
         })
         .collect();
@@ -168,12 +168,6 @@ fn compared(ours: &[ParameterEstimate], weak: &[ParameterEstimate]) -> Option<St
             pairs.join("; ")
         )
     })
-}
-
-/// Decimals that show five digits of a value.
-fn decimals(value: f64) -> usize {
-    let magnitude = value.abs().max(1e-12).log10().floor();
-    whole((4.0 - magnitude).max(0.0))
 }
 
 /// Why a scheme over balances carries an effect of `model`, or not.
@@ -200,21 +194,16 @@ fn once_each(parameters: Vec<ParameterEstimate>) -> Vec<ParameterEstimate> {
                 // Balances that disagree: the spread is the better measure.
                 let spread = (a - b).abs() / 2.0;
                 let (surer, other) = if wb > wa {
-                    (next, &*earlier)
+                    (next, earlier.clone())
                 } else {
-                    (earlier.clone(), &next)
+                    (earlier.clone(), next)
                 };
-                let doubt = if 2.0 * spread > TWO_SIDED_95 * (wa.recip() + wb.recip()).sqrt() {
-                    Some(format!(
-                        "the balances do not agree: {} and {}",
-                        surer.text(1.0),
-                        other.text(1.0)
-                    ))
+                let disagree = 2.0 * spread > TWO_SIDED_95 * (wa.recip() + wb.recip()).sqrt();
+                let doubt = if disagree {
+                    let (a, b) = (surer.text(1.0), other.text(1.0));
+                    Some(format!("the balances do not agree: {a} and {b}"))
                 } else {
-                    other
-                        .reason
-                        .clone()
-                        .filter(|_| other.verdict != Verdict::Settled)
+                    other.reason.filter(|_| other.verdict != Verdict::Settled)
                 };
                 *earlier = ParameterEstimate {
                     value: Some(value),
@@ -237,47 +226,37 @@ mod tests {
     use super::*;
     use crate::testing::*;
 
-    /// A record of current and speed alone, as a drive in torque mode leaves it.
-    fn mechanical() -> Scenario {
-        let steps = [
-            (0.3, 40.0),
-            (0.8, -50.0),
-            (1.4, 15.0),
-            (2.0, -20.0),
-            (2.7, 60.0),
-            (3.3, 5.0),
-        ];
-        let events = std::iter::once((0.0, 0.0)).chain(steps).collect();
-        let mut scenario = record(&paper(), events, 0.002, 4.0, 7);
-        scenario.input = Input::Current;
-        scenario
-    }
-
+    /// Current and speed alone, as a drive in torque mode leaves them.
     #[test]
     fn rows_of_their_own_and_missing_cells_cost_little() {
-        let whole = mechanical();
+        let events = held(
+            [0.0, 0.3, 0.8, 1.4, 2.0, 2.7, 3.3],
+            [0.0, 40.0, -50.0, 15.0, -20.0, 60.0, 5.0],
+        );
+        let mut whole = record(&paper(), events, 0.002, 4.0, 7);
+        whole.input = Input::Current;
         let (mut apart, mut holed) = (whole.clone(), whole.clone());
         for k in 0..whole.samples() {
-            let cells = if k % 2 == 0 {
-                &mut apart.current_a
-            } else {
-                &mut apart.speed_rad_s
-            };
-            cells[k] = f64::NAN;
+            [&mut apart.current_a, &mut apart.speed_rad_s][k % 2][k] = f64::NAN;
             if k % 13 == 5 {
                 holed.current_a[k] = f64::NAN;
             }
         }
-        let model = paper();
         for (scenario, within) in [(&whole, 0.01), (&holed, 0.02), (&apart, 0.03)] {
-            let (found, _) = parameters(&model, scenario);
+            let (found, _) = parameters(&paper(), scenario);
             assert_found(&found, "inertia_kg_m2", 0.0045, within);
             assert_found(&found, "load_torque_n_m", 0.455, within);
         }
+        // Without a torque constant the ratio to it stands in the reason.
+        let (found, _) = parameters(&unknown(), &whole);
+        let inertia = judged(&found, "inertia_kg_m2", Verdict::NotObservable);
+        let mut words = inertia.reason.as_deref().unwrap().split_whitespace();
+        let ratio = words.find_map(|word| word.parse::<f64>().ok()).unwrap();
+        assert_near(ratio, 0.0045 / 0.3538, 0.02);
     }
 
     #[test]
-    fn what_both_balances_tell_is_settled_where_both_do_and_agree() {
+    fn a_coefficient_of_both_balances_is_settled_where_they_agree() {
         for (other, doubt, verdict) in [
             (1.01, None, Verdict::Settled),
             (1.2, None, Verdict::Searching),
@@ -289,16 +268,5 @@ mod tests {
             assert_eq!(merged[0].verdict, verdict, "{merged:?}");
             assert!((merged[0].value.unwrap() - 0.5 * (1.0 + other)).abs() < 1e-12);
         }
-    }
-
-    #[test]
-    fn without_a_torque_constant_the_ratio_stands_in_the_reason() {
-        let (found, _) = parameters(&unknown(), &mechanical());
-        let inertia = of(&found, "inertia_kg_m2");
-        let told = (inertia.value, inertia.verdict);
-        assert_eq!(told, (None, Verdict::NotObservable));
-        let mut words = inertia.reason.as_deref().unwrap().split_whitespace();
-        let ratio = words.find_map(|word| word.parse::<f64>().ok()).unwrap();
-        assert_near(ratio, 0.0045 / 0.3538, 0.02);
     }
 }

@@ -36,7 +36,7 @@ pub struct Data<'a> {
 
 impl Data<'_> {
     /// The run with the voltage that the scenario takes, and no other: a foreign file may hold a command besides a
-    /// voltage that was applied, and every scheme has to see the same one. Where rows were lost its estimate stands in a
+    /// voltage that was applied, and every scheme has to take the same one. Where rows were lost its estimate stands in a
     /// row of its own, and what is not known well enough counts as held back by a limit of the drive.
     fn run_as_used(&self) -> Cow<'_, Run> {
         let command = Channel::VoltageCmd;
@@ -73,7 +73,7 @@ pub struct Identified {
     /// The model with every value that was found.
     pub model: Model,
     pub parameters: Vec<ParameterEstimate>,
-    /// What the model leaves beside the noise, where the method says it.
+    /// What the model leaves beside the noise, where the method gives it.
     pub misfit: Option<Misfit>,
     /// What the reader has to know about the method's limits on these data.
     pub notes: Vec<String>,
@@ -188,13 +188,13 @@ pub fn default_for(scenario: &Scenario) -> &'static Scheme {
     }
 }
 
-/// Why a scheme that knows the motor alone carries no effect.
+/// Why a scheme for the motor alone carries no effect.
 #[expect(
     clippy::unnecessary_wraps,
     reason = "one of the answers that a scheme may give"
 )]
 fn motor_alone(_: &ActiveEffect) -> Option<&'static str> {
-    Some("this scheme knows the motor's own parameters only")
+    Some("this scheme has the motor's own parameters only")
 }
 
 impl Identified {

@@ -1,7 +1,7 @@
 //! The on-line schemes over a recorded run, wired as the live bench wires them.
 
 use super::{Data, Identified, IdentifyError, Scheme, motor_alone};
-use crate::kalman;
+use crate::kalman::{self, KnownEffects};
 use crate::noise::NoiseFloor;
 use crate::online::{Online, OnlineConfig};
 use crate::recursive::{CurrentIntegral, Scheme2};
@@ -55,7 +55,7 @@ fn ekf(id: &'static str, data: &Data<'_>) -> Result<Identified, IdentifyError> {
     }
     let found = kalman::identify(data.model, &data.run_as_used());
     let identified = Identified::new(id, data.model, found.estimates());
-    let left_out = kalman::effects_left_out(data.model);
+    let (_, left_out) = KnownEffects::of(data.model);
     let why = |active: &ActiveEffect| {
         left_out.contains(&active.id()).then_some(
             "the filter subtracts effects whose values are all given, and that depend on voltage, current and speed alone",
@@ -72,26 +72,23 @@ fn rectangle(id: &'static str, data: &Data<'_>) -> Result<Identified, IdentifyEr
         let help = "give torque_n_m_per_a or back_emf_v_s_per_rad in the model file";
         return Err(data.refused(id, "the torque constant is not known", help));
     };
-    // No forgetting over a recorded run: every row counts alike.
-    let mut rectangle = Scheme2::new(CurrentIntegral::Rectangle, 1.0, 0.0);
-    let mut trapezoid = Scheme2::new(CurrentIntegral::Trapezoid, 1.0, 0.0);
-    if let Some(floor) = NoiseFloor::from_standstill(data.scenario)
-        && floor.speed_rad_s.is_finite()
-    {
-        rectangle.set_speed_noise(floor.speed_rad_s);
-        trapezoid.set_speed_noise(floor.speed_rad_s);
-    }
-    for sample in data.run.samples() {
-        if let (Some(current), Some(speed)) =
-            (sample.get(Channel::Current), sample.get(Channel::Speed))
-        {
-            rectangle.push(sample.time_s, current, speed);
-            trapezoid.push(sample.time_s, current, speed);
+    let floor = NoiseFloor::from_standstill(data.scenario).map(|floor| floor.speed_rad_s);
+    let by = |integral: CurrentIntegral| {
+        // No forgetting over a recorded run: every row counts alike.
+        let mut scheme = Scheme2::new(integral, 1.0, 0.0);
+        if let Some(noise_rad_s) = floor.filter(|noise| noise.is_finite()) {
+            scheme.set_speed_noise(noise_rad_s);
         }
-    }
-    let known = Some((torque_constant, 0.0));
-    let mut parameters = rectangle.estimates(known);
-    for (parameter, better) in parameters.iter_mut().zip(trapezoid.estimates(known)) {
+        for sample in data.run.samples() {
+            let measured = [Channel::Current, Channel::Speed].map(|channel| sample.get(channel));
+            if let [Some(current), Some(speed)] = measured {
+                scheme.push(sample.time_s, current, speed);
+            }
+        }
+        scheme.estimates(Some((torque_constant, 0.0)))
+    };
+    let mut parameters = by(CurrentIntegral::Rectangle);
+    for (parameter, better) in parameters.iter_mut().zip(by(CurrentIntegral::Trapezoid)) {
         doubt(parameter, &better);
     }
     let found = Identified::new(id, data.model, parameters).with_note(
@@ -100,15 +97,13 @@ fn rectangle(id: &'static str, data: &Data<'_>) -> Result<Identified, IdentifyEr
     Ok(found.leaving_out(data.model, motor_alone))
 }
 
-/// Difference from the trapezoid beyond which the rectangle's value is not called settled.
-const VISIBLE: f64 = 0.02;
-
+/// A rectangle that is 2 % off the trapezoid is not called settled.
 fn doubt(parameter: &mut ParameterEstimate, better: &ParameterEstimate) {
     let (Some(value), Some(other)) = (parameter.value, better.value) else {
         return;
     };
     let off = value / other - 1.0;
-    if off.abs() <= VISIBLE {
+    if off.abs() <= 0.02 {
         return;
     }
     let off = format!(
@@ -119,17 +114,15 @@ fn doubt(parameter: &mut ParameterEstimate, better: &ParameterEstimate) {
     if parameter.verdict == Verdict::Settled {
         parameter.verdict = Verdict::Searching;
     }
-    let before = parameter.reason.take();
-    parameter.reason = Some(before.map_or(off.clone(), |reason| format!("{off}; {reason}")));
+    parameter.reason = Some(match parameter.reason.take() {
+        Some(reason) => format!("{off}; {reason}"),
+        None => off,
+    });
 }
 
-/// The record with the estimates of its lost voltages as rows of their own, for schemes that take it row by row; `None`
+/// The record with the estimates of its lost voltages as rows of their own, for schemes that take it row by row; an error
 /// where they do not fit between the others.
-pub(super) fn with_lost_voltages(run: &Run, scenario: &Scenario) -> Option<Run> {
-    with_rows(run, scenario).ok()
-}
-
-fn with_rows(run: &Run, scenario: &Scenario) -> Result<Run, RunError> {
+pub(super) fn with_lost_voltages(run: &Run, scenario: &Scenario) -> Result<Run, RunError> {
     let (times, holes) = (run.time_s(), &scenario.unknown_input);
     let is_new =
         |time_s: f64| !times[times.partition_point(|time| *time < time_s)..].starts_with(&[time_s]);

@@ -26,8 +26,14 @@ fn free_run(id: &'static str, data: &Data<'_>) -> Result<Identified, IdentifyErr
     let (misfit, deviations) = Misfit::of_fit(&fit, data.scenario)?;
     let mut parameters = fit.parameters.clone();
     misfit.widen(&mut parameters, &deviations, fit.minimum.converged);
+    // What was chosen out of a grid is found, not given: no fit moved it, so it has no scatter.
     for (key, doubt) in chosen {
-        tell_choice(&mut parameters, &key, doubt);
+        let chosen = |p: &&mut ParameterEstimate| p.key == key && p.verdict == Verdict::Fixed;
+        if let Some(parameter) = parameters.iter_mut().find(chosen) {
+            let doubted = doubt.as_ref().map(|_| Verdict::Searching);
+            parameter.verdict = doubted.unwrap_or(Verdict::Settled);
+            parameter.reason = doubt;
+        }
     }
     plateaus::complete(&mut parameters, data.scenario);
     cause::explain(&mut parameters, &fit, &misfit, data.model, data.scenario);
@@ -49,20 +55,9 @@ fn from(model: &Model, scenario: &Scenario, noise: &NoiseFloor) -> Result<Found,
     Ok((fit_delayed(&starts.models, scenario, noise)?, starts.chosen))
 }
 
-/// What was chosen out of a grid is found, not given: no fit moved it, so it has no scatter.
-fn tell_choice(parameters: &mut [ParameterEstimate], key: &str, doubt: Option<String>) {
-    if let Some(parameter) = parameters.iter_mut().find(|p| p.key == key)
-        && parameter.verdict == Verdict::Fixed
-    {
-        let doubted = doubt.as_ref().map(|_| Verdict::Searching);
-        parameter.verdict = doubted.unwrap_or(Verdict::Settled);
-        parameter.reason = doubt;
-    }
-}
-
 /// From the values of the model, and where that ends above the floor, so that it may not be the minimum, from the data
-/// alone: a nameplate far from the truth,
-/// or one distorted by what the model lacks, must not decide in which valley the fit ends.
+/// alone: a nameplate far from the truth, or one distorted by what the model lacks, must not decide in which valley the
+/// fit ends.
 fn better_of_two_starts(data: &Data<'_>, noise: &NoiseFloor) -> Result<Found, IdentifyError> {
     let given = start::complete(data.model, data.scenario)?;
     let from_given = from(&given, data.scenario, noise);
@@ -74,12 +69,11 @@ fn better_of_two_starts(data: &Data<'_>, noise: &NoiseFloor) -> Result<Found, Id
     let Ok(fresh) = start::complete(&forget(data.model), data.scenario) else {
         return Ok(from_given?);
     };
-    match (from_given, from(&fresh, data.scenario, noise)) {
-        (Ok(given), Ok(fresh)) if fresh.0.minimum.cost < given.0.minimum.cost => Ok(fresh),
-        (Ok(given), _) => Ok(given),
-        (Err(_), Ok(fresh)) => Ok(fresh),
-        (Err(error), Err(_)) => Err(error.into()),
-    }
+    Ok(match (from_given, from(&fresh, data.scenario, noise)) {
+        (Ok(given), Ok(fresh)) if fresh.0.minimum.cost < given.0.minimum.cost => fresh,
+        (Err(_), Ok(fresh)) => fresh,
+        (given, _) => given?,
+    })
 }
 
 /// The model without the motor values that are to be found.
@@ -105,10 +99,8 @@ mod tests {
     fn a_nameplate_wrong_in_every_value_does_not_decide_the_fit() {
         let truth = paper();
         let levels = [40.0, 80.0, 20.0, -40.0, -80.0, 0.0];
-        let mut events = vec![(0.0, 0.0)];
-        for (k, volts) in levels.iter().cycle().take(18).enumerate() {
-            events.push((0.4 + 0.2 * k as f64, *volts));
-        }
+        let steps = (0..18_u8).map(|k| (0.4 + 0.2 * f64::from(k), levels[usize::from(k) % 6]));
+        let events = std::iter::once((0.0, 0.0)).chain(steps).collect();
         let scenario = record(&truth, events, 0.002, 4.0, 3);
         for factors in [
             [10.0, 0.1, 3.0, 0.1, 5.0],
@@ -134,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn the_order_of_cogging_is_found_from_an_angle_that_starts_again_each_turn() {
+    fn the_order_of_cogging_is_found_from_a_wrapped_angle() {
         let start = paper().with_effect("cogging").unwrap();
         let truth = paper_with("cogging", &[0.06, -0.05, 9.0]);
         let events = held(

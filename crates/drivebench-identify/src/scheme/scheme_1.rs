@@ -7,6 +7,7 @@ use crate::scheme_1::{
     Claim, Coefficients, Doubt, Dynamics, Form, Instrumental, InstrumentalError, Noise, Scheme1,
     Series, all_unknown, estimates, instrumental_variables, noise_free,
 };
+use crate::verdict::unknown;
 use drivebench_model::numerics::statistics::{largest, median, robust_deviation};
 use drivebench_model::plant::{Input, Model, MotorKey, Scenario};
 use drivebench_model::sample::ParameterEstimate;
@@ -43,8 +44,8 @@ fn instruments(id: &'static str, data: &Data<'_>) -> Result<Identified, Identify
     let parameters = match grid.instruments(data.model) {
         Ok(found) => {
             let covariance = Some(found.covariance);
-            let claim = grid.claim(data.model, found.dynamics, covariance, Vec::new());
-            let mut parameters = estimates(&claim);
+            let mut parameters =
+                estimates(&grid.claim(data.model, found.dynamics, covariance, None));
             if !found.converged {
                 for parameter in &mut parameters {
                     parameter.unsettle(format!(
@@ -72,13 +73,14 @@ fn least_squares(
     }
     let parameters = match scheme.dynamics() {
         Ok(dynamics) => {
-            let doubts = grid.doubts(form, data.model);
-            let has_none = doubts.is_empty();
-            let claim = grid.claim(data.model, dynamics, scheme.dynamics_covariance(), doubts);
+            let doubt = grid.doubt(form, data.model);
+            let claim = grid.claim(data.model, dynamics, scheme.dynamics_covariance(), doubt);
             let mut parameters = estimates(&claim);
-            if has_none {
+            if claim.doubt.is_none() {
                 for parameter in &mut parameters {
-                    parameter.unsettle(UNPROVEN);
+                    parameter.unsettle(
+                        "noise of the speed biases least squares, and by how much is not known: 1-iv finds no motor in this run",
+                    );
                 }
             }
             parameters
@@ -97,23 +99,16 @@ fn least_squares(
     })
 }
 
-/// Where nothing on the run says how far noise of the speed biases least squares.
-const UNPROVEN: &str = "noise of the speed biases least squares, and how far this run does not tell: 1-iv finds no motor in it";
-
 /// Adds what was given, and takes the model's fixed values over.
 fn finish(id: &'static str, model: &Model, mut parameters: Vec<ParameterEstimate>) -> Identified {
     let fixed = |key: MotorKey, value: f64| ParameterEstimate::fixed(key.key(), key.unit(), value);
-    let resistance = MotorKey::Resistance;
-    parameters.push(model.motor.get(resistance).map_or_else(
-        || {
-            ParameterEstimate::not_observable(
-                resistance.key(),
-                resistance.unit(),
-                "voltage and speed alone do not show it: give it in the model file",
-            )
-        },
-        |value| fixed(resistance, value),
-    ));
+    parameters.push(match model.motor.get(MotorKey::Resistance) {
+        Some(value) => fixed(MotorKey::Resistance, value),
+        None => unknown(
+            MotorKey::Resistance,
+            "voltage and speed alone do not show it: give it in the model file",
+        ),
+    });
     if let Some(value) = model.motor.get(MotorKey::TorqueConstant) {
         parameters.push(fixed(MotorKey::TorqueConstant, value));
     }
@@ -130,8 +125,6 @@ fn finish(id: &'static str, model: &Model, mut parameters: Vec<ParameterEstimate
 
 /// Root mean square deviation of a step between samples from the period that still counts as equidistant.
 const MOST_JITTER: f64 = 0.02;
-/// Largest share of the largest speed that noise guessed from the speed itself may claim.
-const MOST_GUESSED_NOISE: f64 = 0.02;
 
 /// A run on an equidistant grid.
 struct Grid {
@@ -175,14 +168,15 @@ impl Grid {
         let times = &scenario.sample_time_s;
         let steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let typical_s = median(&steps);
-        let counts = steps.iter().map(|step| (step / typical_s).round());
-        let counts: Vec<f64> = counts.collect();
-        let period_s = (times[times.len() - 1] - times[0]) / counts.iter().sum::<f64>();
-        let off = steps
+        let counts: Vec<f64> = steps
             .iter()
-            .zip(&counts)
-            .map(|(step, count)| step / period_s - count);
-        let squares: f64 = off.map(|off| off.powi(2)).sum();
+            .map(|step| (step / typical_s).round())
+            .collect();
+        let period_s = (times[times.len() - 1] - times[0]) / counts.iter().sum::<f64>();
+        let pairs = steps.iter().zip(&counts);
+        let squares: f64 = pairs
+            .map(|(step, count)| (step / period_s - count).powi(2))
+            .sum();
         let jitter = (squares / steps.len() as f64).sqrt();
         // Not below for NaN either.
         let is_even = jitter < MOST_JITTER;
@@ -219,8 +213,8 @@ impl Grid {
         let noise_rad_s = NoiseFloor::from_standstill(scenario)
             .map(|floor| floor.speed_rad_s)
             .filter(|noise| noise.is_finite());
-        let most_rad_s = MOST_GUESSED_NOISE * largest(&speed_rad_s);
-        let guess = || roughness(&speed_rad_s).min(most_rad_s);
+        // Noise guessed from the speed itself is at most 2 % of the largest speed.
+        let guess = || roughness(&speed_rad_s).min(0.02 * largest(&speed_rad_s));
         let mut zone = Direction::with_noise(noise_rad_s.unwrap_or_else(guess));
         let direction = speed_rad_s.iter().map(|speed| zone.of(*speed)).collect();
         Self {
@@ -259,7 +253,7 @@ impl Grid {
         model: &Model,
         dynamics: Dynamics,
         covariance: Option<[[f64; 4]; 4]>,
-        doubts: Vec<Doubt>,
+        doubt: Option<Doubt>,
     ) -> Claim {
         Claim {
             dynamics,
@@ -267,12 +261,12 @@ impl Grid {
             period_s: self.period_s,
             resistance_ohm: model.motor.get(MotorKey::Resistance),
             torque_n_m_per_a: model.motor.get(MotorKey::TorqueConstant),
-            doubts,
+            doubt,
         }
     }
 
-    /// What speaks against a least-squares estimate: the instrumental variables; where they fail, the share of the noise.
-    fn doubts(&self, form: Form, model: &Model) -> Vec<Doubt> {
+    /// What a least-squares estimate is held against: the instrumental variables; where they fail, the share of the noise.
+    fn doubt(&self, form: Form, model: &Model) -> Option<Doubt> {
         let mut doubt = match self.instruments(model) {
             Ok(found) => Doubt {
                 better: found.dynamics,
@@ -284,10 +278,7 @@ impl Grid {
                 systematic: None,
                 source: "by 1-iv on the same run",
             },
-            Err(_) => match self.without_noise() {
-                Some(doubt) => doubt,
-                None => return Vec::new(),
-            },
+            Err(_) => self.without_noise()?,
         };
         if form == Form::Printed {
             let there = Coefficients::of_motor(&doubt.better, self.period_s);
@@ -300,7 +291,7 @@ impl Grid {
                 (made, cause)
             });
         }
-        vec![doubt]
+        Some(doubt)
     }
 
     fn without_noise(&self) -> Option<Doubt> {

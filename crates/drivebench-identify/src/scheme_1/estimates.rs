@@ -5,159 +5,128 @@ use crate::verdict::{SETTLED, judge};
 use drivebench_model::plant::{MotorKey, Slot};
 use drivebench_model::sample::{ParameterEstimate, Verdict};
 
-/// Relative error that a doubt has to show before a value is not called settled, and before it is called invalid.
-const VISIBLE: f64 = 0.02;
-const SPOILT: f64 = 0.2;
-/// Standard deviations of the better value that the difference must exceed.
-const SIGNIFICANT: f64 = 2.0;
-
-/// What is claimed and what is known against it.
+/// An estimate of the dynamics, and a better founded one of the same quantities to hold it against.
 #[derive(Clone, Debug)]
-pub struct Claim {
-    pub dynamics: Dynamics,
+pub(crate) struct Claim {
+    pub(crate) dynamics: Dynamics,
     /// Covariance of (Ta, TM, Ke, load voltage); `None` where it is not known.
-    pub covariance: Option<[[f64; 4]; 4]>,
-    pub period_s: f64,
-    pub resistance_ohm: Option<f64>,
+    pub(crate) covariance: Option<[[f64; 4]; 4]>,
+    pub(crate) period_s: f64,
+    pub(crate) resistance_ohm: Option<f64>,
     /// Torque constant, N.m/A, where it is not the back-EMF constant.
-    pub torque_n_m_per_a: Option<f64>,
-    pub doubts: Vec<Doubt>,
+    pub(crate) torque_n_m_per_a: Option<f64>,
+    pub(crate) doubt: Option<Doubt>,
 }
 
 /// A better founded value of the same quantities.
 #[derive(Clone, Debug)]
-pub struct Doubt {
-    pub better: Dynamics,
-    pub covariance: Option<[[f64; 4]; 4]>,
+pub(crate) struct Doubt {
+    pub(crate) better: Dynamics,
+    pub(crate) covariance: Option<[[f64; 4]; 4]>,
     /// Why the claim is off, as the begin of the reason.
-    pub cause: String,
+    pub(crate) cause: String,
     /// A known error of the method: what it makes of `better`, and the cause to name where that is most of the difference.
-    pub systematic: Option<(Dynamics, String)>,
+    pub(crate) systematic: Option<(Dynamics, String)>,
     /// Whose value it is.
-    pub source: &'static str,
+    pub(crate) source: &'static str,
 }
 
-/// One reported quantity: key, unit, the slot by whose rules it is judged.
-struct Quantity {
-    key: &'static str,
-    unit: &'static str,
-    slot: MotorKey,
-    of: fn(&Dynamics, f64, Option<f64>) -> f64,
-}
+/// A reported quantity: the slot by whose rules it is judged, its key where that is another (then in seconds), and its
+/// value from dynamics, resistance and torque constant.
+type Quantity = (
+    MotorKey,
+    Option<&'static str>,
+    fn(&Dynamics, f64, f64) -> f64,
+);
 
 const WITHOUT_RESISTANCE: [Quantity; 3] = [
-    Quantity {
-        key: "electrical_time_constant_s",
-        unit: "s",
-        slot: MotorKey::Inductance,
-        of: |d, _, _| d.ta_s,
-    },
-    Quantity {
-        key: "mechanical_time_constant_s",
-        unit: "s",
-        slot: MotorKey::Inertia,
-        of: |d, _, _| d.tm_s,
-    },
-    Quantity {
-        key: MotorKey::BackEmf.key(),
-        unit: MotorKey::BackEmf.unit(),
-        slot: MotorKey::BackEmf,
-        of: |d, _, _| d.ke,
-    },
+    (
+        MotorKey::Inductance,
+        Some("electrical_time_constant_s"),
+        |d, _, _| d.ta_s,
+    ),
+    (
+        MotorKey::Inertia,
+        Some("mechanical_time_constant_s"),
+        |d, _, _| d.tm_s,
+    ),
+    (MotorKey::BackEmf, None, |d, _, _| d.ke),
 ];
 
 const WITH_RESISTANCE: [Quantity; 3] = [
-    Quantity {
-        key: MotorKey::Inductance.key(),
-        unit: MotorKey::Inductance.unit(),
-        slot: MotorKey::Inductance,
-        of: |d, r, _| d.ta_s * r,
-    },
-    Quantity {
-        key: MotorKey::Inertia.key(),
-        unit: MotorKey::Inertia.unit(),
-        slot: MotorKey::Inertia,
-        of: |d, r, kt| d.tm_s * d.ke * kt.unwrap_or(d.ke) / r,
-    },
-    Quantity {
-        key: MotorKey::LoadTorque.key(),
-        unit: MotorKey::LoadTorque.unit(),
-        slot: MotorKey::LoadTorque,
-        of: |d, r, kt| d.load_v * kt.unwrap_or(d.ke) / r,
-    },
+    (MotorKey::Inductance, None, |d, r, _| d.ta_s * r),
+    (MotorKey::Inertia, None, |d, r, kt| d.tm_s * d.ke * kt / r),
+    (MotorKey::LoadTorque, None, |d, r, kt| d.load_v * kt / r),
 ];
 
-/// Ta, TM, Ke and, with a resistance, L, J, Mc: each judged by its standard deviation and by the doubts.
-pub fn estimates(claim: &Claim) -> Vec<ParameterEstimate> {
-    let mut out: Vec<ParameterEstimate> = WITHOUT_RESISTANCE
+fn unknown((slot, key, _): &Quantity, reason: &str) -> ParameterEstimate {
+    let unit = key.map_or(slot.unit(), |_| "s");
+    ParameterEstimate::not_observable(key.unwrap_or(slot.key()), unit, reason)
+}
+
+/// Ta, TM, Ke and, with a resistance, L, J, Mc: each judged by its standard deviation and by the doubt.
+pub(crate) fn estimates(claim: &Claim) -> Vec<ParameterEstimate> {
+    let resistance_ohm = claim.resistance_ohm.filter(|r| *r > 0.0);
+    let with_resistance = WITH_RESISTANCE.iter().map(|quantity| match resistance_ohm {
+        Some(r) => one(claim, quantity, r),
+        None => unknown(
+            quantity,
+            "voltage and speed fix it only with a known resistance: give resistance_ohm in the model file",
+        ),
+    });
+    let without = WITHOUT_RESISTANCE
         .iter()
-        .map(|quantity| one(claim, quantity, 1.0))
-        .collect();
-    match claim.resistance_ohm.filter(|r| *r > 0.0) {
-        Some(r) => out.extend(WITH_RESISTANCE.iter().map(|quantity| one(claim, quantity, r))),
-        None => out.extend(WITH_RESISTANCE.iter().map(|quantity| {
-            ParameterEstimate::not_observable(
-                quantity.key,
-                quantity.unit,
-                "voltage and speed fix it only with a known resistance: give resistance_ohm in the model file",
-            )
-        })),
-    }
-    out
+        .map(|quantity| one(claim, quantity, 1.0));
+    without.chain(with_resistance).collect()
 }
 
 /// Every quantity as not observable for one reason.
 pub(crate) fn all_unknown(reason: &str) -> Vec<ParameterEstimate> {
-    WITHOUT_RESISTANCE
-        .iter()
-        .chain(&WITH_RESISTANCE)
-        .map(|quantity| ParameterEstimate::not_observable(quantity.key, quantity.unit, reason))
-        .collect()
+    let all = WITHOUT_RESISTANCE.iter().chain(&WITH_RESISTANCE);
+    all.map(|quantity| unknown(quantity, reason)).collect()
 }
 
 fn one(claim: &Claim, quantity: &Quantity, resistance_ohm: f64) -> ParameterEstimate {
-    let of = |dynamics: &Dynamics| (quantity.of)(dynamics, resistance_ohm, claim.torque_n_m_per_a);
-    let deviation = |dynamics: &Dynamics, covariance: &Option<[[f64; 4]; 4]>| {
-        covariance.map(|covariance| spread(dynamics, &covariance, &of))
-    };
+    let (slot, key, value_of) = quantity;
+    let of = |d: &Dynamics| value_of(d, resistance_ohm, claim.torque_n_m_per_a.unwrap_or(d.ke));
     let value = of(&claim.dynamics);
-    let std = deviation(&claim.dynamics, &claim.covariance);
-    let mut judged = judge(&Slot::Motor(quantity.slot), value, std, claim.period_s);
-    quantity.key.clone_into(&mut judged.key);
-    judged.unit = quantity.unit;
-    if judged.verdict == Verdict::NotObservable {
+    let std = claim.covariance.map(|it| spread(&claim.dynamics, &it, &of));
+    let mut judged = judge(&Slot::Motor(*slot), value, std, claim.period_s);
+    if let Some(key) = key {
+        (judged.key, judged.unit) = ((*key).to_owned(), "s");
+    }
+    let open = matches!(judged.verdict, Verdict::NotObservable | Verdict::Invalid);
+    let Some(doubt) = claim.doubt.as_ref().filter(|_| !open) else {
+        return judged;
+    };
+    let better = of(&doubt.better);
+    let error = value - better;
+    let noise = doubt
+        .covariance
+        .map_or(0.0, |it| spread(&doubt.better, &it, &of));
+    let relative = error.abs() / better.abs().max(f64::MIN_POSITIVE);
+    // A comparison with what is not finite shows nothing.
+    let visible = relative > 0.02 && error.abs() > 2.0 * noise;
+    if !visible {
+        not_better_than(noise, doubt, &mut judged);
         return judged;
     }
-    for doubt in &claim.doubts {
-        let better = of(&doubt.better);
-        let error = value - better;
-        let noise = deviation(&doubt.better, &doubt.covariance).unwrap_or(0.0);
-        let relative = error.abs() / better.abs().max(f64::MIN_POSITIVE);
-        // A comparison with what is not finite shows nothing.
-        let visible = relative > VISIBLE && error.abs() > SIGNIFICANT * noise;
-        if judged.verdict == Verdict::Invalid {
-            continue;
-        }
-        if !visible {
-            not_better_than(noise, doubt, &mut judged);
-            continue;
-        }
-        judged.verdict = if relative > SPOILT {
-            Verdict::Invalid
-        } else {
-            Verdict::Searching
-        };
-        let cause = match &doubt.systematic {
-            Some((made_of_it, cause)) if (of(made_of_it) - better) / error > 0.5 => cause,
-            _ => &doubt.cause,
-        };
-        judged.reason = Some(format!(
-            "{cause}: {:+.0} % against {better:.4e} {} {}",
-            100.0 * error / better,
-            quantity.unit,
-            doubt.source
-        ));
-    }
+    let spoilt = relative > 0.2;
+    judged.verdict = if spoilt {
+        Verdict::Invalid
+    } else {
+        Verdict::Searching
+    };
+    let cause = match &doubt.systematic {
+        Some((made_of_it, cause)) if (of(made_of_it) - better) / error > 0.5 => cause,
+        _ => &doubt.cause,
+    };
+    judged.reason = Some(format!(
+        "{cause}: {:+.0} % against {better:.4e} {} {}",
+        100.0 * error / better,
+        judged.unit,
+        doubt.source
+    ));
     judged
 }
 
@@ -166,10 +135,12 @@ fn not_better_than(noise: f64, doubt: &Doubt, judged: &mut ParameterEstimate) {
     let (Some(value), Some(std)) = (judged.value, judged.std) else {
         return;
     };
-    // Not finite: the better value says nothing, as if there were none.
-    let open = Some(noise)
-        .filter(|noise| noise.is_finite())
-        .unwrap_or(value.abs());
+    // Not finite: as if there were no better value.
+    let open = if noise.is_finite() {
+        noise
+    } else {
+        value.abs()
+    };
     judged.std = Some(std.hypot(open));
     if std.hypot(open) > SETTLED * value.abs() {
         let percent = 100.0 * open / value.abs();
@@ -190,30 +161,27 @@ fn spread(dynamics: &Dynamics, covariance: &[[f64; 4]; 4], of: &dyn Fn(&Dynamics
     let at = dynamics.to_array();
     let gradient: [f64; 4] = std::array::from_fn(|j| {
         let step = 1e-5 * at[j].abs().max(1e-9);
-        let (mut up, mut down) = (at, at);
-        up[j] += step;
-        down[j] -= step;
-        (of(&Dynamics::from_array(up)) - of(&Dynamics::from_array(down))) / (2.0 * step)
+        let moved = |by: f64| {
+            let mut there = at;
+            there[j] += by;
+            of(&Dynamics::from_array(there))
+        };
+        (moved(step) - moved(-step)) / (2.0 * step)
     });
-    quadratic(&gradient, covariance).max(0.0).sqrt()
-}
-
-fn quadratic<const N: usize>(gradient: &[f64; N], covariance: &[[f64; N]; N]) -> f64 {
-    (0..N)
-        .map(|i| {
-            (0..N)
-                .map(|j| gradient[i] * covariance[i][j] * gradient[j])
-                .sum::<f64>()
-        })
-        .sum()
+    let along = |i: usize| -> f64 {
+        (0..4)
+            .map(|j| gradient[i] * covariance[i][j] * gradient[j])
+            .sum()
+    };
+    (0..4).map(along).sum::<f64>().max(0.0).sqrt()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// A claim of the same dynamics as a better value of this relative deviation.
-    fn electrical(relative: f64) -> ParameterEstimate {
+    #[test]
+    fn a_bias_that_nothing_bounds_settles_nothing() {
         let dynamics = Dynamics {
             ta_s: 0.009,
             tm_s: 0.04,
@@ -221,34 +189,31 @@ mod tests {
             load_v: 1.4,
         };
         let diagonal = |share: f64| {
-            let at = dynamics.to_array();
-            std::array::from_fn(|i| {
-                std::array::from_fn(|j| if i == j { (share * at[i]).powi(2) } else { 0.0 })
-            })
+            let square = |i: usize| (share * dynamics.to_array()[i]).powi(2);
+            std::array::from_fn(|i| std::array::from_fn(|j| if i == j { square(i) } else { 0.0 }))
         };
-        let doubt = Doubt {
-            better: Dynamics {
-                ta_s: 0.0091,
-                ..dynamics
-            },
-            covariance: Some(diagonal(relative)),
-            cause: "noise of the speed biases least squares".to_owned(),
-            systematic: None,
-            source: "by 1-iv on the same run",
+        // Ta against a better value of this relative deviation.
+        let electrical = |relative: f64| {
+            let doubt = Doubt {
+                better: Dynamics {
+                    ta_s: 0.0091,
+                    ..dynamics
+                },
+                covariance: Some(diagonal(relative)),
+                cause: "noise of the speed biases least squares".to_owned(),
+                systematic: None,
+                source: "by 1-iv on the same run",
+            };
+            let claim = Claim {
+                dynamics,
+                covariance: Some(diagonal(0.005)),
+                period_s: 0.001,
+                resistance_ohm: None,
+                torque_n_m_per_a: None,
+                doubt: Some(doubt),
+            };
+            estimates(&claim).swap_remove(0)
         };
-        let claim = Claim {
-            dynamics,
-            covariance: Some(diagonal(0.005)),
-            period_s: 0.001,
-            resistance_ohm: None,
-            torque_n_m_per_a: None,
-            doubts: vec![doubt],
-        };
-        estimates(&claim).swap_remove(0)
-    }
-
-    #[test]
-    fn a_bias_that_nothing_bounds_settles_nothing() {
         let bounded = electrical(0.01);
         assert_eq!(bounded.verdict, Verdict::Settled, "{bounded:?}");
         // Within the deviation of the better value, which is as good as none.

@@ -17,10 +17,7 @@
 use nalgebra::{SMatrix, SVector};
 use thiserror::Error;
 
-use super::{
-    Coefficients, Dynamics, Form, Reading, Row, Scheme1, Scheme1Rejection, propagate, signed_row,
-    whatever_direction,
-};
+use super::{Coefficients, Dynamics, Form, Reading, Row, Scheme1, Scheme1Rejection, propagate};
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::{finite, largest, mean, variance};
 use drivebench_model::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State};
@@ -30,25 +27,9 @@ use drivebench_model::sample::Channel;
 type M4 = SMatrix<f64, 4, 4>;
 type V4 = SVector<f64, 4>;
 
-/// Rounds without a Newton step, ended early by this relative change, and all together.
-const PLAIN_ROUNDS: usize = 6;
-const NEAR: f64 = 1e-3;
-const MOST_ROUNDS: usize = 16;
-/// The slope of a round is taken anew after so many.
-const SLOPE_ROUNDS: usize = 6;
-/// The end: a step of less than this share of the standard deviation, or of the value.
-const CONVERGED_DEVIATIONS: f64 = 0.1;
-const CONVERGED: f64 = 1e-6;
-/// First models that are tried, and cuts of a step that makes the free run worse.
-const STARTS: usize = 3;
-const MOST_CUTS: usize = 5;
-/// Error of the free run over the residual of the equations beyond which the model is not taken for the motor's.
-const MOST_FREE_RUN: f64 = 1.3;
 /// Smallest singular value of the scaled normal matrix that counts as excited.
 const LEAST_EXCITATION: f64 = 1e-10;
 const FEWEST_ROWS: usize = 30;
-/// Clusters of the covariance, at least.
-const CLUSTERS: usize = 20;
 
 /// Equidistant samples.
 #[derive(Clone, Copy, Debug)]
@@ -84,8 +65,6 @@ pub enum InstrumentalError {
     NotExcited { least: f64 },
     #[error("the instrumental variables find no motor: {0}")]
     Rejected(#[from] Scheme1Rejection),
-    #[error("voltage has {voltages} values, speed {speeds}; both are needed once per sample")]
-    Length { voltages: usize, speeds: usize },
 }
 
 /// Estimates from one record. `start`: a first model, such as a nameplate's; without it, or where it leads nowhere, least
@@ -95,14 +74,9 @@ pub fn instrumental_variables(
     direction: &[i8],
     start: Option<Dynamics>,
 ) -> Result<Instrumental, InstrumentalError> {
-    let (voltages, speeds) = (series.voltage_v.len(), series.speed_rad_s.len());
-    if voltages != speeds {
-        return Err(InstrumentalError::Length { voltages, speeds });
-    }
     let mut failure = InstrumentalError::TooFewRows { rows: 0 };
     let mut best: Option<Instrumental> = None;
-    let starts = first_models(series, direction, start);
-    for start in starts.into_iter().take(STARTS) {
+    for start in first_models(series, direction, start).into_iter().take(3) {
         match refine(series, start) {
             Ok(found) if found.converged => return Ok(found),
             Ok(found) => {
@@ -169,7 +143,7 @@ fn refine(series: &Series<'_>, start: Dynamics) -> Result<Instrumental, Instrume
     let mut rounds = 0;
     let mut slope_gain = None;
     let mut auxiliary = Auxiliary::of(series, &model);
-    for _ in 0..PLAIN_ROUNDS {
+    for _ in 0..6 {
         rounds += 1;
         let found = Round::of(series, &auxiliary, &model)?.dynamics;
         let before = model.to_array();
@@ -178,7 +152,7 @@ fn refine(series: &Series<'_>, start: Dynamics) -> Result<Instrumental, Instrume
         };
         (model, auxiliary) = better;
         let (after, sizes) = (model.to_array(), sizes(&model));
-        if (0..4).all(|j| (after[j] - before[j]).abs() <= NEAR * sizes[j].abs()) {
+        if (0..4).all(|j| (after[j] - before[j]).abs() <= 1e-3 * sizes[j].abs()) {
             break;
         }
     }
@@ -188,8 +162,9 @@ fn refine(series: &Series<'_>, start: Dynamics) -> Result<Instrumental, Instrume
         let (at, sizes) = (model.to_array(), sizes(&model));
         let spread = round.covariance(series.period_s);
         let of_one_round = propagate(Form::Exact, &round.coefficients, &spread, series.period_s);
+        // The slope of a round is taken anew now and then.
         let gain = match slope_gain {
-            Some(gain) if rounds % SLOPE_ROUNDS != 0 => gain,
+            Some(gain) if rounds % 6 != 0 => gain,
             _ => gain(series, &at, &sizes, &of_one_round)?,
         };
         slope_gain = Some(gain);
@@ -203,15 +178,13 @@ fn refine(series: &Series<'_>, start: Dynamics) -> Result<Instrumental, Instrume
         model = if sound { newton } else { round.dynamics };
         auxiliary = Auxiliary::of(series, &model);
         let residual_rad_s = round.solution.residual_rad_s;
+        // A free run that misses more than the equations do is not that of the motor.
         let fits = auxiliary.error_rad_s
-            <= MOST_FREE_RUN * residual_rad_s + NEAR * root_mean_square(series.speed_rad_s);
-        let converged = sound
-            && (0..4).all(|j| {
-                step[j].abs()
-                    <= (CONVERGED_DEVIATIONS * covariance[(j, j)].max(0.0).sqrt())
-                        .max(CONVERGED * sizes[j].abs())
-            });
-        if converged || rounds >= MOST_ROUNDS {
+            <= 1.3 * residual_rad_s + 1e-3 * root_mean_square(series.speed_rad_s);
+        let small =
+            |j: usize| (0.1 * covariance[(j, j)].max(0.0).sqrt()).max(1e-6 * sizes[j].abs());
+        let converged = sound && (0..4).all(|j| step[j].abs() <= small(j));
+        if converged || rounds >= 16 {
             return Ok(Instrumental {
                 dynamics: model,
                 covariance: std::array::from_fn(|i| std::array::from_fn(|j| covariance[(i, j)])),
@@ -235,7 +208,7 @@ fn descend(
     // What noise alone may do to the error of the free run.
     let most = auxiliary.error_rad_s * (1.0 + 10.0 / series.speed_rad_s.len().max(1) as f64);
     let mut share = 1.0;
-    for _ in 0..MOST_CUTS {
+    for _ in 0..5 {
         let between = Dynamics::from_array(std::array::from_fn(|j| {
             if j < 3 {
                 a[j] * (b[j] / a[j]).powf(share)
@@ -292,12 +265,8 @@ fn gain(
         .ok_or(InstrumentalError::NotExcited { least: 0.0 })
 }
 
-/// Share of the auxiliary model's largest speed below which it counts as standing.
+/// Share of the largest speed below which the shaft counts as standing.
 const DEAD_ZONE: f64 = 0.02;
-/// Samples at the begin whose mean gives the speed there.
-const FIRST_SAMPLES: usize = 4;
-/// Strides of the rows of the first models, in samples: over a longer stride noise counts less.
-const STRIDES: [usize; 6] = [1, 2, 4, 8, 16, 32];
 
 /// A model's free run under the voltage of a series.
 struct Auxiliary {
@@ -325,12 +294,8 @@ impl Auxiliary {
             .map(|mut plant| plant.simulate(&scenario, start(series, model)).speed_rad_s)
             .unwrap_or_default();
         let zone = DEAD_ZONE * largest(&speed);
-        let misses = series
-            .speed_rad_s
-            .iter()
-            .zip(&speed)
-            .map(|(measured, w)| measured - w);
-        let error_rad_s = root_mean_square(&misses.collect::<Vec<f64>>());
+        let pairs = series.speed_rad_s.iter().zip(&speed);
+        let error_rad_s = root_mean_square(&pairs.map(|(a, b)| a - b).collect::<Vec<f64>>());
         let reading = |(&speed_rad_s, &voltage_v): (&f64, &f64)| Reading {
             voltage_v,
             speed_rad_s,
@@ -347,7 +312,7 @@ impl Auxiliary {
 /// noise leaves that open.
 fn start(series: &Series<'_>, model: &Dynamics) -> State {
     let mut first = finite(series.speed_rad_s);
-    first.truncate(FIRST_SAMPLES);
+    first.truncate(4);
     let speed = mean(&first);
     let noise = (variance(&first) / first.len() as f64).sqrt();
     if speed.abs() > (3.0 * noise).max(DEAD_ZONE * largest(series.speed_rad_s)) {
@@ -361,7 +326,8 @@ fn start(series: &Series<'_>, model: &Dynamics) -> State {
 /// several strides, then a rough one with the static gain.
 fn first_models(series: &Series<'_>, direction: &[i8], given: Option<Dynamics>) -> Vec<Dynamics> {
     let mut models: Vec<Dynamics> = given.into_iter().collect();
-    for stride in STRIDES {
+    // Over a longer stride noise counts less.
+    for stride in [1, 2, 4, 8, 16, 32] {
         for form in [Form::Exact, Form::Printed] {
             models.extend(over_stride(series, direction, form, stride));
         }
@@ -440,14 +406,14 @@ fn pairs(series: &Series<'_>, auxiliary: &[Reading], model: &Dynamics) -> Vec<Pa
     let mut out = Vec::with_capacity(auxiliary.len());
     let mut memory = [[0.0; 9]; 2];
     for k in 2..auxiliary.len() {
-        let last = [&auxiliary[k - 2], &auxiliary[k - 1], &auxiliary[k]];
-        let instrument = whatever_direction(last[0], last[1], last[2]);
-        let row = whatever_direction(&measured(k - 2), &measured(k - 1), &measured(k));
+        let last = [k - 2, k - 1, k].map(|k| auxiliary[k]);
+        let instrument = Row::unsigned(&last);
+        let row = Row::unsigned(&[k - 2, k - 1, k].map(measured));
         let Some((instrument, mut row)) = instrument.zip(row) else {
             memory = [[0.0; 9]; 2];
             continue;
         };
-        let valid = signed_row(last[0], last[1], last[2]).is_some();
+        let valid = Row::signed(&last).is_some();
         if !valid {
             let terms = instrument.regressor.iter().zip(theta);
             let explained: f64 = terms.map(|(x, t)| x * t).sum();
@@ -521,8 +487,9 @@ impl Solution {
     /// Sandwich covariance of the coefficients; the scores are summed over stretches of several time constants, because
     /// the filtered errors of a chain share the error of its first samples.
     fn covariance(&self, pairs: &[Pair], model: &Dynamics, period_s: f64) -> M4 {
+        // Twenty clusters at least.
         let stretch = whole((4.0 * (model.ta_s + model.tm_s) / period_s).clamp(20.0, 1e6))
-            .min((pairs.len() / CLUSTERS).max(1));
+            .min((pairs.len() / 20).max(1));
         let mut meat = M4::zeros();
         let mut clusters = 0usize;
         for cluster in pairs.chunk_by(|a, b| a.sample / stretch == b.sample / stretch) {

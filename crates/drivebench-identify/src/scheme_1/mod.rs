@@ -22,8 +22,7 @@ use thiserror::Error;
 
 use drivebench_model::numerics::recursive_least_squares::RecursiveLeastSquares;
 
-pub(crate) use estimates::all_unknown;
-pub use estimates::{Claim, Doubt, estimates};
+pub(crate) use estimates::{Claim, Doubt, all_unknown, estimates};
 pub use instrumental::{Instrumental, InstrumentalError, Series, instrumental_variables};
 
 // Rows of eq. (13) and (17) from consecutive samples, in differences.
@@ -41,48 +40,37 @@ struct Reading {
     direction: i8,
 }
 
+impl Reading {
+    const MISSING: Self = Self {
+        voltage_v: f64::NAN,
+        speed_rad_s: f64::NAN,
+        direction: 0,
+    };
+}
+
 #[derive(Clone, Copy, Debug)]
 struct Row {
     regressor: [f64; 5],
     value: f64,
 }
 
-/// The row that ends at `now`, where the motion keeps its direction; `before` and `earlier` are one and two periods back.
-fn signed_row(earlier: &Reading, before: &Reading, now: &Reading) -> Option<Row> {
-    let sign = now.direction;
-    if sign == 0 || before.direction != sign || earlier.direction != sign {
-        return None;
+impl Row {
+    /// The row that ends at the last of three samples, where the motion keeps its direction.
+    fn signed(samples: &[Reading; 3]) -> Option<Self> {
+        let sign = samples[2].direction;
+        let keeps = sign != 0 && samples.iter().all(|sample| sample.direction == sign);
+        keeps.then(|| Self::unsigned(samples)).flatten()
     }
-    whatever_direction(earlier, before, now)
-}
 
-/// The row without regard to the direction, signed by the last; `None` where a value is missing.
-fn whatever_direction(earlier: &Reading, before: &Reading, now: &Reading) -> Option<Row> {
-    let (u1, u2) = (now.voltage_v, before.voltage_v);
-    let (w0, w1, w2) = (now.speed_rad_s, before.speed_rad_s, earlier.speed_rad_s);
-    let built = Row {
-        regressor: [w2 - w1, -w2, u1 + u2, -f64::from(now.direction), u1 - u2],
-        value: (w0 - w1) - (w1 - w2),
-    };
-    (built.value.is_finite() && built.regressor.iter().all(|x| x.is_finite())).then_some(built)
-}
-
-/// The last two samples.
-#[derive(Clone, Copy, Debug, Default)]
-struct Rows {
-    earlier: Option<Reading>,
-    before: Option<Reading>,
-}
-
-impl Rows {
-    fn push(&mut self, now: Reading) -> Option<Row> {
-        let built = self
-            .earlier
-            .zip(self.before)
-            .and_then(|(earlier, before)| signed_row(&earlier, &before, &now));
-        self.earlier = self.before;
-        self.before = Some(now);
-        built
+    /// The row whatever the direction, signed by the last sample; `None` where a value is missing.
+    fn unsigned([earlier, before, now]: &[Reading; 3]) -> Option<Self> {
+        let (u1, u2) = (now.voltage_v, before.voltage_v);
+        let (w0, w1, w2) = (now.speed_rad_s, before.speed_rad_s, earlier.speed_rad_s);
+        let built = Self {
+            regressor: [w2 - w1, -w2, u1 + u2, -f64::from(now.direction), u1 - u2],
+            value: (w0 - w1) - (w1 - w2),
+        };
+        (built.value.is_finite() && built.regressor.iter().all(|x| x.is_finite())).then_some(built)
     }
 }
 
@@ -98,11 +86,10 @@ pub enum Form {
 }
 
 impl Form {
-    /// Least number of rows: one more than coefficients.
-    const fn fewest_rows(self) -> u64 {
+    const fn coefficients(self) -> usize {
         match self {
-            Self::Printed => 5,
-            Self::Exact => 6,
+            Self::Printed => 4,
+            Self::Exact => 5,
         }
     }
 }
@@ -175,7 +162,7 @@ impl Coefficients {
     }
 }
 
-/// What voltage and speed tell without the resistance.
+/// What voltage and speed determine without the resistance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Dynamics {
     /// L/R, s.
@@ -188,18 +175,13 @@ pub struct Dynamics {
     pub load_v: f64,
 }
 
-/// Parameters of the motor once the resistance is known.
+/// Parameters of the motor once the resistance is known: those of [`Dynamics`], inertia (kg.m2) and load torque (N.m).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scheme1Values {
-    /// L/R, s.
     pub ta_s: f64,
-    /// R J/(Ke Kt), s.
     pub tm_s: f64,
-    /// Back-EMF constant, V.s/rad.
     pub ke: f64,
-    /// kg.m2.
     pub inertia: f64,
-    /// Coulomb load torque, N.m.
     pub load_torque: f64,
 }
 
@@ -341,7 +323,7 @@ fn exact(c: &Coefficients, period_s: f64) -> Result<Dynamics, Scheme1Rejection> 
 }
 
 /// The angle of the pole pair, or `2 pi` minus it where the pair lies above the Nyquist angle: both have the same `a1`
-/// and `a2`, but the share of `b1` in `b1 + b2` tells them apart (it is the first step of the response over `q`).
+/// and `a2`, but the share of `b1` in `b1 + b2` separates them (it is the first step of the response over `q`).
 fn unfolded(c: &Coefficients, decay: f64, angle: f64) -> f64 {
     let response = |angle: f64| {
         let (sin, cos) = angle.sin_cos();
@@ -350,15 +332,10 @@ fn unfolded(c: &Coefficients, decay: f64, angle: f64) -> f64 {
     let share = 0.5 * (1.0 + c.voltage_step / c.voltage);
     let miss = |angle: f64| (response(angle) / c.q - share).abs();
     let above = 2.0 * PI - angle;
-    if miss(above) < CLEARLY_BETTER * miss(angle) {
-        above
-    } else {
-        angle
-    }
+    // Noise alone must not choose the pair above Nyquist.
+    let clearly_better = miss(above) < 0.1 * miss(angle);
+    if clearly_better { above } else { angle }
 }
-
-/// How much better the pair above Nyquist must fit: noise alone must not choose it.
-const CLEARLY_BETTER: f64 = 0.1;
 
 /// Covariance of (Ta, TM, Ke, load voltage) from that of the coefficients, to first order; NaN where a neighbouring
 /// coefficient belongs to no motor.
@@ -378,10 +355,12 @@ fn propagate(
             return [0.0; 4];
         }
         let step = 1e-6 * at[j].abs().max(1e-9);
-        let (mut up, mut down) = (at, at);
-        up[j] += step;
-        down[j] -= step;
-        let (up, down) = (map(up), map(down));
+        let moved = |by: f64| {
+            let mut there = at;
+            there[j] += by;
+            map(there)
+        };
+        let (up, down) = (moved(step), moved(-step));
         std::array::from_fn(|i| (up[i] - down[i]) / (2.0 * step))
     });
     let cell = |i: usize, k: usize| {
@@ -393,14 +372,12 @@ fn propagate(
 
 // Scheme 1 sample by sample.
 
-/// The coefficients are of the order of one; a prior wide enough to leave no trace (speeds of 1 rad/s and more).
-const PRIOR: f64 = 1e10;
-
 /// The estimator; feed it with [`Self::push`], once per period.
 #[derive(Clone, Debug)]
 pub struct Scheme1 {
     period_s: f64,
-    rows: Rows,
+    /// The last two samples, the earlier one first.
+    last: [Reading; 2],
     estimator: Estimator,
 }
 
@@ -413,18 +390,17 @@ enum Estimator {
 impl Scheme1 {
     /// `period_s`: the samples are equidistant. `forgetting`: factor per row, 1 for none.
     pub fn new(form: Form, period_s: f64, forgetting: f64) -> Self {
-        let estimator = match form {
-            Form::Printed => Estimator::Printed(RecursiveLeastSquares::new(
-                [0.0; 4], [1.0; 4], PRIOR, forgetting,
-            )),
-            Form::Exact => Estimator::Exact(RecursiveLeastSquares::new(
-                [0.0; 5], [1.0; 5], PRIOR, forgetting,
-            )),
-        };
+        // The coefficients are of the order of one: a prior that leaves no trace (speeds of 1 rad/s and more).
+        fn blank<const N: usize>(forgetting: f64) -> RecursiveLeastSquares<N> {
+            RecursiveLeastSquares::new([0.0; N], [1.0; N], 1e10, forgetting)
+        }
         Self {
             period_s,
-            rows: Rows::default(),
-            estimator,
+            last: [Reading::MISSING; 2],
+            estimator: match form {
+                Form::Printed => Estimator::Printed(blank(forgetting)),
+                Form::Exact => Estimator::Exact(blank(forgetting)),
+            },
         }
     }
 
@@ -435,15 +411,18 @@ impl Scheme1 {
     /// or where it is not known; from a dead zone, the instrument or a model, never the sign of a noisy speed. A row
     /// needs the same sign at three samples; others are left out. A value that is not finite breaks the chain of samples.
     pub fn push(&mut self, voltage_v: f64, speed_rad_s: f64, direction: i8) -> Option<f64> {
-        let row = self.rows.push(Reading {
+        let now = Reading {
             voltage_v,
             speed_rad_s,
             direction,
-        })?;
-        let [a, b, c, d, e] = row.regressor;
+        };
+        let [earlier, before] = self.last;
+        self.last = [before, now];
+        let row = Row::signed(&[earlier, before, now])?;
+        let [a, b, c, d, _] = row.regressor;
         match &mut self.estimator {
             Estimator::Printed(estimator) => estimator.update(&[a, b, c, d], row.value),
-            Estimator::Exact(estimator) => estimator.update(&[a, b, c, d, e], row.value),
+            Estimator::Exact(estimator) => estimator.update(&row.regressor, row.value),
         }
     }
 
@@ -474,12 +453,9 @@ impl Scheme1 {
     }
 
     /// Covariance of the coefficients in the order of the fields of [`Coefficients`] for white equation errors; `None`
-    /// before the noise is known. Noise of the speed sensor biases beyond what it says.
+    /// before the noise is known. Noise of the speed sensor biases beyond it.
     pub fn covariance(&self) -> Option<[[f64; 5]; 5]> {
-        let size = match self.form() {
-            Form::Printed => 4,
-            Form::Exact => 5,
-        };
+        let size = self.form().coefficients();
         let mut out = [[0.0; 5]; 5];
         for (row, line) in out.iter_mut().enumerate().take(size) {
             for (column, cell) in line.iter_mut().enumerate().take(size) {
@@ -494,7 +470,7 @@ impl Scheme1 {
 
     /// What needs no resistance.
     pub fn dynamics(&self) -> Result<Dynamics, Scheme1Rejection> {
-        let needed = self.form().fewest_rows();
+        let needed = self.form().coefficients() as u64 + 1;
         let rows = self.rows();
         if rows < needed {
             return Err(Scheme1Rejection::TooFewRows { rows, needed });
@@ -525,10 +501,6 @@ impl Scheme1 {
 // compensation; Soderstrom, *Errors-in-Variables Methods in System Identification* (2018), chapter 5). It serves to judge
 // an estimate, not to replace it: a noise that is a little off ruins it when the noise share is large.
 
-/// Covariance of `(w2 - w1, -w2)` for white noise of variance one, and with `w0 - 2 w1 + w2`.
-const REGRESSORS: [[f64; 2]; 2] = [[2.0, -1.0], [-1.0, 1.0]];
-const WITH_VALUE: [f64; 2] = [3.0, -1.0];
-
 /// Standard deviation of the speed sensor's noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Noise {
@@ -551,7 +523,7 @@ pub fn noise_free(series: &Series<'_>, direction: &[i8], noise: Noise) -> Option
         direction: direction[k],
     };
     for k in 2..samples {
-        let Some(row) = signed_row(&reading(k - 2), &reading(k - 1), &reading(k)) else {
+        let Some(row) = Row::signed(&[reading(k - 2), reading(k - 1), reading(k)]) else {
             continue;
         };
         let psi = SVector::<f64, N>::from_fn(|j, _| row.regressor[j]);
@@ -570,10 +542,13 @@ pub fn noise_free(series: &Series<'_>, direction: &[i8], noise: Noise) -> Option
             (residual / (1.0 + a1 * a1 + a2 * a2)).sqrt()
         }
     };
-    for i in 0..2 {
-        right[i] -= count * sigma * sigma * WITH_VALUE[i];
-        for j in 0..2 {
-            normal[(i, j)] -= count * sigma * sigma * REGRESSORS[i][j];
+    // Covariance of `(w2 - w1, -w2)` for white noise of variance one, and with `w0 - 2 w1 + w2`.
+    for (i, (regressors, with_value)) in
+        [([2.0, -1.0], 3.0), ([-1.0, 1.0], -1.0)].iter().enumerate()
+    {
+        right[i] -= count * sigma * sigma * with_value;
+        for (j, regressor) in regressors.iter().enumerate() {
+            normal[(i, j)] -= count * sigma * sigma * regressor;
         }
     }
     let theta = normal.try_inverse()? * right;

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! The speed after a step is `1/(Ta TM s^2 + TM s + 1)` of paper A's eq. (1). Graphical reading by Harriott (Process
-//! Control, 1964): every such curve passes 73 % near `t = 1.3 TM`, and its height at `TM/2` tells the ratio of the time
+//! Control, 1964): every such curve passes 73 % near `t = 1.3 TM`, and its height at `TM/2` gives the ratio of the time
 //! constants; the chart is replaced by the closed form, which holds for oscillating responses as well. Analytic reading
 //! by areas: `int (1 - y) dt = TM`, `int t (1 - y) dt = TM^2 - Ta TM`. Where the two disagree, the curve is not that of
 //! the model, and the disagreement is the uncertainty.
@@ -16,11 +16,11 @@ mod reading;
 
 pub use reading::{Reading, Step, read};
 
+use crate::verdict::NOT_OBSERVABLE;
 use drivebench_model::plant::{Model, MotorKey, Scenario};
 use drivebench_model::sample::{ParameterEstimate, Verdict};
 
-/// Relative uncertainty above which a reading is no value.
-const NOT_OBSERVABLE: f64 = 0.5;
+use crate::nameplate::KEYS;
 
 /// A value that was read with its standard deviation.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,104 +46,93 @@ impl Read {
 
 /// Parameters of the model from one step, and what the reader has to know.
 pub fn estimates(model: &Model, scenario: &Scenario) -> (Vec<ParameterEstimate>, Vec<String>) {
-    let keys = [
-        (MotorKey::Resistance.key(), MotorKey::Resistance.unit()),
-        (MotorKey::Inductance.key(), MotorKey::Inductance.unit()),
-        (MotorKey::BackEmf.key(), MotorKey::BackEmf.unit()),
-        (MotorKey::Inertia.key(), MotorKey::Inertia.unit()),
-        (MotorKey::LoadTorque.key(), MotorKey::LoadTorque.unit()),
-        ("electrical_time_constant_s", "s"),
-        ("mechanical_time_constant_s", "s"),
-    ];
-    let given = |key: &str| {
-        let key = MotorKey::from_key(key).filter(|_| model.fixed.iter().any(|f| f == key))?;
-        model.motor.get(key)
+    let given = |key: MotorKey| {
+        let is_fixed = model.fixed.iter().any(|fixed| fixed == key.key());
+        model.motor.get(key).filter(|_| is_fixed)
     };
     let (values, notes) = match read(scenario) {
-        Ok(reading) => {
-            let note = reading.sentence();
-            (derived(model, &reading, &given), vec![note])
-        }
-        Err(reason) => (keys.map(|_| Err(reason.clone())), Vec::new()),
+        Ok(reading) => (derived(model, &reading, &given), vec![reading.sentence()]),
+        Err(reason) => (std::array::from_fn(|_| Err(reason.clone())), Vec::new()),
     };
-    let parameters = keys
-        .into_iter()
-        .zip(values)
-        .map(|((key, unit), value)| match given(key) {
-            Some(value) => ParameterEstimate::fixed(key, unit, value),
-            None => judged(key, unit, value),
-        })
-        .collect();
-    (parameters, notes)
+    let [r, l, ke, j, mc, ta, tm] = values;
+    let motor = KEYS.into_iter().zip([r, l, ke, j, mc]);
+    let motor = motor.map(|(key, value)| match given(key) {
+        Some(value) => ParameterEstimate::fixed(key.key(), key.unit(), value),
+        None => judged(key.key(), key.unit(), value),
+    });
+    let times = [
+        judged("electrical_time_constant_s", "s", ta),
+        judged("mechanical_time_constant_s", "s", tm),
+    ];
+    (motor.chain(times).collect(), notes)
 }
 
 type Found = Result<Read, String>;
 
 /// The parameters in the order of [`estimates`].
-fn derived(model: &Model, reading: &Reading, given: &dyn Fn(&str) -> Option<f64>) -> [Found; 7] {
-    let exactly = |value: f64| Read { value, std: 0.0 };
-    let no_current = || "the run has no current".to_owned();
-    let resistance = match given(MotorKey::Resistance.key()) {
-        Some(value) => Ok(exactly(value)),
-        None => reading.resistance_ohm.clone(),
+fn derived(
+    model: &Model,
+    reading: &Reading,
+    given: &dyn Fn(MotorKey) -> Option<f64>,
+) -> [Found; 7] {
+    let or = |given: Option<f64>, found: &dyn Fn() -> Found| {
+        given.map_or_else(found, |value| Ok(Read { value, std: 0.0 }))
     };
+    let resistance = or(given(MotorKey::Resistance), &|| {
+        reading.resistance_ohm.clone()
+    });
     let voltage = reading.step.voltage_v;
-    let speed = reading.final_speed_rad_s;
-    let back_emf = match given(MotorKey::BackEmf.key()) {
-        Some(value) => Ok(exactly(value)),
-        None => resistance.clone().and_then(|resistance| {
-            let current = reading.final_current_a.ok_or_else(|| {
-                format!(
-                    "at most {:.5} V.s/rad (voltage over steady speed): without a current the drop R i is not known",
-                    voltage / speed.value
-                )
-            })?;
-            let drop = Read::product(resistance.value * current.value, &[resistance, current]);
-            let emf = Read {
-                value: voltage - drop.value,
-                std: drop.std,
-            };
-            Ok(Read::product(emf.value / speed.value, &[emf, speed]))
-        }),
-    };
-    let torque_constant = match model.motor.get(MotorKey::TorqueConstant) {
-        Some(value) => Ok(exactly(value)),
-        None => back_emf.clone(),
-    };
+    let (speed, current) = (reading.final_speed_rad_s, reading.final_current_a);
+    let back_emf = or(given(MotorKey::BackEmf), &|| {
+        let resistance = resistance.clone()?;
+        let current = current.ok_or_else(|| {
+            format!(
+                "at most {:.5} V.s/rad (voltage over steady speed): without a current the drop R i is not known",
+                voltage / speed.value
+            )
+        })?;
+        let drop = Read::product(resistance.value * current.value, &[resistance, current]);
+        let emf = Read {
+            value: voltage - drop.value,
+            std: drop.std,
+        };
+        Ok(Read::product(emf.value / speed.value, &[emf, speed]))
+    });
+    let torque_constant = or(model.motor.get(MotorKey::TorqueConstant), &|| {
+        back_emf.clone()
+    });
     let mechanical = reading.mechanical_time_constant_s;
-    let needs = |what: &str, why: String| format!("needs {what}: {why}");
-    let inertia = (|| {
-        let resistance = resistance
-            .clone()
-            .map_err(|why| needs("the resistance", why))?;
-        let back_emf = back_emf
-            .clone()
-            .map_err(|why| needs("the back-EMF constant", why))?;
-        let kt = torque_constant
-            .clone()
-            .map_err(|why| needs("the torque constant", why))?;
+    let needed =
+        |what: &str, found: &Found| found.clone().map_err(|why| format!("needs {what}: {why}"));
+    let inertia = || -> Found {
+        let resistance = needed("the resistance", &resistance)?;
+        let back_emf = needed("the back-EMF constant", &back_emf)?;
+        let kt = needed("the torque constant", &torque_constant)?;
         let value = mechanical.value * back_emf.value * kt.value / resistance.value;
         Ok(Read::product(
             value,
             &[mechanical, back_emf, kt, resistance],
         ))
-    })();
-    let load = match (reading.final_current_a, torque_constant) {
-        (None, _) => Err(no_current()),
-        (_, Err(why)) => Err(needs("the torque constant", why)),
-        (Some(current), Ok(kt)) => Ok(Read::product(
+    };
+    let load = || -> Found {
+        let current = current.ok_or("the run has no current")?;
+        let kt = needed("the torque constant", &torque_constant)?;
+        Ok(Read::product(
             kt.value * current.value.abs(),
             &[kt, current],
-        )),
+        ))
     };
     let inductance = reading.inductance_h.clone().or_else(|why| {
         // From the shape of the speed, where the current is not there or too slow.
         let (Ok(ta), Ok(resistance)) = (&reading.electrical_time_constant_s, &resistance) else {
             return Err(why);
         };
-        let value = ta.value * resistance.value;
-        Ok(Read::product(value, &[*ta, *resistance]))
+        Ok(Read::product(
+            ta.value * resistance.value,
+            &[*ta, *resistance],
+        ))
     });
+    let (inertia, load) = (inertia(), load());
     [
         resistance,
         inductance,

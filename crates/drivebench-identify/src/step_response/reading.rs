@@ -7,25 +7,12 @@ use drivebench_model::numerics::root::halved;
 use drivebench_model::numerics::statistics;
 use drivebench_model::plant::{Input, Scenario};
 
-/// Share of the largest voltage of the run below which a level counts as zero.
-const ZERO: f64 = 0.02;
-/// Share of its own voltage within which a level is one level, and share of the largest that noise may take.
-const SAME_LEVEL: f64 = 0.02;
-const NOISE: f64 = 0.005;
 /// Mechanical time constants that a step has to be held for: the response is then at 97 % at least.
 const HELD: f64 = 3.5;
-/// Samples before the step that have to be at rest, at least and at most.
-const REST: std::ops::RangeInclusive<usize> = 2..=20;
-/// Speed at rest, as a share of the largest of the run.
-const AT_REST: f64 = 0.02;
 /// Samples that a response has to have.
 const FEWEST: usize = 20;
-/// Change of the speed from the last but one fifth of the step to the last that still counts as steady.
-const STEADY: f64 = 0.02;
 /// Samples within the electrical time constant that the start of the current must have.
 const FEWEST_AT_START: usize = 4;
-/// Share of the peak's time over which the current's peak is smoothed, to either side.
-const PEAK_REACH: f64 = 0.3;
 
 /// A step of voltage out of rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,7 +35,7 @@ pub struct Reading {
     pub electrical_time_constant_s: Result<Read, String>,
     pub resistance_ohm: Result<Read, String>,
     pub inductance_h: Result<Read, String>,
-    /// Time that the Coulomb torque delays the start, s, as far as the current tells.
+    /// Time that the Coulomb torque delays the start, s, as far as the current shows it.
     pub friction_delay_s: f64,
 }
 
@@ -62,11 +49,11 @@ impl Reading {
         } = self.step;
         let friction = if self.final_current_a.is_some() {
             format!(
-                "friction delays the start by about {:.1} ms, which the curve does not know",
+                "friction delays the start by about {:.1} ms, which the curve leaves out",
                 1e3 * self.friction_delay_s
             )
         } else {
-            "how far friction bends it cannot be told without a current".to_owned()
+            "how far friction bends it is not known without a current".to_owned()
         };
         format!(
             "step-response: one step of {voltage_v:.2} V out of rest at {at_s:.3} s, held for {:.3} s; 63 % of the final \
@@ -108,11 +95,11 @@ fn steps(scenario: &Scenario) -> Vec<Step> {
     let most_v = statistics::largest(&volts);
     let most_rad_s = statistics::largest(&scenario.speed_rad_s);
     let end_s = scenario.sample_time_s.last().copied().unwrap_or(0.0);
-    // Levels: begin and voltage; a held value that is written on every row is one level.
+    // Levels: begin and voltage; a held value that is written on every row, or that noise moves, is one level.
     let mut levels: Vec<(f64, f64)> = Vec::new();
     for &(at_s, volts) in &scenario.events {
         let differs = |level: &(f64, f64)| {
-            (volts - level.1).abs() > (SAME_LEVEL * level.1.abs()).max(NOISE * most_v)
+            (volts - level.1).abs() > (0.02 * level.1.abs()).max(0.005 * most_v)
         };
         if levels.last().is_none_or(differs) {
             levels.push((at_s, volts));
@@ -123,15 +110,14 @@ fn steps(scenario: &Scenario) -> Vec<Step> {
         let (before, level) = (pair[0], pair[1]);
         let until_s = levels.get(index + 2).map_or(end_s, |next| next.0);
         let step_sample = scenario.sample_time_s.partition_point(|t| *t <= level.0);
-        let first = step_sample.saturating_sub(*REST.end());
+        let first = step_sample.saturating_sub(20);
         let rest = statistics::finite(&scenario.speed_rad_s[first..step_sample]);
-        let still =
-            rest.len() >= *REST.start() && statistics::median(&rest).abs() <= AT_REST * most_rad_s;
-        let out_of_rest = before.1.abs() <= ZERO * most_v && level.1.abs() > ZERO * most_v;
+        let still = rest.len() >= 2 && statistics::median(&rest).abs() <= 0.02 * most_rad_s;
+        let out_of_rest = before.1.abs() <= 0.02 * most_v && level.1.abs() > 0.02 * most_v;
         if out_of_rest && still && until_s > level.0 {
             let during = |event: &&(f64, f64)| event.0 >= level.0 && event.0 < until_s;
-            let held = scenario.events.iter().filter(during).map(|event| event.1);
-            let held: Vec<f64> = held.collect();
+            let held = scenario.events.iter().filter(during);
+            let held: Vec<f64> = held.map(|event| event.1).collect();
             steps.push(Step {
                 at_s: level.0,
                 until_s,
@@ -158,14 +144,10 @@ struct Response {
 impl Response {
     fn of(scenario: &Scenario, step: Step) -> Result<Self, String> {
         let series = |values: &[f64]| -> Vec<(f64, f64)> {
-            let points = scenario
-                .sample_time_s
-                .iter()
-                .copied()
-                .zip(values.iter().copied());
+            let points = scenario.sample_time_s.iter().zip(values);
             points
-                .filter(|(t, value)| *t > step.at_s && *t < step.until_s && value.is_finite())
-                .map(|(t, value)| (t - step.at_s, value))
+                .filter(|(t, value)| **t > step.at_s && **t < step.until_s && value.is_finite())
+                .map(|(t, value)| (t - step.at_s, *value))
                 .collect()
         };
         let speed = series(&scenario.speed_rad_s);
@@ -191,7 +173,7 @@ impl Response {
                 step.voltage_v
             ));
         }
-        if (end - earlier).abs() > STEADY * end.abs() + 3.0 * error {
+        if (end - earlier).abs() > 0.02 * end.abs() + 3.0 * error {
             return Err(format!(
                 "no steady state: the speed changes by {:.1} % in the last fifth of the step of {:.2} V at {:.3} s; hold \
                  it longer",
@@ -222,7 +204,7 @@ impl Response {
         };
         let rise_time_s = reaches(1.0 - (-1.0_f64).exp())?;
         let meeting_s = reaches(MEETING)?;
-        // The height at half of TM needs TM, which needs the ratio that the height tells: settled in a few rounds.
+        // The height at half of TM needs TM, which needs the ratio that the height gives: settled in a few rounds.
         let (mut tm, mut r) = (meeting_s / 1.3, None);
         for _ in 0..20 {
             r = ratio(self.height_at(0.5 * tm));
@@ -246,9 +228,8 @@ impl Response {
         let ta = r.map(|r| r * tm);
         let friction_delay_s = match (&resistance, current, ta) {
             (Ok(resistance), Some(current), Some(ta)) => {
-                let share =
-                    (resistance.value * current.value / self.step.voltage_v).clamp(0.0, 0.9);
-                -ta * (1.0 - share).ln()
+                let share = resistance.value * current.value / self.step.voltage_v;
+                -ta * (1.0 - share.clamp(0.0, 0.9)).ln()
             }
             _ => 0.0,
         };
@@ -368,7 +349,7 @@ impl Response {
             ));
         }
         // A parabola about the peak: the largest of noisy samples is not the peak.
-        let reach_s = (PEAK_REACH * self.current[peak].0).max(1.5 * self.period_s);
+        let reach_s = (0.3 * self.current[peak].0).max(1.5 * self.period_s);
         let near = |point: &&(f64, f64)| (point.0 - self.current[peak].0).abs() <= reach_s;
         let around: Vec<(f64, f64)> = self.current.iter().filter(near).copied().collect();
         let (at_s, current) = vertex(&around, sign)
@@ -402,8 +383,7 @@ impl Response {
 
     /// `L = u/(di/dt)` at the start, from a parabola without a constant through the current's first rise.
     fn inductance(&self, ta_s: f64) -> Result<Read, String> {
-        let start = self.current.iter().copied();
-        let start: Vec<(f64, f64)> = start.take_while(|point| point.0 <= 0.6 * ta_s).collect();
+        let start = &self.current[..self.current.partition_point(|point| point.0 <= 0.6 * ta_s)];
         if start.len() < FEWEST_AT_START {
             return Err(format!(
                 "{} samples of the current within its first rise ({:.1} ms), at least {FEWEST_AT_START} are needed: \
@@ -464,8 +444,8 @@ fn line(points: &[(f64, f64)], at: f64) -> Option<(f64, f64)> {
 
 // The normalised step response `1/(r s^2 + s + 1)`: time in units of TM, `r = Ta/TM`.
 
-/// Height at which all these curves nearly meet, and the largest ratio that a reading can tell: beyond, the response
-/// oscillates for longer than any step is held.
+/// Height at which all these curves nearly meet, and the largest ratio that is read: beyond, the response oscillates for
+/// longer than any step is held.
 const MEETING: f64 = 0.73;
 const LARGEST_RATIO: f64 = 10.0;
 
