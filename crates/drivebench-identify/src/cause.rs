@@ -1,5 +1,5 @@
-//! Why a parameter has no value: that the run does not excite it is said only where the information in the run, at a motor that
-//! may have made it, is too small. Else the cause is the fit, or what the model leaves beside the noise.
+//! Cause of a parameter without a value: the Cramer-Rao bound of the run, at a motor that can have made it, shows whether the
+//! run excites it. Else the cause is the fit, or what the model leaves beside the noise.
 
 use nalgebra::DMatrix;
 
@@ -13,7 +13,7 @@ use drivebench_model::numerics::levenberg_marquardt::{Problem as _, jacobian_at}
 use drivebench_model::plant::{Model, MotorKey, Scenario, Slot};
 use drivebench_model::sample::{ParameterEstimate, Verdict};
 
-/// Says of each free parameter of the motor that has no value why it has none. `given`: the model as the user gave it.
+/// Gives each free parameter of the motor without a value the reason. `given`: the model as the user gave it.
 pub(super) fn explain(
     parameters: &mut [ParameterEstimate],
     fit: &Fit,
@@ -22,7 +22,7 @@ pub(super) fn explain(
     scenario: &Scenario,
 ) {
     let is_open = |own: &&mut ParameterEstimate| {
-        // That of an inductance speaks of the period already.
+        // The reason of an inductance names the period already.
         let key = MotorKey::from_key(&own.key).filter(|key| *key != MotorKey::Inductance);
         own.verdict == Verdict::NotObservable && key.is_some()
     };
@@ -110,9 +110,14 @@ impl Carried {
 
     /// Of parameters that the run leaves open together.
     fn only_together(&self, place: usize) -> String {
-        let others = self.free.iter().zip(&self.least).enumerate();
-        let others = others.filter(|(other, (_, least))| *other != place && least.is_none());
-        let others: Vec<String> = others.map(|(_, (slot, _))| slot.key()).collect();
+        let others: Vec<String> = self
+            .free
+            .iter()
+            .zip(&self.least)
+            .enumerate()
+            .filter(|(other, (_, least))| *other != place && least.is_none())
+            .map(|(_, (slot, _))| slot.key())
+            .collect();
         if others.is_empty() {
             return "the fit ends where nothing of it shows: the run does not excite it, or there is next to none of it"
                 .to_owned();
@@ -125,10 +130,10 @@ impl Carried {
 
     /// Where a transient that carries a parameter is over between two samples; `None` where that is no reason.
     fn too_slow(&self, key: &str, scenario: &Scenario) -> Option<String> {
-        let of = |key: MotorKey| self.motor.motor.get(key);
-        let mechanical_s = of(MotorKey::Resistance)? * of(MotorKey::Inertia)?
-            / of(MotorKey::BackEmf)?
-            / self.motor.motor.torque_constant()?;
+        let motor = &self.motor.motor;
+        let [r, j, ke] = [MotorKey::Resistance, MotorKey::Inertia, MotorKey::BackEmf];
+        let mechanical_s =
+            motor.get(r)? * motor.get(j)? / motor.get(ke)? / motor.torque_constant()?;
         let period_s = scenario.mean_period_s();
         (key == MotorKey::Inertia.key() && period_s > mechanical_s).then(|| {
             format!(
@@ -146,9 +151,9 @@ fn or_roughness(noise: NoiseFloor, scenario: &Scenario) -> NoiseFloor {
         return noise;
     }
     let level = |values: &[f64], otherwise: f64| {
-        Some(roughness(values))
-            .filter(|level| *level > 0.0 && otherwise.is_finite())
-            .unwrap_or(otherwise)
+        let level = roughness(values);
+        let is_known = level > 0.0 && otherwise.is_finite();
+        if is_known { level } else { otherwise }
     };
     NoiseFloor {
         current_a: level(&scenario.current_a, noise.current_a),
@@ -178,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn plateaus_at_20_hz_give_resistance_and_back_emf_and_say_why_the_rest_is_open() {
+    fn plateaus_at_20_hz_give_resistance_and_back_emf() {
         let found = found(&brushed(steps(1.0, 30.0, 12.0 / 70.0, 0.5), 0.05, 30.0));
         for (key, truth) in [("resistance_ohm", 1.2), ("back_emf_v_s_per_rad", 0.05)] {
             assert_covers(of(&found, key), truth, 0.1, 3.0);
@@ -188,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn what_only_one_level_was_run_for_is_open_together_with_what_it_is_tied_to() {
+    fn a_run_of_one_level_leaves_parameters_open_together() {
         let mut run = brushed(vec![(0.0, 0.0), (0.5, 8.0)], 0.002, 2.0);
         put(&mut run, Channel::Current, vec![f64::NAN; 1000]);
         let mut model = Model::baseline(motor(&BRUSHED));
@@ -204,16 +209,10 @@ mod tests {
     }
 
     #[test]
-    fn what_a_fault_of_a_signal_hides_is_not_called_unexcited() {
+    fn a_fault_of_a_signal_is_not_called_a_lack_of_excitation() {
         let run = brushed(steps(0.3, 4.0, 12.0 / 70.0, 0.2), 0.002, 4.0);
-        // A speed that says something else half of the time.
-        let wild = |row: usize, speed: f64| {
-            if (row / 37).is_multiple_of(2) {
-                speed
-            } else {
-                -0.7 * speed
-            }
-        };
+        // A speed that is another one half of the time.
+        let wild = |row: usize, speed: f64| [1.0, -0.7][row / 37 % 2] * speed;
         let found = found(&changed(&run, Channel::Speed, wild));
         let open = found.iter().filter(|own| own.value.is_none());
         for own in open {

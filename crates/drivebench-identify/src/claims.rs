@@ -1,27 +1,21 @@
 //! Claims that a run supports, given where its signals come from.
 //!
-//! A commanded voltage is not the armature's, a supply current is not the armature's, and what a
-//! drive computes from its own settings only repeats them. A value keeps its figure; its verdict and reason say how far
-//! it may be believed.
+//! A commanded voltage is not the armature's, a supply current is not the armature's, and what a drive computes from its own
+//! settings only repeats them. A value keeps its figure; its verdict and reason limit what it stands for.
 
 use super::stamps;
+use super::verdict::refuse;
 use drivebench_model::numerics::statistics::{largest, median};
 use drivebench_model::plant::effect::VOLTAGE_DROP;
 use drivebench_model::plant::{Input, MotorKey, Scenario};
 use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Run, Side, Verdict};
 use drivebench_model::signal;
 
-/// Share of the bus voltage at the terminals from which the duty cycle counts as one, of the rows that must have it,
-/// and of the largest voltage from which a row counts.
-const FULL_DUTY: f64 = 0.97;
-const NEARLY_ALWAYS: f64 = 0.99;
+/// Share of the largest voltage from which a row counts as energised, and the fewest such rows that show anything.
 const ENERGISED: f64 = 0.02;
-/// Difference of measured and commanded voltage, as a share of the largest command, that counts as agreement.
-const AGREES: f64 = 0.01;
-/// Rows below which nothing is said about agreement.
 const FEWEST_ROWS: usize = 20;
 
-/// Limits the verdicts to what the origins of the signals allow; returns what the reader has to know.
+/// Limits the verdicts to what the origins of the signals allow; returns the reasons.
 pub fn limit(parameters: &mut [ParameterEstimate], run: &Run, scenario: &Scenario) -> Vec<String> {
     if let Some(half_width_s) = scenario.typical_half_width_s() {
         stamps::refuse(parameters, half_width_s);
@@ -29,30 +23,29 @@ pub fn limit(parameters: &mut [ParameterEstimate], run: &Run, scenario: &Scenari
     without_current(parameters, scenario);
     let mut notes = Vec::new();
     for claim in claims(run, scenario) {
-        let touched = |p: &&mut ParameterEstimate| claim.keys.contains(&p.key.as_str());
+        let concerned = |p: &&mut ParameterEstimate| claim.keys.contains(&p.key.as_str());
         let mut found = false;
-        for parameter in parameters.iter_mut().filter(touched) {
+        for parameter in parameters.iter_mut().filter(concerned) {
             claim.apply(parameter);
             found |= parameter.value.is_some();
         }
-        // A claim that touches nothing that was found need not be read.
+        // A claim on nothing that was found is left out.
         notes.extend(found.then_some(claim.reason));
     }
     notes
 }
 
-/// Without a current no excitation tells resistance, inductance, inertia and torques apart, which is another thing than a run that
+/// Without a current no excitation separates resistance, inductance, inertia and torques, which is another thing than a run that
 /// does not excite them: only L/R, R J/(Ke Kt) and R Mc/Kt stand in the equations of voltage and speed. Where none of them is
 /// given none has a value, of the motor or of an effect.
 pub fn without_current(parameters: &mut [ParameterEstimate], scenario: &Scenario) {
-    let has_current = scenario.current_a.iter().any(|current| current.is_finite());
-    if scenario.input != Input::Voltage || has_current {
+    if !lacks_current(scenario) {
         return;
     }
     let back_emf = MotorKey::BackEmf.key();
     for own in parameters.iter_mut().filter(|own| own.key == back_emf) {
         let reason = "without a current it includes viscous friction: it is Ke + R B/Kt";
-        lower(own, Verdict::Searching, reason);
+        own.unsettle(reason);
     }
     if !has_no_scale(parameters, scenario) {
         return;
@@ -62,18 +55,22 @@ pub fn without_current(parameters: &mut [ParameterEstimate], scenario: &Scenario
     for own in parameters.iter_mut().filter(is_found) {
         let reason = "without a current no run tells resistance, inductance, inertia and load torque apart: voltage and speed hold \
                       only L/R, R J and R Mc; measure the current, or fix one of them in the model file";
-        *own = ParameterEstimate::not_observable(&own.key, own.unit, reason);
+        refuse(own, reason);
     }
 }
 
 /// Whether the run has no current, and no resistance, inductance, inertia or torque is given that would take its place.
 pub fn has_no_scale(parameters: &[ParameterEstimate], scenario: &Scenario) -> bool {
-    let has_current = scenario.current_a.iter().any(|current| current.is_finite());
     let is_given = |own: &ParameterEstimate| {
         let is_of_motor = MotorKey::from_key(&own.key).is_some();
         is_of_motor && is_tied(own.unit) && own.verdict == Verdict::Fixed
     };
-    scenario.input == Input::Voltage && !has_current && !parameters.iter().any(is_given)
+    lacks_current(scenario) && !parameters.iter().any(is_given)
+}
+
+fn lacks_current(scenario: &Scenario) -> bool {
+    let has_current = scenario.current_a.iter().any(|current| current.is_finite());
+    scenario.input == Input::Voltage && !has_current
 }
 
 /// Whether figures in this unit have no value where [`has_no_scale`].
@@ -111,6 +108,7 @@ impl Claim {
         }
     }
 
+    /// Only ever downward: settled, searching, invalid. What has no value, or is given, stays as it is.
     fn apply(&self, parameter: &mut ParameterEstimate) {
         match self.weight {
             Weight::Remark => {
@@ -118,22 +116,14 @@ impl Claim {
                     parameter.reason.get_or_insert_with(|| self.reason.clone());
                 }
             }
-            Weight::Dependent => lower(parameter, Verdict::Searching, &self.reason),
-            Weight::Wrong => lower(parameter, Verdict::Invalid, &self.reason),
+            Weight::Dependent => parameter.unsettle(&*self.reason),
+            Weight::Wrong => {
+                if matches!(parameter.verdict, Verdict::Settled | Verdict::Searching) {
+                    parameter.verdict = Verdict::Invalid;
+                    parameter.reason = Some(self.reason.clone());
+                }
+            }
         }
-    }
-}
-
-/// Only ever downward: settled, searching, invalid. What has no value, or is given, stays as it is.
-pub(super) fn lower(parameter: &mut ParameterEstimate, to: Verdict, reason: &str) {
-    let lowers = match parameter.verdict {
-        Verdict::Settled => true,
-        Verdict::Searching => to == Verdict::Invalid,
-        Verdict::NotObservable | Verdict::Invalid | Verdict::Fixed => false,
-    };
-    if lowers {
-        parameter.verdict = to;
-        parameter.reason = Some(reason.to_owned());
     }
 }
 
@@ -245,22 +235,17 @@ fn of_speed(run: &Run, input: Input) -> Option<Claim> {
 
 /// Whether the bus stands at the terminals whenever the motor is energised.
 fn full_duty(run: &Run) -> bool {
-    let (Some(bus), Some(voltage)) = (run.column(Channel::Bus), run.column(Channel::Voltage))
-    else {
+    let terminal = run.side(Channel::Voltage) != Some(Side::Supply);
+    let voltage = run.column(Channel::Voltage).filter(|_| terminal);
+    let Some((bus, voltage)) = run.column(Channel::Bus).zip(voltage) else {
         return false;
     };
-    if run.side(Channel::Voltage) == Some(Side::Supply) {
-        return false;
-    }
     let largest = largest(voltage);
-    let energised: Vec<bool> = bus
-        .iter()
-        .zip(voltage)
-        .filter(|(bus, u)| bus.is_finite() && u.abs() > ENERGISED * largest)
-        .map(|(bus, u)| u.abs() > FULL_DUTY * bus)
-        .collect();
-    let full = energised.iter().filter(|full| **full).count();
-    energised.len() >= FEWEST_ROWS && full as f64 >= NEARLY_ALWAYS * energised.len() as f64
+    let rows = bus.iter().zip(voltage);
+    let energised = rows.filter(|(bus, u)| bus.is_finite() && u.abs() > ENERGISED * largest);
+    let full = energised.clone().filter(|(bus, u)| u.abs() > 0.97 * **bus);
+    let (full, count) = (full.count(), energised.count());
+    count >= FEWEST_ROWS && full as f64 >= 0.99 * count as f64
 }
 
 /// Whether a voltage measured at the terminals shows the command, so that nothing of it is lost in the drive.
@@ -271,7 +256,7 @@ fn measured_agrees(run: &Run, command: Channel) -> bool {
         return false;
     }
     let commands: Vec<(f64, f64)> = run.points(command).collect();
-    let largest = commands.iter().fold(0.0_f64, |most, c| most.max(c.1.abs()));
+    let largest = largest(commands.iter().map(|command| command.1));
     let differences: Vec<f64> = run
         .points(Channel::Voltage)
         .filter_map(|(time_s, measured)| {
@@ -281,7 +266,7 @@ fn measured_agrees(run: &Run, command: Channel) -> bool {
         })
         .collect();
     let lost = median(&differences);
-    differences.len() >= FEWEST_ROWS && lost.abs() < AGREES * largest
+    differences.len() >= FEWEST_ROWS && lost.abs() < 0.01 * largest
 }
 
 #[cfg(test)]
@@ -291,44 +276,11 @@ mod tests {
     use crate::verdict::judge;
     use drivebench_model::plant::Slot;
 
-    #[test]
-    fn what_no_run_tells_without_a_current_is_not_called_not_excited() {
-        let mut run = run(Origin::Measured);
-        let said = |run: &Run, verdict: Verdict| {
-            let keys = [MotorKey::Resistance, MotorKey::BackEmf, MotorKey::Inertia];
-            let reason = "the run does not excite it";
-            let mut found =
-                keys.map(|key| ParameterEstimate::not_observable(key.key(), key.unit(), reason));
-            found[0].verdict = verdict;
-            limit(&mut found, run, &Scenario::from_run(run).unwrap());
-            found.map(|parameter| parameter.reason.unwrap())
-        };
-        let open = Verdict::NotObservable;
-        let all = said(&run, open);
-        assert!(all.iter().all(|reason| reason.contains("does not excite")));
-        put(&mut run, Channel::Current, vec![f64::NAN; ROWS]);
-        let [resistance, back_emf, inertia] = said(&run, open);
-        assert!(resistance.contains("R J and R Mc"), "{resistance}");
-        assert_eq!(inertia, resistance);
-        assert!(back_emf.contains("does not excite"));
-        // One that is given tells the others, where they are excited.
-        assert!(said(&run, Verdict::Fixed)[2].contains("does not excite"));
-    }
-
     const ROWS: usize = 100;
 
-    /// Voltage (and its measurement), current and speed; what they hold does not matter to a claim.
+    /// Voltage, current and speed; what they hold does not matter to a claim.
     fn run(origin: Origin) -> Run {
-        let square = |size: f64| -> Vec<f64> {
-            let level = |k: usize| {
-                if (k / 25).is_multiple_of(2) {
-                    size
-                } else {
-                    -size
-                }
-            };
-            (0..ROWS).map(level).collect()
-        };
+        let square = |size: f64| (0..ROWS).map(|k| [size, -size][k / 25 % 2]).collect();
         let columns = [
             (Channel::Voltage, square(24.0)),
             (Channel::Current, square(2.0)),
@@ -339,97 +291,89 @@ mod tests {
         run
     }
 
+    fn of_supply(channel: Channel) -> Run {
+        let mut supply = run(Origin::Measured);
+        supply.set_side(channel, Side::Supply);
+        supply
+    }
+
     fn settled() -> Vec<ParameterEstimate> {
         let settled = |key: MotorKey| judge(&Slot::Motor(key), 1.0, Some(0.001), 0.01);
         KEYS.map(settled).to_vec()
     }
 
-    /// Verdicts of R, L, Ke, J, Mc, and the notes.
+    /// R, L, Ke, J, Mc, and the notes.
     fn limited(run: &Run) -> (Vec<ParameterEstimate>, Vec<String>) {
         let mut parameters = settled();
         let notes = limit(&mut parameters, run, &Scenario::from_run(run).unwrap());
         (parameters, notes)
     }
 
-    fn verdicts(parameters: &[ParameterEstimate]) -> Vec<Verdict> {
-        parameters.iter().map(|p| p.verdict).collect()
-    }
-
     #[test]
-    fn measured_at_the_terminals_everything_may_be_claimed() {
-        for origin in [Origin::Measured, Origin::Unknown] {
-            let (parameters, notes) = limited(&run(origin));
-            assert_eq!(parameters, settled());
-            assert!(notes.is_empty(), "{notes:?}");
-        }
-    }
-
-    #[test]
-    fn a_commanded_voltage_puts_the_drives_drops_into_the_resistance() {
-        let (parameters, notes) = limited(&run(Origin::Commanded));
-        assert_eq!(verdicts(&parameters), [Verdict::Settled; 5]);
-        let reason = parameters[0].reason.as_deref().unwrap();
-        assert!(reason.contains("drive's own drops"), "{reason}");
-        assert!(parameters[1..].iter().all(|p| p.reason.is_none()));
-        assert_eq!(notes.len(), 1);
-    }
-
-    #[test]
-    fn a_measurement_that_agrees_clears_the_command_and_one_with_a_drop_does_not() {
-        for (drop_v, clear) in [(0.0, true), (1.5, false)] {
+    fn verdicts_and_notes_follow_the_origins() {
+        use Verdict::{Invalid, Searching, Settled};
+        let (all, none) = ([Settled; 5], [Invalid; 5]);
+        let estimated_speed = || {
             let mut run = run(Origin::Measured);
-            let measured: Vec<f64> = run.column(Channel::Voltage).unwrap().to_vec();
-            let command = measured.iter().map(|u| u + drop_v * u.signum()).collect();
+            run.set_origin(Channel::Speed, Origin::Estimated);
+            run
+        };
+        let with_bus = |bus_v: f64| {
+            let mut run = of_supply(Channel::Current);
+            put(&mut run, Channel::Bus, vec![bus_v; ROWS]);
+            run
+        };
+        let with_drop = |drop_v: f64| {
+            let mut run = run(Origin::Measured);
+            let measured = run.column(Channel::Voltage).unwrap().iter();
+            let command = measured.map(|u| u + drop_v * u.signum()).collect();
             run.set_column(Channel::VoltageCmd, command, Origin::Commanded)
                 .unwrap();
-            let (_, notes) = limited(&run);
-            assert_eq!(notes.is_empty(), clear, "{drop_v}: {notes:?}");
+            run
+        };
+        let torque = || {
+            let columns = [Channel::Torque, Channel::Speed].map(|own| (own, vec![1.0; ROWS]));
+            let mut run = run_of(every(0.01, 1.0), columns);
+            run.set_origin(Channel::Torque, Origin::Estimated);
+            run
+        };
+        let of_speed = [Settled, Settled, Searching, Searching, Searching];
+        let of_torque = [Settled, Settled, Settled, Searching, Searching];
+        for (name, run, verdicts, note) in [
+            ("measured", run(Origin::Measured), all, ""),
+            ("unknown", run(Origin::Unknown), all, ""),
+            ("commanded", run(Origin::Commanded), all, "own drops"),
+            ("measured without a drop", with_drop(0.0), all, ""),
+            ("measured with a drop", with_drop(1.5), all, "own drops"),
+            ("supply", of_supply(Channel::Current), none, "supply"),
+            ("full duty", with_bus(24.2), all, ""),
+            ("half duty", with_bus(48.0), none, "supply"),
+            ("supply", of_supply(Channel::Voltage), none, "supply"),
+            ("speed", estimated_speed(), of_speed, "not independent"),
+            ("torque", torque(), of_torque, "torque constant it is"),
+        ] {
+            let (parameters, notes) = limited(&run);
+            let found: Vec<Verdict> = parameters.iter().map(|p| p.verdict).collect();
+            assert_eq!(found, verdicts, "{name}: {notes:?}");
+            assert!(parameters.iter().all(|p| p.value == Some(1.0)), "{name}");
+            assert_eq!(
+                notes.len(),
+                usize::from(!note.is_empty()),
+                "{name}: {notes:?}"
+            );
+            assert!(
+                notes.iter().all(|own| own.contains(note)),
+                "{name}: {notes:?}"
+            );
         }
-    }
-
-    #[test]
-    fn a_supply_current_gives_no_parameter_but_at_full_duty() {
-        let mut supply = run(Origin::Measured);
-        supply.set_side(Channel::Current, Side::Supply);
-        let (parameters, notes) = limited(&supply);
-        assert_eq!(verdicts(&parameters), [Verdict::Invalid; 5]);
-        assert!(parameters.iter().all(|p| p.value == Some(1.0)));
-        assert!(notes[0].contains("supply"), "{notes:?}");
-        put(&mut supply, Channel::Bus, vec![24.2; ROWS]);
-        assert_eq!(verdicts(&limited(&supply).0), [Verdict::Settled; 5]);
-        put(&mut supply, Channel::Bus, vec![48.0; ROWS]);
-        assert_eq!(verdicts(&limited(&supply).0), [Verdict::Invalid; 5]);
-    }
-
-    #[test]
-    fn a_supply_voltage_is_not_the_motors() {
-        let mut supply = run(Origin::Measured);
-        supply.set_side(Channel::Voltage, Side::Supply);
-        assert_eq!(verdicts(&limited(&supply).0), [Verdict::Invalid; 5]);
-    }
-
-    #[test]
-    fn what_the_drive_computes_is_not_independent() {
-        use Verdict::{Searching, Settled};
-        let mut observed = run(Origin::Measured);
-        observed.set_origin(Channel::Speed, Origin::Estimated);
-        let (parameters, notes) = limited(&observed);
-        let expected = [Settled, Settled, Searching, Searching, Searching];
-        assert_eq!(verdicts(&parameters), expected);
-        assert!(notes[0].contains("not independent"), "{notes:?}");
-
-        let columns = [Channel::Torque, Channel::Speed].map(|channel| (channel, vec![1.0; ROWS]));
-        let mut torque = run_of(every(0.01, 1.0), columns);
-        torque.set_origin(Channel::Torque, Origin::Estimated);
-        let (parameters, _) = limited(&torque);
-        let expected = [Settled, Settled, Settled, Searching, Searching];
-        assert_eq!(verdicts(&parameters), expected);
+        let (parameters, _) = limited(&run(Origin::Commanded));
+        assert_says(&parameters[0], &["drive's own drops"]);
+        assert_eq!(parameters[1..], settled()[1..]);
     }
 
     #[test]
     fn verdicts_only_go_down_and_given_values_stay() {
-        let mut supply = run(Origin::Measured);
-        supply.set_side(Channel::Current, Side::Supply);
+        let supply = of_supply(Channel::Current);
         let mut parameters = settled();
         parameters[0].verdict = Verdict::Fixed;
         parameters[1] = ParameterEstimate::not_observable("inductance_h", "H", "too slow");
@@ -438,5 +382,29 @@ mod tests {
         limit(&mut parameters, &supply, &scenario);
         assert_eq!(parameters[..2], before[..2]);
         assert_eq!(parameters[2].verdict, Verdict::Invalid);
+    }
+
+    #[test]
+    fn without_a_current_the_scale_is_open_whatever_the_excitation() {
+        let mut run = run(Origin::Measured);
+        let reasons = |run: &Run, verdict: Verdict| {
+            let keys = [MotorKey::Resistance, MotorKey::BackEmf, MotorKey::Inertia];
+            let reason = "the run does not excite it";
+            let mut found =
+                keys.map(|key| ParameterEstimate::not_observable(key.key(), key.unit(), reason));
+            found[0].verdict = verdict;
+            limit(&mut found, run, &Scenario::from_run(run).unwrap());
+            found.map(|parameter| parameter.reason.unwrap())
+        };
+        let open = Verdict::NotObservable;
+        let all = reasons(&run, open);
+        assert!(all.iter().all(|reason| reason.contains("does not excite")));
+        put(&mut run, Channel::Current, vec![f64::NAN; ROWS]);
+        let [resistance, back_emf, inertia] = reasons(&run, open);
+        assert!(resistance.contains("R J and R Mc"), "{resistance}");
+        assert_eq!(inertia, resistance);
+        assert!(back_emf.contains("does not excite"));
+        // One that is given determines the others, where they are excited.
+        assert!(reasons(&run, Verdict::Fixed)[2].contains("does not excite"));
     }
 }

@@ -1,13 +1,12 @@
-//! What has drifted in a machine between two dates: the change of each parameter, how far chance alone explains it, and what
-//! may be behind it.
+//! Drift of a machine between two dates: the change of each parameter, its probability by chance, and a possible cause.
 //!
 //! ```text
-//! runs before, runs after -> change and 95 % interval of each parameter -> by chance? (Holm over all parameters) -> words
+//! runs before, runs after -> change and 95 % interval of each parameter -> by chance? (Holm 1979 over all) -> sentence
 //! ```
 //!
-//! The deviation of a fit knows the noise within its run; how far a machine moves from run to run of itself (warmth, load, the
-//! place of a belt) is known from repeats alone. Where there are repeats, the more cautious of the two decides; where there
-//! are none, that is said.
+//! The deviation of a fit holds the noise within its run; how far a machine moves from run to run of itself (warmth, load, the
+//! place of a belt) shows in repeats alone. Where there are repeats, the more cautious of the two decides; where there are
+//! none, a caution stands beside the result.
 
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
@@ -19,13 +18,7 @@ use drivebench_model::sample::{ParameterEstimate, TWO_SIDED_95};
 use drivebench_model::text::number::{exponent_of, fixed, places, probability, significant};
 
 /// Probability that any parameter at all is named where nothing has changed.
-pub const FALSE_ALARM: f64 = 0.01;
-/// Degrees of freedom below which repeats hardly tell how far a machine moves of itself: two runs beside one are one.
-const FEW: f64 = 3.0;
-/// Standard deviations that a value has to be from zero for its change to be told in per cent of it.
-const CLEAR_OF_ZERO: f64 = 5.0;
-/// Copper: relative change of resistance per kelvin, from 20 °C.
-const COPPER_PER_K: f64 = 0.003_93;
+const FALSE_ALARM: f64 = 0.01;
 
 /// The change of one parameter.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -48,7 +41,7 @@ pub struct Change {
     /// That the noise within the runs alone gives it to this parameter.
     pub by_noise: f64,
     pub drifted: bool,
-    /// Beyond the noise within the runs, and yet not named: the repeats are too few to tell how far the machine moves of itself.
+    /// Beyond the noise within the runs, and yet not named: the repeats are too few to show how far the machine moves of itself.
     pub unsettled: bool,
     /// What may be behind it; none where it is not shown, or where nothing is known.
     pub possible_cause: Option<String>,
@@ -57,9 +50,9 @@ pub struct Change {
 
 impl Change {
     /// Largest change that its 95 % interval holds, either way, in per cent.
-    pub fn at_most_percent(&self) -> Option<f64> {
-        self.interval_95_percent
-            .map(|[low, high]| low.abs().max(high.abs()))
+    fn at_most_percent(&self) -> Option<f64> {
+        let [low, high] = self.interval_95_percent?;
+        Some(low.abs().max(high.abs()))
     }
 }
 
@@ -106,10 +99,8 @@ impl Drift {
     /// Largest change of what is in question, either way, in per cent: zero where nothing is. Not known where one of them has
     /// no share, where a parameter was lost, or where nothing was compared.
     pub fn largest_percent(&self) -> Option<f64> {
-        self.largest(
-            self.in_question()
-                .map(|change| change.percent.map(f64::abs)),
-        )
+        let in_question = self.in_question();
+        self.largest(in_question.map(|change| change.percent.map(f64::abs)))
     }
 
     /// Largest change of any parameter that its own 95 % interval leaves open, in per cent; not known as above.
@@ -124,15 +115,15 @@ impl Drift {
     }
 }
 
-/// One parameter at one date.
-struct Seen {
+/// The values of one parameter at one date.
+struct Sample {
     values: Vec<f64>,
     /// Mean variance of one fit.
     within: f64,
     unit: &'static str,
 }
 
-impl Seen {
+impl Sample {
     fn of(key: &str, runs: &[Vec<ParameterEstimate>]) -> Option<Self> {
         let all = runs
             .iter()
@@ -164,7 +155,7 @@ impl Seen {
     }
 }
 
-/// Compares the estimates of runs at two dates, run by run on either side; `since` is the earlier date as it is to be said.
+/// Compares the estimates of runs at two dates, run by run on either side; `since` is the earlier date as text.
 pub fn between(
     before: &[Vec<ParameterEstimate>],
     after: &[Vec<ParameterEstimate>],
@@ -176,17 +167,16 @@ pub fn between(
             keys.push(&parameter.key);
         }
     }
-    // One quantity is asked once: at 20 °C where warmth is known on both sides.
-    let both = |key: &str| Seen::of(key, before).zip(Seen::of(key, after));
+    // One quantity is compared once: at 20 °C where the temperature is known on both sides.
+    let both = |key: &str| Sample::of(key, before).zip(Sample::of(key, after));
     let resistance = MotorKey::Resistance.key();
     let is_at_20 = both(temperature::KEY).is_some();
-    keys.retain(|key| {
-        if is_at_20 {
-            *key != resistance
-        } else {
-            *key != temperature::KEY
-        }
-    });
+    let other = if is_at_20 {
+        resistance
+    } else {
+        temperature::KEY
+    };
+    keys.retain(|key| *key != other);
     let (mut changes, mut not_compared) = (Vec::new(), Vec::new());
     for key in keys {
         match both(key) {
@@ -200,7 +190,8 @@ pub fn between(
         change.drifted = change.by_chance < FALSE_ALARM;
         let is_beyond_noise = compared * change.by_noise < FALSE_ALARM;
         let freedom = (change.runs_before + change.runs_after) as f64 - 2.0;
-        change.unsettled = is_beyond_noise && !change.drifted && freedom < FEW;
+        // Two runs beside one hardly show how far a machine moves of itself.
+        change.unsettled = is_beyond_noise && !change.drifted && freedom < 3.0;
         change.possible_cause = change.drifted.then(|| cause(change)).flatten();
         change.sentence = sentence(change, since);
     }
@@ -235,33 +226,30 @@ fn why_not(
     before: &[Vec<ParameterEstimate>],
     after: &[Vec<ParameterEstimate>],
 ) -> Option<NotCompared> {
-    let all = || {
-        before
-            .iter()
-            .chain(after)
-            .flatten()
-            .filter(|estimate| estimate.key == key)
-    };
+    let mut all = before
+        .iter()
+        .chain(after)
+        .flatten()
+        .filter(|estimate| estimate.key == key);
     // What was given to both is no finding of either.
-    let is_given = all().all(|estimate| estimate.std == Some(0.0));
-    let unseen = |runs| Seen::of(key, runs).is_none();
-    let sides = (unseen(before), unseen(after));
-    let reason = match sides {
+    let is_given = all.clone().all(|estimate| estimate.std == Some(0.0));
+    let [open_before, open_after] = [before, after].map(|runs| Sample::of(key, runs).is_none());
+    let reason = match (open_before, open_after) {
         (true, true) => "not carried by the runs of either date",
         (true, false) => "not carried by the earlier runs",
         _ => "not carried by the later runs",
     };
-    let said = all().find_map(|estimate| estimate.reason.clone());
-    let reason = said.map_or_else(|| reason.to_owned(), |said| format!("{reason}: {said}"));
+    let own = all.find_map(|estimate| estimate.reason.as_ref());
+    let reason = own.map_or_else(|| reason.to_owned(), |own| format!("{reason}: {own}"));
     (!is_given).then(|| NotCompared {
         key: key.to_owned(),
         reason,
-        carried_before: !sides.0,
+        carried_before: !open_before,
     })
 }
 
 /// The change with its interval; the probability is that of this parameter alone.
-fn change(key: &str, before: &Seen, after: &Seen) -> Change {
+fn change(key: &str, before: &Sample, after: &Sample) -> Change {
     let (from, to) = (mean(&before.values), mean(&after.values));
     let change = to - from;
     let by_noise = (before.within / before.count() + after.within / after.count()).sqrt();
@@ -286,7 +274,7 @@ fn change(key: &str, before: &Seen, after: &Seen) -> Change {
         by_chance = by_chance.max(2.0 * student.sf(change.abs() / std));
     }
     // What is divided by is uncertain itself: its part of the interval grows with the ratio.
-    let is_clear = from.abs() > CLEAR_OF_ZERO * (before.within / before.count()).sqrt();
+    let is_clear = from.abs() > 5.0 * (before.within / before.count()).sqrt();
     let (half, widened) = (half(1.0), half(to / from));
     let percent = |value: f64| 100.0 * value / from;
     let ends = [percent(change - widened), percent(change + widened)];
@@ -310,7 +298,7 @@ fn change(key: &str, before: &Seen, after: &Seen) -> Change {
     }
 }
 
-/// Corrects the probabilities for the number of parameters that were looked at (Holm 1979).
+/// Corrects the probabilities for the number of parameters that are compared (Holm 1979).
 fn correct(changes: &mut [Change]) {
     let mut order: Vec<usize> = (0..changes.len()).collect();
     order.sort_by(|a, b| changes[*a].by_chance.total_cmp(&changes[*b].by_chance));
@@ -322,7 +310,7 @@ fn correct(changes: &mut [Change]) {
     }
 }
 
-/// What a person calls a parameter.
+/// The name of a parameter in text.
 pub fn name(key: &str) -> String {
     let name = match MotorKey::from_key(key) {
         Some(MotorKey::Resistance) => "resistance",
@@ -337,13 +325,13 @@ pub fn name(key: &str) -> String {
     name.to_owned()
 }
 
-/// What is known to move a parameter like this.
+/// What moves a parameter like this.
 fn cause(change: &Change) -> Option<String> {
     let grew = change.change > 0.0;
     let share = change.percent.map(|percent| percent / 100.0);
     Some(match MotorKey::from_key(&change.key) {
         Some(MotorKey::Resistance) => {
-            let kelvin = significant(share?.abs() / COPPER_PER_K, 2);
+            let kelvin = significant(share?.abs() / temperature::COPPER_PER_K, 2);
             let warmth = if grew { "warmer" } else { "colder" };
             format!(
                 "a winding some {kelvin} K {warmth}, where that is all of it; connections or brushes"
@@ -369,16 +357,12 @@ fn cause(change: &Change) -> Option<String> {
     })
 }
 
-/// Three numbers with their sign, to the digits that tell the ends of the interval apart.
+/// Three numbers with their sign, to the digits in which the ends of the interval differ.
 fn signed(value: f64, [low, high]: [f64; 2]) -> [String; 3] {
     let decimals = places(exponent_of(0.5 * (high - low), 1).saturating_neg());
     [value, low, high].map(|value| {
-        let text = fixed(value, decimals);
-        if value > 0.0 {
-            format!("+{text}")
-        } else {
-            text
-        }
+        let sign = if value > 0.0 { "+" } else { "" };
+        format!("{sign}{}", fixed(value, decimals))
     })
 }
 
@@ -421,15 +405,17 @@ fn sentence(change: &Change, since: &str) -> String {
 }
 
 fn answer(changes: &[Change], not_compared: &[NotCompared], since: &str) -> String {
-    let told = |is: fn(&Change) -> bool| {
-        let named = changes.iter().filter(|change| is(change));
-        let named = named.map(|change| format!("{} {}", name(&change.key), size(change)));
+    let list = |is: fn(&Change) -> bool| {
+        let named = changes
+            .iter()
+            .filter(|change| is(change))
+            .map(|change| format!("{} {}", name(&change.key), size(change)));
         named.collect::<Vec<_>>().join("; ")
     };
-    let (drifted, unsettled) = (
-        told(|change| change.drifted),
-        told(|change| change.unsettled),
-    );
+    let [drifted, unsettled] = [
+        list(|change| change.drifted),
+        list(|change| change.unsettled),
+    ];
     let open: Option<Vec<f64>> = changes.iter().map(Change::at_most_percent).collect();
     let count = changes.len();
     let answer = if !drifted.is_empty() {
@@ -447,12 +433,11 @@ fn answer(changes: &[Change], not_compared: &[NotCompared], since: &str) -> Stri
     } else {
         format!("no drift shown since {since}: {count} parameters compared")
     };
-    let unknown: Vec<String> = not_compared.iter().map(|one| name(&one.key)).collect();
-    if unknown.is_empty() {
-        answer
-    } else {
-        format!("{answer}; not compared: {}", unknown.join(", "))
+    if not_compared.is_empty() {
+        return answer;
     }
+    let open: Vec<String> = not_compared.iter().map(|one| name(&one.key)).collect();
+    format!("{answer}; not compared: {}", open.join(", "))
 }
 
 #[cfg(test)]

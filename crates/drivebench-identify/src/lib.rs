@@ -6,17 +6,17 @@
 //!                                              +-> weak_form (both balances) ---+   (value, deviation, verdict)
 //!                                              +-> inverse_dynamics (both) -----+
 //!                                              +-> step_response (one step) ----+
-//!                                              +-> noise: the floor below which nothing can be seen
+//!                                              +-> noise: the floor below which no error shows
 //!
 //! escalation: an unknown motor from small steps; nameplate: whether what was found fits what is printed on it
 //! misfit: what the model leaves beside the noise, and how much wider that makes its intervals
 //! scheme: all of these by name, as `identify --scheme` calls them
-//! plateaus: what held levels say where the transients do not; cause: why a parameter has no value
+//! plateaus: estimates from held levels where the transients are too fast; cause: why a parameter has no value
 //! physical: what a record allows a value to be; first_order: the lag that voltage and speed alone show
 //! frequency_response: magnitude, phase and coherence; resonances with their damping
-//! repeat, added_inertia: what several runs say together; drift: what has changed between two dates
-//! lost_rows: what a record with missing rows says of itself
-//! sanity: what is wrong with the data, asked first; claims: what their origin allows to be said, applied last
+//! repeat, added_inertia: estimates from several runs; drift: the change between two dates
+//! lost_rows: sentence on the missing rows of a record
+//! sanity: faults of the data, checked first; claims: limits of the verdicts by the origin of the signals, applied last
 //! ```
 
 pub mod added_inertia;

@@ -1,9 +1,9 @@
-//! Lost rows of a record: how many, where, and what is made of the time between.
+//! Lost rows of a record: count, place, and the treatment of the time between.
 
 use drivebench_model::plant::Scenario;
 use drivebench_model::sample::Run;
 
-/// How many rows of the voltage are missing, and what is made of the time between.
+/// The count of missing rows of the voltage, and the treatment of the time between.
 pub fn sentence(run: &Run, scenario: &Scenario) -> Option<String> {
     let holes = &scenario.unknown_input;
     let longest = holes.iter().max_by_key(|hole| hole.lost_rows)?;
@@ -14,14 +14,14 @@ pub fn sentence(run: &Run, scenario: &Scenario) -> Option<String> {
         .map(|hole| hole.to_s - hole.from_s)
         .sum();
     let restarts = holes.iter().filter(|hole| hole.restart.is_some()).count();
-    let again = match restarts {
-        0 => String::new(),
-        1 => {
-            "; behind the long hole every simulation begins again from what was measured".to_owned()
-        }
-        _ => format!(
-            "; behind {restarts} long holes every simulation begins again from what was measured"
-        ),
+    let holes = match restarts {
+        1 => "the long hole".to_owned(),
+        _ => format!("{restarts} long holes"),
+    };
+    let again = if restarts == 0 {
+        String::new()
+    } else {
+        format!("; behind {holes} every simulation begins again from what was measured")
     };
     let length_s = scenario.sample_time_s[scenario.samples() - 1] - scenario.begin_s();
     let known = if unknown_s > 0.0 {
@@ -86,36 +86,35 @@ mod tests {
         with_rows_lost(&record(&paper(), events, 1e-3, 6.0, 5), lost)
     }
 
-    fn one_in_ten_and_a_long_hole(row: usize) -> bool {
-        (1..5990).contains(&row) && (row * 7919) % 101 < 10 || (3000..3400).contains(&row)
+    /// One row in ten is lost, and there is a long hole.
+    fn lossy() -> (Run, Scenario) {
+        let is_lost = |row: usize| {
+            (1..5990).contains(&row) && (row * 7919) % 101 < 10 || (3000..3400).contains(&row)
+        };
+        let run = run(is_lost);
+        let scenario = Scenario::from_run(&run).unwrap();
+        (run, scenario)
     }
 
     #[test]
-    fn the_loss_is_told_once_with_count_and_share_and_a_whole_record_says_nothing() {
+    fn the_loss_has_count_and_share_and_exchanges_no_columns() {
         let whole = run(|_| false);
         assert_eq!(sentence(&whole, &Scenario::from_run(&whole).unwrap()), None);
-        let lossy = run(one_in_ten_and_a_long_hole);
-        let told = sentence(&lossy, &Scenario::from_run(&lossy).unwrap()).unwrap();
+        let (lossy, scenario) = lossy();
+        let found = sentence(&lossy, &scenario).unwrap();
         let lost = 6000 - lossy.rows();
         let count = format!("{lost} of 6,000 rows of voltage_v are missing");
         for part in [&*count, "0.400 s from 3.000 s on", "behind the long hole"] {
-            assert!(told.contains(part), "{told}");
+            assert!(found.contains(part), "{found}");
         }
         assert_eq!(counted(1_234_567), "1,234,567");
-    }
-
-    #[test]
-    fn a_pause_of_a_clean_record_exchanges_no_columns() {
-        let lossy = run(one_in_ten_and_a_long_hole);
-        let scenario = Scenario::from_run(&lossy).unwrap();
         let findings = sanity::examine(&lossy, &scenario, &Model::default());
         assert!(!findings.iter().any(|found| found.refuses), "{findings:?}");
     }
 
     #[test]
-    fn a_clean_motor_is_found_through_lost_rows_and_nothing_is_left_over() {
-        let lossy = run(one_in_ten_and_a_long_hole);
-        let scenario = Scenario::from_run(&lossy).unwrap();
+    fn a_motor_is_found_through_lost_rows() {
+        let (_, scenario) = lossy();
         let noise = NoiseFloor::from_standstill(&scenario).unwrap();
         let begin = start::complete(&Model::default(), &scenario).unwrap();
         let fit = output_error::fit(&[begin], &scenario, &noise).unwrap();
@@ -128,8 +127,8 @@ mod tests {
     }
 
     #[test]
-    fn schemes_that_go_row_by_row_take_the_estimate_and_not_the_voltage_before() {
-        let lossy = run(one_in_ten_and_a_long_hole);
+    fn schemes_that_go_row_by_row_use_the_estimated_voltage() {
+        let (lossy, _) = lossy();
         for id in ["3", "ekf", "weak-form"] {
             let found = identify(id, &lossy, &Model::default()).unwrap();
             for (key, truth) in KEYS.into_iter().zip(PAPER).take(4) {

@@ -1,8 +1,9 @@
-//! What a fitted model leaves beside the noise, and how much wider that makes its intervals.
+//! Residual of a fitted model beside the noise, and how much wider it makes the intervals: the sandwich covariance of a
+//! misspecified model (White 1982, Econometrica 50) with correlated residuals.
 //!
 //! Noise averages out over the samples; what a model lacks does the same wrong at every step of a run, however many there are.
 //! With `m` the residual over its weight, `c` the share of its power that neighbouring samples have in common, and `n`
-//! samples of which no more than `D` tell something new about that share, signal by signal,
+//! samples of which no more than `D` carry new information on that share, signal by signal,
 //!
 //! ```text
 //! cov = (J'J)^-1 (sum over the signals of m^2 (1 - c + c n/D) J_s'J_s) (J'J)^-1
@@ -11,36 +12,26 @@
 //! Where noise is all that is left m is one, c zero, and this is (J'J)^-1. What a parameter imitates is not in the residual:
 //! friction that grows with the speed leaves little beside a wrong back-EMF constant. The forms that are missing most often are
 //! therefore let in one by one, and the most that one of them moves a parameter by is added. The blocks of the fit's own
-//! covariance see what is alike within a quarter of a second, and the scores that they sum are zero where the fit has taken an
-//! error for a parameter.
+//! covariance hold what is alike within a quarter of a second, and the scores that they sum are zero where the fit has taken
+//! an error for a parameter.
 
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
 use super::noise::{FloorSource, roughness};
 use super::output_error::{Fit, FitError, FreeRun};
-use super::verdict::{SETTLED, SETTLED_EFFECT};
+use super::verdict::settled_below;
 use super::weak_form::Balanced;
 use drivebench_model::numerics::least_squares::inverse_where_determined;
 use drivebench_model::numerics::levenberg_marquardt::Problem as _;
-use drivebench_model::numerics::statistics::BAND_99;
+use drivebench_model::numerics::statistics::{BAND_99, largest};
 use drivebench_model::plant::effect::{BiasedFit, CATALOGUE};
-use drivebench_model::plant::{Balance, Model, MotorKey, Scenario, Slot, typical_size};
+use drivebench_model::plant::{Balance, Model, Scenario, Slot, typical_size};
 use drivebench_model::sample::{Channel, ParameterEstimate, Verdict};
 
 /// `D`: ways in which a missing effect can show. Twenty and the form below hold the true values of a motor emulated with a
 /// speed that comes late, viscous friction, a winding that warms up or an offset of the current.
 const WAYS: f64 = 20.0;
-/// Share of its typical size, or of a period where it is a delay, over which the derivative of a form is taken.
-const SMALL: f64 = 0.05;
-/// Share of a form's power that parameters do not imitate, below which the record has nothing on it.
-const APART: f64 = 1e-5;
-/// Deviations of chance beyond which a form is let in.
-const SURE: f64 = 3.0;
-/// Multiple of the noise from which no figure of it says more.
-const MANY_TIMES: f64 = 1000.0;
-/// Share of a signal's largest value that no sensor resolves (24 bits): a noise below it is the rounding of a computation.
-const UNRESOLVED: f64 = 6e-8;
 /// Multiple of the noise up to which what is left counts as noise, as far as the noise itself is known.
 const NEAR_ONE: f64 = 1.1;
 
@@ -70,10 +61,10 @@ impl Left {
     /// `3.1 times the noise of current_a`.
     pub fn text(&self) -> Option<String> {
         let times = self.times_noise?;
-        let times = if times < MANY_TIMES {
+        let times = if times < 1000.0 {
             format!("{times:.1}")
         } else {
-            format!("more than {MANY_TIMES}")
+            "more than 1000".to_owned()
         };
         Some(format!("{times} times the noise of {}", self.signal))
     }
@@ -92,16 +83,12 @@ impl Misfit {
 
     /// The same of the signal of which most is left, where that is more than noise.
     pub(super) fn worst_text(&self) -> Option<String> {
-        self.worst()?.text()
-    }
-
-    /// The signal of which most is left, where that is more than noise.
-    fn worst(&self) -> Option<&Left> {
         let above = self.0.iter().filter(|left| !left.is_noise);
-        above.max_by(|a, b| {
+        let worst = above.max_by(|a, b| {
             let times = |left: &Left| left.times_noise.unwrap_or(0.0);
             times(a).total_cmp(&times(b))
-        })
+        });
+        worst?.text()
     }
 
     /// Of a fit to the free run, with the deviation that it leaves to each free parameter.
@@ -114,22 +101,13 @@ impl Misfit {
         let unknowns = minimum.jacobian.ncols();
         let mut all = Vec::new();
         let mut shares = Vec::new();
-        for (is_speed, channel, values, level) in [
-            (
-                false,
-                Channel::Current,
-                &scenario.current_a,
-                fit.noise.current_a,
-            ),
-            (
-                true,
-                Channel::Speed,
-                &scenario.speed_rad_s,
-                fit.noise.speed_rad_s,
-            ),
+        let (current, speed) = (&scenario.current_a, &scenario.speed_rad_s);
+        for (channel, values, level) in [
+            (Channel::Current, current, fit.noise.current_a),
+            (Channel::Speed, speed, fit.noise.speed_rad_s),
         ] {
             let own: Vec<usize> = (0..rows.len())
-                .filter(|row| rows[*row].1 == is_speed)
+                .filter(|row| rows[*row].1 == (channel == Channel::Speed))
                 .collect();
             if own.is_empty() {
                 continue;
@@ -144,9 +122,8 @@ impl Misfit {
             } else {
                 (level, NoiseFrom::Standstill)
             };
-            let finite = values.iter().filter(|value| value.is_finite());
-            let largest = finite.fold(0.0, |most: f64, value| most.max(value.abs()));
-            let is_resolved = noise > UNRESOLVED * largest;
+            // A noise that no sensor of 24 bits resolves is the rounding of a computation.
+            let is_resolved = noise > 6e-8 * largest(values);
             let times = Some(power.sqrt() * level / noise).filter(|_| is_resolved);
             let common_share = common_share(&residual);
             shares.push((jacobian.tr_mul(&jacobian) * power, lasting(&residual)));
@@ -166,10 +143,7 @@ impl Misfit {
         }
         let (bread, _) = inverse_where_determined(&minimum.jacobian);
         let mut variances = (&bread * meat * &bread).diagonal();
-        if let Some(moved) = (!is_noise)
-            .then(|| moved_by_a_form(fit, scenario, &bread))
-            .flatten()
-        {
+        if !is_noise && let Some(moved) = moved_by_a_form(fit, scenario, &bread) {
             variances += moved.component_mul(&moved);
         }
         let slopes = problem.slopes(&minimum.x);
@@ -199,8 +173,8 @@ impl Misfit {
         Self(balances.iter().filter_map(left).collect())
     }
 
-    /// Widens what was found to the deviations that the residual leaves to it, and says so where that unsettles it, or is
-    /// all that keeps it open: the search has `converged`.
+    /// Widens each value to the deviation that the residual leaves to it, with a reason where that unsettles it, or is all that
+    /// keeps it open: the search has `converged`.
     pub(super) fn widen(
         &self,
         parameters: &mut [ParameterEstimate],
@@ -258,8 +232,10 @@ pub fn widen_by_forms_of_torque(
         let odds = (0.5 * (size / std).powi(2)).exp() / (rows as f64).sqrt();
         let share = 1.0 - 1.0 / (1.0 + odds);
         for (parameter, most) in parameters.iter().zip(&mut most) {
-            let other = with.iter().find(|found| found.key == parameter.key);
-            let other = other.and_then(ParameterEstimate::carried);
+            let other = with
+                .iter()
+                .find(|found| found.key == parameter.key)
+                .and_then(ParameterEstimate::carried);
             if let (Some((value, _)), Some((other, _))) = (parameter.carried(), other) {
                 let moved = (other - value).abs();
                 let grown = share * moved * moved;
@@ -305,19 +281,22 @@ fn moved_by_a_form(fit: &Fit, scenario: &Scenario, bread: &DMatrix<f64>) -> Opti
     };
     let base = at(&fit.model)?;
     let residual = DVector::from_column_slice(&minimum.residual);
-    let chance = SURE * SURE * minimum.cost / residual.len() as f64;
+    // Three deviations of chance.
+    let chance = 9.0 * minimum.cost / residual.len() as f64;
     let explained = forms_that_bias(BiasedFit::FreeRun).filter_map(|id| {
         let mut model = fit.model.with_effect(id).ok()?;
         let place = model.effects.len() - 1;
         let is_own = |slot: &Slot| matches!(slot, Slot::Effect { index, .. } if *index == place);
         let own: Vec<Slot> = model.slots().into_iter().filter(is_own).collect();
         let effect = model.effects[place].effect;
-        let size = SMALL
-            * if effect.parameters().first()?.is_coefficient() {
-                typical_size(effect, 0, &model, scenario)
-            } else {
-                scenario.mean_period_s()
-            };
+        // The derivative is taken over a twentieth of its typical size, or of a period where it is a delay.
+        let is_coefficient = effect.parameters().first()?.is_coefficient();
+        let size = if is_coefficient {
+            typical_size(effect, 0, &model, scenario)
+        } else {
+            scenario.mean_period_s()
+        };
+        let size = 0.05 * size;
         model.set(own.first()?, size);
         // Fixed, so that the coordinates stay those of the fit.
         model.fixed.extend(own.iter().map(Slot::key));
@@ -325,18 +304,13 @@ fn moved_by_a_form(fit: &Fit, scenario: &Scenario, bread: &DMatrix<f64>) -> Opti
         let along = bread * minimum.jacobian.tr_mul(&column);
         let own = &column - &minimum.jacobian * &along;
         let (power, score) = (own.norm_squared(), own.dot(&residual));
-        (power > APART * column.norm_squared())
+        // Of a form that the parameters imitate nearly wholly the record holds nothing.
+        (power > 1e-5 * column.norm_squared())
             .then(|| (score * score / power, along * (score / power)))
     });
     let sure = explained.filter(|(gain, _)| *gain > chance);
     let sizes = sure.map(|(_, moved)| moved.abs());
     sizes.reduce(|a, b| a.sup(&b))
-}
-
-/// Relative deviation below which a parameter is settled.
-fn settled_below(key: &str) -> f64 {
-    let of_motor = MotorKey::from_key(key).is_some();
-    if of_motor { SETTLED } else { SETTLED_EFFECT }
 }
 
 /// Factor by which what a residual has in common from sample to sample raises variances: `1 - c + c n/D`.
@@ -349,10 +323,8 @@ pub(super) fn lasting(residual: &[f64]) -> f64 {
 fn common_share(residual: &[f64]) -> f64 {
     let power: f64 = residual.iter().map(|value| value * value).sum();
     let products: f64 = residual.windows(2).map(|pair| pair[0] * pair[1]).sum();
-    let chance = BAND_99 / (residual.len() as f64).sqrt();
-    Some(products / power)
-        .filter(|share| *share > chance)
-        .unwrap_or(0.0)
+    let (share, chance) = (products / power, BAND_99 / (residual.len() as f64).sqrt());
+    if share > chance { share } else { 0.0 }
 }
 
 #[cfg(test)]

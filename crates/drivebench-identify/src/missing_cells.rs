@@ -1,4 +1,4 @@
-//! Rows where a signal is missing, for methods that average over neighbouring rows.
+//! Interpolation of rows where a signal is missing, for methods that average over neighbouring rows.
 
 use drivebench_model::numerics::filter::spline;
 use drivebench_model::numerics::statistics;
@@ -10,14 +10,10 @@ const LONGEST_BRIDGE: f64 = 5.0;
 /// The scenario with whole rows: where most rows are whole the others are left out, as their stamps allow; where signals
 /// stand on rows of their own a natural spline through each joins them. Longer gaps stay. `None`: every row is whole already.
 pub fn bridged(scenario: &Scenario) -> Option<Scenario> {
-    let has_any = |values: &[f64]| values.iter().any(|value| value.is_finite());
-    let (current, speed) = (has_any(&scenario.current_a), has_any(&scenario.speed_rad_s));
-    let whole: Vec<bool> = (0..scenario.samples())
-        .map(|k| {
-            (!current || scenario.current_a[k].is_finite())
-                && (!speed || scenario.speed_rad_s[k].is_finite())
-        })
-        .collect();
+    let mut signals = vec![&scenario.current_a, &scenario.speed_rad_s];
+    signals.retain(|values| values.iter().any(|value| value.is_finite()));
+    let is_whole = |k: usize| signals.iter().all(|values| values[k].is_finite());
+    let whole: Vec<bool> = (0..scenario.samples()).map(is_whole).collect();
     let count = whole.iter().filter(|whole| **whole).count();
     if count == whole.len() {
         None
@@ -66,14 +62,11 @@ fn interpolated(scenario: &Scenario) -> Scenario {
         let longest_s = LONGEST_BRIDGE * median_gap(there.iter().map(|k| times[*k]));
         let mut begin = 0;
         for end in 1..=there.len() {
-            let goes_on = there
-                .get(end)
-                .is_some_and(|row| times[*row] - times[there[end - 1]] <= longest_s);
-            if goes_on {
+            let next = there.get(end);
+            if next.is_some_and(|row| times[*row] - times[there[end - 1]] <= longest_s) {
                 continue;
             }
-            let points: Vec<(f64, f64)> = there[begin..end]
-                .iter()
+            let points: Vec<(f64, f64)> = (there[begin..end].iter())
                 .map(|row| (times[*row], values[*row]))
                 .collect();
             // A line would cut the corners off a curve, and bias what is averaged over it.
@@ -102,15 +95,12 @@ mod tests {
     }
 
     #[test]
-    fn whole_rows_stay_untouched_and_a_signal_that_is_nowhere_tears_no_row() {
+    fn torn_rows_go_long_gaps_stay_and_the_scored_rows_follow() {
         let mut scenario = run();
         assert!(bridged(&scenario).is_none());
+        // A signal that is nowhere tears no row.
         scenario.current_a.fill(f64::NAN);
         assert!(bridged(&scenario).is_none());
-    }
-
-    #[test]
-    fn torn_rows_go_long_gaps_stay_and_the_scored_rows_follow() {
         let mut scenario = run();
         for k in (5..100).step_by(10) {
             scenario.current_a[k] = f64::NAN;
@@ -129,16 +119,10 @@ mod tests {
         let full = run();
         let mut apart = full.clone();
         for k in 0..full.samples() {
-            let cells = if k % 2 == 0 {
-                &mut apart.current_a
-            } else {
-                &mut apart.speed_rad_s
-            };
-            cells[k] = f64::NAN;
+            [&mut apart.current_a, &mut apart.speed_rad_s][k % 2][k] = f64::NAN;
         }
         let together = bridged(&apart).unwrap();
-        let inside = 1..full.samples() - 1;
-        for k in inside {
+        for k in 1..full.samples() - 1 {
             // The noise of one reading and of its neighbours is 0.15 rad/s each.
             let within = if k % 2 == 0 { 1e-9 } else { 1.2 };
             let off = (together.speed_rad_s[k] - full.speed_rad_s[k]).abs();

@@ -1,8 +1,8 @@
-//! Does the nameplate fit the motor? Each difference with both numbers, and what would explain the pattern of them.
+//! Nameplate beside the identified motor: each difference with both numbers, and what would explain their pattern.
 //!
 //! ```text
-//! nameplate, estimates --> rows (fits | differs | not told) --> causes: unit of the speed, pulses, sensor gain,
-//!                                                                       temperature, load, another motor
+//! nameplate, estimates --> rows (fits | differs | open) --> causes: unit of the speed, pulses, sensor gain,
+//!                                                                   temperature, load, another motor
 //! ```
 
 use std::f64::consts::PI;
@@ -14,19 +14,13 @@ use drivebench_model::sample::ParameterEstimate;
 use drivebench_model::text::number::{significant, with_std};
 
 /// What catalogues allow themselves, and a load or a warm winding adds.
-pub const CATALOGUE_TOLERANCE: f64 = 0.3;
-/// Standard deviations by which a difference has to exceed the tolerance.
-const CONFIDENCE: f64 = 2.0;
-/// Said of a value that differs.
+const CATALOGUE_TOLERANCE: f64 = 0.3;
+/// Behind the sentence of a value that differs.
 const MISFIT: &str = ", does not fit";
-/// Relative distance within which a ratio counts as a known factor.
-const FACTOR: f64 = 0.15;
-/// Rise of the resistance of copper, 1/K.
-const COPPER_PER_K: f64 = 0.0039;
 /// Warmest winding that temperature is blamed for, K above the nameplate's.
 const WARMEST_K: f64 = 130.0;
 
-/// The parameters of a plate, in the order in which they are told.
+/// The parameters of a nameplate, in the order of its rows.
 pub(super) const KEYS: [MotorKey; 5] = [
     MotorKey::Resistance,
     MotorKey::Inductance,
@@ -41,7 +35,7 @@ pub(super) const KEYS: [MotorKey; 5] = [
 pub enum Fits {
     Yes,
     No,
-    /// The data do not carry the value, or the plate does not say it.
+    /// The data do not carry the value, or the nameplate lacks it.
     NotTold,
 }
 
@@ -59,24 +53,17 @@ pub struct Row {
     pub sentence: String,
 }
 
-impl Row {
-    /// The plate says it, and the data do not.
-    fn is_open(&self) -> bool {
-        self.fits == Fits::NotTold && self.nameplate.is_some()
-    }
-}
-
 /// The whole plate.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
-    /// No value that can be told differs.
+    /// No value that the data carry differs.
     pub fits: bool,
     /// Relative tolerance that was granted besides the uncertainty.
     pub tolerance: f64,
     pub rows: Vec<Row>,
     /// What would explain the differences, the likeliest first.
     pub causes: Vec<String>,
-    /// Why differences say nothing of the plate.
+    /// Why differences are no fault of the nameplate.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub doubt: Option<String>,
 }
@@ -84,10 +71,8 @@ pub struct Comparison {
 impl Comparison {
     /// Sentences of the values that do not fit.
     pub fn differences(&self) -> impl Iterator<Item = &str> {
-        self.rows
-            .iter()
-            .filter(|row| row.fits == Fits::No)
-            .map(|row| row.sentence.as_str())
+        let differing = self.rows.iter().filter(|row| row.fits == Fits::No);
+        differing.map(|row| row.sentence.as_str())
     }
 
     /// Takes back what differs: the values were found with a model that misses something, which may be in them.
@@ -107,7 +92,7 @@ impl Comparison {
         let open: Vec<&str> = self
             .rows
             .iter()
-            .filter(|row| row.is_open())
+            .filter(|row| row.fits == Fits::NotTold && row.nameplate.is_some())
             .map(|row| row.key)
             .collect();
         let fits_in_part = format!("fits but for what was not told: {}", open.join(", "));
@@ -125,7 +110,7 @@ impl Comparison {
     }
 }
 
-/// Compares what the plate says with what the data say; a key that neither knows is left out.
+/// Compares the values of the nameplate with the estimates; a key that neither has is left out.
 pub fn compare(nameplate: &Motor, found: &[ParameterEstimate]) -> Comparison {
     let rows: Vec<Row> = KEYS
         .into_iter()
@@ -144,26 +129,22 @@ pub fn compare(nameplate: &Motor, found: &[ParameterEstimate]) -> Comparison {
 
 fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Option<Row> {
     let estimate = ParameterEstimate::find(found, key.key());
-    let carried = estimate.and_then(ParameterEstimate::carried);
-    let (value, std) = (
-        carried.map(|found| found.0),
-        carried.and_then(|found| found.1),
-    );
+    let (value, std) = estimate.and_then(ParameterEstimate::carried).unzip();
+    let std = std.flatten();
     if nameplate.is_none() && value.is_none() {
         return None;
     }
     let unit = key.unit();
-    let ratio = nameplate.filter(|plate| *plate > 0.0).zip(value);
-    let ratio = ratio.map(|(plate, value)| value / plate);
+    let ratio = nameplate
+        .filter(|plate| *plate > 0.0)
+        .zip(value)
+        .map(|(plate, value)| value / plate);
     let fits = match (nameplate, value) {
         (Some(plate), Some(value)) => {
-            let margin = CONFIDENCE * std.unwrap_or(0.0);
+            let margin = 2.0 * std.unwrap_or(0.0);
             let most = 1.0 + CATALOGUE_TOLERANCE;
-            if value + margin < plate / most || value - margin > plate * most {
-                Fits::No
-            } else {
-                Fits::Yes
-            }
+            let differs = value + margin < plate / most || value - margin > plate * most;
+            if differs { Fits::No } else { Fits::Yes }
         }
         _ => Fits::NotTold,
     };
@@ -207,39 +188,17 @@ fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Op
     })
 }
 
-/// What a wrong factor in one sensor does to each estimate, as powers of the factor. The torque constant is taken from
-/// the back-EMF, so a wrong speed goes into the torques as well.
-struct Pattern {
-    cause: fn(f64) -> String,
-    /// Power of the factor in R, L, Ke, J, Mc.
-    powers: [i32; 5],
-    /// The key whose ratio is the factor, and its power.
-    leader: usize,
-}
+/// Cause, powers of a wrong factor of one sensor in R, L, Ke, J, Mc, and the key whose ratio gives the factor. The torque constant
+/// is taken from the back-EMF, so a wrong speed goes into the torques as well.
+type Pattern = (fn(f64) -> String, [i32; 5], usize);
 
 /// A speed that is read as `c` times the true one: Ke/c, J/c^2, Mc/c. A current read as `c` times: R/c, L/c, J c, Mc c.
 /// A voltage read as `c` times: R c, L c, Ke c, and with it J c, Mc c.
 const PATTERNS: [Pattern; 3] = [
-    Pattern {
-        cause: speed_cause,
-        powers: [0, 0, -1, -2, -1],
-        leader: 2,
-    },
-    Pattern {
-        cause: current_cause,
-        powers: [-1, -1, 0, 1, 1],
-        leader: 0,
-    },
-    Pattern {
-        cause: voltage_cause,
-        powers: [1, 1, 1, 1, 1],
-        leader: 2,
-    },
+    (speed_cause, [0, 0, -1, -2, -1], 2),
+    (current_cause, [-1, -1, 0, 1, 1], 0),
+    (voltage_cause, [1, 1, 1, 1, 1], 2),
 ];
-
-fn near(ratio: f64, factor: f64) -> bool {
-    (ratio / factor).ln().abs() < FACTOR
-}
 
 fn speed_cause(factor: f64) -> String {
     let per_minute = 60.0 / (2.0 * PI);
@@ -273,7 +232,8 @@ fn speed_cause(factor: f64) -> String {
         (10.0, "speed scaling ten times too large"),
         (0.1, "speed scaling ten times too small"),
     ];
-    match known.iter().find(|(known, _)| near(factor, *known)) {
+    let is_known = |known: &&(f64, &str)| (factor / known.0).ln().abs() < 0.15;
+    match known.iter().find(is_known) {
         Some((_, text)) => (*text).to_owned(),
         None => format!(
             "speed sensor reads {factor:.2} times the true speed (pulses per turn, gain), or a gear"
@@ -294,15 +254,13 @@ fn causes(rows: &[Row]) -> Vec<String> {
     let misfits = || rows.iter().filter(|row| row.fits == Fits::No);
     let differs = |key: MotorKey| misfits().any(|row| row.key == key.key());
     let count = misfits().count();
-    let causes = PATTERNS
-        .iter()
-        .filter_map(|pattern| explained(pattern, &ratio));
-    let causes: Vec<_> = causes.collect();
+    let patterns = PATTERNS.iter();
+    let causes: Vec<String> = patterns.filter_map(|own| explained(own, &ratio)).collect();
     if !causes.is_empty() {
         return causes;
     }
     let cause = if count == 1 && differs(MotorKey::Resistance) {
-        let rise_k = ratio(MotorKey::Resistance).map_or(0.0, |ratio| (ratio - 1.0) / COPPER_PER_K);
+        let rise_k = ratio(MotorKey::Resistance).map_or(0.0, |ratio| (ratio - 1.0) / 0.0039);
         if (0.0..=WARMEST_K).contains(&rise_k) {
             return vec![format!(
                 "winding temperature: copper gains 39 % per 100 K, this is {rise_k:.0} K; or leads and brushes"
@@ -319,10 +277,7 @@ fn causes(rows: &[Row]) -> Vec<String> {
         "friction of load, bearings or brake is not what was expected"
     } else if count == 1 && differs(MotorKey::Inductance) {
         "saturation, another way of measuring the inductance, or another winding"
-    } else if !differs(MotorKey::Resistance)
-        && !differs(MotorKey::BackEmf)
-        && !differs(MotorKey::Inductance)
-    {
+    } else if !KEYS[..3].iter().any(|key| differs(*key)) {
         "the load on the shaft: winding and back-EMF fit the plate"
     } else {
         "another motor than the one on the nameplate: no single sensor factor explains the differences"
@@ -331,33 +286,32 @@ fn causes(rows: &[Row]) -> Vec<String> {
 }
 
 /// The cause of a pattern, if one factor explains every value that is known, within the catalogue's tolerance.
-fn explained(pattern: &Pattern, ratio: &impl Fn(MotorKey) -> Option<f64>) -> Option<String> {
-    let leader = ratio(KEYS[pattern.leader])?;
+fn explained(
+    (cause, powers, leader): &Pattern,
+    ratio: &impl Fn(MotorKey) -> Option<f64>,
+) -> Option<String> {
+    let leading = ratio(KEYS[*leader])?;
     let tolerance = CATALOGUE_TOLERANCE.ln_1p();
-    let factor = leader.powf(1.0 / f64::from(pattern.powers[pattern.leader]));
+    let factor = leading.powf(1.0 / f64::from(powers[*leader]));
     // A factor of about one explains nothing.
     if factor.ln().abs() < tolerance {
         return None;
     }
     let mut witnesses = 0;
-    for (key, power) in KEYS.into_iter().zip(pattern.powers) {
+    for (key, power) in KEYS.into_iter().zip(*powers) {
         let Some(found) = ratio(key) else {
             continue;
         };
         // Friction and load are the least certain entries of any plate.
-        let share = if key == MotorKey::LoadTorque {
-            2.0
-        } else {
-            1.0
-        };
-        let allowed = share * tolerance;
-        if (found.ln() - f64::from(power) * factor.ln()).abs() > allowed {
+        let is_load = key == MotorKey::LoadTorque;
+        let share = if is_load { 2.0 } else { 1.0 };
+        if (found.ln() - f64::from(power) * factor.ln()).abs() > share * tolerance {
             return None;
         }
         witnesses += usize::from(power != 0);
     }
     // The leader alone is no pattern.
-    (witnesses >= 2).then(|| (pattern.cause)(factor))
+    (witnesses >= 2).then(|| cause(factor))
 }
 
 #[cfg(test)]
@@ -379,23 +333,19 @@ mod tests {
     }
 
     #[test]
-    fn a_specimen_within_the_tolerance_fits() {
+    fn differences_and_their_causes_follow_from_the_factors() {
         let found = scaled([1.2, 0.8, 1.05, 0.9, 1.3]);
         assert!(found.fits && found.causes.is_empty(), "{}", found.verdict());
-        // The same excess beyond the tolerance and two deviations does not.
         let found = scaled([1.34, 1.0, 1.0, 1.0, 1.0]);
-        assert!(!found.fits);
-        assert_eq!(found.differences().count(), 1);
-        let sentence = found.differences().next().unwrap();
-        let has_both = sentence.contains("1.474") && sentence.contains("1.100");
-        assert!(has_both, "{sentence}");
-        assert!(found.causes[0].contains("87 K"), "{:?}", found.causes);
-    }
-
-    #[test]
-    fn a_wrong_sensor_is_known_by_its_pattern() {
+        let differences: Vec<&str> = found.differences().collect();
+        let has_both = differences[0].contains("1.474") && differences[0].contains("1.100");
+        assert!(
+            !found.fits && differences.len() == 1 && has_both,
+            "{differences:?}"
+        );
         let c: f64 = 9.549;
-        for (factors, word) in [
+        for (factors, cause) in [
+            ([1.34, 1.0, 1.0, 1.0, 1.0], "87 K"),
             ([1.0, 1.0, 1.0 / c, 1.0 / (c * c), 1.0 / c], "r/min"),
             ([1.1, 0.9, 4.0, 16.0, 4.0], "edges given"),
             ([0.5, 0.5, 1.0, 2.0, 2.0], "current sensor reads 2.00"),
@@ -405,17 +355,13 @@ mod tests {
             ([1.0, 1.0, 1.0, 10.0, 1.0], "a load on the shaft"),
             ([2.0, 1.0, 1.0, 1.0, 1.0], "leads"),
         ] {
-            let found = scaled(factors);
-            let known = found
-                .causes
-                .first()
-                .is_some_and(|cause| cause.contains(word));
-            assert!(known, "{word}: {:?}", found.causes);
+            let causes = scaled(factors).causes;
+            assert!(causes[0].contains(cause), "{cause}: {causes:?}");
         }
     }
 
     #[test]
-    fn what_the_data_do_not_carry_is_not_compared() {
+    fn a_value_that_the_data_do_not_carry_is_not_compared() {
         let mut found = estimates([1.0; 5]);
         found[1] = ParameterEstimate::not_observable("inductance_h", "H", "period too long");
         let mut plate = Motor::zk_22fc();

@@ -1,4 +1,4 @@
-//! The floor below which no model error can be seen.
+//! Noise floor of a record: the level below which no model error shows.
 
 use std::ops::Range;
 
@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::speed_from_angle;
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::{
-    autocorrelation, finite, mean, robust_deviation, variance,
+    autocorrelation, extent, finite, mean, robust_deviation, variance,
 };
 use drivebench_model::plant::{Input, Scenario};
 
@@ -15,16 +15,16 @@ use drivebench_model::plant::{Input, Scenario};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FloorSource {
-    /// Standard deviation over the leading standstill: what the sensors show when nothing moves.
+    /// Standard deviation over the leading standstill.
     Standstill,
-    /// Difference of two runs with the same excitation: what the machine itself does not repeat.
+    /// Difference of two runs with the same excitation.
     Repeat,
     /// Neither: errors are scaled by the residual of the refitted baseline, and `none` means only that no effect passes.
     None,
 }
 
 impl FloorSource {
-    /// What an error of one is, for everything that is said in multiples of it.
+    /// The unit of an error that is given as a multiple.
     pub const fn unit(self) -> &'static str {
         match self {
             Self::Standstill | Self::Repeat => "the noise floor",
@@ -32,7 +32,7 @@ impl FloorSource {
         }
     }
 
-    /// What stands behind a multiple: without a floor none may be claimed.
+    /// The text behind a multiple: without a floor none may be claimed.
     pub const fn times(self) -> &'static str {
         match self {
             Self::Standstill | Self::Repeat => "times the noise floor",
@@ -56,18 +56,8 @@ pub struct NoiseFloor {
 /// Level, independent samples and memory of the noise of one signal.
 type Known = (f64, usize, f64);
 
-/// Standard deviations that a normal estimate exceeds in one case of two hundred.
-const RARELY_EXCEEDED: f64 = 2.6;
-
-/// Samples at rest below which a standard deviation says nothing.
+/// Fewest samples at rest for a standard deviation.
 pub const FEWEST_SAMPLES: usize = 20;
-/// Share of a signal's spread that stands for its noise until a baseline is fitted: what a fair sensor has. Only the ratio
-/// of the two signals matters.
-const SCALE_OF_SPREAD: f64 = 0.01;
-/// Samples after switching on that may still carry a transient.
-const SKIPPED: usize = 2;
-/// Error in units of the floor below which a model explains a run to the noise.
-const AT_THE_FLOOR: f64 = 1.1;
 
 impl NoiseFloor {
     /// Whether an error in units of the floor is one that a model may have that explains the run to the noise.
@@ -75,9 +65,9 @@ impl NoiseFloor {
         self.is_at(1.0, nrms)
     }
 
-    /// The same of a floor that is so many times as high, because not all of what noise does was seen at rest.
+    /// The same of a floor that is so many times as high, because a standstill does not show all of the noise.
     pub fn is_at(&self, height: f64, nrms: f64) -> bool {
-        self.source != FloorSource::None && nrms <= height * self.tolerance(AT_THE_FLOOR)
+        self.source != FloorSource::None && nrms <= height * self.tolerance(1.1)
     }
 
     /// The multiple of the floor that a perfect model exceeds in one case of two hundred, because the floor itself was
@@ -86,7 +76,7 @@ impl NoiseFloor {
         if self.samples == 0 {
             least
         } else {
-            least.max(1.0 + RARELY_EXCEEDED / (2.0 * self.samples as f64).sqrt())
+            least.max(1.0 + 2.6 / (2.0 * self.samples as f64).sqrt())
         }
     }
 
@@ -95,7 +85,7 @@ impl NoiseFloor {
     /// A shaft that still coasts when the record begins is not at rest: only the part after it has stopped counts.
     pub fn from_standstill(scenario: &Scenario) -> Option<Self> {
         let rows = rest_rows(scenario)?;
-        // `None`: nothing to compare. `Some(0)`: a signal that lives but is exactly constant at rest, as a simulated one is.
+        // `None`: nothing to compare. `Some(0)`: a signal that varies but is exactly constant at rest, as a simulated one is.
         let floor = |values: &[f64]| -> Option<Known> {
             let at_rest = finite(&values[rows.clone()]);
             if at_rest.len() < FEWEST_SAMPLES {
@@ -104,11 +94,8 @@ impl NoiseFloor {
             let settled = settled(&at_rest);
             let quantum = quantum(values).unwrap_or(0.0);
             let level = standard_deviation(settled).max(quantum_noise(quantum));
-            let mut present = values.iter().filter(|v| v.is_finite());
-            let first = present.next()?;
-            #[expect(clippy::float_cmp, reason = "exactly constant is what is asked")]
-            let varies = present.any(|v| v != first);
-            // What a signal repeats that is quieter than its resolution is no memory.
+            let (least, most) = extent(finite(values));
+            // Repeats of a signal that is quieter than its resolution are no memory.
             let memory = if level > quantum {
                 memory(settled)
             } else {
@@ -117,14 +104,14 @@ impl NoiseFloor {
             // The squares of a first-order process are correlated by the square of that.
             let independent =
                 settled.len() as f64 * (1.0 - memory * memory) / (1.0 + memory * memory);
-            (level > 0.0 || varies).then_some((level, whole(independent).max(1), memory))
+            (level > 0.0 || most > least).then_some((level, whole(independent).max(1), memory))
         };
         let current = floor(&scenario.current_a).filter(|_| current_is_an_output(scenario));
         // A coarse angle at rest shows nothing of what its resolution does to the speed that is derived from it.
         let derived = speed_from_angle::noise(scenario).unwrap_or(0.0);
         let speed = floor(&scenario.speed_rad_s);
         let speed = speed.map(|(level, count, memory)| (level.max(derived), count, memory));
-        // A noise of zero is none that a sensor has: the rest then says nothing about noise.
+        // No sensor has a noise of zero: such a rest does not show the noise.
         let known = || current.iter().chain(&speed);
         if known().any(|(level, ..)| *level <= 0.0) {
             return None;
@@ -165,20 +152,16 @@ impl NoiseFloor {
         })
     }
 
-    /// Scales that make both signals count alike where no noise is known: the same small share of their spread.
+    /// Scales that make both signals count alike where no noise is known: a hundredth of their spread, as a fair sensor has.
     pub fn from_spread(scenario: &Scenario) -> Self {
         let spread = |values: &[f64]| {
             let deviation = variance(&finite(values)).sqrt();
-            let scale = (deviation > 0.0).then_some(SCALE_OF_SPREAD * deviation);
+            let scale = (deviation > 0.0).then_some(0.01 * deviation);
             scale.unwrap_or(f64::INFINITY)
         };
-        let is_output = current_is_an_output(scenario);
+        let current = current_is_an_output(scenario).then(|| spread(&scenario.current_a));
         Self {
-            current_a: if is_output {
-                spread(&scenario.current_a)
-            } else {
-                f64::INFINITY
-            },
+            current_a: current.unwrap_or(f64::INFINITY),
             speed_rad_s: spread(&scenario.speed_rad_s),
             source: FloorSource::None,
             samples: 0,
@@ -193,33 +176,25 @@ pub fn samples_at_rest(scenario: &Scenario, values: &[f64]) -> usize {
     finite(&values[rows]).len()
 }
 
-/// The rows of the leading standstill that a floor is taken from.
+/// The rows of the leading standstill in which no signal drifts: all, or as many of the last quarters as there are.
 fn rest_rows(scenario: &Scenario) -> Option<Range<usize>> {
     let rest = scenario.leading_standstill();
-    let begin = rest.start + SKIPPED;
-    rest_of(begin..rest.end.max(begin), scenario)
-}
-
-/// The rows at rest in which no signal drifts: all, or as many of the last quarters as there are.
-fn rest_of(rows: Range<usize>, scenario: &Scenario) -> Option<Range<usize>> {
+    // The first two samples after switching on may still carry a transient.
+    let begin = rest.start + 2;
+    let rows = begin..rest.end.max(begin);
     let signals = [&scenario.current_a, &scenario.speed_rad_s];
     let resolved = signals.map(|values| (values, quantum(values).unwrap_or(0.0)));
     (0..4)
         .map(|quarter| rows.start + quarter * rows.len() / 4..rows.end)
         .take_while(|part| part.len() >= FEWEST_SAMPLES)
         .find(|part| {
-            let still =
-                |(values, quantum): &(&Vec<f64>, f64)| !drifts(&values[part.clone()], *quantum);
-            resolved.iter().all(still)
+            let mut signals = resolved.iter();
+            signals.all(|(values, quantum)| !drifts(&values[part.clone()], *quantum))
         })
 }
 
-/// Deviations of the noise by which the last third of a rest may differ from the middle one: the mean of many samples is
-/// far nearer, even behind a slow filter, and a shaft that runs out goes much farther.
-const DRIFT: f64 = 8.0;
-
 /// Whether a signal goes somewhere, measured by its steps from sample to sample; `quantum` is its resolution, zero where
-/// none is seen. Its first third may hold a transient.
+/// none shows. Its first third may hold a transient.
 ///
 /// A signal that is quieter than its resolution hardly ever steps: one step of one quantum is no drift then, only where
 /// its value happened to lie near the edge of two.
@@ -229,20 +204,14 @@ fn drifts(values: &[f64], quantum: f64) -> bool {
     if third == 0 {
         return false;
     }
-    let (middle, last) = (
-        &present[third..2 * third],
-        &present[present.len() - third..],
-    );
+    let middle = &present[third..2 * third];
+    let last = &present[present.len() - third..];
     let steps = present.windows(2).map(|pair| (pair[1] - pair[0]).powi(2));
     let rough = (0.5 * steps.sum::<f64>() / (present.len() - 1) as f64).sqrt();
     let noise = rough.max(quantum_noise(quantum));
-    (mean(last) - mean(middle)).abs() > DRIFT * noise
+    // The mean of many samples is far nearer, even behind a slow filter, and a shaft that runs out goes much farther.
+    (mean(last) - mean(middle)).abs() > 8.0 * noise
 }
-
-/// Share by which the deviation of a rest may exceed that of its last half; more is a transient at its beginning.
-const TRANSIENT: f64 = 0.15;
-/// The same times the root of the samples: what few samples exceed by chance in one case of a thousand.
-const CHANCE: f64 = 2.6;
 
 /// The rest without a transient at its beginning: an offset of the drive's voltage builds up its current in the first
 /// moments, and a shaft may run out.
@@ -252,7 +221,8 @@ fn settled(at_rest: &[f64]) -> &[f64] {
     if last_half.len() < FEWEST_SAMPLES / 2 {
         return at_rest;
     }
-    let beyond_chance = TRANSIENT.max(CHANCE / (n as f64).sqrt());
+    // Few samples exceed the second by chance in one case of a thousand.
+    let beyond_chance = f64::max(0.15, 2.6 / (n as f64).sqrt());
     let limit = (1.0 + beyond_chance) * standard_deviation(last_half);
     (0..2)
         .map(|quarter| &at_rest[quarter * n / 4..])
@@ -260,20 +230,12 @@ fn settled(at_rest: &[f64]) -> &[f64] {
         .unwrap_or(last_half)
 }
 
-/// Longest memory that is believed: at it a hundred samples are as one.
-const LONGEST_MEMORY: f64 = 0.98;
-/// Deviations of the autocorrelation of white noise, one over the root of the samples, up to which none is taken for real.
-const WHITE_SIGMAS: f64 = 3.0;
-
-/// Autocorrelation of noise from one sample to the next, zero where white noise shows as much.
+/// Autocorrelation of noise from one sample to the next, zero within three deviations of that of white noise; at most 0.98, where
+/// a hundred samples are as one.
 fn memory(at_rest: &[f64]) -> f64 {
     let found = autocorrelation(at_rest, 1).first().copied().unwrap_or(0.0);
-    let is_real = found > WHITE_SIGMAS / (at_rest.len() as f64).sqrt();
-    if is_real {
-        found.min(LONGEST_MEMORY)
-    } else {
-        0.0
-    }
+    let is_coloured = found > 3.0 / (at_rest.len() as f64).sqrt();
+    if is_coloured { found.min(0.98) } else { 0.0 }
 }
 
 fn current_is_an_output(scenario: &Scenario) -> bool {
@@ -285,28 +247,23 @@ fn quantum_noise(quantum: f64) -> f64 {
     quantum / 12f64.sqrt()
 }
 
-/// Share of a signal's range below which a step is rounding in the file, not resolution of the instrument.
-const ROUNDING: f64 = 1e-6;
-/// How near to a multiple of the smallest step the others must be, in such steps, and the share of them that must be.
-const NEAR_A_MULTIPLE: f64 = 0.05;
-const NEARLY_EVERY: f64 = 0.95;
-
 /// Resolution of the instrument: the smallest step between values, if nearly every step is a multiple of it.
 fn quantum(values: &[f64]) -> Option<f64> {
     let mut sorted = finite(values);
     sorted.sort_by(f64::total_cmp);
     let range = sorted.last()? - sorted.first()?;
+    // Smaller steps are rounding in the file.
     let steps: Vec<f64> = sorted
         .windows(2)
         .map(|pair| pair[1] - pair[0])
-        .filter(|step| *step > ROUNDING * range)
+        .filter(|step| *step > 1e-6 * range)
         .collect();
     let smallest = steps.iter().copied().min_by(f64::total_cmp)?;
     let multiples = steps.iter().filter(|step| {
         let rest = (**step / smallest).fract();
-        rest.min(1.0 - rest) < NEAR_A_MULTIPLE
+        rest.min(1.0 - rest) < 0.05
     });
-    (multiples.count() as f64 >= NEARLY_EVERY * steps.len() as f64).then_some(smallest)
+    (multiples.count() as f64 >= 0.95 * steps.len() as f64).then_some(smallest)
 }
 
 fn standard_deviation(values: &[f64]) -> f64 {
@@ -340,74 +297,66 @@ mod tests {
         Scenario::from_run(&run).unwrap()
     }
 
-    #[test]
-    fn the_standstill_gives_the_floor_and_only_if_it_is_long_enough() {
-        let noisy = |k: usize| if k.is_multiple_of(2) { 0.1 } else { -0.1 } + if k > 50 { k as f64 } else { 0.0 };
-        let floor = NoiseFloor::from_standstill(&scenario(50, noisy)).unwrap();
-        assert!((floor.speed_rad_s - 0.1).abs() < 0.002, "{floor:?}");
-        assert!(floor.current_a.is_infinite());
-        assert_eq!(NoiseFloor::from_standstill(&scenario(10, noisy)), None);
+    fn floor(standstill: usize, speed: impl Fn(usize) -> f64) -> Option<NoiseFloor> {
+        NoiseFloor::from_standstill(&scenario(standstill, speed))
+    }
+
+    fn alternating(k: usize) -> f64 {
+        [0.1, -0.1][k % 2]
     }
 
     #[test]
-    fn a_shaft_that_coasts_is_not_at_rest() {
-        let noise = |k: usize| if k.is_multiple_of(2) { 0.1 } else { -0.1 };
-        let coasts = |k: usize| noise(k) + 60.0 - 0.5 * k as f64;
-        assert_eq!(NoiseFloor::from_standstill(&scenario(100, coasts)), None);
-        let stops = |k: usize| noise(k) + (60.0 - 1.5 * k as f64).max(0.0);
-        let floor = NoiseFloor::from_standstill(&scenario(100, stops)).unwrap();
-        assert!((floor.speed_rad_s - 0.1).abs() < 0.002, "{floor:?}");
-        assert!(floor.samples < 80);
+    fn the_floor_is_that_of_a_shaft_at_rest_for_long_enough() {
+        let noisy = |k: usize| alternating(k) + if k > 50 { k as f64 } else { 0.0 };
+        let rest = floor(50, noisy).unwrap();
+        assert!(rest.current_a.is_infinite());
+        assert_eq!(floor(10, noisy), None);
+        // One that coasts when the record begins is at rest after it has stopped.
+        let coasts = |k: usize| alternating(k) + 60.0 - 0.5 * k as f64;
+        assert_eq!(floor(100, coasts), None);
+        let stops = |k: usize| alternating(k) + (60.0 - 1.5 * k as f64).max(0.0);
+        let stopped = floor(100, stops).unwrap();
+        assert!(stopped.samples < 80);
+        for floor in [rest, stopped] {
+            assert!((floor.speed_rad_s - 0.1).abs() < 0.002, "{floor:?}");
+        }
     }
 
     #[test]
-    fn a_signal_without_any_noise_has_no_floor_and_is_not_left_out() {
+    fn a_signal_without_noise_has_no_floor_below_its_resolution() {
         let silent = |k: usize| if k < 50 { 0.0 } else { (k as f64).sin() };
-        assert_eq!(NoiseFloor::from_standstill(&scenario(50, silent)), None);
+        assert_eq!(floor(50, silent), None);
         assert!(NoiseFloor::from_spread(&scenario(50, silent)).speed_rad_s > 0.0);
-    }
-
-    #[test]
-    fn one_step_of_the_resolution_is_no_drift_and_many_are() {
-        let moves = |k: usize| if k < 100 { 0.0 } else { ((k - 100) / 3) as f64 };
-        // An offset near the edge of two counts: nearly all of the first half shows one, all of the second the other.
+        let counts = |k: usize| (k.saturating_sub(50) / 3) as f64 * 0.5;
+        let of_quantum = floor(50, counts).unwrap().speed_rad_s;
+        assert!((of_quantum - 0.5 / 12f64.sqrt()).abs() < 1e-9);
+        // An offset near the edge of two counts is no drift: nearly all of the first half shows one, all of the second the other.
+        let moves = |k: usize| (k.saturating_sub(100) / 3) as f64;
         let edge = |k: usize| 0.1 * (moves(k) + f64::from(u8::from((70..100).contains(&k))));
-        let floor = NoiseFloor::from_standstill(&scenario(100, edge)).unwrap();
-        assert!(floor.samples > 90, "the whole rest counts: {floor:?}");
-        let between = (0.1 / 12f64.sqrt()..0.1).contains(&floor.speed_rad_s);
-        assert!(between, "{floor:?}");
+        let whole = floor(100, edge).unwrap();
+        let between = (0.1 / 12f64.sqrt()..0.1).contains(&whole.speed_rad_s);
+        assert!(between && whole.samples > 90, "{whole:?}");
         // A run-out of many counts is one.
-        let coasts = |k: usize| 0.1 * (moves(k) + if k < 100 { (100 - k) as f64 } else { 0.0 });
-        assert_eq!(NoiseFloor::from_standstill(&scenario(100, coasts)), None);
+        let coasts = |k: usize| 0.1 * (moves(k) + 100_usize.saturating_sub(k) as f64);
+        assert_eq!(floor(100, coasts), None);
     }
 
     #[test]
-    fn noise_that_goes_on_from_sample_to_sample_counts_as_fewer_samples() {
+    fn coloured_noise_counts_as_fewer_samples() {
         // An autoregressive process of 0.9, and white noise.
         let white = |k: usize| ((78.233 * k as f64).sin() * 43_758.545).fract() - 0.5;
-        let mut before = 0.0;
-        let coloured: Vec<f64> = (0..400)
-            .map(|k| {
-                before = 0.9 * before + white(k);
-                before
-            })
-            .collect();
-        let [white, coloured] = [scenario(400, white), scenario(400, |k| coloured[k])];
+        let coloured = (0..400).scan(0.0, |level, k| {
+            *level = 0.9 * *level + white(k);
+            Some(*level)
+        });
+        let coloured: Vec<f64> = coloured.collect();
         let [white, coloured] =
-            [white, coloured].map(|run| NoiseFloor::from_standstill(&run).unwrap());
+            [floor(400, white), floor(400, |k| coloured[k])].map(Option::unwrap);
         assert!(
             white.memory[1].abs() < 1e-12 && white.samples > 380,
             "{white:?}"
         );
         assert!((0.7..0.95).contains(&coloured.memory[1]), "{coloured:?}");
         assert!((20..150).contains(&coloured.samples), "{coloured:?}");
-    }
-
-    #[test]
-    fn a_noiseless_encoder_is_bounded_by_its_quantum() {
-        let counts = |k: usize| (k.saturating_sub(50) / 3) as f64 * 0.5;
-        let floor = NoiseFloor::from_standstill(&scenario(50, counts)).unwrap();
-        let off = floor.speed_rad_s - 0.5 / 12f64.sqrt();
-        assert!(off.abs() < 1e-9, "{floor:?}");
     }
 }

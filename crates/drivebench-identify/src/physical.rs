@@ -1,6 +1,7 @@
-//! What voltage, current, speed and rate of a record allow a value to be. A fit that went astray ends anywhere; what no motor
-//! can be that made this record is no value of it.
+//! Limits of a parameter from the voltage, current, speed and rate of a record. A fit that went astray ends anywhere; a value
+//! that no motor which made this record can have is taken back.
 
+use super::verdict;
 use drivebench_model::numerics::statistics::{extent, finite, largest_but_outliers, mean};
 use drivebench_model::plant::{Input, LEAST_TIME_CONSTANT, Motor, MotorKey, Scenario};
 use drivebench_model::sample::{ParameterEstimate, Verdict};
@@ -10,8 +11,6 @@ use drivebench_model::text::number::significant;
 const ROOM: f64 = 4.0;
 /// Share of the largest voltage or torque of the record below which no sensor shows a part of it.
 const SHOWS: f64 = 1e-3;
-/// Times the bound of the fit within which a value has run into it.
-const AT_THE_BOUND: f64 = 2.0;
 
 /// What a record spans.
 struct Extents {
@@ -32,12 +31,8 @@ impl Extents {
     fn of(scenario: &Scenario, motor: &Motor) -> Self {
         let inputs: Vec<f64> = scenario.events.iter().map(|event| event.1).collect();
         let input = |kind: Input| {
-            let own = scenario.input == kind;
-            if own {
-                largest_but_outliers(&inputs)
-            } else {
-                f64::NAN
-            }
+            let own = (scenario.input == kind).then(|| largest_but_outliers(&inputs));
+            own.unwrap_or(f64::NAN)
         };
         let rms = |values: &[f64]| {
             let squares: Vec<f64> = finite(values).iter().map(|value| value * value).collect();
@@ -74,32 +69,32 @@ impl Extents {
     /// Least and largest value, and what they follow from; not a number where the record sets no limit.
     fn range(&self, key: MotorKey, motor: &Motor) -> (f64, f64, String) {
         let resistance_ohm = motor.get(MotorKey::Resistance).unwrap_or(f64::NAN);
+        let three = |value| significant(value, 3);
+        let [volts, torque, seconds] = [self.voltage_v, self.torque_n_m, self.length_s].map(three);
         match key {
             MotorKey::Resistance => (
                 SHOWS * self.voltage_v / self.current_a,
                 ROOM * self.voltage_v / self.current_rms_a,
                 format!(
-                    "up to {} V drove {} A (rms)",
-                    significant(self.voltage_v, 3),
-                    significant(self.current_rms_a, 3)
+                    "up to {volts} V drove {} A (rms)",
+                    three(self.current_rms_a)
                 ),
             ),
             MotorKey::Inductance => (
-                AT_THE_BOUND * LEAST_TIME_CONSTANT * self.period_s * resistance_ohm,
+                // Twice the bound of the fit: what lies below has run into it.
+                2.0 * LEAST_TIME_CONSTANT * self.period_s * resistance_ohm,
                 self.length_s * resistance_ohm,
                 format!(
-                    "L/R lies between the {} ms from sample to sample and the {} s of the run",
-                    significant(1e3 * self.period_s, 3),
-                    significant(self.length_s, 3)
+                    "L/R lies between the {} ms from sample to sample and the {seconds} s of the run",
+                    three(1e3 * self.period_s)
                 ),
             ),
             MotorKey::BackEmf => (
                 SHOWS * self.voltage_v / self.speed_rad_s,
                 ROOM * self.voltage_v / self.speed_rms_rad_s,
                 format!(
-                    "up to {} V turned the shaft at {} rad/s (rms)",
-                    significant(self.voltage_v, 3),
-                    significant(self.speed_rms_rad_s, 3)
+                    "up to {volts} V turned the shaft at {} rad/s (rms)",
+                    three(self.speed_rms_rad_s)
                 ),
             ),
             MotorKey::Inertia => {
@@ -108,20 +103,15 @@ impl Extents {
                     SHOWS * per_rate * self.period_s,
                     ROOM * per_rate * self.length_s,
                     format!(
-                        "up to {} N.m changed the speed by {} rad/s within {} s",
-                        significant(self.torque_n_m, 3),
-                        significant(self.span_rad_s, 3),
-                        significant(self.length_s, 3)
+                        "up to {torque} N.m changed the speed by {} rad/s within {seconds} s",
+                        three(self.span_rad_s)
                     ),
                 )
             }
             MotorKey::LoadTorque => (
                 f64::NAN,
                 self.torque_n_m,
-                format!(
-                    "up to {} N.m turned the shaft",
-                    significant(self.torque_n_m, 3)
-                ),
+                format!("up to {torque} N.m turned the shaft"),
             ),
             MotorKey::TorqueConstant => (f64::NAN, f64::NAN, String::new()),
         }
@@ -129,46 +119,25 @@ impl Extents {
 
     /// The same of an effect's size, by its unit.
     fn of_effect(&self, unit: &str) -> (f64, String) {
-        match unit {
-            "V" => (
-                self.voltage_v,
-                format!(
-                    "the voltage is {} V at most",
-                    significant(self.voltage_v, 3)
-                ),
-            ),
-            "A" => (
-                self.current_a,
-                format!(
-                    "the current is {} A at most",
-                    significant(self.current_a, 3)
-                ),
-            ),
-            "N.m" => (
-                ROOM * self.torque_n_m,
-                format!(
-                    "the motor gives {} N.m at most",
-                    significant(self.torque_n_m, 3)
-                ),
-            ),
-            _ => (f64::NAN, String::new()),
-        }
+        let (most, room, what) = match unit {
+            "V" => (self.voltage_v, 1.0, "voltage is"),
+            "A" => (self.current_a, 1.0, "current is"),
+            "N.m" => (self.torque_n_m, ROOM, "motor gives"),
+            _ => (f64::NAN, 1.0, ""),
+        };
+        let why = format!("the {what} {} {unit} at most", significant(most, 3));
+        (room * most, why)
     }
 }
 
-/// Whether a motor of these values may have made the record.
+/// Whether a motor of these values can have made the record.
 pub fn allows(motor: &Motor, scenario: &Scenario) -> bool {
-    let values = MotorKey::ALL.into_iter().filter_map(|key| {
+    let found = |key: MotorKey| {
         let value = motor.get(key)?;
-        Some(ParameterEstimate::found(
-            key.key(),
-            key.unit(),
-            value,
-            0.0,
-            None,
-        ))
-    });
-    let mut values: Vec<ParameterEstimate> = values.collect();
+        let (key, unit) = (key.key(), key.unit());
+        Some(ParameterEstimate::found(key, unit, value, 0.0, None))
+    };
+    let mut values: Vec<ParameterEstimate> = MotorKey::ALL.into_iter().filter_map(found).collect();
     refuse(&mut values, motor, scenario);
     values.iter().all(|own| own.value.is_some())
 }
@@ -177,10 +146,8 @@ pub fn allows(motor: &Motor, scenario: &Scenario) -> bool {
 pub fn refuse(parameters: &mut [ParameterEstimate], motor: &Motor, scenario: &Scenario) {
     let extents = Extents::of(scenario, motor);
     for parameter in parameters.iter_mut() {
-        let Some(value) = parameter
-            .value
-            .filter(|_| parameter.verdict != Verdict::Fixed)
-        else {
+        let is_given = parameter.verdict == Verdict::Fixed;
+        let Some(value) = parameter.value.filter(|_| !is_given) else {
             continue;
         };
         let of_effect = || {
@@ -192,18 +159,15 @@ pub fn refuse(parameters: &mut [ParameterEstimate], motor: &Motor, scenario: &Sc
         // What is negative has its own reason.
         let is_small = value < least && (value > 0.0 || least < 0.0);
         if is_small || value > most {
-            let (bound, limit) = if is_small {
-                ("at least", least)
-            } else {
-                ("at most", most)
-            };
-            let (unit, key) = (parameter.unit, parameter.key.clone());
+            let bound = if is_small { "at least" } else { "at most" };
+            let limit = if is_small { least } else { most };
             let reason = format!(
-                "the fit ended at {} {unit}, and this record allows {} {bound}: {why}",
+                "the fit ended at {} {}, and this record allows {} {bound}: {why}",
                 significant(value, 3),
+                parameter.unit,
                 significant(limit, 2)
             );
-            *parameter = ParameterEstimate::not_observable(&key, unit, reason);
+            verdict::refuse(parameter, reason);
         }
     }
 }
@@ -216,36 +180,29 @@ mod tests {
     /// What is left of these values, R, L, Ke, J, Mc, in a record of the motor of paper A.
     fn left(values: &Truth) -> Vec<ParameterEstimate> {
         let scenario = record(&paper(), steps(0.3, 4.0, 1.0, 0.2), 0.002, 4.0, 1);
-        let found = KEYS.into_iter().zip(values);
-        let mut found: Vec<ParameterEstimate> = found
-            .map(|(key, value)| {
-                ParameterEstimate::found(key.key(), key.unit(), *value, 0.01 * value, None)
-            })
-            .collect();
-        for (key, unit, value) in [
+        let of_motor = KEYS
+            .iter()
+            .zip(values)
+            .map(|(key, value)| (key.key(), key.unit(), *value));
+        let effects = [
             ("voltage_offset.offset_v", "V", -350.0),
             ("current_offset.offset_a", "A", 0.2),
-        ] {
-            found.push(ParameterEstimate::found(key, unit, value, 0.1, None));
-        }
+        ];
+        let all = of_motor.chain(effects);
+        let mut found: Vec<ParameterEstimate> = all
+            .map(|(key, unit, value)| ParameterEstimate::found(key, unit, value, 0.01, None))
+            .collect();
         refuse(&mut found, &motor(values), &scenario);
         found
     }
 
     #[test]
-    fn what_a_motor_has_stays() {
+    fn values_that_no_motor_has_are_refused_with_their_reason() {
         for factor in [1.0, 0.3, 3.0] {
             let found = left(&PAPER.map(|value| factor * value));
-            assert!(
-                found[..5].iter().all(|own| own.value.is_some()),
-                "{found:?}"
-            );
+            let has_all = found[..5].iter().all(|own| own.value.is_some());
+            assert!(has_all && found[6].value.is_some(), "{found:?}");
         }
-        assert!(left(&PAPER)[6].value.is_some());
-    }
-
-    #[test]
-    fn numbers_that_no_motor_has_are_refused_with_their_reason() {
         for (place, value, reason) in [
             (0, 45_500.0, "V drove"),
             (0, 1e-4, "V drove"),

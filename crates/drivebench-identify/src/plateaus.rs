@@ -1,6 +1,6 @@
-//! Resistance and back-EMF constant from levels of the voltage that were held until nothing changed: `u = R i + Ke w + c`, one
-//! row a level. Samples that lie too far apart for the transients still show what they end in. `c` takes an offset of a sensor;
-//! with levels of one direction only, it takes the friction's current too, and no resistance shows.
+//! Resistance and back-EMF constant from steady states, by linear regression over levels of the voltage that were held until
+//! nothing changed: `u = R i + Ke w + c`. Samples too far apart for the transients still show their ends. `c` takes an offset
+//! of a sensor; with levels of one direction only it takes the friction's current too, and no resistance shows.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -11,26 +11,15 @@ use drivebench_model::numerics::statistics::{extent, finite, mean};
 use drivebench_model::plant::{MotorKey, Scenario};
 use drivebench_model::sample::{ParameterEstimate, Verdict};
 
-/// Samples of a level of which the last half counts.
-const FEWEST_SAMPLES: usize = 4;
-/// Levels below which the scatter about them says nothing: three for each unknown.
-const FEWEST_LEVELS: usize = 9;
-/// Share of a signal's span, and times its own deviation, by which the two halves of what counts may differ on a level that has
-/// settled: two thousandths are what six time constants leave.
-const SETTLES: f64 = 0.002;
-const BY_NOISE: f64 = 3.0;
-/// Share of the span up to which noise may excuse it.
-const LOOSE: f64 = 0.02;
-/// Times its noise, in power, that what only the resistance explains has to be; less pulls it towards zero.
-const LEAST_SIGNAL: f64 = 10.0;
-
-/// Means over the last half of one level, and the variance of that of the current.
+/// Means over the last half of one level of at least four samples, and the variance of that of the current.
 struct Level {
     voltage_v: f64,
     current_a: f64,
     speed_rad_s: f64,
     noise_a2: f64,
 }
+
+const KEYS: [MotorKey; 2] = [MotorKey::Resistance, MotorKey::BackEmf];
 
 fn levels(scenario: &Scenario) -> Vec<Level> {
     let span = |values: &[f64]| {
@@ -44,9 +33,9 @@ fn levels(scenario: &Scenario) -> Vec<Level> {
     ];
     let times = &scenario.sample_time_s;
     let events = &scenario.events;
-    let changes = (0..events.len())
+    let changes: Vec<usize> = (0..events.len())
         .filter(|k| *k == 0 || (events[*k].1 - events[k - 1].1).abs() > 0.0)
-        .collect::<Vec<usize>>();
+        .collect();
     let one = |(place, event): (usize, &usize)| {
         let from_s = events[*event].0;
         let next = changes.get(place + 1);
@@ -54,22 +43,21 @@ fn levels(scenario: &Scenario) -> Vec<Level> {
         let begin = times.partition_point(|time| *time <= from_s);
         let end = times.partition_point(|time| *time < to_s);
         // A rest is one level of one current, whatever is recorded of it.
-        if end < begin + FEWEST_SAMPLES || events[*event].1.abs() <= 0.0 {
+        if end < begin + 4 || events[*event].1.abs() <= 0.0 {
             return None;
         }
         let middle = begin.midpoint(end);
         let part = |values: &[f64], span: f64, noise: f64| {
             let quarter = middle.midpoint(end);
-            let (third, last) = (
-                finite(&values[middle..quarter]),
-                finite(&values[quarter..end]),
-            );
+            let third = finite(&values[middle..quarter]);
+            let last = finite(&values[quarter..end]);
             let both = [&third[..], &last[..]].concat();
             let count = both.len() as f64;
             let moved = (mean(&last) - mean(&third)).abs();
+            // Two thousandths of the span are what six time constants leave; noise excuses three deviations, up to a fiftieth.
             // The two halves' means differ by twice the deviation of the mean of both.
-            let chance = 2.0 * BY_NOISE * noise / count.sqrt();
-            let settles = moved <= (SETTLES * span).max(chance.min(LOOSE * span));
+            let chance = 2.0 * 3.0 * noise / count.sqrt();
+            let settles = moved <= (0.002 * span).max(chance.min(0.02 * span));
             (settles, mean(&both), noise * noise / count)
         };
         let current = part(&scenario.current_a, spans[0], rough[0]);
@@ -85,13 +73,11 @@ fn levels(scenario: &Scenario) -> Vec<Level> {
     changes.iter().enumerate().filter_map(one).collect()
 }
 
-/// Puts what the held levels say in the place of a resistance or a back-EMF constant that the fit leaves open, or less sure.
+/// Puts the estimate from held levels in the place of a resistance or a back-EMF constant that the fit leaves open, or less sure.
 pub(super) fn complete(parameters: &mut [ParameterEstimate], scenario: &Scenario) {
     let is_open = |own: &ParameterEstimate| {
         matches!(own.verdict, Verdict::NotObservable | Verdict::Searching)
-            && [MotorKey::Resistance, MotorKey::BackEmf]
-                .iter()
-                .any(|key| key.key() == own.key)
+            && KEYS.iter().any(|key| key.key() == own.key)
     };
     if !parameters.iter().any(is_open) {
         return;
@@ -109,7 +95,8 @@ pub(super) fn complete(parameters: &mut [ParameterEstimate], scenario: &Scenario
 }
 
 fn estimates(levels: &[Level]) -> Vec<ParameterEstimate> {
-    if levels.len() < FEWEST_LEVELS {
+    // Three levels for each unknown: of fewer the scatter about them is none.
+    if levels.len() < 9 {
         return Vec::new();
     }
     let column = |of: fn(&Level) -> f64| levels.iter().map(of).collect::<Vec<f64>>();
@@ -126,12 +113,11 @@ fn estimates(levels: &[Level]) -> Vec<ParameterEstimate> {
     };
     let (bread, _) = least_squares::inverse_where_determined(&matrix);
     let noise: f64 = levels.iter().map(|own| own.noise_a2).sum();
-    let shows = 1.0 / bread[(0, 0)] > LEAST_SIGNAL * noise;
+    // What only the resistance explains has to be ten times its noise in power; less pulls it towards zero.
+    let shows = 1.0 / bread[(0, 0)] > 10.0 * noise;
     let of = |(place, key): (usize, MotorKey)| {
-        let (value, std) = (
-            solution.x[place],
-            solution.covariance[(place, place)].sqrt(),
-        );
+        let value = solution.x[place];
+        let std = solution.covariance[(place, place)].sqrt();
         let relative = std / value;
         let reason = match key {
             MotorKey::Resistance => Some(format!(
@@ -146,20 +132,19 @@ fn estimates(levels: &[Level]) -> Vec<ParameterEstimate> {
         let is_sound = shows && value > 0.0 && relative < NOT_OBSERVABLE;
         is_sound.then(|| ParameterEstimate::found(key.key(), key.unit(), value, std, reason))
     };
-    let keys = [MotorKey::Resistance, MotorKey::BackEmf];
-    keys.into_iter().enumerate().filter_map(of).collect()
+    KEYS.into_iter().enumerate().filter_map(of).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::*;
+    use crate::testing::{Truth, assert_found, motor, record, steps};
     use drivebench_model::plant::Model;
 
     const BRUSHED: Truth = [1.2, 6e-4, 0.05, 4e-5, 0.012];
 
     #[test]
-    fn held_levels_give_resistance_and_back_emf_and_an_offset_does_not_bend_them() {
+    fn an_offset_does_not_bend_the_estimates_from_held_levels() {
         let model = Model::baseline(motor(&BRUSHED));
         let mut scenario = record(&model, steps(1.0, 20.0, 12.0 / 70.0, 0.5), 0.02, 20.0, 4);
         for offset_a in [0.0, 0.35] {
@@ -173,19 +158,14 @@ mod tests {
     }
 
     #[test]
-    fn levels_that_are_left_before_they_settle_and_levels_of_one_direction_give_no_resistance() {
+    fn unsettled_levels_and_one_direction_give_no_resistance() {
         let model = Model::baseline(motor(&BRUSHED));
         let quick = record(&model, steps(0.3, 10.0, 12.0 / 70.0, 0.04), 0.002, 10.0, 4);
         assert!(estimates(&levels(&quick)).is_empty());
-        let one_way = steps(1.0, 20.0, 12.0 / 70.0, 0.5).into_iter();
-        let one_way = one_way
-            .map(|(time_s, volts)| (time_s, volts.abs()))
-            .collect();
-        let one_way = record(&model, one_way, 0.02, 20.0, 4);
-        let found = estimates(&levels(&one_way));
-        assert!(
-            ParameterEstimate::find(&found, "resistance_ohm").is_none(),
-            "{found:?}"
-        );
+        let mut one_way = steps(1.0, 20.0, 12.0 / 70.0, 0.5);
+        one_way.iter_mut().for_each(|step| step.1 = step.1.abs());
+        let found = estimates(&levels(&record(&model, one_way, 0.02, 20.0, 4)));
+        let resistance = ParameterEstimate::find(&found, "resistance_ohm");
+        assert!(resistance.is_none(), "{found:?}");
     }
 }

@@ -9,14 +9,7 @@ use drivebench_model::numerics::statistics::largest;
 use drivebench_model::plant::Scenario;
 use drivebench_model::sample::{Channel, Origin, Run, RunError};
 
-/// Share of the largest speed that the resolution of the angle may cost.
-const ALLOWED_SHARE: f64 = 0.002;
-/// Most neighbours on either side: beyond, the motion itself would be smoothed away.
-const LONGEST_SIDE: usize = 12;
-/// Share of the largest speed within which two derivations of it are the same.
-const SAME: f64 = 1e-9;
-
-/// The run with a speed column derived from its angle and a note that says how. An angle that starts again after a turn
+/// The run with a speed column derived from its angle and a note on the method. An angle that starts again after a turn
 /// is made continuous first. A run that has a measured speed keeps it; one without an angle comes back as it is.
 pub fn complete(run: &Run) -> Result<Run, RunError> {
     let mut completed = wrapped_angle::complete(run)?;
@@ -57,18 +50,21 @@ pub fn span(scenario: &Scenario) -> Option<usize> {
         let own = points.get(at).is_some_and(|point| point.0 == *time_s);
         if own && speed.is_finite() {
             compared += 1;
-            same &= (slopes[at] - speed).abs() <= SAME * fastest;
+            same &= (slopes[at] - speed).abs() <= 1e-9 * fastest;
         }
     }
     (same && compared > 0).then_some(2 * side + 1)
 }
 
-/// Standard deviation that the resolution of the angle gives to the derived speed of a scenario: at rest none is seen.
+/// Standard deviation that the resolution of the angle gives to the derived speed of a scenario: at rest it shows none.
 pub fn noise(scenario: &Scenario) -> Option<f64> {
     let span = span(scenario)?;
     let points = &scenario.angle;
-    let period_s = (points[points.len() - 1].0 - points[0].0) / (points.len() - 1) as f64;
-    Some(resolution(points) / 12f64.sqrt() * gain((span / 2) as f64, period_s))
+    Some(resolution(points) / 12f64.sqrt() * gain((span / 2) as f64, period_s(points)))
+}
+
+fn period_s(points: &[(f64, f64)]) -> f64 {
+    (points[points.len() - 1].0 - points[0].0) / (points.len() - 1) as f64
 }
 
 /// What an error of the angle is multiplied by: the standard deviation of the slope over 2 m + 1 equidistant points.
@@ -76,27 +72,26 @@ fn gain(m: f64, period_s: f64) -> f64 {
     (3.0 / (m * (m + 1.0) * (2.0 * m + 1.0))).sqrt() / period_s
 }
 
-/// Neighbours on either side.
+/// Neighbours on either side: at most twelve, beyond which the motion itself would be smoothed away.
 fn side(points: &[(f64, f64)]) -> usize {
-    let most = LONGEST_SIDE.min((points.len() - 1) / 2);
-    let period_s = (points[points.len() - 1].0 - points[0].0) / (points.len() - 1) as f64;
-    // Over the longest span resolution hardly counts: a fair view of the largest speed.
+    let most = usize::min(12, (points.len() - 1) / 2);
+    let period_s = period_s(points);
+    // Over the longest span resolution hardly counts: a fair estimate of the largest speed, of which it may cost 0.2 %.
     let largest = largest(slopes(points, most));
     let error = resolution(points) / 12f64.sqrt();
     (1..most)
-        .find(|side| error * gain(*side as f64, period_s) <= ALLOWED_SHARE * largest)
+        .find(|side| error * gain(*side as f64, period_s) <= 0.002 * largest)
         .unwrap_or(most)
 }
 
 /// Smallest change of the angle that the data show.
 fn resolution(points: &[(f64, f64)]) -> f64 {
-    let largest = points.iter().map(|point| point.1.abs()).fold(0.0, f64::max);
-    points
+    let largest = largest(points.iter().map(|point| point.1));
+    let steps = points
         .windows(2)
         .map(|pair| (pair[1].1 - pair[0].1).abs())
-        .filter(|step| *step > 1e-12 * largest)
-        .fold(f64::INFINITY, f64::min)
-        .min(largest)
+        .filter(|step| *step > 1e-12 * largest);
+    steps.fold(f64::INFINITY, f64::min).min(largest)
 }
 
 /// Slope at every point; at the ends the parabola of the nearest whole span.
@@ -145,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn a_parabola_is_differentiated_exactly_on_irregular_stamps_and_at_the_ends() {
+    fn a_parabola_is_differentiated_exactly() {
         let run = complete(&run(|t| 2.0 * t - 3.0 * t * t, 2e-4)).unwrap();
         for (time_s, speed) in run.points(Channel::Speed) {
             let exact = 2.0 - 6.0 * time_s;
@@ -156,23 +151,21 @@ mod tests {
     }
 
     #[test]
-    fn a_coarse_encoder_is_read_over_a_longer_span_and_a_fine_one_is_not_smoothed() {
+    fn only_a_coarse_encoder_is_smoothed() {
         let wave = |t: f64| (20.0 * t).sin();
         let speed = |t: f64| 20.0 * (20.0 * t).cos();
         for (counts_per_rad, spread) in [(500.0, 0.3), (1e6, 0.01)] {
             let coarse = move |t: f64| (wave(t) * counts_per_rad).round() / counts_per_rad;
             let completed = complete(&run(coarse, 0.0)).unwrap();
-            let squares: f64 = completed
-                .points(Channel::Speed)
-                .map(|(t, found)| (found - speed(t)).powi(2))
-                .sum();
-            let rms = (squares / 500.0).sqrt();
+            let errors = completed.points(Channel::Speed);
+            let squares = errors.map(|(t, found)| (found - speed(t)).powi(2));
+            let rms = (squares.sum::<f64>() / 500.0).sqrt();
             assert!(rms < spread, "{counts_per_rad}: {rms}");
         }
     }
 
     #[test]
-    fn what_is_measured_is_left_alone_and_missing_angles_stay_missing() {
+    fn a_measured_speed_stays_and_missing_angles_stay_missing() {
         let mut with_speed = run(|t| t, 0.0);
         put(&mut with_speed, Channel::Speed, vec![7.0; 500]);
         let same = complete(&with_speed).unwrap();

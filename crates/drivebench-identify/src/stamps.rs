@@ -4,12 +4,9 @@
 //! slope y' carries the further variance (y' half-width)^2 / 3. The stamp is one for all signals of a sample: their errors
 //! go together, which the blocks of the fits' covariances keep.
 
-use super::verdict::judge;
+use super::verdict::{self, judge};
 use drivebench_model::plant::{MotorKey, Scenario, Slot};
 use drivebench_model::sample::{ParameterEstimate, Verdict};
-
-/// Half-width over the time constant that carries a parameter, above which it is refused.
-const TOO_VAGUE: f64 = 0.25;
 
 /// Standard deviation that the stamp gives to one sample of a signal; zero where the drive stamped it.
 pub fn spread(scenario: &Scenario, values: &[f64], sample: usize) -> f64 {
@@ -21,7 +18,7 @@ pub fn spread(scenario: &Scenario, values: &[f64], sample: usize) -> f64 {
     let slope = |a: usize, b: usize| (values[b] - values[a]) / (times[b] - times[a]);
     let before = sample.checked_sub(1).map(|before| slope(before, sample));
     let after = (sample + 1 < times.len()).then(|| slope(sample, sample + 1));
-    // Between two samples of which one lies behind a step, only the steeper side tells; a missing neighbour tells nothing.
+    // Between two samples of which one lies behind a step, only the steeper side counts; a missing neighbour has no slope.
     let steepest = before
         .into_iter()
         .chain(after)
@@ -30,24 +27,21 @@ pub fn spread(scenario: &Scenario, values: &[f64], sample: usize) -> f64 {
     steepest * half_width_s / 3f64.sqrt()
 }
 
-/// Refuses what the stamps are too vague for: a transient is not told from samples that may have been taken anywhere in
-/// a good part of it.
+/// Refuses parameters for which the stamps are too vague: samples that may have been taken anywhere in a good part of a transient
+/// do not resolve it.
 pub fn refuse(parameters: &mut [ParameterEstimate], half_width_s: f64) {
-    let of = |key: MotorKey| {
-        let found = parameters.iter().find(|p| p.key == key.key())?;
-        found.value
-    };
-    let ratio = |above: Option<f64>, below: Option<f64>| Some(above? / below?);
-    let electrical_s = ratio(of(MotorKey::Inductance), of(MotorKey::Resistance));
-    let mechanical_s = (|| {
-        let (r, ke) = (of(MotorKey::Resistance)?, of(MotorKey::BackEmf)?);
-        Some(r * of(MotorKey::Inertia)? / (ke * ke))
-    })();
+    let of = |key: MotorKey| ParameterEstimate::find(parameters, key.key())?.value;
+    let resistance = of(MotorKey::Resistance);
+    let electrical_s = of(MotorKey::Inductance).zip(resistance).map(|(l, r)| l / r);
+    let mechanical = resistance
+        .zip(of(MotorKey::Inertia))
+        .zip(of(MotorKey::BackEmf));
+    let mechanical_s = mechanical.map(|((r, j), ke)| r * j / (ke * ke));
     for (key, name, constant_s) in [
         (MotorKey::Inductance, "L/R", electrical_s),
         (MotorKey::Inertia, "R J/Ke^2", mechanical_s),
     ] {
-        let Some(constant_s) = constant_s.filter(|s| half_width_s > TOO_VAGUE * s.abs()) else {
+        let Some(constant_s) = constant_s.filter(|s| half_width_s > 0.25 * s.abs()) else {
             continue;
         };
         let reason = format!(
@@ -56,8 +50,7 @@ pub fn refuse(parameters: &mut [ParameterEstimate], half_width_s: f64) {
             1e3 * constant_s
         );
         for parameter in parameters.iter_mut().filter(|p| p.key == key.key()) {
-            *parameter =
-                ParameterEstimate::not_observable(&parameter.key, parameter.unit, reason.clone());
+            verdict::refuse(parameter, reason.clone());
         }
     }
 }
@@ -90,35 +83,25 @@ pub fn widen(parameters: &mut [ParameterEstimate], late: &[ParameterEstimate], p
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::assert_says;
+    use crate::testing::{KEYS, PAPER, assert_says, judged};
 
     fn found(half_width_s: f64) -> Vec<ParameterEstimate> {
-        let mut parameters: Vec<ParameterEstimate> = [
-            (MotorKey::Resistance, 1.1),
-            (MotorKey::Inductance, 0.0099),
-            (MotorKey::BackEmf, 0.3538),
-            (MotorKey::Inertia, 0.0045),
-        ]
-        .into_iter()
-        .map(|(key, value)| judge(&Slot::Motor(key), value, Some(1e-3 * value), 0.01))
-        .collect();
+        let values = KEYS.into_iter().zip(PAPER).take(4);
+        let mut parameters: Vec<ParameterEstimate> = values
+            .map(|(key, value)| judge(&Slot::Motor(key), value, Some(1e-3 * value), 0.01))
+            .collect();
         refuse(&mut parameters, half_width_s);
         parameters
     }
 
     #[test]
-    fn an_inductance_is_refused_where_the_stamps_are_as_vague_as_its_time_constant() {
+    fn stamps_as_vague_as_l_over_r_refuse_the_inductance() {
         let sharp = found(1e-3);
         assert!(sharp.iter().all(|p| p.verdict == Verdict::Settled));
         let vague = found(10e-3);
-        assert_eq!(vague[1].verdict, Verdict::NotObservable);
-        let reason = vague[1].reason.as_deref().unwrap();
-        assert!(
-            reason.contains("10.0 ms") && reason.contains("9.0 ms"),
-            "{reason}"
-        );
-        assert_eq!(vague[1].value, None);
-        assert!(vague[0].value.is_some());
+        judged(&vague, "inductance_h", Verdict::NotObservable);
+        assert_says(&vague[1], &["10.0 ms", "9.0 ms"]);
+        assert!(vague[1].value.is_none() && vague[0].value.is_some());
     }
 
     #[test]

@@ -8,20 +8,15 @@ use drivebench_model::sample::{Channel, ParameterEstimate, Run, Verdict};
 
 /// Temperature coefficient of copper's resistance at 20 C, 1/K (IEC 60028: 1/254.45 K).
 pub const COPPER_PER_K: f64 = 0.003_93;
-/// The temperature to which resistances are referred, C.
-pub const REFERENCE_C: f64 = 20.0;
 /// Key of the resistance at 20 C.
 pub const KEY: &str = "resistance_at_20_c_ohm";
-/// Temperatures that a winding can have, C; a value outside is a fault of the sensor or of the unit.
-const PLAUSIBLE_C: std::ops::RangeInclusive<f64> = -60.0..=300.0;
 
 /// `R20 = R/(1 + alpha (T - 20))` for a copper winding of `resistance_ohm` at `temperature_c`.
-pub fn resistance_at_20_c(resistance_ohm: f64, temperature_c: f64) -> f64 {
-    resistance_ohm / (1.0 + COPPER_PER_K * (temperature_c - REFERENCE_C))
+fn resistance_at_20_c(resistance_ohm: f64, temperature_c: f64) -> f64 {
+    resistance_ohm / (1.0 + COPPER_PER_K * (temperature_c - 20.0))
 }
 
-/// Adds the resistance at 20 C and a note on the temperature to what a scheme found; as it is where the scheme speaks
-/// of no resistance.
+/// Adds the resistance at 20 C and a note on the temperature to the result of a scheme that has a resistance.
 #[must_use]
 pub fn complete(mut found: Identified, run: &Run, scenario: &Scenario) -> Identified {
     let key = MotorKey::Resistance.key();
@@ -33,8 +28,8 @@ pub fn complete(mut found: Identified, run: &Run, scenario: &Scenario) -> Identi
     found
 }
 
-/// The resistance at 20 C from that of the run, and what to say of the temperature.
-pub fn at_20_c(
+/// The resistance at 20 C from that of the run, and a note on the temperature.
+fn at_20_c(
     resistance: &ParameterEstimate,
     run: &Run,
     scenario: &Scenario,
@@ -52,16 +47,14 @@ pub fn at_20_c(
         return (no(reason.to_owned()), None);
     }
     let mean_c = statistics::mean(&readings);
-    if !readings.iter().all(|reading| PLAUSIBLE_C.contains(reading)) {
+    let (least_c, most_c) = statistics::extent(&readings);
+    // No winding is colder or hotter.
+    if least_c < -60.0 || most_c > 300.0 {
         let reason = format!(
-            "temperature_c is {mean_c:.1} C on average, with readings outside {:.0} to {:.0} C: a sensor fault, or \
-             another unit",
-            PLAUSIBLE_C.start(),
-            PLAUSIBLE_C.end()
+            "temperature_c is {mean_c:.1} C on average, with readings outside -60 to 300 C: a sensor fault, or another unit"
         );
         return (no(reason), None);
     }
-    let (least_c, most_c) = statistics::extent(&readings);
     // A temperature that moves during the run leaves it open which one the resistance belongs to.
     let moved_k = (most_c - least_c) / 12f64.sqrt();
     let factor = resistance_at_20_c(1.0, mean_c);
@@ -93,10 +86,9 @@ fn readings(run: &Run, scenario: &Scenario) -> Vec<f64> {
     let Some((first_s, last_s)) = scored_s(scenario) else {
         return Vec::new();
     };
-    run.points(Channel::Temperature)
-        .filter(|point| point.0 >= first_s && point.0 <= last_s)
-        .map(|point| point.1)
-        .collect()
+    let points = run.points(Channel::Temperature);
+    let scored = points.filter(|point| point.0 >= first_s && point.0 <= last_s);
+    scored.map(|point| point.1).collect()
 }
 
 #[cfg(test)]
@@ -107,10 +99,8 @@ mod tests {
     fn run(temperature: Option<fn(f64) -> f64>) -> (Run, Scenario) {
         let times = every(0.1, 10.0);
         let columns = [Channel::Voltage, Channel::Current, Channel::Speed];
-        let mut run = run_of(
-            times.clone(),
-            columns.map(|channel| (channel, times.clone())),
-        );
+        let columns = columns.map(|channel| (channel, times.clone()));
+        let mut run = run_of(times.clone(), columns);
         if let Some(temperature) = temperature {
             let values = times.iter().map(|t| temperature(*t)).collect();
             put(&mut run, Channel::Temperature, values);
@@ -127,14 +117,10 @@ mod tests {
     }
 
     #[test]
-    fn copper_gains_39_per_cent_in_100_kelvin() {
+    fn the_mean_temperature_of_the_scored_rows_counts() {
         assert!((resistance_at_20_c(1.393, 120.0) - 1.0).abs() < 1e-12);
         assert!((resistance_at_20_c(1.1, 20.0) - 1.1).abs() < 1e-15);
-        assert!(resistance_at_20_c(1.0, 0.0) > 1.08);
-    }
-
-    #[test]
-    fn the_mean_over_the_scored_rows_counts_and_its_range_widens_the_interval() {
+        // The range of the temperature widens the interval.
         let (run, mut scenario) = run(Some(|t| if t < 5.0 { 20.0 } else { 80.0 + 2.0 * t }));
         scenario.scored = 50..100;
         let (at_20, note) = at_20_c(&resistance(Verdict::Settled), &run, &scenario);
@@ -148,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_temperature_or_a_resistance_nothing_is_invented() {
+    fn without_a_temperature_or_a_resistance_there_is_no_value() {
         let (cold, scenario) = run(None);
         let (at_20, note) = at_20_c(&resistance(Verdict::Settled), &cold, &scenario);
         assert_eq!((at_20.value, at_20.std, note), (None, None, None));

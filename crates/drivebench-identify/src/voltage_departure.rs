@@ -1,19 +1,10 @@
-//! Did the motor get the voltage that was commanded? Where the drive also measures it, this can be seen.
+//! Departure of the measured voltage from the commanded one.
 //!
-//! A drive at its current limit, at the end of its bus voltage or in a ramp of its own applies something else than it was
-//! told. A fit that takes the command for the voltage then bends every parameter to explain the difference.
+//! A drive at its current limit, at the end of its bus voltage or in a ramp of its own does not apply the command. A fit that
+//! takes the command for the voltage then bends every parameter to explain the difference.
 
-use drivebench_model::numerics::statistics::robust_deviation;
+use drivebench_model::numerics::statistics::{largest, robust_deviation};
 use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Run};
-
-/// A difference beyond this many deviations of the usual one is none of noise.
-const NOISE_DEVIATIONS: f64 = 8.0;
-/// Differences below this share of the largest command are drops and rounding, which other checks look at.
-const LEAST_SHARE: f64 = 0.02;
-/// Share of the rows from which on the parameters are no longer sound.
-const TOO_MANY: f64 = 0.005;
-/// Rows below which a share says nothing.
-const FEWEST_ROWS: usize = 20;
 
 /// Rows in which the measured voltage is not the commanded one.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,7 +39,7 @@ pub fn find(run: &Run) -> Option<Departure> {
         return None;
     }
     let commands: Vec<(f64, f64)> = run.points(Channel::VoltageCmd).collect();
-    let largest_command_v = commands.iter().fold(0.0_f64, |most, c| most.max(c.1.abs()));
+    let largest_command_v = largest(commands.iter().map(|command| command.1));
     let differences: Vec<f64> = run
         .points(Channel::Voltage)
         .filter_map(|(time_s, measured_v)| {
@@ -64,16 +55,16 @@ pub fn find(run: &Run) -> Option<Departure> {
             Some(measured_v - nearer)
         })
         .collect();
-    if differences.len() < FEWEST_ROWS {
+    if differences.len() < 20 {
         return None;
     }
-    let usual = robust_deviation(&differences);
-    let threshold = (NOISE_DEVIATIONS * usual).max(LEAST_SHARE * largest_command_v);
+    // Eight deviations are none of noise; two per cent are drops and rounding.
+    let threshold = (8.0 * robust_deviation(&differences)).max(0.02 * largest_command_v);
     let departed = differences.iter().filter(|d| d.abs() > threshold);
     let share = departed.clone().count() as f64 / differences.len() as f64;
-    (share > TOO_MANY).then(|| Departure {
+    (share > 0.005).then(|| Departure {
         share,
-        largest_v: departed.fold(0.0, |most, d| most.max(d.abs())),
+        largest_v: largest(departed),
     })
 }
 
@@ -89,7 +80,7 @@ mod tests {
         let measured = command
             .iter()
             .enumerate()
-            .map(|(k, u)| applied(k, *u) + if k.is_multiple_of(2) { 0.02 } else { -0.02 })
+            .map(|(k, u)| applied(k, *u) + [0.02, -0.02][k % 2])
             .collect();
         run.set_column(Channel::VoltageCmd, command, Origin::Commanded)
             .unwrap();
@@ -98,14 +89,11 @@ mod tests {
     }
 
     #[test]
-    fn a_drive_that_follows_is_left_alone() {
-        assert_eq!(find(&run(|_, u| u, Origin::Measured)), None);
-        // A constant small loss is no limiting.
-        assert_eq!(find(&run(|_, u| 0.99 * u, Origin::Measured)), None);
-    }
-
-    #[test]
     fn a_limited_voltage_is_found_with_its_share() {
+        assert_eq!(find(&run(|_, u| u, Origin::Measured)), None);
+        // A constant small loss is no limiting, and a voltage that nobody measured shows none.
+        assert_eq!(find(&run(|_, u| 0.99 * u, Origin::Measured)), None);
+        assert_eq!(find(&run(|_, u| 0.5 * u, Origin::Unknown)), None);
         let limited = run(
             |k, u| if k % 100 < 10 { u.min(35.0) } else { u },
             Origin::Measured,
@@ -114,10 +102,5 @@ mod tests {
         // Two of four levels lie above 35 V, one tenth of the time; a sample may show the level before.
         assert!((0.04..0.06).contains(&departure.share), "{departure:?}");
         assert!((departure.largest_v - 25.0).abs() < 0.1, "{departure:?}");
-    }
-
-    #[test]
-    fn a_voltage_that_nobody_measured_proves_nothing() {
-        assert_eq!(find(&run(|_, u| 0.5 * u, Origin::Unknown)), None);
     }
 }

@@ -1,22 +1,17 @@
-//! An angle that starts again after a turn, or at the end of a counter, made continuous.
+//! Unwrapping of an angle that starts again after a turn, or at the end of a counter.
 //!
-//! The jumps tell the range themselves: a jump and the step that the shaft made meanwhile (from the speed before and
-//! after) add up to it. It counts as a range only if every jump gives the same one and all values lie within it.
+//! The range follows from the jumps: a jump and the step that the shaft made meanwhile (from the speed before and after) add
+//! up to it. It counts as a range only if every jump gives the same one and all values lie within it.
 
 use std::f64::consts::TAU;
 
-use drivebench_model::numerics::statistics;
+use drivebench_model::numerics::statistics::{extent, largest, mean, median};
 use drivebench_model::sample::{Channel, Run, RunError};
 
 /// Share of the span that a step between two samples has to exceed to be a jump.
 const JUMP: f64 = 0.5;
-/// Agreement of the jumps on the range, and closeness to one turn that makes it one turn.
-const AGREEMENT: f64 = 0.1;
-const ONE_TURN: f64 = 0.01;
-/// Distinct steps of resolution that the span must hold: a flickering last digit is no sawtooth.
-const FEWEST_STEPS: f64 = 16.0;
 
-/// The run with a continuous angle and a note that says so; as it is where nothing wraps.
+/// The run with a continuous angle and a note on it; unchanged where nothing wraps.
 pub(super) fn complete(run: &Run) -> Result<Run, RunError> {
     let points: Vec<(f64, f64)> = run.points(Channel::Angle).collect();
     let mut completed = run.clone();
@@ -52,46 +47,39 @@ struct Sawtooth {
 impl Sawtooth {
     fn find(points: &[(f64, f64)]) -> Option<Self> {
         let span = span(points);
-        let steps: Vec<(f64, f64)> = points
-            .windows(2)
-            .map(|w| (w[1].0 - w[0].0, w[1].1 - w[0].1))
-            .collect();
-        let is_jump = |step: &(f64, f64)| step.1.abs() > JUMP * span;
-        let finest = steps
+        let pairs = points.windows(2);
+        let steps: Vec<(f64, f64)> = pairs.map(|w| (w[1].0 - w[0].0, w[1].1 - w[0].1)).collect();
+        let is_jump = |step: &&(f64, f64)| step.1.abs() > JUMP * span;
+        let sizes = steps
             .iter()
             .map(|step| step.1.abs())
-            .filter(|step| *step > 1e-9 * span)
-            .fold(f64::INFINITY, f64::min);
-        if span <= FEWEST_STEPS * finest {
+            .filter(|step| *step > 1e-9 * span);
+        let finest = sizes.fold(f64::INFINITY, f64::min);
+        // A flickering last digit is no sawtooth.
+        if span <= 16.0 * finest {
             return None;
         }
         let mut ranges = Vec::new();
         for (k, step) in steps.iter().enumerate().filter(|(_, step)| is_jump(step)) {
-            let beside = [k.checked_sub(1), Some(k + 1)];
-            let speeds: Vec<f64> = beside
+            let beside = [k.checked_sub(1), Some(k + 1)]
                 .into_iter()
                 .filter_map(|k| steps.get(k?))
-                .filter(|step| !is_jump(step))
-                .map(|step| step.1 / step.0)
-                .collect();
+                .filter(|step| !is_jump(step));
+            let speeds: Vec<f64> = beside.map(|step| step.1 / step.0).collect();
             if speeds.is_empty() {
                 return None;
             }
             // Against the direction of the jump the shaft went on meanwhile.
-            ranges.push(step.1.abs() - step.1.signum() * statistics::mean(&speeds) * step.0);
+            ranges.push(step.1.abs() - step.1.signum() * mean(&speeds) * step.0);
         }
-        let range = statistics::median(&ranges);
-        let longest = steps
-            .iter()
-            .filter(|step| !is_jump(step))
-            .map(|step| step.1.abs())
-            .fold(0.0, f64::max);
-        let agree = ranges
-            .iter()
-            .all(|found| (found - range).abs() < AGREEMENT * range);
+        let range = median(&ranges);
+        let smooth = steps.iter().filter(|step| !is_jump(step));
+        let longest = largest(smooth.map(|step| step.1));
+        let mut all = ranges.iter();
+        let agree = all.all(|found| (found - range).abs() < 0.1 * range);
         let holds_all = range > 0.98 * span && range < span + 1.5 * longest;
         (agree && holds_all).then(|| Self {
-            range: if (range / TAU - 1.0).abs() < ONE_TURN {
+            range: if is_near(range, TAU) {
                 TAU
             } else {
                 // A counter's range is a whole number of counts.
@@ -103,9 +91,9 @@ impl Sawtooth {
 
     fn sentence(&self) -> String {
         let Self { range, jumps } = self;
-        let hint = if (range / TAU - 1.0).abs() < ONE_TURN {
+        let hint = if is_near(*range, TAU) {
             "one turn"
-        } else if (range / 360.0 - 1.0).abs() < ONE_TURN {
+        } else if is_near(*range, 360.0) {
             "360: if these are degrees, map them with *0.0174532925"
         } else {
             "not one turn: a counter's range, if the scale to radians is right"
@@ -116,8 +104,13 @@ impl Sawtooth {
     }
 }
 
+/// Within a hundredth.
+fn is_near(range: f64, known: f64) -> bool {
+    (range / known - 1.0).abs() < 0.01
+}
+
 fn span(points: &[(f64, f64)]) -> f64 {
-    let (least, most) = statistics::extent(points.iter().map(|point| point.1));
+    let (least, most) = extent(points.iter().map(|point| point.1));
     most - least
 }
 
@@ -126,19 +119,18 @@ fn looks_wrapped(points: &[(f64, f64)]) -> bool {
     let span = span(points);
     let jumps = points
         .windows(2)
-        .filter(|w| (w[1].1 - w[0].1).abs() > JUMP * TAU)
-        .count();
-    span > 0.85 * TAU && span < 1.01 * TAU && jumps > 1
+        .filter(|w| (w[1].1 - w[0].1).abs() > JUMP * TAU);
+    span > 0.85 * TAU && span < 1.01 * TAU && jumps.count() > 1
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{changed, run_of};
+    use crate::testing::{changed, every, run_of};
     use drivebench_model::sample::Origin;
 
     fn run(angle: impl Fn(f64) -> f64, period_s: f64) -> Run {
-        let times: Vec<f64> = (0..1000).map(|k| f64::from(k) * period_s).collect();
+        let times = every(period_s, 1000.0 * period_s);
         let angles = times.iter().map(|t| angle(*t)).collect();
         run_of(times, [(Channel::Angle, angles)])
     }
@@ -149,13 +141,12 @@ mod tests {
     }
 
     fn largest_error(run: &Run, offset: f64) -> f64 {
-        run.points(Channel::Angle)
-            .map(|(t, angle)| (angle - motion(t) - offset).abs())
-            .fold(0.0, f64::max)
+        let points = run.points(Channel::Angle);
+        largest(points.map(|(t, angle)| angle - motion(t) - offset))
     }
 
     #[test]
-    fn one_turn_from_zero_or_about_zero_and_a_counter_are_made_continuous() {
+    fn turns_and_a_counter_are_made_continuous() {
         for (range, from) in [(TAU, 0.0), (TAU, -0.5 * TAU), (65.536, 0.0)] {
             let wrap = move |t: f64| {
                 let wrapped = (motion(t) - from).rem_euclid(range) + from;
@@ -173,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn missing_cells_between_do_not_lose_a_turn() {
+    fn missing_cells_do_not_lose_a_turn() {
         let hole = |row, angle| if row % 9 == 7 { f64::NAN } else { angle };
         let turns = run(|t| motion(t).rem_euclid(TAU), 0.001);
         let holes = changed(&turns, Channel::Angle, hole);
@@ -183,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_wrap_stays_as_it_is() {
+    fn an_angle_that_does_not_wrap_stays_as_it_is() {
         let noise = |t: f64| ((t * 1e7).sin() * 1e4).fract();
         let flicker = |t: f64| ((t * 977.0).sin() * 0.7).round() * 7.7e-4;
         for angle in [&motion as &dyn Fn(f64) -> f64, &noise, &flicker, &|_| 2.0] {
@@ -192,15 +183,9 @@ mod tests {
             assert!(completed.notes.is_empty(), "{:?}", completed.notes);
             assert_eq!(completed.column(Channel::Angle), run.column(Channel::Angle));
         }
-    }
-
-    #[test]
-    fn an_angle_too_fast_for_its_samples_is_named_and_left() {
         // Between a third and two thirds of a turn from sample to sample: either way round.
-        let run = run(
-            |t| (300.0 * t + 40.0 * (3.0 * t).sin()).rem_euclid(TAU),
-            0.01,
-        );
+        let fast = |t: f64| (300.0 * t + 40.0 * (3.0 * t).sin()).rem_euclid(TAU);
+        let run = run(fast, 0.01);
         let completed = complete(&run).unwrap();
         assert_eq!(completed.column(Channel::Angle), run.column(Channel::Angle));
         assert!(completed.notes[0].contains("record faster"));

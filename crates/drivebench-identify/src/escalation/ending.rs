@@ -3,18 +3,11 @@
 use serde::Serialize;
 use thiserror::Error;
 
-use super::{Bounds, RestWinding, Seen};
+use super::{Bounds, Observation, RestWinding};
 use drivebench_model::plant::{Motor, MotorKey};
 use drivebench_model::sample::ParameterEstimate;
 
-/// Growth of voltage over current, against rest, that only a turning shaft can make.
-const BACK_EMF_SHOWS: f64 = 1.3;
-/// Times what counts as motion that a speed, expected from the rated values, has to be before its absence is a finding.
-const VISIBLE: f64 = 10.0;
-/// Share of the commanded voltage below which the drive does not put it out.
-const NOT_PUT_OUT: f64 = 0.3;
-
-/// What came out.
+/// The outcome of an escalation.
 #[derive(Clone, Debug)]
 pub enum Outcome {
     Found(Found),
@@ -63,7 +56,7 @@ pub enum Ending {
         below_rad_s: f64,
         rated_current_a: f64,
     },
-    /// The current tells that the shaft turns, the speed does not.
+    /// The current shows that the shaft turns, the speed does not.
     #[error(
         "the speed signal is dead: voltage over current rose from {ohm_at_rest:.3} to {ohm_now:.3} ohm, which a turning shaft does, but the speed stays below {below_rad_s:.2} rad/s"
     )]
@@ -134,89 +127,81 @@ impl Ending {
 }
 
 /// A sensor that is wired the wrong way round.
-pub(super) fn wrong_sign(seen: &Seen) -> Option<Ending> {
+pub(super) fn wrong_sign(stage: &Observation) -> Option<Ending> {
     let against = |value: f64, volts: f64| value * volts < 0.0;
     // At its peak the current of a ramp, and that of the first steps, goes with the voltage; while braking it does not.
-    let current_a = seen.current_at_peak_a;
-    if current_a.abs() > 10.0 * seen.noise_a && against(current_a, seen.peak_v) && !seen.moves() {
+    let current_a = stage.current_at_peak_a;
+    if current_a.abs() > 10.0 * stage.noise_a && against(current_a, stage.peak_v) && !stage.moves()
+    {
         return Some(Ending::CurrentSign {
-            voltage_v: seen.peak_v,
+            voltage_v: stage.peak_v,
             current_a,
         });
     }
     // Twice what counts as motion, and while the voltage was there: a shaft that runs on is none.
-    let is_driven = seen.voltage_of_motion_v.abs() > 0.2 * seen.peak_v.abs();
-    let is_clear = seen.mean_speed_rad_s.abs() > 2.0 * seen.motion_rad_s;
-    if is_clear && is_driven && against(seen.mean_speed_rad_s, seen.voltage_of_motion_v) {
+    let is_driven = stage.voltage_of_motion_v.abs() > 0.2 * stage.peak_v.abs();
+    let is_clear = stage.mean_speed_rad_s.abs() > 2.0 * stage.motion_rad_s;
+    if is_clear && is_driven && against(stage.mean_speed_rad_s, stage.voltage_of_motion_v) {
         return Some(Ending::SpeedSign {
-            voltage_v: seen.voltage_of_motion_v,
-            speed_rad_s: seen.mean_speed_rad_s,
+            voltage_v: stage.voltage_of_motion_v,
+            speed_rad_s: stage.mean_speed_rad_s,
         });
     }
     None
 }
 
-/// The safe voltage was reached and no current worth the name flowed.
-pub(super) fn no_current(seen: &Seen, share_a: f64) -> Ending {
-    if let Some(measured_v) = seen.measured_at_peak_v
-        && measured_v.abs() < NOT_PUT_OUT * seen.peak_v.abs()
+/// The safe voltage was reached and next to no current flowed.
+pub(super) fn no_current(stage: &Observation, share_a: f64) -> Ending {
+    if let Some(measured_v) = stage.measured_at_peak_v
+        && measured_v.abs() < 0.3 * stage.peak_v.abs()
     {
         return Ending::NoOutput {
-            commanded_v: seen.peak_v,
+            commanded_v: stage.peak_v,
             measured_v,
         };
     }
     Ending::OpenPhase {
-        voltage_v: seen.peak_v,
-        seconds: seen.peak_time_s,
-        below_a: seen.peak_current_a.abs().max(share_a),
+        voltage_v: stage.peak_v,
+        seconds: stage.peak_time_s,
+        below_a: stage.peak_current_a.abs().max(share_a),
     }
 }
 
-/// What a shaft that does not turn means.
-pub(super) enum NoMotion {
-    Named(Ending),
-    /// The current tells of a back-EMF that belongs to a speed which the sensor could have missed.
-    TooSlowToSee,
-}
-
-/// The current rose and no motion was seen.
+/// The current rose without a motion; `None` where it shows a back-EMF whose speed the sensor can have missed.
 pub(super) fn no_motion(
-    seen: &Seen,
+    stage: &Observation,
     before: Option<RestWinding>,
     reached_a: f64,
     bounds: &Bounds,
-) -> NoMotion {
+) -> Option<Ending> {
     let rated_current_a = bounds.rated_current_a;
-    let current_a = seen.current_at_peak_a;
-    let ohm_now = (seen.peak_v / current_a).abs();
+    let current_a = stage.current_at_peak_a;
+    let ohm_now = (stage.peak_v / current_a).abs();
+    // Only a turning shaft makes the ratio of voltage to current grow by a third against rest.
     if let Some(rest) = before
-        && ohm_now > BACK_EMF_SHOWS * rest.resistance_ohm
+        && ohm_now > 1.3 * rest.resistance_ohm
     {
-        let back_emf_v = seen.peak_v.abs() - rest.resistance_ohm * current_a.abs();
+        let back_emf_v = stage.peak_v.abs() - rest.resistance_ohm * current_a.abs();
+        // Ten times what counts as motion by the rated values: then its absence is a finding.
         let expected = back_emf_v * bounds.speed_limit_rad_s / bounds.rated_voltage_v;
-        return if expected < VISIBLE * seen.motion_rad_s {
-            NoMotion::TooSlowToSee
-        } else {
-            NoMotion::Named(Ending::SpeedSignalDead {
-                ohm_at_rest: rest.resistance_ohm,
-                ohm_now,
-                below_rad_s: seen.motion_rad_s,
-            })
-        };
+        return (expected >= 10.0 * stage.motion_rad_s).then_some(Ending::SpeedSignalDead {
+            ohm_at_rest: rest.resistance_ohm,
+            ohm_now,
+            below_rad_s: stage.motion_rad_s,
+        });
     }
-    NoMotion::Named(if current_a.abs() < reached_a {
+    Some(if current_a.abs() < reached_a {
         Ending::VoltageLimit {
             current_a,
-            voltage_v: seen.peak_v,
+            voltage_v: stage.peak_v,
             rated_current_a,
         }
     } else {
         Ending::LockedRotor {
             current_a,
-            voltage_v: seen.peak_v,
-            seconds: seen.peak_time_s,
-            below_rad_s: seen.motion_rad_s,
+            voltage_v: stage.peak_v,
+            seconds: stage.peak_time_s,
+            below_rad_s: stage.motion_rad_s,
             rated_current_a,
         }
     })

@@ -1,4 +1,4 @@
-//! An unknown motor, from small steps: what each stage has shown decides how large the next one may be.
+//! Identification of an unknown motor by stages: the result of each limits the size of the next.
 //!
 //! ```text
 //! Bounds --> Feel: slow ramps, three times larger each      --- nothing flows ----> open phase
@@ -6,13 +6,13 @@
 //!            v                               \
 //!            BreakAway: 50 %, 100 % rated     \           --- current, no motion -> locked rotor
 //!            | it turns                        v
-//!            +---------------------------> Turn: steps both ways, from R (lower bound) and what was seen before
+//!            +---------------------------> Turn: steps both ways, from a lower bound of R and the stages before
 //!                                            | R, Ke, J known roughly              --- rounds used up -> not identified
 //!                                            v
 //!                                          Sweep: to a share of the speed limit, slow enough for the current
 //!                                            | R, Ke, J known well
 //!                                            v
-//!                                          Found: the motor; nameplate::compare says whether the plate fits
+//!                                          Found: the motor; nameplate::compare sets it beside the nameplate
 //! ```
 //!
 //! Pure arithmetic: a stage goes out, the recorded run comes in. Only the rated values and the limits are taken as
@@ -25,48 +25,34 @@ mod observation;
 mod stage;
 
 pub use ending::{Ending, Found, Outcome};
-pub use observation::{RestWinding, Seen};
+pub use observation::{Observation, RestWinding};
 pub use stage::{Stage, StageKind};
 
 use serde::Serialize;
 
 use drivebench_model::plant::{MotorKey, Scenario, ScenarioError};
 use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Run};
-use ending::NoMotion;
 use observation::Turned;
 use stage::BothWays;
 
-/// Current of the first look, in rated currents.
+/// Current of a feeling ramp, in rated currents.
 const FEEL_CURRENT: f64 = 0.3;
-/// Largest voltage of the first look, in rated voltages: a motor of which the stall current at rated voltage is not
+/// Largest voltage of a feeling ramp, in rated voltages: a motor of which the stall current at rated voltage is not
 /// even the rated current would still show a quarter of it.
 const SAFE_VOLTAGE: f64 = 0.25;
-/// First voltage of the first look, and growth from look to look.
-const FIRST_VOLTAGE: f64 = 0.003;
+/// Growth of the voltage from ramp to ramp.
 const GROWTH: f64 = 3.0;
 /// Current below this share of the rated one counts as none, if it is also within the noise.
 const NO_CURRENT: f64 = 0.01;
-/// Standard deviations of the noise above which the largest of some hundred samples is a current.
-const FLOWS_NOISE: f64 = 6.0;
-/// Least resistance that a motor can have, in rated voltages over rated currents: half a per cent of the rated power
-/// in the winding. Used only until the data say more.
-const LEAST_RESISTANCE: f64 = 0.005;
-/// Speed, in limits, at which a look ends: the shaft turns.
-const MOVES: f64 = 0.03;
 /// Share of the current limit that no step is meant to exceed, and the share of the speed limit.
 const CURRENT_SHARE: f64 = 0.8;
 const SPEED_SHARE: f64 = 0.5;
-/// A sweep goes to this share of the speed limit, to no more than so many times the voltage of before, and takes no
-/// longer than this for one slope, s.
+/// Share of the speed limit to which a sweep goes.
 const SWEEP_SHARE: f64 = 0.35;
-const SWEEP_GROWTH: f64 = 10.0;
-const SLOPE_S: f64 = 1.5;
-/// Current at which break-away is given up, in rated currents, and the least of it that counts as having been reached.
+/// Current at which break-away is given up, in rated currents.
 const BREAK_AWAY: f64 = 1.1;
-const REACHED: f64 = 0.85;
-/// Rounds of turning, and the relative standard deviation at which R, Ke and J count as found.
+/// Rounds of turning.
 const ROUNDS: usize = 8;
-const GOOD: f64 = 0.015;
 /// Relative standard deviation with which the motor can still be used when the rounds are over.
 const USABLE: f64 = 0.15;
 /// Relative standard deviation below which a resistance may bound a step.
@@ -74,7 +60,7 @@ const KNOWN: f64 = 0.3;
 /// Stages of any kind: a guard against going round in circles.
 const MOST_STAGES: usize = 24;
 
-/// What is certain before anything is known of the motor.
+/// Rated values and limits, the only certain figures of the motor.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Bounds {
     pub rated_voltage_v: f64,
@@ -86,7 +72,14 @@ pub struct Bounds {
     pub period_s: f64,
 }
 
-/// One stage that was run, for the record.
+impl Bounds {
+    /// Largest voltage before a current shows, V.
+    fn safe_v(&self) -> f64 {
+        (SAFE_VOLTAGE * self.rated_voltage_v).min(self.voltage_limit_v)
+    }
+}
+
+/// One stage that was run.
 #[derive(Clone, Debug, Serialize)]
 pub struct StageResult {
     pub kind: StageKind,
@@ -94,7 +87,7 @@ pub struct StageResult {
     pub peak_v: f64,
     pub peak_current_a: f64,
     pub peak_speed_rad_s: f64,
-    /// What came of it, in a sentence.
+    /// The result, in a sentence.
     pub line: String,
 }
 
@@ -118,16 +111,15 @@ pub struct Escalation {
     next: Next,
     history: Vec<StageResult>,
     rest: Option<RestWinding>,
-    /// Current at which the shaft was last seen to leave rest, A.
+    /// Current at which the shaft last left its rest, A.
     break_away_a: Option<f64>,
     turned: Option<Turned>,
-    /// The round that knew the motor best.
-    best: Option<Turned>,
-    best_is_sweep: bool,
+    /// The round with the best estimates, and whether it was a sweep.
+    best: Option<(bool, Turned)>,
     rounds: usize,
     /// Back-EMF constant from the first motion and its standard deviation, V.s/rad: rough, but enough to bound a speed.
     first_back_emf: Option<(f64, f64)>,
-    /// Voltage that the last stage reached, V, and the current that was seen with it, A.
+    /// Voltage that the last stage reached, V, and the current with it, A.
     last_v: f64,
     last_a: f64,
     /// Whether the shaft turned in it.
@@ -142,7 +134,7 @@ enum Next {
 
 impl Escalation {
     pub fn new(bounds: Bounds) -> Self {
-        let first_v = (FIRST_VOLTAGE * bounds.rated_voltage_v).min(bounds.voltage_limit_v);
+        let first_v = (0.003 * bounds.rated_voltage_v).min(bounds.voltage_limit_v);
         let nothing = "nothing is known yet".to_owned();
         let first = stage::look(&bounds, StageKind::Feel, first_v, nothing);
         Self {
@@ -153,7 +145,6 @@ impl Escalation {
             break_away_a: None,
             turned: None,
             best: None,
-            best_is_sweep: false,
             rounds: 0,
             first_back_emf: None,
             last_v: first_v,
@@ -162,7 +153,7 @@ impl Escalation {
         }
     }
 
-    /// What may follow the first stage, in sentences: how large each will be is decided by what the one before has shown.
+    /// The stages that may follow the first, in sentences: the result of each limits the size of the next.
     pub fn outlook() -> Vec<String> {
         vec![
             format!(
@@ -201,14 +192,14 @@ impl Escalation {
         &self.history
     }
 
-    /// Takes the record of the stage that was asked for.
+    /// Evaluates the record of the stage.
     pub fn learn(&mut self, run: &Run) -> Result<(), ScenarioError> {
         let Next::Run(stage) = &self.next else {
             return Ok(());
         };
         let stage = stage.clone();
         let scenario = scenario_of(run)?;
-        let seen = Seen::of(&scenario, run, &self.bounds);
+        let seen = Observation::of(&scenario, run, &self.bounds);
         (self.last_v, self.last_a) = (seen.peak_v.abs(), seen.peak_current_a.abs());
         self.last_moved = seen.moves();
         let (next, line) = self.judge(&stage, &scenario, &seen);
@@ -227,7 +218,7 @@ impl Escalation {
         Ok(())
     }
 
-    fn judge(&mut self, stage: &Stage, scenario: &Scenario, seen: &Seen) -> (Next, String) {
+    fn judge(&mut self, stage: &Stage, scenario: &Scenario, seen: &Observation) -> (Next, String) {
         if let Some(ending) = ending::wrong_sign(seen) {
             return ended(ending);
         }
@@ -238,8 +229,8 @@ impl Escalation {
         }
     }
 
-    /// Current, motion, or a larger look.
-    fn felt(&mut self, scenario: &Scenario, seen: &Seen) -> (Next, String) {
+    /// Current, motion, or a larger ramp.
+    fn felt(&mut self, scenario: &Scenario, seen: &Observation) -> (Next, String) {
         self.learn_rest(scenario, seen);
         let bounds = &self.bounds;
         if seen.moves() {
@@ -247,64 +238,58 @@ impl Escalation {
         }
         let rated_a = bounds.rated_current_a;
         let shows = seen.peak_current_a.abs() >= 0.8 * FEEL_CURRENT * rated_a;
-        let safe_v = (SAFE_VOLTAGE * bounds.rated_voltage_v).min(bounds.voltage_limit_v);
+        let safe_v = bounds.safe_v();
         let line = format!("at rest, {}", seen.text());
-        // Beyond the safe voltage only on a current that noise does not make.
-        let flows =
-            seen.peak_current_a.abs() > (NO_CURRENT * rated_a).max(FLOWS_NOISE * seen.noise_a);
+        // Beyond the safe voltage only on a current that is not the largest of some hundred samples of noise.
+        let flows = seen.peak_current_a.abs() > (NO_CURRENT * rated_a).max(6.0 * seen.noise_a);
         if shows && flows || (self.last_v >= safe_v * 0.999 && self.rest.is_some() && flows) {
             return (self.break_away(), line);
         }
         if self.last_v >= safe_v * 0.999 {
             return ended(ending::no_current(seen, NO_CURRENT * rated_a));
         }
-        // A resistance that is known spares looks in between; one that is not allows no more than the usual growth.
+        // A resistance that is known spares ramps in between; one that is not allows no more than the usual growth.
         let (least_v, most_v) = (1.2 * self.last_v, GROWTH * self.last_v);
         let known = self.rest.filter(|rest| rest.relative() < KNOWN);
         let mut wanted_v = known.map_or(most_v, |rest| {
             (1.05 * FEEL_CURRENT * rated_a * rest.lowest_ohm()).clamp(least_v, most_v)
         });
-        // No further look for the last few per cent.
+        // No further ramp for the last few per cent.
         if wanted_v > 0.9 * safe_v {
             wanted_v = safe_v;
         }
-        (
-            Next::Run(stage::look(
-                bounds,
-                StageKind::Feel,
-                wanted_v,
-                self.leaves_room(),
-            )),
-            line,
-        )
+        let look = stage::look(bounds, StageKind::Feel, wanted_v, self.leaves_room());
+        (Next::Run(look), line)
     }
 
-    fn broke_away(&mut self, scenario: &Scenario, seen: &Seen) -> (Next, String) {
+    fn broke_away(&mut self, scenario: &Scenario, seen: &Observation) -> (Next, String) {
         let before = self.rest;
         self.learn_rest(scenario, seen);
         if seen.moves() {
             return (self.turn(), format!("it breaks away, {}", seen.text()));
         }
         let bounds = &self.bounds;
-        let reached_a = REACHED * bounds.rated_current_a;
-        match ending::no_motion(seen, before, reached_a, bounds) {
-            NoMotion::Named(ending) => ended(ending),
-            NoMotion::TooSlowToSee => {
-                let line = format!("it may turn too slowly to be seen, {}", seen.text());
-                let safe_v = (SAFE_VOLTAGE * bounds.rated_voltage_v).min(bounds.voltage_limit_v);
-                let wanted_v = (GROWTH * self.last_v).min(safe_v);
-                if wanted_v < 1.2 * self.last_v {
-                    let reason = format!("no speed that can be seen at {:.1} V", self.last_v);
-                    return (not_identified(reason), line);
-                }
-                let reason = "a back-EMF shows, a speed not yet".to_owned();
-                let stage = stage::look(bounds, StageKind::BreakAway, wanted_v, reason);
-                (Next::Run(stage), line)
-            }
+        let reached_a = 0.85 * bounds.rated_current_a;
+        if let Some(ending) = ending::no_motion(seen, before, reached_a, bounds) {
+            return ended(ending);
         }
+        let line = format!("it may turn too slowly to be seen, {}", seen.text());
+        let wanted_v = (GROWTH * self.last_v).min(bounds.safe_v());
+        if wanted_v < 1.2 * self.last_v {
+            let reason = format!("no speed that can be seen at {:.1} V", self.last_v);
+            return (not_identified(reason), line);
+        }
+        let reason = "a back-EMF shows, a speed not yet".to_owned();
+        let stage = stage::look(bounds, StageKind::BreakAway, wanted_v, reason);
+        (Next::Run(stage), line)
     }
 
-    fn turned(&mut self, kind: StageKind, scenario: &Scenario, seen: &Seen) -> (Next, String) {
+    fn turned(
+        &mut self,
+        kind: StageKind,
+        scenario: &Scenario,
+        seen: &Observation,
+    ) -> (Next, String) {
         self.rounds += 1;
         let found = observation::turned(scenario, self.rest);
         let line = match &found {
@@ -312,23 +297,22 @@ impl Escalation {
             Err(reason) => format!("{}: {reason}", seen.text()),
         };
         let failure = found.as_ref().err().cloned();
+        let is_sweep = kind == StageKind::Sweep;
         if let Ok(found) = found {
-            // A sweep has seen more of the motor than any step: it counts before a sharper number from a corner of it.
-            let best = self.best.as_ref();
-            let sharper = best.is_none_or(|best| found.worst() < best.worst());
-            let first_sweep = kind == StageKind::Sweep && !self.best_is_sweep;
-            if first_sweep || (sharper && (kind == StageKind::Sweep) == self.best_is_sweep) {
-                self.best = Some(found.clone());
-                self.best_is_sweep = kind == StageKind::Sweep;
+            // A sweep covers more of the motor's range than any step: it counts before a sharper number from a corner of it.
+            let is_better = self.best.as_ref().is_none_or(|(of_sweep, best)| {
+                let is_sharper = found.worst() < best.worst();
+                is_sweep && !of_sweep || is_sharper && is_sweep == *of_sweep
+            });
+            if is_better {
+                self.best = Some((is_sweep, found.clone()));
             }
             self.turned = Some(found);
         }
-        let is_within =
-            |found: &Option<Turned>, most| found.as_ref().is_some_and(|it| it.is_within(most));
-        let within = |most| is_within(&self.turned, most);
-        // Only a sweep has shown more than a corner of what the motor will be used for.
-        let best_is_usable = is_within(&self.best, USABLE);
-        if (within(GOOD) && kind == StageKind::Sweep) || (best_is_usable && self.rounds >= ROUNDS) {
+        let within = |most| self.turned.as_ref().is_some_and(|it| it.worst() <= most);
+        let best = self.best.as_ref();
+        let best_is_usable = best.is_some_and(|(_, best)| best.worst() <= USABLE);
+        if (within(0.015) && is_sweep) || (best_is_usable && self.rounds >= ROUNDS) {
             return (self.found(), line);
         }
         if self.rounds >= ROUNDS {
@@ -340,7 +324,7 @@ impl Escalation {
         (sweep.unwrap_or_else(|| self.turn()), line)
     }
 
-    fn learn_rest(&mut self, scenario: &Scenario, seen: &Seen) {
+    fn learn_rest(&mut self, scenario: &Scenario, seen: &Observation) {
         let found = observation::at_rest(scenario, seen);
         self.rest = match (self.rest, found) {
             (Some(old), Some(new)) if old.relative() < new.relative() => Some(old),
@@ -378,7 +362,7 @@ impl Escalation {
         let mut volts = wanted_a * lowest_ohm;
         let mut reason = format!("{wanted_a:.2} A through at least {lowest_ohm:.3} ohm");
         if self.rounds > 0 && !self.knows_resistance() && self.last_a < 0.3 * rated_a {
-            // A step that drew next to nothing still tells that three times as much is bearable.
+            // After a step that drew next to nothing three times as much is bearable.
             volts = volts.max(GROWTH * self.last_v);
             reason = self.leaves_room();
         }
@@ -392,14 +376,14 @@ impl Escalation {
                 Some(back_emf_v + friction_a * lowest_ohm)
             })
             .unwrap_or(0.1 * bounds.rated_voltage_v)
-            // What has been borne is no reason to stop; a step that did not turn the shaft is one to go on.
+            // The voltage of the stage before is bearable; a step that did not turn the shaft may be exceeded.
             .max(if self.last_moved { 0.5 } else { 1.5 } * self.last_v)
             .min(bounds.voltage_limit_v);
         if volts > fastest_v {
             volts = fastest_v;
             reason = format!("at most {speed_rad_s:.1} rad/s");
         }
-        // A step is never more than four times what was borne before.
+        // A step is never more than four times the one before.
         let grown_v = 4.0 * self.last_v;
         if volts > grown_v {
             volts = grown_v;
@@ -430,16 +414,16 @@ impl Escalation {
         let rated_a = bounds.rated_current_a;
         let most_a = CURRENT_SHARE * bounds.current_limit_a;
         let accelerating_a = rated_a.min(most_a - friction_a).max(0.2 * rated_a);
-        // Half as slow again as what was found: an inertia that was hardly seen may be larger.
+        // Half as slow again as the estimate: an inertia that hardly shows may be larger.
         let mechanical_s = 1.5 * turned.mechanical_s()?.max(bounds.period_s);
         let slew_v_per_s = accelerating_a * lowest_ohm / mechanical_s;
         let speed_rad_s = SWEEP_SHARE * bounds.speed_limit_rad_s;
         // The slope may take longer where the friction needs more voltage than it reaches.
-        let slope_v = (SLOPE_S * slew_v_per_s).max(1.5 * friction_a * lowest_ohm);
+        let slope_v = (1.5 * slew_v_per_s).max(1.5 * friction_a * lowest_ohm);
         let peak_v = turned
             .voltage_at(speed_rad_s)?
             .min(bounds.voltage_limit_v)
-            .min(SWEEP_GROWTH * self.last_v)
+            .min(10.0 * self.last_v)
             .min(slope_v);
         let sweep = BothWays {
             kind: StageKind::Sweep,
@@ -454,10 +438,11 @@ impl Escalation {
         Some(Next::Run(sweep.stage(bounds)))
     }
 
-    /// What the data still allow the resistance to be, ohm.
+    /// Lower bound of the resistance that the data still allow, ohm; until they allow none, half a per cent of the rated power
+    /// is in the winding.
     fn lowest_resistance_ohm(&self) -> f64 {
         let bounds = &self.bounds;
-        let least = LEAST_RESISTANCE * bounds.rated_voltage_v / bounds.rated_current_a;
+        let least = 0.005 * bounds.rated_voltage_v / bounds.rated_current_a;
         let at_rest = self.rest.filter(|rest| rest.relative() < KNOWN);
         let turned = self.turned.as_ref().and_then(Turned::resistance);
         let lowest = match (turned, at_rest) {
@@ -481,7 +466,7 @@ impl Escalation {
     }
 
     fn found(&self) -> Next {
-        let Some(turned) = &self.best else {
+        let Some((_, turned)) = &self.best else {
             return not_identified(NOTHING);
         };
         Next::Over(Box::new(Outcome::Found(Found {
@@ -494,18 +479,14 @@ impl Escalation {
 /// The end, with its sentence.
 fn ended(ending: Ending) -> (Next, String) {
     let sentence = ending.sentence();
-    (over(ending), sentence)
-}
-
-fn over(ending: Ending) -> Next {
-    Next::Over(Box::new(Outcome::Named(ending)))
+    (Next::Over(Box::new(Outcome::Named(ending))), sentence)
 }
 
 const NOTHING: &str = "nothing was learnt";
 
 fn not_identified(reason: impl Into<String>) -> Next {
     let reason = reason.into();
-    over(Ending::NotIdentified { reason })
+    ended(Ending::NotIdentified { reason }).0
 }
 
 /// Relative standard deviation of an estimate that has a value.
@@ -517,12 +498,9 @@ fn relative(parameters: &[ParameterEstimate], key: MotorKey) -> Option<f64> {
 /// The run under its commanded voltage: stamped with the instant of application, so no sample of it is missing.
 fn scenario_of(run: &Run) -> Result<Scenario, ScenarioError> {
     let mut run = run.clone();
-    if let Some(cells) = run.column(Channel::VoltageCmd).map(<[f64]>::to_vec) {
-        // The length is the run's own.
-        let _ = run.set_column(Channel::VoltageCmd, cells, Origin::Commanded);
-        if let Some(cells) = run.column(Channel::Voltage).map(<[f64]>::to_vec) {
-            let _ = run.set_column(Channel::Voltage, cells, Origin::Measured);
-        }
+    if run.column(Channel::VoltageCmd).is_some() {
+        run.set_origin(Channel::VoltageCmd, Origin::Commanded);
+        run.set_origin(Channel::Voltage, Origin::Measured);
     }
     Scenario::from_run(&run)
 }

@@ -1,5 +1,4 @@
-//! Observations of a stage: noise, peaks and motion in plain sight, the winding at rest, and the turning motor by the output-error
-//! fit.
+//! Observations of a stage: noise, peaks and motion, the winding at rest, and the turning motor by the output-error fit.
 
 use serde::Serialize;
 
@@ -12,17 +11,14 @@ use drivebench_model::sample::{Channel, ParameterEstimate, Run, Verdict};
 use drivebench_model::signal::{held, pieces};
 use drivebench_model::text::number::with_std;
 
-/// Noise that is assumed at least, in rated currents and speed limits: a simulated or coarse sensor shows none.
-const LEAST_NOISE: f64 = 1e-4;
-/// A mean speed counts as motion from so many of its standard deviations on, and from this share of the speed limit.
+/// Standard deviations from which a mean speed counts as motion.
 const MOTION_NOISE: f64 = 8.0;
-const MOTION_SHARE: f64 = 5e-4;
 /// Samples of which the mean is taken.
 const MEAN_OF: usize = 12;
 
-/// The plain sight of one stage.
+/// Noise, peaks and motion of one stage.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Seen {
+pub struct Observation {
     pub(super) noise_a: f64,
     pub(super) offset_a: f64,
     /// Speed that counts as motion, rad/s.
@@ -34,7 +30,7 @@ pub struct Seen {
     pub(super) peak_speed_rad_s: f64,
     /// Farthest mean of the speed over a dozen samples, rad/s: what decides whether the shaft turns.
     pub(super) mean_speed_rad_s: f64,
-    /// Time for which at least nine tenths of the peak voltage were asked for, s.
+    /// Time for which at least nine tenths of the peak voltage were commanded, s.
     pub(super) peak_time_s: f64,
     /// Mean current while they were, A.
     pub(super) current_at_peak_a: f64,
@@ -48,7 +44,7 @@ pub struct Seen {
     current_of_motion_a: f64,
 }
 
-impl Seen {
+impl Observation {
     pub(super) fn of(scenario: &Scenario, run: &Run, bounds: &Bounds) -> Self {
         let rest = scenario.leading_standstill();
         let rest_of = |values: &[f64]| finite(&values[rest.clone()]);
@@ -58,22 +54,20 @@ impl Seen {
             _ => variance(values).sqrt().max(least),
         };
         let offset = |values: &[f64]| if values.is_empty() { 0.0 } else { mean(values) };
-        let noise_a = noise(&current, LEAST_NOISE * bounds.rated_current_a);
-        let noise_rad_s = noise(&speed, LEAST_NOISE * bounds.speed_limit_rad_s);
+        // A simulated or coarse sensor shows no noise.
+        let noise_a = noise(&current, 1e-4 * bounds.rated_current_a);
+        let noise_rad_s = noise(&speed, 1e-4 * bounds.speed_limit_rad_s);
         let (offset_a, offset_rad_s) = (offset(&current), offset(&speed));
         // The mean at rest is known from finitely many samples as well.
         let spread = (1.0 / MEAN_OF as f64 + 1.0 / speed.len().max(1) as f64).sqrt();
         let motion_rad_s =
-            (MOTION_NOISE * noise_rad_s * spread).max(MOTION_SHARE * bounds.speed_limit_rad_s);
+            (MOTION_NOISE * noise_rad_s * spread).max(5e-4 * bounds.speed_limit_rad_s);
         let amps = medians(&scenario.current_a, offset_a);
         let speeds = medians(&scenario.speed_rad_s, offset_rad_s);
         let farthest = |values: &[f64]| {
             let further = |most: (usize, f64), next: (usize, f64)| {
-                if next.1.abs() > most.1.abs() {
-                    next
-                } else {
-                    most
-                }
+                let is_further = next.1.abs() > most.1.abs();
+                if is_further { next } else { most }
             };
             values.iter().copied().enumerate().fold((0, 0.0), further)
         };
@@ -84,10 +78,9 @@ impl Seen {
         let on_top: Vec<usize> = (0..volts.len())
             .filter(|at| volts[*at] * peak_v.signum() >= 0.9 * peak_v.abs() && peak_v != 0.0)
             .collect();
-        let step_s = bounds.period_s;
         let top_mean = |values: &[f64]| {
             let there = on_top.iter().filter_map(|at| values.get(*at).copied());
-            let found: Vec<f64> = there.filter(|value| value.is_finite()).collect();
+            let found = finite(&there.collect::<Vec<f64>>());
             (!found.is_empty()).then(|| mean(&found))
         };
         let slow = means(&speeds);
@@ -97,7 +90,6 @@ impl Seen {
             .position(|speed| speed.abs() > 0.6 * motion_rad_s)
             .map_or(speeds.len(), |at| at.saturating_sub(MEAN_OF));
         let (at_mean, mean_speed_rad_s) = farthest(&slow);
-        let break_away_current_a = largest(&amps[..at_rest]);
         // Empty where the drive measures none.
         let points: Vec<(f64, f64)> = run.points(Channel::Voltage).collect();
         let measured = if points.is_empty() {
@@ -113,11 +105,11 @@ impl Seen {
             peak_current_a: farthest(&amps).1,
             peak_speed_rad_s,
             mean_speed_rad_s,
-            peak_time_s: on_top.len() as f64 * step_s,
+            peak_time_s: on_top.len() as f64 * bounds.period_s,
             current_at_peak_a: top_mean(&amps).unwrap_or(0.0),
             measured_at_peak_v: top_mean(&measured),
+            break_away_current_a: largest(&amps[..at_rest]),
             at_rest,
-            break_away_current_a,
             voltage_of_motion_v: means(&volts).get(at_mean).copied().unwrap_or(0.0),
             current_of_motion_a: means(&amps).get(at_mean).copied().unwrap_or(0.0),
         }
@@ -126,11 +118,11 @@ impl Seen {
     /// `Ke = (u - R i)/w` where the mean speed was greatest, and its standard deviation, V.s/rad. Without a resistance the
     /// drop across it is left out, and counts as uncertainty.
     pub(super) fn back_emf(&self, rest: Option<RestWinding>) -> (f64, f64) {
-        let (u, i, w) = (
+        let (u, i) = (
             self.voltage_of_motion_v.abs(),
             self.current_of_motion_a.abs(),
-            self.mean_speed_rad_s.abs().max(f64::MIN_POSITIVE),
         );
+        let w = self.mean_speed_rad_s.abs().max(f64::MIN_POSITIVE);
         let speed_share = self.motion_rad_s / MOTION_NOISE / w;
         match rest {
             Some(rest) => {
@@ -160,9 +152,8 @@ fn medians(values: &[f64], offset: f64) -> Vec<f64> {
         .map(|at| {
             let mut three = finite(&values[at.saturating_sub(1)..(at + 2).min(values.len())]);
             three.sort_by(f64::total_cmp);
-            three
-                .get(three.len() / 2)
-                .map_or(0.0, |value| value - offset)
+            let middle = three.get(three.len() / 2);
+            middle.map_or(0.0, |value| value - offset)
         })
         .collect()
 }
@@ -181,7 +172,7 @@ fn means(values: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-/// What was held at the scenario's samples.
+/// The values that were held at the scenario's samples.
 fn at_samples(points: &[(f64, f64)], scenario: &Scenario) -> Vec<f64> {
     let times = scenario.sample_time_s.iter();
     times
@@ -193,16 +184,6 @@ fn at_samples(points: &[(f64, f64)], scenario: &Scenario) -> Vec<f64> {
 //
 // The current is proportional to the voltage behind a first-order lag L/R. The lag is searched on a grid, the
 // conductance is then linear: the noise sits on the current alone, so there is no errors-in-variables bias.
-
-/// Time constants that are tried, s: from none to slower than any small machine.
-const SHORTEST_S: f64 = 1e-4;
-const LONGEST_S: f64 = 0.2;
-const STEPS: u32 = 45;
-/// Samples and significance below which nothing is claimed.
-const FEWEST: usize = 15;
-const SIGNIFICANCE: f64 = 5.0;
-/// Rows of the standstill that the offset of the current is at least the mean of.
-const OFFSET_ROWS: usize = 30;
 
 /// Resistance of a winding at rest.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -229,21 +210,23 @@ impl RestWinding {
     }
 }
 
-pub(super) fn at_rest(scenario: &Scenario, seen: &Seen) -> Option<RestWinding> {
+pub(super) fn at_rest(scenario: &Scenario, seen: &Observation) -> Option<RestWinding> {
     let rows: Vec<usize> = (0..seen.at_rest.min(scenario.samples()))
         .filter(|at| scenario.current_a[*at].is_finite())
         .collect();
-    if rows.len() < FEWEST {
+    if rows.len() < 15 {
         return None;
     }
-    let amps = rows
+    let amps: Vec<f64> = rows
         .iter()
-        .map(|at| scenario.current_a[*at] - seen.offset_a);
-    let amps: Vec<f64> = amps.collect();
-    let ratio = (LONGEST_S / SHORTEST_S).powf(1.0 / f64::from(STEPS - 1));
-    let fits: Vec<(f64, f64, f64, f64)> = (0..STEPS)
+        .map(|at| scenario.current_a[*at])
+        .map(|current_a| current_a - seen.offset_a)
+        .collect();
+    // 45 time constants from 0.1 ms to 0.2 s: from none to slower than any small machine.
+    let ratio = (0.2_f64 / 1e-4).powf(1.0 / 44.0);
+    let fits: Vec<(f64, f64, f64, f64)> = (0..45)
         .filter_map(|step| {
-            let constant_s = SHORTEST_S * ratio.powi(i32::try_from(step).ok()?);
+            let constant_s = 1e-4 * ratio.powi(step);
             let lagged = lagged(scenario, &rows, constant_s);
             let power: f64 = lagged.iter().map(|y| y * y).sum();
             if power <= 0.0 {
@@ -258,12 +241,12 @@ pub(super) fn at_rest(scenario: &Scenario, seen: &Seen) -> Option<RestWinding> {
     let best = fits.iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
     let degrees = (rows.len() - 2) as f64;
     let noise_a = (best.0 / degrees).sqrt().max(seen.noise_a);
-    // The offset is a mean over the rows before the voltage: its error bends every row the same way.
+    // The offset is a mean over at least 30 rows before the voltage: its error bends every row the same way.
     let sum: f64 = lagged(scenario, &rows, best.1).iter().sum();
-    let offset = noise_a / (OFFSET_ROWS as f64).sqrt() * sum / best.3;
+    let offset = noise_a / 30_f64.sqrt() * sum / best.3;
     let std = (noise_a / best.3.sqrt()).hypot(offset);
     let conductance = best.2;
-    if conductance < SIGNIFICANCE * std {
+    if conductance < 5.0 * std {
         return None;
     }
     // Lags that the data allow as well move the resistance: that is part of its uncertainty.
@@ -300,7 +283,7 @@ fn lagged(scenario: &Scenario, rows: &[usize], constant_s: f64) -> Vec<f64> {
 #[derive(Clone, Debug)]
 pub(super) struct Turned {
     /// The fitted motor. An inductance or inertia that the data do not carry has the value of the fit, which the data
-    /// do not contradict; its verdict says so.
+    /// do not contradict; its verdict marks it.
     pub(super) motor: Motor,
     pub(super) parameters: Vec<ParameterEstimate>,
     period_s: f64,
@@ -308,8 +291,6 @@ pub(super) struct Turned {
 
 /// Keys without which nothing can be planned.
 const NEEDED: [MotorKey; 2] = [MotorKey::Resistance, MotorKey::BackEmf];
-/// Mechanical time constant, in periods, below which the inertia leaves no trace between two samples.
-const LEAST_PERIODS: f64 = 1.0;
 
 pub(super) fn turned(scenario: &Scenario, rest: Option<RestWinding>) -> Result<Turned, String> {
     let noise =
@@ -333,16 +314,11 @@ pub(super) fn turned(scenario: &Scenario, rest: Option<RestWinding>) -> Result<T
 }
 
 impl Turned {
-    /// Whether R and Ke, and J where it leaves a trace, are known to this relative standard deviation.
-    pub(super) fn is_within(&self, most: f64) -> bool {
-        self.worst() <= most
-    }
-
-    /// Largest relative standard deviation of R and Ke, and of J where it leaves a trace; infinite where one is not told.
+    /// Largest relative standard deviation of R and Ke, and of J where it leaves a trace between two samples; infinite where
+    /// one is open.
     pub(super) fn worst(&self) -> f64 {
-        let inertia_shows = self
-            .mechanical_s()
-            .is_none_or(|constant_s| constant_s > LEAST_PERIODS * self.period_s);
+        let mechanical_s = self.mechanical_s();
+        let inertia_shows = mechanical_s.is_none_or(|constant_s| constant_s > self.period_s);
         NEEDED
             .into_iter()
             .chain(inertia_shows.then_some(MotorKey::Inertia))
@@ -389,12 +365,7 @@ impl Turned {
                 None => "not told".to_owned(),
             }
         };
-        let (r, l) = (of(MotorKey::Resistance), of(MotorKey::Inductance));
-        let (ke, j, mc) = (
-            of(MotorKey::BackEmf),
-            of(MotorKey::Inertia),
-            of(MotorKey::LoadTorque),
-        );
+        let [r, l, ke, j, mc] = crate::nameplate::KEYS.map(of);
         format!("R {r}, L {l}, Ke {ke}, J {j}, Mc {mc}")
     }
 

@@ -2,15 +2,8 @@
 
 use serde::Serialize;
 
-use super::{BREAK_AWAY, Bounds, CURRENT_SHARE, FEEL_CURRENT, MOVES, RestWinding};
+use super::{BREAK_AWAY, Bounds, CURRENT_SHARE, FEEL_CURRENT, RestWinding};
 use drivebench_model::excitation::{Ramp, Segment, Standstill, Steps};
-
-/// Standstill at the begin, ramps and holds: seconds, and periods that they have at least.
-const STANDSTILL: (f64, f64) = (0.4, 30.0);
-const RAMP: (f64, f64) = (0.4, 30.0);
-const HOLD: (f64, f64) = (0.3, 20.0);
-/// Least and greatest hold of a step, s; in between three mechanical time constants.
-const STEP_S: (f64, f64) = (0.3, 1.5);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -42,7 +35,7 @@ pub struct Stage {
     pub kind: StageKind,
     pub segments: Vec<Segment>,
     pub slew_v_per_s: f64,
-    /// Largest voltage that is asked for, V.
+    /// Largest commanded voltage, V.
     pub peak_v: f64,
     /// The stage ends, without a fault, as soon as one of these is reached.
     pub stop_current_a: f64,
@@ -55,14 +48,14 @@ pub struct Stage {
     pub reason: String,
 }
 
-fn seconds((least_s, periods): (f64, f64), bounds: &Bounds) -> f64 {
-    least_s.max(periods * bounds.period_s)
+/// Length of the standstill at the begin and of each ramp, s.
+fn ramp_s(bounds: &Bounds) -> f64 {
+    f64::max(0.4, 30.0 * bounds.period_s)
 }
 
 fn standstill(bounds: &Bounds) -> Segment {
-    Segment::Standstill(Standstill {
-        seconds: seconds(STANDSTILL, bounds),
-    })
+    let seconds = ramp_s(bounds);
+    Segment::Standstill(Standstill { seconds })
 }
 
 fn steps(levels_v: Vec<f64>, hold_s: f64) -> Segment {
@@ -79,7 +72,8 @@ fn slowly(bounds: &Bounds, kind: StageKind, levels_v: &[f64], reason: String) ->
         StageKind::Feel => FEEL_CURRENT,
         _ => 1.15 * BREAK_AWAY,
     };
-    let ramp_s = seconds(RAMP, bounds);
+    let ramp_s = ramp_s(bounds);
+    let hold_s = f64::max(0.3, 20.0 * bounds.period_s);
     let ramp = |from_v: f64, to_v: f64| {
         Segment::Ramp(Ramp {
             from_v,
@@ -91,7 +85,7 @@ fn slowly(bounds: &Bounds, kind: StageKind, levels_v: &[f64], reason: String) ->
     let (mut segments, mut peak_v) = (vec![standstill(bounds)], 0.0);
     for &level_v in levels_v {
         segments.push(ramp(peak_v, level_v));
-        segments.push(steps(vec![level_v], seconds(HOLD, bounds)));
+        segments.push(steps(vec![level_v], hold_s));
         peak_v = level_v;
     }
     segments.push(ramp(peak_v, 0.0));
@@ -103,14 +97,15 @@ fn slowly(bounds: &Bounds, kind: StageKind, levels_v: &[f64], reason: String) ->
         peak_v,
         stop_current_a: (stop_at * bounds.rated_current_a)
             .min(CURRENT_SHARE * bounds.current_limit_a),
-        stop_speed_rad_s: MOVES * bounds.speed_limit_rad_s,
+        // The shaft turns.
+        stop_speed_rad_s: 0.03 * bounds.speed_limit_rad_s,
         winding_v: None,
         back_emf_v_s_per_rad: 0.0,
         reason,
     }
 }
 
-/// Slowly to one voltage and back; `kind` says at which current it ends.
+/// Slowly to one voltage and back, up to the current of its `kind`.
 pub(super) fn look(bounds: &Bounds, kind: StageKind, peak_v: f64, reason: String) -> Stage {
     slowly(bounds, kind, &[peak_v], reason)
 }
@@ -123,16 +118,11 @@ pub(super) fn break_away(bounds: &Bounds, rest: &RestWinding, most: f64) -> Stag
         "{:.3} ohm at rest: {peak_v:.2} V drive the rated current",
         rest.resistance_ohm
     );
-    slowly(
-        bounds,
-        StageKind::BreakAway,
-        &[0.5 * peak_v, peak_v],
-        reason,
-    )
+    let levels_v = [0.5 * peak_v, peak_v];
+    slowly(bounds, StageKind::BreakAway, &levels_v, reason)
 }
 
-/// Forward, back to zero, backward, back to zero, each level held for so long: what it does to the motor as far as that is
-/// known.
+/// Forward, back to zero, backward, back to zero, each level held for so long.
 pub(super) struct BothWays {
     pub(super) kind: StageKind,
     pub(super) peak_v: f64,
@@ -167,7 +157,7 @@ impl BothWays {
 
 /// How long a step is held: three mechanical time constants, as far as they are known.
 pub(super) fn step_s(bounds: &Bounds, mechanical_s: Option<f64>) -> f64 {
-    let held_s = mechanical_s.map_or(STEP_S.0, |s| (3.0 * s).clamp(STEP_S.0, STEP_S.1));
+    let held_s = mechanical_s.map_or(0.3, |s| (3.0 * s).clamp(0.3, 1.5));
     held_s.max(30.0 * bounds.period_s)
 }
 

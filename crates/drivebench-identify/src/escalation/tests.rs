@@ -1,5 +1,7 @@
 use super::*;
 use crate::testing::{changed, put, record, run_of};
+use drivebench_model::excitation::{Output, Program};
+use drivebench_model::numerics::count::whole;
 use drivebench_model::plant::{Model, Motor};
 
 fn bounds() -> Bounds {
@@ -15,18 +17,15 @@ fn bounds() -> Bounds {
 
 /// The stage as the motor would answer it, with the noise of a bench; `distort` is what the sensors make of it.
 fn answer(stage: &Stage, motor: &Motor, distort: impl Fn(&mut Run)) -> Run {
-    let program =
-        drivebench_model::excitation::Program::new(&stage.segments, stage.slew_v_per_s).unwrap();
-    let periods = drivebench_model::numerics::count::whole(program.duration_s() / 0.01);
-    let events: Vec<(f64, f64)> = (0..periods)
-        .map(|k| {
-            let time_s = k as f64 * 0.01;
-            match program.value_at(time_s) {
-                drivebench_model::excitation::Output::Voltage(volts) => (time_s, volts),
-                drivebench_model::excitation::Output::Coast => (time_s, 0.0),
-            }
-        })
-        .collect();
+    let program = Program::new(&stage.segments, stage.slew_v_per_s).unwrap();
+    let at = |k: usize| {
+        let time_s = k as f64 * 0.01;
+        match program.value_at(time_s) {
+            Output::Voltage(volts) => (time_s, volts),
+            Output::Coast => (time_s, 0.0),
+        }
+    };
+    let events: Vec<(f64, f64)> = (0..whole(program.duration_s() / 0.01)).map(at).collect();
     let volts = events.iter().map(|event| event.1).collect();
     let model = Model::baseline(motor.clone());
     let scenario = record(&model, events, 0.01, program.duration_s(), 7);
@@ -44,31 +43,37 @@ fn scaled(channel: Channel, factor: f64) -> impl Fn(&mut Run) {
     move |run: &mut Run| *run = changed(run, channel, |_, value| value * factor)
 }
 
-fn ending(distort: impl Fn(&mut Run)) -> Ending {
-    let motor = Motor::zk_22fc();
-    let mut escalation = Escalation::new(bounds());
-    while let Some(stage) = escalation.stage() {
-        let run = answer(stage, &motor, &distort);
-        escalation.learn(&run).unwrap();
+/// The stages of an escalation, and how it ends.
+fn run_of_stages(
+    motor: &Motor,
+    bounds: Bounds,
+    distort: impl Fn(&mut Run),
+) -> (Vec<Stage>, Outcome) {
+    let mut escalation = Escalation::new(bounds);
+    let mut stages = Vec::new();
+    while let Some(stage) = escalation.stage().cloned() {
+        escalation.learn(&answer(&stage, motor, &distort)).unwrap();
+        stages.push(stage);
     }
-    match escalation.outcome().unwrap() {
-        Outcome::Named(ending) => ending.clone(),
+    (stages, escalation.outcome().unwrap().clone())
+}
+
+fn ending(distort: impl Fn(&mut Run)) -> Ending {
+    match run_of_stages(&Motor::zk_22fc(), bounds(), distort).1 {
+        Outcome::Named(ending) => ending,
         Outcome::Found(found) => panic!("found {found:?}"),
     }
 }
 
 #[test]
-fn a_sensor_wired_the_wrong_way_round_is_named_before_anything_turns_fast() {
+fn faults_of_sensors_and_drive_are_named() {
     let found = ending(scaled(Channel::Speed, -1.0));
     let slow = matches!(found, Ending::SpeedSign { speed_rad_s, .. } if speed_rad_s.abs() < 20.0);
     assert!(slow, "{found:?}");
     let found = ending(scaled(Channel::Current, -1.0));
     let low = matches!(found, Ending::CurrentSign { voltage_v, .. } if voltage_v < 3.0);
     assert!(low, "{found:?}");
-}
-
-#[test]
-fn a_dead_speed_signal_is_told_from_a_locked_rotor_by_the_current() {
+    // The current distinguishes a dead speed signal from a locked rotor.
     let found = ending(scaled(Channel::Speed, 0.0));
     let Ending::SpeedSignalDead {
         ohm_at_rest,
@@ -81,10 +86,7 @@ fn a_dead_speed_signal_is_told_from_a_locked_rotor_by_the_current() {
     let rose = (ohm_at_rest - 1.1).abs() < 0.1 && ohm_now > 1.43;
     assert!(rose, "{ohm_at_rest} {ohm_now}");
     assert!(found.sentence().contains("dead"));
-}
-
-#[test]
-fn a_drive_that_puts_out_nothing_is_told_from_an_open_phase() {
+    // The measured voltage distinguishes a drive without an output from an open phase.
     let silence = |run: &mut Run| {
         scaled(Channel::Current, 0.0)(run);
         scaled(Channel::Speed, 0.0)(run);
@@ -103,20 +105,13 @@ fn a_drive_that_puts_out_nothing_is_told_from_an_open_phase() {
 
 /// The stages of an escalation that finds the motor.
 fn stages(motor: &Motor, bounds: Bounds) -> Vec<Stage> {
-    let mut escalation = Escalation::new(bounds);
-    let mut stages = Vec::new();
-    while let Some(stage) = escalation.stage().cloned() {
-        let run = answer(&stage, motor, |_| {});
-        escalation.learn(&run).unwrap();
-        stages.push(stage);
-    }
-    let found = matches!(escalation.outcome(), Some(Outcome::Found(_)));
-    assert!(found, "{:?}", escalation.history());
+    let (stages, outcome) = run_of_stages(motor, bounds, |_| {});
+    assert!(matches!(outcome, Outcome::Found(_)), "{outcome:?}");
     stages
 }
 
 #[test]
-fn no_stage_goes_beyond_a_limit_for_the_sake_of_the_friction() {
+fn no_stage_goes_beyond_a_limit() {
     let tight = Bounds {
         voltage_limit_v: 9.0,
         current_limit_a: 9.0,
@@ -124,15 +119,10 @@ fn no_stage_goes_beyond_a_limit_for_the_sake_of_the_friction() {
     };
     let stuck = Motor::zk_22fc().with(MotorKey::LoadTorque, 2.0);
     for stage in stages(&stuck, tight) {
-        assert!(
-            stage.peak_v <= 9.0 && stage.stop_current_a < 9.0,
-            "{stage:?}"
-        );
+        let is_within = stage.peak_v <= 9.0 && stage.stop_current_a < 9.0;
+        assert!(is_within, "{stage:?}");
     }
-}
-
-#[test]
-fn no_stage_asks_for_more_current_than_the_lowest_resistance_allows() {
+    // Nor is a step larger than the lowest resistance allows.
     let stages = stages(&Motor::zk_22fc(), bounds());
     for stage in stages.iter().filter(|stage| stage.kind == StageKind::Turn) {
         assert!(stage.peak_v / 1.1 < 0.8 * 22.8, "{stage:?}");

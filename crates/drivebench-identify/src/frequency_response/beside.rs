@@ -10,26 +10,12 @@ use serde::Serialize;
 
 use super::{
     FrequencyResponse, FrequencyResponseError, Mode, ModeKind, Pathway, PathwayResponse,
-    ResponsePoint, frequency_response, response_over,
+    ResponsePoint, continued, frequency_response, response_over,
 };
 use crate::noise::NoiseFloor;
 use crate::output_error::{FitError, predict};
 use drivebench_model::plant::{Model, Scenario};
 use drivebench_model::text::number::significant;
-
-/// Half widths of the interval that the farthest point of a band is off by at least: what chance does, it does at one point.
-const FARTHEST: f64 = 2.0;
-/// Points of a band, and lines of the spectrum that it spans: more than one estimate, none of which knows of the other.
-const FEWEST_POINTS: usize = 3;
-const FEWEST_LINES: f64 = 22.0;
-/// Points inside of their intervals that do not end a band.
-const BRIDGED: usize = 2;
-/// Share of the magnitude, and angle in radians, below which a difference is of no consequence.
-const LEAST: f64 = 0.05;
-/// Logarithm of the ratio of two neighbouring frequencies up to which a response is looked up between them.
-const WIDEST_STEP: f64 = 0.06;
-/// Share of a frequency within which two modes are the same.
-const SAME_MODE: f64 = 0.1;
 
 /// A band in which model and measurement differ by more than the intervals.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -75,17 +61,15 @@ pub fn of_model(model: &Model, scenarios: &[Scenario]) -> Result<Vec<Scenario>, 
         let noise = NoiseFloor::from_standstill(scenario)
             .unwrap_or_else(|| NoiseFloor::from_spread(scenario));
         let found = predict(model, scenario, &noise)?.trajectory;
-        // Where nothing was measured the model says nothing either: the same estimator sees the same gaps.
+        // The same gaps as in what was measured, for the same estimator.
         let in_place = |measured: &[f64], model: &[f64]| {
-            let pairs = measured.iter().zip(model);
-            let value = |(measured, model): (&f64, &f64)| {
-                if measured.is_finite() {
-                    *model
-                } else {
-                    f64::NAN
+            let mut model = model.to_vec();
+            for (value, measured) in model.iter_mut().zip(measured) {
+                if !measured.is_finite() {
+                    *value = f64::NAN;
                 }
-            };
-            pairs.map(value).collect()
+            }
+            model
         };
         Ok(Scenario {
             current_a: in_place(&scenario.current_a, &found.current_a),
@@ -132,7 +116,7 @@ impl Compared {
         let is_same = |one: &Mode, other: &Mode| {
             one.kind == other.kind
                 && one.pathway == other.pathway
-                && (one.frequency_hz / other.frequency_hz).ln().abs() < SAME_MODE
+                && (one.frequency_hz / other.frequency_hz).ln().abs() < 0.1
         };
         let departs = |mode: &Mode| {
             let mut own = self.departures.iter();
@@ -151,11 +135,11 @@ fn disagreements(scenarios: &[Scenario]) -> Result<Vec<String>, FrequencyRespons
     let [first, others @ ..] = scenarios else {
         return Ok(Vec::new());
     };
+    let mut sentences = Vec::new();
     if others.is_empty() {
-        return Ok(Vec::new());
+        return Ok(sentences);
     }
     let of_first = frequency_response(std::slice::from_ref(first))?;
-    let mut said = Vec::new();
     for other in others {
         let mut own = frequency_response(std::slice::from_ref(other))?;
         for pathway in &mut own.pathways {
@@ -165,7 +149,7 @@ fn disagreements(scenarios: &[Scenario]) -> Result<Vec<String>, FrequencyRespons
         let widest = differs
             .iter()
             .max_by(|a, b| (a.to_hz / a.from_hz).total_cmp(&(b.to_hz / b.from_hz)));
-        said.extend(widest.map(|band| {
+        sentences.extend(widest.map(|band| {
             let [from, to] = [band.from_hz, band.to_hz].map(|hz| significant(hz, 3));
             format!(
                 "from {from} to {to} Hz ({}) two runs differ by more than their intervals: are they of one machine in one state? What \
@@ -176,11 +160,12 @@ fn disagreements(scenarios: &[Scenario]) -> Result<Vec<String>, FrequencyRespons
             )
         }));
     }
-    Ok(said)
+    Ok(sentences)
 }
 
 fn departures(measured: &FrequencyResponse, model: &FrequencyResponse) -> Vec<Departure> {
-    let lines_hz = FEWEST_LINES * measured.used_s.recip() * measured.stretches as f64;
+    // Lines of more than one estimate, which are independent of each other.
+    let lines_hz = 22.0 * measured.used_s.recip() * measured.stretches as f64;
     let own = measured.pathways.iter().filter_map(|own| {
         let mut others = model.pathways.iter();
         let other = others.find(|other| other.pathway == own.pathway)?;
@@ -199,33 +184,32 @@ struct Off {
 fn bands(measured: &PathwayResponse, model: &PathwayResponse, lines_hz: f64) -> Vec<Departure> {
     let points = &measured.points;
     let all = points.iter().enumerate().filter(|(_, own)| own.is_carried);
-    let off = all.filter_map(|(at, own)| off(at, measured.pathway, own, &model.points));
-    let off: Vec<Off> = off.filter(|off| off.half_widths > 1.0).collect();
-    let pieces = off.chunk_by(|a, b| b.at - a.at <= 1 + BRIDGED);
+    let off: Vec<Off> = all
+        .filter_map(|(at, own)| off(at, measured.pathway, own, &model.points))
+        .filter(|off| off.half_widths > 1.0)
+        .collect();
+    // Two points inside of their intervals do not end a band.
+    let pieces = off.chunk_by(|a, b| b.at - a.at <= 3);
     let found = pieces.filter_map(|piece| {
         let farthest = piece
             .iter()
             .max_by(|a, b| a.half_widths.total_cmp(&b.half_widths))?;
         let (first, last) = (piece.first()?, piece.last()?);
         let (from_hz, to_hz) = (points[first.at].frequency_hz, points[last.at].frequency_hz);
-        let is_wide = piece.len() >= FEWEST_POINTS && to_hz - from_hz >= lines_hz;
-        // What is said of the band is where it matters most, in the magnitude itself.
+        let is_wide = piece.len() >= 3 && to_hz - from_hz >= lines_hz;
+        // A band is described where its magnitude is farthest off.
         let largest = piece.iter().max_by(|a, b| {
             let size = |off: &Off| off.departure.magnitude_db.abs();
             size(a).total_cmp(&size(b))
         })?;
-        (is_wide && farthest.half_widths >= FARTHEST).then_some(Departure {
+        // By chance a point is off this far alone.
+        (is_wide && farthest.half_widths >= 2.0).then_some(Departure {
             from_hz,
             to_hz,
             ..largest.departure
         })
     });
     found.collect()
-}
-
-/// Half of a point's interval, in the logarithm of its magnitude.
-fn half_width(point: &ResponsePoint) -> f64 {
-    (point.magnitude_high / point.magnitude).ln()
 }
 
 /// Magnitude, phase in degrees and half width at a frequency, between the two points about it where none is at it: records of
@@ -239,7 +223,7 @@ fn at_frequency(points: &[ResponsePoint], hertz: f64) -> Option<(f64, f64, f64)>
         points.get(place.checked_sub(1)?)?
     };
     let span = (above.frequency_hz / below.frequency_hz).ln();
-    if span > WIDEST_STEP {
+    if span > 0.06 {
         return None;
     }
     let share = if span > 0.0 {
@@ -251,18 +235,18 @@ fn at_frequency(points: &[ResponsePoint], hertz: f64) -> Option<(f64, f64, f64)>
     Some((
         between(|point| point.magnitude.ln()).exp(),
         between(|point| point.phase_deg),
-        half_width(below).max(half_width(above)),
+        below.half_width().max(above.half_width()),
     ))
 }
 
 fn off(at: usize, pathway: Pathway, own: &ResponsePoint, model: &[ResponsePoint]) -> Option<Off> {
     let (other_magnitude, other_phase_deg, other_half) = at_frequency(model, own.frequency_hz)?;
-    let half_width = half_width(own).hypot(other_half);
+    let half_width = own.half_width().hypot(other_half);
     let magnitude = (other_magnitude / own.magnitude).ln();
-    let phase_deg = other_phase_deg - own.phase_deg;
-    let phase_deg = phase_deg - 360.0 * (phase_deg / 360.0).round();
+    let phase_deg = continued(other_phase_deg - own.phase_deg, Some(0.0));
     let size = magnitude.abs().max(phase_deg.to_radians().abs());
-    (size.is_finite() && size >= LEAST).then(|| Off {
+    // Less, as a share of the magnitude or an angle in radians, is of no consequence.
+    (size.is_finite() && size >= 0.05).then(|| Off {
         at,
         half_widths: size / half_width,
         departure: Departure {

@@ -16,8 +16,6 @@ pub(super) const LINES: usize = 2 * SIDE + 1;
 const UNKNOWNS: usize = 2 * (ORDER + 1);
 /// Degrees of freedom of the noise.
 pub(super) const FREEDOM: usize = LINES - UNKNOWNS;
-/// Smallest singular value over the largest with which response and transient are told apart.
-const DETERMINED: f64 = 1e-7;
 
 /// Transforms of the input and of both outputs at one line.
 #[derive(Clone, Copy, Debug)]
@@ -39,8 +37,8 @@ pub(super) struct Local {
     pub(super) explained: [f64; 2],
 }
 
-/// From lines that stand at equal distances, the frequency `offset` of them beside the middle one. `None` where they do not tell response and transient
-/// apart: without an input, or one whose spectrum is as smooth as a transient's.
+/// From lines at equal distances, the frequency `offset` of them beside the middle one. `None` where they do not separate
+/// response and transient: without an input, or one whose spectrum is as smooth as a transient's.
 pub(super) fn local(lines: &[Line; LINES], offset: f64) -> Option<Local> {
     let size = (lines.iter().map(|line| line.input.norm_sqr()).sum::<f64>() / LINES as f64).sqrt();
     if !(size.is_finite() && size > 0.0) {
@@ -59,7 +57,7 @@ pub(super) fn local(lines: &[Line; LINES], offset: f64) -> Option<Local> {
     let right = DMatrix::from_fn(LINES, 2, |row, output| lines[row].outputs[output]);
     let factors = regressors.clone().svd(true, true);
     let values = &factors.singular_values;
-    if values.min() < DETERMINED * values.max() {
+    if values.min() < 1e-7 * values.max() {
         return None;
     }
     let found = factors.solve(&right, 0.0).ok()?;
@@ -110,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn response_is_exact_without_noise_whatever_the_transient() {
+    fn response_is_exact_without_noise() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let found = local(&lines(&mut rng, 0.0), 0.0).unwrap();
         assert!((found.response[0] - Complex::new(2.0, -1.0)).norm() < 1e-10);
@@ -124,17 +122,17 @@ mod tests {
     #[test]
     fn variance_is_that_of_the_errors() {
         let mut rng = ChaCha8Rng::seed_from_u64(2);
-        let (mut square, mut said, mut noise) = (0.0, 0.0, 0.0);
+        let (mut square, mut variance, mut noise) = (0.0, 0.0, 0.0);
         let rounds = 4000;
         for _ in 0..rounds {
             let found = local(&lines(&mut rng, 0.2), 0.0).unwrap();
             square += (found.response[0] - Complex::new(2.0, -1.0)).norm_sqr();
-            said += found.covariance[(0, 0)].re;
+            variance += found.covariance[(0, 0)].re;
             noise += found.noise[0];
         }
         let noise = (noise / f64::from(rounds)).sqrt();
         assert!((noise - 0.2).abs() < 0.005, "{noise}");
-        let ratio = square / said;
+        let ratio = square / variance;
         assert!((0.85..1.15).contains(&ratio), "{ratio}");
     }
 
@@ -150,9 +148,7 @@ mod tests {
             input: Complex::new(1.0, 0.0),
             ..line
         };
-        assert!(
-            local(&[steady; LINES], 0.0).is_none(),
-            "as smooth as a transient"
-        );
+        // As smooth as a transient.
+        assert!(local(&[steady; LINES], 0.0).is_none());
     }
 }

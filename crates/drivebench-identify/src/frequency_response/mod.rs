@@ -8,7 +8,7 @@
 //! ```
 //!
 //! Any excitation serves that has many frequencies: a chirp, a pseudo-random sequence, a sum of sines. A shaft that passes
-//! zero has friction that jumps, which no linear response describes; stretches of one direction are therefore looked for, and
+//! zero has friction that jumps, which no linear response describes; stretches of one direction are therefore used, and
 //! an excitation about an offset has one.
 
 mod beside;
@@ -27,48 +27,23 @@ pub use self::beside::{Compared, Departure, compared, of_model};
 use self::local_polynomial::{FREEDOM, LINES, Line, Local, SIDE, local};
 use self::rational::{Lines, Pair};
 use drivebench_model::numerics::count::whole;
-use drivebench_model::numerics::statistics::{mean, median_step};
+use drivebench_model::numerics::statistics::{largest, mean, median_step};
 use drivebench_model::plant::{Input, Scenario};
 use drivebench_model::sample::TWO_SIDED_95;
 use drivebench_model::signal::{Point, holding_since};
 use drivebench_model::text::number::{shortest, with_std};
 
-/// Points per decade.
-const PER_DECADE: f64 = 100.0;
-/// Highest frequency, in sampling rates: above it too little separates a response from its image.
-const HIGHEST: f64 = 0.3;
-/// Half width of a point's interval, as a share, with which it still counts as carried.
-const WIDEST: f64 = 0.5;
-/// Share of what is corrected between the samples that is left in doubt: a command need not be held from sample to sample.
-const DOUBT: f64 = 0.25;
 /// Least coherence with which a point counts as carried by the excitation.
 pub const CARRIED: f64 = 0.8;
-/// Share of the largest speed below which a shaft counts as about to turn round.
-const TURNING: f64 = 0.02;
-/// Rows and seconds of a stretch that is worth looking at.
+/// Fewest rows and seconds of a stretch.
 const FEWEST_ROWS: usize = 200;
 const SHORTEST_S: f64 = 1.0;
-/// Longest stretch, rows, and most stretches: what is longer is cut, and adds nothing that averaging has not shown.
+/// Longest stretch, rows: what is longer is cut.
 const LONGEST_ROWS: usize = 16_384;
-const MOST_STRETCHES: usize = 12;
-/// Stretches and lines of each from which poles and zeros are taken.
-const FITTED_STRETCHES: usize = 3;
-const FITTED_LINES: usize = 1_200;
-/// Student's t, two-sided 95 %, for the ten real degrees of freedom of one stretch.
-const STUDENT_95: f64 = 2.23;
-/// Steps between carried points within which a band goes on, and points of a band.
-const BRIDGED: usize = 4;
-const FEWEST_OF_A_BAND: usize = 3;
-/// How far a peak stands from its frequency at the most, and in dampings how far from it what it stands above, as shares; and
-/// by how much it does at least, as a logarithm: 3 dB.
+/// Lines of a stretch from which poles and zeros are taken.
+const FITTED_LINES: f64 = 1_200.0;
+/// Share of its frequency that a peak may stand beside it.
 const NEAREST: f64 = 0.025;
-const ASIDE: f64 = 3.0;
-const FARTHEST: f64 = 0.6;
-const LEAST_CONTRAST: f64 = 0.35;
-/// Damping above which a pair makes no peak to speak of, and the deviations beyond which a pair is not known well enough to be named.
-const MOST_DAMPING: f64 = 0.4;
-const MOST_FREQUENCY_SHARE: f64 = 0.05;
-const MOST_DAMPING_SHARE: f64 = 0.5;
 
 /// From which signal to which.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -76,7 +51,7 @@ const MOST_DAMPING_SHARE: f64 = 0.5;
 pub enum Pathway {
     VoltageToSpeed,
     VoltageToCurrent,
-    /// The mechanics alone, whatever the winding does: the ratio of the other two.
+    /// The mechanics without the winding: the ratio of the other two.
     CurrentToSpeed,
 }
 
@@ -87,29 +62,25 @@ impl Pathway {
         Self::CurrentToSpeed,
     ];
 
-    pub const fn name(self) -> &'static str {
+    /// Name, key as an argument names it, and unit.
+    const fn labels(self) -> [&'static str; 3] {
         match self {
-            Self::VoltageToSpeed => "voltage to speed",
-            Self::VoltageToCurrent => "voltage to current",
-            Self::CurrentToSpeed => "current to speed",
+            Self::VoltageToSpeed => ["voltage to speed", "voltage-to-speed", "rad/s per V"],
+            Self::VoltageToCurrent => ["voltage to current", "voltage-to-current", "A per V"],
+            Self::CurrentToSpeed => ["current to speed", "current-to-speed", "rad/s per A"],
         }
     }
 
-    /// As an argument names it.
+    pub const fn name(self) -> &'static str {
+        self.labels()[0]
+    }
+
     pub const fn key(self) -> &'static str {
-        match self {
-            Self::VoltageToSpeed => "voltage-to-speed",
-            Self::VoltageToCurrent => "voltage-to-current",
-            Self::CurrentToSpeed => "current-to-speed",
-        }
+        self.labels()[1]
     }
 
     pub const fn unit(self) -> &'static str {
-        match self {
-            Self::VoltageToSpeed => "rad/s per V",
-            Self::VoltageToCurrent => "A per V",
-            Self::CurrentToSpeed => "rad/s per A",
-        }
+        self.labels()[2]
     }
 }
 
@@ -128,6 +99,13 @@ pub struct ResponsePoint {
     pub coherence: f64,
     /// Whether the excitation carries this point.
     pub is_carried: bool,
+}
+
+impl ResponsePoint {
+    /// Half of the interval, in the logarithm of the magnitude.
+    fn half_width(&self) -> f64 {
+        (self.magnitude_high / self.magnitude).ln()
+    }
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -196,13 +174,17 @@ impl FrequencyResponse {
 
     /// The modes of a pathway, the lowest first.
     pub fn modes_of(&self, pathway: Pathway) -> Vec<Mode> {
-        let own = self.modes.iter().filter(|mode| mode.pathway == pathway);
-        let mut own: Vec<Mode> = own.copied().collect();
+        let mut own: Vec<Mode> = self
+            .modes
+            .iter()
+            .filter(|mode| mode.pathway == pathway)
+            .copied()
+            .collect();
         own.sort_by(|a, b| a.frequency_hz.total_cmp(&b.frequency_hz));
         own
     }
 
-    /// The pathway that tells most: the mechanics alone where they swing, else the first that is carried.
+    /// The pathway to show first: the mechanics alone where they resonate, else the first that is carried.
     pub fn telling(&self) -> Option<Pathway> {
         let mechanics = Pathway::CurrentToSpeed;
         if !self.modes_of(mechanics).is_empty() {
@@ -230,11 +212,10 @@ impl PathwayResponse {
             .filter(|(_, point)| point.is_carried)
             .map(|(at, point)| (at, point.frequency_hz))
             .collect();
-        let bands = carried.chunk_by(|a, b| b.0 - a.0 <= BRIDGED);
-        let bands = bands.filter(|band| band.len() >= FEWEST_OF_A_BAND);
-        bands
-            .map(|band| (band[0].1, band[band.len() - 1].1))
-            .collect()
+        let bands = carried.chunk_by(|a, b| b.0 - a.0 <= 4);
+        let bands = bands.filter(|band| band.len() >= 3);
+        let ends = bands.map(|band| (band[0].1, band[band.len() - 1].1));
+        ends.collect()
     }
 }
 
@@ -283,13 +264,13 @@ impl Stretch {
     fn of(scenario: &Scenario, rows: &Range<usize>) -> Self {
         let time_s = scenario.sample_time_s[rows.clone()].to_vec();
         let (begin_s, end_s) = (time_s[0], time_s[time_s.len() - 1]);
-        let held = holding_since(&scenario.events, begin_s).iter();
-        let held = held.take_while(|event| event.0 < end_s);
+        let held = holding_since(&scenario.events, begin_s)
+            .iter()
+            .take_while(|event| event.0 < end_s);
         let input = held.map(|&(at_s, value)| (at_s.max(begin_s), value));
         let column = |values: &[f64]| {
-            values
-                .get(rows.clone())
-                .map_or_else(|| vec![f64::NAN; rows.len()], <[f64]>::to_vec)
+            let own = values.get(rows.clone()).map(<[f64]>::to_vec);
+            own.unwrap_or_else(|| vec![f64::NAN; rows.len()])
         };
         Self {
             input: input.collect(),
@@ -305,9 +286,8 @@ impl Stretch {
     }
 
     fn is_steady(&self) -> bool {
-        let first = self.input.first().map(|event| event.1);
-        let mut events = self.input.iter();
-        events.all(|event| Some(event.1.to_bits()) == first.map(f64::to_bits))
+        let mut pairs = self.input.windows(2);
+        pairs.all(|pair| pair[0].1.to_bits() == pair[1].1.to_bits())
     }
 
     fn line(&self, frequency_hz: f64) -> Line {
@@ -341,16 +321,14 @@ impl Stretch {
 /// whether it is. Long stretches are cut.
 fn stretches(scenario: &Scenario) -> (Vec<Range<usize>>, bool) {
     let (speed, time_s) = (&scenario.speed_rad_s, &scenario.sample_time_s);
-    let largest = speed
-        .iter()
-        .filter(|w| w.is_finite())
-        .fold(0.0_f64, |most, w| most.max(w.abs()));
+    // Slower than this a shaft counts as about to turn round.
+    let slow_rad_s = 0.02 * largest(speed);
     let mut found: Vec<Range<usize>> = Vec::new();
     let mut open: Option<(usize, f64)> = None;
     for row in 0..=time_s.len() {
         let now = speed.get(row).copied().unwrap_or(0.0);
         let is_missing = row < time_s.len() && !now.is_finite();
-        let turns = now.abs() > TURNING * largest;
+        let turns = now.abs() > slow_rad_s;
         if is_missing || open.is_some_and(|(_, sign)| turns && now * sign > 0.0) {
             continue;
         }
@@ -376,7 +354,8 @@ fn stretches(scenario: &Scenario) -> (Vec<Range<usize>>, bool) {
             from..(from + size).min(rows.end)
         })
     });
-    (cut.take(MOST_STRETCHES).collect(), keeps_turning)
+    // More add nothing that averaging has not shown.
+    (cut.take(12).collect(), keeps_turning)
 }
 
 /// The response of what was measured in `scenarios`, all of one plant.
@@ -404,8 +383,8 @@ fn response_over(
             return Err(FrequencyResponseError::NoVoltage { run: run(), input });
         }
         let time_s = &scenario.sample_time_s;
-        let seconds =
-            time_s.last().copied().unwrap_or(0.0) - time_s.first().copied().unwrap_or(0.0);
+        let ends = time_s.first().zip(time_s.last());
+        let seconds = ends.map_or(0.0, |(first, last)| last - first);
         if time_s.len() < FEWEST_ROWS || seconds < SHORTEST_S {
             let rows = time_s.len();
             return Err(FrequencyResponseError::Short {
@@ -421,18 +400,12 @@ fn response_over(
                 scenario.name
             ));
         }
-        let made: Vec<Stretch> = rows
-            .iter()
-            .map(|rows| Stretch::of(scenario, rows))
-            .collect();
-        let made: Vec<Stretch> = made
-            .into_iter()
-            .filter(|stretch| !stretch.is_steady())
-            .collect();
-        if made.is_empty() {
+        let before = all.len();
+        let made = rows.iter().map(|rows| Stretch::of(scenario, rows));
+        all.extend(made.filter(|stretch| !stretch.is_steady()));
+        if all.len() == before {
             return Err(FrequencyResponseError::Steady { run: run() });
         }
-        all.extend(made);
     }
     Ok(Estimator::over(all).response(cautions))
 }
@@ -456,9 +429,7 @@ struct Estimator {
 impl Estimator {
     fn over(stretches: Vec<Stretch>) -> Self {
         let has = [0, 1].map(|output| {
-            let mut all = stretches
-                .iter()
-                .flat_map(|stretch| &stretch.outputs[output]);
+            let mut all = stretches.iter().flat_map(|own| &own.outputs[output]);
             all.any(|value| value.is_finite())
         });
         let periods = stretches.iter().map(|stretch| stretch.period_s);
@@ -466,8 +437,10 @@ impl Estimator {
         let longest_s = stretches.iter().map(Stretch::length_s).fold(0.0, f64::max);
         let apart_hz = 1.0 / longest_s;
         let lowest_hz = (SIDE + 1) as f64 * apart_hz;
-        let highest_hz = HIGHEST / period_s;
-        let factor = 10.0_f64.powf(1.0 / PER_DECADE);
+        // Above it too little separates a response from its image.
+        let highest_hz = 0.3 / period_s;
+        // 100 points a decade.
+        let factor = 10.0_f64.powf(1.0 / 100.0);
         let next = |hertz: &f64| {
             let lines = (hertz * factor / apart_hz).round();
             Some((lines * apart_hz).max(hertz + apart_hz))
@@ -489,12 +462,7 @@ impl Estimator {
         let locals: Vec<Vec<Option<Local>>> = self
             .frequencies_hz
             .par_iter()
-            .map(|hertz| {
-                self.stretches
-                    .iter()
-                    .map(|stretch| stretch.local(*hertz))
-                    .collect()
-            })
+            .map(|hertz| self.stretches.iter().map(|own| own.local(*hertz)).collect())
             .collect();
         let pooled: Vec<Option<Pooled>> = locals.iter().map(|at| Self::pooled(at)).collect();
         let pathways = Pathway::ALL.into_iter().filter(|pathway| match pathway {
@@ -511,8 +479,8 @@ impl Estimator {
             .collect();
         let modes = self.modes(&locals, &pathways);
         let sampling_hz = 1.0 / self.period_s;
-        let carried = pathways.iter().flat_map(|pathway| &pathway.points);
-        if !carried.into_iter().any(|point| point.is_carried) {
+        let mut points = pathways.iter().flat_map(|pathway| &pathway.points);
+        if !points.any(|point| point.is_carried) {
             cautions.push(format!(
                 "no frequency has a coherence of {CARRIED}: the excitation is too weak, or what is measured does not follow it"
             ));
@@ -529,10 +497,11 @@ impl Estimator {
         }
     }
 
-    /// Share of a response that is in doubt for what happens between the samples.
+    /// Share of a response that is in doubt for what happens between the samples: a quarter of the correction, since a command
+    /// need not be held from sample to sample.
     fn doubt(&self, frequency_hz: f64) -> f64 {
         let [current, _] = spectrum::between_samples(frequency_hz * self.period_s);
-        DOUBT * (1.0 - current)
+        0.25 * (1.0 - current)
     }
 
     /// The stretches together, each output weighed by its variance.
@@ -546,23 +515,26 @@ impl Estimator {
                 let variance = local.covariance[(output, output)].re;
                 1.0 / variance.max(f64::MIN_POSITIVE)
             };
-            let sum: f64 = known.iter().map(weight).sum();
-            known
-                .iter()
-                .map(|local| weight(local) / sum)
+            let weights: Vec<f64> = known.iter().map(weight).collect();
+            let sum: f64 = weights.iter().sum();
+            weights
+                .into_iter()
+                .map(|weight| weight / sum)
                 .collect::<Vec<f64>>()
         });
         let response = [0, 1].map(|output| {
-            let parts = known.iter().zip(&shares[output]);
-            parts
-                .map(|(local, share)| local.response[output] * *share)
-                .sum()
+            let parts = known
+                .iter()
+                .zip(&shares[output])
+                .map(|(local, share)| local.response[output] * *share);
+            parts.sum()
         });
         let covariance = Matrix2::from_fn(|a, b| {
-            let parts = known.iter().enumerate();
-            parts
-                .map(|(k, local)| local.covariance[(a, b)] * (shares[a][k] * shares[b][k]))
-                .sum()
+            let parts = known
+                .iter()
+                .zip(shares[a].iter().zip(&shares[b]))
+                .map(|(local, (one, other))| local.covariance[(a, b)] * (one * other));
+            parts.sum()
         });
         let coherence = [0, 1].map(|output| {
             let explained: f64 = known.iter().map(|local| local.explained[output]).sum();
@@ -603,8 +575,9 @@ impl Estimator {
             if !(value.re.is_finite() && value.im.is_finite() && variance.is_finite()) {
                 return None;
             }
-            // A complex error has half of its variance along the phasor and half across it.
-            let half_width = STUDENT_95 * (0.5 * variance).sqrt() + doubt;
+            // A complex error has half of its variance along the phasor and half across it; Student's t, two-sided 95 %, is that of
+            // the ten real degrees of freedom of one stretch.
+            let half_width = 2.23 * (0.5 * variance).sqrt() + doubt;
             let phase_deg = continued(value.arg().to_degrees(), before);
             before = Some(phase_deg);
             let magnitude = value.norm();
@@ -616,14 +589,14 @@ impl Estimator {
                 phase_deg,
                 phase_half_width_deg: half_width.to_degrees().min(180.0),
                 coherence,
-                is_carried: coherence >= CARRIED && half_width <= WIDEST,
+                is_carried: coherence >= CARRIED && half_width <= 0.5,
             })
         });
         points.collect()
     }
 
     fn modes(&self, locals: &[Vec<Option<Local>>], pathways: &[PathwayResponse]) -> Vec<Mode> {
-        let lines: Vec<Lines> = (0..self.stretches.len().min(FITTED_STRETCHES))
+        let lines: Vec<Lines> = (0..self.stretches.len().min(3))
             .map(|stretch| self.lines(stretch, locals))
             .collect();
         let Some(found) = rational::fit(&lines, self.period_s) else {
@@ -648,29 +621,26 @@ impl Estimator {
         let mut modes = Vec::new();
         if self.has[1] {
             modes.extend(zeros(1).iter().map(|pair| mode(anti, voltage, pair)));
-            modes.extend(
-                found
-                    .poles
-                    .iter()
-                    .map(|pair| mode(resonance, voltage, pair)),
-            );
+            let poles = found.poles.iter();
+            modes.extend(poles.map(|pair| mode(resonance, voltage, pair)));
         }
         if self.has[0] && self.has[1] {
             // Speed over current: the numerator of the current is the denominator of the mechanics.
             modes.extend(zeros(1).iter().map(|pair| mode(anti, mechanics, pair)));
             modes.extend(zeros(0).iter().map(|pair| mode(resonance, mechanics, pair)));
         }
-        let is_seen = |mode: &Mode| {
+        let shows = |mode: &Mode| {
             let own = pathways.iter().find(|own| own.pathway == mode.pathway);
-            own.is_some_and(|own| is_seen(mode, &own.points))
+            own.is_some_and(|own| has_extremum(mode, &own.points))
         };
+        // More damping makes no peak; a pair of larger deviations is not known well enough to be named.
         modes.retain(|mode| {
             (self.lowest_hz..=self.highest_hz).contains(&mode.frequency_hz)
                 && mode.damping_ratio > 0.0
-                && mode.damping_ratio < MOST_DAMPING
-                && mode.frequency_std_hz < MOST_FREQUENCY_SHARE * mode.frequency_hz
-                && mode.damping_std < MOST_DAMPING_SHARE * mode.damping_ratio
-                && is_seen(mode)
+                && mode.damping_ratio < 0.4
+                && mode.frequency_std_hz < 0.05 * mode.frequency_hz
+                && mode.damping_std < 0.5 * mode.damping_ratio
+                && shows(mode)
         });
         modes
     }
@@ -680,7 +650,7 @@ impl Estimator {
         let own = &self.stretches[stretch];
         let apart_hz = 1.0 / own.length_s();
         let (first, last) = (self.lowest_hz / apart_hz, self.highest_hz / apart_hz);
-        let stride = (((last - first) / FITTED_LINES as f64).ceil()).max(1.0);
+        let stride = (((last - first) / FITTED_LINES).ceil()).max(1.0);
         let count = whole(((last - first) / stride).floor());
         let frequency_hz: Vec<f64> = (0..=count)
             .map(|n| (first.ceil() + n as f64 * stride) * apart_hz)
@@ -699,13 +669,10 @@ impl Estimator {
             mean(&variances).sqrt().hypot(doubt)
         };
         let outputs = (0..2).filter(|output| self.has[*output]).map(|output| {
-            let measured: Vec<Complex<f64>> =
-                lines.iter().map(|line| line.outputs[output]).collect();
-            let all = frequency_hz.iter().zip(&measured);
-            let deviation = all
-                .map(|(hertz, measured)| noise(output, *hertz, *measured))
-                .collect();
-            (measured, deviation)
+            let measured = lines.iter().map(|line| line.outputs[output]);
+            let all = frequency_hz.iter().zip(measured.clone());
+            let deviation = all.map(|(hertz, measured)| noise(output, *hertz, measured));
+            (measured.collect(), deviation.collect())
         });
         Lines {
             input: lines.iter().map(|line| line.input).collect(),
@@ -717,37 +684,33 @@ impl Estimator {
 
 /// Whether the measured magnitude itself has the peak, or the dip, of a mode, beyond its intervals: a pair of roots alone may
 /// be what a fit has made of something else, as of what happens between the samples.
-fn is_seen(mode: &Mode, points: &[ResponsePoint]) -> bool {
+fn has_extremum(mode: &Mode, points: &[ResponsePoint]) -> bool {
     let place = |hertz: f64| points.partition_point(|point| point.frequency_hz < hertz);
     let sign = match mode.kind {
         ModeKind::Resonance => 1.0,
         ModeKind::AntiResonance => -1.0,
     };
     let near = mode.damping_ratio.max(NEAREST);
-    let (first, last) = (
-        place(mode.frequency_hz * (1.0 - near)),
-        place(mode.frequency_hz * (1.0 + near)),
-    );
+    let [first, last] = [1.0 - near, 1.0 + near].map(|factor| place(mode.frequency_hz * factor));
     let height = |point: &ResponsePoint| sign * point.magnitude.ln();
     let near = points.get(first..=last).into_iter().flatten();
     let Some(top) = near.max_by(|a, b| height(a).total_cmp(&height(b))) else {
         return false;
     };
-    let aside = (ASIDE * mode.damping_ratio).clamp(2.0 * NEAREST, FARTHEST);
+    // The sides lie three dampings away.
+    let aside = (3.0 * mode.damping_ratio).clamp(2.0 * NEAREST, 0.6);
     let sides = [1.0 - aside, 1.0 / (1.0 - aside)].map(|factor| place(mode.frequency_hz * factor));
     let [Some(below), Some(above)] = sides.map(|at| points.get(at)) else {
         return false;
     };
     let contrast = height(top) - 0.5 * (height(below) + height(above));
-    let half = |point: &ResponsePoint| (point.magnitude_high / point.magnitude).ln();
-    let unsure = half(top).hypot(0.5 * half(below).hypot(half(above)));
-    let sides_carried = [below, above].map(|side| side.is_carried);
+    let of_sides = below.half_width().hypot(above.half_width());
+    let unsure = top.half_width().hypot(0.5 * of_sides);
     // A dip is where little comes out, and the far side of a peak may be below the noise.
-    let is_carried = match sides_carried {
-        [true, true] => true,
-        [one, other] => top.is_carried && (one || other),
-    };
-    is_carried && contrast > LEAST_CONTRAST && contrast > unsure
+    let sides = [below, above].iter().filter(|side| side.is_carried).count();
+    let is_carried = sides + usize::from(top.is_carried) >= 2;
+    // At least 3 dB, as a logarithm.
+    is_carried && contrast > 0.35 && contrast > unsure
 }
 
 /// A phase moved by whole turns to within half a turn of the one before.

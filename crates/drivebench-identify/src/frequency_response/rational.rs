@@ -8,6 +8,7 @@
 use nalgebra::{Complex, DMatrix, DVector};
 
 use drivebench_model::numerics::levenberg_marquardt::{Options, Problem, minimise};
+use drivebench_model::numerics::statistics::largest;
 
 /// Lines of one stretch, all of one plant.
 pub(super) struct Lines {
@@ -16,13 +17,6 @@ pub(super) struct Lines {
     /// For each output what was measured and the deviation of its noise, per line.
     pub(super) outputs: Vec<(Vec<Complex<f64>>, Vec<f64>)>,
 }
-
-/// Orders of the denominator that are tried.
-const ORDERS: std::ops::RangeInclusive<usize> = 2..=6;
-/// Rounds of the iteration that only starts the search.
-const ROUNDS: usize = 8;
-/// Dead times from which it starts, in periods of the record.
-const DEAD_TIMES: [f64; 3] = [0.0, 1.0, 2.0];
 
 /// A root of the denominator, or of the numerator of an output: a pair that swings.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,15 +38,8 @@ pub(super) struct Rational {
 /// The model of the order that pays for its parameters; `None` where no order has a minimum.
 pub(super) fn fit(stretches: &[Lines], period_s: f64) -> Option<Rational> {
     let task = Task::new(stretches, period_s)?;
-    let mut best: Option<(f64, Rational)> = None;
-    for order in ORDERS {
-        let Some((score, found)) = task.of_order(order) else {
-            continue;
-        };
-        if best.as_ref().is_none_or(|(least, _)| score < *least) {
-            best = Some((score, found));
-        }
-    }
+    let all = (2..=6).filter_map(|order| task.of_order(order));
+    let best = all.min_by(|a, b| a.0.total_cmp(&b.0));
     best.map(|(_, found)| found)
 }
 
@@ -174,8 +161,10 @@ impl Task {
         if count < 4 * size {
             return None;
         }
-        let starts = DEAD_TIMES.map(|periods| self.start(layout, periods * self.period));
-        let starts = starts.into_iter().flatten();
+        let starts = [0.0, 1.0, 2.0]
+            .map(|periods| self.start(layout, periods * self.period))
+            .into_iter()
+            .flatten();
         let (_, start) = starts.min_by(|a, b| a.0.total_cmp(&b.0))?;
         let scale: Vec<f64> = start.iter().map(|value| value.abs().max(1e-9)).collect();
         let model = Model {
@@ -192,12 +181,7 @@ impl Task {
         let minimum = minimise(&model, &x, options)?;
         let (n, k) = (count as f64, size as f64);
         let score = n * (minimum.cost / n).ln() + k * n.ln();
-        let parameters: Vec<f64> = minimum
-            .x
-            .iter()
-            .zip(&model.scale)
-            .map(|(x, s)| x * s)
-            .collect();
+        let parameters = model.parameters(&minimum.x);
         let excess = (minimum.cost / (n - k)).max(1.0);
         let inverse = (minimum.jacobian.tr_mul(&minimum.jacobian)).try_inverse()?;
         let covariance = DMatrix::from_fn(size, size, |a, b| {
@@ -223,22 +207,18 @@ impl Task {
         let unknowns = layout.size(self.stretches) - 1;
         let mut found = vec![0.0; unknowns + 1];
         found[unknowns] = dead_time;
-        let mut is_first = true;
-        for _ in 0..ROUNDS {
+        for round in 0..8 {
             let mut matrix = DMatrix::zeros(2 * self.rows.len(), unknowns);
             let mut right = DVector::zeros(2 * self.rows.len());
             for (number, row) in self.rows.iter().enumerate() {
                 let late = (-row.s * dead_time).exp();
-                let before = if is_first {
+                let before = if round == 0 {
                     // As steep as the denominator: else the highest lines would decide alone.
-                    Complex::new(
-                        (1.0 + row.s.norm()).powi(i32::try_from(layout.order).unwrap_or(0)),
-                        0.0,
-                    )
+                    (1.0 + row.s.norm()).powi(i32::try_from(layout.order).unwrap_or(0))
                 } else {
-                    monic(&found[layout.denominator()], row.s)
+                    monic(&found[layout.denominator()], row.s).norm()
                 };
-                let weight = row.weight / before.norm();
+                let weight = row.weight / before;
                 let mut put = |range: std::ops::Range<usize>, times: Complex<f64>| {
                     for (column, power) in range.zip(powers(row.s)) {
                         let term = power * times * weight;
@@ -248,10 +228,8 @@ impl Task {
                 };
                 put(layout.denominator(), -row.measured);
                 put(layout.numerator(row.output), row.input * late);
-                put(
-                    layout.transient(row.stretch, row.output),
-                    Complex::new(1.0, 0.0),
-                );
+                let transient = layout.transient(row.stretch, row.output);
+                put(transient, Complex::new(1.0, 0.0));
                 let leading = powers(row.s).nth(layout.order).unwrap_or_default();
                 let known = row.measured * leading * weight;
                 right[2 * number] = known.re;
@@ -274,27 +252,19 @@ impl Task {
             for ((value, solved), scale) in found.iter_mut().zip(solved.iter()).zip(&scales) {
                 *value = solved / scale;
             }
-            is_first = false;
         }
-        let cost = self
-            .rows
-            .iter()
-            .map(|row| Self::error(layout, &found, row).norm_sqr())
-            .sum();
-        found
-            .iter()
-            .all(|value| value.is_finite())
-            .then_some((cost, found))
+        let errors = self.rows.iter().map(|row| Self::error(layout, &found, row));
+        let cost = errors.map(|error| error.norm_sqr()).sum();
+        let is_finite = found.iter().all(|value| value.is_finite());
+        is_finite.then_some((cost, found))
     }
 
     /// What the model is off by at a line, in deviations of a part.
     fn error(layout: Layout, parameters: &[f64], row: &Row) -> Complex<f64> {
         let late = (-row.s * parameters[parameters.len() - 1]).exp();
         let numerator = value(&parameters[layout.numerator(row.output)], row.s) * late * row.input;
-        let transient = value(
-            &parameters[layout.transient(row.stretch, row.output)],
-            row.s,
-        );
+        let transient = layout.transient(row.stretch, row.output);
+        let transient = value(&parameters[transient], row.s);
         let denominator = monic(&parameters[layout.denominator()], row.s);
         (row.measured - (numerator + transient) / denominator) * row.weight
     }
@@ -309,10 +279,8 @@ struct Model<'a> {
 
 impl Model<'_> {
     fn parameters(&self, x: &[f64]) -> Vec<f64> {
-        x.iter()
-            .zip(&self.scale)
-            .map(|(x, scale)| x * scale)
-            .collect()
+        let pairs = x.iter().zip(&self.scale);
+        pairs.map(|(x, scale)| x * scale).collect()
     }
 }
 
@@ -359,10 +327,8 @@ impl Problem for Model<'_> {
                     slopes[column][2 * number + 1] = slope.im;
                 }
             };
-            put(
-                self.layout.denominator(),
-                whole / (denominator * denominator),
-            );
+            let of_denominator = whole / (denominator * denominator);
+            put(self.layout.denominator(), of_denominator);
             put(self.layout.numerator(row.output), -driven / denominator);
             put(transient, -Complex::new(1.0, 0.0) / denominator);
             put(last..last + 1, row.s * numerator / denominator);
@@ -379,9 +345,7 @@ fn pairs(coefficients: &[f64], is_monic: bool, covariance: &DMatrix<f64>, unit: 
         all.push(1.0);
     }
     // A leading coefficient that is nothing beside the others would be a root at infinity.
-    let largest = all
-        .iter()
-        .fold(0.0_f64, |most, value| most.max(value.abs()));
+    let largest = largest(&all);
     while all.len() > 1 && all.last().is_some_and(|last| last.abs() < 1e-9 * largest) {
         all.pop();
     }
@@ -397,12 +361,7 @@ fn pairs(coefficients: &[f64], is_monic: bool, covariance: &DMatrix<f64>, unit: 
             f64::from(u8::from(row == column + 1))
         }
     });
-    let slopes: Vec<f64> = all
-        .iter()
-        .enumerate()
-        .skip(1)
-        .map(|(k, c)| k as f64 * c)
-        .collect();
+    let slopes: Vec<f64> = (1..=degree).map(|k| k as f64 * all[k]).collect();
     let roots = companion.complex_eigenvalues();
     let mut found: Vec<Pair> = roots
         .iter()
@@ -411,13 +370,10 @@ fn pairs(coefficients: &[f64], is_monic: bool, covariance: &DMatrix<f64>, unit: 
             let size = root.norm();
             let damping_ratio = -root.re / size;
             let steep = value(&slopes, *root);
-            let moved: Vec<Complex<f64>> = powers(*root)
-                .take(coefficients.len())
-                .map(|power| -power / steep)
-                .collect();
             let variance = |gradient: &dyn Fn(Complex<f64>) -> f64| {
-                let gradient: Vec<f64> = moved.iter().map(|by| gradient(*by)).collect();
-                let gradient = DVector::from_vec(gradient);
+                let moved = powers(*root).map(|power| -power / steep);
+                let gradient = moved.take(coefficients.len()).map(gradient);
+                let gradient = DVector::from_vec(gradient.collect());
                 (gradient.transpose() * covariance * &gradient)[(0, 0)].max(0.0)
             };
             let longer = |by: Complex<f64>| (root.conj() * by).re / size;

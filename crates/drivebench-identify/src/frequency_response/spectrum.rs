@@ -10,11 +10,6 @@ use nalgebra::Complex;
 
 use drivebench_model::signal::Point;
 
-/// Rows after which a turning phasor is computed anew: a product of so many keeps 14 digits.
-const RENEWED: usize = 256;
-/// Two steps of time are the same when they differ by less, s: what is left of a decimal stamp.
-const SAME_STEP_S: f64 = 1e-9;
-
 /// `exp(-j 2 pi f t)` from one instant to the next, cheap where the steps are equal.
 struct Phasor {
     frequency_rad_s: f64,
@@ -41,12 +36,13 @@ impl Phasor {
     fn moved_to(&mut self, time_s: f64) -> Complex<f64> {
         let step_s = time_s - self.time_s;
         self.since += 1;
-        if self.since >= RENEWED {
+        // A product of 256 factors keeps 14 digits.
+        if self.since >= 256 {
             self.since = 0;
             self.value = Complex::cis(-self.frequency_rad_s * time_s);
         } else {
-            // Nor is there one before the first.
-            let differs = (step_s - self.step_s).abs() >= SAME_STEP_S;
+            // Decimal stamps round equal steps to the nanosecond; there is none before the first.
+            let differs = (step_s - self.step_s).abs() >= 1e-9;
             if differs || self.step_s.is_nan() {
                 self.step_s = step_s;
                 self.turn = Complex::cis(-self.frequency_rad_s * step_s);
@@ -80,21 +76,20 @@ pub(super) fn of_held(pieces: &[Point], end_s: f64, frequency_hz: f64) -> Comple
 /// Of samples, by the trapezoid rule without the mean; a cell without a number is bridged by its neighbours. For what has
 /// nothing above half the sampling rate the sum over equal steps is exact.
 pub(super) fn of_samples(time_s: &[f64], values: &[f64], frequency_hz: f64) -> Complex<f64> {
-    let known = || {
-        time_s
-            .iter()
-            .zip(values)
-            .filter(|(_, value)| value.is_finite())
-    };
-    let Some((&begin_s, &first)) = known().next() else {
+    let mut known = time_s
+        .iter()
+        .zip(values)
+        .filter(|(_, value)| value.is_finite());
+    let all = known.clone();
+    let Some((&begin_s, &first)) = known.next() else {
         return Complex::new(0.0, 0.0);
     };
-    let count = known().count() as f64;
-    let mean = known().map(|(_, value)| value).sum::<f64>() / count;
+    let count = all.clone().count() as f64;
+    let mean = all.map(|(_, value)| value).sum::<f64>() / count;
     let mut phasor = Phasor::at(frequency_hz, begin_s);
     let mut before = (begin_s, phasor.value * (first - mean));
     let mut sum = Complex::new(0.0, 0.0);
-    for (&time_s, value) in known().skip(1) {
+    for (&time_s, value) in known {
         let now = phasor.moved_to(time_s) * (value - mean);
         sum += (before.1 + now) * (0.5 * (time_s - before.0));
         before = (time_s, now);
@@ -129,11 +124,8 @@ mod tests {
             let w = TAU * hertz;
             let j = Complex::new(0.0, w);
             let of = |from: f64, to: f64| (Complex::cis(-w * from) - Complex::cis(-w * to)) / j;
-            near(
-                of_held(&pieces, 5.0, hertz),
-                of(1.0, 3.0) - of(0.0, 5.0) * 0.4,
-                1e-12,
-            );
+            let expected = of(1.0, 3.0) - of(0.0, 5.0) * 0.4;
+            near(of_held(&pieces, 5.0, hertz), expected, 1e-12);
         }
     }
 
@@ -150,12 +142,9 @@ mod tests {
             near(of_samples(&uneven, &values(&uneven), hertz), expected, 2e-4);
             near(of_samples(&even, &holed, hertz), expected, 1e-5);
         }
-        near(of_samples(&[], &[], 1.0), Complex::new(0.0, 0.0), 1e-300);
-        let none = [f64::NAN; 3];
-        near(
-            of_samples(&[0.0, 1.0, 2.0], &none, 1.0),
-            Complex::new(0.0, 0.0),
-            1e-300,
-        );
+        let none = of_samples(&[0.0, 1.0, 2.0], &[f64::NAN; 3], 1.0);
+        for empty in [of_samples(&[], &[], 1.0), none] {
+            near(empty, Complex::new(0.0, 0.0), 1e-300);
+        }
     }
 }

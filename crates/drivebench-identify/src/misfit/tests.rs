@@ -4,18 +4,11 @@ use super::*;
 use crate::scheme::Identified;
 use crate::testing::*;
 use crate::weak_form;
-use drivebench_model::plant::{Input, Model};
+use drivebench_model::plant::{Input, Model, MotorKey};
 use drivebench_model::sample::Run;
 
 /// A small brushed motor: L/R 0.5 ms, R J/Ke^2 19 ms.
 const BRUSHED: Truth = [1.2, 6e-4, 0.05, 4e-5, 0.012];
-const KEY: [&str; 5] = [
-    "resistance_ohm",
-    "inductance_h",
-    "back_emf_v_s_per_rad",
-    "inertia_kg_m2",
-    "load_torque_n_m",
-];
 
 fn brushed() -> Model {
     Model::baseline(motor(&BRUSHED))
@@ -29,22 +22,20 @@ fn brushed_with(id: &str, values: &[f64]) -> Model {
 
 /// Steps up to 12 V in both directions after a rest, sampled at 500 Hz; each falls on a sample.
 fn record_of(model: &Model, seconds: f64) -> Run {
-    recorded(&record(
-        model,
-        steps(0.3, seconds, 12.0 / 70.0, 0.2),
-        0.002,
-        seconds,
-        3,
-    ))
+    recorded(&scenario_of(model, seconds))
+}
+
+fn scenario_of(model: &Model, seconds: f64) -> Scenario {
+    let events = steps(0.3, seconds, 12.0 / 70.0, 0.2);
+    record(model, events, 0.002, seconds, 3)
 }
 
 /// Each parameter is within three of its deviations of the truth, or is not called settled; the misfit is given.
 #[track_caller]
 fn honest(run: &Run, truth: &[f64]) -> Identified {
     let found = identify("output-error", run, &unknown()).unwrap();
-    let known = || KEY.iter().zip(truth).filter(|known| known.1.is_finite());
-    for (key, truth) in known() {
-        let own = of(&found.parameters, key);
+    for (key, truth) in KEYS.iter().zip(truth).filter(|known| known.1.is_finite()) {
+        let own = of(&found.parameters, key.key());
         let is_settled = own.verdict == Verdict::Settled;
         assert!(!is_settled || covers(own, *truth, 3.0), "{own:?} {truth}");
     }
@@ -52,7 +43,7 @@ fn honest(run: &Run, truth: &[f64]) -> Identified {
 }
 
 #[test]
-fn a_model_that_lacks_nothing_keeps_its_intervals_and_its_verdicts() {
+fn a_model_that_lacks_nothing_keeps_its_intervals() {
     let found = honest(&record_of(&brushed(), 4.0), &BRUSHED);
     let misfit = found.misfit.unwrap();
     assert_eq!(misfit.0.len(), 2);
@@ -60,8 +51,8 @@ fn a_model_that_lacks_nothing_keeps_its_intervals_and_its_verdicts() {
         assert!((0.9..1.1).contains(&left.times_noise.unwrap()), "{left:?}");
         assert!(left.common_share < 0.1, "{left:?}");
     }
-    for key in KEY {
-        judged(&found.parameters, key, Verdict::Settled);
+    for key in KEYS {
+        judged(&found.parameters, key.key(), Verdict::Settled);
     }
 }
 
@@ -75,62 +66,52 @@ fn a_late_speed_is_no_settled_resistance() {
     put(&mut run, Channel::Speed, late);
     let found = honest(&run, &BRUSHED);
     // What the held levels say of it.
-    let resistance = judged(&found.parameters, KEY[0], Verdict::Searching);
+    let resistance = judged(&found.parameters, KEYS[0].key(), Verdict::Searching);
     assert_covers(resistance, 1.2, 0.05, 3.0);
-    let inertia = judged(&found.parameters, KEY[3], Verdict::Searching);
+    let inertia = judged(&found.parameters, KEYS[3].key(), Verdict::Searching);
     assert_says(inertia, &["times the noise of"]);
 }
 
 #[test]
-fn a_long_record_without_its_viscous_friction_is_not_settled_far_off() {
-    let truth = brushed_with("viscous_friction", &[1.5e-5]);
-    honest(&record_of(&truth, 30.0), &BRUSHED);
-}
-
-#[test]
-fn a_motor_that_warms_up_has_no_settled_back_emf() {
+fn parameters_that_an_effect_bends_are_not_settled_far_off() {
+    let viscous = brushed_with("viscous_friction", &[1.5e-5]);
+    honest(&record_of(&viscous, 30.0), &BRUSHED);
     // The resistance itself changes: what it was is any of its values.
-    let truth = brushed_with("winding_heating", &[2e-3, 20.0]);
+    let heating = brushed_with("winding_heating", &[2e-3, 20.0]);
     let mut known = BRUSHED;
     known[0] = f64::NAN;
-    honest(&record_of(&truth, 20.0), &known);
+    honest(&record_of(&heating, 20.0), &known);
 }
 
-/// The torque balance of a record without a voltage.
-fn balance_of(model: &Model, scenario: &Scenario) -> Vec<ParameterEstimate> {
-    let mut model = model.clone();
-    model.motor.set(MotorKey::TorqueConstant, BRUSHED[2]);
-    let balances = weak_form::fit(&model, scenario).into_iter();
-    balances.flat_map(|own| own.parameters).collect()
+/// The torque balance of a record without a voltage, before and after it is widened by the forms that it may lack.
+fn balances_of(truth: &Model) -> [Vec<ParameterEstimate>; 2] {
+    let mut scenario = scenario_of(truth, 4.0);
+    scenario.input = Input::Current;
+    let fitted = |mut model: Model| {
+        model.motor.set(MotorKey::TorqueConstant, BRUSHED[2]);
+        let balances = weak_form::fit(&model, &scenario).into_iter();
+        balances.flat_map(|own| own.parameters).collect()
+    };
+    let before: Vec<ParameterEstimate> = fitted(unknown());
+    let mut after = before.clone();
+    widen_by_forms_of_torque(&mut after, 500, |form| {
+        Some(fitted(unknown().with_effect(form).ok()?))
+    });
+    [before, after]
 }
 
 #[test]
-fn a_balance_that_lacks_viscous_friction_is_no_settled_friction() {
-    let model = brushed_with("viscous_friction", &[1.5e-5]);
-    let mut scenario = record(&model, steps(0.3, 4.0, 12.0 / 70.0, 0.2), 0.002, 4.0, 3);
-    scenario.input = Input::Current;
-    let mut found = balance_of(&unknown(), &scenario);
-    assert!(!covers(of(&found, KEY[4]), BRUSHED[4], 3.0), "{found:?}");
-    widen_by_forms_of_torque(&mut found, 500, |form| {
-        Some(balance_of(&unknown().with_effect(form).ok()?, &scenario))
-    });
-    let friction = judged(&found, KEY[4], Verdict::Searching);
-    assert!(covers(friction, BRUSHED[4], 1.5), "{friction:?}");
-    assert_says(friction, &["viscous_friction, if it acts"]);
-}
-
-#[test]
-fn a_balance_that_lacks_nothing_keeps_its_verdicts() {
-    let mut scenario = record(&brushed(), steps(0.3, 4.0, 12.0 / 70.0, 0.2), 0.002, 4.0, 3);
-    scenario.input = Input::Current;
-    let before = balance_of(&unknown(), &scenario);
-    let mut found = before.clone();
-    widen_by_forms_of_torque(&mut found, 500, |form| {
-        Some(balance_of(&unknown().with_effect(form).ok()?, &scenario))
-    });
-    judged(&found, KEY[4], Verdict::Settled);
+fn a_torque_balance_is_widened_where_it_lacks_a_form() {
+    let viscous = brushed_with("viscous_friction", &[1.5e-5]);
+    let [before, after] = balances_of(&viscous).map(|found| of(&found, KEYS[4].key()).clone());
+    assert!(!covers(&before, BRUSHED[4], 3.0), "{before:?}");
+    assert_eq!(after.verdict, Verdict::Searching, "{after:?}");
+    assert!(covers(&after, BRUSHED[4], 1.5), "{after:?}");
+    assert_says(&after, &["viscous_friction, if it acts"]);
+    let found = balances_of(&brushed());
+    judged(&found[1], KEYS[4].key(), Verdict::Settled);
     for place in [3, 4] {
-        let [before, after] = [&before, &found].map(|all| of(all, KEY[place]));
+        let [before, after] = [0, 1].map(|own| of(&found[own], KEYS[place].key()));
         assert_eq!(before.verdict, after.verdict, "{after:?}");
         assert!(covers(after, BRUSHED[place], 3.0), "{after:?}");
         assert!(after.std.unwrap() < 1.3 * before.std.unwrap(), "{after:?}");

@@ -1,4 +1,4 @@
-//! Columns in each other's place, or with the wrong sign: both balances under every other assignment.
+//! Exchanged columns and reversed signs: both balances under every other assignment.
 
 use super::table::{Activity, Balances, Roles, Table};
 use super::{Finding, Kind};
@@ -6,20 +6,12 @@ use drivebench_model::plant::MotorKey;
 
 /// Error of both balances up to which an assignment explains the data.
 const EXPLAINS: f64 = 0.35;
-/// An assignment with possible signs is only doubted where another one leaves less than this share of its error.
-const FAR_BETTER: f64 = 0.4;
-
 /// Error of each balance up to which another assignment holds well enough to be proposed: exchanged columns of a sound record
 /// leave some per cent, and up to a sixth where it is sampled as slowly as the shaft moves.
 const HOLDS_WELL: f64 = 0.2;
-
-/// Parts of a record of which most speak for the given assignment where the machine changed between them.
-const PARTS: usize = 6;
-
 /// Names of the three columns, in the order of the table.
 const NAMES: [&str; 3] = ["voltage", "current", "speed"];
 
-/// What the three columns say together; `None` where one of them does not move.
 pub(super) struct Assigned {
     /// Another assignment explains the data, the given one does not.
     pub(super) exchanged: Option<Finding>,
@@ -27,6 +19,7 @@ pub(super) struct Assigned {
     pub(super) impossible: Option<Finding>,
 }
 
+/// What both balances show of the columns; `None` where one of them does not move.
 pub(super) fn check(table: &Table) -> Option<Assigned> {
     let columns = [&table.voltage_v, &table.current_a, &table.speed_rad_s];
     if columns.iter().any(|column| !Activity::of(column).moves) {
@@ -39,27 +32,16 @@ pub(super) fn check(table: &Table) -> Option<Assigned> {
             impossible: given.impossible().map(|found| of_a_supply(table, found)),
         });
     }
-    let mut best: Option<(Assignment, Balances)> = None;
-    for assignment in assignments() {
-        let found = Balances::of(&assignment.roles(table));
-        if let Some(found) = found.filter(|found| assignment.holds_well(found))
-            && best
-                .as_ref()
-                .is_none_or(|(_, best)| found.error() < best.error())
-        {
-            best = Some((assignment, found));
-        }
-    }
-    let impossible = given.impossible();
-    let better = best.filter(|_| !explains_most_parts(table));
-    let better = better.filter(|(_, found)| {
-        let share = if impossible.is_some() {
-            1.1
-        } else {
-            FAR_BETTER
-        };
-        found.error() < share * given.error()
+    let others = ASSIGNMENTS.iter().filter_map(|assignment| {
+        let found = Balances::of(&assignment.roles(table))?;
+        assignment.holds_well(&found).then_some((assignment, found))
     });
+    let best = others.min_by(|a, b| a.1.error().total_cmp(&b.1.error()));
+    let impossible = given.impossible();
+    // An assignment with possible signs is only doubted where another one is far better.
+    let share = if impossible.is_some() { 1.1 } else { 0.4 };
+    let better = best
+        .filter(|(_, found)| found.error() < share * given.error() && !explains_most_parts(table));
     Some(Assigned {
         exchanged: better.map(|(assignment, found)| assignment.finding(table, &given, &found)),
         impossible: impossible.map(|(name, value)| {
@@ -71,11 +53,7 @@ pub(super) fn check(table: &Table) -> Option<Assigned> {
             );
             let help = "check columns, signs and units of voltage, current and speed; a supply current is not the armature current";
             // Balances that hold with an impossible sign leave no doubt; ones that do not hold may miss some physics.
-            if given.error() < EXPLAINS {
-                Finding::refusal(Kind::Reversed, sentence, help)
-            } else {
-                Finding::caution(Kind::Reversed, &MotorKey::ALL, sentence, help)
-            }
+            Finding::of_all(Kind::Reversed, given.error() < EXPLAINS, sentence, help)
         }),
     })
 }
@@ -83,50 +61,39 @@ pub(super) fn check(table: &Table) -> Option<Assigned> {
 /// Whether most parts of the record are explained as they are given, each by values of its own: a load that was changed
 /// while it was recorded bends the balances of the whole, and no column is in another's place.
 fn explains_most_parts(table: &Table) -> bool {
-    let size = table.windows.len().div_ceil(PARTS).max(1);
+    let size = table.windows.len().div_ceil(6).max(1);
     let parts = table.windows.chunks(size);
     let explained = parts.clone().filter(|windows| {
-        let roles = Roles {
-            windows,
-            ..Roles::of(table)
-        };
-        let found = Balances::of(&roles);
+        let found = Balances::of(&Roles::of(table).over(windows));
         found.is_some_and(|found| found.impossible().is_none() && found.error() < EXPLAINS)
     });
     2 * explained.count() > parts.len()
 }
 
-/// Which given column serves as voltage, current and speed, and with which sign.
-#[derive(Clone, Copy)]
+/// Which given column serves as voltage, current and speed, and the signs of current and speed.
 struct Assignment {
     place: [usize; 3],
-    current_sign: f64,
-    speed_sign: f64,
+    signs: [f64; 2],
+}
+
+const fn assignment(place: [usize; 3], signs: [f64; 2]) -> Assignment {
+    Assignment { place, signs }
 }
 
 /// Every assignment but the given one, with one mistake each: columns in each other's place, or signs. The voltage's sign is
 /// the reference.
-fn assignments() -> impl Iterator<Item = Assignment> {
-    const PLACES: [[usize; 3]; 6] = [
-        [0, 1, 2],
-        [1, 0, 2],
-        [0, 2, 1],
-        [2, 1, 0],
-        [1, 2, 0],
-        [2, 0, 1],
-    ];
-    const SIGNS: [[f64; 2]; 3] = [[1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]];
-    let exchanged = PLACES.into_iter().skip(1).map(|place| (place, [1.0; 2]));
-    let reversed = SIGNS.into_iter().map(|signs| ([0, 1, 2], signs));
-    let all = exchanged.chain(reversed);
-    all.map(|(place, [current_sign, speed_sign])| Assignment {
-        place,
-        current_sign,
-        speed_sign,
-    })
-}
+const ASSIGNMENTS: [Assignment; 8] = [
+    assignment([1, 0, 2], [1.0, 1.0]),
+    assignment([0, 2, 1], [1.0, 1.0]),
+    assignment([2, 1, 0], [1.0, 1.0]),
+    assignment([1, 2, 0], [1.0, 1.0]),
+    assignment([2, 0, 1], [1.0, 1.0]),
+    assignment([0, 1, 2], [1.0, -1.0]),
+    assignment([0, 1, 2], [-1.0, 1.0]),
+    assignment([0, 1, 2], [-1.0, -1.0]),
+];
 
-/// What the balances give of the voltage of a supply, which the bridge chops: nothing of the winding.
+/// The balances with the voltage of a supply, which the bridge chops: they give no parameter of the winding.
 fn of_a_supply(table: &Table, (name, value): (&str, f64)) -> Finding {
     let voltage = Activity::of(&table.voltage_v);
     let sentence = format!(
@@ -157,8 +124,7 @@ impl Assignment {
             voltage: columns[self.place[0]],
             current: columns[self.place[1]],
             speed: columns[self.place[2]],
-            current_sign: self.current_sign,
-            speed_sign: self.speed_sign,
+            signs: self.signs,
         }
     }
 
@@ -211,7 +177,7 @@ impl Assignment {
 
     /// The one role whose sign is to be turned; current and speed both turned is the voltage turned.
     fn reversed(&self) -> Option<usize> {
-        match (self.current_sign < 0.0, self.speed_sign < 0.0) {
+        match (self.signs[0] < 0.0, self.signs[1] < 0.0) {
             (false, false) => None,
             (true, false) => Some(1),
             (false, true) => Some(2),

@@ -7,12 +7,14 @@
 
 use std::ops::Range;
 
-use super::sensor::{Sensor, is_same, stops_suddenly, stretches};
+use super::sensor::{Sensor, is_same, runs_of, stops_suddenly, stretches};
 use super::stretches::FROZEN_ROWS;
+use super::table::span;
+use super::{CLOSE_S, rows_of};
 use drivebench_model::numerics::statistics::{extent, finite, largest, median_step};
 use drivebench_model::sample::{Channel, Run};
 
-/// Makes missing what is no measurement, and says what and why.
+/// Masks cells that are no measurement; returns a sentence with the reason for each kind.
 pub fn mask(run: &mut Run) -> Vec<String> {
     let mut sentences = Vec::new();
     for channel in CHANNELS {
@@ -26,7 +28,7 @@ pub fn mask(run: &mut Run) -> Vec<String> {
         }
     }
     sentences.extend(frozen_telemetry(run));
-    for channel in [Channel::Current, Channel::Speed, Channel::Angle] {
+    for channel in MEASURED {
         sentences.extend(repeats(run, channel));
     }
     sentences
@@ -40,6 +42,7 @@ const CHANNELS: [Channel; 6] = [
     Channel::Angle,
     Channel::Torque,
 ];
+const MEASURED: [Channel; 3] = [Channel::Current, Channel::Speed, Channel::Angle];
 /// What drives the motor, whichever of them is there.
 const INPUTS: [Channel; 3] = [Channel::Voltage, Channel::VoltageCmd, Channel::Torque];
 
@@ -56,61 +59,25 @@ fn empty(run: &mut Run, channel: Channel, rows: impl IntoIterator<Item = usize>)
     let _ = run.set_column(channel, cells, origin);
 }
 
-/// Distance of a code from the other values, in their range: from which on it is one wherever it stands, by its figures or by
-/// coming again, and from which on where it stands alone between two values that agree.
-const FAR_FIGURE: f64 = 1.0;
-const FAR: f64 = 3.0;
-const APART: f64 = 0.5;
 /// Blocks of the very same value from which it is a code although its figures are none.
 const BLOCKS: usize = 3;
-/// Share of the blocks that stand between two values that agree, and the share of the range within which two do.
-const MOSTLY: f64 = 0.8;
+/// Share of the range within which the values on both sides of a block agree.
 const AGREE: f64 = 0.2;
-/// Rows of a block that stands alone.
-const ALONE_ROWS: usize = 3;
-/// Distinct values below which a signal has no range of its own to compare with.
-const FEWEST_VALUES: usize = 8;
-/// Size of the two neighbours, as a share of the range and in quanta, between which a zero is a value that was not there.
-const CLEAR: f64 = 0.5;
-const CLEAR_QUANTA: f64 = 5.0;
-/// Rows close enough that no shaft stops and runs again from one to the next, s.
-const CLOSE_S: f64 = 0.02;
 
-/// Figures of values that stand for none: nines, and the ends of what 8 to 32 bits can count.
-const FIGURES: &[f64] = &[
-    999.0,
-    9999.0,
-    99999.0,
-    999_999.0,
-    127.0,
-    128.0,
-    255.0,
-    1023.0,
-    2047.0,
-    2048.0,
-    4095.0,
-    32767.0,
-    32768.0,
-    65535.0,
-    8_388_607.0,
-    8_388_608.0,
-    16_777_215.0,
-    2_147_483_647.0,
-    2_147_483_648.0,
-    4_294_967_295.0,
-];
-
-/// Whether a value is one of those figures, with the decimal point anywhere.
+/// Whether a value is nines, or an end of what 8 to 32 bits can count, with the decimal point anywhere.
 fn is_figure(value: f64) -> bool {
-    (-6..=6).any(|place| {
-        let scaled = value.abs() * 10_f64.powi(place);
-        FIGURES
-            .iter()
-            .any(|figure| (scaled - figure).abs() < 1e-7 * figure)
+    let ends = [8, 12, 16, 24, 32].into_iter().flat_map(|bits| {
+        let counts = 2_f64.powi(bits);
+        [counts - 1.0, 0.5 * counts - 1.0, 0.5 * counts]
+    });
+    let others = [999.0, 9999.0, 99_999.0, 999_999.0, 1023.0];
+    ends.chain(others).any(|figure| {
+        let mut scaled = (-6..=6).map(|place| value.abs() * 10_f64.powi(place));
+        scaled.any(|scaled| (scaled - figure).abs() < 1e-7 * figure)
     })
 }
 
-/// The rows of a code in a column, and what is to be said of it.
+/// The rows of a code in a column, and a sentence on it.
 fn code(run: &Run, channel: Channel) -> Option<(Vec<usize>, String)> {
     let cells = run.column(channel)?;
     let (least, most) = extent(finite(cells));
@@ -133,18 +100,10 @@ fn code(run: &Run, channel: Channel) -> Option<(Vec<usize>, String)> {
         "{} reads exactly {value} in {count} {} of {} (first at {first_s:.4} s){why}: it stands for a missing value, and the \
          cells are taken as missing",
         channel.key(),
-        if count == 1 { "row" } else { "rows" },
+        rows_of(count),
         cells.len()
     );
     Some((rows, sentence))
-}
-
-/// Blocks of rows of one value.
-fn blocks(cells: &[f64], value: f64) -> Vec<Range<usize>> {
-    let is = |row: usize| is_same(cells[row], value);
-    let mut found = stretches(cells.len(), 1, |row| is(row) && is(row - 1));
-    found.retain(|rows| is(rows.start));
-    found
 }
 
 /// The rows of the least or the largest value where it is a code.
@@ -155,23 +114,25 @@ fn extreme_code(run: &Run, channel: Channel, cells: &[f64], value: f64) -> Optio
     let range = most - least;
     others.sort_by(f64::total_cmp);
     others.dedup();
-    if others.len() < FEWEST_VALUES || range <= 0.0 {
+    // Fewer values are no range to compare with.
+    if others.len() < 8 || range <= 0.0 {
         return None;
     }
     let distance = (value - most).max(least - value);
-    let blocks = blocks(cells, value);
+    let blocks = runs_of(cells.len(), 1, |row| is_same(cells[row], value));
     let is_figure = is_figure(value);
     let alone = blocks.iter().filter(|rows| {
-        rows.len() <= ALONE_ROWS
+        rows.len() <= 3
             && stands_between(cells, rows, AGREE * range)
             && input_stands(run, channel, rows)
     });
-    let mostly_alone =
-        blocks.len() >= BLOCKS && alone.count() as f64 >= MOSTLY * blocks.len() as f64;
-    let far = if is_figure { FAR_FIGURE } else { FAR };
+    let mostly_alone = blocks.len() >= BLOCKS && alone.count() as f64 >= 0.8 * blocks.len() as f64;
+    // Far off it is a code wherever it stands, by its figures or by coming again; nearer where it stands between two values
+    // that agree.
+    let far = if is_figure { 1.0 } else { 3.0 };
     let is_far = distance > far * range.max(least.abs()).max(most.abs());
     let is_code =
-        is_far && (is_figure || blocks.len() >= BLOCKS) || mostly_alone && distance > APART * range;
+        is_far && (is_figure || blocks.len() >= BLOCKS) || mostly_alone && distance > 0.5 * range;
     // An excitation may well consist of pulses of one height.
     let may_pulse = INPUTS.contains(&channel);
     let found = is_code && (is_figure || !may_pulse);
@@ -183,17 +144,12 @@ fn zeros(run: &Run, channel: Channel, cells: &[f64]) -> Option<Vec<usize>> {
     if !matches!(channel, Channel::Speed | Channel::Current) {
         return None;
     }
-    let clear = (CLEAR * largest(cells)).max(CLEAR_QUANTA * Sensor::of(cells).quantum);
-    let is_zero = |row: usize| cells[row].abs() <= 0.0;
-    let mut found = stretches(cells.len(), 1, |row| is_zero(row) && is_zero(row - 1));
-    let neighbours = |rows: &Range<usize>| {
-        let before = rows.start.checked_sub(1).map(|row| cells[row]);
-        before.zip(cells.get(rows.end).copied())
-    };
+    let clear = (0.5 * largest(cells)).max(5.0 * Sensor::of(cells).quantum);
+    let mut found = runs_of(cells.len(), 1, |row| cells[row].abs() <= 0.0);
     found.retain(|rows| {
-        is_zero(rows.start)
-            && rows.len() == 1
-            && neighbours(rows).is_some_and(|(before, after)| before.abs().min(after.abs()) > clear)
+        rows.len() == 1
+            && neighbours(cells, rows)
+                .is_some_and(|(before, after)| before.abs().min(after.abs()) > clear)
             && stands_between(cells, rows, AGREE * clear)
             && input_stands(run, channel, rows)
     });
@@ -205,50 +161,41 @@ fn zeros(run: &Run, channel: Channel, cells: &[f64]) -> Option<Vec<usize>> {
     (found.len() >= fewest).then(|| found.into_iter().flatten().collect())
 }
 
+/// The values on both sides of a block.
+fn neighbours(cells: &[f64], rows: &Range<usize>) -> Option<(f64, f64)> {
+    let before = rows.start.checked_sub(1).map(|row| cells[row]);
+    before.zip(cells.get(rows.end).copied())
+}
+
 /// Whether the values on both sides of a block agree.
 fn stands_between(cells: &[f64], rows: &Range<usize>, within: f64) -> bool {
-    let before = rows.start.checked_sub(1).map(|row| cells[row]);
-    let both = before.zip(cells.get(rows.end).copied());
-    both.is_some_and(|(before, after)| (after - before).abs() <= within)
+    neighbours(cells, rows).is_some_and(|(before, after)| (after - before).abs() <= within)
 }
 
 /// Whether the input is the same on both sides of a block, within a tenth of its range: a current that is cut off at a limit
 /// stands alone there too, where the voltage steps.
 fn input_stands(run: &Run, channel: Channel, rows: &Range<usize>) -> bool {
-    INPUTS
-        .iter()
-        .filter(|input| **input != channel)
-        .all(|input| {
-            let Some(cells) = run.column(*input) else {
-                return true;
-            };
-            let beside = rows.start.saturating_sub(2)..(rows.end + 1).min(cells.len());
-            let (least, most) = extent(finite(&cells[beside]));
-            let (lowest, highest) = extent(finite(cells));
-            let changes = most - least > 0.1 * (highest - lowest);
-            !changes
-        })
+    let others = INPUTS.into_iter().filter(|input| *input != channel);
+    let mut columns = others.filter_map(|input| run.column(input));
+    let changes = |cells: &[f64]| {
+        let beside = rows.start.saturating_sub(2)..(rows.end + 1).min(cells.len());
+        span(&cells[beside]) > 0.1 * span(cells)
+    };
+    !columns.any(changes)
 }
 
 /// Rows in which every signal stands still to the bit, one of them from the midst of its noise.
 fn frozen_telemetry(run: &mut Run) -> Option<String> {
-    let there: Vec<Channel> = CHANNELS
-        .into_iter()
-        .filter(|channel| run.column(*channel).is_some())
-        .collect();
-    let columns: Vec<&[f64]> = there
-        .iter()
-        .filter_map(|channel| run.column(*channel))
+    let columns = CHANNELS.into_iter();
+    let columns: Vec<(Channel, &[f64])> = columns
+        .filter_map(|channel| Some((channel, run.column(channel)?)))
         .collect();
     let stands = |row: usize| {
-        columns
-            .iter()
-            .all(|cells| is_same(cells[row - 1], cells[row]) || cells[row].is_nan())
+        let mut columns = columns.iter();
+        columns.all(|(_, cells)| is_same(cells[row - 1], cells[row]) || cells[row].is_nan())
     };
-    let measured: Vec<(&[f64], Sensor)> = (there.iter().zip(&columns))
-        .filter(|(channel, _)| {
-            matches!(channel, Channel::Current | Channel::Speed | Channel::Angle)
-        })
+    let measured = columns.iter().filter(|own| MEASURED.contains(&own.0));
+    let measured: Vec<(&[f64], Sensor)> = measured
         .map(|(_, cells)| (*cells, Sensor::of(cells)))
         .collect();
     let mut still = stretches(run.rows(), FROZEN_ROWS, stands);
@@ -266,12 +213,11 @@ fn frozen_telemetry(run: &mut Run) -> Option<String> {
     });
     let first = still.first()?;
     let times = run.time_s();
-    let lengths: Vec<f64> = still
+    let lengths = still
         .iter()
-        .map(|rows| times[rows.end - 1] - times[rows.start])
-        .collect();
+        .map(|rows| times[rows.end - 1] - times[rows.start]);
     let count: usize = still.iter().map(|rows| rows.len() - 1).sum();
-    let keys: Vec<&str> = there.iter().map(|channel| channel.key()).collect();
+    let keys: Vec<&str> = columns.iter().map(|own| own.0.key()).collect();
     let sentence = format!(
         "{} stand exactly still in {} {} of up to {:.3} s (first from {:.3} s on) while the motor runs: the telemetry froze, and {count} rows that repeat the last one are taken as missing",
         keys.join(", "),
@@ -281,9 +227,10 @@ fn frozen_telemetry(run: &mut Run) -> Option<String> {
         } else {
             "stretches"
         },
-        largest(&lengths),
+        largest(lengths),
         times[first.start],
     );
+    let there: Vec<Channel> = columns.iter().map(|own| own.0).collect();
     for channel in there {
         let rows = still.iter().flat_map(|rows| rows.clone().skip(1));
         empty(run, channel, rows);

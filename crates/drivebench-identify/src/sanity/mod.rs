@@ -1,4 +1,4 @@
-//! Sanity of the data, judged before anything is identified from them.
+//! Plausibility of the data, judged before anything is identified from them.
 //!
 //! ```text
 //! Run -> mask                                  cells that are no measurement: codes, repeats, a telemetry that froze
@@ -18,8 +18,6 @@ mod mask;
 mod record;
 mod scale;
 mod sensor;
-#[cfg(test)]
-mod sensor_tests;
 mod stretches;
 mod table;
 #[cfg(test)]
@@ -31,9 +29,8 @@ pub use scale::of_header;
 use serde::Serialize;
 
 use self::table::Table;
-use super::claims::lower;
 use drivebench_model::plant::{Model, MotorKey, Scenario};
-use drivebench_model::sample::{Channel, ParameterEstimate, Run, Side, Verdict};
+use drivebench_model::sample::{Channel, ParameterEstimate, Run, Side};
 
 /// What sort of trouble a finding is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -68,7 +65,7 @@ pub struct Finding {
     pub kind: Kind,
     /// Nothing may be identified from these data; else a caution.
     pub refuses: bool,
-    /// What is seen, with its numbers.
+    /// The evidence with its numbers.
     pub sentence: String,
     /// What to do about it.
     pub help: String,
@@ -83,12 +80,19 @@ fn keys<S: serde::Serializer>(doubts: &[MotorKey], serializer: S) -> Result<S::O
 
 impl Finding {
     fn refusal(kind: Kind, sentence: impl Into<String>, help: impl Into<String>) -> Self {
+        Self::of_all(kind, true, sentence, help)
+    }
+
+    /// A refusal, or a caution for every parameter.
+    fn of_all(
+        kind: Kind,
+        refuses: bool,
+        sentence: impl Into<String>,
+        help: impl Into<String>,
+    ) -> Self {
         Self {
-            kind,
-            refuses: true,
-            sentence: sentence.into(),
-            help: help.into(),
-            doubts: MotorKey::ALL.to_vec(),
+            refuses,
+            ..Self::caution(kind, &MotorKey::ALL, sentence, help)
         }
     }
 
@@ -108,13 +112,19 @@ impl Finding {
     }
 }
 
+/// Distance of rows from one to the next of which no shaft stops and runs again, s.
+const CLOSE_S: f64 = 0.02;
+
+const fn rows_of(count: usize) -> &'static str {
+    if count == 1 { "row" } else { "rows" }
+}
+
 /// A parameter that a caution touches is not settled while the caution stands.
 pub fn doubt(parameters: &mut [ParameterEstimate], findings: &[Finding]) {
     for parameter in parameters {
         let doubts = |it: &&Finding| it.doubts.iter().any(|key| key.key() == parameter.key);
-        let finding = findings.iter().find(doubts);
-        if let Some(finding) = finding {
-            lower(parameter, Verdict::Searching, &finding.sentence);
+        if let Some(finding) = findings.iter().find(doubts) {
+            parameter.unsettle(&*finding.sentence);
         }
     }
 }
@@ -138,7 +148,7 @@ pub fn examine(run: &Run, scenario: &Scenario, model: &Model) -> Vec<Finding> {
         return findings;
     }
     let columns = columns::check(&table);
-    // A column in another's place looks cut off or frozen for what it is taken for: that comes first.
+    // An exchanged column appears cut off or frozen as the signal that it is mapped to: the exchange comes first.
     if let Some(exchanged) = columns.as_ref().and_then(|found| found.exchanged.clone()) {
         findings.push(exchanged);
     } else {
@@ -150,13 +160,11 @@ pub fn examine(run: &Run, scenario: &Scenario, model: &Model) -> Vec<Finding> {
         }
     }
     findings.sort_by_key(|finding| !finding.refuses);
-    // What mends two findings is said once.
-    let mut said: Vec<String> = Vec::new();
-    for finding in &mut findings {
-        if said.contains(&finding.help) {
-            finding.help.clear();
-        } else {
-            said.push(finding.help.clone());
+    // A remedy of two findings stands with the first.
+    for place in 1..findings.len() {
+        let (before, own) = findings.split_at_mut(place);
+        if before.iter().any(|finding| finding.help == own[0].help) {
+            own[0].help.clear();
         }
     }
     findings

@@ -3,26 +3,24 @@
 
 use std::ops::Range;
 
-use super::sensor::{Signal, is_same, stretches};
+use super::sensor::{Signal, is_same, runs_of};
 use super::stretches::{FROZEN_ROWS, Watched};
-use super::table::{Activity, Roles, Table, correlation, voltage_at_rest};
-use super::{Finding, Kind};
+use super::table::{Activity, Roles, Table, correlation, span, voltage_at_rest};
+use super::{CLOSE_S, Finding, Kind, rows_of};
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::{extent, finite, median};
 use drivebench_model::plant::MotorKey;
 
-/// Correlation of voltage and current above which the current answers the voltage.
-const ANSWERS: f64 = 0.3;
 /// Share of the voltage that resistance and inductance may leave unexplained in a winding at rest.
 const AT_REST: f64 = 0.3;
 
-/// Records in which nothing moves, or not what has to.
+/// Records of one operating point, or in which a signal is constant that has to change.
 pub(super) fn still(table: &Table) -> Vec<Finding> {
     let [voltage, current, speed] =
         [&table.voltage_v, &table.current_a, &table.speed_rad_s].map(|values| Activity::of(values));
     let duration_s = table.duration_s();
     let current_moves = current.moves
-        || current.is_there() && correlation(&table.voltage_v, &table.current_a).abs() > ANSWERS;
+        || current.is_there() && correlation(&table.voltage_v, &table.current_a).abs() > 0.3;
     if !speed.moves && !current_moves {
         return vec![nothing_moves(&voltage, &current, &speed, duration_s)];
     }
@@ -58,19 +56,6 @@ pub(super) fn still(table: &Table) -> Vec<Finding> {
     findings
 }
 
-/// Share of the largest voltage that is none, of the largest speed that is a clear one, and of the largest current that
-/// is none.
-const NO_VOLTAGE: f64 = 0.002;
-const CLEAR_SPEED: f64 = 0.2;
-const NO_CURRENT: f64 = 0.02;
-/// Quanta of a speed that are a clear one: one is what a coarse sensor shows of a shaft at rest, two of one that creeps.
-const CLEAR_QUANTA: f64 = 3.0;
-/// Rows from which such a stretch counts, changes of the speed within it, and the share of the record that forbids an
-/// identification.
-const OPEN_ROWS: usize = 20;
-const COASTING_CHANGES: usize = 3;
-const OPEN_SHARE: f64 = 0.02;
-
 /// A shorted armature that turns brakes with `Ke w/R`; one that carries nothing at zero volt is open.
 fn open_for_a_while(
     table: &Table,
@@ -78,27 +63,23 @@ fn open_for_a_while(
     current: &Activity,
     speed: &Activity,
 ) -> Option<Finding> {
-    // A coarse sensor shows a speed of some quanta at rest.
-    let clear = (CLEAR_SPEED * speed.largest()).max(CLEAR_QUANTA * table.speed.quantum);
+    // A coarse sensor shows one quantum of a shaft at rest, and two of one that creeps.
+    let clear = (CLEARLY * speed.largest()).max(3.0 * table.speed.quantum);
     let coasts = |row: usize| {
-        table.voltage_v[row].abs() <= NO_VOLTAGE * voltage.largest()
+        table.voltage_v[row].abs() <= 0.002 * voltage.largest()
             && table.speed_rad_s[row].abs() > clear
             && table.current_a[row].is_finite()
     };
     // A shaft that coasts slows down; a speed that repeats one value is that of a sensor that froze, or a late one.
     let slows = |rows: &Range<usize>| {
-        let changes = rows.clone().skip(1);
-        let changes =
-            changes.filter(|row| !is_same(table.speed_rad_s[row - 1], table.speed_rad_s[*row]));
-        changes.count() >= COASTING_CHANGES
+        let pairs = table.speed_rad_s[rows.clone()].windows(2);
+        pairs.filter(|pair| !is_same(pair[0], pair[1])).count() >= 3
     };
-    let stretches = stretches(table.time_s.len(), OPEN_ROWS, |row| {
-        coasts(row) && coasts(row - 1)
-    });
+    let stretches = runs_of(table.time_s.len(), 20, coasts);
     let rows: Vec<usize> = stretches.into_iter().filter(slows).flatten().collect();
     let currents: Vec<f64> = rows.iter().map(|row| table.current_a[*row].abs()).collect();
     let level = median(&currents);
-    if rows.is_empty() || level > NO_CURRENT * current.largest() {
+    if rows.is_empty() || level > 0.02 * current.largest() {
         return None;
     }
     let sentence = format!(
@@ -109,11 +90,12 @@ fn open_for_a_while(
     );
     let help = "cut the coast-down out of the file; on its own, without a voltage and with torque_n_m_per_a given, it shows the torque balance";
     let share = rows.len() as f64 / table.time_s.len() as f64;
-    Some(if share > OPEN_SHARE {
-        Finding::refusal(Kind::OpenCircuit, sentence, help)
-    } else {
-        Finding::caution(Kind::OpenCircuit, &MotorKey::ALL, sentence, help)
-    })
+    Some(Finding::of_all(
+        Kind::OpenCircuit,
+        share > 0.02,
+        sentence,
+        help,
+    ))
 }
 
 /// One operating point, moving or not.
@@ -196,24 +178,15 @@ fn shaft_at_rest(table: &Table, speed: &Activity) -> Option<Finding> {
     ))
 }
 
-/// A current may jump; one that comes back within a row by this many times the usual range did not.
-const CURRENT_RANGES: f64 = 3.0;
-/// The inertia forbids a speed this share of its range for one row, where rows are close enough to see it.
-const SPEED_RANGES: f64 = 0.5;
-const CLOSE_S: f64 = 0.02;
-/// Share of the range by which the two neighbours may differ.
-const NEIGHBOURS: f64 = 0.1;
-/// Share of the rows left out at each end of what counts as the usual range, and up to which values are single.
-const TAIL: f64 = 0.01;
-
-/// Single values that no machine can have shown: one row far off between two that agree.
+/// Single values that no machine can have shown: one row far off between two that agree. A current may jump, but not to three
+/// times its usual range and back; where rows are close enough the inertia forbids a speed half of its range for one row.
 pub(super) fn outlier(table: &Table) -> Option<Finding> {
     let pairs = table.time_s.windows(2);
     let close = pairs.clone().filter(|pair| pair[1] - pair[0] <= CLOSE_S);
     let close = 2 * close.count() > pairs.count();
-    let speed = if close { SPEED_RANGES } else { CURRENT_RANGES };
+    let speed = if close { 0.5 } else { 3.0 };
     wild("speed_rad_s", &table.time_s, &table.speed_rad_s, speed)
-        .or_else(|| wild("current_a", &table.time_s, &table.current_a, CURRENT_RANGES))
+        .or_else(|| wild("current_a", &table.time_s, &table.current_a, 3.0))
 }
 
 fn wild(key: &str, time_s: &[f64], values: &[f64], ranges: f64) -> Option<Finding> {
@@ -222,14 +195,14 @@ fn wild(key: &str, time_s: &[f64], values: &[f64], ranges: f64) -> Option<Findin
         return None;
     }
     sorted.sort_by(f64::total_cmp);
-    let tail = (TAIL * sorted.len() as f64).ceil();
-    let tail = whole(tail);
+    // A hundredth at each end is no part of the usual range.
+    let tail = whole((0.01 * sorted.len() as f64).ceil());
     let range = sorted[sorted.len() - 1 - tail] - sorted[tail];
     let spikes: Vec<usize> = (1..values.len().saturating_sub(1))
         .filter(|&row| {
             let (before, at, after) = (values[row - 1], values[row], values[row + 1]);
             let nearest = (at - before).abs().min((at - after).abs());
-            range > 0.0 && (before - after).abs() <= NEIGHBOURS * range && nearest > ranges * range
+            range > 0.0 && (before - after).abs() <= 0.1 * range && nearest > ranges * range
         })
         .collect();
     let first = *spikes.first()?;
@@ -246,7 +219,7 @@ fn wild(key: &str, time_s: &[f64], values: &[f64], ranges: f64) -> Option<Findin
             values[first - 1],
             values[first + 1],
             spikes.len(),
-            if spikes.len() == 1 { "row" } else { "rows" },
+            rows_of(spikes.len()),
             values.len()
         ),
         "leave the cell empty: an empty cell is a missing value; look for noise on the line or a torn transmission",
@@ -257,8 +230,6 @@ fn wild(key: &str, time_s: &[f64], values: &[f64], ranges: f64) -> Option<Findin
 const ROUNDING: f64 = 1e-9;
 /// Share of the largest voltage from which its direction counts.
 const CLEARLY: f64 = 0.2;
-/// Share of the largest value below which a signal has come through zero.
-const THROUGH_ZERO: f64 = 0.1;
 /// Share of the largest value that a signal may be negative by, through noise or offset.
 const NEARLY_NONE: f64 = 0.05;
 
@@ -281,12 +252,7 @@ pub(super) fn contradicted(table: &Table) -> Vec<Finding> {
             Some(clipped) => findings.push(clipped),
             None => findings.extend(watched.frozen()),
         }
-        findings.extend(unsigned(
-            table,
-            watched.key,
-            &watched.activity,
-            watched.values,
-        ));
+        findings.extend(unsigned(table, &watched));
     }
     if speed_moves {
         findings.extend(dead_at_zero(table));
@@ -302,22 +268,21 @@ fn dead_at_zero(table: &Table) -> Option<Finding> {
     let zero_rad_s = ROUNDING * Activity::of(&table.speed_rad_s).largest();
     let is_zero = |row: usize| table.speed_rad_s[row].abs() <= zero_rad_s;
     let rows = table.speed_rad_s.len();
-    let still = stretches(rows, FROZEN_ROWS, |row| is_zero(row) && is_zero(row - 1));
-    let longest = still.into_iter().max_by_key(Range::len)?;
+    let longest = runs_of(rows, FROZEN_ROWS, is_zero);
+    let longest = longest.into_iter().max_by_key(Range::len)?;
     let inside = |window: &&Range<usize>| longest.start <= window.start && window.end < longest.end;
     let windows: Vec<Range<usize>> = table.windows.iter().filter(inside).cloned().collect();
     let clear_v = CLEARLY * Activity::of(&table.voltage_v).largest();
-    let driven = table.voltage_v[longest.clone()].iter();
-    let driven = driven.filter(|volts| volts.abs() > clear_v).count();
+    let driven = table.voltage_v[longest.clone()]
+        .iter()
+        .filter(|volts| volts.abs() > clear_v)
+        .count();
     // A bridge that is off leaves the voltage of the supply, and the winding takes none of it.
     if table.voltage_is_of_a_supply() || driven < FROZEN_ROWS {
         return None;
     }
-    let roles = Roles {
-        windows: &windows,
-        ..Roles::of(table)
-    };
-    let unexplained = voltage_at_rest(&roles).filter(|share| *share > AT_REST)?;
+    let unexplained = voltage_at_rest(&Roles::of(table).over(&windows));
+    let unexplained = unexplained.filter(|share| *share > AT_REST)?;
     Some(Finding::refusal(
         Kind::Frozen,
         format!(
@@ -332,7 +297,8 @@ fn dead_at_zero(table: &Table) -> Option<Finding> {
 }
 
 /// A signal that is never negative although the voltage clearly reverses and it is large there.
-fn unsigned(table: &Table, key: &str, activity: &Activity, values: &[f64]) -> Option<Finding> {
+fn unsigned(table: &Table, watched: &Watched<'_>) -> Option<Finding> {
+    let (key, activity) = (watched.key, &watched.activity);
     let voltage = Activity::of(&table.voltage_v);
     if !voltage.is_there() || activity.least < -NEARLY_NONE * activity.most {
         return None;
@@ -340,8 +306,11 @@ fn unsigned(table: &Table, key: &str, activity: &Activity, values: &[f64]) -> Op
     // Where the voltage is clearly of one direction.
     let under = |direction: f64| -> Vec<f64> {
         let clearly = CLEARLY * voltage.largest();
-        let rows = table.voltage_v.iter().zip(values);
-        let rows = rows.filter(|(u, x)| direction * **u > clearly && x.is_finite());
+        let rows = table
+            .voltage_v
+            .iter()
+            .zip(watched.values)
+            .filter(|(u, x)| direction * **u > clearly && x.is_finite());
         rows.map(|(_, x)| *x).collect()
     };
     let [ahead, astern] = [1.0, -1.0].map(under);
@@ -349,16 +318,12 @@ fn unsigned(table: &Table, key: &str, activity: &Activity, values: &[f64]) -> Op
     let astern_least = astern
         .iter()
         .fold(f64::INFINITY, |least, x| least.min(x.abs()));
-    if astern_least > THROUGH_ZERO * activity.largest() {
+    if astern_least > 0.1 * activity.largest() || ahead.len().min(astern.len()) < FROZEN_ROWS {
         return None;
     }
-    let power = |values: &[f64]| values.iter().fold(0.0, |sum, x| sum + x * x);
-    let (forward, backward) = (power(&ahead), power(&astern));
-    let (ahead, astern) = (ahead.len(), astern.len());
-    if ahead < FROZEN_ROWS || astern < FROZEN_ROWS {
-        return None;
-    }
-    let [forward, backward] = [forward / ahead as f64, backward / astern as f64];
+    let power =
+        |values: &[f64]| values.iter().fold(0.0, |sum, x| sum + x * x) / values.len() as f64;
+    let (forward, backward, astern) = (power(&ahead), power(&astern), astern.len());
     (backward > 0.05 * forward).then(|| {
         let help = if key == "current_a" {
             "a supply or rectified current has no direction; map the armature current, with its sign"
@@ -402,20 +367,10 @@ fn unsigned_voltage(table: &Table) -> Option<Finding> {
     })
 }
 
-/// Share of its range by which a counter jumps that overflows, and quanta that this is at least.
-const OVERFLOW: f64 = 0.7;
-const OVERFLOW_QUANTA: f64 = 20.0;
-/// Share of the range within which such a jump begins and ends at the two ends.
+/// Share of the range within which the jump of an overflow begins and ends at the two ends.
 const AT_THE_END: f64 = 0.2;
-/// Usual step, as a share of a jump, below which a jump is none of the signal's own.
+/// Usual step, as a share of the range, below which a jump is none of the signal's own.
 const SMOOTH: f64 = 0.05;
-/// Share of the jumps in whose midst the input stands.
-const UNCAUSED: f64 = 0.6;
-
-/// Jumps from which they are no accident.
-const FEWEST_OVERFLOWS: usize = 3;
-/// Deviation from a whole number of bits: the step and the jump are known to some per cent.
-const BITS: f64 = 0.05;
 
 /// A signal that jumps from one end of its range to the other where nothing drives it: a counter that overflows to the other
 /// sign.
@@ -431,45 +386,43 @@ pub(super) fn overflow(table: &Table) -> Option<Finding> {
 fn overflow_of(table: &Table, key: &str, values: &[f64], quantum: f64) -> Option<Finding> {
     let (least, most) = extent(finite(values));
     let range = most - least;
-    let sizes: Vec<f64> = values
-        .windows(2)
-        .map(|pair| (pair[1] - pair[0]).abs())
-        .collect();
+    let pairs = values.windows(2);
+    let sizes: Vec<f64> = pairs.map(|pair| (pair[1] - pair[0]).abs()).collect();
     let is_end = |value: f64| (value - least).min(most - value) < AT_THE_END * range;
     let ends = |row: &usize| is_end(values[row - 1]) && is_end(values[*row]);
     let jumps: Vec<usize> = (1..values.len())
-        .filter(|row| sizes[row - 1] > OVERFLOW * range && ends(row))
+        .filter(|row| sizes[row - 1] > 0.7 * range && ends(row))
         .collect();
-    let is_coarse = quantum <= 0.0 || range < OVERFLOW_QUANTA * quantum;
-    if jumps.len() < FEWEST_OVERFLOWS || is_coarse || median(&sizes) > SMOOTH * range {
+    let is_coarse = quantum <= 0.0 || range < 20.0 * quantum;
+    if jumps.len() < 3 || is_coarse || median(&sizes) > SMOOTH * range {
         return None;
     }
-    let span = |values: &[f64]| {
-        let (least, most) = extent(finite(values));
-        most - least
-    };
     let voltage = &table.voltage_v;
     let stands = |row: &&usize| {
         let beside = row.saturating_sub(2)..(**row + 2).min(voltage.len());
         let moved = span(&voltage[beside]);
         moved.is_infinite() || moved <= AT_THE_END * span(voltage)
     };
+    // Most jumps come while the input stands.
     let uncaused = jumps.iter().filter(stands).count();
-    if (uncaused as f64) < UNCAUSED * jumps.len() as f64 {
+    if (uncaused as f64) < 0.6 * jumps.len() as f64 {
         return None;
     }
     // The signal goes on beyond its end as it did before.
     let period = jumps.iter().map(|row| {
-        let own = [row.checked_sub(2), Some(*row)].into_iter().flatten();
-        let own = own.filter_map(|step| sizes.get(step)).copied();
+        let own = [row.checked_sub(2), Some(*row)]
+            .into_iter()
+            .flatten()
+            .filter_map(|step| sizes.get(step))
+            .copied();
         sizes[row - 1] + own.fold(f64::INFINITY, f64::min).min(SMOOTH * range)
     });
     let period = median(&period.collect::<Vec<f64>>());
-    // What the steps tell exactly goes before what the jumps tell.
+    // The step is exact and the jump known to some per cent: a whole number of bits goes before the jump itself.
     let steps = sizes.iter().filter(|size| **size > ROUNDING * range);
     let step = steps.fold(f64::INFINITY, |least, size| least.min(*size));
     let bits = (period / step).log2();
-    let is_whole = (bits - bits.round()).abs() < BITS && (8.0..=32.0).contains(&bits.round());
+    let is_whole = (bits - bits.round()).abs() < 0.05 && (8.0..=32.0).contains(&bits.round());
     let (period, counts) = if is_whole {
         let counts = bits.round().exp2();
         (counts * step, format!(" ({counts} counts of its step)"))

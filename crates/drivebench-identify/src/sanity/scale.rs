@@ -1,6 +1,7 @@
 //! Units. Each balance holds in any unit of speed or current, so a wrong one shows only against the angle, a torque,
 //! a nameplate, or a size that no motor has.
 
+use std::f64::consts::{PI, TAU};
 use std::fmt::Write as _;
 
 use super::table::{Activity, Balances, Coefficient, Roles, Table, back_emf_without_current};
@@ -11,55 +12,33 @@ use drivebench_model::plant::{Model, MotorKey};
 use drivebench_model::sample::{Channel, Origin, Run};
 use drivebench_model::units::{rad_s_from_rpm, rpm_from_rad_s};
 
-/// A unit that is taken for another: `column = factor * true value`.
-struct Confusion {
-    factor: f64,
-    /// Key of the column, its unit as it seems, and its unit as it should be.
-    key: &'static str,
-    seems: &'static str,
-    instead: &'static str,
-}
+const DEGREES: f64 = 180.0 / PI;
+/// Factors of the commands that convert a column.
+const RAD_S_PER_RPM: &str = "0.104719755";
+const RAD_PER_DEGREE: &str = "0.017453293";
 
-const DEGREES: f64 = 180.0 / std::f64::consts::PI;
-const TAU: f64 = std::f64::consts::TAU;
-
-const fn confused(
-    factor: f64,
-    key: &'static str,
-    seems: &'static str,
-    instead: &'static str,
-) -> Confusion {
-    Confusion {
-        factor,
-        key,
-        seems,
-        instead,
-    }
-}
-
-fn speed_units() -> [Confusion; 4] {
-    let confusion = |factor, seems| confused(factor, "speed_rad_s", seems, "rad/s");
+/// Units that are taken for rad/s: `column = factor * true value`.
+fn speed_units() -> [(f64, &'static str); 4] {
     [
-        confusion(rpm_from_rad_s(1.0), "r/min"),
-        confusion(DEGREES, "deg/s"),
-        confusion(1.0 / TAU, "turns per second"),
-        confusion(1e3, "mrad/s"),
+        (rpm_from_rad_s(1.0), "r/min"),
+        (DEGREES, "deg/s"),
+        (1.0 / TAU, "turns per second"),
+        (1e3, "mrad/s"),
     ]
 }
 
-impl Confusion {
-    /// `why`: the evidence with its figures.
-    fn refusal(&self, why: &str) -> Finding {
-        let correction = 1.0 / self.factor;
-        Finding::refusal(
-            Kind::Unit,
-            format!(
-                "{} seems to be in {}, not in {} (a factor {:.4}): {why}",
-                self.key, self.seems, self.instead, self.factor
-            ),
-            format!("convert it with --map {}=COLUMN*{correction:.9}", self.key),
-        )
-    }
+/// Refuses a speed in one of those units; `why`: the evidence with its figures.
+fn not_rad_s((factor, seems): (f64, &str), why: &str) -> Finding {
+    confused("speed_rad_s", [seems, "rad/s"], factor, why)
+}
+
+fn confused(key: &str, [seems, instead]: [&str; 2], factor: f64, why: &str) -> Finding {
+    let correction = 1.0 / factor;
+    Finding::refusal(
+        Kind::Unit,
+        format!("{key} seems to be in {seems}, not in {instead} (a factor {factor:.4}): {why}"),
+        format!("convert it with --map {key}=COLUMN*{correction:.9}"),
+    )
 }
 
 /// Whether `ratio` is `factor` within a share.
@@ -67,35 +46,29 @@ fn near(ratio: f64, factor: f64, tolerance: f64) -> bool {
     (ratio / factor - 1.0).abs() < tolerance
 }
 
-/// Agreement of angle and speed that confirms both, and by which a factor is recognised.
-const ANGLE_AGREES: f64 = 0.05;
-const ANGLE_FACTOR: f64 = 0.02;
-/// Rows over which speed is integrated, windows that are needed, and their spread about the median.
-const ANGLE_ROWS: usize = 10;
-const ANGLE_WINDOWS: usize = 8;
-const ANGLE_SPREAD: f64 = 0.1;
-
-/// Integral of the speed over the change of the angle; `None` without both, or where they have no constant ratio.
+/// Integral of the speed over the change of the angle, over windows of ten rows; `None` without both, or where they have no
+/// constant ratio.
 fn speed_over_angle(run: &Run) -> Option<f64> {
-    if run.origin(Channel::Speed) == Origin::Derived
-        || run.origin(Channel::Angle) == Origin::Derived
-    {
+    let is_derived = |channel| run.origin(channel) == Origin::Derived;
+    if is_derived(Channel::Speed) || is_derived(Channel::Angle) {
         return None;
     }
     let (angle, speed) = (run.column(Channel::Angle)?, run.column(Channel::Speed)?);
-    let rows = run.time_s().iter().zip(angle.iter().zip(speed));
-    let rows = rows.map(|(time, (angle, speed))| [*time, *angle, *speed]);
+    let rows = run
+        .time_s()
+        .iter()
+        .zip(angle.iter().zip(speed))
+        .map(|(time, (angle, speed))| [*time, *angle, *speed]);
     let rows: Vec<[f64; 3]> = rows
         .filter(|row| row.iter().all(|cell| cell.is_finite()))
         .collect();
     let area = |pair: &[[f64; 3]]| 0.5 * (pair[0][2] + pair[1][2]) * (pair[1][0] - pair[0][0]);
     let window = |chunk: &[[f64; 3]]| {
         let travel: f64 = chunk.windows(2).map(area).sum();
-        [travel, chunk[ANGLE_ROWS - 1][1] - chunk[0][1]]
+        [travel, chunk[9][1] - chunk[0][1]]
     };
-    let windows: Vec<[f64; 2]> = rows.chunks_exact(ANGLE_ROWS).map(window).collect();
-    let travels: Vec<f64> = windows.iter().map(|window| window[0]).collect();
-    let largest = largest(&travels);
+    let windows: Vec<[f64; 2]> = rows.chunks_exact(10).map(window).collect();
+    let largest = largest(windows.iter().map(|window| window[0]));
     let ratios: Vec<f64> = windows
         .iter()
         .filter(|[travel, _]| travel.abs() > 0.3 * largest)
@@ -103,61 +76,51 @@ fn speed_over_angle(run: &Run) -> Option<f64> {
         .filter(|ratio| ratio.is_finite())
         .collect();
     let middle = median(&ratios);
-    (ratios.len() >= ANGLE_WINDOWS && robust_deviation(&ratios) < ANGLE_SPREAD * middle.abs())
-        .then_some(middle)
+    (ratios.len() >= 8 && robust_deviation(&ratios) < 0.1 * middle.abs()).then_some(middle)
 }
 
-/// The angle's derivative is the speed, whatever the motor.
+/// The angle's derivative is the speed of any motor.
 pub(super) fn against_angle(run: &Run) -> Option<Finding> {
     let ratio = speed_over_angle(run)?;
-    if near(ratio, 1.0, ANGLE_AGREES) {
+    if near(ratio, 1.0, 0.05) {
         return None;
     }
-    let seen = format!("the integral of speed_rad_s is {ratio:.4} times the change of angle_rad");
-    let is = |factor: f64| near(ratio, factor, ANGLE_FACTOR);
-    let angle_help = "map the angle in rad, or leave it out";
-    let speed_and_angle = |units: &str, correction: f64| {
-        Finding::refusal(
-            Kind::Unit,
-            format!(
-                "speed_rad_s seems to be in r/min (a factor 9.5493) and angle_rad in {units}: {seen}"
-            ),
-            format!(
-                "convert them with --map speed_rad_s=COLUMN*0.104719755,angle_rad=COLUMN*{correction:.9}"
-            ),
-        )
-    };
+    let evidence =
+        format!("the integral of speed_rad_s is {ratio:.4} times the change of angle_rad");
+    let is = |factor: f64| near(ratio, factor, 0.02);
+    let angle_units = [("degrees", 1.0 / DEGREES), ("turns", TAU)];
     for (factor, unit, correction) in [(1e3, "ms", "0.001"), (1e6, "us", "0.000001")] {
         if is(factor) {
             let sentence =
-                format!("time_s seems to be in {unit}, not in s (a factor {factor}): {seen}");
+                format!("time_s seems to be in {unit}, not in s (a factor {factor}): {evidence}");
             let help = format!("convert it with --map time_s=COLUMN*{correction}");
             return Some(Finding::refusal(Kind::Unit, sentence, help));
         }
     }
-    if let Some(confusion) = speed_units().iter().find(|unit| is(unit.factor)) {
-        return Some(confusion.refusal(&seen));
+    if let Some(unit) = speed_units().into_iter().find(|unit| is(unit.0)) {
+        return Some(not_rad_s(unit, &evidence));
     }
-    if is(rpm_from_rad_s(1.0) / DEGREES) {
-        return Some(speed_and_angle("degrees", 1.0 / DEGREES));
-    }
-    if is(rpm_from_rad_s(1.0) * TAU) {
-        return Some(speed_and_angle("turns", TAU));
+    let both = [rpm_from_rad_s(1.0) / DEGREES, rpm_from_rad_s(1.0) * TAU];
+    let mut units = both.into_iter().zip(angle_units);
+    if let Some((_, (unit, correction))) = units.find(|(factor, _)| is(*factor)) {
+        let sentence = format!(
+            "speed_rad_s seems to be in r/min (a factor 9.5493) and angle_rad in {unit}: {evidence}"
+        );
+        let help = format!(
+            "convert them with --map speed_rad_s=COLUMN*{RAD_S_PER_RPM},angle_rad=COLUMN*{correction:.9}"
+        );
+        return Some(Finding::refusal(Kind::Unit, sentence, help));
     }
     Some(if is(1.0 / DEGREES) || is(TAU) {
-        let (unit, correction) = if ratio < 1.0 {
-            ("degrees", 1.0 / DEGREES)
-        } else {
-            ("turns", TAU)
-        };
-        let sentence = format!("angle_rad seems to be in {unit}, not in rad: {seen}");
+        let (unit, correction) = angle_units[usize::from(ratio >= 1.0)];
+        let sentence = format!("angle_rad seems to be in {unit}, not in rad: {evidence}");
         let help = format!("convert it with --map angle_rad=COLUMN*{correction:.9}");
         Finding::caution(Kind::Unit, &[], sentence, help)
     } else if is(-1.0) {
         Finding::caution(
             Kind::Reversed,
             &[],
-            format!("angle and speed count in opposite directions: {seen}"),
+            format!("angle and speed count in opposite directions: {evidence}"),
             "turn one of them with --map angle_rad=COLUMN*-1",
         )
     } else {
@@ -167,27 +130,16 @@ pub(super) fn against_angle(run: &Run) -> Option<Finding> {
         } else {
             "; one of them is in another unit (counts?), or on the other side of a gear".to_owned()
         };
-        let sentence = format!("{seen}{guess}");
-        Finding::caution(Kind::Unit, &OF_SPEED, sentence, angle_help)
+        let sentence = format!("{evidence}{guess}");
+        let help = "map the angle in rad, or leave it out";
+        Finding::caution(Kind::Unit, &OF_SPEED, sentence, help)
     })
 }
 
 /// Tolerance by which a ratio of back-EMF constants shows a unit; temperature moves it by some per cent.
 const BACK_EMF: f64 = 0.15;
-/// Resistances within this ratio are the same winding, hot or cold, with its cable.
-const SAME_WINDING: f64 = 1.8;
-/// Ratio of back-EMF constants up to which two motors of the same winding are one, more or less magnetised.
-const SAME_MACHINE: f64 = 1.5;
 /// Electrical time constant that no armature reaches, s.
 const LONGEST_ARMATURE_S: f64 = 1.0;
-/// Speed above which r/min are suspected, rad/s: 9,549 r/min.
-const FAST_RAD_S: f64 = 1000.0;
-/// Voltage above which millivolts are suspected: low voltage ends there, and few motors that are recorded have more.
-const MANY_VOLTS: f64 = 1000.0;
-/// Current above which, below such a voltage, milliamperes are suspected; and the power that settles it, W.
-const MANY_AMPERES: f64 = 1000.0;
-const LOW_VOLTAGE_V: f64 = 200.0;
-const LARGEST_POWER_W: f64 = 1e6;
 
 /// Against the model's values, a torque, and what motors are like.
 pub(super) fn against_model(run: &Run, table: &Table, model: &Model) -> Vec<Finding> {
@@ -225,7 +177,7 @@ pub(super) fn against_model(run: &Run, table: &Table, model: &Model) -> Vec<Find
         findings.extend(against_torque(run, found));
     }
     if findings.is_empty() {
-        // Who says where the speed comes from has looked at it: a drive's profile, or the user with --origin.
+        // A declared origin confirms the unit: by a drive's profile, or by the user with --origin.
         let confirmed = nameplate.is_some() || run.origin(Channel::Speed) != Origin::Unknown;
         let by_angle = speed_over_angle(run).is_some();
         findings.extend(electrical_sizes(table, nameplate.is_some()));
@@ -237,33 +189,35 @@ pub(super) fn against_model(run: &Run, table: &Table, model: &Model) -> Vec<Find
 /// `windings`: resistance found and given.
 fn against_nameplate(found: f64, given: f64, windings: Option<(f64, f64)>) -> Option<Finding> {
     let winding = windings.map(|(found, given)| found / given);
-    let like = |factor: f64| {
-        winding.is_none_or(|ratio| (factor / SAME_WINDING..factor * SAME_WINDING).contains(&ratio))
-    };
+    // Resistances within a ratio of 1.8 are the same winding, hot or cold, with its cable.
+    let like =
+        |factor: f64| winding.is_none_or(|ratio| (factor / 1.8..factor * 1.8).contains(&ratio));
     let ratio = found / given;
-    let mut seen = format!(
+    let mut evidence = format!(
         "this run gives a back-EMF constant of {found:.4e} V.s/rad, the model {given:.4e} ({:.3} times as much)",
         given / found
     );
     if let Some((found, given)) = windings {
         let _ = write!(
-            seen,
+            evidence,
             ", a resistance of {found:.4e} ohm, the model {given:.4e}"
         );
     }
     if like(1.0)
         && let Some(unit) = speed_units()
-            .iter()
-            .find(|unit| near(ratio * unit.factor, 1.0, BACK_EMF))
+            .into_iter()
+            .find(|unit| near(ratio * unit.0, 1.0, BACK_EMF))
     {
-        return Some(unit.refusal(&seen));
+        return Some(not_rad_s(unit, &evidence));
     }
     for (factor, current, voltage) in [(1e3, "mA", "mV"), (1e-3, "kA", "kV")] {
         if winding.is_some() && like(1.0 / factor) && near(ratio, 1.0, 3.0 * BACK_EMF) {
-            return Some(confused(factor, "current_a", current, "A").refusal(&seen));
+            let units = [current, "A"];
+            return Some(confused("current_a", units, factor, &evidence));
         }
         if like(factor) && near(ratio, factor, BACK_EMF) {
-            return Some(confused(factor, "voltage_v", voltage, "V").refusal(&seen));
+            let units = [voltage, "V"];
+            return Some(confused("voltage_v", units, factor, &evidence));
         }
     }
     // Phase against line, peak against r.m.s., electrical against mechanical speed, edges against lines, a gear: each is a
@@ -282,16 +236,16 @@ fn against_nameplate(found: f64, given: f64, windings: Option<(f64, f64)>) -> Op
         (4.0, "lines counted as quadrature edges (4)"),
     ];
     if let Some(hint) = hints.iter().find(|(factor, _)| near(ratio, *factor, 0.03)) {
-        let sentence = format!("{seen}: has the column {}?", hint.1);
+        let sentence = format!("{evidence}: has the column {}?", hint.1);
         let help = "check on which basis the nameplate and the columns are given";
         return Some(Finding::caution(Kind::Unit, &OF_SPEED, sentence, help));
     }
-    let is_far = !(1.0 / SAME_MACHINE..SAME_MACHINE).contains(&ratio);
+    // Two motors of one winding within this ratio are one, more or less magnetised.
+    let is_far = !(1.0 / 1.5..1.5).contains(&ratio);
     (is_far && winding.is_some() && like(1.0)).then(|| {
-        let gear = if ratio > 1.0 { ratio } else { 1.0 / ratio };
-        let side = if ratio > 1.0 { "slow" } else { "fast" };
+        let (gear, side) = if ratio > 1.0 { (ratio, "slow") } else { (1.0 / ratio, "fast") };
         let sentence = format!(
-            "{seen}, the same winding: does the encoder stand on the {side} side of a gear of {gear:.3}?"
+            "{evidence}, the same winding: does the encoder stand on the {side} side of a gear of {gear:.3}?"
         );
         let help = format!("if so, convert it with --map speed_rad_s=COLUMN*{ratio:.6}");
         Finding::caution(Kind::Unit, &OF_SPEED, sentence, help)
@@ -301,40 +255,31 @@ fn against_nameplate(found: f64, given: f64, windings: Option<(f64, f64)>) -> Op
 /// Kt = Ke in SI: with a torque and a current the factor between them is a unit.
 fn against_torque(run: &Run, back_emf: f64) -> Option<Finding> {
     let (torque, current) = (run.column(Channel::Torque)?, run.column(Channel::Current)?);
-    let both = || {
-        torque
-            .iter()
-            .zip(current)
-            .filter(|(t, i)| t.is_finite() && i.is_finite())
-    };
-    let power: f64 = both().map(|(_, i)| i * i).sum();
-    let constant = both().map(|(t, i)| t * i).sum::<f64>() / power;
+    let both = torque
+        .iter()
+        .zip(current)
+        .filter(|(t, i)| t.is_finite() && i.is_finite());
+    let power: f64 = both.clone().map(|(_, i)| i * i).sum();
+    let constant = both.map(|(t, i)| t * i).sum::<f64>() / power;
     let ratio = constant / back_emf;
-    let seen = format!(
+    let evidence = format!(
         "torque over current is {constant:.4e} N.m/A, the back-EMF constant {back_emf:.4e} V.s/rad, equal in SI"
     );
     let unit = speed_units()
         .into_iter()
-        .find(|unit| near(ratio, unit.factor, BACK_EMF))?;
-    Some(unit.refusal(&seen))
+        .find(|unit| near(ratio, unit.0, BACK_EMF))?;
+    Some(not_rad_s(unit, &evidence))
 }
 
-/// Voltages and currents that hardly any motor has; `confirmed`: by a nameplate.
+/// Voltages and currents that hardly any motor has; `confirmed`: by a nameplate. Low voltage ends at 1,000 V, and few motors
+/// that are recorded have more; below 200 V few have more than 1,000 A.
 fn electrical_sizes(table: &Table, confirmed: bool) -> Vec<Finding> {
-    let [voltage, current] =
-        [&table.voltage_v, &table.current_a].map(|values| Activity::of(values));
-    let peak = |signal: &Activity| {
-        if signal.is_there() {
-            signal.largest()
-        } else {
-            0.0
-        }
-    };
-    let (volts, amperes) = (peak(&voltage), peak(&current));
-    let many_volts = volts > MANY_VOLTS && !confirmed;
-    let milliamperes =
-        amperes > MANY_AMPERES && voltage.is_there() && (volts < LOW_VOLTAGE_V || many_volts);
-    let is_absurd = amperes * volts > LARGEST_POWER_W && milliamperes;
+    let has_voltage = Activity::of(&table.voltage_v).is_there();
+    let [volts, amperes] = [&table.voltage_v, &table.current_a].map(largest);
+    let many_volts = volts > 1000.0 && !confirmed;
+    let milliamperes = amperes > 1000.0 && has_voltage && (volts < 200.0 || many_volts);
+    // More than a megawatt leaves no doubt.
+    let is_absurd = amperes * volts > 1e6 && milliamperes;
     let judged = |sentence: String, help: &str| {
         let touched = [
             MotorKey::Resistance,
@@ -346,7 +291,7 @@ fn electrical_sizes(table: &Table, confirmed: bool) -> Vec<Finding> {
         if is_absurd {
             Finding::refusal(Kind::Unit, sentence, help)
         } else if many_volts {
-            Finding::caution(Kind::Magnitude, &MotorKey::ALL, sentence, help)
+            Finding::of_all(Kind::Magnitude, false, sentence, help)
         } else {
             Finding::caution(Kind::Magnitude, &touched, sentence, help)
         }
@@ -373,25 +318,23 @@ fn electrical_sizes(table: &Table, confirmed: bool) -> Vec<Finding> {
 /// Speeds that hardly any motor has; `confirmed`: the unit is known otherwise, `by_angle`: an angle is its integral, so that
 /// both may be in degrees, and not in r/min.
 fn fast(table: &Table, confirmed: bool, by_angle: bool, back_emf: Option<f64>) -> Option<Finding> {
-    let speed = Activity::of(&table.speed_rad_s);
-    let fast = speed.largest();
+    let per_minute = rpm_from_rad_s(1.0);
+    let fast = largest(&table.speed_rad_s);
+    // 9,549 r/min, or as many degrees per second as that are in r/min.
     let suspected = if by_angle {
-        FAST_RAD_S * DEGREES / rpm_from_rad_s(1.0)
+        1000.0 * DEGREES / per_minute
     } else {
-        FAST_RAD_S
+        1000.0
     };
-    if !speed.is_there() || fast <= suspected || confirmed {
+    if fast <= suspected || confirmed {
         return None;
     }
     let constant = |factor: f64| {
         back_emf.map_or_else(String::new, |found| {
-            format!(
-                ", and the back-EMF constant {:.4} instead of {found:.4} V.s/rad",
-                found * factor
-            )
+            let other = found * factor;
+            format!(", and the back-EMF constant {other:.4} instead of {found:.4} V.s/rad")
         })
     };
-    let per_minute = rpm_from_rad_s(1.0);
     let reaches = format!(
         "speed_rad_s reaches {fast:.0} rad/s, that is {:.0} r/min",
         rpm_from_rad_s(fast)
@@ -402,33 +345,28 @@ fn fast(table: &Table, confirmed: bool, by_angle: bool, back_emf: Option<f64>) -
         constant(DEGREES)
     );
     let confirm = "or confirm it with --origin speed_rad_s=measured";
-    let (sentence, help) = if by_angle {
-        (
-            format!(
-                "{reaches}, and angle_rad is its integral; if the columns are in degrees and {degrees}"
-            ),
-            format!(
-                "convert them with --map speed_rad_s=COLUMN*0.017453293,angle_rad=COLUMN*0.017453293, {confirm}"
-            ),
-        )
+    let (sentence, help);
+    if by_angle {
+        sentence = format!(
+            "{reaches}, and angle_rad is its integral; if the columns are in degrees and {degrees}"
+        );
+        help = format!(
+            "convert them with --map speed_rad_s=COLUMN*{RAD_PER_DEGREE},angle_rad=COLUMN*{RAD_PER_DEGREE}, {confirm}"
+        );
     } else {
-        (
-            format!(
-                "{reaches}; if the column is in r/min (a factor {per_minute:.4}), it is {:.0} rad/s{}; if it is {degrees}",
-                rad_s_from_rpm(fast),
-                constant(per_minute)
-            ),
-            format!(
-                "convert it with --map speed_rad_s=COLUMN*0.104719755 (r/min) or speed_rad_s=COLUMN*0.017453293 (deg/s), {confirm}"
-            ),
-        )
-    };
+        sentence = format!(
+            "{reaches}; if the column is in r/min (a factor {per_minute:.4}), it is {:.0} rad/s{}; if it is {degrees}",
+            rad_s_from_rpm(fast),
+            constant(per_minute)
+        );
+        help = format!(
+            "convert it with --map speed_rad_s=COLUMN*{RAD_S_PER_RPM} (r/min) or speed_rad_s=COLUMN*{RAD_PER_DEGREE} (deg/s), {confirm}"
+        );
+    }
     Some(Finding::caution(Kind::Magnitude, &OF_SPEED, sentence, help))
 }
 
-// What the header of a mapped column says about its unit.
-
-/// `(target, words of which one stands in the header, its unit, factor to the target's unit)`.
+/// The unit in the header of a mapped column: `(target, names of which one stands in the header, unit, factor to the target's)`.
 const UNITS: &[(&str, &str, &str, &str)] = &[
     ("speed_rad_s", "krpm", "1000 r/min", "104.719755"),
     (
@@ -501,7 +439,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_unit_in_the_header_is_seen_unless_a_factor_was_given() {
+    fn a_unit_in_the_header_is_refused_unless_a_factor_is_given() {
         for (target, header, part) in [
             ("speed_rad_s", "rpm", "9.5493"),
             ("speed_rad_s", "Motor speed [RPM]", "*0.104719755"),

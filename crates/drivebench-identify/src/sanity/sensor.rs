@@ -1,5 +1,5 @@
-//! What the sensor of a signal can show: the step between its values, how often it takes one, and how far the other signals
-//! say that it should have gone. Every check of a record judges a value that repeats by this.
+//! Resolution of the sensor of a signal, its interval of renewal, and the value that the other signals let expect. Every check
+//! of a record judges a value that repeats by these.
 
 use std::ops::Range;
 
@@ -10,16 +10,7 @@ use drivebench_model::numerics::statistics::{
     extent, finite, median, median_step, robust_deviation,
 };
 
-/// Share of its steps that a signal may make smaller than its quantum: a reading that was rounded once more, or a torn row.
-const ROUNDED_AGAIN: f64 = 0.02;
-/// Changes of value below which no interval of renewal is established.
-const FEWEST_CHANGES: usize = 20;
-/// Share of the changes that keep to one interval of renewal.
-const KEEP_TO_IT: f64 = 0.95;
-/// Rows of an interval from which a change may come a row early or late: the two clocks drift against each other.
-const DRIFTING_ROWS: usize = 4;
-
-/// One signal's sensor, as far as the record shows it.
+/// The sensor of a signal, as far as the record shows it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Sensor {
     /// Smallest step that it makes from row to row; zero where it makes none.
@@ -31,10 +22,14 @@ pub(super) struct Sensor {
 impl Sensor {
     pub(super) fn of(values: &[f64]) -> Self {
         let present = finite(values);
-        let steps = present.windows(2).map(|pair| (pair[1] - pair[0]).abs());
-        let mut steps: Vec<f64> = steps.filter(|step| *step > 0.0).collect();
+        let mut steps: Vec<f64> = present
+            .windows(2)
+            .map(|pair| (pair[1] - pair[0]).abs())
+            .filter(|step| *step > 0.0)
+            .collect();
         steps.sort_by(f64::total_cmp);
-        let place = whole(steps.len() as f64 * ROUNDED_AGAIN);
+        // A reading that was rounded once more, or a torn row, may make a smaller step.
+        let place = whole(steps.len() as f64 * 0.02);
         Self {
             quantum: steps.get(place).copied().unwrap_or(0.0),
             held_rows: held_rows(&present),
@@ -45,21 +40,23 @@ impl Sensor {
 /// The interval of renewal in rows. A coarse quantum repeats values over stretches of any length; a signal that is sampled
 /// more slowly than it is logged changes at multiples of one interval only.
 fn held_rows(present: &[f64]) -> usize {
-    let changes = (1..present.len()).filter(|row| !is_same(present[row - 1], present[*row]));
-    let changes: Vec<usize> = changes.collect();
+    let changes: Vec<usize> = (1..present.len())
+        .filter(|row| !is_same(present[row - 1], present[*row]))
+        .collect();
     let mut gaps: Vec<usize> = changes.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    if gaps.len() < FEWEST_CHANGES {
+    if gaps.len() < 20 {
         return 1;
     }
     gaps.sort_unstable();
     // Where a value comes again by chance the gap is a multiple.
     let rows = gaps[gaps.len() / 10];
     let keeps = |gap: &&usize| {
+        // Two clocks drift against each other: a change of a long interval may come a row early or late.
         let off = **gap % rows;
-        off == 0 || rows >= DRIFTING_ROWS && (off == 1 || off + 1 == rows) && **gap + 1 >= rows
+        off == 0 || rows >= 4 && (off == 1 || off + 1 == rows) && **gap + 1 >= rows
     };
     let kept = gaps.iter().filter(keeps).count();
-    if rows > 1 && kept as f64 >= KEEP_TO_IT * gaps.len() as f64 {
+    if rows > 1 && kept as f64 >= 0.95 * gaps.len() as f64 {
         rows
     } else {
         1
@@ -71,7 +68,14 @@ pub(super) const fn is_same(a: f64, b: f64) -> bool {
     a.to_bits() == b.to_bits()
 }
 
-/// Stretches of at least `fewest` rows for which `stays` says of each row but the first that it is as the one before.
+/// Runs of at least `fewest` rows for all of which `is` holds.
+pub(super) fn runs_of(rows: usize, fewest: usize, is: impl Fn(usize) -> bool) -> Vec<Range<usize>> {
+    let mut found = stretches(rows, fewest, |row| is(row) && is(row - 1));
+    found.retain(|rows| is(rows.start));
+    found
+}
+
+/// Stretches of at least `fewest` rows of which each but the first is as the one before, by `stays`.
 pub(super) fn stretches(
     rows: usize,
     fewest: usize,
@@ -89,26 +93,18 @@ pub(super) fn stretches(
     found
 }
 
-/// Rows on each side of a stretch that show how the signal moves there, and how many of them there must be.
-const BESIDE: usize = 10;
-const FEWEST_BESIDE: usize = 5;
-/// Quanta that the usual step has where a repeat cannot be the quantum's doing. A signal that settles comes to rest by
-/// steps of one.
-const LIVELY: f64 = 3.0;
-
-/// Whether a signal that is alive on both sides of a stretch stands in it to the bit. Neither a settling machine nor a coarse
-/// quantum does that: the one creeps into the stretch, the other repeats values beside it too.
+/// Whether a signal that moves on both sides of a stretch stands in it to the bit. Neither a settling machine nor a coarse
+/// quantum does that: the one creeps into the stretch by steps of one quantum, the other repeats values beside it too.
 pub(super) fn stops_suddenly(values: &[f64], sensor: &Sensor, still: &Range<usize>) -> bool {
     let usual = |rows: Range<usize>| {
-        let steps = values[rows]
-            .windows(2)
-            .map(|pair| (pair[1] - pair[0]).abs());
-        let steps: Vec<f64> = steps.filter(|step| step.is_finite()).collect();
-        (steps.len() >= FEWEST_BESIDE).then(|| median(&steps))
+        let pairs = values[rows].windows(2);
+        let steps: Vec<f64> = pairs.map(|pair| (pair[1] - pair[0]).abs()).collect();
+        let steps = finite(&steps);
+        (steps.len() >= 5).then(|| median(&steps))
     };
-    let before = usual(still.start.saturating_sub(BESIDE)..still.start + 1);
-    let after = usual(still.end..(still.end + BESIDE + 1).min(values.len()));
-    let lively = |step: f64| sensor.quantum > 0.0 && step > LIVELY * sensor.quantum;
+    let before = usual(still.start.saturating_sub(10)..still.start + 1);
+    let after = usual(still.end..(still.end + 11).min(values.len()));
+    let lively = |step: f64| sensor.quantum > 0.0 && step > 3.0 * sensor.quantum;
     match (before, after) {
         (Some(before), Some(after)) => lively(before) && lively(after),
         // A record may end with it.
@@ -117,26 +113,14 @@ pub(super) fn stops_suddenly(values: &[f64], sensor: &Sensor, still: &Range<usiz
     }
 }
 
-/// Rows from which a relation between the signals is taken, and the share of the signal's range up to which it tells anything.
-const FEWEST_ROWS: usize = 60;
-const MOST_ERROR: f64 = 0.2;
-/// Share of the rows that the error of the relation covers: not those behind a step, where the other signals are ahead.
-const COVERED: f64 = 0.9;
-/// Deviations beyond which such rows are left out of the relation, and how often it is taken.
-const APART: f64 = 4.0;
-const ROUNDS: usize = 3;
-/// Share of a regressor that the other must leave to it.
-const LEAST_OWN: f64 = 1e-5;
-/// Time constants, in rows, by which the voltage may act where no current tells the rest.
+/// Time constants, in rows, by which the voltage may act where no current is measured.
 const LAGS: [f64; 7] = [0.0, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0];
-/// What an expectation has to miss a value by, in that error: five deviations of a normal one. A stretch that stands still is
-/// none in which the others are ahead.
-const BEYOND: f64 = 3.0;
 
-/// What the other signals say that this one should be, by a line through the rest of the record: of the voltage and the
-/// third signal, or of the voltage behind a lag where there is none.
+/// The value that follows from the other signals, by a line through the rest of the record: of the voltage and the third
+/// signal, or of the voltage behind a lag where there is none.
 pub(super) struct Expected {
     values: Vec<f64>,
+    /// What nine in ten rows of the rest are off by at most: not those behind a step, where the other signals are ahead.
     error: f64,
 }
 
@@ -160,12 +144,10 @@ impl Expected {
         };
         let rows: Vec<usize> = (0..own.len()).filter(|row| counts(*row)).collect();
         let present = finite(third).len() * 2 > third.len();
-        let candidates: Vec<Vec<f64>> = if present {
+        let candidates = if present {
             vec![third.clone()]
         } else {
-            LAGS.iter()
-                .map(|rows| table.lagged_voltage(*rows))
-                .collect()
+            LAGS.map(|rows| table.lagged_voltage(rows)).to_vec()
         };
         let found = candidates
             .iter()
@@ -183,14 +165,16 @@ impl Expected {
     ) -> Option<Self> {
         let mut kept = rows.to_vec();
         let mut values = Vec::new();
-        for _ in 0..ROUNDS {
+        // Rows that the line misses by four deviations are left out of the next one.
+        for _ in 0..3 {
             let line = if both {
-                let points = kept.iter();
-                let points = points.map(|row| ([voltage[*row], second[*row], 1.0], own[*row]));
-                fit_normal(&points.collect::<Vec<_>>(), LEAST_OWN)?.x
+                let points = kept
+                    .iter()
+                    .map(|row| ([voltage[*row], second[*row], 1.0], own[*row]));
+                fit_normal(&points.collect::<Vec<_>>(), 1e-5)?.x
             } else {
                 let points = kept.iter().map(|row| ([second[*row], 1.0], own[*row]));
-                let fit = fit_normal(&points.collect::<Vec<_>>(), LEAST_OWN)?;
+                let fit = fit_normal(&points.collect::<Vec<_>>(), 1e-5)?;
                 [0.0, fit.x[0], fit.x[1]]
             };
             values = (voltage.iter().zip(second))
@@ -198,24 +182,24 @@ impl Expected {
                 .collect();
             let left = kept.iter().map(|row| own[*row] - values[*row]);
             let deviation = robust_deviation(&left.collect::<Vec<f64>>());
-            kept.retain(|row| (own[*row] - values[*row]).abs() <= APART * deviation);
+            kept.retain(|row| (own[*row] - values[*row]).abs() <= 4.0 * deviation);
         }
         let left = rows.iter().map(|row| (own[*row] - values[*row]).abs());
         let mut left = finite(&left.collect::<Vec<f64>>());
-        if left.len() < FEWEST_ROWS {
+        if left.len() < 60 {
             return None;
         }
         left.sort_by(f64::total_cmp);
-        let error = left[whole(COVERED * (left.len() - 1) as f64)];
+        let error = left[whole(0.9 * (left.len() - 1) as f64)];
         let (least, most) = extent(finite(own));
-        (error < MOST_ERROR * (most - least)).then_some(Self { values, error })
+        (error < 0.2 * (most - least)).then_some(Self { values, error })
     }
 
-    /// By how much a row is expected away from `value`, where that is more than the relation usually misses and the quantum;
-    /// else zero.
+    /// By how much a row is expected away from `value`, where that is beyond three errors, five deviations of a normal one, and
+    /// the quantum; else zero.
     pub(super) fn beyond(&self, row: usize, value: f64, sensor: &Sensor) -> f64 {
         let off = self.values[row] - value;
-        if off.abs() > BEYOND * self.error + sensor.quantum {
+        if off.abs() > 3.0 * self.error + sensor.quantum {
             off
         } else {
             0.0

@@ -1,35 +1,23 @@
 //! A signal that stands still where it must not: frozen, cut off at a limit, or a command in the place of a measurement.
 //!
 //! A value repeats for many reasons that are none of these: a coarse quantum, a settled machine, a shaft at rest. What
-//! counts is where the other signals say that this one should have gone, and how it comes to rest.
+//! counts is the value that follows from the other signals, and how the signal comes to rest.
 
 use std::ops::Range;
 
-use super::sensor::{Expected, Sensor, Signal, is_same, stops_suddenly, stretches};
+use super::sensor::{Expected, Sensor, Signal, is_same, runs_of, stops_suddenly, stretches};
 use super::table::{Activity, Table};
 use super::{Finding, Kind};
 use drivebench_model::numerics::statistics::finite;
-use drivebench_model::plant::MotorKey;
 
 /// Rows of one and the same value from which a live signal may count as frozen.
 pub(super) const FROZEN_ROWS: usize = 20;
-/// Share of the rows of such a stretch in which the other signals expect something else: they need not from its first row on.
-const ELSEWHERE: f64 = 0.3;
 /// Share of its range by which another signal moves meanwhile.
 const MEANWHILE: f64 = 0.1;
-/// Rows at the very same extreme value that make a plateau; share of the range, and quanta, by which a clipped signal enters
-/// and leaves it in one row: a settling signal creeps, and a coarse one creeps by one quantum.
+/// Rows at the very same extreme value that make a plateau.
 const PLATEAU_ROWS: usize = 3;
-const STEEP: f64 = 0.03;
-const STEEP_QUANTA: f64 = 1.5;
-/// Share of the rows from which clipping forbids an identification.
-const CLIPPED: f64 = 0.01;
-/// Share of neighbours that are equal in a held signal, jumps that it has at least, and their size as a share of the range.
-const HELD: f64 = 0.8;
-const JUMPS: usize = 3;
+/// Share of the range that is a jump.
 const JUMP: f64 = 0.1;
-/// Deviation from a multiple of the voltage, as a share of the range, within which a signal is the command itself.
-const PROPORTIONAL: f64 = 0.005;
 
 /// A measured signal beside the others.
 pub(super) struct Watched<'a> {
@@ -92,13 +80,15 @@ impl<'a> Watched<'a> {
             return false;
         }
         let value = self.values[rows.start];
-        stops_suddenly(self.values, &self.sensor, rows)
-            || Expected::of(self.table, self.signal, |row| !rows.contains(&row)).is_some_and(
-                |expected| {
-                    let off = |row: &usize| expected.beyond(*row, value, &self.sensor).abs() > 0.0;
-                    rows.clone().filter(off).count() as f64 > ELSEWHERE * rows.len() as f64
-                },
-            )
+        if stops_suddenly(self.values, &self.sensor, rows) {
+            return true;
+        }
+        let expected = Expected::of(self.table, self.signal, |row| !rows.contains(&row));
+        expected.is_some_and(|expected| {
+            let off = |row: &usize| expected.beyond(*row, value, &self.sensor).abs() > 0.0;
+            // The others need not expect another value from the first row on.
+            rows.clone().filter(off).count() as f64 > 0.3 * rows.len() as f64
+        })
     }
 
     /// A measured signal that stands still between jumps while the others move is a command, or in a command's column: no
@@ -110,11 +100,13 @@ impl<'a> Watched<'a> {
         // At rest any signal stands still.
         let lively = pairs().filter(|(_, b)| b.abs() > JUMP * activity.largest());
         let equal = lively.clone().filter(|(a, b)| is_same(*a, *b)).count();
-        let jumps = pairs().map(|(a, b)| (b - a).abs());
-        let jumps: Vec<f64> = jumps.filter(|jump| *jump > 0.0).collect();
+        let jumps: Vec<f64> = pairs()
+            .map(|(a, b)| (b - a).abs())
+            .filter(|jump| *jump > 0.0)
+            .collect();
         let large = jumps.iter().filter(|jump| **jump > JUMP * range).count();
-        let stands = equal as f64 > HELD * lively.count() as f64;
-        let is_held = stands && large >= JUMPS && 2 * large > jumps.len();
+        let stands = equal as f64 > 0.8 * lively.count() as f64;
+        let is_held = stands && large >= 3 && 2 * large > jumps.len();
         (is_held && (self.is_the_voltage() || self.others_move())).then(|| {
             Finding::refusal(
                 Kind::Swapped,
@@ -135,7 +127,7 @@ impl<'a> Watched<'a> {
         let rows = || rows().filter(|(x, u)| x.is_finite() && u.is_finite());
         let (both, power) = rows().fold((0.0, 0.0), |sum, (x, u)| (sum.0 + x * u, sum.1 + u * u));
         let off = |(x, u): (&f64, &f64)| (x - u * both / power).abs();
-        power > 0.0 && rows().map(off).fold(0.0, f64::max) < PROPORTIONAL * self.activity.range()
+        power > 0.0 && rows().map(off).fold(0.0, f64::max) < 0.005 * self.activity.range()
     }
 
     /// Whether another signal moves in most of the stretches in which this one stands, but for the rows beside its jumps.
@@ -146,15 +138,15 @@ impl<'a> Watched<'a> {
         let ranges = others.map(|other| Activity::of(other).range());
         let moves = |rows: &&Range<usize>| {
             let settled = rows.start + PLATEAU_ROWS..rows.end - PLATEAU_ROWS;
-            let parts = others.iter().zip(ranges);
-            let mut parts =
-                parts.map(|(other, range)| (Activity::of(&other[settled.clone()]), range));
-            parts.any(|(part, range)| part.is_there() && part.range() > MEANWHILE * range)
+            others.iter().zip(ranges).any(|(other, range)| {
+                let part = Activity::of(&other[settled.clone()]);
+                part.is_there() && part.range() > MEANWHILE * range
+            })
         };
         2 * still.iter().filter(moves).count() > still.len()
     }
 
-    /// Plateaus at the largest or smallest value where the other signals say that it goes further.
+    /// Plateaus at the largest or smallest value where the other signals let expect a further one.
     pub(super) fn clipped(&self) -> Option<Finding> {
         let is_limit = |value: f64| {
             (value >= self.activity.most && self.activity.most > 0.0)
@@ -183,20 +175,12 @@ impl<'a> Watched<'a> {
         );
         let help =
             "raise the range of the instrument or excite less; or leave the cut-off cells empty";
-        Some(if share > CLIPPED {
-            Finding::refusal(Kind::Clipped, sentence, help)
-        } else {
-            Finding::caution(Kind::Clipped, &MotorKey::ALL, sentence, help)
-        })
+        Some(Finding::of_all(Kind::Clipped, share > 0.01, sentence, help))
     }
 
     fn plateaus(&self, level: f64) -> Vec<Range<usize>> {
         let at = |row: usize| is_same(self.values[row], level);
-        let mut found = stretches(self.values.len(), PLATEAU_ROWS, |row| {
-            at(row) && at(row - 1)
-        });
-        found.retain(|rows| at(rows.start));
-        found
+        runs_of(self.values.len(), PLATEAU_ROWS, at)
     }
 
     /// Whether the signal goes beyond a level on most of its plateaus; where nothing else is measured, whether it enters
@@ -214,6 +198,7 @@ impl<'a> Watched<'a> {
         2 * plateaus.iter().filter(goes_on).count() > plateaus.len()
     }
 
+    /// A settling signal creeps into a plateau, and a coarse one creeps by one quantum.
     fn is_steep(&self, rows: &Range<usize>) -> bool {
         let slope = |from: Option<usize>, to: usize| {
             let from = from.and_then(|from| self.values.get(from));
@@ -221,7 +206,6 @@ impl<'a> Watched<'a> {
         };
         let entry = slope(rows.start.checked_sub(1), rows.start);
         let leave = slope(Some(rows.end), rows.end - 1);
-        let steep = (STEEP * self.activity.range()).max(STEEP_QUANTA * self.sensor.quantum);
-        entry.min(leave) > steep
+        entry.min(leave) > (0.03 * self.activity.range()).max(1.5 * self.sensor.quantum)
     }
 }

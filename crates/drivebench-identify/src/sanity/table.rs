@@ -1,14 +1,14 @@
-//! The signals side by side at the sample times, and what can be said of one of them alone.
+//! The signals side by side at the sample times, the activity of each, and both balances over short windows.
 //!
-//! Both balances over short windows are quick: good enough to tell which column is which, not to identify. Each integral is
-//! by the trapezoid, so that every column is treated alike whatever it is taken for.
+//! Both balances over short windows are quick: good enough to recognise the columns, not to identify. Each integral is by the
+//! trapezoid, so that every column is treated alike in any role.
 
 use std::ops::Range;
 
 use super::sensor::Sensor;
 use crate::window_sums::{Sums, trapezoid, windows};
 use drivebench_model::numerics::count;
-use drivebench_model::numerics::least_squares::{NormalFit, fit_normal};
+use drivebench_model::numerics::least_squares::fit_normal;
 use drivebench_model::numerics::statistics::{extent, finite, largest, median_step};
 use drivebench_model::plant::{Input, Scenario};
 use drivebench_model::signal;
@@ -22,7 +22,7 @@ pub(super) struct Table {
     /// Sensors of current and speed.
     pub(super) current: Sensor,
     pub(super) speed: Sensor,
-    /// Short stretches of rows over which both balances are looked at.
+    /// Short stretches of rows over which both balances are taken.
     pub(super) windows: Vec<Range<usize>>,
     /// Column that gave the voltage.
     pub(super) voltage_key: &'static str,
@@ -38,8 +38,9 @@ impl Table {
         let of = |values: &[f64]| -> Vec<f64> { rows.iter().map(|row| values[*row]).collect() };
         let time_s = of(&scenario.sample_time_s);
         let (current_a, speed_rad_s) = (of(&scenario.current_a), of(&scenario.speed_rad_s));
+        // Some 3,000 windows, evenly spread over a long record.
         let windows = windows(&time_s);
-        let stride = windows.len().div_ceil(MOST_WINDOWS).max(1);
+        let stride = windows.len().div_ceil(3000).max(1);
         Self {
             windows: windows.into_iter().step_by(stride).collect(),
             voltage_v: time_s.iter().map(voltage).collect(),
@@ -53,19 +54,18 @@ impl Table {
     }
 
     pub(super) fn duration_s(&self) -> f64 {
-        match (self.time_s.first(), self.time_s.last()) {
-            (Some(first), Some(last)) => last - first,
-            _ => 0.0,
-        }
+        let ends = self.time_s.first().zip(self.time_s.last());
+        ends.map_or(0.0, |(first, last)| last - first)
     }
 
-    /// Whether the voltage only sags: that of a supply, which says nothing of what the winding had.
+    /// Whether the voltage only sags: that of a supply, from which the winding's voltage does not follow. A battery that sags
+    /// below 0.7 of its largest voltage is empty, and an excitation that changes by less excites hardly anything.
     pub(super) fn voltage_is_of_a_supply(&self) -> bool {
         let voltage = Activity::of(&self.voltage_v);
         let least = voltage.least.abs().min(voltage.most.abs());
         voltage.is_there()
             && voltage.least * voltage.most > 0.0
-            && least > SAGGED * voltage.largest()
+            && least > 0.7 * voltage.largest()
             && !voltage.is_constant()
     }
 
@@ -75,16 +75,8 @@ impl Table {
     }
 }
 
-/// Share of its largest value above which a voltage that changes stays where it is a supply's: a battery that sags by more
-/// is empty, and an excitation that changes by less excites hardly anything.
-const SAGGED: f64 = 0.7;
-/// Share of the rows that have every signal from which the others are left out: a signal that is sampled more slowly than the
-/// rest is there in one of some ten.
-const WHOLE: f64 = 0.02;
-/// The same in rows.
-const FEWEST_WHOLE: usize = 100;
-
-/// Rows in which each signal that is measured has a value; all, where such rows are few.
+/// Rows in which each signal that is measured has a value; all, where such rows are fewer than 100 or 2 %: a signal that is
+/// sampled more slowly than the rest has a value in one of some ten.
 fn whole_rows(scenario: &Scenario) -> Vec<usize> {
     let columns = [&scenario.current_a, &scenario.speed_rad_s];
     let mut measured = columns.to_vec();
@@ -92,15 +84,12 @@ fn whole_rows(scenario: &Scenario) -> Vec<usize> {
     let all = 0..scenario.samples();
     let is_whole = |row: &usize| measured.iter().all(|values| values[*row].is_finite());
     let whole: Vec<usize> = all.clone().filter(is_whole).collect();
-    if whole.len() < FEWEST_WHOLE.max(count::whole(WHOLE * all.len() as f64)) {
+    if whole.len() < usize::max(100, count::whole(0.02 * all.len() as f64)) {
         all.collect()
     } else {
         whole
     }
 }
-
-/// Windows that are looked at: a long record is looked at in places, evenly.
-const MOST_WINDOWS: usize = 3000;
 
 /// One signal by itself.
 #[derive(Clone, Copy, Debug)]
@@ -115,12 +104,8 @@ pub(super) struct Activity {
     pub(super) moves: bool,
 }
 
-/// Parts of a record whose means are compared.
-const PARTS: usize = 16;
-/// Standard deviations by which the mean of a part of white noise does not stray, in any of the parts.
+/// Standard deviations by which the mean of a part of white noise does not stray, in any of 16 parts of a record.
 const STRAY: f64 = 5.0;
-/// Squared differences over squared deviations (von Neumann): 2 for white noise, less for anything with a memory.
-const WHITE: f64 = 1.5;
 
 impl Activity {
     pub(super) fn of(values: &[f64]) -> Self {
@@ -132,15 +117,16 @@ impl Activity {
         let deviation: f64 = present.iter().map(|v| (v - mean).powi(2)).sum();
         let difference: f64 = present.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum();
         let noise = (0.5 * difference / n).sqrt();
-        let part = (count / PARTS).max(4);
+        let part = (count / 16).max(4);
         let stray = present
             .chunks(part)
             .filter(|chunk| chunk.len() == part)
             .map(|chunk| (chunk.iter().sum::<f64>() / part as f64 - mean).abs())
             .fold(0.0, f64::max);
+        // Von Neumann's ratio of both sums of squares is 2 for white noise, less for anything with a memory.
+        let is_coloured = difference < 1.5 * deviation;
         let changes = count > 1 && most > least;
-        let moves = changes
-            && (difference < WHITE * deviation || stray > STRAY * noise / (part as f64).sqrt());
+        let moves = changes && (is_coloured || stray > STRAY * noise / (part as f64).sqrt());
         Self {
             count,
             least,
@@ -174,18 +160,23 @@ impl Activity {
     }
 }
 
-/// Correlation coefficient over the rows where both are there; zero where one does not vary.
+/// From the least to the largest value.
+pub(super) fn span(values: &[f64]) -> f64 {
+    let (least, most) = extent(finite(values));
+    most - least
+}
+
+/// Pearson's correlation coefficient over the rows that have both; zero where one does not vary.
 pub(super) fn correlation(a: &[f64], b: &[f64]) -> f64 {
-    let pairs = || {
-        a.iter()
-            .zip(b)
-            .filter(|(a, b)| a.is_finite() && b.is_finite())
-    };
-    let n = pairs().count().max(1) as f64;
-    let mean_a = pairs().map(|(a, _)| a).sum::<f64>() / n;
-    let mean_b = pairs().map(|(_, b)| b).sum::<f64>() / n;
+    let pairs = a
+        .iter()
+        .zip(b)
+        .filter(|(a, b)| a.is_finite() && b.is_finite());
+    let (a, b): (Vec<f64>, Vec<f64>) = pairs.unzip();
+    let n = a.len().max(1) as f64;
+    let [mean_a, mean_b] = [&a, &b].map(|values| values.iter().sum::<f64>() / n);
     let [mut aa, mut bb, mut ab] = [0.0; 3];
-    for (a, b) in pairs() {
+    for (a, b) in a.iter().zip(&b) {
         aa += (a - mean_a).powi(2);
         bb += (b - mean_b).powi(2);
         ab += (a - mean_a) * (b - mean_b);
@@ -197,11 +188,6 @@ pub(super) fn correlation(a: &[f64], b: &[f64]) -> f64 {
     }
 }
 
-/// Speeds below this share of the largest have no direction.
-const DEAD_ZONE: f64 = 0.05;
-/// Share of a regressor that the others must leave to it: below, its coefficient is not determined.
-const LEAST_OWN: f64 = 1e-4;
-
 /// Which columns serve as voltage, current and speed.
 #[derive(Clone, Copy)]
 pub(super) struct Roles<'a> {
@@ -211,8 +197,7 @@ pub(super) struct Roles<'a> {
     pub(super) current: &'a [f64],
     pub(super) speed: &'a [f64],
     /// Factors of current and speed: one, or minus one where a sign is tried.
-    pub(super) current_sign: f64,
-    pub(super) speed_sign: f64,
+    pub(super) signs: [f64; 2],
 }
 
 impl<'a> Roles<'a> {
@@ -223,9 +208,13 @@ impl<'a> Roles<'a> {
             voltage: &table.voltage_v,
             current: &table.current_a,
             speed: &table.speed_rad_s,
-            current_sign: 1.0,
-            speed_sign: 1.0,
+            signs: [1.0; 2],
         }
+    }
+
+    /// The same over these windows alone.
+    pub(super) const fn over(self, windows: &'a [Range<usize>]) -> Self {
+        Self { windows, ..self }
     }
 }
 
@@ -236,20 +225,18 @@ pub(super) struct Coefficient {
     pub(super) std: f64,
 }
 
-/// Standard deviations that make a sign certain.
-const CERTAIN: f64 = 5.0;
-
+/// Five standard deviations make a sign certain.
 impl Coefficient {
     pub(super) fn is_negative(&self) -> bool {
-        self.value < -CERTAIN * self.std
+        self.value < -5.0 * self.std
     }
 
     pub(super) fn is_positive(&self) -> bool {
-        self.value > CERTAIN * self.std
+        self.value > 5.0 * self.std
     }
 }
 
-/// What both balances say under one assignment of the columns.
+/// Both balances under one assignment of the columns.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Balances {
     pub(super) resistance: Coefficient,
@@ -266,24 +253,21 @@ pub(super) struct Balances {
 impl Balances {
     pub(super) fn of(roles: &Roles<'_>) -> Option<Self> {
         let sums = sums(roles);
-        let rows: Vec<_> = sums
-            .iter()
-            .map(|s| ([s.current, s.current_step, s.angle], s.voltage))
-            .collect();
-        let electrical = fit_normal(&rows, LEAST_OWN)?;
-        let rows: Vec<_> = sums
-            .iter()
-            .filter(|s| s.direction != 0.0)
-            .map(|s| ([s.speed_step, s.direction * s.length_s, s.angle], s.current))
-            .collect();
-        let mechanical = fit_normal(&rows, LEAST_OWN)?;
+        let ([resistance, inductance, back_emf], voltage_error) = fitted(
+            sums.iter()
+                .map(|s| ([s.current, s.current_step, s.angle], s.voltage)),
+        )?;
+        let turning = sums.iter().filter(|s| s.direction != 0.0);
+        let ([inertia, ..], torque_error) = fitted(
+            turning.map(|s| ([s.speed_step, s.direction * s.length_s, s.angle], s.current)),
+        )?;
         Some(Self {
-            resistance: coefficient(&electrical, 0),
-            inductance: coefficient(&electrical, 1),
-            back_emf: coefficient(&electrical, 2),
-            voltage_error: electrical.error,
-            inertia: coefficient(&mechanical, 0),
-            torque_error: mechanical.error,
+            resistance,
+            inductance,
+            back_emf,
+            voltage_error,
+            inertia,
+            torque_error,
         })
     }
 
@@ -292,7 +276,7 @@ impl Balances {
         self.voltage_error.hypot(self.torque_error)
     }
 
-    /// Every coefficient has the sign that physics wants, for certain.
+    /// Every coefficient has its physical sign, for certain.
     pub(super) fn is_physical(&self) -> bool {
         self.resistance.is_positive()
             && self.back_emf.is_positive()
@@ -313,35 +297,36 @@ impl Balances {
     }
 }
 
-fn coefficient<const N: usize>(fit: &NormalFit<N>, index: usize) -> Coefficient {
-    Coefficient {
+/// Coefficients of a linear regression and its relative error; `None` where the rows do not determine one.
+fn fitted<const N: usize>(
+    rows: impl Iterator<Item = ([f64; N], f64)>,
+) -> Option<([Coefficient; N], f64)> {
+    // Share of a regressor that the others must leave to it.
+    let fit = fit_normal(&rows.collect::<Vec<_>>(), 1e-4)?;
+    let coefficient = |index| Coefficient {
         value: fit.x[index],
         std: fit.std[index],
-    }
+    };
+    Some((std::array::from_fn(coefficient), fit.error))
 }
 
 /// What resistance and inductance alone leave of the voltage: root mean square over that of the voltage.
 pub(super) fn voltage_at_rest(roles: &Roles<'_>) -> Option<f64> {
-    let rows: Vec<_> = sums(roles)
-        .iter()
-        .map(|s| ([s.current, s.current_step], s.voltage))
-        .collect();
-    fit_normal(&rows, LEAST_OWN).map(|fit| fit.error)
+    let sums = sums(roles).into_iter();
+    fitted(sums.map(|s| ([s.current, s.current_step], s.voltage))).map(|found| found.1)
 }
 
 /// Back-EMF constant from voltage and speed alone: what a running motor without a current shows, roughly.
 pub(super) fn back_emf_without_current(roles: &Roles<'_>) -> Option<Coefficient> {
-    let rows: Vec<_> = sums(roles)
-        .iter()
-        .filter(|s| s.direction != 0.0)
-        .map(|s| ([s.angle, s.direction * s.length_s], s.voltage))
-        .collect();
-    fit_normal(&rows, LEAST_OWN).map(|fit| coefficient(&fit, 0))
+    let turning = sums(roles).into_iter().filter(|s| s.direction != 0.0);
+    fitted(turning.map(|s| ([s.angle, s.direction * s.length_s], s.voltage)))
+        .map(|([back_emf, _], _)| back_emf)
 }
 
 fn sums(roles: &Roles<'_>) -> Vec<Sums> {
-    let zone = DEAD_ZONE * largest(roles.speed);
-    let (current, speed) = (roles.current_sign, roles.speed_sign);
+    // Speeds below this have no direction.
+    let zone = 0.05 * largest(roles.speed);
+    let [current, speed] = roles.signs;
     let signed = |window: &Range<usize>| {
         let voltage = trapezoid(roles.time_s, roles.voltage, window);
         let signals = [roles.current, roles.speed];
