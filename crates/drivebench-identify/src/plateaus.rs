@@ -163,7 +163,9 @@ mod tests {
         let quick = record(&model, steps(0.3, 10.0, 12.0 / 70.0, 0.04), 0.002, 10.0, 4);
         assert!(estimates(&levels(&quick)).is_empty());
         let mut one_way = steps(1.0, 20.0, 12.0 / 70.0, 0.5);
-        one_way.iter_mut().for_each(|step| step.1 = step.1.abs());
+        for step in &mut one_way {
+            step.1 = step.1.abs();
+        }
         let found = estimates(&levels(&record(&model, one_way, 0.02, 20.0, 4)));
         let resistance = ParameterEstimate::find(&found, "resistance_ohm");
         assert!(resistance.is_none(), "{found:?}");

@@ -49,7 +49,9 @@ fn square(period_s: f64, current_quantum: f64, speed_quantum: f64) -> Columns {
 }
 
 fn scale(values: &mut [f64], factor: f64) {
-    values.iter_mut().for_each(|value| *value *= factor);
+    for value in values {
+        *value *= factor;
+    }
 }
 
 fn every_41st(values: &mut [f64], code: f64) {
