@@ -1,30 +1,27 @@
-//! Detectability: the spread that runs leave to the size of an effect, the smallest size that would be named, and the size that
-//! one that happens once is below.
+//! Detectability: the spread that runs leave to the size of an effect, the smallest size that would be named, and the bound of
+//! one that happens once.
+
+use std::f64::consts::{FRAC_PI_4, SQRT_2};
 
 use statrs::function::erf::erfc;
 
-use super::columns::{ColumnInformation, Variant};
-use super::select::{Reduced, Set};
+use super::regression::{ColumnInformation, Variant};
+use super::select::{Reduced, Set, without};
 use drivebench_model::numerics::count::whole;
 use drivebench_model::plant::Effect;
 
-/// Posterior standard deviation, in slabs, from which on a run says nothing of an effect.
+/// Posterior deviation, in slabs, from which on an effect is not detectable.
 pub(super) const UNDETECTABLE_SLABS: f64 = 0.5;
 /// Standard deviations that what is there wholly or not at all must make to be detected.
 const WHOLLY_DETECTED_SIGMAS: f64 = 5.0;
-/// Standard deviations beyond which nothing of note lies.
-const BEYOND_SIGMAS: f64 = 4.0;
 /// Standard deviations above the mean at which an upper bound stands: 95 % and what the choice of the set adds.
 pub(super) const BOUND_SIGMAS: f64 = 1.75;
-/// The share of noisy records in which a detectable size is named: 95 %, in standard deviations.
-pub(super) const NAMED_IN_95_SIGMAS: f64 = 1.645;
-/// Share of the moments at which an event may have come, and of the lengths that a late start may have, from which on runs
-/// show it.
-const MOST: f64 = 0.9;
+/// The quantile of 95 % of a normal distribution.
+const NAMED_IN_95_SIGMAS: f64 = 1.645;
 
-/// Standard deviation, in slabs, that runs leave to the size of a candidate in a form beside a set. That of what happens once
-/// is the one that it has at nine of ten moments at which it may have come: there is always one at the end of a run that
-/// nothing shows, and no run has none. That of a late start likewise at nine of ten lengths.
+/// Deviation, in slabs, that runs leave to the size of a candidate in a form beside a set. That of what happens once is the one
+/// that it has at nine of ten moments: there is always one at the end of a run that nothing shows, and no run has none. That of a
+/// late start likewise at nine of ten lengths.
 pub(super) fn spread_slabs(
     reduced: &Reduced,
     best: &Set,
@@ -45,43 +42,38 @@ pub(super) fn spread_slabs(
         let square = most.unwrap_or_else(|| wholly(reduced, best, k, variant));
         return (square > 0.0).then(|| UNDETECTABLE_SLABS * WHOLLY_DETECTED_SIGMAS / square.sqrt());
     }
-    let mut with = reduced.cleared(best, k);
-    with[k] = Some(form);
-    let (_, sd) = size_in(reduced, &with, k)?;
+    let (_, sd) = size_in(reduced, &reduced.with(best, k, form), k)?;
     Some(sd / variant.columns[0].unit)
 }
 
 /// Squared distance, in standard deviations, that a form makes which is there wholly or not at all.
 fn wholly(reduced: &Reduced, best: &Set, k: usize, variant: &Variant) -> f64 {
     let columns = reduced.columns(&without(best, k));
-    let own = variant.columns[0].at - reduced.linear.nuisances.len();
-    reduced.information(&columns, own, 1.0).information * variant.mean.powi(2)
+    reduced.information(&columns, variant, 1.0).information * variant.mean.powi(2)
 }
 
 /// What nine of ten have at least.
 fn of_most(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(|a, b| b.total_cmp(a));
-    let enough = whole((MOST * values.len() as f64).ceil());
+    let enough = whole((0.9 * values.len() as f64).ceil());
     values.get(enough.checked_sub(1)?).copied()
 }
 
-/// Smallest size that would be named if it were added to these records, whatever its sign or phase, and with the noise
-/// against it.
+/// Smallest size that would be named if it were added to these records, whatever its sign or phase, and with the noise of
+/// deviation `sd` against it.
 pub(super) fn detectable(reduced: &Reduced, with: &Set, k: usize, sd: f64) -> Option<f64> {
     let candidate = &reduced.linear.candidates[k];
     let variant = &candidate.variants[with[k]?];
-    let others = reduced.columns(&without(with, k));
     let wave = is_amplitude(candidate.effect);
-    let eighth = |n: u8| (f64::from(n) * std::f64::consts::FRAC_PI_4).sin_cos();
     let directions: Vec<(f64, f64)> = if wave {
-        (0..8).map(eighth).collect()
-    } else if variant.positive {
-        vec![(1.0, 0.0)]
+        let eighths = (0..8).map(|n| f64::from(n) * FRAC_PI_4);
+        eighths.map(f64::sin_cos).collect()
     } else {
-        vec![(1.0, 0.0), (-1.0, 0.0)]
+        let signs = [(1.0, 0.0), (-1.0, 0.0)];
+        signs[..if variant.positive { 1 } else { 2 }].to_vec()
     };
     let unit = variant.columns[0].unit;
-    let injection = reduced.injection(&others, k, with[k]?)?;
+    let injection = reduced.injection(with, k)?;
     let is_named = |size: f64| {
         let against = (size - NAMED_IN_95_SIGMAS * sd).max(0.0) / unit;
         let named = |(a, b): &(f64, f64)| {
@@ -103,18 +95,18 @@ pub(super) fn detectable(reduced: &Reduced, with: &Set, k: usize, sd: f64) -> Op
     }
     for _ in 0..12 {
         let middle = 0.5 * (low + high);
-        if is_named(middle) {
-            high = middle;
+        *(if is_named(middle) {
+            &mut high
         } else {
-            low = middle;
-        }
+            &mut low
+        }) = middle;
     }
     Some(high)
 }
 
 /// Each length that a late start may have, with the squared distance that it makes; `None` for what has other shapes, or has
-/// its length in the model. The likeliest of lengths that are refuted is always the shortest, and how much of that shows is
-/// left to the voltage of one command. Those that the beginning of a run refuted have no form any more.
+/// its length in the model. The likeliest of lengths that are refuted is always the shortest, which the voltage of one command
+/// may explain. Those that the beginning of a run refuted have no form any more.
 fn distances_of_lengths(reduced: &Reduced, best: &Set, k: usize) -> Option<Vec<(f64, f64)>> {
     let candidate = &reduced.linear.candidates[k];
     let specs = candidate.effect?.parameters();
@@ -139,7 +131,7 @@ pub(super) fn shortest_detectable(reduced: &Reduced, best: &Set, k: usize) -> Op
     detected.last().map(|own| own.0)
 }
 
-/// What the runs say of an event at each moment of one of them, beside a set; `excess` is that of what the set leaves.
+/// Information of an event at each moment of one of the runs, beside a set; `excess` is that of what the set leaves.
 pub(super) fn moments(
     reduced: &Reduced,
     best: &Set,
@@ -158,14 +150,13 @@ pub(super) fn moments(
     let others = reduced.columns(&reduced.cleared(best, k));
     let alone = candidate.variants.iter();
     let alone = alone.filter(|variant| variant.columns.len() == 1);
-    let m = reduced.linear.nuisances.len();
-    let columns = alone.map(|variant| variant.columns[0]);
-    let own = columns.map(|column| reduced.information(&others, column.at - m, column.unit));
-    own.collect()
+    alone
+        .map(|variant| reduced.information(&others, variant, variant.columns[0].unit))
+        .collect()
 }
 
-/// Size that an event is below with 95 %, whenever it happened: a moment counts by what the runs say of it, and where they
-/// say nothing it may have any size that is plausible.
+/// Size that an event is below with 95 %, whenever it happened: a moment counts by its evidence, and where it has no
+/// information the event may have any plausible size.
 pub(super) fn whenever(moments: &[ColumnInformation]) -> f64 {
     let size = |own: &ColumnInformation| {
         let precision = own.information.max(0.0) + 1.0;
@@ -180,54 +171,47 @@ pub(super) fn whenever(moments: &[ColumnInformation]) -> f64 {
     let total: f64 = sizes.iter().map(|size| (size.0 - most).exp()).sum();
     let beyond = |bound: f64| -> f64 {
         let beyond = |(log, mean, sd): &(f64, f64, f64)| {
-            let tail = 0.5 * erfc((bound - mean) / sd / std::f64::consts::SQRT_2);
+            let tail = 0.5 * erfc((bound - mean) / sd / SQRT_2);
             (log - most).exp() * tail
         };
         sizes.iter().map(beyond).sum::<f64>() / total
     };
-    let (mut low, mut high) = (0.0, 0.0);
-    for (_, mean, sd) in &sizes {
-        high = f64::max(high, mean + BEYOND_SIGMAS * sd);
-    }
+    // Bisection from four standard deviations down.
+    let mut low = 0.0;
+    let mut high = sizes
+        .iter()
+        .fold(0.0, |high, (_, mean, sd)| f64::max(high, mean + 4.0 * sd));
     for _ in 0..40 {
         let middle = 0.5 * (low + high);
-        if beyond(middle) > 1.0 - 0.95 {
-            low = middle;
+        *(if beyond(middle) > 1.0 - 0.95 {
+            &mut low
         } else {
-            high = middle;
-        }
+            &mut high
+        }) = middle;
     }
     high
 }
 
-pub(super) fn without(set: &Set, k: usize) -> Set {
-    let mut set = set.clone();
-    set[k] = None;
-    set
-}
-
 /// Size of candidate `k` in a set and its standard deviation, in the unit of its first parameter.
 pub(super) fn size_in(reduced: &Reduced, set: &Set, k: usize) -> Option<(f64, f64)> {
-    let variant = &reduced.linear.candidates[k].variants[set[k]?];
-    let columns = reduced.columns(set);
-    let (mean, covariance) = reduced.sizes(&columns)?;
-    let m = reduced.linear.nuisances.len();
+    let candidate = &reduced.linear.candidates[k];
+    let variant = &candidate.variants[set[k]?];
+    let estimate = reduced.estimate(set)?;
     let second = variant.columns.get(1);
     let is_wave = second.is_some_and(|own| own.unit > 0.0 && own.parameter == Some(1))
-        && is_amplitude(reduced.linear.candidates[k].effect);
-    let count = if is_wave { 2 } else { 1 };
+        && is_amplitude(candidate.effect);
     let (mut square, mut variance) = (0.0, 0.0_f64);
-    for column in variant.columns.iter().take(count) {
-        let at = columns.iter().position(|c| *c == column.at - m)?;
-        let size = mean[at] * column.unit;
+    for column in variant.columns.iter().take(if is_wave { 2 } else { 1 }) {
+        let (mean, own) = estimate.of(column.at)?;
+        let size = mean * column.unit;
         square += size * size;
-        variance = variance.max(covariance[(at, at)] * column.unit * column.unit);
+        variance = variance.max(own * column.unit * column.unit);
     }
     Some((square.sqrt(), variance.sqrt()))
 }
 
 /// Whether an effect's first two parameters are sine and cosine.
-pub(super) fn is_amplitude(effect: Option<&'static dyn Effect>) -> bool {
+fn is_amplitude(effect: Option<&'static dyn Effect>) -> bool {
     let first = effect.and_then(|effect| effect.parameters().first());
     first.is_some_and(|spec| spec.key.starts_with("sin_"))
 }
@@ -237,44 +221,38 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_nine_of_ten_have_is_not_the_least() {
-        for (observed, expected) in [
-            (
-                &[3.0, 1.0, 9.0, 4.0, 8.0, 7.0, 6.0, 5.0, 2.0, 10.0][..],
-                Some(2.0),
-            ),
-            (&[3.0, 1.0], Some(1.0)),
-            (&[], None),
-        ] {
-            assert_eq!(of_most(observed.to_vec()), expected, "{observed:?}");
+    fn nine_of_ten_have_more_than_the_least() {
+        let ten = [3.0, 1.0, 9.0, 4.0, 8.0, 7.0, 6.0, 5.0, 2.0, 10.0];
+        for (values, expected) in [(&ten[..], Some(2.0)), (&ten[..2], Some(1.0)), (&[], None)] {
+            assert_eq!(of_most(values.to_vec()), expected, "{values:?}");
         }
     }
 
     #[test]
     fn an_event_is_below_its_bound_whenever_it_happened() {
-        let observed = |precision: f64| ColumnInformation {
+        let moment = |precision: f64, score: f64| ColumnInformation {
             information: precision - 1.0,
-            score: 0.0,
+            score,
             unit: 2.0,
         };
-        // Moments that say the same of it, as one of them alone.
-        let sharp = whenever(&[observed(400.0); 40]);
-        assert!(
-            (sharp / (BOUND_SIGMAS * 2.0 / 20.0) - 1.0).abs() < 1e-3,
-            "{sharp}"
-        );
-        // A quarter of the moments leave it open: it may be nearly as large as is plausible at all.
-        let mut open = vec![observed(400.0); 30];
-        open.extend([observed(1.0); 10]);
-        let bound = whenever(&open);
-        assert!(bound > 2.0, "{bound}");
-        // One in which it is there counts, and the others hardly do.
-        let mut there = vec![observed(400.0); 39];
-        there.push(ColumnInformation {
-            score: 0.5 * 400.0,
-            ..observed(400.0)
-        });
-        let bound = whenever(&there);
-        assert!((1.0 + 0.1..1.0 + 0.25).contains(&bound), "{bound}");
+        let sharp = BOUND_SIGMAS * 2.0 / 20.0;
+        let (open, there) = (moment(1.0, 0.0), moment(400.0, 200.0));
+        for (name, count, other, expected) in [
+            (
+                "equal",
+                10,
+                moment(400.0, 0.0),
+                0.999 * sharp..1.001 * sharp,
+            ),
+            // A quarter leaves it open: it may be nearly as large as is plausible at all.
+            ("open", 10, open, 2.0..f64::INFINITY),
+            // One in which it is there counts, and the others hardly do.
+            ("there", 1, there, 1.1..1.25),
+        ] {
+            let mut moments = vec![moment(400.0, 0.0); 40 - count];
+            moments.extend(vec![other; count]);
+            let bound = whenever(&moments);
+            assert!(expected.contains(&bound), "{name}: {bound}");
+        }
     }
 }

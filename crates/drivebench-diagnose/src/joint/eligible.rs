@@ -4,32 +4,18 @@ use std::f64::consts::TAU;
 
 use crate::mechanical::{depends_on_drive, start_of};
 use drivebench_identify::speed_from_angle;
+use drivebench_model::numerics::statistics::extent;
 use drivebench_model::plant::{
     Effect, Enters, Input, Instant, ParameterSpec, Scenario, State, Terms, starts_from_rest,
 };
 
-/// Time between two speeds that are looked at where their noise is not known, s: the step of the balance's windows. Faster,
-/// what the frame and the drive's own loops do would decide.
-const APART_S: f64 = 0.03;
 /// Periods that the angle must cover before a wave over it is eligible: less is a slope.
 const LEAST_TRAVEL_PERIODS: f64 = 2.0;
-/// The same of one whose order is known, over an angle that is measured: an arm does not turn round, and a slope bends over a
-/// quarter of a turn.
-const LEAST_MEASURED_PERIODS: f64 = 0.25;
-/// Longest part of a period between two samples, and the share of the samples that must lie so close.
-const RESOLVED_PERIODS: f64 = 0.25;
-const LEAST_RESOLVED_SHARE: f64 = 0.1;
-/// Share of the longest step below which the shaft counts as resting.
-const MOVES_SHARE: f64 = 0.02;
 
 /// Why a run cannot judge an effect at all; `None` where it can. A voltage drives through every equation.
 pub(crate) fn why_not(effect: &dyn Effect, scenario: &Scenario) -> Option<&'static str> {
-    let guess: Vec<f64> = effect
-        .parameters()
-        .iter()
-        .map(ParameterSpec::guess)
-        .collect();
-    let terms = effect.terms(&guess);
+    let guess = effect.parameters().iter().map(ParameterSpec::guess);
+    let terms = effect.terms(&guess.collect::<Vec<f64>>());
     let acts_at_restarts = terms.path().restart_delay_s > 0.0;
     if acts_at_restarts && starts_from_rest(&scenario.events).len() < 2 {
         return Some("the run starts from rest once at most: there it is a start delay");
@@ -89,10 +75,6 @@ pub(crate) fn why_not(effect: &dyn Effect, scenario: &Scenario) -> Option<&'stat
     (!is_resolved).then_some("the shaft turns through it from one sample to the next")
 }
 
-/// Share of the exchanged energy that has to flow backward, from the load to the motor, before friction in proportion to the
-/// load is eligible: less is noise of the torque about zero, and a reversal is no braking.
-const LEAST_BACKWARD_SHARE: f64 = 0.03;
-
 /// Whether the effect is friction that grows with the driving torque.
 fn is_friction_of_drive(effect: &dyn Effect, terms: &dyn Terms) -> bool {
     let at = Instant {
@@ -105,7 +87,7 @@ fn is_friction_of_drive(effect: &dyn Effect, terms: &dyn Terms) -> bool {
 }
 
 /// Whether the motor both drives its load and is driven by it. With friction `m |T| sgn(w)` the balance is `T = X / (1 - m)`
-/// while it drives and `T = X / (1 + m)` while it brakes, `X` being all other torques: one of the two alone tells nothing of m.
+/// while it drives and `T = X / (1 + m)` while it brakes, `X` being all other torques: one of the two alone does not determine m.
 fn has_both_power_flows(scenario: &Scenario) -> bool {
     let (mut forward, mut backward) = (0.0, 0.0);
     let samples = scenario.sample_time_s.windows(2).zip(&scenario.speed_rad_s);
@@ -117,7 +99,8 @@ fn has_both_power_flows(scenario: &Scenario) -> bool {
             backward -= power * (times[1] - times[0]);
         }
     }
-    backward > LEAST_BACKWARD_SHARE * (forward + backward)
+    // Less is noise of the torque about zero, and a reversal is no braking.
+    backward > 0.03 * (forward + backward)
 }
 
 /// Whether a run resolves a wave of so many periods per turn: every run that a voltage drives counts.
@@ -131,41 +114,38 @@ pub(super) fn resolves_wave(
         || (travels(scenario, periods_per_turn, least) && resolves(scenario, periods_per_turn))
 }
 
-/// Periods of an effect over the angle that the angle must cover.
+/// Periods of an effect over the angle that the angle must cover; a quarter of one whose order is known, over an angle that is
+/// measured: an arm does not turn round, and a slope bends over a quarter of a turn.
 fn least_periods(effect: &dyn Effect, scenario: &Scenario) -> f64 {
     let mut specs = effect.parameters().iter();
     if scenario.angle.is_empty() || specs.any(|spec| spec.key == "order") {
         LEAST_TRAVEL_PERIODS
     } else {
-        LEAST_MEASURED_PERIODS
+        0.25
     }
 }
 
 /// Whether the angle moved through so many periods: far enough to tell a wave from a slope.
 fn travels(scenario: &Scenario, periods_per_turn: f64, least: f64) -> bool {
-    let angles = scenario.shaft_angle();
-    let angles = || angles.iter().map(|point| point.1);
-    let lowest = angles().fold(f64::INFINITY, f64::min);
-    let most = angles().fold(f64::NEG_INFINITY, f64::max);
+    let (lowest, most) = extent(scenario.shaft_angle().iter().map(|point| point.1));
     (most - lowest) * periods_per_turn >= least * TAU
 }
 
-/// Whether samples lie close enough to see the wave pass.
+/// Whether a tenth of the samples are closer than a quarter of a period of the wave.
 fn resolves(scenario: &Scenario, periods_per_turn: f64) -> bool {
     let angles = scenario.shaft_angle();
     let pairs = angles.windows(2);
-    let steps: Vec<f64> = pairs.map(|pair| (pair[1].1 - pair[0].1).abs()).collect();
-    // What the noise of a resting shaft adds up to is no motion.
-    let moves = MOVES_SHARE * steps.iter().fold(0.0, |most, step| f64::max(most, *step));
-    let moving = steps.iter().filter(|step| **step > moves).count();
+    let mut steps: Vec<f64> = pairs.map(|pair| (pair[1].1 - pair[0].1).abs()).collect();
+    // What the noise of a resting shaft adds up to is no motion: less than 0.02 of the longest step.
+    let moves = 0.02 * steps.iter().fold(0.0, |most, step| f64::max(most, *step));
+    steps.retain(|step| *step > moves);
     let close = steps
         .iter()
-        .filter(|step| **step > moves && **step * periods_per_turn < RESOLVED_PERIODS * TAU);
-    close.count() as f64 >= LEAST_RESOLVED_SHARE * moving as f64
+        .filter(|step| **step * periods_per_turn < 0.25 * TAU);
+    close.count() as f64 >= 0.1 * steps.len() as f64
 }
 
-/// What each of the runs that speak begins with: the first as it was fitted, one that is held out at rest, the others as they
-/// were measured.
+/// What each run begins with: the first as it was fitted, one that is held out at rest, the others as they were measured.
 pub(super) fn starts(runs: &[Scenario], held_out: usize, first: State) -> Vec<State> {
     let start = |(number, run): (usize, &Scenario)| {
         if run.input != Input::Voltage {
@@ -199,8 +179,10 @@ pub(super) fn prepared(scenario: &Scenario, noise_is_known: bool) -> Scenario {
         }
     }
     let span = speed_from_angle::span(scenario);
+    // Where the noise is not known speeds are as far apart as the windows of the balance: faster, the frame and the drive's own
+    // loops would decide.
     let is_own = noise_is_known && span.is_none();
-    let apart_s = if is_own { 0.0 } else { APART_S };
+    let apart_s = if is_own { 0.0 } else { 0.03 };
     let (mut next_s, mut skip) = (f64::NEG_INFINITY, 0);
     for (time_s, speed) in scenario.sample_time_s.iter().zip(&mut prepared.speed_rad_s) {
         if !speed.is_finite() {

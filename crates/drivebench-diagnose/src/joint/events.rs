@@ -12,75 +12,30 @@
 use nalgebra::DVector;
 use rayon::prelude::*;
 
-use super::columns::{Candidate, Column, Form, Linear, LinearisedRun, Part, SLAB, Source, Variant};
-use super::forms::{Base, add_products};
+use super::regression::{Base, Candidate, Column, Form, Linear, Part, SLAB, Source, Variant};
+use super::run::{LinearisedRun, with_events};
+use super::screening::add_products;
 use super::select::Set;
 use super::tangent::{LANES, Lane, Tangent};
 use drivebench_model::plant::{
-    ActiveEffect, Effect, Instant, Model, ParameterRole, ParameterSpec, Path, Scenario, Terms,
-    typical_size,
+    ActiveEffect, Effect, Model, ParameterRole, ParameterSpec, Path, Scenario, Terms, typical_size,
 };
 
-/// Moments of a run that are tried are parts of so many, of a step of the load and of each of the others.
-const PLACES: usize = 96;
-const PLACES_OTHER: usize = 48;
 /// Time before its moment from which on an event may do anything, s.
 const LEAD_S: f64 = 0.4;
-/// Moments of each run that are tried in pairs.
-const PAIRED: usize = 4;
-/// Moments on either side of the one that is looked for more finely, and how much finer they lie each time.
+/// Moments on either side of the best one that are evaluated on each level of a search.
 const AROUND: i32 = 8;
-/// Parts of a run on either side within which it is looked for: linearised far from the data it was put wrong by more than
-/// one.
-const WIDE_PARTS: f64 = 4.0;
-/// Levels of looking more finely.
-const LEVELS: usize = 5;
-/// Periods of a run by which an event may still move.
-const STAYS_PERIODS: f64 = 1.5;
-/// Part of a period below which moments are not told apart.
-const FINE_PERIODS: f64 = 0.25;
-/// Fall of the log likelihood at the ends of a 95 % interval.
-const INTERVAL_NATS: f64 = 1.92;
-
-/// Time before and behind the moment by which an onset may have another form, s: nobody knows how fast it comes.
-const ONSET_S: f64 = 0.01;
-/// Its forms, at one standard deviation: later or earlier, and slower or faster, by the weights before, at and behind it.
-const ONSET_FORMS: [[f64; 3]; 2] = [[0.5, 0.0, -0.5], SLOWER];
+/// Weights before, at and behind the moment, at one standard deviation: a slower onset or a faster one.
 const SLOWER: [f64; 3] = [0.5, -1.0, 0.5];
-/// Times before and behind the moment over which it may build up, s: what comes slowly would pass for a friction beside it.
-const BUILDS_UP_S: [f64; 3] = [0.1, 0.4, 1.6];
-
-/// A sum of terms that have no states, each with its weight.
-struct Weighted(Vec<(f64, Box<dyn Terms>)>);
-
-impl Weighted {
-    fn sum(&self, of: impl Fn(&dyn Terms) -> f64) -> f64 {
-        let parts = self.0.iter();
-        parts.map(|(weight, terms)| weight * of(&**terms)).sum()
-    }
-}
-
-impl Terms for Weighted {
-    fn voltage_v(&self, at: &Instant, own: &[f64]) -> f64 {
-        self.sum(|terms| terms.voltage_v(at, own))
-    }
-
-    fn torque_n_m(&self, at: &Instant, own: &[f64]) -> f64 {
-        self.sum(|terms| terms.torque_n_m(at, own))
-    }
-
-    fn friction_n_m(&self, at: &Instant) -> f64 {
-        self.sum(|terms| terms.friction_n_m(at))
-    }
-
-    fn current_rate_gain(&self, at: &Instant) -> f64 {
-        self.sum(|terms| terms.current_rate_gain(at))
-    }
-
-    fn inertia_gain(&self, at: &Instant) -> f64 {
-        self.sum(|terms| terms.inertia_gain(at))
-    }
-}
+/// Other forms of an onset: weights and the time before and behind the moment, s. Later or earlier and slower or faster, since its
+/// rate is not known; and built up slowly, since that would pass for a friction beside it.
+const ONSETS: [([f64; 3], f64); 5] = [
+    ([0.5, 0.0, -0.5], 0.01),
+    (SLOWER, 0.01),
+    (SLOWER, 0.1),
+    (SLOWER, 0.4),
+    (SLOWER, 1.6),
+];
 
 /// An event of one run.
 #[derive(Clone)]
@@ -90,7 +45,7 @@ pub(super) struct Event {
     pub(super) values: Vec<f64>,
 }
 
-/// Which of an effect's parameters says when it happens; none where it is no event.
+/// Which of an effect's parameters is the time of its event; none where it is no event.
 pub(crate) fn time_of(effect: &dyn Effect) -> Option<usize> {
     let mut specs = effect.parameters().iter();
     specs.position(|spec| spec.role == ParameterRole::EventTime)
@@ -115,18 +70,26 @@ impl Event {
         ActiveEffect::with(self.effect, &self.values)
     }
 
-    /// What another form of its onset does, which differs so long before and behind the moment.
-    fn bent(&self, weights: [f64; 3], around_s: f64) -> Box<dyn Terms> {
-        let parts = [-around_s, 0.0, around_s].into_iter().zip(weights);
-        let part = |(after_s, weight): (f64, f64)| {
-            let mut there = self.clone();
-            there.put_at(self.time_s() + after_s);
-            (weight, self.effect.terms(&there.values))
-        };
-        Box::new(Weighted(parts.map(part).collect()))
+    /// Its terms at another moment.
+    fn terms_at(&self, time_s: f64) -> Box<dyn Terms> {
+        let mut there = self.clone();
+        there.put_at(time_s);
+        there.effect.terms(&there.values)
     }
 
-    /// What `unit` of its size does where it is; `None` where that is no forcing.
+    /// Change by another form of its onset, so long before and behind the moment.
+    fn onset(&self, (weights, around_s): ([f64; 3], f64)) -> Tangent {
+        let parts = [-around_s, 0.0, around_s].into_iter().zip(weights);
+        let terms_at = |after_s| self.terms_at(self.time_s() + after_s);
+        Tangent::Event {
+            parts: parts
+                .map(|(after_s, weight)| (weight, terms_at(after_s)))
+                .collect(),
+            begins_s: self.time_s() - around_s - LEAD_S,
+        }
+    }
+
+    /// The tangent of `unit` of its size where it is; `None` where that is no forcing.
     pub(super) fn slope(&self, unit: f64) -> Option<Tangent> {
         let acts = self.effect.terms(&self.values).path() == Path::default();
         acts.then(|| self.tangent(unit, self.time_s()))
@@ -134,13 +97,10 @@ impl Event {
 
     /// The same with a slab of it at another moment.
     fn tangent(&self, slab: f64, time_s: f64) -> Tangent {
-        let mut values = self.values.clone();
-        values[self.effect.size_index()] = slab;
-        if let Some(k) = time_of(self.effect) {
-            values[k] = time_s;
-        }
+        let mut there = self.clone();
+        there.values[self.effect.size_index()] = slab;
         Tangent::Event {
-            terms: self.effect.terms(&values),
+            parts: vec![(1.0, there.terms_at(time_s))],
             begins_s: time_s - LEAD_S,
         }
     }
@@ -156,23 +116,20 @@ pub(super) struct Hypothesis {
 impl Hypothesis {
     /// A fitted model, whose events are those of the first run.
     pub(super) fn of(model: &Model) -> Self {
+        let (events, shared) = (model.effects.iter().cloned())
+            .partition::<Vec<_>, _>(|active| time_of(active.effect).is_some());
         let mut model = model.clone();
-        let mut events = Vec::new();
-        model.effects.retain(|active| {
-            let is_event = time_of(active.effect).is_some();
-            if is_event {
-                events.push(Event {
-                    run: 0,
-                    effect: active.effect,
-                    values: active.values_or_guess(),
-                });
-            }
-            !is_event
-        });
+        model.effects = shared;
+        let event = |active: &ActiveEffect| Event {
+            run: 0,
+            effect: active.effect,
+            values: active.values_or_guess(),
+        };
+        let events = events.iter().map(event).collect();
         Self { model, events }
     }
 
-    /// A model of one run, whatever happens in it.
+    /// A model of one run, with its events.
     pub(super) fn whole(model: &Model) -> Self {
         Self {
             model: model.clone(),
@@ -187,9 +144,7 @@ impl Hypothesis {
 
     /// The model of one run.
     pub(super) fn in_run(&self, run: usize) -> Model {
-        let mut model = self.model.clone();
-        model.effects.extend(self.events_of(run));
-        model
+        with_events(&self.model, &self.events_of(run))
     }
 
     pub(super) fn has(&self, id: &str) -> bool {
@@ -203,14 +158,13 @@ impl Hypothesis {
         without
     }
 
-    /// Whether no event happens at another sample than `before`: its form is linear only close to where it is.
+    /// Whether no event is more than a period and a half from where it is `before`: its form is linear only close to there.
     pub(super) fn events_stay(&self, before: &Self, scenarios: &[&Scenario]) -> bool {
         self.events.iter().all(|event| {
             let period_s = scenarios[event.run].mean_period_s();
-            let mut others = before.events.iter();
-            others.any(|other| {
+            before.events.iter().any(|other| {
                 (other.id(), other.run) == (event.id(), event.run)
-                    && (other.time_s() - event.time_s()).abs() <= STAYS_PERIODS * period_s
+                    && (other.time_s() - event.time_s()).abs() <= 1.5 * period_s
             })
         })
     }
@@ -226,9 +180,9 @@ impl Hypothesis {
 /// Parts of a run at whose ends an effect is looked for. Steps of the load stand for a disturbance, too.
 fn parts_of_run(effect: &dyn Effect) -> usize {
     if effect.card().is_disturbance_step {
-        PLACES
+        96
     } else {
-        PLACES_OTHER
+        48
     }
 }
 
@@ -237,7 +191,7 @@ fn spacing_s(run: &LinearisedRun<'_>, effect: &dyn Effect) -> f64 {
     (last_s - run.scenario.begin_s()) / parts_of_run(effect) as f64
 }
 
-/// Log of the share beforehand of what happens in one run only at a given moment, in so many runs.
+/// Log of the prior of what happens in one run only at a given moment, in so many runs.
 fn log_share_of_one(effect: &dyn Effect, runs: usize) -> f64 {
     let only = if runs > 1 { 0.5 / runs as f64 } else { 1.0 };
     only.ln() - ((parts_of_run(effect) - 1) as f64).ln()
@@ -259,10 +213,15 @@ pub(super) fn parts(
     let model = &hypothesis.model;
     let specs = effect.parameters().iter();
     let guess: Vec<f64> = specs.map(ParameterSpec::guess).collect();
-    let slab = |run: &LinearisedRun<'_>| SLAB * typical_size(effect, size, model, run.scenario);
-    let of_size = |unit, moment, present| Column {
-        moment: Some(moment),
-        ..Column::of(Some(size), unit, present)
+    let slab = |run: usize| SLAB * typical_size(effect, size, model, runs[run].scenario);
+    // The column of an event whose size is so many slabs.
+    let add = |form: &mut Form, event: &Event, present: f64| {
+        let (unit, time_s) = (slab(event.run), event.time_s());
+        let column = Column {
+            moment: Some((event.run, time_s)),
+            ..Column::of(Some(size), unit, present / unit)
+        };
+        form.column(Source::In(event.run, event.tangent(unit, time_s)), column);
     };
     let is_own = |event: &&Event| event.id() == id && event.run < runs.len();
     let own: Vec<&Event> = hypothesis.events.iter().filter(is_own).collect();
@@ -275,22 +234,13 @@ pub(super) fn parts(
             _ => log_share_of_two(effect),
         };
         let mut form = Form::new(own[0].values.clone(), log_prior);
-        for event in &own {
-            let unit = slab(&runs[event.run]);
-            let source = Source::In(event.run, event.tangent(unit, event.time_s()));
-            let (moment, present) = ((event.run, event.time_s()), event.values[size] / unit);
-            form.column(source, of_size(unit, moment, present));
-        }
-        for event in &own {
-            let at_once = ONSET_FORMS.map(|weights| (weights, ONSET_S));
-            let slowly = BUILDS_UP_S.map(|around_s| (SLOWER, around_s));
-            for (weights, around_s) in at_once.into_iter().chain(slowly) {
-                let bent = Tangent::Event {
-                    terms: event.bent(weights, around_s),
-                    begins_s: event.time_s() - around_s - LEAD_S,
-                };
-                form.column(Source::In(event.run, bent), Column::default());
-            }
+        own.iter()
+            .for_each(|event| add(&mut form, event, event.values[size]));
+        for (event, onset) in own
+            .iter()
+            .flat_map(|event| ONSETS.map(|onset| (event, onset)))
+        {
+            form.column(Source::In(event.run, event.onset(onset)), Column::default());
         }
         part.push(form);
         parts.push(part);
@@ -306,23 +256,20 @@ pub(super) fn parts(
         if own.iter().any(|event| event.run == number) {
             continue;
         }
-        let unit = slab(run);
         let part_s = spacing_s(run, effect);
-        let grid = (1..parts_of_run(effect)).map(|place| part_s * place as f64);
+        let grid = (1..parts_of_run(effect)).map(|place| (part_s * place as f64, false));
         let others = hypothesis.events.iter();
         let others = others.filter(|event| event.run == number && event.id() != id);
-        let others = others.map(|event| (event.time_s(), true));
-        for (time_s, is_rival) in grid.map(|time_s| (time_s, false)).chain(others) {
+        for (time_s, is_rival) in grid.chain(others.map(|event| (event.time_s(), true))) {
             let mut event = Event {
                 run: number,
                 effect,
                 values: guess.clone(),
             };
             event.put_at(time_s);
-            event.values[size] = unit;
-            let source = Source::In(number, event.tangent(unit, time_s));
-            let mut form = Form::new(event.values, log_share);
-            form.column(source, of_size(unit, (number, time_s), 0.0));
+            event.values[size] = slab(number);
+            let mut form = Form::new(event.values.clone(), log_share);
+            add(&mut form, &event, 0.0);
             form.variant.is_rival = is_rival;
             part.push(form);
         }
@@ -337,9 +284,9 @@ pub(super) fn pair(linear: &mut Linear, runs: &[LinearisedRun<'_>]) {
     if runs.len() < 2 {
         return;
     }
-    let base: Vec<usize> = (0..linear.nuisances.len())
-        .chain(in_model(&linear.candidates))
-        .collect();
+    let inside = linear.candidates.iter().filter(|own| own.in_model);
+    let inside = inside.flat_map(|own| own.variants[0].numbers());
+    let base: Vec<usize> = (0..linear.nuisances.len()).chain(inside).collect();
     let Some(given) = Base::of_columns(linear, &base) else {
         return;
     };
@@ -362,11 +309,6 @@ pub(super) fn pair(linear: &mut Linear, runs: &[LinearisedRun<'_>]) {
     }
 }
 
-fn in_model(candidates: &[Candidate]) -> impl Iterator<Item = usize> {
-    let inside = candidates.iter().filter(|candidate| candidate.in_model);
-    inside.flat_map(|candidate| candidate.variants[0].numbers())
-}
-
 /// An event of the model that is in two runs, in either alone.
 fn alone(candidate: &Candidate, runs: usize) -> Vec<Variant> {
     let both = &candidate.variants[0];
@@ -382,8 +324,8 @@ fn alone(candidate: &Candidate, runs: usize) -> Vec<Variant> {
     own.map(only).collect()
 }
 
-/// An event that the model lacks, in two runs at once. What was there before either moved is no event but always there, and
-/// would lend the effects that always are a sign that they do not have.
+/// An event that the model lacks, in two runs at once: four likely moments of each, and those of other events. What was there
+/// before either moved is no event but always there, and would give the effects that always are a sign that they do not have.
 fn together(
     candidate: &Candidate,
     runs: &[LinearisedRun<'_>],
@@ -397,35 +339,34 @@ fn together(
         let own = candidate.variants.iter().filter(is_own);
         let mut own: Vec<_> = own.map(|form| (gain(form.columns[0].at), form)).collect();
         own.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let is_paired = |(place, own): &(usize, (f64, &Variant))| *place < PAIRED || own.1.is_rival;
-        let own = own.into_iter().enumerate().filter(is_paired);
-        own.map(|(_, own)| own.1).collect()
-    };
-    let (first, second) = (of_run(0), of_run(1));
-    let both = |a: &Variant, b: &Variant| Variant {
-        columns: [&a.columns[..], &b.columns].concat(),
-        log_prior: log_share_of_two(effect),
-        ..a.clone()
+        let own = own.into_iter().map(|own| own.1).enumerate();
+        let paired = own.filter(|(place, form)| *place < 4 || form.is_rival);
+        paired.map(|(_, form)| form).collect()
     };
     let observable_s = [0, 1].map(|run| moves_s(&runs[run]) + spacing_s(&runs[run], effect));
     let happens = |form: &Variant| {
         let mut moments = form.moments();
         moments.any(|(run, time_s)| time_s > observable_s[run])
     };
-    let pairs = first
-        .iter()
-        .flat_map(|a| second.iter().map(move |b| (a, b)));
-    let pairs = pairs.filter(|(a, b)| happens(a) || happens(b));
-    pairs.map(|(a, b)| both(a, b)).collect()
+    let (first, second) = (of_run(0), of_run(1));
+    let with_second = |a| second.iter().map(move |b| (a, b));
+    let pairs = first.iter().flat_map(with_second);
+    pairs
+        .filter(|(a, b)| happens(a) || happens(b))
+        .map(|(a, b)| Variant {
+            columns: [&a.columns[..], &b.columns].concat(),
+            log_prior: log_share_of_two(effect),
+            ..(*a).clone()
+        })
+        .collect()
 }
 
 /// When the shaft of a run turns first, s after its first command.
 fn moves_s(run: &LinearisedRun<'_>) -> f64 {
-    let directions = run.followed.direction.iter();
-    let first = directions
-        .zip(&run.scenario.sample_time_s)
-        .find(|(direction, _)| **direction != 0.0);
-    first.map_or(f64::INFINITY, |(_, time_s)| time_s - run.scenario.begin_s())
+    let mut directions = run.followed.direction.iter();
+    let first = directions.position(|direction| *direction != 0.0);
+    let time_s = first.map(|sample| run.scenario.sample_time_s[sample]);
+    time_s.map_or(f64::INFINITY, |time_s| time_s - run.scenario.begin_s())
 }
 
 /// When an event happened, with the interval that holds the moment with 95 %.
@@ -435,7 +376,7 @@ pub(super) struct Moment {
     pub(super) interval_s: [f64; 2],
 }
 
-/// Where the whitened residual of a run, all that is in the model taken out, asks for an event beside the rest of a set.
+/// The evidence of an event beside the rest of a set, by the whitened residual of a run without all that is in the model.
 struct Search<'a> {
     run: &'a LinearisedRun<'a>,
     event: &'a Event,
@@ -455,10 +396,8 @@ impl Search<'_> {
             let mut products: Vec<Lane> = vec![[0.0; LANES]; self.columns.len() + 3];
             let (columns, residual) = (&self.columns, &self.residual);
             add_products(self.run, columns, residual, &tangents, &mut products);
-            let lanes = 0..some.len();
-            lanes
-                .map(|lane| self.given.gain(&products, lane, 1))
-                .collect()
+            let gain = |lane| self.given.gain(&products, lane, 1);
+            (0..some.len()).map(gain).collect()
         };
         let groups = times_s.par_chunks(LANES).with_max_len(1);
         groups.map(gains).collect::<Vec<_>>().concat()
@@ -471,31 +410,31 @@ impl Search<'_> {
         let period_s = self.run.scenario.mean_period_s();
         let spacing_s = spacing_s(self.run, self.event.effect);
         let is_inside = |time_s: &f64| (0.0..end_s).contains(time_s);
-        let mut step_s = WIDE_PARTS * spacing_s / f64::from(AROUND);
+        // Four parts on either side: linearised far from the data it was wrong by more than one.
+        let mut step_s = 4.0 * spacing_s / f64::from(AROUND);
         let mut best_s = self.event.time_s();
         let mut evaluated: Vec<(f64, f64)> = Vec::new();
-        for _ in 0..LEVELS {
+        // Five levels, down to a quarter of a period.
+        for _ in 0..5 {
             let tried = (-AROUND..=AROUND).map(|k| best_s + f64::from(k) * step_s);
             let tried: Vec<f64> = tried.filter(is_inside).collect();
             evaluated.extend(tried.iter().copied().zip(self.gains(&tried)));
             let likeliest = evaluated.iter().max_by(|a, b| a.1.total_cmp(&b.1));
             best_s = likeliest.map_or(best_s, |evaluated| evaluated.0);
-            if step_s < FINE_PERIODS * period_s {
+            if step_s < 0.25 * period_s {
                 break;
             }
             step_s *= 2.0 / f64::from(AROUND);
         }
         let gains = evaluated.iter().map(|evaluated| evaluated.1);
-        let most = gains.fold(f64::NEG_INFINITY, f64::max);
-        let least = most - INTERVAL_NATS * excess;
+        // 1.92 nats below the top end the interval of 95 %.
+        let least = gains.fold(f64::NEG_INFINITY, f64::max) - 1.92 * excess;
         // Where nothing moves the moment may be anywhere.
         let wide_s = 0.5 * spacing_s;
         for side in [-1.0, 1.0] {
             let reach = evaluated.iter().filter(|evaluated| evaluated.1 > least);
-            let mut from_s = reach
-                .map(|evaluated| side * evaluated.0)
-                .fold(f64::MIN, f64::max)
-                * side;
+            let reach = reach.map(|evaluated| side * evaluated.0);
+            let mut from_s = reach.fold(f64::MIN, f64::max) * side;
             loop {
                 let further = (1..=LANES).map(|k| from_s + side * wide_s * k as f64);
                 let further: Vec<f64> = further.filter(is_inside).collect();
@@ -508,13 +447,12 @@ impl Search<'_> {
                 from_s = further[LANES - 1];
             }
         }
-        let likely = evaluated.iter().filter(|evaluated| evaluated.1 > least);
         // Between two samples nothing is observed.
         let half_s = 0.5 * period_s;
-        let interval_s = likely.fold(
-            [best_s - half_s, best_s + half_s],
-            |[low, high], evaluated| [low.min(evaluated.0), high.max(evaluated.0)],
-        );
+        let likely = evaluated.iter().filter(|evaluated| evaluated.1 > least);
+        let interval_s = likely.fold([best_s - half_s, best_s + half_s], |[low, high], own| {
+            [low.min(own.0), high.max(own.0)]
+        });
         Moment {
             time_s: best_s,
             interval_s,
@@ -522,67 +460,49 @@ impl Search<'_> {
     }
 }
 
-/// The column that an event of a set has.
-fn column_of(linear: &Linear, set: &Set, event: &Event) -> Option<Column> {
-    let chosen = linear.candidates.iter().zip(set);
-    let own = chosen.filter(|(candidate, _)| candidate.id == event.id());
-    let forms = own.filter_map(|(candidate, form)| Some(&candidate.variants[(*form)?]));
-    let mut columns = forms.flat_map(|form| &form.columns).copied();
-    columns.find(|column| column.moment.is_some_and(|own| own.0 == event.run))
-}
-
-/// When each of the events of a set happened, beside all else that is in it; as it was where it is not in the set.
+/// When an event of a set happened, beside all else that is in it; as it was where it is not in the set.
 pub(super) fn placed(
-    events: &[Event],
-    linear: &Linear,
-    set: &Set,
-    runs: &[LinearisedRun<'_>],
-    excess: f64,
-) -> Vec<Moment> {
-    let placed = |event: &Event| {
-        let there = Moment {
-            time_s: event.time_s(),
-            interval_s: [event.time_s(); 2],
-        };
-        place(event, linear, set, runs, excess).unwrap_or(there)
-    };
-    events.iter().map(placed).collect()
-}
-
-fn place(
     event: &Event,
     linear: &Linear,
     set: &Set,
     runs: &[LinearisedRun<'_>],
     excess: f64,
-) -> Option<Moment> {
-    let own = column_of(linear, set, event)?;
-    let (run, whitened) = (runs.get(event.run)?, linear.columns.get(event.run)?);
-    let chosen = linear.candidates.iter().zip(set);
-    let others = chosen.flat_map(|(candidate, form)| {
-        let columns = form.map_or(&[][..], |form| &candidate.variants[form].columns);
-        // What another form of its onset does is what is looked for.
-        let is_other = candidate.id != event.id();
-        let kept = columns
+) -> Moment {
+    let place = || -> Option<Moment> {
+        let chosen = linear.candidates.iter().zip(set);
+        let chosen = chosen.filter_map(|(own, form)| Some((own.id, &own.variants[(*form)?])));
+        let columns: Vec<(&str, &Column)> = chosen
+            .flat_map(|(id, form)| form.columns.iter().map(move |column| (id, column)))
+            .collect();
+        let is_own = |(id, column): &&(&str, &Column)| {
+            *id == event.id() && column.moment.is_some_and(|own| own.0 == event.run)
+        };
+        let own = columns.iter().find(is_own)?.1;
+        let (run, whitened) = (runs.get(event.run)?, linear.columns.get(event.run)?);
+        // Other forms of its onset are left out: they stand for another moment.
+        let others = columns
             .iter()
-            .filter(move |own| is_other || own.moment.is_some());
-        kept.map(|column| column.at)
-    });
-    let base = (0..linear.nuisances.len()).chain(others);
-    let base: Vec<usize> = base.filter(|column| *column != own.at).collect();
-    let given = Base::of_columns(linear, &base)?;
-    let shift = whitened * &linear.present;
-    let white = run.followed.white.iter().enumerate();
-    let residual = white
-        .map(|(k, white)| [0, 1].map(|signal| white[signal] + shift[2 * k + signal]))
-        .collect();
-    let search = Search {
-        run,
-        event,
-        slab: own.unit,
-        residual,
-        columns: base.iter().map(|k| &whitened.columns[*k][..]).collect(),
-        given,
+            .filter(|(id, column)| *id != event.id() || column.moment.is_some())
+            .map(|(_, column)| column.at);
+        let base = (0..linear.nuisances.len()).chain(others);
+        let base: Vec<usize> = base.filter(|column| *column != own.at).collect();
+        let given = Base::of_columns(linear, &base)?;
+        let shift = whitened * &linear.present;
+        let residual =
+            |(k, white): (usize, &[f64; 2])| [white[0] + shift[2 * k], white[1] + shift[2 * k + 1]];
+        let white = run.followed.white.iter().enumerate();
+        let search = Search {
+            run,
+            event,
+            slab: own.unit,
+            residual: white.map(residual).collect(),
+            columns: base.iter().map(|k| &whitened.columns[*k][..]).collect(),
+            given,
+        };
+        Some(search.nearest(excess))
     };
-    Some(search.nearest(excess))
+    place().unwrap_or(Moment {
+        time_s: event.time_s(),
+        interval_s: [event.time_s(); 2],
+    })
 }

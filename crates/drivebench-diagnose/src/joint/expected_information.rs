@@ -1,11 +1,12 @@
 //! Expected information of a run that is still to be made (Bayesian design of experiments: Chaloner and Verdinelli, Statistical
 //! Science 10, 1995): the same linear problem as that of the answer, with a record as the model expects it.
 
-use super::columns::{Linear, LinearisedRun, linearise};
+use super::columns::linearise;
 use super::detectability::{UNDETECTABLE_SLABS, spread_slabs};
 use super::eligible::{prepared, starts};
 use super::events::Hypothesis;
-use super::follow::Noise;
+use super::kalman::Noise;
+use super::run::LinearisedRun;
 use super::select::{Reduced, Set};
 use super::solution::{linearised_runs, present};
 use crate::evidence::Evidence;
@@ -52,8 +53,8 @@ impl ExpectedInformation {
         basis: InformationBasis,
     ) -> Self {
         let known = evidence.noise.source != FloorSource::None;
-        let (speaking, held_out) = evidence.speaking();
-        let runs: Vec<Scenario> = speaking.iter().map(|run| prepared(run, known)).collect();
+        let (in_hand, held_out) = evidence.speaking();
+        let runs: Vec<Scenario> = in_hand.iter().map(|run| prepared(run, known)).collect();
         let own = model.effects.iter().map(|active| active.effect);
         let missing = eligible.iter().copied();
         let missing = missing.filter(|effect| !model.has(effect.card().id));
@@ -90,12 +91,9 @@ impl ExpectedInformation {
     }
 }
 
-/// Fall of the log odds within which a form may turn out to be the likeliest once the run is made.
-const MAY_BE_LIKELIEST_NATS: f64 = 3.0;
-
 /// Of each effect beside a set, in the form that shows least of those that may be the likeliest.
 fn information_of(reduced: &Reduced, set: &Set, excess: f64) -> Vec<(&'static str, f64)> {
-    let linear: &Linear = &reduced.linear;
+    let linear = &reduced.linear;
     let mut all: Vec<(&'static str, f64)> = Vec::new();
     for (k, candidate) in linear.candidates.iter().enumerate() {
         if candidate.in_model || candidate.is_unknown() {
@@ -105,7 +103,8 @@ fn information_of(reduced: &Reduced, set: &Set, excess: f64) -> Vec<(&'static st
         let logs = reduced.conditional(&others, k);
         let most = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let forms = logs.iter().enumerate();
-        let least = most - MAY_BE_LIKELIEST_NATS;
+        // Within 3 nats of the likeliest a form may be it once the run is made.
+        let least = most - 3.0;
         let forms = forms.filter(|(_, log)| log.total_cmp(&least).is_ge());
         let squares = forms.map(|(form, _)| {
             let spread = spread_slabs(reduced, set, excess, [k, form]);

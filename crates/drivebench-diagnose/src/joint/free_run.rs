@@ -1,23 +1,20 @@
-//! Free-run error: the part of a free run that no model can foretell (of a disturbance of the load, and of an
-//! unknown voltage), the excess of innovations over white noise, and the likelihood ratio of two models.
+//! Free-run error: the part of a free run that no model predicts (of a disturbance of the load, and of an unknown voltage), the
+//! excess of innovations over white noise, and the likelihood ratio of two models.
 
-use super::columns::LinearisedRun;
 use super::eligible::prepared;
-use super::follow::{Noise, P, Passage, Update, predicted, stop};
+use super::kalman::{Noise, Passage, Update, predicted, stationary, stop};
+use super::run::LinearisedRun;
 use drivebench_model::plant::{Model, Scenario, State};
 
-/// Lags over which what is left may be alike.
+/// Lags over which what is left may be correlated.
 const EXCESS_LAGS: usize = 40;
-/// Standard deviations of chance that a correlation must exceed to count.
-const BY_CHANCE_SIGMAS: f64 = 2.0;
 
-/// Root mean squares of current, A, and speed, rad/s, that the disturbance of a followed run makes where nothing leads the
-/// model: what no model can foretell.
+/// Root mean squares of current, A, and speed, rad/s, of a free run that the disturbance makes: no model predicts it.
 pub(super) fn disturbance_error(run: &LinearisedRun<'_>) -> [f64; 2] {
     carried(run, &run.noise, |_| [0.0; 2])
 }
 
-/// The same of what the holes of its record make: no model can foretell what nobody knows to have been commanded.
+/// The same of the unknown voltage in the holes of its record.
 pub(super) fn unobserved(run: &LinearisedRun<'_>) -> [f64; 2] {
     let calm = Noise {
         disturbance_n_m: 0.0,
@@ -27,7 +24,7 @@ pub(super) fn unobserved(run: &LinearisedRun<'_>) -> [f64; 2] {
     carried(run, &calm, |passage| passage.unobserved)
 }
 
-/// What the holes of a run make that the answer does not rest on; none where the model cannot be followed on it.
+/// The same of a run that has no part in the answer; none where the model cannot be simulated on it.
 pub(crate) fn unobserved_in(
     run: &Scenario,
     model: &Model,
@@ -38,18 +35,17 @@ pub(crate) fn unobserved_in(
     LinearisedRun::new(model, &run, State::default(), noise).map(|run| unobserved(&run))
 }
 
-/// What a free run carries of a disturbance and of what comes `fresh` with each passage.
+/// Deviation of a free run by a disturbance and by what comes `fresh` with each passage.
 fn carried(
     run: &LinearisedRun<'_>,
     noise: &Noise,
     fresh: impl Fn(&Passage) -> [f64; 2],
 ) -> [f64; 2] {
-    let mut p: P = [[0.0; 4]; 4];
-    p[2][2] = noise.disturbance_n_m.powi(2);
-    p[3][3] = noise.input.powi(2);
+    let mut p = stationary(noise);
     let mut squares = [0.0; 2];
     for (passage, forget) in run.follower.passages.iter().zip(&run.follower.forgets) {
         let fresh = fresh(passage);
+        let covariance = (fresh[0] * fresh[1]).sqrt();
         let passage = Passage {
             form: [0.0; 3],
             fresh,
@@ -57,7 +53,7 @@ fn carried(
             together: if passage.begins_again {
                 0.0
             } else {
-                (fresh[0] * fresh[1]).sqrt()
+                covariance
             },
             ..*passage
         };
@@ -79,20 +75,19 @@ fn carried(
     squares.map(|square: f64| (square / count).sqrt())
 }
 
-/// How many times as large as white noise's the variance of sums of what is left of the innovations of `runs` is, in the
-/// worse of the two signals; at least one.
+/// Ratio of the variance of sums of what is left of the innovations of `runs` to that of white noise, in the worse of the two
+/// signals; at least one.
 pub(super) fn excess(runs: &[(&LinearisedRun<'_>, Vec<[f64; 2]>)]) -> f64 {
     let mut worst: f64 = 1.0;
     for signal in 0..2 {
         let mut sums = [0.0; EXCESS_LAGS + 1];
         let mut count = 0.0;
         for (run, left) in runs {
-            let is_measured = |sample: &usize| {
-                let update = &run.follower.updates[*sample];
-                [update.current, update.speed][signal][4] > 0.0
-            };
-            let measured = (0..left.len()).filter(is_measured);
-            let left: Vec<f64> = measured.map(|sample| left[sample][signal]).collect();
+            let updates = run.follower.updates.iter().zip(left);
+            let left: Vec<f64> = updates
+                .filter(|(update, _)| [update.current, update.speed][signal][4] > 0.0)
+                .map(|(_, left)| left[signal])
+                .collect();
             count += left.len() as f64;
             for (lag, sum) in sums.iter_mut().enumerate().take(left.len()) {
                 let products = left.iter().zip(&left[lag..]);
@@ -100,7 +95,8 @@ pub(super) fn excess(runs: &[(&LinearisedRun<'_>, Vec<[f64; 2]>)]) -> f64 {
             }
         }
         if count > 0.0 {
-            let chance = BY_CHANCE_SIGMAS * sums[0] / f64::sqrt(count);
+            // A correlation counts beyond two standard deviations of chance.
+            let chance = 2.0 * sums[0] / f64::sqrt(count);
             let alike = sums[1..].iter().take_while(|sum| **sum > chance);
             worst = worst.max((sums[0] + 2.0 * alike.sum::<f64>()) / count);
         }
@@ -108,10 +104,10 @@ pub(super) fn excess(runs: &[(&LinearisedRun<'_>, Vec<[f64; 2]>)]) -> f64 {
     worst
 }
 
-/// How much likelier the second model makes the run, in standard deviations: the root of twice the log of the ratio of the
-/// likelihoods of all innovations, over the excess of what the second leaves; negative where it is less likely. `start` is
+/// Likelihood ratio test of the second model against the first, in standard deviations: the root of twice the log of the ratio of
+/// the likelihoods of all innovations, over the excess of what the second leaves; negative where it is less likely. `starts` is
 /// where each sets out. Beside it root mean squares of current, A, and speed, rad/s, that the holes of the run make. `None`
-/// where a model cannot be followed on the run.
+/// where a model cannot be simulated on the run.
 pub(crate) fn likelier(
     models: [&Model; 2],
     starts: [State; 2],
@@ -122,13 +118,10 @@ pub(crate) fn likelier(
     let run = prepared(run, noise_is_known);
     let [worse, better] = [0, 1].map(|k| LinearisedRun::new(models[k], &run, starts[k], noise));
     let (worse, better) = (worse?, better?);
-    let white = better.followed.white.clone();
-    let widened = excess(&[(&better, white)]);
+    let widened = excess(&[(&better, better.followed.white.clone())]);
     let ratio = (log_likelihood(&better) - log_likelihood(&worse)) / widened;
-    ratio.is_finite().then(|| {
-        let z = ratio.signum() * (2.0 * ratio.abs()).sqrt();
-        (z, unobserved(&better))
-    })
+    let z = ratio.signum() * (2.0 * ratio.abs()).sqrt();
+    ratio.is_finite().then(|| (z, unobserved(&better)))
 }
 
 /// Log likelihood of the innovations but for what every model shares.
@@ -146,12 +139,12 @@ fn log_likelihood(run: &LinearisedRun<'_>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::joint::follow::{QUIET, hole};
+    use crate::joint::kalman::{QUIET, hole};
     use crate::kit::nameplate;
     use drivebench_model::plant::testing::record;
 
     #[test]
-    fn a_free_run_carries_what_a_hole_hides_as_the_equations_do() {
+    fn the_error_by_a_hole_is_that_of_the_equations() {
         let model = nameplate();
         let [known, other] = [20.0, 23.0].map(|hidden_v| {
             let events = vec![(0.0, 20.0), (0.5, hidden_v), (0.51, 20.0)];
@@ -159,18 +152,18 @@ mod tests {
         });
         let mut scenario = known.clone();
         scenario.unknown_input = vec![hole(0.5, 0.51, 9.0)];
-        let run = LinearisedRun::new(&model, &scenario, State::default(), QUIET).unwrap();
+        let of = |scenario| LinearisedRun::new(&model, scenario, State::default(), QUIET).unwrap();
+        let (run, whole) = (of(&scenario), of(&known));
         let rms = |a: &[f64], b: &[f64]| {
             let squares: f64 = a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum();
             (squares / a.len() as f64).sqrt()
         };
-        // Both records have the same noise: they differ by what the voltage made.
+        // Both records have the same noise: they differ by the voltage.
         let current = rms(&known.current_a, &other.current_a);
         let truth = [current, rms(&known.speed_rad_s, &other.speed_rad_s)];
         for (found, truth) in unobserved(&run).into_iter().zip(truth) {
             assert!((found / truth - 1.0).abs() < 0.1, "{found}, not {truth}");
         }
-        let whole = LinearisedRun::new(&model, &known, State::default(), QUIET).unwrap();
         assert!(unobserved(&whole).iter().all(|rms| *rms <= 0.0));
         // A disturbance of the load does not depend on holes.
         let difference = disturbance_error(&run)[0] / disturbance_error(&whole)[0] - 1.0;

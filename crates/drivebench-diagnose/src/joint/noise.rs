@@ -1,22 +1,61 @@
 //! Noise levels of a run by maximum marginal likelihood (empirical Bayes), with every effect in under its slab. The likelihood is
-//! that of the innovations of a Kalman filter (Schweppe, IEEE Trans. Information Theory 11, 1965).
+//! that of the innovations of a Kalman filter (Schweppe, IEEE Trans. Information Theory 11, 1965); its maximum is found by cyclic
+//! coordinate search.
 
 use nalgebra::{DMatrix, DMatrixView, DVector};
 use rayon::prelude::*;
 
-use super::columns::{Linear, LinearisedRun};
-use super::follow::{Noise, P, Passage, corrected, jump_of, predicted, stop};
+use super::kalman::{Noise, Passage, corrected, jump_of, predicted, stationary, stop};
+use super::process_noise::constants;
+use super::regression::half_log_det;
+use super::run::LinearisedRun;
 use super::select::Reduced;
 use super::tangent::{Deviations, LANES, Lane, Step};
 use super::whitened::{Whitened, add_upper, turned};
+use drivebench_identify::noise::{FloorSource, NoiseFloor};
 use drivebench_model::numerics::count::whole;
-use drivebench_model::numerics::propagator::Propagator;
-use drivebench_model::plant::Input;
+use drivebench_model::numerics::statistics::{finite, largest, robust_deviation};
+use drivebench_model::plant::{Input, Model, Scenario};
 
-/// Interval over which samples are averaged, s: the disturbance is slower.
-const BLOCK_S: f64 = 6e-3;
 /// Blocks whose innovations are multiplied at once.
 const AT_ONCE: usize = 128;
+
+/// Noise to begin with: the sensors' as it is known, a disturbance of 0.004 of the largest torque.
+pub(super) fn beginning(floor: &NoiseFloor, model: &Model, run: &Scenario) -> Noise {
+    let largest_input = largest(run.events.iter().map(|event| event.1));
+    let current = match run.input {
+        Input::Voltage => largest(&run.current_a),
+        _ => largest_input,
+    };
+    let torque = constants(model, run).torque_n_m_per_a * current;
+    let mut noise = Noise {
+        current_a: floor.current_a,
+        speed_rad_s: floor.speed_rad_s,
+        disturbance_n_m: (0.004 * torque).max(f64::MIN_POSITIVE),
+        correlation_s: USUAL_CORRELATION_S,
+        input: (1e-4 * largest_input).max(f64::MIN_POSITIVE),
+        // What they show at rest.
+        sensors: 0.1,
+    };
+    if run.input != Input::Voltage {
+        noise.current_a = f64::INFINITY;
+        noise.input = (1e-3 * torque).max(f64::MIN_POSITIVE);
+        // Of a speed alone the noise may be another running than at rest.
+        noise.sensors = 0.7;
+        if floor.source == FloorSource::None {
+            noise.speed_rad_s = roughness(&run.speed_rad_s).max(f64::MIN_POSITIVE);
+            noise.sensors = 2.0;
+        }
+    }
+    noise
+}
+
+/// Noise of a signal from its second differences, outliers and steps left aside.
+fn roughness(values: &[f64]) -> f64 {
+    let bends = finite(values);
+    let bends = bends.windows(3).map(|v| v[0] - 2.0 * v[1] + v[2]);
+    robust_deviation(&bends.collect::<Vec<_>>()) / 6f64.sqrt()
+}
 
 /// One run in averages, whatever noise it was whitened with.
 struct Averaged {
@@ -31,15 +70,6 @@ struct Averaged {
     width: usize,
 }
 
-/// Columns that stand for all: the motor's, and each candidate's likeliest form.
-fn representatives(linear: &Linear, likeliest: &[usize]) -> Vec<usize> {
-    let mut columns: Vec<usize> = (0..linear.nuisances.len()).collect();
-    for (candidate, variant) in linear.candidates.iter().zip(likeliest) {
-        columns.extend(candidate.variants[*variant].numbers());
-    }
-    columns
-}
-
 fn averaged(
     run: &LinearisedRun<'_>,
     whitened: &Whitened,
@@ -47,8 +77,8 @@ fn averaged(
     columns: &[usize],
 ) -> Averaged {
     let n = run.scenario.samples();
-    let period_s = run.scenario.mean_period_s();
-    let size = whole((BLOCK_S / period_s).floor()).max(1);
+    // Averages over 6 ms: the disturbance is slower.
+    let size = whole((6e-3 / run.scenario.mean_period_s()).floor()).max(1);
     let blocks = n.div_ceil(size);
     let (mut counts, mut vague) = (vec![[0.0; 2]; blocks], vec![[0.0; 2]; blocks]);
     for (sample, update) in run.follower.updates.iter().enumerate() {
@@ -119,62 +149,41 @@ fn passage_of(
     samples: std::ops::Range<usize>,
     size: usize,
 ) -> (Passage, bool) {
-    let mut kept = 1.0;
-    let mut form = [0.0; 3];
-    let mut interval_s = 0.0;
+    let mut block = Passage {
+        kept: 1.0,
+        ..Passage::default()
+    };
     let mut jumps = false;
-    let mut direction = 0.0;
-    let mut fresh = [0.0; 2];
-    let mut unobserved = [0.0; 2];
-    let mut together = 0.0;
-    let mut begins_again = false;
     for sample in samples {
         let passage = &run.follower.passages[sample];
-        kept *= passage.kept;
-        for (sum, part) in form.iter_mut().zip(passage.form) {
+        block.kept *= passage.kept;
+        for (sum, part) in block.form.iter_mut().zip(passage.form) {
             *sum += part / size as f64;
         }
         // What was not known before the model was taken over is no longer there.
         if passage.begins_again {
-            begins_again = true;
-            fresh = [0.0; 2];
-            unobserved = [0.0; 2];
-            together = 0.0;
+            block.begins_again = true;
+            (block.fresh, block.unobserved, block.together) = ([0.0; 2], [0.0; 2], 0.0);
         }
-        together += passage.together;
-        for (sum, part) in fresh.iter_mut().zip(passage.fresh) {
-            *sum += part;
+        block.together += passage.together;
+        for signal in 0..2 {
+            block.fresh[signal] += passage.fresh[signal];
+            block.unobserved[signal] += passage.unobserved[signal];
         }
-        for (sum, part) in unobserved.iter_mut().zip(passage.unobserved) {
-            *sum += part;
-        }
-        interval_s += passage.interval_s;
+        block.interval_s += passage.interval_s;
         let last = sample
             .checked_sub(1)
             .map(|last| run.followed.direction[last]);
         let turns = last.is_some_and(|last| passage.direction * last <= 0.0);
         jumps |= turns && passage.direction != 0.0;
-        direction = passage.direction;
+        block.direction = passage.direction;
     }
-    let (input_keeps, input_share) = run.dynamics.mean_input(interval_s, size as f64);
-    let passage = Passage {
-        unobserved,
-        together,
-        propagator: if begins_again {
-            Propagator::default()
-        } else {
-            run.dynamics.over(interval_s, direction == 0.0)
-        },
-        fresh,
-        begins_again,
-        interval_s,
-        direction,
-        kept,
-        form,
-        input_keeps,
-        input_share,
-    };
-    (passage, jumps)
+    let mean_input = run.dynamics.mean_input(block.interval_s, size as f64);
+    (block.input_keeps, block.input_share) = mean_input;
+    if !block.begins_again {
+        block.propagator = run.dynamics.over(block.interval_s, block.direction == 0.0);
+    }
+    (block, jumps)
 }
 
 impl Averaged {
@@ -183,9 +192,7 @@ impl Averaged {
         let width = self.width;
         let jump = jump_of(run.scenario);
         let mut states = vec![Deviations::default(); width / LANES];
-        let mut p: P = [[0.0; 4]; 4];
-        p[2][2] = noise.disturbance_n_m.powi(2);
-        p[3][3] = noise.input.powi(2);
+        let mut p = stationary(noise);
         let mut log = 0.0;
         let mut sums = DMatrix::zeros(width, width);
         let mut buffer: Vec<f64> = Vec::with_capacity(2 * AT_ONCE * width);
@@ -230,8 +237,8 @@ impl Averaged {
     }
 }
 
-/// The noise that makes the runs likeliest, from `start` on; `floor` is what the sensors show at rest. What the runs do not
-/// tell from what `start` has stays as it is.
+/// The noise that makes the runs likeliest, from `start` on; `floor` is what the sensors show at rest. The effects are in by
+/// these `forms`. What the runs leave undetermined stays as in `start`.
 pub(super) fn likeliest(
     runs: &[LinearisedRun<'_>],
     reduced: &Reduced,
@@ -240,9 +247,11 @@ pub(super) fn likeliest(
     start: Noise,
 ) -> Noise {
     let linear = &reduced.linear;
-    let columns = representatives(linear, forms);
-    let course = Course::of(runs[0].scenario.input);
     let m = linear.nuisances.len();
+    let candidates = linear.candidates.iter().zip(forms);
+    let representatives = candidates.flat_map(|(own, form)| own.variants[*form].numbers());
+    let columns: Vec<usize> = (0..m).chain(representatives).collect();
+    let by_voltage = runs[0].scenario.input == Input::Voltage;
     let data: Vec<Averaged> = runs
         .iter()
         .zip(&linear.columns)
@@ -260,92 +269,66 @@ pub(super) fn likeliest(
             .into_iter()
             .fold(zero, |sum, part| (sum.0 + part.0, sum.1 + part.1));
         let mut a = sums.view((0, 0), (k, k)).into_owned();
+        let mut b = sums.view((0, k), (k, 1)).column(0).into_owned();
         for (d, column) in columns.iter().enumerate() {
             a[(d, d)] += linear.precision(*column);
-        }
-        let mut b = sums.view((0, k), (k, 1)).column(0).into_owned();
-        for (b, column) in b.iter_mut().zip(&columns) {
             if *column >= m {
-                *b += reduced.prior[*column - m];
+                b[d] += reduced.prior[*column - m];
             }
         }
         let Some(factor) = a.cholesky() else {
             return f64::NEG_INFINITY;
         };
         let explained = b.dot(&factor.solve(&b));
-        let det: f64 = factor.l().diagonal().iter().map(|d| d.ln()).sum();
-        -0.5 * (sums[(k, k)] - explained) - det - 0.5 * log + log_prior(noise, floor, course)
+        let det = half_log_det(&factor);
+        -0.5 * (sums[(k, k)] - explained) - det - 0.5 * log + log_prior(noise, floor, by_voltage)
     };
-    let unknowns: Vec<Unknown> = UNKNOWNS
-        .into_iter()
-        .filter(|unknown| unknown.log(floor).is_finite())
-        .collect();
-    let found = climb(start, &unknowns, floor, course, &log_likelihood);
-    // The error of form of what rings has a spectrum like a disturbance's: there each is taken as it is found.
+    let mut unknowns = UNKNOWNS.to_vec();
+    unknowns.retain(|unknown| unknown.log(floor).is_finite());
+    let found = climb(start, &unknowns, floor, by_voltage, &log_likelihood);
+    // The error of form of a coupling has a spectrum like a disturbance's: there each is taken as it is found.
     let mut candidates = linear.candidates.iter();
     if candidates.any(|own| own.in_model && own.is_whole()) {
         return found;
     }
-    unless_told(found, start, log_likelihood)
+    where_significant(found, start, log_likelihood)
 }
 
-/// Gain of another disturbance, or another error of the input, below which the runs do not tell it from the one before, nats.
-const TOLD_NATS: f64 = 0.5;
-
-/// What was found, with what it began with where that is as likely: a change that no run shows is none. A disturbance that
-/// turns out to be less is taken at once, since what it no longer explains an effect may.
-fn unless_told(found: Noise, start: Noise, log_likelihood: impl Fn(&Noise) -> f64) -> Noise {
+/// What was found, with what it began with where that is as likely, to half a nat: such a change is not significant. A
+/// disturbance that turns out to be less is taken at once, since effects may explain what it no longer does.
+fn where_significant(found: Noise, start: Noise, log_likelihood: impl Fn(&Noise) -> f64) -> Noise {
     let best = log_likelihood(&found);
-    let is_as_likely = |noise: &Noise| log_likelihood(noise) >= best - TOLD_NATS;
+    let unless_as_likely = |now: Noise, same: Noise| {
+        if log_likelihood(&same) >= best - 0.5 {
+            same
+        } else {
+            now
+        }
+    };
     let mut now = found;
     if found.disturbance_n_m > start.disturbance_n_m {
-        let same = Noise {
-            disturbance_n_m: start.disturbance_n_m,
-            ..now
-        };
-        now = if is_as_likely(&same) { same } else { now };
+        let disturbance_n_m = start.disturbance_n_m;
+        now = unless_as_likely(
+            now,
+            Noise {
+                disturbance_n_m,
+                ..now
+            },
+        );
     }
-    let same = Noise {
-        input: start.input,
-        ..now
-    };
-    if is_as_likely(&same) { same } else { now }
+    let input = start.input;
+    unless_as_likely(now, Noise { input, ..now })
 }
 
-/// How the correlation time is searched. Under a voltage, current and speed tell the spectrum above its corner, and the
-/// climb follows what they leave open; under a torque the speed alone does, beside drags that look like a slow load: there
-/// the time stays nearer to what is usual, and each unknown is climbed by itself.
-#[derive(Clone, Copy, PartialEq)]
-enum Course {
-    Ridge,
-    Axes,
-}
-
-impl Course {
-    fn of(input: Input) -> Self {
-        if input == Input::Voltage {
-            Self::Ridge
-        } else {
-            Self::Axes
-        }
-    }
-
-    /// How far the correlation time may be from half a second, as a logarithm.
-    const fn correlation(self) -> f64 {
-        match self {
-            Self::Ridge => 1.2,
-            Self::Axes => 0.8,
-        }
-    }
-}
-
+/// Usual correlation time of a disturbance.
 const USUAL_CORRELATION_S: f64 = 0.5;
 
-fn log_prior(noise: &Noise, floor: &Noise, course: Course) -> f64 {
+fn log_prior(noise: &Noise, floor: &Noise, by_voltage: bool) -> f64 {
     let surprises = [
         (noise.current_a / floor.current_a).ln() / floor.sensors,
         (noise.speed_rad_s / floor.speed_rad_s).ln() / floor.sensors,
-        (noise.correlation_s / USUAL_CORRELATION_S).ln() / course.correlation(),
+        // Under a torque the speed alone determines the time, beside drags like a slow load: there it stays nearer to the usual.
+        (noise.correlation_s / USUAL_CORRELATION_S).ln() / if by_voltage { 1.2 } else { 0.8 },
     ];
     // A signal whose noise is not known is not looked at.
     let known = surprises.iter().filter(|surprise| surprise.is_finite());
@@ -385,9 +368,9 @@ impl Unknown {
         self.of(&mut noise.clone()).ln()
     }
 
-    /// The noise with this logarithm, as far as it may go. Another correlation time leaves the disturbance's spectrum as
-    /// it is above the corner, where it is known best: its variance over that time stays, and the climb follows the ridge.
-    fn set(self, noise: &Noise, floor: &Noise, course: Course, log: f64) -> Noise {
+    /// The noise with this logarithm, as far as it may go. Under a voltage, current and speed determine the spectrum of the
+    /// disturbance above its corner: there its variance over the correlation time stays, and the search follows the ridge.
+    fn set(self, noise: &Noise, floor: &Noise, by_voltage: bool, log: f64) -> Noise {
         let sensors = floor.sensors.exp();
         let (least, most) = match self {
             Self::Disturbance => (1e-6 * floor.disturbance_n_m, f64::MAX),
@@ -398,45 +381,40 @@ impl Unknown {
         };
         let mut next = *noise;
         *self.of(&mut next) = log.exp().clamp(least, most);
-        if course == Course::Ridge {
+        if by_voltage {
             next.disturbance_n_m *= (next.correlation_s / noise.correlation_s).sqrt();
         }
         next
     }
-
-    /// First step: of sensors as well as they are known, the rest hardly is.
-    const fn step(self, floor: &Noise) -> f64 {
-        match self {
-            Self::Current | Self::Speed => 0.5 * floor.sensors,
-            _ => 0.8,
-        }
-    }
 }
 
-/// Gain below which a step is not worth its filter run, and that of a round below which no other is made, nats.
+/// Gain of a step below which the search along its line ends, nats.
 const LEAST_GAIN_NATS: f64 = 0.05;
-const LEAST_ROUND_NATS: f64 = 0.5;
-const MOST_ROUNDS: usize = 6;
 
 /// Climbs one unknown after the other: outwards while it rises, then to the top of the parabola through the last three.
 fn climb(
     start: Noise,
     unknowns: &[Unknown],
     floor: &Noise,
-    course: Course,
+    by_voltage: bool,
     log_likelihood: &impl Fn(&Noise) -> f64,
 ) -> Noise {
     let mut now = start;
     let mut best = log_likelihood(&now);
-    for _ in 0..MOST_ROUNDS {
+    // Six rounds at most, and no other behind one that gains less than half a nat.
+    for _ in 0..6 {
         let before = best;
         for unknown in unknowns {
             // Known points of this line: logarithm and likelihood.
             let mut known = vec![(unknown.log(&now), best)];
             for sign in [1.0, -1.0] {
-                let mut stride = sign * unknown.step(floor);
+                let mut stride = sign
+                    * match unknown {
+                        Unknown::Current | Unknown::Speed => 0.5 * floor.sensors,
+                        _ => 0.8,
+                    };
                 loop {
-                    let next = unknown.set(&now, floor, course, unknown.log(&now) + stride);
+                    let next = unknown.set(&now, floor, by_voltage, unknown.log(&now) + stride);
                     if next == now {
                         break;
                     }
@@ -448,7 +426,7 @@ fn climb(
                     (best, now) = (log, next);
                     stride *= 1.6;
                 }
-                // Who rises on one side comes from lower on the other.
+                // A rise on one side is a fall on the other.
                 if known.len() > 2 {
                     break;
                 }
@@ -456,14 +434,14 @@ fn climb(
             if let Some((log, gain)) = top(&mut known)
                 && gain > LEAST_GAIN_NATS
             {
-                let next = unknown.set(&now, floor, course, log);
+                let next = unknown.set(&now, floor, by_voltage, log);
                 let log = log_likelihood(&next);
                 if log > best {
                     (best, now) = (log, next);
                 }
             }
         }
-        if best - before < LEAST_ROUND_NATS {
+        if best - before < 0.5 {
             break;
         }
     }
@@ -474,11 +452,8 @@ fn climb(
 fn top(known: &mut [(f64, f64)]) -> Option<(f64, f64)> {
     known.sort_by(|a, b| a.0.total_cmp(&b.0));
     let at = (0..known.len()).max_by(|a, b| known[*a].1.total_cmp(&known[*b].1))?;
-    let (left, middle, right) = (
-        known.get(at.checked_sub(1)?)?,
-        known[at],
-        known.get(at + 1)?,
-    );
+    let (left, middle) = (known.get(at.checked_sub(1)?)?, known[at]);
+    let right = known.get(at + 1)?;
     let (back, ahead) = (middle.0 - left.0, right.0 - middle.0);
     let (fall, rise) = ((middle.1 - left.1) / back, (right.1 - middle.1) / ahead);
     let bend = (fall - rise) / (back + ahead);
@@ -492,13 +467,13 @@ mod tests {
     use std::cell::Cell;
 
     use super::*;
-    use crate::joint::follow::{DISTURBED, QUIET, hole};
+    use crate::joint::kalman::{DISTURBED, QUIET, hole};
     use crate::kit::nameplate;
     use drivebench_model::plant::State;
     use drivebench_model::plant::testing::record;
 
     #[test]
-    fn the_climb_follows_the_ridge_of_a_spectrum_that_is_known_above_its_corner_only() {
+    fn the_search_follows_the_ridge_of_a_spectrum() {
         let floor = Noise {
             input: 0.0,
             ..DISTURBED
@@ -509,12 +484,12 @@ mod tests {
             -500.0 * above * above - 8.0 * corner * corner
         };
         let unknowns = [Unknown::Disturbance, Unknown::Correlation];
-        let found = climb(floor, &unknowns, &floor, Course::Ridge, &likelihood);
+        let found = climb(floor, &unknowns, &floor, true, &likelihood);
         assert!(likelihood(&found) > -0.5, "{found:?}");
     }
 
     #[test]
-    fn the_climb_reaches_the_top_in_few_runs_of_the_filter() {
+    fn the_search_reaches_the_maximum_in_few_runs_of_the_filter() {
         let floor = Noise {
             input: 0.01,
             ..DISTURBED
@@ -522,78 +497,60 @@ mod tests {
         let count = Cell::new(0);
         let likelihood = |noise: &Noise| {
             count.set(count.get() + 1);
-            let [d, t, v] = [
-                noise.disturbance_n_m / 3e-4,
-                noise.correlation_s / 0.2,
-                noise.input / 0.05,
-            ]
-            .map(f64::ln);
+            let d = (noise.disturbance_n_m / 3e-4).ln();
+            let (t, v) = ((noise.correlation_s / 0.2).ln(), (noise.input / 0.05).ln());
+            let current = (noise.current_a / 0.031).ln() / 0.01;
             let above = d - 0.5 * t;
-            -6.0 * above * above
-                - 2.0 * above * t
-                - 2.0 * t * t
-                - 5.0 * v * v
-                - ((noise.current_a / 0.031).ln() / 0.01).powi(2)
+            let quadratic = 6.0 * above * above + 2.0 * above * t + 2.0 * t * t + 5.0 * v * v;
+            -quadratic - current.powi(2)
         };
-        let found = climb(floor, &UNKNOWNS, &floor, Course::Ridge, &likelihood);
+        let found = climb(floor, &UNKNOWNS, &floor, true, &likelihood);
         assert!(likelihood(&found) > -0.5, "{found:?}");
         assert!(count.get() < 60, "{}", count.get());
         // Nothing to gain: one look to either side of each.
         count.set(0);
-        climb(found, &UNKNOWNS, &floor, Course::Ridge, &likelihood);
+        climb(found, &UNKNOWNS, &floor, true, &likelihood);
         assert!(count.get() < 16, "{}", count.get());
     }
 
     #[test]
-    fn more_of_a_disturbance_and_another_error_of_the_input_count_only_where_they_are_told() {
-        let start = Noise {
-            disturbance_n_m: 2e-5,
-            input: 0.01,
-            ..QUIET
-        };
-        let found = |disturbance_n_m| Noise {
+    fn more_disturbance_and_another_input_need_a_gain() {
+        let (start, more, less) = ([2e-5, 0.01], 4e-5, 1e-5);
+        let noise = |disturbance_n_m, input| Noise {
             disturbance_n_m,
-            input: 0.001,
+            input,
             ..QUIET
         };
         // Nats lost by another disturbance, and by another input, than the one that was found.
-        let left = |disturbance_n_m: f64, loses: [f64; 2]| {
-            let top = found(disturbance_n_m);
+        for (disturbance_n_m, loses, expected) in [
+            (more, [0.1, 0.1], start),
+            (more, [2.0, 2.0], [more, 0.001]),
+            (more, [2.0, 0.1], [more, start[1]]),
+            // Less of it is taken at once.
+            (less, [0.1, 2.0], [less, 0.001]),
+        ] {
             let likelihood = |noise: &Noise| {
                 let is_other = |a: f64, b: f64| f64::from(u8::from(a.to_bits() != b.to_bits()));
-                -loses[0] * is_other(noise.disturbance_n_m, top.disturbance_n_m)
-                    - loses[1] * is_other(noise.input, top.input)
+                -loses[0] * is_other(noise.disturbance_n_m, disturbance_n_m)
+                    - loses[1] * is_other(noise.input, 0.001)
             };
-            let left = unless_told(top, start, likelihood);
-            [left.disturbance_n_m, left.input].map(f64::to_bits)
-        };
-        let of = |noise: Noise| [noise.disturbance_n_m, noise.input].map(f64::to_bits);
-        let of_input = Noise {
-            input: 0.01,
-            ..found(4e-5)
-        };
-        for (disturbance_n_m, loses, expected) in [
-            (4e-5, [0.1, 0.1], start),
-            (4e-5, [2.0, 2.0], found(4e-5)),
-            (4e-5, [2.0, 0.1], of_input),
-            // Less of it is taken at once.
-            (1e-5, [0.1, 2.0], found(1e-5)),
-        ] {
-            assert_eq!(left(disturbance_n_m, loses), of(expected), "{loses:?}");
+            let found = noise(disturbance_n_m, 0.001);
+            let left = where_significant(found, noise(start[0], start[1]), likelihood);
+            assert_eq!(left, noise(expected[0], expected[1]), "{loses:?}");
         }
     }
 
     #[test]
-    fn a_block_knows_that_one_voltage_moves_current_and_speed() {
+    fn a_block_sums_what_one_voltage_makes_of_both_signals() {
         let model = nameplate();
         let mut scenario = record(&model, vec![(0.0, 20.0), (0.5, 25.0)], 1e-3, 1.0, 3);
         scenario.unknown_input = vec![hole(0.7, 0.71, 9.0)];
         let run = LinearisedRun::new(&model, &scenario, State::default(), QUIET).unwrap();
         let n = scenario.samples();
         let block = passage_of(&run, 0..n, n).0;
-        let each = run.follower.passages.iter();
         for signal in 0..2 {
-            let sum: f64 = each.clone().map(|passage| passage.unobserved[signal]).sum();
+            let each = run.follower.passages.iter();
+            let sum: f64 = each.map(|passage| passage.unobserved[signal]).sum();
             assert!(sum > 0.0 && (block.unobserved[signal] / sum - 1.0).abs() < 1e-12);
             assert!(block.fresh[signal] >= block.unobserved[signal]);
         }

@@ -1,12 +1,14 @@
 //! Nuisance parameters beside the effects of the catalogue: always the motor's parameters, errors of the stamps, other forms of the
-//! model's effects; and curves of torque and voltage that no effect gives, where what is left goes by what it follows.
+//! model's effects; and unknown curves of torque and voltage over speed, angle and current.
 
 use std::mem::{self, Discriminant};
 
 use nalgebra::DVector;
 
-use super::acting::constants;
-use super::columns::{Column, Form, LinearisedRun, Part, SLAB, Source, columns_of};
+use super::columns::columns_of;
+use super::process_noise::{constants, terms_of};
+use super::regression::{Column, Form, Part, SLAB, Source};
+use super::run::LinearisedRun;
 use super::tangent::{Tangent, Wave, are_tangents};
 use drivebench_model::numerics::statistics::largest;
 use drivebench_model::plant::effect::{Axis, Harmonic, TermKind};
@@ -15,43 +17,22 @@ use drivebench_model::plant::{
     typical_size,
 };
 
-/// Prior standard deviation of the logarithm of a motor's parameter.
+/// Prior deviation of the logarithm of a motor's parameter.
 const MOTOR_LOG_SIGMA: f64 = 0.3;
-/// Step of a difference of two runs with a motor's parameter, relative.
-const STEP: f64 = 2e-3;
-/// The same in standard deviations beforehand.
-const LINEAR_STEP: f64 = 0.02;
-/// Error of the stamps of commands and samples beforehand, as a share of the period: where the host stamped them, and where
-/// the drive did.
-const STAMP_SHARE: f64 = 0.05;
-const OWN_STAMP_SHARE: f64 = 0.01;
-/// What the form of an effect may differ from its equation by.
+/// Deviation of the form of an effect from its equation, as a share: by harmonics, and by powers of its own size.
 const FORM_SHARE: f64 = 0.1;
-/// Powers of its own size that its form may have beside itself.
-const POWERS: [f64; 2] = [1.0, 2.0];
-/// By what factor the shapes of what an effect is made of may differ from the one that its equation has, either way, and how
-/// much of it may have another shape.
-const SPREAD_RATIO: f64 = 2.0;
-const SHARE_OF_SPREAD: f64 = 0.25;
-/// How many times more slowly than in its equation what has reached its level may build up, and how much of it may.
-const SLOWER: [f64; 3] = [2.0, 4.0, 8.0];
-const SLOW_SHARE: f64 = 0.5;
-/// Time constants of the intermediate circuit's capacitor with the resistance of what feeds it, s.
-const CAPACITOR_S: [f64; 2] = [1e-3, 4e-3];
-/// Share of its level from which on it has been reached, and the share of the largest current where it has.
-const REACHED_SHARE: f64 = 0.99;
+/// The part of the largest current at which a level counts as reached.
 const SMALL_SHARE: f64 = 0.1;
 
-/// What is known of a motor's parameter beforehand.
+/// Prior deviation of a motor's parameter.
 pub(super) enum MotorPrior {
-    /// Of the logarithm: its standard deviation.
     Logarithm(f64),
     /// Of the value itself.
     Linear(f64),
 }
 
-/// `None` for a parameter that the run says nothing of. Where a torque drives, friction starts from a balance that lacks
-/// what is missing, so that it may be off by an effect's slab.
+/// `None` for a parameter that the run leaves undetermined. Where a torque drives, friction starts from a balance that lacks
+/// the missing effect, so that it may be off by its slab.
 pub(super) fn motor_prior(key: MotorKey, model: &Model, scenario: &Scenario) -> Option<MotorPrior> {
     if scenario.input == Input::Voltage {
         return Some(MotorPrior::Logarithm(MOTOR_LOG_SIGMA));
@@ -61,16 +42,15 @@ pub(super) fn motor_prior(key: MotorKey, model: &Model, scenario: &Scenario) -> 
         MotorKey::LoadTorque => {
             let constant = TermKind::TorqueOffset.effect();
             let slab = SLAB * typical_size(constant, 0, model, scenario);
-            Some(MotorPrior::Linear(
-                slab.max(MOTOR_LOG_SIGMA * model.motor.get(key)?),
-            ))
+            let own = MOTOR_LOG_SIGMA * model.motor.get(key)?;
+            Some(MotorPrior::Linear(slab.max(own)))
         }
         _ => None,
     }
 }
 
-/// What is always in: the motor's parameters, and what the stamps of command, current and speed may be wrong by, for all
-/// samples alike; each with its standard deviation beforehand.
+/// What is always in: the motor's parameters, and errors of the stamps of command, current and speed, for all samples alike;
+/// each with its prior deviation.
 pub(super) fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Source, f64)>> {
     let along = are_tangents(model, scenario);
     let mut nuisances = Vec::new();
@@ -81,15 +61,15 @@ pub(super) fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Sourc
         };
         let value = model.get(&slot)?;
         let (unit, step, sd) = match prior {
-            MotorPrior::Logarithm(sd) => (value, STEP, sd),
-            MotorPrior::Linear(unit) => (unit, LINEAR_STEP, 1.0),
+            MotorPrior::Logarithm(sd) => (value, 2e-3, sd),
+            MotorPrior::Linear(unit) => (unit, 0.02, 1.0),
         };
         let source = if along {
             Source::Tangent(Tangent::Motor(key, unit))
         } else {
             let mut moved = model.clone();
             moved.set(&slot, value + step * unit);
-            Source::Difference { model: moved, step }
+            Source::difference(moved, step)
         };
         nuisances.push((source, sd));
     }
@@ -97,7 +77,7 @@ pub(super) fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Sourc
     Some(nuisances)
 }
 
-/// What the stamps of command, current and speed may be wrong by, at one standard deviation each.
+/// Errors of the stamps of command, current and speed, at one standard deviation each.
 fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
     let by_voltage = scenario.input == Input::Voltage;
     let along = by_voltage && are_tangents(model, scenario);
@@ -118,13 +98,14 @@ fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
         } else {
             of_samples_s
         };
-        // Of a torque nobody knows where in its period it stands.
-        let least_s = match known_s {
-            _ if !by_voltage => period_s,
-            None => OWN_STAMP_SHARE * period_s,
-            Some(_) => STAMP_SHARE * period_s,
+        let least_periods = match known_s {
+            // Where in its period a torque stands is not known.
+            _ if !by_voltage => 1.0,
+            // The drive stamped it.
+            None => 0.01,
+            Some(_) => 0.05,
         };
-        let error_s = least_s.max(known_s.unwrap_or(0.0));
+        let error_s = (least_periods * period_s).max(known_s.unwrap_or(0.0));
         if along {
             return Source::Tangent(match kind {
                 TermKind::LateCommand => Tangent::LateCommands(error_s),
@@ -134,15 +115,15 @@ fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
         }
         let effect = kind.effect();
         let mut moved = model.clone();
-        let mut own = moved.effects.iter_mut();
-        match own.find(|active| active.id() == kind.id()) {
+        match moved
+            .effects
+            .iter_mut()
+            .find(|active| active.id() == kind.id())
+        {
             Some(active) => active.values = vec![Some(active.values_or_guess()[0] + error_s)],
             None => moved.effects.push(ActiveEffect::with(effect, &[error_s])),
         }
-        Source::Difference {
-            model: moved,
-            step: 1.0,
-        }
+        Source::difference(moved, 1.0)
     })
 }
 
@@ -156,24 +137,23 @@ pub(super) struct ErrorOf {
     number: usize,
 }
 
-/// What may be wrong with the equations of the model that a run is followed by, at one standard deviation each: its stamps,
-/// and the forms of its effects. Which forms there are is a matter of the run.
+/// Errors of the equations of the model that a run is filtered with, at one standard deviation each: its stamps, and the forms of
+/// its effects. Which forms there are depends on the run.
 pub(super) fn of_equations(run: &LinearisedRun<'_>) -> Vec<(ErrorOf, Vec<f32>)> {
     let of_effects = run.model.effects.iter().enumerate();
     let forms = of_effects.flat_map(|(number, active)| {
         let values = active.values_or_guess();
         let forms = bends(&run.model, active.effect, &values, run.scenario);
-        forms.into_iter().map(move |form| (Some(number), form))
+        forms
+            .into_iter()
+            .map(move |form| (Some(number), Source::Tangent(form)))
     });
     let stamps = stamps(&run.model, run.scenario).map(|stamp| (None, stamp));
-    let mut errors: Vec<ErrorOf> = Vec::new();
-    let mut sources = Vec::new();
+    let (mut errors, mut sources): (Vec<ErrorOf>, Vec<Source>) = (vec![], vec![]);
     for (effect, source) in stamps.chain(forms) {
         let kind = effect.and(source.tangent(0)).map(mem::discriminant);
-        let same = errors
-            .iter()
-            .filter(|own| (own.effect, own.kind) == (effect, kind));
-        let number = same.count();
+        let same = |own: &&ErrorOf| (own.effect, own.kind) == (effect, kind);
+        let number = errors.iter().filter(same).count();
         errors.push(ErrorOf {
             effect,
             kind,
@@ -200,11 +180,11 @@ fn small_and_most_v(terms: &dyn Terms, scenario: &Scenario) -> ([f64; 2], f64) {
     ([SMALL_SHARE * most_a, most_a].map(at), SMALL_SHARE * most_a)
 }
 
-/// Whether terms have reached a level by a small part of the run's currents, as a drop of brushes: in what range they build
-/// up is no part of their equation.
+/// Whether terms have reached 0.99 of their level by a small part of the run's currents, as a drop of brushes: in what range they
+/// build up is no part of their equation.
 fn has_a_level(terms: &dyn Terms, scenario: &Scenario) -> bool {
     let ([small_v, most_v], _) = small_and_most_v(terms, scenario);
-    most_v > 0.0 && small_v > REACHED_SHARE * most_v
+    most_v > 0.0 && small_v > 0.99 * most_v
 }
 
 /// Whether terms lie before the chopper, where a capacitor holds the voltage: the motor's current gets there by the duty.
@@ -220,12 +200,12 @@ fn is_before_the_chopper(terms: &dyn Terms, motor: &Instant) -> bool {
     (at(motor.supply_v) - at(0.0)).abs() > 0.0
 }
 
-/// What the model's effects that begin as a resistance and end, as gaps of the current do, may leave of it where they should
-/// have ended, ohm: the motor's resistance is known no better than that.
+/// Error of the motor's resistance by effects that begin as a resistance and end, as gaps of the current, where they should have
+/// ended, ohm.
 pub(super) fn left_beyond_ohm(model: &Model, scenario: &Scenario) -> f64 {
     let left = model.effects.iter().map(|active| {
-        let terms = active.effect.terms(&active.values_or_guess());
-        // What has a state is no matter of the current alone.
+        let terms = terms_of(active);
+        // What has a state does not depend on the current alone.
         if terms.states() > 0 {
             return 0.0;
         }
@@ -245,8 +225,7 @@ pub(super) fn bends(
     effect: &'static dyn Effect,
     values: &[f64],
     scenario: &Scenario,
-) -> Vec<Source> {
-    let mut bends = Vec::new();
+) -> Vec<Tangent> {
     let specs = effect.parameters();
     let terms = effect.terms(values);
     let path = terms.path();
@@ -256,55 +235,57 @@ pub(super) fn bends(
         let amplitude = sizes.map(|(_, value)| value * value).sum::<f64>().sqrt();
         let order = pairs().find(|(spec, _)| spec.key == "order");
         let order = order.map_or(1.0, |(_, order)| *order);
-        // What goes with the current does so in any form.
+        // What is in proportion to the current is so in any form.
         let of_current = effect.card().harmonic == Some(Harmonic::OfCurrent);
-        for harmonic in [2.0, 3.0] {
-            for sine in [true, false] {
-                let wave = Wave {
-                    order: harmonic * order,
-                    sine,
-                    size: FORM_SHARE * amplitude,
-                    of_current,
-                };
-                bends.push(Source::Tangent(Tangent::Wave(wave)));
-            }
-        }
-    } else if terms.states() > 0 && terms.coupling().is_none() {
-        let hot = HotCopper(effect.terms(values));
-        bends.push(Source::Tangent(Tangent::Terms(Box::new(hot))));
-    } else if terms.coupling().is_none() && path.measures_directly() && !path.delays_command() {
-        let bent = |power| Tangent::Bent {
-            terms: effect.terms(values),
-            power,
-            share: FORM_SHARE,
-        };
+        let harmonics = [(2.0, true), (2.0, false), (3.0, true), (3.0, false)];
+        return Vec::from(harmonics.map(|(harmonic, sine)| {
+            Tangent::Wave(Wave {
+                order: harmonic * order,
+                sine,
+                size: FORM_SHARE * amplitude,
+                of_current,
+            })
+        }));
+    }
+    if terms.coupling().is_some() {
+        return vec![];
+    }
+    if terms.states() > 0 {
+        return vec![Tangent::Terms(Box::new(HotCopper(terms)))];
+    }
+    let mut bends = Vec::new();
+    if path.measures_directly() && !path.delays_command() {
         // What stands at its level is the same to any power.
         if !has_a_level(&*terms, scenario) {
-            bends.extend(POWERS.map(bent).map(Source::Tangent));
+            bends.extend([1.0, 2.0].map(|power| Tangent::Bent {
+                terms: effect.terms(values),
+                power,
+                share: FORM_SHARE,
+            }));
         } else if specs.iter().all(ParameterSpec::is_coefficient) {
-            let slow = |factor| Tangent::Slow {
+            // Half of it may build up more slowly.
+            bends.extend([2.0, 4.0, 8.0].map(|factor| Tangent::Slow {
                 terms: effect.terms(values),
                 factor,
-                share: SLOW_SHARE,
-            };
-            bends.extend(SLOWER.map(slow).map(Source::Tangent));
+                share: 0.5,
+            }));
         }
         if is_before_the_chopper(&*terms, &constants(model, scenario)) {
-            let lagging = |time_constant_s| Tangent::Lagging {
+            // The capacitor of the intermediate circuit with the resistance of what feeds it.
+            bends.extend([1e-3, 4e-3].map(|time_constant_s| Tangent::Lagging {
                 terms: effect.terms(values),
                 time_constant_s,
-            };
-            bends.extend(CAPACITOR_S.map(lagging).map(Source::Tangent));
+            }));
         }
-        // Where a torque drives, what forms may be wrong by is random already: friction and the torque itself.
+        // Where a torque drives, errors of friction and of the torque are process noise already.
         if scenario.input == Input::Voltage {
-            bends.extend(spread(effect, values).map(Source::Tangent));
+            bends.extend(spread(effect, values));
         }
     }
     bends
 }
 
-/// What a resistance that rises does beside itself because copper that is hotter warms up faster: half of its rise squared.
+/// Change of a resistance that rises because copper that is hotter warms up faster: half of its rise squared.
 struct HotCopper(Box<dyn Terms>);
 
 impl Terms for HotCopper {
@@ -326,40 +307,31 @@ impl Terms for HotCopper {
     }
 }
 
-/// Parts of an effect whose shapes are others than that of its equation: a corner that is a bend, a peak with long tails.
+/// A quarter of an effect with other shapes than that of its equation, half and double: a corner that is a bend, a peak with long
+/// tails.
 fn spread(effect: &'static dyn Effect, values: &[f64]) -> impl Iterator<Item = Tangent> {
     let specs = effect.parameters();
     let shapes = (0..specs.len()).filter(|k| specs[*k].logarithmic && !specs[*k].is_coefficient());
     shapes.flat_map(move |shape| {
-        [1.0 / SPREAD_RATIO, SPREAD_RATIO].map(|factor| {
+        [0.5, 2.0].map(|factor| {
             let mut other = values.to_vec();
             other[shape] *= factor;
             Tangent::Change {
                 from: effect.terms(values),
                 to: effect.terms(&other),
-                over: 1.0 / SHARE_OF_SPREAD,
+                over: 4.0,
             }
         })
     })
 }
 
-/// Log of the odds of an unknown curve beforehand.
-const LOG_ODDS_UNKNOWN: f64 = -4.605_170_185_988_091;
-
-/// Torque as a function of the speed that friction, drag and load of the catalogue are no part of, each of this size: what
-/// a run that a torque drives is made of is theirs first.
+/// Torque as functions of the speed orthogonal to friction, drag and load of the catalogue, each of this size: what a run that a
+/// torque drives is made of is theirs first.
 fn beyond_the_catalogue(most: f64, size: f64) -> Vec<Tangent> {
     const KNOTS: usize = 13;
     let at = |knot: usize| 2.0 * knot as f64 / (KNOTS - 1) as f64 - 1.0;
-    let shapes: [fn(f64) -> f64; 5] = [
-        |_| 1.0,
-        |x| x,
-        f64::abs,
-        |x| x * x.abs(),
-        |x| {
-            if x == 0.0 { 0.0 } else { x.signum() }
-        },
-    ];
+    let sign = |x: f64| if x == 0.0 { 0.0 } else { x.signum() };
+    let shapes: [fn(f64) -> f64; 5] = [|_| 1.0, |x| x, f64::abs, |x| x * x.abs(), sign];
     let mut basis: Vec<DVector<f64>> = Vec::new();
     let hats =
         (0..KNOTS).map(|knot| DVector::from_fn(KNOTS, |k, _| f64::from(u8::from(k == knot))));
@@ -390,7 +362,8 @@ pub(super) fn unknown_curves(runs: &[LinearisedRun<'_>]) -> Vec<Part> {
     let torque = share * constants(&run.model, run.scenario).torque_n_m_per_a * current;
     let volts = 0.06 * largest(run.scenario.events.iter().map(|event| event.1));
     let part = |id: &'static str, curves: Vec<Tangent>| {
-        let mut part = Part::named(id, None, LOG_ODDS_UNKNOWN);
+        // A prior probability of 0.01.
+        let mut part = Part::named(id, None, -4.605_170_185_988_091);
         let mut form = Form::new(vec![], 0.0);
         for curve in curves {
             form.column(Source::Tangent(curve), Column::of(None, 1.0, 0.0));
@@ -440,38 +413,39 @@ mod tests {
     use drivebench_model::plant::effect::CATALOGUE;
 
     #[test]
-    fn only_gaps_of_the_current_leave_something_of_a_resistance_beyond() {
+    fn only_gaps_of_the_current_leave_a_resistance_beyond() {
         let run = record(&nameplate(), 0, 7);
-        let left = |model: &Model| left_beyond_ohm(model, &run);
         for effect in CATALOGUE {
             let model = nameplate().with_effect(effect.card().id).unwrap();
-            assert!(left(&model) <= 0.0, "{}", effect.card().id);
+            assert!(left_beyond_ohm(&model, &run) <= 0.0, "{}", effect.card().id);
         }
         let gaps = truth("discontinuous_conduction", &[1.4, 20.0]);
-        assert!((left(&gaps) / (0.1 * 1.4) - 1.0).abs() < 1e-9);
+        assert!((left_beyond_ohm(&gaps, &run) / (0.1 * 1.4) - 1.0).abs() < 1e-9);
     }
 
     #[test]
-    fn forms_are_spread_lag_behind_a_capacitor_and_warm_up_faster_where_they_can() {
+    fn forms_differ_by_lag_shape_and_warming_where_they_can() {
         let run = record(&nameplate(), 0, 7);
-        let counted = |id: &str, values: &[f64]| {
+        let cases: [(&str, &[f64], [usize; 3]); 5] = [
+            ("supply_sag", &[0.4], [2, 0, 0]),
+            ("voltage_drop", &[1.0], [0, 0, 0]),
+            ("stribeck_friction", &[0.1, 10.0], [0, 2, 0]),
+            ("discontinuous_conduction", &[1.0, 2.0], [0, 2, 0]),
+            ("winding_heating", &[1e-3, 20.0], [0, 0, 1]),
+        ];
+        for (id, values, expected) in cases {
             let model = truth(id, values);
-            let forms = bends(&model, model.effects[0].effect, values, &run);
-            let is = |of: fn(&Tangent) -> bool| {
-                let tangents = forms.iter().filter_map(|form| form.tangent(0));
-                tangents.filter(|tangent| of(tangent)).count()
-            };
-            [
-                is(|tangent| matches!(tangent, Tangent::Lagging { .. })),
-                is(|tangent| matches!(tangent, Tangent::Change { .. })),
-                is(|tangent| matches!(tangent, Tangent::Terms(_))),
-            ]
-        };
-        assert_eq!(counted("supply_sag", &[0.4]), [2, 0, 0]);
-        assert_eq!(counted("voltage_drop", &[1.0]), [0, 0, 0]);
-        assert_eq!(counted("stribeck_friction", &[0.1, 10.0]), [0, 2, 0]);
-        assert_eq!(counted("discontinuous_conduction", &[1.0, 2.0]), [0, 2, 0]);
-        assert_eq!(counted("winding_heating", &[1e-3, 20.0]), [0, 0, 1]);
+            let mut found = [0; 3];
+            for form in bends(&model, model.effects[0].effect, values, &run) {
+                match form {
+                    Tangent::Lagging { .. } => found[0] += 1,
+                    Tangent::Change { .. } => found[1] += 1,
+                    Tangent::Terms(_) => found[2] += 1,
+                    _ => {}
+                }
+            }
+            assert_eq!(found, expected, "{id}");
+        }
     }
 
     #[test]

@@ -4,28 +4,27 @@
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::columns::{LinearisedRun, SLAB, Source, columns_of};
+use super::columns::columns_of;
 use super::eligible::why_not;
 use super::events::{Event, Hypothesis};
-use super::follow::follow;
 use super::free_run::excess;
+use super::kalman::{Noise, follow};
 use super::nuisances::{ErrorOf, MotorPrior, left_beyond_ohm, motor_prior, of_equations};
+use super::regression::{SLAB, Source};
+use super::run::LinearisedRun;
 use super::tangent::{self, Tangent};
 use super::whitened::Whitened;
+use crate::score::{Fitted, Score};
 use crate::work::{Work, iterations_of};
+use drivebench_identify::verdict::judge;
 use drivebench_model::numerics::least_squares::inverse_of_normal;
-use drivebench_model::numerics::levenberg_marquardt::{self, Options, Problem};
+use drivebench_model::numerics::levenberg_marquardt::{self, Minimum, Options, Problem};
 use drivebench_model::plant::{
-    ActiveEffect, Model, MotorKey, ParameterRole, Scenario, Slot, motor_range, typical_size,
+    ActiveEffect, Model, MotorKey, ParameterRole, Scenario, Slot, State, motor_range, typical_size,
 };
+use drivebench_model::sample::Verdict;
 
-/// Prior standard deviations: of the logarithm of a shape, and of a shape that may be zero in
-/// units of its scale.
-const SHAPE_LOG_SIGMA: f64 = 1.0;
-const LINEAR_SHAPE_SCALES: f64 = 3.0;
-
-/// How a parameter and its coordinate belong together: `p = unit x`, or `p = exp(x)` where there is no unit; with a normal
-/// prior about `at`.
+/// The coordinate of a parameter: `p = unit x`, or `p = exp(x)` where there is no unit; with a normal prior about `at`.
 #[derive(Clone, Copy)]
 struct Coordinate {
     unit: Option<f64>,
@@ -53,7 +52,7 @@ impl Coordinate {
         }
     }
 
-    /// `None` for what is not fitted: the number of cogs, the time of an event, and what the run says nothing of.
+    /// `None` for what is not fitted: the number of cogs, the time of an event, and what the run leaves undetermined.
     fn of(slot: &Slot, value: f64, model: &Model, scenario: &Scenario) -> Option<Self> {
         let (index, parameter, spec) = match *slot {
             Slot::Motor(key) => {
@@ -85,9 +84,10 @@ impl Coordinate {
             let limit = effect.card().limit;
             let limit = limit.filter(|limit| limit.parameter == parameter);
             let least = limit.map_or(spec.min, |limit| limit.least);
-            Self::logarithm(SHAPE_LOG_SIGMA, (least, spec.max), value)
+            // The prior of a shape: a factor of e; three scales where it may be zero.
+            Self::logarithm(1.0, (least, spec.max), value)
         } else {
-            let unit = LINEAR_SHAPE_SCALES * spec.scale;
+            let unit = 3.0 * spec.scale;
             Self::linear(unit, (spec.min, spec.max), value / unit)
         })
     }
@@ -101,12 +101,12 @@ impl Coordinate {
         self.unit.map_or_else(|| x.exp(), |unit| x * unit)
     }
 
-    /// What a step of one of the coordinate adds to the value.
+    /// Derivative of the value by the coordinate.
     fn slope(self, value: f64) -> f64 {
         self.unit.unwrap_or(value)
     }
 
-    /// How far from what was believed before, in standard deviations.
+    /// Distance from the prior mean, in standard deviations.
     fn surprise(self, x: f64) -> f64 {
         (x - self.at) / self.sd
     }
@@ -120,8 +120,8 @@ impl Coordinate {
     }
 }
 
-/// Whitened innovations of the runs, behind them the priors and the root of the log determinant of what they are freed of, as
-/// a function of the coordinates: those that all runs share, then the sizes of the events.
+/// Whitened innovations of the runs, behind them the priors and the root of the log determinant of the errors of the equations,
+/// as a function of the coordinates: those that all runs share, then the sizes of the events.
 struct Innovations<'a> {
     hypothesis: Hypothesis,
     free: Vec<(Slot, Coordinate)>,
@@ -130,15 +130,15 @@ struct Innovations<'a> {
     len: usize,
     /// Whether their slopes are tangents.
     along: bool,
-    /// What the innovations are freed of.
+    /// Errors of the equations that are integrated out.
     vague: Option<Vague>,
     /// What this fit has simulated; the count of the whole search depends on the order of the threads.
     own: Work,
 }
 
-/// What the stamps and the forms of the effects may be wrong by, each at one standard deviation, integrated out of whitened
-/// innovations `r`: `r'(I + F F')^-1 r` is the square of `(I + F F')^(-1/2) r = r - F A F' r`. The error of a form goes with
-/// the size of its effect.
+/// Errors of the stamps and the forms of the effects, each at one standard deviation, integrated out of whitened innovations `r`:
+/// `r'(I + F F')^-1 r` is the square of `(I + F F')^(-1/2) r = r - F A F' r`. The error of a form is in proportion to the size
+/// of its effect.
 struct Vague {
     columns: Vec<Vec<f32>>,
     /// The effect of each column.
@@ -160,7 +160,7 @@ fn sizes(model: &Model) -> Vec<f64> {
 }
 
 impl Vague {
-    /// Of runs that were followed with the model itself, and with events behind its effects.
+    /// Of runs that were filtered with the model itself, and with events behind its effects.
     fn of(model: &Model, runs: &[LinearisedRun<'_>]) -> Self {
         let mut columns: Vec<Vec<f32>> = Vec::new();
         let mut errors: Vec<ErrorOf> = Vec::new();
@@ -195,7 +195,7 @@ impl Vague {
         }
     }
 
-    /// What frees innovations of `model` of it.
+    /// What takes them out of innovations of `model`.
     fn at(&self, model: &Model) -> Freeing<'_> {
         let now = sizes(model);
         let share = |effect: &Option<usize>| match effect {
@@ -287,12 +287,16 @@ impl<'a> Innovations<'a> {
         }
     }
 
+    fn minimum(&self, options: Options) -> Option<Minimum> {
+        levenberg_marquardt::minimise(self, &self.start(), options)
+    }
+
     fn units(&self) -> impl Iterator<Item = Coordinate> {
         let free = self.free.iter().map(|(_, unit)| *unit);
         free.chain(self.sizes.iter().copied())
     }
 
-    /// The slope of the innovations over one coordinate where it is a tangent, of a hypothesis that is these coordinates.
+    /// The slope of the innovations over one coordinate where it is a tangent, of the hypothesis at these coordinates.
     fn slope(&self, there: &Hypothesis, x: &[f64], parameter: usize) -> Option<Source> {
         if !self.along {
             return None;
@@ -326,14 +330,10 @@ impl<'a> Innovations<'a> {
         let Hypothesis { model, events } = &self.hypothesis;
         let free = self.free.iter();
         let shared = free.map(|(slot, _)| model.get(slot).unwrap_or(f64::NAN));
-        let sizes = events
-            .iter()
-            .map(|event| event.values[event.effect.size_index()]);
-        let values = shared.chain(sizes);
-        values
-            .zip(self.units())
-            .map(|(value, unit)| unit.to_x(value))
-            .collect()
+        let size = |event: &Event| event.values[event.effect.size_index()];
+        let sizes = events.iter().map(size);
+        let values = shared.chain(sizes).zip(self.units());
+        values.map(|(value, unit)| unit.to_x(value)).collect()
     }
 
     fn hypothesis_at(&self, x: &[f64]) -> Hypothesis {
@@ -355,16 +355,10 @@ impl Problem for Innovations<'_> {
         let there = self.hypothesis_at(x);
         let (out, priors) = out.split_at_mut(self.len - x.len() - 1);
         let of_run = |(number, run): (usize, &LinearisedRun<'_>)| {
-            let model = there.in_run(number);
-            let LinearisedRun {
-                follower,
-                scenario,
-                start,
-                noise,
-                ..
-            } = run;
+            let (model, scenario) = (there.in_run(number), run.scenario);
             let mut white = Vec::with_capacity(scenario.samples());
-            let steps = follow(follower, &model, scenario, *start, noise, &mut white)?;
+            let gains = &run.follower;
+            let steps = follow(gains, &model, scenario, run.start, &run.noise, &mut white)?;
             run.count(steps);
             self.own.add(steps);
             Some(white)
@@ -379,12 +373,11 @@ impl Problem for Innovations<'_> {
         for ((unit, x), cell) in self.units().zip(x).zip(&mut *priors) {
             *cell = unit.surprise(*x);
         }
+        priors[x.len()] = 0.0;
         if let Some(vague) = &self.vague {
             let freeing = vague.at(&there.model);
             freeing.free(out);
             priors[x.len()] = freeing.log_det.sqrt();
-        } else {
-            priors[x.len()] = 0.0;
         }
         true
     }
@@ -451,7 +444,7 @@ impl Problem for Innovations<'_> {
     }
 }
 
-/// Of a refit only its likelihood is needed.
+/// Options of a refit, of which only the likelihood is needed.
 const QUICK: Options = Options {
     most_iterations: 25,
     relative_cost: 1e-4,
@@ -469,34 +462,28 @@ pub(super) struct Refit {
     pub(super) deviance: f64,
 }
 
-/// Fits all that is free but the moments of events to runs as they were followed, with another model it may be; and the sum
-/// of the squares of what is left. `None` where it cannot be simulated.
+/// Fits all that is free but the moments of events with the gains of `runs`, also around another model; and the sum of the squares
+/// of what is left. `None` where it cannot be simulated.
 pub(super) fn fit_as_followed(
     start: &Hypothesis,
     runs: &[LinearisedRun<'_>],
 ) -> Option<(Hypothesis, f64)> {
     let problem = Innovations::new(start, runs);
-    let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), problem.quick())?;
+    let minimum = problem.minimum(problem.quick())?;
     Some((problem.hypothesis_at(&minimum.x), minimum.cost))
 }
 
-/// Fits all that is free but the moments of events to runs, each followed with the start itself: what its effects and the
-/// stamps may be wrong by is no reproach to it, but counts for it neither. `None` where it cannot be simulated.
-pub(super) fn fit(start: &Hypothesis, runs: &[LinearisedRun<'_>]) -> Option<Refit> {
-    let own: Vec<LinearisedRun<'_>> = runs
-        .par_iter()
-        .with_max_len(1)
-        .enumerate()
-        .map(|(number, run)| {
-            let events = start.events_of(number);
-            let own =
-                LinearisedRun::beside(&start.model, events, run.scenario, run.start, run.noise)?;
-            Some(own.counted(run.work))
-        })
-        .collect::<Option<_>>()?;
+/// Fits all that is free but the moments of events to runs, each filtered with the start itself: errors of its effects' forms
+/// and of the stamps count neither against it nor for it. `None` where it cannot be simulated.
+pub(super) fn fit<'a>(start: &Hypothesis, runs: &[LinearisedRun<'a>]) -> Option<Refit> {
+    let around = |(number, run): (usize, &LinearisedRun<'a>)| {
+        run.around(&start.model, start.events_of(number), run.scenario)
+    };
+    let each = runs.par_iter().with_max_len(1).enumerate();
+    let own: Vec<LinearisedRun<'_>> = each.map(around).collect::<Option<_>>()?;
     let mut problem = Innovations::new(start, &own);
     problem.vague = Some(Vague::of(&start.model, &own));
-    let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), problem.quick())?;
+    let minimum = problem.minimum(problem.quick())?;
     let over_sd = own.iter().flat_map(|run| &run.follower.updates);
     let over_sd = over_sd.flat_map(|update| [update.current[4], update.speed[4]]);
     let logs: f64 = over_sd.filter(|over_sd| *over_sd > 0.0).map(f64::ln).sum();
@@ -507,29 +494,27 @@ pub(super) fn fit(start: &Hypothesis, runs: &[LinearisedRun<'_>]) -> Option<Refi
     })
 }
 
-/// What prediction errors say of a model's parameters on one run.
-pub(super) struct Estimated {
-    pub(super) model: Model,
+/// Estimate of a model's parameters on one run.
+struct Estimated {
+    model: Model,
     /// Each free parameter with its standard deviation; none where the run leaves it undetermined.
-    pub(super) deviations: Vec<(Slot, Option<f64>)>,
-    /// What they were multiplied by, because what is left is more than white noise.
-    pub(super) factor: f64,
-    pub(super) converged: bool,
+    deviations: Vec<(Slot, Option<f64>)>,
+    /// Their factor for what is left beyond white noise.
+    factor: f64,
+    converged: bool,
 }
 
-/// Fits all that is free in the model of `run` and says how well each parameter is known: jointly with what may be wrong
-/// with the stamps and with the forms of the effects, times the excess of what is left over white noise. What was believed
-/// of the parameters beforehand has no part in it.
-pub(super) fn estimate(run: &LinearisedRun<'_>) -> Option<Estimated> {
+/// Fits all that is free in the model of `run`, with the standard deviation of each parameter: jointly with errors of the stamps
+/// and of the forms of the effects, times the excess of what is left over white noise, and without any prior.
+fn estimate(run: &LinearisedRun<'_>) -> Option<Estimated> {
     let runs = std::slice::from_ref(run);
     let mut problem = Innovations::new(&Hypothesis::whole(&run.model), runs);
-    // Values that took all of the misfit would be further off than values for which stamps and forms may be wrong.
+    // Values that took all of the misfit would be further off than values beside errors of stamps and forms.
     problem.vague = Some(Vague::of(&run.model, runs));
-    let options = Options {
+    let minimum = problem.minimum(Options {
         most_iterations: problem.quick().most_iterations,
         ..Options::default()
-    };
-    let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), options)?;
+    })?;
     let rows = problem.len - problem.free.len() - 1;
     let slopes = minimum.jacobian.rows(0, rows);
     let (covariance, determined) = inverse_of_normal(&slopes.tr_mul(&slopes));
@@ -538,73 +523,130 @@ pub(super) fn estimate(run: &LinearisedRun<'_>) -> Option<Estimated> {
     let factor = excess(&[(run, left)]).sqrt();
     let fitted = problem.hypothesis_at(&minimum.x).model;
     let left_ohm = left_beyond_ohm(&fitted, run.scenario);
-    let deviations = problem
-        .free
-        .iter()
-        .enumerate()
-        .map(|(index, (slot, unit))| {
-            let slope = unit.slope(unit.to_value(minimum.x[index]));
-            let variance = covariance[(index, index)].max(0.0);
-            let is_resistance = matches!(slot, Slot::Motor(MotorKey::Resistance));
-            let beside = if is_resistance { left_ohm } else { 0.0 };
-            let deviation = (factor * slope * variance.sqrt()).hypot(beside);
-            (*slot, determined[index].then_some(deviation))
-        });
+    let deviation = |(index, (slot, unit)): (usize, &(Slot, Coordinate))| {
+        let slope = unit.slope(unit.to_value(minimum.x[index]));
+        let variance = covariance[(index, index)].max(0.0);
+        let is_resistance = matches!(slot, Slot::Motor(MotorKey::Resistance));
+        let beside = if is_resistance { left_ohm } else { 0.0 };
+        let deviation = (factor * slope * variance.sqrt()).hypot(beside);
+        (*slot, determined[index].then_some(deviation))
+    };
     Some(Estimated {
-        deviations: deviations.collect(),
+        deviations: problem.free.iter().enumerate().map(deviation).collect(),
         model: fitted,
         factor,
         converged: minimum.converged,
     })
 }
 
+/// Growth of the error of a free run from which on a model is right only with the corrections of a filter.
+const LED_ONLY_RATIO: f64 = 1.1;
+
+/// The same fit with values and deviations from its prediction errors: a disturbance of the load, which a free run takes for the
+/// motor's, counts as what it is. Where those values do not predict a free run, as where the form of an effect differs from its
+/// equation, the fit's own stay, each with its distance from the other in its deviation. As it was where the model cannot be
+/// simulated on the run; times of events stay.
+pub(crate) fn refined(fit: Fitted, run: &Scenario, noise: Noise) -> Fitted {
+    led(fit, run, noise, true).0
+}
+
+/// The same of a fit whose values stay in any case, with their distance from those of its prediction errors.
+pub(crate) fn with_deviations(fit: Fitted, run: &Scenario, noise: Noise) -> Fitted {
+    led(fit, run, noise, false).0
+}
+
+/// What of a fit is from its prediction errors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Led {
+    Values,
+    /// The deviations of values that stayed.
+    Deviations,
+    Neither,
+}
+
+/// [`refined`] where it `may_move`, else [`with_deviations`]; and which of it it came to.
+pub(crate) fn led(mut fit: Fitted, run: &Scenario, noise: Noise, may_move: bool) -> (Fitted, Led) {
+    let start = State::at(fit.start.current_a, fit.start.speed_rad_s);
+    let linearised = LinearisedRun::new(&fit.model, run, start, noise);
+    let Some(estimated) = linearised.and_then(|run| estimate(&run)) else {
+        return (fit, Led::Neither);
+    };
+    let score = may_move.then(|| Score::of(&estimated.model, run, &fit.noise));
+    let led = score
+        .and_then(Result::ok)
+        .filter(|score| score.nrms < LED_ONLY_RATIO * fit.nrms);
+    let kept = led.as_ref().map_or(&fit.model, |_| &estimated.model);
+    let kept = kept.clone();
+    let period_s = run.mean_period_s();
+    let mut is_known = false;
+    for (slot, deviation) in &estimated.deviations {
+        let key = slot.key();
+        let value = kept.get(slot).unwrap_or(f64::NAN);
+        let apart = estimated.model.get(slot).unwrap_or(f64::NAN) - value;
+        let deviation = deviation.map(|deviation| deviation.hypot(apart));
+        let mut judged = judge(slot, value, deviation, period_s);
+        if !estimated.converged && judged.verdict == Verdict::Settled {
+            judged.verdict = Verdict::Searching;
+            judged.reason = Some("the fit had not converged".to_owned());
+        }
+        let mut parameters = fit.parameters.iter_mut();
+        if let Some(parameter) = parameters.find(|own| own.key == key) {
+            is_known |= judged.std.is_some();
+            *parameter = judged;
+        }
+    }
+    let of = match &led {
+        // Without any slope there are no deviations.
+        _ if !is_known => Led::Neither,
+        Some(_) => Led::Values,
+        None => Led::Deviations,
+    };
+    let led = Fitted {
+        model: kept,
+        interval_factor: estimated.factor,
+        nrms: led.map_or(fit.nrms, |score| score.nrms),
+        ..fit
+    };
+    (led, of)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::joint::follow::{Noise, QUIET};
+    use crate::joint::kalman::QUIET;
+    use crate::joint::noise::beginning;
     use crate::kit::{nameplate, record, truth, with};
     use drivebench_identify::noise::NoiseFloor;
-    use drivebench_model::plant::{MotorKey, State, testing};
+    use drivebench_identify::output_error;
+    use drivebench_model::plant::{Motor, effect, testing};
 
-    fn noise(run: &Scenario, disturbance_n_m: f64) -> Noise {
-        let floor = NoiseFloor::from_standstill(run).unwrap();
-        Noise {
-            current_a: floor.current_a,
-            speed_rad_s: floor.speed_rad_s,
+    fn linearised<'a>(model: &Model, run: &'a Scenario, disturbance_n_m: f64) -> LinearisedRun<'a> {
+        let noise = Noise {
             disturbance_n_m,
             input: 1e-3,
             ..QUIET
-        }
+        };
+        LinearisedRun::new(model, run, State::default(), noise).unwrap()
     }
 
-    /// Fits a nameplate that is off, with the effect to be found, on two runs of the truth.
-    fn fitted(disturbance_n_m: f64) -> Model {
+    #[test]
+    fn motor_and_effect_are_found_together_beside_any_disturbance() {
+        // A nameplate that is off, with the effect to be found, on two runs of the truth.
         let fan = truth("quadratic_load", &[2e-6]);
-        let runs = [0, 1].map(|shift| record(&fan, shift, 7 + shift as u64));
+        let scenarios = [0, 1].map(|shift| record(&fan, shift, 7 + shift as u64));
         let mut start = truth("quadratic_load", &[5e-7]);
         for (key, factor) in [(MotorKey::Resistance, 1.2), (MotorKey::Inertia, 0.8)] {
             let value = start.motor.get(key).unwrap();
             start.motor.set(key, factor * value);
         }
-        let linearised: Vec<LinearisedRun<'_>> = runs
-            .iter()
-            .map(|run| {
-                let noise = noise(run, disturbance_n_m);
-                LinearisedRun::new(&start, run, State::default(), noise).unwrap()
-            })
-            .collect();
-        fit(&Hypothesis::of(&start), &linearised)
-            .unwrap()
-            .hypothesis
-            .model
-    }
-
-    #[test]
-    fn it_finds_motor_and_effect_together_however_much_the_load_may_wander() {
         for disturbance_n_m in [1e-4, 1e-2] {
-            let (found, motor) = (fitted(disturbance_n_m), nameplate().motor);
+            let runs = [0, 1].map(|k| linearised(&start, &scenarios[k], disturbance_n_m));
+            let found = fit(&Hypothesis::of(&start), &runs)
+                .unwrap()
+                .hypothesis
+                .model;
             for key in [MotorKey::Resistance, MotorKey::BackEmf, MotorKey::Inertia] {
-                let ratio = found.motor.get(key).unwrap() / motor.get(key).unwrap();
+                let ratio = found.motor.get(key).unwrap() / fan.motor.get(key).unwrap();
                 assert!(
                     (ratio - 1.0).abs() < 0.03,
                     "{disturbance_n_m} {key:?} {ratio}"
@@ -616,7 +658,7 @@ mod tests {
     }
 
     #[test]
-    fn slopes_are_what_differences_of_two_simulations_are() {
+    fn slopes_are_differences_of_two_simulations() {
         let effects: [(&str, &[f64]); 6] = [
             ("viscous_friction", &[2e-4]),
             ("cogging", &[0.02, 0.01, 3.0]),
@@ -629,9 +671,8 @@ mod tests {
         // Moves one way only: where a shaft breaks away differences are no slopes.
         let levels = vec![(0.0, 30.0), (0.6, 60.0), (1.2, 25.0), (1.8, 70.0)];
         let run = testing::record(&model, levels, 1e-3, 2.5, 11);
-        let noise = noise(&record(&model, 0, 7), 1e-3);
-        let linearised = [LinearisedRun::new(&model, &run, State::default(), noise).unwrap()];
-        let mut problem = Innovations::new(&Hypothesis::whole(&model), &linearised);
+        let runs = [linearised(&model, &run, 1e-3)];
+        let mut problem = Innovations::new(&Hypothesis::whole(&model), &runs);
         let x = problem.start();
         assert!(problem.slopes(&x).iter().all(Option::is_some));
         let mut residual = vec![0.0; problem.residual_len()];
@@ -647,55 +688,42 @@ mod tests {
     }
 
     #[test]
-    fn a_drop_of_brushes_may_build_up_more_slowly_than_its_equation() {
+    fn a_drop_of_brushes_may_build_up_slowly() {
         // Below the currents of a converter's gaps these are brushes.
-        let soft = truth("discontinuous_conduction", &[2.4, 0.5]);
-        let run = record(&soft, 0, 7);
+        let run = record(&truth("discontinuous_conduction", &[2.4, 0.5]), 0, 7);
         let start = truth("voltage_drop", &[1.0]);
-        let linearised =
-            [LinearisedRun::new(&start, &run, State::default(), noise(&run, 1e-4)).unwrap()];
-        let found = fit(&Hypothesis::of(&start), &linearised).unwrap();
+        let runs = [linearised(&start, &run, 1e-4)];
+        let found = fit(&Hypothesis::of(&start), &runs).unwrap();
         let drop_v = found.hypothesis.model.effects[0].values[0].unwrap();
         assert!((drop_v / 1.2 - 1.0).abs() < 0.1, "{drop_v}");
-        let mean = found.squares / linearised[0].follower.rows as f64;
+        let mean = found.squares / runs[0].follower.rows as f64;
         assert!(mean < 1.5, "{mean}");
     }
 
     #[test]
-    fn forms_that_one_run_alone_has_are_not_taken_for_those_of_another() {
+    fn forms_of_one_run_alone_are_kept_apart() {
         let model = truth("voltage_drop", &[1.0]);
         let large = record(&model, 0, 7);
         let mut small = large.clone();
         // Where no current reaches the level of the drop.
         small.current_a.iter_mut().for_each(|a| *a *= 1e-3);
-        let linearised = [&large, &small].map(|run| {
-            let noise = noise(&large, 1e-4);
-            LinearisedRun::new(&model, run, State::default(), noise).unwrap()
-        });
+        let runs = [&large, &small].map(|run| linearised(&model, run, 1e-4));
         // Three stamps; either how slowly the level is reached, or powers.
-        let each =
-            [&linearised[..1], &linearised[1..], &linearised].map(|runs| Vague::of(&model, runs));
+        let each = [&runs[..1], &runs[1..], &runs].map(|runs| Vague::of(&model, runs));
         assert_eq!(each.each_ref().map(|of| of.effects.len()), [6, 5, 8]);
-        let [_, _, both] = each;
-        assert!(
-            both.gram.view((3, 6), (3, 2)).amax() <= 0.0,
-            "{}",
-            both.gram
-        );
-        assert!((3..8).all(|form| both.gram[(form, form)] > 0.0));
+        let gram = &each[2].gram;
+        assert!(gram.view((3, 6), (3, 2)).amax() <= 0.0, "{gram}");
+        assert!((3..8).all(|form| gram[(form, form)] > 0.0));
     }
 
     #[test]
-    fn what_the_stamps_may_be_wrong_by_is_no_error_of_the_inertia() {
+    fn an_error_of_the_stamps_is_none_of_the_inertia() {
         let mut run = record(&truth("speed_delay", &[2e-4]), 0, 7);
         run.time_half_width_s = vec![2e-4; run.samples()];
         let model = nameplate();
-        let run = LinearisedRun::new(&model, &run, State::default(), noise(&run, 1e-4)).unwrap();
-        let key = MotorKey::Inertia;
-        let off = |found: &Model| {
-            let [found, known] = [found, &model].map(|model| model.motor.get(key).unwrap());
-            (found - known).abs()
-        };
+        let run = linearised(&model, &run, 1e-4);
+        let inertia = |model: &Model| model.motor.get(MotorKey::Inertia).unwrap();
+        let off = |found: &Model| (inertia(found) - inertia(&model)).abs();
         let found = estimate(&run).unwrap();
         let is_inertia = |slot: &Slot| matches!(slot, Slot::Motor(MotorKey::Inertia));
         let own = found.deviations.iter().find(|(slot, _)| is_inertia(slot));
@@ -704,5 +732,54 @@ mod tests {
         let whole = Hypothesis::whole(&model);
         let (exact, _) = fit_as_followed(&whole, std::slice::from_ref(&run)).unwrap();
         assert!(off(&exact.model) > 4.0 * deviation);
+    }
+
+    #[test]
+    fn under_another_form_of_gaps_the_interval_holds_the_resistance() {
+        // The load line bends over where the catalogue's has a corner.
+        let bent = "equation = \"voltage\"\nparameters = [\"r\"]\nexpression = \"2*r*tanh(i/2)\"";
+        let (bent, _) = effect::define("custom", &bent.parse().unwrap()).unwrap();
+        let mut machine = nameplate();
+        machine.effects.push(ActiveEffect::with(bent, &[1.4]));
+        // Ramps of 150 V/s between levels that hold: currents of some amperes.
+        let volts = |at_s: f64| {
+            let phase_s = at_s % 2.0;
+            let rising = 150.0 * phase_s.min(0.5) - 150.0 * (phase_s - 1.0).clamp(0.0, 0.5);
+            if at_s % 4.0 < 2.0 { rising } else { -rising }
+        };
+        let times = (0..700_u16).map(|step| 0.01 * f64::from(step));
+        let events = times.map(|at_s| (at_s, volts((at_s - 0.5).max(0.0))));
+        let run = testing::record(&machine, events.collect(), 0.01, 7.0, 7);
+        let noise = NoiseFloor::from_standstill(&run).unwrap();
+        let start = truth("discontinuous_conduction", &[1.4, 2.0]);
+        let free = Fitted::from(output_error::fit(&[start], &run, &noise).unwrap());
+        let along = beginning(&noise, &free.model, &run);
+        let (found, of) = led(free.clone(), &run, along, true);
+        // The values stay, since the form is another.
+        assert_eq!(of, Led::Deviations);
+        let mut empty = free.clone();
+        empty.model.motor = Motor::new("none");
+        assert_eq!(led(empty, &run, along, true).1, Led::Neither);
+        let own = testing::record(&nameplate(), run.events.clone(), 0.01, 7.0, 8);
+        let right = output_error::fit(&[nameplate()], &own, &noise).unwrap();
+        assert_eq!(led(Fitted::from(right), &own, along, true).1, Led::Values);
+        let off = |fit: &Fitted| {
+            let key = MotorKey::Resistance;
+            let own = fit.parameters.iter().find(|p| p.key == key.key()).unwrap();
+            let off_ohm = own.value.unwrap() - machine.motor.get(key).unwrap();
+            off_ohm.abs() / own.std.unwrap()
+        };
+        let offs = [off(&found), off(&free)];
+        assert!(
+            offs[0] < 2.0 && offs[1] > 4.0,
+            "{offs:?} standard deviations"
+        );
+        // The prediction of a free run is no worse.
+        assert!(
+            found.nrms < LED_ONLY_RATIO * free.nrms,
+            "{} {}",
+            found.nrms,
+            free.nrms
+        );
     }
 }

@@ -3,16 +3,16 @@
 
 use rayon::prelude::*;
 
-use super::columns::{Candidate, Linear, LinearisedRun};
 use super::events::Hypothesis;
 use super::prediction_error::{Refit, fit};
-use super::select::{Posterior, Reduced, Set};
+use super::regression::{Candidate, Linear};
+use super::run::LinearisedRun;
+use super::select::{Posterior, Reduced, Set, without};
 use super::solution::{placed, present};
 use drivebench_model::plant::effect::CATALOGUE;
 use drivebench_model::plant::{ActiveEffect, Model, effect, typical_size};
 
-/// Log of the odds beforehand of an effect that a refit has refuted, and what is added to that of one without which a refit
-/// is worse.
+/// Prior log odds of an effect that a refit has refuted, and what is added to those of one without which a refit is worse.
 const BARRED_LOG_ODDS: f64 = -30.0;
 const KEPT_LOG_ODDS: f64 = 30.0;
 /// Growth of the log likelihood that a richer effect, or a second one, must bring to stand for one that serves as well.
@@ -53,8 +53,8 @@ pub(super) fn bar(linear: &mut Linear, verdicts: &[RefitVerdict], one: Option<&'
     }
 }
 
-/// Keeps what rings, and is not in the model, out of the sets.
-pub(super) fn bar_what_rings(linear: &mut Linear) {
+/// Keeps what is there wholly or not at all, and is not in the model, out of the sets.
+pub(super) fn bar_wholes(linear: &mut Linear) {
     let candidates = linear.candidates.iter_mut();
     for candidate in candidates.filter(|own| own.is_whole() && !own.in_model) {
         candidate.log_odds = BARRED_LOG_ODDS;
@@ -68,18 +68,15 @@ pub(super) fn needed(
     next: &Refit,
     runs: &[LinearisedRun<'_>],
 ) -> Vec<RefitVerdict> {
-    let ids = hypothesis.model.effect_ids().into_iter();
-    let removed: Vec<&'static str> = ids.filter(|id| !next.hypothesis.model.has(id)).collect();
-    let is_worse = |now: Refit| {
-        0.5 * (next.deviance - now.deviance) > WORTH_A_SECOND_NATS * removed.len() as f64
-    };
+    let mut removed = hypothesis.model.effect_ids();
+    removed.retain(|id| !next.hypothesis.model.has(id));
+    let worth_nats = WORTH_A_SECOND_NATS * removed.len() as f64;
+    let is_worse = |now: Refit| 0.5 * (next.deviance - now.deviance) > worth_nats;
     if removed.is_empty() || !fit(hypothesis, runs).is_some_and(is_worse) {
         return Vec::new();
     }
-    removed
-        .into_iter()
-        .map(|id| RefitVerdict::Kept { id })
-        .collect()
+    let kept = removed.into_iter().map(|id| RefitVerdict::Kept { id });
+    kept.collect()
 }
 
 /// Gives effects that were barred what the refit left of their probability.
@@ -105,21 +102,15 @@ fn substitutes() -> impl Iterator<Item = (&'static str, Vec<&'static str>)> {
     for_two.chain(at_limit)
 }
 
-/// The effect of a model that was fitted down to its limit, behind the simpler one that it is there: the gaps of a current that
-/// end below the least boundary of a converter are a drop of brushes, however softly it builds up.
+/// The effect of a model that was fitted down to its limit, to 0.02, behind the simpler one that it is there: the gaps of a
+/// current that end below the least boundary of a converter are a drop of brushes, however softly it builds up.
 pub(super) fn at_limit(model: &Model) -> Option<[&'static str; 2]> {
     model.effects.iter().find_map(|active| {
         let limit = active.effect.card().limit?;
         let value = active.values_or_guess()[limit.parameter];
-        (value < AT_THE_LIMIT_RATIO * limit.least).then(|| [limit.simpler, active.id()])
+        (value < 1.02 * limit.least).then(|| [limit.simpler, active.id()])
     })
 }
-
-/// How many times the least value of a shape one that was fitted down to it may be.
-const AT_THE_LIMIT_RATIO: f64 = 1.02;
-
-/// Growth of the squares up to which a drop stands for gaps that end where it would: with more its form is another.
-const SOFTLY: f64 = 1.05;
 
 /// Sets as the linear solution weighs them.
 pub(super) struct Weighed<'a> {
@@ -131,17 +122,16 @@ pub(super) struct Weighed<'a> {
 
 impl Weighed<'_> {
     /// The effect of the best set, none of `given`, that a refit refutes most clearly, and the model without it. A linear
-    /// solution is wrong where an effect's own size bends what it does, as that of a large delay.
+    /// solution is wrong where the columns of an effect depend on its size, as those of a large delay.
     pub(super) fn doubtful(&self, given: &[&'static str]) -> Option<(RefitVerdict, Hypothesis)> {
         let best = &self.posterior.best;
         let likelihood = |set: &Set| self.reduced.log_likelihood(&self.reduced.columns(set));
         let whole = likelihood(best);
-        let eligible = |(k, candidate): &(usize, &Candidate)| {
-            let named = best[*k].is_some() && !candidate.is_unknown();
-            named && !given.contains(&candidate.id)
+        let is_eligible = |(k, candidate): &(usize, &Candidate)| {
+            best[*k].is_some() && !candidate.is_unknown() && !given.contains(&candidate.id)
         };
         let candidates = self.reduced.linear.candidates.iter().enumerate();
-        let eligible: Vec<(usize, &Candidate)> = candidates.filter(eligible).collect();
+        let eligible: Vec<(usize, &Candidate)> = candidates.filter(is_eligible).collect();
         if eligible.is_empty() {
             return None;
         }
@@ -167,25 +157,19 @@ impl Weighed<'_> {
             .iter()
             .zip(refitted?)
             .map(|((k, candidate), refit)| {
-                let mut without = best.clone();
-                without[*k] = None;
-                let promised = whole - likelihood(&without);
+                let promised = whole - likelihood(&without(best, *k));
                 let change = refit.as_ref();
                 let change = change.map_or(0.0, |refit| 0.5 * (refit.deviance - base.deviance));
                 let gained = if candidate.in_model { change } else { -change };
                 let left = refit.filter(|_| candidate.in_model);
                 let left = left.map_or_else(|| self.hypothesis.clone(), |left| left.hypothesis);
-                let raised = if candidate.log_odds > 0.0 {
-                    KEPT_LOG_ODDS
-                } else {
-                    0.0
-                };
+                let is_kept = candidate.log_odds > 0.0;
+                let raised = if is_kept { KEPT_LOG_ODDS } else { 0.0 };
                 let odds = self.posterior.log_factor[*k] - raised - (promised - gained).max(0.0);
                 (odds, candidate.id, left)
             });
         let refuted = removals.filter(|own| own.0 < 0.0);
-        let worst = refuted.min_by(|a, b| a.0.total_cmp(&b.0));
-        let (odds, id, left) = worst?;
+        let (odds, id, left) = refuted.min_by(|a, b| a.0.total_cmp(&b.0))?;
         let probability = 1.0 / (1.0 + (-odds).exp());
         Some((RefitVerdict::Barred { id, probability }, left))
     }
@@ -195,38 +179,37 @@ impl Weighed<'_> {
     pub(super) fn simpler(&self, given: &[&'static str]) -> Option<(&'static str, Hypothesis)> {
         let there = &self.hypothesis.model;
         substitutes().find_map(|(simple, others)| {
-            let open = |id: &&str| there.has(id) && !given.contains(id);
-            if there.has(simple) || !others.iter().all(open) {
+            let is_open = |id: &&str| there.has(id) && !given.contains(id);
+            if there.has(simple) || !others.iter().all(is_open) {
                 return None;
             }
             let effect = effect::find(simple)?;
             let unit = effect.parameters()[0].unit;
-            let size = |active: &ActiveEffect| {
-                let is_one = others.contains(&active.id());
-                let alike = is_one && active.effect.parameters()[0].unit == unit;
-                alike.then(|| active.values_or_guess()[0])
-            };
-            let sizes: Vec<f64> = there.effects.iter().filter_map(size).collect();
+            let is_one = |active: &&ActiveEffect| others.contains(&active.id());
+            let sizes: Vec<f64> = (there.effects.iter().filter(is_one))
+                .filter(|active| active.effect.parameters()[0].unit == unit)
+                .map(|active| active.values_or_guess()[0])
+                .collect();
             let begin = if sizes.is_empty() {
                 typical_size(effect, 0, there, self.runs[0].scenario)
             } else {
                 sizes.iter().sum::<f64>() / sizes.len() as f64
             };
             let mut start = self.hypothesis.clone();
-            let kept = |active: &ActiveEffect| !others.contains(&active.id());
-            start.model.effects.retain(kept);
+            start.model.effects.retain(|active| !is_one(&active));
             start
                 .model
                 .effects
                 .push(ActiveEffect::with(effect, &[begin]));
-            // What is not known goes with the size that it was followed with: the second time that is its own.
+            // Errors of the form are in proportion to the size that it is filtered with: the second time that is its own.
             let left = fit(&fit(&start, self.runs)?.hypothesis, self.runs)?;
             let rich = fit(self.hypothesis, self.runs)?;
+            // With more than 0.05 of the squares more its form is another than that at the limit.
             let limit = at_limit(there);
-            let is_one = limit.is_some_and(|[limit, rich]| limit == simple && others == [rich])
-                && left.squares < SOFTLY * rich.squares;
+            let is_limit = limit.is_some_and(|[limit, rich]| limit == simple && others == [rich])
+                && left.squares < 1.05 * rich.squares;
             let serves = 0.5 * (left.deviance - rich.deviance) < WORTH_A_SECOND_NATS;
-            (is_one || serves).then_some((simple, left.hypothesis))
+            (is_limit || serves).then_some((simple, left.hypothesis))
         })
     }
 }
@@ -235,15 +218,20 @@ impl Weighed<'_> {
 mod tests {
     use super::*;
     use crate::joint::columns::linearise;
-    use crate::joint::follow::{Noise, QUIET};
+    use crate::joint::kalman::{Noise, QUIET};
     use crate::joint::select::select;
     use crate::kit::{nameplate, record, truth, with};
     use drivebench_model::plant::{Effect, Scenario, State};
 
     /// The least boundary of the gaps of a converter, A.
     const LEAST_BOUNDARY_A: f64 = 0.9;
+    const DELAYS: [&str; 3] = ["command_delay", "speed_delay", "current_filter"];
 
-    fn led<'a>(model: &Model, run: &'a Scenario) -> [LinearisedRun<'a>; 1] {
+    fn gaps(extra_ohm: f64, boundary_a: f64) -> Model {
+        truth("discontinuous_conduction", &[extra_ohm, boundary_a])
+    }
+
+    fn linearised<'a>(model: &Model, run: &'a Scenario) -> [LinearisedRun<'a>; 1] {
         let noise = Noise {
             disturbance_n_m: 1e-4,
             input: 1e-3,
@@ -252,21 +240,19 @@ mod tests {
         [LinearisedRun::new(model, run, State::default(), noise).unwrap()]
     }
 
-    /// What `about` makes of the sets as they are weighed from `model` on.
+    /// What `about` makes of the sets weighed from `model` on in a run of `machine`, with `change` of the linear problem.
     fn weighed<T>(
-        model: &Model,
-        run: &Scenario,
+        [machine, model]: [&Model; 2],
         eligible: &[&'static str],
-        pretend: impl FnOnce(&mut Linear),
+        change: impl FnOnce(&mut Linear),
         about: impl FnOnce(&Weighed<'_>) -> T,
     ) -> T {
-        let eligible: Vec<&'static dyn Effect> = eligible
-            .iter()
-            .map(|id| effect::find(id).unwrap())
-            .collect();
-        let (hypothesis, runs) = (Hypothesis::of(model), led(model, run));
+        let run = record(machine, 0, 7);
+        let eligible = eligible.iter().map(|id| effect::find(id).unwrap());
+        let eligible: Vec<&'static dyn Effect> = eligible.collect();
+        let (hypothesis, runs) = (Hypothesis::of(model), linearised(model, &run));
         let mut linear = linearise(&hypothesis, &eligible, &runs, false).unwrap();
-        pretend(&mut linear);
+        change(&mut linear);
         let there = present(&linear);
         let reduced = Reduced::new(linear, 1.0, true).unwrap();
         let posterior = select(&reduced, &[there]);
@@ -279,60 +265,50 @@ mod tests {
     }
 
     #[test]
-    fn gaps_that_end_where_no_converters_do_are_a_drop_of_brushes() {
-        let gaps = |boundary_a: f64| truth("discontinuous_conduction", &[1.4, boundary_a]);
+    fn gaps_below_any_converter_are_a_drop_of_brushes() {
         let brushes = ["voltage_drop", "discontinuous_conduction"];
-        assert_eq!(at_limit(&gaps(LEAST_BOUNDARY_A)), Some(brushes));
-        assert_eq!(at_limit(&gaps(1.5 * LEAST_BOUNDARY_A)), None);
+        assert_eq!(at_limit(&gaps(1.4, LEAST_BOUNDARY_A)), Some(brushes));
+        assert_eq!(at_limit(&gaps(1.4, 1.5 * LEAST_BOUNDARY_A)), None);
         assert_eq!(at_limit(&truth("voltage_drop", &[0.9])), None);
-    }
-
-    #[test]
-    fn a_sharp_drop_stands_for_gaps_that_end_early_only_where_it_leaves_hardly_more() {
-        let gaps =
-            |extra_ohm: f64| truth("discontinuous_conduction", &[extra_ohm, LEAST_BOUNDARY_A]);
-        let eligible = ["voltage_drop", "discontinuous_conduction"];
-        // A small drop hardly shows, whatever its form; of a large one the form is.
+        // A small drop hardly shows, whatever its form; of a large one the form does.
         for (extra_ohm, stands) in [(0.05, true), (4.0, false)] {
-            let machine = gaps(extra_ohm);
-            let run = record(&machine, 0, 7);
-            let simpler = weighed(&machine, &run, &eligible, |_| {}, |own| own.simpler(&[]));
+            let machine = gaps(extra_ohm, LEAST_BOUNDARY_A);
+            let simpler = weighed([&machine; 2], &brushes, |_| {}, |own| own.simpler(&[]));
             assert_eq!(simpler.is_some(), stands, "{extra_ohm} ohm");
         }
     }
 
     #[test]
-    fn what_rings_is_kept_out_unless_the_model_has_it() {
-        let coupled = nameplate().with_effect("elastic_coupling").unwrap();
-        for (model, is_barred) in [(nameplate(), true), (coupled, false)] {
-            let run = record(&model, 0, 7);
+    fn a_coupling_is_barred_unless_the_model_has_it() {
+        let id = "elastic_coupling";
+        for (model, is_barred) in [
+            (nameplate(), true),
+            (nameplate().with_effect(id).unwrap(), false),
+        ] {
             let odds = |linear: &mut Linear| {
-                bar_what_rings(linear);
-                let mut rings = linear.candidates.iter().filter(|own| own.is_whole());
-                let coupling = rings.find(|own| own.id == "elastic_coupling");
-                let found = coupling.is_some_and(|own| own.log_odds <= BARRED_LOG_ODDS);
+                bar_wholes(linear);
+                let mut wholes = linear.candidates.iter().filter(|own| own.is_whole());
+                let found = wholes.any(|own| own.id == id && own.log_odds <= BARRED_LOG_ODDS);
                 assert_eq!(found, is_barred);
             };
-            weighed(&model, &run, &["elastic_coupling"], odds, |_| {});
+            weighed([&model; 2], &[id], odds, |_| {});
         }
     }
 
     #[test]
-    fn a_late_command_stands_for_two_late_sensors_unless_these_are_there() {
+    fn a_late_command_stands_for_two_late_sensors() {
         let late = truth("command_delay", &[6e-4]);
         let two = |of_speed: &[f64], of_current: &[f64]| {
             let effects = [("speed_delay", of_speed), ("current_filter", of_current)];
             with(nameplate(), &effects)
         };
         let apart = two(&[4e-3], &[5e-4]);
-        let eligible = ["command_delay", "speed_delay", "current_filter"];
         for (machine, model, stands) in [
             (&late, two(&[6e-4], &[6e-4]), Some("command_delay")),
             (&apart, apart.clone(), None),
         ] {
-            let run = record(machine, 0, 7);
             let simpler = |given: &[&'static str]| {
-                weighed(&model, &run, &eligible, |_| {}, |own| own.simpler(given))
+                weighed([machine, &model], &DELAYS, |_| {}, |own| own.simpler(given))
             };
             let found = simpler(&[]);
             assert_eq!(found.as_ref().map(|own| own.0), stands);
@@ -343,39 +319,39 @@ mod tests {
             // What was given stays.
             assert!(simpler(&["speed_delay"]).is_none());
         }
+        // Two that one stands for exclude each other.
+        for (one, expected) in [
+            (None, false),
+            (Some("current_offset"), false),
+            (Some("command_delay"), true),
+        ] {
+            let model = nameplate();
+            let excluded = weighed(
+                [&model; 2],
+                &DELAYS,
+                |linear| bar(linear, &[], one),
+                |own| {
+                    let candidates = &own.reduced.linear.candidates;
+                    let place = |id| candidates.iter().position(|own| own.id == id).unwrap();
+                    candidates[place("current_filter")]
+                        .excludes
+                        .contains(&place("speed_delay"))
+                },
+            );
+            assert_eq!(excluded, expected, "{one:?}");
+        }
     }
 
     #[test]
-    fn two_that_one_stands_for_are_not_both_asked_for_again() {
-        let run = record(&nameplate(), 0, 7);
-        let eligible = ["command_delay", "speed_delay", "current_filter"];
-        let excluded = |one| {
-            let pretend = |linear: &mut Linear| bar(linear, &[], one);
-            weighed(&nameplate(), &run, &eligible, pretend, |own| {
-                let candidates = own.reduced.linear.candidates.iter();
-                let filter = candidates.clone().find(|own| own.id == "current_filter");
-                let delay = candidates.clone().position(|c| c.id == "speed_delay");
-                filter.unwrap().excludes.contains(&delay.unwrap())
-            })
-        };
-        assert!(!excluded(None));
-        assert!(!excluded(Some("current_offset")));
-        assert!(excluded(Some("command_delay")));
-    }
-
-    #[test]
-    fn what_only_the_linear_solution_asks_for_is_refuted_by_a_refit() {
-        let run = record(&nameplate(), 0, 7);
-        let drag = "viscous_friction";
+    fn a_refit_refutes_what_only_the_linear_solution_has() {
+        let (model, drag) = (nameplate(), "viscous_friction");
         for more in [0.3, 0.0] {
-            let pretend = |linear: &mut Linear| {
+            let change = |linear: &mut Linear| {
                 let own = linear.candidates.iter().find(|own| own.id == drag).unwrap();
                 let column = own.variants[0].columns[0].at;
                 linear.right[column] += more * linear.gram[(column, column)];
             };
-            let found = weighed(&nameplate(), &run, &[drag], pretend, |own| {
-                own.doubtful(&[])
-            });
+            let found = weighed([&model; 2], &[drag], change, |own| own.doubtful(&[]));
             assert_eq!(found.is_some(), more > 0.0);
             if let Some((RefitVerdict::Barred { id, probability }, _)) = found {
                 assert!(id == drag && probability < 0.1, "{id} {probability}");
@@ -384,7 +360,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_refit_needs_is_kept_and_what_it_does_not_is_not() {
+    fn an_effect_that_a_refit_needs_is_kept() {
         let id = "viscous_friction";
         let drag = truth(id, &[4e-4]);
         for (machine, expected) in [
@@ -392,7 +368,7 @@ mod tests {
             (&nameplate(), &[]),
         ] {
             let run = record(machine, 0, 7);
-            let runs = led(&drag, &run);
+            let runs = linearised(&drag, &run);
             let next = fit(&Hypothesis::of(&nameplate()), &runs).unwrap();
             assert!(needed(&Hypothesis::of(&drag), &next, &runs) == expected);
         }

@@ -1,12 +1,8 @@
-//! Effects that runs do not tell apart: which they are, and how they share what is known of one of them.
+//! Confounded effects: which effects the runs do not tell apart, and how they share the probability of one of them.
 
-use super::detectability::without;
 use super::marginal::{Inferred, NAMED_PROBABILITY};
 use super::search::SearchResult;
-use super::select::Set;
-
-/// Loss of log likelihood up to which an effect serves in the place of another: two standard deviations and a half.
-const SERVES_AS_WELL_NATS: f64 = 3.0;
+use super::select::{Set, without};
 
 /// Two effects of which these runs want one and cannot say which.
 pub(super) struct Rival {
@@ -17,8 +13,8 @@ pub(super) struct Rival {
     are_events: bool,
 }
 
-/// Pairs of which these runs want one and cannot say which: an effect of the best set, and one that serves nearly as well in
-/// its place when everything else moves along. How wide each was believed to be beforehand has no say in it.
+/// Pairs of an effect of the best set and one that serves nearly as well in its place when everything else moves along, whatever
+/// the priors of their sizes are.
 pub(super) fn confusable(found: &SearchResult) -> Vec<Rival> {
     let reduced = &found.reduced;
     let candidates = &reduced.linear.candidates;
@@ -44,18 +40,13 @@ pub(super) fn confusable(found: &SearchResult) -> Vec<Rival> {
             if !is_open || present.id == rival.id || rivals.iter().any(|own| own.pair == pair) {
                 continue;
             }
-            let with = |form| {
-                let mut set = reduced.cleared(&without(best, j), k);
-                set[k] = Some(form);
-                set
-            };
-            let forms = (0..rival.variants.len()).map(with);
-            let forms = forms.filter(|set| reduced.signs_are_right(set));
-            let loss_nats = most
-                - forms
-                    .map(|set| likelihood(&set))
-                    .fold(f64::NEG_INFINITY, f64::max);
-            if loss_nats < SERVES_AS_WELL_NATS {
+            let forms = (0..rival.variants.len())
+                .map(|form| reduced.with(&without(best, j), k, form))
+                .filter(|set| reduced.signs_are_right(set));
+            let logs = forms.map(|set| likelihood(&set));
+            let loss_nats = most - logs.fold(f64::NEG_INFINITY, f64::max);
+            // Two standard deviations and a half.
+            if loss_nats < 3.0 {
                 rivals.push(Rival {
                     pair,
                     loss_nats,
@@ -108,9 +99,8 @@ fn share_of_one(effects: &mut [Inferred], fitted: &str, rivals: Vec<&Rival>) {
 }
 
 /// Halves the probability of an effect that was fitted down to its limit between it and the `simpler` one that it is there,
-/// unless it was given, as with gaps of the current and a drop of brushes that is too soft for its own form: nothing in these
-/// runs tells the two apart. What the simpler one's own form says of its size, beside the other or in its place, is no bound
-/// then.
+/// unless it was given, as with gaps of the current and a drop of brushes that is too soft for its own form: these runs do not tell
+/// the two apart. The bound of the simpler one's own form, beside the other or in its place, does not hold then.
 pub(super) fn share_at_limit(
     [simpler, limited]: [&'static str; 2],
     effects: &mut [Inferred],
@@ -153,26 +143,20 @@ mod tests {
     }
 
     #[test]
-    fn gaps_that_end_early_and_a_soft_drop_are_one_of_two_unless_the_gaps_were_given() {
+    fn gaps_at_their_limit_and_a_soft_drop_are_one_of_two() {
+        let ids = ["discontinuous_conduction", "voltage_drop"];
         for given in [false, true] {
-            let mut effects = [
-                inferred_as("discontinuous_conduction", 1.0),
-                inferred_as("voltage_drop", 0.0),
-            ];
+            let mut effects = [inferred_as(ids[0], 1.0), inferred_as(ids[1], 0.0)];
             effects[0].given = given;
             let mut pairs = vec![];
-            let pair = [effects[1].id(), effects[0].id()];
-            share_at_limit(pair, &mut effects, &mut pairs);
+            share_at_limit([ids[1], ids[0]], &mut effects, &mut pairs);
             let [gaps, drop] = &effects;
             if given {
-                assert!(
-                    pairs.is_empty()
-                        && gaps.probability > NAMED_PROBABILITY
-                        && drop.upper_bound.is_some()
-                );
+                assert!(pairs.is_empty() && gaps.probability > NAMED_PROBABILITY);
+                assert!(drop.upper_bound.is_some());
                 continue;
             }
-            assert_eq!(pairs, [["discontinuous_conduction", "voltage_drop"]]);
+            assert_eq!(pairs, [ids]);
             // A model holds one of them: neither is named for itself, together they are certain.
             assert!(gaps.probability <= NAMED_PROBABILITY && drop.probability <= NAMED_PROBABILITY);
             assert!(gaps.probability + drop.probability > TOGETHER_PROBABILITY);
@@ -181,82 +165,44 @@ mod tests {
     }
 
     #[test]
-    fn what_happened_once_shares_with_what_explains_the_same() {
-        let shared = |loss_nats, are_events| {
-            let mut effects = [
-                inferred_as("load_step", 1.0),
-                inferred_as("one_sided_load", 0.0),
-            ];
-            let pair = ["load_step", "one_sided_load"];
-            let rival = Rival {
-                pair,
-                loss_nats,
-                are_events,
-            };
-            share_among_events(&mut effects, &[rival]);
-            effects.map(|own| own.probability)
-        };
-        let are = |found: [f64; 2], expected: [f64; 2]| {
-            let mut pairs = found.into_iter().zip(expected);
-            pairs.all(|(found, expected)| (found - expected).abs() < 1e-12)
-        };
-        assert!(are(shared(0.0, true), [0.5, 0.5]));
-        // What explains more than the one that was fitted has no more than half.
-        assert!(are(shared(-1.0, true), [0.5, 0.5]));
-        let [first, second] = shared(2.0, true);
-        assert!((second - 0.119).abs() < 1e-3 && (first + second - 1.0).abs() < 1e-12);
-        assert!(are(shared(0.0, false), [1.0, 0.0]));
-    }
-
-    #[test]
     fn rivals_of_one_event_share_once_in_any_order() {
-        let ids = [
-            "load_step",
-            "one_sided_load",
-            "friction_onset",
-            "inertia_change",
-        ];
-        let shared = |before: [f64; 4], losses: [f64; 3], order: [usize; 3]| {
+        let [a, b] = ["load_step", "one_sided_load"];
+        let ids = [a, b, "friction_onset", "inertia_change"];
+        let shared = |before: [f64; 4], losses: &[f64], order: [usize; 3], are_events| {
             let mut effects = [0, 1, 2, 3].map(|k| inferred_as(ids[k], before[k]));
+            let order = order.into_iter().filter(|k| *k <= losses.len());
             let rivals = order.map(|k| Rival {
                 pair: [ids[0], ids[k]],
                 loss_nats: losses[k - 1],
-                are_events: true,
+                are_events,
             });
-            share_among_events(&mut effects, &rivals);
+            share_among_events(&mut effects, &rivals.collect::<Vec<_>>());
             effects.map(|own| own.probability)
         };
-        let orders = [
-            [1, 2, 3],
-            [1, 3, 2],
-            [2, 1, 3],
-            [2, 3, 1],
-            [3, 1, 2],
-            [3, 2, 1],
-        ];
+        let (first, halves) = ([1.0, 0.0, 0.0, 0.0], [0.5, 0.5, 0.0, 0.0]);
         let half = 0.5_f64.ln();
-        for (before, losses, after) in [
-            ([1.0, 0.0, 0.0, 0.0], [0.0; 3], [0.25; 4]),
-            (
-                [0.8, 0.0, 0.0, 0.0],
-                [0.0, 0.0, -half],
-                [8.0 / 35.0, 8.0 / 35.0, 8.0 / 35.0, 4.0 / 35.0],
-            ),
+        let eighth = [8.0 / 35.0, 8.0 / 35.0, 8.0 / 35.0, 4.0 / 35.0];
+        let of_two = 1.0 / (1.0 + f64::exp(-2.0));
+        let cases: [([f64; 4], &[f64], [f64; 4]); 7] = [
+            (first, &[0.0], halves),
+            // What explains more than the one that was fitted has no more than half.
+            (first, &[-1.0], halves),
+            (first, &[2.0], [of_two, 1.0 - of_two, 0.0, 0.0]),
+            (first, &[0.0; 3], [0.25; 4]),
+            ([0.8, 0.0, 0.0, 0.0], &[0.0, 0.0, -half], eighth),
             // What has more than its share keeps it, and no more than all that there is is shared.
-            ([0.3, 0.6, 0.0, 0.0], [0.0; 3], [0.1, 0.6, 0.1, 0.1]),
-            (
-                [0.9, 0.1, 0.0, 0.0],
-                [0.0, 50.0, 50.0],
-                [0.5, 0.5, 0.0, 0.0],
-            ),
-        ] {
-            for order in orders {
-                let found = shared(before, losses, order);
-                let mut pairs = found.into_iter().zip(after);
-                assert!(
-                    pairs.all(|(found, after)| (found - after).abs() < 1e-12),
-                    "{before:?} {losses:?} {order:?}: {found:?}"
-                );
+            ([0.3, 0.6, 0.0, 0.0], &[0.0; 3], [0.1, 0.6, 0.1, 0.1]),
+            ([0.9, 0.1, 0.0, 0.0], &[0.0, 50.0, 50.0], halves),
+        ];
+        for (before, losses, after) in cases {
+            for order in [123, 132, 213, 231, 312, 321_usize] {
+                let places = [order / 100, order / 10 % 10, order % 10];
+                for (are_events, after) in [(true, after), (false, before)] {
+                    let found = shared(before, losses, places, are_events);
+                    let is_close = |k: usize| (found[k] - after[k]).abs() < 1e-12;
+                    let case = format!("{before:?} {losses:?} {order}");
+                    assert!((0..4).all(is_close), "{case}: {found:?}");
+                }
             }
         }
     }

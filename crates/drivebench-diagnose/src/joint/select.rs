@@ -13,15 +13,13 @@ use std::collections::{BTreeSet, HashMap};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use statrs::function::erf::erfc;
 
-use super::columns::{ColumnInformation, Linear, Variant};
+use super::regression::{Base, ColumnInformation, Linear, Variant, half_log_det};
 
 /// Deviation of the spike, in slabs: below, an effect counts as not there.
 const SPIKE_SLABS: f64 = 0.004;
-/// Sets from which neighbours are looked at, at most, and how far behind the best they may be, nats.
+/// Sets whose neighbours are weighed, at most, and how far behind the best they may be, nats; how far plausible ones.
 const MOST_EXPANDED: usize = 60;
 const WINDOW_NATS: f64 = 6.0;
-
-/// How far behind the best a set may be and still be plausible, nats.
 const PLAUSIBLE_NATS: f64 = 7.0;
 
 /// For each candidate, the variant that is in.
@@ -29,28 +27,44 @@ pub(super) type Set = Vec<Option<usize>>;
 
 #[derive(Clone, Debug)]
 pub(super) struct Posterior {
-    pub probability: Vec<f64>,
-    pub best: Set,
+    pub(super) probability: Vec<f64>,
+    pub(super) best: Set,
     /// Log of the odds of each candidate given the rest of the best set.
-    pub log_factor: Vec<f64>,
+    pub(super) log_factor: Vec<f64>,
     /// Plausible sets with their logarithms, the best first.
-    pub sets: Vec<(Set, f64)>,
+    pub(super) sets: Vec<(Set, f64)>,
     /// Likeliest variant of each candidate beside the best set.
-    pub forms: Vec<usize>,
+    pub(super) forms: Vec<usize>,
+}
+
+/// Sizes of the columns of a set, in slabs.
+pub(super) struct Estimate {
+    /// Numbers of the columns among all, the nuisances' first.
+    pub(super) columns: Vec<usize>,
+    pub(super) mean: DVector<f64>,
+    covariance: DMatrix<f64>,
+}
+
+impl Estimate {
+    /// Mean and variance of the size of a column; none where it is not in the set.
+    pub(super) fn of(&self, column: usize) -> Option<(f64, f64)> {
+        let at = self.columns.iter().position(|own| *own == column)?;
+        Some((self.mean[at], self.covariance[(at, at)]))
+    }
 }
 
 /// The problem with the motor's parameters integrated out.
 pub(super) struct Reduced {
-    pub linear: Linear,
-    pub gram: DMatrix<f64>,
-    pub right: DVector<f64>,
-    pub squares: f64,
+    pub(super) linear: Linear,
+    gram: DMatrix<f64>,
+    right: DVector<f64>,
+    squares: f64,
     /// Prior mean of each column, in its slab.
-    pub prior: DVector<f64>,
+    pub(super) prior: DVector<f64>,
 }
 
 impl Reduced {
-    /// `excess` is how many times as large as expected the variance of what the model leaves is.
+    /// `excess` is the ratio of the variance of what the model leaves to that of white noise.
     pub(super) fn new(linear: Linear, excess: f64, with_spikes: bool) -> Option<Self> {
         let m = linear.nuisances.len();
         let p = linear.gram.nrows();
@@ -81,10 +95,8 @@ impl Reduced {
         let half_b = factor.solve_lower_triangular(&b)?;
         let squares = linear.squares / excess - half_b.norm_squared();
         let mut prior = DVector::zeros(p - m);
-        for candidate in &linear.candidates {
-            for variant in &candidate.variants {
-                prior[variant.columns[0].at - m] = variant.mean;
-            }
+        for variant in linear.candidates.iter().flat_map(|own| &own.variants) {
+            prior[variant.columns[0].at - m] = variant.mean;
         }
         Some(Self {
             prior,
@@ -122,34 +134,40 @@ impl Reduced {
         })
     }
 
-    fn factor(&self, columns: &[usize]) -> Option<(Cholesky<f64, Dyn>, DVector<f64>)> {
+    /// The normal equations of columns under their slabs.
+    fn base(&self, columns: &[usize]) -> Option<Base> {
         let mut a = self.products(columns, columns);
-        for d in 0..columns.len() {
-            a[(d, d)] += 1.0;
-        }
-        Some((a.cholesky()?, self.right_side(columns)))
+        add_identity(&mut a);
+        let factor = a.cholesky()?;
+        let right = self.right_side(columns);
+        Some(Base { factor, right })
     }
 
-    /// Mean and covariance of the columns of a set, in slabs.
-    pub(super) fn sizes(&self, columns: &[usize]) -> Option<(DVector<f64>, DMatrix<f64>)> {
-        let (factor, b) = self.factor(columns)?;
-        Some((factor.solve(&b), factor.inverse()))
+    /// The sizes that a set has.
+    pub(super) fn estimate(&self, set: &Set) -> Option<Estimate> {
+        let columns = self.columns(set);
+        let Base { factor, right } = self.base(&columns)?;
+        let m = self.linear.nuisances.len();
+        Some(Estimate {
+            columns: columns.into_iter().map(|column| column + m).collect(),
+            mean: factor.solve(&right),
+            covariance: factor.inverse(),
+        })
     }
 
     /// Log of (evidence times prior) of each variant of a candidate beside the columns of others, relative to none of it.
     pub(super) fn conditional(&self, others: &[usize], candidate: usize) -> Vec<f64> {
-        let count = self.linear.candidates[candidate].variants.len();
-        let Some((factor, b)) = self.factor(others) else {
+        let Some(base) = self.base(others) else {
+            let count = self.linear.candidates[candidate].variants.len();
             return vec![f64::NEG_INFINITY; count];
         };
-        let mean = factor.solve(&b);
-        self.beside(others, &factor, &mean, candidate)
+        self.beside(others, &base, &base.factor.solve(&base.right), candidate)
     }
 
     fn beside(
         &self,
         others: &[usize],
-        factor: &Cholesky<f64, Dyn>,
+        base: &Base,
         mean: &DVector<f64>,
         candidate: usize,
     ) -> Vec<f64> {
@@ -157,10 +175,8 @@ impl Reduced {
         let weigh = |variant: &Variant| {
             let own = self.own(variant);
             let cross = self.products(others, &own);
-            let mut a = self.products(&own, &own) - cross.tr_mul(&factor.solve(&cross));
-            for d in 0..own.len() {
-                a[(d, d)] += 1.0;
-            }
+            let mut a = self.products(&own, &own) - cross.tr_mul(&base.factor.solve(&cross));
+            add_identity(&mut a);
             let right = self.right_side(&own) - cross.tr_mul(mean);
             let Some(schur) = a.cholesky() else {
                 return f64::NEG_INFINITY;
@@ -169,26 +185,19 @@ impl Reduced {
             if c.exceeds_linear_range(size[0], variant) {
                 return f64::NEG_INFINITY;
             }
-            let log_det: f64 = schur.l().diagonal().iter().map(|d| d.ln()).sum();
-            let sign = if variant.positive {
-                log_positive(size[0], schur.inverse()[(0, 0)].sqrt())
-            } else {
-                0.0
-            };
-            0.5 * right.dot(&size) - log_det + variant.log_prior + c.log_odds + sign
+            let sign = log_sign(variant.positive, &size, &schur);
+            0.5 * right.dot(&size) - half_log_det(&schur) + variant.log_prior + c.log_odds + sign
                 - 0.5 * variant.mean * variant.mean
         };
         c.variants.iter().map(weigh).collect()
     }
 
     pub(super) fn log_posterior(&self, set: &Set) -> f64 {
-        let columns = self.columns(set);
-        let Some((factor, b)) = self.factor(&columns) else {
+        let Some(Base { factor, right }) = self.base(&self.columns(set)) else {
             return f64::NEG_INFINITY;
         };
-        let mean = factor.solve(&b);
-        let log_det: f64 = factor.l().diagonal().iter().map(|d| d.ln()).sum();
-        let mut log = 0.5 * b.dot(&mean) - log_det;
+        let mean = factor.solve(&right);
+        let mut log = 0.5 * right.dot(&mean) - half_log_det(&factor);
         let mut inverse: Option<DMatrix<f64>> = None;
         let mut at = 0;
         for (variant, candidate) in set.iter().zip(&self.linear.candidates) {
@@ -209,15 +218,15 @@ impl Reduced {
 
     /// Log likelihood of the best sizes of these columns, relative to none.
     pub(super) fn log_likelihood(&self, columns: &[usize]) -> f64 {
-        let Some((factor, b)) = self.factor(columns) else {
-            return f64::NEG_INFINITY;
-        };
-        0.5 * b.dot(&factor.solve(&b))
+        let base = self.base(columns);
+        base.map_or(f64::NEG_INFINITY, |base| {
+            0.5 * base.right.dot(&base.factor.solve(&base.right))
+        })
     }
 
     /// Whether no effect of the set would need a size that physics does not allow.
     pub(super) fn signs_are_right(&self, set: &Set) -> bool {
-        let Some((mean, _)) = self.sizes(&self.columns(set)) else {
+        let Some(estimate) = self.estimate(set) else {
             return false;
         };
         let mut at = 0;
@@ -225,7 +234,7 @@ impl Reduced {
         chosen.all(|(variant, candidate)| {
             let Some(v) = variant else { return true };
             let variant = &candidate.variants[*v];
-            let size = mean[at];
+            let size = estimate.mean[at];
             at += variant.columns.len();
             !variant.positive || size > 0.0
         })
@@ -235,7 +244,8 @@ impl Reduced {
     pub(super) fn share_alone(&self, candidate: usize) -> f64 {
         let explained = |variant: &Variant| {
             let columns = self.own(variant);
-            let (mean, _) = self.sizes(&columns)?;
+            let base = self.base(&columns)?;
+            let mean = base.factor.solve(&base.right);
             let parts = columns.iter().zip(mean.iter());
             let parts = parts.map(|(column, mean)| self.right[*column] * mean);
             Some(parts.sum::<f64>())
@@ -245,43 +255,36 @@ impl Reduced {
         most / self.squares.max(f64::MIN_POSITIVE)
     }
 
-    /// What the runs say of one column, a slab of which is `unit`, beside others.
+    /// Information of one column of a form, a slab of which is `unit`, beside others.
     pub(super) fn information(
         &self,
         others: &[usize],
-        column: usize,
+        variant: &Variant,
         unit: f64,
     ) -> ColumnInformation {
-        let Some((factor, b)) = self.factor(others) else {
-            return ColumnInformation {
-                information: 0.0,
-                score: 0.0,
-                unit,
-            };
-        };
-        let cross = DVector::from_fn(others.len(), |r, _| self.gram[(others[r], column)]);
-        let solved = factor.solve(&cross);
+        let column = variant.columns[0].at - self.linear.nuisances.len();
+        let left = self.base(others).map(|base| {
+            let cross = DVector::from_fn(others.len(), |r, _| self.gram[(others[r], column)]);
+            base.left(&cross, self.gram[(column, column)], self.right[column])
+        });
+        let [information, score] = left.unwrap_or_default();
         ColumnInformation {
-            information: self.gram[(column, column)] - cross.dot(&solved),
-            score: self.right[column] - b.dot(&solved),
+            information,
+            score,
             unit,
         }
     }
 
-    /// What the odds of a form beside others would be if more of it were in the records.
-    pub(super) fn injection(
-        &self,
-        others: &[usize],
-        candidate: usize,
-        variant: usize,
-    ) -> Option<Injection> {
-        let candidate = &self.linear.candidates[candidate];
-        let chosen = &candidate.variants[variant];
+    /// What the odds of a form of a set would be if more of it were in the records.
+    pub(super) fn injection(&self, set: &Set, candidate: usize) -> Option<Injection> {
+        let others = self.columns(&without(set, candidate));
+        let candidate = (&self.linear.candidates[candidate], set[candidate]?);
+        let (candidate, chosen) = (candidate.0, &candidate.0.variants[candidate.1]);
         let own = self.own(chosen);
-        let (factor, _) = self.factor(others)?;
-        let cross = self.products(others, &own);
+        let base = self.base(&others)?;
+        let cross = self.products(&others, &own);
         // Of the form's own information what the others leave, without and with its prior.
-        let left = self.products(&own, &own) - cross.tr_mul(&factor.solve(&cross));
+        let left = self.products(&own, &own) - cross.tr_mul(&base.factor.solve(&cross));
         let schur = (&left + DMatrix::identity(own.len(), own.len())).cholesky()?;
         Some(Injection {
             left,
@@ -293,12 +296,31 @@ impl Reduced {
 
     /// The set without a candidate and without all that it excludes.
     pub(super) fn cleared(&self, set: &Set, candidate: usize) -> Set {
-        let mut set = set.clone();
-        set[candidate] = None;
+        let mut set = without(set, candidate);
         for other in &self.linear.candidates[candidate].excludes {
             set[*other] = None;
         }
         set
+    }
+
+    /// The set with a form of a candidate in the place of all that it excludes.
+    pub(super) fn with(&self, set: &Set, candidate: usize, form: usize) -> Set {
+        let mut set = self.cleared(set, candidate);
+        set[candidate] = Some(form);
+        set
+    }
+}
+
+pub(super) fn without(set: &Set, candidate: usize) -> Set {
+    let mut set = set.clone();
+    set[candidate] = None;
+    set
+}
+
+/// Adds the prior precision of slabs.
+fn add_identity(a: &mut DMatrix<f64>) {
+    for d in 0..a.nrows() {
+        a[(d, d)] += 1.0;
     }
 }
 
@@ -318,53 +340,48 @@ impl Injection {
         });
         let right = &self.left * added;
         let mean = self.schur.solve(&right);
-        let log_det: f64 = self.schur.l().diagonal().iter().map(|d| d.ln()).sum();
-        let sign = if self.positive {
-            log_positive(mean[0], self.schur.inverse()[(0, 0)].sqrt())
-        } else {
-            0.0
-        };
-        0.5 * right.dot(&mean) - log_det + self.log_prior + sign
+        let sign = log_sign(self.positive, &mean, &self.schur);
+        0.5 * right.dot(&mean) - half_log_det(&self.schur) + self.log_prior + sign
     }
 }
 
-/// log 2 Phi(mean / sd): how much of a normal density lies on the side that physics allows.
+/// Log of the normalisation of a form whose first size physics allows one sign of; zero where it allows both.
+fn log_sign(positive: bool, mean: &DVector<f64>, precision: &Cholesky<f64, Dyn>) -> f64 {
+    if positive {
+        log_positive(mean[0], precision.inverse()[(0, 0)].sqrt())
+    } else {
+        0.0
+    }
+}
+
+/// log 2 Phi(mean / sd): the share of a normal density on the side that physics allows.
 fn log_positive(mean: f64, sd: f64) -> f64 {
     erfc(-mean / sd / std::f64::consts::SQRT_2).max(1e-300).ln()
 }
 
-/// The sets that were looked at.
+/// The sets that were weighed.
 struct Explored<'a> {
     reduced: &'a Reduced,
-    /// Log posterior of each, where it is only reckoned from a neighbour's also.
+    /// Log posterior of each, also where it follows from that of a neighbour.
     weighed: HashMap<Set, f64>,
-    /// Log posterior of those whose own was worked out.
+    /// Log posterior of those whose own was computed.
     exact: HashMap<Set, f64>,
 }
 
 impl Explored<'_> {
     fn exactly(&mut self, set: &Set) -> f64 {
-        let reduced = self.reduced;
-        *self
-            .exact
-            .entry(set.clone())
-            .or_insert_with(|| reduced.log_posterior(set))
+        let log = || self.reduced.log_posterior(set);
+        *self.exact.entry(set.clone()).or_insert_with(log)
     }
 
     /// Weighs every set that differs from `set` by one effect put in, taken out or exchanged.
     fn expand(&mut self, set: &Set) {
-        let mut bases: Vec<Set> = vec![set.clone()];
-        for k in 0..set.len() {
-            if set[k].is_some() {
-                let mut without = set.clone();
-                without[k] = None;
-                bases.push(without);
-            }
-        }
-        for from in &bases {
-            let log = self.exactly(from);
+        let inside = (0..set.len()).filter(|k| set[*k].is_some());
+        let bases = std::iter::once(set.clone()).chain(inside.map(|k| without(set, k)));
+        for from in bases {
+            let log = self.exactly(&from);
             self.weighed.insert(from.clone(), log);
-            self.put_in(from, log);
+            self.put_in(&from, log);
         }
     }
 
@@ -372,10 +389,10 @@ impl Explored<'_> {
     fn put_in(&mut self, from: &Set, log: f64) {
         let reduced = self.reduced;
         let columns = reduced.columns(from);
-        let Some((factor, b)) = reduced.factor(&columns) else {
+        let Some(base) = reduced.base(&columns) else {
             return;
         };
-        let mean = factor.solve(&b);
+        let mean = base.factor.solve(&base.right);
         for (k, candidate) in reduced.linear.candidates.iter().enumerate() {
             if from[k].is_some() {
                 continue;
@@ -387,8 +404,7 @@ impl Explored<'_> {
                 let logs = reduced.conditional(&reduced.columns(&cleared), k);
                 (cleared, log, logs)
             } else {
-                let logs = reduced.beside(&columns, &factor, &mean, k);
-                (from.clone(), log, logs)
+                (from.clone(), log, reduced.beside(&columns, &base, &mean, k))
             };
             for (v, gain) in logs.iter().enumerate() {
                 let mut with = next.clone();
@@ -442,16 +458,13 @@ pub(super) fn select(reduced: &Reduced, starts: &[Set]) -> Posterior {
             }
         }
     }
-    let mut log_factor = Vec::with_capacity(n);
-    let mut forms = Vec::with_capacity(n);
-    for k in 0..n {
-        let others = reduced.cleared(&best, k);
-        let logs = reduced.conditional(&reduced.columns(&others), k);
+    let likeliest = |k: usize| {
+        let logs = reduced.conditional(&reduced.columns(&reduced.cleared(&best, k)), k);
         let top = (0..logs.len()).max_by(|a, b| logs[*a].total_cmp(&logs[*b]));
         let top = top.unwrap_or(0);
-        log_factor.push(logs[top]);
-        forms.push(top);
-    }
+        (logs[top], top)
+    };
+    let (log_factor, forms) = (0..n).map(likeliest).unzip();
     sets.retain(|s| s.1 > best_log - PLAUSIBLE_NATS);
     Posterior {
         probability,
@@ -465,7 +478,7 @@ pub(super) fn select(reduced: &Reduced, starts: &[Set]) -> Posterior {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::joint::columns::{Candidate, Column};
+    use crate::joint::regression::{Candidate, Column};
     use drivebench_model::plant::effect;
 
     /// One column for each candidate, with this normal matrix and these products with the residual.
@@ -499,90 +512,75 @@ mod tests {
         }
     }
 
-    fn weighed(linear: &Linear) -> Posterior {
+    /// Probabilities of the candidates.
+    fn weighed(linear: &Linear, with_spikes: bool) -> Vec<f64> {
         let nothing = vec![None; linear.candidates.len()];
-        let reduced = Reduced::new(linear.clone(), 1.0, false).unwrap();
-        select(&reduced, &[nothing])
+        let reduced = Reduced::new(linear.clone(), 1.0, with_spikes).unwrap();
+        select(&reduced, &[nothing]).probability
     }
 
     #[test]
     fn one_effect_alone_has_the_odds_of_the_closed_form() {
         for (g, b) in [(0.0, 0.0), (50.0, 3.0), (400.0, 60.0), (400.0, 75.0)] {
-            let found = weighed(&linear(&[&[g]], &[b]));
+            let p = weighed(&linear(&[&[g]], &[b]), false)[0];
             let odds = 0.1 / 0.9 * (0.5 * b * b / (g + 1.0)).exp() / (g + 1.0_f64).sqrt();
             let expected = odds / (1.0 + odds);
-            let p = found.probability[0];
             assert!((p - expected).abs() < 1e-9, "{g} {b}: {p} {expected}");
         }
     }
 
     #[test]
-    fn two_that_say_the_same_share_what_either_would_have() {
+    fn collinear_effects_share_what_either_would_have() {
         // The columns are all but one, and the residual lies along both.
         let (g, b) = (1e4, 1e3);
-        let found = weighed(&linear(&[&[g, g - 1e-3], &[g - 1e-3, g]], &[b, b]));
-        let [one, other] = [found.probability[0], found.probability[1]];
-        assert!((one - other).abs() < 1e-6, "{one} {other}");
-        // Either alone nearly always, both sometimes: nothing speaks against it but the prior.
-        assert!((0.5..0.6).contains(&one), "{one}");
-        let alone = weighed(&linear(&[&[g]], &[b]));
-        assert!(alone.probability[0] > 0.999);
+        let found = weighed(&linear(&[&[g, g - 1e-3], &[g - 1e-3, g]], &[b, b]), false);
+        assert!((found[0] - found[1]).abs() < 1e-6, "{found:?}");
+        // Either alone nearly always, both sometimes: only the prior is against it.
+        assert!((0.5..0.6).contains(&found[0]), "{found:?}");
+        assert!(weighed(&linear(&[&[g]], &[b]), false)[0] > 0.999);
     }
 
     #[test]
-    fn what_a_strong_effect_would_hide_is_found_beside_it() {
-        // Judged alone the second has nothing to say: what it adds lies across what the first leaves.
+    fn an_effect_hidden_by_a_strong_one_is_found_beside_it() {
+        // Alone the second explains nothing: what it adds lies across what the first leaves.
         let gram: &[&[f64]] = &[&[1e4, 6e3, 0.0], &[6e3, 1e4, 0.0], &[0.0, 0.0, 1e4]];
         let truth = DVector::from_column_slice(&[0.5, -0.3, 0.0]);
         let mut data = linear(gram, &[0.0; 3]);
         data.right = &data.gram * truth;
         assert!(data.right[1].abs() < 1e-9);
-        let found = weighed(&data);
-        assert!(found.probability[0] > 0.999 && found.probability[1] > 0.999);
-        assert!(found.probability[2] < 0.01, "{:?}", found.probability);
+        let found = weighed(&data, false);
+        assert!(
+            found[0] > 0.999 && found[1] > 0.999 && found[2] < 0.01,
+            "{found:?}"
+        );
     }
 
     #[test]
-    fn a_sign_that_physics_forbids_takes_its_odds() {
-        let mut data = linear(&[&[400.0]], &[-60.0]);
-        assert!(weighed(&data).probability[0] > 0.3);
-        data.candidates[0].variants[0].positive = true;
-        assert!(weighed(&data).probability[0] < 0.01);
-    }
-
-    #[test]
-    fn a_hair_of_everything_is_no_effect() {
-        // Fifty standard deviations from zero, and yet no more than a thousandth of its slab.
-        let g = 2.5e9;
-        let data = linear(&[&[g]], &[1e-3 * g]);
-        let bare = Reduced::new(data.clone(), 1.0, false).unwrap();
-        assert!(select(&bare, &[vec![None]]).probability[0] > 0.999);
-        let real = Reduced::new(data, 1.0, true).unwrap();
-        assert!(select(&real, &[vec![None]]).probability[0] < 0.1);
-    }
-
-    #[test]
-    fn what_the_model_has_wholly_is_not_thrown_out_because_its_shape_is_off() {
-        let (mean, g) = (1.0 / 0.15, 400.0);
-        let mut data = linear(&[&[g]], &[1.8 * mean * g]);
-        data.candidates[0].variants[0].mean = mean;
-        assert!(weighed(&data).probability[0] < 1e-6);
-        // Its shapes bend what they do: what asks for more than all of it asks for another fit.
-        data.candidates[0].in_model = true;
-        assert!(weighed(&data).probability[0] > 0.999);
-    }
-
-    #[test]
-    fn what_is_there_wholly_or_not_at_all_is_not_there_by_halves() {
+    fn sign_spike_and_share_of_the_whole_decide_beside_the_evidence() {
+        // What is there wholly or not at all.
         let mean = 1.0 / 0.15;
-        let at = |share: f64| {
-            let g = 400.0;
-            let mut data = linear(&[&[g]], &[share * mean * g]);
-            data.candidates[0].variants[0].mean = mean;
-            weighed(&data).probability[0]
-        };
-        assert!(at(1.0) > 0.999, "{}", at(1.0));
-        assert!(at(0.2) < 1e-6, "{}", at(0.2));
-        assert!(at(0.0) < 1e-6);
+        let of = |share: f64| (400.0, share * mean * 400.0);
+        // Fifty standard deviations from zero, and no more than a thousandth of the slab.
+        let (negative, small) = ((400.0, -60.0), (2.5e9, 1e-3 * 2.5e9));
+        let (free, positive, whole) = ((false, 0.0), (true, 0.0), (false, mean));
+        for (name, (g, b), form, is_in, expected) in [
+            ("any sign", negative, free, false, 0.3..1.0),
+            ("forbidden sign", negative, positive, false, 0.0..0.01),
+            ("no spike", small, free, false, 0.999..1.1),
+            ("whole", of(1.0), whole, false, 0.999..1.1),
+            ("a fifth of it", of(0.2), whole, false, 0.0..1e-6),
+            ("nothing of it", of(0.0), whole, false, 0.0..1e-6),
+            ("more than it", of(1.8), whole, false, 0.0..1e-6),
+            // Its shapes need another fit.
+            ("more, in the model", of(1.8), whole, true, 0.999..1.1),
+            ("spike", small, free, false, 0.0..0.1),
+        ] {
+            let mut data = linear(&[&[g]], &[b]);
+            let own = &mut data.candidates[0];
+            (own.variants[0].positive, own.variants[0].mean) = form;
+            own.in_model = is_in;
+            let found = weighed(&data, name == "spike")[0];
+            assert!(expected.contains(&found), "{name}: {found}");
+        }
     }
 }

@@ -2,15 +2,13 @@
 
 use rayon::prelude::*;
 
-use super::columns::{Candidate, Column, Linear, LinearisedRun};
 use super::events::{self, Event, Hypothesis, Moment};
-use super::follow::Noise;
-use super::select::{Reduced, Set};
+use super::kalman::Noise;
+use super::regression::{Candidate, Linear};
+use super::run::LinearisedRun;
+use super::select::{Estimate, Reduced, Set};
 use crate::work::Work;
 use drivebench_model::plant::{ActiveEffect, Scenario, State};
-
-/// A positive coefficient starts no lower than this share of its slab: at zero it has no slope to go by.
-const LEAST_START_SHARE: f64 = 0.02;
 
 /// An event of the best set.
 #[derive(Clone)]
@@ -32,8 +30,7 @@ pub(super) fn linearised_runs<'a>(
     runs.with_max_len(1)
         .map(|(number, (scenario, start))| {
             let own = hypothesis.events_of(number);
-            let run = LinearisedRun::beside(&hypothesis.model, own, scenario, *start, noise)?;
-            Some(run.counted(work))
+            LinearisedRun::with(&hypothesis.model, own, scenario, *start, noise, work)
         })
         .collect()
 }
@@ -46,31 +43,26 @@ pub(super) fn present(linear: &Linear) -> Set {
         .collect()
 }
 
-/// The events of a form of a candidate, as large as the linear solution has them.
-fn happening(
-    candidate: &Candidate,
-    form: usize,
-    size: impl Fn(usize) -> Option<f64>,
-) -> Option<Vec<Event>> {
+/// The events of a form of a candidate at the linear solution, each with the standard deviation of its size.
+fn happening(candidate: &Candidate, form: usize, estimate: &Estimate) -> Option<Vec<(Event, f64)>> {
     let variant = &candidate.variants[form];
     let effect = candidate.effect?;
-    let time = events::time_of(effect)?;
-    let happens = |(column, (run, time_s)): (&Column, (usize, f64))| {
-        let values = variant.values.clone();
-        let mut event = Event {
-            run,
-            effect,
-            values,
-        };
-        let index = event.effect.size_index();
-        event.values[time] = time_s;
-        let spec = &effect.parameters()[index];
-        event.values[index] = (size(column.at)? * column.unit).clamp(spec.min, spec.max);
-        Some(event)
-    };
     let columns = variant.columns.iter();
     let moments = columns.filter_map(|column| Some((column, column.moment?)));
-    moments.map(happens).collect()
+    moments
+        .map(|(column, (run, time_s))| {
+            let mut event = Event {
+                run,
+                effect,
+                values: variant.values.clone(),
+            };
+            event.put_at(time_s);
+            let spec = &effect.parameters()[effect.size_index()];
+            let (mean, variance) = estimate.of(column.at)?;
+            event.values[effect.size_index()] = (mean * column.unit).clamp(spec.min, spec.max);
+            Some((event, variance.sqrt() * column.unit))
+        })
+        .collect()
 }
 
 /// What there is at the linear solution of a set.
@@ -79,29 +71,20 @@ pub(super) fn at_solution(
     reduced: &Reduced,
     set: &Set,
 ) -> Option<Hypothesis> {
-    let linear = &reduced.linear;
-    let columns = reduced.columns(set);
-    let (mean, _) = reduced.sizes(&columns)?;
-    let m = linear.nuisances.len();
-    let place = |column: usize| columns.iter().position(|own| *own == column - m);
-    let size = |column: usize| place(column).map(|at| mean[at]);
+    let estimate = reduced.estimate(set)?;
     let mut next = hypothesis.model.clone();
     let mut happens: Vec<Event> = Vec::new();
-    for (candidate, chosen) in linear.candidates.iter().zip(set) {
+    for (candidate, chosen) in reduced.linear.candidates.iter().zip(set) {
         let Some(effect) = candidate.effect else {
             continue;
         };
-        if candidate.is_event() {
-            if let Some(form) = chosen {
-                happens.extend(happening(candidate, *form, size)?);
-            }
-            continue;
-        }
         match chosen {
-            None => {
-                if candidate.in_model {
-                    next = next.without_effect(candidate.id).ok()?;
-                }
+            Some(form) if candidate.is_event() => {
+                let own = happening(candidate, *form, &estimate)?;
+                happens.extend(own.into_iter().map(|own| own.0));
+            }
+            None if candidate.in_model && !candidate.is_event() => {
+                next = next.without_effect(candidate.id).ok()?;
             }
             Some(v) if !candidate.in_model => {
                 let variant = &candidate.variants[*v];
@@ -110,16 +93,17 @@ pub(super) fn at_solution(
                 for column in &variant.columns {
                     let parameter = column.parameter.filter(|k| specs[*k].is_coefficient());
                     let Some(parameter) = parameter else { continue };
-                    let mut x = size(column.at)?;
+                    let mut x = estimate.of(column.at)?.0;
                     if specs[parameter].min >= 0.0 || effect.card().takes_power {
-                        x = x.max(LEAST_START_SHARE);
+                        // At zero a positive coefficient would have no slope.
+                        x = x.max(0.02);
                     }
                     values[parameter] = x * column.unit;
                 }
                 next.effects.retain(|active| active.id() != candidate.id);
                 next.effects.push(ActiveEffect::with(effect, &values));
             }
-            Some(_) => {}
+            _ => {}
         }
     }
     Some(Hypothesis {
@@ -136,14 +120,13 @@ pub(super) fn placed(
     runs: &[LinearisedRun<'_>],
 ) -> Option<Hypothesis> {
     let mut next = at_solution(hypothesis, reduced, set)?;
-    let moments = events::placed(&next.events, &reduced.linear, set, runs, 1.0);
-    for (event, moment) in next.events.iter_mut().zip(moments) {
-        event.put_at(moment.time_s);
+    for event in &mut next.events {
+        event.put_at(events::placed(event, &reduced.linear, set, runs, 1.0).time_s);
     }
     Some(next)
 }
 
-/// The events of a set with all that is known of them.
+/// The events of a set with their moments and sizes.
 pub(super) fn happened(
     reduced: &Reduced,
     set: &Set,
@@ -151,26 +134,19 @@ pub(super) fn happened(
     excess: f64,
 ) -> Option<Vec<Happened>> {
     let linear = &reduced.linear;
-    let columns = reduced.columns(set);
-    let (mean, covariance) = reduced.sizes(&columns)?;
-    let m = linear.nuisances.len();
-    let at = |column: usize| columns.iter().position(|c| *c == column - m);
+    let estimate = reduced.estimate(set)?;
     let mut all = Vec::new();
     for (candidate, chosen) in linear.candidates.iter().zip(set) {
         let Some(form) = chosen.filter(|_| candidate.is_event()) else {
             continue;
         };
-        let variant = &candidate.variants[form];
-        let own = happening(candidate, form, |column| at(column).map(|k| mean[k]))?;
-        let moments = events::placed(&own, linear, set, runs, excess);
-        let columns = variant.columns.iter().filter(|own| own.moment.is_some());
-        for ((mut event, moment), column) in own.into_iter().zip(moments).zip(columns) {
-            let k = at(column.at)?;
+        for (mut event, deviation) in happening(candidate, form, &estimate)? {
+            let moment = events::placed(&event, linear, set, runs, excess);
             event.put_at(moment.time_s);
             all.push(Happened {
                 event,
                 moment,
-                deviation: covariance[(k, k)].sqrt() * column.unit,
+                deviation,
             });
         }
     }

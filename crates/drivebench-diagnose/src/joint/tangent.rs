@@ -1,13 +1,14 @@
-//! Sensitivities of a linearised run: what small forcings along its trajectory do to the innovations, eight side by side; and which
-//! of them are the slopes over what is free in its model.
+//! Forward sensitivities of a linearised run: what small forcings along its trajectory do to the innovations, eight side by side;
+//! and which of them are the slopes over what is free in its model.
 
-use super::columns::LinearisedRun;
-use super::follow::{Dynamics, Passage, Update};
+use super::kalman::{Dynamics, Passage, Update};
+use super::process_noise::{combined, terms_of};
+use super::run::LinearisedRun;
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::median_step;
 use drivebench_model::plant::effect::{Axis, Harmonic};
 use drivebench_model::plant::{
-    Effect, Input, Instant, Model, MotorKey, ParameterSpec, Path, Scenario, Sums, Terms,
+    Effect, Input, Instant, Model, MotorKey, Path, Scenario, Sums, Terms,
 };
 
 /// Deviations that pass a run at once: the step's coefficients are read once for all of them, and they fill registers.
@@ -67,17 +68,11 @@ impl Deviations {
     /// To the next sample, under forcings of the current (A/s) and the speed (rad/s2).
     #[inline]
     pub(super) fn pass(&mut self, step: &Step, forcing: &[Lane; 2]) {
-        let [i, w, d, v] = self.0;
-        let (a, b) = (&step.current, &step.speed);
-        for k in 0..LANES {
-            self.0[0][k] = (a[0] * i[k] + a[1] * w[k])
-                + (a[2] * d[k] + a[3] * v[k])
-                + (a[4] * forcing[0][k] + a[5] * forcing[1][k]);
-            self.0[1][k] = (b[0] * i[k] + b[1] * w[k])
-                + (b[2] * d[k] + b[3] * v[k])
-                + (b[4] * forcing[0][k] + b[5] * forcing[1][k]);
-            self.0[2][k] = d[k] * step.forget;
-            self.0[3][k] = v[k] * step.keeps;
+        self.drift(step);
+        for (state, on) in self.0.iter_mut().zip([&step.current, &step.speed]) {
+            for k in 0..LANES {
+                state[k] += on[4] * forcing[0][k] + on[5] * forcing[1][k];
+            }
         }
     }
 
@@ -85,13 +80,13 @@ impl Deviations {
     #[inline]
     pub(super) fn drift(&mut self, step: &Step) {
         let [i, w, d, v] = self.0;
-        let (a, b) = (&step.current, &step.speed);
-        for k in 0..LANES {
-            self.0[0][k] = (a[0] * i[k] + a[1] * w[k]) + (a[2] * d[k] + a[3] * v[k]);
-            self.0[1][k] = (b[0] * i[k] + b[1] * w[k]) + (b[2] * d[k] + b[3] * v[k]);
-            self.0[2][k] = d[k] * step.forget;
-            self.0[3][k] = v[k] * step.keeps;
+        for (state, on) in self.0.iter_mut().zip([&step.current, &step.speed]) {
+            for k in 0..LANES {
+                state[k] = (on[0] * i[k] + on[1] * w[k]) + (on[2] * d[k] + on[3] * v[k]);
+            }
         }
+        self.0[2] = d.map(|d| d * step.forget);
+        self.0[3] = v.map(|v| v * step.keeps);
     }
 
     /// At a sample: whitened innovations of a prediction that deviates like this from a measurement of nothing, given
@@ -161,9 +156,9 @@ impl Deviations {
 /// A torque, or a voltage drop, of one size along a trajectory.
 pub(super) enum Tangent {
     Terms(Box<dyn Terms>),
-    /// Terms that do nothing before, s after the run's first command.
+    /// A weighted sum of terms without states that do nothing before, s after the run's first command.
     Event {
-        terms: Box<dyn Terms>,
+        parts: Vec<(f64, Box<dyn Terms>)>,
         begins_s: f64,
     },
     /// Terms times a power of their own size: another form of the same effect.
@@ -172,13 +167,13 @@ pub(super) enum Tangent {
         power: f64,
         share: f64,
     },
-    /// What terms would do beside themselves if they built up more slowly, by this factor of current and speed.
+    /// Change of terms that build up more slowly, by this factor of current and speed.
     Slow {
         terms: Box<dyn Terms>,
         factor: f64,
         share: f64,
     },
-    /// What terms would do beside themselves if a capacitor held them back by this time constant.
+    /// Change of terms that lag by a capacitor with this time constant.
     Lagging {
         terms: Box<dyn Terms>,
         time_constant_s: f64,
@@ -196,30 +191,20 @@ pub(super) enum Tangent {
         most: f64,
         values: Vec<f64>,
     },
-    /// What a sensor adds to every reading: A and rad/s.
+    /// Offsets of the sensors: A and rad/s.
     Offset([f64; 2]),
-    /// What an effect does with other parameters instead, over the step of a coordinate that made them others.
+    /// Change from terms to others, over the step of a coordinate.
     Change {
         from: Box<dyn Terms>,
         to: Box<dyn Terms>,
         over: f64,
     },
-    /// A parameter of the motor that is larger by this much.
+    /// Change of a parameter of the motor.
     Motor(MotorKey, f64),
     /// Commands that act later, s.
     LateCommands(f64),
     /// Sensors that show current and speed of a while ago, s.
     LateReadings([f64; 2]),
-}
-
-impl Tangent {
-    /// When it begins, s after the run's first command.
-    fn begins_s(&self) -> f64 {
-        match self {
-            Self::Event { begins_s, .. } => *begins_s,
-            _ => f64::NEG_INFINITY,
-        }
-    }
 }
 
 /// A torque over the angle, in N.m, or in proportion to the current, of which it then is this share.
@@ -229,17 +214,6 @@ pub(super) struct Wave {
     pub sine: bool,
     pub size: f64,
     pub of_current: bool,
-}
-
-/// A tangent on its way along a run.
-struct Traveller<'a> {
-    tangent: &'a Tangent,
-    own: Vec<f64>,
-    rate: Vec<f64>,
-    /// Largest voltage, torque and friction that the terms reach, where they are bent.
-    most: [f64; 3],
-    /// Forcing of the current by commands that are late, for each sample.
-    pulses: Vec<f64>,
 }
 
 /// What commands that act `late_s` later do to the current in the interval before each sample, as a constant forcing of it.
@@ -264,23 +238,31 @@ fn pulses(run: &LinearisedRun<'_>, late_s: f64) -> Vec<f64> {
     forcing
 }
 
+/// A tangent on its way along a run.
+struct Traveller<'a> {
+    tangent: &'a Tangent,
+    own: Vec<f64>,
+    rate: Vec<f64>,
+    /// Largest voltage, torque and friction of terms whose power differs.
+    most: Sums,
+    /// Forcing of the current by commands that are late, for each sample.
+    pulses: Vec<f64>,
+}
+
 impl<'a> Traveller<'a> {
     fn new(tangent: &'a Tangent, run: &LinearisedRun<'_>) -> Self {
         let states = match tangent {
             Tangent::Terms(terms) => terms.states(),
-            // The voltage that has come through.
+            // The voltage behind the capacitor.
             Tangent::Lagging { .. } => 1,
             _ => 0,
         };
-        let mut most = [0.0_f64; 3];
+        let mut most = Sums::default();
         if let Tangent::Bent { terms, .. } = tangent {
             for at in &run.instants {
-                let sums = terms.sums(at, &[]);
-                let values = [sums.voltage_v, sums.torque_n_m, sums.friction_n_m];
-                for (most, value) in most.iter_mut().zip(values) {
-                    *most = most.max(value.abs());
-                }
+                most = combined(&most, &terms.sums(at, &[]), |most, own| most.max(own.abs()));
             }
+            (most.current_rate_gain, most.inertia_gain) = (0.0, 0.0);
         }
         let pulses = match tangent {
             Tangent::LateCommands(late_s) => pulses(run, *late_s),
@@ -295,89 +277,72 @@ impl<'a> Traveller<'a> {
         }
     }
 
-    fn terms(&mut self, terms: &dyn Terms, at: &Instant, interval_s: f64) -> Sums {
-        let sums = terms.sums(at, &self.own);
-        if !self.own.is_empty() {
-            terms.derivative(at, &self.own, &mut self.rate);
-            for (own, rate) in self.own.iter_mut().zip(&self.rate) {
-                *own += interval_s * rate;
-            }
-        }
-        sums
-    }
-
-    /// By how much a voltage that lags behind differs from that of terms over an interval.
-    fn lagging_v(&mut self, terms: &dyn Terms, at: &Instant, lag: f64) -> f64 {
-        let settled_v = terms.voltage_v(at, &[]);
-        let behind_v = self.own[0] - settled_v;
-        let kept = (-lag).exp();
-        self.own[0] = settled_v + behind_v * kept;
-        // Mean over the interval.
-        let mean_v = behind_v * (1.0 - kept) / lag;
-        if lag > 0.0 { mean_v } else { behind_v }
-    }
-
     /// What terms, or others in their place, do at an instant of an interval.
     fn sums(&mut self, at: &Instant, interval_s: f64) -> Sums {
         match self.tangent {
-            Tangent::Terms(terms) | Tangent::Event { terms, .. } => {
-                self.terms(&**terms, at, interval_s)
+            Tangent::Terms(terms) => {
+                let sums = terms.sums(at, &self.own);
+                if !self.own.is_empty() {
+                    terms.derivative(at, &self.own, &mut self.rate);
+                    for (own, rate) in self.own.iter_mut().zip(&self.rate) {
+                        *own += interval_s * rate;
+                    }
+                }
+                sums
+            }
+            Tangent::Event { parts, .. } => {
+                parts.iter().fold(Sums::default(), |sum, (weight, terms)| {
+                    combined(&sum, &terms.sums(at, &[]), |sum, own| sum + weight * own)
+                })
             }
             Tangent::Change { from, to, over } => {
-                change(&from.sums(at, &[]), &to.sums(at, &[]), *over)
+                let (from, to) = (from.sums(at, &[]), to.sums(at, &[]));
+                combined(&from, &to, |from, to| (to - from) / over)
             }
             Tangent::Bent {
                 terms,
                 power,
                 share,
-            } => self.bent(&terms.sums(at, &[]), *power, *share),
+            } => combined(&terms.sums(at, &[]), &self.most, |value, most| {
+                if value != 0.0 && most > 0.0 {
+                    share * value * (value / most).abs().powf(*power)
+                } else {
+                    0.0
+                }
+            }),
             Tangent::Slow {
                 terms,
                 factor,
                 share,
-            } => slower(&**terms, at, *factor, *share),
+            } => {
+                let slow = Instant {
+                    current_a: at.current_a / factor,
+                    speed_rad_s: at.speed_rad_s / factor,
+                    ..*at
+                };
+                let (slow, own) = (terms.sums(&slow, &[]), terms.sums(at, &[]));
+                Sums {
+                    current_rate_gain: 0.0,
+                    inertia_gain: 0.0,
+                    ..combined(&slow, &own, |slow, own| share * (slow - own))
+                }
+            }
             Tangent::Lagging {
                 terms,
                 time_constant_s,
-            } => Sums {
-                voltage_v: self.lagging_v(&**terms, at, interval_s / time_constant_s),
-                ..Sums::default()
-            },
+            } => {
+                let (lag, settled_v) = (interval_s / time_constant_s, terms.voltage_v(at, &[]));
+                let (behind_v, kept) = (self.own[0] - settled_v, (-lag).exp());
+                self.own[0] = settled_v + behind_v * kept;
+                // The mean of the difference over the interval.
+                let mean_v = behind_v * (1.0 - kept) / lag;
+                Sums {
+                    voltage_v: if lag > 0.0 { mean_v } else { behind_v },
+                    ..Sums::default()
+                }
+            }
             _ => Sums::default(),
         }
-    }
-
-    fn bent(&self, sums: &Sums, power: f64, share: f64) -> Sums {
-        let bend = |value: f64, most: f64| {
-            if value != 0.0 && most > 0.0 {
-                share * value * (value / most).abs().powf(power)
-            } else {
-                0.0
-            }
-        };
-        Sums {
-            voltage_v: bend(sums.voltage_v, self.most[0]),
-            torque_n_m: bend(sums.torque_n_m, self.most[1]),
-            friction_n_m: bend(sums.friction_n_m, self.most[2]),
-            current_rate_gain: 0.0,
-            inertia_gain: 0.0,
-        }
-    }
-}
-
-/// What terms that build up more slowly do beside themselves.
-fn slower(terms: &dyn Terms, at: &Instant, factor: f64, share: f64) -> Sums {
-    let slow = Instant {
-        current_a: at.current_a / factor,
-        speed_rad_s: at.speed_rad_s / factor,
-        ..*at
-    };
-    let (slow, own) = (terms.sums(&slow, &[]), terms.sums(at, &[]));
-    Sums {
-        voltage_v: share * (slow.voltage_v - own.voltage_v),
-        torque_n_m: share * (slow.torque_n_m - own.torque_n_m),
-        friction_n_m: share * (slow.friction_n_m - own.friction_n_m),
-        ..Sums::default()
     }
 }
 
@@ -406,14 +371,14 @@ impl Waves {
 }
 
 /// Carries `tangents`, no more than there are lanes, along `run`; `hand_on` gets the first sample of each chunk and the
-/// whitened innovations of its samples: current, speed, current, ... Chunks in which no tangent has begun are left out.
+/// whitened innovations of its samples: current, speed, current, ... Chunks before the begin of all tangents are left out.
 pub(super) fn carry(
     run: &LinearisedRun<'_>,
     tangents: &[&Tangent],
     mut hand_on: impl FnMut(usize, &[Lane]),
 ) {
-    let all = tangents.iter();
-    let mut travellers: Vec<_> = all.map(|tangent| Traveller::new(tangent, run)).collect();
+    let travellers = tangents.iter().map(|tangent| Traveller::new(tangent, run));
+    let mut travellers: Vec<_> = travellers.collect();
     let mut deviations = Deviations::default();
     let mut forcing = [[[0.0; LANES]; 2]; CHUNK];
     let mut white = [[0.0; LANES]; 2 * CHUNK];
@@ -427,11 +392,14 @@ pub(super) fn carry(
         }
     }
     let n = run.scenario.samples();
-    let begins_s = tangents.iter().map(|tangent| tangent.begins_s());
+    let begins_s = tangents.iter().map(|tangent| match tangent {
+        Tangent::Event { begins_s, .. } => *begins_s,
+        _ => f64::NEG_INFINITY,
+    });
     let begin_s = begins_s.fold(f64::INFINITY, f64::min);
-    // Where none has begun nothing deviates.
-    let is_before = |instant: &Instant| instant.time_s < begin_s;
-    let silent = run.instants.partition_point(is_before);
+    let silent = run
+        .instants
+        .partition_point(|instant| instant.time_s < begin_s);
     for first in (0..n).step_by(CHUNK).skip(silent / CHUNK) {
         let range = first..(first + CHUNK).min(n);
         // No order is this: the first wave of a chunk is computed anew.
@@ -606,64 +574,26 @@ fn of_motor(
     }
 }
 
-/// The change from one to another, for each unit of a step.
-fn change(from: &Sums, to: &Sums, over: f64) -> Sums {
-    Sums {
-        voltage_v: (to.voltage_v - from.voltage_v) / over,
-        torque_n_m: (to.torque_n_m - from.torque_n_m) / over,
-        friction_n_m: (to.friction_n_m - from.friction_n_m) / over,
-        current_rate_gain: (to.current_rate_gain - from.current_rate_gain) / over,
-        inertia_gain: (to.inertia_gain - from.inertia_gain) / over,
-    }
-}
-
-// Slopes of a run's innovations over what is free in its model: tangents along the run where they hold, without a simulation.
-
-/// Share of the armature's time constant up to which a current's rate counts as the same over an interval between samples.
-const SHORT_SHARE: f64 = 0.5;
-
-/// Whether tangents are slopes of the whole model: what lies between motion and measurement, a second inertia and a current
-/// that settles between two samples are none of theirs.
+/// Whether tangents are slopes of the whole model: a lag between motion and measurement, a second inertia and a current that
+/// settles between two samples have none.
 pub(super) fn are_tangents(model: &Model, scenario: &Scenario) -> bool {
-    let path = path_of(model);
-    let lags_s = path.speed_delay_s + path.speed_filter_s + path.current_filter_s;
-    let effects = model.effects.iter();
-    let mut terms = effects.map(|active| active.effect.terms(&active.values_or_guess()));
-    lags_s <= 0.0 && terms.all(|terms| terms.coupling().is_none()) && is_short(model, scenario)
-}
-
-fn path_of(model: &Model) -> Path {
-    let effects = model.effects.iter();
-    effects.fold(Path::default(), |path, active| {
-        path.plus(active.effect.terms(&active.values_or_guess()).path())
-    })
-}
-
-fn only_offsets(path: Path) -> bool {
-    let Path {
-        current_offset_a,
-        speed_offset_rad_s,
-        ..
-    } = path;
-    let offsets = Path {
-        current_offset_a,
-        speed_offset_rad_s,
-        ..Path::default()
-    };
-    path == offsets
-}
-
-fn is_short(model: &Model, scenario: &Scenario) -> bool {
-    if scenario.input != Input::Voltage {
-        return true;
+    if scenario.input == Input::Voltage {
+        let interval_s = median_step(&scenario.sample_time_s);
+        let constant_s = model.motor.electrical_time_constant_s();
+        // Up to half of the armature's time constant a current's rate is constant over an interval.
+        if !constant_s.is_some_and(|constant_s| interval_s < 0.5 * constant_s) {
+            return false;
+        }
     }
-    let interval_s = median_step(&scenario.sample_time_s);
-    let constant_s = model.motor.electrical_time_constant_s();
-    constant_s.is_some_and(|constant_s| interval_s < SHORT_SHARE * constant_s)
+    let terms: Vec<Box<dyn Terms>> = model.effects.iter().map(terms_of).collect();
+    let paths = terms.iter().map(|terms| terms.path());
+    let path = paths.fold(Path::default(), Path::plus);
+    let lags_s = path.speed_delay_s + path.speed_filter_s + path.current_filter_s;
+    lags_s <= 0.0 && terms.iter().all(|terms| terms.coupling().is_none())
 }
 
 /// The slope over a parameter of an effect with these values, for each `unit` of a coefficient; of a shape from a step of
-/// `step`, which is `over` of its units. `None` where the effect remembers.
+/// `step`, which is `over` of its units. `None` for a shape of an effect with states.
 pub(super) fn of_effect(
     effect: &'static dyn Effect,
     values: &[f64],
@@ -693,14 +623,17 @@ pub(super) fn of_effect(
     (from.states() == 0 && !is_wave && !acts_on_path).then_some(Tangent::Change { from, to, over })
 }
 
-/// What one coefficient of an effect does by itself, all others at zero; `None` where that is no small forcing.
+/// The tangent of one coefficient of an effect, all others at zero; `None` where that is no small forcing.
 pub(super) fn alone_at(
     effect: &'static dyn Effect,
     values: &[f64],
     index: usize,
 ) -> Option<Tangent> {
     if let Some(harmonic) = effect.card().harmonic {
-        let order = effect.parameters().iter().position(is_order)?;
+        let order = effect
+            .parameters()
+            .iter()
+            .position(|spec| spec.key == "order")?;
         return Some(Tangent::Wave(Wave {
             order: values[order],
             sine: index == 0,
@@ -713,23 +646,26 @@ pub(super) fn alone_at(
     if path.measures_directly() && !path.delays_command() && terms.coupling().is_none() {
         return Some(Tangent::Terms(terms));
     }
-    only_offsets(path).then_some(Tangent::Offset([
-        path.current_offset_a,
-        path.speed_offset_rad_s,
-    ]))
-}
-
-fn is_order(spec: &ParameterSpec) -> bool {
-    spec.key == "order"
+    let offsets = Path {
+        current_offset_a: path.current_offset_a,
+        speed_offset_rad_s: path.speed_offset_rad_s,
+        ..Path::default()
+    };
+    let offset = Tangent::Offset([path.current_offset_a, path.speed_offset_rad_s]);
+    (path == offsets).then_some(offset)
 }
 
 #[cfg(test)]
 mod tests {
+    use std::ops::Range;
+
     use super::*;
-    use crate::joint::follow::{DISTURBED, hole};
+    use crate::joint::kalman::{DISTURBED, hole};
     use crate::kit::{nameplate, truth};
-    use drivebench_model::plant::State;
     use drivebench_model::plant::testing::record;
+    use drivebench_model::plant::{State, UnknownInput};
+
+    const ALL: Range<usize> = 0..usize::MAX;
 
     /// Moves one way only: where a shaft breaks away differences are no tangents.
     fn run(period_s: f64) -> Scenario {
@@ -737,39 +673,41 @@ mod tests {
         record(&nameplate(), events, period_s, 2.5, 11)
     }
 
-    /// The column of a tangent, and what the other model does to the same run.
-    fn both(run: &LinearisedRun<'_>, tangent: &Tangent, with: &Model) -> [Vec<f64>; 2] {
+    fn linearised(scenario: &Scenario) -> LinearisedRun<'_> {
+        LinearisedRun::new(&nameplate(), scenario, State::default(), DISTURBED).unwrap()
+    }
+
+    /// Relative distance of the column of a tangent, in some rows, to the difference that another model makes.
+    fn distance(
+        run: &LinearisedRun<'_>,
+        tangent: &Tangent,
+        with: &Model,
+        rows: Range<usize>,
+    ) -> f64 {
         let mut column = Vec::new();
         carry(run, &[tangent], |first, white| {
             assert_eq!(column.len(), 2 * first);
             column.extend(white.iter().map(|row| row[0]));
         });
-        let difference = run.difference(with, run.scenario, 1.0);
-        [column, difference.into_iter().map(f64::from).collect()]
-    }
-
-    fn distance(a: &[f64], b: &[f64]) -> f64 {
-        let squares = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>();
-        let apart = squares(&mut a.iter().zip(b).map(|(a, b)| a - b));
-        (apart / squares(&mut b.iter().copied())).sqrt()
+        let difference = run.difference(with, run.scenario, 1.0).into_iter();
+        let pairs = column.into_iter().zip(difference.map(f64::from));
+        let pairs = pairs.skip(rows.start).take(rows.len());
+        let squares = pairs.fold([0.0, 0.0], |[apart, own], (a, b)| {
+            [apart + (a - b).powi(2), own + b * b]
+        });
+        (squares[0] / squares[1]).sqrt()
     }
 
     #[test]
-    fn a_tangent_is_what_two_followed_runs_differ_by() {
+    fn a_tangent_is_the_difference_of_two_filtered_runs() {
         let (model, scenario, by_s) = (nameplate(), run(1e-3), 2e-5);
-        let linearised =
-            LinearisedRun::new(&model, &scenario, State::default(), DISTURBED).unwrap();
-        let mut cases = vec![
-            (Tangent::LateCommands(by_s), truth("command_delay", &[by_s])),
-            (
-                Tangent::LateReadings([by_s, 0.0]),
-                truth("current_filter", &[by_s]),
-            ),
-            (
-                Tangent::LateReadings([0.0, by_s]),
-                truth("speed_delay", &[by_s]),
-            ),
-        ];
+        let mut cases = vec![(Tangent::LateCommands(by_s), truth("command_delay", &[by_s]))];
+        for (id, late_s) in [
+            ("current_filter", [by_s, 0.0]),
+            ("speed_delay", [0.0, by_s]),
+        ] {
+            cases.push((Tangent::LateReadings(late_s), truth(id, &[by_s])));
+        }
         let effects: [(&str, &[f64]); 8] = [
             ("viscous_friction", &[1e-4]),
             ("quadratic_load", &[5e-7]),
@@ -782,12 +720,13 @@ mod tests {
         ];
         cases.extend(effects.map(|(id, values)| {
             let with = truth(id, values);
-            let terms = with.effects[0].effect.terms(values);
+            let terms = terms_of(&with.effects[0]);
             let path = terms.path();
+            let offset = Tangent::Offset([path.current_offset_a, path.speed_offset_rad_s]);
             let tangent = if path.measures_directly() {
                 Tangent::Terms(terms)
             } else {
-                Tangent::Offset([path.current_offset_a, path.speed_offset_rad_s])
+                offset
             };
             (tangent, with)
         }));
@@ -799,64 +738,55 @@ mod tests {
             (Tangent::Motor(key, 0.002 * value), with)
         }));
         for (number, (tangent, with)) in cases.iter().enumerate() {
-            let [column, difference] = both(&linearised, tangent, with);
-            let apart = distance(&column, &difference);
+            let apart = distance(&linearised(&scenario), tangent, with, ALL);
             assert!(apart < 0.05, "case {number} {:?}: {apart}", with.effects);
         }
     }
 
     #[test]
-    fn behind_a_hole_readings_are_what_was_measured_whatever_they_have_beside() {
-        let (model, mut scenario) = (nameplate(), run(1e-3));
+    fn behind_a_hole_readings_are_what_was_measured() {
+        let mut scenario = run(1e-3);
         let [first, last] = [620, 680];
         let [from_s, to_s] = [first, last].map(|row| scenario.sample_time_s[row]);
-        scenario.unknown_input = vec![drivebench_model::plant::UnknownInput {
+        scenario.unknown_input = vec![UnknownInput {
             restart: Some([scenario.current_a[last], scenario.speed_rad_s[last]]),
             ..hole(from_s, to_s, 0.0)
         }];
-        let linearised =
-            LinearisedRun::new(&model, &scenario, State::default(), DISTURBED).unwrap();
         for (id, offset) in [("current_offset", [0.4, 0.0]), ("speed_offset", [0.0, 3.0])] {
             let with = truth(id, &[offset[0] + offset[1]]);
-            let [column, difference] = both(&linearised, &Tangent::Offset(offset), &with);
-            let behind = 2 * last..2 * last + 100;
-            let apart = distance(&column[behind.clone()], &difference[behind]);
+            let run = linearised(&scenario);
+            let rows = 2 * last..2 * last + 100;
+            let apart = distance(&run, &Tangent::Offset(offset), &with, rows);
             assert!(apart < 1e-6, "{id}: {apart}");
         }
     }
 
     #[test]
-    fn waves_are_what_two_followed_runs_differ_by_however_far_the_shaft_turns_between_samples() {
-        let model = nameplate();
+    fn a_wave_is_the_difference_of_two_runs_at_any_sampling() {
         for (period_s, order, most) in [(1e-3, 2.5, 0.02), (1e-3, 23.0, 0.1), (1e-2, 1.0, 0.15)] {
             let scenario = run(period_s);
-            let linearised =
-                LinearisedRun::new(&model, &scenario, State::default(), DISTURBED).unwrap();
-            for (id, of_current, size) in [("cogging", false, 0.004), ("torque_ripple", true, 0.02)]
+            let of = [("cogging", false, 0.004), ("torque_ripple", true, 0.02)];
+            for ((id, of_current, size), sine) in
+                of.into_iter().flat_map(|of| [(of, true), (of, false)])
             {
-                for sine in [true, false] {
-                    let wave = Tangent::Wave(Wave {
-                        order,
-                        sine,
-                        size,
-                        of_current,
-                    });
-                    let [sines, cosines] = if sine { [size, 0.0] } else { [0.0, size] };
-                    let with = truth(id, &[sines, cosines, order]);
-                    let [column, difference] = both(&linearised, &wave, &with);
-                    let apart = distance(&column, &difference);
-                    assert!(apart < most, "{id} {order} {period_s}: {apart}");
-                }
+                let wave = Tangent::Wave(Wave {
+                    order,
+                    sine,
+                    size,
+                    of_current,
+                });
+                let [sines, cosines] = if sine { [size, 0.0] } else { [0.0, size] };
+                let with = truth(id, &[sines, cosines, order]);
+                let apart = distance(&linearised(&scenario), &wave, &with, ALL);
+                assert!(apart < most, "{id} {order} {period_s}: {apart}");
             }
         }
     }
 
     #[test]
     fn colouring_undoes_the_whitening() {
-        let model = nameplate();
         let scenario = run(1e-3);
-        let linearised =
-            LinearisedRun::new(&model, &scenario, State::default(), DISTURBED).unwrap();
+        let linearised = linearised(&scenario);
         let forcing = [[300.0; LANES], [-20.0; LANES]];
         let (mut free, mut filtered, mut back) = <(Deviations, Deviations, Deviations)>::default();
         for (step, update) in linearised.steps.iter().zip(&linearised.follower.updates) {
@@ -866,10 +796,8 @@ mod tests {
             let white = filtered.correct(update, &[[0.0; LANES]; 2]);
             let readings = back.colour(update, &white);
             for (reading, free) in readings.iter().flatten().zip(free.0[..2].iter().flatten()) {
-                assert!(
-                    (reading - free).abs() < 1e-6 * free.abs().max(1.0),
-                    "{reading} {free}"
-                );
+                let apart = (reading - free).abs();
+                assert!(apart < 1e-6 * free.abs().max(1.0), "{reading} {free}");
             }
         }
         assert!(free.0[1][0].abs() > 1.0, "the forcing does something");

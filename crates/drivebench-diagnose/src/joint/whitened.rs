@@ -5,8 +5,8 @@ use std::ops::{Mul, Range};
 use nalgebra::{DMatrix, DMatrixView, DVector};
 use rayon::prelude::*;
 
-/// Whitened innovations of each column: current and speed, sample by sample; one that ends early is zero beyond. Single precision halves what a long run
-/// needs; its rounding is like white noise ten million times smaller than the column. Sums are in double precision.
+/// Whitened innovations of each column: current and speed, sample by sample; one that ends early is zero beyond. Single
+/// precision halves what a long run needs; its rounding is like white noise of 1e-7 of the column. Sums are in double precision.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Whitened {
     pub columns: Vec<Vec<f32>>,
@@ -53,7 +53,7 @@ impl Whitened {
     /// `w' w` with `w` these columns and `last` behind them.
     pub(super) fn gram(&self, last: &[[f64; 2]]) -> DMatrix<f64> {
         let p = self.columns.len() + 1;
-        // In parts that do not depend on who is free: sums come out the same every time.
+        // In parts that do not depend on the threads: sums come out the same every time.
         let part = self.rows.div_ceil(PARTS).next_multiple_of(ROWS);
         let sum_of = |number: usize| {
             let mut sum = DMatrix::zeros(p, p);
@@ -175,7 +175,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn products_are_those_of_columns_that_end_early_or_begin_late_too() {
+    fn products_of_columns_that_end_early_or_begin_late() {
         let rows = 2 * ROWS + 38;
         let column = |(k, rows): (usize, usize)| -> Vec<f32> {
             let value = |row: usize| ((row * (k + 3)) % 17) as f32 - 8.0;

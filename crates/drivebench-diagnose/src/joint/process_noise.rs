@@ -1,15 +1,14 @@
-//! Terms of a model's effects at an instant of a run, and what their forms may be wrong by there.
+//! Terms of a model's effects at an instant of a run, and the process noise that errors of their forms make.
 
 use std::f64::consts::TAU;
 
 use drivebench_model::plant::{
-    Coupling, Input, Instant, Model, MotorKey, Scenario, ShaftAngle, State, Sums, Terms,
+    ActiveEffect, Coupling, Input, Instant, Model, MotorKey, Scenario, ShaftAngle, State, Sums,
+    Terms,
 };
 
-/// What the form of an effect may be wrong by, as a share of what it does; where a torque drives, of friction too, and of
-/// the torque itself, which no machine measures better.
+/// Error of the form of an effect, as a share of what it does.
 pub(super) const FORM_SHARE: f64 = 0.05;
-const DRIVE_SHARE: f64 = 0.02;
 
 /// The motor's constants in a run: a given torque is the current of a motor with a torque constant of one, and what has no
 /// voltage has no armature.
@@ -25,48 +24,59 @@ pub(super) fn constants(model: &Model, scenario: &Scenario) -> Instant {
     motor
 }
 
-/// Damping ratio of the least damped coupling: what is not known of a twist dies away with it at last.
-const LEAST_DAMPING: f64 = 0.01;
+pub(super) fn terms_of(active: &ActiveEffect) -> Box<dyn Terms> {
+    active.effect.terms(&active.values_or_guess())
+}
 
-/// What the effects of a model do at an instant: volts, newton metres, and newton metres of what rings.
-pub(super) struct Forms {
+/// Sums that `f` makes of those of two others, one by one.
+pub(super) fn combined(a: &Sums, b: &Sums, f: impl Fn(f64, f64) -> f64) -> Sums {
+    Sums {
+        voltage_v: f(a.voltage_v, b.voltage_v),
+        torque_n_m: f(a.torque_n_m, b.torque_n_m),
+        friction_n_m: f(a.friction_n_m, b.friction_n_m),
+        current_rate_gain: f(a.current_rate_gain, b.current_rate_gain),
+        inertia_gain: f(a.inertia_gain, b.inertia_gain),
+    }
+}
+
+/// What the effects of a model do at an instant: volts, newton metres, and newton metres of an elastic coupling.
+pub(super) struct FormErrors {
     pub(super) terms: Vec<Box<dyn Terms>>,
     motor: Instant,
     coupling: f64,
-    /// Time in which what rings dies away, s.
+    /// Time in which an oscillation of the coupling decays, s.
     pub(super) ringing_s: f64,
-    /// What of it may be wrong, as a share.
+    /// Error of its torque, as a share.
     pub(super) ringing_share: f64,
     inertia: f64,
     friction: f64,
-    /// Friction and torque per unit of the input whose forms count: none under a voltage.
+    /// Friction and torque per unit of the input whose errors count: none under a voltage.
     coulomb: f64,
     drive: f64,
 }
 
-impl Forms {
+impl FormErrors {
     pub(super) fn of(model: &Model, scenario: &Scenario) -> Self {
-        let terms: Vec<Box<dyn Terms>> = model
-            .effects
-            .iter()
-            .map(|active| active.effect.terms(&active.values_or_guess()))
-            .collect();
+        let terms: Vec<Box<dyn Terms>> = model.effects.iter().map(terms_of).collect();
         let coupling = terms.iter().find_map(|terms| terms.coupling());
-        let dies_s =
-            |c: Coupling| 1.0 / (TAU * c.frequency_hz * c.damping_ratio.max(LEAST_DAMPING));
-        // When the sides of a play meet nobody can foretell: a moment later the whole blow is an error.
-        let in_phase = |c: Coupling| if c.gap_rad > 0.0 { 1.0 } else { FORM_SHARE };
+        // A damping ratio of 0.01 at least: what is not known of a twist decays at last.
+        let decay_s = |c: Coupling| 1.0 / (TAU * c.frequency_hz * c.damping_ratio.max(0.01));
+        // When the sides of a play meet nobody can predict: a moment later the whole impact is an error.
+        let error = |c: Coupling| if c.gap_rad > 0.0 { 1.0 } else { FORM_SHARE };
         let counts = f64::from(u8::from(scenario.input != Input::Voltage));
+        let motor = constants(model, scenario);
+        let friction = model.motor.get(MotorKey::LoadTorque).unwrap_or(0.0);
         Self {
             terms,
-            motor: constants(model, scenario),
+            motor,
             coupling: coupling.map_or(0.0, |c| c.inertia_ratio),
-            ringing_s: coupling.map_or(0.0, dies_s),
-            ringing_share: coupling.map_or(0.0, in_phase),
+            ringing_s: coupling.map_or(0.0, decay_s),
+            ringing_share: coupling.map_or(0.0, error),
             inertia: model.motor.get(MotorKey::Inertia).unwrap_or(0.0),
-            friction: model.motor.get(MotorKey::LoadTorque).unwrap_or(0.0),
-            coulomb: counts * model.motor.get(MotorKey::LoadTorque).unwrap_or(0.0),
-            drive: counts * DRIVE_SHARE / FORM_SHARE * constants(model, scenario).torque_n_m_per_a,
+            friction,
+            coulomb: counts * friction,
+            // No machine measures a torque better than to 0.02.
+            drive: counts * 0.02 / FORM_SHARE * motor.torque_n_m_per_a,
         }
     }
 
@@ -81,8 +91,8 @@ impl Forms {
         }
     }
 
-    /// Squares by which the forms count, V2, (N.m)2 and (N.m)2 of what rings, and the rates of current, A/s, and speed, rad/s2,
-    /// but for what a second inertia does.
+    /// Squares of what the effects do, V2, (N.m)2 and (N.m)2 of a coupling, and the rates of current, A/s, and speed, rad/s2,
+    /// without what a second inertia does.
     pub(super) fn at(
         &self,
         at: &Instant,
@@ -93,7 +103,6 @@ impl Forms {
     ) -> ([f64; 3], [f64; 2]) {
         let direction = state.direction();
         let (mut volts, mut torque) = (0.0, 0.0);
-        let ringing = (self.coupling * self.inertia * acceleration).powi(2);
         if self.drive > 0.0 {
             torque += (self.drive * state.current_a).powi(2);
             torque += (self.coulomb * direction).powi(2);
@@ -109,11 +118,7 @@ impl Forms {
             volts += sums.voltage_v.powi(2) + (sums.current_rate_gain * inductive).powi(2);
             torque += sums.torque_n_m.powi(2) + sums.friction_n_m.powi(2);
             torque += (sums.inertia_gain * self.inertia * acceleration).powi(2);
-            all.voltage_v += sums.voltage_v;
-            all.torque_n_m += sums.torque_n_m;
-            all.friction_n_m += sums.friction_n_m;
-            all.current_rate_gain += sums.current_rate_gain;
-            all.inertia_gain += sums.inertia_gain;
+            all = combined(&all, &sums, |all, own| all + own);
         }
         let friction = direction * (self.friction + all.friction_n_m).max(0.0);
         let drives = at.torque_n_m_per_a * at.current_a - all.torque_n_m - load_n_m - friction;
@@ -121,6 +126,7 @@ impl Forms {
             (1.0 + all.current_rate_gain) * (inductive - all.voltage_v) * inverse_inductance,
             direction.abs() * drives / (self.inertia * (1.0 + all.inertia_gain)),
         ];
+        let ringing = (self.coupling * self.inertia * acceleration).powi(2);
         ([volts, torque, ringing], rates)
     }
 }

@@ -1,0 +1,162 @@
+//! What a set leaves of the innovations at its linear solution: its excess over white noise, and the share of unknown curves.
+
+use nalgebra::DVector;
+
+use super::free_run::excess;
+use super::regression::Linear;
+use super::run::LinearisedRun;
+use super::select::{Reduced, Set};
+use super::tangent::{Deviations, Lane};
+use drivebench_model::numerics::count::whole;
+use drivebench_model::plant::Input;
+
+/// The linear solution of a set in all columns, the nuisances' first.
+fn solution(reduced: &Reduced, set: &Set) -> Option<DVector<f64>> {
+    let linear = &reduced.linear;
+    let m = linear.nuisances.len();
+    let estimate = reduced.estimate(set)?;
+    let mut solution = DVector::zeros(linear.gram.nrows());
+    for (column, mean) in estimate.columns.iter().zip(estimate.mean.iter()) {
+        solution[*column] = *mean;
+    }
+    let explained = &linear.gram * &solution;
+    let right = linear.right.rows(0, m) - explained.rows(0, m);
+    let nuisances = linear.factor(&(0..m).collect::<Vec<_>>())?.solve(&right);
+    solution.rows_mut(0, m).copy_from(&nuisances);
+    Some(solution)
+}
+
+/// Readings of a free run by two columns, in standard deviations of the sensors: for each sample and column current and speed.
+fn readings(
+    run: &LinearisedRun<'_>,
+    white: impl Fn(usize) -> [[f64; 2]; 2],
+) -> impl Iterator<Item = [[f64; 2]; 2]> {
+    let mut track = Deviations::default();
+    (0..run.scenario.samples()).map(move |sample| {
+        track.drift(&run.steps[sample]);
+        let columns = white(sample);
+        let mut lanes = [Lane::default(); 2];
+        for (signal, lane) in lanes.iter_mut().enumerate() {
+            lane[..2].copy_from_slice(&columns.map(|column| column[signal]));
+        }
+        let [current, speed] = track.colour(&run.follower.updates[sample], &lanes);
+        let noise = &run.noise;
+        [0, 1].map(|k| [current[k] / noise.current_a, speed[k] / noise.speed_rad_s])
+    })
+}
+
+/// What each unknown part of a set takes from the error that the runs have without the set.
+pub(super) fn unknown_shares(
+    reduced: &Reduced,
+    set: &Set,
+    runs: &[LinearisedRun<'_>],
+) -> Option<Vec<f64>> {
+    let linear = &reduced.linear;
+    let solution = solution(reduced, set)?;
+    let share = |variant: usize, candidate: usize| {
+        let (mut before, mut after, mut floor) = (0.0, 0.0, 0.0);
+        for (run, columns) in runs.iter().zip(&linear.columns) {
+            let mut own = DVector::zeros(solution.len());
+            for column in linear.candidates[candidate].variants[variant].numbers() {
+                own[column] = solution[column];
+            }
+            let (part, shift) = (columns * &own, columns * &linear.present);
+            let pairs = readings(run, |sample| {
+                let white = run.followed.white[sample];
+                let whole = [0, 1].map(|signal| white[signal] + shift[2 * sample + signal]);
+                [whole, [part[2 * sample], part[2 * sample + 1]]]
+            });
+            for [whole, part] in pairs {
+                for (whole, part) in whole.into_iter().zip(part) {
+                    before += whole * whole;
+                    after += (whole - part).powi(2);
+                }
+            }
+            floor += run.follower.rows as f64;
+        }
+        let taken = (before - after) / (before - floor);
+        if before > floor {
+            taken.clamp(0.0, 1.0)
+        } else {
+            0.0
+        }
+    };
+    let candidates = linear.candidates.iter().zip(set).enumerate();
+    let shares = candidates.map(|(k, (candidate, chosen))| match chosen {
+        Some(variant) if candidate.is_unknown() => share(*variant, k),
+        _ => 0.0,
+    });
+    Some(shares.collect())
+}
+
+/// Ratio of the variance of an effect's size by the scatter between 20 blocks of the runs to that by white noise, for the worst
+/// of the set (cluster-robust variance: Liang and Zeger, Biometrika 73, 1986): what a torque leaves of a real machine is the same
+/// over a whole motion.
+fn clustered(
+    linear: &Linear,
+    set: &Set,
+    runs: &[LinearisedRun<'_>],
+    explained: &[DVector<f64>],
+) -> f64 {
+    let m = linear.nuisances.len();
+    let (mut all, mut named): (Vec<usize>, Vec<usize>) = ((0..m).collect(), Vec::new());
+    for (candidate, form) in linear.candidates.iter().zip(set) {
+        let Some(form) = form else { continue };
+        let variant = &candidate.variants[*form];
+        all.extend(variant.numbers());
+        let sizes = variant.columns.iter().filter(|own| own.unit > 0.0);
+        named.extend(sizes.filter(|_| !candidate.is_unknown()).map(|own| own.at));
+    }
+    let samples: usize = runs.iter().map(|run| run.scenario.samples()).sum();
+    let length = whole((samples as f64 / 20.0).ceil()).max(1);
+    let mut worst: f64 = 1.0;
+    for own in &named {
+        let others: Vec<usize> = all.iter().copied().filter(|k| k != own).collect();
+        let cross = DVector::from_fn(others.len(), |r, _| linear.gram[(others[r], *own)]);
+        let Some(factor) = linear.factor(&others) else {
+            continue;
+        };
+        let mut weights = DVector::zeros(linear.gram.nrows());
+        weights[*own] = 1.0;
+        for (column, share) in others.iter().zip(factor.solve(&cross).iter()) {
+            weights[*column] = -share;
+        }
+        let (mut scatter, mut expected) = (0.0, 0.0);
+        for ((run, columns), explained) in runs.iter().zip(&linear.columns).zip(explained) {
+            let column = columns * &weights;
+            let rows = run.followed.white.iter().flatten().enumerate();
+            let products = rows.map(|(row, white)| column[row] * (white - explained[row]));
+            let products: Vec<f64> = products.collect();
+            let blocks = products.chunks(2 * length);
+            let sums = blocks.map(|block| block.iter().sum::<f64>());
+            scatter += sums.map(|sum| sum * sum).sum::<f64>();
+            expected += column.norm_squared();
+        }
+        if expected > 0.0 {
+            worst = worst.max(scatter / expected);
+        }
+    }
+    worst
+}
+
+/// The excess of what a set leaves at its linear solution.
+pub(super) fn excess_of(reduced: &Reduced, set: &Set, runs: &[LinearisedRun<'_>]) -> f64 {
+    let linear = &reduced.linear;
+    let Some(solution) = solution(reduced, set) else {
+        return 1.0;
+    };
+    let explained = &solution - &linear.present;
+    let explained: Vec<DVector<f64>> = linear.columns.iter().map(|w| w * &explained).collect();
+    let by_blocks = if runs[0].scenario.input == Input::Voltage {
+        1.0
+    } else {
+        clustered(linear, set, runs, &explained)
+    };
+    let left = runs.iter().zip(&explained).map(|(run, explained)| {
+        let pairs = run.followed.white.iter();
+        let pairs = pairs.zip(explained.as_slice().chunks(2));
+        let left = pairs.map(|(white, explained)| [0, 1].map(|k| white[k] - explained[k]));
+        (run, left.collect())
+    });
+    excess(&left.collect::<Vec<_>>()).max(by_blocks)
+}
