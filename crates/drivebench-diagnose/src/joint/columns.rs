@@ -100,7 +100,9 @@ fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
         }
         for (index, slab) in coefficients.iter().copied() {
             let mut values = shape.clone();
-            coefficients.iter().for_each(|other| values[other.0] = 0.0);
+            for (other, _) in &coefficients {
+                values[*other] = 0.0;
+            }
             values[index] = slab;
             form.variant.values[index] = slab;
             form.variant.positive |= specs[index].min >= 0.0 || card.takes_power;

@@ -234,8 +234,9 @@ pub(super) fn parts(
             _ => log_share_of_two(effect),
         };
         let mut form = Form::new(own[0].values.clone(), log_prior);
-        own.iter()
-            .for_each(|event| add(&mut form, event, event.values[size]));
+        for event in &own {
+            add(&mut form, event, event.values[size]);
+        }
         for (event, onset) in own
             .iter()
             .flat_map(|event| ONSETS.map(|onset| (event, onset)))
