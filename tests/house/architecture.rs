@@ -26,7 +26,10 @@ const FLOORS: &[(&str, &str)] = &[
         "crates/drivebench-model/src/",
         "units config_text < text < sample < signal < numerics < plant excitation",
     ),
-    ("src/", "report < workflow < tui < runtime < commands < main"),
+    (
+        "src/",
+        "report < workflow < tui < runtime < commands < main",
+    ),
 ];
 
 /// Libraries that a room must not use all the same, outside its tests: screens know no drive.

@@ -23,7 +23,9 @@ fn page() -> String {
     let page = read("docs/links.md");
     let table = page.split_once("\n## 7. ");
     let table = table.and_then(|(_, rest)| rest.split("\n## ").next());
-    table.map(str::to_owned).expect("the seventh section of docs/links.md is the table of faults")
+    table
+        .map(str::to_owned)
+        .expect("the seventh section of docs/links.md is the table of faults")
 }
 
 /// Number and proofs of each row.

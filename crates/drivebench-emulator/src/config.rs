@@ -9,14 +9,12 @@ use super::truth::{Change, MotorTruth, NoiseConfig, QuantisationConfig};
 use drivebench_link::Protocol;
 use drivebench_model::config_text::{self, ConfigError};
 
-/// Names and texts of files under `bench-configs/emulators`.
 macro_rules! embedded {
     ($($name:literal),+ $(,)?) => {
         [$(($name, include_str!(concat!("../../../bench-configs/emulators/", $name, ".toml")))),+]
     };
 }
 
-/// Embedded configurations, the default first.
 const EMBEDDED: [(&str, &str); 12] = embedded![
     "zk-22fc-hidden",
     "zk-22fc-plain",
@@ -75,7 +73,6 @@ pub enum EmulatorConfigError {
 }
 
 impl EmulatorConfigError {
-    /// The next step.
     pub fn help(&self) -> String {
         match self {
             Self::Text(error) => error.help.clone(),
@@ -106,7 +103,6 @@ pub struct EmulatorConfig {
     /// Command silence after which the running drive stops itself, ms.
     #[serde(default = "default_watchdog_ms")]
     pub watchdog_ms: u16,
-    /// The nameplate.
     pub motor: MotorTruth,
     pub limits: LimitsConfig,
     #[serde(default)]
@@ -118,16 +114,13 @@ pub struct EmulatorConfig {
     /// Left out: nothing holds the shaft while the output is off.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub brake: Option<BrakeConfig>,
-    /// What is broken on the bench.
     #[serde(default)]
     pub faults: FaultsConfig,
-    /// What the host's model does not know.
     #[serde(default)]
     pub hidden: Vec<HiddenEffect>,
     /// What changes on the shaft while the drive runs, in the order of the times.
     #[serde(default, rename = "change", skip_serializing_if = "Vec::is_empty")]
     pub changes: Vec<Change>,
-    /// What goes wrong on the line and in the drive.
     #[serde(default, rename = "fault", skip_serializing_if = "Vec::is_empty")]
     pub faulty: Vec<FaultEntry>,
     /// Which of the specimen's days this is: sensor noise and random loads are drawn anew on each. A hold-out with the
@@ -140,16 +133,13 @@ pub struct EmulatorConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FaultsConfig {
-    /// The shaft does not turn whatever the torque.
     pub locked_rotor: bool,
-    /// No current flows whatever the voltage.
     pub open_phase: bool,
-    /// Speed and angle are read with the wrong sign.
     pub encoder_reversed: bool,
     /// Speed and angle stay as they are so long after each start of the drive, s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub encoder_frozen_from_s: Option<f64>,
-    /// The field current is gone so long after each start of the drive, s, as long as it runs; only a guise with a field
+    /// The field current is gone so long after each start of the drive, s, as long as it runs; only a profile with a field
     /// shows it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub field_lost_from_s: Option<f64>,
@@ -172,9 +162,7 @@ impl FaultsConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BrakeConfig {
-    /// From the start of the drive until it is open, s.
     pub release_s: f64,
-    /// From its stop until it holds, s.
     pub apply_s: f64,
 }
 
@@ -182,15 +170,12 @@ const fn default_watchdog_ms() -> u16 {
     200
 }
 
-/// What the drive limits itself to.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LimitsConfig {
     /// The inverter lowers its voltage so that the current stays below this magnitude.
     pub current_limit_a: f64,
-    /// Voltage of the intermediate circuit: the output cannot exceed it.
     pub bus_v: f64,
-    /// The drive trips above this magnitude.
     pub speed_limit_rad_s: f64,
     /// The thermal switch in the winding opens above this temperature (with 25 C around).
     #[serde(default = "default_winding_limit_c")]
@@ -257,7 +242,6 @@ impl Default for LineConfig {
 }
 
 impl EmulatorConfig {
-    /// Parses and checks a configuration; `file` names it in errors.
     pub fn parse(file: &str, text: &str) -> Result<Self, EmulatorConfigError> {
         let config: Self = config_text::parse(file, text)?;
         config.check(file)?;
@@ -273,7 +257,6 @@ impl EmulatorConfig {
         Self::embedded(EMBEDDED[0].0).expect("a test parses every embedded configuration")
     }
 
-    /// An embedded configuration by name.
     pub fn embedded(name: &str) -> Result<Self, EmulatorConfigError> {
         let mut known = EMBEDDED.iter();
         let Some((_, text)) = known.find(|(embedded, _)| *embedded == name) else {
@@ -346,9 +329,9 @@ impl EmulatorConfig {
     }
 
     /// Refuses faults that would do nothing on such a drive.
-    pub fn suits(&self, in_a_guise: bool, link: Protocol) -> Result<(), EmulatorConfigError> {
+    pub fn suits(&self, as_another: bool, link: Protocol) -> Result<(), EmulatorConfigError> {
         let mut faults = self.faulty.iter();
-        faults.try_for_each(|fault| fault.suits(in_a_guise, link))
+        faults.try_for_each(|fault| fault.suits(as_another, link))
     }
 
     fn check(&self, file: &str) -> Result<(), EmulatorConfigError> {

@@ -1,7 +1,7 @@
 //! Faults of line and drive as an emulator's file has them: which, from when, for how long, in which share of the replies.
 //!
 //! ```text
-//! [[fault]] -> FaultEntry, a kind of the table -> spoiler.rs (what is done to the bytes) | drive/ (what the drive does)
+//! [[fault]] -> FaultEntry, a kind of the table -> line_faults.rs (what is done to the bytes) | drive/ (what the drive does)
 //! ```
 
 use rand::Rng;
@@ -11,7 +11,6 @@ use serde::{Deserialize, Serialize};
 use super::EmulatorConfigError;
 use drivebench_link::Protocol;
 
-/// One fault.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FaultEntry {
@@ -28,7 +27,6 @@ pub struct FaultEntry {
     /// By how much `late_reply` is late, ms.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub late_ms: Option<f64>,
-    /// Of the `exception`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub code: Option<u8>,
     /// By which the value of `speed_scaled` or `current_scaled` is multiplied.
@@ -51,7 +49,7 @@ const fn is_one(value: &f64) -> bool {
 /// Where a fault is injected. What happens to the host itself (signals, terminals, disks) is injected by its tests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Injector {
-    /// The bytes between drive and host: spoiler.rs.
+    /// The bytes between drive and host: line_faults.rs.
     Bytes,
     /// The drive: drive/, and its supply.
     Drive,
@@ -60,7 +58,6 @@ pub enum Injector {
 /// The table of kinds: identifier, name in files, what happens; by injector.
 macro_rules! kinds {
     ($($injector:ident { $($kind:ident $name:literal $what:literal)+ })+) => {
-        /// What goes wrong.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
         pub enum FaultKind {
             $($(
@@ -85,7 +82,7 @@ kinds! {
         BitFlipped "bit_flipped" "one bit to three are wrong"
         DoubledReply "doubled_reply" "the reply comes twice"
         LateReply "late_reply" "it comes `late_ms` late"
-        HeldReply "held_reply" "it is held back until something else is asked"
+        HeldReply "held_reply" "it is held back until the next request"
         HeldTwice "held_twice" "two copies of it are"
         WrongUnit "wrong_unit" "under the name of another unit; not on the stream"
         WrongRequest "wrong_request" "with another function or length; not on the stream"
@@ -95,18 +92,18 @@ kinds! {
         SplitReply "split_reply" "its second part comes 16 ms later"
         Echo "echo" "the line returns the request first"
         WrongBaud "wrong_baud" "nothing can be read"
-        Silence "silence" "the drive hears and is not heard"
-        BlackHole "black_hole" "neither side hears the other"
-        Babble "babble" "something talks all the time"
-        ForeignFrames "foreign_frames" "a master and another unit talk to each other; only on modbus-rtu"
+        Silence "silence" "requests reach the drive and no reply comes back"
+        BlackHole "black_hole" "neither requests nor replies arrive"
+        Babble "babble" "something sends all the time"
+        ForeignFrames "foreign_frames" "a master and another unit exchange frames; only on modbus-rtu"
         SecondMaster "second_master" "another master commands this drive; only on modbus-rtu"
     }
     Drive {
         PowerLost "power_lost" "it is off, and comes back as after power-up"
         Trip "trip" "it trips by a fault of its own"
-        LocalControl "local_control" "somebody commands it at its keypad; only in a guise"
+        LocalControl "local_control" "it is commanded at its keypad; only under another profile"
         SetPointIgnored "set_point_ignored" "set-points are acknowledged and not followed"
-        EnableIgnored "enable_ignored" "told to run, it does not"
+        EnableIgnored "enable_ignored" "it does not follow its enable command"
         StopIgnored "stop_ignored" "stops are acknowledged and not followed"
         WatchdogDead "watchdog_dead" "its watchdog does nothing"
         Blocked "blocked" "the shaft is held"
@@ -114,8 +111,8 @@ kinds! {
         CurrentScaled "current_scaled" "the current is"
         SignalMissing "signal_missing" "speed and current are not available"
         FrozenRegisters "frozen_registers" "all that is measured stays as it is"
-        ClockWraps "clock_wraps" "its clock wraps `wraps_after_s` after the power-up; not in a guise"
-        OtherVersion "other_version" "it speaks another version of the protocol; not in a guise, nor on the stream"
+        ClockWraps "clock_wraps" "its clock wraps `wraps_after_s` after the power-up; only under the profile own"
+        OtherVersion "other_version" "it has another version of the protocol; only under the profile own, not on the stream"
     }
 }
 
@@ -132,15 +129,17 @@ impl FaultKind {
     }
 
     /// Where it would do nothing, as `(on what, what is allowed)`.
-    fn idle(self, in_a_guise: bool, protocol: Protocol) -> Option<(&'static str, &'static str)> {
-        const GUISE: &str = "in the guise of another drive";
+    fn idle(self, as_another: bool, protocol: Protocol) -> Option<(&'static str, &'static str)> {
+        const ANOTHER: &str = "under the profile of another drive";
         const STREAM: &str = "on the stream";
         let is_stream = protocol == Protocol::Stream;
         match self {
-            Self::LocalControl if !in_a_guise => {
+            Self::LocalControl if !as_another => {
                 Some(("on our own drive, which has no keypad", "another profile"))
             }
-            Self::OtherVersion | Self::ClockWraps if in_a_guise => Some((GUISE, "the profile own")),
+            Self::OtherVersion | Self::ClockWraps if as_another => {
+                Some((ANOTHER, "the profile own"))
+            }
             Self::OtherVersion if is_stream => Some((STREAM, "modbus-rtu or modbus-tcp")),
             Self::WrongUnit | Self::WrongRequest | Self::Exception if is_stream => {
                 Some((STREAM, "modbus-rtu or modbus-tcp"))
@@ -172,11 +171,11 @@ impl FaultEntry {
     /// Refuses what would do nothing on such a drive.
     pub(super) fn suits(
         &self,
-        in_a_guise: bool,
+        as_another: bool,
         protocol: Protocol,
     ) -> Result<(), EmulatorConfigError> {
         self.kind
-            .idle(in_a_guise, protocol)
+            .idle(as_another, protocol)
             .map_or(Ok(()), |(on, allowed)| {
                 let kind = self.kind.row().map_or("", |(_, name, ..)| name);
                 Err(EmulatorConfigError::Idle { kind, on, allowed })
@@ -187,66 +186,58 @@ impl FaultEntry {
     pub(super) fn refused(&self) -> Option<(&'static str, f64, &'static str)> {
         const TIME: &str = "0 to 86400 s";
         const FOREIGN: &str = "left out: this kind has none";
+        const TIMES: [f64; 2] = [0.0, 86_400.0];
         let is = |kind| self.kind == kind;
-        let scaled = is(FaultKind::SpeedScaled) || is(FaultKind::CurrentScaled);
-        let times = 0.0..=86_400.0;
-        let row = |key, value: Option<f64>, belongs: bool, range, allowed| match value {
-            Some(value) if !belongs => Some((key, value, FOREIGN)),
-            Some(value) if !std::ops::RangeInclusive::contains(&range, &value) => {
-                Some((key, value, allowed))
-            }
-            _ => None,
-        };
-        let code = self.code.map(f64::from);
-        let late = is(FaultKind::LateReply);
         let wraps = is(FaultKind::ClockWraps);
-        row("fault.from_s", self.from_s, !wraps, times.clone(), TIME)
-            .or_else(|| row("fault.for_s", self.for_s, !wraps, times.clone(), TIME))
-            .or_else(|| row("fault.share", Some(self.share), true, 0.0..=1.0, "0 to 1"))
-            .or_else(|| {
-                row(
-                    "fault.late_ms",
-                    self.late_ms,
-                    late,
-                    0.0..=1e5,
-                    "0 to 100000",
-                )
-            })
-            .or_else(|| {
-                let refuses = is(FaultKind::Exception);
-                row("fault.code", code, refuses, 1.0..=255.0, "1 to 255")
-            })
-            .or_else(|| {
-                row(
-                    "fault.factor",
-                    self.factor,
-                    scaled,
-                    -1e3..=1e3,
-                    "-1000 to 1000",
-                )
-            })
-            .or_else(|| {
-                row(
-                    "fault.wraps_after_s",
-                    self.wraps_after_s,
-                    wraps,
-                    times,
-                    TIME,
-                )
-            })
+        let scaled = is(FaultKind::SpeedScaled) || is(FaultKind::CurrentScaled);
+        let (late, refuses) = (is(FaultKind::LateReply), is(FaultKind::Exception));
+        let code = self.code.map(f64::from);
+        let rows = [
+            ("fault.from_s", self.from_s, !wraps, TIMES, TIME),
+            ("fault.for_s", self.for_s, !wraps, TIMES, TIME),
+            ("fault.share", Some(self.share), true, [0.0, 1.0], "0 to 1"),
+            (
+                "fault.late_ms",
+                self.late_ms,
+                late,
+                [0.0, 1e5],
+                "0 to 100000",
+            ),
+            ("fault.code", code, refuses, [1.0, 255.0], "1 to 255"),
+            (
+                "fault.factor",
+                self.factor,
+                scaled,
+                [-1e3, 1e3],
+                "-1000 to 1000",
+            ),
+            (
+                "fault.wraps_after_s",
+                self.wraps_after_s,
+                wraps,
+                TIMES,
+                TIME,
+            ),
+        ];
+        let refused =
+            |(key, value, belongs, [low, high], allowed): (_, Option<f64>, bool, [f64; 2], _)| {
+                let value = value?;
+                let allowed = if belongs { allowed } else { FOREIGN };
+                (!belongs || !(low..=high).contains(&value)).then_some((key, value, allowed))
+            };
+        rows.into_iter().find_map(refused)
     }
 }
 
-/// A fault with when it began.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Lurking {
+pub(super) struct TimedFault {
     pub(super) entry: FaultEntry,
     begun_s: Option<f64>,
     /// When it does something by itself next, s.
     pub(super) next_s: f64,
 }
 
-impl Lurking {
+impl TimedFault {
     pub(super) fn new(entry: FaultEntry) -> Self {
         Self {
             entry,
@@ -257,7 +248,7 @@ impl Lurking {
 
     /// Whether it is there at `now_s` of the drive's time; `ran_s`: since its last start, as long as it ran. A drive that has
     /// stopped in the same instant has reached it all the same.
-    pub(super) fn is_there(&mut self, now_s: f64, ran_s: Option<f64>) -> bool {
+    pub(super) fn is_active(&mut self, now_s: f64, ran_s: Option<f64>) -> bool {
         let starts = || {
             ran_s
                 .zip(self.entry.from_s)
@@ -272,12 +263,14 @@ impl Lurking {
 
     /// Whether it is there and hits this reply.
     pub(super) fn hits(&mut self, now_s: f64, ran_s: Option<f64>, dice: &mut ChaCha8Rng) -> bool {
-        self.is_there(now_s, ran_s) && dice.random::<f64>() < self.entry.share
+        self.is_active(now_s, ran_s) && dice.random::<f64>() < self.entry.share
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use firmware_protocol::{Control, DriveCommand, Fault};
+
     use super::*;
 
     fn entry(text: &str) -> FaultEntry {
@@ -286,78 +279,96 @@ mod tests {
 
     #[test]
     fn a_fault_begins_once_and_ends_after_its_time() {
-        let mut fault = Lurking::new(entry("kind = \"trip\"\nfrom_s = 1.0\nfor_s = 0.5"));
-        assert!(!fault.is_there(5.0, None));
-        assert!(!fault.is_there(6.0, Some(0.9)));
-        assert!(fault.is_there(6.1, Some(1.0)));
+        let mut fault = TimedFault::new(entry("kind = \"trip\"\nfrom_s = 1.0\nfor_s = 0.5"));
+        assert!(!fault.is_active(5.0, None));
+        assert!(!fault.is_active(6.0, Some(0.9)));
+        assert!(fault.is_active(6.1, Some(1.0)));
         assert!(
-            fault.is_there(6.5, None),
+            fault.is_active(6.5, None),
             "it goes on where the drive stops"
         );
-        assert!(!fault.is_there(6.7, Some(1.6)));
-        assert!(!fault.is_there(9.0, Some(1.0)), "once");
-        assert!(Lurking::new(entry("kind = \"trip\"")).is_there(0.0, None));
+        assert!(!fault.is_active(6.7, Some(1.6)));
+        assert!(!fault.is_active(9.0, Some(1.0)), "once");
+        assert!(TimedFault::new(entry("kind = \"trip\"")).is_active(0.0, None));
     }
 
     #[test]
     fn a_drive_that_stops_in_the_same_instant_has_reached_it() {
-        let config = "kind = \"trip\"\nfrom_s = 1.0";
-        let line = "kind = \"black_hole\"\nfrom_s = 1.0";
-        let mut plain = crate::EmulatorConfig::embedded("zk-22fc-plain").unwrap();
-        plain.faulty = vec![entry(config)];
-        let mut drive = crate::SoftDrive::new(&plain, 1);
-        let mut hole = Lurking::new(entry(line));
-        let told = |volts| firmware_protocol::DriveCommand::new(1, volts);
-        for _ in 0..12 {
-            assert!(!hole.is_there(drive.time_s(), drive.ran_s()));
-            drive.command(told(firmware_protocol::Control::Voltage(5.0)));
+        let mut config = crate::EmulatorConfig::embedded("zk-22fc-plain").unwrap();
+        config.faulty = vec![entry("kind = \"trip\"\nfrom_s = 1.0")];
+        let mut drive = crate::SoftDrive::new(&config, 1);
+        let mut hole = TimedFault::new(entry("kind = \"black_hole\"\nfrom_s = 1.0"));
+        while drive.fault() == Fault::None {
+            assert!(!hole.is_active(drive.time_s(), drive.ran_s()));
+            drive.command(DriveCommand::new(1, Control::Voltage(5.0)));
             drive.advance_to(drive.time_s() + 0.1);
-            if drive.state() == firmware_protocol::State::Fault {
-                break;
+        }
+        assert_eq!(drive.fault(), Fault::Internal);
+        assert!(hole.is_active(drive.time_s(), drive.ran_s()));
+    }
+
+    #[test]
+    fn entries_without_effect_are_refused_with_what_is_allowed() {
+        let (rtu, tcp, stream) = (Protocol::ModbusRtu, Protocol::ModbusTcp, Protocol::Stream);
+        for (kinds, as_another, protocol, allowed) in [
+            (&["local_control"][..], true, rtu, None),
+            (&["local_control"], false, rtu, Some("another profile")),
+            (
+                &["other_version", "clock_wraps"],
+                true,
+                rtu,
+                Some("the profile own"),
+            ),
+            (&["other_version", "clock_wraps"], false, tcp, None),
+            (
+                &["wrong_unit", "wrong_request", "exception"],
+                false,
+                tcp,
+                None,
+            ),
+            (
+                &["wrong_unit", "wrong_request", "exception", "other_version"],
+                false,
+                stream,
+                Some("modbus-rtu or modbus-tcp"),
+            ),
+            (&["foreign_frames", "second_master"], false, rtu, None),
+            (
+                &["foreign_frames", "second_master"],
+                false,
+                tcp,
+                Some("modbus-rtu"),
+            ),
+            (
+                &["foreign_frames", "second_master"],
+                false,
+                stream,
+                Some("modbus-rtu"),
+            ),
+        ] {
+            for kind in kinds {
+                let suits = entry(&format!("kind = {kind:?}")).suits(as_another, protocol);
+                let refused = suits.err().map(|error| error.to_string());
+                let is_right = match (&refused, allowed) {
+                    (Some(error), Some(allowed)) => {
+                        error.ends_with(&format!("(expected {allowed})"))
+                    }
+                    (refused, allowed) => refused.is_none() && allowed.is_none(),
+                };
+                assert!(is_right, "{kind} {protocol}: {refused:?}");
             }
         }
-        assert_eq!(drive.fault(), firmware_protocol::Fault::Internal);
-        assert!(hole.is_there(drive.time_s(), drive.ran_s()));
-    }
-
-    #[test]
-    fn what_would_do_nothing_is_refused_with_what_is_allowed() {
-        let suits = |kind: &str, in_a_guise, protocol| {
-            let entry = entry(&format!("kind = {kind:?}"));
-            entry.suits(in_a_guise, protocol).map_err(|e| e.to_string())
-        };
-        let (rtu, tcp, stream) = (Protocol::ModbusRtu, Protocol::ModbusTcp, Protocol::Stream);
-        assert_eq!(suits("local_control", true, rtu), Ok(()));
-        assert_eq!(
-            suits("local_control", false, rtu),
-            Err("[[fault]] kind = \"local_control\" does nothing on our own drive, which has no keypad (expected another profile)".to_owned())
-        );
-        for kind in ["other_version", "clock_wraps"] {
-            assert!(suits(kind, true, rtu).is_err(), "{kind}");
-            assert_eq!(suits(kind, false, rtu), Ok(()));
+        for (text, refused) in [
+            ("kind = \"late_reply\"\nlate_ms = 30", None),
+            ("kind = \"echo\"\nlate_ms = 30", Some("fault.late_ms")),
+            ("kind = \"echo\"\nshare = 1.5", Some("fault.share")),
+            ("kind = \"trip\"\nfrom_s = -1", Some("fault.from_s")),
+        ] {
+            assert_eq!(
+                entry(text).refused().map(|(key, ..)| key),
+                refused,
+                "{text}"
+            );
         }
-        for kind in ["wrong_unit", "wrong_request", "exception", "other_version"] {
-            assert!(suits(kind, false, stream).is_err(), "{kind}");
-            assert_eq!(suits(kind, false, tcp), Ok(()));
-        }
-        for kind in ["foreign_frames", "second_master"] {
-            assert!(suits(kind, false, tcp).is_err() && suits(kind, false, stream).is_err());
-            assert_eq!(suits(kind, false, rtu), Ok(()));
-        }
-    }
-
-    #[test]
-    fn what_belongs_to_another_kind_is_refused() {
-        let refused = |text: &str| entry(text).refused().map(|(key, ..)| key);
-        assert_eq!(refused("kind = \"late_reply\"\nlate_ms = 30"), None);
-        assert_eq!(
-            refused("kind = \"echo\"\nlate_ms = 30"),
-            Some("fault.late_ms")
-        );
-        assert_eq!(refused("kind = \"echo\"\nshare = 1.5"), Some("fault.share"));
-        assert_eq!(
-            refused("kind = \"trip\"\nfrom_s = -1"),
-            Some("fault.from_s")
-        );
     }
 }

@@ -1,4 +1,4 @@
-//! The journal of a software drive: what its motor did, by the drive's own truth and no host's word.
+//! The journal of a software drive: what its motor did, by the drive's own truth and not by a host's report.
 //!
 //! ```text
 //! requests, time --> Journaled --> the drive
@@ -12,73 +12,24 @@ use std::path::Path;
 use firmware_protocol::{State, stream};
 
 use super::SoftDrive;
-use super::dialogue::{Answering, Received};
+use super::codec::{Received, Responder};
 
-/// Columns of the file. `time_s` is `CLOCK_MONOTONIC` of this machine, so that other processes can tell what was when.
+/// Columns of the file. `time_s` is `CLOCK_MONOTONIC` of this machine, so that other processes can tell what was when;
+/// `late_s`: how long after its instant the row was written, because a drive that is kept from running notes nothing.
 const COLUMNS: &str =
     "time_s,set_point_v,output_on,voltage_v,current_a,speed_rad_s,state,fault,host,seq,late_s";
-/// Changes are seen this far apart, s.
-const STEP_S: f64 = 0.001;
-/// Between two rows where nothing changes, s.
-const PERIOD_S: f64 = 0.01;
 
-/// The drive at one instant.
-struct JournalRow {
-    /// `CLOCK_MONOTONIC` of this machine, s.
-    time_s: f64,
-    /// What its output is told to be, V; 0 while it is off.
-    set_point_v: f64,
-    output_on: bool,
-    /// At the terminals.
-    voltage_v: f64,
-    current_a: f64,
-    speed_rad_s: f64,
-    /// `disabled`, `ready`, `running` or `fault`.
-    state: String,
-    /// `none`, or why it stopped itself: `watchdog`, `over-speed`.
-    fault: String,
-    /// Number of the connection that asked last, in the order in which they were made; empty before the first.
-    host: Option<u64>,
-    /// Low 16 bits of the number of the last command that was applied.
-    seq: u16,
-    /// So much later than its instant it was written, s: a drive that is kept from running sees nothing.
-    late_s: f64,
-}
-
-impl JournalRow {
-    fn text(&self) -> String {
-        let host = self.host.map_or_else(String::new, |host| host.to_string());
-        format!(
-            "{:.4},{},{},{:.4},{:.4},{:.4},{},{},{host},{},{:.4}\n",
-            self.time_s,
-            self.set_point_v,
-            u8::from(self.output_on),
-            self.voltage_v,
-            self.current_a,
-            self.speed_rad_s,
-            self.state,
-            self.fault,
-            self.seq,
-            self.late_s
-        )
-    }
-
-    /// Whether there is something between them that has to be seen at once.
-    fn differs(&self, other: &Self) -> bool {
-        self.set_point_v.to_bits() != other.set_point_v.to_bits()
-            || self.output_on != other.output_on
-            || self.state != other.state
-            || self.fault != other.fault
-            || self.host != other.host
-            || self.seq != other.seq
-    }
-}
+/// A row that is written at once if it differs from the last one written: set-point in V (0 while the output is off), whether
+/// it is on, `disabled`, `ready`, `running` or `fault`, why it stopped itself, the connection of the last request, and the
+/// low 16 bits of the number of the last command that was applied.
+type Discrete = (u64, bool, &'static str, &'static str, Option<u64>, u16);
 
 /// A file that is written as the drive goes, row by row.
 pub struct Journal {
-    /// Gone once it cannot be written any more: a journal that ends early says so by its last row.
+    /// Gone once it cannot be written any more: a journal that ends early shows so by its last row.
     file: Option<File>,
-    last: Option<JournalRow>,
+    /// What the last row had, and its time, s.
+    last: Option<(Discrete, f64)>,
     host: Option<u64>,
     /// Drive time 0 on `CLOCK_MONOTONIC`, s.
     origin_s: f64,
@@ -98,49 +49,46 @@ impl Journal {
     }
 
     fn note(&mut self, drive: &SoftDrive, now_s: f64) {
-        let row = JournalRow {
-            time_s: self.origin_s + drive.time_s(),
-            set_point_v: drive.output_v(),
-            output_on: drive.state() == State::Running,
-            voltage_v: drive.plant().terminal_v(),
-            current_a: drive.plant().current_a(),
-            speed_rad_s: drive.plant().speed_rad_s(),
-            state: state(drive.state()).to_owned(),
-            fault: drive.fault().name().to_owned(),
-            host: self.host,
-            seq: drive.seq(),
-            late_s: (now_s - drive.time_s()).max(0.0),
+        let time_s = self.origin_s + drive.time_s();
+        let state = match drive.state() {
+            State::Disabled => "disabled",
+            State::Ready => "ready",
+            State::Running => "running",
+            State::Fault => "fault",
         };
-        let is_due = self
-            .last
-            .as_ref()
-            .is_none_or(|last| row.time_s - last.time_s >= PERIOD_S - 1e-6 || row.differs(last));
-        if !is_due {
+        let (set_point_v, is_on) = (drive.output_v(), drive.state() == State::Running);
+        let (fault, seq) = (drive.fault().name(), drive.seq());
+        let discrete = (set_point_v.to_bits(), is_on, state, fault, self.host, seq);
+        // Between two rows where nothing changes, s.
+        let is_due =
+            |(last, last_s): (Discrete, f64)| last != discrete || time_s - last_s >= 0.01 - 1e-6;
+        if !self.last.is_none_or(is_due) {
             return;
         }
+        let host = self.host.map_or_else(String::new, |host| host.to_string());
+        let plant = drive.plant();
+        let row = format!(
+            "{time_s:.4},{set_point_v},{},{:.4},{:.4},{:.4},{state},{fault},{host},{seq},{:.4}\n",
+            u8::from(is_on),
+            plant.terminal_v(),
+            plant.current_a(),
+            plant.speed_rad_s(),
+            (now_s - drive.time_s()).max(0.0)
+        );
         let written = self
             .file
             .as_mut()
-            .map(|file| file.write_all(row.text().as_bytes()));
+            .map(|file| file.write_all(row.as_bytes()));
         if let Some(Err(_)) = written {
             self.file = None;
         }
-        self.last = Some(row);
-    }
-}
-
-const fn state(state: State) -> &'static str {
-    match state {
-        State::Disabled => "disabled",
-        State::Ready => "ready",
-        State::Running => "running",
-        State::Fault => "fault",
+        self.last = Some((discrete, time_s));
     }
 }
 
 /// A drive whose every change is noted.
 pub(super) struct Journaled {
-    drive: Box<dyn Answering>,
+    drive: Box<dyn Responder>,
     journal: Journal,
     /// Drive time by the clock, s.
     clock: Box<dyn Fn() -> f64 + Send>,
@@ -149,7 +97,7 @@ pub(super) struct Journaled {
 impl Journaled {
     /// `origin_s`: drive time 0 on `CLOCK_MONOTONIC`.
     pub(super) fn new(
-        drive: Box<dyn Answering>,
+        drive: Box<dyn Responder>,
         mut journal: Journal,
         origin_s: f64,
         clock: Box<dyn Fn() -> f64 + Send>,
@@ -167,14 +115,15 @@ impl Journaled {
     }
 }
 
-impl Answering for Journaled {
+impl Responder for Journaled {
     fn soft(&self) -> &SoftDrive {
         self.drive.soft()
     }
 
     fn advance_to(&mut self, time_s: f64) {
         loop {
-            let next_s = time_s.min(self.soft().time_s() + STEP_S);
+            // Changes are seen this far apart, s.
+            let next_s = time_s.min(self.soft().time_s() + 0.001);
             self.drive.advance_to(next_s);
             self.note();
             if next_s >= time_s {
@@ -195,21 +144,13 @@ impl Answering for Journaled {
         answer
     }
 
-    fn ran_s(&self) -> Option<f64> {
-        self.drive.ran_s()
-    }
-
-    fn is_powered(&self) -> bool {
-        self.drive.is_powered()
-    }
-
     fn foreign_write(&self) -> Vec<u8> {
         self.drive.foreign_write()
     }
 
-    fn asked_by(&mut self, session: u64) {
+    fn request_from(&mut self, session: u64) {
         self.journal.host = Some(session);
-        self.drive.asked_by(session);
+        self.drive.request_from(session);
     }
 }
 
@@ -221,7 +162,7 @@ mod tests {
     use crate::EmulatorConfig;
 
     #[test]
-    fn every_change_has_its_row_and_a_drive_that_is_told_nothing_one_every_10_ms() {
+    fn every_change_has_a_row_and_every_10_ms_has_one() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("journal.csv");
         let mut soft = SoftDrive::new(&EmulatorConfig::embedded("zk-22fc-plain").unwrap(), 1);
@@ -229,7 +170,7 @@ mod tests {
         let journal = Journal::create(&path).unwrap();
         assert!(Journal::create(&path).is_err(), "it is never overwritten");
         let mut drive = Journaled::new(Box::new(soft), journal, 100.0, Box::new(|| 2.0));
-        drive.asked_by(3);
+        drive.request_from(3);
         drive.advance_to(1.0);
         let text = std::fs::read_to_string(&path).unwrap();
         let mut lines = text.lines();

@@ -3,21 +3,22 @@
 //! ```text
 //!          config.rs (TOML) --> drive/ SoftDrive (state machine, watchdog, limits) --> truth/ (the machine)
 //!                                   ^ pure function of drive time
-//!   fault.rs   what goes wrong: spoiler.rs does it to the bytes of a line, drive/ to the drive
+//!   fault.rs   what goes wrong: line_faults.rs does it to the bytes of a line, drive/ to the drive
 //!   mystery/   draws from a seed what a drive hides
 //!   foreign/   the same motor behind the registers of another make
 //!   memory.rs, line.rs  virtual time, without bytes and with them
 //!   journal.rs what the motor does, row by row, for whoever judges a host
-//!   pty.rs, tcp.rs  real time ------+   (dialogue.rs: bytes <-> answers, pace.rs: a wire's timing, server.rs: the clock)
+//!   pty.rs, tcp.rs  real time ------+   (codec.rs: bytes <-> answers, pace.rs: a wire's timing, server.rs: the clock)
 //! ```
 
+mod codec;
 mod config;
-mod dialogue;
 mod drive;
 mod fault;
 mod foreign;
 mod journal;
 mod line;
+mod line_faults;
 mod memory;
 pub mod mystery;
 mod pace;
@@ -25,15 +26,14 @@ mod pace;
 mod pty;
 mod server;
 mod session;
-mod spoiler;
 mod tcp;
 pub mod truth;
 
+pub use codec::UNIT;
 pub use config::{
     BrakeConfig, EmulatorConfig, EmulatorConfigError, FaultsConfig, LimitsConfig, LineConfig,
     OutputOff,
 };
-pub use dialogue::UNIT;
 pub use drive::SoftDrive;
 pub use drivebench_link::VirtualClock;
 pub use fault::{FaultEntry, FaultKind, Injector};

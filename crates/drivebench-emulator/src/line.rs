@@ -1,8 +1,8 @@
 //! The software drive at the far end of a Modbus RTU line in memory: its codec, its wire's timing, in virtual time.
 
-use super::dialogue::{Answering, Dialogue, UNIT};
+use super::codec::{Codec, Responder, UNIT};
+use super::line_faults::LineFaults;
 use super::pace::Pace;
-use super::spoiler::{Spoiled, Spoiler};
 use super::{
     EmulatorConfig, EmulatorConfigError, FaultEntry, ForeignDrive, Guise, LineConfig, SoftDrive,
 };
@@ -12,7 +12,7 @@ use drivebench_link::{DriveLink, DriveProfile, Protocol, VirtualClock};
 /// What this line is called.
 const NAME: &str = "sim:rtu";
 
-/// Opens a link to the drive, in the guise of another where one is given, over a line in memory.
+/// Opens a link to the drive, under the profile of another where one is given, over a line in memory.
 pub fn open_line(
     guise: Option<&Guise>,
     config: &EmulatorConfig,
@@ -22,7 +22,7 @@ pub fn open_line(
 ) -> Result<Box<dyn DriveLink>, EmulatorConfigError> {
     let protocol = Protocol::ModbusRtu;
     config.suits(guise.is_some(), protocol)?;
-    let drive: Box<dyn Answering> = match guise {
+    let drive: Box<dyn Responder> = match guise {
         Some(guise) => Box::new(ForeignDrive::new(guise, config, seed)),
         None => Box::new(SoftDrive::new(config, seed)),
     };
@@ -33,62 +33,52 @@ pub fn open_line(
     Ok(Box::new(VirtualLink::open(NAME, profile, clock, far)))
 }
 
-/// What talks by itself is known for so long ahead, s: until the host listens again.
-const AHEAD_S: f64 = 0.25;
-
 struct DriveOnLine {
-    spoiler: Spoiler,
-    drive: Box<dyn Answering>,
-    dialogue: Dialogue,
+    line_faults: LineFaults,
+    drive: Box<dyn Responder>,
+    codec: Codec,
     pace: Pace,
     /// When the silence behind the last byte has ended a frame, s.
     silent_from_s: f64,
 }
 
 impl FarEnd for DriveOnLine {
-    fn hear(&mut self, now_s: f64, bytes: &[u8]) -> Vec<(f64, Vec<u8>)> {
+    fn receive(&mut self, now_s: f64, bytes: &[u8]) -> Vec<(f64, Vec<u8>)> {
         let mut answers = Vec::new();
         let mut sent = Vec::new();
         if now_s >= self.silent_from_s {
-            self.dialogue.idle(self.drive.as_mut(), &mut answers);
+            self.codec.idle(self.drive.as_mut(), &mut answers);
             answers.clear();
         }
         let mut at_s = now_s;
         for byte in bytes {
             at_s = self.pace.arrival_s(now_s);
             self.drive.advance_to(at_s);
-            self.spoiler.hear(*byte);
-            let mut drive = Spoiled {
-                drive: self.drive.as_mut(),
-                spoiler: &mut self.spoiler,
-                now_s: at_s,
-            };
+            self.line_faults.host_byte(*byte);
+            let mut drive = self.line_faults.before(self.drive.as_mut(), at_s);
             // Only a peer that is no Modbus TCP cannot be framed.
             let _ = self
-                .dialogue
+                .codec
                 .push(*byte, &mut drive, &mut || true, &mut answers);
             self.send(at_s, &mut answers, &mut sent);
         }
         self.silent_from_s = at_s + self.pace.gap_s();
         // A request whose length nobody knows ends with the silence: a host writes it whole.
-        let mut drive = Spoiled {
-            drive: self.drive.as_mut(),
-            spoiler: &mut self.spoiler,
-            now_s: at_s,
-        };
-        self.dialogue.idle(&mut drive, &mut answers);
+        let mut drive = self.line_faults.before(self.drive.as_mut(), at_s);
+        self.codec.idle(&mut drive, &mut answers);
         self.send(self.silent_from_s, &mut answers, &mut sent);
-        self.spoiler.silence();
-        let ahead_s = now_s + AHEAD_S;
+        self.line_faults.silence();
+        // What arrives without a request is computed so far ahead, s: until the host listens again.
+        let ahead_s = now_s + 0.25;
         let drive = self.drive.as_mut();
-        sent.extend(self.spoiler.unasked(now_s, ahead_s, drive));
+        sent.extend(self.line_faults.unasked(now_s, ahead_s, drive));
         sent
     }
 }
 
 impl DriveOnLine {
     fn new(
-        drive: Box<dyn Answering>,
+        drive: Box<dyn Responder>,
         protocol: Protocol,
         unit: u8,
         line: &LineConfig,
@@ -96,9 +86,9 @@ impl DriveOnLine {
         seed: u64,
     ) -> Self {
         Self {
-            spoiler: Spoiler::new(faults, protocol, unit, seed),
+            line_faults: LineFaults::new(faults, protocol, unit, seed),
             drive,
-            dialogue: Dialogue::new(protocol, unit),
+            codec: Codec::new(protocol, unit),
             pace: Pace::serial(line, protocol == Protocol::ModbusRtu),
             silent_from_s: 0.0,
         }
@@ -108,7 +98,7 @@ impl DriveOnLine {
         for answer in answers.drain(..) {
             let due_s = self.pace.delivery_s(end_s, answer.len());
             let ran_s = self.drive.ran_s();
-            sent.extend(self.spoiler.reply(answer, end_s, due_s, ran_s));
+            sent.extend(self.line_faults.reply(answer, end_s, due_s, ran_s));
         }
     }
 }

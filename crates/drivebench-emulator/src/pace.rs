@@ -8,12 +8,6 @@
 
 use super::config::LineConfig;
 
-/// Characters of silence that end a Modbus RTU frame, and the fixed time above 19200 baud
-/// (MODBUS over Serial Line V1.02, 2.5.1.1).
-const GAP_CHARS: f64 = 3.5;
-const FIXED_GAP_S: f64 = 0.001_75;
-const FIXED_GAP_ABOVE_BAUD: u32 = 19_200;
-
 /// One line: when it is free again, and what travels how long. Times are those of the caller's clock, s.
 #[derive(Clone, Debug)]
 pub(super) struct Pace {
@@ -54,7 +48,7 @@ impl Late {
 }
 
 impl Pace {
-    /// A serial line; `with_gaps`: frames are told apart by silence.
+    /// A serial line; `with_gaps`: silence separates frames.
     pub(super) fn serial(line: &LineConfig, with_gaps: bool) -> Self {
         let char_s = if line.baud == 0 {
             0.0
@@ -63,8 +57,10 @@ impl Pace {
         };
         let standard_gap_s = match line.baud {
             0 => 0.0,
-            baud if baud > FIXED_GAP_ABOVE_BAUD => FIXED_GAP_S,
-            _ => GAP_CHARS * char_s,
+            baud if baud > 19_200 => 0.001_75,
+            // Characters of silence that end a Modbus RTU frame, and the fixed time above 19200 baud
+            // (MODBUS over Serial Line V1.02, 2.5.1.1).
+            _ => 3.5 * char_s,
         };
         let gap_s = line.gap_us.map_or(standard_gap_s, |us| us * 1e-6);
         Self {
@@ -80,10 +76,7 @@ impl Pace {
     pub(super) fn network(line: &LineConfig) -> Self {
         Self {
             char_s: 0.0,
-            gap_s: 0.0,
-            turnaround_s: line.turnaround_ms * 1e-3,
-            late: Late::of(line),
-            free_from_s: f64::NEG_INFINITY,
+            ..Self::serial(line, false)
         }
     }
 
@@ -130,26 +123,44 @@ mod tests {
 
     #[test]
     fn an_exchange_takes_its_wire_time() {
-        let line = LineConfig::default();
-        // FC23 r16 w4: 21 + 37 characters of 86.8 us, one gap, turnaround.
-        let expected = 58.0 * 10.0 / 115_200.0 + 0.001_75 + 0.000_5;
-        assert!((exchange_s(&line, true, 21, 37) - expected).abs() < 1e-12);
-        assert!((exchange_s(&line, false, 21, 37) - (expected - 0.001_75)).abs() < 1e-12);
-    }
-
-    #[test]
-    fn slow_lines_have_the_gap_of_three_and_a_half_characters_and_parity_costs_a_bit() {
-        let slow = LineConfig {
-            baud: 9600,
-            turnaround_ms: 0.0,
+        let line = |baud, bits_per_char, turnaround_ms| LineConfig {
+            baud,
+            bits_per_char,
+            turnaround_ms,
             ..LineConfig::default()
         };
-        assert!((exchange_s(&slow, true, 8, 25) - (33.0 + 3.5) * 10.0 / 9600.0).abs() < 1e-12);
-        let parity = LineConfig {
-            bits_per_char: 11,
-            ..slow
-        };
-        assert!((exchange_s(&parity, true, 8, 25) - (33.0 + 3.5) * 11.0 / 9600.0).abs() < 1e-12);
+        // FC23 r16 w4: 21 + 37 characters of 86.8 us, one gap, turnaround. Slow lines have a gap of 3.5 characters.
+        let without_gap_s = 58.0 * 10.0 / 115_200.0 + 0.000_5;
+        for (line, with_gaps, request, answer, expected_s) in [
+            (
+                line(115_200, 10, 0.5),
+                true,
+                21,
+                37,
+                without_gap_s + 0.001_75,
+            ),
+            (line(115_200, 10, 0.5), false, 21, 37, without_gap_s),
+            (
+                line(9600, 10, 0.0),
+                true,
+                8,
+                25,
+                (33.0 + 3.5) * 10.0 / 9600.0,
+            ),
+            (
+                line(9600, 11, 0.0),
+                true,
+                8,
+                25,
+                (33.0 + 3.5) * 11.0 / 9600.0,
+            ),
+            (line(0, 10, 0.5), true, 21, 37, 0.000_5),
+        ] {
+            let took_s = exchange_s(&line, with_gaps, request, answer);
+            assert!((took_s - expected_s).abs() < 1e-12, "{line:?}: {took_s}");
+        }
+        let mut network = Pace::network(&line(115_200, 10, 0.5));
+        assert!((network.arrival_s(1.0) - 1.0).abs() < 1e-12);
     }
 
     #[test]
@@ -177,16 +188,5 @@ mod tests {
         });
         let late = taken.filter(|taken_s| *taken_s > 0.03).count();
         assert_eq!(late, 10);
-    }
-
-    #[test]
-    fn without_a_baud_rate_only_the_turnaround_is_left() {
-        let line = LineConfig {
-            baud: 0,
-            ..LineConfig::default()
-        };
-        assert!((exchange_s(&line, true, 21, 37) - 0.000_5).abs() < 1e-12);
-        let mut network = Pace::network(&line);
-        assert!((network.arrival_s(1.0) - 1.0).abs() < 1e-12);
     }
 }

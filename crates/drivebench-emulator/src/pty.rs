@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn a_host_that_opens_the_pair_before_the_next_one_is_published_is_seen() {
+    fn a_host_that_opens_the_old_pair_again_is_served() {
         let mut port = PtyPort::open().unwrap();
         let slave = port.slave.clone();
         let host = || {

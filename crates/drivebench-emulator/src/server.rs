@@ -14,29 +14,17 @@ use std::time::{Duration, Instant};
 use rustix::time::{ClockId, clock_gettime};
 use thiserror::Error;
 
+use super::codec::{Codec, Responder, UNIT};
 use super::config::LineConfig;
-use super::dialogue::{Answering, Dialogue, UNIT};
 use super::journal::{Journal, Journaled};
+use super::line_faults::LineFaults;
 use super::pace::Pace;
 #[cfg(target_os = "linux")]
 use super::pty::{Claim, PtyPort};
-use super::session::Port;
-use super::session::{Commander, Counters, FarEnd, Session, Turn};
-use super::spoiler::Spoiler;
+use super::session::{Commander, Counters, FarEnd, Port, Session, Turn};
 use super::tcp::{TcpPort, TcpPorts};
 use super::{EmulatorConfig, EmulatorConfigError, ForeignDrive, Guise, SoftDrive};
 use drivebench_link::Protocol;
-
-/// How long a host gets to read the last answer before its pseudo-terminal goes: what is unread then is lost.
-const LAST_ANSWER_S: f64 = 0.05;
-/// Between two looks for a host on the network.
-const ACCEPT_PERIOD: Duration = Duration::from_millis(5);
-/// A host on the network that says nothing for so long is let go, s.
-const IDLE_S: f64 = 60.0;
-/// Hosts on the network at once; one more waits until one goes.
-const MOST_HOSTS: usize = 8;
-/// Between two rounds through several hosts, s.
-const ROUND_S: f64 = 0.001;
 
 /// Where the drive is to be found.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -98,7 +86,6 @@ impl ServerError {
         }
     }
 
-    /// The next step.
     pub const fn help(&self) -> &'static str {
         match self {
             Self::Pty { .. } => {
@@ -143,22 +130,18 @@ impl ServerHandle {
         &self.address
     }
 
-    /// The line that says so.
     pub fn ready_line(&self) -> &str {
         &self.ready_line
     }
 
-    /// Sessions begun so far.
     pub fn sessions(&self) -> u64 {
         self.counters.sessions.load(Ordering::Relaxed)
     }
 
-    /// Answers sent so far.
     pub fn answers(&self) -> u64 {
         self.counters.answers.load(Ordering::Relaxed)
     }
 
-    /// Bytes of answers that a host did not take.
     pub fn bytes_dropped(&self) -> u64 {
         self.counters.bytes_dropped.load(Ordering::Relaxed)
     }
@@ -168,7 +151,6 @@ impl ServerHandle {
         self.stop.store(true, Ordering::Relaxed);
     }
 
-    /// Stops and waits for the end.
     pub fn join(mut self) -> Result<(), ServerError> {
         self.stop();
         self.thread.take().map_or(Ok(()), |thread| {
@@ -197,7 +179,7 @@ pub fn spawn(
     spawn_as(None, config, seed, link, endpoint)
 }
 
-/// The same in the guise of another drive.
+/// The same under the profile of another drive.
 pub fn spawn_as(
     guise: Option<Guise>,
     config: EmulatorConfig,
@@ -236,9 +218,7 @@ pub fn spawn_as(
     })
 }
 
-/// A drive that is to be served.
 pub struct Served<'a> {
-    /// As another drive.
     pub guise: Option<&'a Guise>,
     pub config: &'a EmulatorConfig,
     pub seed: u64,
@@ -279,8 +259,8 @@ struct Server<'a> {
     line: &'a LineConfig,
     unit: u8,
     link: Protocol,
-    drive: Box<dyn Answering>,
-    spoiler: Spoiler,
+    drive: Box<dyn Responder>,
+    line_faults: LineFaults,
     start: Instant,
     stop: &'a AtomicBool,
     counters: &'a Counters,
@@ -295,7 +275,7 @@ impl<'a> Server<'a> {
         stop: &'a AtomicBool,
         counters: &'a Counters,
     ) -> Self {
-        let drive: Box<dyn Answering> = match guise {
+        let drive: Box<dyn Responder> = match guise {
             Some(guise) => Box::new(ForeignDrive::new(guise, config, seed)),
             None => Box::new(SoftDrive::new(config, seed)),
         };
@@ -303,7 +283,7 @@ impl<'a> Server<'a> {
         Self {
             line: guise.map_or(&config.line, |guise| &guise.line),
             unit,
-            spoiler: Spoiler::new(&config.faulty, link, unit, seed),
+            line_faults: LineFaults::new(&config.faulty, link, unit, seed),
             link,
             drive,
             start: now(),
@@ -356,7 +336,8 @@ impl<'a> Server<'a> {
             let last_answer_s = self.session(&mut port, pace.clone());
             if self.stopped() {
                 let passed_s = last_answer_s.map(|at| self.start.elapsed().as_secs_f64() - at);
-                let left_s = passed_s.map_or(0.0, |passed| (LAST_ANSWER_S - passed).max(0.0));
+                // How long a host gets to read the last answer before its pseudo-terminal goes: what is unread then is lost.
+                let left_s = passed_s.map_or(0.0, |passed| (0.05 - passed).max(0.0));
                 thread::sleep(Duration::from_secs_f64(left_s));
                 break;
             }
@@ -394,23 +375,26 @@ impl<'a> Server<'a> {
             stop: self.stop,
             counters: self.counters,
             commander: &mut commander,
-            spoiler: &mut self.spoiler,
+            line_faults: &mut self.line_faults,
         };
         let mut hosts: Vec<(TcpPort, Session)> = Vec::new();
         while !far.stop.load(Ordering::Relaxed) {
-            if hosts.len() < MOST_HOSTS
+            // Hosts on the network at once; one more waits until one goes.
+            if hosts.len() < 8
                 && let Some(port) = ports.accept()
             {
-                let session = Session::new(Dialogue::new(link, unit), pace.clone(), &far);
+                let session = Session::new(Codec::new(link, unit), pace.clone(), &far);
                 hosts.push((port, session));
             }
             if hosts.is_empty() {
-                thread::sleep(ACCEPT_PERIOD);
+                // Between two looks for a host on the network.
+                thread::sleep(Duration::from_millis(5));
                 far.drive.advance_to(clock());
             }
             let is_alone = hosts.len() == 1;
             hosts.retain_mut(|(port, session)| {
-                if clock() - session.heard_s > IDLE_S {
+                // A host on the network that says nothing for so long is let go, s.
+                if clock() - session.received_s > 60.0 {
                     session.let_go();
                 }
                 match session.turn(port, &mut far) {
@@ -424,7 +408,8 @@ impl<'a> Server<'a> {
                 }
             });
             if hosts.len() > 1 {
-                thread::sleep(Duration::from_secs_f64(ROUND_S));
+                // Between two rounds through several hosts, s.
+                thread::sleep(Duration::from_secs_f64(0.001));
             }
         }
         Ok(())
@@ -438,9 +423,9 @@ impl<'a> Server<'a> {
             stop: self.stop,
             counters: self.counters,
             commander: &mut Commander::default(),
-            spoiler: &mut self.spoiler,
+            line_faults: &mut self.line_faults,
         };
-        Session::new(Dialogue::new(self.link, self.unit), pace, &far).serve(port, &mut far)
+        Session::new(Codec::new(self.link, self.unit), pace, &far).serve(port, &mut far)
     }
 
     fn stopped(&self) -> bool {

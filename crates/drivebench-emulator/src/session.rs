@@ -5,14 +5,12 @@ use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-use super::dialogue::{Answering, Dialogue};
+use super::codec::{Codec, Responder};
+use super::line_faults::LineFaults;
 use super::pace::Pace;
-use super::spoiler::{Spoiled, Spoiler};
 
 /// The drive is brought up to date at least this often, s.
 const LONGEST_WAIT_S: f64 = 0.01;
-/// Bytes under way on the line; a host that writes more has to wait.
-const LONGEST_QUEUE: usize = 4096;
 /// A host that has commanded nothing for so long is not in command any more, s: longer than the watchdog of the drives that
 /// matter, so that the motor stands when the command changes hands.
 pub(super) const HAND_OVER_S: f64 = 2.0;
@@ -21,7 +19,6 @@ pub(super) const HAND_OVER_S: f64 = 2.0;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Gone;
 
-/// One connection to a host.
 pub(crate) trait Port {
     /// Waits at most `timeout` for bytes; 0: none came.
     fn read_within(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize, Gone>;
@@ -30,7 +27,6 @@ pub(crate) trait Port {
     fn write(&mut self, bytes: &[u8]) -> usize;
 }
 
-/// What a server has done so far.
 #[derive(Debug, Default)]
 pub(super) struct Counters {
     pub(super) sessions: AtomicU64,
@@ -58,36 +54,33 @@ impl Commander {
         !by_another
     }
 
-    /// The session has ended.
     pub(super) fn leaves(&mut self, session: u64) {
         self.held = self.held.filter(|(holder, _)| *holder != session);
     }
 }
 
-/// What all sessions work with.
 pub(super) struct FarEnd<'a> {
-    pub(super) drive: &'a mut dyn Answering,
+    pub(super) drive: &'a mut dyn Responder,
     /// Drive time by the wall clock, s.
     pub(super) clock: &'a dyn Fn() -> f64,
     pub(super) stop: &'a AtomicBool,
     pub(super) counters: &'a Counters,
     pub(super) commander: &'a mut Commander,
-    /// The faults of the line.
-    pub(super) spoiler: &'a mut Spoiler,
+    pub(super) line_faults: &'a mut LineFaults,
 }
 
 /// One host and what is under way to and from it.
 pub(super) struct Session {
     number: u64,
-    dialogue: Dialogue,
+    codec: Codec,
     pace: Pace,
     incoming: VecDeque<(f64, u8)>,
     outgoing: VecDeque<(f64, Vec<u8>)>,
     answers: Vec<Vec<u8>>,
     silent_from_s: Option<f64>,
     last_answer_s: Option<f64>,
-    /// When it said something last, s.
-    pub(super) heard_s: f64,
+    /// When its last byte came, s.
+    pub(super) received_s: f64,
     gone: bool,
     broken: bool,
 }
@@ -97,29 +90,29 @@ pub(super) struct Session {
 pub(super) enum Turn {
     /// Something is due then, s; until that it listens.
     Until(f64),
-    /// The host is gone or spoke something else, or `stop` is set; the time of the last answer, for a host that may still
+    /// The host is gone or uses another protocol, or `stop` is set; the time of the last answer, for a host that may still
     /// want to read it.
     Over(Option<f64>),
 }
 
 impl Session {
-    pub(super) fn new(dialogue: Dialogue, pace: Pace, far: &FarEnd<'_>) -> Self {
+    pub(super) fn new(codec: Codec, pace: Pace, far: &FarEnd<'_>) -> Self {
         Self {
             number: far.counters.sessions.fetch_add(1, Ordering::Relaxed),
-            dialogue,
+            codec,
             pace,
             incoming: VecDeque::new(),
             outgoing: VecDeque::new(),
             answers: Vec::new(),
             silent_from_s: None,
             last_answer_s: None,
-            heard_s: (far.clock)(),
+            received_s: (far.clock)(),
             gone: false,
             broken: false,
         }
     }
 
-    /// Serves until the host goes, speaks something else, or `stop` is set. Returns the time of the last answer.
+    /// Serves until the host goes, uses another protocol, or `stop` is set. Returns the time of the last answer.
     pub(super) fn serve(&mut self, port: &mut dyn Port, far: &mut FarEnd<'_>) -> Option<f64> {
         loop {
             match self.turn(port, far) {
@@ -129,24 +122,19 @@ impl Session {
         }
     }
 
-    /// Does what is due by now.
     pub(super) fn turn(&mut self, port: &mut dyn Port, far: &mut FarEnd<'_>) -> Turn {
         let now = (far.clock)();
         // What a host wrote before it went still counts, at its own time: the drive then runs a little ahead.
         let seen_until = if self.gone { f64::INFINITY } else { now };
         while let Some((at, byte)) = due(&mut self.incoming, seen_until) {
             far.drive.advance_to(at);
-            far.drive.asked_by(self.number);
+            far.drive.request_from(self.number);
             let (commander, number) = (&mut *far.commander, self.number);
             let may_command = &mut || commander.takes(number, at);
-            far.spoiler.hear(byte);
-            let mut drive = Spoiled {
-                drive: &mut *far.drive,
-                spoiler: &mut *far.spoiler,
-                now_s: at,
-            };
+            far.line_faults.host_byte(byte);
+            let mut drive = far.line_faults.before(far.drive, at);
             let pushed = self
-                .dialogue
+                .codec
                 .push(byte, &mut drive, may_command, &mut self.answers);
             self.broken |= pushed.is_err();
             self.send(at, far);
@@ -155,16 +143,15 @@ impl Session {
         far.drive.advance_to(now);
         if self.incoming.is_empty() && self.silent_from_s.is_some_and(|from| from <= now) {
             self.silent_from_s = None;
-            let mut drive = Spoiled {
-                drive: &mut *far.drive,
-                spoiler: &mut *far.spoiler,
-                now_s: now,
-            };
-            self.dialogue.idle(&mut drive, &mut self.answers);
+            let mut drive = far.line_faults.before(far.drive, now);
+            self.codec.idle(&mut drive, &mut self.answers);
             self.send(now, far);
-            far.spoiler.silence();
+            far.line_faults.silence();
         }
-        for (due, bytes) in far.spoiler.unasked(now, now + LONGEST_WAIT_S, far.drive) {
+        for (due, bytes) in far
+            .line_faults
+            .unasked(now, now + LONGEST_WAIT_S, far.drive)
+        {
             self.under_way(due, bytes);
         }
         if self.gone {
@@ -189,11 +176,11 @@ impl Session {
         Turn::Until(next_s.fold(now + LONGEST_WAIT_S, f64::min))
     }
 
-    /// Takes what comes until `next_s`.
     pub(super) fn listen(&mut self, port: &mut dyn Port, far: &FarEnd<'_>, next_s: f64) {
         let mut buffer = [0; 1024];
         let wait = Duration::from_secs_f64((next_s - (far.clock)()).max(0.0));
-        if self.incoming.len() >= LONGEST_QUEUE {
+        // Bytes under way on the line; a host that writes more has to wait.
+        if self.incoming.len() >= 4096 {
             std::thread::sleep(wait);
             return;
         }
@@ -201,7 +188,7 @@ impl Session {
             Ok(count) => {
                 let now = (far.clock)();
                 if count > 0 {
-                    self.heard_s = now;
+                    self.received_s = now;
                 }
                 for byte in &buffer[..count] {
                     self.incoming.push_back((self.pace.arrival_s(now), *byte));
@@ -211,7 +198,6 @@ impl Session {
         }
     }
 
-    /// Lets the host go at the next turn.
     pub(super) const fn let_go(&mut self) {
         self.gone = true;
     }
@@ -220,7 +206,7 @@ impl Session {
         for answer in std::mem::take(&mut self.answers) {
             let due_s = self.pace.delivery_s(end_s, answer.len());
             let ran_s = far.drive.ran_s();
-            for (due, bytes) in far.spoiler.reply(answer, end_s, due_s, ran_s) {
+            for (due, bytes) in far.line_faults.reply(answer, end_s, due_s, ran_s) {
                 self.under_way(due, bytes);
             }
         }
@@ -243,7 +229,6 @@ fn deliver(counters: &Counters, port: &mut dyn Port, answer: &[u8]) {
         .fetch_add(u64::try_from(dropped).unwrap_or(0), Ordering::Relaxed);
 }
 
-/// The first entry, if its time has come.
 fn due<T>(queue: &mut VecDeque<(f64, T)>, now_s: f64) -> Option<(f64, T)> {
     if queue.front()?.0 <= now_s {
         queue.pop_front()

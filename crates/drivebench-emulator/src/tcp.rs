@@ -6,12 +6,6 @@ use std::time::Duration;
 
 use super::session::{Gone, Port};
 
-/// Shorter waits are slept: the kernel rounds a socket's timeout up to its own tick.
-const SHORTEST_SOCKET_WAIT: Duration = Duration::from_millis(5);
-/// A host that takes nothing for so long loses the answer.
-const WRITE_TIMEOUT: Duration = Duration::from_millis(100);
-
-/// Waits for hosts.
 pub(super) struct TcpPorts {
     listener: TcpListener,
 }
@@ -28,18 +22,19 @@ impl TcpPorts {
         self.listener.local_addr()
     }
 
-    /// The next host, if one waits.
     pub(super) fn accept(&self) -> Option<TcpPort> {
         let (stream, _) = self.listener.accept().ok()?;
         // A host that is gone again shows with the first read.
         stream.set_nonblocking(false).ok()?;
         stream.set_nodelay(true).ok()?;
-        stream.set_write_timeout(Some(WRITE_TIMEOUT)).ok()?;
+        // A host that takes nothing for so long loses the answer.
+        stream
+            .set_write_timeout(Some(Duration::from_millis(100)))
+            .ok()?;
         Some(TcpPort { stream })
     }
 }
 
-/// A connected host.
 pub(super) struct TcpPort {
     stream: TcpStream,
 }
@@ -74,7 +69,8 @@ fn taken(read: io::Result<usize>) -> Result<usize, Gone> {
 
 impl Port for TcpPort {
     fn read_within(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize, Gone> {
-        if timeout < SHORTEST_SOCKET_WAIT {
+        // Shorter waits are slept: the kernel rounds a socket's timeout up to its own tick.
+        if timeout < Duration::from_millis(5) {
             std::thread::sleep(timeout);
             return self.read_now(buffer);
         }

@@ -20,17 +20,6 @@ const ADAPTERS: [(&str, f64); 3] = [
     ("USB adapter, latency timer 16 ms", 0.016),
 ];
 
-/// Registers of the loops that are reckoned with: ten read, two written (what a drive's cycle needs).
-const READ: f64 = 10.0;
-const WRITTEN: f64 = 2.0;
-
-/// Function code that writes and reads in one transaction, and how many registers it writes (Modbus Application Protocol
-/// 1.1b3, 6.17).
-const READ_WRITE: u8 = 23;
-const JOINT_REGISTERS: u16 = 121;
-/// Share of a cycle from which on the time to answer is explained, %.
-const REPLY_SHARE_PERCENT: f64 = 15.0;
-
 /// A line and who is at its ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeasuredLine {
@@ -42,7 +31,6 @@ pub struct MeasuredLine {
     pub added_s: f64,
 }
 
-/// Loop rates that a line can carry.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LoopRates {
     /// One request of function code 23 a cycle: ten registers read, two written.
@@ -66,8 +54,9 @@ impl MeasuredLine {
     }
 
     pub fn rates(&self) -> LoopRates {
-        let reply = REPLY_BYTES as f64 + 2.0 * READ;
-        let both = self.exchange_s(READ_WRITE_BYTES as f64 + 2.0 * WRITTEN, reply);
+        // Registers of the loops that are reckoned with: ten read, two written (what a drive's cycle needs).
+        let reply = REPLY_BYTES as f64 + 20.0;
+        let both = self.exchange_s(READ_WRITE_BYTES as f64 + 4.0, reply);
         let write = self.exchange_s(WRITE_BYTES as f64 + 8.0, WRITTEN_BYTES as f64);
         LoopRates {
             read_write_hz: both.recip(),
@@ -81,7 +70,6 @@ impl MeasuredLine {
 pub struct LineBudget {
     pub protocol: Protocol,
     pub baud: u32,
-    /// Requests that a cycle takes.
     pub exchanges: usize,
     pub request_bytes: usize,
     pub reply_bytes: usize,
@@ -94,7 +82,6 @@ pub struct LineBudget {
     pub rates: Vec<AdapterRate>,
 }
 
-/// The loop rate behind one kind of adapter.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct AdapterRate {
     pub adapter: &'static str,
@@ -115,7 +102,6 @@ impl LineBudget {
         Some(Self::of_frames(&profile.link, &frames))
     }
 
-    /// The budget of several exchanges, one after the other.
     fn of_frames(settings: &LinkSettings, frames: &[(usize, usize)]) -> Self {
         let with_gaps = settings.protocol != Protocol::Stream;
         let line = LineTiming::serial(settings, settings.baud, with_gaps);
@@ -158,7 +144,8 @@ impl LineBudget {
     pub fn reply_text(&self) -> Option<String> {
         let cycle_ms = self.wire_ms + self.gaps_ms + self.reply_ms;
         let share = 100.0 * self.reply_ms / cycle_ms;
-        if share < REPLY_SHARE_PERCENT {
+        // Share of a cycle from which on the time to answer is explained, %.
+        if share < 15.0 {
             return None;
         }
         let once_ms = self.reply_ms / self.exchanges as f64;
@@ -222,7 +209,6 @@ impl LostReply {
         self.cycle_s + self.deadline_s + self.silence_s + self.again_s
     }
 
-    /// The arithmetic in words.
     pub fn text(&self) -> String {
         format!(
             "a cycle in which one reply is lost takes up to {:.0} ms: {:.0} ms of its own, {:.0} ms until the reply is given up, {:.0} ms of silence \
@@ -265,13 +251,14 @@ fn joint_point(map: &RegisterMap) -> Option<&SetPoint> {
 
 /// Whether one transaction may write it beside what it reads.
 pub(super) fn may_join(map: &RegisterMap, point: &SetPoint) -> bool {
-    let fits = point.location.layout.registers() <= map.max_write.min(JOINT_REGISTERS);
+    // Function code 23 writes up to 121 registers (Modbus Application Protocol 1.1b3, 6.17).
+    let fits = point.location.layout.registers() <= map.max_write.min(121);
     fits && point.is_reference() && !point.keys.readback
 }
 
 /// Position of the block that function code 23 can read: it has holding registers only.
 pub(super) fn joint_block(map: &RegisterMap, fast: &[ReadBlock]) -> Option<usize> {
-    let can = map.functions.contains(&READ_WRITE);
+    let can = map.functions.contains(&23);
     let is_holding = |block: &ReadBlock| block.read.table == RegisterTable::Holding;
     can.then(|| fast.iter().position(is_holding)).flatten()
 }
@@ -335,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn no_profile_promises_a_rate_that_its_own_replies_do_not_allow() {
+    fn no_profile_promises_more_than_its_replies_allow() {
         for name in DriveProfile::names() {
             let mut profile = DriveProfile::named(name).unwrap();
             let Some(fast_hz) = profile.registers.as_ref().map(|map| map.rates.fast_hz) else {
@@ -350,38 +337,27 @@ mod tests {
     /// Strict gap, 0.5 ms drive, 1.2 ms USB.
     #[test]
     fn the_arithmetic_is_that_of_the_table() {
-        for (baud, read_write, two_requests) in [
+        let line = |baud, framing| MeasuredLine {
+            baud,
+            framing,
+            gap_s: standard_gap_s(baud, framing),
+            added_s: 0.5e-3 + 1.2e-3,
+        };
+        for (baud, read_write_hz, two_requests_hz) in [
             (9600, 18.0, 13.0),
             (38_400, 62.0, 39.0),
             (115_200, 113.0, 65.0),
             (921_600, 177.0, 91.0),
         ] {
-            let framing = Framing::EightNoneOne;
-            let budget = MeasuredLine {
-                baud,
-                framing,
-                gap_s: standard_gap_s(baud, framing),
-                added_s: 0.5e-3 + 1.2e-3,
-            };
-            let rates = budget.rates();
-            for (rate_hz, expected_hz) in [
-                (rates.read_write_hz, read_write),
-                (rates.write_then_read_hz, two_requests),
-            ] {
-                assert!((rate_hz - expected_hz).abs() < 1.0, "{baud} {rates:?}");
-            }
+            let rates = line(baud, Framing::EightNoneOne).rates();
+            assert!(
+                (rates.read_write_hz - read_write_hz).abs() < 1.0,
+                "{rates:?}"
+            );
+            assert!((rates.write_then_read_hz - two_requests_hz).abs() < 1.0);
         }
-    }
-
-    #[test]
-    fn parity_costs_a_tenth() {
-        let of = |framing| MeasuredLine {
-            baud: 9600,
-            framing,
-            gap_s: 0.0,
-            added_s: 0.0,
-        };
-        let ratio = of(Framing::EightEvenOne).read_s(10) / of(Framing::EightNoneOne).read_s(10);
-        assert!((ratio - 1.1).abs() < 1e-12);
+        let wire_s = |framing| line(9600, framing).read_s(10) - 1.7e-3;
+        let ratio = wire_s(Framing::EightEvenOne) / wire_s(Framing::EightNoneOne);
+        assert!((ratio - 1.1).abs() < 1e-12, "parity costs a tenth");
     }
 }

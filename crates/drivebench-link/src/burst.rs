@@ -3,25 +3,22 @@
 use firmware_protocol::CaptureSample;
 use firmware_protocol::registers::WINDOW_INDEX;
 
-use super::link_error::LinkError;
+use super::link_error::Result;
 use drivebench_model::sample::{Channel, Origin, Run, RunError};
 
-/// A drive that can record bursts.
 pub trait Burst {
     /// Starts a burst with the next command that the drive applies; what an earlier one recorded is dropped.
-    fn arm(&mut self) -> Result<(), LinkError>;
+    fn arm(&mut self) -> Result<()>;
 
     /// Fetches the burst; `None` while the drive still waits or records. Takes seconds on a slow line: not for the
     /// cycles of a run.
-    fn fetch(&mut self) -> Result<Option<Capture>, LinkError>;
+    fn fetch(&mut self) -> Result<Option<Capture>>;
 }
 
 /// A burst, on the time axis of the link's samples.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Capture {
-    /// Instant of the first sample, s.
     pub first_s: f64,
-    /// Distance of the samples, s.
     pub period_s: f64,
     pub samples: Vec<CaptureSample>,
 }
@@ -32,8 +29,8 @@ impl Capture {
         first_s: f64,
         period_s: f64,
         count: u16,
-        mut block: impl FnMut(u16) -> Result<Vec<CaptureSample>, LinkError>,
-    ) -> Result<Self, LinkError> {
+        mut block: impl FnMut(u16) -> Result<Vec<CaptureSample>>,
+    ) -> Result<Self> {
         let mut samples = Vec::with_capacity(count.into());
         while samples.len() < usize::from(count) {
             let index = u16::try_from(samples.len()).unwrap_or(u16::MAX);
@@ -112,17 +109,15 @@ mod tests {
         assert_eq!(run.rows(), 4);
         assert!((run.time_s()[3] - 2.5003).abs() < 1e-12);
         assert!((run.column(Channel::Current).unwrap()[3] - 3.0).abs() < 1e-12);
-        // The voltage between samples 3 and 4 is what sample 4 says.
+        // The voltage between samples 3 and 4 is that of sample 4.
         assert!((run.column(Channel::Voltage).unwrap()[3] - 14.0).abs() < 1e-12);
         assert!(run.column(Channel::Speed).is_none());
     }
 
     #[test]
     fn a_window_is_read_only_with_the_right_index() {
-        let mut words = vec![80, 2];
-        for k in 0..40 {
-            words.extend(sample(f64::from(k)).to_registers());
-        }
+        let samples = (0..40).flat_map(|k| sample(f64::from(k)).to_registers());
+        let mut words: Vec<u16> = [80, 2].into_iter().chain(samples).collect();
         assert_eq!(words.len(), WINDOW_WORDS);
         let samples = window_samples(80, &words);
         assert_eq!(samples.len(), 2);

@@ -60,6 +60,7 @@ pub use burst::{Burst, Capture};
 pub use command_times::CommandTimes;
 pub use link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, RoundTrips, drive_name};
 pub use link_core::stop_confirmed;
+pub use link_error::Result;
 pub use modbus::{
     Batch, ModbusBus, ModbusLink, RawClient, RawCounters, RawSettings, Read, WriteFunction,
     read_batch,

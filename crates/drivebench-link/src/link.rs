@@ -7,10 +7,11 @@ use serde::Serialize;
 use super::burst::Burst;
 use super::command_times::CommandTimes;
 pub use super::link_error::LinkError;
+pub(crate) use super::link_error::Result;
 use super::transaction::{CutIn, LineCounts};
 use drivebench_model::sample::{Command, Demand, Sample};
 
-/// What the drive says it is.
+/// Identity of a drive, as it reports it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Identity {
     pub vendor: String,
@@ -18,7 +19,7 @@ pub struct Identity {
     pub serial_number: String,
     pub firmware: String,
     pub protocol_version: u16,
-    /// True only where the drive itself says that it is software: everything else counts as hardware.
+    /// True only where the drive reports that it is software: everything else counts as hardware.
     pub is_emulator: bool,
     /// Command silence after which the drive itself stops the motor, s; `None`: no watchdog that we can read.
     pub watchdog_s: Option<f64>,
@@ -28,7 +29,7 @@ pub struct Identity {
 }
 
 impl Identity {
-    /// Serial number, firmware, protocol and kind; what the drive does not tell is said to be so.
+    /// Serial number, firmware, protocol and kind; what is missing is named.
     pub fn plate(&self) -> String {
         let told = |text: &str| {
             let text = text.trim();
@@ -55,7 +56,6 @@ impl Identity {
         drive_name(&self.vendor, &self.product)
     }
 
-    /// The name and the plate.
     pub fn sentence(&self) -> String {
         format!("{}, {}", self.name(), self.plate())
     }
@@ -100,7 +100,7 @@ impl LinkStatistics {
     }
 
     /// Books one request that went out.
-    pub(super) const fn settle<T>(&mut self, result: &Result<T, LinkError>) {
+    pub(super) const fn settle<T>(&mut self, result: &Result<T>) {
         self.sent += 1;
         *match result {
             Ok(_) => &mut self.ok,
@@ -205,7 +205,6 @@ impl RoundTrips {
     }
 }
 
-/// Counts and times of one link.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Tally {
     pub(super) statistics: LinkStatistics,
@@ -214,7 +213,7 @@ pub(super) struct Tally {
 
 impl Tally {
     /// Books one request that went out, under the one class that its end belongs to.
-    pub(super) fn settle<T>(&mut self, result: &Result<T, LinkError>, round_trip_s: f64) {
+    pub(super) fn settle<T>(&mut self, result: &Result<T>, round_trip_s: f64) {
         self.statistics.settle(result);
         if result.is_ok() {
             self.round_trips.add(round_trip_s);
@@ -237,29 +236,29 @@ pub trait DriveLink: Send {
     fn name(&self) -> LinkName;
 
     /// Reads who the drive is and what it limits itself to; checks the protocol version.
-    fn identify(&mut self) -> Result<Identity, LinkError>;
+    fn identify(&mut self) -> Result<Identity>;
 
     /// Sends one command and returns the sample that the drive took after applying it.
-    fn exchange(&mut self, command: Command) -> Result<Sample, LinkError>;
+    fn exchange(&mut self, command: Command) -> Result<Sample>;
 
     /// From now on every exchange, all that keeps the line in step included, ends within this time, s; infinite: as long as
     /// it takes. A stop outside an exchange is not bound.
     fn bound(&mut self, _left_s: f64) {}
 
-    /// Where to say that a stop is wanted: silences, probes and retries of a bounded exchange are then given up at once.
+    /// Where a stop is announced: silences, probes and retries of a bounded exchange are then given up at once.
     fn cut_in(&mut self) -> Option<&mut CutIn> {
         None
     }
 
     /// Asks for zero output and makes sure of it: repeated until confirmed or `attempts` are used up.
-    fn stop(&mut self) -> Result<(), LinkError>;
+    fn stop(&mut self) -> Result<()>;
 
     /// Who is there, by reading only: what `identify` sets up in the drive is left as it is.
-    fn recognise(&mut self) -> Result<Identity, LinkError> {
+    fn recognise(&mut self) -> Result<Identity> {
         self.identify()
     }
 
-    /// What the drive told when it was identified, before anything was asked of it; `None` where it tells its state only in
+    /// The state when it was identified, before any command; `None` where the drive reports its state only in
     /// reply to a command.
     fn found(&self) -> Option<Sample> {
         None
@@ -267,12 +266,12 @@ pub trait DriveLink: Send {
 
     /// With the output off: writes zero to the set-points that can be read back and compares. The words for how that went;
     /// `None`: there are none.
-    fn compare_set_points(&mut self) -> Result<Option<Result<String, String>>, LinkError> {
+    fn compare_set_points(&mut self) -> Result<Option<Result<String, String>>> {
         Ok(None)
     }
 
     /// As `stop`, for a drive that somebody else may have left with a reference: that is set to zero first.
-    fn bring_to_rest(&mut self) -> Result<(), LinkError> {
+    fn bring_to_rest(&mut self) -> Result<()> {
         self.stop()
     }
 
@@ -281,12 +280,12 @@ pub trait DriveLink: Send {
         true
     }
 
-    /// Whether the drive tells that its output is off. Where it does not, an acknowledged stop is not a confirmed one.
+    /// Whether the drive reports that its output is off. Where it does not, an acknowledged stop is not a confirmed one.
     fn confirms_stop(&self) -> bool {
         true
     }
 
-    /// How long it may take to do what it is told: nobody gives up on a good drive before.
+    /// How long it may take to follow a command.
     fn command_times(&self) -> CommandTimes {
         CommandTimes::default()
     }
@@ -314,7 +313,7 @@ pub trait DriveLink: Send {
         None
     }
 
-    /// The demand with which this drive runs at zero: the quantity that it can be told.
+    /// The demand with which this drive runs at zero: the quantity that it can be commanded in.
     fn zero(&self) -> Demand {
         Demand::Voltage(0.0)
     }
@@ -325,26 +324,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_a_drive_does_not_tell_is_said_and_never_left_blank() {
+    fn missing_facts_of_a_drive_are_named() {
         let mut identity = Identity {
             product: "Acme 40".to_owned(),
             is_emulator: true,
             ..Identity::default()
         };
-        assert_eq!(
-            identity.sentence(),
-            "Acme 40, serial not told, firmware not told, emulator"
-        );
+        let sentence = "Acme 40, serial not told, firmware not told, emulator";
+        assert_eq!(identity.sentence(), sentence);
         identity.serial_number = "17".to_owned();
         identity.protocol_version = 3;
-        assert_eq!(
-            identity.plate(),
-            "serial 17, firmware not told, protocol 3, emulator"
-        );
-    }
-
-    #[test]
-    fn the_drive_in_memory_is_named_with_one_colon() {
+        let plate = "serial 17, firmware not told, protocol 3, emulator";
+        assert_eq!(identity.plate(), plate);
+        // The drive in memory is named with one colon.
         let error = LinkError::Refused("sim:".to_owned(), "no".to_owned());
         assert_eq!(error.to_string(), "sim: not sent: no");
     }
@@ -356,62 +348,61 @@ mod tests {
         for k in 1..=1000 {
             trips.add(f64::from(k) * 1e-5);
         }
-        assert!((trips.p50_s().unwrap() / 5e-3 - 1.0).abs() < 0.06);
-        assert!((trips.p99_s().unwrap() / 9.9e-3 - 1.0).abs() < 0.06);
-        assert!((trips.quantile_s(0.0).unwrap() / 1e-5 - 1.0).abs() < 0.06);
+        for (found_s, expected_s) in [
+            (trips.p50_s(), 5e-3),
+            (trips.p99_s(), 9.9e-3),
+            (trips.quantile_s(0.0), 1e-5),
+        ] {
+            assert!((found_s.unwrap() / expected_s - 1.0).abs() < 0.06);
+        }
         assert!((trips.longest_s() - 0.01).abs() < 1e-12);
         let histogram = trips.histogram_us();
         assert_eq!(histogram.iter().map(|(_, count)| count).sum::<u64>(), 1000);
         assert!(histogram.is_sorted_by(|a, b| a.0 < b.0) && histogram[0].0 > 10.0);
-    }
-
-    #[test]
-    fn times_outside_the_range_are_counted_at_its_ends() {
-        let mut trips = RoundTrips::default();
+        // Times outside of the range are counted at its ends.
         trips.add(0.0);
         trips.add(1e9);
-        assert_eq!(trips.count(), 2);
+        assert_eq!(trips.count(), 1002);
         assert!(trips.quantile_s(1.0).unwrap() > 1.0);
     }
 
     #[test]
     fn every_end_has_one_class() {
-        let none = String::new;
+        let (link, request) = (String::new(), String::new());
         let timeout = LinkError::Timeout {
-            link: none(),
+            link: link.clone(),
             deadline_ms: 1,
-            request: none(),
+            request: request.clone(),
         };
         let exception = LinkError::Exception {
-            link: none(),
-            request: none(),
+            link: link.clone(),
+            request,
             code: 2,
             name: "x",
         };
+        let (found, expected) = (2, 1);
         let version = LinkError::Version {
-            link: none(),
-            found: 2,
-            expected: 1,
+            link,
+            found,
+            expected,
         };
-        let ends: [Result<(), LinkError>; 8] = [
+        let of = |class: fn(String, String) -> LinkError| Err(class(String::new(), String::new()));
+        let mut tally = Tally::default();
+        for end in [
             Ok(()),
             Err(timeout),
-            Err(LinkError::Corrupt(none(), none())),
-            Err(LinkError::Stale(none(), none())),
-            Err(LinkError::Mismatch(none(), none())),
+            of(LinkError::Corrupt),
+            of(LinkError::Stale),
+            of(LinkError::Mismatch),
             Err(exception),
-            Err(LinkError::Gone(none(), none())),
+            of(LinkError::Gone),
             Err(version),
-        ];
-        let mut tally = Tally::default();
-        for end in &ends {
-            tally.settle(end, 0.001);
+        ] {
+            tally.settle(&end, 0.001);
             assert!(tally.statistics.balances());
         }
         let s = tally.statistics;
-        assert_eq!(
-            (s.sent, s.ok, s.stale, s.mismatch, s.aborted),
-            (8, 1, 1, 2, 1)
-        );
+        let counts = (s.sent, s.ok, s.stale, s.mismatch, s.aborted);
+        assert_eq!(counts, (8, 1, 1, 2, 1));
     }
 }

@@ -6,8 +6,7 @@ use std::time::Instant;
 
 use firmware_protocol::{DriveCommand, Telemetry};
 
-use super::link::LinkError;
-use super::link::Tally;
+use super::link::{LinkError, Result, Tally};
 use super::register_bus::Span;
 use super::timeline::{self, Timeline};
 use super::timing::LineTiming;
@@ -17,7 +16,6 @@ use drivebench_model::sample::{Command, Demand, DriveState, Sample};
 
 /// Times that a question without effect is asked before it counts as failed.
 pub(super) const READ_ATTEMPTS: usize = 3;
-/// Times that a stop is asked for.
 const STOP_ATTEMPTS: usize = 5;
 
 pub(super) struct LinkCore {
@@ -58,7 +56,6 @@ impl LinkCore {
         }
     }
 
-    /// Host time, s since the epoch.
     pub(super) fn host_s(&self, at: Instant) -> f64 {
         at.saturating_duration_since(self.epoch).as_secs_f64()
     }
@@ -68,7 +65,7 @@ impl LinkCore {
     }
 
     /// An error once the link is gone.
-    pub(super) fn live(&self) -> Result<(), LinkError> {
+    pub(super) fn live(&self) -> Result<()> {
         if self.gone {
             return Err(LinkError::Gone(
                 self.name.clone(),
@@ -105,8 +102,56 @@ impl LinkCore {
     }
 }
 
+/// Methods of [`DriveLink`](super::DriveLink) that the links of our own drive share: over `core`, `stop_once`, and the lengths
+/// of a command and its telemetry.
+macro_rules! own_link {
+    () => {
+        fn name(&self) -> LinkName {
+            LinkName(self.core.name.clone())
+        }
+
+        fn stop(&mut self) -> Result<()> {
+            let (stop, name) = (self.core.stop_command(), self.core.name.clone());
+            let mut is_sent = false;
+            let stopped = stop_confirmed(&name, || {
+                let answer = self.stop_once(stop);
+                is_sent |= !self.core.is_unsent;
+                answer
+            });
+            self.core.is_unsent = !is_sent;
+            stopped
+        }
+
+        fn has_sent_command(&self) -> bool {
+            !self.core.is_unsent
+        }
+
+        fn statistics(&self) -> LinkStatistics {
+            self.core.tally.statistics
+        }
+
+        fn shortest_cycle_s(&self) -> Option<f64> {
+            let timing = &self.core.timing;
+            timing.shortest_cycle_s(COMMAND_BYTES, TELEMETRY_BYTES)
+        }
+
+        fn round_trips(&self) -> Option<&RoundTrips> {
+            Some(&self.core.tally.round_trips)
+        }
+
+        fn bound(&mut self, left_s: f64) {
+            self.core.bound.set(left_s, now());
+        }
+
+        fn burst(&mut self) -> Option<&mut dyn Burst> {
+            (self.core.capture_period_s > 0.0).then_some(self as &mut dyn Burst)
+        }
+    };
+}
+pub(super) use own_link;
+
 /// Asks what has no effect on the drive until an answer comes, or what is no accident of the line.
-pub(super) fn answered<T>(mut ask: impl FnMut() -> Result<T, LinkError>) -> Result<T, LinkError> {
+pub(super) fn answered<T>(mut ask: impl FnMut() -> Result<T>) -> Result<T> {
     let again = (1..READ_ATTEMPTS)
         .map(|_| ask())
         .find(|result| !matches!(result, Err(error) if error.is_transient()));
@@ -114,10 +159,7 @@ pub(super) fn answered<T>(mut ask: impl FnMut() -> Result<T, LinkError>) -> Resu
 }
 
 /// Asks for a stop until the drive says in reply to that very command that it does not run.
-pub fn stop_confirmed(
-    name: &str,
-    mut ask: impl FnMut() -> Result<Sample, LinkError>,
-) -> Result<(), LinkError> {
+pub fn stop_confirmed(name: &str, mut ask: impl FnMut() -> Result<Sample>) -> Result<()> {
     let unstopped = |what: &str| {
         let text = format!("the drive answers, and {what} after {STOP_ATTEMPTS} requests to stop");
         LinkError::Unstopped(name.to_owned(), text)

@@ -62,6 +62,9 @@ pub enum LinkError {
     },
 }
 
+/// What an exchange gave, or why it gave nothing.
+pub type Result<T, E = LinkError> = std::result::Result<T, E>;
+
 /// A link's name before a colon: that of the drive in memory, `sim:`, ends with one.
 fn whom(link: &str) -> &str {
     link.trim_end_matches(':')

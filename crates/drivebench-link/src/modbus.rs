@@ -5,7 +5,7 @@
 //! read:     gap, listen, the steps of proof.rs -> FC03 | 04
 //! ```
 //!
-//! A command is its own proof: its sequence number comes back with the sample. The reply to a plain read says neither
+//! A command is its own proof: its sequence number comes back with the sample. The reply to a plain read shows neither
 //! what was read nor when: only function, unit and length. Windows of a burst carry their own index in front, so no late
 //! window can be taken for another.
 //!
@@ -28,9 +28,8 @@ use tokio_modbus::prelude::ReadCode;
 use tokio_modbus::{Error, ProtocolError, Request, Response, Slave};
 
 use super::burst::{Burst, Capture, WINDOW_ADDRESS, WINDOW_WORDS, window_samples};
-use super::link::RoundTrips;
-use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
-use super::link_core::{Answer, LinkCore, READ_ATTEMPTS, stop_confirmed};
+use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, Result, RoundTrips};
+use super::link_core::{Answer, LinkCore, READ_ATTEMPTS, own_link, stop_confirmed};
 use super::proof::{End, Method, PATIENCE, Policy, Proof, Step};
 use super::register_bus::{
     READ_BYTES, READ_WRITE_BYTES, REPLY_BYTES, ReadRequest, RegisterTable, WRITE_BYTES,
@@ -41,33 +40,22 @@ use super::reply_filter::{Port, ReplyFilter};
 use super::timeline::{identity, identity_error, signed_difference};
 use super::timing::{LineTiming, wait_until};
 use super::transaction::{CutIn, LineCounts, never_silent, out_of_step};
-use super::waiting::Waiting;
-use super::waiting::now;
+use super::waiting::{Waiting, now};
 use drivebench_model::sample::{Command, Sample};
 
 pub use bus::ModbusBus;
 pub use raw::{Batch, RawClient, RawCounters, RawSettings, Read, WriteFunction, read_batch};
 
-/// Probes of one bounded exchange, which has other things to do.
-const MOST_PROBES: usize = 3;
-/// Commands that fail one after the other before the line is given time to fall silent: the first may have been bad luck.
-const FAILURES_BEFORE_SILENCE: u32 = 2;
 /// Where the sequence number stands in the PDU of the reply: behind function, length, and the registers before it; and the
 /// index of a window, which stands first.
 const ECHO_AT: usize = 2 + 2 * (SEQUENCE_ECHO.address - TELEMETRY_ADDRESS) as usize;
-const INDEX_AT: usize = 2;
-/// With less time left nothing is asked any more.
-const SHORTEST_EXCHANGE: Duration = Duration::from_millis(1);
 /// Frames of the device identification, bytes: its request, and the longest reply.
 const NAMES_BYTES: (usize, usize) = (7, 256);
 const NAMES: &str = "the device identification";
-/// State, count and the drive time of the first sample of a burst.
-const BURST_HEAD_WORDS: u16 = 4;
 /// RTU frames of a command and of its reply.
 pub(super) const COMMAND_BYTES: usize = READ_WRITE_BYTES + 2 * COMMAND_WORDS;
 pub(super) const TELEMETRY_BYTES: usize = REPLY_BYTES + 2 * TELEMETRY_WORDS;
 
-/// A drive behind Modbus RTU or TCP.
 pub struct ModbusLink {
     core: LinkCore,
     // The order matters: what uses the runtime that waits goes before it.
@@ -78,7 +66,6 @@ pub struct ModbusLink {
     unit: u8,
     proof: Proof,
     retries: u64,
-    /// Time spent in silences and probes.
     resync: Duration,
     /// Questions that only proved that the line is in step, and how often something had been wrong before them.
     probes: u64,
@@ -116,7 +103,6 @@ impl<'a> Question<'a> {
         }
     }
 
-    /// The question for registers.
     fn read(read: ReadRequest, what: &'a str, allowed: Duration) -> Self {
         let request = match read.table {
             RegisterTable::Holding => Request::ReadHoldingRegisters(read.address, read.count),
@@ -171,7 +157,7 @@ impl ModbusLink {
         table: RegisterTable,
         address: u16,
         count: u16,
-    ) -> Result<Vec<u16>, LinkError> {
+    ) -> Result<Vec<u16>> {
         let read = ReadRequest {
             table,
             address,
@@ -180,11 +166,7 @@ impl ModbusLink {
         Ok(self.read_checked(read, &read.text())?.value)
     }
 
-    fn read_checked(
-        &mut self,
-        read: ReadRequest,
-        what: &str,
-    ) -> Result<Answer<Vec<u16>>, LinkError> {
+    fn read_checked(&mut self, read: ReadRequest, what: &str) -> Result<Answer<Vec<u16>>> {
         let allowed = self.core.timing.allowed(READ_BYTES, read.reply_bytes());
         self.read_with_retries(
             &Question::read(read, what, allowed),
@@ -193,7 +175,7 @@ impl ModbusLink {
     }
 
     /// Writes raw registers, 1 to 123 of them; never repeated by itself.
-    pub fn write_registers(&mut self, address: u16, values: &[u16]) -> Result<(), LinkError> {
+    pub fn write_registers(&mut self, address: u16, values: &[u16]) -> Result<()> {
         let what = format!("write {} at {address}", registers(values.len()));
         let request = Request::WriteMultipleRegisters(address, Cow::Borrowed(values));
         let bytes = WRITE_BYTES + 2 * values.len();
@@ -203,7 +185,7 @@ impl ModbusLink {
     }
 
     /// One command on the wire. Only a reply that carries its number is its sample.
-    fn command(&mut self, command: Command) -> Result<Sample, LinkError> {
+    fn command(&mut self, command: Command) -> Result<Sample> {
         let travels = self.core.command(command);
         self.filter.expect(Echo {
             at: ECHO_AT,
@@ -230,7 +212,7 @@ impl ModbusLink {
     }
 
     /// Reads the drive's clock: raw, us, and on the time axis of the samples, s.
-    fn note_clock(&mut self) -> Result<(u32, f64), LinkError> {
+    fn note_clock(&mut self) -> Result<(u32, f64)> {
         let read = telemetry_request();
         let allowed = self.core.timing.allowed(READ_BYTES, read.reply_bytes());
         let question = Question::read(read, "the telemetry", allowed);
@@ -239,8 +221,7 @@ impl ModbusLink {
         Ok((time_us, self.core.timeline.note(time_us, answer.span)))
     }
 
-    /// One window of captured samples.
-    fn window(&mut self, index: u16) -> Result<Vec<u16>, LinkError> {
+    fn window(&mut self, index: u16) -> Result<Vec<u16>> {
         let sent = [index];
         let bytes = (READ_WRITE_BYTES + 2, REPLY_BYTES + 2 * WINDOW_WORDS);
         let allowed = self.core.timing.unhurried(bytes.0, bytes.1);
@@ -254,7 +235,7 @@ impl ModbusLink {
         self.with_retries(|link| {
             link.listen()?;
             link.filter.expect(Echo {
-                at: INDEX_AT,
+                at: 2,
                 bytes: index.to_be_bytes(),
             });
             let answer = link.call(question.clone().numbered(), words(WINDOW_WORDS))?;
@@ -262,12 +243,12 @@ impl ModbusLink {
         })
     }
 
-    /// A question without effect on the drive may be asked again.
+    /// A question without effect on the drive may be repeated.
     fn read_with_retries<T>(
         &mut self,
         question: &Question<'_>,
         check: impl Fn(Response) -> Result<T, String>,
-    ) -> Result<Answer<T>, LinkError> {
+    ) -> Result<Answer<T>> {
         self.with_retries(|link| link.ask(question.clone(), &check))
     }
 
@@ -276,16 +257,13 @@ impl ModbusLink {
         &mut self,
         question: Question<'_>,
         check: impl FnOnce(Response) -> Result<T, String>,
-    ) -> Result<Answer<T>, LinkError> {
+    ) -> Result<Answer<T>> {
         self.in_step(&question.pdu)?;
         self.call(question, check)
     }
 
-    /// Within the time of the exchange, and of nobody who wants a stop.
-    fn with_retries<T>(
-        &mut self,
-        mut ask: impl FnMut(&mut Self) -> Result<T, LinkError>,
-    ) -> Result<T, LinkError> {
+    /// Until the bound of the exchange is over.
+    fn with_retries<T>(&mut self, mut ask: impl FnMut(&mut Self) -> Result<T>) -> Result<T> {
         let mut attempt = 1;
         loop {
             match ask(self) {
@@ -304,8 +282,8 @@ impl ModbusLink {
         may
     }
 
-    /// Waits out the gap before a request and looks at what came meanwhile: nobody asked for it.
-    fn listen(&mut self) -> Result<(), LinkError> {
+    /// Waits out the gap before a request and looks at what came meanwhile: it answers nothing.
+    fn listen(&mut self) -> Result<()> {
         self.core.live()?;
         let last = self.filter.inner().reception.last_activity;
         wait_until(last + self.core.timing.gap());
@@ -314,7 +292,7 @@ impl ModbusLink {
     }
 
     /// What came while nothing was outstanding.
-    fn judge(&mut self, strays: std::io::Result<usize>) -> Result<usize, LinkError> {
+    fn judge(&mut self, strays: std::io::Result<usize>) -> Result<usize> {
         let count = strays.map_err(|error| self.lost(&error))?;
         if count > 0 {
             let old = self.filter.inner().reception.take_old_replies();
@@ -324,7 +302,7 @@ impl ModbusLink {
     }
 
     /// Silence up to this instant, or until something comes (false); an error where the exchange must not take so long.
-    fn keep_silent(&mut self, until: Instant) -> Result<bool, LinkError> {
+    fn keep_silent(&mut self, until: Instant) -> Result<bool> {
         loop {
             let now = now();
             if now >= until {
@@ -343,20 +321,21 @@ impl ModbusLink {
 
     /// Carries out what has to be done before this request: whatever comes next is then no reply to something older. In a
     /// bounded exchange a few probes are asked, and the next exchange goes on from there.
-    fn in_step(&mut self, pdu: &[u8]) -> Result<(), LinkError> {
+    fn in_step(&mut self, pdu: &[u8]) -> Result<()> {
         let begun = now();
         let result = self.carry_out(pdu);
         self.resync += now().saturating_duration_since(begun);
         result
     }
 
-    fn carry_out(&mut self, pdu: &[u8]) -> Result<(), LinkError> {
+    fn carry_out(&mut self, pdu: &[u8]) -> Result<()> {
         self.listen()?;
         let (mut probes, mut begun) = (0, false);
         let mut failed = None;
         loop {
             let is_late = |bound: &super::transaction::Bound| {
-                bound.is_set() && (probes == MOST_PROBES || bound.is_over(now()))
+                // Probes of one bounded exchange, which has other things to do.
+                bound.is_set() && (probes == 3 || bound.is_over(now()))
             };
             match self.proof.next(pdu, now()) {
                 Step::Go => return Ok(()),
@@ -384,7 +363,7 @@ impl ModbusLink {
     }
 
     /// One probe. The filter compares all its bytes.
-    fn probe(&mut self, pdu: [u8; 5]) -> Result<(), LinkError> {
+    fn probe(&mut self, pdu: [u8; 5]) -> Result<()> {
         let [function, data @ ..] = pdu;
         let [a, b, c, d] = data;
         let (address, count) = (u16::from_be_bytes([a, b]), u16::from_be_bytes([c, d]));
@@ -408,10 +387,11 @@ impl ModbusLink {
         &mut self,
         question: Question<'_>,
         check: impl FnOnce(Response) -> Result<T, String>,
-    ) -> Result<Answer<T>, LinkError> {
+    ) -> Result<Answer<T>> {
         let sent = now();
         let deadline = self.core.bound.earlier(sent + question.allowed);
-        if deadline < sent + SHORTEST_EXCHANGE {
+        // With less time left no request goes out.
+        if deadline < sent + Duration::from_millis(1) {
             return Err(self.unproven());
         }
         // What came before the request has been judged.
@@ -532,14 +512,19 @@ impl ModbusLink {
             ..self.filter.inner().reception.line
         }
     }
+
+    /// Goes out at once even on a suspect line: the echo of its own sequence number proves that it was applied.
+    fn stop_once(&mut self, stop: Command) -> Result<Sample> {
+        self.core.is_unsent = true;
+        self.listen()?;
+        self.command(stop)
+    }
 }
 
 impl DriveLink for ModbusLink {
-    fn name(&self) -> LinkName {
-        LinkName(self.core.name.clone())
-    }
+    own_link!();
 
-    fn identify(&mut self) -> Result<Identity, LinkError> {
+    fn identify(&mut self) -> Result<Identity> {
         let read = ReadRequest::holding(IDENTITY_ADDRESS, quantity(IDENTITY_WORDS));
         let block = self.read_checked(read, &read.text())?.value;
         let block = block
@@ -568,10 +553,11 @@ impl DriveLink for ModbusLink {
         Ok(identity)
     }
 
-    fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
+    fn exchange(&mut self, command: Command) -> Result<Sample> {
         self.core.is_unsent = true;
         self.listen()?;
-        let waits = self.failed_in_a_row >= FAILURES_BEFORE_SILENCE && self.kind == FrameKind::Rtu;
+        // Commands that fail one after the other before the line is given time to fall silent: the first may have been bad luck.
+        let waits = self.failed_in_a_row >= 2 && self.kind == FrameKind::Rtu;
         // A stop goes out at once, also where the line is never silent.
         if waits && command.demand.energises() {
             let quiet = self.core.timing.quiet();
@@ -585,69 +571,30 @@ impl DriveLink for ModbusLink {
         self.command(command)
     }
 
-    /// Goes out at once even on a suspect line: the echo of its own sequence number proves that it was applied.
-    fn stop(&mut self) -> Result<(), LinkError> {
-        let (stop, name) = (self.core.stop_command(), self.core.name.clone());
-        let mut is_sent = false;
-        let stopped = stop_confirmed(&name, || {
-            self.core.is_unsent = true;
-            self.listen()?;
-            let answer = self.command(stop);
-            is_sent |= !self.core.is_unsent;
-            answer
-        });
-        self.core.is_unsent = !is_sent;
-        stopped
-    }
-
-    fn has_sent_command(&self) -> bool {
-        !self.core.is_unsent
-    }
-
     fn close(&mut self) {
         self.core.gone = true;
         self.filter.close();
-    }
-
-    fn statistics(&self) -> LinkStatistics {
-        self.core.tally.statistics
-    }
-
-    fn shortest_cycle_s(&self) -> Option<f64> {
-        let timing = &self.core.timing;
-        timing.shortest_cycle_s(COMMAND_BYTES, TELEMETRY_BYTES)
-    }
-
-    fn round_trips(&self) -> Option<&RoundTrips> {
-        Some(&self.core.tally.round_trips)
     }
 
     fn line(&self) -> Option<LineCounts> {
         Some(self.line_counts())
     }
 
-    fn bound(&mut self, left_s: f64) {
-        self.core.bound.set(left_s, now());
-    }
-
     fn cut_in(&mut self) -> Option<&mut CutIn> {
         Some(&mut self.core.bound.cut_in)
-    }
-
-    fn burst(&mut self) -> Option<&mut dyn Burst> {
-        (self.core.capture_period_s > 0.0).then_some(self as &mut dyn Burst)
     }
 }
 
 /// Over the registers a burst is armed by one write and read back window by window.
 impl Burst for ModbusLink {
-    fn arm(&mut self) -> Result<(), LinkError> {
+    fn arm(&mut self) -> Result<()> {
         self.write_registers(CAPTURE_CONTROL.address, &[CaptureControl::Arm.code()])
     }
 
-    fn fetch(&mut self) -> Result<Option<Capture>, LinkError> {
+    fn fetch(&mut self) -> Result<Option<Capture>> {
         let table = RegisterTable::Holding;
-        let head = self.read_registers(table, CAPTURE_STATE.address, BURST_HEAD_WORDS)?;
+        // State, count and the drive time of the first sample of a burst.
+        let head = self.read_registers(table, CAPTURE_STATE.address, 4)?;
         let [state, count, high, low] = head[..] else {
             return Err(self.mismatch(format!("{} registers of a capture", head.len())));
         };

@@ -5,7 +5,6 @@ use super::register_map::{DeviceKind, Quantity, RegisterMap, Signal, Supervision
 use super::settings::Trust;
 use drivebench_model::sample::{Channel, Origin};
 
-/// What somebody wants to do with a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
     /// A sequence of armature voltages, from which every parameter may follow.
@@ -50,20 +49,18 @@ pub fn carried(profile: &DriveProfile) -> Vec<(Channel, String)> {
 
 fn stands_for(signal: &Signal) -> String {
     let keys = &signal.keys;
-    let mut parts = vec![keys.origin.unwrap_or_default().name().to_owned()];
-    parts.push(
-        if signal.is_signed() {
-            "signed"
-        } else {
-            "no sign"
-        }
-        .to_owned(),
-    );
+    let sign = if signal.is_signed() {
+        "signed"
+    } else {
+        "no sign"
+    };
+    let origin = keys.origin.unwrap_or_default().name();
+    let mut parts = vec![origin.to_owned(), sign.to_owned()];
     if let Some(side) = keys.side {
         parts.push(format!("{} side", side.name()));
     }
     if let Some(basis) = keys.basis {
-        parts.push(basis.name());
+        parts.push(basis.name().to_owned());
     }
     if let Some(pairs) = keys.pole_pairs {
         parts.push(format!("by {pairs} pole pairs"));
@@ -238,15 +235,9 @@ mod tests {
     }
 
     #[test]
-    fn our_own_drive_carries_everything() {
-        for purpose in [Purpose::Voltages, Purpose::SpeedLoop, Purpose::Mechanics] {
-            assert_eq!(refused("own", purpose), None);
-        }
-    }
-
-    #[test]
-    fn a_frequency_converter_carries_nothing_and_says_why() {
-        for name in [
+    fn each_drive_carries_what_its_signals_allow() {
+        use Purpose::{Mechanics, SpeedLoop, Voltages};
+        let converters = [
             "siemens-v20",
             "delta-ms300",
             "schneider-atv312",
@@ -254,67 +245,48 @@ mod tests {
             "vacon10",
             "yaskawa-a1000",
             "abb-efb",
-        ] {
+        ];
+        for name in converters {
             let voltages = refused(name, Purpose::Voltages).unwrap();
             assert!(voltages.contains("takes no armature voltage"), "{voltages}");
             let mechanics = refused(name, Purpose::Mechanics).unwrap();
             assert!(mechanics.contains("speed of the shaft"), "{mechanics}");
             assert!(refused(name, Purpose::SpeedLoop).is_some(), "{name}");
         }
-        let percent = refused("siemens-v20", Purpose::SpeedLoop).unwrap();
-        assert!(percent.contains("speed_ref is in %"), "{percent}");
-    }
-
-    #[test]
-    fn what_has_a_shaft_and_a_sign_is_offered() {
-        for (name, purpose, said) in [
-            ("epulse50-dc", Purpose::SpeedLoop, None),
-            ("epulse50-dc", Purpose::Mechanics, None),
-            ("abb-dcs-gateway", Purpose::SpeedLoop, None),
-            ("roboteq-dc", Purpose::Mechanics, None),
-            (
-                "roboteq-dc",
-                Purpose::Voltages,
-                Some("share of its supply voltage"),
-            ),
-            (
-                "abb-dcs-gateway",
-                Purpose::Mechanics,
-                Some("gateway does not map"),
-            ),
+        for (name, purpose, reason) in [
+            ("own", Voltages, None),
+            ("own", SpeedLoop, None),
+            ("own", Mechanics, None),
+            ("siemens-v20", SpeedLoop, Some("speed_ref is in %")),
+            ("epulse50-dc", SpeedLoop, None),
+            ("epulse50-dc", Mechanics, None),
+            ("abb-dcs-gateway", SpeedLoop, None),
+            ("roboteq-dc", Mechanics, None),
+            ("roboteq-dc", Voltages, Some("share of its supply voltage")),
+            ("abb-dcs-gateway", Mechanics, Some("gateway does not map")),
         ] {
             let refused = refused(name, purpose);
-            let is_right = match (&refused, said) {
-                (Some(refused), Some(said)) => refused.contains(said),
-                (refused, said) => refused.is_none() && said.is_none(),
+            let is_right = match (&refused, reason) {
+                (Some(refused), Some(reason)) => refused.contains(reason),
+                (refused, reason) => refused.is_none() && reason.is_none(),
             };
             assert!(is_right, "{name} {purpose:?}: {refused:?}");
         }
     }
 
     #[test]
-    fn each_channel_says_what_its_number_stands_for() {
+    fn each_channel_has_origin_sign_side_and_delays() {
         let text = DriveProfile::text("epulse50-dc").unwrap().replacen(
             "side = \"terminal\"",
             "side = \"terminal\"\nbasis = \"rms\"\nfilter_ms = 12.0\nupdate_ms = 2.5",
             1,
         );
         let profile = DriveProfile::parse("epulse50-dc", &text).unwrap();
-        let told = carried(&profile);
-        assert_eq!(
-            told,
-            [
-                (
-                    Channel::Current,
-                    "measured, signed, terminal side, rms, filter 12 ms, update 2.5 ms (current)"
-                        .to_owned()
-                ),
-                (
-                    Channel::Speed,
-                    "measured, signed, filter not told, update not told (speed)".to_owned()
-                ),
-            ]
-        );
+        let current = "measured, signed, terminal side, rms, filter 12 ms, update 2.5 ms (current)";
+        let speed = "measured, signed, filter not told, update not told (speed)";
+        let expected = [(Channel::Current, current), (Channel::Speed, speed)];
+        let expected = expected.map(|(channel, text)| (channel, text.to_owned()));
+        assert_eq!(carried(&profile), expected);
         assert_eq!(carried(&DriveProfile::named("own").unwrap()), []);
     }
 

@@ -1,15 +1,14 @@
 //! From `PATH` or `tcp:HOST:PORT` and a profile to a link.
 
-use std::fmt;
-use std::io;
 use std::str::FromStr;
 use std::sync::Arc;
 use std::time::Instant;
+use std::{fmt, io};
 
 use thiserror::Error;
 use tokio::runtime::Builder;
 
-use super::link::{DriveLink, LinkError};
+use super::link::{DriveLink, LinkError, Result};
 use super::modbus::{ModbusBus, ModbusLink};
 use super::port::{TimedPort, connect, serial, serial_error};
 use super::profile::DriveProfile;
@@ -109,11 +108,7 @@ impl fmt::Display for Target {
 ///
 /// # Errors
 /// The port or peer cannot be opened. Nothing is sent yet.
-pub fn open(
-    target: &Target,
-    profile: &DriveProfile,
-    epoch: Instant,
-) -> Result<Box<dyn DriveLink>, LinkError> {
+pub fn open(target: &Target, profile: &DriveProfile, epoch: Instant) -> Result<Box<dyn DriveLink>> {
     open_tapped(target, profile, epoch, None)
 }
 
@@ -123,7 +118,7 @@ pub fn open_tapped(
     profile: &DriveProfile,
     epoch: Instant,
     tap: Option<&TapFile>,
-) -> Result<Box<dyn DriveLink>, LinkError> {
+) -> Result<Box<dyn DriveLink>> {
     if profile.registers.is_none() && profile.link.protocol == Protocol::Stream {
         return Ok(Box::new(open_stream(target, profile, epoch, tap)?));
     }
@@ -147,7 +142,7 @@ pub fn open_modbus(
     profile: &DriveProfile,
     epoch: Instant,
     tap: Option<&TapFile>,
-) -> Result<ModbusLink, LinkError> {
+) -> Result<ModbusLink> {
     open_line(target, &profile.link, epoch, tap)
 }
 
@@ -157,7 +152,7 @@ pub(super) fn open_line(
     settings: &LinkSettings,
     epoch: Instant,
     tap: Option<&TapFile>,
-) -> Result<ModbusLink, LinkError> {
+) -> Result<ModbusLink> {
     let name = target.to_string();
     let cannot = |error: io::Error| LinkError::Open(target.to_string(), error.to_string());
     let runtime = Builder::new_current_thread().enable_all().build();
@@ -212,7 +207,7 @@ pub fn open_stream(
     profile: &DriveProfile,
     epoch: Instant,
     tap: Option<&TapFile>,
-) -> Result<StreamLink, LinkError> {
+) -> Result<StreamLink> {
     let name = target.to_string();
     let settings = &profile.link;
     let (port, timing): (Box<dyn TimedPort>, _) = match target {

@@ -1,25 +1,21 @@
-//! A drive that says that it is busy is asked less often until it answers again. Pure: host time goes in.
+//! A busy drive is polled less often until it answers again. Pure: host time goes in.
 
-use super::link::LinkError;
+use super::link::{LinkError, Result};
 use super::reopen::Backoff;
 
-/// Shortest and longest pause, s: all of them are shorter than the silence that ends a run.
-const FIRST_PAUSE_S: f64 = 0.005;
-const LONGEST_PAUSE_S: f64 = 0.08;
-
-/// Exceptions with which a device says that it cannot answer now: failure, acknowledge, busy, and those of a gateway
+/// Exceptions of a device that cannot answer now: failure, acknowledge, busy, and those of a gateway
 /// (Modbus Application Protocol 1.1b3, 7).
 pub(super) const fn is_busy(code: u8) -> bool {
     matches!(code, 0x04..=0x06 | 0x0A | 0x0B)
 }
 
-/// What the drive said last, and until when it is left alone.
+/// The last refusal, and until when the drive is not polled.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Patience(Option<(Backoff, f64, LinkError)>);
 
 impl Patience {
-    /// Whether it may be asked at `now_s`; else what it said.
-    pub(super) fn check(&self, now_s: f64) -> Result<(), LinkError> {
+    /// Whether it may be polled at `now_s`; else the last refusal.
+    pub(super) fn check(&self, now_s: f64) -> Result<()> {
         match &self.0 {
             Some((_, until_s, said)) if now_s < *until_s => Err(said.clone()),
             _ => Ok(()),
@@ -27,11 +23,12 @@ impl Patience {
     }
 
     /// What came of a question that ended at `now_s`.
-    pub(super) fn note<T>(&mut self, now_s: f64, result: &Result<T, LinkError>) {
+    pub(super) fn note<T>(&mut self, now_s: f64, result: &Result<T>) {
         match result {
             Err(error @ LinkError::Exception { code, .. }) if is_busy(*code) => {
                 let seed = u64::from(*code);
-                let fresh = || Backoff::between(FIRST_PAUSE_S, LONGEST_PAUSE_S, seed);
+                // Shortest and longest pause, s: all of them are shorter than the silence that ends a run.
+                let fresh = || Backoff::between(0.005, 0.08, seed);
                 let mut backoff = self.0.take().map_or_else(fresh, |(backoff, ..)| backoff);
                 let until_s = now_s + backoff.pause_s();
                 self.0 = Some((backoff, until_s, error.clone()));
@@ -46,7 +43,7 @@ impl Patience {
 mod tests {
     use super::*;
 
-    fn refused(code: u8) -> Result<(), LinkError> {
+    fn refused(code: u8) -> Result<()> {
         Err(LinkError::Exception {
             link: "x".to_owned(),
             request: "read".to_owned(),

@@ -8,12 +8,10 @@ use std::time::Duration;
 
 use serialport::{DataBits, FlowControl, Parity, SerialPort, SerialPortBuilder, StopBits};
 
-use super::link::LinkError;
+use super::link::{LinkError, Result};
 use super::serial_ports::holder_names;
 use super::settings::Framing;
 
-/// How long a peer on the network may take to accept.
-const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
 /// Shorter waits are not asked of the system.
 const SHORTEST_WAIT: Duration = Duration::from_micros(1);
 
@@ -32,11 +30,12 @@ pub(super) fn serial(path: &str, baud: u32, framing: Framing) -> SerialPortBuild
         .flow_control(FlowControl::None)
 }
 
-pub(super) fn connect(name: &str, host: &str, port: u16) -> Result<TcpStream, LinkError> {
+pub(super) fn connect(name: &str, host: &str, port: u16) -> Result<TcpStream> {
     let open = |error: io::Error| LinkError::Open(name.to_owned(), error.to_string());
     let mut last = io::Error::new(ErrorKind::NotFound, "the host has no address");
     for address in (host, port).to_socket_addrs().map_err(open)? {
-        match TcpStream::connect_timeout(&address, CONNECT_TIMEOUT) {
+        // How long a peer on the network may take to accept.
+        match TcpStream::connect_timeout(&address, Duration::from_secs(3)) {
             Ok(stream) => {
                 // A request is one small segment: it must not wait for the next.
                 stream.set_nodelay(true).map_err(open)?;
@@ -48,7 +47,7 @@ pub(super) fn connect(name: &str, host: &str, port: u16) -> Result<TcpStream, Li
     Err(open(last))
 }
 
-/// Says in words why a serial port cannot be opened.
+/// The reason why a serial port cannot be opened.
 pub(super) fn serial_error(path: &str, error: &serialport::Error) -> LinkError {
     let reason = match error.kind() {
         serialport::ErrorKind::Io(kind) => {
@@ -63,7 +62,7 @@ pub(super) fn serial_error(path: &str, error: &serialport::Error) -> LinkError {
     LinkError::Open(path.to_owned(), reason)
 }
 
-/// Says in words why a device file cannot be opened: what is there instead, or which group it belongs to.
+/// The reason why a device file cannot be opened: what is there instead, or which group it belongs to.
 pub(super) fn open_error(path: &str, error: &io::Error) -> LinkError {
     let reason = match error.kind() {
         ErrorKind::NotFound => {
@@ -96,7 +95,6 @@ fn owning_group(path: &str) -> Option<String> {
     })
 }
 
-/// A port that is waited on.
 pub(super) trait TimedPort: Send {
     /// Reads what is there within `timeout`; 0: nothing came. An error: the port is gone.
     fn read_within(&mut self, bytes: &mut [u8], timeout: Duration) -> io::Result<usize>;
@@ -129,7 +127,6 @@ impl TimedPort for TcpStream {
     }
 }
 
-/// A port that was let go.
 pub(super) struct Closed;
 
 impl TimedPort for Closed {

@@ -20,7 +20,6 @@ macro_rules! embedded {
     };
 }
 
-/// The profiles that are built in: name and text.
 const EMBEDDED: [(&str, &str); 13] = [
     embedded!("own"),
     embedded!("own-stream"),
@@ -42,7 +41,6 @@ const EMBEDDED: [(&str, &str); 13] = [
 #[serde(deny_unknown_fields)]
 pub struct DriveProfile {
     pub name: String,
-    /// Where the numbers come from.
     pub source: String,
     pub trust: Trust,
     pub link: LinkSettings,
@@ -58,7 +56,7 @@ pub struct DriveProfile {
     pub registers: Option<Arc<RegisterMap>>,
 }
 
-/// What the drive can be told.
+/// Commands that the drive takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Capabilities {
@@ -136,7 +134,6 @@ pub enum ProfileError {
 }
 
 impl ProfileError {
-    /// The next step.
     pub fn help(&self) -> String {
         match self {
             Self::Unknown { name } => help_for_unknown(name, EMBEDDED.map(|(name, _)| name)),
@@ -151,7 +148,6 @@ impl DriveProfile {
         Self::parse(&format!("{name}.toml"), Self::text(name)?)
     }
 
-    /// The file of a built-in profile.
     pub fn text(name: &str) -> Result<&'static str, ProfileError> {
         EMBEDDED
             .into_iter()
@@ -162,7 +158,6 @@ impl DriveProfile {
             })
     }
 
-    /// Names of the built-in profiles.
     pub fn names() -> impl Iterator<Item = &'static str> {
         EMBEDDED.into_iter().map(|(name, _)| name)
     }

@@ -7,6 +7,16 @@
 //!
 //! Enabling is never repeated by itself: after a fault, a stop or a failed step somebody has to ask for zero first.
 
+/// Bus and readings beside the points.
+macro_rules! far_end {
+    ($link:ident) => {
+        crate::profiled::points::FarEnd {
+            bus: &mut $link.bus,
+            readings: &$link.readings,
+        }
+    };
+}
+
 mod points;
 mod readings;
 mod sequence;
@@ -19,8 +29,7 @@ use self::readings::{Clock, Readings};
 use self::sequence::{Next, Sequence};
 use super::budget::cycle_frames;
 use super::command_times::CommandTimes;
-use super::link::RoundTrips;
-use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
+use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, Result, RoundTrips};
 use super::patience::Patience;
 use super::register_bus::{RegisterBus, Span};
 use super::register_map::{IdentityCheck, Quantity, RegisterMap, Step, Write};
@@ -28,13 +37,6 @@ use super::settings::KickedBy;
 use super::transaction::{CutIn, LineCounts};
 use drivebench_model::sample::{Applied, Command, Demand, DriveState, Sample};
 
-/// Set-points that read back otherwise so often in a row are ignored by the drive.
-const MISMATCHES: u32 = 3;
-/// A drive that refuses a step of its enable command for so long, because it is busy, will not take it, s: less than what a
-/// session waits beyond the steps, so that the refusal is what is told.
-const REFUSALS_S: f64 = 0.5;
-
-/// What the link is about.
 #[derive(Clone, Debug, PartialEq)]
 enum Mode {
     Off,
@@ -129,11 +131,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
 
     /// One exchange that enables the drive and holds a set-point, named and in units of the profile: for those that the
     /// bench cannot command in SI, such as an output frequency. `None`: enable only.
-    pub fn run_at(
-        &mut self,
-        reference: Option<(&str, f64)>,
-        seq: u64,
-    ) -> Result<Sample, LinkError> {
+    pub fn run_at(&mut self, reference: Option<(&str, f64)>, seq: u64) -> Result<Sample> {
         if let Some((name, _)) = reference
             && self.map.set_point(name).is_none()
         {
@@ -142,8 +140,8 @@ impl<B: RegisterBus> ProfiledLink<B> {
         self.cycle(&Wanted::Run(reference), seq)
     }
 
-    /// A drive that is busy keeps what it was told last, and is asked again after a pause; a stop does not wait.
-    fn cycle(&mut self, wanted: &Wanted<'_>, seq: u64) -> Result<Sample, LinkError> {
+    /// A drive that is busy keeps its last command, and is polled again after a pause; a stop does not wait.
+    fn cycle(&mut self, wanted: &Wanted<'_>, seq: u64) -> Result<Sample> {
         // A drive that does not run yet, or any more, holds zero and nothing else.
         self.is_unsent = matches!(wanted, Wanted::Run(Some((_, value))) if self.mode == Mode::On || *value != 0.0);
         if matches!(wanted, Wanted::Run(_)) {
@@ -152,14 +150,14 @@ impl<B: RegisterBus> ProfiledLink<B> {
         self.points.has_written = false;
         let result = self.exchanges(wanted, seq);
         if !matches!(wanted, Wanted::Run(_)) {
-            // A drive that is at rest already is told nothing more.
+            // A drive at rest already gets no further write.
             self.is_unsent = !was_sent(&result) && !self.points.has_written;
         }
         self.patience.note(self.bus.now_s(), &result);
         result
     }
 
-    fn exchanges(&mut self, wanted: &Wanted<'_>, seq: u64) -> Result<Sample, LinkError> {
+    fn exchanges(&mut self, wanted: &Wanted<'_>, seq: u64) -> Result<Sample> {
         let began_s = self.bus.now_s();
         let was_off = self.mode == Mode::Off;
         let period_s = self.last_exchange_s.map_or(0.0, |last_s| began_s - last_s);
@@ -180,8 +178,8 @@ impl<B: RegisterBus> ProfiledLink<B> {
             self.points.carried = None;
             self.points.may_join(self.readings.joinable().is_some());
             if let Wanted::Run(Some((name, value))) = wanted {
-                let (points, readings) = (&mut self.points, &self.readings);
-                let put = points.put(&mut self.bus, readings, name, *value);
+                let points = &mut self.points;
+                let put = points.put(&mut far_end!(self), name, *value);
                 self.is_unsent = !was_sent(&put);
                 let is_taken = put.is_ok() && points.mismatches() == 0;
                 put_s = is_taken.then(|| (self.bus.now_s(), points.carried));
@@ -279,7 +277,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
     }
 
     /// Ends a run: the drive gets its stop, and zero has to be asked for before the next.
-    fn give_up(&mut self) -> Result<(), LinkError> {
+    fn give_up(&mut self) -> Result<()> {
         self.latched = true;
         self.begin_stop();
         self.advance()
@@ -309,7 +307,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
     }
 
     /// Silence that was longer than the drive's watchdog: an old set-point must not come back with the next write.
-    fn lapse(&mut self, now_s: f64) -> Result<(), LinkError> {
+    fn lapse(&mut self, now_s: f64) -> Result<()> {
         let silence_s = now_s - self.kicked_s;
         let Some(watchdog_s) = self.watchdog_s.filter(|limit_s| silence_s > *limit_s) else {
             return Ok(());
@@ -341,7 +339,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
             (_, Mode::On | Mode::Enabling(_)) => self.begin_stop(),
             (_, Mode::Off) => {
                 self.latched = false;
-                let runs = self.told("running") == Some(true);
+                let runs = self.reported("running") == Some(true);
                 if runs {
                     self.begin_stop();
                 } else if first_reset || (is_reset && self.state() == DriveState::Fault) {
@@ -389,21 +387,21 @@ impl<B: RegisterBus> ProfiledLink<B> {
     }
 
     /// Carries the command under way as far as it goes now.
-    fn advance(&mut self) -> Result<(), LinkError> {
+    fn advance(&mut self) -> Result<()> {
         self.points.is_urgent = matches!(self.mode, Mode::Stopping(_));
-        let Some((next, sequence, unheard)) = self.go_on()? else {
+        let Some((next, sequence, unacknowledged)) = self.go_on()? else {
             return Ok(());
         };
         match next {
             // What was not acknowledged goes out again before the stop is over.
-            Next::Done if sequence.is_unheard() => {}
+            Next::Done if sequence.is_unacknowledged() => {}
             Next::Done => {
                 self.mode = match &self.mode {
                     Mode::Enabling(_) => {
                         self.unseen_since_s = Some(self.bus.now_s());
                         Mode::On
                     }
-                    // Nothing tells that it stopped but the words that it did not take.
+                    // Only the refused writes show that it did not stop.
                     Mode::Stopping(_)
                         if sequence.is_denied && !self.confirms_stop() && !self.is_in_fault() =>
                     {
@@ -415,11 +413,11 @@ impl<B: RegisterBus> ProfiledLink<B> {
             Next::Failed { step, reason } => return Err(self.failed(&sequence, step, reason)),
             Next::Wait | Next::Write(_) => {}
         }
-        unheard.map_or(Ok(()), Err)
+        unacknowledged.map_or(Ok(()), Err)
     }
 
     /// The same without its end: what is next, where the command is, and the first write of a stop that was not acknowledged.
-    fn go_on(&mut self) -> Result<Option<(Next, Sequence, Option<LinkError>)>, LinkError> {
+    fn go_on(&mut self) -> Result<Option<(Next, Sequence, Option<LinkError>)>> {
         let mode = self.mode.clone();
         let (Mode::Enabling(mut sequence)
         | Mode::Stopping(mut sequence)
@@ -430,14 +428,14 @@ impl<B: RegisterBus> ProfiledLink<B> {
         if self.points.is_urgent {
             let descended = self.descend(&mut sequence);
             self.mode = Mode::Stopping(sequence.clone());
-            let (next, unheard) = descended?;
-            return Ok(Some((next, sequence, unheard)));
+            let (next, unacknowledged) = descended?;
+            return Ok(Some((next, sequence, unacknowledged)));
         }
         loop {
             let readings = &self.readings;
             let next = sequence.next(self.bus.now_s(), |name| readings.status(name));
             let written = match &next {
-                Next::Write(write) => self.points.carry(&mut self.bus, &self.readings, write),
+                Next::Write(write) => self.points.carry(&mut far_end!(self), write),
                 _ => Ok(()),
             };
             let now_s = self.bus.now_s();
@@ -449,7 +447,9 @@ impl<B: RegisterBus> ProfiledLink<B> {
                 }
                 Err(error @ LinkError::Exception { .. }) => {
                     let since_s = sequence.refused(now_s, error.to_string());
-                    given_up = (since_s > REFUSALS_S).then(|| error.to_string());
+                    // A drive that refuses a step of its enable command for so long, because it is busy, will not take it, s: less than what a
+                    // session waits beyond the steps, so that the refusal is reported.
+                    given_up = (since_s > 0.5).then(|| error.to_string());
                 }
                 _ => {}
             }
@@ -471,7 +471,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
     /// A command that its drive does not follow: the way down is begun at once.
     fn failed(&mut self, sequence: &Sequence, step: usize, reason: String) -> LinkError {
         // A fault is why it does not follow, and its code says which.
-        if self.told("fault") == Some(true) {
+        if self.reported("fault") == Some(true) {
             let _ = self.readings.read_now(&mut self.bus, Quantity::FaultCode);
         }
         let now_s = self.bus.now_s();
@@ -484,8 +484,8 @@ impl<B: RegisterBus> ProfiledLink<B> {
             Mode::Stopping(stop) if stop.command == "stop" && can_coast => {
                 self.mode = self.stopping("coast");
             }
-            // What has not stopped is told to stop until it has.
-            Mode::Stopping(_) if self.told("running") != Some(false) => self.begin_stop(),
+            // What has not stopped gets its stop command until it has.
+            Mode::Stopping(_) if self.reported("running") != Some(false) => self.begin_stop(),
             _ => self.mode = Mode::Off,
         }
         // What it reports matters less than why.
@@ -495,7 +495,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
 
     /// What ends a run from the drive's side. The first cause is what the sample tells: what the way down meets, such as a
     /// drive in fault that takes no write, is not.
-    fn supervise(&mut self) -> Result<(), LinkError> {
+    fn supervise(&mut self) -> Result<()> {
         let now_s = self.bus.now_s();
         let in_fault = self.is_in_fault();
         let since_s = in_fault.then(|| self.in_fault_since_s.unwrap_or(now_s));
@@ -516,19 +516,20 @@ impl<B: RegisterBus> ProfiledLink<B> {
                 return gone(self.give_up());
             }
         }
-        // Somebody else has it: no set-point goes out any more, and what it was told last is taken back.
+        // Somebody else has it: no set-point goes out any more, and its last command is taken back.
         if self.hindrance().is_some() && matches!(self.mode, Mode::On | Mode::Enabling(_)) {
             return gone(self.give_up());
         }
         if self.mode != Mode::On {
             return Ok(());
         }
-        if self.points.mismatches() >= MISMATCHES {
+        // Set-points that read back otherwise so often in a row are ignored by the drive.
+        if self.points.mismatches() >= 3 {
             let reason = self.points.mismatch_text();
             return Err(self.ended(reason));
         }
         let enabled_s = self.unseen_since_s.unwrap_or(f64::NEG_INFINITY);
-        let runs = self.told_since("running", enabled_s);
+        let runs = self.state_since("running", enabled_s);
         if runs == Some(true) {
             self.unseen_since_s = None;
         }
@@ -545,14 +546,14 @@ impl<B: RegisterBus> ProfiledLink<B> {
             self.latched = true;
             self.points.release();
             self.points.is_urgent = true;
-            gone(self.points.zero(&mut self.bus, &self.readings))?;
+            gone(self.points.zero(&mut far_end!(self)))?;
             return gone(self.give_up());
         }
         Ok(())
     }
 
     /// Stops, and looks whether the drive says so; where it does not, coasts.
-    fn stop_or_coast(&mut self) -> Result<(), LinkError> {
+    fn stop_or_coast(&mut self) -> Result<()> {
         self.bus.bound(f64::INFINITY);
         // Where this fails the next exchange goes on with the stop, whatever it asks for.
         self.latched = true;
@@ -594,7 +595,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         }
     }
 
-    fn check_identity(&mut self) -> Result<(), LinkError> {
+    fn check_identity(&mut self) -> Result<()> {
         for check in self.map.identity.clone() {
             let wrong = match check {
                 IdentityCheck::Object { object, contains } => {
@@ -623,7 +624,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
 
     /// The watchdog's time: written where the profile says so, and read back. The drive of somebody else, which runs, is
     /// left as it is: with a watchdog that nobody refreshes it would stop once this host has gone.
-    fn supervision(&mut self) -> Result<Option<f64>, LinkError> {
+    fn supervision(&mut self) -> Result<Option<f64>> {
         let runs = self.state() == DriveState::Running;
         let watchdog = &self.map.watchdog;
         let set_s = watchdog.set_s().filter(|_| !runs);
@@ -659,7 +660,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
 }
 
 /// Whether a request that ended so has left, as far as that is known.
-const fn was_sent<T>(result: &Result<T, LinkError>) -> bool {
+const fn was_sent<T>(result: &Result<T>) -> bool {
     !matches!(
         result,
         Err(LinkError::Unproven { .. } | LinkError::Refused { .. } | LinkError::Gone { .. })
@@ -667,10 +668,7 @@ const fn was_sent<T>(result: &Result<T, LinkError>) -> bool {
 }
 
 /// Keeps the first refusal until it is known what the drive says of itself.
-fn held_back(
-    first: &mut Option<LinkError>,
-    result: Result<(), LinkError>,
-) -> Result<(), LinkError> {
+fn held_back(first: &mut Option<LinkError>, result: Result<()>) -> Result<()> {
     match result {
         Err(error @ LinkError::Exception { .. }) => {
             first.get_or_insert(error);
@@ -680,8 +678,8 @@ fn held_back(
     }
 }
 
-/// On the way down only a link that is gone matters: why it is taken is told already.
-fn gone(result: Result<(), LinkError>) -> Result<(), LinkError> {
+/// On the way down only a link that is gone matters: its cause is reported already.
+fn gone(result: Result<()>) -> Result<()> {
     match result {
         Err(error @ LinkError::Gone { .. }) => Err(error),
         _ => Ok(()),
@@ -694,7 +692,7 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
     }
 
     /// Reads first; only a drive that is what the profile says, and does not run, gets its watchdog written.
-    fn identify(&mut self) -> Result<Identity, LinkError> {
+    fn identify(&mut self) -> Result<Identity> {
         let mut identity = self.recognise()?;
         let time_s = self.supervision()?;
         self.watchdog_s = time_s.filter(|time_s| *time_s > 0.0);
@@ -702,7 +700,7 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
         Ok(identity)
     }
 
-    fn recognise(&mut self) -> Result<Identity, LinkError> {
+    fn recognise(&mut self) -> Result<Identity> {
         self.readings.read_all(&mut self.bus)?;
         self.check_identity()?;
         let (mut vendor, mut product, mut firmware) =
@@ -734,12 +732,12 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
         Some(self.sample(self.on_time_axis(now_s), now_s))
     }
 
-    fn compare_set_points(&mut self) -> Result<Option<Result<String, String>>, LinkError> {
+    fn compare_set_points(&mut self) -> Result<Option<Result<String, String>>> {
         self.points.begin();
-        self.points.compare(&mut self.bus, &self.readings)
+        self.points.compare(&mut far_end!(self))
     }
 
-    fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
+    fn exchange(&mut self, command: Command) -> Result<Sample> {
         let (quantity, value) = match command.demand {
             Demand::Disable | Demand::Stop => return self.cycle(&Wanted::Rest, command.seq),
             Demand::ResetFault => return self.cycle(&Wanted::Reset, command.seq),
@@ -766,7 +764,7 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
         self.cycle(&Wanted::Run(Some((&point.name, value / si))), command.seq)
     }
 
-    fn stop(&mut self) -> Result<(), LinkError> {
+    fn stop(&mut self) -> Result<()> {
         self.points.has_written = false;
         let stopped = self.stop_or_coast();
         self.is_unsent = !was_sent(&stopped) && !self.points.has_written;
@@ -774,10 +772,10 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
     }
 
     /// A reference that somebody left in the drive must not come back with the next command (auto-resume).
-    fn bring_to_rest(&mut self) -> Result<(), LinkError> {
+    fn bring_to_rest(&mut self) -> Result<()> {
         self.points.begin();
         self.points.is_urgent = true;
-        let zeroed = self.points.zero(&mut self.bus, &self.readings);
+        let zeroed = self.points.zero(&mut far_end!(self));
         if !matches!(zeroed, Err(LinkError::Gone { .. })) {
             // A drive that takes no reference now may well take a stop.
             self.stop()?;

@@ -17,15 +17,11 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use super::link::LinkError;
+use super::link::{LinkError, Result};
 use super::register_bus::{MOST_READ, ReadRequest, RegisterTable};
 use super::reply::Code;
 use super::transaction::{OldReply, Reception};
 
-/// Probes of one resynchronisation.
-const PROBES: usize = 6;
-/// Probes without any reply after which silence has to prove the line.
-const UNANSWERED_PROBES: usize = 3;
 /// Requests remembered since the last proof.
 const REMEMBERED: usize = 32;
 /// A line on which bytes come for so many times the silence that is waited for is given up.
@@ -36,10 +32,6 @@ const CLEAN_READS: u32 = 32;
 /// where a delay comes back less often than once in a hundred of its own length, waiting for it costs more than a second
 /// request, and what comes beside a reply is noticed all the same.
 const STRETCH_IN_DELAYS: u32 = 100;
-/// Shortest and longest of these stretches: one good second proves little, and a bus that was in order for half a minute
-/// is in order.
-const SHORTEST_STRETCH: Duration = Duration::from_secs(2);
-const LONGEST_STRETCH: Duration = Duration::from_secs(30);
 
 /// What makes a probe unmistakable. The order is that of trial: a read can harm nobody, but function code 08 makes some
 /// servers deaf (libmodbus 3.1 takes its data for the next request), so it comes last.
@@ -55,7 +47,6 @@ pub(super) enum Method {
     Silence,
 }
 
-/// How a line is proven.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Policy {
     /// Every reply carries the number of its request (TCP): there is nothing to prove.
@@ -69,7 +60,6 @@ pub(super) enum Policy {
 /// What has to be done before a request may go out.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Step {
-    /// In step: the request may go out.
     Go,
     /// Nothing may come before this instant.
     Silence(Instant),
@@ -88,7 +78,7 @@ pub(super) enum End {
 }
 
 impl End {
-    pub(super) const fn of<T>(result: &Result<T, LinkError>) -> Self {
+    pub(super) const fn of<T>(result: &Result<T>) -> Self {
         match result {
             Ok(_) => Self::Data,
             Err(LinkError::Exception { .. }) => Self::Refused,
@@ -108,7 +98,6 @@ enum Sync {
     Doubtful(bool),
 }
 
-/// A silence that is waited for.
 #[derive(Clone, Copy, Debug)]
 enum Wait {
     None,
@@ -319,7 +308,8 @@ impl Proof {
             }
         }
         self.wait = Wait::None;
-        if self.probing.count == PROBES {
+        // Probes of one resynchronisation.
+        if self.probing.count == 6 {
             self.probing.count = 0;
             self.doubt();
             return Step::GiveUp;
@@ -394,7 +384,9 @@ impl Proof {
         let delays = old.iter().map(|old| self.delay(old.code, now));
         if let Some(longest) = delays.chain(before).max() {
             let stretch = STRETCH_IN_DELAYS * longest;
-            let until = now + stretch.clamp(SHORTEST_STRETCH, LONGEST_STRETCH);
+            // Shortest and longest of these stretches: one good second proves little, and a bus that was in order for half a minute
+            // is in order.
+            let until = now + stretch.clamp(Duration::from_secs(2), Duration::from_secs(30));
             self.spacing.delayed = Some((until, longest));
         }
     }
@@ -416,7 +408,6 @@ impl Proof {
         at.map_or(self.quiet, |at| now.saturating_duration_since(at))
     }
 
-    /// A request goes out.
     pub(super) fn sent(&mut self, pdu: &[u8], is_probe: bool, now: Instant) {
         if self.policy == Policy::Numbered {
             return;
@@ -622,9 +613,8 @@ impl Probing {
         self.method = match self.method {
             Method::Length => Method::OtherTable,
             Method::OtherTable => Method::Nonce,
-            Method::Nonce | Method::Silence if self.unanswered >= UNANSWERED_PROBES => {
-                Method::Silence
-            }
+            // Probes without any reply after which silence has to prove the line.
+            Method::Nonce | Method::Silence if self.unanswered >= 3 => Method::Silence,
             Method::Nonce | Method::Silence => Method::Length,
         };
     }

@@ -1,7 +1,6 @@
 //! Registers at the far end of something: how they are asked for, and all that a profiled drive needs of a link.
 
-use super::link::RoundTrips;
-use super::link::{LinkError, LinkName, LinkStatistics};
+use super::link::{LinkName, LinkStatistics, Result, RoundTrips};
 use super::transaction::{CutIn, LineCounts};
 
 /// Most registers of one request (MODBUS Application Protocol V1.1b3, 6.3 and 6.12).
@@ -22,7 +21,6 @@ pub enum RegisterTable {
     Input,
 }
 
-/// One question for registers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ReadRequest {
     pub table: RegisterTable,
@@ -46,7 +44,6 @@ impl ReadRequest {
         self.address as u32 + self.count as u32
     }
 
-    /// RTU frame of the reply.
     pub(super) const fn reply_bytes(self) -> usize {
         REPLY_BYTES + 2 * self.count as usize
     }
@@ -67,7 +64,6 @@ impl ReadRequest {
     }
 }
 
-/// `1 register`, `2 registers`.
 pub fn registers(count: usize) -> String {
     format!("{count} register{}", if count == 1 { "" } else { "s" })
 }
@@ -131,20 +127,15 @@ pub trait RegisterBus: Send {
     fn pause_until_s(&mut self, time_s: f64);
 
     /// Reads registers; a question without effect, so it may be asked again within its deadline.
-    fn read(&mut self, read: ReadRequest) -> Result<RegistersRead, LinkError>;
+    fn read(&mut self, read: ReadRequest) -> Result<RegistersRead>;
 
     /// Writes with function code 6 (one register) or 16; never repeated by itself. When it was carried out.
-    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Span, LinkError>;
+    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Span>;
 
     /// As `write`, on a line in doubt too: what brings a drive to rest does not wait for silence or a probe. The doubt stays.
     ///
     /// On such a line it waits for one turnaround and no longer, so that the next write can follow where no reply came.
-    fn write_at_once(
-        &mut self,
-        function: u8,
-        address: u16,
-        values: &[u16],
-    ) -> Result<Span, LinkError> {
+    fn write_at_once(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Span> {
         self.write(function, address, values)
     }
 
@@ -154,7 +145,7 @@ pub trait RegisterBus: Send {
         &mut self,
         (to, values): (u16, &[u16]),
         (from, count): (u16, u16),
-    ) -> Result<RegistersRead, LinkError> {
+    ) -> Result<RegistersRead> {
         let written = self.write(16, to, values)?;
         let mut read = self.read(ReadRequest::holding(from, count))?;
         read.span.asked_s = written.asked_s;
@@ -162,7 +153,7 @@ pub trait RegisterBus: Send {
     }
 
     /// An object of function code 43; `None` where the drive does not have it.
-    fn object(&mut self, object: u8) -> Result<Option<String>, LinkError>;
+    fn object(&mut self, object: u8) -> Result<Option<String>>;
 
     /// Whether the far end is known to be software.
     fn is_emulated(&self) -> bool {

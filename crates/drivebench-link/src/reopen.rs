@@ -11,13 +11,6 @@ use super::link::Identity;
 use super::open::Target;
 use super::serial_ports::{UsbInfo, adapter, stable_name};
 
-/// First and longest pause between two attempts, s.
-const FIRST_PAUSE_S: f64 = 0.05;
-const LONGEST_PAUSE_S: f64 = 2.0;
-/// A pause is up to this share shorter or longer, so that two programs do not keep step.
-const JITTER: f64 = 0.25;
-
-/// Pauses that grow.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Backoff {
     next_s: f64,
@@ -43,7 +36,8 @@ impl Backoff {
         let mixed = (self.dice ^ (self.dice >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
         let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
         let share = ((mixed ^ (mixed >> 31)) >> 11) as f64 / (1_u64 << 53) as f64;
-        base_s * (1.0 + JITTER * (2.0 * share - 1.0))
+        // A pause is up to this share shorter or longer, so that two programs do not keep step.
+        base_s * (1.0 + 0.25 * (2.0 * share - 1.0))
     }
 }
 
@@ -57,9 +51,10 @@ pub struct Reopening {
 }
 
 impl Reopening {
-    /// From `now_s` on, for at most `limit_s`; `None`: until somebody ends it.
+    /// From `now_s` on, for at most `limit_s`; `None`: until it is ended.
     pub fn new(now_s: f64, limit_s: Option<f64>, seed: u64) -> Self {
-        let mut backoff = Backoff::between(FIRST_PAUSE_S, LONGEST_PAUSE_S, seed);
+        // First and longest pause between two attempts, s.
+        let mut backoff = Backoff::between(0.05, 2.0, seed);
         Self {
             due_s: now_s + backoff.pause_s(),
             backoff,
@@ -122,7 +117,7 @@ impl Anchor {
         &self.target
     }
 
-    /// Says what is wrong where another adapter has taken the name; one that says nothing of itself is not known again.
+    /// The reason where another adapter has taken the name; one without an identity is not recognised.
     pub fn stranger(&self, root: &Path) -> Option<String> {
         let (before, Target::Serial { path, .. }) = (self.adapter.as_ref()?, &self.target) else {
             return None;
@@ -146,7 +141,7 @@ fn plate(usb: &UsbInfo) -> String {
     )
 }
 
-/// Says what is wrong where the drive that answers is not the one from before. What a loss of power resets (watchdog
+/// The reason where the drive that answers is not the one from before. What a loss of power resets (watchdog
 /// time, limits) is no identity.
 pub fn another_drive(before: &Identity, now: &Identity) -> Option<String> {
     let told = [
@@ -175,45 +170,31 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pauses_double_up_to_the_longest_and_are_the_same_for_a_seed() {
-        let pauses = |seed| {
-            let mut reopening = Reopening::new(0.0, None, seed);
-            let mut now_s = 0.0;
-            let pauses: Vec<f64> = (0..12)
-                .map(|_| {
-                    let due_s = reopening.due_s().unwrap();
-                    let pause_s = due_s - now_s;
-                    now_s = due_s;
-                    reopening.attempt();
-                    reopening.failed(now_s);
-                    pause_s
-                })
-                .collect();
-            assert_eq!(reopening.attempts(), 12);
+    fn pauses_double_up_to_the_longest_and_end_with_the_time() {
+        /// The pauses before each of at most twelve attempts.
+        fn pauses(limit_s: Option<f64>, seed: u64) -> Vec<f64> {
+            let mut reopening = Reopening::new(10.0, limit_s, seed);
+            let (mut now_s, mut pauses) = (10.0, Vec::new());
+            while let Some(due_s) = reopening.due_s().filter(|_| pauses.len() < 12) {
+                pauses.push(due_s - now_s);
+                now_s = due_s;
+                reopening.attempt();
+                reopening.failed(now_s);
+            }
+            assert_eq!(reopening.attempts() as usize, pauses.len());
             pauses
-        };
-        for (index, pause_s) in pauses(7).into_iter().enumerate() {
+        }
+        for (index, pause_s) in pauses(None, 7).into_iter().enumerate() {
             let base_s = (0.05 * f64::from(1 << index)).min(2.0);
             let range = 0.74 * base_s..1.26 * base_s;
             assert!(range.contains(&pause_s), "{index}: {pause_s} {range:?}");
         }
-        assert_eq!(pauses(7), pauses(7));
-        assert_ne!(pauses(7), pauses(8));
-    }
-
-    #[test]
-    fn no_attempt_is_due_after_the_time_and_none_without_time() {
-        let mut reopening = Reopening::new(10.0, Some(1.0), 3);
-        let mut now_s = 10.0;
-        while let Some(due_s) = reopening.due_s() {
-            assert!((10.0..=11.0).contains(&due_s));
-            now_s = due_s;
-            reopening.attempt();
-            reopening.failed(now_s);
-        }
-        assert!((3..=6).contains(&reopening.attempts()), "{reopening:?}");
-        assert!(now_s > 10.3);
-        assert_eq!(Reopening::new(0.0, Some(0.0), 1).due_s(), None);
+        assert_eq!(pauses(None, 7), pauses(None, 7));
+        assert_ne!(pauses(None, 7), pauses(None, 8));
+        let limited = pauses(Some(1.0), 3);
+        let total_s: f64 = limited.iter().sum();
+        assert!((3..=6).contains(&limited.len()) && (0.3..=1.0).contains(&total_s));
+        assert!(pauses(Some(0.0), 1).is_empty());
     }
 
     #[test]
@@ -224,24 +205,19 @@ mod tests {
             watchdog_s: Some(0.2),
             ..Identity::default()
         };
-        let reset = Identity {
-            watchdog_s: None,
-            current_limit_a: Some(3.0),
-            ..before.clone()
+        let changed = |change: fn(&mut Identity)| {
+            let mut now = before.clone();
+            change(&mut now);
+            another_drive(&before, &now)
         };
-        assert_eq!(another_drive(&before, &reset), None);
-        let other = Identity {
-            serial_number: "2".to_owned(),
-            ..before.clone()
-        };
-        let reason = another_drive(&before, &other).unwrap();
-        assert_eq!(reason, "its serial number is \"2\", before it was \"1\"");
-        let software = Identity {
-            is_emulator: true,
-            ..before.clone()
-        };
-        let reason = another_drive(&before, &software).unwrap();
-        assert_eq!(reason, "it is software, before it was hardware");
+        let reset = changed(|now| (now.watchdog_s, now.current_limit_a) = (None, Some(3.0)));
+        assert_eq!(reset, None);
+        let other = changed(|now| now.serial_number = "2".to_owned());
+        let reason = "its serial number is \"2\", before it was \"1\"";
+        assert_eq!(other.as_deref(), Some(reason));
+        let software = changed(|now| now.is_emulator = true);
+        let reason = "it is software, before it was hardware";
+        assert_eq!(software.as_deref(), Some(reason));
     }
 
     #[test]

@@ -9,7 +9,7 @@ use firmware_protocol::modbus::{
     Length, expected_response_len, request_len, response_len, rtu, tcp,
 };
 
-/// How frames are told apart.
+/// How frames are separated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum FrameKind {
     Rtu,
@@ -67,7 +67,6 @@ impl Expected {
 pub(super) struct Code {
     /// With the mark of a refusal, if it is one.
     pub(super) function: u8,
-    /// Bytes of the PDU.
     pub(super) length: usize,
 }
 
@@ -108,7 +107,7 @@ pub(super) struct Search {
     pub(super) echo: bool,
 }
 
-/// The peer does not speak Modbus TCP: frames can no longer be told apart.
+/// The peer does not speak Modbus TCP: frames can no longer be separated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Unframeable;
 
@@ -158,7 +157,8 @@ fn search_rtu(expected: &Expected, received: &[u8]) -> Search {
         };
         let response = &tail[1..length - 2];
         // Registers that are read often hold such frames by chance: all ones before zeros fit the check sum.
-        if tail[0] != unit && (tail[0] > LAST_UNIT || matches!(response, [0x80..=0xFF, 0])) {
+        // Addresses of units end here; those above are reserved (MODBUS over Serial Line V1.02, 2.2).
+        if tail[0] != unit && (tail[0] > 247 || matches!(response, [0x80..=0xFF, 0])) {
             at += 1;
             continue;
         }
@@ -183,15 +183,11 @@ fn search_rtu(expected: &Expected, received: &[u8]) -> Search {
     found
 }
 
-/// Addresses of units end here; those above are reserved (MODBUS over Serial Line V1.02, 2.2).
-const LAST_UNIT: u8 = 247;
-
 /// Whether this frame, which is not ours, writes to the unit of a request, or acknowledges such a write.
 fn writes_to(request: &[u8], frame: &[u8]) -> bool {
     matches!(frame, [unit, 5 | 6 | 15 | 16 | 22 | 23, ..] if request.first() == Some(unit))
 }
 
-/// Unit and PDU of an RTU frame.
 fn unit_and_pdu(frame: &[u8]) -> Option<(u8, &[u8])> {
     let end = frame.len().checked_sub(2)?;
     let (&unit, pdu) = frame[..end].split_first()?;
@@ -267,31 +263,6 @@ mod tests {
     use super::*;
     use crate::scripted::frame;
 
-    #[test]
-    fn a_foreign_write_to_our_unit_is_another_master() {
-        let own = frame(1, &[6, 0, 201, 2, 38]);
-        let mut expected = expecting(&frame(1, &[3, 0, 100, 0, 1]), false);
-        expected.earlier.push_back(own.clone());
-        let writes = |bytes: &[u8]| search_rtu(&expected, bytes).foreign_writes;
-        assert_eq!(writes(&own), 0, "our own acknowledgement, late");
-        assert_eq!(writes(&frame(7, &[6, 0, 201, 0, 0])), 0, "another drive");
-        assert_eq!(writes(&frame(1, &[4, 2, 0, 0])), 0, "no write");
-        assert_eq!(writes(&frame(1, &[6, 0, 201, 0, 0])), 1);
-        let many = frame(1, &[16, 0, 201, 0, 1, 2, 0, 0]);
-        let acknowledged = frame(1, &[16, 0, 201, 0, 1]);
-        assert_eq!(writes(&[many, acknowledged].concat()), 2);
-    }
-
-    #[test]
-    fn a_chance_check_sum_is_damage() {
-        let command = frame(1, &[23, 0, 0, 0, 2, 0, 32, 0, 1, 2, 0, 7]);
-        let found = rtu(&command, &[&[0xFF, 0xFF, 0, 0, 0]], false);
-        assert_eq!((found.reply, found.foreign), (None, 0));
-        let misfit = rtu(&command, &[&frame(1, &[23, 6, 1, 2, 3, 4, 5, 6])], false);
-        assert_eq!((misfit.reply, misfit.foreign), (None, 1));
-        assert_eq!(misfit.foreign_writes, 0);
-    }
-
     fn expecting(request: &[u8], echoes: bool) -> Expected {
         Expected {
             request: request.to_vec(),
@@ -301,8 +272,33 @@ mod tests {
     }
 
     fn rtu(request: &[u8], received: &[&[u8]], echoes: bool) -> Search {
-        let expected = expecting(request, echoes);
-        search(FrameKind::Rtu, &expected, &received.concat()).unwrap()
+        search_rtu(&expecting(request, echoes), &received.concat())
+    }
+
+    #[test]
+    fn a_foreign_write_to_our_unit_is_another_master() {
+        let own = frame(1, &[6, 0, 201, 2, 38]);
+        let mut expected = expecting(&frame(1, &[3, 0, 100, 0, 1]), false);
+        expected.earlier.push_back(own.clone());
+        let many = frame(1, &[16, 0, 201, 0, 1, 2, 0, 0]);
+        let acknowledged = frame(1, &[16, 0, 201, 0, 1]);
+        for (what, bytes, writes) in [
+            ("our own acknowledgement, late", own, 0),
+            ("another drive", frame(7, &[6, 0, 201, 0, 0]), 0),
+            ("no write", frame(1, &[4, 2, 0, 0]), 0),
+            ("one write", frame(1, &[6, 0, 201, 0, 0]), 1),
+            ("both ends", [many, acknowledged].concat(), 2),
+        ] {
+            let found = search_rtu(&expected, &bytes);
+            assert_eq!(found.foreign_writes, writes, "{what}");
+        }
+        // Registers that hold a right check sum by chance, and the drive's own reply of another length.
+        let command = frame(1, &[23, 0, 0, 0, 2, 0, 32, 0, 1, 2, 0, 7]);
+        let chance = rtu(&command, &[&[0xFF, 0xFF, 0, 0, 0]], false);
+        assert_eq!((chance.reply, chance.foreign), (None, 0));
+        let misfit = rtu(&command, &[&frame(1, &[23, 6, 1, 2, 3, 4, 5, 6])], false);
+        let found = (misfit.reply, misfit.foreign, misfit.foreign_writes);
+        assert_eq!(found, (None, 1, 0));
     }
 
     #[test]
@@ -310,21 +306,22 @@ mod tests {
         let request = frame(1, &[23, 0, 0, 0, 2, 0, 32, 0, 1, 2, 0, 7]);
         let reply = |number: u8| frame(1, &[23, 4, 9, 9, 0, number]);
         let mut expected = expecting(&request, false);
-        expected.echo = Some(Echo {
-            at: 4,
-            bytes: [0, 7],
-        });
+        let (at, bytes) = (4, [0, 7]);
+        expected.echo = Some(Echo { at, bytes });
         let look = |expected: &Expected, bytes: &[u8]| {
-            let found = search(FrameKind::Rtu, expected, bytes).unwrap();
+            let found = search_rtu(expected, bytes);
             (found.reply, found.old.len(), found.foreign)
         };
-        assert_eq!(look(&expected, &reply(7)), (Some((0, 9)), 0, 0));
-        assert_eq!(look(&expected, &reply(6)), (None, 1, 0));
         let late = [reply(6), reply(7)].concat();
-        assert_eq!(look(&expected, &late), (Some((9, 18)), 1, 0));
-        let refusal = frame(1, &[0x97, 6]);
-        assert!(look(&expected, &refusal).0.is_some());
-        // After it is over its answer, and that of the one before, are old; another function is a stranger's.
+        for (bytes, found) in [
+            (reply(7), (Some((0, 9)), 0, 0)),
+            (reply(6), (None, 1, 0)),
+            (late, (Some((9, 18)), 1, 0)),
+            (frame(1, &[0x97, 6]), (Some((0, 5)), 0, 0)),
+        ] {
+            assert_eq!(look(&expected, &bytes), found, "{bytes:?}");
+        }
+        // After it is over its answer, and that of the one before, are old; another function is foreign.
         expected.retire();
         expected.request = frame(1, &[8, 0, 0, 1, 2]);
         assert_eq!(look(&expected, &reply(7)), (None, 1, 0));
@@ -341,8 +338,10 @@ mod tests {
         let request = frame(1, &[3, 0, 0, 0, 2]);
         let reply = frame(1, &[3, 4, 1, 2, 3, 4]);
         let alone = rtu(&request, &[&reply], false);
-        assert_eq!(alone.reply, Some((0, 9)));
-        assert_eq!((alone.foreign, alone.echo), (0, false));
+        assert_eq!(
+            (alone.reply, alone.foreign, alone.echo),
+            (Some((0, 9)), 0, false)
+        );
         for other in [
             frame(2, &[3, 4, 1, 2, 3, 4]),
             frame(1, &[4, 4, 1, 2, 3, 4]),
@@ -363,10 +362,9 @@ mod tests {
         }
         let after_garbage = rtu(&request, &[&[1, 3, 4], &reply], false);
         assert_eq!(after_garbage.reply, Some((3, 12)));
-    }
-
-    #[test]
-    fn refusals_probes_and_writes_are_compared_whole() {
+        let echoed = rtu(&request, &[&request, &reply], false);
+        assert_eq!((echoed.echo, echoed.reply), (true, Some((8, 17))));
+        // Refusals, probes and writes are compared whole.
         let (read, probe) = ([3, 0, 0, 0, 2], [8, 0, 0, 0x12, 0x34]);
         let write = [16, 0, 32, 0, 1, 2, 0, 5];
         for (request, reply, is_taken) in [
@@ -379,16 +377,7 @@ mod tests {
             let found = rtu(&frame(1, request), &[&frame(1, reply)], false);
             assert_eq!(found.reply.is_some(), is_taken, "{request:?} {reply:?}");
         }
-    }
-
-    #[test]
-    fn an_echoed_request_is_no_reply() {
-        let request = frame(1, &[3, 0, 0, 0, 2]);
-        let reply = frame(1, &[3, 4, 1, 2, 3, 4]);
-        let search = rtu(&request, &[&request, &reply], false);
-        assert!(search.echo);
-        assert_eq!(search.reply, Some((8, 17)));
-        let probe = frame(1, &[8, 0, 0, 7, 7]);
+        let probe = frame(1, &probe);
         assert_eq!(rtu(&probe, &[&probe], true).reply, None);
         assert_eq!(rtu(&probe, &[&probe, &probe], true).reply, Some((8, 16)));
     }
@@ -396,17 +385,13 @@ mod tests {
     #[test]
     fn tcp_skips_old_transactions_and_gives_up_on_another_protocol() {
         let adu = |transaction, pdu: &[u8]| tcp::encode_frame(transaction, 1, pdu).to_vec();
-        let request = adu(7, &[3, 0, 0, 0, 1]);
         let (old, reply) = (adu(6, &[3, 2, 0, 1]), adu(7, &[3, 2, 0, 2]));
         let both = [old.clone(), reply].concat();
-        let expected = expecting(&request, false);
-        let search = search(FrameKind::Tcp, &expected, &both).unwrap();
-        assert_eq!(search.reply, Some((old.len(), both.len())));
-        assert_eq!(search.foreign, 1);
-        assert_eq!(
-            super::search(FrameKind::Tcp, &expected, b"HTTP/1.1 400"),
-            Err(Unframeable)
-        );
+        let expected = expecting(&adu(7, &[3, 0, 0, 0, 1]), false);
+        let found = search_tcp(&expected, &both).unwrap();
+        assert_eq!(found.reply, Some((old.len(), both.len())));
+        assert_eq!(found.foreign, 1);
+        assert_eq!(search_tcp(&expected, b"HTTP/1.1 400"), Err(Unframeable));
     }
 
     proptest! {

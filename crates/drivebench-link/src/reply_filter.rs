@@ -18,7 +18,6 @@ use super::reply::{Echo, FrameKind};
 use super::transaction::Reception;
 use super::waiting::now;
 
-/// Anything that carries bytes.
 pub(super) trait Port: AsyncRead + AsyncWrite + Unpin + Send {}
 impl<T: AsyncRead + AsyncWrite + Unpin + Send> Port for T {}
 

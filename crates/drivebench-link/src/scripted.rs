@@ -30,7 +30,7 @@ impl<S: FnMut(usize, &[u8]) -> Vec<Delayed> + Send> Scripted<S> {
 }
 
 impl<S: FnMut(usize, &[u8]) -> Vec<Delayed> + Send> Device for Scripted<S> {
-    fn hear(&mut self, bytes: &[u8]) -> Vec<Delayed> {
+    fn receive(&mut self, bytes: &[u8]) -> Vec<Delayed> {
         self.received.extend_from_slice(bytes);
         let mut sent = Vec::new();
         while let Some(request) = take_request(&mut self.received) {
@@ -48,7 +48,6 @@ fn take_request(received: &mut Vec<u8>) -> Option<Vec<u8>> {
     (received.len() >= length + 3).then(|| received.drain(..length + 3).collect())
 }
 
-/// An RTU frame around a PDU.
 pub(super) fn frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
     rtu::encode_frame(unit, pdu).to_vec()
 }

@@ -7,9 +7,8 @@
 //! Everything is read below a root folder, so that it can be tested without hardware. Linux only; elsewhere the list is
 //! empty.
 
-use std::fmt;
-use std::fs;
 use std::path::{Path, PathBuf};
+use std::{fmt, fs};
 
 use serde::Serialize;
 
@@ -24,7 +23,6 @@ pub struct UsbInfo {
     pub product: Option<String>,
 }
 
-/// A program that has a port open.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Holder {
     pub pid: u32,
@@ -276,38 +274,35 @@ mod tests {
     #[test]
     fn an_adapter_is_listed_with_its_names_and_its_holder() {
         let machine = machine();
+        let by_id = Path::new("/dev/serial/by-id/usb-FTDI_FT232R_A50285BI-if00");
         let ports = list(machine.path());
         assert_eq!(ports.len(), 1, "{ports:?}");
-        let port = &ports[0];
-        assert_eq!(port.path, Path::new("/dev/ttyUSB3"));
-        assert_eq!(
-            port.by_id,
-            [Path::new("/dev/serial/by-id/usb-FTDI_FT232R_A50285BI-if00")]
-        );
-        assert_eq!(port.driver.as_deref(), Some("ftdi_sio"));
-        let usb = port.usb.as_ref().unwrap();
-        assert_eq!(
-            (usb.vendor_id.as_str(), usb.product_id.as_str()),
-            ("0403", "6001")
-        );
-        assert_eq!(usb.serial_number.as_deref(), Some("A50285BI"));
-        assert_eq!(usb.manufacturer, None);
-        assert_eq!(port.latency_ms, Some(16));
-        assert_eq!(port.holders.len(), 1);
-        assert_eq!(port.holders[0].to_string(), "pid 4711 (minicom)");
-    }
-
-    #[test]
-    fn a_stable_name_leads_to_its_port() {
-        let machine = machine();
-        let by_id = Path::new("/dev/serial/by-id/usb-FTDI_FT232R_A50285BI-if00");
-        let port = describe(machine.path(), by_id);
-        assert_eq!(port, list(machine.path())[0]);
-        assert_eq!(
-            stable_name(machine.path(), Path::new("/dev/ttyUSB3")),
-            by_id
-        );
-        assert_eq!(stable_name(machine.path(), by_id), by_id);
+        let usb = UsbInfo {
+            vendor_id: "0403".to_owned(),
+            product_id: "6001".to_owned(),
+            serial_number: Some("A50285BI".to_owned()),
+            manufacturer: None,
+            product: Some("FT232R USB UART".to_owned()),
+        };
+        let holder = Holder {
+            pid: 4711,
+            command: "minicom".to_owned(),
+        };
+        assert_eq!(holder.to_string(), "pid 4711 (minicom)");
+        let port = SerialPortInfo {
+            path: "/dev/ttyUSB3".into(),
+            by_id: vec![by_id.to_owned()],
+            driver: Some("ftdi_sio".to_owned()),
+            usb: Some(usb),
+            latency_ms: Some(16),
+            holders: vec![holder],
+        };
+        assert_eq!(ports[0], port);
+        // A stable name leads to its port.
+        assert_eq!(describe(machine.path(), by_id), port);
+        for name in [Path::new("/dev/ttyUSB3"), by_id] {
+            assert_eq!(stable_name(machine.path(), name), by_id);
+        }
         assert_eq!(adapter(machine.path(), by_id), port.usb);
         let none = describe(machine.path(), Path::new("/dev/ttyUSB9"));
         assert_eq!((none.driver, none.usb, none.latency_ms), (None, None, None));

@@ -5,33 +5,44 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// How far the numbers of a profile may be believed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Trust {
-    Manual,
-    Code,
-    Unverified,
-}
-
-impl Trust {
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Manual => "manual",
-            Self::Code => "code",
-            Self::Unverified => "unverified",
+/// An enumeration whose variants have one name each, in files and in texts.
+macro_rules! named {
+    ($(#[$meta:meta])* pub enum $type:ident { $($(#[$doc:meta])* $variant:ident = $name:literal,)+ }) => {
+        $(#[$meta])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
+        pub enum $type {
+            $($(#[$doc])* #[serde(rename = $name)] $variant,)+
         }
+
+        impl $type {
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $(Self::$variant => $name,)+
+                }
+            }
+        }
+    };
+}
+pub(crate) use named;
+
+named! {
+    /// Trust in the numbers of a profile, by their source.
+    pub enum Trust {
+        Manual = "manual",
+        Code = "code",
+        Unverified = "unverified",
     }
 }
 
-/// The language on the wire.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Protocol {
-    #[default]
-    ModbusRtu,
-    ModbusTcp,
-    Stream,
+named! {
+    /// Protocol on the wire.
+    #[derive(Default)]
+    pub enum Protocol {
+        #[default]
+        ModbusRtu = "modbus-rtu",
+        ModbusTcp = "modbus-tcp",
+        Stream = "stream",
+    }
 }
 
 impl Protocol {
@@ -39,14 +50,6 @@ impl Protocol {
 
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|known| known.name() == name)
-    }
-
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::ModbusRtu => "modbus-rtu",
-            Self::ModbusTcp => "modbus-tcp",
-            Self::Stream => "stream",
-        }
     }
 }
 
@@ -56,30 +59,19 @@ impl fmt::Display for Protocol {
     }
 }
 
-/// Data bits, parity, stop bits.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
-pub enum Framing {
-    #[default]
-    #[serde(rename = "8N1")]
-    EightNoneOne,
-    #[serde(rename = "8E1")]
-    EightEvenOne,
-    #[serde(rename = "8O1")]
-    EightOddOne,
-    #[serde(rename = "8N2")]
-    EightNoneTwo,
+named! {
+    /// Data bits, parity, stop bits.
+    #[derive(Default)]
+    pub enum Framing {
+        #[default]
+        EightNoneOne = "8N1",
+        EightEvenOne = "8E1",
+        EightOddOne = "8O1",
+        EightNoneTwo = "8N2",
+    }
 }
 
 impl Framing {
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::EightNoneOne => "8N1",
-            Self::EightEvenOne => "8E1",
-            Self::EightOddOne => "8O1",
-            Self::EightNoneTwo => "8N2",
-        }
-    }
-
     /// Bits on the wire for one character, start bit included.
     pub const fn bits_per_char(self) -> u8 {
         match self {
@@ -104,19 +96,18 @@ pub struct LinkSettings {
     pub gap_us: Option<f64>,
     /// Time for one exchange, ms; `None`: from wire and reply time.
     pub deadline_ms: Option<f64>,
-    /// The far end is the software drive of this process, whatever guise it has; in no file.
+    /// The far end is the software drive of this process, under whatever profile; in no file.
     #[serde(skip)]
     pub emulated: bool,
 }
 
-/// What keeps the drive's watchdog quiet.
+/// What restarts the drive's watchdog.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum KickedBy {
     /// Only a write of the command block.
     Command,
     Write,
-    /// Any message, reading too.
     Any,
 }
 
@@ -139,34 +130,23 @@ pub struct RangeError {
     pub allowed: &'static str,
 }
 
-/// Lowest, highest, and how that is told.
+/// Lowest, highest, and the text for that.
 const POSITIVE: (f64, f64, &str) = (f64::MIN_POSITIVE, f64::MAX, "more than 0");
 
-/// Checks the numbers that every profile has.
 pub(super) fn check_ranges(
     profile: &str,
     link: &LinkSettings,
     watchdog_ms: Option<f64>,
     limits: &DriveLimits,
 ) -> Result<(), RangeError> {
+    let (unit, reply) = ((1.0, 247.0, "1 to 247"), (0.0, 1e4, "0 to 10000"));
+    let (gap, deadline) = ((0.0, 1e6, "0 to 1000000"), (1.0, 6e4, "1 to 60000"));
     let rows = [
         ("link.baud", Some(link.baud.into()), POSITIVE),
-        (
-            "link.unit",
-            Some(link.unit.into()),
-            (1.0, 247.0, "1 to 247"),
-        ),
-        (
-            "link.reply_ms",
-            Some(link.reply_ms),
-            (0.0, 1e4, "0 to 10000"),
-        ),
-        ("link.gap_us", link.gap_us, (0.0, 1e6, "0 to 1000000")),
-        (
-            "link.deadline_ms",
-            link.deadline_ms,
-            (1.0, 6e4, "1 to 60000"),
-        ),
+        ("link.unit", Some(link.unit.into()), unit),
+        ("link.reply_ms", Some(link.reply_ms), reply),
+        ("link.gap_us", link.gap_us, gap),
+        ("link.deadline_ms", link.deadline_ms, deadline),
         ("watchdog.default_ms", watchdog_ms, POSITIVE),
         ("limits.current_a", limits.current_a, POSITIVE),
         ("limits.voltage_v", limits.voltage_v, POSITIVE),

@@ -12,9 +12,8 @@ use firmware_protocol::stream::{
 use firmware_protocol::{CaptureControl, CaptureState, Telemetry};
 
 use super::burst::{Burst, Capture};
-use super::link::RoundTrips;
-use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
-use super::link_core::{Answer, LinkCore, answered, stop_confirmed};
+use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, Result, RoundTrips};
+use super::link_core::{Answer, LinkCore, answered, own_link, stop_confirmed};
 use super::port::{Closed, TimedPort};
 use super::timeline::{identity, signed_difference};
 use super::timing::LineTiming;
@@ -26,7 +25,6 @@ use drivebench_model::sample::{Command, Sample};
 pub(super) const COMMAND_BYTES: usize = 18;
 pub(super) const TELEMETRY_BYTES: usize = 52;
 
-/// A drive behind the native stream.
 pub struct StreamLink {
     core: LinkCore,
     port: Box<dyn TimedPort>,
@@ -84,19 +82,19 @@ impl StreamLink {
     }
 
     /// How the drive is, without a command: nothing changes by it, and its watchdog is not kicked.
-    pub(super) fn telemetry(&mut self) -> Result<Telemetry, LinkError> {
+    pub(super) fn telemetry(&mut self) -> Result<Telemetry> {
         let question = Message::TelemetryRequest;
         let answer = self.read_with_retries(&question, "the telemetry", telemetry)?;
         Ok(answer.value.0)
     }
 
-    /// A question without effect on the drive may be asked again.
+    /// A question without effect on the drive may be repeated.
     fn read_with_retries<T>(
         &mut self,
         message: &Message,
         what: &str,
         check: impl Fn(&Message) -> Option<T>,
-    ) -> Result<Answer<Timed<T>>, LinkError> {
+    ) -> Result<Answer<Timed<T>>> {
         answered(|| self.ask_numbered(message, what, &check))
     }
 
@@ -105,7 +103,7 @@ impl StreamLink {
         message: &Message,
         what: &str,
         check: impl Fn(&Message) -> Option<T>,
-    ) -> Result<Answer<Timed<T>>, LinkError> {
+    ) -> Result<Answer<Timed<T>>> {
         self.question = self.question.wrapping_add(1);
         let allowed = self.core.timing.unhurried(COMMAND_BYTES, MAX_FRAME);
         self.ask(&Frame::ask(self.question, *message), what, allowed, check)
@@ -118,7 +116,7 @@ impl StreamLink {
         what: &str,
         allowed: Duration,
         check: impl Fn(&Message) -> Option<T>,
-    ) -> Result<Answer<Timed<T>>, LinkError> {
+    ) -> Result<Answer<Timed<T>>> {
         self.core.live()?;
         self.drop_leftovers()?;
         let sent = now();
@@ -145,7 +143,7 @@ impl StreamLink {
     }
 
     /// Drops what came too late. A frame whose delimiter was lost must not take the next one with it.
-    fn drop_leftovers(&mut self) -> Result<(), LinkError> {
+    fn drop_leftovers(&mut self) -> Result<()> {
         let mut bytes = [0; 512];
         // A line that babbles faster than it is read must not hold us here.
         for _ in 0..128 {
@@ -202,7 +200,7 @@ impl StreamLink {
         deadline: Instant,
         wreckage: &mut Wreckage,
         check: impl Fn(&Message) -> Option<T>,
-    ) -> Result<Option<(Timed<T>, Instant)>, LinkError> {
+    ) -> Result<Option<(Timed<T>, Instant)>> {
         let mut bytes = [0; 512];
         loop {
             let left = deadline.saturating_duration_since(now());
@@ -276,6 +274,10 @@ impl StreamLink {
         self.close();
         self.core.gone(error)
     }
+
+    fn stop_once(&mut self, stop: Command) -> Result<Sample> {
+        self.exchange(stop)
+    }
 }
 
 fn telemetry(message: &Message) -> Option<Telemetry> {
@@ -293,11 +295,9 @@ fn capture_status(message: &Message) -> Option<CaptureStatus> {
 }
 
 impl DriveLink for StreamLink {
-    fn name(&self) -> LinkName {
-        LinkName(self.core.name.clone())
-    }
+    own_link!();
 
-    fn identify(&mut self) -> Result<Identity, LinkError> {
+    fn identify(&mut self) -> Result<Identity> {
         let answer =
             self.read_with_retries(&Message::Hello, "the identity", |message| match message {
                 Message::Identity(identity) => Some(*identity),
@@ -309,7 +309,7 @@ impl DriveLink for StreamLink {
         Ok(identity(&block))
     }
 
-    fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
+    fn exchange(&mut self, command: Command) -> Result<Sample> {
         self.core.is_unsent = true;
         let question = Frame::command(self.core.command(command));
         let allowed = self.core.timing.allowed(COMMAND_BYTES, TELEMETRY_BYTES);
@@ -322,61 +322,24 @@ impl DriveLink for StreamLink {
         Ok(self.core.sample(command, &answer))
     }
 
-    fn stop(&mut self) -> Result<(), LinkError> {
-        let (stop, name) = (self.core.stop_command(), self.core.name.clone());
-        let mut is_sent = false;
-        let stopped = stop_confirmed(&name, || {
-            let answer = self.exchange(stop);
-            is_sent |= !self.core.is_unsent;
-            answer
-        });
-        self.core.is_unsent = !is_sent;
-        stopped
-    }
-
-    fn has_sent_command(&self) -> bool {
-        !self.core.is_unsent
-    }
-
     fn close(&mut self) {
         self.core.gone = true;
         self.port = Box::new(Closed);
     }
 
-    fn statistics(&self) -> LinkStatistics {
-        self.core.tally.statistics
-    }
-
-    fn shortest_cycle_s(&self) -> Option<f64> {
-        let timing = &self.core.timing;
-        timing.shortest_cycle_s(COMMAND_BYTES, TELEMETRY_BYTES)
-    }
-
-    fn round_trips(&self) -> Option<&RoundTrips> {
-        Some(&self.core.tally.round_trips)
-    }
-
-    fn bound(&mut self, left_s: f64) {
-        self.core.bound.set(left_s, now());
-    }
-
     fn line(&self) -> Option<LineCounts> {
         Some(self.line)
-    }
-
-    fn burst(&mut self) -> Option<&mut dyn Burst> {
-        (self.core.capture_period_s > 0.0).then_some(self as &mut dyn Burst)
     }
 }
 
 impl Burst for StreamLink {
-    fn arm(&mut self) -> Result<(), LinkError> {
+    fn arm(&mut self) -> Result<()> {
         let question = Message::CaptureArm(CaptureControl::Arm);
         let answer = self.ask_numbered(&question, "start of a capture", capture_status);
         answer.map(drop)
     }
 
-    fn fetch(&mut self) -> Result<Option<Capture>, LinkError> {
+    fn fetch(&mut self) -> Result<Option<Capture>> {
         let question = Message::CaptureStatusRequest;
         let what = "the state of the capture";
         let answer = self.read_with_retries(&question, what, capture_status)?;

@@ -5,8 +5,8 @@
 //!                       '--bounded queue--> thread --> FILE (pcap, nanoseconds)
 //! ```
 //!
-//! The link never waits for the file: what the queue cannot take is counted and lost, and a file that fails is told
-//! once at the end. Link types: Modbus RTU 147 (user 0), our own stream 148 (user 1), Modbus TCP as IP packets (101).
+//! The link never waits for the file: what the queue cannot take is counted and lost, and a file that fails is
+//! reported once at the end. Link types: Modbus RTU 147 (user 0), our own stream 148 (user 1), Modbus TCP as IP packets (101).
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -33,7 +33,6 @@ const QUEUE: usize = 8192;
 
 /// Link types of the file (the first two are Wireshark's for private use).
 const RTU: u32 = 147;
-const STREAM: u32 = 148;
 const IP: u32 = 101;
 
 enum Message {
@@ -41,7 +40,6 @@ enum Message {
     End,
 }
 
-/// The capture file of one link.
 pub struct TapFile {
     path: PathBuf,
     sender: SyncSender<Message>,
@@ -81,7 +79,7 @@ impl TapFile {
     }
 
     pub(super) fn stream(&self) -> Tap {
-        self.tap(STREAM, Splitting::Zeros, None)
+        self.tap(148, Splitting::Zeros, None)
     }
 
     pub(super) fn tcp(&self, ours: SocketAddr, peer: SocketAddr) -> Tap {
@@ -123,7 +121,7 @@ impl TapFile {
         let Some(writer) = self.writer.take() else {
             return Ok(());
         };
-        // A writer that has failed hears nothing more, and its result says why.
+        // A writer that has failed takes nothing more; its result holds the reason.
         let _ = self.sender.send(Message::End);
         writer
             .join()
@@ -133,12 +131,11 @@ impl TapFile {
 
 impl Drop for TapFile {
     fn drop(&mut self) {
-        // Whoever wants to know what went wrong asks `finish`.
+        // The result is that of `finish`.
         let _ = self.end();
     }
 }
 
-/// One link's end of a capture.
 pub(super) struct Tap {
     sender: SyncSender<Message>,
     lost: Arc<AtomicU64>,
@@ -191,13 +188,8 @@ impl Tap {
 
 impl Drop for Tap {
     fn drop(&mut self) {
-        for is_sent in [true, false] {
-            let side = if is_sent {
-                &mut self.sent
-            } else {
-                &mut self.received
-            };
-            if let Some(rest) = side.rest() {
+        for (rest, is_sent) in [(self.sent.rest(), true), (self.received.rest(), false)] {
+            if let Some(rest) = rest {
                 self.record(&rest, is_sent);
             }
         }
@@ -323,7 +315,6 @@ impl Received {
         self.bytes.extend_from_slice(bytes);
     }
 
-    /// The next whole frame.
     fn frame(&mut self) -> Option<Vec<u8>> {
         let whole = match self.splitting {
             Splitting::Rtu => rtu_length(&self.bytes),
@@ -336,7 +327,6 @@ impl Received {
         Some(std::mem::replace(&mut self.bytes, rest))
     }
 
-    /// What makes no frame.
     fn rest(&mut self) -> Option<Vec<u8>> {
         (!self.bytes.is_empty()).then(|| std::mem::take(&mut self.bytes))
     }
@@ -355,26 +345,18 @@ const TCP: u8 = 6;
 const PUSH_ACK: u8 = 0x18;
 
 fn file_header(link_type: u32) -> Vec<u8> {
-    let mut header = Vec::with_capacity(24);
-    header.extend(MAGIC.to_le_bytes());
-    header.extend(2_u16.to_le_bytes());
-    header.extend(4_u16.to_le_bytes());
-    header.extend([0; 8]);
-    header.extend(LONGEST.to_le_bytes());
-    header.extend(link_type.to_le_bytes());
-    header
+    // Version 2.4, no correction of the time zone, longest frame, link type.
+    let words = [MAGIC, 2 | 4 << 16, 0, 0, LONGEST, link_type];
+    words.into_iter().flat_map(u32::to_le_bytes).collect()
 }
 
 /// A record: time since 1970, length twice, bytes.
 fn record_bytes(at: Duration, bytes: &[u8]) -> Vec<u8> {
     let seconds = u32::try_from(at.as_secs()).unwrap_or(u32::MAX);
     let length = u32::try_from(bytes.len()).unwrap_or(LONGEST);
-    let mut out = Vec::with_capacity(16 + bytes.len());
-    for word in [seconds, at.subsec_nanos(), length, length] {
-        out.extend(word.to_le_bytes());
-    }
-    out.extend_from_slice(bytes);
-    out
+    let head = [seconds, at.subsec_nanos(), length, length].into_iter();
+    let head = head.flat_map(u32::to_le_bytes);
+    head.chain(bytes.iter().copied()).collect()
 }
 
 /// A TCP connection, of which only the data are known: addresses are real, sequence numbers count from 1.
@@ -395,24 +377,19 @@ impl Conversation {
         }
     }
 
-    /// An IP packet with these data.
     fn packet(&mut self, data: &[u8], is_sent: bool) -> Vec<u8> {
         let length = u32::try_from(data.len()).unwrap_or(LONGEST);
         let (from, to, sequence, acknowledged) = if is_sent {
-            (self.ours, self.peer, self.sent, self.received)
+            (self.ours, self.peer, &mut self.sent, self.received)
         } else {
-            (self.peer, self.ours, self.received, self.sent)
+            (self.peer, self.ours, &mut self.received, self.sent)
         };
-        let count = if is_sent {
-            &mut self.sent
-        } else {
-            &mut self.received
-        };
-        *count = count.wrapping_add(length);
+        let first = *sequence;
+        *sequence = first.wrapping_add(length);
         let mut segment = Vec::with_capacity(20 + data.len());
         segment.extend(from.port().to_be_bytes());
         segment.extend(to.port().to_be_bytes());
-        segment.extend(sequence.to_be_bytes());
+        segment.extend(first.to_be_bytes());
         segment.extend(acknowledged.to_be_bytes());
         // Header of five words, window of 65535, checksum to come, nothing urgent.
         segment.extend([5 << 4, PUSH_ACK, 0xFF, 0xFF, 0, 0, 0, 0]);
@@ -458,7 +435,6 @@ fn ip6(from: &[u8; 16], to: &[u8; 16], segment: &mut [u8]) -> Vec<u8> {
     packet
 }
 
-/// Puts the checksum into a segment.
 fn seal(pseudo_header: &[u8], segment: &mut [u8]) {
     let sum = checksum(&[pseudo_header, segment].concat()).to_be_bytes();
     segment[16..18].copy_from_slice(&sum);
@@ -519,7 +495,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_disk_is_told_and_stops_nobody() {
+    fn a_full_disk_is_reported_and_delays_no_link() {
         // The device takes nothing: every write fails as on a full disk.
         let full = File::options().write(true).open("/dev/full").unwrap();
         let (sender, receiver) = sync_channel(QUEUE);
@@ -537,11 +513,9 @@ mod tests {
         for _ in 0..2 * QUEUE {
             tap.sent(&[1, 2, 0]);
         }
-        let told = file.finish().unwrap_err();
-        assert!(
-            told.starts_with("full.pcap: the capture is not complete"),
-            "{told}"
-        );
+        let error = file.finish().unwrap_err();
+        let expected = "full.pcap: the capture is not complete";
+        assert!(error.starts_with(expected), "{error}");
     }
 
     fn split(splitting: Splitting, pieces: &[&[u8]]) -> Vec<Vec<u8>> {
@@ -561,18 +535,11 @@ mod tests {
         let twice = [reply, reply].concat();
         let frames = split(Splitting::Rtu, &[&twice[..9], &twice[9..], &[5]]);
         assert_eq!(frames, [&reply[..], &reply, &[5]]);
-        assert_eq!(
-            split(Splitting::Zeros, &[&[1, 0, 2], &[0, 3]]),
-            [&[1, 0][..], &[2, 0], &[3]]
-        );
-        assert_eq!(
-            split(Splitting::None, &[&[1], &[2, 3]]),
-            [&[1][..], &[2, 3]]
-        );
-    }
-
-    #[test]
-    fn babble_does_not_fill_the_memory() {
+        let frames = split(Splitting::Zeros, &[&[1, 0, 2], &[0, 3]]);
+        assert_eq!(frames, [&[1, 0][..], &[2, 0], &[3]]);
+        let frames = split(Splitting::None, &[&[1], &[2, 3]]);
+        assert_eq!(frames, [&[1][..], &[2, 3]]);
+        // Bytes without an end do not fill the memory.
         let frames = split(Splitting::Zeros, &[&[7; 10 * MOST]]);
         assert!(frames.iter().all(|frame| frame.len() <= MOST));
         assert_eq!(frames.concat().len(), 10 * MOST);
@@ -580,9 +547,12 @@ mod tests {
 
     /// A sum over everything that includes its own checksum is 0 (RFC 1071).
     #[test]
-    fn checksums_are_right_and_sequence_numbers_count_the_data() {
-        let address = |text: &str| text.parse::<SocketAddr>().unwrap();
-        let mut v4 = Conversation::new(address("10.0.0.1:40000"), address("10.0.0.2:502"));
+    fn packets_have_right_checksums_and_sequence_numbers() {
+        let conversation = |ours: &str, peer: &str| {
+            let [ours, peer] = [ours, peer].map(|text| text.parse().unwrap());
+            Conversation::new(ours, peer)
+        };
+        let mut v4 = conversation("10.0.0.1:40000", "10.0.0.2:502");
         let packet = v4.packet(&[1, 2, 3], true);
         assert_eq!(packet.len(), 43);
         assert_eq!(checksum(&packet[..20]), 0);
@@ -590,12 +560,9 @@ mod tests {
         assert_eq!(checksum(&pseudo), 0);
         let answer = v4.packet(&[9], false);
         assert_eq!(answer[20..22], 502_u16.to_be_bytes());
-        assert_eq!(
-            answer[28..32],
-            4_u32.to_be_bytes(),
-            "three bytes acknowledged"
-        );
-        let mut v6 = Conversation::new(address("[::1]:40000"), address("[::1]:502"));
+        let acknowledged = 4_u32.to_be_bytes();
+        assert_eq!(answer[28..32], acknowledged, "three bytes");
+        let mut v6 = conversation("[::1]:40000", "[::1]:502");
         let packet = v6.packet(&[1, 2, 3, 4], true);
         assert_eq!(packet.len(), 64);
         let pseudo = [&packet[8..40], &[0, 0, 0, 24, 0, 0, 0, 6], &packet[40..]].concat();

@@ -14,10 +14,6 @@ use drivebench_model::sample::{Applied, Channel, Command, Demand, DriveState, Sa
 
 /// Microseconds until the drive's counter comes round.
 const TURN_US: f64 = 4_294_967_296.0;
-/// The best exchange of each window is kept, s.
-const WINDOW_S: f64 = 0.5;
-/// Windows that are remembered.
-const WINDOWS: usize = 120;
 
 /// The drive's microsecond counter as seconds since the link connected: the first counter seen is 0.
 #[derive(Clone, Debug, Default)]
@@ -79,7 +75,8 @@ impl ClockMap {
     pub fn observe(&mut self, span: Span, drive_s: f64) {
         let host_s = 0.5 * (span.asked_s + span.answered_s);
         let mark = Mark {
-            window: (host_s / WINDOW_S).floor(),
+            // The best exchange of each window is kept, s.
+            window: (host_s / 0.5).floor(),
             host_s,
             offset_s: drive_s - host_s,
             delay_s: span.answered_s - span.asked_s,
@@ -89,7 +86,8 @@ impl ClockMap {
             Some(last) if last.window >= mark.window => *last = mark,
             _ => self.marks.push_back(mark),
         }
-        if self.marks.len() > WINDOWS {
+        // Windows that are remembered.
+        if self.marks.len() > 120 {
             self.marks.pop_front();
         }
     }
@@ -248,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn the_applied_time_survives_a_turn_of_the_counter() {
+    fn applied_time_and_angle_survive_a_turn_of_the_counter() {
         let mut timeline = Timeline::default();
         timeline.note(u32::MAX - 1499, Span::new(1.0, 1.001));
         let telemetry = telemetry(5, 500, u32::MAX - 499);
@@ -259,21 +257,13 @@ mod tests {
         assert!((applied.time_s - 0.001).abs() < 1e-12);
         assert_eq!(sample.get(Channel::Temperature), None);
         assert_eq!(sample.get(Channel::Current), Some(0.0));
-    }
-
-    #[test]
-    fn a_command_that_the_drive_does_not_report_has_no_applied_time() {
-        let sample = Timeline::default().sample(&telemetry(4, 10, 5), 5, Span::new(0.0, 0.0));
-        assert_eq!(sample.applied, None);
-    }
-
-    #[test]
-    fn the_angle_goes_on_over_its_wrap() {
-        let mut timeline = Timeline::default();
+        // Telemetry with the number of another command has no applied time.
+        let other = timeline.sample(&telemetry, 65_542, Span::new(1.004, 1.005));
+        assert_eq!(other.applied, None);
         let half = 0.5 * Telemetry::ANGLE_SPAN_RAD;
+        let mut timeline = Timeline::default();
         let first = timeline.unwrap_angle(half - 1.0);
-        let second = timeline.unwrap_angle(-half + 1.0);
-        assert!((second - first - 2.0).abs() < 1e-6);
+        assert!((timeline.unwrap_angle(-half + 1.0) - first - 2.0).abs() < 1e-6);
         assert!((timeline.unwrap_angle(half - 1.0) - first).abs() < 1e-6);
     }
 
@@ -316,11 +306,8 @@ mod tests {
         // 30 s at 100 Hz; the drive is 7 s behind and 50 ppm fast; every third reply is up to 20 ms late.
         for k in 0..3000 {
             let sent_s = f64::from(k) * 0.01;
-            let late_s = if k % 3 == 0 {
-                0.0
-            } else {
-                f64::from(k % 20) * 1e-3
-            };
+            let is_late = k % 3 != 0;
+            let late_s = f64::from(is_late) * f64::from(k % 20) * 1e-3;
             let sampled_s = sent_s + 0.002;
             let span = Span::new(sent_s, sent_s + 0.004 + late_s);
             map.observe(span, sampled_s * 1.000_05 - 7.0);

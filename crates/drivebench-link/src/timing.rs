@@ -3,33 +3,25 @@
 use std::time::{Duration, Instant};
 
 use super::settings::{Framing, LinkSettings};
-use super::waiting::now;
-use super::waiting::skip_to;
+use super::waiting::{now, skip_to};
 
-/// What adapter, kernel and host may add to an exchange.
-const HOST_ALLOWANCE: Duration = Duration::from_millis(40);
-/// Characters of silence that end a frame, and the fixed time above 19200 baud (MODBUS over Serial Line V1.02, 2.5.1.1).
-const GAP_CHARS: f64 = 3.5;
-const FIXED_GAP_S: f64 = 0.001_75;
-const FIXED_GAP_ABOVE_BAUD: u32 = 19_200;
 /// An adapter hands over bytes this much later than they came (the latency timer of FTDI is 16 ms), until it is measured;
 /// and what a host that is busy may add to the least that was measured.
 const ADAPTER_DELAY: Duration = Duration::from_millis(16);
-const LEAST_ADAPTER_DELAY: Duration = Duration::from_millis(4);
 /// A thread that sleeps may wake up this much late without anyone to blame; the rest of a wait is watched on the clock,
 /// because a gap that is 0.1 ms too long already costs one request in twenty.
 const SLEEP_SLACK: Duration = Duration::from_micros(300);
 
 /// Silence between frames that the standard asks for, s.
 pub fn standard_gap_s(baud: u32, framing: Framing) -> f64 {
-    if baud > FIXED_GAP_ABOVE_BAUD {
-        FIXED_GAP_S
+    // 3.5 characters, and a fixed time above 19200 baud (MODBUS over Serial Line V1.02, 2.5.1.1).
+    if baud > 19_200 {
+        0.001_75
     } else {
-        GAP_CHARS * char_s(baud, framing)
+        3.5 * char_s(baud, framing)
     }
 }
 
-/// Time of one character on the line, s.
 pub(super) fn char_s(baud: u32, framing: Framing) -> f64 {
     f64::from(framing.bits_per_char()) / f64::from(baud.max(1))
 }
@@ -46,7 +38,7 @@ pub(super) struct LineTiming {
 }
 
 impl LineTiming {
-    /// A serial line; `with_gaps`: frames are told apart by silence.
+    /// A serial line; `with_gaps`: silence separates frames.
     pub(super) fn serial(settings: &LinkSettings, baud: u32, with_gaps: bool) -> Self {
         let gap_s = settings
             .gap_us
@@ -58,7 +50,6 @@ impl LineTiming {
         }
     }
 
-    /// A network connection.
     pub(super) fn network(settings: &LinkSettings) -> Self {
         Self {
             char_s: 0.0,
@@ -77,25 +68,22 @@ impl LineTiming {
     /// Replies have come so long after their wire time at the most: what they are waited for, and how long silence has to
     /// last, follows that instead of the slowest adapter there is.
     pub(super) fn measured(&mut self, longest_lag: Duration) {
-        self.adapter = longest_lag.clamp(LEAST_ADAPTER_DELAY, ADAPTER_DELAY);
+        self.adapter = longest_lag.clamp(Duration::from_millis(4), ADAPTER_DELAY);
     }
 
-    /// Wire time of an exchange.
     pub(super) fn wire(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
         seconds((request_bytes + reply_bytes) as f64 * self.char_s)
     }
 
-    /// Silence before a request.
     pub(super) fn gap(&self) -> Duration {
         seconds(self.gap_s)
     }
 
-    /// Silence after which nothing of an earlier exchange can come any more from a drive that keeps its word.
+    /// Silence after which nothing of an earlier exchange can come any more from a drive that keeps its times.
     pub(super) fn quiet(&self) -> Duration {
         self.gap() + 2 * self.reply + self.adapter
     }
 
-    /// Time that one exchange may take.
     pub(super) fn allowed(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
         self.deadline
             .unwrap_or_else(|| self.unhurried(request_bytes, reply_bytes))
@@ -117,7 +105,8 @@ impl LineTiming {
     /// Time for an exchange outside the cycles of a run, whose deadline it does not have to keep.
     pub(super) fn unhurried(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
         let wire_s = (request_bytes + reply_bytes) as f64 * self.char_s + 2.0 * self.gap_s;
-        seconds(wire_s) + 2 * self.reply + HOST_ALLOWANCE
+        // What adapter, kernel and host may add to an exchange.
+        seconds(wire_s) + 2 * self.reply + Duration::from_millis(40)
     }
 
     /// Wire time of an exchange with its silences, s: what no drive can do better. How long this one takes to reply is

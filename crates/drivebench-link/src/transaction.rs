@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! request --> proof.rs      may it go out? silence until .. | probe with .. | in step
-//!    |        Bound         how long may it take, and does somebody want a stop meanwhile?
+//!    |        Bound         how long may it take, and is a stop wanted meanwhile?
 //!    v
 //! bytes   --> Reception     which of them are the reply, and when did its first byte come?
 //!                |          stale, foreign, damaged: counted
@@ -21,10 +21,7 @@ use serde::Serialize;
 use super::link_error::LinkError;
 use super::reply::{Code, Expected, FrameKind, Search, search};
 
-/// A wait under way looks so often whether somebody wants a stop.
-const LOOK: Duration = Duration::from_millis(4);
-
-/// Says that a stop is wanted: any of its flags was raised since the last [`CutIn::lower`].
+/// A stop is wanted: any of its flags was raised since the last [`CutIn::lower`].
 ///
 /// Silences, probes and retries of a bounded exchange are given up then, so that the stop goes out next.
 #[derive(Clone, Debug, Default)]
@@ -36,7 +33,7 @@ impl CutIn {
         Self(flags.into_iter().map(|flag| (flag, false)).collect())
     }
 
-    /// What is raised by now will be heard by whoever is told of it next: it cuts in no more.
+    /// What is raised by now is handled by its owner: it cuts in no more.
     pub fn lower(&mut self) {
         for (flag, heard) in &mut self.0 {
             *heard = flag.load(Ordering::Acquire);
@@ -88,7 +85,8 @@ impl Bound {
         if !self.is_set() || self.cut_in.0.is_empty() {
             at
         } else {
-            at.min(now + LOOK)
+            // A wait under way checks so often whether a stop is wanted.
+            at.min(now + Duration::from_millis(4))
         }
     }
 }
@@ -101,7 +99,6 @@ const LONGEST_WAIT_BYTES: usize = 1024;
 pub struct LineCounts {
     pub bytes_sent: u64,
     pub bytes_received: u64,
-    /// Bytes of replies that were taken.
     pub bytes_accepted: u64,
     /// Bytes that belonged to no accepted reply.
     pub bytes_dropped: u64,
@@ -171,7 +168,6 @@ pub(super) struct OldReply {
     pub(super) behind: bool,
 }
 
-/// The bytes of one line.
 #[derive(Debug)]
 pub(super) struct Reception {
     pub(super) kind: FrameKind,

@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
 use super::burst::{Burst, Capture};
-use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, RoundTrips};
+use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, Result, RoundTrips};
 use super::modbus::ModbusLink;
 use super::open::dressed;
 use super::port::TimedPort;
@@ -26,8 +26,7 @@ use super::settings::Protocol;
 use super::stream::StreamLink;
 use super::timing::LineTiming;
 use super::transaction::{CutIn, LineCounts};
-use super::waiting::now;
-use super::waiting::{InVirtualTime, Waiting, expect_at, skip_to};
+use super::waiting::{InVirtualTime, Waiting, expect_at, now, skip_to};
 use super::{CommandTimes, LinkSettings};
 use drivebench_model::sample::{Command, Demand, Sample};
 
@@ -81,12 +80,10 @@ pub(super) fn modbus_link<D: Device + 'static>(
     ModbusLink::new(name, Waiting::Virtual, port, kind, unit, timing, now())
 }
 
-/// What hangs at the far end: hears bytes, and says when which bytes come back.
 pub(super) trait Device: Send {
-    fn hear(&mut self, bytes: &[u8]) -> Vec<(Duration, Vec<u8>)>;
+    fn receive(&mut self, bytes: &[u8]) -> Vec<(Duration, Vec<u8>)>;
 }
 
-/// The near end of the line.
 pub(super) struct VirtualPort<D> {
     device: Arc<Mutex<D>>,
     /// What is under way, by arrival and order.
@@ -105,7 +102,7 @@ impl<D: Device> VirtualPort<D> {
 
     fn send(&mut self, bytes: &[u8]) {
         let mut device = self.device.lock().unwrap_or_else(PoisonError::into_inner);
-        for (delay, reply) in device.hear(bytes) {
+        for (delay, reply) in device.receive(bytes) {
             self.count += 1;
             self.coming.insert((now() + delay, self.count), reply);
         }
@@ -186,12 +183,11 @@ impl<D: Device> TimedPort for VirtualPort<D> {
     }
 }
 
-/// What hears bytes at a time, s, and says which bytes come back at which times.
+/// What receives bytes at a time, s: which bytes come back at which times.
 pub trait FarEnd: Send {
-    fn hear(&mut self, now_s: f64, bytes: &[u8]) -> Vec<(f64, Vec<u8>)>;
+    fn receive(&mut self, now_s: f64, bytes: &[u8]) -> Vec<(f64, Vec<u8>)>;
 }
 
-/// Time of a line in memory.
 #[derive(Clone, Copy)]
 pub struct LineTime(Instant);
 
@@ -213,20 +209,19 @@ impl LineTime {
 struct Far<F: ?Sized>(LineTime, Arc<Mutex<F>>);
 
 impl<F: FarEnd + ?Sized> Device for Far<F> {
-    fn hear(&mut self, bytes: &[u8]) -> Vec<(Duration, Vec<u8>)> {
+    fn receive(&mut self, bytes: &[u8]) -> Vec<(Duration, Vec<u8>)> {
         let now_s = self.0.now_s();
         let mut far = self.1.lock().unwrap_or_else(PoisonError::into_inner);
-        let sent = far.hear(now_s, bytes).into_iter();
+        let sent = far.receive(now_s, bytes).into_iter();
         sent.map(|(at_s, bytes)| (Duration::from_secs_f64((at_s - now_s).max(0.0)), bytes))
             .collect()
     }
 }
 
-/// A link over a line in memory. What it waits for passes on `clock`, which says when each of its calls begins.
+/// A link over a line in memory. What it waits for passes on `clock`, which sets when each of its calls begins.
 pub struct VirtualLink {
     link: Box<dyn DriveLink>,
     clock: VirtualClock,
-    /// Zero of the clock.
     origin: Instant,
 }
 
@@ -259,109 +254,75 @@ impl VirtualLink {
         result
     }
 
-    fn with_burst<R>(
-        &mut self,
-        work: impl FnOnce(&mut dyn Burst) -> Result<R, LinkError>,
-    ) -> Result<R, LinkError> {
+    fn with_burst<R>(&mut self, work: impl FnOnce(&mut dyn Burst) -> Result<R>) -> Result<R> {
         let gone = LinkError::Gone(self.name().0, "it records nothing by itself".to_owned());
         self.within(|link| link.burst().map_or(Err(gone), work))
     }
 }
 
+/// Methods of the link, those that may take time within virtual time.
+macro_rules! passed_on {
+    (timed { $($timed:ident($($arg:ident: $type:ty)?) -> $result:ty;)+ }
+     untimed { $($name:ident -> $value:ty;)+ }) => {
+        $(fn $timed(&mut self $(, $arg: $type)?) -> $result {
+            self.within(|link| link.$timed($($arg)?))
+        })+
+
+        $(fn $name(&self) -> $value {
+            self.link.$name()
+        })+
+    };
+}
+
 impl DriveLink for VirtualLink {
-    fn name(&self) -> LinkName {
-        self.link.name()
-    }
-
-    fn identify(&mut self) -> Result<Identity, LinkError> {
-        self.within(DriveLink::identify)
-    }
-
-    fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
-        self.within(|link| link.exchange(command))
-    }
-
-    fn bound(&mut self, left_s: f64) {
-        self.within(|link| link.bound(left_s));
+    passed_on! {
+        timed {
+            identify() -> Result<Identity>;
+            exchange(command: Command) -> Result<Sample>;
+            bound(left_s: f64) -> ();
+            stop() -> Result<()>;
+            recognise() -> Result<Identity>;
+            compare_set_points() -> Result<Option<Result<String, String>>>;
+            bring_to_rest() -> Result<()>;
+        }
+        untimed {
+            name -> LinkName;
+            found -> Option<Sample>;
+            has_sent_command -> bool;
+            confirms_stop -> bool;
+            command_times -> CommandTimes;
+            statistics -> LinkStatistics;
+            shortest_cycle_s -> Option<f64>;
+            round_trips -> Option<&RoundTrips>;
+            line -> Option<LineCounts>;
+            zero -> Demand;
+        }
     }
 
     fn cut_in(&mut self) -> Option<&mut CutIn> {
         self.link.cut_in()
     }
 
-    fn stop(&mut self) -> Result<(), LinkError> {
-        self.within(DriveLink::stop)
-    }
-
-    fn recognise(&mut self) -> Result<Identity, LinkError> {
-        self.within(DriveLink::recognise)
-    }
-
-    fn found(&self) -> Option<Sample> {
-        self.link.found()
-    }
-
-    fn compare_set_points(&mut self) -> Result<Option<Result<String, String>>, LinkError> {
-        self.within(DriveLink::compare_set_points)
-    }
-
-    fn bring_to_rest(&mut self) -> Result<(), LinkError> {
-        self.within(DriveLink::bring_to_rest)
-    }
-
-    fn has_sent_command(&self) -> bool {
-        self.link.has_sent_command()
-    }
-
-    fn confirms_stop(&self) -> bool {
-        self.link.confirms_stop()
-    }
-
-    fn command_times(&self) -> CommandTimes {
-        self.link.command_times()
-    }
-
     fn close(&mut self) {
         self.link.close();
-    }
-
-    fn statistics(&self) -> LinkStatistics {
-        self.link.statistics()
-    }
-
-    fn shortest_cycle_s(&self) -> Option<f64> {
-        self.link.shortest_cycle_s()
-    }
-
-    fn round_trips(&self) -> Option<&RoundTrips> {
-        self.link.round_trips()
-    }
-
-    fn line(&self) -> Option<LineCounts> {
-        self.link.line()
     }
 
     fn burst(&mut self) -> Option<&mut dyn Burst> {
         let has_one = self.link.burst().is_some();
         has_one.then_some(self as &mut dyn Burst)
     }
-
-    fn zero(&self) -> Demand {
-        self.link.zero()
-    }
 }
 
 impl Burst for VirtualLink {
-    fn arm(&mut self) -> Result<(), LinkError> {
+    fn arm(&mut self) -> Result<()> {
         self.with_burst(|burst| burst.arm())
     }
 
-    fn fetch(&mut self) -> Result<Option<Capture>, LinkError> {
+    fn fetch(&mut self) -> Result<Option<Capture>> {
         self.with_burst(|burst| burst.fetch())
     }
 }
 
-/// Works in virtual time.
 pub fn paused<R>(work: impl FnOnce() -> R) -> R {
     let _virtual = InVirtualTime::at(now());
     work()

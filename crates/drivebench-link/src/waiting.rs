@@ -19,7 +19,7 @@ use tokio::runtime::Runtime;
 
 thread_local! {
     static NOW: Cell<Option<Instant>> = const { Cell::new(None) };
-    /// When the line brings something next, as far as whoever polls it was told.
+    /// When the line brings something next, as far as its port has announced it.
     static NEXT: Cell<Option<Instant>> = const { Cell::new(None) };
 }
 
@@ -72,7 +72,7 @@ pub(super) enum Waiting {
     Virtual,
 }
 
-/// Says that a future wants to be polled again.
+/// Marks a future that is to be polled again.
 struct Woken(AtomicBool);
 
 impl Wake for Woken {

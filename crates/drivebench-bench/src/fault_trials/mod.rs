@@ -75,7 +75,7 @@ struct Surroundings {
 }
 
 impl FarEnd for Surroundings {
-    fn hear(&mut self, now_s: f64, bytes: &[u8]) -> Vec<(f64, Vec<u8>)> {
+    fn receive(&mut self, now_s: f64, bytes: &[u8]) -> Vec<(f64, Vec<u8>)> {
         let sent = self.drive.hear(now_s, bytes);
         if let (false, Some((at_s, _))) = (self.drive.is_faulty(), sent.last()) {
             self.replied_s = *at_s;

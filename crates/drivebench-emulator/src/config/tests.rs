@@ -1,7 +1,7 @@
 use super::*;
 
 #[test]
-fn every_embedded_configuration_is_valid_and_hides_what_its_name_says() {
+fn embedded_configurations_hide_what_their_names_say() {
     let hidden: Vec<(&str, Vec<&str>)> = EmulatorConfig::embedded_names()
         .map(|name| {
             let config = EmulatorConfig::embedded(name).unwrap();
@@ -106,12 +106,9 @@ fn the_example_states_the_defaults_as_they_are() {
         "angle_rad",
     ];
     let example = EmulatorConfig::parse("example.toml", EXAMPLE).unwrap();
-    let short: String = EXAMPLE
-        .lines()
-        .filter(|line| !optional.iter().any(|key| line.starts_with(key)))
-        .flat_map(|line| [line, "\n"])
-        .collect();
-    let defaulted = EmulatorConfig::parse("short", &short).unwrap();
+    let is_given = |line: &&str| !optional.iter().any(|key| line.starts_with(key));
+    let short: Vec<&str> = EXAMPLE.lines().filter(is_given).collect();
+    let defaulted = EmulatorConfig::parse("short", &short.join("\n")).unwrap();
     assert_eq!(defaulted.watchdog_ms, example.watchdog_ms);
     assert_eq!(defaulted.limits, example.limits);
     assert_eq!(example.line, LineConfig::default());
@@ -147,29 +144,29 @@ fn a_change_that_no_bench_can_make_is_refused() {
 }
 
 #[test]
-fn a_typing_mistake_is_named_with_line_and_nearest_key() {
-    let text = EXAMPLE.replace("current_limit_a", "curent_limit_a");
-    let error = refusal(&text);
-    let EmulatorConfigError::Text(place) = &error else {
-        panic!("{error}");
-    };
-    let mut lines = text.lines();
-    let line = lines.position(|line| line.starts_with("curent_limit_a"));
-    assert_eq!(place.line, line.unwrap() + 1);
-    assert_eq!(error.help(), "did you mean `current_limit_a`?");
-}
-
-#[test]
-fn an_unknown_key_of_an_effect_and_an_unknown_effect_are_refused() {
-    for (from, to) in [("drop_v", "drop_volts"), ("voltage_drop", "voltage_dorp")] {
-        let error = refusal(&EXAMPLE.replace(from, to));
-        assert!(error.to_string().contains(to), "{error}");
+fn unknown_names_are_refused_with_line_and_nearest_name() {
+    for (from, to) in [
+        ("current_limit_a", "curent_limit_a"),
+        ("drop_v", "drop_volts"),
+        ("voltage_drop", "voltage_dorp"),
+    ] {
+        let text = EXAMPLE.replace(from, to);
+        let error = refusal(&text);
         assert_eq!(error.help(), format!("did you mean `{from}`?"));
+        let EmulatorConfigError::Text(place) = &error else {
+            panic!("{error}");
+        };
+        if to == "curent_limit_a" {
+            let mut lines = text.lines();
+            let line = lines.position(|line| line.starts_with(to));
+            assert_eq!(place.line, line.unwrap() + 1);
+        }
+        assert!(error.to_string().contains(to), "{error}");
     }
 }
 
 #[test]
-fn a_flux_that_lets_the_current_run_away_is_refused_with_the_largest_size() {
+fn a_flux_that_runs_away_is_refused_with_the_largest_size() {
     let with = |size: &str| {
         let text = format!(
             "{EXAMPLE}\n[[hidden]]\nid = \"flux_saturation\"\nsaturation_per_a2 = {size}\n"
@@ -194,17 +191,5 @@ fn values_that_no_drive_can_have_are_refused() {
         let error = refusal(&EXAMPLE.replace(from, to));
         let key = from.split(' ').next().unwrap();
         assert!(error.to_string().contains(key), "{error}");
-    }
-}
-
-#[test]
-fn every_kind_of_fault_stands_in_the_example() {
-    let unknown = refusal("[[fault]]\nkind = \"cosmic_ray\"\n").to_string();
-    let listed = |kind: &str| EXAMPLE.contains(&format!("#kind = \"{kind}\" "));
-    let all = toml::from_str::<FaultEntry>("kind = \"cosmic_ray\"").unwrap_err();
-    let kinds: Vec<&str> = all.message().split('`').skip(3).step_by(2).collect();
-    assert!(kinds.len() > 30, "{unknown} {kinds:?}");
-    for kind in kinds {
-        assert!(listed(kind), "{kind}");
     }
 }

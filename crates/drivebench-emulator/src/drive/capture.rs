@@ -86,12 +86,10 @@ impl Capture {
         self.first_tick
     }
 
-    /// At most [`LENGTH`].
     pub(super) fn count(&self) -> u16 {
         u16::try_from(self.samples.len()).unwrap_or(u16::MAX)
     }
 
-    /// At most `most` samples from `index` on.
     pub(super) fn samples(&self, index: u16, most: usize) -> &[CaptureSample] {
         let tail = self.samples.get(usize::from(index)..).unwrap_or_default();
         &tail[..tail.len().min(most)]

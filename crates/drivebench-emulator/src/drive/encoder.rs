@@ -19,7 +19,6 @@ impl Encoder {
         }
     }
 
-    /// What is read `time_s` after the start of the drive.
     pub(super) fn read(&mut self, time_s: f64, mut reading: Reading) -> Reading {
         if self.is_reversed {
             reading.speed_rad_s = -reading.speed_rad_s;
@@ -49,33 +48,24 @@ mod tests {
     }
 
     #[test]
-    fn it_sticks_from_its_instant_until_the_drive_starts_again() {
+    fn it_sticks_until_the_next_start_and_may_be_reversed() {
         let mut encoder = Encoder::new(FaultsConfig {
             encoder_frozen_from_s: Some(1.0),
             ..FaultsConfig::default()
         });
         assert_eq!(encoder.read(0.9, at(5.0)), at(5.0));
         encoder.read(1.0, at(6.0));
-        let stuck = encoder.read(2.0, at(9.0));
-        let expected = Reading {
-            current_a: 9.0,
-            ..at(6.0)
+        // The current is another sensor.
+        let with_current = |current_a: f64, reading| Reading {
+            current_a,
+            ..reading
         };
-        assert_eq!(stuck, expected, "the current is another sensor");
+        assert_eq!(encoder.read(2.0, at(9.0)), with_current(9.0, at(6.0)));
         assert_eq!(encoder.read(0.0, at(3.0)), at(3.0));
-    }
-
-    #[test]
-    fn reversed_it_says_the_opposite() {
-        let mut encoder = Encoder::new(FaultsConfig {
+        let mut reversed = Encoder::new(FaultsConfig {
             encoder_reversed: true,
             ..FaultsConfig::default()
         });
-        let read = encoder.read(0.0, at(5.0));
-        let expected = Reading {
-            current_a: 5.0,
-            ..at(-5.0)
-        };
-        assert_eq!(read, expected);
+        assert_eq!(reversed.read(0.0, at(5.0)), with_current(5.0, at(-5.0)));
     }
 }

@@ -4,21 +4,21 @@
 //! command block --> [ state machine ] --> [ output stage: loops, limits ] --> terminals --> [ truth ]
 //! watchdog, trips --^                                                                         |
 //! telemetry, capture <------------------------- sensors <-------------------------------------+
-//! surroundings.rs: a supply that takes nothing back, a brake on the shaft
+//! supply_and_brake.rs: a supply that takes nothing back, a brake on the shaft
 //! encoder.rs breaks speed and angle where a fault says so
-//! latecomer.rs holds set-points back where a hidden delay is at work
-//! troubles.rs: what goes wrong in the drive itself
-//! registers.rs and stream.rs show all of it on the two protocols
+//! delay_line.rs holds set-points back where a hidden delay is at work
+//! drive_faults.rs: what goes wrong in the drive itself
+//! registers.rs and stream.rs: its registers and its stream
 //! ```
 
 mod capture;
+mod delay_line;
+mod drive_faults;
 mod encoder;
-mod latecomer;
 mod output;
 mod registers;
 mod stream;
-mod surroundings;
-mod troubles;
+mod supply_and_brake;
 
 use firmware_protocol::{
     CommandBlock, Control, DeviceKind, DriveCommand, Fault, Identity, PROTOCOL_VERSION, State,
@@ -26,10 +26,10 @@ use firmware_protocol::{
 };
 
 use self::capture::Capture;
+use self::drive_faults::DriveFaults;
 use self::encoder::Encoder;
 use self::output::{Output, OutputStage};
-use self::surroundings::Surroundings;
-use self::troubles::Troubles;
+use self::supply_and_brake::SupplyAndBrake;
 use super::config::EmulatorConfig;
 use super::fault::FaultKind;
 use super::truth::effect::{Site, TrueParameter};
@@ -43,8 +43,6 @@ const TICK_S: f64 = TICK_US as f64 * 1e-6;
 const TICKS_PER_MS: u64 = 1000 / TICK_US as u64;
 /// Captured samples lie this far apart.
 const CAPTURE_TICKS: u16 = 2;
-/// Temperature around the motor.
-const AMBIENT_C: f64 = 25.0;
 
 /// The software drive. Time only moves in [`SoftDrive::advance_to`] and, by at most one tick, in
 /// [`SoftDrive::command`].
@@ -56,8 +54,8 @@ pub struct SoftDrive {
     plant: Plant,
     sensors: Sensors,
     encoder: Encoder,
-    surroundings: Surroundings,
-    troubles: Troubles,
+    supply_and_brake: SupplyAndBrake,
+    faults: DriveFaults,
     output_stage: OutputStage,
     output: Output,
     /// The output of this tick is decided already.
@@ -118,8 +116,8 @@ impl SoftDrive {
             sensors: Sensors::new(config.noise.clone(), config.quantisation.clone(), chance)
                 .behind(path, TICK_S),
             encoder: Encoder::new(config.faults),
-            surroundings: Surroundings::new(config),
-            troubles: Troubles::new(&config.faulty),
+            supply_and_brake: SupplyAndBrake::new(config),
+            faults: DriveFaults::new(&config.faulty),
             output_stage: OutputStage::new(&config.limits, &config.motor, &path),
             output: Output::off(config.limits.output_off, config.limits.bus_v),
             output_fresh: false,
@@ -140,14 +138,13 @@ impl SoftDrive {
         }
     }
 
-    /// Drive time, s.
     pub fn time_s(&self) -> f64 {
         self.tick as f64 * TICK_S
     }
 
     /// Lets drive time reach `time_s`; a time that has passed changes nothing.
     pub fn advance_to(&mut self, time_s: f64) {
-        // The small addend keeps a time that was computed as n ticks from being read as one tick less.
+        // The small addend keeps rounding from turning n ticks into one less.
         let target = (time_s / TICK_S + 1e-6).floor();
         #[expect(
             clippy::cast_possible_truncation,
@@ -167,13 +164,12 @@ impl SoftDrive {
         self.apply(command);
     }
 
-    /// One sample at the present drive time.
     pub fn telemetry(&mut self) -> Telemetry {
-        let telemetry = self.honest_telemetry();
-        self.troubles.telemetry(telemetry)
+        let telemetry = self.true_telemetry();
+        self.faults.telemetry(telemetry)
     }
 
-    fn honest_telemetry(&mut self) -> Telemetry {
+    fn true_telemetry(&mut self) -> Telemetry {
         let reading = self.reading();
         let status = Status::new(self.state)
             .with(Status::CURRENT_LIMIT, self.output.current_limited)
@@ -219,7 +215,7 @@ impl SoftDrive {
         self.seq
     }
 
-    /// What its output is told to be, V; 0 while it is off.
+    /// Commanded output voltage, V; 0 while it is off.
     pub(super) fn output_v(&self) -> f64 {
         if self.state == State::Running {
             self.output.volts
@@ -233,14 +229,13 @@ impl SoftDrive {
         self.ran_s
     }
 
-    /// Whether it is switched on.
     pub fn is_powered(&self) -> bool {
         !self.has(FaultKind::PowerLost)
     }
 
     /// Whether this goes wrong in it now.
     pub(crate) fn has(&self, kind: FaultKind) -> bool {
-        self.troubles.has(kind)
+        self.faults.has(kind)
     }
 
     /// The true parameters of this specimen: for tests.
@@ -269,17 +264,17 @@ impl SoftDrive {
 
     /// One control period: supervision, output, plant, capture.
     fn step(&mut self) {
-        self.suffer();
+        self.apply_faults();
         self.supervise();
         if !std::mem::take(&mut self.output_fresh) {
             self.refresh_output();
         }
         self.plant
-            .brake(self.surroundings.holds() || self.has(FaultKind::Blocked));
+            .brake(self.supply_and_brake.holds() || self.has(FaultKind::Blocked));
         self.plant.advance(self.output.terminals, TICK_S);
         let power_w = self.plant.terminal_v() * self.plant.current_a();
         let is_running = self.state == State::Running;
-        self.surroundings.step(TICK_S, is_running, power_w);
+        self.supply_and_brake.step(TICK_S, is_running, power_w);
         self.tick += 1;
         self.capture.held(self.plant.terminal_v());
         self.sensors
@@ -288,11 +283,11 @@ impl SoftDrive {
     }
 
     /// What goes wrong in the drive itself.
-    fn suffer(&mut self) {
+    fn apply_faults(&mut self) {
         if self.state == State::Running {
             self.ran_s = Some(self.plant.time_s());
         }
-        if !self.troubles.look(self.time_s(), self.ran_s) {
+        if !self.faults.look(self.time_s(), self.ran_s) {
             return;
         }
         if self.has(FaultKind::Trip) {
@@ -303,7 +298,7 @@ impl SoftDrive {
         }
     }
 
-    /// Nothing is remembered of what came before, and its clock begins anew.
+    /// As after power-up; its clock begins anew.
     fn power_up(&mut self) {
         (self.state, self.fault) = (State::Disabled, Fault::None);
         (self.seq, self.control) = (0, Control::Disable);
@@ -313,15 +308,14 @@ impl SoftDrive {
         self.capture = Capture::default();
         (self.capture_control, self.window_index) = (0, 0);
         self.identity.watchdog_ms = self.watchdog_as_set_ms;
-        self.troubles.clock_from(self.tick);
+        self.faults.clock_from(self.tick);
     }
 
     /// Drive time as the protocols carry it.
     fn micros(&self, tick: u64) -> u32 {
-        micros(tick).wrapping_add(self.troubles.clock_us())
+        micros(tick).wrapping_add(self.faults.clock_us())
     }
 
-    /// What makes the drive stop by itself.
     fn supervise(&mut self) {
         let limit_ticks = u64::from(self.identity.watchdog_ms) * TICKS_PER_MS;
         let is_silent = self.tick - self.kicked_tick >= limit_ticks;
@@ -340,7 +334,8 @@ impl SoftDrive {
         match fault {
             Fault::OverSpeed => self.plant.speed_rad_s().abs() > self.identity.speed_limit_rad_s,
             Fault::OverTemperature => {
-                AMBIENT_C + self.plant.winding_rise_k() > self.winding_limit_c
+                // Temperature around the motor.
+                25.0 + self.plant.winding_rise_k() > self.winding_limit_c
             }
             _ => false,
         }
@@ -362,7 +357,7 @@ impl SoftDrive {
     fn apply(&mut self, command: DriveCommand) {
         let before = (self.state, self.control.code());
         let control = self
-            .troubles
+            .faults
             .obeyed(self.state, self.control, command.control);
         match (self.state, control) {
             (State::Fault, Control::ResetFault) if !self.persists(self.fault) => {
@@ -413,18 +408,17 @@ impl SoftDrive {
         self.reading_at(self.plant.terminal_v())
     }
 
-    /// What the sensors show with this voltage.
     fn reading_at(&mut self, voltage_v: f64) -> Reading {
         let truth = Reading {
             voltage_v,
             current_a: self.plant.current_a(),
             speed_rad_s: self.plant.speed_rad_s(),
             angle_rad: self.plant.angle_rad(),
-            bus_v: self.plant.bus_v() + self.surroundings.rise_v(),
+            bus_v: self.plant.bus_v() + self.supply_and_brake.rise_v(),
         };
         let reading = self.sensors.read(self.tick, truth);
         let reading = self.encoder.read(self.plant.time_s(), reading);
-        self.troubles.reading(reading)
+        self.faults.reading(reading)
     }
 }
 

@@ -3,7 +3,7 @@
 use firmware_protocol::Control;
 
 use super::TICK_S;
-use super::latecomer::Latecomer;
+use super::delay_line::DelayLine;
 use crate::config::{LimitsConfig, OutputOff};
 use crate::truth::{MotorTruth, Path, Plant, Terminals};
 
@@ -16,7 +16,7 @@ const SPEED_BANDWIDTH: f64 = 31.4;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Output {
     pub(super) terminals: Terminals,
-    /// What the drive believes to put out, V; 0 while the terminals are open.
+    /// Output voltage as the drive computes it, V; 0 while the terminals are open.
     pub(super) volts: f64,
     pub(super) current_limited: bool,
     pub(super) voltage_limited: bool,
@@ -42,7 +42,7 @@ pub(super) struct OutputStage {
     bus_v: f64,
     speed_limit_rad_s: f64,
     output_off: OutputOff,
-    late: Latecomer,
+    late: DelayLine,
     offset_v: f64,
     current_gain: f64,
     current_integral_gain: f64,
@@ -62,7 +62,7 @@ impl OutputStage {
             bus_v: limits.bus_v,
             speed_limit_rad_s: limits.speed_limit_rad_s,
             output_off: limits.output_off,
-            late: Latecomer::new(path),
+            late: DelayLine::new(path),
             offset_v: path.voltage_offset_v,
             current_gain: CURRENT_BANDWIDTH * nameplate.inductance_h,
             current_integral_gain: CURRENT_BANDWIDTH * nameplate.resistance_ohm,
@@ -79,7 +79,6 @@ impl OutputStage {
         self.speed_integral_a = plant.current_a();
     }
 
-    /// The output of this tick; `None`: off.
     pub(super) fn output(&mut self, control: Option<Control>, plant: &Plant, tick: u64) -> Output {
         let acting = self.late.acting(control, tick);
         if acting.is_none()
@@ -93,11 +92,11 @@ impl OutputStage {
             None => 0.0,
         };
         let mut output = self.limited(wanted_v, plant);
-        // The drive tells the set-point that it was given, unless a limit has the say.
-        if let Some(Control::Voltage(told)) = control
+        // The drive reports its set-point, unless a limit is in force.
+        if let Some(Control::Voltage(commanded_v)) = control
             && !output.current_limited
         {
-            output.volts = told.clamp(-self.bus_v, self.bus_v);
+            output.volts = commanded_v.clamp(-self.bus_v, self.bus_v);
         }
         if let (Some(_), Terminals::Voltage(volts)) = (control, &mut output.terminals) {
             *volts += self.offset_v;
@@ -144,7 +143,6 @@ impl OutputStage {
         wanted
     }
 
-    /// PI; the integrator stands still at the current limit.
     fn speed_loop(&mut self, speed: f64, plant: &Plant) -> f64 {
         let target = speed.clamp(-self.speed_limit_rad_s, self.speed_limit_rad_s);
         let error = target - plant.speed_rad_s();

@@ -10,8 +10,6 @@ use firmware_protocol::{CaptureControl, CaptureSample};
 use super::SoftDrive;
 use crate::fault::FaultKind;
 
-/// The version of a protocol that nobody has written yet.
-const OTHER_VERSION: u16 = firmware_protocol::PROTOCOL_VERSION + 8;
 const VENDOR: &str = "drivebench";
 const PRODUCT_CODE: &str = "soft-drive";
 const PRODUCT_NAME: &str = "drivebench software drive";
@@ -25,7 +23,7 @@ impl RegisterBank for SoftDrive {
             let unread = self.applied_unread;
             let telemetry = self.telemetry().to_registers();
             copy(TELEMETRY_ADDRESS, &telemetry, address, out);
-            // Only who reads the status word has seen that a command was applied.
+            // Reading the status word clears its mark of an applied command.
             self.applied_unread = unread && address > r::STATUS.address;
         }
         let command = self.command_block.registers();
@@ -33,7 +31,13 @@ impl RegisterBank for SoftDrive {
         let identity = self.identity().to_registers();
         copy(IDENTITY_ADDRESS, &identity, address, out);
         if self.has(FaultKind::OtherVersion) {
-            copy(r::IDENTITY_VERSION.address, &[OTHER_VERSION], address, out);
+            // The version of a protocol that nobody has written yet.
+            copy(
+                r::IDENTITY_VERSION.address,
+                &[(firmware_protocol::PROTOCOL_VERSION + 8)],
+                address,
+                out,
+            );
         }
         if usize::from(address) + out.len() > usize::from(CAPTURE_ADDRESS) {
             copy(CAPTURE_ADDRESS, &self.capture_registers(), address, out);

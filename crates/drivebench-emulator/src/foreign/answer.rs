@@ -6,7 +6,6 @@ use super::ForeignDrive;
 use drivebench_link::{KickedBy, RegisterTable};
 
 impl ForeignDrive {
-    /// The answer to a request.
     pub fn answer(&mut self, request: &[u8]) -> Vec<u8> {
         let Some(&function) = request.first() else {
             return Vec::new();
@@ -44,7 +43,6 @@ impl ForeignDrive {
     }
 }
 
-/// One table of a drive's registers.
 struct Bank<'a> {
     drive: &'a mut ForeignDrive,
     table: RegisterTable,

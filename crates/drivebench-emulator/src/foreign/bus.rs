@@ -1,5 +1,6 @@
 //! The drive in memory as a bus of registers, in virtual time.
 
+use drivebench_link::Result;
 use std::ops::Range;
 
 use super::{ForeignDrive, Guise};
@@ -50,7 +51,6 @@ impl ForeignBus {
         }
     }
 
-    /// A silence before each read from now on, s.
     pub const fn keep_silence(&mut self, silence_s: f64) {
         self.silence_s = silence_s;
     }
@@ -68,7 +68,6 @@ impl ForeignBus {
         self.mute = replies;
     }
 
-    /// The next requests are lost on the way.
     pub fn lose(&mut self, requests: u32) {
         self.lose_behind(0, requests);
     }
@@ -86,7 +85,7 @@ impl ForeignBus {
         request: &[u8],
         patience_s: f64,
         what: impl Fn() -> String,
-    ) -> Result<(Vec<u8>, Span), LinkError> {
+    ) -> Result<(Vec<u8>, Span)> {
         self.statistics.sent += 1;
         self.now_s = RegisterBus::now_s(self);
         let asked_s = self.pace.departure_s(self.now_s);
@@ -131,25 +130,14 @@ impl ForeignBus {
         Ok((answer, span))
     }
 
-    /// Registers that are asked for.
-    fn get(
-        &mut self,
-        request: &[u8],
-        what: impl Fn() -> String,
-    ) -> Result<RegistersRead, LinkError> {
+    fn get(&mut self, request: &[u8], what: impl Fn() -> String) -> Result<RegistersRead> {
         let (answer, span) = self.ask(request, DEADLINE_S, what)?;
         let pairs = answer.get(2..).unwrap_or_default().as_chunks().0;
         let words = pairs.iter().map(|pair| u16::from_be_bytes(*pair)).collect();
         Ok(RegistersRead { words, span })
     }
 
-    fn put(
-        &mut self,
-        function: u8,
-        address: u16,
-        values: &[u16],
-        patience_s: f64,
-    ) -> Result<Span, LinkError> {
+    fn put(&mut self, function: u8, address: u16, values: &[u16], patience_s: f64) -> Result<Span> {
         let mut request = vec![function];
         request.extend(address.to_be_bytes());
         if function != 6 {
@@ -183,7 +171,7 @@ impl RegisterBus for ForeignBus {
         self.drive.advance_to(self.now_s);
     }
 
-    fn read(&mut self, read: ReadRequest) -> Result<RegistersRead, LinkError> {
+    fn read(&mut self, read: ReadRequest) -> Result<RegistersRead> {
         let (address, count) = (read.address, read.count);
         let function = match read.table {
             RegisterTable::Holding => 3,
@@ -196,16 +184,11 @@ impl RegisterBus for ForeignBus {
         self.get(&request, || format!("read {count} registers at {address}"))
     }
 
-    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Span, LinkError> {
+    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Span> {
         self.put(function, address, values, DEADLINE_S)
     }
 
-    fn write_at_once(
-        &mut self,
-        function: u8,
-        address: u16,
-        values: &[u16],
-    ) -> Result<Span, LinkError> {
+    fn write_at_once(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Span> {
         let patience_s = if self.in_doubt { 0.0 } else { DEADLINE_S };
         self.put(function, address, values, patience_s)
     }
@@ -214,7 +197,7 @@ impl RegisterBus for ForeignBus {
         &mut self,
         (to, values): (u16, &[u16]),
         (from, count): (u16, u16),
-    ) -> Result<RegistersRead, LinkError> {
+    ) -> Result<RegistersRead> {
         let mut request = vec![23];
         request.extend(from.to_be_bytes());
         request.extend(count.to_be_bytes());
@@ -226,7 +209,7 @@ impl RegisterBus for ForeignBus {
         })
     }
 
-    fn object(&mut self, object: u8) -> Result<Option<String>, LinkError> {
+    fn object(&mut self, object: u8) -> Result<Option<String>> {
         if !self.functions.contains(&43) {
             return Ok(None);
         }

@@ -2,7 +2,7 @@
 //! be tried without the drive.
 
 use super::ForeignDrive;
-use super::words::{bits, number_of};
+use super::registers::{bits, number_of};
 use drivebench_link::register_map::{IdentityCheck, IdentityTest, Quantity, RegisterMap, Signal};
 
 impl ForeignDrive {
@@ -10,7 +10,7 @@ impl ForeignDrive {
     pub(super) fn as_asked(&self, signal: &Signal, natural: u32) -> u32 {
         let is_status = matches!(signal.keys.quantity, Quantity::Status | Quantity::FaultCode);
         // A status is looked at while the drive is at rest; afterwards it has other things to tell.
-        if is_status && (self.fault.is_some() || !self.ladder.is_at_rest()) {
+        if is_status && (self.fault.is_some() || !self.sequence.is_at_rest()) {
             return natural;
         }
         let kind = signal.location.layout.kind;

@@ -1,19 +1,19 @@
-//! The software drive in the guise of another: the same motor, behind the registers of a drive profile.
+//! The software drive under the profile of another: the same motor, behind the registers of a drive profile.
 //!
 //! ```text
-//! request -> answer.rs (function codes, limits of length) -> words.rs (truth -> registers) <- SoftDrive (the motor)
-//!                                          '-> ladder.rs (control words -> what the drive does)
+//! request -> answer.rs (function codes, limits of length) -> registers.rs (truth -> registers) <- SoftDrive (the motor)
+//!                                          '-> enable_sequence.rs (control words -> what the drive does)
 //! bus.rs   in virtual time, as registers for the host
 //! ```
 //!
-//! From the facts of the profile, but from no code of the host's: two implementations check each other. What the
-//! profile has wrong about the real drive both have wrong.
+//! Built from the profile and from no code of the host: two implementations check each other. An error of the profile is in
+//! both.
 
 mod answer;
 mod bus;
+mod enable_sequence;
 mod identity;
-mod ladder;
-mod words;
+mod registers;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -21,7 +21,7 @@ use std::sync::Arc;
 use firmware_protocol::{Control, DriveCommand, Fault, State};
 
 pub use self::bus::ForeignBus;
-use self::ladder::{Ladder, Turn};
+use self::enable_sequence::{EnableSequence, Turn};
 use super::config::LineConfig;
 use super::fault::FaultKind;
 use super::truth::MotorTruth;
@@ -34,14 +34,10 @@ use drivebench_model::sample::Hindrance;
 
 /// The drive is looked after once in this time, s.
 const STEP_S: f64 = 0.005;
-/// Share of the rated speed below which a shaft stands.
-const REST_SHARE: f64 = 0.02;
-/// Share of the rated speed with which a drive jogs whose profile has no reference.
-const JOG_SHARE: f64 = 0.1;
 /// Field current of a sound machine, A.
 const FIELD_A: f64 = 1.0;
 
-/// A guise: which drive, and how its watchdog was set at its keypad.
+/// Emulation of another drive: its profile, and how its watchdog was set at its keypad.
 #[derive(Clone, Debug)]
 pub struct Guise {
     pub map: Arc<RegisterMap>,
@@ -52,7 +48,7 @@ pub struct Guise {
 }
 
 impl Guise {
-    /// The guise of a profile with a register map; `None` for our own map.
+    /// `None` for our own register map.
     pub fn of(profile: &DriveProfile) -> Option<Self> {
         Some(Self {
             map: Arc::clone(profile.registers.as_ref()?),
@@ -77,8 +73,7 @@ pub struct ForeignDrive {
     /// Objects of its device identification.
     plate_objects: Vec<(u8, String)>,
     limits_a_v: (f64, f64),
-    ladder: Ladder,
-    /// Registers as they were last written.
+    sequence: EnableSequence,
     written: BTreeMap<u16, u16>,
     /// Bits that a signal shows whatever is true: a broken sensor.
     forced: BTreeMap<String, u32>,
@@ -90,7 +85,6 @@ pub struct ForeignDrive {
     field_lost_from_s: Option<f64>,
     /// Stopped by the watchdog, until the next command.
     lapsed: bool,
-    /// Why it does not follow the bus.
     hindrance: Option<Hindrance>,
     /// Every request is refused with this exception, and every write.
     refusing: Option<u8>,
@@ -99,11 +93,10 @@ pub struct ForeignDrive {
     as_set_s: f64,
     seq: u16,
     /// It has no power, and somebody commands it at its keypad, by its configuration.
-    suffering: (bool, bool),
+    faults: (bool, bool),
     is_missing: bool,
 }
 
-/// Why it is in fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Cause {
     Trip,
@@ -111,7 +104,6 @@ enum Cause {
 }
 
 impl ForeignDrive {
-    /// A drive just powered up.
     pub fn new(guise: &Guise, config: &EmulatorConfig, seed: u64) -> Self {
         let watchdog = &guise.map.watchdog;
         let as_delivered_s = watchdog.default_s().unwrap_or(0.0);
@@ -121,7 +113,7 @@ impl ForeignDrive {
             _ => guise.watchdog_s.unwrap_or(as_delivered_s),
         };
         Self {
-            ladder: Ladder::new(&guise.map),
+            sequence: EnableSequence::new(&guise.map),
             map: Arc::clone(&guise.map),
             soft: SoftDrive::new(config, seed),
             plate: config.motor.clone(),
@@ -142,7 +134,7 @@ impl ForeignDrive {
             refusing_writes: None,
             switched_on_s: 0.0,
             seq: 0,
-            suffering: (false, false),
+            faults: (false, false),
             is_missing: false,
         }
     }
@@ -151,22 +143,18 @@ impl ForeignDrive {
         self.soft.time_s()
     }
 
-    /// The motor and what drives it.
     pub(super) const fn soft(&self) -> &SoftDrive {
         &self.soft
     }
 
-    /// True speed of the shaft, rad/s.
     pub const fn speed_rad_s(&self) -> f64 {
         self.soft.plant().speed_rad_s()
     }
 
-    /// Whether the output is on.
     pub fn is_running(&self) -> bool {
         self.soft.state() == State::Running
     }
 
-    /// Trips it, as an internal fault would.
     pub fn trip(&mut self) {
         self.fail(Cause::Trip);
     }
@@ -183,7 +171,7 @@ impl ForeignDrive {
     /// Somebody stops it at its keypad and keeps the command, or gives it back.
     pub const fn take_local(&mut self, local: bool) {
         self.hindrance = if local {
-            self.ladder.stop();
+            self.sequence.stop();
             Some(Hindrance::LocalControl)
         } else {
             None
@@ -193,7 +181,7 @@ impl ForeignDrive {
     /// Opens or closes its enable circuit (safe torque off).
     pub const fn switch_torque_off(&mut self, off: bool) {
         self.hindrance = if off {
-            self.ladder.fall();
+            self.sequence.fall();
             Some(Hindrance::TorqueOff)
         } else {
             None
@@ -220,7 +208,7 @@ impl ForeignDrive {
     /// Supply off and on again: what was written is forgotten, a fault as well.
     pub fn switch_on_again(&mut self) {
         self.written.clear();
-        self.ladder.fall();
+        self.sequence.fall();
         self.fault = None;
         self.lapsed = false;
         self.watchdog_s = self.as_set_s;
@@ -246,31 +234,30 @@ impl ForeignDrive {
         self.ignored = set_point.map(str::to_owned);
     }
 
-    /// Lets drive time reach `time_s`.
     pub fn advance_to(&mut self, time_s: f64) {
         while self.soft.time_s() + 1e-9 < time_s {
             let next_s = ((self.soft.time_s() / STEP_S + 1e-6).floor() + 1.0) * STEP_S;
             self.supervise();
             self.drive_motor();
             self.soft.advance_to(next_s.min(time_s));
-            self.suffer();
+            self.apply_faults();
         }
     }
 
     /// What goes wrong in the drive by its configuration, as it begins and as it ends.
-    fn suffer(&mut self) {
-        let told = (
+    fn apply_faults(&mut self) {
+        let (is_off, is_local) = (
             !self.soft.is_powered(),
             self.soft.has(FaultKind::LocalControl),
         );
-        let before = std::mem::replace(&mut self.suffering, told);
-        if before.0 && !told.0 {
+        let (was_off, was_local) = std::mem::replace(&mut self.faults, (is_off, is_local));
+        if was_off && !is_off {
             self.switch_on_again();
-        } else if !before.0 && told.0 {
-            self.ladder.fall();
+        } else if !was_off && is_off {
+            self.sequence.fall();
         }
-        if before.1 != told.1 {
-            self.take_local(told.1);
+        if was_local != is_local {
+            self.take_local(is_local);
         }
         let missing = self.soft.has(FaultKind::SignalMissing);
         if missing != std::mem::replace(&mut self.is_missing, missing) {
@@ -322,14 +309,14 @@ impl ForeignDrive {
         let blind =
             now_s - self.switched_on_s < watchdog.keys.boot_delay_s || self.watchdog_s <= 0.0;
         let dead = self.soft.has(FaultKind::WatchdogDead);
-        if blind || dead || !self.ladder.is_running() || self.lapsed {
+        if blind || dead || !self.sequence.is_running() || self.lapsed {
             return;
         }
         if now_s - self.kicked_s >= self.watchdog_s {
             if watchdog.keys.auto_resume {
                 self.lapsed = true;
             } else if watchdog.keys.on_expire == Expiry::Stop {
-                self.ladder.stop();
+                self.sequence.stop();
             } else {
                 self.fail(Cause::CommunicationLoss);
             }
@@ -339,14 +326,15 @@ impl ForeignDrive {
     fn fail(&mut self, cause: Cause) {
         if self.fault.is_none() {
             self.fault = Some(cause);
-            self.ladder.fall();
+            self.sequence.fall();
         }
     }
 
     fn drive_motor(&mut self) {
-        let rest = REST_SHARE * self.plate.rated_speed_rad_s;
+        // Share of the rated speed below which a shaft stands.
+        let rest = 0.02 * self.plate.rated_speed_rad_s;
         let stands = self.soft.plant().speed_rad_s().abs() < rest;
-        let control = match self.ladder.turn(stands) {
+        let control = match self.sequence.turn(stands) {
             _ if self.fault.is_some() => Control::Disable,
             Turn::Off => Control::Disable,
             Turn::Down => Control::Speed(0.0),
@@ -357,16 +345,17 @@ impl ForeignDrive {
         self.soft.command(DriveCommand::new(self.seq, control));
     }
 
-    /// What the references say that the motor should do.
+    /// The command that follows from the references.
     fn reference(&self) -> Control {
         let plate = &self.plate;
         let references = self.map.set_points.iter().filter(|p| !p.is_word());
-        let told = references.filter_map(|point| Some((point, self.value(point)?)));
+        let written = references.filter_map(|point| Some((point, self.value(point)?)));
         // Of several references the one that is not zero, as the drive's own selection would be.
-        let chosen = told.reduce(|a, b| if a.1.abs() >= b.1.abs() { a } else { b });
+        let chosen = written.reduce(|a, b| if a.1.abs() >= b.1.abs() { a } else { b });
         let Some((point, value)) = chosen else {
             let has_reference = self.map.set_points.iter().any(|p| !p.is_word());
-            let jog = JOG_SHARE * plate.rated_speed_rad_s;
+            // Share of the rated speed with which a drive jogs whose profile has no reference.
+            let jog = 0.1 * plate.rated_speed_rad_s;
             return Control::Speed(if has_reference { 0.0 } else { jog });
         };
         match (point.keys.quantity, point.numbers.unit) {
@@ -375,7 +364,7 @@ impl ForeignDrive {
             (Quantity::Current, _) => Control::Current(value),
             (Quantity::Torque, _) => Control::Current(0.01 * value * plate.rated_current_a),
             (_, Unit::Percent) => Control::Speed(0.01 * value * plate.rated_speed_rad_s),
-            (_, unit) => Control::Speed(words::rad_s(value, unit, point.si)),
+            (_, unit) => Control::Speed(registers::rad_s(value, unit, point.si)),
         }
     }
 
@@ -386,7 +375,7 @@ impl ForeignDrive {
         let registers: Option<Vec<u16>> = (address..address.checked_add(count)?)
             .map(|address| self.written.get(&address).copied())
             .collect();
-        let raw = words::number(point.location.layout, &registers?);
+        let raw = registers::number(point.location.layout, &registers?);
         let factor = self.factor(&point.numbers.scale_by);
         let value = raw * point.numbers.scale * factor + point.numbers.offset;
         let negative = point.keys.sign.as_ref().is_some_and(|sign| {
@@ -397,7 +386,7 @@ impl ForeignDrive {
         Some(if negative { -value } else { value })
     }
 
-    /// The far end of a request has to be kicked, and by what.
+    /// Restarts the watchdog where a request of this kind counts.
     fn kick(&mut self, by: KickedBy) {
         let counts = match self.map.watchdog.keys.kicked_by {
             KickedBy::Any => true,
@@ -409,7 +398,6 @@ impl ForeignDrive {
         }
     }
 
-    /// One register has a new value.
     fn written(&mut self, address: u16, word: u16) {
         let ignored = self
             .ignored
@@ -440,7 +428,7 @@ impl ForeignDrive {
             if !point.is_word() {
                 continue;
             }
-            // Words of the bus mean nothing meanwhile.
+            // Commands of the bus have no effect meanwhile.
             if self.hindrance.is_some() {
                 continue;
             }
@@ -448,7 +436,7 @@ impl ForeignDrive {
                 continue;
             };
             if self
-                .ladder
+                .sequence
                 .take(&map, &point.name, number, self.fault.is_some())
             {
                 self.fault = None;

@@ -17,16 +17,10 @@ use super::truth::MotorTruth;
 use super::truth::effect::{HiddenEffect, Site};
 use drivebench_model::text::number::{shortest, with_unit};
 
-/// Stream of the generator; tolerances, noise and random loads have their own.
-const MYSTERY_STREAM: u64 = 4;
-/// The specimen's parameters lie within this fraction of the nameplate.
-const TOLERANCE: f64 = 0.15;
 /// Share of the seeds without a hidden effect.
 const NONE_SHARE: f64 = 0.1;
 /// Share of the seeds with an effect that no catalogue has.
 const FOREIGN_SHARE: f64 = 0.08;
-/// The thermal switch must not end a run that only warms the winding up.
-const WINDING_LIMIT_C: f64 = 300.0;
 
 /// A software drive and what it hides.
 #[derive(Clone, Debug, PartialEq)]
@@ -65,7 +59,6 @@ pub struct TrueValue {
 }
 
 impl Truth {
-    /// The only effect, if there is one.
     pub fn effect(&self) -> Option<&TrueEffect> {
         self.effects.first()
     }
@@ -79,10 +72,13 @@ impl Truth {
 pub fn draw(seed: u64) -> Mystery {
     let mut config = EmulatorConfig::embedded("zk-22fc-plain")
         .expect("a test parses every embedded configuration");
-    config.tolerance = TOLERANCE;
-    config.limits.winding_limit_c = WINDING_LIMIT_C;
+    // The specimen's parameters lie within this fraction of the nameplate.
+    config.tolerance = 0.15;
+    // The thermal switch must not end a run that only warms the winding up.
+    config.limits.winding_limit_c = 300.0;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    rng.set_stream(MYSTERY_STREAM);
+    // Stream of the generator; tolerances, noise and random loads have their own.
+    rng.set_stream(4);
     config.hidden = hidden(&mut rng, &Site::of(&config.motor))
         .into_iter()
         .collect();

@@ -6,7 +6,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Change {
-    /// Since each start of the drive, s.
     pub time_s: f64,
     /// Inertia from then on, of the motor's; the speed stays as it is.
     #[serde(default = "one")]
@@ -20,13 +19,7 @@ const fn one() -> f64 {
     1.0
 }
 
-/// What a bench can do to a shaft.
-const LATEST_S: f64 = 86_400.0;
-const INERTIA_RATIOS: std::ops::RangeInclusive<f64> = 0.01..=100.0;
-const LARGEST_LOAD_N_M: f64 = 1000.0;
-
 impl Change {
-    /// Before the first change.
     pub(super) const NONE: Self = Self {
         time_s: 0.0,
         inertia_ratio: 1.0,
@@ -38,21 +31,18 @@ impl Change {
     pub(crate) fn refused(changes: &[Self]) -> Option<(&'static str, f64, &'static str)> {
         let mut before_s = -1.0;
         for change in changes {
-            if !(0.0..=LATEST_S).contains(&change.time_s) {
-                return Some(("change.time_s", change.time_s, "0 to 86400 s"));
-            }
-            if change.time_s <= before_s {
-                return Some((
-                    "change.time_s",
-                    change.time_s,
-                    "later than the change before it",
-                ));
-            }
-            if !INERTIA_RATIOS.contains(&change.inertia_ratio) {
-                return Some(("change.inertia_ratio", change.inertia_ratio, "0.01 to 100"));
-            }
-            if !(-LARGEST_LOAD_N_M..=LARGEST_LOAD_N_M).contains(&change.load_n_m) {
-                return Some(("change.load_n_m", change.load_n_m, "-1000 to 1000 N.m"));
+            let time = ("change.time_s", change.time_s);
+            let inertia = ("change.inertia_ratio", change.inertia_ratio);
+            let load = ("change.load_n_m", change.load_n_m);
+            for ((key, value), is_allowed, allowed) in [
+                (time, (0.0..=86_400.0).contains(&time.1), "0 to 86400 s"),
+                (time, time.1 > before_s, "later than the change before it"),
+                (inertia, (0.01..=100.0).contains(&inertia.1), "0.01 to 100"),
+                (load, load.1.abs() <= 1000.0, "-1000 to 1000 N.m"),
+            ] {
+                if !is_allowed {
+                    return Some((key, value, allowed));
+                }
             }
             before_s = change.time_s;
         }
@@ -78,7 +68,6 @@ impl Changes {
         }
     }
 
-    /// Time begins anew.
     pub(super) const fn restart(&mut self) {
         (self.next, self.now) = (0, Change::NONE);
     }

@@ -7,8 +7,6 @@ use super::{MotorTruth, Path};
 
 /// Stick, slip and reversal events that one step may hold before it is closed as stuck.
 const EVENTS_PER_STEP: usize = 8;
-/// Halvings by which an event is located: a step of 50 us to below a femtosecond.
-const EVENT_ITERATIONS: usize = 48;
 
 /// What the inverter does at the motor's terminals over one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -166,7 +164,6 @@ impl Plant {
         self.changes.restart();
     }
 
-    /// Since the last start of the drive, s.
     pub const fn time_s(&self) -> f64 {
         self.time_s
     }
@@ -194,7 +191,6 @@ impl Plant {
         self.terminal_v
     }
 
-    /// Voltage of the drive's supply, V.
     pub fn bus_v(&self) -> f64 {
         self.bus_v * self.supply_factor()
     }
@@ -203,7 +199,6 @@ impl Plant {
         self.motion
     }
 
-    /// Rise of the winding over ambient, K.
     pub fn winding_rise_k(&self) -> f64 {
         self.effects
             .iter()
@@ -520,7 +515,8 @@ impl Plant {
 /// The time in `0..=step_s` at which `rising`, not positive at 0 and positive at the end, becomes positive.
 fn locate(step_s: f64, rising: impl Fn(f64) -> f64) -> f64 {
     let (mut low, mut high) = (0.0, step_s);
-    for _ in 0..EVENT_ITERATIONS {
+    // Halvings by which an event is located: a step of 50 us to below a femtosecond.
+    for _ in 0..48 {
         let middle = 0.5 * (low + high);
         if rising(middle) > 0.0 {
             high = middle;

@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn stiffness_gives_the_stated_frequency_and_the_play_carries_nothing() {
+    fn stiffness_gives_the_frequency_and_play_carries_nothing() {
         let site = Site::of(&zk_22fc());
         let shaft = Shaft::new(&site, [20.0, 0.4, 0.0, 0.5], 0.0, 0.03);
         // w^2 = k (1/J1 + 1/J2)

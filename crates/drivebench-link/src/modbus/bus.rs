@@ -19,8 +19,7 @@ use super::{
     LinkError, ModbusLink, NAMES, NAMES_BYTES, Question, acknowledged, identification, now,
     object_text, objects, words,
 };
-use crate::link::RoundTrips;
-use crate::link::{DriveLink, LinkName, LinkStatistics};
+use crate::link::{DriveLink, LinkName, LinkStatistics, Result, RoundTrips};
 use crate::proof::Method;
 use crate::register_bus::{
     READ_BYTES, READ_WRITE_BYTES, ReadRequest, RegisterBus, RegistersRead, Span, WRITE_BYTES,
@@ -33,7 +32,6 @@ use crate::transaction::{CutIn, LineCounts};
 
 /// Round trips that tell how long replies usually take, and how many of them a busy host may have made too long.
 const REMEMBERED: usize = 32;
-const OUTLIERS: usize = 2;
 
 /// A Modbus link that proves itself fresh in the way that the far end knows.
 pub struct ModbusBus {
@@ -84,7 +82,7 @@ impl ModbusBus {
         question: Question<'_>,
         count: u16,
         wire: Duration,
-    ) -> Result<RegistersRead, LinkError> {
+    ) -> Result<RegistersRead> {
         let what = question.what;
         let sent = now();
         let usual = self.longest(|(took, _)| *took);
@@ -144,7 +142,7 @@ impl ModbusBus {
     fn longest(&self, of: impl Fn(&(Duration, Duration)) -> Duration) -> Duration {
         let mut longest: Vec<Duration> = self.round_trips.iter().map(of).collect();
         longest.sort_unstable_by(|a, b| b.cmp(a));
-        longest.get(OUTLIERS).copied().unwrap_or_default()
+        longest.get(2).copied().unwrap_or_default()
     }
 
     fn put(
@@ -153,7 +151,7 @@ impl ModbusBus {
         address: u16,
         values: &[u16],
         allowed: Duration,
-    ) -> Result<Span, LinkError> {
+    ) -> Result<Span> {
         let what = format!("write {values:04x?} at {address}");
         let [high, low] = address.to_be_bytes();
         let request = match (function, values) {
@@ -180,7 +178,7 @@ impl RegisterBus for ModbusBus {
         }
     }
 
-    fn read(&mut self, read: ReadRequest) -> Result<RegistersRead, LinkError> {
+    fn read(&mut self, read: ReadRequest) -> Result<RegistersRead> {
         let (what, reply) = (read.text(), read.reply_bytes());
         let mut attempt = 1;
         loop {
@@ -196,18 +194,13 @@ impl RegisterBus for ModbusBus {
         }
     }
 
-    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Span, LinkError> {
+    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Span> {
         self.link.in_step(&[function])?;
         let allowed = self.allowed(WRITE_BYTES + 2 * values.len(), WRITTEN_BYTES);
         self.put(function, address, values, allowed)
     }
 
-    fn write_at_once(
-        &mut self,
-        function: u8,
-        address: u16,
-        values: &[u16],
-    ) -> Result<Span, LinkError> {
+    fn write_at_once(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Span> {
         self.link.listen()?;
         let bytes = WRITE_BYTES + 2 * values.len();
         let timing = &self.link.core.timing;
@@ -227,7 +220,7 @@ impl RegisterBus for ModbusBus {
         &mut self,
         (to, values): (u16, &[u16]),
         (from, count): (u16, u16),
-    ) -> Result<RegistersRead, LinkError> {
+    ) -> Result<RegistersRead> {
         let read = ReadRequest::holding(from, count);
         let [_, a, b, c, d] = read.pdu();
         let pdu = [23, a, b, c, d];
@@ -241,7 +234,7 @@ impl RegisterBus for ModbusBus {
         self.alone(question, count, wire)
     }
 
-    fn object(&mut self, object: u8) -> Result<Option<String>, LinkError> {
+    fn object(&mut self, object: u8) -> Result<Option<String>> {
         let allowed = self.link.core.timing.allowed(NAMES_BYTES.0, NAMES_BYTES.1);
         let question = identification(ReadCode::Specific, object, NAMES, allowed);
         match self.link.ask(question, objects) {

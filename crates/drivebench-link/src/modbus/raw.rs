@@ -18,7 +18,7 @@ use tokio_modbus::prelude::ReadCode;
 use tokio_modbus::{Request, Response};
 
 use super::{ModbusLink, Question, acknowledged, identification, quantity, words};
-use crate::link::{Identity, LinkError, LinkStatistics};
+use crate::link::{Identity, LinkError, LinkStatistics, Result};
 use crate::open::{Target, open_line};
 use crate::proof::{Policy, Proof};
 use crate::register_bus::{ReadRequest, registers};
@@ -29,12 +29,6 @@ use crate::timeline::identity;
 use crate::timing::wait_until;
 use crate::transaction::LineCounts;
 use crate::waiting::now;
-
-/// Silence after which an adapter has handed over all it had (the latency timer of FTDI is 16 ms).
-const QUIET: Duration = Duration::from_millis(20);
-/// Silence after which a server that took an unknown request for the start of another one listens again (libmodbus:
-/// one second).
-const RECOVERY: Duration = Duration::from_millis(1200);
 
 /// Every request ends in exactly one class of the statistics.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -56,7 +50,6 @@ pub enum WriteFunction {
     Multiple,
 }
 
-/// How a unit is asked.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RawSettings {
     /// Baud rate of a serial port for which the target names none.
@@ -95,11 +88,7 @@ impl RawClient {
     ///
     /// # Errors
     /// [`LinkError::Open`], with what to do about it.
-    pub fn open(
-        target: &Target,
-        settings: &RawSettings,
-        tap: Option<&TapFile>,
-    ) -> Result<Self, LinkError> {
+    pub fn open(target: &Target, settings: &RawSettings, tap: Option<&TapFile>) -> Result<Self> {
         // The kernel may put off the end of a sleep by 50 us to save wake-ups; where it refuses, gaps are a little longer.
         #[cfg(target_os = "linux")]
         let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
@@ -122,7 +111,8 @@ impl RawClient {
     /// `at`: settings of a serial line, for messages.
     fn over(mut link: ModbusLink, timeout: Duration, at: String) -> Self {
         if link.kind == FrameKind::Rtu {
-            let quiet = QUIET.max(link.core.timing.gap());
+            // Silence after which an adapter has handed over all it had (the latency timer of FTDI is 16 ms).
+            let quiet = Duration::from_millis(20).max(link.core.timing.gap());
             link.proof = Proof::new(Policy::Trial(timeout), quiet, now());
         }
         link.at = Some(at);
@@ -150,14 +140,13 @@ impl RawClient {
         self.link.last_round_trip
     }
 
-    /// The unit has ever answered.
     pub const fn has_answered(&self) -> bool {
         self.link.proof.has_answered
     }
 
     /// Reads registers, once. Whether the reply is that to this very request and not to an equal one before it, only
     /// [`RawClient::verify`] can say.
-    pub fn read(&mut self, request: ReadRequest) -> Result<Vec<u16>, LinkError> {
+    pub fn read(&mut self, request: ReadRequest) -> Result<Vec<u16>> {
         let (what, count) = (request.text(), request.count.into());
         let question = Question::read(request, &what, self.allowed());
         let values = self.link.ask(question, words(count))?.value;
@@ -166,12 +155,7 @@ impl RawClient {
     }
 
     /// Writes registers, once and never again by itself: after an error nobody knows whether it was applied.
-    pub fn write(
-        &mut self,
-        function: WriteFunction,
-        address: u16,
-        values: &[u16],
-    ) -> Result<(), LinkError> {
+    pub fn write(&mut self, function: WriteFunction, address: u16, values: &[u16]) -> Result<()> {
         let what = format!("write {} at {address}", registers(values.len()));
         let (code, request) = if let (WriteFunction::Single, [value]) = (function, values) {
             (6, Request::WriteSingleRegister(address, *value))
@@ -184,14 +168,13 @@ impl RawClient {
         self.link.ask(question, acknowledged).map(drop)
     }
 
-    /// Time for one exchange.
     fn allowed(&self) -> Duration {
         self.link.core.timing.allowed(0, 0)
     }
 
     /// Whether everything since the last proof was answered in step: true when a probe came back and nothing beside it.
     /// After false the line is in step again.
-    pub fn verify(&mut self) -> Result<bool, LinkError> {
+    pub fn verify(&mut self) -> Result<bool> {
         if !self.has_answered() {
             return Ok(true);
         }
@@ -202,7 +185,7 @@ impl RawClient {
     }
 
     /// Proves the line so far that the reply to this request is unmistakable.
-    fn prove_for(&mut self, request: ReadRequest) -> Result<(), LinkError> {
+    fn prove_for(&mut self, request: ReadRequest) -> Result<()> {
         let proof = &mut self.link.proof;
         if proof.could_confuse(&request.pdu()) || !proof.is_proven {
             proof.doubt();
@@ -216,7 +199,7 @@ impl RawClient {
     }
 
     /// Who the unit is, where it has our register map; `None`: it is something else, which must count as hardware.
-    pub fn identify(&mut self) -> Result<Option<Identity>, LinkError> {
+    pub fn identify(&mut self) -> Result<Option<Identity>> {
         let read = ReadRequest::holding(IDENTITY_ADDRESS, quantity(IDENTITY_WORDS));
         let mut block = self.read(read);
         if block.is_ok() && !self.verify()? {
@@ -236,7 +219,7 @@ impl RawClient {
     ///
     /// # Errors
     /// [`LinkError::Gone`] only: a unit that has no names is no fault.
-    pub fn names(&mut self) -> Result<Vec<String>, LinkError> {
+    pub fn names(&mut self) -> Result<Vec<String>> {
         self.texts(ReadCode::Basic, 0, "the device identification")
     }
 
@@ -244,13 +227,13 @@ impl RawClient {
     ///
     /// # Errors
     /// [`LinkError::Gone`] only.
-    pub fn object(&mut self, object: u8) -> Result<Option<String>, LinkError> {
+    pub fn object(&mut self, object: u8) -> Result<Option<String>> {
         let what = "an object of the identification";
         let texts = self.texts(ReadCode::Specific, object, what)?;
         Ok(texts.into_iter().next())
     }
 
-    fn texts(&mut self, code: ReadCode, object: u8, what: &str) -> Result<Vec<String>, LinkError> {
+    fn texts(&mut self, code: ReadCode, object: u8, what: &str) -> Result<Vec<String>> {
         let question = identification(code, object, what, self.allowed());
         let texts = |response| match response {
             Response::ReadDeviceIdentification(names) => {
@@ -271,7 +254,7 @@ impl RawClient {
     ///
     /// # Errors
     /// [`LinkError::Gone`] only.
-    pub fn sends_back(&mut self) -> Result<Option<bool>, LinkError> {
+    pub fn sends_back(&mut self) -> Result<Option<bool>> {
         if !self.has_answered() {
             return Ok(None);
         }
@@ -288,7 +271,7 @@ impl RawClient {
         &mut self,
         question: Question<'_>,
         check: impl FnOnce(Response) -> Result<T, String>,
-    ) -> Result<Option<T>, LinkError> {
+    ) -> Result<Option<T>> {
         if !self.has_answered() {
             return Ok(None);
         }
@@ -297,21 +280,19 @@ impl RawClient {
             Err(error @ LinkError::Gone { .. }) => Err(error),
             Err(LinkError::Exception { .. }) => Ok(None),
             Err(_) => {
-                wait_until(now() + RECOVERY);
+                // Silence after which a server that took an unknown request for the start of another one listens again (libmodbus:
+                // one second).
+                wait_until(now() + Duration::from_millis(1200));
                 Ok(None)
             }
         }
     }
 }
 
-/// Times that doubtful values are read again, each between two proofs.
-const PROVEN_ATTEMPTS: usize = 3;
-
-/// One read of the last round.
 #[derive(Debug)]
 pub struct Read {
     pub request: ReadRequest,
-    pub values: Result<Vec<u16>, LinkError>,
+    pub values: Result<Vec<u16>>,
 }
 
 #[derive(Debug, Default)]
@@ -330,7 +311,6 @@ pub struct Batch {
 }
 
 impl Batch {
-    /// Answered reads per second.
     pub fn rate_hz(&self) -> Option<f64> {
         (self.answered > 0 && self.elapsed_s > 0.0).then(|| self.answered as f64 / self.elapsed_s)
     }
@@ -459,9 +439,10 @@ fn verify_round(client: &mut RawClient, batch: &mut Batch, unambiguous: &[bool],
     }
 }
 
-fn read_proven(client: &mut RawClient, request: ReadRequest) -> Result<Vec<u16>, LinkError> {
+fn read_proven(client: &mut RawClient, request: ReadRequest) -> Result<Vec<u16>> {
     let mut last = None;
-    for _ in 0..PROVEN_ATTEMPTS {
+    // Times that doubtful values are read again, each between two proofs.
+    for _ in 0..3 {
         let values = client
             .prove_for(request)
             .and_then(|()| client.read(request));

@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 
 use super::ProbeDepth;
 use super::report::{ProbeReport, ProbedCheck, ProbedSignal, ProbedState};
-use crate::link::LinkError;
+use crate::link::{LinkError, Result};
 use crate::link_core::answered;
 use crate::modbus::{RawClient, read_batch};
 use crate::profile::DriveProfile;
@@ -16,9 +16,6 @@ use crate::register_map::{
 };
 use drivebench_model::text::number;
 
-/// Exception of a register that the unit does not have.
-const UNKNOWN_REGISTER: u8 = 0x02;
-/// The state in which the output is on.
 const RUNNING: &str = "running";
 
 pub(super) fn probe(
@@ -26,7 +23,7 @@ pub(super) fn probe(
     profile: &DriveProfile,
     map: &RegisterMap,
     depth: ProbeDepth,
-) -> Result<ProbeReport, LinkError> {
+) -> Result<ProbeReport> {
     let mut reader = Reader {
         client,
         map,
@@ -134,7 +131,6 @@ fn rated_current_a(map: &RegisterMap, windows: &[Window]) -> Option<f64> {
     picture.reading(index).value()
 }
 
-/// The bits of a signal as they were read.
 fn pattern(map: &RegisterMap, windows: &[Window], name: &str) -> Option<u32> {
     let index = map.index(name)?;
     let registers = windows.get(index)?.here.as_deref()?;
@@ -194,7 +190,6 @@ const fn table_name(table: RegisterTable) -> &'static str {
     }
 }
 
-/// Why there are no registers.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Refusal {
     text: String,
@@ -212,7 +207,7 @@ struct Reader<'a> {
 
 impl Reader<'_> {
     /// Asks for the first block until the unit has said anything at all.
-    fn wake(&mut self) -> Result<(), LinkError> {
+    fn wake(&mut self) -> Result<()> {
         let Some(block) = self.blocks().into_iter().next() else {
             return Ok(());
         };
@@ -231,7 +226,7 @@ impl Reader<'_> {
 
     /// Every signal: block by block, and one by one where the drive refuses a block, so that one register that is not
     /// there does not hide the others.
-    fn read_mapped(&mut self) -> Result<(), LinkError> {
+    fn read_mapped(&mut self) -> Result<()> {
         let blocks = self.blocks();
         let answers = self.ask(&blocks.iter().map(|block| block.read).collect::<Vec<_>>())?;
         let mut alone = Vec::new();
@@ -269,7 +264,7 @@ impl Reader<'_> {
     }
 
     /// The same lengths one register lower and one higher. What the drive refuses is no way of reading it.
-    fn read_beside(&mut self) -> Result<(), LinkError> {
+    fn read_beside(&mut self) -> Result<()> {
         for shift in [-1, 1] {
             let asked: Vec<(usize, ReadRequest)> = (0..self.map.signals.len())
                 .filter_map(|index| {
@@ -298,17 +293,15 @@ impl Reader<'_> {
     }
 
     /// Values that are proven to be current, or why there are none; only a port that is gone ends everything.
-    fn ask(
-        &mut self,
-        requests: &[ReadRequest],
-    ) -> Result<Vec<Result<Vec<u16>, Refusal>>, LinkError> {
+    fn ask(&mut self, requests: &[ReadRequest]) -> Result<Vec<Result<Vec<u16>, Refusal>>> {
         let batch = read_batch(self.client, requests, 1, &AtomicBool::new(false));
         let answers = batch.reads.into_iter().map(|read| match read.values {
             Ok(values) => Ok(Ok(values)),
             Err(error @ LinkError::Gone { .. }) => Err(error),
             Err(LinkError::Exception { code, name, .. }) => Ok(Err(Refusal {
                 text: format!("the drive refuses it: exception {code:#04x} {name}"),
-                is_unknown: code == UNKNOWN_REGISTER,
+                // Exception of a register that the unit does not have.
+                is_unknown: code == 0x02,
             })),
             Err(error) => Ok(Err(Refusal {
                 text: error.to_string(),
@@ -319,7 +312,7 @@ impl Reader<'_> {
     }
 
     /// The time as it stands in the drive; only read.
-    fn watchdog_s(&mut self) -> Result<Option<f64>, LinkError> {
+    fn watchdog_s(&mut self) -> Result<Option<f64>> {
         let Some((location, unit_s)) = self.map.watchdog.time else {
             return Ok(None);
         };
@@ -329,8 +322,7 @@ impl Reader<'_> {
         Ok(pattern.map(|pattern| location.layout.number(pattern) * unit_s))
     }
 
-    /// The profile's checks of identity, all of them.
-    fn checks(&mut self, rated_current_a: Option<f64>) -> Result<Vec<ProbedCheck>, LinkError> {
+    fn checks(&mut self, rated_current_a: Option<f64>) -> Result<Vec<ProbedCheck>> {
         let map = self.map;
         let mut checks = Vec::new();
         for check in &map.identity {

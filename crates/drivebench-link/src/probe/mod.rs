@@ -13,12 +13,11 @@ mod report;
 
 pub use report::{ProbeReport, ProbeVerdict, ProbedCheck, ProbedSignal, ProbedState};
 
-use super::link::LinkError;
+use super::link::Result;
 use super::modbus::RawClient;
 use super::profile::DriveProfile;
 use super::stream::StreamLink;
 
-/// How much is asked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ProbeDepth {
     /// What the profile maps, and no more: enough to tell whether the profile may be this drive's.
@@ -35,7 +34,7 @@ pub fn probe(
     client: &mut RawClient,
     profile: &DriveProfile,
     depth: ProbeDepth,
-) -> Result<ProbeReport, LinkError> {
+) -> Result<ProbeReport> {
     let mut report = match &profile.registers {
         Some(map) => mapped::probe(client, profile, map, depth)?,
         None => own::probe(client, profile)?,
@@ -52,9 +51,6 @@ pub fn probe(
 ///
 /// # Errors
 /// As [`probe`].
-pub fn probe_stream(
-    link: &mut StreamLink,
-    profile: &DriveProfile,
-) -> Result<ProbeReport, LinkError> {
+pub fn probe_stream(link: &mut StreamLink, profile: &DriveProfile) -> Result<ProbeReport> {
     own::probe_stream(link, profile)
 }

@@ -6,7 +6,7 @@ use firmware_protocol::registers::{REGISTERS, TELEMETRY_ADDRESS, TELEMETRY_WORDS
 use firmware_protocol::{State, Telemetry};
 
 use super::report::{ProbeReport, ProbedCheck, ProbedSignal, ProbedState};
-use crate::link::{DriveLink, LinkError};
+use crate::link::{DriveLink, Result};
 use crate::link_core::answered;
 use crate::modbus::{RawClient, read_batch};
 use crate::profile::DriveProfile;
@@ -14,10 +14,7 @@ use crate::register_bus::{MOST_READ, ReadRequest};
 use crate::register_map::{Quantity, Unit, confirms, expected_at_rest};
 use crate::stream::StreamLink;
 
-pub(super) fn probe(
-    client: &mut RawClient,
-    profile: &DriveProfile,
-) -> Result<ProbeReport, LinkError> {
+pub(super) fn probe(client: &mut RawClient, profile: &DriveProfile) -> Result<ProbeReport> {
     let mut report = ProbeReport::of(profile);
     let identity = answered(|| client.identify())?;
     report.checks.push(ProbedCheck {
@@ -50,10 +47,7 @@ pub(super) fn probe(
     Ok(report)
 }
 
-pub(super) fn probe_stream(
-    link: &mut StreamLink,
-    profile: &DriveProfile,
-) -> Result<ProbeReport, LinkError> {
+pub(super) fn probe_stream(link: &mut StreamLink, profile: &DriveProfile) -> Result<ProbeReport> {
     let mut report = ProbeReport::of(profile);
     let identity = link.identify()?;
     let block = link.telemetry()?.to_registers();
@@ -112,7 +106,6 @@ fn take(
     }
 }
 
-/// What is judged at rest, SI.
 fn meaning(name: &str) -> Option<(Quantity, Unit)> {
     Some(match name {
         "voltage" | "voltage_command" => (Quantity::Voltage, Unit::V),

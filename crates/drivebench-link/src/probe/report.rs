@@ -21,7 +21,6 @@ pub enum ProbeVerdict {
     WrongDrive,
 }
 
-/// Everything that was found.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ProbeReport {
     pub profile: String,
@@ -36,7 +35,6 @@ pub struct ProbeReport {
     /// What our own map says of itself.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub identity: Option<Identity>,
-    /// The profile's checks of identity.
     pub checks: Vec<ProbedCheck>,
     pub signals: Vec<ProbedSignal>,
     pub states: Vec<ProbedState>,
@@ -54,7 +52,6 @@ pub struct ProbeReport {
     pub counters: Option<RawCounters>,
 }
 
-/// One check of a drive's identity.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct ProbedCheck {
     pub what: String,
@@ -99,7 +96,6 @@ pub struct ProbedState {
 }
 
 impl ProbeReport {
-    /// An empty report of this profile.
     pub(super) fn of(profile: &DriveProfile) -> Self {
         Self {
             profile: profile.name.clone(),
@@ -129,7 +125,6 @@ impl ProbeReport {
         signal.value.filter(|_| signal.plausible != Some(false))
     }
 
-    /// Draws the verdict from what was found.
     pub(super) fn judge(&mut self) {
         let failed = self.checks.iter().find(|check| !check.passed);
         let holds = |name| {
@@ -185,78 +180,95 @@ impl ProbeReport {
 mod tests {
     use super::*;
 
-    fn signal(name: &str, plausible: Option<bool>, confirms: bool) -> ProbedSignal {
-        ProbedSignal {
-            name: name.to_owned(),
-            plausible,
-            confirms,
-            ..ProbedSignal::default()
-        }
-    }
-
-    fn judged(signals: Vec<ProbedSignal>, running: Option<bool>) -> ProbeReport {
+    /// A report with these signals, as name, plausible and confirms, judged after a change.
+    fn judged(
+        signals: &[(&str, Option<bool>, bool)],
+        running: Option<bool>,
+        change: fn(&mut ProbeReport),
+    ) -> ProbeReport {
         let mut report = ProbeReport::of(&DriveProfile::named("siemens-v20").unwrap());
-        report.signals = signals;
+        let signals = signals
+            .iter()
+            .map(|(name, plausible, confirms)| ProbedSignal {
+                name: (*name).to_owned(),
+                plausible: *plausible,
+                confirms: *confirms,
+                ..ProbedSignal::default()
+            });
+        report.signals = signals.collect();
         report.states.push(ProbedState {
             name: "running".to_owned(),
             holds: running,
         });
+        change(&mut report);
         report.judge();
         report
     }
 
-    #[test]
-    fn the_verdict_names_what_does_not_fit() {
-        let report = judged(
-            vec![
-                signal("bus", Some(false), false),
-                signal("speed", Some(true), false),
-            ],
-            Some(false),
-        );
-        assert_eq!(report.verdict, ProbeVerdict::Implausible);
-        assert!(report.sentence.starts_with("1 of 2") && report.sentence.ends_with(": bus"));
-    }
+    type Case<'a> = (
+        &'a [(&'a str, Option<bool>, bool)],
+        Option<bool>,
+        fn(&mut ProbeReport),
+        ProbeVerdict,
+        &'a str,
+    );
 
     #[test]
-    fn zeros_alone_confirm_nothing_and_that_is_said() {
-        let zeros = judged(vec![signal("speed", Some(true), false)], Some(false));
-        assert_eq!(zeros.verdict, ProbeVerdict::Plausible);
-        assert!(
-            zeros.remarks[0].contains("about zero"),
-            "{:?}",
-            zeros.remarks
-        );
-        let bus = judged(vec![signal("bus", Some(true), true)], None);
-        assert!(bus.remarks.is_empty(), "{:?}", bus.remarks);
-        let nothing = judged(vec![signal("speed", None, false)], Some(false));
-        assert_eq!(nothing.verdict, ProbeVerdict::Unjudged);
-    }
-
-    #[test]
-    fn an_unknown_built_in_profile_is_another_drive() {
-        let mut report = judged(vec![signal("bus", Some(false), false)], None);
-        report.is_unknown_everywhere = true;
-        report.judge();
-        assert_eq!(report.verdict, ProbeVerdict::WrongDrive);
-        // A profile in the making may have its addresses wrong.
-        report.is_built_in = false;
-        report.judge();
-        assert_eq!(report.verdict, ProbeVerdict::Implausible);
-    }
-
-    #[test]
-    fn a_running_drive_or_failed_check_is_no_rest() {
-        let running = judged(vec![signal("bus", Some(true), true)], Some(true));
-        assert_eq!(running.verdict, ProbeVerdict::Implausible);
-        let mut report = judged(vec![signal("bus", Some(true), true)], Some(true));
-        report.checks.push(ProbedCheck {
-            what: "type code 0x0001".to_owned(),
-            passed: false,
-            found: "0x0007".to_owned(),
-        });
-        report.judge();
-        assert_eq!(report.verdict, ProbeVerdict::WrongDrive);
-        assert!(report.sentence.contains("0x0007"), "{}", report.sentence);
+    fn the_verdict_follows_from_readings_states_and_checks() {
+        use ProbeVerdict::{Implausible, Plausible, Unjudged, WrongDrive};
+        let none = |_: &mut ProbeReport| {};
+        let unknown = |report: &mut ProbeReport| report.is_unknown_everywhere = true;
+        // A new profile may have its addresses wrong.
+        let unknown_new = |report: &mut ProbeReport| {
+            (report.is_unknown_everywhere, report.is_built_in) = (true, false);
+        };
+        let failed = |report: &mut ProbeReport| {
+            report.checks.push(ProbedCheck {
+                what: "type code 0x0001".to_owned(),
+                passed: false,
+                found: "0x0007".to_owned(),
+            });
+        };
+        let (wrong, zero) = (("bus", Some(false), false), ("speed", Some(true), false));
+        let bus = ("bus", Some(true), true);
+        let cases: [Case<'_>; 8] = [
+            (&[wrong, zero], Some(false), none, Implausible, "1 of 2"),
+            (&[zero], Some(false), none, Plausible, "1 of 1"),
+            (&[bus], None, none, Plausible, "1 of 1"),
+            (
+                &[("speed", None, false)],
+                Some(false),
+                none,
+                Unjudged,
+                "no reading",
+            ),
+            (
+                &[wrong],
+                None,
+                unknown,
+                WrongDrive,
+                "has none of the registers",
+            ),
+            (&[wrong], None, unknown_new, Implausible, "1 of 1"),
+            (
+                &[bus],
+                Some(true),
+                none,
+                Implausible,
+                "reports that it runs",
+            ),
+            (&[bus], Some(true), failed, WrongDrive, "0x0007"),
+        ];
+        for (signals, running, change, verdict, part) in cases {
+            let report = judged(signals, running, change);
+            assert_eq!(report.verdict, verdict, "{}", report.sentence);
+            assert!(report.sentence.contains(part), "{}", report.sentence);
+            // Zeros alone confirm nothing.
+            let warns = report
+                .remarks
+                .iter()
+                .any(|text| text.contains("about zero"));
+            assert_eq!(warns, signals == [zero], "{:?}", report.remarks);
+        }
     }
 }

@@ -4,16 +4,15 @@ use std::sync::Arc;
 
 use super::readings::{Joined, Readings, in_profile};
 use crate::budget::may_join;
-use crate::link::LinkError;
+use crate::link::{LinkError, Result};
 use crate::register_bus::{RegisterBus, Span};
 use crate::register_map::{Quantity, RegisterMap, SetPoint, Write};
 
-/// Share of the write cycles of a non-volatile memory that one connection may use.
-const NVM_SHARE: u32 = 1000;
-/// Writes where the profile does not say how many cycles the memory has.
-const NVM_WRITES: u32 = 10;
-/// Longest time over which a slew is counted, s: after a longer pause a reference does not jump further.
-const LONGEST_SLEW_TIME_S: f64 = 0.5;
+/// The far end of the line: its registers, and their last readings.
+pub(super) struct FarEnd<'a> {
+    pub(super) bus: &'a mut dyn RegisterBus,
+    pub(super) readings: &'a Readings,
+}
 
 /// What went out last to one set-point.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -31,7 +30,6 @@ struct Sent {
     mismatches: u32,
     found: Vec<u16>,
     confirmed: Vec<u16>,
-    /// When it was last looked at, s.
     looked_s: f64,
 }
 
@@ -80,7 +78,6 @@ impl Points {
         }
     }
 
-    /// The next exchange begins.
     pub(super) fn begin(&mut self) {
         self.limited = false;
         self.joint = Joint::Never;
@@ -125,20 +122,14 @@ impl Points {
     }
 
     /// Holds a reference: within its limits, no faster than its slew.
-    pub(super) fn put(
-        &mut self,
-        bus: &mut dyn RegisterBus,
-        readings: &Readings,
-        name: &str,
-        wanted: f64,
-    ) -> Result<(), LinkError> {
+    pub(super) fn put(&mut self, far: &mut FarEnd<'_>, name: &str, wanted: f64) -> Result<()> {
         self.running = true;
         self.is_urgent = false;
         let map = Arc::clone(&self.map);
         let Some((at, point)) = find(&map, name) else {
             return Ok(());
         };
-        let now_s = bus.now_s();
+        let now_s = far.bus.now_s();
         let mut value = wanted;
         if let Some([low, high]) = point.range() {
             value = value.clamp(low, high);
@@ -147,7 +138,8 @@ impl Points {
             let sent = &self.sent[at];
             let from = sent.value.unwrap_or(0.0);
             let since_s = sent.asked_s.map_or(0.0, |asked_s| now_s - asked_s);
-            let most = slew * since_s.clamp(0.0, LONGEST_SLEW_TIME_S);
+            // Longest time over which a slew is counted, s: after a longer pause a reference does not jump further.
+            let most = slew * since_s.clamp(0.0, 0.5);
             value = value.clamp(from - most, from + most);
         }
         self.sent[at].asked_s = Some(now_s);
@@ -157,15 +149,11 @@ impl Points {
         if is_held && !sent.in_doubt {
             return Ok(());
         }
-        self.write(bus, readings, name, value, None)
+        self.write(far, name, value, None)
     }
 
     /// Writes again what the drive wants to hear often enough.
-    pub(super) fn refresh(
-        &mut self,
-        bus: &mut dyn RegisterBus,
-        period_s: f64,
-    ) -> Result<(), LinkError> {
+    pub(super) fn refresh(&mut self, bus: &mut dyn RegisterBus, period_s: f64) -> Result<()> {
         self.running = true;
         let map = Arc::clone(&self.map);
         for (at, point) in map.set_points.iter().enumerate() {
@@ -196,16 +184,12 @@ impl Points {
 
     /// Every reference to zero, at once. One that the drive does not take keeps none of the others from it: the first
     /// error is that of all.
-    pub(super) fn zero(
-        &mut self,
-        bus: &mut dyn RegisterBus,
-        readings: &Readings,
-    ) -> Result<(), LinkError> {
+    pub(super) fn zero(&mut self, far: &mut FarEnd<'_>) -> Result<()> {
         let map = Arc::clone(&self.map);
         let mut result = Ok(());
         let points = map.set_points.iter().enumerate();
         for (at, point) in points.filter(|(_, point)| point.is_reference()) {
-            let written = self.write(bus, readings, &point.name, 0.0, None);
+            let written = self.write(far, &point.name, 0.0, None);
             self.sent[at].value = None;
             if matches!(written, Err(LinkError::Gone { .. })) {
                 return written;
@@ -218,12 +202,12 @@ impl Points {
     /// Writes a value as it is, or only the bits under `mask`.
     fn write(
         &mut self,
-        bus: &mut dyn RegisterBus,
-        readings: &Readings,
+        FarEnd { bus, readings }: &mut FarEnd<'_>,
         name: &str,
         value: f64,
         mask: Option<u16>,
-    ) -> Result<(), LinkError> {
+    ) -> Result<()> {
+        let bus = &mut **bus;
         let map = Arc::clone(&self.map);
         let Some((at, point)) = find(&map, name) else {
             let text = format!("the profile has no setpoint {name:?}");
@@ -261,14 +245,8 @@ impl Points {
         Ok(())
     }
 
-    /// Carries out a write of a command.
-    pub(super) fn carry(
-        &mut self,
-        bus: &mut dyn RegisterBus,
-        readings: &Readings,
-        write: &Write,
-    ) -> Result<(), LinkError> {
-        self.write(bus, readings, &write.set_point, write.value, write.mask)
+    pub(super) fn carry(&mut self, far: &mut FarEnd<'_>, write: &Write) -> Result<()> {
+        self.write(far, &write.set_point, write.value, write.mask)
     }
 
     /// Sends, or leaves it to the read of this exchange where one transaction takes both.
@@ -278,7 +256,7 @@ impl Points {
         at: usize,
         point: &SetPoint,
         registers: &[u16],
-    ) -> Result<(), LinkError> {
+    ) -> Result<()> {
         if self.joint != Joint::May || !may_join(&self.map, point) {
             return self.send(bus, at, point, registers);
         }
@@ -301,7 +279,7 @@ impl Points {
         name: &str,
         mask: u16,
         value: f64,
-    ) -> Result<(), LinkError> {
+    ) -> Result<()> {
         let map = Arc::clone(&self.map);
         let Some((at, point)) = find(&map, name) else {
             return Ok(());
@@ -332,7 +310,7 @@ impl Points {
         at: usize,
         point: &SetPoint,
         registers: &[u16],
-    ) -> Result<bool, LinkError> {
+    ) -> Result<bool> {
         let sent = &self.sent[at];
         if point.keys.write_only_when.is_some() && self.running {
             let text = format!(
@@ -348,7 +326,9 @@ impl Points {
             let most = self
                 .map
                 .nvm_cycles
-                .map_or(NVM_WRITES, |cycles| cycles / NVM_SHARE);
+                // Share of the write cycles of a non-volatile memory that one connection may use.
+                // Writes where the profile does not say how many cycles the memory has.
+                .map_or(10, |cycles| cycles / 1000);
             if sent.writes >= most {
                 let text = format!(
                     "setpoint {} lies in a memory that wears out, and {most} writes a connection are allowed",
@@ -374,7 +354,7 @@ impl Points {
         at: usize,
         point: &SetPoint,
         registers: &[u16],
-    ) -> Result<(), LinkError> {
+    ) -> Result<()> {
         if !self.may_be_written(bus, at, point, registers)? {
             return Ok(());
         }
@@ -415,7 +395,7 @@ impl Points {
         bus: &mut dyn RegisterBus,
         at: usize,
         point: &SetPoint,
-    ) -> Result<Vec<u16>, LinkError> {
+    ) -> Result<Vec<u16>> {
         let read = bus.read(point.location.request())?;
         self.sent[at].looked_s = bus.now_s();
         Ok(read.words)
@@ -423,7 +403,7 @@ impl Points {
 
     /// Looks now and then whether a set-point that the drive has confirmed is still what was written. One that is another,
     /// twice in a row and without a write of ours between, was written by somebody else: the words for that.
-    pub(super) fn watch(&mut self, bus: &mut dyn RegisterBus) -> Result<Option<String>, LinkError> {
+    pub(super) fn watch(&mut self, bus: &mut dyn RegisterBus) -> Result<Option<String>> {
         let map = Arc::clone(&self.map);
         let pause_s = map.rates.slow_hz.recip();
         for (at, point) in map.set_points.iter().enumerate() {
@@ -481,15 +461,14 @@ impl Points {
     /// Zero to every reference that can be read back: what it reads back as.
     pub(super) fn compare(
         &mut self,
-        bus: &mut dyn RegisterBus,
-        readings: &Readings,
-    ) -> Result<Option<Result<String, String>>, LinkError> {
+        far: &mut FarEnd<'_>,
+    ) -> Result<Option<Result<String, String>>> {
         let map = Arc::clone(&self.map);
         let mut names = Vec::new();
         self.is_urgent = false;
         let points = map.set_points.iter().enumerate();
         for (at, point) in points.filter(|(_, p)| p.is_reference() && p.keys.readback) {
-            self.write(bus, readings, &point.name, 0.0, None)?;
+            self.write(far, &point.name, 0.0, None)?;
             self.sent[at].value = None;
             if self.sent[at].mismatches > 0 {
                 return Ok(Some(Err(self.mismatch_text())));

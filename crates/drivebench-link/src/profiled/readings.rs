@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::budget::joint_block;
-use crate::link::LinkError;
+use crate::link::{LinkError, Result};
 use crate::register_bus::{RegisterBus, Span};
 use crate::register_map::{PollRate, Quantity, ReadBlock, RegisterMap, plan_reads};
 use crate::timeline::{ClockMap, DriveClock};
@@ -15,7 +15,6 @@ pub(super) struct Reading {
     /// In the profile's unit; `None` for a code that says so, or a value that cannot be.
     pub(super) value: Option<f64>,
     pub(super) pattern: Option<u32>,
-    /// Request out, reply in.
     pub(super) span: Span,
 }
 
@@ -30,7 +29,6 @@ struct Position {
 /// A write that goes out together with a read.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Joined {
-    /// Position of the set-point in the map.
     pub(super) at: usize,
     pub(super) registers: Vec<u16>,
 }
@@ -84,7 +82,7 @@ impl Readings {
     }
 
     /// Everything, as at connect.
-    pub(super) fn read_all(&mut self, bus: &mut dyn RegisterBus) -> Result<(), LinkError> {
+    pub(super) fn read_all(&mut self, bus: &mut dyn RegisterBus) -> Result<()> {
         // Factors first: the others are scaled with them.
         for block in plan_reads(&self.map, PollRate::Once) {
             self.read(bus, &block)?;
@@ -101,7 +99,7 @@ impl Readings {
         &mut self,
         bus: &mut dyn RegisterBus,
         mut joined: Option<&Joined>,
-    ) -> Result<(Option<Span>, Option<Span>), LinkError> {
+    ) -> Result<(Option<Span>, Option<Span>)> {
         let (mut whole, mut both) = (None, None);
         for at in self.in_order(joined.is_some()) {
             let block = self.fast[at].clone();
@@ -132,7 +130,7 @@ impl Readings {
     }
 
     /// One slow block, if it is time for one.
-    pub(super) fn read_slow(&mut self, bus: &mut dyn RegisterBus) -> Result<(), LinkError> {
+    pub(super) fn read_slow(&mut self, bus: &mut dyn RegisterBus) -> Result<()> {
         let now_s = bus.now_s();
         let Some(block) = self.slow.get(self.next_slow).cloned() else {
             return Ok(());
@@ -146,11 +144,7 @@ impl Readings {
     }
 
     /// What is otherwise read now and then, now.
-    pub(super) fn read_now(
-        &mut self,
-        bus: &mut dyn RegisterBus,
-        quantity: Quantity,
-    ) -> Result<(), LinkError> {
+    pub(super) fn read_now(&mut self, bus: &mut dyn RegisterBus, quantity: Quantity) -> Result<()> {
         let signals = &self.map.signals;
         let holds = |block: &&ReadBlock| {
             let mut indices = block.signals.iter();
@@ -162,7 +156,7 @@ impl Readings {
         }
     }
 
-    fn read(&mut self, bus: &mut dyn RegisterBus, block: &ReadBlock) -> Result<(), LinkError> {
+    fn read(&mut self, bus: &mut dyn RegisterBus, block: &ReadBlock) -> Result<()> {
         self.read_with(bus, block, None).map(drop)
     }
 
@@ -171,7 +165,7 @@ impl Readings {
         bus: &mut dyn RegisterBus,
         block: &ReadBlock,
         joined: Option<&Joined>,
-    ) -> Result<Span, LinkError> {
+    ) -> Result<Span> {
         let point = joined.and_then(|joined| Some((self.map.set_points.get(joined.at)?, joined)));
         let read = match point {
             Some((point, joined)) => bus.read_write(
@@ -290,13 +284,7 @@ pub(super) fn in_profile(
     }
 }
 
-/// The counter is followed as one of so many counts to the turn, whatever its width; a narrower one is shifted up to it.
-const BITS: u16 = 32;
-/// What [`DriveClock`] takes a count for, s.
-const COUNT_S: f64 = 1e-6;
-
 pub(super) struct Clock {
-    /// Position of its signal in the map.
     signal: usize,
     /// How far its counts are shifted up.
     shift: u16,
@@ -313,7 +301,8 @@ impl Clock {
             signal.keys.quantity == Quantity::Clock && signal.keys.poll == PollRate::Fast
         })?;
         let resolution_s = map.signals[signal].clock_count_s()?;
-        let shift = BITS - 16 * map.signals[signal].location.layout.registers();
+        // The counter is followed as one of so many counts to the turn, whatever its width; a narrower one is shifted up to it.
+        let shift = 32 - 16 * map.signals[signal].location.layout.registers();
         Some(Self {
             signal,
             shift,
@@ -330,13 +319,14 @@ impl Clock {
         let span = reading.span;
         // The link ended before it was read for the first time.
         let raw = reading.pattern.unwrap_or_default() << self.shift;
-        let counts = self.count_s / COUNT_S;
+        // What [`DriveClock`] takes a count for, s.
+        let counts = self.count_s / 1e-6;
         let time_s = self.counter.follow(raw, span.middle_s() / counts) * counts;
         self.map.observe(span, time_s);
         time_s
     }
 
-    /// Half of a count, s: between two of them nothing is told.
+    /// Half of a count, s: between two of them nothing is known.
     pub(super) const fn half_width_s(&self) -> f64 {
         0.5 * self.resolution_s
     }

@@ -8,22 +8,15 @@
 //! ```
 
 use super::ProfiledLink;
-use crate::link::{DriveLink as _, LinkError};
+use crate::link::{DriveLink as _, LinkError, Result};
 use crate::patience::is_busy;
 use crate::register_bus::RegisterBus;
 use crate::register_map::{Step, Write};
 
-/// Between two looks at the status while a stop is waited for, s.
-const LOOK_S: f64 = 0.02;
-/// A drive that reports that it runs so long after its stop command was carried out has not stopped, s.
-const STOP_TIME_S: f64 = 2.0;
-
-/// What is to be done now.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Next {
     /// Write this and say so with [`Sequence::go_on`].
     Write(Write),
-    /// Nothing yet.
     Wait,
     Done,
     Failed {
@@ -32,7 +25,6 @@ pub(super) enum Next {
     },
 }
 
-/// One command under way.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Sequence {
     pub(super) command: &'static str,
@@ -40,10 +32,9 @@ pub(super) struct Sequence {
     /// Steps in front of those of the profile; they have no number.
     before: usize,
     at: usize,
-    /// When the step began, s.
     since_s: f64,
     /// The first step whose write went out and was not acknowledged.
-    unheard: Option<usize>,
+    unacknowledged: Option<usize>,
     /// What the drive refused first, in words, and since when, s.
     refused: Option<(String, f64)>,
     /// A write was refused for good.
@@ -58,7 +49,7 @@ impl Sequence {
             before: 0,
             at: 0,
             since_s: now_s,
-            unheard: None,
+            unacknowledged: None,
             refused: None,
             is_denied: false,
         }
@@ -118,19 +109,19 @@ impl Sequence {
     }
 
     /// The write of this step went out, and whether the drive has it is not known: what follows goes out all the same.
-    pub(super) fn unheard(&mut self, now_s: f64) {
-        self.unheard.get_or_insert(self.at);
+    pub(super) fn unacknowledged(&mut self, now_s: f64) {
+        self.unacknowledged.get_or_insert(self.at);
         self.go_on(now_s);
     }
 
     /// Whether a write is still to be sent again.
-    pub(super) const fn is_unheard(&self) -> bool {
-        self.unheard.is_some()
+    pub(super) const fn is_unacknowledged(&self) -> bool {
+        self.unacknowledged.is_some()
     }
 
     /// What is to be sent again, in order: from the first write that was not acknowledged up to where the command is.
     fn again(&mut self) -> Vec<(usize, Write)> {
-        let from = self.unheard.take().unwrap_or(self.at);
+        let from = self.unacknowledged.take().unwrap_or(self.at);
         let passed = self.steps.get(from..self.at).unwrap_or_default();
         let writes = (from..).zip(passed).filter_map(|(at, step)| match step {
             Step::Write(write) => Some((at, write.clone())),
@@ -140,8 +131,8 @@ impl Sequence {
     }
 
     /// One of those was not acknowledged again.
-    pub(super) fn unheard_again(&mut self, step: usize) {
-        self.unheard.get_or_insert(step);
+    pub(super) fn unacknowledged_again(&mut self, step: usize) {
+        self.unacknowledged.get_or_insert(step);
     }
 
     /// The drive refused a write of this command; returns for how long it has done so, s. The first refusal is kept: it is
@@ -170,37 +161,34 @@ impl Sequence {
 
 /// What became of a write of a stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Left {
+enum WriteEnd {
     /// The drive has it, or will not take it: it does not go out again.
     Settled,
     /// Nobody knows, or the drive was busy: it goes out again.
-    Unheard,
+    Unacknowledged,
 }
 
 impl<B: RegisterBus> ProfiledLink<B> {
     /// Takes a stop as far as it goes now. What comes back beside what is next is the first write that was refused or not
     /// acknowledged: it has kept none of the others from going out.
-    pub(super) fn descend(
-        &mut self,
-        sequence: &mut Sequence,
-    ) -> Result<(Next, Option<LinkError>), LinkError> {
+    pub(super) fn descend(&mut self, sequence: &mut Sequence) -> Result<(Next, Option<LinkError>)> {
         self.points.is_urgent = true;
         let mut first = None;
         for (at, write) in sequence.again() {
-            if self.leave(sequence, &write, &mut first)? == Left::Unheard {
-                sequence.unheard_again(at);
+            if self.leave(sequence, &write, &mut first)? == WriteEnd::Unacknowledged {
+                sequence.unacknowledged_again(at);
             }
         }
         loop {
-            let faulty = self.told("fault") == Some(true);
+            let faulty = self.reported("fault") == Some(true);
             let readings = &self.readings;
             match sequence.next(self.bus.now_s(), |name| readings.status(name)) {
                 Next::Write(write) => {
                     let left = self.leave(sequence, &write, &mut first)?;
                     let now_s = self.bus.now_s();
                     match left {
-                        Left::Unheard => sequence.unheard(now_s),
-                        Left::Settled => sequence.go_on(now_s),
+                        WriteEnd::Unacknowledged => sequence.unacknowledged(now_s),
+                        WriteEnd::Settled => sequence.go_on(now_s),
                     }
                 }
                 // A drive in fault has its output off, whatever its stop command waits for.
@@ -216,13 +204,13 @@ impl<B: RegisterBus> ProfiledLink<B> {
         sequence: &mut Sequence,
         write: &Write,
         first: &mut Option<LinkError>,
-    ) -> Result<Left, LinkError> {
-        let written = self.points.carry(&mut self.bus, &self.readings, write);
+    ) -> Result<WriteEnd> {
+        let written = self.points.carry(&mut far_end!(self), write);
         let now_s = self.bus.now_s();
         let error = match written {
             Ok(()) => {
                 self.kicked_s = now_s;
-                return Ok(Left::Settled);
+                return Ok(WriteEnd::Settled);
             }
             Err(error @ LinkError::Gone { .. }) => return Err(error),
             Err(error) => error,
@@ -232,11 +220,15 @@ impl<B: RegisterBus> ProfiledLink<B> {
         sequence.refused(now_s, error.to_string());
         sequence.is_denied |= !later;
         first.get_or_insert(error);
-        Ok(if later { Left::Unheard } else { Left::Settled })
+        Ok(if later {
+            WriteEnd::Unacknowledged
+        } else {
+            WriteEnd::Settled
+        })
     }
 
     /// One pass of a command to its end, with the time that its steps take.
-    pub(super) fn carry_out(&mut self, command: &'static str) -> Result<(), LinkError> {
+    pub(super) fn carry_out(&mut self, command: &'static str) -> Result<()> {
         let mut sequence = Sequence::new(command, self.way_down(command), self.bus.now_s());
         let mut first = None;
         loop {
@@ -254,9 +246,10 @@ impl<B: RegisterBus> ProfiledLink<B> {
     }
 
     /// Reads the status after a moment; a lost reply is not the end of a stop, and is handed back.
-    fn look(&mut self) -> Result<Option<LinkError>, LinkError> {
+    fn look(&mut self) -> Result<Option<LinkError>> {
         let now_s = self.bus.now_s();
-        self.bus.pause_until_s(now_s + LOOK_S);
+        // Between two looks at the status while a stop is waited for, s.
+        self.bus.pause_until_s(now_s + 0.02);
         match self.readings.read_fast(&mut self.bus, None) {
             Err(error) if error.is_transient() => Ok(Some(error)),
             read => read.map(|_| None),
@@ -265,16 +258,17 @@ impl<B: RegisterBus> ProfiledLink<B> {
 
     /// Whether the drive reports within a while that it does not run; what it said before its stop went out is no such
     /// report. Without a status the acknowledged writes are all there is.
-    pub(super) fn rests(&mut self) -> Result<bool, LinkError> {
+    pub(super) fn rests(&mut self) -> Result<bool> {
         let stopped_s = self.bus.now_s();
         if !self.confirms_stop() {
             return self.look().map(|_| true);
         }
         loop {
             let lost = self.look()?;
-            match (self.told_since("running", stopped_s), lost) {
+            match (self.state_since("running", stopped_s), lost) {
                 (Some(false), _) => return Ok(true),
-                _ if self.bus.now_s() <= stopped_s + STOP_TIME_S => {}
+                // A drive that reports that it runs so long after its stop command was carried out has not stopped, s.
+                _ if self.bus.now_s() <= stopped_s + 2.0 => {}
                 (None, Some(lost)) => return Err(lost),
                 _ => return Ok(false),
             }
@@ -326,30 +320,20 @@ mod tests {
     }
 
     #[test]
-    fn steps_in_front_are_not_counted() {
-        let first = vec![write("speed", 0.0)];
-        let mut sequence = Sequence::new("enable", &steps(), 0.0).preceded(first);
-        sequence.go_on(0.0);
-        sequence.go_on(0.0);
-        assert_eq!(sequence.next(0.6, |_| None), Next::Wait);
-        let Next::Failed { step, .. } = sequence.next(1.7, |_| None) else {
-            panic!("the time is over");
-        };
-        assert_eq!((step, sequence.steps()), (3, 3));
-    }
-
-    #[test]
     fn a_status_that_does_not_come_names_step_reason_and_bits() {
-        let mut sequence = Sequence::new("enable", &steps(), 0.0);
-        sequence.go_on(0.0);
-        assert_eq!(sequence.next(0.6, |_| None), Next::Wait);
-        let Next::Failed { step, reason } = sequence.next(1.7, |_| Some((0x40, 1.7))) else {
-            panic!("the time is over");
-        };
-        assert_eq!((step, sequence.steps()), (3, 3));
-        assert_eq!(
-            reason,
-            "not ready: status is 0x0040 after 1 s (expected 0x0021 under mask 0x006f, line 7 of the profile)"
-        );
+        // Steps in front of those of the profile are not counted.
+        for first in [Vec::new(), vec![write("speed", 0.0)]] {
+            let mut sequence = Sequence::new("enable", &steps(), 0.0).preceded(first.clone());
+            (0..=first.len()).for_each(|_| sequence.go_on(0.0));
+            assert_eq!(sequence.next(0.6, |_| None), Next::Wait);
+            let Next::Failed { step, reason } = sequence.next(1.7, |_| Some((0x40, 1.7))) else {
+                panic!("the time is over");
+            };
+            assert_eq!((step, sequence.steps()), (3, 3));
+            assert_eq!(
+                reason,
+                "not ready: status is 0x0040 after 1 s (expected 0x0021 under mask 0x006f, line 7 of the profile)"
+            );
+        }
     }
 }

@@ -8,7 +8,7 @@ use crate::register_bus::RegisterBus;
 use crate::register_map::{Condition, Quantity};
 use drivebench_model::sample::{Channel, DriveState, Hindrance, Sample};
 
-/// What a drive says whose watchdog has stopped it.
+/// Report of a drive whose watchdog has stopped it.
 const COMM_LOSS: &str = "communication loss (comm_loss): the drive's own watchdog has expired";
 
 const fn low_word(pattern: u32) -> u16 {
@@ -17,27 +17,28 @@ const fn low_word(pattern: u32) -> u16 {
 }
 
 impl<B: RegisterBus> ProfiledLink<B> {
-    /// Whether a state of the profile holds; `None` where no register tells it.
-    pub(super) fn told(&self, state: &str) -> Option<bool> {
+    /// Whether a state of the profile holds; `None` where no register maps it.
+    pub(super) fn reported(&self, state: &str) -> Option<bool> {
         let condition = self.map.state(state)?;
         let pattern = self.readings.get(&condition.signal)?.pattern?;
         Some(condition.holds(pattern))
     }
 
     /// The same where it was read since then, s.
-    pub(super) fn told_since(&self, state: &str, since_s: f64) -> Option<bool> {
+    pub(super) fn state_since(&self, state: &str, since_s: f64) -> Option<bool> {
         let reading = self.readings.get(&self.map.state(state)?.signal)?;
-        self.told(state).filter(|_| reading.span.asked_s >= since_s)
+        self.reported(state)
+            .filter(|_| reading.span.asked_s >= since_s)
     }
 
     /// Whether its fault condition holds, or that of its own watchdog.
     pub(super) fn is_in_fault(&self) -> bool {
-        self.told("fault") == Some(true) || self.has_lost_host()
+        self.reported("fault") == Some(true) || self.has_lost_host()
     }
 
-    /// Whether it says that its watchdog has expired.
+    /// Whether it reports that its watchdog has expired.
     fn has_lost_host(&self) -> bool {
-        self.told("comm_loss") == Some(true)
+        self.reported("comm_loss") == Some(true)
     }
 
     /// The code of its fault, as last read; 0 is none.
@@ -63,7 +64,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
     pub(super) fn in_fault_text(&self, now_s: f64) -> String {
         let holds = ["fault", "comm_loss"]
             .into_iter()
-            .find(|state| self.told(state) == Some(true));
+            .find(|state| self.reported(state) == Some(true));
         let Some(fault) = holds.and_then(|state| self.map.state(state)) else {
             return String::new();
         };
@@ -117,11 +118,11 @@ impl<B: RegisterBus> ProfiledLink<B> {
         format!("{} {found}", condition.signal)
     }
 
-    /// Who or what else has the drive, as far as its profile tells.
+    /// What else has command of the drive, as far as its profile maps it.
     pub(super) fn hindrance(&self) -> Option<Hindrance> {
-        if self.told("sto") == Some(true) {
+        if self.reported("sto") == Some(true) {
             Some(Hindrance::TorqueOff)
-        } else if self.told("local") == Some(true) || self.told("remote") == Some(false) {
+        } else if self.reported("local") == Some(true) || self.reported("remote") == Some(false) {
             Some(Hindrance::LocalControl)
         } else {
             None
@@ -129,18 +130,18 @@ impl<B: RegisterBus> ProfiledLink<B> {
     }
 
     pub(super) fn state(&self) -> DriveState {
-        // Where no register tells, a stop that is not through yet has stopped nothing.
+        // Where no register maps it, a stop that is not through yet has stopped nothing.
         let may_run = matches!(self.mode, Mode::On | Mode::Stopping(_));
         if self.field_lost || self.is_in_fault() {
             DriveState::Fault
-        } else if self.told("running").unwrap_or(may_run) {
+        } else if self.reported("running").unwrap_or(may_run) {
             // While it is being enabled no set-point is in force yet.
             if matches!(self.mode, Mode::Enabling(_)) {
                 DriveState::Ready
             } else {
                 DriveState::Running
             }
-        } else if self.told("ready") == Some(true) {
+        } else if self.reported("ready") == Some(true) {
             DriveState::Ready
         } else {
             DriveState::Disabled

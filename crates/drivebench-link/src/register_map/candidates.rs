@@ -11,19 +11,11 @@
 use serde::Serialize;
 
 use super::facts::{Reading, RegisterMap, Signal};
-use super::terms::{Quantity, Unit, written};
+use super::terms::{Quantity, Unit};
 use super::value::{Kind, Layout, Order};
 
 /// Current of a machine at rest, as a share of the rated one: offset and noise of a sensor.
 const CURRENT_SHARE: f64 = 0.1;
-/// The same where no rated current is known, A.
-const CURRENT_A: f64 = 1.0;
-/// Speeds that a sensor or an observer shows at rest: 1 % of 3000 r/min.
-const SPEED_RPM: f64 = 30.0;
-const SPEED_RAD_S: f64 = 3.0;
-const SPEED_HZ: f64 = 0.5;
-/// Output of a power stage that is off, V.
-const OUTPUT_V: f64 = 10.0;
 /// From a small battery to the intermediate circuit of a 690 V converter, V.
 const SUPPLY_V: [f64; 2] = [8.0, 1500.0];
 
@@ -37,16 +29,19 @@ pub(crate) fn expected_at_rest(
     let around_zero = |most: f64| Some([-most, most]);
     match (quantity, unit) {
         (Quantity::ShaftSpeed | Quantity::OutputSpeed, unit) => match unit {
-            Unit::Rpm => around_zero(SPEED_RPM),
-            Unit::RadS => around_zero(SPEED_RAD_S),
-            Unit::Hertz => around_zero(SPEED_HZ),
+            // Speeds that a sensor or an observer shows at rest: 1 % of 3000 r/min.
+            Unit::Rpm => around_zero(30.0),
+            Unit::RadS => around_zero(3.0),
+            Unit::Hertz => around_zero(0.5),
             Unit::Percent => around_zero(1.0),
             _ => None,
         },
         (Quantity::Current, Unit::A) => {
-            around_zero(rated_current_a.map_or(CURRENT_A, |rated| CURRENT_SHARE * rated))
+            // The same where no rated current is known, A.
+            around_zero(rated_current_a.map_or(1.0, |rated| CURRENT_SHARE * rated))
         }
-        (Quantity::Voltage, Unit::V) => around_zero(OUTPUT_V),
+        // Output of a power stage that is off, V.
+        (Quantity::Voltage, Unit::V) => around_zero(10.0),
         (Quantity::Current | Quantity::Torque, Unit::Percent) => around_zero(100.0 * CURRENT_SHARE),
         (Quantity::Torque, Unit::NewtonMetre) => around_zero(1.0),
         (Quantity::Power, Unit::KiloWatt) => around_zero(0.1),
@@ -69,8 +64,6 @@ pub(crate) fn confirms(range: [f64; 2], value: f64) -> bool {
 
 /// Factors of factors that are followed.
 const DEEPEST: usize = 3;
-/// Candidates that are worth showing for one signal.
-const MOST: usize = 8;
 
 /// What is read otherwise than the profile says.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -140,13 +133,13 @@ impl Change {
             parts.push(shift_text(self.shift).to_owned());
         }
         if self.words {
-            parts.push(format!("word_order = \"{}\"", written(&other.words)));
+            parts.push(format!("word_order = \"{}\"", other.words.name()));
         }
         if self.bytes {
-            parts.push(format!("byte_order = \"{}\"", written(&other.bytes)));
+            parts.push(format!("byte_order = \"{}\"", other.bytes.name()));
         }
         if self.sign {
-            parts.push(format!("type = \"{}\"", written(&other.kind)));
+            parts.push(format!("type = \"{}\"", other.kind.name()));
         }
         parts.join(" and ")
     }
@@ -200,7 +193,6 @@ pub struct Candidate {
     pub plausible: bool,
 }
 
-/// One change for the whole profile.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Hypothesis {
     pub change: String,
@@ -220,7 +212,6 @@ pub struct Picture<'a> {
 }
 
 impl Picture<'_> {
-    /// A signal as the profile says.
     pub fn reading(&self, index: usize) -> Reading {
         self.read_as(index, Change::NONE, Change::NONE, DEEPEST)
     }
@@ -309,7 +300,8 @@ impl Picture<'_> {
             }
         }
         found.sort_by_key(|(trespasses, candidate)| (!candidate.plausible, *trespasses));
-        found.truncate(MOST);
+        // Candidates that are worth showing for one signal.
+        found.truncate(8);
         found.into_iter().map(|(_, candidate)| candidate).collect()
     }
 
@@ -483,196 +475,145 @@ mod tests {
         }
     }
 
+    /// What a picture of these windows says of one signal: its candidates and the hypotheses.
+    fn judged(
+        map: &RegisterMap,
+        known: &[(&str, Window)],
+        signal: &str,
+    ) -> (Vec<Candidate>, Vec<Hypothesis>) {
+        let windows = windows(map, known);
+        let picture = picture(map, &windows);
+        (picture.candidates(index(map, signal)), picture.hypotheses())
+    }
+
+    fn window(below: &[u16], here: &[u16], above: &[u16]) -> Window {
+        let some = |registers: &[u16]| (!registers.is_empty()).then(|| registers.to_vec());
+        Window {
+            below: some(below),
+            here: some(here),
+            above: some(above),
+        }
+    }
+
     #[test]
     fn a_swapped_word_order_is_the_first_candidate_and_a_hypothesis() {
         let map = map("type = \"u32\"\nscale = 0.1\nword_order = \"low_first\"");
-        let here = Window {
-            here: Some(vec![0, 1200]),
-            below: None,
-            above: Some(vec![1200, 7]),
-        };
-        let windows = windows(&map, &[("bus", here)]);
-        let picture = picture(&map, &windows);
-        let bus = index(&map, "bus");
-        assert_eq!(picture.reading(bus), Reading::Value(7_864_320.0));
-        assert_eq!(picture.fits(bus, picture.reading(bus)), Some(false));
-        let first = &picture.candidates(bus)[0];
-        assert_eq!(first.change, "word_order = \"high_first\"");
-        assert!((first.value - 120.0).abs() < 1e-9 && first.plausible);
-        let best = &picture.hypotheses()[0];
+        let here = window(&[], &[0, 1200], &[1200, 7]);
+        let (candidates, hypotheses) = judged(&map, &[("bus", here)], "bus");
+        assert_eq!(candidates[0].change, "word_order = \"high_first\"");
+        assert!((candidates[0].value - 120.0).abs() < 1e-9 && candidates[0].plausible);
+        let best = &hypotheses[0];
         assert_eq!(best.change, "word_order = \"high_first\" everywhere");
         assert_eq!((best.plausible, best.as_written, best.judged), (3, 2, 3));
     }
 
     #[test]
-    fn an_address_one_beside_is_found_on_its_side() {
-        let map = map("type = \"u16\"\nscale = 0.1");
-        let beside = Window {
-            below: Some(vec![9]),
-            here: Some(vec![0]),
-            above: Some(vec![1200]),
-        };
-        let windows = windows(&map, &[("bus", beside)]);
-        let picture = picture(&map, &windows);
-        let candidates = picture.candidates(index(&map, "bus"));
+    fn an_address_one_off_is_found_on_its_side() {
+        let bus = map("type = \"u16\"\nscale = 0.1");
+        let beside = window(&[9], &[0], &[1200]);
+        let (candidates, hypotheses) = judged(&bus, &[("bus", beside)], "bus");
         assert!(
             candidates[0]
                 .change
                 .contains("one higher (base 0 instead of 1)")
         );
         assert!(candidates[0].plausible && (candidates[0].value - 120.0).abs() < 1e-9);
-        // 0.9 V is no supply, and is told as what it would be.
-        let lower = candidates
-            .iter()
-            .find(|c| c.change == "the address one lower (base 1 instead of 0)");
-        assert!(!lower.unwrap().plausible);
-        assert!(
-            picture.hypotheses()[0]
-                .change
-                .starts_with("every address one higher")
-        );
-    }
-
-    /// One register too high: the low word reads as the high one, and the other word is that of the next signal.
-    #[test]
-    fn a_register_of_another_signal_explains_less() {
+        // 0.9 V is no supply.
+        let lower = "the address one lower (base 1 instead of 0)";
+        assert!(candidates.iter().any(|c| c.change == lower && !c.plausible));
+        assert!(hypotheses[0].change.starts_with("every address one higher"));
+        // One register too high: the low word reads as the high one, and the other word is that of the next signal.
         let mut map = map("type = \"u32\"\nscale = 0.1");
         let (bus, current) = (index(&map, "bus"), index(&map, "current"));
-        // The voltage's second register is that of the current.
-        let next = map.signals[bus].location.address + 1;
-        map.signals[current].location.address = next;
+        map.signals[current].location.address = map.signals[bus].location.address + 1;
         map.signals[current].location.table = map.signals[bus].location.table;
-        let here = Window {
-            below: Some(vec![0, 1200]),
-            here: Some(vec![1200, 0]),
-            above: None,
-        };
-        // The current stands where it should: one lower is the voltage's register.
-        let right = Window {
-            below: Some(vec![1200]),
-            here: Some(vec![0]),
-            above: None,
-        };
-        let windows = windows(&map, &[("bus", here), ("current", right)]);
-        let picture = picture(&map, &windows);
-        assert_eq!(picture.fits(bus, picture.reading(bus)), Some(false));
-        let candidates = picture.candidates(bus);
-        assert!(
-            candidates[0].plausible && candidates[0].change.starts_with("the address one lower"),
-            "{candidates:?}"
-        );
-        let hypotheses = picture.hypotheses();
+        let known = [
+            ("bus", window(&[0, 1200], &[1200, 0], &[])),
+            ("current", window(&[1200], &[0], &[])),
+        ];
+        let (candidates, hypotheses) = judged(&map, &known, "bus");
+        let first = &candidates[0];
+        let is_lower = first.change.starts_with("the address one lower");
+        assert!(first.plausible && is_lower, "{candidates:?}");
         assert_eq!(hypotheses[0].change, "the address one lower for bus alone");
         assert_eq!(hypotheses[0].plausible, hypotheses[0].as_written + 1);
+        // A factor is read with the same change: 5.7 A rated, current 1 % of it.
+        let map = DriveProfile::named("toshiba-vfs11")
+            .unwrap()
+            .registers
+            .unwrap();
+        let one_higher = |value: u16| window(&[], &[0], &[value]);
+        let known = [
+            ("rated_current", one_higher(57)),
+            ("rated_voltage", one_higher(1100)),
+            ("current", one_higher(100)),
+        ];
+        let best = &judged(&map, &known, "current").1[0];
+        assert!(
+            best.change.starts_with("every address one higher"),
+            "{best:?}"
+        );
+        assert_eq!((best.plausible, best.judged, best.as_written), (5, 5, 3));
     }
 
     #[test]
     fn sign_and_byte_order_are_candidates_if_they_matter() {
-        let map = map("type = \"u16\"");
-        // -3 raw of a drive whose current is signed after all; 120 V with its bytes exchanged.
-        let current = Window {
-            here: Some(vec![0xFFFD]),
-            ..Window::default()
-        };
-        let bus = Window {
-            here: Some(vec![120_u16.swap_bytes()]),
-            ..Window::default()
-        };
-        let mut unsigned = map.clone();
-        let at = index(&map, "current");
+        let mut unsigned = map("type = \"u16\"");
+        let at = index(&unsigned, "current");
         unsigned.signals[at].location.layout.kind = Kind::U16;
-        let windows = windows(&map, &[("current", current), ("bus", bus)]);
-        let picture = picture(&unsigned, &windows);
-        let candidates = picture.candidates(at);
+        // -3 raw of a drive whose current is signed after all; 120 V with its bytes exchanged.
+        let known = [
+            ("current", window(&[], &[0xFFFD], &[])),
+            ("bus", window(&[], &[120_u16.swap_bytes()], &[])),
+        ];
+        let (candidates, _) = judged(&unsigned, &known, "current");
         assert_eq!(candidates[0].change, "type = \"i16\"");
         assert!((candidates[0].value + 0.3).abs() < 1e-9 && candidates[0].plausible);
-        let candidates = picture.candidates(index(&map, "bus"));
+        let (candidates, _) = judged(&unsigned, &known, "bus");
         assert_eq!(candidates[0].change, "byte_order = \"low_first\"");
         assert!((candidates[0].value - 120.0).abs() < 1e-9);
-        assert!(
-            candidates.iter().all(|c| c.change != "type = \"i16\""),
-            "{candidates:?}"
-        );
+        assert!(candidates.iter().all(|c| c.change != "type = \"i16\""));
     }
 
     #[test]
     fn codes_ranges_and_refusals_are_no_values() {
         let map = map("type = \"u16\"\nvalid = [50, 900]\ninvalid = [0xFFFF]");
         let bus = index(&map, "bus");
-        let read = |registers: Option<Vec<u16>>| {
-            let window = Window {
-                here: registers,
-                ..Window::default()
-            };
-            let windows = windows(&map, &[("bus", window)]);
+        for (registers, reading, fits) in [
+            (&[0xFFFF][..], Reading::NotAvailable, None),
+            (&[5], Reading::Outside(5.0), Some(false)),
+            (&[], Reading::Unread, Some(false)),
+            (&[120], Reading::Value(120.0), Some(true)),
+        ] {
+            let windows = windows(&map, &[("bus", window(&[], registers, &[]))]);
             let picture = picture(&map, &windows);
-            (
-                picture.reading(bus),
-                picture.fits(bus, picture.reading(bus)),
-            )
-        };
-        assert_eq!(read(Some(vec![0xFFFF])), (Reading::NotAvailable, None));
-        assert_eq!(read(Some(vec![5])), (Reading::Outside(5.0), Some(false)));
-        assert_eq!(read(None), (Reading::Unread, Some(false)));
-        assert_eq!(read(Some(vec![120])), (Reading::Value(120.0), Some(true)));
-    }
-
-    #[test]
-    fn a_factor_is_read_with_the_same_change() {
-        let map = DriveProfile::named("toshiba-vfs11")
-            .unwrap()
-            .registers
-            .unwrap();
-        // All registers one higher than the profile says: 5.7 A rated, current 1 % of it.
-        let one_higher = |value: u16| Window {
-            here: Some(vec![0]),
-            above: Some(vec![value]),
-            below: None,
-        };
-        let windows = windows(
-            &map,
-            &[
-                ("rated_current", one_higher(57)),
-                ("rated_voltage", one_higher(1100)),
-                ("current", one_higher(100)),
-            ],
-        );
-        let picture = picture(&map, &windows);
-        let best = &picture.hypotheses()[0];
-        assert!(
-            best.change.starts_with("every address one higher"),
-            "{best:?}"
-        );
-        assert_eq!((best.plausible, best.judged), (5, 5));
-        assert_eq!(best.as_written, 3);
-    }
-
-    fn expected(profile: &str, signal: &str, rated_a: Option<f64>) -> Option<[f64; 2]> {
-        let map = DriveProfile::named(profile).unwrap().registers.unwrap();
-        let signal = map.signal(signal).unwrap();
-        expected_at_rest(signal.keys.quantity, signal.numbers.unit, rated_a)
+            assert_eq!(picture.reading(bus), reading);
+            assert_eq!(picture.fits(bus, reading), fits);
+        }
     }
 
     #[test]
     fn a_standing_shaft_reads_about_zero_in_every_unit() {
-        assert_eq!(expected("siemens-v20", "speed", None), Some([-30.0, 30.0]));
-        assert_eq!(
-            expected("siemens-v20", "frequency", None),
-            Some([-0.5, 0.5])
-        );
-        assert_eq!(expected("siemens-v20", "current", None), Some([-1.0, 1.0]));
-        assert_eq!(
-            expected("siemens-v20", "current", Some(40.0)),
-            Some([-4.0, 4.0])
-        );
-        assert_eq!(expected("siemens-v20", "status", None), None);
-    }
-
-    #[test]
-    fn only_what_is_not_zero_at_rest_confirms_an_address() {
-        let bus = expected("siemens-v20", "bus", None).unwrap();
-        assert!(confirms(bus, 325.0));
-        assert!(!confirms(bus, 0.0) && !confirms(bus, 21_000.0));
+        let map = DriveProfile::named("siemens-v20")
+            .unwrap()
+            .registers
+            .unwrap();
+        let expected = |signal: &str, rated_a| {
+            let signal = map.signal(signal).unwrap();
+            expected_at_rest(signal.keys.quantity, signal.numbers.unit, rated_a)
+        };
+        for (signal, rated_a, range) in [
+            ("speed", None, Some([-30.0, 30.0])),
+            ("frequency", None, Some([-0.5, 0.5])),
+            ("current", None, Some([-1.0, 1.0])),
+            ("current", Some(40.0), Some([-4.0, 4.0])),
+            ("status", None, None),
+        ] {
+            assert_eq!(expected(signal, rated_a), range, "{signal} {rated_a:?}");
+        }
+        // Only what is not zero at rest confirms an address.
+        let bus = expected("bus", None).unwrap();
+        assert!(confirms(bus, 325.0) && !confirms(bus, 0.0) && !confirms(bus, 21_000.0));
         assert!(!confirms([-30.0, 30.0], 0.0) && !confirms([-30.0, 30.0], 12.0));
     }
 }

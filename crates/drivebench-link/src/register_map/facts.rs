@@ -18,7 +18,6 @@ pub(super) struct PerTurn {
     pub(super) counts: Option<u32>,
 }
 
-/// Where a value lies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Location {
     pub table: RegisterTable,
@@ -27,7 +26,6 @@ pub struct Location {
 }
 
 impl Location {
-    /// The question for its registers.
     pub const fn request(&self) -> ReadRequest {
         ReadRequest {
             table: self.table,
@@ -162,7 +160,6 @@ impl SetPoint {
     }
 }
 
-/// A test of bits of a signal.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Condition {
     pub signal: String,
@@ -283,7 +280,6 @@ impl Supervision {
 pub struct RegisterMap {
     pub device: Device,
     pub converter: Option<Converter>,
-    /// Function codes that the drive knows.
     pub functions: Vec<u8>,
     pub max_read: u16,
     pub max_write: u16,
@@ -301,8 +297,8 @@ pub struct RegisterMap {
     pub commands: Commands,
     /// Names of [`RegisterMap::STATES`] to their condition.
     pub state: BTreeMap<String, Condition>,
-    /// Names of states that no register tells, with the reason.
-    pub untold: BTreeMap<String, String>,
+    /// States that no register maps, with the reason.
+    pub unmapped_states: BTreeMap<String, String>,
     /// What the numbers of the fault code mean.
     pub fault_codes: BTreeMap<u16, String>,
     pub watchdog: Supervision,
@@ -325,7 +321,6 @@ impl RegisterMap {
     /// Channels that are mapped or declared missing.
     pub const REQUIRED: [Channel; 3] = [Channel::Voltage, Channel::Current, Channel::Speed];
 
-    /// Position of a signal.
     pub fn index(&self, name: &str) -> Option<usize> {
         self.signals.iter().position(|signal| signal.name == name)
     }
@@ -400,7 +395,6 @@ pub(super) fn demand_si(quantity: Quantity, unit: Unit, per_turn: PerTurn) -> Op
 }
 
 impl PerTurn {
-    /// Angle of one count, rad.
     fn count_rad(self) -> Option<f64> {
         self.counts.map(|counts| TAU / f64::from(counts))
     }

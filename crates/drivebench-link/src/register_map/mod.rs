@@ -1,4 +1,4 @@
-//! The register map of a drive that is not ours: what its profile file says, checked and resolved.
+//! The register map of a drive that is not ours: its profile file, checked and resolved.
 //!
 //! ```text
 //! TOML --schema.rs--> keys as written --resolve.rs--> RegisterMap (facts.rs) --> profiled.rs, emulator/foreign
@@ -9,7 +9,7 @@
 //! what was read -> candidates.rs (what can be at rest, and other ways of reading it) -> is the profile right?
 //! ```
 //!
-//! Facts only, each with the source and the trust of its file. Nothing here knows a link.
+//! Facts only, each with the source and the trust of its file. No link is used here.
 
 mod address;
 mod candidates;

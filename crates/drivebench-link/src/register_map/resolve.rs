@@ -29,7 +29,6 @@ use drivebench_model::units::rad_s_from_rpm;
 const HELP: &str = "see docs/drives.md for every key, its unit and its default";
 /// The schema that this program reads.
 const SCHEMA: u32 = 1;
-/// Function codes of Modbus.
 const FUNCTIONS: [u8; 13] = [1, 2, 3, 4, 5, 6, 8, 11, 15, 16, 22, 23, 43];
 /// Shortest time in which a clock may come round, s: from one look to the next it must be known how often it did, also where
 /// a reply was lost.
@@ -53,7 +52,6 @@ impl RegisterMap {
     }
 }
 
-/// Reads the file; `file` names it in errors.
 fn read(file: &str, text: &str) -> Result<(RegisterMap, LinkSettings, DriveLimits), ConfigError> {
     let keys: ProfileFile = config_text::parse(file, text)?;
     let reader = Reader {
@@ -74,7 +72,6 @@ struct Reader<'a> {
     text: &'a str,
     numbering: Numbering,
     link: &'a LinkKeys,
-    /// Of the device's encoder.
     counts_per_turn: Option<u32>,
 }
 
@@ -144,7 +141,7 @@ impl Reader<'_> {
             set_points,
             commands: Commands::default(),
             state: BTreeMap::new(),
-            untold: BTreeMap::new(),
+            unmapped_states: BTreeMap::new(),
             fault_codes: self.fault_codes(&file.fault_codes)?,
             watchdog: self.watchdog(&file.watchdog)?,
             field_min_a: file.limits.field_min_a,
@@ -164,11 +161,11 @@ impl Reader<'_> {
             self.known(name, RegisterMap::STATES, "state", &self.from("[state"))?;
             match self.state(condition, &map)? {
                 Ok(condition) => drop(map.state.insert(name.clone(), condition)),
-                Err(reason) => drop(map.untold.insert(name.clone(), reason)),
+                Err(reason) => drop(map.unmapped_states.insert(name.clone(), reason)),
             }
         }
         for name in ["fault", "running"] {
-            if !map.state.contains_key(name) && !map.untold.contains_key(name) {
+            if !map.state.contains_key(name) && !map.unmapped_states.contains_key(name) {
                 return Err(self.whole(
                     "[state",
                     format!("the state {name} is neither mapped nor declared untold (expected a condition, or none = \"why\")"),
@@ -718,7 +715,6 @@ impl Reader<'_> {
         self.text.find(header).unwrap_or(0)..self.text.len()
     }
 
-    /// An error at the first place of a header.
     fn whole(&self, header: &str, message: String) -> ConfigError {
         let offset = self.from(header).start;
         ConfigError::at(self.file, self.text, offset, message, HELP)
@@ -797,7 +793,6 @@ fn wraps_at(keys: &SignalKeys, layout: Layout) -> Result<Option<f64>, String> {
     }
 }
 
-/// Whether the register of the watchdog's time takes this one, ms.
 fn time_fits(set_ms: f64, time: &WatchdogTime, layout: Layout) -> Result<(), String> {
     let unit_ms = time.unit_ms;
     let whole = [unit_ms, f64::from(u16::MAX) * unit_ms];
@@ -811,7 +806,6 @@ fn time_fits(set_ms: f64, time: &WatchdogTime, layout: Layout) -> Result<(), Str
     ))
 }
 
-/// `"3..5"` within `width` bits.
 fn bit_range(text: &str, width: u16) -> Option<(u8, u8)> {
     let (first, last) = text.split_once("..")?;
     let (first, last) = (first.parse::<u8>().ok()?, last.parse::<u8>().ok()?);

@@ -4,7 +4,7 @@
 
 use std::collections::BTreeMap;
 
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use toml::Spanned;
 
 use super::address::{BaseText, Formula};
@@ -13,22 +13,16 @@ use super::terms::{
     SupervisionKind, Unit,
 };
 use super::value::{Byte, Kind, Order};
-use crate::settings::{Framing, KickedBy, Protocol, Trust};
+use crate::settings::{Framing, KickedBy, Protocol, Trust, named};
 use drivebench_model::sample::{Origin, Side};
 
-/// What an alternating quantity's number stands for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Basis {
-    Rms,
-    Peak,
-    Mean,
-    Instantaneous,
-}
-
-impl Basis {
-    pub fn name(self) -> String {
-        super::terms::written(&self)
+named! {
+    /// Which value of an alternating quantity the number is.
+    pub enum Basis {
+        Rms = "rms",
+        Peak = "peak",
+        Mean = "mean",
+        Instantaneous = "instantaneous",
     }
 }
 
@@ -47,7 +41,7 @@ pub(super) struct ProfileFile {
     pub(super) setpoints: BTreeMap<String, Spanned<SetPointKeys>>,
     pub(super) commands: CommandKeys,
     pub(super) state: BTreeMap<String, Spanned<ConditionKeys>>,
-    /// What the numbers of the fault code mean, where the manual tells.
+    /// What the numbers of the fault code mean, where the manual has them.
     #[serde(default)]
     pub(super) fault_codes: BTreeMap<String, String>,
     pub(super) watchdog: Spanned<WatchdogKeys>,
@@ -207,7 +201,6 @@ pub(super) struct ConditionKeys {
     pub(super) mask: Option<u32>,
     pub(super) equals: Option<u32>,
     pub(super) not_equals: Option<u32>,
-    /// Why no register tells it.
     pub(super) none: Option<String>,
 }
 

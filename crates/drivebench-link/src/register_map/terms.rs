@@ -1,11 +1,9 @@
-//! The words of a profile that its keys and its facts share; and which quantities may be given in which units: what is wrong
-//! there would otherwise only show up as a channel that is missing.
+//! Terms that the keys and the facts of a profile share, and the units in which each quantity may be given.
 
 use serde::{Deserialize, Serialize};
 
-use crate::settings::Trust;
+use crate::settings::{Trust, named};
 
-/// What turns the motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DeviceKind {
@@ -45,7 +43,7 @@ pub struct Converter {
     pub quadrants: u8,
 }
 
-/// How a late reply is told from the right one.
+/// How a late reply is distinguished from the right one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Resync {
@@ -55,11 +53,10 @@ pub enum Resync {
     Length,
     /// Modbus TCP has a transaction number.
     Tid,
-    /// Only silence; a reply that is later than that cannot be told.
+    /// Only silence; a reply that is later than that cannot be distinguished.
     None,
 }
 
-/// How often a signal is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PollRate {
@@ -68,100 +65,66 @@ pub enum PollRate {
     Once,
 }
 
-/// What a register means.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Quantity {
-    Current,
-    Voltage,
-    BusVoltage,
-    LineVoltage,
-    /// From a sensor on the shaft.
-    ShaftSpeed,
-    /// What the converter puts out or computes; no shaft was looked at.
-    OutputSpeed,
-    Torque,
-    Power,
-    Duty,
-    FieldCurrent,
-    Temperature,
-    Angle,
-    /// A counter that runs with the drive's time.
-    Clock,
-    Status,
-    FaultCode,
-    /// Nameplate values that other signals are scaled with.
-    RatedCurrent,
-    RatedVoltage,
-    RatedSpeed,
-    CurrentLimit,
-    VoltageLimit,
-    /// A word of bits that is written.
-    Word,
-    /// A set-point of speed.
-    Speed,
-    Other,
+named! {
+    /// What a register means.
+    pub enum Quantity {
+        Current = "current",
+        Voltage = "voltage",
+        BusVoltage = "bus_voltage",
+        LineVoltage = "line_voltage",
+        /// From a sensor on the shaft.
+        ShaftSpeed = "shaft_speed",
+        /// What the converter puts out or computes; no shaft was looked at.
+        OutputSpeed = "output_speed",
+        Torque = "torque",
+        Power = "power",
+        Duty = "duty",
+        FieldCurrent = "field_current",
+        Temperature = "temperature",
+        Angle = "angle",
+        /// A counter that runs with the drive's time.
+        Clock = "clock",
+        Status = "status",
+        FaultCode = "fault_code",
+        /// Nameplate values that other signals are scaled with.
+        RatedCurrent = "rated_current",
+        RatedVoltage = "rated_voltage",
+        RatedSpeed = "rated_speed",
+        CurrentLimit = "current_limit",
+        VoltageLimit = "voltage_limit",
+        /// A word of bits that is written.
+        Word = "word",
+        /// A set-point of speed.
+        Speed = "speed",
+        Other = "other",
+    }
 }
 
-/// Unit of a value in a profile.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Unit {
-    #[default]
-    #[serde(rename = "")]
-    None,
-    #[serde(rename = "rpm")]
-    Rpm,
-    #[serde(rename = "rad/s")]
-    RadS,
-    #[serde(rename = "Hz")]
-    Hertz,
-    A,
-    V,
-    #[serde(rename = "N.m")]
-    NewtonMetre,
-    #[serde(rename = "%")]
-    Percent,
-    #[serde(rename = "kW")]
-    KiloWatt,
-    #[serde(rename = "C")]
-    Celsius,
-    #[serde(rename = "rad")]
-    Rad,
-    /// Of an encoder; `counts_per_turn` makes them an angle or a speed.
-    #[serde(rename = "counts")]
-    Counts,
-    #[serde(rename = "counts/s")]
-    CountsPerSecond,
-    #[serde(rename = "us")]
-    Microsecond,
-    #[serde(rename = "ms")]
-    Millisecond,
-    #[serde(rename = "s")]
-    Second,
+named! {
+    #[derive(Default)]
+    pub enum Unit {
+        #[default]
+        None = "",
+        Rpm = "rpm",
+        RadS = "rad/s",
+        Hertz = "Hz",
+        A = "A",
+        V = "V",
+        NewtonMetre = "N.m",
+        Percent = "%",
+        KiloWatt = "kW",
+        Celsius = "C",
+        Rad = "rad",
+        /// Of an encoder; `counts_per_turn` makes them an angle or a speed.
+        Counts = "counts",
+        CountsPerSecond = "counts/s",
+        Microsecond = "us",
+        Millisecond = "ms",
+        Second = "s",
+    }
 }
 
 impl Unit {
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::None => "",
-            Self::Rpm => "rpm",
-            Self::RadS => "rad/s",
-            Self::Hertz => "Hz",
-            Self::A => "A",
-            Self::V => "V",
-            Self::NewtonMetre => "N.m",
-            Self::Percent => "%",
-            Self::KiloWatt => "kW",
-            Self::Celsius => "C",
-            Self::Rad => "rad",
-            Self::Counts => "counts",
-            Self::CountsPerSecond => "counts/s",
-            Self::Microsecond => "us",
-            Self::Millisecond => "ms",
-            Self::Second => "s",
-        }
-    }
-
     /// What one of a unit of time is, s.
     pub(super) const fn seconds(self) -> Option<f64> {
         match self {
@@ -179,11 +142,6 @@ impl Unit {
 }
 
 impl Quantity {
-    /// As a profile writes it.
-    pub fn name(self) -> String {
-        written(&self)
-    }
-
     /// Units in which it may be given; `None`: any.
     const fn units(self) -> Option<&'static [Unit]> {
         Some(match self {
@@ -275,15 +233,6 @@ impl Quantity {
     }
 }
 
-/// How a profile writes a value, by the names that serde has for it.
-pub(super) fn written(value: &impl Serialize) -> String {
-    match toml::Value::try_from(value) {
-        Ok(toml::Value::String(name)) => name,
-        // Each is an enumeration of plain names.
-        _ => String::new(),
-    }
-}
-
 /// `a, b or c`.
 fn either(names: &[&str]) -> String {
     match names {
@@ -317,7 +266,6 @@ pub enum SupervisionKind {
     Parameter,
     /// Part of the command itself: it has to be repeated.
     Implicit,
-    /// The gateway in between.
     Gateway,
     Unknown,
     None,

@@ -6,7 +6,6 @@ use super::*;
 use crate::{DriveProfile, ProfileError, ReadRequest, RegisterTable};
 use drivebench_model::sample::Channel;
 
-/// Names and texts of the profiles with a register map.
 fn foreign() -> Vec<(&'static str, &'static str)> {
     let all = DriveProfile::names().map(|name| (name, DriveProfile::text(name).unwrap()));
     all.filter(|(name, _)| !name.starts_with("own")).collect()
@@ -17,7 +16,7 @@ fn map(name: &str) -> RegisterMap {
 }
 
 #[test]
-fn all_eleven_are_there_under_their_names_with_source_and_trust() {
+fn all_eleven_have_name_source_and_trust() {
     let profiles = foreign();
     assert_eq!(profiles.len(), 11);
     for (name, _) in profiles {
@@ -90,7 +89,7 @@ fn addresses_are_those_of_the_sources() {
 }
 
 #[test]
-fn every_required_channel_is_mapped_or_missing_with_a_reason() {
+fn required_channels_are_mapped_or_missing_with_a_reason() {
     for (name, _) in foreign() {
         let map = map(name);
         for channel in RegisterMap::REQUIRED {
@@ -106,7 +105,7 @@ fn every_required_channel_is_mapped_or_missing_with_a_reason() {
 }
 
 #[test]
-fn reads_keep_to_the_limits_of_the_drive_and_serve_every_signal() {
+fn reads_keep_the_drives_limits_and_serve_every_signal() {
     for (name, _) in foreign() {
         let map = map(name);
         for poll in [PollRate::Fast, PollRate::Slow, PollRate::Once] {
@@ -173,7 +172,6 @@ fn wrong(name: &str, from: &str, to: &str) -> (String, String) {
     (format!("{} | {}", error.message, error.help), rest)
 }
 
-/// One defect of `defects.toml`.
 #[derive(serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Defect {
@@ -185,38 +183,38 @@ struct Defect {
 }
 
 #[test]
-fn defects_are_named_with_their_place_and_the_nearest_key() {
+fn defects_are_named_with_place_and_nearest_key() {
     let text = include_str!("defects.toml");
     let mut defects: BTreeMap<String, Vec<Defect>> = toml::from_str(text).unwrap();
     let defects = defects.remove("defect").unwrap();
     assert_eq!(defects.len(), 34);
     let mut surprises = Vec::new();
     for defect in defects {
-        let (told, at) = wrong(&defect.profile, &defect.from, &defect.to);
-        if !told.contains(&defect.message) || !at.starts_with(&defect.place) {
-            surprises.push(format!("{}: {told} stands at {at:?}", defect.to));
+        let (error, at) = wrong(&defect.profile, &defect.from, &defect.to);
+        if !error.contains(&defect.message) || !at.starts_with(&defect.place) {
+            surprises.push(format!("{}: {error} stands at {at:?}", defect.to));
         }
     }
     assert!(surprises.is_empty(), "{}", surprises.join("\n"));
 }
 
 #[test]
-fn what_is_neither_mapped_nor_missing_is_an_error() {
-    let (told, _) = wrong(
-        "siemens-v20",
-        "voltage_v = \"the output",
-        "temperature_c = \"the output",
-    );
-    assert!(
-        told.contains("voltage_v is neither mapped nor declared missing"),
-        "{told}"
-    );
-    let (told, _) = wrong("siemens-v20", "running = {", "sto = {");
-    assert!(told.contains("state running is neither"), "{told}");
+fn channels_neither_mapped_nor_missing_are_an_error() {
+    for (from, to, message) in [
+        (
+            "voltage_v = \"the output",
+            "temperature_c = \"the output",
+            "voltage_v is neither mapped nor declared missing",
+        ),
+        ("running = {", "sto = {", "state running is neither"),
+    ] {
+        let (error, _) = wrong("siemens-v20", from, to);
+        assert!(error.contains(message), "{error}");
+    }
 }
 
 #[test]
-fn a_command_that_a_drive_does_not_have_may_be_declared_empty() {
+fn a_missing_command_may_be_declared_empty() {
     let text = DriveProfile::text("siemens-v20").unwrap();
     let (before, rest) = text.split_once("\ncoast = [").unwrap();
     let (_, after) = rest.split_once('\n').unwrap();

@@ -1,36 +1,36 @@
 //! Registers to a raw number and back: types, word and byte order, packed bytes and bit fields.
 
-use serde::{Deserialize, Serialize};
+use crate::settings::named;
 
-/// How a raw number lies in its registers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Kind {
-    U16,
-    I16,
-    U32,
-    I32,
-    F32,
+named! {
+    /// How a raw number lies in its registers.
+    pub enum Kind {
+        U16 = "u16",
+        I16 = "i16",
+        U32 = "u32",
+        I32 = "i32",
+        F32 = "f32",
+    }
 }
 
-/// Which of two comes first.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Order {
-    #[default]
-    HighFirst,
-    LowFirst,
+named! {
+    /// Which of two comes first.
+    #[derive(Default)]
+    pub enum Order {
+        #[default]
+        HighFirst = "high_first",
+        LowFirst = "low_first",
+    }
 }
 
-/// One of two values that share a register.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Byte {
-    High,
-    Low,
+named! {
+    /// One of two values that share a register.
+    pub enum Byte {
+        High = "high",
+        Low = "low",
+    }
 }
 
-/// The whole of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Layout {
     pub kind: Kind,
@@ -50,7 +50,6 @@ impl Kind {
         }
     }
 
-    /// Whether it can be less than zero.
     pub const fn is_signed(self) -> bool {
         !matches!(self, Self::U16 | Self::U32)
     }
@@ -98,7 +97,6 @@ impl Layout {
         }))
     }
 
-    /// How many bits its pattern has.
     pub const fn width(&self) -> u16 {
         match (self.bits, self.byte) {
             (Some((first, last)), _) => (last - first) as u16 + 1,

@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_harmonic_is_that_of_the_keys_and_the_second_a_tenth() {
+    fn the_second_harmonic_is_a_tenth_of_the_first() {
         let series = Harmonics::new([7.0, 0.06, -0.08], SECOND_HARMONIC);
         let (sin, cos) = coefficients(&series, 7.0);
         assert!((sin - 0.06).abs() < 1e-12 && (cos + 0.08).abs() < 1e-12);

@@ -52,7 +52,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn just_below_the_largest_size_the_voltage_still_rises_with_the_current_and_above_it_falls() {
+    fn the_largest_stable_size_keeps_the_voltage_rising() {
         let motor = zk_22fc();
         let most = largest_stable(&motor, 11.4, 0.0);
         assert!((5e-4..6e-4).contains(&most), "{most}");

@@ -72,7 +72,6 @@ pub(super) fn named<const N: usize>(values: &[f64]) -> [f64; N] {
     std::array::from_fn(|index| values[index])
 }
 
-/// A parameter of a kind.
 #[derive(Debug)]
 pub(super) struct Parameter {
     pub(super) key: &'static str,
@@ -125,7 +124,6 @@ impl Parameter {
     }
 }
 
-/// What a parameter may be.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Allowed {
     /// Any number; the study draws either sign.
@@ -134,7 +132,6 @@ pub(super) enum Allowed {
     Wave,
     NotNegative,
     Positive,
-    /// 0 to 1.
     Fraction,
     /// Between 0 and 1, without them.
     Share,
@@ -142,7 +139,6 @@ pub(super) enum Allowed {
     Loss,
     /// Whole numbers, 1 to 400.
     Order,
-    /// 0 to 1 s.
     Delay,
 }
 
@@ -191,7 +187,6 @@ pub(super) struct Dice<'a> {
     pub(super) rated_torque_n_m: f64,
     /// The size of an effect that is a torque.
     pub(super) torque_n_m: f64,
-    /// The nameplate's.
     pub(super) voltage_v: f64,
     pub(super) current_a: f64,
     pub(super) speed_rad_s: f64,

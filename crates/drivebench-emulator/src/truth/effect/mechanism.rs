@@ -2,7 +2,7 @@
 
 use crate::truth::MotorTruth;
 
-/// Where an effect is at work: the specimen and its surroundings.
+/// Where an effect is at work: the specimen and its supply.
 #[derive(Clone, Debug)]
 pub struct Site {
     pub motor: MotorTruth,
@@ -22,7 +22,6 @@ impl Site {
         }
     }
 
-    /// N.m at rated current.
     pub fn rated_torque_n_m(&self) -> f64 {
         self.motor.torque_constant() * self.motor.rated_current_a
     }
@@ -38,7 +37,6 @@ pub struct Moment {
     pub angle_rad: f64,
     /// Flux as a multiple of the nameplate's.
     pub flux_factor: f64,
-    /// Electromagnetic torque.
     pub torque_n_m: f64,
 }
 

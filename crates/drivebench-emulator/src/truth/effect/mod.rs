@@ -113,7 +113,6 @@ static CATALOGUE: &[HiddenKind] = &[
 #[derive(Clone, Debug)]
 pub struct HiddenEffect {
     kind: &'static HiddenKind,
-    /// In the order of the kind's parameters.
     values: Vec<f64>,
 }
 
@@ -178,7 +177,6 @@ impl HiddenEffect {
         told.collect()
     }
 
-    /// The value of one parameter.
     pub fn value(&self, key: &str) -> Option<f64> {
         let place = self.kind.parameters.iter().position(|p| p.key == key)?;
         Some(self.values[place])

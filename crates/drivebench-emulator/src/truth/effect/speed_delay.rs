@@ -1,4 +1,4 @@
-//! A speed that is old when it is told, as one that a slow task of the drive hands over.
+//! A speed that is old when it is reported, as one that a slow task of the drive hands over.
 
 use super::{Acts, Delay, HiddenKind};
 

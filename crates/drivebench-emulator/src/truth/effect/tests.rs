@@ -69,19 +69,7 @@ fn driven(hidden: &[HiddenEffect], levels: &[f64]) -> (Plant, usize) {
 }
 
 #[test]
-fn no_effect_moves_a_machine_that_is_at_rest_without_voltage() {
-    // Each torque here is below the Coulomb friction. (A shaker or a weight beyond it does move it, and a voltage offset
-    // drives a current: the drive's tests.)
-    for effect in HiddenEffect::one_of_each() {
-        let id = effect.id();
-        let (plant, moved) = driven(&[effect], &[0.0; 4]);
-        assert_eq!(moved, 0, "{id}");
-        assert!(plant.current_a() == 0.0 && plant.angle_rad() == 0.0, "{id}");
-    }
-}
-
-#[test]
-fn a_weight_beyond_friction_turns_the_machine_and_one_below_helps_it_break_away() {
+fn a_weight_beyond_friction_turns_the_machine() {
     let weight = |constant_n_m| [hidden("constant_load", &[("constant_n_m", constant_n_m)])];
     let (plant, _) = driven(&weight(0.6), &[0.0; 2]);
     assert!(plant.speed_rad_s() < -1.0, "against positive speed");
@@ -91,24 +79,7 @@ fn a_weight_beyond_friction_turns_the_machine_and_one_below_helps_it_break_away(
 }
 
 #[test]
-fn every_mechanism_changes_the_motion_and_every_path_does_not() {
-    let levels = [30.0, -12.0, 60.0, -50.0, 4.0];
-    let (plain, _) = driven(&[], &levels);
-    for effect in HiddenEffect::one_of_each() {
-        let id = effect.id();
-        let site = Site::of(&zk_22fc());
-        let (plant, _) = driven(std::slice::from_ref(&effect), &levels);
-        let differs = plant.angle_rad().to_bits() != plain.angle_rad().to_bits();
-        let inside = !effect.mechanisms(&site).is_empty() || effect.is_shaft();
-        assert_eq!(differs, inside, "{id}");
-        let is_between = effect.path(&site) != Path::default();
-        assert!(inside || is_between, "{id} does nothing");
-        assert!(plant.speed_rad_s().is_finite(), "{id}");
-    }
-}
-
-#[test]
-fn the_mirrored_command_gives_the_mirrored_motion_where_the_effect_has_no_direction() {
+fn each_effect_changes_motion_or_path_and_no_machine_at_rest() {
     // Those of one direction, of time, and of the shaft angle where they are not odd about the start are not symmetric.
     let skewed = [
         "constant_load",
@@ -120,12 +91,27 @@ fn the_mirrored_command_gives_the_mirrored_motion_where_the_effect_has_no_direct
         "random_load",
         "messy",
     ];
+    let levels = [30.0, -12.0, 60.0, -50.0, 4.0];
+    let (plain, _) = driven(&[], &levels);
+    let site = Site::of(&zk_22fc());
     for effect in HiddenEffect::one_of_each() {
         let id = effect.id();
-        let (plus, _) = driven(std::slice::from_ref(&effect), &[30.0, -12.0]);
-        let (minus, _) = driven(&[effect], &[-30.0, 12.0]);
-        let same = (plus.speed_rad_s() + minus.speed_rad_s()).abs() < 1e-9;
-        assert_eq!(same, !skewed.contains(&id), "{id}");
+        let effect = std::slice::from_ref(&effect);
+        // Each torque here is below the Coulomb friction.
+        let (rest, moved) = driven(effect, &[0.0; 4]);
+        assert_eq!(moved, 0, "{id}");
+        assert!(rest.current_a() == 0.0 && rest.angle_rad() == 0.0, "{id}");
+        let (plant, _) = driven(effect, &levels);
+        let differs = plant.angle_rad().to_bits() != plain.angle_rad().to_bits();
+        let inside = !effect[0].mechanisms(&site).is_empty() || effect[0].is_shaft();
+        assert_eq!(differs, inside, "{id}");
+        let is_between = effect[0].path(&site) != Path::default();
+        assert!(inside || is_between, "{id} does nothing");
+        assert!(plant.speed_rad_s().is_finite(), "{id}");
+        let (plus, _) = driven(effect, &[30.0, -12.0]);
+        let (minus, _) = driven(effect, &[-30.0, 12.0]);
+        let is_mirrored = (plus.speed_rad_s() + minus.speed_rad_s()).abs() < 1e-9;
+        assert_eq!(is_mirrored, !skewed.contains(&id), "{id}");
     }
 }
 
@@ -211,7 +197,7 @@ fn at_a_probe_point_the_size_is_that_of_the_key() {
 }
 
 #[test]
-fn a_machine_with_a_second_inertia_rings_at_its_frequency_and_turns_as_one_in_the_end() {
+fn a_second_inertia_rings_at_its_frequency_and_settles() {
     for effect in HiddenEffect::one_of_each()
         .into_iter()
         .filter(HiddenEffect::is_shaft)
@@ -264,7 +250,7 @@ fn sensors_show_delay_filter_and_offset() {
         sensors.read(4000, Reading::default())
     };
     let site = Site::of(&zk_22fc());
-    let mut seen = 0;
+    let mut between = 0;
     for effect in HiddenEffect::one_of_each() {
         let path = effect.path(&site);
         let read = sensors(path);
@@ -277,12 +263,12 @@ fn sensors_show_delay_filter_and_offset() {
             "speed_offset" => (2.0, 21.0),
             _ => (2.0, 20.0),
         };
-        seen += usize::from(path != Path::default());
+        between += usize::from(path != Path::default());
         let (off_a, off_rad_s) = (read.current_a - amps, read.speed_rad_s - speed);
         let is_near = off_a.abs() < 1e-5 && off_rad_s.abs() < 1e-5;
         assert!(is_near, "{}: {read:?}", effect.id());
     }
-    assert_eq!(seen, 10, "five in the sensors, four in the drive, messy");
+    assert_eq!(between, 10, "five in the sensors, four in the drive, messy");
 }
 
 #[test]

@@ -49,9 +49,9 @@ const FAULTS: [Fault; 12] = [
     Fault::Split,
 ];
 
-/// Function codes that a unit answers with an exception, or not at all; and its list of names.
+/// Requests that a unit answers with an exception, or not at all; and its list of names.
 #[derive(Clone, Copy, Default)]
-struct Manners {
+struct Abilities {
     only_reads_of: Option<u16>,
     is_silent_otherwise: bool,
     names: &'static [u8],
@@ -80,7 +80,7 @@ fn with_script(
 
 /// The same with a unit that does `fault` to the reply of a request.
 fn with_client(
-    manners: Manners,
+    abilities: Abilities,
     timeout_ms: u64,
     mut fault: impl FnMut(usize) -> Fault + Send + 'static,
     work: impl FnOnce(&mut RawClient),
@@ -88,7 +88,7 @@ fn with_client(
     let mut pending = Vec::new();
     let script = move |number: usize, request: &[u8]| {
         let pdu = &request[1..request.len() - 2];
-        let parts = answer(pdu, fault(number), manners, &mut pending);
+        let parts = answer(pdu, fault(number), abilities, &mut pending);
         let times = (1..).map(|k| PIECE * k);
         times.zip(parts).collect()
     };
@@ -115,7 +115,7 @@ fn settings(timeout: Duration) -> RawSettings {
 }
 
 /// The pieces that the unit sends for one request.
-fn answer(pdu: &[u8], fault: Fault, manners: Manners, pending: &mut Vec<u8>) -> Vec<Vec<u8>> {
+fn answer(pdu: &[u8], fault: Fault, abilities: Abilities, pending: &mut Vec<u8>) -> Vec<Vec<u8>> {
     let word = |at: usize| u16::from_be_bytes([pdu[at], pdu[at + 1]]);
     let reads = |function: u8, count: u16| {
         let values = (0..count).flat_map(|k| (word(1) + k).to_be_bytes());
@@ -125,20 +125,20 @@ fn answer(pdu: &[u8], fault: Fault, manners: Manners, pending: &mut Vec<u8>) -> 
             .chain(values)
             .collect::<Vec<u8>>()
     };
-    let refused = match (pdu[0], manners.only_reads_of) {
+    let refused = match (pdu[0], abilities.only_reads_of) {
         (3, Some(count)) => word(3) != count,
         (3 | 4 | 6 | 16, None) => false,
-        (43, _) => manners.names.is_empty(),
+        (43, _) => abilities.names.is_empty(),
         _ => true,
     };
     let mut out = std::mem::take(pending);
-    if refused && manners.is_silent_otherwise {
+    if refused && abilities.is_silent_otherwise {
         return vec![out];
     }
     let reply = match pdu[0] {
         function if refused => vec![function | 0x80, 1],
         function @ (3 | 4) => reads(function, word(3)),
-        43 => manners.names.to_vec(),
+        43 => abilities.names.to_vec(),
         _ => pdu[..5].to_vec(),
     };
     let right = frame(1, &reply);
@@ -206,23 +206,19 @@ fn batch(client: &mut RawClient, requests: &[ReadRequest], rounds: u64) -> Batch
 fn no_fault_gives_a_wrong_value_and_the_line_recovers() {
     for (fault, at) in FAULTS.iter().flat_map(|f| [0, 1, 4].map(|at| (*f, at))) {
         let context = format!("{fault:?} of request {at}");
-        with_client(Manners::default(), 300, only(at, fault), |client| {
+        with_client(Abilities::default(), 300, only(at, fault), |client| {
             let first = batch(client, &reads(&[10, 20, 30, 40, 50], 1), 1);
             assert!(answered(&first, &context) >= 4, "{context}: {first:?}");
             let second = batch(client, &reads(&[10, 20, 30], 2), 1);
             assert_eq!(answered(&second, &context), 3, "{context}: {second:?}");
         });
     }
-}
-
-#[test]
-fn mixed_faults_never_deliver_a_wrong_value() {
     let mut random = ChaCha8Rng::seed_from_u64(6);
-    let script = move |_| {
+    let mixed = move |_| {
         let draw = random.next_u32() as usize % 64;
         FAULTS.get(draw).copied().unwrap_or(Fault::None)
     };
-    with_client(Manners::default(), 40, script, |client| {
+    with_client(Abilities::default(), 40, mixed, |client| {
         let mut delivered = 0;
         for round in 0..40_u16 {
             let requests = reads(&[10 + round, 100 + round, 200 + round], 1 + round % 3);
@@ -234,7 +230,7 @@ fn mixed_faults_never_deliver_a_wrong_value() {
     });
 }
 
-/// A line that does the same to every reply still yields what came clean: 0 of 5 before every reply was told by its code.
+/// A line that does the same to every reply still yields what came clean.
 #[test]
 fn a_fault_of_every_reply_gives_no_wrong_value() {
     for fault in [
@@ -244,7 +240,7 @@ fn a_fault_of_every_reply_gives_no_wrong_value() {
         Fault::GarbageAfter,
         Fault::Late,
     ] {
-        with_client(Manners::default(), 60, always(fault), |client| {
+        with_client(Abilities::default(), 60, always(fault), |client| {
             for count in [1, 3] {
                 let all = batch(client, &reads(&[10, 20, 30, 40, 50], count), 1);
                 let context = format!("{fault:?}, {count} at a time");
@@ -256,53 +252,43 @@ fn a_fault_of_every_reply_gives_no_wrong_value() {
 }
 
 #[test]
-fn a_unit_that_answers_one_length_only_is_still_vouched_for() {
+fn a_unit_that_answers_one_length_only_is_proven() {
     for is_silent_otherwise in [false, true] {
-        let manners = Manners {
+        let abilities = Abilities {
             only_reads_of: Some(4),
             is_silent_otherwise,
-            ..Manners::default()
+            ..Abilities::default()
         };
-        with_client(manners, 100, always(Fault::None), |client| {
+        with_client(abilities, 100, always(Fault::None), |client| {
             for _ in 0..2 {
                 let all = batch(client, &reads(&[10, 20], 4), 3);
                 assert_eq!(answered(&all, "one length"), 2, "{all:?}");
                 assert!(all.is_all_answered());
+            }
+            if !is_silent_otherwise {
+                let refused = batch(client, &reads(&[8], 2), 1);
+                let error = refused.reads[0].values.as_ref().unwrap_err();
+                assert!(matches!(error, LinkError::Exception { code: 1, .. }));
+                assert_eq!((refused.asked, refused.answered), (1, 0));
             }
         });
     }
 }
 
 #[test]
-fn a_refusal_is_an_answer_with_its_name() {
-    let manners = Manners {
-        only_reads_of: Some(1),
-        ..Manners::default()
-    };
-    with_client(manners, 2000, always(Fault::None), |client| {
-        let both = batch(client, &[reads(&[7], 1), reads(&[8], 2)].concat(), 1);
-        assert_eq!(both.reads[0].values.as_deref().unwrap(), [7]);
-        let refused = both.reads[1].values.as_ref().unwrap_err();
-        let is_refused = matches!(refused, LinkError::Exception { code: 1, .. });
-        assert!(is_refused, "{refused}");
-        assert_eq!((both.asked, both.answered), (2, 1));
-    });
-}
-
-#[test]
-fn a_write_goes_out_once_even_when_nobody_answers() {
-    let script = only(1, Fault::Silent);
-    with_client(Manners::default(), 200, script, |client| {
-        assert_eq!(client.read(reads(&[5], 1)[0]).unwrap(), [5]);
-        let lost = client.write(WriteFunction::Multiple, 5, &[9, 9]);
-        assert!(matches!(lost, Err(LinkError::Timeout { .. })), "{lost:?}");
-        client.write(WriteFunction::Single, 5, &[9]).unwrap();
-    });
-}
-
-#[test]
-fn a_silent_unit_costs_one_timeout_a_read() {
-    with_client(Manners::default(), 30, always(Fault::Silent), |client| {
+fn lost_replies_cost_a_timeout_and_no_second_write() {
+    with_client(
+        Abilities::default(),
+        200,
+        only(1, Fault::Silent),
+        |client| {
+            assert_eq!(client.read(reads(&[5], 1)[0]).unwrap(), [5]);
+            let lost = client.write(WriteFunction::Multiple, 5, &[9, 9]);
+            assert!(matches!(lost, Err(LinkError::Timeout { .. })), "{lost:?}");
+            client.write(WriteFunction::Single, 5, &[9]).unwrap();
+        },
+    );
+    with_client(Abilities::default(), 30, always(Fault::Silent), |client| {
         let none = batch(client, &reads(&[1, 2, 3], 1), 2);
         assert_eq!((none.asked, none.answered), (6, 0));
         let requests = client.counters().requests;
@@ -326,53 +312,43 @@ fn a_peer_that_closes_ends_the_batch() {
     let none = batch(&mut client, &reads(&[1, 2], 1), 1000);
     assert_eq!((none.asked, none.answered), (2000, 0));
     let gone = |read: &Read| matches!(read.values, Err(LinkError::Gone { .. }));
-    assert!(
-        none.reads.len() == 2 && none.reads.iter().all(gone),
-        "{none:?}"
-    );
+    assert_eq!(none.reads.iter().filter(|read| gone(read)).count(), 2);
     assert!(client.counters().requests.balances());
 }
 
 #[test]
 fn requests_are_the_bytes_of_the_standard() {
-    let asked = with_client(Manners::default(), 100, always(Fault::None), |client| {
+    const NAMES: &[u8] = &[43, 14, 1, 1, 0, 0, 2, 0, 2, b'A', b'b', 1, 1, 0xE9];
+    let sent = with_client(Abilities::default(), 100, always(Fault::None), |client| {
         let read = ReadRequest {
             table: RegisterTable::Input,
-            address: 0x0108,
-            count: 3,
+            ..ReadRequest::holding(0x0108, 3)
         };
         assert_eq!(client.read(read).unwrap(), [0x0108, 0x0109, 0x010A]);
         let (single, multiple) = (WriteFunction::Single, WriteFunction::Multiple);
         client.write(single, 1, &[0x0203]).unwrap();
         client.write(multiple, 1, &[0x000A, 0x0102]).unwrap();
     });
-    assert_eq!(asked[0], [4, 1, 8, 0, 3]);
-    assert_eq!(asked[1], [6, 0, 1, 2, 3]);
-    assert_eq!(asked[2], [16, 0, 1, 0, 2, 4, 0, 10, 1, 2]);
-    assert_eq!([registers(1), registers(2)], ["1 register", "2 registers"]);
-}
-
-#[test]
-fn names_are_taken_as_far_as_they_fit() {
-    const NAMES: &[u8] = &[43, 14, 1, 1, 0, 0, 2, 0, 2, b'A', b'b', 1, 1, 0xE9];
+    assert_eq!(sent[0], [4, 1, 8, 0, 3]);
+    assert_eq!(sent[1], [6, 0, 1, 2, 3]);
+    assert_eq!(sent[2], [16, 0, 1, 0, 2, 4, 0, 10, 1, 2]);
     for (names, taken) in [
         (NAMES, &["Ab", "\u{FFFD}"][..]),
         (&NAMES[..10], &[]),
         (&[], &[]),
     ] {
-        let manners = Manners {
+        let abilities = Abilities {
             names,
-            ..Manners::default()
+            ..Abilities::default()
         };
-        with_client(manners, 100, always(Fault::None), |client| {
-            assert_eq!(client.names().unwrap(), [""; 0], "nobody has answered yet");
+        with_client(abilities, 100, always(Fault::None), |client| {
+            assert_eq!(client.names().unwrap(), [""; 0], "no reply yet");
             client.read(reads(&[5], 1)[0]).unwrap();
             assert_eq!(client.names().unwrap(), taken);
         });
     }
 }
 
-/// Such a drive was called "something else" before.
 #[test]
 fn our_own_drive_is_known_where_its_first_reply_comes_twice() {
     let identity = firmware_protocol::Identity {
@@ -392,10 +368,10 @@ fn our_own_drive_is_known_where_its_first_reply_comes_twice() {
             }
             _ => request.to_vec(),
         };
-        let copies = if number == 0 { 2 } else { 1 };
-        (0..copies)
-            .map(|copy: u32| (PIECE * (1 + 6 * copy), reply.clone()))
-            .collect()
+        let delays = [PIECE, PIECE * 7]
+            .into_iter()
+            .take(if number == 0 { 2 } else { 1 });
+        delays.map(|delay| (delay, reply.clone())).collect()
     };
     with_script(300, script, |client| {
         let identity = client.identify().unwrap();

@@ -1,8 +1,7 @@
-//! Enable ladder of a drive: the control words of its enable command are rungs that are climbed in order.
+//! Enable sequence of a drive: the control words of its enable command are stages that are passed in order.
 
 use drivebench_link::register_map::{Condition, RegisterMap, Step};
 
-/// What the motor is to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Turn {
     Off,
@@ -12,12 +11,11 @@ pub(super) enum Turn {
 }
 
 /// One word of the enable command, and what the status shows from then on.
-struct Rung {
+struct Stage {
     word: Word,
     shows: Vec<Condition>,
 }
 
-/// A value of a word.
 #[derive(Clone, Debug, PartialEq)]
 struct Word {
     set_point: String,
@@ -25,10 +23,10 @@ struct Word {
     mask: Option<u16>,
 }
 
-pub(super) struct Ladder {
+pub(super) struct EnableSequence {
     /// What the status shows before the first word.
     at_rest: Vec<Condition>,
-    rungs: Vec<Rung>,
+    stages: Vec<Stage>,
     stops: Vec<Word>,
     coasts: Vec<Word>,
     resets: Vec<Word>,
@@ -36,19 +34,19 @@ pub(super) struct Ladder {
     ramping: bool,
 }
 
-impl Ladder {
+impl EnableSequence {
     pub(super) fn new(map: &RegisterMap) -> Self {
-        let mut rungs: Vec<Rung> = Vec::new();
+        let mut stages: Vec<Stage> = Vec::new();
         let mut at_rest = Vec::new();
         for step in &map.commands.enable {
             match (step, words(map, std::slice::from_ref(step)).pop()) {
-                (_, Some(word)) => rungs.push(Rung {
+                (_, Some(word)) => stages.push(Stage {
                     word,
                     shows: Vec::new(),
                 }),
                 (Step::Wait { condition, .. }, None) => {
-                    if let Some(rung) = rungs.last_mut() {
-                        rung.shows.push(condition.clone());
+                    if let Some(stage) = stages.last_mut() {
+                        stage.shows.push(condition.clone());
                     } else if is_shown_at_rest(map, condition) {
                         at_rest.push(condition.clone());
                     }
@@ -61,7 +59,7 @@ impl Ladder {
         let all = words(map, &map.commands.reset);
         // The word that no other command has is the one that resets.
         let elsewhere = |word: &Word| {
-            rungs.iter().any(|rung| rung.word == *word)
+            stages.iter().any(|stage| stage.word == *word)
                 || stops.contains(word)
                 || coasts.contains(word)
         };
@@ -75,7 +73,7 @@ impl Ladder {
         }
         Self {
             at_rest,
-            rungs,
+            stages,
             stops,
             coasts,
             resets,
@@ -85,7 +83,7 @@ impl Ladder {
     }
 
     pub(super) const fn is_running(&self) -> bool {
-        self.reached == self.rungs.len()
+        self.reached == self.stages.len()
     }
 
     /// Neither enabled in part nor coming to rest.
@@ -95,7 +93,7 @@ impl Ladder {
 
     /// While it comes to rest a drive still reports that it runs.
     pub(super) const fn shows_running(&self) -> bool {
-        (self.is_running() && !self.rungs.is_empty()) || self.ramping
+        (self.is_running() && !self.stages.is_empty()) || self.ramping
     }
 
     /// Ramps down, as after a stop command.
@@ -104,7 +102,6 @@ impl Ladder {
         self.ramping = true;
     }
 
-    /// Off at once.
     pub(super) const fn fall(&mut self) {
         self.reached = 0;
         self.ramping = false;
@@ -152,16 +149,16 @@ impl Ladder {
         }
         let was_running = self.is_running();
         let next = self
-            .rungs
+            .stages
             .get(self.reached)
-            .is_some_and(|rung| is(&rung.word));
-        let below = self.rungs[..self.reached]
+            .is_some_and(|stage| is(&stage.word));
+        let below = self.stages[..self.reached]
             .iter()
-            .rposition(|rung| is(&rung.word));
+            .rposition(|stage| is(&stage.word));
         if next {
             self.reached += 1;
-        } else if let Some(rung) = below {
-            self.reached = rung + 1;
+        } else if let Some(stage) = below {
+            self.reached = stage + 1;
         } else if self.coasts.iter().any(is) && !self.stops.iter().any(is) {
             self.fall();
             return false;
@@ -173,17 +170,17 @@ impl Ladder {
         false
     }
 
-    /// Bits of a signal that the rungs show.
+    /// Bits of a signal that the stages show.
     pub(super) fn shown(&self, signal: &str) -> u32 {
         let reached = if self.shows_running() {
-            self.rungs.len()
+            self.stages.len()
         } else {
             self.reached
         };
-        let climbed = self.rungs[..reached].iter().flat_map(|rung| &rung.shows);
+        let passed = self.stages[..reached].iter().flat_map(|stage| &stage.shows);
         self.at_rest
             .iter()
-            .chain(climbed)
+            .chain(passed)
             .filter(|condition| condition.signal == signal)
             .fold(0, |bits, condition| {
                 (bits & !condition.mask) | condition.pattern

@@ -12,7 +12,7 @@ use super::TICK_S;
 use crate::truth::Path;
 
 /// Holds set-points back. Switching off is never late.
-pub(super) struct Latecomer {
+pub(super) struct DelayLine {
     delay_ticks: u64,
     start_ticks: u64,
     restart_ticks: u64,
@@ -27,10 +27,7 @@ pub(super) struct Latecomer {
     left_rest: Option<u64>,
 }
 
-/// Time at zero that makes a rest, s.
-const REST_S: f64 = 0.2;
-
-impl Latecomer {
+impl DelayLine {
     pub(super) fn new(path: &Path) -> Self {
         Self {
             delay_ticks: ticks(path.command_delay_s),
@@ -50,7 +47,8 @@ impl Latecomer {
         if is_zero(control) {
             self.rests_since.get_or_insert(tick);
         } else if let Some(since) = self.rests_since.take()
-            && (self.left_rest.is_none() || tick >= since + ticks(REST_S))
+            // Time at zero that makes a rest, s.
+            && (self.left_rest.is_none() || tick >= since + ticks(0.2))
         {
             self.left_rest = Some(tick);
         }
@@ -58,7 +56,7 @@ impl Latecomer {
         self.left_rest.is_some_and(|left| tick < left + ticks)
     }
 
-    /// The set-point that acts at `tick` while the drive was told `control`; `None`: off.
+    /// The set-point that acts at `tick` under the command `control`; `None`: off.
     pub(super) fn acting(&mut self, control: Option<Control>, tick: u64) -> Option<Control> {
         if self.delay_ticks == 0 && self.start_ticks == 0 && self.restart_ticks == 0 {
             return control;
@@ -123,8 +121,8 @@ const fn zero_of(control: Control) -> Control {
 mod tests {
     use super::*;
 
-    fn line(command_delay_s: f64, start_delay_s: f64) -> Latecomer {
-        Latecomer::new(&Path {
+    fn line(command_delay_s: f64, start_delay_s: f64) -> DelayLine {
+        DelayLine::new(&Path {
             command_delay_s,
             start_delay_s,
             ..Path::default()
@@ -132,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn a_delay_is_a_whole_number_of_ticks_and_off_is_at_once() {
+    fn a_delay_is_whole_ticks_and_off_is_at_once() {
         let mut late = line(1e-3, 0.0);
         let step = |tick: u64| Some(Control::Voltage(if tick < 100 { 5.0 } else { -3.0 }));
         for tick in 0..200 {

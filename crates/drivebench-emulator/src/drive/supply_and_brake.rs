@@ -1,4 +1,4 @@
-//! Surroundings of drive and motor: a supply that may take nothing back, and a brake that the drive works.
+//! Around drive and motor: a supply that may take nothing back, and a brake that the drive works.
 
 use crate::config::{BrakeConfig, EmulatorConfig};
 
@@ -10,9 +10,8 @@ struct Capacitor {
     volts: f64,
 }
 
-/// Supply and brake in time.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Surroundings {
+pub(super) struct SupplyAndBrake {
     capacitor: Option<Capacitor>,
     brake: Option<BrakeConfig>,
     /// Since the drive has started, or stopped, s.
@@ -20,7 +19,7 @@ pub(super) struct Surroundings {
     was_running: bool,
 }
 
-impl Surroundings {
+impl SupplyAndBrake {
     pub(super) fn new(config: &EmulatorConfig) -> Self {
         let supplied_v = config.limits.bus_v;
         Self {
@@ -57,7 +56,6 @@ impl Surroundings {
             .map_or(0.0, |capacitor| capacitor.volts - capacitor.supplied_v)
     }
 
-    /// Whether the brake holds the shaft.
     pub(super) fn holds(&self) -> bool {
         self.brake.is_some_and(|brake| {
             if self.was_running {
@@ -77,7 +75,7 @@ mod tests {
     fn what_comes_back_stays_in_the_capacitor_until_it_is_used() {
         let mut config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
         config.limits.bus_capacitance_f = Some(1e-3);
-        let mut around = Surroundings::new(&config);
+        let mut around = SupplyAndBrake::new(&config);
         around.step(0.01, true, -100.0);
         // 1 J into 1 mF at 120 V.
         let expected = (120.0_f64.powi(2) + 2.0 * 1.0 / 1e-3).sqrt() - 120.0;
@@ -85,7 +83,7 @@ mod tests {
         around.step(1.0, true, 100.0);
         assert!(around.rise_v().abs() < 1e-12);
         config.limits.bus_capacitance_f = None;
-        let mut stiff = Surroundings::new(&config);
+        let mut stiff = SupplyAndBrake::new(&config);
         stiff.step(1.0, true, -1e3);
         assert!(stiff.rise_v().abs() < 1e-12);
     }
@@ -97,7 +95,7 @@ mod tests {
             release_s: 0.2,
             apply_s: 0.1,
         });
-        let mut around = Surroundings::new(&config);
+        let mut around = SupplyAndBrake::new(&config);
         assert!(around.holds(), "shut at power-up");
         let mut after = |seconds: f64, running| {
             around.step(0.0, running, 0.0);

@@ -3,20 +3,17 @@
 use firmware_protocol::{Control, State, Telemetry};
 
 use super::micros;
-use crate::fault::{FaultEntry, FaultKind, Lurking};
+use crate::fault::{FaultEntry, FaultKind, TimedFault};
 use crate::truth::Reading;
 
-pub(super) struct Troubles {
-    lurking: Vec<Lurking>,
-    /// Those that are there now.
+pub(super) struct DriveFaults {
+    timed: Vec<TimedFault>,
     there: Vec<FaultEntry>,
-    /// What was told last.
-    told: Option<Telemetry>,
-    /// Added to the drive's clock, us.
+    reported: Option<Telemetry>,
     clock_us: u32,
 }
 
-impl Troubles {
+impl DriveFaults {
     pub(super) fn new(faults: &[FaultEntry]) -> Self {
         let wraps = faults
             .iter()
@@ -29,9 +26,9 @@ impl Troubles {
         )]
         let clock_us = wraps_after_s.map_or(0, |at_s| ((at_s * 1e6) as u64 as u32).wrapping_neg());
         Self {
-            lurking: faults.iter().copied().map(Lurking::new).collect(),
+            timed: faults.iter().copied().map(TimedFault::new).collect(),
             there: Vec::new(),
-            told: None,
+            reported: None,
             clock_us,
         }
     }
@@ -39,8 +36,8 @@ impl Troubles {
     /// Brings it up to date; whether anything goes wrong.
     pub(super) fn look(&mut self, now_s: f64, ran_s: Option<f64>) -> bool {
         self.there.clear();
-        for fault in &mut self.lurking {
-            if fault.is_there(now_s, ran_s) {
+        for fault in &mut self.timed {
+            if fault.is_active(now_s, ran_s) {
                 self.there.push(fault.entry);
             }
         }
@@ -55,32 +52,30 @@ impl Troubles {
         self.clock_us
     }
 
-    /// The drive's clock begins anew.
     pub(super) const fn clock_from(&mut self, tick: u64) {
         self.clock_us = micros(tick).wrapping_neg();
     }
 
-    /// What the drive does of what it is told to, and acknowledges.
-    pub(super) fn obeyed(&self, state: State, now: Control, told: Control) -> Control {
-        let stops = matches!(told, Control::Stop | Control::Disable);
-        let resets = matches!(told, Control::ResetFault);
+    /// What the drive does of a command that it acknowledges.
+    pub(super) fn obeyed(&self, state: State, now: Control, command: Control) -> Control {
+        let stops = matches!(command, Control::Stop | Control::Disable);
+        let resets = matches!(command, Control::ResetFault);
         if resets || self.there.is_empty() {
-            return told;
+            return command;
         }
         if stops {
             let keeps = self.has(FaultKind::StopIgnored) && state == State::Running;
-            return if keeps { now } else { told };
+            return if keeps { now } else { command };
         }
         if self.has(FaultKind::EnableIgnored) {
             Control::Stop
         } else if self.has(FaultKind::SetPointIgnored) && state == State::Running {
             now
         } else {
-            told
+            command
         }
     }
 
-    /// What broken sensors show.
     pub(super) fn reading(&self, mut reading: Reading) -> Reading {
         for fault in &self.there {
             let factor = fault.factor.unwrap_or(0.0);
@@ -100,23 +95,23 @@ impl Troubles {
         reading
     }
 
-    /// What is told; measured values that are frozen stay, and the drive's clock and state are still its own.
+    /// What is reported; measured values that are frozen stay, and the drive's clock and state are still its own.
     pub(super) fn telemetry(&mut self, honest: Telemetry) -> Telemetry {
-        if self.lurking.is_empty() {
+        if self.timed.is_empty() {
             return honest;
         }
-        if let (Some(told), true) = (self.told, self.has(FaultKind::FrozenRegisters)) {
+        if let (Some(last), true) = (self.reported, self.has(FaultKind::FrozenRegisters)) {
             return Telemetry {
-                voltage_v: told.voltage_v,
-                current_a: told.current_a,
-                speed_rad_s: told.speed_rad_s,
-                angle_rad: told.angle_rad,
-                bus_v: told.bus_v,
-                temperature_c: told.temperature_c,
+                voltage_v: last.voltage_v,
+                current_a: last.current_a,
+                speed_rad_s: last.speed_rad_s,
+                angle_rad: last.angle_rad,
+                bus_v: last.bus_v,
+                temperature_c: last.temperature_c,
                 ..honest
             };
         }
-        self.told = Some(honest);
+        self.reported = Some(honest);
         honest
     }
 }

@@ -1,4 +1,4 @@
-//! One conversation on one link: bytes of the host in, answers of the drive out.
+//! Codec of one connection: bytes of the host in, answers of the drive out.
 
 use firmware_protocol::modbus::{Exception, RtuReceiver, TcpReceiver, respond, rtu, tcp};
 use firmware_protocol::registers::{COMMAND_ADDRESS, COMMAND_WORDS};
@@ -11,13 +11,13 @@ use drivebench_link::Protocol;
 /// The drive's address on a bus.
 pub const UNIT: u8 = 1;
 
-/// The peer speaks something else: the connection is to be closed.
+/// The bytes are of another protocol: the connection is to be closed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Unframeable;
 
-/// What answers: the drive in its own language or in the guise of another.
-pub(super) trait Answering: Send {
-    /// The motor and what drives it, whatever the guise.
+/// A drive that answers requests, under its own protocol or under the profile of another.
+pub(super) trait Responder: Send {
+    /// The motor and what drives it, whatever the profile.
     fn soft(&self) -> &SoftDrive;
 
     fn advance_to(&mut self, time_s: f64);
@@ -25,17 +25,23 @@ pub(super) trait Answering: Send {
     /// The PDU that answers a request over Modbus.
     fn modbus(&mut self, request: &[u8]) -> Vec<u8>;
 
-    /// `None`: it is silent.
-    fn stream(&mut self, received: &Received) -> Option<stream::Frame>;
+    /// `None`: no answer; a drive of another make has no stream.
+    fn stream(&mut self, _received: &Received) -> Option<stream::Frame> {
+        None
+    }
 
-    /// What comes next is asked over the connection of this number.
-    fn asked_by(&mut self, session: u64);
+    /// The next request comes over the connection of this number.
+    fn request_from(&mut self, _session: u64) {}
 
     /// Since its last start, s, as long as it ran; `None` where it never did.
-    fn ran_s(&self) -> Option<f64>;
+    fn ran_s(&self) -> Option<f64> {
+        self.soft().ran_s()
+    }
 
-    /// Without power nobody hears anything.
-    fn is_powered(&self) -> bool;
+    /// A drive without power receives nothing.
+    fn is_powered(&self) -> bool {
+        self.soft().is_powered()
+    }
 
     /// The request with which another master might command it.
     fn foreign_write(&self) -> Vec<u8>;
@@ -44,7 +50,7 @@ pub(super) trait Answering: Send {
 /// What a stream decoder hands out.
 pub(super) type Received = Result<stream::Frame, stream::FrameError>;
 
-impl Answering for SoftDrive {
+impl Responder for SoftDrive {
     fn soft(&self) -> &SoftDrive {
         self
     }
@@ -59,17 +65,6 @@ impl Answering for SoftDrive {
 
     fn stream(&mut self, received: &Received) -> Option<stream::Frame> {
         answer_stream(self, received)
-    }
-
-    /// It answers all alike.
-    fn asked_by(&mut self, _: u64) {}
-
-    fn ran_s(&self) -> Option<f64> {
-        Self::ran_s(self)
-    }
-
-    fn is_powered(&self) -> bool {
-        Self::is_powered(self)
     }
 
     fn foreign_write(&self) -> Vec<u8> {
@@ -87,7 +82,7 @@ const COMMAND_COUNT: u8 = {
     COMMAND_WORDS.to_le_bytes()[0]
 };
 
-impl Answering for ForeignDrive {
+impl Responder for ForeignDrive {
     fn soft(&self) -> &SoftDrive {
         Self::soft(self)
     }
@@ -100,35 +95,19 @@ impl Answering for ForeignDrive {
         self.answer(request)
     }
 
-    /// No other make speaks our stream.
-    fn stream(&mut self, _: &Received) -> Option<stream::Frame> {
-        None
-    }
-
-    /// It answers all alike.
-    fn asked_by(&mut self, _: u64) {}
-
-    fn ran_s(&self) -> Option<f64> {
-        Self::ran_s(self)
-    }
-
-    fn is_powered(&self) -> bool {
-        Self::is_powered(self)
-    }
-
     fn foreign_write(&self) -> Vec<u8> {
         self.first_command()
     }
 }
 
 /// The receiving state of one session.
-pub(super) enum Dialogue {
+pub(super) enum Codec {
     ModbusRtu(Box<RtuReceiver>),
     ModbusTcp(Box<TcpReceiver>, u8),
     Stream(Box<stream::Decoder>),
 }
 
-impl Dialogue {
+impl Codec {
     pub(super) fn new(kind: Protocol, unit: u8) -> Self {
         match kind {
             Protocol::ModbusRtu => Self::ModbusRtu(Box::new(RtuReceiver::new(unit))),
@@ -142,7 +121,7 @@ impl Dialogue {
     pub(super) fn push(
         &mut self,
         byte: u8,
-        drive: &mut dyn Answering,
+        drive: &mut dyn Responder,
         may_command: &mut dyn FnMut() -> bool,
         answers: &mut Vec<Vec<u8>>,
     ) -> Result<(), Unframeable> {
@@ -182,7 +161,7 @@ impl Dialogue {
     }
 
     /// The line has been silent for a frame gap.
-    pub(super) fn idle(&mut self, drive: &mut dyn Answering, answers: &mut Vec<Vec<u8>>) {
+    pub(super) fn idle(&mut self, drive: &mut dyn Responder, answers: &mut Vec<Vec<u8>>) {
         if let Self::ModbusRtu(receiver) = self {
             receiver.idle();
             answer_rtu(receiver, drive, answers);
@@ -190,14 +169,14 @@ impl Dialogue {
     }
 }
 
-/// Function codes that change something in the drive: a host that is not in command is told that it is busy.
+/// Function codes that change something in the drive: a host that is not in command gets the exception "busy".
 const WRITES: [u8; 6] = [5, 6, 15, 16, 22, 23];
 
 fn is_command(received: &Received) -> bool {
     matches!(received, Ok(frame) if matches!(frame.message, stream::Message::Command(_)))
 }
 
-fn answer_rtu(receiver: &mut RtuReceiver, drive: &mut dyn Answering, answers: &mut Vec<Vec<u8>>) {
+fn answer_rtu(receiver: &mut RtuReceiver, drive: &mut dyn Responder, answers: &mut Vec<Vec<u8>>) {
     while let Some(request) = receiver.take_frame() {
         let response = drive.modbus(request.pdu());
         if !request.is_broadcast() && !response.is_empty() {
@@ -208,37 +187,25 @@ fn answer_rtu(receiver: &mut RtuReceiver, drive: &mut dyn Answering, answers: &m
 
 #[cfg(test)]
 mod tests {
-    use firmware_protocol::Telemetry;
     use firmware_protocol::stream::{Frame, Message};
     use proptest::prelude::*;
 
     use super::*;
     use crate::EmulatorConfig;
 
-    fn say(kind: Protocol, bytes: &[u8]) -> Vec<Vec<u8>> {
-        let mut drive = SoftDrive::new(&EmulatorConfig::embedded_default(), 1);
+    /// Takes these bytes, and then the silence after them; the answers.
+    fn push_all(codec: &mut Codec, bytes: &[u8], drive: &mut SoftDrive) -> Vec<Vec<u8>> {
         let mut answers = Vec::new();
-        // Who speaks something else is not listened to any further.
-        let _ = listen(
-            &mut Dialogue::new(kind, UNIT),
-            bytes,
-            &mut drive,
-            &mut answers,
-        );
+        let mut bytes = bytes.iter();
+        // Bytes of another protocol end the connection.
+        let _ = bytes.try_for_each(|byte| codec.push(*byte, drive, &mut || true, &mut answers));
+        codec.idle(drive, &mut answers);
         answers
     }
 
-    /// Takes these bytes, and then the silence after them.
-    fn listen(
-        dialogue: &mut Dialogue,
-        bytes: &[u8],
-        drive: &mut SoftDrive,
-        answers: &mut Vec<Vec<u8>>,
-    ) -> Result<(), Unframeable> {
-        let mut bytes = bytes.iter();
-        let heard = bytes.try_for_each(|byte| dialogue.push(*byte, drive, &mut || true, answers));
-        dialogue.idle(drive, answers);
-        heard
+    fn answers(kind: Protocol, bytes: &[u8]) -> Vec<Vec<u8>> {
+        let mut drive = SoftDrive::new(&EmulatorConfig::embedded_default(), 1);
+        push_all(&mut Codec::new(kind, UNIT), bytes, &mut drive)
     }
 
     fn rtu_frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
@@ -246,71 +213,36 @@ mod tests {
     }
 
     #[test]
-    fn names_of_links_are_read_back() {
-        for kind in Protocol::ALL {
-            assert_eq!(Protocol::named(kind.name()), Some(kind));
-        }
-        assert_eq!(Protocol::named("modbus"), None);
-    }
-
-    #[test]
-    fn rtu_answers_its_own_unit_only_and_is_silent_on_broadcast_and_damage() {
+    fn each_protocol_answers_its_own_frames_only() {
         let read = [3, 0, 0, 0, 16];
-        assert_eq!(say(Protocol::ModbusRtu, &rtu_frame(1, &read))[0].len(), 37);
-        assert!(say(Protocol::ModbusRtu, &rtu_frame(2, &read)).is_empty());
-        assert!(say(Protocol::ModbusRtu, &rtu_frame(0, &read)).is_empty());
+        let rtu = |bytes: &[u8]| answers(Protocol::ModbusRtu, bytes);
+        assert_eq!(rtu(&rtu_frame(1, &read))[0].len(), 37);
         let mut damaged = rtu_frame(1, &read);
         damaged[3] ^= 1;
-        assert!(say(Protocol::ModbusRtu, &damaged).is_empty());
-    }
-
-    #[test]
-    fn exceptions_are_exact() {
-        let cases: [(&[u8], [u8; 2]); 6] = [
-            (&[7], [0x87, 1]),
+        for silent in [rtu_frame(2, &read), rtu_frame(0, &read), damaged] {
+            assert!(rtu(&silent).is_empty(), "{silent:?}");
+        }
+        for (request, exception) in [
+            (&[7][..], [0x87, 1]),
             (&[3, 0, 16, 0, 1], [0x83, 2]),
             (&[3, 0, 0, 0, 0], [0x83, 3]),
             (&[3, 0, 0, 0, 126], [0x83, 3]),
             (&[6, 0, 0, 0, 1], [0x86, 2]),
             (&[6, 0, 33, 0, 9], [0x86, 3]),
-        ];
-        for (request, expected) in cases {
-            let answers = say(Protocol::ModbusRtu, &rtu_frame(1, request));
-            assert_eq!(answers, [rtu_frame(1, &expected)], "{request:?}");
+        ] {
+            let answers = rtu(&rtu_frame(1, request));
+            assert_eq!(answers, [rtu_frame(1, &exception)], "{request:?}");
         }
-    }
-
-    #[test]
-    fn tcp_repeats_the_transaction_and_gives_up_on_another_protocol() {
-        let frame = tcp::encode_frame(0x1234, 1, &[3, 0, 0, 0, 2]);
-        let answers = say(Protocol::ModbusTcp, &frame);
-        assert_eq!(answers[0][..9], [0x12, 0x34, 0, 0, 0, 7, 1, 3, 4]);
-        assert!(say(Protocol::ModbusTcp, b"GET / HTTP/1.1\r\n\r\n").is_empty());
-    }
-
-    #[test]
-    fn the_stream_answers_a_command_with_the_sample_after_it() {
-        let command = DriveCommand::new(700, Control::Voltage(9.0));
-        let question = stream::encode(&Frame::command(command));
-        let answers = say(Protocol::Stream, &question);
-        let mut decoder = stream::Decoder::new();
-        let mut frames = answers[0].iter().filter_map(|byte| decoder.push(*byte));
-        let answer = frames.next().unwrap().unwrap();
-        assert_eq!(answer.seq, 700);
-        let Message::Telemetry(Telemetry {
-            seq, voltage_cmd_v, ..
-        }) = answer.message
-        else {
-            panic!("{answer:?}");
-        };
-        assert_eq!(seq, 700);
-        assert!((voltage_cmd_v - 9.0).abs() < 1e-9);
+        let tcp = |bytes: &[u8]| answers(Protocol::ModbusTcp, bytes);
+        let request = tcp::encode_frame(0x1234, 1, &[3, 0, 0, 0, 2]);
+        assert_eq!(tcp(&request)[0][..9], [0x12, 0x34, 0, 0, 0, 7, 1, 3, 4]);
+        assert!(tcp(b"GET / HTTP/1.1\r\n\r\n").is_empty());
     }
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
-        /// Whatever comes in, the drive neither panics nor becomes deaf: after a silence it answers the next request.
+        /// After any bytes and a silence the drive answers the next request.
         #[test]
         fn noise_never_makes_the_drive_deaf(noise in prop::collection::vec(any::<u8>(), 0..400)) {
             let mut drive = SoftDrive::new(&EmulatorConfig::embedded_default(), 1);
@@ -320,16 +252,13 @@ mod tests {
                 // An empty frame ends whatever the noise began.
                 (Protocol::Stream, [&[0][..], &hello].concat()),
             ] {
-                let mut dialogue = Dialogue::new(kind, UNIT);
-                let mut answers = Vec::new();
-                prop_assert!(listen(&mut dialogue, &noise, &mut drive, &mut answers).is_ok());
-                answers.clear();
-                prop_assert!(listen(&mut dialogue, &request, &mut drive, &mut answers).is_ok());
+                let mut codec = Codec::new(kind, UNIT);
+                push_all(&mut codec, &noise, &mut drive);
+                let answers = push_all(&mut codec, &request, &mut drive);
                 prop_assert_eq!(answers.last().map(|answer| answer.len() >= 37), Some(true));
             }
             // A wrong header ends the connection; anything else is served.
-            let mut dialogue = Dialogue::new(Protocol::ModbusTcp, UNIT);
-            let _ = listen(&mut dialogue, &noise, &mut drive, &mut Vec::new());
+            push_all(&mut Codec::new(Protocol::ModbusTcp, UNIT), &noise, &mut drive);
         }
     }
 }

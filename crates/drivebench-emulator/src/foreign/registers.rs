@@ -1,4 +1,4 @@
-//! Register words of the motor's true state, as the profile shows them.
+//! Registers of the motor's true state, as the profile defines them.
 
 use std::f64::consts::{SQRT_2, TAU};
 
@@ -7,9 +7,6 @@ use drivebench_link::RegisterTable;
 use drivebench_link::register_map::{Byte, Condition, Kind, Layout, Order, Quantity, Signal, Unit};
 use drivebench_model::sample::Hindrance;
 use drivebench_model::units::{rad_s_from_rpm, rpm_from_rad_s};
-
-/// Fault code of every trip.
-const FAULT_CODE: f64 = 5.0;
 
 /// A speed in the unit of a profile, rad/s. `si`: what the profile says that one unit is; else one pole pair.
 pub(super) fn rad_s(value: f64, unit: Unit, si: Option<f64>) -> f64 {
@@ -28,7 +25,6 @@ fn in_unit(speed_rad_s: f64, unit: Unit, si: Option<f64>) -> f64 {
     }
 }
 
-/// The raw number in registers.
 pub(super) fn number(layout: Layout, registers: &[u16]) -> f64 {
     let mut ordered: Vec<u8> = Vec::new();
     for word in registers {
@@ -79,7 +75,6 @@ fn count(raw: f64, span: f64) -> u32 {
     raw.floor().rem_euclid(span).min(span - 1.0) as u32
 }
 
-/// The raw number in the bits of a type.
 pub(super) fn number_of(kind: Kind, bits: u32) -> f64 {
     let [b3, b2, b1, b0] = bits.to_be_bytes();
     match kind {
@@ -92,13 +87,13 @@ pub(super) fn number_of(kind: Kind, bits: u32) -> f64 {
 }
 
 /// The word in which a condition holds, or does not.
-const fn shown_so(word: u32, condition: &Condition, holds: bool) -> u32 {
-    let told = (word & !condition.mask) | condition.pattern;
+const fn with_condition(word: u32, condition: &Condition, holds: bool) -> u32 {
+    let with = (word & !condition.mask) | condition.pattern;
     if holds == condition.negated {
         // The lowest bit of the mask is enough to be another pattern.
-        told ^ (condition.mask & condition.mask.wrapping_neg())
+        with ^ (condition.mask & condition.mask.wrapping_neg())
     } else {
-        told
+        with
     }
 }
 
@@ -176,11 +171,12 @@ impl ForeignDrive {
         if let Some(forced) = self.forced.get(&signal.name) {
             return *forced;
         }
-        let told = self.told(&signal.name);
+        let status = self.status(&signal.name);
         let natural = match signal.keys.quantity {
-            Quantity::Status => told,
+            Quantity::Status => status,
             Quantity::FaultCode if self.fault.is_some() => {
-                bits(signal.location.layout.kind, FAULT_CODE)
+                // Fault code of every trip.
+                bits(signal.location.layout.kind, 5.0)
             }
             Quantity::FaultCode => 0,
             _ => {
@@ -199,25 +195,25 @@ impl ForeignDrive {
         self.as_asked(signal, natural)
     }
 
-    /// Status bits: the rungs of the enable command, and the states that the profile knows.
-    fn told(&self, signal: &str) -> u32 {
+    /// Status bits: the stages of the enable command, and the states of the profile.
+    fn status(&self, signal: &str) -> u32 {
         let state = |name| {
             self.map
                 .state(name)
                 .filter(|condition| condition.signal == signal)
         };
-        let mut word = self.ladder.shown(signal);
+        let mut word = self.sequence.shown(signal);
         if self.fault.is_some() {
             word = 0;
             if let Some(fault) = state("fault").filter(|condition| !condition.negated) {
                 word |= fault.pattern;
             }
         }
-        if self.ladder.shows_running()
+        if self.sequence.shows_running()
             && self.fault.is_none()
             && let Some(running) = state("running").filter(|condition| !condition.holds(word))
         {
-            word = shown_so(word, running, true);
+            word = with_condition(word, running, true);
         }
         if self.fault == Some(Cause::CommunicationLoss)
             && let Some(lost) = state("comm_loss")
@@ -231,7 +227,7 @@ impl ForeignDrive {
             ("sto", self.hindrance == Some(Hindrance::TorqueOff)),
         ] {
             if let Some(condition) = state(name) {
-                word = shown_so(word, condition, holds);
+                word = with_condition(word, condition, holds);
             }
         }
         word

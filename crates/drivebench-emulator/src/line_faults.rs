@@ -1,7 +1,6 @@
 //! What a line does to the bytes between a drive and its host: the faults of replies, and what talks by itself.
 //!
-//! It stands between codec and port, in virtual time and behind a pseudo-terminal or TCP alike; the drive and the host each
-//! speak as they always do.
+//! It stands between codec and port, in virtual time and behind a pseudo-terminal or TCP alike.
 
 use std::collections::BTreeSet;
 
@@ -11,20 +10,15 @@ use rand::{Rng, RngCore, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::SoftDrive;
-use super::dialogue::Answering;
-use super::fault::{FaultEntry, FaultKind, Lurking};
+use super::codec::{Received, Responder};
+use super::fault::{FaultEntry, FaultKind, TimedFault};
 use drivebench_link::Protocol;
 
-/// Between two pieces of what babbles, s, and their bytes.
-const BABBLE_S: f64 = 0.002;
-const BABBLE_BYTES: usize = 24;
 /// Between two requests of somebody else, s, and from there to the reply.
 const FOREIGN_S: f64 = 0.05;
 const FOREIGN_REPLY_S: f64 = 0.005;
 /// The unit that somebody else talks to.
 const FOREIGN_UNIT: u8 = 7;
-/// A reply that is split: its second part comes so much later, s.
-const SPLIT_S: f64 = 0.016;
 /// Lengths of a burst of garbage, and how long after the reply its copy comes, s.
 const BURSTS: [usize; 4] = [3, 40, 1500, 1 << 16];
 const AGAIN_S: [f64; 4] = [0.0, 0.000_3, 0.002_5, 0.009];
@@ -36,10 +30,10 @@ const LONGEST_REQUEST: usize = 260;
 const OWN_DICE: u64 = 0x51B0_7A1F_95C3_E26D;
 
 /// The faults of one line.
-pub(super) struct Spoiler {
+pub(super) struct LineFaults {
     protocol: Protocol,
     unit: u8,
-    faults: Vec<Lurking>,
+    faults: Vec<TimedFault>,
     dice: ChaCha8Rng,
     /// Bytes of the host since the last reply or silence: the request.
     request: Vec<u8>,
@@ -51,13 +45,13 @@ pub(super) struct Spoiler {
 /// Bytes, and when they arrive, s.
 pub(super) type Timed = (f64, Vec<u8>);
 
-impl Spoiler {
+impl LineFaults {
     pub(super) fn new(faults: &[FaultEntry], protocol: Protocol, unit: u8, seed: u64) -> Self {
         let of_line = faults.iter().filter(|fault| fault.kind.needs_line());
         Self {
             protocol,
             unit,
-            faults: of_line.copied().map(Lurking::new).collect(),
+            faults: of_line.copied().map(TimedFault::new).collect(),
             dice: ChaCha8Rng::seed_from_u64(seed ^ OWN_DICE),
             request: Vec::new(),
             held: Vec::new(),
@@ -65,26 +59,40 @@ impl Spoiler {
         }
     }
 
+    /// The drive behind this line.
+    pub(super) fn before<'a>(
+        &'a mut self,
+        drive: &'a mut dyn Responder,
+        now_s: f64,
+    ) -> FaultyLine<'a> {
+        let faults = self;
+        FaultyLine {
+            drive,
+            faults,
+            now_s,
+        }
+    }
+
     /// A byte of the host.
-    pub(super) fn hear(&mut self, byte: u8) {
+    pub(super) fn host_byte(&mut self, byte: u8) {
         if !self.faults.is_empty() && self.request.len() < LONGEST_REQUEST {
             self.request.push(byte);
         }
     }
 
-    /// The host is silent: what it said is over, answered or not.
+    /// The host is silent: its request is over, answered or not.
     pub(super) fn silence(&mut self) {
         self.request.clear();
     }
 
-    fn is_there(&mut self, kind: FaultKind, now_s: f64, ran_s: Option<f64>) -> bool {
+    fn is_active(&mut self, kind: FaultKind, now_s: f64, ran_s: Option<f64>) -> bool {
         let mut of_kind = self.faults.iter_mut().filter(|f| f.entry.kind == kind);
-        of_kind.any(|fault| fault.is_there(now_s, ran_s))
+        of_kind.any(|fault| fault.is_active(now_s, ran_s))
     }
 
     /// The exception with which a request is refused.
     fn refusal(&mut self, now_s: f64, ran_s: Option<f64>) -> Option<u8> {
-        let refuses = |fault: &&mut Lurking| fault.entry.kind == FaultKind::Exception;
+        let refuses = |fault: &&mut TimedFault| fault.entry.kind == FaultKind::Exception;
         let mut refusing = self.faults.iter_mut().filter(refuses);
         refusing.find_map(|fault| {
             let hits = fault.hits(now_s, ran_s, &mut self.dice);
@@ -106,19 +114,19 @@ impl Spoiler {
         let due_s = due_s.max(self.late_until_s);
         let request = std::mem::take(&mut self.request);
         let mut out: Vec<Timed> = self.held.drain(..).map(|late| (due_s, late)).collect();
-        let of_reply = |fault: &&mut Lurking| is_of_reply(fault.entry.kind);
+        let of_reply = |fault: &&mut TimedFault| is_of_reply(fault.entry.kind);
         let hit = self.faults.iter_mut().filter(of_reply).find_map(|fault| {
             let hits = fault.hits(now_s, ran_s, &mut self.dice);
             hits.then_some(fault.entry)
         });
         match hit {
             None => out.push((due_s, answer)),
-            Some(entry) => self.inflict(entry, answer, &request, (now_s, due_s), &mut out),
+            Some(entry) => self.apply(entry, answer, &request, (now_s, due_s), &mut out),
         }
         out
     }
 
-    fn inflict(
+    fn apply(
         &mut self,
         entry: FaultEntry,
         mut answer: Vec<u8>,
@@ -166,7 +174,8 @@ impl Spoiler {
             FaultKind::SplitReply => {
                 let rest = answer.split_off(self.below(length));
                 out.push((due_s, answer));
-                self.late_until_s = due_s + SPLIT_S;
+                // Time between the two parts, s.
+                self.late_until_s = due_s + 0.016;
                 out.push((self.late_until_s, rest));
                 return;
             }
@@ -207,7 +216,7 @@ impl Spoiler {
         &mut self,
         now_s: f64,
         ahead_s: f64,
-        drive: &mut dyn Answering,
+        drive: &mut dyn Responder,
     ) -> Vec<Timed> {
         let mut out = Vec::new();
         if self.faults.is_empty() {
@@ -216,40 +225,34 @@ impl Spoiler {
         let mut faults = std::mem::take(&mut self.faults);
         for fault in &mut faults {
             let kind = fault.entry.kind;
-            if !matches!(
-                kind,
-                FaultKind::Babble | FaultKind::ForeignFrames | FaultKind::SecondMaster
-            ) || !fault.is_there(now_s, drive.ran_s())
-            {
+            let (until_s, period_s) = match kind {
+                // Between two pieces of what babbles, s, and their bytes.
+                FaultKind::Babble => (ahead_s, 0.002),
+                FaultKind::ForeignFrames => (ahead_s, FOREIGN_S),
+                FaultKind::SecondMaster => (now_s, FOREIGN_S),
+                _ => continue,
+            };
+            if !fault.is_active(now_s, drive.ran_s()) {
                 continue;
             }
-            let until_s = if kind == FaultKind::SecondMaster {
-                now_s
-            } else {
-                ahead_s
-            };
             fault.next_s = fault.next_s.max(now_s);
             while fault.next_s <= until_s {
                 let at_s = fault.next_s;
-                fault.next_s += if kind == FaultKind::Babble {
-                    BABBLE_S
-                } else {
-                    FOREIGN_S
-                };
+                fault.next_s += period_s;
                 match kind {
-                    FaultKind::Babble => out.push((at_s, self.bytes(BABBLE_BYTES))),
+                    FaultKind::Babble => out.push((at_s, self.bytes(24))),
                     FaultKind::ForeignFrames => {
-                        let ask = rtu::encode_frame(FOREIGN_UNIT, &[3, 0, 16, 0, 2]);
-                        let tell = rtu::encode_frame(FOREIGN_UNIT, &[3, 4, 0, 1, 0, 2]);
-                        out.push((at_s, ask.to_vec()));
-                        out.push((at_s + FOREIGN_REPLY_S, tell.to_vec()));
+                        let request = rtu::encode_frame(FOREIGN_UNIT, &[3, 0, 16, 0, 2]);
+                        let reply = rtu::encode_frame(FOREIGN_UNIT, &[3, 4, 0, 1, 0, 2]);
+                        out.push((at_s, request.to_vec()));
+                        out.push((at_s + FOREIGN_REPLY_S, reply.to_vec()));
                     }
                     _ => {
                         let write = drive.foreign_write();
-                        let told = drive.modbus(&write);
+                        let reply = drive.modbus(&write);
                         out.push((at_s, rtu::encode_frame(self.unit, &write).to_vec()));
-                        let told = rtu::encode_frame(self.unit, &told).to_vec();
-                        out.push((at_s + FOREIGN_REPLY_S, told));
+                        let reply = rtu::encode_frame(self.unit, &reply).to_vec();
+                        out.push((at_s + FOREIGN_REPLY_S, reply));
                     }
                 }
             }
@@ -297,21 +300,21 @@ fn spoil(pdu: &mut Vec<u8>, by_function: bool) {
 }
 
 /// The drive behind a line that may keep requests from it.
-pub(super) struct Spoiled<'a> {
-    pub(super) drive: &'a mut dyn Answering,
-    pub(super) spoiler: &'a mut Spoiler,
-    pub(super) now_s: f64,
+pub(super) struct FaultyLine<'a> {
+    drive: &'a mut dyn Responder,
+    faults: &'a mut LineFaults,
+    now_s: f64,
 }
 
-impl Spoiled<'_> {
+impl FaultyLine<'_> {
     fn is_deaf(&mut self) -> bool {
         let ran_s = self.drive.ran_s();
         let hole = FaultKind::BlackHole;
-        !self.drive.is_powered() || self.spoiler.is_there(hole, self.now_s, ran_s)
+        !self.drive.is_powered() || self.faults.is_active(hole, self.now_s, ran_s)
     }
 }
 
-impl Answering for Spoiled<'_> {
+impl Responder for FaultyLine<'_> {
     fn soft(&self) -> &SoftDrive {
         self.drive.soft()
     }
@@ -326,32 +329,17 @@ impl Answering for Spoiled<'_> {
             return Vec::new();
         }
         let ran_s = self.drive.ran_s();
-        match (request, self.spoiler.refusal(self.now_s, ran_s)) {
+        match (request, self.faults.refusal(self.now_s, ran_s)) {
             ([function, ..], Some(code)) => vec![function | 0x80, code],
             _ => self.drive.modbus(request),
         }
     }
 
-    fn stream(
-        &mut self,
-        received: &Result<stream::Frame, stream::FrameError>,
-    ) -> Option<stream::Frame> {
+    fn stream(&mut self, received: &Received) -> Option<stream::Frame> {
         if self.is_deaf() {
             return None;
         }
         self.drive.stream(received)
-    }
-
-    fn asked_by(&mut self, session: u64) {
-        self.drive.asked_by(session);
-    }
-
-    fn ran_s(&self) -> Option<f64> {
-        self.drive.ran_s()
-    }
-
-    fn is_powered(&self) -> bool {
-        self.drive.is_powered()
     }
 
     fn foreign_write(&self) -> Vec<u8> {
@@ -363,24 +351,24 @@ impl Answering for Spoiled<'_> {
 mod tests {
     use super::*;
 
-    fn line(kind: &str) -> Spoiler {
+    fn line(kind: &str) -> LineFaults {
         let fault = toml::from_str(&format!("kind = {kind:?}")).unwrap();
-        Spoiler::new(&[fault], Protocol::ModbusRtu, 1, 7)
+        LineFaults::new(&[fault], Protocol::ModbusRtu, 1, 7)
     }
 
     #[test]
     fn an_echo_is_the_request_and_nothing_that_was_asked_before() {
         let mut line = line("echo");
-        (0..100_000).for_each(|_| line.hear(9));
+        (0..100_000).for_each(|_| line.host_byte(9));
         assert_eq!(line.request.len(), LONGEST_REQUEST);
         line.silence();
-        (1..=3).for_each(|byte| line.hear(byte));
+        (1..=3).for_each(|byte| line.host_byte(byte));
         let sent = line.reply(vec![4], 0.0, 0.1, None);
         assert_eq!(sent, [(0.0, vec![1, 2, 3]), (0.1, vec![4])]);
     }
 
     #[test]
-    fn of_a_reply_one_bit_to_three_are_wrong_and_none_is_right_again() {
+    fn one_bit_to_three_of_a_reply_are_flipped() {
         let mut line = line("bit_flipped");
         let wrong = (0..2000).map(|_| {
             let sent = line.reply(vec![0; 2], 0.0, 0.1, None);
