@@ -49,7 +49,7 @@ const fn is_one(value: &f64) -> bool {
 /// Where a fault is injected. What happens to the host itself (signals, terminals, disks) is injected by its tests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Injector {
-    /// The bytes between drive and host: line_faults.rs.
+    /// The bytes between drive and host: `line_faults.rs`.
     Bytes,
     /// The drive: drive/, and its supply.
     Drive,

@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn order_shape_and_moment_are_found_that_the_model_does_not_give() {
+    fn order_shape_and_moment_that_are_not_given_are_found() {
         for (id, values, index, within) in [
             ("cogging", vec![0.05, -0.08, 7.0], 2, 0.0),
             ("load_step", vec![0.12, 2.4], 1, 0.02),

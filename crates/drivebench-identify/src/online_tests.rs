@@ -122,7 +122,7 @@ fn at_standstill_nothing_is_claimed_and_the_reason_has_numbers() {
 }
 
 #[test]
-fn a_constant_voltage_keeps_what_is_known_and_settles_nothing_new() {
+fn a_constant_voltage_keeps_values_and_settles_nothing_new() {
     let mut events = steps(4.0);
     events.push((4.2, 40.0));
     let online = run_noisy(&regular(events, 0.001, 60.0), 2);
@@ -163,7 +163,7 @@ fn jittered_stamps_change_little_and_separate_commands_no_bit() {
 }
 
 #[test]
-fn an_inductance_that_is_gone_between_two_samples_is_not_claimed() {
+fn an_inductance_gone_between_two_samples_is_not_claimed() {
     // L/R = 0.4 ms against a period of 10 ms.
     let fast = Motor::zk_22fc().with(MotorKey::Inductance, 0.000_44);
     let bench = Record::of(&Model::baseline(fast), steps(6.0), every(0.01, 6.0));
@@ -175,7 +175,7 @@ fn an_inductance_that_is_gone_between_two_samples_is_not_claimed() {
 }
 
 #[test]
-fn while_a_limit_of_the_drive_holds_nothing_is_learnt_or_settled() {
+fn at_a_limit_of_the_drive_nothing_is_learnt_or_settled() {
     let bench = regular(steps(6.0), 0.01, 6.0);
     for seed in 0..5 {
         let read = bench.noisy(seed);
@@ -220,7 +220,7 @@ fn while_a_limit_of_the_drive_holds_nothing_is_learnt_or_settled() {
 }
 
 #[test]
-fn an_inertia_that_changes_is_never_settled_at_what_lies_between() {
+fn a_changing_inertia_is_never_settled_at_a_value_between() {
     let moves = |factor: f64| {
         let motor = Motor::zk_22fc().with(MotorKey::Inertia, factor * PAPER[3]);
         let mut events = steps(4.0);

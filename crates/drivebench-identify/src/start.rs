@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_current_the_lag_gives_the_start_beside_given_values() {
+    fn without_a_current_the_lag_gives_the_start() {
         let events = held([0.0, 0.5, 2.0, 3.5], [0.0, 20.0, 60.0, 40.0]);
         let mut scenario = record(&paper(), events, 0.01, 5.0, 1);
         scenario.current_a.fill(f64::NAN);

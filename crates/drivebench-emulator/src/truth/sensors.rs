@@ -53,12 +53,12 @@ pub struct Sensors {
     /// True speeds, the latest last, back to the one that is shown.
     past_rad_s: VecDeque<f64>,
     /// Behind delay and filters; `None` before the first tick.
-    filtered: Option<Filtered>,
+    filtered: Option<SensorState>,
 }
 
 /// Current and speed on their way through the sensors.
 #[derive(Clone, Copy, Debug)]
-struct Filtered {
+struct SensorState {
     delayed_rad_s: f64,
     current_a: f64,
     filtered_a: f64,
@@ -91,7 +91,7 @@ impl Sensors {
     /// A tick has passed and the machine is at `current_a` and `speed_rad_s`.
     pub fn follow(&mut self, current_a: f64, speed_rad_s: f64) {
         let delayed_rad_s = self.delayed(speed_rad_s);
-        let before = self.filtered.unwrap_or(Filtered {
+        let before = self.filtered.unwrap_or(SensorState {
             delayed_rad_s,
             current_a,
             filtered_a: current_a,
@@ -111,7 +111,7 @@ impl Sensors {
             ..
         } = self.path;
         let (from_a, from_rad_s) = (before.current_a, before.delayed_rad_s);
-        self.filtered = Some(Filtered {
+        self.filtered = Some(SensorState {
             delayed_rad_s,
             current_a,
             filtered_a: filter(before.filtered_a, from_a, current_a, current_filter_s),

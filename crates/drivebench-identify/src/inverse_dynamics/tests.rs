@@ -157,7 +157,7 @@ fn a_voltage_run_gives_both_balances() {
 }
 
 #[test]
-fn current_and_speed_alone_bear_jitter_missing_cells_and_a_pause() {
+fn current_and_speed_alone_bear_jitter_holes_and_a_pause() {
     let mut rng = ChaCha8Rng::seed_from_u64(8);
     let jittered: Vec<f64> = every(0.002, 6.0)
         .into_iter()

@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn innovations_correct_the_noise_at_rest_and_their_colour_widens() {
+    fn innovations_correct_the_noise_and_their_colour_widens() {
         let mut sensor = rested(noise(0.1, 200, 2));
         for innovation in noise(0.3, 3000, 3) {
             sensor.innovate(innovation, 1e-4, false);

@@ -73,7 +73,7 @@ fn least_squares_names_its_bias_and_settles_nothing_by_it() {
 }
 
 #[test]
-fn a_resistance_a_torque_constant_and_fixed_values_come_from_the_model() {
+fn resistance_torque_constant_and_fixed_values_are_the_models() {
     let found = identify("1-iv", &bench(0.005), &Model::baseline(Motor::new("m"))).unwrap();
     let all = &found.parameters;
     judged(all, "mechanical_time_constant_s", Verdict::Settled);
@@ -113,7 +113,7 @@ fn refused(run: &Run, words: &str) {
 }
 
 #[test]
-fn irregular_stamps_and_missing_signals_are_refused_with_the_reason() {
+fn irregular_stamps_and_missing_signals_are_refused() {
     let run = bench(0.01);
     let mut late = 0.37;
     let times = run.time_s().iter().map(|time_s| {

@@ -126,7 +126,7 @@ fn without_noise_the_exact_form_is_exact_at_any_period() {
 }
 
 #[test]
-fn at_one_time_constant_the_printed_form_errs_as_the_table_has_it() {
+fn at_one_time_constant_the_printed_form_errs_as_known() {
     for (ratio, ta, tm) in [
         (1.0, -22.0, 105.0),
         (2.0, 1.0, 53.0),
@@ -170,7 +170,7 @@ fn coefficients_of_a_motor_lead_back_to_it() {
 }
 
 #[test]
-fn at_constant_voltage_the_estimate_neither_winds_up_nor_drifts_away() {
+fn at_constant_voltage_the_estimate_does_not_wind_up() {
     let mut volts = binary(600, 10, 60.0, 25.0, 3);
     volts.extend(std::iter::repeat_n(60.0, 20_000));
     let record = Record::of(SLOW, 0.02, volts).with_sensor_noise(1e7, 8);
@@ -184,7 +184,7 @@ fn at_constant_voltage_the_estimate_neither_winds_up_nor_drifts_away() {
 }
 
 #[test]
-fn a_missing_sample_and_a_reversal_leave_rows_out_and_spoil_nothing() {
+fn missing_samples_and_reversals_only_leave_rows_out() {
     let truth = of_ratio(4.0);
     let mut record = Record::of(truth, 0.01, binary(4000, 12, 0.0, 30.0, 2));
     for k in (100..4000).step_by(97) {
@@ -201,7 +201,7 @@ fn a_missing_sample_and_a_reversal_leave_rows_out_and_spoil_nothing() {
 }
 
 #[test]
-fn coefficients_that_belong_to_no_motor_are_rejected_with_the_reason() {
+fn coefficients_of_no_motor_are_rejected_with_the_reason() {
     let good = Coefficients::of_motor(&SLOW, 0.02);
     let reversed = Coefficients {
         voltage: -1e-3,

@@ -65,7 +65,7 @@ fn coarse_samples_lose_the_electrical_half() {
 }
 
 #[test]
-fn a_run_without_step_rest_or_steady_state_is_refused_with_the_reason() {
+fn a_run_without_step_rest_or_steady_state_is_refused() {
     let (model, truth) = (unknown(), paper());
     let random = (0..600_i32).map(|k| 0.2 + 0.005 * f64::from(k));
     let random = random.map(|t| (t, 30.0 * (5.0 * t).sin() + 10.0 * (17.0 * t).cos()));
