@@ -16,22 +16,15 @@ use drivebench::plant::{Model, Motor};
 /// Name of the case, a model for the truth, and the two runs that it gives.
 fn cases() -> [(&'static str, Evidence); 2] {
     let baseline = Model::baseline(Motor::zk_22fc());
-    let mut rubbing = baseline
-        .with_effect("stribeck_friction")
-        .expect("an effect of the catalogue");
+    let mut rubbing =
+        baseline.with_effect("stribeck_friction").expect("an effect of the catalogue");
     for active in &mut rubbing.effects {
         active.values = vec![Some(0.1), Some(12.0)];
     }
     let evidence = |run, truth: &Model| Evidence::new(run, Some(records::record(truth, 2)), None);
     [
-        (
-            "nothing_missing",
-            evidence(records::run_of_12_s(), &baseline),
-        ),
-        (
-            "stribeck_missing",
-            evidence(records::record(&rubbing, 1), &rubbing),
-        ),
+        ("nothing_missing", evidence(records::run_of_12_s(), &baseline)),
+        ("stribeck_missing", evidence(records::record(&rubbing, 1), &rubbing)),
     ]
 }
 
@@ -49,9 +42,7 @@ fn nameplate() -> Model {
 
 fn diagnosed(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("diagnose");
-    group
-        .sample_size(12)
-        .measurement_time(Duration::from_secs(8));
+    group.sample_size(12).measurement_time(Duration::from_secs(8));
     for (name, evidence) in cases() {
         group.bench_function(name, |bencher| {
             bencher.iter(|| diagnose(&nameplate(), black_box(evidence.clone())));

@@ -47,10 +47,7 @@ fn exchanges(criterion: &mut Criterion) {
         ("stream_115200", Protocol::Stream, 115_200),
     ] {
         let (_server, mut link, budget) = connected(protocol, baud);
-        eprintln!(
-            "{name}: the line carries {:.1} exchanges a second",
-            budget.rate_hz()
-        );
+        eprintln!("{name}: the line carries {:.1} exchanges a second", budget.rate_hz());
         let mut seq = 0;
         group.bench_function(name, |bencher| {
             bencher.iter(|| {

@@ -49,13 +49,7 @@ fn main() {
         return;
     }
     let layout = layout();
-    let source = Endless {
-        text: layout.header(),
-        layout,
-        at: 0,
-        next: 0,
-        end: ALL_ROWS,
-    };
+    let source = Endless { text: layout.header(), layout, at: 0, next: 0, end: ALL_ROWS };
     let source = io::BufReader::new(source);
     let mut rows = CsvRows::new(source, "run", ReadOptions::default()).expect("our own header");
     let mut early = 0;

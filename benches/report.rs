@@ -16,14 +16,9 @@ fn long_run() -> Run {
             0 => f64::NAN,
             rest => (1e-3 * k as f64 * (1.0 + place as f64)).sin() + 1e-4 * rest as f64,
         };
-        let origin = if channel.is_commanded() {
-            Origin::Commanded
-        } else {
-            Origin::Measured
-        };
+        let origin = if channel.is_commanded() { Origin::Commanded } else { Origin::Measured };
         let values = (0..ROWS).map(value).collect();
-        run.set_column(channel, values, origin)
-            .expect("one value to a row");
+        run.set_column(channel, values, origin).expect("one value to a row");
     }
     run
 }
@@ -49,11 +44,7 @@ fn report(criterion: &mut Criterion) {
     let run = long_run();
     let root = tempfile::tempdir().expect("a temporary folder");
     let folder = RunFolder::create(root.path(), "20260131T120000Z", "long").expect("a new folder");
-    let manifest = Manifest {
-        rows: Some(ROWS),
-        finished: true,
-        ..Manifest::default()
-    };
+    let manifest = Manifest { rows: Some(ROWS), finished: true, ..Manifest::default() };
     folder.write_manifest(&manifest).expect("written");
     std::fs::write(folder.samples(), write_run(&run)).expect("written");
     eprintln!("page of {ROWS} rows: {} bytes", page(&run).len());

@@ -58,9 +58,7 @@ fn frame(criterion: &mut Criterion) {
             bencher.iter(|| {
                 snapshots.publish(snapshot.clone());
                 screen.look();
-                terminal
-                    .draw(|frame| screen.draw(frame))
-                    .expect("in memory");
+                terminal.draw(|frame| screen.draw(frame)).expect("in memory");
             });
         });
     }

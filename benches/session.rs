@@ -19,12 +19,8 @@ use drivebench::recording::{Manifest, Recorder, RunFolder};
 use drivebench::sample::{Applied, Channel, Command, Demand, DriveState, Sample};
 
 const PERIOD_S: f64 = 0.01;
-const SIGNALS: [Channel; 4] = [
-    Channel::VoltageCmd,
-    Channel::Voltage,
-    Channel::Current,
-    Channel::Speed,
-];
+const SIGNALS: [Channel; 4] =
+    [Channel::VoltageCmd, Channel::Voltage, Channel::Current, Channel::Speed];
 
 /// A motor of two lines: enough for the loop to be at work.
 struct Shaft {
@@ -59,10 +55,7 @@ impl DriveLink for Shaft {
             Demand::Voltage(_) => DriveState::Running,
             _ => DriveState::Disabled,
         });
-        sample.applied = Some(Applied {
-            seq: command.seq,
-            time_s: self.time_s,
-        });
+        sample.applied = Some(Applied { seq: command.seq, time_s: self.time_s });
         Ok(sample)
     }
 
@@ -71,10 +64,7 @@ impl DriveLink for Shaft {
     }
 
     fn statistics(&self) -> LinkStatistics {
-        LinkStatistics {
-            sent: self.exchanges,
-            ..LinkStatistics::default()
-        }
+        LinkStatistics { sent: self.exchanges, ..LinkStatistics::default() }
     }
 
     fn shortest_cycle_s(&self) -> Option<f64> {
@@ -121,11 +111,7 @@ fn once(bench: &BenchFile, folder: &RunFolder) -> (Duration, u64) {
         Recorder::create(folder.clone(), layout, &manifest, 100).expect("a new folder");
     let config = OnlineConfig::from_model(&Model::baseline(bench.motor.motor()));
     let mut online = RowEstimator::new(config);
-    let mut link = Shaft {
-        time_s: 0.0,
-        speed_rad_s: 0.0,
-        exchanges: 0,
-    };
+    let mut link = Shaft { time_s: 0.0, speed_rad_s: 0.0, exchanges: 0 };
     let mut clock = VirtualClock::new();
     let (_sender, intents) = channel();
     let options = RunOptions {

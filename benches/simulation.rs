@@ -23,9 +23,7 @@ fn simulation(criterion: &mut Criterion) {
     free_run(criterion, "baseline", &baseline, &run);
     for effect in CATALOGUE {
         let id = effect.card().id;
-        let mut model = baseline
-            .with_effect(id)
-            .expect("an effect of the catalogue");
+        let mut model = baseline.with_effect(id).expect("an effect of the catalogue");
         for active in &mut model.effects {
             active.values = active.values_or_guess().into_iter().map(Some).collect();
         }

@@ -59,11 +59,7 @@ fn figures() -> Vec<Figure> {
         let mut cells = line.split(" | ").map(str::to_owned);
         let mut cell = || cells.next().unwrap_or_default();
         let (id, target) = (cell(), cell());
-        Figure {
-            id,
-            target_ns: target.parse().ok(),
-            what: cell(),
-        }
+        Figure { id, target_ns: target.parse().ok(), what: cell() }
     };
     let of_effect = CATALOGUE.iter().map(|effect| {
         let id = effect.card().id;
@@ -90,9 +86,7 @@ fn measured(folder: &Path) -> Option<Measured> {
     let numbers = |key: &str| -> Option<Vec<f64>> {
         sample[key].as_array()?.iter().map(Value::as_f64).collect()
     };
-    let elements = read("benchmark.json")?["throughput"]["Elements"]
-        .as_f64()
-        .unwrap_or(1.0);
+    let elements = read("benchmark.json")?["throughput"]["Elements"].as_f64().unwrap_or(1.0);
     let (iterations, times) = (numbers("iters")?, numbers("times")?);
     let both = times.iter().zip(&iterations);
     let mut each: Vec<f64> = both.map(|(time, count)| time / count / elements).collect();
@@ -102,11 +96,7 @@ fn measured(folder: &Path) -> Option<Measured> {
         let at = drivebench::numerics::count::whole((share * last as f64).round());
         each.get(at).copied()
     };
-    Some(Measured {
-        least: quantile(0.0)?,
-        median: quantile(0.5)?,
-        upper: quantile(0.95)?,
-    })
+    Some(Measured { least: quantile(0.0)?, median: quantile(0.5)?, upper: quantile(0.95)? })
 }
 
 fn text(ns: f64) -> String {
@@ -145,9 +135,8 @@ fn table(measurements: &Path, before: &str) -> String {
     );
     let is_same = before.contains(&format!("Machine: {}. ", machine()));
     for figure in figures() {
-        let limit = figure
-            .target_ns
-            .map_or_else(|| "-".to_owned(), |ns| format!("<= {}", text(ns)));
+        let limit =
+            figure.target_ns.map_or_else(|| "-".to_owned(), |ns| format!("<= {}", text(ns)));
         let line = match measured(&measurements.join(&figure.id).join("new")) {
             None => {
                 let begin = format!("| {} | {limit} |", figure.what);

@@ -24,15 +24,8 @@ pub fn one_second(
         (0..100_u32)
             .map(|cycle| {
                 clock.set_time_s(f64::from(cycle) * PERIOD_S);
-                let demand = if cycle == 0 {
-                    Demand::Disable
-                } else {
-                    Demand::Voltage(voltage_v)
-                };
-                link.exchange(Command {
-                    seq: u64::from(cycle),
-                    demand,
-                })
+                let demand = if cycle == 0 { Demand::Disable } else { Demand::Voltage(voltage_v) };
+                link.exchange(Command { seq: u64::from(cycle), demand })
             })
             .collect()
     };
@@ -45,10 +38,7 @@ pub fn one_second(
 pub fn emulated() -> Result<(MemoryLink, VirtualClock), Box<dyn Error>> {
     let config = EmulatorConfig::embedded("zk-22fc-plain")?;
     let clock = VirtualClock::new();
-    let latency = Latency {
-        request_s: 0.001,
-        reply_s: 0.001,
-    };
+    let latency = Latency { request_s: 0.001, reply_s: 0.001 };
     let link = MemoryLink::new(SoftDrive::new(&config, 1), clock.clone(), latency);
     Ok((link, clock))
 }

@@ -34,9 +34,8 @@ fn excitation() -> Vec<(f64, f64)> {
         (0.4 + 0.02 * f64::from(k), 90.0 * turned.sin())
     });
     events.extend(ramp);
-    let levels = [
-        30.0, 90.0, 50.0, 3.0, 0.0, -4.0, -40.0, -90.0, 60.0, -60.0, 6.0, 20.0, 0.0, 70.0,
-    ];
+    let levels =
+        [30.0, 90.0, 50.0, 3.0, 0.0, -4.0, -40.0, -90.0, 60.0, -60.0, 6.0, 20.0, 0.0, 70.0];
     // A drive climbs to a level no faster than this.
     let most_v = SLEW_V_PER_S * 0.01;
     let mut level_v: f64 = 0.0;
@@ -56,10 +55,7 @@ fn drawn(
     let mut last = None;
     for doublings in 0..=MOST_DOUBLINGS {
         let mut active = ActiveEffect::new(effect);
-        let values = active
-            .values_or_guess()
-            .into_iter()
-            .zip(effect.parameters());
+        let values = active.values_or_guess().into_iter().zip(effect.parameters());
         let values = values.map(|(value, spec)| match spec.role {
             ParameterRole::Coefficient => Some(value * f64::from(1 << doublings)),
             ParameterRole::EventTime => Some(0.6 * DURATION_S),

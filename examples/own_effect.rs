@@ -29,19 +29,11 @@ impl Effect for Propeller {
     }
 
     fn parameters(&self) -> &'static [ParameterSpec] {
-        const {
-            &[ParameterSpec::coefficient(
-                "cubic_n_m_s3_per_rad3",
-                "N.m.s3/rad3",
-                1e-8,
-            )]
-        }
+        const { &[ParameterSpec::coefficient("cubic_n_m_s3_per_rad3", "N.m.s3/rad3", 1e-8)] }
     }
 
     fn terms(&self, values: &[f64]) -> Box<dyn Terms> {
-        Box::new(Cubic {
-            n_m_s3_per_rad3: values[0],
-        })
+        Box::new(Cubic { n_m_s3_per_rad3: values[0] })
     }
 }
 

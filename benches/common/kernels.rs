@@ -30,10 +30,7 @@ pub(crate) struct Kernel {
 
 impl Kernel {
     fn new(elements: usize, work: impl FnMut() + 'static) -> Self {
-        Self {
-            elements,
-            work: Box::new(work),
-        }
+        Self { elements, work: Box::new(work) }
     }
 }
 
@@ -104,9 +101,7 @@ impl<const N: usize> PlainRecursiveLeastSquares<N> {
             *parameter += along / denominator * innovation;
         }
         let x_p: [f64; N] = std::array::from_fn(|column| {
-            (0..N)
-                .map(|row| regressor[row] * self.covariance[row][column])
-                .sum()
+            (0..N).map(|row| regressor[row] * self.covariance[row][column]).sum()
         });
         for (line, along) in self.covariance.iter_mut().zip(&p_x) {
             for (cell, across) in line.iter_mut().zip(&x_p) {
@@ -168,11 +163,8 @@ fn online() -> Kernel {
 
 const CYCLES: usize = 4096;
 const PERIOD_S: f64 = 0.01;
-const TIMING: LoopTiming = LoopTiming {
-    period_s: PERIOD_S,
-    delay_s: 2.0 * PERIOD_S,
-    filter_s: 0.0,
-};
+const TIMING: LoopTiming =
+    LoopTiming { period_s: PERIOD_S, delay_s: 2.0 * PERIOD_S, filter_s: 0.0 };
 
 /// A shaft that follows a square wave as a lag, so that no controller sees a dead signal.
 fn followed() -> Vec<(f64, Measured)> {
@@ -182,10 +174,7 @@ fn followed() -> Vec<(f64, Measured)> {
             let reference = if (n / 200) % 2 == 0 { 60.0 } else { 120.0 };
             let current = 0.2 * (reference - speed);
             speed += 0.1 * (reference - speed);
-            let now = Measured {
-                current_a: Some(current),
-                ..Measured::at(speed)
-            };
+            let now = Measured { current_a: Some(current), ..Measured::at(speed) };
             (reference, now)
         })
         .collect()
@@ -232,10 +221,7 @@ fn addc() -> Addc {
 }
 
 fn mrac() -> Mrac {
-    let scales = MracScales {
-        speed_rad_s: 120.0,
-        current_a: 10.0,
-    };
+    let scales = MracScales { speed_rad_s: 120.0, current_a: 10.0 };
     Mrac::new(&linear(), &TIMING, scales, true).expect("the plant has a back-EMF")
 }
 
@@ -280,8 +266,7 @@ fn run_out() -> Kernel {
     let mut run = Run::new("run", rows.iter().map(|row| row.time_s).collect()).expect("rising");
     for channel in SIGNALS {
         let values = rows.iter().map(|row| row.get(channel).unwrap_or(f64::NAN));
-        run.set_column(channel, values.collect(), Origin::Measured)
-            .expect("a value for each row");
+        run.set_column(channel, values.collect(), Origin::Measured).expect("a value for each row");
     }
     let work = move || {
         black_box(write_run(black_box(&run)));

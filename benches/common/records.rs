@@ -21,11 +21,7 @@ pub(crate) fn record(truth: &Model, seed: u64) -> Scenario {
     let events = (0..samples)
         .map(|k| {
             if k >= 200 && k % 40 == 0 {
-                level_v = if k % 1000 < 120 {
-                    0.0
-                } else {
-                    random.random_range(-40.0..40.0)
-                };
+                level_v = if k % 1000 < 120 { 0.0 } else { random.random_range(-40.0..40.0) };
             }
             (k as f64 * PERIOD_S, level_v)
         })
@@ -48,10 +44,7 @@ pub(crate) fn record(truth: &Model, seed: u64) -> Scenario {
         .expect("a complete model")
         .simulate(&scenario, State::default());
     let mut noisy = |values: &[f64], size: f64| -> Vec<f64> {
-        values
-            .iter()
-            .map(|value| value + size * random.random_range(-1.7..1.7))
-            .collect()
+        values.iter().map(|value| value + size * random.random_range(-1.7..1.7)).collect()
     };
     scenario.current_a = noisy(&truth.current_a, 0.03);
     scenario.speed_rad_s = noisy(&truth.speed_rad_s, 0.15);

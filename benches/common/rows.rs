@@ -21,11 +21,7 @@ pub(crate) fn row(k: usize) -> Row {
     row.host_time_s = Some(time_s + 3.712_345_678e-4);
     row.seq = Some(k as u64);
     "running".clone_into(&mut row.status);
-    let level_v = if (k / 40).is_multiple_of(2) {
-        30.0
-    } else {
-        -12.5
-    };
+    let level_v = if (k / 40).is_multiple_of(2) { 30.0 } else { -12.5 };
     let wave = |hz: f64| (hz * time_s).sin();
     for (channel, value) in SIGNALS.into_iter().zip([
         level_v,

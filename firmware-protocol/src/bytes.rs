@@ -10,10 +10,7 @@ pub struct Bytes<const N: usize> {
 }
 
 impl<const N: usize> Bytes<N> {
-    pub(crate) const EMPTY: Self = Self {
-        room: [0; N],
-        length: 0,
-    };
+    pub(crate) const EMPTY: Self = Self { room: [0; N], length: 0 };
 
     /// These; what has no room is cut.
     pub(crate) fn of(bytes: &[u8]) -> Self {

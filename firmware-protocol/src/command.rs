@@ -113,11 +113,7 @@ impl CommandBlock {
     /// An address outside the block, half a set-point, a control word or set-point out of range.
     pub fn write(&mut self, address: u16, values: &[u16]) -> Result<DriveCommand, WriteError> {
         check_write(address, values)?;
-        let at = usize::from(
-            address
-                .checked_sub(COMMAND_ADDRESS)
-                .ok_or(WriteError::NoRegister)?,
-        );
+        let at = usize::from(address.checked_sub(COMMAND_ADDRESS).ok_or(WriteError::NoRegister)?);
         let mut next = *self;
         next.words
             .get_mut(at..at + values.len())
@@ -155,10 +151,7 @@ impl CommandBlock {
     }
 
     fn forget_unless_energised(&mut self, control: Control) {
-        if matches!(
-            control,
-            Control::Disable | Control::Stop | Control::ResetFault
-        ) {
+        if matches!(control, Control::Disable | Control::Stop | Control::ResetFault) {
             self.forget_set_point();
         }
     }

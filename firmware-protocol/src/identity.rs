@@ -71,10 +71,7 @@ impl Identity {
     pub fn to_registers(&self) -> [u16; IDENTITY_WORDS] {
         let mut block = [0; IDENTITY_WORDS];
         let base = IDENTITY_ADDRESS;
-        let sink = &mut WordsMut {
-            block: &mut block,
-            base,
-        };
+        let sink = &mut WordsMut { block: &mut block, base };
         sink.raw(&r::IDENTITY_MAGIC, MAGIC.into());
         sink.raw(&r::IDENTITY_VERSION, PROTOCOL_VERSION.into());
         sink.raw(&r::DEVICE_KIND, self.kind.0.into());
@@ -99,10 +96,7 @@ impl Identity {
     /// # Errors
     /// The device does not speak this map, or another version of it.
     pub fn from_registers(block: &[u16; IDENTITY_WORDS]) -> Result<Self, IdentityError> {
-        let source = &mut Words {
-            block,
-            base: IDENTITY_ADDRESS,
-        };
+        let source = &mut Words { block, base: IDENTITY_ADDRESS };
         let magic = source.u16(&r::IDENTITY_MAGIC);
         if magic != MAGIC {
             return Err(IdentityError::Magic(magic));

@@ -128,22 +128,11 @@ const fn quantity(
         Kind::U16 | Kind::U32 => (0, kind.highest() - 1),
         Kind::I16 | Kind::I32 => (kind.lowest() + 1, kind.highest()),
     };
-    Register {
-        unit,
-        scale,
-        min,
-        max,
-        ..count(address, name, kind, meaning)
-    }
+    Register { unit, scale, min, max, ..count(address, name, kind, meaning) }
 }
 
 const fn writable(register: Register, min: i64, max: i64) -> Register {
-    Register {
-        access: Access::ReadWrite,
-        min,
-        max,
-        ..register
-    }
+    Register { access: Access::ReadWrite, min, max, ..register }
 }
 
 const fn in_unit(register: Register, unit: &'static str) -> Register {
@@ -151,11 +140,7 @@ const fn in_unit(register: Register, unit: &'static str) -> Register {
 }
 
 const fn repeated(register: Register) -> Register {
-    Register {
-        repeat: CAPTURE_WINDOW_SAMPLES,
-        stride: 3,
-        ..register
-    }
+    Register { repeat: CAPTURE_WINDOW_SAMPLES, stride: 3, ..register }
 }
 
 const VOLTAGE_SCALE: (Kind, f64, &str) = (Kind::I16, 0.01, "V");
@@ -286,15 +271,8 @@ impl Register {
         let at = usize::from(self.address.wrapping_sub(base));
         let bytes = raw.to_be_bytes();
         let low = [bytes[4], bytes[5], bytes[6], bytes[7]];
-        let words = [
-            u16::from_be_bytes([low[0], low[1]]),
-            u16::from_be_bytes([low[2], low[3]]),
-        ];
-        let words = if self.words == 1 {
-            &words[1..]
-        } else {
-            &words[..]
-        };
+        let words = [u16::from_be_bytes([low[0], low[1]]), u16::from_be_bytes([low[2], low[3]])];
+        let words = if self.words == 1 { &words[1..] } else { &words[..] };
         for (slot, word) in block.iter_mut().skip(at).zip(words) {
             *slot = *word;
         }
@@ -389,11 +367,7 @@ pub fn check_write(address: u16, values: &[u16]) -> Result<(), WriteError> {
         if word != 0 || rest.len() < words {
             return Err(WriteError::HalfValue);
         }
-        if !register.allows(
-            register
-                .kind
-                .number(first, rest.get(1).copied().unwrap_or(0)),
-        ) {
+        if !register.allows(register.kind.number(first, rest.get(1).copied().unwrap_or(0))) {
             return Err(WriteError::Range);
         }
         rest = &rest[words..];

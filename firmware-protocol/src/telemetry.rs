@@ -51,11 +51,7 @@ impl Status {
     /// Sets a flag if `on`.
     #[must_use]
     pub const fn with(self, flag: u16, on: bool) -> Self {
-        if on {
-            Self(self.0 | flag)
-        } else {
-            Self(self.0 & !flag)
-        }
+        if on { Self(self.0 | flag) } else { Self(self.0 & !flag) }
     }
 
     /// Whether a limit of the drive holds its output now.
@@ -197,19 +193,13 @@ impl Telemetry {
     /// The block as it stands at [`TELEMETRY_ADDRESS`]: rounded, saturated.
     pub fn to_registers(&self) -> [u16; TELEMETRY_WORDS] {
         let mut block = [0; TELEMETRY_WORDS];
-        self.write(&mut WordsMut {
-            block: &mut block,
-            base: TELEMETRY_ADDRESS,
-        });
+        self.write(&mut WordsMut { block: &mut block, base: TELEMETRY_ADDRESS });
         block
     }
 
     /// Reads the block.
     pub fn from_registers(block: &[u16; TELEMETRY_WORDS]) -> Self {
-        Self::read(&mut Words {
-            block,
-            base: TELEMETRY_ADDRESS,
-        })
+        Self::read(&mut Words { block, base: TELEMETRY_ADDRESS })
     }
 
     /// Every field in the order of the table.

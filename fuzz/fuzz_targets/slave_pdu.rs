@@ -13,11 +13,7 @@ struct Bank {
 impl RegisterBank for Bank {
     fn read(&mut self, address: u16, out: &mut [u16]) -> Result<(), Exception> {
         out.fill(address);
-        if check_read(address, out.len()) {
-            Ok(())
-        } else {
-            Err(Exception::IllegalAddress)
-        }
+        if check_read(address, out.len()) { Ok(()) } else { Err(Exception::IllegalAddress) }
     }
 
     fn write(&mut self, address: u16, values: &[u16]) -> Result<(), Exception> {

@@ -194,18 +194,14 @@ fn run(arguments: &Arguments, adding: Option<&AddArguments>) -> Result<(), Failu
     }
     // Why is said on stdout, once.
     let (done, help) = match adding {
-        Some(_) if result.can_be_forced() => (
-            "added",
-            "the reason is on stdout; --force takes it all the same",
-        ),
+        Some(_) if result.can_be_forced() => {
+            ("added", "the reason is on stdout; --force takes it all the same")
+        }
         Some(_) => (
             "added",
             "the reason is on stdout: these runs cannot be asked for it, so that --force has nothing to take",
         ),
-        None => (
-            "taken out",
-            "the reason is on stdout: these runs ask for it",
-        ),
+        None => ("taken out", "the reason is on stdout: these runs ask for it"),
     };
     let headline = format!("{} was not {done}", result.effect);
     Err(Failure::with_help(REFUSED, headline, help))
@@ -221,11 +217,7 @@ fn document(result: &AddResult, arguments: &Arguments) -> Document {
         path.map_or_else(String::new, |path| format!(" --model {path}"))
     };
     let kept = arguments.output.as_ref().filter(|_| result.accepted);
-    let of = model(if kept.is_some() {
-        &arguments.output
-    } else {
-        &arguments.model
-    });
+    let of = model(if kept.is_some() { &arguments.output } else { &arguments.model });
     document.go_on(format!("drivebench diagnose {run}{of}{words}"));
     if let Some(model) = kept {
         let runs = FileHistory {
@@ -240,10 +232,7 @@ fn document(result: &AddResult, arguments: &Arguments) -> Document {
 fn custom(id: &str, arguments: &DefinitionArguments) -> Result<&'static dyn Effect, Failure> {
     refuse(id, &arguments.given()[3..])?;
     let mut settings = toml::Table::new();
-    for (key, value) in [
-        ("equation", &arguments.equation),
-        ("expression", &arguments.expression),
-    ] {
+    for (key, value) in [("equation", &arguments.equation), ("expression", &arguments.expression)] {
         let Some(value) = value else {
             let headline = format!("effect {id:?} needs --{key}");
             let help = "as --equation torque --expression 'a*abs(w)*w' --parameter a";
@@ -324,9 +313,7 @@ fn table(
     };
     let effect = curve_table(id, equation, axis, &knots).map_err(|error| failure(&error, None))?;
     if let Some(held) = hold_what_the_curve_holds(model, &fit.model, id, equation, axis) {
-        output::message(&format!(
-            "{held} is held: the curve would explain it as well"
-        ));
+        output::message(&format!("{held} is held: the curve would explain it as well"));
     }
     output::message("provisional: the curve holds what the data show, not why; look for its cause");
     Ok(effect)
@@ -372,10 +359,7 @@ mod tests {
         };
         let error = custom("custom", &arguments).err().unwrap();
         let error = error.headline();
-        assert!(
-            error.contains("column 3: unknown name `ww`\n  a*ww\n    ^"),
-            "{error}"
-        );
+        assert!(error.contains("column 3: unknown name `ww`\n  a*ww\n    ^"), "{error}");
         assert!(refuse("viscous_friction", &arguments.given()).is_err());
         let none = DefinitionArguments::default();
         assert!(refuse("viscous_friction", &none.given()).is_ok());

@@ -34,20 +34,14 @@ pub(super) struct MapArguments {
     /// a column (voltage_v=duty*bus_v) or sign(COLUMN), the last sign of a command that was not zero, for a speed without one
     /// (speed_rad_s=rpm*0.104719755*sign(duty))
     #[arg(long, value_name = "MAP")]
-    #[expect(
-        clippy::doc_markdown,
-        reason = "the help in a terminal shows backticks as they are"
-    )]
+    #[expect(clippy::doc_markdown, reason = "the help in a terminal shows backticks as they are")]
     map: Option<String>,
     /// Another map for the hold-out and the confirming run
     #[arg(long, value_name = "MAP")]
     map_holdout: Option<String>,
     /// Where signals come from, as voltage_v=commanded,current_a=supply: measured, estimated, commanded; terminal, supply
     #[arg(long, value_name = "KEY=WORD,...")]
-    #[expect(
-        clippy::doc_markdown,
-        reason = "the help in a terminal shows backticks as they are"
-    )]
+    #[expect(clippy::doc_markdown, reason = "the help in a terminal shows backticks as they are")]
     origin: Option<Provenance>,
 }
 
@@ -60,9 +54,7 @@ impl MapArguments {
     /// The maps as they are given here, for the commands that go on; each with a space before it.
     pub(super) fn words(&self) -> String {
         let maps = [("map", &self.map), ("map-holdout", &self.map_holdout)];
-        let given = maps
-            .into_iter()
-            .filter_map(|(name, map)| Some((name, map.as_deref()?)));
+        let given = maps.into_iter().filter_map(|(name, map)| Some((name, map.as_deref()?)));
         given.fold(String::new(), |words, (name, map)| {
             words + " --" + name + " " + &output::quoted_word(map)
         })
@@ -115,10 +107,8 @@ impl FromStr for Provenance {
             })?;
             let origin = Origin::ALL.into_iter().find(|origin| origin.name() == word);
             let side = Side::ALL.into_iter().find(|side| side.name() == word);
-            let has_sides = matches!(
-                channel,
-                Channel::Voltage | Channel::VoltageCmd | Channel::Current
-            );
+            let has_sides =
+                matches!(channel, Channel::Voltage | Channel::VoltageCmd | Channel::Current);
             match (origin, side) {
                 (Some(origin), _) => provenance.origins.push((channel, origin)),
                 (None, Some(side)) if has_sides => provenance.sides.push((channel, side)),
@@ -429,11 +419,7 @@ impl LiveArguments {
 
     /// Who looks at the run.
     pub(super) fn audience(&self, progress: Option<ProgressCell>) -> Audience {
-        if self.is_headless() {
-            Audience::Headless
-        } else {
-            Audience::Screen(progress)
-        }
+        if self.is_headless() { Audience::Headless } else { Audience::Screen(progress) }
     }
 
     /// What is asked of the rig.
@@ -475,10 +461,7 @@ impl LiveArguments {
             switch("headless", self.headless),
             switch("hardware", self.hardware),
         ];
-        words
-            .into_iter()
-            .flatten()
-            .fold(String::new(), |all, word| all + " " + &word)
+        words.into_iter().flatten().fold(String::new(), |all, word| all + " " + &word)
     }
 
     /// Name and text of the bench file, for what is wrong in it; no text of the embedded one.
@@ -560,9 +543,7 @@ fn seconds(text: &str) -> Result<f64, String> {
     let parsed = text.parse::<f64>();
     let seconds = parsed.map_err(|_| "expected a number of seconds".to_owned())?;
     let allowed = (0.0..=MOST_S).contains(&seconds);
-    allowed
-        .then_some(seconds)
-        .ok_or_else(|| format!("allowed: 0 (off) to {MOST_S} s"))
+    allowed.then_some(seconds).ok_or_else(|| format!("allowed: 0 (off) to {MOST_S} s"))
 }
 
 /// For commands that find a motor of which nothing is known.
@@ -581,12 +562,10 @@ mod tests {
 
     #[test]
     fn words_set_origin_or_side_and_wrong_ones_are_named() {
-        let provenance: Provenance = "voltage_v=commanded, current_a=supply,current_a=measured"
-            .parse()
-            .unwrap();
+        let provenance: Provenance =
+            "voltage_v=commanded, current_a=supply,current_a=measured".parse().unwrap();
         let mut run = Run::new("r", vec![0.0, 1.0]).unwrap();
-        run.set_column(Channel::Current, vec![1.0, 2.0], Origin::Unknown)
-            .unwrap();
+        run.set_column(Channel::Current, vec![1.0, 2.0], Origin::Unknown).unwrap();
         provenance.apply(&mut run);
         assert_eq!(run.origin(Channel::Voltage), Origin::Commanded);
         assert_eq!(

@@ -63,14 +63,12 @@ pub(super) struct Arguments {
 fn pathway(text: &str) -> Result<Pathway, String> {
     let keys = Pathway::ALL.map(Pathway::key);
     let mut all = Pathway::ALL.into_iter();
-    all.find(|own| own.key() == text)
-        .ok_or_else(|| format!("allowed: {}", keys.join(", ")))
+    all.find(|own| own.key() == text).ok_or_else(|| format!("allowed: {}", keys.join(", ")))
 }
 
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     for (path, option) in [(&arguments.csv, "--csv"), (&arguments.svg, "--svg")] {
-        path.as_deref()
-            .map_or(Ok(()), |path| output::refuse_existing(path, option))?;
+        path.as_deref().map_or(Ok(()), |path| output::refuse_existing(path, option))?;
     }
     if arguments.screen {
         let help = "leave --screen out: the result is printed as text";
@@ -165,19 +163,14 @@ impl Bode {
         let model = model(request.model, loaded.first())?;
         let (model_from, model) = model.unzip();
         progress::stage("follows the model", 0);
-        let beside = model
-            .map(|model| of_model(&model, &scenarios))
-            .transpose()?;
+        let beside = model.map(|model| of_model(&model, &scenarios)).transpose()?;
         progress::stage("estimates the response", 0);
         let mut compared = compared(&scenarios, beside.as_deref())?;
         compared.measured.cautions.extend(of_runs);
         Ok(Self {
             runs: loaded.iter().map(|own| own.run.name.clone()).collect(),
             go_on: GoOn {
-                run: request
-                    .runs
-                    .first()
-                    .map_or_else(String::new, |run| quoted(run)),
+                run: request.runs.first().map_or_else(String::new, |run| quoted(run)),
                 model: model_from.as_deref().map(quoted),
                 map_words: request.map_words.clone(),
             },
@@ -228,11 +221,7 @@ impl Bode {
             return Document::of(Tone::Plain, "nothing", "was measured");
         };
         let bands = own.bands_hz();
-        let tone = if bands.is_empty() {
-            Tone::Attention
-        } else {
-            Tone::Good
-        };
+        let tone = if bands.is_empty() { Tone::Attention } else { Tone::Good };
         let mut document = Document::of(tone, pathway.name(), self.headline(own, &bands));
         document.say("modes", self.other_modes(pathway), 2);
         document.say("carried", [self.band_sentence(own, &bands)], 1);
@@ -294,16 +283,10 @@ impl Bode {
             0 => String::new(),
             more => format!(" and {more} bands more"),
         };
-        let told = if told.is_empty() {
-            "nothing".to_owned()
-        } else {
-            told.join(", ")
-        };
+        let told = if told.is_empty() { "nothing".to_owned() } else { told.join(", ") };
         let is_inside = |point: &&ResponsePoint| {
             let hertz = point.frequency_hz;
-            bands
-                .iter()
-                .any(|(from, to)| (*from..=*to).contains(&hertz))
+            bands.iter().any(|(from, to)| (*from..=*to).contains(&hertz))
         };
         let inside: Vec<&ResponsePoint> = own.points.iter().filter(is_inside).collect();
         let but = match inside.iter().filter(|point| !point.is_carried).count() {
@@ -330,9 +313,7 @@ impl Bode {
         }
         let all = &self.compared.departures;
         if all.is_empty() {
-            told.push(format!(
-                "{from}: within the intervals wherever the response is carried"
-            ));
+            told.push(format!("{from}: within the intervals wherever the response is carried"));
             return (told, Vec::new());
         }
         let missing = self.compared.missing_resonances();
@@ -392,21 +373,13 @@ impl Bode {
             });
             let name = format!("{:>7} Hz {mode}", significant(point.frequency_hz, 3));
             let value = decibel(point);
-            (
-                name.trim_end().to_owned(),
-                value - least + SHORTEST_DB,
-                format!("{value:+.1}"),
-            )
+            (name.trim_end().to_owned(), value - least + SHORTEST_DB, format!("{value:+.1}"))
         });
         bars.collect()
     }
 
     fn go_on(&self, document: &mut Document, is_empty: bool) {
-        let GoOn {
-            run,
-            model,
-            map_words,
-        } = &self.go_on;
+        let GoOn { run, model, map_words } = &self.go_on;
         if is_empty {
             document.say("record", [CHIRP], 1);
             document.go_on("drivebench run BENCH.toml");
@@ -432,10 +405,7 @@ impl Bode {
         let description = format!("frequency response, {}: {}", pathway.name(), self.title());
         match chart.svg(&description) {
             svg if svg.is_empty() => Err(Failure::not_identifiable(
-                format!(
-                    "{}: nothing is carried, there is nothing to draw",
-                    pathway.name()
-                ),
+                format!("{}: nothing is carried, there is nothing to draw", pathway.name()),
                 CHIRP,
             )),
             svg => Ok(standalone(&svg)),
@@ -451,9 +421,7 @@ impl Bode {
 
     /// A row for each point of each pathway, the model's values beside the measured ones.
     pub(crate) fn csv(&self) -> Result<String, Failure> {
-        let Compared {
-            measured, model, ..
-        } = &self.compared;
+        let Compared { measured, model, .. } = &self.compared;
         let mut writer = csv::Writer::from_writer(Vec::new());
         let failed = |error: csv::Error| Failure::internal(format!("the table: {error}"));
         for own in &measured.pathways {

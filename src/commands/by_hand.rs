@@ -204,16 +204,9 @@ pub(crate) fn show(discovery: Discovery, shown: Shown) -> Result<Left, Failure> 
     drop(held);
     let standing = lock(&standing).clone();
     // The screen that said so is gone.
-    standing
-        .written
-        .iter()
-        .for_each(|text| output::message(text));
+    standing.written.iter().for_each(|text| output::message(text));
     let exit = exit_of(exit?)?;
-    Ok(Left {
-        exit,
-        hang_up,
-        standing,
-    })
+    Ok(Left { exit, hang_up, standing })
 }
 
 /// Shows a screen under which nothing is energised until it is left, or its terminal is gone.
@@ -327,10 +320,7 @@ fn write_new(wanted: &Path, text: &str, gone: &AtomicBool) -> Result<PathBuf, St
             Err(error) => return Err(format!("{}: {error}", path.display())),
         }
     }
-    Err(format!(
-        "{}: {MOST_COPIES} files of that name exist",
-        wanted.display()
-    ))
+    Err(format!("{}: {MOST_COPIES} files of that name exist", wanted.display()))
 }
 
 #[cfg(test)]
@@ -345,11 +335,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let wanted = folder.path().join("model.toml");
         let gone = AtomicBool::new(false);
-        for (text, name) in [
-            ("first", "model.toml"),
-            ("second", "model-2.toml"),
-            ("third", "model-3.toml"),
-        ] {
+        for (text, name) in
+            [("first", "model.toml"), ("second", "model-2.toml"), ("third", "model-3.toml")]
+        {
             let path = write_new(&wanted, text, &gone).unwrap();
             assert_eq!(path.file_name().unwrap(), name);
             assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
@@ -389,18 +377,12 @@ mod tests {
         }
         let between = between.into_inner().unwrap().unwrap();
         let heading = between.heading();
-        assert!(
-            heading.starts_with("+ quadratic_load: held-out error "),
-            "{heading}"
-        );
+        assert!(heading.starts_with("+ quadratic_load: held-out error "), "{heading}");
         assert!(heading.contains("without the last change"), "{heading}");
         let last = now();
         let answered = &last.diagnosis.as_ref().unwrap().baseline.model;
         assert_eq!(answered.effect_ids(), ["quadratic_load"]);
-        assert_eq!(
-            last.diagnosis.as_ref().unwrap().verdict,
-            DiagnosisVerdict::None
-        );
+        assert_eq!(last.diagnosis.as_ref().unwrap().verdict, DiagnosisVerdict::None);
         assert_eq!(last.heading().lines().count(), 1, "{}", last.heading());
     }
 }

@@ -28,10 +28,8 @@ pub(crate) fn run(whole: &Whole, plate: Option<&Comparison>) -> Document {
     let recorded = &whole.recorded;
     let timing = &recorded.summary.timing;
     let (achieved_hz, asked_hz) = (timing.rate_achieved_hz, timing.rate_asked_hz);
-    let mut document = account(
-        &recorded.summary,
-        &format!(" {achieved_hz:.1} of {asked_hz:.0} Hz,"),
-    );
+    let mut document =
+        account(&recorded.summary, &format!(" {achieved_hz:.1} of {asked_hz:.0} Hz,"));
     if let Some(found) = &whole.escalation {
         found.put("motor", &mut document);
     }
@@ -98,11 +96,7 @@ pub(crate) fn identify(answer: &Answer, scheme: &str) -> Document {
     let combined = || answer.combined.iter();
     let known = combined().filter(|own| is_usable(&own.estimate)).count();
     let all = answer.combined.len();
-    let tone = if known == all {
-        Tone::Good
-    } else {
-        Tone::Attention
-    };
+    let tone = if known == all { Tone::Good } else { Tone::Attention };
     let runs = match answer.runs.len() {
         1 => "± is one standard deviation, 1.96 of them hold 95 %".to_owned(),
         runs if answer.joint.is_some() => {
@@ -118,8 +112,7 @@ pub(crate) fn identify(answer: &Answer, scheme: &str) -> Document {
         .column("found ± std", value);
     if answer.runs.len() > 1 {
         table = table.column("spread", |own| {
-            own.run_to_run_std
-                .map_or_else(|| "-".to_owned(), |std| format!("{std:.1e}"))
+            own.run_to_run_std.map_or_else(|| "-".to_owned(), |std| format!("{std:.1e}"))
         });
     }
     let table = table.column("verdict", |own| own.estimate.verdict.name());
@@ -172,24 +165,11 @@ pub(crate) fn speed_loop(result: &SpeedResult<'_>) -> Document {
         None => "not measured: the drive does not say when a command was applied".to_owned(),
     };
     let facts = [
-        (
-            "controller",
-            format!(
-                "{} over a {} command",
-                report.controller,
-                report.actuator.name()
-            ),
-        ),
+        ("controller", format!("{} over a {} command", report.controller, report.actuator.name())),
         ("delay at rest", cycles(result.delay_at_rest.as_ref())),
         ("delay while running", cycles(report.delay.as_ref())),
-        (
-            "tuned for",
-            format!("{:.2} cycles", report.timing.delay_cycles()),
-        ),
-        (
-            "cycles without a speed, output held",
-            report.held_cycles.to_string(),
-        ),
+        ("tuned for", format!("{:.2} cycles", report.timing.delay_cycles())),
+        ("cycles without a speed, output held", report.held_cycles.to_string()),
     ];
     document.facts(facts.map(|(label, value)| (label.to_owned(), value)).into());
     let other = of_another_machine(result.motor, &summary.estimates);
@@ -219,10 +199,7 @@ pub(crate) fn speed_loop(result: &SpeedResult<'_>) -> Document {
 fn tracking(report: &SpeedReport) -> Table {
     let error = |value: f64| significant(value, 3);
     Table::of(&report.tracking)
-        .column(
-            "feed-forward",
-            |pass| if pass.feed_forward { "on" } else { "off" },
-        )
+        .column("feed-forward", |pass| if pass.feed_forward { "on" } else { "off" })
         .column("reference followed", |pass| {
             format!("{} to {} s", fixed(pass.from_s, 1), fixed(pass.until_s, 1))
         })
@@ -230,8 +207,7 @@ fn tracking(report: &SpeedReport) -> Table {
         .column("mean, rad/s", |pass| error(pass.mean_abs_rad_s))
         .column("peak, rad/s", |pass| error(pass.peak_rad_s))
         .column("rms of reversals, rad/s", |pass| {
-            pass.reversal_rms_rad_s
-                .map_or_else(|| "-".to_owned(), error)
+            pass.reversal_rms_rad_s.map_or_else(|| "-".to_owned(), error)
         })
         .into()
 }
@@ -242,24 +218,14 @@ fn steps(report: &SpeedReport) -> Table {
         .column("at, s", |step| fixed(step.step.at_s, 2))
         .column("from", |step| fixed(step.speed_rad_s, 1))
         .column("to, rad/s", |step| fixed(step.step.to_rad_s, 1))
-        .column("overshoot, %", |step| {
-            fixed(step.response.overshoot_percent, 1)
-        })
+        .column("overshoot, %", |step| fixed(step.response.overshoot_percent, 1))
         .column("settling, s", |step| {
-            let none = if step.settles_in_noise {
-                "in noise"
-            } else {
-                "never"
-            };
+            let none = if step.settles_in_noise { "in noise" } else { "never" };
             let settling = step.response.settling_s.map(|s| fixed(s, 3));
             settling.unwrap_or_else(|| none.to_owned())
         })
-        .column("IAE, rad", |step| {
-            fixed(step.response.absolute_error_rad, 2)
-        })
-        .column("peak output", |step| {
-            format!("{} {unit}", fixed(step.peak_output, 1))
-        })
+        .column("IAE, rad", |step| fixed(step.response.absolute_error_rad, 2))
+        .column("peak output", |step| format!("{} {unit}", fixed(step.peak_output, 1)))
         .column("limited, %", |step| fixed(100.0 * step.limited_share, 0))
         .into()
 }
@@ -270,10 +236,7 @@ pub(crate) fn speed(result: &SpeedResult<'_>, recorded: &Recorded, words: &str) 
     let mut document = account(summary, "");
     document.append(speed_loop(result));
     if summary.outcome == Outcome::Done {
-        let both = summary
-            .speed
-            .as_ref()
-            .is_some_and(|report| report.tracking.len() > 1);
+        let both = summary.speed.as_ref().is_some_and(|report| report.tracking.len() > 1);
         document.go_on(match result.model_file() {
             Some(model) if !both => {
                 format!("drivebench speed{words} --model {model} --feed-forward compare")
@@ -281,10 +244,7 @@ pub(crate) fn speed(result: &SpeedResult<'_>, recorded: &Recorded, words: &str) 
             _ => format!("drivebench replay {}", quoted(recorded.folder.path())),
         });
     } else {
-        document.go_on(format!(
-            "drivebench view {}",
-            quoted(recorded.folder.path())
-        ));
+        document.go_on(format!("drivebench view {}", quoted(recorded.folder.path())));
     }
     end_of_run(&mut document, recorded);
     document
@@ -301,11 +261,7 @@ fn of_another_machine(tuned_on: &Motor, found: &[ParameterEstimate]) -> Vec<Stri
         let is_known = estimate.verdict == Verdict::Settled || has_changed;
         let (value, ratio) = (row.found.filter(|_| is_known)?, row.ratio?);
         let number = with_std(value, row.std);
-        let why = if has_changed {
-            format!("; {reason}")
-        } else {
-            String::new()
-        };
+        let why = if has_changed { format!("; {reason}") } else { String::new() };
         Some(format!(
             "{} is {number} {}, {ratio:.2} times what the loop was tuned on{why}",
             row.key, row.unit
@@ -319,11 +275,7 @@ fn of_another_machine(tuned_on: &Motor, found: &[ParameterEstimate]) -> Vec<Stri
 fn softened_text(report: &SpeedReport) -> Option<String> {
     let softest = |pass: &Tracking| {
         let inside = |found: &&Watched| (pass.from_s..pass.until_s).contains(&found.time_s);
-        let shares = report
-            .watch
-            .iter()
-            .filter(inside)
-            .map(|found| found.gain_share);
+        let shares = report.watch.iter().filter(inside).map(|found| found.gain_share);
         shares.fold(1.0, f64::min)
     };
     let shares: Vec<f64> = report.tracking.iter().map(softest).collect();
@@ -352,9 +304,7 @@ fn steps_text(report: &SpeedReport) -> Vec<String> {
         let steps: Vec<&StepFigures> = report.steps.iter().filter(inside).collect();
         let overshoot = mean(&steps, |step| Some(step.response.overshoot_percent))?;
         let error = mean(&steps, |step| Some(step.response.absolute_error_rad))?;
-        let settled = steps
-            .iter()
-            .filter(|step| step.response.settling_s.is_some());
+        let settled = steps.iter().filter(|step| step.response.settling_s.is_some());
         let settled = match mean(&steps, |step| step.response.settling_s) {
             Some(mean) => format!("{} settled in {mean:.3} s", settled.count()),
             None => "none settled".to_owned(),
@@ -368,10 +318,7 @@ fn steps_text(report: &SpeedReport) -> Vec<String> {
         return report.tracking.iter().filter_map(pass).collect();
     }
     let mut steps = report.steps.iter();
-    let worst = steps
-        .by_ref()
-        .skip(1)
-        .max_by(|a, b| overshoot(a).total_cmp(&overshoot(b)));
+    let worst = steps.by_ref().skip(1).max_by(|a, b| overshoot(a).total_cmp(&overshoot(b)));
     let worst = worst.filter(|_| report.steps.len() > 2);
     let text = worst.map(|step| {
         format!(

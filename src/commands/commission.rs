@@ -92,8 +92,7 @@ struct StepLog {
 impl StepLog {
     fn tell(&mut self, progress: &Progress) {
         let total = progress.steps.len();
-        self.lines
-            .resize(total, (StepState::Waiting, String::new()));
+        self.lines.resize(total, (StepState::Waiting, String::new()));
         for (index, step) in progress.steps.iter().enumerate() {
             let now = (step.state, step.line.clone());
             if now == self.lines[index] {
@@ -174,13 +173,7 @@ pub fn commission(
         if controls.is_stopped() {
             return Err(Failure::interrupted(BETWEEN_RUNS));
         }
-        if let Err(failure) = step(
-            &mut workflow,
-            &mut rig,
-            &mut records,
-            controls,
-            &mut publish,
-        ) {
+        if let Err(failure) = step(&mut workflow, &mut rig, &mut records, controls, &mut publish) {
             workflow.failed(failure.headline());
             publish(&workflow.progress());
             return Err(failure);
@@ -284,11 +277,8 @@ fn step(
         }
         Task::Analyse => {
             // Nothing is energised and everything recorded is on the disk. Beside a screen the signals are the screen's.
-            let _endable = if rig.asked.headless {
-                signals::endable()?
-            } else {
-                signals::leavable()
-            };
+            let _endable =
+                if rig.asked.headless { signals::endable()? } else { signals::leavable() };
             workflow.analyse(|now| publish(&now), &progress::diagnosis)?;
         }
         Task::Save => {
@@ -307,13 +297,7 @@ fn save(workflow: &Commission, rig: &Rig, records: &mut [Recorded]) -> Result<St
     let (found, none) = (&result.diagnosis, FileHistory::default());
     let first = records.first().map(|record| record.folder.path());
     let run = first.map(|folder| folder.display().to_string());
-    let file = model_file(
-        &found.model,
-        &none,
-        run,
-        &result.ladder,
-        found.noise_floor_from,
-    );
+    let file = model_file(&found.model, &none, run, &result.ladder, found.noise_floor_from);
     let page = pages::commission(workflow.scenarios(), result, rig, records)?.html();
     let next = &result.diagnosis.next_experiment;
     let bench = next.as_ref().and_then(|next| next.bench.as_ref());
@@ -352,11 +336,7 @@ pub(crate) fn follow(
         Ok(flag) => flag,
         Err(failure) => {
             let outcome = Err(failure);
-            return Followed {
-                done,
-                said,
-                outcome,
-            };
+            return Followed { done, said, outcome };
         }
     };
     let interrupted = || Failure::interrupted(BETWEEN_RUNS);
@@ -368,10 +348,7 @@ pub(crate) fn follow(
         };
         let (step, came) = match exit {
             Exit::Diagnosis | Exit::Traces => (Step::Diagnose, diagnose(&done, exit)),
-            Exit::Experiment => (
-                Step::Experiment,
-                experiment(&mut done, &mut next_file, options),
-            ),
+            Exit::Experiment => (Step::Experiment, experiment(&mut done, &mut next_file, options)),
             Exit::SpeedLoop => (Step::SpeedLoop, speed_loop(&done, options, source)),
             _ => break Left::Screen(exit).conclude(done.unkept.take()),
         };
@@ -403,11 +380,7 @@ pub(crate) fn follow(
             Err(failure) => break Err(failure),
         };
     };
-    Followed {
-        done,
-        said,
-        outcome,
-    }
+    Followed { done, said, outcome }
 }
 
 /// How the screen of a run that followed was left: on to what comes of the run, or away.
@@ -422,12 +395,7 @@ fn goes_on(left: Left, run: Option<Failure>) -> Result<(), Failure> {
 
 /// The options of a rig that follows: what is done once, and a capture that has its file, are not done again.
 fn once_more(options: &RigOptions) -> RigOptions {
-    RigOptions {
-        escalate: false,
-        reset_fault: false,
-        tap: None,
-        ..options.clone()
-    }
+    RigOptions { escalate: false, reset_fault: false, tap: None, ..options.clone() }
 }
 
 /// What came of a diagnosis by hand: the changes before the answer, and the answer.
@@ -476,11 +444,7 @@ fn diagnose(done: &CommissionDone, exit: Exit) -> Result<String, Failure> {
     }
     let standing = &seen.standing;
     let is_changed = !standing.heading().is_empty() || standing.model().is_some();
-    Ok(if is_changed {
-        answered(&seen.standing)
-    } else {
-        String::new()
-    })
+    Ok(if is_changed { answered(&seen.standing) } else { String::new() })
 }
 
 fn shown(title: &str, fitted_on: &Path) -> Shown {
@@ -506,10 +470,7 @@ fn experiment(
     let bench = BenchFile::parse(&path.display().to_string(), &read_text(&path)?)?;
     let mut base = bench.clone();
     base.sequence.clone_from(&options.bench.sequence);
-    let options = RigOptions {
-        bench,
-        ..once_more(options)
-    };
+    let options = RigOptions { bench, ..once_more(options) };
     let ended = conduct(Audience::Leads("on to its diagnosis"), move |controls| {
         run(options, None, Box::new(Rig::open), controls)
     })?;
@@ -527,10 +488,7 @@ fn experiment(
     let fitted = before.evidence().first_run();
     let (scenario, notes) = admit_later(&recorded.load()?, before.model(), fitted)?;
     let discovery = before.with_run(scenario);
-    let seen = by_hand::show(
-        discovery.clone(),
-        shown("with the run that tells more", &folder),
-    )?;
+    let seen = by_hand::show(discovery.clone(), shown("with the run that tells more", &folder))?;
     if seen.is_interrupted() {
         return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
     }
@@ -604,10 +562,7 @@ fn speed_loop(
     let tracking = last.map_or_else(
         || "no reference was followed to its end".to_owned(),
         |pass| {
-            let (rms, peak) = (
-                significant(pass.rms_rad_s, 3),
-                significant(pass.peak_rad_s, 3),
-            );
+            let (rms, peak) = (significant(pass.rms_rad_s, 3), significant(pass.peak_rad_s, 3));
             format!("reference followed within {rms} rad/s rms, {peak} at most")
         },
     );

@@ -55,10 +55,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         output::refuse_existing(path, "--html")?;
     }
     if arguments.screen {
-        view::needs_terminal(
-            "--screen",
-            "leave --screen out: the result is printed as text",
-        )?;
+        view::needs_terminal("--screen", "leave --screen out: the result is printed as text")?;
     }
     let mut endable = Some(signals::endable()?);
     let shown = progress::begin("compare");

@@ -50,9 +50,7 @@ struct Ports {
 }
 
 pub(super) fn execute_ports(arguments: &PortsArguments) -> Result<(), Failure> {
-    let ports = Ports {
-        ports: list(Path::new("/")),
-    };
+    let ports = Ports { ports: list(Path::new("/")) };
     output::result(&ports, arguments.json, ports_text)
 }
 
@@ -128,10 +126,7 @@ pub(crate) fn port_text(port: &SerialPortInfo) -> String {
         let names = [&usb.manufacturer, &usb.product].map(|name| name.as_deref());
         let names = names.map(Option::unwrap_or_default).join(" ");
         let serial = usb.serial_number.as_deref().unwrap_or("none");
-        let (id, names) = (
-            format!("{}:{}", usb.vendor_id, usb.product_id),
-            names.trim(),
-        );
+        let (id, names) = (format!("{}:{}", usb.vendor_id, usb.product_id), names.trim());
         let _ = writeln!(text, "  adapter      {id} {names}, serial number {serial}");
     }
     lines(&mut text, "  driver       ", &port.driver);
@@ -151,11 +146,7 @@ const SHORTEST_LATENCY_MS: u32 = 1;
 /// Reads the latency timer, and sets it if asked; what cannot be set is told with the rule that sets it for good.
 fn latency(root: &Path, port: &SerialPortInfo, set: bool) -> Option<Latency> {
     let before_ms = port.latency_ms?;
-    let mut latency = Latency {
-        before_ms,
-        now_ms: before_ms,
-        refused: None,
-    };
+    let mut latency = Latency { before_ms, now_ms: before_ms, refused: None };
     if set && before_ms > SHORTEST_LATENCY_MS {
         let file = latency_file(root, &port.path)?;
         if let Err(error) = std::fs::write(&file, SHORTEST_LATENCY_MS.to_string()) {
@@ -171,11 +162,7 @@ fn probe(
     client: &mut RawClient,
     address: u16,
 ) -> Result<(Vec<Duration>, usize, Option<LinkError>), Failure> {
-    let request = ReadRequest {
-        table: RegisterTable::Holding,
-        address,
-        count: 1,
-    };
+    let request = ReadRequest { table: RegisterTable::Holding, address, count: 1 };
     let (mut round_trips, mut exceptions, mut last_error) = (Vec::new(), 0, None);
     for asked in 0..PROBES {
         if asked >= SILENT_PROBES && !client.has_answered() {
@@ -309,9 +296,7 @@ impl Findings {
         };
         let set = look.set_latency;
         let latency = port.as_ref().and_then(|port| latency(root, port, set));
-        let scan = look
-            .units
-            .map(|units| scan(target, &mut settings, units, tap));
+        let scan = look.units.map(|units| scan(target, &mut settings, units, tap));
         let scan = scan.transpose()?;
         let mut client = open(&settings)?;
         let (round_trips, exceptions, last_error) = probe(&mut client, look.address)?;
@@ -327,11 +312,7 @@ impl Findings {
             gap_s: gap_s.unwrap_or_else(|| standard_gap_s(baud, framing)),
             added_s: 0.0,
         });
-        let settings = Settings {
-            baud,
-            framing,
-            unit,
-        };
+        let settings = Settings { baud, framing, unit };
         let findings = Self {
             link: target.to_string(),
             exclusive: port.is_some(),
@@ -487,9 +468,7 @@ impl RoundTripFindings {
             _ => "a slow drive (look for its reply delay parameter) or adapter",
         };
         let added_ms = added_us * 1e-3;
-        Some(format!(
-            "{added_ms:.1} ms more than the wire takes: {cause}"
-        ))
+        Some(format!("{added_ms:.1} ms more than the wire takes: {cause}"))
     }
 }
 
@@ -550,11 +529,7 @@ mod tests {
                 refused: Some("permission denied".to_owned()),
             }),
             no_timer: false,
-            settings: Settings {
-                baud: 115_200,
-                framing,
-                unit: 1,
-            },
+            settings: Settings { baud: 115_200, framing, unit: 1 },
             scan: None,
             round_trip: RoundTripFindings::of(trips, 0, 50, Some(budget)),
             names: vec!["Acme".to_owned(), "VX-1".to_owned()],
@@ -596,11 +571,8 @@ mod tests {
         let text = findings.text();
         assert!(text.contains("50 of 50 requests answered, all with an exception"));
         assert!(text.contains("no latency timer"), "{text}");
-        let scan = Scan {
-            tried: 1,
-            found: Some((115_200, Framing::EightNoneOne)),
-            units: vec![1, 3],
-        };
+        let scan =
+            Scan { tried: 1, found: Some((115_200, Framing::EightNoneOne)), units: vec![1, 3] };
         assert_eq!(scan_text(&scan, false), "answers: unit 1, 3");
         assert_eq!(scan_text(&scan, true), "answers at 115200 8N1: unit 1, 3");
     }

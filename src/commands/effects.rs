@@ -36,9 +36,7 @@ pub(crate) type Entry = (&'static Card, &'static [ParameterSpec]);
 
 /// All that can be named, or the one effect with this id.
 pub(crate) fn chosen(id: Option<&str>) -> Result<Vec<Entry>, Failure> {
-    let catalogue = effect::CATALOGUE
-        .iter()
-        .map(|effect| (effect.card(), effect.parameters()));
+    let catalogue = effect::CATALOGUE.iter().map(|effect| (effect.card(), effect.parameters()));
     // What the user or the data define has its parameters in its settings.
     let defined = effect::FAMILIES.iter().map(|card| (*card, &[][..]));
     let mut chosen: Vec<Entry> = catalogue.chain(defined).collect();
@@ -147,10 +145,7 @@ fn parameter_text(spec: &ParameterSpec) -> String {
     let how = match spec.role {
         ParameterRole::Coefficient => bounds,
         ParameterRole::Shape => {
-            format!(
-                "{bounds}; not given, it is fitted from {}",
-                tried.join(", ")
-            )
+            format!("{bounds}; not given, it is fitted from {}", tried.join(", "))
         }
         ParameterRole::Choice => {
             let (first, last) = (&tried[0], &tried[tried.len() - 1]);
@@ -169,10 +164,8 @@ mod tests {
 
     #[test]
     fn the_list_and_every_card_keep_to_the_width_and_lose_no_word() {
-        let entries: Vec<Entry> = effect::CATALOGUE
-            .iter()
-            .map(|effect| (effect.card(), effect.parameters()))
-            .collect();
+        let entries: Vec<Entry> =
+            effect::CATALOGUE.iter().map(|effect| (effect.card(), effect.parameters())).collect();
         let list = list_text(&entries);
         for (card, parameters) in entries {
             let rows = card_document((card, parameters)).full(WIDTH);

@@ -16,12 +16,10 @@ use drivebench_link::{DriveProfile, Protocol};
 
 /// Serve the software drive on a pseudo-terminal or a TCP port until interrupted
 #[derive(clap::Args)]
-#[command(
-    after_help = "Example:\n  drivebench emulate --link modbus-rtu --pty drive.pty
+#[command(after_help = "Example:\n  drivebench emulate --link modbus-rtu --pty drive.pty
   drivebench run --port ./drive.pty --headless
   drivebench emulate --mystery 7 --pty drive.pty      a hidden effect that the seed draws; shown at the end
-  drivebench emulate --profile siemens-v20 --pty v20.pty  answers as that drive, with its registers and its watchdog"
-)]
+  drivebench emulate --profile siemens-v20 --pty v20.pty  answers as that drive, with its registers and its watchdog")]
 pub(super) struct Arguments {
     /// Emulator file, or the name of an embedded one; without it the ZK-22FC with a hidden effect
     emulator: Option<String>,
@@ -86,10 +84,7 @@ impl State<'_> {
 pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
     let (profile, _) = opening::profile(&arguments.profile)?;
     let guise = guise(&profile, arguments.watchdog_ms)?;
-    let asked = arguments
-        .link
-        .as_deref()
-        .unwrap_or_else(|| profile.link.protocol.name());
+    let asked = arguments.link.as_deref().unwrap_or_else(|| profile.link.protocol.name());
     let link = Protocol::named(asked).ok_or_else(|| {
         let headline = format!("link {asked:?} is not known");
         Failure::usage(headline, "allowed: modbus-rtu, modbus-tcp, stream")
@@ -170,10 +165,7 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
         output::message(&format!("mystery {seed} hides {hidden}"));
     }
     if arguments.json {
-        let state = State::Stopped {
-            link: link.to_string(),
-            address: &served,
-        };
+        let state = State::Stopped { link: link.to_string(), address: &served };
         state.print();
     }
     Ok(())
@@ -196,10 +188,9 @@ fn guise(profile: &DriveProfile, watchdog_ms: Option<f64>) -> Result<Option<Guis
     let guise = Guise::of(profile);
     match (guise, watchdog_ms) {
         (guise, None) => Ok(guise),
-        (Some(guise), Some(ms)) if (0.0..=60_000.0).contains(&ms) => Ok(Some(Guise {
-            watchdog_s: Some(ms * 1e-3),
-            ..guise
-        })),
+        (Some(guise), Some(ms)) if (0.0..=60_000.0).contains(&ms) => {
+            Ok(Some(Guise { watchdog_s: Some(ms * 1e-3), ..guise }))
+        }
         (Some(_), Some(ms)) => {
             let headline = format!("--watchdog-ms {ms} is not allowed");
             Err(Failure::usage(headline, "allowed: 0 to 60000"))

@@ -88,11 +88,7 @@ impl Lab {
     fn new() -> Self {
         let config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
         let clock = VirtualClock::new();
-        let drive = MemoryLink::new(
-            SoftDrive::new(&config, 1),
-            clock.clone(),
-            Latency::default(),
-        );
+        let drive = MemoryLink::new(SoftDrive::new(&config, 1), clock.clone(), Latency::default());
         Self {
             out: tempfile::tempdir().unwrap(),
             drive: Arc::new(Mutex::new(drive)),
@@ -158,10 +154,7 @@ impl Lab {
         let last = self.asked.lock().unwrap().last().copied();
         assert_eq!(last, Some(Demand::Stop));
         let mut drive = self.drive.lock().unwrap();
-        let command = Command {
-            seq: 1 << 20,
-            demand: Demand::Disable,
-        };
+        let command = Command { seq: 1 << 20, demand: Demand::Disable };
         let sample = drive.exchange(command).unwrap();
         assert_ne!(sample.state, Some(DriveState::Running));
         assert_eq!(sample.fault.unwrap_or(0), 0, "{:?}", sample.fault_text);
@@ -201,10 +194,7 @@ fn a_bench_that_panics_in_its_checks_stops_its_drive_too() {
     let mut rig = lab.rig();
     rig.energises(&controls, 0.0);
     let unwound = catch_unwind(AssertUnwindSafe(move || {
-        let command = Command {
-            seq: 1,
-            demand: Demand::Voltage(5.0),
-        };
+        let command = Command { seq: 1, demand: Demand::Voltage(5.0) };
         rig.way.link.exchange(command).unwrap();
         panic!("on purpose");
     }));
@@ -335,10 +325,7 @@ fn a_computer_that_was_suspended_ends_the_run_as_a_lost_link() {
     // The command that was on its way, then nothing but stop.
     let asked = lab.asked.lock().unwrap();
     let after = &asked[*before.lock().unwrap() + 1..];
-    assert!(
-        !after.is_empty() && after.iter().all(|demand| *demand == Demand::Stop),
-        "{after:?}"
-    );
+    assert!(!after.is_empty() && after.iter().all(|demand| *demand == Demand::Stop), "{after:?}");
     let told = format!("{:?}", recorded.summary.notices);
     let events = std::fs::read_to_string(recorded.folder.events()).unwrap();
     for text in [&told, &events] {

@@ -67,11 +67,7 @@ pub(crate) enum Judging {
 impl Judging {
     /// Of a comparison: what was given is not refitted.
     pub(crate) const fn of(model: Option<&Path>) -> Self {
-        if model.is_some() {
-            Self::AsGiven
-        } else {
-            Self::Refits
-        }
+        if model.is_some() { Self::AsGiven } else { Self::Refits }
     }
 }
 
@@ -94,18 +90,10 @@ pub(crate) fn model(path: Option<&Path>, run: &LoadedRun) -> Result<ChosenModel,
     let path = path.map(Path::to_owned).or(in_folder);
     let Some(path) = path.filter(|_| !is_asked) else {
         let given = if is_asked { "" } else { "no model given: " };
-        output::message(&format!(
-            "{given}the five-parameter baseline is fitted to the run first"
-        ));
-        let file = ModelFile {
-            model: Model::baseline(Motor::new("fitted")),
-            ..ModelFile::default()
-        };
-        return Ok(ChosenModel {
-            file,
-            from: BASELINE.to_owned(),
-            is_baseline: true,
-        });
+        output::message(&format!("{given}the five-parameter baseline is fitted to the run first"));
+        let file =
+            ModelFile { model: Model::baseline(Motor::new("fitted")), ..ModelFile::default() };
+        return Ok(ChosenModel { file, from: BASELINE.to_owned(), is_baseline: true });
     };
     Ok(ChosenModel {
         file: read_model(&path)?,
@@ -174,11 +162,7 @@ impl Prepared {
         };
         Ok(Judged {
             refitted,
-            error_of: if refitted {
-                ErrorOf::Structure
-            } else {
-                ErrorOf::Model
-            },
+            error_of: if refitted { ErrorOf::Structure } else { ErrorOf::Model },
         })
     }
 
@@ -231,11 +215,7 @@ pub(crate) fn prepare(
     let mut run = load(files.run, false)?;
     let mut model = model(files.model, &run)?;
     let fit_run = Scenario::from_run(&run.run)?;
-    let judging = if model.is_baseline {
-        Judging::FitsFirst
-    } else {
-        judging
-    };
+    let judging = if model.is_baseline { Judging::FitsFirst } else { judging };
     before_judging(&mut run.run, &fit_run, &model.file.model, judging)?;
     let found = cautions(&run.run, &fit_run);
     output::warn(&found);
@@ -281,10 +261,7 @@ pub(crate) fn prepare(
     let (holdout, mut objected) = judge.admit("hold-out", holdout, instead, notes);
     let (confirm, _) = judge.admit("confirming run", confirm, "nothing is confirmed", notes);
     let confirm = confirm.filter(|confirm| had_no_part(confirm, holdout.as_ref(), notes));
-    let judge = Judge {
-        refuses_others: false,
-        ..judge
-    };
+    let judge = Judge { refuses_others: false, ..judge };
     let judging_runs = [("hold-out", &holdout), ("confirming run", &confirm)];
     let behind = judge.admit_behind(files.later, later, judging_runs, notes);
     let by_voltage = fit_run.input == Input::Voltage;
@@ -309,21 +286,9 @@ pub(crate) fn prepare(
     let confirm = files.confirm.filter(|_| evidence.confirm.is_some());
     let about = About {
         holdout_objected: objected && is_run,
-        ..About::of(
-            files.run,
-            &later,
-            holdout,
-            confirm,
-            &evidence.held_out_part(),
-        )
+        ..About::of(files.run, &later, holdout, confirm, &evidence.held_out_part())
     };
-    Ok(Prepared {
-        run,
-        model,
-        evidence,
-        about,
-        recorded,
-    })
+    Ok(Prepared { run, model, evidence, about, recorded })
 }
 
 /// Names the column that serves as the voltage, where it is not the only one or not the first choice.
@@ -370,10 +335,7 @@ pub(crate) fn admit_later(
     match judge.objection_to_later(&loaded.run, &scenario, std::iter::empty()) {
         Some((reason, true)) => {
             let headline = format!("the run that was made is not judged: {reason}");
-            return Err(Failure::usage(
-                headline,
-                "mend that, and make the run again",
-            ));
+            return Err(Failure::usage(headline, "mend that, and make the run again"));
         }
         Some((reason, false)) => notes.push(reason),
         None => {}
@@ -440,15 +402,9 @@ impl Judge<'_> {
             let objection = self.objection_to_later(&loaded.run, &later, others.chain(earlier));
             let forbids = objection.as_ref().is_some_and(|(_, forbids)| *forbids);
             if let Some((reason, _)) = objection {
-                let instead = if forbids {
-                    "; it is not used, the others are judged without it"
-                } else {
-                    ""
-                };
-                note(
-                    notes,
-                    format!("later run {}: {reason}{instead}", path.display()),
-                );
+                let instead =
+                    if forbids { "; it is not used, the others are judged without it" } else { "" };
+                note(notes, format!("later run {}: {reason}{instead}", path.display()));
             }
             if !forbids {
                 behind.push((path, later));
@@ -506,11 +462,8 @@ impl Judge<'_> {
         if let Some(finding) = findings.iter().find(|finding| finding.refuses) {
             let is_of_map = matches!(finding.kind, Kind::Unit | Kind::Swapped | Kind::Reversed);
             let help = finding.help.replace("--map ", "--map-holdout ");
-            let help = if is_of_map && !help.is_empty() {
-                format!("; {help}")
-            } else {
-                String::new()
-            };
+            let help =
+                if is_of_map && !help.is_empty() { format!("; {help}") } else { String::new() };
             return Some((format!("{}{help}", finding.sentence), true));
         }
         let (model, fitted) = (self.model, self.fitted);
@@ -598,10 +551,9 @@ pub(crate) fn cautions(run: &Run, scenario: &Scenario) -> Vec<String> {
             ));
         }
     }
-    for (channel, cells) in [
-        (Channel::Current, &scenario.current_a),
-        (Channel::Speed, &scenario.speed_rad_s),
-    ] {
+    for (channel, cells) in
+        [(Channel::Current, &scenario.current_a), (Channel::Speed, &scenario.speed_rad_s)]
+    {
         let missing = cells.iter().filter(|cell| !cell.is_finite()).count();
         if run.column(channel).is_none() || missing * MANY_MISSING < cells.len() {
             continue;
@@ -636,10 +588,7 @@ pub(crate) fn signals(run: &Run) -> Value {
     let entries = Channel::ALL.into_iter().filter(there).map(|channel| {
         let origin = run.origin(channel).name();
         let side = run.side(channel).map(Side::name);
-        (
-            channel.key().to_owned(),
-            json!({ "origin": origin, "side": side }),
-        )
+        (channel.key().to_owned(), json!({ "origin": origin, "side": side }))
     });
     Value::Object(entries.collect::<Map<_, _>>())
 }
@@ -678,11 +627,7 @@ pub(crate) fn before_identify(
         output::result(&value, true, |_| String::new())?;
     }
     let others = findings.iter().filter(|finding| *finding != refusal);
-    output::warn(
-        &others
-            .map(|other| other.sentence.clone())
-            .collect::<Vec<_>>(),
-    );
+    output::warn(&others.map(|other| other.sentence.clone()).collect::<Vec<_>>());
     let what = match require {
         [] => "nothing".to_owned(),
         keys => keys.join(", "),
@@ -727,11 +672,8 @@ fn notes(run: &Run, findings: &[Finding]) -> Vec<String> {
 
 fn caution(run: &mut Run, findings: &[Finding]) {
     for finding in findings {
-        let help = if finding.help.is_empty() {
-            String::new()
-        } else {
-            format!("; {}", finding.help)
-        };
+        let help =
+            if finding.help.is_empty() { String::new() } else { format!("; {}", finding.help) };
         output::warn(&[format!("{}{help}", finding.sentence)]);
     }
     run.notes = notes(run, findings);
@@ -765,24 +707,16 @@ impl Place {
     /// have reached. To be asked before the evidence is used up.
     pub(crate) fn of(bench: Option<&Path>, prepared: &Prepared) -> Result<Self, Failure> {
         let bench = match bench {
-            Some(path) => Some(BenchFile::parse(
-                &path.display().to_string(),
-                &read_text(path)?,
-            )?),
+            Some(path) => Some(BenchFile::parse(&path.display().to_string(), &read_text(path)?)?),
             None => recorded_bench(prepared),
         };
-        let mut limits = bench.as_ref().map_or_else(
-            || ExperimentLimits::seen_in(&prepared.evidence),
-            experiment_limits,
-        );
+        let mut limits = bench
+            .as_ref()
+            .map_or_else(|| ExperimentLimits::seen_in(&prepared.evidence), experiment_limits);
         if let Some(amps) = drive_limit_a(prepared) {
             limits.current_a = limits.current_a.min(amps);
         }
-        Ok(Self {
-            bench,
-            limits,
-            rate_hz: rate_hz(&prepared.evidence.training),
-        })
+        Ok(Self { bench, limits, rate_hz: rate_hz(&prepared.evidence.training) })
     }
 
     /// Writes the bench file, where there is a run to recommend; `then` diagnoses that run.
@@ -794,9 +728,7 @@ impl Place {
     ) -> Result<(), Failure> {
         let (next, path_text) = (diagnosis.next_experiment.as_ref(), path.display());
         let Some(text) = next.and_then(|next| next.bench.as_ref()) else {
-            output::message(&format!(
-                "{path_text} is not written: there is no run to recommend"
-            ));
+            output::message(&format!("{path_text} is not written: there is no run to recommend"));
             return Ok(());
         };
         output::file(path, text)?;

@@ -23,10 +23,7 @@ fn a_later_run_that_is_not_fit_to_be_judged_is_said_so() {
     };
     let whole = |_: usize| false;
     let (kept, notes) = later(&record(&model, 2), &whole).unwrap();
-    assert!(
-        kept.samples() == fitted.samples() && notes.is_empty(),
-        "{notes:?}"
-    );
+    assert!(kept.samples() == fitted.samples() && notes.is_empty(), "{notes:?}");
     let refused = |came: Result<(Scenario, Vec<String>), Failure>| {
         let failure = came.err().unwrap();
         failure.headline().to_owned()
@@ -52,23 +49,13 @@ fn a_later_run_that_is_not_fit_to_be_judged_is_said_so() {
         *speed = -*speed;
     }
     let said = refused(later(&reversed, &whole));
-    assert!(
-        said.starts_with("the run that was made is not judged"),
-        "{said}"
-    );
+    assert!(said.starts_with("the run that was made is not judged"), "{said}");
     // Another motor behind the same drive, and rows that were lost: judged, and said.
     let motor = |key, times| model.motor.get(key).unwrap() * times;
     let mut other = model.clone();
-    other
-        .motor
-        .set(MotorKey::BackEmf, motor(MotorKey::BackEmf, 0.8));
+    other.motor.set(MotorKey::BackEmf, motor(MotorKey::BackEmf, 0.8));
     let (_, notes) = later(&record(&other, 5), &whole).unwrap();
-    assert!(
-        notes
-            .iter()
-            .any(|note| note.contains("not of the same motor")),
-        "{notes:?}"
-    );
+    assert!(notes.iter().any(|note| note.contains("not of the same motor")), "{notes:?}");
     let (_, notes) = later(&record(&model, 6), &|row| (300..330).contains(&row)).unwrap();
     assert!(!notes.is_empty());
 }

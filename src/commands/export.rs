@@ -247,11 +247,8 @@ fn title(file: &ModelFile, path: &Path) -> String {
         [] => String::new(),
         runs => format!(", fitted on {}", runs.join(", ")),
     };
-    let (motor, version, path) = (
-        &file.model.motor.name,
-        env!("CARGO_PKG_VERSION"),
-        path.display(),
-    );
+    let (motor, version, path) =
+        (&file.model.motor.name, env!("CARGO_PKG_VERSION"), path.display());
     format!("{motor} with {effects}: {path}{fitted}, exported by drivebench {version}")
 }
 
@@ -275,9 +272,7 @@ fn as_json(
     });
     value["laws"] = laws.collect();
     if let Some(regulator) = regulator {
-        let values = regulator
-            .values()
-            .map(|(key, value)| (key.to_owned(), Value::from(value)));
+        let values = regulator.values().map(|(key, value)| (key.to_owned(), Value::from(value)));
         value["regulator"] = Value::Object(values.into_iter().collect());
         if let Some(notch) = &regulator.gains.notch {
             value["regulator"]["notch"] = json!(notch);

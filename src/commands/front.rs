@@ -64,10 +64,7 @@ impl Found {
     fn of(folder: &Path) -> Self {
         let mut found = Self::default();
         for name in names(folder) {
-            if Path::new(&name)
-                .extension()
-                .is_none_or(|ending| ending != "toml")
-            {
+            if Path::new(&name).extension().is_none_or(|ending| ending != "toml") {
                 continue;
             }
             let Ok(text) = read_text(&folder.join(&name)) else {
@@ -119,11 +116,7 @@ impl Found {
             lines.push(format!("model: {name} ({})", with(effects)));
         }
         if let Some(newest) = self.runs.last() {
-            let unfinished = if newest.is_finished {
-                ""
-            } else {
-                ", unfinished"
-            };
+            let unfinished = if newest.is_finished { "" } else { ", unfinished" };
             let (count, name) = (self.runs.len(), &newest.name);
             lines.push(format!("runs: {count}, the newest {name}{unfinished}"));
             if let Some(effects) = &newest.model {
@@ -144,10 +137,7 @@ impl Found {
         let step = |command: String, why: &str| (command, why.to_owned());
         let tuned = |model: String| {
             let why = "gains of a speed loop from the model, with reasons; then `drivebench speed`";
-            step(
-                format!("drivebench tune --model {}", quoted_word(&model)),
-                why,
-            )
+            step(format!("drivebench tune --model {}", quoted_word(&model)), why)
         };
         let mut own = self.models.iter().rev();
         if let Some((name, _)) = own.find(|(_, effects)| !effects.is_empty()) {
@@ -169,10 +159,7 @@ impl Found {
                 steps
             }
             (None, Some(run), _) => vec![step(
-                format!(
-                    "drivebench identify {} --output model.toml",
-                    quoted_word(&self.path(run))
-                ),
+                format!("drivebench identify {} --output model.toml", quoted_word(&self.path(run))),
                 "the motor in figures, each with its uncertainty",
             )],
             (None, None, Some(bench)) => vec![
@@ -201,11 +188,7 @@ impl Found {
     /// A run as a command takes it: by its link where it is the newest.
     fn path(&self, run: &Run) -> String {
         let is_newest = self.runs.last() == Some(run);
-        let name = if self.has_latest && is_newest {
-            LATEST
-        } else {
-            &run.name
-        };
+        let name = if self.has_latest && is_newest { LATEST } else { &run.name };
         format!("runs/{name}")
     }
 }
@@ -259,10 +242,7 @@ mod tests {
         found.benches.push("b.toml".to_owned());
         assert_eq!(first(&found), "drivebench plan b.toml");
         found.runs.push(run("1-a", None));
-        assert_eq!(
-            first(&found),
-            "drivebench identify runs/1-a --output model.toml"
-        );
+        assert_eq!(first(&found), "drivebench identify runs/1-a --output model.toml");
         found.runs.push(run("2-b", Some(&[])));
         assert_eq!(first(&found), "drivebench diagnose runs/2-b");
         found.has_latest = true;
@@ -270,13 +250,8 @@ mod tests {
         found.runs.push(run("3-c", None));
         assert_eq!(first(&found), "drivebench diagnose runs/2-b");
         found.runs.push(run("4-d", Some(&["cogging"])));
-        assert_eq!(
-            first(&found),
-            "drivebench tune --model runs/latest/model.toml"
-        );
-        found
-            .models
-            .push(("m.toml".to_owned(), vec!["cogging".to_owned()]));
+        assert_eq!(first(&found), "drivebench tune --model runs/latest/model.toml");
+        found.models.push(("m.toml".to_owned(), vec!["cogging".to_owned()]));
         assert_eq!(first(&found), "drivebench tune --model m.toml");
     }
 
@@ -286,9 +261,6 @@ mod tests {
         let page = page(folder.path());
         assert!(page.contains("nothing of ours yet"), "{page}");
         assert!(page.lines().count() <= 24, "{page}");
-        assert!(
-            page.lines().all(|line| line.chars().count() <= 84),
-            "{page}"
-        );
+        assert!(page.lines().all(|line| line.chars().count() <= 84), "{page}");
     }
 }

@@ -179,13 +179,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let run = output::quoted(&arguments.runs[0]);
     let mut document = cards::identify(&answer, &schemes(&answer));
     let model = arguments.output.as_deref().or(arguments.model.as_deref());
-    let model = model.map_or_else(String::new, |path| {
-        format!(" --model {}", output::quoted(path))
-    });
-    document.go_on(format!(
-        "drivebench diagnose {run}{model}{}",
-        arguments.map.words()
-    ));
+    let model = model.map_or_else(String::new, |path| format!(" --model {}", output::quoted(path)));
+    document.go_on(format!("drivebench diagnose {run}{model}{}", arguments.map.words()));
     output::document(&json_of(&answer), arguments.json, arguments.full, &document)?;
     if let Some(path) = &arguments.output {
         answer.write(path, file)?;
@@ -221,10 +216,7 @@ fn with_added_inertia(
         )
     };
     let (path, added) = text.rsplit_once('=').ok_or_else(wrong)?;
-    let added = added
-        .parse()
-        .ok()
-        .filter(|added: &f64| added.is_finite() && *added > 0.0);
+    let added = added.parse().ok().filter(|added: &f64| added.is_finite() && *added > 0.0);
     let added = added.ok_or_else(wrong)?;
     let with = one(arguments.map.load(Path::new(path))?, model, arguments)?;
     absolute(without, &with, added).map(Some)
@@ -339,26 +331,15 @@ pub(crate) fn identify(
         Some(id) => scheme::find(id)?,
         None => scheme::default_for(&scenario),
     };
-    let data = Data {
-        run: &loaded.run,
-        scenario: &scenario,
-        model,
-    };
+    let data = Data { run: &loaded.run, scenario: &scenario, model };
     let found = judged(scheme, &data, &findings)?;
-    Ok(OneRun {
-        loaded,
-        scenario,
-        found,
-        findings,
-    })
+    Ok(OneRun { loaded, scenario, found, findings })
 }
 
 /// One fit to several runs of a machine behind each other, where each was fitted by its free run and nothing of the model
 /// happens in one of them alone.
 pub(crate) fn jointly(runs: &[OneRun], model: &Model) -> Option<Identified> {
-    let (first, others) = runs
-        .split_first()
-        .filter(|(_, others)| !others.is_empty())?;
+    let (first, others) = runs.split_first().filter(|(_, others)| !others.is_empty())?;
     let is_fitted = |run: &OneRun| run.found.scheme == scheme::FREE_RUN;
     let goes_on = |own: &ActiveEffect| own.effect.goes_on_over_runs();
     if !runs.iter().all(is_fitted) || model.effects.iter().any(goes_on) {
@@ -389,11 +370,7 @@ fn judged(scheme: &Scheme, data: &Data<'_>, findings: &[Finding]) -> Result<Iden
         found.notes.push(departure.sentence());
     }
     sanity::doubt(&mut found.parameters, findings);
-    for open in found
-        .parameters
-        .iter_mut()
-        .filter(|own| own.value.is_none())
-    {
+    for open in found.parameters.iter_mut().filter(|own| own.value.is_none()) {
         // What is wrong with a signal may be all that stands in the way.
         let about = |it: &&Finding| it.doubts.iter().any(|key| key.key() == open.key);
         if let (Some(reason), Some(finding)) = (&mut open.reason, findings.iter().find(about)) {
@@ -419,14 +396,8 @@ pub(crate) fn absolute(
             "give torque_n_m_per_a or back_emf_v_s_per_rad in the model file: any value will do, the added inertia corrects it",
         ));
     };
-    let without = Seen {
-        parameters: &without.found.parameters,
-        torque_n_m_per_a: kt_without,
-    };
-    let with = Seen {
-        parameters: &with.found.parameters,
-        torque_n_m_per_a: kt_with,
-    };
+    let without = Seen { parameters: &without.found.parameters, torque_n_m_per_a: kt_without };
+    let with = Seen { parameters: &with.found.parameters, torque_n_m_per_a: kt_with };
     Ok(added_inertia::absolute(&without, &with, added_kg_m2))
 }
 
@@ -659,10 +630,8 @@ pub(crate) fn replayed(run: &Path, map: Option<&ColumnMap>) -> Result<Replayed, 
 
 /// What the live estimators were configured with.
 fn settings(rows: &RunRows) -> Result<(OnlineSettings, &'static str), Failure> {
-    let kept = rows
-        .manifest
-        .as_ref()
-        .and_then(|manifest| manifest.configs.get(OnlineSettings::NAME));
+    let kept =
+        rows.manifest.as_ref().and_then(|manifest| manifest.configs.get(OnlineSettings::NAME));
     let Some(text) = kept else {
         return Ok((OnlineSettings::from(OnlineConfig::default()), "default"));
     };

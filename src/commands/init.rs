@@ -102,24 +102,14 @@ fn suite(arguments: &Arguments) -> Result<(), Failure> {
     let out = arguments.out.as_deref().unwrap_or(Path::new("suite.toml"));
     let written = golden::write(&arguments.suite, out)?;
     let result = SuiteResult {
-        files: written
-            .files
-            .iter()
-            .map(|path| path.display().to_string())
-            .collect(),
+        files: written.files.iter().map(|path| path.display().to_string()).collect(),
         suite: &written.golden.text,
         limits: &written.golden.limits,
-        next: format!(
-            "drivebench test {}",
-            output::quoted_word(&out.display().to_string())
-        ),
+        next: format!("drivebench test {}", output::quoted_word(&out.display().to_string())),
     };
     output::result(&result, arguments.json, |result| {
         let limits = result.limits.iter().map(|own| {
-            format!(
-                "  {:<10} {} = {}\n      {}",
-                own.case, own.key, own.limit, own.reason
-            )
+            format!("  {:<10} {} = {}\n      {}", own.case, own.key, own.limit, own.reason)
         });
         let limits = limits.collect::<Vec<_>>().join("\n");
         format!(
@@ -194,9 +184,7 @@ fn nameplate(file: &str, text: &str) -> Result<MotorSection, ConfigError> {
     struct Headed {
         motor: MotorSection,
     }
-    let mut lines = text
-        .lines()
-        .map(|line| line.split('#').next().unwrap_or(""));
+    let mut lines = text.lines().map(|line| line.split('#').next().unwrap_or(""));
     if lines.any(|line| line.trim() == "[motor]") {
         config_text::parse(file, text).map(|headed: Headed| headed.motor)
     } else {

@@ -68,10 +68,7 @@ struct Arguments {
     command: Option<Command>,
     /// Colours of screens: the terminal's sixteen, those for a white background, or none (as with NO_COLOR)
     #[arg(long, global = true, value_enum, value_name = "THEME")]
-    #[expect(
-        clippy::doc_markdown,
-        reason = "the help in a terminal shows backticks as they are"
-    )]
+    #[expect(clippy::doc_markdown, reason = "the help in a terminal shows backticks as they are")]
     theme: Option<Theme>,
     /// Screens take the mouse: the wheel zooms traces and scrolls, a click selects; text is then selected with Shift held
     #[arg(long, global = true)]
@@ -215,21 +212,12 @@ fn example(command: &clap::Command, path: &str) -> Option<String> {
 
 /// What the library that reads numbers says, in words of the reader.
 const WORDS: [(&str, &str); 6] = [
-    (
-        "invalid digit found in string",
-        "expected a whole number from 0",
-    ),
+    ("invalid digit found in string", "expected a whole number from 0"),
     ("number too large to fit in target type", "it is too large"),
     ("invalid float literal", "expected a number"),
-    (
-        "cannot parse integer from empty string",
-        "expected a whole number",
-    ),
+    ("cannot parse integer from empty string", "expected a whole number"),
     ("cannot parse float from empty string", "expected a number"),
-    (
-        "invalid socket address syntax",
-        "expected ADDRESS:PORT, as 127.0.0.1:1502",
-    ),
+    ("invalid socket address syntax", "expected ADDRESS:PORT, as 127.0.0.1:1502"),
 ];
 
 /// clap's message as one headline and one help line, like every other error.
@@ -239,10 +227,7 @@ fn usage_failure(error: &clap::Error, program: clap::Command) -> failure::Failur
     if error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
         let below = command.get_subcommands().map(clap::Command::get_name);
         let below: Vec<&str> = below.filter(|name| *name != "help").collect();
-        let headline = format!(
-            "{path}: no command is given (allowed: {})",
-            below.join(", ")
-        );
+        let headline = format!("{path}: no command is given (allowed: {})", below.join(", "));
         return failure::Failure::usage(headline, page);
     }
     let text = error.render().to_string();
@@ -307,10 +292,7 @@ mod tests {
             called(Arguments::command(), words).1
         };
         assert_eq!(path(&["probe", "--baud", "x"]), "drivebench probe");
-        assert_eq!(
-            path(&["registers", "write", "probe"]),
-            "drivebench registers write"
-        );
+        assert_eq!(path(&["registers", "write", "probe"]), "drivebench registers write");
         assert_eq!(path(&["--what"]), "drivebench");
     }
 

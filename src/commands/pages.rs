@@ -79,9 +79,7 @@ pub(crate) fn last_seconds(manifest: &Manifest) -> Option<LastSeconds> {
     Some(LastSeconds {
         time_s: slice.time_s,
         rows: slice.from_row.saturating_sub(1)..slice.to_row,
-        limits: limits
-            .filter_map(|(channel, limit)| Some((channel, limit?)))
-            .collect(),
+        limits: limits.filter_map(|(channel, limit)| Some((channel, limit?))).collect(),
         stop: stop(manifest).map(|stop| stop.sentence()),
     })
 }
@@ -232,15 +230,10 @@ fn of_data(about: &About, run: &LoadedRun) -> Context {
 
 /// Entries of a JSON object that are a single value, as labels and values.
 pub(crate) fn table(value: &Value) -> Facts {
-    let text = |value: &Value| {
-        value
-            .as_str()
-            .map_or_else(|| value.to_string(), str::to_owned)
-    };
+    let text = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
     let entries = value.as_object().into_iter().flatten();
     let told = entries.filter(|(_, value)| !value.is_null() && !value.is_array());
-    told.map(|(key, value)| fact(&key.replace('_', " "), text(value)))
-        .collect()
+    told.map(|(key, value)| fact(&key.replace('_', " "), text(value))).collect()
 }
 
 /// How the run was stopped, where its output was on.
@@ -253,18 +246,10 @@ pub(crate) fn stopped_at(prepared: &Prepared) -> Option<StoppedAt> {
     let manifest = prepared.run.manifest.as_ref()?;
     let last: bench::LastSeconds = serde_json::from_value(manifest.trip.clone()).ok()?;
     let at_s = last.time_s - prepared.evidence.training.begin_s();
-    let stop = Stop {
-        at_s: Some(at_s),
-        ..stop(manifest)?
-    };
-    let kinds = [
-        ("current", Channel::Current),
-        ("circuit", Channel::Current),
-        ("bus", Channel::Bus),
-    ];
-    let kind = kinds
-        .into_iter()
-        .find(|(word, _)| stop.cause.contains(word));
+    let stop = Stop { at_s: Some(at_s), ..stop(manifest)? };
+    let kinds =
+        [("current", Channel::Current), ("circuit", Channel::Current), ("bus", Channel::Bus)];
+    let kind = kinds.into_iter().find(|(word, _)| stop.cause.contains(word));
     Some(StoppedAt {
         run: prepared.run.run.name.clone(),
         at_s,
@@ -296,9 +281,7 @@ pub(crate) fn context(manifest: &Manifest, folders: &[impl AsRef<Path>]) -> Cont
     let mut link = vec![fact("link", manifest.link.clone())];
     link.extend(table(&manifest.link_statistics));
     link.extend(table(&manifest.wire));
-    let folders = folders
-        .iter()
-        .map(|folder| folder.as_ref().display().to_string());
+    let folders = folders.iter().map(|folder| folder.as_ref().display().to_string());
     Context {
         target: match manifest.identity["is_emulator"].as_bool() {
             Some(true) => Target::Emulator,
@@ -330,9 +313,7 @@ fn date(stamp: &str) -> String {
 fn motor(manifest: &Manifest) -> String {
     let bench = manifest.configs.get("bench");
     let bench = bench.and_then(|text| text.parse::<toml::Table>().ok());
-    let name = bench
-        .as_ref()
-        .and_then(|bench| bench.get("motor")?.get("name")?.as_str());
+    let name = bench.as_ref().and_then(|bench| bench.get("motor")?.get("name")?.as_str());
     name.unwrap_or_default().to_owned()
 }
 
@@ -344,10 +325,7 @@ fn plan_facts(plan: &Plan) -> Facts {
         fact("duration", format!("{:.1} s", plan.duration_s)),
         fact("predicted peak current", current),
         fact("predicted peak speed", speed),
-        fact(
-            "predicted copper loss",
-            format!("{:.0} J", plan.copper_loss_j),
-        ),
+        fact("predicted copper loss", format!("{:.0} J", plan.copper_loss_j)),
     ]
 }
 

@@ -214,10 +214,7 @@ impl Forward {
 /// Predicts what the bench file `file`, with the text `source`, asks for.
 pub(crate) fn forecast(file: &str, source: &str) -> Result<Forecast, Failure> {
     let mut bench = BenchFile::parse(file, source)?;
-    let in_file = |name: &str, error| BenchFileError::Sequence {
-        file: name.to_owned(),
-        error,
-    };
+    let in_file = |name: &str, error| BenchFileError::Sequence { file: name.to_owned(), error };
     let program = bench.program(bench.runs.fit);
     let program = program.map_err(|error| in_file(&bench.name, error))?;
     let (profile, _) = wired_profile(&mut bench)?;
@@ -228,9 +225,8 @@ pub(crate) fn forecast(file: &str, source: &str) -> Result<Forecast, Failure> {
     let asked_hz = bench.link.rate_hz;
     let carried_hz = line.as_ref().map_or(asked_hz, LineBudget::rate_hz);
     let rate_hz = asked_hz.min(carried_hz);
-    let mut warnings: Vec<String> = silence_warning(&bench, &profile, line.is_some())
-        .into_iter()
-        .collect();
+    let mut warnings: Vec<String> =
+        silence_warning(&bench, &profile, line.is_some()).into_iter().collect();
     // Without its friction a motor is still known well enough for a prediction; with less it is not.
     let assumed = bench.motor.without_friction();
     if let Some(assumed) = assumed.as_ref().filter(|_| !bench.motor.unknown) {
@@ -254,11 +250,7 @@ pub(crate) fn forecast(file: &str, source: &str) -> Result<Forecast, Failure> {
         }
         let escalation = foresee(&bench).map_err(|error| in_file(&bench.name, error))?;
         warnings.extend(bench.motor.doubts());
-        return Ok(Forecast::Unknown(Box::new(Unknown {
-            escalation,
-            line,
-            warnings,
-        })));
+        return Ok(Forecast::Unknown(Box::new(Unknown { escalation, line, warnings })));
     };
     let mut plan = plan(&program, &nameplate, &bench.limits(), rate_hz, None)?;
     plan.warnings.extend(warnings);
@@ -275,11 +267,7 @@ pub(crate) fn forecast(file: &str, source: &str) -> Result<Forecast, Failure> {
         let found = bench.reference(speed).ok();
         reference = found.map(|found| Forward::of(&found, &bench));
     }
-    Ok(Forecast::Known(Box::new(Known {
-        plan,
-        reference,
-        line,
-    })))
+    Ok(Forecast::Known(Box::new(Known { plan, reference, line })))
 }
 
 /// A slow drive of which one lost reply takes longer than the silence that ends a run.

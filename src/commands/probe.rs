@@ -155,11 +155,7 @@ fn report_text(report: &ProbeReport) -> String {
         line("names", format!("{names} (function code 43)"));
     }
     if let Some(answers) = report.answers_function_8 {
-        let what = if answers {
-            "sends a number back"
-        } else {
-            "not answered"
-        };
+        let what = if answers { "sends a number back" } else { "not answered" };
         line("function 08", what.to_owned());
     }
     for check in &report.checks {
@@ -224,16 +220,10 @@ fn signal_text(signal: &ProbedSignal) -> String {
         "stream" => "stream".to_owned(),
         table => format!("{table} {}", signal.address),
     };
-    let mut text = format!(
-        "{:<16} {value:>14}  {raw:<10} {register:<14} {judgement}\n",
-        signal.name
-    );
+    let mut text =
+        format!("{:<16} {value:>14}  {raw:<10} {register:<14} {judgement}\n", signal.name);
     for candidate in signal.candidates.iter().take(SHOWN) {
-        let ending = if candidate.plausible {
-            ", plausible: is the profile right?"
-        } else {
-            ""
-        };
+        let ending = if candidate.plausible { ", plausible: is the profile right?" } else { "" };
         let (change, name) = (&candidate.change, &signal.name);
         let value = quantity(candidate.value, signal.unit);
         let _ = writeln!(text, "    with {change} {name} would be {value}{ending}");
@@ -270,12 +260,8 @@ const SETTLING: Duration = Duration::from_millis(100);
 const PATIENCE: Duration = Duration::from_millis(120);
 /// In the order of how common they are on drives.
 const BAUDS: [u32; 7] = [9600, 19_200, 115_200, 38_400, 57_600, 230_400, 4800];
-const FRAMINGS: [Framing; 4] = [
-    Framing::EightNoneOne,
-    Framing::EightEvenOne,
-    Framing::EightOddOne,
-    Framing::EightNoneTwo,
-];
+const FRAMINGS: [Framing; 4] =
+    [Framing::EightNoneOne, Framing::EightEvenOne, Framing::EightOddOne, Framing::EightNoneTwo];
 
 /// How a unit on the line is asked; what is `None` comes from the profile.
 #[derive(Clone, Debug, Default)]
@@ -330,10 +316,7 @@ pub(crate) fn far_end(port: &str, profile: &DriveProfile) -> Result<FarEnd, Fail
         }
         Port::Tcp(_) | Port::Serial(_) => (port.to_owned(), None),
     };
-    Ok(FarEnd {
-        target: address.parse()?,
-        _server: server,
-    })
+    Ok(FarEnd { target: address.parse()?, _server: server })
 }
 
 /// Looks at the drive with its profile.
@@ -363,28 +346,19 @@ pub(crate) fn told(
     profile: &DriveProfile,
 ) -> Result<Told, Failure> {
     if offline {
-        return Ok(Told {
-            is_offline: true,
-            ..Told::default()
-        });
+        return Ok(Told { is_offline: true, ..Told::default() });
     }
     if Port::parse(port).is_some_and(|port| port.is_virtual()) {
         return Ok(told_in_memory(profile));
     }
-    let asking = Asking {
-        timeout: REPLY_TIMEOUT,
-        ..Asking::default()
-    };
+    let asking = Asking { timeout: REPLY_TIMEOUT, ..Asking::default() };
     let none = Tap::create(None)?;
     let reached = far_end(port, profile).and_then(|end| look(&end, profile, &asking, &none));
     let report = reached.map_err(|failure| {
         let help = "check cable, power and address (`drivebench doctor --port PORT`), or give --offline: the file then says that the drive's limits were not read back";
         Failure::with_help(failure.status, failure.headline(), help)
     })?;
-    if matches!(
-        report.verdict,
-        ProbeVerdict::Plausible | ProbeVerdict::Unjudged
-    ) {
+    if matches!(report.verdict, ProbeVerdict::Plausible | ProbeVerdict::Unjudged) {
         return Ok(of_report(&report));
     }
     Err(Failure::link(
@@ -552,11 +526,7 @@ impl Survey {
 
     fn push(&mut self, profile: &DriveProfile, fit: Fit, reason: String) {
         let profile = profile.name.clone();
-        self.profiles.push(Tried {
-            profile,
-            fit,
-            reason,
-        });
+        self.profiles.push(Tried { profile, fit, reason });
     }
 }
 
@@ -571,11 +541,8 @@ pub(crate) fn survey(port: &str, asking: &Asking, tap: &Tap) -> Result<Survey, F
         ));
     };
     let far_end = far_end(port, first)?;
-    let mut survey = Survey {
-        link: far_end.target.to_string(),
-        names: Vec::new(),
-        profiles: Vec::new(),
-    };
+    let mut survey =
+        Survey { link: far_end.target.to_string(), names: Vec::new(), profiles: Vec::new() };
     // Profiles of one line are tried over one opening of the port.
     let mut lines: Vec<(RawSettings, Vec<&DriveProfile>)> = Vec::new();
     for profile in &profiles {
@@ -638,10 +605,7 @@ fn fit(report: &ProbeReport) -> (Fit, String) {
     if let Some(signal) = unread.filter(|_| report.verdict != ProbeVerdict::WrongDrive) {
         let why = signal.missing.as_deref().unwrap_or_default();
         let (table, address, name) = (signal.table, signal.address, &signal.name);
-        return (
-            Fit::No,
-            format!("{table} register {address} ({name}): {why}"),
-        );
+        return (Fit::No, format!("{table} register {address} ({name}): {why}"));
     }
     match report.verdict {
         ProbeVerdict::WrongDrive | ProbeVerdict::Implausible => {

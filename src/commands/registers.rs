@@ -105,17 +105,9 @@ fn span(text: &str) -> Result<(u16, u16), String> {
 }
 
 fn read(arguments: &ReadArguments) -> Result<(), Failure> {
-    let table = if arguments.input {
-        RegisterTable::Input
-    } else {
-        RegisterTable::Holding
-    };
+    let table = if arguments.input { RegisterTable::Input } else { RegisterTable::Holding };
     let spans = arguments.spans.iter();
-    let requests = spans.map(|&(address, count)| ReadRequest {
-        table,
-        address,
-        count,
-    });
+    let requests = spans.map(|&(address, count)| ReadRequest { table, address, count });
     let requests: Vec<ReadRequest> = requests.collect();
     let stop = signals::flag()?;
     let tap = arguments.wire.tap()?;
@@ -172,10 +164,7 @@ fn write(arguments: &WriteArguments) -> Result<(), Failure> {
     let (address, values) = (arguments.address, arguments.values.as_slice());
     let count = u16::try_from(values.len()).unwrap_or(u16::MAX);
     if values.len() > MOST_WRITTEN || address.checked_add(count - 1).is_none() {
-        let headline = format!(
-            "{} at {address} do not fit one request",
-            registers(count.into())
-        );
+        let headline = format!("{} at {address} do not fit one request", registers(count.into()));
         let help = format!("at most {MOST_WRITTEN} registers, up to address 65535");
         return Err(Failure::usage(headline, help));
     }
@@ -199,11 +188,7 @@ fn consent(arguments: &WriteArguments, is_emulator: bool) -> Result<(), Failure>
             "add --hardware when a real drive may get this value, with the emergency stop within reach",
         ));
     }
-    let answer = if arguments.json {
-        None
-    } else {
-        output::ask("write? [y/N] ")
-    };
+    let answer = if arguments.json { None } else { output::ask("write? [y/N] ") };
     match answer.as_deref().map(str::trim) {
         Some("y" | "Y" | "yes") => Ok(()),
         Some(_) => Err(Failure::usage("nothing was written", "answer y to write")),
@@ -371,18 +356,11 @@ impl WriteResult<'_> {
         let result = self;
         let mut text = String::new();
         let (what, address) = (registers(result.written.len()), result.address);
-        let confirmed = if result.confirmed {
-            "confirmed by reading back"
-        } else {
-            "NOT confirmed"
-        };
+        let confirmed =
+            if result.confirmed { "confirmed by reading back" } else { "NOT confirmed" };
         let _ = writeln!(text, "{what} at {address}: {confirmed}");
         let after = result.after.as_ref().filter(|_| !result.confirmed);
-        lines(
-            &mut text,
-            "the unit holds ",
-            after.map(|after| format!("{after:?}")),
-        );
+        lines(&mut text, "the unit holds ", after.map(|after| format!("{after:?}")));
         text
     }
 }
@@ -405,11 +383,8 @@ pub(crate) fn write_once<'a>(
     let before = before.ok();
     announce(address, before.as_deref(), values);
     consent(is_emulator)?;
-    let function = if values.len() > 1 || multiple {
-        WriteFunction::Multiple
-    } else {
-        WriteFunction::Single
-    };
+    let function =
+        if values.len() > 1 || multiple { WriteFunction::Multiple } else { WriteFunction::Single };
     let written = client.write(function, address, values);
     // Whether it was acknowledged or not, what counts is what the unit holds.
     let after = read_back(client, address, count);
@@ -446,11 +421,7 @@ fn is_emulator(client: &mut RawClient) -> Result<bool, Failure> {
 
 /// The values now, vouched for.
 fn read_back(client: &mut RawClient, address: u16, count: u16) -> Result<Vec<u16>, LinkError> {
-    let request = ReadRequest {
-        table: RegisterTable::Holding,
-        address,
-        count,
-    };
+    let request = ReadRequest { table: RegisterTable::Holding, address, count };
     let never = AtomicBool::new(false);
     let reads = read_batch(client, &[request], 1, &never).reads;
     let read = reads.into_iter().next();
@@ -487,9 +458,7 @@ mod tests {
         assert_eq!(span("10"), Ok((10, 1)));
         assert_eq!(span("0x2100:0x10"), Ok((0x2100, 16)));
         assert_eq!(span("65535:1"), Ok((65_535, 1)));
-        for wrong in [
-            "", ":", "a", "-1", "65536", "0:0", "0:126", "65535:2", "1:2:3",
-        ] {
+        for wrong in ["", ":", "a", "-1", "65536", "0:0", "0:126", "65535:2", "1:2:3"] {
             assert!(span(wrong).is_err(), "{wrong}");
         }
     }

@@ -22,10 +22,7 @@ pub(super) struct Arguments {
     run: PathBuf,
     /// Columns of a foreign CSV: 'target=header[*factor][+offset],...', as time_s=t,speed_rad_s=rpm*0.104719755
     #[arg(long, value_name = "MAP")]
-    #[expect(
-        clippy::doc_markdown,
-        reason = "the help in a terminal shows backticks as they are"
-    )]
+    #[expect(clippy::doc_markdown, reason = "the help in a terminal shows backticks as they are")]
     map: Option<String>,
     /// Print JSON
     #[arg(long)]
@@ -40,12 +37,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let result = replayed(&arguments.run, map.transpose()?.as_ref())?;
     drop(shown);
     output::result(&result, arguments.json, text)?;
-    let Some(Difference {
-        key,
-        live,
-        replayed,
-    }) = &result.first_difference
-    else {
+    let Some(Difference { key, live, replayed }) = &result.first_difference else {
         return Ok(());
     };
     Err(Failure::with_help(
@@ -58,10 +50,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 fn text(result: &Replayed) -> String {
-    let mut lines = vec![format!(
-        "{}: {} rows replayed",
-        result.run, result.online.rows
-    )];
+    let mut lines = vec![format!("{}: {} rows replayed", result.run, result.online.rows)];
     for (key, estimate) in &result.online.parameters {
         lines.push(estimate_line(key, estimate));
     }
@@ -78,11 +67,9 @@ fn text(result: &Replayed) -> String {
 fn estimate_line(key: &str, estimate: &Value) -> String {
     let word = |name: &str| estimate[name].as_str().unwrap_or_default();
     match (estimate["value"].as_f64(), estimate["std"].as_f64()) {
-        (Some(value), Some(std)) => format!(
-            "{:<16} {key} = {value} +- {std:.2e} {}",
-            word("verdict"),
-            word("unit")
-        ),
+        (Some(value), Some(std)) => {
+            format!("{:<16} {key} = {value} +- {std:.2e} {}", word("verdict"), word("unit"))
+        }
         (Some(value), None) => format!("{:<16} {key} = {value} {}", word("verdict"), word("unit")),
         _ => format!("{:<16} {key}: {}", word("verdict"), word("reason")),
     }

@@ -83,21 +83,13 @@ impl Reported {
     pub(crate) fn document(&self) -> Document {
         let mut document = Document::new("", "");
         if let (Some(run), Some(rows), Some(duration_s)) = (&self.run, self.rows, self.duration_s) {
-            document.say(
-                "run",
-                [format!("{run}: {rows} rows over {duration_s:.3} s")],
-                1,
-            );
+            document.say("run", [format!("{run}: {rows} rows over {duration_s:.3} s")], 1);
         }
         document.say("outcome", self.outcome.as_deref(), 1);
         document.say("stopped", self.stop.as_ref().map(Stop::sentence), 1);
         document.say("last 2 s", self.trip.map(last_rows), 1);
         let pictures = self.pictures.iter();
-        document.say(
-            "picture",
-            pictures.map(|path| path.display().to_string()),
-            1,
-        );
+        document.say("picture", pictures.map(|path| path.display().to_string()), 1);
         match &self.page {
             Some(page) => document.ends_with(page.display().to_string()),
             None => document.say("page", ["none: name one with --output PAGE.html"], 1),
@@ -165,10 +157,7 @@ pub(crate) fn report(
         duration_s: ends.map(|(first, last)| last - first),
         outcome: loaded.manifest.as_ref().and_then(|m| m.outcome.clone()),
         stop: loaded.manifest.as_ref().and_then(pages::stop),
-        trip: loaded
-            .manifest
-            .as_ref()
-            .and_then(|m| serde_json::from_value(m.trip.clone()).ok()),
+        trip: loaded.manifest.as_ref().and_then(|m| serde_json::from_value(m.trip.clone()).ok()),
         parameters: parameters.collect(),
         page: path,
         pictures: match pictures {
@@ -212,23 +201,17 @@ fn page(loaded: &LoadedRun, estimates: &[ParameterEstimate]) -> Document {
     speed_loop.facts(facts);
     let outcome = manifest.outcome.as_deref();
     let report = RunReport {
-        title: if manifest.name.is_empty() {
-            &loaded.run.name
-        } else {
-            &manifest.name
-        },
+        title: if manifest.name.is_empty() { &loaded.run.name } else { &manifest.name },
         context: &context,
         run: &loaded.run,
         nameplate: nameplate.as_ref(),
         parameters: estimates,
         timing: &pages::timing(manifest),
-        early_end: outcome
-            .filter(|outcome| *outcome != "passed")
-            .map(|outcome| EarlyEnd {
-                tone: Tone::Attention,
-                title: "Ended early",
-                reason: outcome.to_owned(),
-            }),
+        early_end: outcome.filter(|outcome| *outcome != "passed").map(|outcome| EarlyEnd {
+            tone: Tone::Attention,
+            title: "Ended early",
+            reason: outcome.to_owned(),
+        }),
         last_seconds: pages::last_seconds(manifest),
         speed_loop: has_loop.then_some(&speed_loop),
     };

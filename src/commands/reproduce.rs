@@ -5,12 +5,7 @@ use crate::runtime::failure::Failure;
 /// Moved to the program drivebench-studies
 #[derive(clap::Args)]
 pub(super) struct Arguments {
-    #[arg(
-        hide = true,
-        trailing_var_arg = true,
-        allow_hyphen_values = true,
-        value_name = "STUDY"
-    )]
+    #[arg(hide = true, trailing_var_arg = true, allow_hyphen_values = true, value_name = "STUDY")]
     words: Vec<String>,
 }
 

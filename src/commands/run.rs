@@ -85,10 +85,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
 
 /// Without a screen, whatever stdout is: there is nothing to watch.
 fn check(arguments: &Arguments) -> Result<(), Failure> {
-    let options = RigOptions {
-        headless: true,
-        ..arguments.live.options(arguments.unknown.escalate)?
-    };
+    let options =
+        RigOptions { headless: true, ..arguments.live.options(arguments.unknown.escalate)? };
     let run_seed = arguments.run_seed;
     let done = conduct(Audience::Headless, move |controls| {
         connect(options, run_seed, Box::new(Rig::open), controls)
@@ -177,13 +175,7 @@ pub fn run(
     let name = rig.bench.name.clone();
     let recorded = rig.record(&name, seed, controls)?;
     let nameplate = rig.nameplate()?.motor();
-    let mut whole = Whole {
-        plan,
-        recorded,
-        escalation,
-        plate: rig.plate.clone(),
-        nameplate: None,
-    };
+    let mut whole = Whole { plan, recorded, escalation, plate: rig.plate.clone(), nameplate: None };
     whole.nameplate = match &whole.escalation {
         // The escalation's fit is the sharper one; where there was none, what was found on line.
         Some(escalation) => escalation.nameplate.clone(),
@@ -237,12 +229,7 @@ impl Connection {
     pub fn text(&self) -> String {
         let line = |name: &str, text: &str| format!("{name:<18} {text}");
         let mut lines = vec![line("link", &self.link), line("profile", &self.profile)];
-        lines.extend(
-            self.checks
-                .items
-                .iter()
-                .map(|item| line(item.name, &item.text)),
-        );
+        lines.extend(self.checks.items.iter().map(|item| line(item.name, &item.text)));
         let plan = self.plan.as_ref().map_or_else(
             || {
                 "the motor is not known: `drivebench run` finds it from small steps first"
@@ -315,15 +302,10 @@ pub(super) fn tell_checks(report: &CheckReport) {
 
 /// The baseline with what the on-line estimators settled on; the nameplate's value where they did not.
 fn online_model(summary: &RunSummary, nameplate: &Motor, folder: &Path) -> ModelFile {
-    let mut file = ModelFile {
-        model: Model::baseline(nameplate.clone()),
-        ..ModelFile::default()
-    };
+    let mut file = ModelFile { model: Model::baseline(nameplate.clone()), ..ModelFile::default() };
     file.history.fitted_on = vec![folder.display().to_string()];
     for estimate in &summary.estimates {
-        let settled = estimate
-            .value
-            .filter(|_| estimate.verdict == Verdict::Settled);
+        let settled = estimate.value.filter(|_| estimate.verdict == Verdict::Settled);
         if let (Some(key), Some(value)) = (MotorKey::from_key(&estimate.key), settled) {
             file.model.motor.set(key, value);
             let key = estimate.key.clone();
@@ -397,10 +379,7 @@ pub(crate) fn escalate(
             if let Some(comparison) = nameplate {
                 tell(&comparison.verdict());
                 comparison.rows.iter().for_each(|row| tell(&row.sentence));
-                comparison
-                    .causes
-                    .iter()
-                    .for_each(|cause| tell(&format!("likely: {cause}")));
+                comparison.causes.iter().for_each(|cause| tell(&format!("likely: {cause}")));
             }
             return Err(Failure::usage(
                 format!(

@@ -86,11 +86,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
 fn with_measured(csv: &str, scenario: &Scenario) -> String {
     let cell = |values: &[f64], row: usize| {
         let value = values[row];
-        if value.is_finite() {
-            value.to_string()
-        } else {
-            String::new()
-        }
+        if value.is_finite() { value.to_string() } else { String::new() }
     };
     let mut lines = csv.lines();
     let header = lines.next().unwrap_or_default();

@@ -109,9 +109,7 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
     let written = seen.as_ref().ok().cloned().flatten();
     let document = with_model(cards::speed(&result, recorded, &words), written);
     output::document(&result, json, full, &document)?;
-    done.left
-        .conclude(done.work.recorded.failure())
-        .and(seen.map(drop))
+    done.left.conclude(done.work.recorded.failure()).and(seen.map(drop))
 }
 
 /// Standard deviation of a speed sample below which a sensor is not believed to be quieter, rad/s.
@@ -220,10 +218,7 @@ impl LoopParts {
             .map_err(|error| Failure::usage(error.to_string(), "see [speed] of the bench file"))?;
         let model = match &request.model {
             Some(path) => files::read_model(path)?,
-            None => ModelFile {
-                model: Model::baseline(motor.motor()),
-                ..ModelFile::default()
-            },
+            None => ModelFile { model: Model::baseline(motor.motor()), ..ModelFile::default() },
         };
         let maps = maps(&request.maps, section.feed_forward)?;
         let limits = bench.limits();
@@ -274,10 +269,7 @@ impl LoopParts {
 fn maps(paths: &[PathBuf], used: ForwardUse) -> Result<Vec<TorqueMap>, Failure> {
     if !paths.is_empty() && used == ForwardUse::Off {
         let help = "add --feed-forward on, or compare to see what it is worth";
-        return Err(Failure::usage(
-            "a feed-forward map is given, and feed-forward is off",
-            help,
-        ));
+        return Err(Failure::usage("a feed-forward map is given, and feed-forward is off", help));
     }
     let mut maps: Vec<TorqueMap> = Vec::new();
     for path in paths {
@@ -367,9 +359,7 @@ pub fn speed(
         motor: request.model.model.motor.clone(),
         delay,
     };
-    whole
-        .recorded
-        .write(RunFile::Model, &request.model.to_toml());
+    whole.recorded.write(RunFile::Model, &request.model.to_toml());
     let result = serde_json::to_value(speed_result(&whole)).unwrap_or_default();
     whole.recorded.write_result(&result);
     let loop_report = whole.recorded.summary.speed.as_ref();
@@ -394,9 +384,7 @@ fn unwatched(report: &CheckReport, actuator: Actuator) -> Option<String> {
         Actuator::Speed => "the drive's own speed loop sets the voltage",
         Actuator::Voltage | Actuator::Current => return None,
     };
-    Some(format!(
-        "a broken encoder is noticed by a runaway and the speed limit only: {because}"
-    ))
+    Some(format!("a broken encoder is noticed by a runaway and the speed limit only: {because}"))
 }
 
 /// What the converter does to the loop.

@@ -147,25 +147,14 @@ impl TuneResult {
     }
 
     pub(crate) fn document(&self, model: &Path) -> Document {
-        let Tuning {
-            rule,
-            gains,
-            margins,
-            response,
-            reasons,
-            ..
-        } = &self.tuning;
+        let Tuning { rule, gains, margins, response, reasons, .. } = &self.tuning;
         let (kp, tn_s) = (gains.proportional, gains.integral_time_s);
         let mut sentence = format!("Kp = {kp:.4} V per rad/s, Tn = {tn_s:.4} s");
         if let Some(notch) = &gains.notch {
             let _ = write!(sentence, ", notch at {:.1} Hz", notch.frequency_hz);
         }
         if gains.reference_filter_s > 0.0 {
-            let _ = write!(
-                sentence,
-                ", reference filter {:.4} s",
-                gains.reference_filter_s
-            );
+            let _ = write!(sentence, ", reference filter {:.4} s", gains.reference_filter_s);
         }
         let mut document = Document::of(Tone::Good, rule.name(), sentence);
         document.say("why", reasons.iter().map(String::as_str), 1);
@@ -190,24 +179,15 @@ impl TuneResult {
         let step = format!("overshoot {overshoot:.1} %, {settling}; linear, no limit is met");
         document.say("step", [step], 1);
         let shown_s = 2.0 * response.settling_s.unwrap_or(1.0).max(0.01);
-        let last = self
-            .step
-            .partition_point(|point| point.time_s <= shown_s)
-            .max(2);
+        let last = self.step.partition_point(|point| point.time_s <= shown_s).max(2);
         let points = (0..LINES).map(|n| &self.step[n * (last - 1) / (LINES - 1)]);
         let bars = points.map(|point| {
             let (time_s, speed) = (point.time_s, point.speed);
             let band = point
                 .low
                 .zip(point.high)
-                .map_or_else(String::new, |(low, high)| {
-                    format!("  {low:.3} to {high:.3}")
-                });
-            (
-                format!("{time_s:>8.3} s"),
-                speed,
-                format!("{speed:.3}{band}"),
-            )
+                .map_or_else(String::new, |(low, high)| format!("  {low:.3} to {high:.3}"));
+            (format!("{time_s:>8.3} s"), speed, format!("{speed:.3}{band}"))
         });
         document.bars("", Bars::new(bars.collect(), "speed over its reference"));
         document.go_on(speed_command(&self.history, model, ""));
@@ -243,10 +223,7 @@ impl KeptGains {
         let name = path.display();
         let kept: Self = serde_json::from_str(&read_text(path)?).map_err(|error| {
             let headline = format!("{name}: not the result of a tuning: {error}");
-            Failure::usage(
-                headline,
-                "write it with `drivebench tune --model MODEL.toml --json`",
-            )
+            Failure::usage(headline, "write it with `drivebench tune --model MODEL.toml --json`")
         })?;
         let here = LoopShape::new(&plant(model)?, &kept.timing, &kept.gains).margins();
         let there = &kept.margins;

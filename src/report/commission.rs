@@ -95,9 +95,7 @@ impl CommissionReport<'_> {
 
     /// What a rung adds to the one above it.
     fn step_name(&self, place: usize, rung: &Rung) -> String {
-        let above = place
-            .checked_sub(1)
-            .and_then(|above| self.ladder.get(above));
+        let above = place.checked_sub(1).and_then(|above| self.ladder.get(above));
         let added = above.and_then(|above| {
             let mut effects = rung.effects.iter();
             effects.find(|effect| !above.effects.contains(effect))
@@ -111,11 +109,7 @@ impl CommissionReport<'_> {
             return format!("{sentence}.");
         };
         let (old, new) = (fixed(before.holdout_rmse, 2), fixed(after.holdout_rmse, 2));
-        let errors = if self.after.is_some() {
-            format!("{old} before, {new} after")
-        } else {
-            old
-        };
+        let errors = if self.after.is_some() { format!("{old} before, {new} after") } else { old };
         format!(
             "{sentence}. On a run that neither fitted nor selected: {errors}, in units of {}.",
             self.unit_of_error()
@@ -179,10 +173,7 @@ impl CommissionReport<'_> {
             },
         );
         let change = |rung: usize| {
-            let errors = (
-                self.ladder[rung].holdout_rmse,
-                self.ladder[rung - 1].holdout_rmse,
-            );
+            let errors = (self.ladder[rung].holdout_rmse, self.ladder[rung - 1].holdout_rmse);
             percent(100.0 * (errors.0 / errors.1 - 1.0))
         };
         document.table(

@@ -168,17 +168,12 @@ impl SignalFigures {
 
     /// The held-out error over the noise floor, where that is known.
     pub fn times_noise(&self) -> Option<String> {
-        self.noise_floor
-            .map(|floor| fixed(self.holdout.rmse / floor, 2))
+        self.noise_floor.map(|floor| fixed(self.holdout.rmse / floor, 2))
     }
 
     fn cell(&self, value: f64) -> Cell {
         let cell = Cell::text(format!("{} {}", significant(value, 3), self.unit));
-        if self.unit == "rad/s" && value.is_finite() {
-            cell.with_note(r_min(value))
-        } else {
-            cell
-        }
+        if self.unit == "rad/s" && value.is_finite() { cell.with_note(r_min(value)) } else { cell }
     }
 }
 
@@ -198,13 +193,8 @@ pub fn change_document(result: &AddResult) -> Document {
         (name.to_owned(), error, fixed(error, 2))
     });
     let unit = result.before.noise_floor_from.unit();
-    document.bars(
-        "ladder",
-        Bars::new(
-            ladder.collect(),
-            format!("held-out error, in units of {unit}"),
-        ),
-    );
+    document
+        .bars("ladder", Bars::new(ladder.collect(), format!("held-out error, in units of {unit}")));
     if let Some([before, after]) = &result.confirm {
         let (before, after) = (before.holdout_rmse, after.holdout_rmse);
         let times = result.before.noise_floor_from.times();
@@ -223,10 +213,7 @@ pub fn change_document(result: &AddResult) -> Document {
 }
 
 fn change(result: &AddResult) -> [Named<'_>; 2] {
-    [
-        ("model before", Some(&result.before)),
-        ("model after", Some(&result.after)),
-    ]
+    [("model before", Some(&result.before)), ("model after", Some(&result.after))]
 }
 
 /// The run that errors are of, in heads of columns: fit, root mean square.
@@ -249,9 +236,7 @@ pub(super) fn figures(
         CONFIRMING[0],
     ];
     let known = comparisons.iter();
-    let known: Vec<_> = known
-        .filter_map(|(label, own)| Some((*label, (*own)?)))
-        .collect();
+    let known: Vec<_> = known.filter_map(|(label, own)| Some((*label, (*own)?))).collect();
     let mut rows = Vec::new();
     for (label, own) in &known {
         let figures = SignalFigures::all(&own.signals).into_iter();
@@ -270,17 +255,11 @@ pub(super) fn figures(
     let table = table
         .column(fit_head, |(_, row)| fit(row.holdout.fit_percent))
         .column(rms_head, |(_, row)| row.cell(row.holdout.rmse))
-        .column("x noise", |(_, row)| {
-            row.times_noise().unwrap_or_else(|| "-".to_owned())
-        })
-        .column("noise floor", |(_, row)| {
-            or(row.noise_floor, row, "not known")
-        })
+        .column("x noise", |(_, row)| row.times_noise().unwrap_or_else(|| "-".to_owned()))
+        .column("noise floor", |(_, row)| or(row.noise_floor, row, "not known"))
         .column("training fit", |(_, row)| fit(row.fit_percent))
         .column("training rms error", |(_, row)| row.cell(row.rmse))
-        .column("one-step rms error", |(_, row)| {
-            or(row.one_step_rmse, row, "-")
-        });
+        .column("one-step rms error", |(_, row)| or(row.one_step_rmse, row, "-"));
     document.table_on_card("errors", table, SPARE, 2);
     for (place, (label, comparison)) in known.iter().enumerate() {
         let residual = &comparison.residual;
@@ -307,9 +286,7 @@ fn lights(document: &mut Document, models: &[(&'static str, &Comparison)]) {
     let of_model = |(label, own): &(&'static str, &Comparison)| {
         let label = *label;
         let signals = own.residual.named();
-        signals
-            .map(move |(signal, lights)| (signal, label, lights))
-            .collect::<Vec<_>>()
+        signals.map(move |(signal, lights)| (signal, label, lights)).collect::<Vec<_>>()
     };
     let rows: Vec<_> = models.iter().flat_map(of_model).collect();
     if rows.is_empty() {
@@ -319,26 +296,17 @@ fn lights(document: &mut Document, models: &[(&'static str, &Comparison)]) {
         "Residual lights, lags 0 to 25: the largest correlation over its 99 % band. A right model stays near 1; a wrong one \
          shows 18 to 42 in the first column.",
     );
-    let heads = [
-        "whiteness",
-        "input",
-        "input squared",
-        "squares",
-        "error x input",
-    ];
+    let heads = ["whiteness", "input", "input squared", "squares", "error x input"];
     let table = Table::of(rows)
         .column("signal", |(signal, ..)| *signal)
         .column("model", |(_, label, _)| *label);
-    let table = heads
-        .into_iter()
-        .enumerate()
-        .fold(table, |table, (place, head)| {
-            table.column(head, |(_, _, lights)| {
-                let (_, light) = lights.named()[place];
-                let word = if light.passes { "ok" } else { "outside" };
-                format!("{} {word}", significant(light.largest_over_band, 2))
-            })
-        });
+    let table = heads.into_iter().enumerate().fold(table, |table, (place, head)| {
+        table.column(head, |(_, _, lights)| {
+            let (_, light) = lights.named()[place];
+            let word = if light.passes { "ok" } else { "outside" };
+            format!("{} {word}", significant(light.largest_over_band, 2))
+        })
+    });
     document.table(table.column("Ljung-Box (of 99 % limit)", |(_, _, lights)| {
         let (found, limit) = (lights.ljung_box, lights.ljung_box_limit);
         format!("{} of {}", significant(found, 3), significant(limit, 3))
@@ -347,20 +315,14 @@ fn lights(document: &mut Document, models: &[(&'static str, &Comparison)]) {
 
 /// What the sentences of a model begin with, where there is more than one.
 fn label_of(known: &[(&'static str, &Comparison)], label: &str) -> String {
-    if known.len() > 1 {
-        format!("{label}: ")
-    } else {
-        String::new()
-    }
+    if known.len() > 1 { format!("{label}: ") } else { String::new() }
 }
 
 /// Where each model fails: sentences, balances, the map; those of the last model are on the card.
 pub(super) fn places(document: &mut Document, comparisons: &[Named<'_>]) {
     document.section("Where the model fails");
     let known = comparisons.iter();
-    let known: Vec<_> = known
-        .filter_map(|(label, own)| Some((*label, (*own)?)))
-        .collect();
+    let known: Vec<_> = known.filter_map(|(label, own)| Some((*label, (*own)?))).collect();
     for (place, (label, comparison)) in known.iter().enumerate() {
         let is_last = place + 1 == known.len();
         let mut say = |label: &str, sentences: Vec<String>, least| {
@@ -379,11 +341,7 @@ pub(super) fn places(document: &mut Document, comparisons: &[Named<'_>]) {
         let places = places.iter().take(MOST_PLACES);
         say("", places.map(self::place).collect(), 0);
         let balances = comparison.balances.iter();
-        say(
-            "balance",
-            balances.map(|own| own.sentence.clone()).collect(),
-            0,
-        );
+        say("balance", balances.map(|own| own.sentence.clone()).collect(), 0);
         say("note", comparison.limits.clone(), 1);
         self::balances(document, comparison);
         map(document, comparison);
@@ -412,9 +370,7 @@ fn balances(document: &mut Document, comparison: &Comparison) {
     document.table(
         Table::of(&comparison.balances)
             .column("equation", |own| own.equation)
-            .column("what it lacks, rms", |own| {
-                format!("{} {}", significant(own.rms, 3), own.unit)
-            })
+            .column("what it lacks, rms", |own| format!("{} {}", significant(own.rms, 3), own.unit))
             .column("times its noise", |own| known(own.nres))
             .column("with its values free", |own| known(own.nres_refitted))
             .column("share of the error", |own| part(own.share_of_error))

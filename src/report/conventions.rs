@@ -31,12 +31,7 @@ pub fn of(parameters: &[ParameterEstimate]) -> Vec<Converted> {
     let torque =
         found(MotorKey::TorqueConstant).map_or(MotorKey::BackEmf, |_| MotorKey::TorqueConstant);
     let conventions: [(MotorKey, &str, &str, Convert); 5] = [
-        (
-            MotorKey::BackEmf,
-            "back_emf_v_per_krpm",
-            "V/krpm",
-            units::v_per_krpm_from_v_s_per_rad,
-        ),
+        (MotorKey::BackEmf, "back_emf_v_per_krpm", "V/krpm", units::v_per_krpm_from_v_s_per_rad),
         (
             MotorKey::BackEmf,
             "speed_constant_rpm_per_v",
@@ -44,32 +39,15 @@ pub fn of(parameters: &[ParameterEstimate]) -> Vec<Converted> {
             units::rpm_per_v_from_v_s_per_rad,
         ),
         (torque, "torque_constant_n_m_per_a", "N.m/A", |value| value),
-        (
-            MotorKey::Inertia,
-            "inertia_kg_cm2",
-            "kg.cm2",
-            units::kg_cm2_from_kg_m2,
-        ),
-        (
-            MotorKey::Inertia,
-            "gd2_n_m2",
-            "N.m2",
-            units::gd2_n_m2_from_kg_m2,
-        ),
+        (MotorKey::Inertia, "inertia_kg_cm2", "kg.cm2", units::kg_cm2_from_kg_m2),
+        (MotorKey::Inertia, "gd2_n_m2", "N.m2", units::gd2_n_m2_from_kg_m2),
     ];
-    let converted = conventions
-        .into_iter()
-        .filter_map(|(of, key, unit, convert)| {
-            let (value, std) = found(of).filter(|(value, _)| *value > 0.0)?;
-            // Each of them is a power law: the relative deviation stays.
-            let converted = convert(value);
-            Some(Converted {
-                key,
-                value: converted,
-                std: std.map(|std| std / value * converted),
-                unit,
-            })
-        });
+    let converted = conventions.into_iter().filter_map(|(of, key, unit, convert)| {
+        let (value, std) = found(of).filter(|(value, _)| *value > 0.0)?;
+        // Each of them is a power law: the relative deviation stays.
+        let converted = convert(value);
+        Some(Converted { key, value: converted, std: std.map(|std| std / value * converted), unit })
+    });
     converted.collect()
 }
 
@@ -101,10 +79,8 @@ mod tests {
 
     #[test]
     fn the_constants_keep_their_relative_deviation() {
-        let found = of(&[
-            parameter(MotorKey::BackEmf, 0.3538),
-            parameter(MotorKey::Inertia, 0.0045),
-        ]);
+        let found =
+            of(&[parameter(MotorKey::BackEmf, 0.3538), parameter(MotorKey::Inertia, 0.0045)]);
         // GD2 is 4 g J.
         for (key, expected, tolerance) in [
             ("back_emf_v_per_krpm", 37.05, 0.01),
@@ -114,10 +90,7 @@ mod tests {
         ] {
             let own = found.iter().find(|own| own.key == key).unwrap();
             assert!((own.value - expected).abs() < tolerance, "{own:?}");
-            assert!(
-                (own.std.unwrap() / own.value - 0.01).abs() < 1e-12,
-                "{own:?}"
-            );
+            assert!((own.std.unwrap() / own.value - 0.01).abs() < 1e-12, "{own:?}");
         }
     }
 

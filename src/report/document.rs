@@ -38,12 +38,7 @@ pub struct Bars {
 
 impl Bars {
     pub fn new(bars: Vec<(String, f64, String)>, unit: impl Into<String>) -> Self {
-        Self {
-            bars,
-            unit: unit.into(),
-            goal: None,
-            caption: String::new(),
-        }
+        Self { bars, unit: unit.into(), goal: None, caption: String::new() }
     }
 }
 
@@ -135,11 +130,7 @@ impl Document {
     }
 
     pub fn lead(&mut self, tone: Tone, verdict: impl Into<String>, sentence: impl Into<String>) {
-        self.lead = Some(Lead {
-            tone,
-            verdict: verdict.into(),
-            sentence: sentence.into(),
-        });
+        self.lead = Some(Lead { tone, verdict: verdict.into(), sentence: sentence.into() });
     }
 
     /// A heading; one with nothing below it is left out.
@@ -248,11 +239,7 @@ impl Document {
                 " Looked at closely, each {column} has its first, lowest, highest and last value."
             );
         }
-        self.push(Content::Figure {
-            plot,
-            caption,
-            text,
-        });
+        self.push(Content::Figure { plot, caption, text });
     }
 
     /// The blocks of another one behind its own.
@@ -267,11 +254,7 @@ impl Document {
     fn put(&mut self, label: String, least: Option<usize>, content: Content) {
         if content.entries() > 0 {
             let least = least.map(|least| least.min(content.entries()));
-            self.blocks.push(Block {
-                label,
-                least,
-                content,
-            });
+            self.blocks.push(Block { label, least, content });
         }
     }
 

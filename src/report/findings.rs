@@ -19,10 +19,7 @@ pub(super) fn effects(document: &mut Document, diagnosis: &Diagnosis, curves: &[
     let named: Vec<_> = named.filter_map(|id| effect::find(id)).collect();
     if named.is_empty() {
         document.section("What the equations lack");
-        curves
-            .iter()
-            .take(1)
-            .for_each(|curve| effect_curve(document, curve));
+        curves.iter().take(1).for_each(|curve| effect_curve(document, curve));
     }
     document.section("What was found");
     for (place, effect) in named.into_iter().enumerate() {
@@ -53,11 +50,7 @@ pub fn effect_document(effect: &dyn Effect, candidate: Option<&Candidate>) -> Do
     let card = effect.card();
     let mut document = Document::new(format!("{} ({})", card.name, card.id), "");
     if let Some(own) = candidate {
-        let status = if own.is_open {
-            "left open"
-        } else {
-            own.status.name()
-        };
+        let status = if own.is_open { "left open" } else { own.status.name() };
         document.labelled("here", [format!("{status}: {}", own.evidence)]);
         let sizes = own.parameters.iter().map(|parameter| {
             let reason = parameter.reason.as_deref();
@@ -74,10 +67,7 @@ pub fn effect_document(effect: &dyn Effect, candidate: Option<&Candidate>) -> Do
         let training = own.error_after.map_or_else(String::new, |after| {
             format!("; training error {:.2} -> {after:.2}", own.error_before)
         });
-        document.labelled(
-            "rank",
-            [format!("{}; there with {there}{training}", own.rank)],
-        );
+        document.labelled("rank", [format!("{}; there with {there}{training}", own.rank)]);
     }
     card_facts(&mut document, card);
     document
@@ -112,9 +102,7 @@ pub(super) fn others(document: &mut Document, diagnosis: &Diagnosis) {
     };
     let possible = with(Status::Possible).filter(|own| !own.is_not_borne_out());
     let possible = possible.map(|own| {
-        let most = own
-            .at_most()
-            .map_or_else(String::new, |most| format!(", {most}"));
+        let most = own.at_most().map_or_else(String::new, |most| format!(", {most}"));
         format!("{} ({}{most})", own.effect, probability(own.probability))
     });
     document.say("possible", listed(possible), 1);
@@ -132,11 +120,7 @@ pub(super) fn others(document: &mut Document, diagnosis: &Diagnosis) {
     let unseen = |is_open: bool| with(Status::NotExcited).filter(move |own| own.is_open == is_open);
     document.say("left open", listed(unseen(true).map(id)), 1);
     document.say("not shown", listed(unseen(false).map(id)), 1);
-    document.say(
-        "unknown",
-        diagnosis.unknown.iter().map(|part| part.sentence.as_str()),
-        1,
-    );
+    document.say("unknown", diagnosis.unknown.iter().map(|part| part.sentence.as_str()), 1);
 }
 
 fn not_told_apart(one: &str, other: &str) -> String {
@@ -151,19 +135,14 @@ pub fn open_questions(
 ) -> Document {
     let mut document = Document::new("what these runs do not tell", "");
     let pairs = diagnosis.confusable.iter();
-    document.labelled(
-        "rival",
-        pairs.map(|[one, other]| not_told_apart(one, other)),
-    );
+    document.labelled("rival", pairs.map(|[one, other]| not_told_apart(one, other)));
     document.labelled("limit", diagnosis.limits.iter().map(String::as_str));
     document.labelled("by no run", diagnosis.equivalences.iter().copied());
     let curves = diagnosis.axis_map.iter().map(|map| map.sentence.as_str());
     document.labelled("the error", curves);
     next_run(&mut document, next);
-    let is_empty = document
-        .blocks
-        .is_empty()
-        .then_some("none is asked for: these runs tell what they can");
+    let is_empty =
+        document.blocks.is_empty().then_some("none is asked for: these runs tell what they can");
     document.labelled("next run", none.or(is_empty));
     document
 }
@@ -172,12 +151,7 @@ pub fn open_questions(
 fn listed(names: impl Iterator<Item = String>) -> Option<String> {
     let names: Vec<String> = names.collect();
     let more = names.len().saturating_sub(MOST_LISTED);
-    let shown = names
-        .iter()
-        .take(MOST_LISTED)
-        .cloned()
-        .collect::<Vec<_>>()
-        .join(", ");
+    let shown = names.iter().take(MOST_LISTED).cloned().collect::<Vec<_>>().join(", ");
     match (names.len(), more) {
         (0, _) => None,
         (_, 0) => Some(shown),
@@ -216,19 +190,13 @@ pub fn curve_chart(curve: &EffectCurve) -> AxisChart {
         Some(effect) => (
             (format!("{effect} at its size"), curve.line.clone()),
             vec![
-                of(
-                    "without the effect",
-                    Style::Before,
-                    Drawn::Apart,
-                    &curve.points,
-                ),
+                of("without the effect", Style::Before, Drawn::Apart, &curve.points),
                 of("with it", Style::After, Drawn::Apart, &curve.with_it),
             ],
         ),
-        None => (
-            (String::new(), Vec::new()),
-            vec![of("", Style::Before, Drawn::Apart, &curve.points)],
-        ),
+        None => {
+            ((String::new(), Vec::new()), vec![of("", Style::Before, Drawn::Apart, &curve.points)])
+        }
     };
     AxisChart {
         axis: curve.axis_label(),
@@ -281,10 +249,7 @@ pub(super) fn curves(document: &mut Document, diagnosis: &Diagnosis) {
 /// Every effect that was tried: status, error, share, size with interval, what it reached.
 pub(super) fn candidates(document: &mut Document, diagnosis: &Diagnosis) {
     document.section("Effects that were tried");
-    let mut named = diagnosis
-        .candidates
-        .iter()
-        .filter(|c| has_paid(c) && !c.parameters.is_empty());
+    let mut named = diagnosis.candidates.iter().filter(|c| has_paid(c) && !c.parameters.is_empty());
     if let Some(words) = named.find_map(Candidate::widened) {
         document.paragraph(format!("Intervals of sizes: {words}."));
     }
@@ -293,21 +258,14 @@ pub(super) fn candidates(document: &mut Document, diagnosis: &Diagnosis) {
         Table::of(&diagnosis.candidates)
             .column("rank", |own| own.rank.to_string())
             .column("effect", |own| Cell::code(own.effect))
-            .column("status", |own| {
-                if own.is_open {
-                    "left open"
-                } else {
-                    own.status.name()
-                }
-            })
+            .column("status", |own| if own.is_open { "left open" } else { own.status.name() })
             .column("held-out error", |own| {
                 let before = fixed(own.holdout_before, 2);
                 own.holdout_after
                     .map_or_else(dash, |after| format!("{before} -> {}", fixed(after, 2)))
             })
             .column("explains", |own| {
-                own.explained_percent
-                    .map_or_else(dash, |percent| share(percent / 100.0))
+                own.explained_percent.map_or_else(dash, |percent| share(percent / 100.0))
             })
             .column("probability", |own| match own.status {
                 Status::NotExcited => dash(),

@@ -93,18 +93,14 @@ fn html(block: &Block) -> String {
                 label => format!("<strong>{}</strong>: ", escape(label)),
             };
             let item = |item: &String| format!("<li>{label}{}</li>\n", escape(item));
-            format!(
-                "<ul>\n{}</ul>\n",
-                items.iter().map(item).collect::<String>()
-            )
+            format!("<ul>\n{}</ul>\n", items.iter().map(item).collect::<String>())
         }
         Content::Facts(all) => facts(all),
         Content::Table { table, .. } => table_html(table),
         Content::Bars(own) => {
             let lengths = own.bars.iter();
-            let lengths: Vec<_> = lengths
-                .map(|(name, length, _)| (name.clone(), *length))
-                .collect();
+            let lengths: Vec<_> =
+                lengths.map(|(name, length, _)| (name.clone(), *length)).collect();
             let svg = bars(&own.unit, &own.unit, &lengths, own.goal);
             figure(&svg, "", &own.caption)
         }
@@ -135,10 +131,7 @@ fn facts(facts: &[(String, String)]) -> String {
         let (label, value) = (escape(label), escape(value));
         format!("<div><dt>{label}</dt><dd>{value}</dd></div>\n")
     };
-    format!(
-        "<dl>\n{}</dl>\n",
-        facts.iter().map(fact).collect::<String>()
-    )
+    format!("<dl>\n{}</dl>\n", facts.iter().map(fact).collect::<String>())
 }
 
 fn table_html(table: &Table) -> String {

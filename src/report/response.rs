@@ -12,22 +12,12 @@ type Of = fn(&ResponsePoint) -> Place;
 fn magnitude_db(point: &ResponsePoint) -> Place {
     let [value, low, high] = [point.magnitude, point.magnitude_low, point.magnitude_high]
         .map(|value| 20.0 * value.log10());
-    Place {
-        at: point.frequency_hz,
-        value,
-        low,
-        high,
-    }
+    Place { at: point.frequency_hz, value, low, high }
 }
 
 fn phase_deg(point: &ResponsePoint) -> Place {
     let (value, half) = (point.phase_deg, point.phase_half_width_deg);
-    Place {
-        at: point.frequency_hz,
-        value,
-        low: value - half,
-        high: value + half,
-    }
+    Place { at: point.frequency_hz, value, low: value - half, high: value + half }
 }
 
 fn coherence(point: &ResponsePoint) -> Place {
@@ -52,39 +42,24 @@ pub fn response_chart(compared: &Compared, pathway: Pathway) -> AxisChart {
             _ => point.is_carried && (first_hz..=last_hz).contains(&point.frequency_hz),
         };
         let points = of.points.iter().map(|point| {
-            let value = if is_shown(point) {
-                place(point).value
-            } else {
-                f64::NAN
-            };
-            Place {
-                value,
-                ..place(point)
-            }
+            let value = if is_shown(point) { place(point).value } else { f64::NAN };
+            Place { value, ..place(point) }
         });
-        PointSet {
-            label: label.to_owned(),
-            style,
-            drawn,
-            points: points.collect(),
-        }
+        PointSet { label: label.to_owned(), style, drawn, points: points.collect() }
     };
-    let panel =
-        |title: String, height, place: Of, holds: &[f64], beside: Option<&PathwayResponse>| {
-            let mut sets = vec![
-                set(own, "", Style::Measured, Drawn::Faint, place),
-                set(own, "measured", Style::Measured, Drawn::Curve, place),
-            ];
-            let model = beside.map(|model| set(model, "model", Style::Before, Drawn::Curve, place));
-            sets.extend(model);
-            AxisPanel {
-                title,
-                height,
-                holds: holds.to_vec(),
-                sets,
-                line: (String::new(), Vec::new()),
-            }
-        };
+    let panel = |title: String,
+                 height,
+                 place: Of,
+                 holds: &[f64],
+                 beside: Option<&PathwayResponse>| {
+        let mut sets = vec![
+            set(own, "", Style::Measured, Drawn::Faint, place),
+            set(own, "measured", Style::Measured, Drawn::Curve, place),
+        ];
+        let model = beside.map(|model| set(model, "model", Style::Before, Drawn::Curve, place));
+        sets.extend(model);
+        AxisPanel { title, height, holds: holds.to_vec(), sets, line: (String::new(), Vec::new()) }
+    };
     let magnitude = format!("magnitude, dB of 1 {}", own.unit);
     let coherent = format!("coherence, carried from {CARRIED}");
     let modes = compared.measured.modes_of(pathway).into_iter();

@@ -52,10 +52,8 @@ pub struct EarlyEnd {
 impl RunReport<'_> {
     pub fn document(&self) -> Document {
         let run = self.run;
-        let mut document = Document::new(
-            self.title,
-            format!("Run {}, {}", run.name, self.context.target.name()),
-        );
+        let mut document =
+            Document::new(self.title, format!("Run {}, {}", run.name, self.context.target.name()));
         tables::about(&mut document, self.context);
         let time_s = run.time_s();
         let duration_s =
@@ -70,10 +68,7 @@ impl RunReport<'_> {
             None if run.rows_dropped > 0 => document.lead(
                 Tone::Attention,
                 "Incomplete",
-                format!(
-                    "{rows}; {} torn or unreadable rows were left out.",
-                    run.rows_dropped
-                ),
+                format!("{rows}; {} torn or unreadable rows were left out.", run.rows_dropped),
             ),
             None => document.lead(Tone::Good, "Recorded", format!("{rows}, to its end.")),
         }
@@ -126,12 +121,8 @@ fn signals(run: &Run) -> Table {
         .column("signal", |channel| channel.name())
         .column("unit", |channel| channel.unit())
         .column("origin", |channel| origin(run.origin(*channel)))
-        .column("lowest", |channel| {
-            range(channel, of(channel).fold(f64::INFINITY, f64::min))
-        })
-        .column("highest", |channel| {
-            range(channel, of(channel).fold(f64::NEG_INFINITY, f64::max))
-        })
+        .column("lowest", |channel| range(channel, of(channel).fold(f64::INFINITY, f64::min)))
+        .column("highest", |channel| range(channel, of(channel).fold(f64::NEG_INFINITY, f64::max)))
         .column("values", |channel| of(channel).count().to_string())
         .column("median period", |channel| {
             let period = run.period_s(*channel).filter(|_| !channel.is_commanded());
@@ -168,9 +159,8 @@ fn last_seconds(document: &mut Document, run: &Run, last: &LastSeconds) {
         "Time counts from the decision that the output has to be off.",
     );
     let (from, to) = (rows.start + 1, rows.end);
-    let mut facts = vec![format!(
-        "Rows {from} to {to} of samples.csv are these seconds; it has every sample."
-    )];
+    let mut facts =
+        vec![format!("Rows {from} to {to} of samples.csv are these seconds; it has every sample.")];
     facts.extend(last.stop.clone());
     document.list(facts);
     let extreme = |channel: Channel| {
@@ -178,20 +168,14 @@ fn last_seconds(document: &mut Document, run: &Run, last: &LastSeconds) {
         values.fold(f64::NAN, f64::max)
     };
     document.table(
-        Table::of(
-            last.limits
-                .iter()
-                .filter(|(channel, _)| !extreme(*channel).is_nan()),
-        )
-        .column("limit of", |(channel, _)| channel.name())
-        .column("unit", |(channel, _)| channel.unit())
-        .column("limit", |(_, limit)| significant(*limit, 4))
-        .column("largest magnitude", |(channel, _)| {
-            significant(extreme(*channel), 4)
-        })
-        .column("share of the limit", |(channel, limit)| {
-            format!("{} %", significant(100.0 * extreme(*channel) / limit, 3))
-        }),
+        Table::of(last.limits.iter().filter(|(channel, _)| !extreme(*channel).is_nan()))
+            .column("limit of", |(channel, _)| channel.name())
+            .column("unit", |(channel, _)| channel.unit())
+            .column("limit", |(_, limit)| significant(*limit, 4))
+            .column("largest magnitude", |(channel, _)| significant(extreme(*channel), 4))
+            .column("share of the limit", |(channel, limit)| {
+                format!("{} %", significant(100.0 * extreme(*channel) / limit, 3))
+            }),
     );
 }
 
@@ -229,9 +213,7 @@ fn panels(run: &Run, start_s: f64) -> [Panel; 7] {
             };
             panel = if channel.is_commanded() {
                 let points = run.points(channel);
-                let events: Vec<_> = points
-                    .map(|(time, value)| (time - start_s, value))
-                    .collect();
+                let events: Vec<_> = points.map(|(time, value)| (time - start_s, value)).collect();
                 panel.held("command", &events, end_s)
             } else {
                 panel.sampled(channel.name(), Style::After, &time_s, values)
@@ -252,10 +234,9 @@ mod tests {
     fn a_trip_is_the_first_thing_that_is_said() {
         let mut run = Run::new("r", (0..50).map(|k| 0.01 * f64::from(k)).collect()).unwrap();
         let speed = |k| if k == 20 { f64::NAN } else { f64::from(k) };
-        for (channel, cells) in [
-            (Channel::Speed, (0..50).map(speed).collect()),
-            (Channel::Current, vec![f64::NAN; 50]),
-        ] {
+        for (channel, cells) in
+            [(Channel::Speed, (0..50).map(speed).collect()), (Channel::Current, vec![f64::NAN; 50])]
+        {
             run.set_column(channel, cells, Origin::Measured).unwrap();
         }
         let context = Context::default();
@@ -281,10 +262,7 @@ mod tests {
         };
         let text = report.document().markdown();
         assert!(text.starts_with("SAFETY TRIP: current 31.0 A is above the limit of 30 A. Recorded until then: 50 rows over 0.490 s."), "{text}");
-        assert!(
-            text.contains("| current | A     | measured | n/a"),
-            "{text}"
-        );
+        assert!(text.contains("| current | A     | measured | n/a"), "{text}");
         assert!(text.contains("Rows 31 to 50 of samples.csv"), "{text}");
         assert!(text.contains("stop sent 0.1 ms"), "{text}");
         assert!(text.contains("| 98.0 %"), "{text}");

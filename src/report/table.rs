@@ -22,18 +22,12 @@ impl<T: Into<String>> From<T> for Cell {
 
 impl Cell {
     pub fn text(text: impl Into<String>) -> Self {
-        Self {
-            text: text.into(),
-            ..Self::default()
-        }
+        Self { text: text.into(), ..Self::default() }
     }
 
     /// A key as it is written in files.
     pub fn code(text: impl Into<String>) -> Self {
-        Self {
-            code: true,
-            ..Self::text(text)
-        }
+        Self { code: true, ..Self::text(text) }
     }
 
     #[must_use]
@@ -54,10 +48,7 @@ impl Table {
     /// One row for each of these; the columns are still to come.
     pub fn of<T>(rows: impl IntoIterator<Item = T>) -> Columns<T> {
         let rows: Vec<T> = rows.into_iter().collect();
-        let table = Self {
-            head: Vec::new(),
-            rows: vec![Vec::new(); rows.len()],
-        };
+        let table = Self { head: Vec::new(), rows: vec![Vec::new(); rows.len()] };
         Columns { rows, table }
     }
 
@@ -99,11 +90,7 @@ impl Table {
         let line = |row: &Vec<String>| {
             let cells = columns.iter().map(|column| {
                 let (cell, width) = (cut(&row[*column], widths[*column]), widths[*column]);
-                if right[*column] {
-                    format!("{cell:>width$}")
-                } else {
-                    format!("{cell:<width$}")
-                }
+                if right[*column] { format!("{cell:>width$}") } else { format!("{cell:<width$}") }
             });
             let cells: Vec<String> = cells.collect();
             cells.join(GAP).trim_end().to_owned()
@@ -171,15 +158,11 @@ impl<T> From<Columns<T>> for Table {
 }
 
 pub(super) fn padded(row: &[Cell], width: usize) -> impl Iterator<Item = Cell> + '_ {
-    row.iter()
-        .cloned()
-        .chain(std::iter::repeat_with(Cell::default))
-        .take(width)
+    row.iter().cloned().chain(std::iter::repeat_with(Cell::default)).take(width)
 }
 
 /// Whether a cell is to be kept on one line: it begins like a number.
 pub(super) fn is_number(text: &str) -> bool {
-    text.trim_start_matches(['-', '(', '+'])
-        .starts_with(|c: char| c.is_ascii_digit())
+    text.trim_start_matches(['-', '(', '+']).starts_with(|c: char| c.is_ascii_digit())
         && text.len() < 40
 }

@@ -32,9 +32,7 @@ fn parameters(
         }
     }
     let shown = |key: &str| {
-        let same = keys
-            .iter()
-            .filter(|other| short_key(other) == short_key(key));
+        let same = keys.iter().filter(|other| short_key(other) == short_key(key));
         let is_alone = same.count() == 1;
         Cell::code(if is_alone { short_key(key) } else { key })
     };
@@ -54,10 +52,7 @@ fn parameters(
     let models: &[_] = if before.is_empty() {
         &[("found ± std", "verdict", after)]
     } else {
-        &[
-            ("before ± std", "verdict before", before),
-            ("after ± std", "verdict", after),
-        ]
+        &[("before ± std", "verdict before", before), ("after ± std", "verdict", after)]
     };
     for (value, verdict, found) in models {
         let cells =
@@ -143,21 +138,14 @@ pub(super) fn about(document: &mut Document, context: &Context) {
         ("serial number", identity("serial number")),
         ("motor", &context.motor),
     ];
-    document.about(
-        facts
-            .map(|(label, value)| (label.to_owned(), told(value)))
-            .into(),
-    );
+    document.about(facts.map(|(label, value)| (label.to_owned(), told(value))).into());
 }
 
 /// What is to be known of the data before any figure is believed; nothing where there is nothing.
 pub(super) fn data_notes(document: &mut Document, context: &Context) {
     let mut notes = context.notes.clone();
     if context.rows_dropped > 0 {
-        notes.push(format!(
-            "Rows of the file that were dropped: {}.",
-            context.rows_dropped
-        ));
+        notes.push(format!("Rows of the file that were dropped: {}.", context.rows_dropped));
     }
     document.section("About the data");
     document.say("note", notes, 1);
@@ -175,10 +163,7 @@ pub(super) fn conditions(document: &mut Document, context: &Context) {
         document.facts(context.plan.clone());
     }
     document.section("Repeat this");
-    let seed = context
-        .seed
-        .as_ref()
-        .map_or("none".to_owned(), u64::to_string);
+    let seed = context.seed.as_ref().map_or("none".to_owned(), u64::to_string);
     let mut facts: Facts = vec![("seed".to_owned(), seed)];
     facts.extend(context.versions.iter().cloned());
     for (position, folder) in context.run_folders.iter().enumerate() {

@@ -40,10 +40,7 @@ pub struct Row {
 impl Row {
     fn of(text: impl Into<String>) -> Self {
         let text = text.into();
-        Self {
-            text,
-            ..Self::default()
-        }
+        Self { text, ..Self::default() }
     }
 }
 
@@ -58,10 +55,7 @@ fn labelled(label: &str, texts: Vec<String>, width: usize) -> Vec<Row> {
     let (wide, mut rows) = (width >= WIDE, Vec::new());
     if !wide && !label.is_empty() && !texts.is_empty() {
         let label = cut(label, width);
-        rows.push(Row {
-            label,
-            text: String::new(),
-        });
+        rows.push(Row { label, text: String::new() });
     }
     let indent = if wide { LABEL } else { INDENT };
     rows.extend(texts.into_iter().enumerate().map(|(place, text)| {
@@ -85,11 +79,7 @@ impl Block {
         let room = room(width);
         let short = |text: &str| shortened(text, room, most);
         let texts = match &self.content {
-            Content::List(all) => all
-                .iter()
-                .take(shown)
-                .flat_map(|text| short(text))
-                .collect(),
+            Content::List(all) => all.iter().take(shown).flat_map(|text| short(text)).collect(),
             Content::Paragraph(text) => short(text),
             Content::Facts(all) => {
                 let shown = all.iter().take(shown);
@@ -134,10 +124,7 @@ impl Block {
                 let label = self.label.as_str();
                 let label = (!label.is_empty()).then(|| Row::of(label));
                 let rows = table.with_notes(width);
-                label
-                    .into_iter()
-                    .chain(rows.into_iter().map(Row::of))
-                    .collect()
+                label.into_iter().chain(rows.into_iter().map(Row::of)).collect()
             }
             _ => self.on_card(self.content.entries(), width, usize::MAX),
         }
@@ -156,10 +143,7 @@ impl Document {
 
     /// All that is meant for a card, in rows of this width.
     pub fn rows(&self, width: usize) -> Vec<Row> {
-        let shown: Vec<usize> = self
-            .of_card()
-            .map(|block| block.content.entries())
-            .collect();
+        let shown: Vec<usize> = self.of_card().map(|block| block.content.entries()).collect();
         self.with(&shown, width, usize::MAX)
     }
 
@@ -168,10 +152,7 @@ impl Document {
         let width = width.min(COLUMNS);
         let least = |block: &Block| block.least.unwrap_or(0);
         let least: Vec<usize> = self.of_card().map(least).collect();
-        let mut shown: Vec<usize> = self
-            .of_card()
-            .map(|block| block.content.entries())
-            .collect();
+        let mut shown: Vec<usize> = self.of_card().map(|block| block.content.entries()).collect();
         let mut rows = self.with(&shown, width, MOST_ROWS_OF_A_SENTENCE);
         while rows.len() > LINES {
             // The longest list gives way first, of two the later one.
@@ -210,9 +191,7 @@ impl Document {
     /// The commands that follow, and the page.
     fn end(&self, width: usize) -> Vec<Row> {
         let commands = self.commands.iter();
-        let commands = commands
-            .flat_map(|text| command(text, room(width)))
-            .collect();
+        let commands = commands.flat_map(|text| command(text, room(width))).collect();
         let mut rows = labelled("next", commands, width);
         // To be copied: it is not broken.
         rows.extend(self.page.clone().map(Row::of));
@@ -223,9 +202,8 @@ impl Document {
     fn with(&self, shown: &[usize], width: usize, most: usize) -> Vec<Row> {
         let mut rows = self.headline(width, most.max(MOST_ROWS));
         let blocks = self.of_card().zip(shown);
-        let body: Vec<Row> = blocks
-            .flat_map(|(block, shown)| block.on_card(*shown, width, most))
-            .collect();
+        let body: Vec<Row> =
+            blocks.flat_map(|(block, shown)| block.on_card(*shown, width, most)).collect();
         let breaks_off = body.iter().any(|row| row.text.ends_with(MARK));
         rows.extend(body);
         let all: usize = self.of_card().map(|block| block.content.entries()).sum();
@@ -257,9 +235,7 @@ fn command(text: &str, width: usize) -> Vec<String> {
     const MARK: &str = " \\";
     let mut rows: Vec<String> = Vec::new();
     let mut pieces = text.split(" --").enumerate();
-    let mut row = pieces
-        .next()
-        .map_or_else(String::new, |(_, first)| first.to_owned());
+    let mut row = pieces.next().map_or_else(String::new, |(_, first)| first.to_owned());
     for (_, piece) in pieces {
         let piece = format!(" --{piece}");
         if row.chars().count() + piece.chars().count() + MARK.len() <= width {
@@ -276,9 +252,7 @@ fn command(text: &str, width: usize) -> Vec<String> {
 /// Each bar in cells of the longest; what is there has a cell of its own, however short. Below them what they are of.
 fn bars_in_cells(all: &Bars, shown: usize, width: usize) -> Vec<String> {
     let lengths = all.bars.iter().map(|bar| bar.1);
-    let largest = lengths
-        .filter(|length| length.is_finite())
-        .fold(0.0, f64::max);
+    let largest = lengths.filter(|length| length.is_finite()).fold(0.0, f64::max);
     let widest = all.bars.iter().map(|(name, ..)| name.chars().count()).max();
     let name_width = widest.unwrap_or(0).min(width / 2);
     let longest = width.saturating_sub(name_width + FIGURE + 4).min(LONGEST);
@@ -286,10 +260,7 @@ fn bars_in_cells(all: &Bars, shown: usize, width: usize) -> Vec<String> {
         let name = cut(name, name_width);
         let is_reached = |cell: &usize| length * longest as f64 > *cell as f64 * largest;
         let cells = (0..longest).filter(is_reached).count();
-        let row = format!(
-            "{name:<name_width$}  {figure:>FIGURE$}  {}",
-            "█".repeat(cells)
-        );
+        let row = format!("{name:<name_width$}  {figure:>FIGURE$}  {}", "█".repeat(cells));
         cut(row.trim_end(), width)
     };
     let rows = all.bars.iter().take(shown).map(row);
@@ -351,10 +322,8 @@ mod tests {
     #[test]
     fn a_screen_shows_the_whole_card_and_full_text_every_block() {
         for width in [78, 118] {
-            for (rows, has_all) in [
-                (document().rows(width), false),
-                (document().full(width), true),
-            ] {
+            for (rows, has_all) in [(document().rows(width), false), (document().full(width), true)]
+            {
                 let rows: Vec<String> = rows.iter().map(Row::to_string).collect();
                 let mut of_table = rows.iter();
                 let last = of_table.find(|row| row.contains("parameter_39_")).unwrap();
@@ -373,11 +342,7 @@ mod tests {
         let rows = command(text, 27);
         assert_eq!(rows, ["drivebench add x --run a \\", "    --holdout b"]);
         let joined = rows.join("\n").replace("\\\n", " ");
-        let words = |text: &str| {
-            text.split_whitespace()
-                .map(str::to_owned)
-                .collect::<Vec<_>>()
-        };
+        let words = |text: &str| text.split_whitespace().map(str::to_owned).collect::<Vec<_>>();
         assert_eq!(words(&joined), words(text));
     }
 }

@@ -34,10 +34,7 @@ pub(crate) fn fitted(effects: &[&str]) -> Fitted {
 }
 
 pub(crate) fn rung(effects: Vec<&'static str>, holdout_rmse: f64) -> Rung {
-    Rung {
-        effects,
-        holdout_rmse,
-    }
+    Rung { effects, holdout_rmse }
 }
 
 /// An effect that takes the held-out error from 5.1 to `after`; its first parameter is estimated where it is supported.
@@ -133,11 +130,8 @@ pub(crate) fn diagnosis() -> Diagnosis {
 
 /// Two runs for a pair that is not told apart: the dither is above any constant, and below what this pair needs.
 pub(crate) fn next_experiment() -> NextExperiment {
-    let entry = |program, expected_separation| MenuEntry {
-        program,
-        expected_separation,
-        needed: 612.0,
-    };
+    let entry =
+        |program, expected_separation| MenuEntry { program, expected_separation, needed: 612.0 };
     NextExperiment {
         sentence: "run a slow ramp over the whole speed".to_owned(),
         bench: None,
@@ -253,18 +247,8 @@ pub(crate) fn document() -> Document {
         ),
     );
     let parameters = [
-        (
-            "resistance_ohm",
-            "1.1",
-            "1.1432 ± 0.0041",
-            "1.1003 ± 0.0007",
-        ),
-        (
-            "back_emf_v_s_per_rad",
-            "0.3538",
-            "0.35407 ± 0.00040",
-            "0.35381 ± 0.00003",
-        ),
+        ("resistance_ohm", "1.1", "1.1432 ± 0.0041", "1.1003 ± 0.0007"),
+        ("back_emf_v_s_per_rad", "0.3538", "0.35407 ± 0.00040", "0.35381 ± 0.00003"),
         ("quadratic_n_m_s2_per_rad2", "-", "-", "(2.012 ± 0.031)e-6"),
     ];
     let table = Table::of(parameters)

@@ -58,10 +58,7 @@ fn context() -> Context {
         target: Target::Emulator,
         date: "2026-01-02 03:04:05 UTC".into(),
         motor: "ZK-22FC".into(),
-        run_folders: vec![
-            "20260102T030405Z-fit".into(),
-            "20260102T030420Z-select".into(),
-        ],
+        run_folders: vec!["20260102T030405Z-fit".into(), "20260102T030420Z-select".into()],
         identity: vec![("product".into(), "drivebench software drive <1>".into())],
         plan: vec![("peak current".into(), "9.1 A of 30 A".into())],
         link: vec![("exchanges".into(), "2000 sent, 1999 ok, 1 timeout".into())],
@@ -129,29 +126,17 @@ fn the_text_says_the_verdict_first_and_everything_with_its_uncertainty() {
     assert_balanced(&html);
     assert!(html.contains("software drive &lt;1&gt;"));
     // On hardware nobody knows the truth, whatever the caller passes.
-    let hardware = Context {
-        target: Target::Hardware,
-        ..context()
-    };
-    let on_hardware = CommissionReport {
-        context: &hardware,
-        ..report.clone()
-    };
-    assert!(
-        report
-            .document()
-            .markdown()
-            .contains("Truth of the emulator")
-    );
+    let hardware = Context { target: Target::Hardware, ..context() };
+    let on_hardware = CommissionReport { context: &hardware, ..report.clone() };
+    assert!(report.document().markdown().contains("Truth of the emulator"));
     assert!(!on_hardware.document().markdown().contains("Truth"));
     assert!(!html.contains("http"), "nothing is fetched from elsewhere");
 }
 
 /// Staircase both ways with passages through zero; `shift` makes another run of it.
 fn record(model: &Model, shift: usize, seed: u64) -> Scenario {
-    let levels = [
-        30.0, 60.0, 90.0, 40.0, 3.0, -3.0, -40.0, -90.0, -50.0, 4.0, 0.0, 70.0, -70.0, 20.0,
-    ];
+    let levels =
+        [30.0, 60.0, 90.0, 40.0, 3.0, -3.0, -40.0, -90.0, -50.0, 4.0, 0.0, 70.0, -70.0, 20.0];
     let level = |step: usize| levels[(step + 3 * shift) % levels.len()];
     let steps = (0..levels.len()).map(|step| (0.5 + 0.5 * step as f64, level(step)));
     let events = std::iter::once((0.0, 0.0)).chain(steps).collect();
@@ -210,9 +195,7 @@ fn commission(truth: &Model, name: &str) -> String {
 
 #[test]
 fn the_page_of_a_real_diagnosis_is_whole_and_names_the_effect() {
-    let mut truth = Model::baseline(Motor::zk_22fc())
-        .with_effect("stribeck_friction")
-        .unwrap();
+    let mut truth = Model::baseline(Motor::zk_22fc()).with_effect("stribeck_friction").unwrap();
     truth.effects[0].values = vec![Some(0.12), Some(9.0)];
     let html = commission(&truth, "commission");
     assert_balanced(&html);
@@ -221,11 +204,7 @@ fn the_page_of_a_real_diagnosis_is_whole_and_names_the_effect() {
         let label = format!("data-label=\"{series}\"");
         assert!(html.contains(&label), "{series}");
     }
-    assert!(
-        !html.contains("NaN") && html.len() < 600_000,
-        "{}",
-        html.len()
-    );
+    assert!(!html.contains("NaN") && html.len() < 600_000, "{}", html.len());
 }
 
 #[test]
@@ -276,16 +255,8 @@ fn a_run_tells_from_what_its_own_diagnosis_asks_for() {
     let mut found = diagnosis();
     found.verdict = DiagnosisVerdict::Ambiguous;
     for (pair, figure, verdicts) in [
-        (
-            next_experiment().pair,
-            "expected separation",
-            [">tells", ">does not"],
-        ),
-        (
-            None,
-            "foreseen precision",
-            [">shows at least one", ">promises none"],
-        ),
+        (next_experiment().pair, "expected separation", [">tells", ">does not"]),
+        (None, "foreseen precision", [">shows at least one", ">promises none"]),
     ] {
         let next = next_experiment();
         found.next_experiment = Some(NextExperiment { pair, ..next });
@@ -312,16 +283,9 @@ fn a_bound_is_in_the_unit_of_what_gives_the_effect_its_size() {
     ] {
         let own = candidate(1, effect, Status::RuledOut, 5.08);
         assert_eq!(own.at_most(), Some(format!("at most {bound}")), "{effect}");
-        assert_eq!(
-            own.seen_from(),
-            Some(format!("seen from {bound}")),
-            "{effect}"
-        );
+        assert_eq!(own.seen_from(), Some(format!("seen from {bound}")), "{effect}");
         for unknown in [None, Some(f64::NAN)] {
-            let own = Candidate {
-                upper_bound: unknown,
-                ..own.clone()
-            };
+            let own = Candidate { upper_bound: unknown, ..own.clone() };
             assert_eq!(own.at_most(), None, "{effect} {unknown:?}");
         }
     }

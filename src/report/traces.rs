@@ -30,10 +30,7 @@ impl ConfirmRun {
         noise: &NoiseFloor,
     ) -> Result<Self, FitError> {
         let free_run = |model: &Model| RunTraces::free_run(model, run, noise);
-        Ok(Self {
-            before: free_run(before)?,
-            after: after.map(free_run).transpose()?,
-        })
+        Ok(Self { before: free_run(before)?, after: after.map(free_run).transpose()? })
     }
 }
 
@@ -56,11 +53,7 @@ pub(super) fn traces(document: &mut Document, run: &ConfirmRun) {
 
 /// What the models before and after are called.
 pub(super) const fn model_names(changed: bool) -> [&'static str; 2] {
-    if changed {
-        ["model before", "model after"]
-    } else {
-        ["model", ""]
-    }
+    if changed { ["model before", "model after"] } else { ["model", ""] }
 }
 
 /// Input, both signals and both residuals over one time axis.
@@ -89,15 +82,8 @@ fn signal_panels(run: &ConfirmRun, own: &SignalTrace) -> (Panel, Panel) {
     let mut after = after.filter(|other| other.quantity == own.quantity);
     let after = after.next();
     let [before_name, after_name] = model_names(after.is_some());
-    let style = if after.is_some() {
-        Style::Before
-    } else {
-        Style::After
-    };
-    let models = [
-        (before_name, style, Some(own)),
-        (after_name, Style::After, after),
-    ];
+    let style = if after.is_some() { Style::Before } else { Style::After };
+    let models = [(before_name, style, Some(own)), (after_name, Style::After, after)];
     for (label, style, trace) in models {
         let Some(trace) = trace else { continue };
         signal = signal.sampled(label, style, &own.time_s, &trace.model);

@@ -106,10 +106,7 @@ pub struct DriveCell(Arc<Mutex<DriveWord>>);
 
 impl DriveCell {
     pub fn get(&self) -> DriveWord {
-        self.0
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .clone()
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     pub(crate) fn set(&self, word: DriveWord) {

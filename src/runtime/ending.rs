@@ -96,10 +96,7 @@ pub fn conduct<T: Send + 'static>(
             let (controls, ends) = Controls::new(SnapshotCell::heard_by(listener));
             signals::pull(ends)?;
             let work = alone(controls, notices, work)?;
-            Ok(Ended {
-                work,
-                left: Left::Headless,
-            })
+            Ok(Ended { work, left: Left::Headless })
         }
         Audience::Screen(progress) => on_screen(progress, None, work),
         Audience::Leads(leads) => on_screen(None, Some(leads), work),
@@ -201,9 +198,8 @@ pub fn beside_screen<T: Send + 'static>(
         return Err(unfinished(left, &ends.drive.get()));
     }
     let drive = ends.drive.clone();
-    let done = thread
-        .join()
-        .unwrap_or_else(|panic| Err(bench_panicked(panic.as_ref(), &drive.get())));
+    let done =
+        thread.join().unwrap_or_else(|panic| Err(bench_panicked(panic.as_ref(), &drive.get())));
     match done {
         Ok(work) => Ok(Ended { work, left }),
         Err(failure) => Err(left
@@ -269,11 +265,8 @@ pub(crate) fn watched(
             waited_s += LOOK.as_secs_f64();
         }
         if waited_s > SCREEN_S {
-            let reason = if closed {
-                "the terminal is gone"
-            } else {
-                "the terminal takes nothing any more"
-            };
+            let reason =
+                if closed { "the terminal is gone" } else { "the terminal takes nothing any more" };
             return Ok(Watched::Failed(reason.to_owned()));
         }
         thread::sleep(LOOK);
@@ -348,10 +341,7 @@ fn bench_panicked(panic: &(dyn Any + Send), drive: &DriveWord) -> Failure {
             "the drive was told to stop; see that the motor stands still".to_owned()
         }
     };
-    Failure::internal(format!(
-        "the bench has panicked ({}); {stopped}",
-        said(panic)
-    ))
+    Failure::internal(format!("the bench has panicked ({}); {stopped}", said(panic)))
 }
 
 /// The words of a panic.

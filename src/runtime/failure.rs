@@ -31,19 +31,11 @@ pub struct Failure {
 
 impl Failure {
     pub fn new(status: u8, headline: impl Into<String>) -> Self {
-        Self {
-            status,
-            headline: headline.into(),
-            help: None,
-        }
+        Self { status, headline: headline.into(), help: None }
     }
 
     pub fn with_help(status: u8, headline: impl Into<String>, help: impl Into<String>) -> Self {
-        Self {
-            status,
-            headline: headline.into(),
-            help: Some(help.into()),
-        }
+        Self { status, headline: headline.into(), help: Some(help.into()) }
     }
 
     /// With this next step, where there is one.
@@ -160,10 +152,7 @@ const fn usage_if(is_usage: bool, otherwise: u8) -> u8 {
 }
 
 const fn is_of_the_model(error: &LoadError) -> bool {
-    matches!(
-        error,
-        LoadError::Incomplete { .. } | LoadError::Value { .. }
-    )
+    matches!(error, LoadError::Incomplete { .. } | LoadError::Value { .. })
 }
 
 impl From<ConfigError> for Failure {

@@ -227,10 +227,7 @@ impl Recorded {
 
     /// Writes `result.json`; a disk that does not take it is told of and no end.
     pub(crate) fn write_result<T: Serialize>(&mut self, result: &T) {
-        let kept = KeptResult {
-            result,
-            online: &self.online,
-        };
+        let kept = KeptResult { result, online: &self.online };
         match serde_json::to_string_pretty(&kept) {
             Ok(text) => drop(self.write(RunFile::Result, &text)),
             Err(error) => self.note(&format!("the result has no JSON form: {error}")),
@@ -336,12 +333,7 @@ pub(crate) fn early_end(
     let by_hand = "it was ended by hand";
     let (status, tone, title, reason) = match outcome {
         Outcome::Done if unstopped.is_none() => return None,
-        Outcome::Done => (
-            LINK,
-            Tone::Bad,
-            "Stop not confirmed",
-            "the sequence went to its end",
-        ),
+        Outcome::Done => (LINK, Tone::Bad, "Stop not confirmed", "the sequence went to its end"),
         Outcome::Stopped => (INTERRUPTED, Tone::Attention, "Stopped", by_hand),
         Outcome::Interrupted => (INTERRUPTED, Tone::Attention, "Interrupted", by_hand),
         Outcome::Tripped(trip) => (TRIP, Tone::Bad, "Safety trip", trip.reason.as_str()),
@@ -405,9 +397,7 @@ mod tests {
 
     #[test]
     fn a_run_whose_drive_did_not_confirm_its_stop_never_ends_as_stopped() {
-        let lost = Outcome::LinkLost {
-            reason: "gone".to_owned(),
-        };
+        let lost = Outcome::LinkLost { reason: "gone".to_owned() };
         for (outcome, sure, unsure) in [
             (Outcome::Done, None, LINK),
             (Outcome::Stopped, Some(INTERRUPTED), LINK),

@@ -209,10 +209,7 @@ pub(crate) fn wired_profile(bench: &mut BenchFile) -> Result<(DriveProfile, Stri
     bench.drive_facts = DriveFacts::of(&profile);
     if let Some((key, value, most)) = bench.beyond_drive() {
         return Err(Failure::usage(
-            format!(
-                "{key} = {value}: the drive profile {} allows at most {most}",
-                profile.name
-            ),
+            format!("{key} = {value}: the drive profile {} allows at most {most}", profile.name),
             "lower it in the bench file, or correct [limits] of the drive's profile",
         ));
     }
@@ -254,9 +251,7 @@ impl Tap {
         };
         output::refuse_existing(path, "--tap")?;
         let file = TapFile::create(path, now().into());
-        Ok(Self(Some(
-            file.map_err(|e| output::cannot_write(path, &e))?,
-        )))
+        Ok(Self(Some(file.map_err(|e| output::cannot_write(path, &e))?)))
     }
 
     pub(crate) fn file(&self) -> Option<&TapFile> {
@@ -310,12 +305,7 @@ impl Reopener {
         limit_s: Option<f64>,
         open: impl Fn() -> Result<Box<dyn DriveLink>, LinkError> + Send + 'static,
     ) -> Self {
-        Self {
-            link: link.to_owned(),
-            limit_s,
-            open: Box::new(move |_, _| open()),
-            path: None,
-        }
+        Self { link: link.to_owned(), limit_s, open: Box::new(move |_, _| open()), path: None }
     }
 
     /// Who else has the serial port open, in a sentence: what another program reads of it is missing here.
@@ -327,10 +317,7 @@ impl Reopener {
     }
 }
 
-#[expect(
-    clippy::disallowed_methods,
-    reason = "the stamp of a run folder is wall-clock time"
-)]
+#[expect(clippy::disallowed_methods, reason = "the stamp of a run folder is wall-clock time")]
 pub(crate) fn now() -> jiff::Timestamp {
     jiff::Timestamp::now()
 }

@@ -28,9 +28,7 @@ pub fn result<T: Serialize>(
     json: bool,
     text: impl FnOnce(&T) -> String,
 ) -> Result<(), Failure> {
-    unfolded(value, json, |value| {
-        folded(&text(value), columns()).join("\n")
-    })
+    unfolded(value, json, |value| folded(&text(value), columns()).join("\n"))
 }
 
 /// The same with the lines of the text as they are: what is read by a program, or is fitted already.
@@ -63,10 +61,7 @@ pub(crate) fn document<T: Serialize>(
     unfolded(value, json, |_| {
         if full {
             let rows = document.full(columns());
-            rows.iter()
-                .map(Row::to_string)
-                .collect::<Vec<_>>()
-                .join("\n")
+            rows.iter().map(Row::to_string).collect::<Vec<_>>().join("\n")
         } else {
             document.card(columns())
         }
@@ -85,9 +80,7 @@ pub(crate) fn columns() -> usize {
 
 fn columns_of(stream: &impl IsTerminal) -> usize {
     let own = stream.is_terminal().then(crossterm::terminal::size);
-    let own = own
-        .and_then(Result::ok)
-        .map(|(columns, _)| usize::from(columns));
+    let own = own.and_then(Result::ok).map(|(columns, _)| usize::from(columns));
     own.map_or(COLUMNS, |own| own.clamp(FEWEST_COLUMNS, COLUMNS))
 }
 
@@ -138,10 +131,7 @@ pub(crate) fn ask(question: &str) -> Option<String> {
 /// Results are never overwritten; to be asked before the work, with the option that named the file.
 pub(crate) fn refuse_existing(path: &Path, option: &str) -> Result<(), Failure> {
     if path.exists() {
-        let headline = format!(
-            "{}: exists already, and nothing is overwritten",
-            path.display()
-        );
+        let headline = format!("{}: exists already, and nothing is overwritten", path.display());
         let help = format!("give another name to {option}, or move this one away");
         return Err(Failure::usage(headline, help));
     }
@@ -211,12 +201,8 @@ pub(crate) fn is_aside() -> bool {
 
 /// A message for the person at the terminal, above the progress line.
 pub fn message(text: &str) {
-    let is_taken = ASIDE.with_borrow_mut(|aside| {
-        aside
-            .as_mut()
-            .map(|said| said.push(text.to_owned()))
-            .is_some()
-    });
+    let is_taken = ASIDE
+        .with_borrow_mut(|aside| aside.as_mut().map(|said| said.push(text.to_owned())).is_some());
     if is_taken {
         return;
     }

@@ -27,10 +27,7 @@ const FALLBACK_COLUMNS: u16 = 80;
 /// Back to the first column, and nothing to the right of it.
 const WIPE: &str = "\r\x1b[K";
 
-static LINE: Mutex<Line> = Mutex::new(Line {
-    work: None,
-    is_drawn: false,
-});
+static LINE: Mutex<Line> = Mutex::new(Line { work: None, is_drawn: false });
 static ENDED: Condvar = Condvar::new();
 
 /// The line of the process.
@@ -99,10 +96,7 @@ impl Work {
         let stage_s = now.duration_since(self.stage_begun).as_secs_f64();
         if let Some(left_s) = left_s(stage_s, self.done, self.of) {
             let rate = significant(self.done as f64 / stage_s, 2);
-            let _ = write!(
-                text,
-                ", {rate} a second, about {left_s:.0} s left in this step"
-            );
+            let _ = write!(text, ", {rate} a second, about {left_s:.0} s left in this step");
         }
         text
     }
@@ -142,10 +136,7 @@ pub fn begin(command: &'static str) -> Shown {
     let ticker = || {
         let mut line = lock();
         while line.work.is_some() {
-            line = ENDED
-                .wait_timeout(line, REDRAW)
-                .unwrap_or_else(PoisonError::into_inner)
-                .0;
+            line = ENDED.wait_timeout(line, REDRAW).unwrap_or_else(PoisonError::into_inner).0;
             line.draw(Instant::now());
         }
         line.wipe();
@@ -238,10 +229,7 @@ mod tests {
         (work.done, work.of) = (50, 5000);
         let text = work.text(now);
         let begins = "analyse: excites, 50 of 5000, 30 s, 2.5 a second, about ";
-        assert!(
-            text.starts_with(begins) && text.ends_with(" s left in this step"),
-            "{text}"
-        );
+        assert!(text.starts_with(begins) && text.ends_with(" s left in this step"), "{text}");
     }
 
     #[test]

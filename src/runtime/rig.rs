@@ -255,9 +255,7 @@ impl Rig {
         })?;
         self.answered = Some(report.identity.clone());
         if controls.is_stopped() {
-            return Err(Failure::interrupted(
-                "interrupted in the checks; nothing is energised",
-            ));
+            return Err(Failure::interrupted("interrupted in the checks; nothing is energised"));
         }
         if let Some(item) = report.refusal() {
             let headline = format!("{}: {}", item.name, item.text);
@@ -275,13 +273,7 @@ impl Rig {
     pub(crate) fn plan(&self, seed: u64) -> Result<Plan, Failure> {
         let (program, plate) = (self.program(seed)?, self.nameplate()?);
         let (limits, rate_hz) = (self.bench.limits(), self.bench.link.rate_hz);
-        let plan = plan(
-            &program,
-            &plate,
-            &limits,
-            rate_hz,
-            self.drive_current_limit_a(),
-        )?;
+        let plan = plan(&program, &plate, &limits, rate_hz, self.drive_current_limit_a())?;
         if let Some(refusal) = plan.refusals.first() {
             let headline = format!("plan refused: {refusal}");
             return Err(Failure::usage(headline, refusal.help()));
@@ -328,12 +320,7 @@ impl Rig {
         let hold_v = brake.map_or(0.0, |brake| brake.hold_current_a * motor.resistance_ohm);
         let session = Session::holding(Box::new(self.program(seed)?), guard, hold_v)
             .with_burst_at(self.bench.runs.burst_at.map(|part| part - 1));
-        let run = Planned {
-            session,
-            motor: Some(motor),
-            follows: false,
-            speed: None,
-        };
+        let run = Planned { session, motor: Some(motor), follows: false, speed: None };
         self.record_session(name, seed, run, controls)
     }
 
@@ -382,12 +369,7 @@ impl Rig {
         let file = self.bench.name.clone();
         let session = stage_session(&self.bench, stage)
             .map_err(|error| Failure::from(BenchFileError::Sequence { file, error }))?;
-        let run = Planned {
-            session,
-            motor: None,
-            follows,
-            speed: None,
-        };
+        let run = Planned { session, motor: None, follows, speed: None };
         self.record_session(name, self.bench.runs.fit, run, controls)
     }
 
@@ -475,10 +457,7 @@ impl Rig {
         self.has_recorded = true;
         summary.rows = kept.status.rows as u64;
         summary.recorder_error.clone_from(&kept.status.error);
-        let shown = Snapshot {
-            rows: summary.rows,
-            ..(*controls.snapshots.latest()).clone()
-        };
+        let shown = Snapshot { rows: summary.rows, ..(*controls.snapshots.latest()).clone() };
         controls.snapshots.publish(shown);
         manifest.finished = true;
         manifest.rows = Some(kept.status.rows);
@@ -518,13 +497,7 @@ impl Rig {
             Err(error) if self.has_recorded => {
                 let folder = RunFolder::unmade(&self.asked.out, &manifest.stamp, name);
                 let in_memory = Recorder::without_disk;
-                Ok(in_memory(
-                    folder,
-                    layout.clone(),
-                    manifest,
-                    sync_every,
-                    &error,
-                )?)
+                Ok(in_memory(folder, layout.clone(), manifest, sync_every, &error)?)
             }
             made => Ok(made?),
         }
@@ -565,10 +538,7 @@ impl Rig {
     ) {
         let reopener = self.way.reopener.as_ref();
         let has_lost = summary.link.sent > summary.link.ok;
-        let Some(text) = reopener
-            .filter(|_| has_lost)
-            .and_then(Reopener::other_reader)
-        else {
+        let Some(text) = reopener.filter(|_| has_lost).and_then(Reopener::other_reader) else {
             return;
         };
         let time_s = self.way.clock.now_s() + summary.end.drive_minus_host_s;
@@ -597,10 +567,8 @@ impl Rig {
             return;
         };
         // Beside a screen somebody sits who ends it.
-        let default_s = self
-            .asked
-            .headless
-            .then(|| check.identity.watchdog_s.unwrap_or(0.0) + PATIENCE_S);
+        let default_s =
+            self.asked.headless.then(|| check.identity.watchdog_s.unwrap_or(0.0) + PATIENCE_S);
         let limit_s = reopener.limit_s.or(default_s);
         if limit_s == Some(0.0) {
             return;
@@ -732,14 +700,7 @@ impl Opened {
             let target = target(&address, bench)?;
             Some(Reopener::of(&target, real.origin(), options.reopen_s))
         };
-        Ok(Self {
-            link,
-            clock,
-            reopener,
-            tap,
-            _server: server,
-            emulator,
-        })
+        Ok(Self { link, clock, reopener, tap, _server: server, emulator })
     }
 }
 

@@ -264,11 +264,7 @@ impl Owned {
                 kept(&others).push(format!("thread {name:?}: {info}"));
             }
         }));
-        Ok(Self {
-            terminal: ManuallyDrop::new(terminal),
-            previous,
-            elsewhere,
-        })
+        Ok(Self { terminal: ManuallyDrop::new(terminal), previous, elsewhere })
     }
 
     /// Gives the terminal back and halts the program, with everything that was started with it, until it is in the
@@ -301,10 +297,7 @@ fn halt_group() -> io::Result<bool> {
     let goes_on = Arc::new(AtomicBool::new(false));
     let watch = signal_hook::flag::register(SIGCONT, Arc::clone(&goes_on))?;
     let default = SigAction::new(SigHandler::SigDfl, SaFlags::empty(), SigSet::empty());
-    #[expect(
-        unsafe_code,
-        reason = "there is no safe way to the default of a signal"
-    )]
+    #[expect(unsafe_code, reason = "there is no safe way to the default of a signal")]
     // SAFETY: the default action runs nothing of ours, and what is put back is what was there.
     let before = unsafe { sigaction(Signal::SIGTSTP, &default) }?;
     let sent = kill(Pid::from_raw(0), Signal::SIGTSTP);
@@ -371,12 +364,7 @@ mod tests {
     }
 
     fn mouse(kind: MouseEventKind) -> TerminalEvent {
-        TerminalEvent::Mouse(MouseEvent {
-            kind,
-            column: 7,
-            row: 3,
-            modifiers: KeyModifiers::NONE,
-        })
+        TerminalEvent::Mouse(MouseEvent { kind, column: 7, row: 3, modifiers: KeyModifiers::NONE })
     }
 
     #[test]

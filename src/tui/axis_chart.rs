@@ -28,19 +28,14 @@ pub(super) fn axis_chart(chart: &AxisChart, cursor: Option<f64>, area: Rect, buf
     }
     let room = usize::from((area.height - 1) / SMALLEST).max(1);
     let panels = &chart.panels[..room.min(chart.panels.len())];
-    let heights = panels
-        .iter()
-        .map(|panel| Constraint::Fill(panel.height as u16));
+    let heights = panels.iter().map(|panel| Constraint::Fill(panel.height as u16));
     let areas = Layout::vertical(heights.chain([Constraint::Length(1)])).split(area);
     for (place, (panel, area)) in panels.iter().zip(areas.iter()).enumerate() {
         let Some(values) = panel.values().filter(|_| area.height > 1) else {
             continue;
         };
         let title = title(chart, panel, cursor, place == 0);
-        let bounds = Bounds {
-            x: across,
-            y: values.rounded(),
-        };
+        let bounds = Bounds { x: across, y: values.rounded() };
         let inner = framed(&title, bounds.y, *area, buffer);
         draw(chart, panel, bounds, cursor, inner, buffer);
     }
@@ -52,35 +47,17 @@ pub(super) fn axis_chart(chart: &AxisChart, cursor: Option<f64>, area: Rect, buf
 /// What the chart shows of its axis.
 fn spanned(chart: &AxisChart) -> Option<Domain> {
     let across = chart.across()?;
-    Some(if chart.is_logarithmic {
-        across
-    } else {
-        across.padded(MARGIN)
-    })
+    Some(if chart.is_logarithmic { across } else { across.padded(MARGIN) })
 }
 
 fn beside_labels(area: Rect) -> Rect {
-    Rect {
-        x: area.x + LABELS,
-        width: area.width.saturating_sub(LABELS),
-        ..area
-    }
+    Rect { x: area.x + LABELS, width: area.width.saturating_sub(LABELS), ..area }
 }
 
 /// The point of the first set that is drawn nearest to this column.
 pub(super) fn point_at(chart: &AxisChart, column: u16, area: Rect) -> Option<usize> {
-    let bounds = Bounds {
-        x: spanned(chart)?,
-        y: UNUSED,
-    };
-    let points = chart
-        .panels
-        .first()?
-        .sets
-        .first()?
-        .points
-        .iter()
-        .enumerate();
+    let bounds = Bounds { x: spanned(chart)?, y: UNUSED };
+    let points = chart.panels.first()?.sets.first()?.points.iter().enumerate();
     let columns = points.filter_map(|(index, point)| {
         let drawn = bounds.column(point.at, beside_labels(area))?;
         Some((drawn.abs_diff(column), index))
@@ -122,11 +99,7 @@ fn title(chart: &AxisChart, panel: &AxisPanel, cursor: Option<f64>, first: bool)
         let sample = Stroke::Solid.sample();
         line.push_span(Span::styled(format!("  {sample} {name}"), theme::SPEED));
     }
-    if panel
-        .sets
-        .iter()
-        .any(|set| set.drawn != Drawn::Curve && set.drawn != Drawn::Faint)
-    {
+    if panel.sets.iter().any(|set| set.drawn != Drawn::Curve && set.drawn != Drawn::Faint) {
         line.push_span(Span::styled("  │ 95 %", theme::DIM));
     }
     if let Some(at) = cursor.filter(|_| first && chart.is_logarithmic) {
@@ -183,11 +156,7 @@ fn draw(
 fn curves(set: &PointSet, place: impl Fn(f64) -> f64, bounds: Bounds) -> Vec<Trace> {
     let line = |value: &dyn Fn(&Place) -> f64, stroke, style| {
         let points = set.points.iter().map(|point| {
-            let value = if point.is_known() {
-                value(point)
-            } else {
-                f64::NAN
-            };
+            let value = if point.is_known() { value(point) } else { f64::NAN };
             (place(point.at), value)
         });
         Trace::new(points.collect(), stroke, style)
@@ -201,10 +170,7 @@ fn curves(set: &PointSet, place: impl Fn(f64) -> f64, bounds: Bounds) -> Vec<Tra
                 let is_inside = (bounds.y.from..=bounds.y.to).contains(&point.value);
                 if is_inside { point.value } else { f64::NAN }
             };
-            vec![Trace {
-                longest_s: -1.0,
-                ..line(&inside, Stroke::Solid, theme::DIM)
-            }]
+            vec![Trace { longest_s: -1.0, ..line(&inside, Stroke::Solid, theme::DIM) }]
         }
         Drawn::Curve if set.style == Drawing::Measured => vec![
             line(&|point| point.low, Stroke::Dotted, theme::DIM),
@@ -239,10 +205,7 @@ fn axis(chart: &AxisChart, spanned: Domain, area: Rect, buffer: &mut Buffer) {
         return across([left, middle, &right], theme::DIM, area, buffer);
     }
     let inner = beside_labels(area);
-    let bounds = Bounds {
-        x: spanned,
-        y: UNUSED,
-    };
+    let bounds = Bounds { x: spanned, y: UNUSED };
     let unit = format!(" {unit}");
     buffer.set_stringn(area.x, area.y, unit, usize::from(LABELS), theme::DIM);
     let mut free = inner.x;

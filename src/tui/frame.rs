@@ -68,13 +68,9 @@ pub(super) fn text(lines: Vec<Line<'static>>, area: Rect, buffer: &mut Buffer) {
         _ => vec![line],
     });
     let lines: Vec<_> = broken.collect();
-    let needed = lines
-        .iter()
-        .map(|line| wrapped(&line.to_string(), width).len());
+    let needed = lines.iter().map(|line| wrapped(&line.to_string(), width).len());
     let is_cut = needed.sum::<usize>() > usize::from(area.height);
-    Paragraph::new(lines)
-        .wrap(Wrap { trim: false })
-        .render(area, buffer);
+    Paragraph::new(lines).wrap(Wrap { trim: false }).render(area, buffer);
     if is_cut {
         let y = area.bottom() - 1;
         let last = (area.x..area.right()).rfind(|x| buffer[(*x, y)].symbol() != " ");
@@ -102,9 +98,7 @@ pub(super) fn hints(
             lines.push(rest);
         }
         let lines = lines.into_iter();
-        let lines: Vec<_> = lines
-            .map(|row| Line::styled(format!(" {row}"), style))
-            .collect();
+        let lines: Vec<_> = lines.map(|row| Line::styled(format!(" {row}"), style)).collect();
         rows(&lines, area, buffer);
     } else {
         Line::styled(keys_that_fit(keys, always, width), theme::DIM).render(area, buffer);
@@ -149,9 +143,7 @@ pub(super) fn help(
 ) -> usize {
     let width = area.width.min(WIDEST);
     let lines = help_lines(on, meanings, usize::from(width.saturating_sub(4)));
-    let height = area
-        .height
-        .min(u16::try_from(lines.len() + 2).unwrap_or(u16::MAX));
+    let height = area.height.min(u16::try_from(lines.len() + 2).unwrap_or(u16::MAX));
     let place = Rect {
         x: area.x + (area.width - width) / 2,
         y: area.y + (area.height - height) / 2,
@@ -207,10 +199,8 @@ pub(super) fn titled(title: &str, area: Rect, buffer: &mut Buffer) -> Rect {
 pub(super) fn titled_with(title: &str, right: &str, area: Rect, buffer: &mut Buffer) -> Rect {
     let title = cut(title, usize::from(area.width).saturating_sub(2));
     let needed = title.chars().count() + right.chars().count() + 5;
-    let mut block = Block::new()
-        .borders(Borders::TOP)
-        .border_style(theme::DIM)
-        .title(format!(" {title} "));
+    let mut block =
+        Block::new().borders(Borders::TOP).border_style(theme::DIM).title(format!(" {title} "));
     if !right.is_empty() && needed <= usize::from(area.width) {
         block = block.title(Line::from(format!(" {right} ")).right_aligned());
     }
@@ -221,11 +211,7 @@ pub(super) fn titled_with(title: &str, right: &str, area: Rect, buffer: &mut Buf
 
 /// The full and the empty part of a bar of `length` cells.
 pub(super) fn bar(share: f64, length: usize) -> (String, String) {
-    let share = if share.is_finite() {
-        share.clamp(0.0, 1.0)
-    } else {
-        0.0
-    };
+    let share = if share.is_finite() { share.clamp(0.0, 1.0) } else { 0.0 };
     let full = ((share * length as f64).round() as usize).min(length);
     ("█".repeat(full), "░".repeat(length - full))
 }
@@ -297,10 +283,7 @@ mod tests {
         let keys = ["a add", "r remove", "e map"];
         for width in 16..60 {
             let shown = keys_that_fit(&keys, "? help  q leave", width);
-            assert!(
-                shown.chars().count() <= width && shown.ends_with("q leave"),
-                "{shown}"
-            );
+            assert!(shown.chars().count() <= width && shown.ends_with("q leave"), "{shown}");
         }
         assert!(keys_that_fit(&keys, "q", 60).starts_with(" a add  r remove  e map  q"));
     }

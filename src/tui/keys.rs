@@ -109,98 +109,38 @@ pub(super) enum On {
 
 /// The keys as the help shows them.
 const HELP: [(On, &str, &str); 34] = [
-    (
-        On::Every,
-        "Space Esc",
-        "STOP: ramp down; again: at once; without a motor: back",
-    ),
+    (On::Every, "Space Esc", "STOP: ramp down; again: at once; without a motor: back"),
     (On::Live, "s", "start, where the bench waits for it"),
     (On::Every, "q", "quit, when nothing is energised"),
     (On::Every, "Ctrl-C", "stop, then quit; 3 x: leave now"),
-    (
-        On::Every,
-        "Ctrl-Z",
-        "to the shell, once nothing is energised; fg comes back",
-    ),
+    (On::Every, "Ctrl-Z", "to the shell, once nothing is energised; fg comes back"),
     (On::Live, "Tab 1 2 3", "screens"),
     (On::Live, "f", "freeze the view, capture goes on"),
     (On::Live, "z", "zoom the time axis"),
     (On::Live, "m", "mark this moment in the record"),
     (On::Live, "k", "acknowledge (reset) a fault of the drive"),
     (On::Every, "Up Down", "scroll a page; select an effect"),
-    (
-        On::Live,
-        "Enter",
-        "what each step needs, unlocks, and its command",
-    ),
+    (On::Live, "Enter", "what each step needs, unlocks, and its command"),
     (On::Live, "d", "diagnosis by hand, after the run"),
     (On::Live, "v", "measured and model over time, after the run"),
-    (
-        On::Live,
-        "x",
-        "the run that would tell more, after the report",
-    ),
-    (
-        On::Live,
-        "l",
-        "the speed loop with what was found, after the report",
-    ),
-    (
-        On::Diagnosis,
-        "Enter",
-        "the card of the effect: equation, causes, remedy",
-    ),
-    (
-        On::Diagnosis,
-        "a",
-        "add it: judged on the hold-out; where refused, a again forces it",
-    ),
+    (On::Live, "x", "the run that would tell more, after the report"),
+    (On::Live, "l", "the speed loop with what was found, after the report"),
+    (On::Diagnosis, "Enter", "the card of the effect: equation, causes, remedy"),
+    (On::Diagnosis, "a", "add it: judged on the hold-out; where refused, a again forces it"),
     (On::Diagnosis, "r", "remove it: refused where it is needed"),
-    (
-        On::Diagnosis,
-        "e",
-        "signed error over speed x current, each equation in turn",
-    ),
-    (
-        On::Diagnosis,
-        "v",
-        "traces: measured and model over time, residual with its noise",
-    ),
-    (
-        On::Diagnosis,
-        "g",
-        "frequency response: magnitude, phase, coherence, resonances",
-    ),
+    (On::Diagnosis, "e", "signed error over speed x current, each equation in turn"),
+    (On::Diagnosis, "v", "traces: measured and model over time, residual with its noise"),
+    (On::Diagnosis, "g", "frequency response: magnitude, phase, coherence, resonances"),
     (On::Diagnosis, "j", "traces: the next of the worst places"),
     (On::Diagnosis, "+ - , .", "traces: zoom, pan"),
-    (
-        On::Diagnosis,
-        "Left Right",
-        "cursor of traces, curves and response",
-    ),
-    (
-        On::Diagnosis,
-        "o Tab",
-        "traces: choose signals; another run, or pathway of the response",
-    ),
+    (On::Diagnosis, "Left Right", "cursor of traces, curves and response"),
+    (On::Diagnosis, "o Tab", "traces: choose signals; another run, or pathway of the response"),
     (On::Response, "Tab", "the next pathway"),
     (On::Response, "Left Right", "cursor over frequency"),
-    (
-        On::Diagnosis,
-        "n",
-        "what these runs do not tell, and the run that would",
-    ),
-    (
-        On::Diagnosis,
-        "c t",
-        "error along its axis, the effect drawn through it; add a curve",
-    ),
+    (On::Diagnosis, "n", "what these runs do not tell, and the run that would"),
+    (On::Diagnosis, "c t", "error along its axis, the effect drawn through it; add a curve"),
     (On::Diagnosis, "u", "undo the last change by hand"),
-    (
-        On::Diagnosis,
-        "b",
-        "before and after the last change, in turn",
-    ),
+    (On::Diagnosis, "b", "before and after the last change, in turn"),
     (On::Diagnosis, "w", "write the model to a new file"),
     (On::Every, "?", "this help"),
 ];
@@ -208,8 +148,7 @@ const HELP: [(On, &str, &str); 34] = [
 /// The rows of the help for one kind of screen.
 pub(super) fn help(on: On) -> impl Iterator<Item = (&'static str, &'static str)> {
     let rows = HELP.iter();
-    rows.filter(move |row| row.0 == On::Every || row.0 == on)
-        .map(|row| (row.1, row.2))
+    rows.filter(move |row| row.0 == On::Every || row.0 == on).map(|row| (row.1, row.2))
 }
 
 /// Rows that a page key moves.
@@ -313,17 +252,12 @@ mod tests {
     #[test]
     fn the_help_names_every_key_that_does_something() {
         let named: Vec<&str> = HELP.iter().flat_map(|row| row.1.split(' ')).collect();
-        for word in [
-            "Space", "Esc", "Enter", "Tab", "Ctrl-C", "Up", "Down", "Left", "Right",
-        ] {
+        for word in ["Space", "Esc", "Enter", "Tab", "Ctrl-C", "Up", "Down", "Left", "Right"] {
             assert!(named.contains(&word), "{word}");
         }
         // `y` answers a question that names it.
         for (character, _) in CHARACTERS.iter().filter(|key| key.0 != 'y') {
-            assert!(
-                named.contains(&character.to_string().as_str()),
-                "{character}"
-            );
+            assert!(named.contains(&character.to_string().as_str()), "{character}");
         }
     }
 
@@ -347,12 +281,8 @@ mod tests {
 
     #[test]
     fn space_and_escape_stop_with_any_other_key_held_and_a_release_is_none() {
-        let held = [
-            KeyModifiers::NONE,
-            KeyModifiers::SHIFT,
-            KeyModifiers::CONTROL,
-            KeyModifiers::ALT,
-        ];
+        let held =
+            [KeyModifiers::NONE, KeyModifiers::SHIFT, KeyModifiers::CONTROL, KeyModifiers::ALT];
         for modifiers in held {
             for code in [KeyCode::Char(' '), KeyCode::Esc] {
                 let found = pressed(code, modifiers);

@@ -67,12 +67,7 @@ pub(super) fn across(
     buffer: &mut Buffer,
 ) {
     let width = usize::from(area.width.saturating_sub(LABELS));
-    let length = |labels: &[&str]| {
-        labels
-            .iter()
-            .map(|label| label.chars().count())
-            .sum::<usize>()
-    };
+    let length = |labels: &[&str]| labels.iter().map(|label| label.chars().count()).sum::<usize>();
     let fits = length(&[left, middle, right]) + 2 <= width;
     let middle = if fits { middle } else { "" };
     let free = width.saturating_sub(length(&[left, middle, right]));
@@ -90,11 +85,7 @@ pub(super) fn across(
 /// A round number in the width of the axis.
 pub(super) fn tick(value: f64) -> String {
     let text = shortest(value, 3);
-    if text.len() < usize::from(LABELS) {
-        text
-    } else {
-        format!("{value:.0e}")
-    }
+    if text.len() < usize::from(LABELS) { text } else { format!("{value:.0e}") }
 }
 
 /// Dots of one cell.
@@ -150,13 +141,7 @@ pub(super) struct Trace {
 impl Trace {
     /// A line whose gaps are values that are not finite.
     pub(super) const fn new(points: Vec<(f64, f64)>, stroke: Stroke, style: Style) -> Self {
-        Self {
-            points,
-            longest_s: f64::INFINITY,
-            stroke,
-            style,
-            beyond: None,
-        }
+        Self { points, longest_s: f64::INFINITY, stroke, style, beyond: None }
     }
 }
 
@@ -305,16 +290,8 @@ mod tests {
         longest_step_s(points.len(), |k| points[k].0)
     }
 
-    const BOUNDS: Bounds = Bounds {
-        x: Domain {
-            from: 0.0,
-            to: 10.0,
-        },
-        y: Domain {
-            from: -1.0,
-            to: 1.0,
-        },
-    };
+    const BOUNDS: Bounds =
+        Bounds { x: Domain { from: 0.0, to: 10.0 }, y: Domain { from: -1.0, to: 1.0 } };
 
     #[test]
     fn a_spike_of_one_row_is_seen_however_many_rows_a_column_holds() {
@@ -335,10 +312,8 @@ mod tests {
             .map(|second| (f64::from(second), if second == 4 { f64::NAN } else { 0.5 }))
             .collect();
         let columns = columns(&points, longest(&points), BOUNDS, 20);
-        let seen: String = columns
-            .iter()
-            .map(|column| if column.is_some() { '#' } else { '.' })
-            .collect();
+        let seen: String =
+            columns.iter().map(|column| if column.is_some() { '#' } else { '.' }).collect();
         assert_eq!(seen, "#######...###.....#.");
     }
 
@@ -352,9 +327,8 @@ mod tests {
         };
         let lines = [line(1.0, Stroke::Solid), line(-1.0, Stroke::Dashed)];
         plot(&lines, BOUNDS, area, &mut buffer);
-        let text: Vec<String> = (0..2)
-            .map(|y| (0..4).map(|x| buffer[(x, y)].symbol()).collect())
-            .collect();
+        let text: Vec<String> =
+            (0..2).map(|y| (0..4).map(|x| buffer[(x, y)].symbol()).collect()).collect();
         assert_eq!(text, ["⠉⠉⠉⠉", "⣀ ⣀ "]);
     }
 }

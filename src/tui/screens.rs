@@ -59,11 +59,7 @@ fn contrast(one: [f64; 3], other: [f64; 3]) -> f64 {
     let luminance = |rgb: [f64; 3]| {
         let linear = rgb.map(|value| {
             let share = value / 255.0;
-            if share <= 0.04045 {
-                share / 12.92
-            } else {
-                ((share + 0.055) / 1.055).powf(2.4)
-            }
+            if share <= 0.04045 { share / 12.92 } else { ((share + 0.055) / 1.055).powf(2.4) }
         });
         0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
     };
@@ -93,8 +89,5 @@ fn on_white_every_letter_has_a_contrast_of_at_least_four_and_a_half() {
             colours.insert(format!("{:?} on {:?}", cell.fg, cell.bg));
         }
     }
-    assert!(
-        colours.len() >= 9,
-        "the pages show every colour: {colours:?}"
-    );
+    assert!(colours.len() >= 9, "the pages show every colour: {colours:?}");
 }

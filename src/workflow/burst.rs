@@ -40,12 +40,7 @@ impl BurstResult {
             sentence: format!("it tells nothing: {error}"),
             ..Self::default()
         });
-        Self {
-            capture,
-            rows: burst.samples(),
-            rate_hz: rate_hz(burst),
-            ..found
-        }
+        Self { capture, rows: burst.samples(), rate_hz: rate_hz(burst), ..found }
     }
 
     pub fn value(&self, key: MotorKey) -> Option<f64> {
@@ -85,8 +80,7 @@ impl BurstResult {
             };
             let _ = write!(self.sentence, "; {id}: {says}");
         }
-        self.sentence
-            .push_str("; what is missing the diagnosis says, from all runs");
+        self.sentence.push_str("; what is missing the diagnosis says, from all runs");
         self
     }
 
@@ -122,10 +116,7 @@ fn circuit(nameplate: &Model, burst: &Scenario) -> Result<BurstResult, FitError>
         return Ok(plain.result(None, format!("it tells nothing: {reason}")));
     }
     let leaves = format!("its voltage equation leaves {}", plain.level());
-    if plain
-        .over_noise
-        .is_some_and(|over| over <= HOLDS_TIMES_NOISE)
-    {
+    if plain.over_noise.is_some_and(|over| over <= HOLDS_TIMES_NOISE) {
         return Ok(plain.result(None, leaves));
     }
     let diagnosis = diagnose(&model, Evidence::new(burst.clone(), None, None))?;
@@ -147,11 +138,7 @@ fn circuit(nameplate: &Model, burst: &Scenario) -> Result<BurstResult, FitError>
     };
     let names = found.iter().map(either).collect::<Vec<_>>().join(" and ");
     let sentence = format!("{leaves}, and with {names} {}", better.level());
-    Ok(BurstResult {
-        effects: found,
-        confusable,
-        ..better.result(Some(&names), sentence)
-    })
+    Ok(BurstResult { effects: found, confusable, ..better.result(Some(&names), sentence) })
 }
 
 /// The voltage equation fitted to a burst by itself.
@@ -168,11 +155,7 @@ impl VoltageBalance {
         let mut balances = weak_form::fit(model, burst).into_iter();
         let found = balances.find(|balanced| balanced.equation == Balance::Voltage);
         let Some(found) = found else {
-            return Self {
-                parameters: Vec::new(),
-                rms_v: 0.0,
-                over_noise: None,
-            };
+            return Self { parameters: Vec::new(), rms_v: 0.0, over_noise: None };
         };
         let squares = found.residual.iter().map(|residual| residual.powi(2));
         let rms_v = (squares.sum::<f64>() / found.residual.len().max(1) as f64).sqrt();
@@ -204,10 +187,7 @@ impl VoltageBalance {
             let size = p.value.zip(p.std);
             size.is_some_and(|(value, std)| value.abs() > CERTAIN_SIGMAS * std)
         };
-        let mut own = self
-            .parameters
-            .iter()
-            .filter(|p| p.key.starts_with(&prefix));
+        let mut own = self.parameters.iter().filter(|p| p.key.starts_with(&prefix));
         own.any(is_told)
     }
 
@@ -230,11 +210,7 @@ impl VoltageBalance {
                 estimate.reason = Some(reason.clone());
             }
         }
-        BurstResult {
-            parameters,
-            sentence,
-            ..BurstResult::default()
-        }
+        BurstResult { parameters, sentence, ..BurstResult::default() }
     }
 }
 
@@ -265,11 +241,8 @@ mod tests {
         let rows = 1000;
         let mut run = Run::new("burst", (0..rows).map(at).collect()).unwrap();
         let volts = |time_s: f64| if time_s >= 0.01 - 1e-9 { 5.0 } else { 0.0 };
-        let columns: [(Channel, &dyn Fn(f64) -> f64); 3] = [
-            (Channel::Voltage, &volts),
-            (Channel::Current, &current),
-            (Channel::Speed, &|_| 0.0),
-        ];
+        let columns: [(Channel, &dyn Fn(f64) -> f64); 3] =
+            [(Channel::Voltage, &volts), (Channel::Current, &current), (Channel::Speed, &|_| 0.0)];
         for (channel, of) in columns {
             let cells = (0..rows).map(|k| of(at(k))).collect();
             run.set_column(channel, cells, Origin::Measured).unwrap();
@@ -310,9 +283,7 @@ mod tests {
 
     #[test]
     fn friction_of_a_shaft_that_breaks_away_is_no_part_of_the_inductance() {
-        let mut truth = Model::baseline(Motor::zk_22fc())
-            .with_effect("stribeck_friction")
-            .unwrap();
+        let mut truth = Model::baseline(Motor::zk_22fc()).with_effect("stribeck_friction").unwrap();
         truth.effects[0].values = vec![Some(0.16), Some(10.0)];
         // Steps of 1 V each 10 ms after a moment at rest, as the loop climbs to its first level.
         let climb = (1..30).map(|step| (0.01 * f64::from(step), f64::from(step)));
@@ -322,10 +293,7 @@ mod tests {
         let inductance = result.parameters.iter().find(|p| p.key == "inductance_h");
         let estimate = inductance.unwrap();
         let (value, std) = (estimate.value.unwrap(), estimate.std.unwrap());
-        assert!(
-            (value - 0.0099).abs() < 2.5 * std && std < 0.01 * value,
-            "{value} +- {std}"
-        );
+        assert!((value - 0.0099).abs() < 2.5 * std && std < 0.01 * value, "{value} +- {std}");
         assert!(result.effects.is_empty(), "{result:?}");
         let sentence = &result.sentence;
         assert!(sentence.contains("times its noise"), "{sentence}");
@@ -334,10 +302,7 @@ mod tests {
         let noise = NoiseFloor::from_standstill(&burst).unwrap();
         let free = output_error::fit(&[Model::baseline(Motor::zk_22fc())], &burst, &noise).unwrap();
         let free = free.model.motor.get(MotorKey::Inductance).unwrap();
-        assert!(
-            (free / 0.0099 - 1.0).abs() > 3.0 * (value / 0.0099 - 1.0).abs(),
-            "{free}"
-        );
+        assert!((free / 0.0099 - 1.0).abs() > 3.0 * (value / 0.0099 - 1.0).abs(), "{free}");
     }
 
     #[test]
@@ -348,17 +313,14 @@ mod tests {
             told.parameters.iter().any(is_settled)
         };
         assert!(settled(balance().result(None, String::new())));
-        assert!(!settled(
-            balance().result(Some("voltage_drop"), String::new())
-        ));
+        assert!(!settled(balance().result(Some("voltage_drop"), String::new())));
     }
 
     #[test]
     fn a_burst_that_tells_nothing_says_so_and_changes_nothing() {
         let mut run = Run::new("burst", (0..50).map(|k| f64::from(k) / RATE_HZ).collect()).unwrap();
         for channel in [Channel::Voltage, Channel::Current, Channel::Speed] {
-            run.set_column(channel, vec![0.0; 50], Origin::Measured)
-                .unwrap();
+            run.set_column(channel, vec![0.0; 50], Origin::Measured).unwrap();
         }
         let still = Scenario::from_run(&run).unwrap();
         let result = BurstResult::of(&plate(), &still, "c".to_owned());

@@ -110,15 +110,11 @@ impl Commission {
     }
 
     pub fn progress(&self) -> Progress {
-        let steps = self.steps.iter().map(|step| StepView {
-            command: step.step.command(&self.called),
-            ..step.clone()
-        });
-        Progress {
-            steps: steps.collect(),
-            report: None,
-            finished: self.task == Task::Finished,
-        }
+        let steps = self
+            .steps
+            .iter()
+            .map(|step| StepView { command: step.step.command(&self.called), ..step.clone() });
+        Progress { steps: steps.collect(), report: None, finished: self.task == Task::Finished }
     }
 
     pub const fn result(&self) -> Option<&CommissionResult> {
@@ -159,16 +155,9 @@ impl Commission {
         );
         self.step_done(Step::Connect, &line, Task::Check);
         let passed = report.items.len() - report.waived.len();
-        let line = format!(
-            "{passed} of {} passed, {watchdog}{waived}",
-            report.items.len()
-        );
+        let line = format!("{passed} of {} passed, {watchdog}{waived}", report.items.len());
         let is_unknown = self.steps.iter().any(|step| step.step == Step::Find);
-        let next = if is_unknown {
-            Task::Escalate
-        } else {
-            Task::Plan
-        };
+        let next = if is_unknown { Task::Escalate } else { Task::Plan };
         self.step_done(Step::Safety, &line, next);
     }
 
@@ -217,9 +206,7 @@ impl Commission {
         self.scenarios.push(scenario);
         self.called.runs.extend(run.folder.clone());
         self.runs.push(run);
-        let next = Role::ALL
-            .get(index + 1)
-            .map_or(Task::Analyse, |role| Task::Record(*role));
+        let next = Role::ALL.get(index + 1).map_or(Task::Analyse, |role| Task::Record(*role));
         self.step_done(Step::Record(role), &line, next);
     }
 
@@ -251,10 +238,7 @@ impl Commission {
         let evidence = Evidence::new(fit.clone(), Some(select.clone()), Some(confirm.clone()));
         let (evidence, baseline) = evidence.with_baseline(&nameplate)?;
         let evidence = evidence.with_repeat(&baseline.model, repeat.clone())?;
-        let confirming = Evidence {
-            holdout: confirm.clone(),
-            ..evidence.clone()
-        };
+        let confirming = Evidence { holdout: confirm.clone(), ..evidence.clone() };
         let known = baseline.parameters.iter().filter(|p| p.value.is_some());
         let line = format!(
             "{} of {} parameters, {} iterations",
@@ -438,12 +422,7 @@ pub struct StepView {
 
 impl StepView {
     pub const fn new(step: Step) -> Self {
-        Self {
-            step,
-            state: StepState::Waiting,
-            line: String::new(),
-            command: None,
-        }
+        Self { step, state: StepState::Waiting, line: String::new(), command: None }
     }
 }
 
@@ -679,10 +658,7 @@ impl EscalationResult {
             format!("{}. {}: {}", index + 1, stage.kind.name(), stage.line)
         });
         document.labelled("stages", stages);
-        let refused = self
-            .scaled
-            .as_ref()
-            .filter(|scaled| scaled.refusal.is_some());
+        let refused = self.scaled.as_ref().filter(|scaled| scaled.refusal.is_some());
         document.labelled("sequence", refused.map(scaled_sentence));
     }
 }

@@ -146,10 +146,7 @@ impl Discovery {
     #[must_use]
     pub fn with_run(&self, run: Scenario) -> Self {
         let evidence = self.evidence.clone().with_run(run);
-        Self {
-            limits: self.limits,
-            ..Self::new(self.model.clone(), evidence)
-        }
+        Self { limits: self.limits, ..Self::new(self.model.clone(), evidence) }
     }
 
     /// The runs that it rests on.
@@ -322,11 +319,7 @@ impl Discovery {
                 let mut specs = effect.parameters().iter();
                 specs.any(|spec| spec.role == ParameterRole::EventTime)
             });
-            let run = if happens_once {
-                &evidence.training
-            } else {
-                &evidence.holdout
-            };
+            let run = if happens_once { &evidence.training } else { &evidence.holdout };
             let curve = diagnosis.curve_of(id, run, &diagnosis.baseline.noise);
             curves.extend(curve.ok().flatten());
         }
@@ -358,10 +351,7 @@ impl Discovery {
         (self.model, self.fitted) = (past.model, past.fitted);
         self.ladder.truncate(past.rungs);
         (self.rivals, self.known) = (past.rivals, past.answer);
-        tell(News::Undone {
-            effect: past.changed,
-            present: self.model.effect_ids(),
-        });
+        tell(News::Undone { effect: past.changed, present: self.model.effect_ids() });
         self.diagnose(tell)
     }
 
@@ -453,11 +443,7 @@ impl Discovery {
         }
         let result = Box::new(result);
         let model = result.fit.model.clone();
-        tell(if adds {
-            News::Added(result)
-        } else {
-            News::Removed(result)
-        });
+        tell(if adds { News::Added(result) } else { News::Removed(result) });
         if accepted {
             // The change is seen at once; what is missing then takes longer.
             self.is_traced = false;
@@ -522,10 +508,7 @@ pub fn hold_what_the_curve_holds(
         model.hold(id, held);
         return None;
     }
-    let slot = fitted
-        .slots()
-        .into_iter()
-        .find(|slot: &Slot| slot.key() == held)?;
+    let slot = fitted.slots().into_iter().find(|slot: &Slot| slot.key() == held)?;
     model.set(&slot, fitted.get(&slot)?);
     model.hold(id, held);
     Some(held)
@@ -550,12 +533,7 @@ mod tests {
     #[track_caller]
     fn answer(news: &[News]) -> &Diagnosis {
         match news {
-            [
-                ..,
-                News::Diagnosed(diagnosis),
-                News::Curves(_),
-                News::Recommended(None),
-            ] => diagnosis,
+            [.., News::Diagnosed(diagnosis), News::Curves(_), News::Recommended(None)] => diagnosis,
             other => panic!("no answer: {other:?}"),
         }
     }
@@ -584,10 +562,9 @@ mod tests {
         let settings =
             "equation = \"torque\"\nexpression = \"a*exp(-((w-118)/15)^2)\"\nparameters = [\"a\"]";
         let (bump, _) = effect::define("custom", &settings.parse().unwrap()).unwrap();
-        truth.effects.push(drivebench_model::plant::ActiveEffect {
-            effect: bump,
-            values: vec![Some(0.18)],
-        });
+        truth
+            .effects
+            .push(drivebench_model::plant::ActiveEffect { effect: bump, values: vec![Some(0.18)] });
         let levels = [30.0, 60.0, 45.0, 20.0, 52.0, 70.0, -30.0, 38.0];
         let record = |shift: usize| {
             let step = |step: usize| {
@@ -611,20 +588,11 @@ mod tests {
         assert_eq!(diagnosis.axis_map[0].axis, "speed_rad_s");
         let news = told(&mut discovery, Order::AddCurve(0));
         let first = &news[0];
-        assert!(
-            matches!(first, News::Added(result) if result.accepted),
-            "{first:?}"
-        );
+        assert!(matches!(first, News::Added(result) if result.accepted), "{first:?}");
         let errors = errors(&discovery);
-        assert!(
-            errors.len() == 2 && errors[1] < 0.6 * errors[0],
-            "{errors:?}"
-        );
+        assert!(errors.len() == 2 && errors[1] < 0.6 * errors[0], "{errors:?}");
         assert_eq!(discovery.ladder()[1].effects, ["table_torque_speed"]);
-        assert!(is_refused(&told(
-            &mut discovery,
-            Order::Remove("table_torque_speed")
-        )));
+        assert!(is_refused(&told(&mut discovery, Order::Remove("table_torque_speed"))));
     }
 
     #[test]
@@ -648,10 +616,7 @@ mod tests {
         assert_eq!(answer(&news).verdict, DiagnosisVerdict::None);
         let errors = errors(&discovery);
         // The floor is known from 200 samples at rest.
-        assert!(
-            errors.len() == 2 && errors[0] > 1.5 && errors[1] < 1.15,
-            "{errors:?}"
-        );
+        assert!(errors.len() == 2 && errors[0] > 1.5 && errors[1] < 1.15, "{errors:?}");
 
         let again = told(&mut discovery, Order::Add("quadratic_load"));
         assert!(matches!(&again[..], [News::Failed(_)]), "{again:?}");
@@ -682,11 +647,7 @@ mod tests {
             panic!("{:?}", news[0]);
         };
         assert!(result.accepted && result.forced);
-        assert!(
-            result.reason.starts_with("forced, although"),
-            "{}",
-            result.reason
-        );
+        assert!(result.reason.starts_with("forced, although"), "{}", result.reason);
         assert_eq!(discovery.model().effect_ids(), ["current_offset"]);
         assert_eq!(discovery.ladder().len(), 2);
     }
@@ -697,9 +658,7 @@ mod tests {
         diagnosis.verdict = DiagnosisVerdict::None;
         diagnosis.sentence =
             "nothing is missing: held-out error 1.00 times the noise floor".to_owned();
-        diagnosis
-            .candidates
-            .retain(|own| own.status == Status::RuledOut);
+        diagnosis.candidates.retain(|own| own.status == Status::RuledOut);
         assert_eq!(diagnosis.answer(), Answer::NothingMissing);
         diagnosis.remember_rivals(&[
             ["quadratic_load", "viscous_friction"],
@@ -713,11 +672,7 @@ mod tests {
             sentence.ends_with("cannot tell quadratic_load from viscous_friction"),
             "{sentence}"
         );
-        assert_eq!(
-            diagnosis.candidates[0].status,
-            Status::RuledOut,
-            "words change no status"
-        );
+        assert_eq!(diagnosis.candidates[0].status, Status::RuledOut, "words change no status");
     }
 
     #[test]
@@ -736,14 +691,9 @@ mod tests {
             peaks: None,
             recipe: None,
         };
-        let known = Diagnosis {
-            next_experiment: Some(next),
-            ..found
-        };
+        let known = Diagnosis { next_experiment: Some(next), ..found };
         let limits = ExperimentLimits::seen_in(&evidence);
-        let mut discovery = Discovery::new(model, evidence)
-            .with_limits(limits)
-            .with_answer(known);
+        let mut discovery = Discovery::new(model, evidence).with_limits(limits).with_answer(known);
         let news = told(&mut discovery, Order::Diagnose);
         let [
             News::Compared(_),
@@ -761,10 +711,7 @@ mod tests {
         let drawn: Vec<_> = curves.iter().map(|curve| curve.effect).collect();
         assert_eq!(drawn, [None, Some("quadratic_load")]);
         // The error alone is that of the model as it stands, which lacks the fan.
-        assert_eq!(
-            (curves[0].equation, curves[0].axis),
-            ("torque", "speed_rad_s")
-        );
+        assert_eq!((curves[0].equation, curves[0].axis), ("torque", "speed_rad_s"));
         assert_eq!(next.sentence, "turn it backward");
         // Of a changed model there is none yet.
         let news = told(&mut discovery, Order::Add("quadratic_load"));

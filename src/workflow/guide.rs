@@ -166,10 +166,7 @@ impl Step {
             }
             Self::Tune => {
                 let rate_hz = shortest(called.rate_hz, 6);
-                format!(
-                    "drivebench tune --model {} --rate-hz {rate_hz}",
-                    of_fit(RunFile::Model)
-                )
+                format!("drivebench tune --model {} --rate-hz {rate_hz}", of_fit(RunFile::Model))
             }
             Self::Experiment => format!("drivebench run {}", of_fit(RunFile::NextBench)),
             Self::SpeedLoop => live("speed") + " --model " + &of_fit(RunFile::Model),
@@ -200,10 +197,9 @@ impl Called {
     pub fn new(bench: &BenchFile, file: Option<&str>, words: String) -> Self {
         let line = match bench.port() {
             Port::Sim | Port::SimRtu => None,
-            Port::Emulator | Port::Tcp(_) | Port::Serial(_) => Some(format!(
-                "--port {} --drive {}",
-                bench.link.port, bench.drive.profile
-            )),
+            Port::Emulator | Port::Tcp(_) | Port::Serial(_) => {
+                Some(format!("--port {} --drive {}", bench.link.port, bench.drive.profile))
+            }
         };
         let runs = bench.runs;
         Self {

@@ -15,8 +15,5 @@ pub(super) fn with_keys<S: Serializer>(
         #[serde(flatten)]
         estimate: &'a ParameterEstimate,
     }
-    serializer.collect_seq(estimates.iter().map(|estimate| Keyed {
-        key: &estimate.key,
-        estimate,
-    }))
+    serializer.collect_seq(estimates.iter().map(|estimate| Keyed { key: &estimate.key, estimate }))
 }

@@ -42,9 +42,7 @@ impl Provisional {
             return format!("provisional, {seconds:.0} s: the residual leans on no effect");
         };
         let named = |own: &Leaning| format!("{} {:.0} %", own.effect, 100.0 * own.share);
-        let others = self.effects[1..]
-            .iter()
-            .filter(|own| own.equation == first.equation);
+        let others = self.effects[1..].iter().filter(|own| own.equation == first.equation);
         let others: Vec<String> = others.take(2).map(named).collect();
         let or = if others.is_empty() { "" } else { ", or " };
         format!(
@@ -88,10 +86,7 @@ pub struct LeaningWatch {
 impl LeaningWatch {
     /// Takes in what is new in a snapshot. Another run begins anew.
     pub fn take(&mut self, snapshot: &Snapshot) {
-        let newest = snapshot
-            .trace
-            .last()
-            .map_or(f64::NEG_INFINITY, |p| p.time_s);
+        let newest = snapshot.trace.last().map_or(f64::NEG_INFINITY, |p| p.time_s);
         if snapshot.name != self.name || newest < self.last_s {
             *self = Self {
                 name: snapshot.name.clone(),
@@ -202,13 +197,7 @@ mod tests {
         let estimate = |key: MotorKey| {
             let value = Motor::zk_22fc().get(key)?;
             let std = 0.001 * value;
-            Some(ParameterEstimate::found(
-                key.key().to_owned(),
-                key.unit(),
-                value,
-                std,
-                None,
-            ))
+            Some(ParameterEstimate::found(key.key().to_owned(), key.unit(), value, std, None))
         };
         let estimates = MotorKey::ALL.into_iter().filter_map(estimate).collect();
         Snapshot {
@@ -229,11 +218,7 @@ mod tests {
         }
         let found = watch.look().unwrap();
         assert_eq!(found.effects[0].effect, "quadratic_load", "{found:?}");
-        assert!(
-            found
-                .line()
-                .starts_with("provisional, 4 s: torque residual leans on")
-        );
+        assert!(found.line().starts_with("provisional, 4 s: torque residual leans on"));
         // Another run begins anew.
         let mut other = snapshot(&run, 50, 50);
         other.name = "another".to_owned();
@@ -270,10 +255,7 @@ mod tests {
                 ..*point
             };
             let trace = base.trace.iter().map(later).collect();
-            watch.take(&Snapshot {
-                trace: Arc::new(trace),
-                ..base.clone()
-            });
+            watch.take(&Snapshot { trace: Arc::new(trace), ..base.clone() });
             assert!(watch.times.len() < MOST_SAMPLES && watch.events.len() <= MOST_EVENTS);
         }
         assert!(watch.times.len() > MOST_SAMPLES / 4);

@@ -67,18 +67,11 @@ impl Truth {
             [] => "no hidden effect".to_owned(),
             effects => effects.join(", "),
         };
-        let verdict = if self.named_correctly {
-            "right"
-        } else {
-            "wrong"
-        };
+        let verdict = if self.named_correctly { "right" } else { "wrong" };
         let mut sentence = format!("the emulator carries {carried}: the answer is {verdict}");
         for size in &self.sizes {
-            let effect = if self.effects.len() > 1 {
-                format!("{}.", size.effect)
-            } else {
-                String::new()
-            };
+            let effect =
+                if self.effects.len() > 1 { format!("{}.", size.effect) } else { String::new() };
             let _ = write!(sentence, "; {effect}{}", size.text());
         }
         sentence
@@ -94,10 +87,9 @@ impl Size {
     fn text(&self) -> String {
         let number = |value: f64| with_unit(&shortest(value, 4), &self.unit);
         let (key, truth) = (&self.key, number(self.truth));
-        let found = self.found.map_or_else(
-            || "not found".to_owned(),
-            |found| format!("found {}", number(found)),
-        );
+        let found = self
+            .found
+            .map_or_else(|| "not found".to_owned(), |found| format!("found {}", number(found)));
         let error = self.error_percent.map_or_else(String::new, |percent| {
             let sign = if percent < 0.0 { "" } else { "+" };
             format!(" ({sign}{} %)", fixed(percent, 1))

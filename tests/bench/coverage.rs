@@ -47,9 +47,7 @@ fn fit_output_error(run: &Run, _: &Trajectory) -> Vec<ParameterEstimate> {
     let noise = NoiseFloor::from_standstill(&scenario)
         .unwrap_or_else(|| NoiseFloor::from_spread(&scenario));
     let model = start::complete(&Model::baseline(Motor::new("?")), &scenario).unwrap();
-    output_error::fit(&[model], &scenario, &noise)
-        .unwrap()
-        .parameters
+    output_error::fit(&[model], &scenario, &noise).unwrap().parameters
 }
 
 fn fit_weak_form(run: &Run, _: &Trajectory) -> Vec<ParameterEstimate> {
@@ -65,10 +63,8 @@ fn scheme_3(run: &Run, _: &Trajectory) -> Vec<ParameterEstimate> {
 }
 
 fn scheme_2(run: &Run, trajectory: &Trajectory) -> Vec<ParameterEstimate> {
-    let config = OnlineConfig {
-        torque_n_m_per_a: Some(trajectory.truth[2]),
-        ..OnlineConfig::default()
-    };
+    let config =
+        OnlineConfig { torque_n_m_per_a: Some(trajectory.truth[2]), ..OnlineConfig::default() };
     online(run, config).scheme_2()
 }
 
@@ -163,12 +159,7 @@ fn counts(name: &str, scheme: Scheme, sampling: Sampling) -> [Count; 5] {
 /// `most`: what an interval may cover at most; one that bounds an error of quadrature instead of a random one may cover
 /// all.
 fn check(name: &str, scheme: Scheme, most: f64, asked: std::ops::Range<usize>) {
-    let kinds = [
-        Sampling::Regular,
-        Sampling::Jittered,
-        Sampling::Quantised,
-        Sampling::Fast,
-    ];
+    let kinds = [Sampling::Regular, Sampling::Jittered, Sampling::Quantised, Sampling::Fast];
     let mut wrong = Vec::new();
     for sampling in kinds {
         let counts = counts(name, scheme, sampling);
@@ -182,11 +173,7 @@ fn check(name: &str, scheme: Scheme, most: f64, asked: std::ops::Range<usize>) {
             // A scheme must not pass by saying nothing: L/R below the period may hide the inductance, nothing else.
             let least = if j == 1 { 0.4 } else { 0.9 };
             if f64::from(count.valued) < least * (MOTORS * SEEDS) as f64 && most < 1.0 {
-                wrong.push(format!(
-                    "{sampling:?} {} valued {}",
-                    KEYS[j].key(),
-                    count.valued
-                ));
+                wrong.push(format!("{sampling:?} {} valued {}", KEYS[j].key(), count.valued));
             }
         }
     }
@@ -228,11 +215,7 @@ fn a_nameplate_far_off_changes_nothing() {
         let config = OnlineConfig::from_model(&Model::baseline(nameplate));
         assert!(config.start.is_some());
         let run = trajectory.run(motor);
-        for (estimate, truth) in online(&run, config)
-            .estimates()
-            .iter()
-            .zip(trajectory.truth)
-        {
+        for (estimate, truth) in online(&run, config).estimates().iter().zip(trajectory.truth) {
             let Some([low, high]) = estimate.interval_95() else {
                 continue;
             };
@@ -240,18 +223,12 @@ fn a_nameplate_far_off_changes_nothing() {
             inside += i32::from((low..=high).contains(&truth));
             let z = (estimate.value.unwrap() - truth) / estimate.std.unwrap();
             if z.abs() > 5.0 {
-                wrong.push(format!(
-                    "{motor} {} z {z:.1}: {estimate:?}",
-                    trajectory.describe()
-                ));
+                wrong.push(format!("{motor} {} z {z:.1}: {estimate:?}", trajectory.describe()));
             }
         }
     }
     let share = f64::from(inside) / f64::from(all);
-    println!(
-        "nameplates off by 0.3 to 3: {all} values, covered {:.1} %",
-        100.0 * share
-    );
+    println!("nameplates off by 0.3 to 3: {all} values, covered {:.1} %", 100.0 * share);
     assert!(share > 0.88 && wrong.len() <= 2, "{share} {wrong:#?}");
     assert!(f64::from(all) > 4.0 * MOTORS as f64, "{all}");
 }
@@ -284,10 +261,5 @@ fn a_steady_state_settles_nothing_that_it_does_not_carry() {
             })
         })
         .collect();
-    assert!(
-        claims.is_empty(),
-        "{} {:#?}",
-        claims.len(),
-        &claims[..claims.len().min(12)]
-    );
+    assert!(claims.is_empty(), "{} {:#?}", claims.len(), &claims[..claims.len().min(12)]);
 }

@@ -61,10 +61,7 @@ fn machine(id: &str, seed: u64) -> Machine {
     let mut truths = vec![
         ("resistance_ohm".to_owned(), motor.resistance_ohm),
         ("inductance_h".to_owned(), motor.inductance_h),
-        (
-            "back_emf_v_s_per_rad".to_owned(),
-            motor.back_emf_v_s_per_rad,
-        ),
+        ("back_emf_v_s_per_rad".to_owned(), motor.back_emf_v_s_per_rad),
         ("inertia_kg_m2".to_owned(), motor.inertia_kg_m2),
         ("load_torque_n_m".to_owned(), motor.load_torque_n_m),
     ];
@@ -87,10 +84,7 @@ fn machine(id: &str, seed: u64) -> Machine {
     let added = add(effect, &nameplate, evidence).unwrap().fit.parameters;
     let told = |all: &[ParameterEstimate], key: &str, truth: f64| {
         let own = all.iter().find(|own| own.key == key).unwrap();
-        Told {
-            error: own.value.unwrap() - truth,
-            std: own.std.unwrap(),
-        }
+        Told { error: own.value.unwrap() - truth, std: own.std.unwrap() }
     };
     let all = truths.into_iter().map(|(key, truth)| {
         let each = [&free.parameters, &identified, &added].map(|all| told(all, &key, truth));
@@ -101,9 +95,7 @@ fn machine(id: &str, seed: u64) -> Machine {
 
 /// How many of these lie within so many of their deviations.
 fn held(told: &[Told], sigmas: f64) -> f64 {
-    let within = told
-        .iter()
-        .filter(|own| own.error.abs() <= sigmas * own.std);
+    let within = told.iter().filter(|own| own.error.abs() <= sigmas * own.std);
     within.count() as f64 / told.len() as f64
 }
 
@@ -115,10 +107,8 @@ fn tolerance(share: f64, of: usize) -> f64 {
 fn judged(id: &str) -> Vec<(String, f64)> {
     let everything = std::env::var_os("DRIVEBENCH_EVERYTHING").is_some();
     let count = if everything { EVERY_MACHINE } else { MACHINES };
-    let machines: Vec<Machine> = (0..count)
-        .into_par_iter()
-        .map(|number| machine(id, FIRST_MACHINE + number))
-        .collect();
+    let machines: Vec<Machine> =
+        (0..count).into_par_iter().map(|number| machine(id, FIRST_MACHINE + number)).collect();
     let (mut of_all, mut of_free_run) = (Vec::new(), Vec::new());
     for place in 0..machines[0].len() {
         let key = &machines[0][place].0;
@@ -126,11 +116,7 @@ fn judged(id: &str) -> Vec<(String, f64)> {
             let told = machines.iter().map(|machine| machine[place].1[way]);
             told.collect::<Vec<Told>>()
         });
-        for (way, told) in [
-            ("free run alone", &free),
-            ("identify", &identified),
-            ("add", &added),
-        ] {
+        for (way, told) in [("free run alone", &free), ("identify", &identified), ("add", &added)] {
             let (one, two) = (held(told, 1.0), held(told, 1.96));
             let squares = told.iter().map(|own| (own.error / own.std).powi(2));
             let rms = (squares.sum::<f64>() / told.len() as f64).sqrt();
@@ -149,10 +135,7 @@ fn judged(id: &str) -> Vec<(String, f64)> {
                 && WIDER.contains(&(one.std / other.std))
         });
         let alike = alike.count() as f64 / added.len() as f64;
-        assert!(
-            alike >= MOST - tolerance(MOST, added.len()),
-            "{id} {key}: {alike} alike"
-        );
+        assert!(alike >= MOST - tolerance(MOST, added.len()), "{id} {key}: {alike} alike");
         of_free_run.push((key.clone(), held(&free, 1.96)));
         of_all.extend(added);
     }

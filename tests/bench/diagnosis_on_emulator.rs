@@ -40,12 +40,7 @@ impl Specimen {
         let report = check(&mut link, &mut clock, &file.limits(), options).unwrap();
         assert!(report.passed(), "{:?}", report.refusal());
         let last_seq = report.last_seq;
-        Self {
-            link,
-            clock,
-            report,
-            last_seq,
-        }
+        Self { link, clock, report, last_seq }
     }
 
     /// The sequence of a bench file, recorded.
@@ -82,10 +77,9 @@ impl Specimen {
         self.last_seq += summary.link.sent + 1;
         recorder.finish();
         let mut run = recorder.run("run").unwrap();
-        for (channel, origin) in [
-            (Channel::VoltageCmd, Origin::Commanded),
-            (Channel::Voltage, Origin::Measured),
-        ] {
+        for (channel, origin) in
+            [(Channel::VoltageCmd, Origin::Commanded), (Channel::Voltage, Origin::Measured)]
+        {
             let cells = run.column(channel).unwrap().to_vec();
             run.set_column(channel, cells, origin).unwrap();
         }
@@ -109,24 +103,14 @@ fn hidden_effect_is_named(emulator: &str, effect: Option<&str>, seed: u64) {
     let nameplate = Model::baseline(BenchFile::embedded_default().motor.motor());
     let evidence = Evidence::new(runs[0].clone(), Some(runs[1].clone()), None);
     let (evidence, baseline) = evidence.with_baseline(&nameplate).unwrap();
-    let evidence = evidence
-        .with_repeat(&baseline.model, runs[3].clone())
-        .unwrap();
-    let confirming = Evidence {
-        holdout: runs[2].clone(),
-        ..evidence.clone()
-    };
+    let evidence = evidence.with_repeat(&baseline.model, runs[3].clone()).unwrap();
+    let confirming = Evidence { holdout: runs[2].clone(), ..evidence.clone() };
     let found = diagnose(&nameplate, evidence).unwrap();
     let Some(effect) = effect else {
         assert_eq!(found.verdict, DiagnosisVerdict::None, "{}", found.sentence);
         return;
     };
-    assert_eq!(
-        found.verdict,
-        DiagnosisVerdict::Effect,
-        "{}",
-        found.sentence
-    );
+    assert_eq!(found.verdict, DiagnosisVerdict::Effect, "{}", found.sentence);
     assert_eq!(found.effects, [effect]);
     assert_eq!(found.repeats, Some(true), "{:?}", found.repeat_floor);
     let speed_error = |model: &Model| {
@@ -139,11 +123,7 @@ fn hidden_effect_is_named(emulator: &str, effect: Option<&str>, seed: u64) {
     assert!(before > 1.2 * floor, "{before} {floor}");
     // A winding that warms is warmer at the start of the confirming run than it ever was in the run that was fitted.
     // 1.37 floors were left with the sequence whose standstill ends with a level of 1 V.
-    let most = if effect == "winding_heating" {
-        1.45
-    } else {
-        1.15
-    };
+    let most = if effect == "winding_heating" { 1.45 } else { 1.15 };
     assert!(after < most * floor, "{after} {floor}");
 }
 

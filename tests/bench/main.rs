@@ -1,9 +1,6 @@
 //! Benches and records of the library against the emulator's truth, in virtual time and without the binary: what is named,
 //! what is covered, what is refused.
-#![expect(
-    clippy::unwrap_used,
-    reason = "helpers of an integration test are test code"
-)]
+#![expect(clippy::unwrap_used, reason = "helpers of an integration test are test code")]
 
 mod coverage;
 mod deviations;
@@ -17,9 +14,5 @@ use drivebench::diagnosis::Evidence;
 
 /// The other way round: each run is half of what is known.
 pub(crate) fn swapped(data: &Evidence) -> Evidence {
-    Evidence {
-        training: data.holdout.clone(),
-        holdout: data.training.clone(),
-        ..data.clone()
-    }
+    Evidence { training: data.holdout.clone(), holdout: data.training.clone(), ..data.clone() }
 }

@@ -51,9 +51,7 @@ fn names(diagnosis: &Diagnosis) -> Vec<&'static str> {
 
 /// The model with more effects.
 fn with(mut model: Model, effects: &[(&str, &[f64])]) -> Model {
-    let more = effects
-        .iter()
-        .map(|(id, values)| ActiveEffect::with(find(id), values));
+    let more = effects.iter().map(|(id, values)| ActiveEffect::with(find(id), values));
     model.effects.extend(more);
     model
 }
@@ -81,17 +79,11 @@ fn dosed(evidence: &Evidence, effect: &'static dyn Effect, values: &[f64]) -> Ev
     for run in [&mut dosed.training, &mut dosed.holdout] {
         let speeds = run.sample_time_s.iter().zip(&run.speed_rad_s);
         let speeds: Vec<(f64, f64)> = speeds.map(|(time_s, speed)| (*time_s, *speed)).collect();
-        let speeds: Vec<_> = speeds
-            .into_iter()
-            .filter(|point| point.1.is_finite())
-            .collect();
+        let speeds: Vec<_> = speeds.into_iter().filter(|point| point.1.is_finite()).collect();
         for event in &mut run.events {
             let nearest = speeds.partition_point(|point| point.0 < event.0);
             let speed_rad_s = speeds[nearest.min(speeds.len() - 1)].1;
-            let at = Instant {
-                speed_rad_s,
-                ..Instant::default()
-            };
+            let at = Instant { speed_rad_s, ..Instant::default() };
             event.1 += terms.torque_n_m(&at, &[]) + speed_rad_s.signum() * terms.friction_n_m(&at);
         }
     }
@@ -138,9 +130,8 @@ mod simulated {
     const DURATION_S: f64 = 12.0;
 
     fn axis() -> Model {
-        let motor = Motor::new("axis")
-            .with(MotorKey::Inertia, 0.0045)
-            .with(MotorKey::LoadTorque, 0.35);
+        let motor =
+            Motor::new("axis").with(MotorKey::Inertia, 0.0045).with(MotorKey::LoadTorque, 0.35);
         with(Model::baseline(motor), &[("viscous_friction", &[0.004])])
     }
 
@@ -190,9 +181,7 @@ mod simulated {
         let real = with(truth.clone(), &[("cogging", &[0.01 * mess, 0.0, 7.0])]);
         let mut plant = Plant::new(&real, Input::Torque).unwrap();
         let out = plant.simulate(&scenario, State::default()).speed_rad_s;
-        let noisy = out
-            .iter()
-            .map(|speed| speed + 0.15 * rng.sample::<f64, _>(StandardNormal));
+        let noisy = out.iter().map(|speed| speed + 0.15 * rng.sample::<f64, _>(StandardNormal));
         scenario.speed_rad_s = noisy.collect();
         scenario.events = given;
         scenario
@@ -270,12 +259,7 @@ mod simulated {
             [("quadratic_load", &[8e-5]), ("constant_load", &[0.12])];
         let data = runs(&with(axis(), &effects), [80, 81], 0.0);
         let found = diagnose(&nameplate(), &data).unwrap();
-        assert_eq!(
-            names(&found),
-            ["constant_load", "quadratic_load"],
-            "{}",
-            found.sentence
-        );
+        assert_eq!(names(&found), ["constant_load", "quadratic_load"], "{}", found.sentence);
         for (place, id) in found.effects.iter().enumerate() {
             let candidate = &found.candidates[place];
             assert_eq!(candidate.effect, *id);
@@ -283,10 +267,7 @@ mod simulated {
             let mut joint = found.model.parameters.iter();
             assert_eq!(joint.find(|own| own.key == size.key), Some(size));
             let true_size = effects.iter().find(|(known, _)| known == id).unwrap().1[0];
-            assert!(
-                (size.value.unwrap() / true_size - 1.0).abs() < 0.05,
-                "{size:?}"
-            );
+            assert!((size.value.unwrap() / true_size - 1.0).abs() < 0.05, "{size:?}");
         }
     }
 
@@ -319,17 +300,11 @@ mod simulated {
         let [before, after] = [&added.before.signals, &added.after.signals];
         let errors = |side: &Signals| -> Vec<f64> {
             let processing = &side.torque_n_m.as_ref().unwrap().processing;
-            processing
-                .iter()
-                .map(|own| own.holdout_relative_error_percent)
-                .collect()
+            processing.iter().map(|own| own.holdout_relative_error_percent).collect()
         };
         let (from, to) = (errors(before), errors(after));
         assert_eq!(from.len(), 2);
-        assert!(
-            from.iter().zip(&to).all(|(from, to)| to < from),
-            "{from:?} {to:?}"
-        );
+        assert!(from.iter().zip(&to).all(|(from, to)| to < from), "{from:?} {to:?}");
         assert!(after.speed_rad_s.unwrap().rmse < before.speed_rad_s.unwrap().rmse);
         for (id, accepted) in [(id, false), ("constant_load", true)] {
             let removed =
@@ -351,12 +326,7 @@ mod simulated {
         }
         let found = diagnose(&nameplate(), &data).unwrap();
         for id in ["constant_load", "asymmetric_viscous"] {
-            assert_eq!(
-                status(&found, id),
-                Status::NotExcited,
-                "{id}: {}",
-                found.sentence
-            );
+            assert_eq!(status(&found, id), Status::NotExcited, "{id}: {}", found.sentence);
         }
     }
 
@@ -416,21 +386,10 @@ mod driven {
         counts: Option<f64>,
     }
 
-    const BY_TORQUE: Bench = Bench {
-        input: Input::Torque,
-        disturbance_n_m: 0.01,
-        input_n_m: 0.0,
-        counts: None,
-    };
-    const BY_CURRENT: Bench = Bench {
-        input: Input::Current,
-        input_n_m: 0.02,
-        ..BY_TORQUE
-    };
-    const BY_ANGLE: Bench = Bench {
-        counts: Some(4096.0),
-        ..BY_TORQUE
-    };
+    const BY_TORQUE: Bench =
+        Bench { input: Input::Torque, disturbance_n_m: 0.01, input_n_m: 0.0, counts: None };
+    const BY_CURRENT: Bench = Bench { input: Input::Current, input_n_m: 0.02, ..BY_TORQUE };
+    const BY_ANGLE: Bench = Bench { counts: Some(4096.0), ..BY_TORQUE };
 
     fn axis() -> Model {
         let motor = Motor::new("axis")
@@ -492,11 +451,7 @@ mod driven {
             }
             // A speed loop gives the torque: smooth, and never at rest for long. The standstill before it tells the noise.
             let torque = 0.06 * (wanted - shaft.speed_rad_s) + 0.4 * f64::signum(wanted);
-            let torque = if k < 200 {
-                0.0
-            } else {
-                torque.clamp(-2.0, 2.0)
-            };
+            let torque = if k < 200 { 0.0 } else { torque.clamp(-2.0, 2.0) };
             level += 0.2 * (torque - level);
             disturbance =
                 kept * disturbance + bench.disturbance_n_m * (1.0 - kept * kept).sqrt() * normal();
@@ -533,18 +488,9 @@ mod driven {
     }
 
     const PAIRS: [[(&str, &[f64]); 2]; 3] = [
-        [
-            ("cogging", &[0.02, 0.01, 7.0]),
-            ("viscous_friction", &[1e-3]),
-        ],
-        [
-            ("constant_load", &[0.06]),
-            ("eccentric_load", &[0.03, 0.02]),
-        ],
-        [
-            ("quadratic_load", &[2e-5]),
-            ("stribeck_friction", &[0.2, 12.0]),
-        ],
+        [("cogging", &[0.02, 0.01, 7.0]), ("viscous_friction", &[1e-3])],
+        [("constant_load", &[0.06]), ("eccentric_load", &[0.03, 0.02])],
+        [("quadratic_load", &[2e-5]), ("stribeck_friction", &[0.2, 12.0])],
     ];
 
     fn finds_both(bench: Bench, seeds: Range<u64>) {
@@ -590,12 +536,7 @@ mod driven {
     #[test]
     fn what_acts_in_the_armature_is_not_asked_of_a_run_without_a_voltage() {
         let found = named(&PAIRS[0], BY_TORQUE, 0);
-        for id in [
-            "voltage_drop",
-            "command_delay",
-            "winding_heating",
-            "flux_saturation",
-        ] {
+        for id in ["voltage_drop", "command_delay", "winding_heating", "flux_saturation"] {
             let candidate = candidate(&found, id);
             assert_eq!(candidate.status, Status::NotExcited, "{id}");
             let evidence = &candidate.evidence;
@@ -619,9 +560,8 @@ mod real {
     }
 
     fn start(inertia: f64, load: f64, effects: &[&str]) -> Model {
-        let motor = Motor::new("machine")
-            .with(MotorKey::Inertia, inertia)
-            .with(MotorKey::LoadTorque, load);
+        let motor =
+            Motor::new("machine").with(MotorKey::Inertia, inertia).with(MotorKey::LoadTorque, load);
         with_unset(Model::baseline(motor), effects)
     }
 
@@ -670,10 +610,9 @@ mod real {
         };
         // The study's figures. In the weak form it took the position itself, whose second-derivative weights do not sum to
         // zero on samples: an independent calculation gives its figures so, and ours (3.17 and 1.63 %) by the speed.
-        for (method, share, study) in [
-            (Method::InverseDynamics, 0.8, [4.08, 3.11]),
-            (Method::WeakForm, 0.6, [3.26, 1.75]),
-        ] {
+        for (method, share, study) in
+            [(Method::InverseDynamics, 0.8, [4.08, 3.11]), (Method::WeakForm, 0.6, [3.26, 1.75])]
+        {
             let found = [&added.before, &added.after].map(|side| error(side, method));
             eprintln!("{method:?}: {found:.2?} %, in the study {study:?}");
             assert!(found[1] < share * found[0], "{method:?}: {found:?}");
@@ -699,13 +638,7 @@ mod real {
     fn real_records_pass_the_tests_that_a_simulation_cannot_cheat() {
         for ((data, model), name, unit, other, other_unit) in [
             (emps(), "asymmetric_viscous", 40.0, "quadratic_load", 400.0),
-            (
-                propeller(),
-                "quadratic_load",
-                1.4e-8,
-                "viscous_friction",
-                2e-6,
-            ),
+            (propeller(), "quadratic_load", 1.4e-8, "viscous_friction", 2e-6),
         ] {
             let halves = diagnose(&model, &swapped(&data)).unwrap();
             assert_eq!(halves.effect, Some(name), "{name}: halves");
@@ -738,11 +671,7 @@ mod real {
                 let run = open_run(path.as_ref(), None).unwrap().run;
                 let found = maps(&Scenario::from_run(&run).unwrap());
                 let first = &found[0];
-                assert_eq!(
-                    (first.equation, first.axis),
-                    (equation, axis),
-                    "{set}: {first:?}"
-                );
+                assert_eq!((first.equation, first.axis), (equation, axis), "{set}: {first:?}");
                 assert!(first.r2 > least, "{set} {part}: {first:?}");
                 if set == 12 {
                     // One knot of a bump of 20 rad/s is not told from the next where the run was seldom.

@@ -34,11 +34,8 @@ struct Kept {
 
 /// Makes every run that is recommended; where it `adds`, with what was found in the model.
 fn followed(file: &BenchFile, hidden: &str, adds: bool, seed: u64) -> Kept {
-    let hidden = if hidden.is_empty() {
-        String::new()
-    } else {
-        format!("\n[[hidden]]\n{hidden}\n")
-    };
+    let hidden =
+        if hidden.is_empty() { String::new() } else { format!("\n[[hidden]]\n{hidden}\n") };
     let config = EmulatorConfig::parse("machine", &format!("{PLAIN}{hidden}")).unwrap();
     let mut specimen = Specimen::new(&config, seed);
     let [fit, holdout] = [1, 2].map(|run_seed| specimen.run(file, run_seed));
@@ -97,18 +94,10 @@ fn what_a_recommended_run_promises_shows_and_nothing_is_promised_twice() {
             "id = \"stribeck_friction\"\nstribeck_n_m = 0.16\nstribeck_speed_rad_s = 10.0",
             true,
         ),
-        (
-            &weak,
-            "id = \"quadratic_load\"\nquadratic_n_m_s2_per_rad2 = 1.8e-6",
-            true,
-        ),
+        (&weak, "id = \"quadratic_load\"\nquadratic_n_m_s2_per_rad2 = 1.8e-6", true),
         (&weak, "id = \"current_offset\"\noffset_a = 0.3", false),
         (&weak, "id = \"voltage_offset\"\noffset_v = 1.5", true),
-        (
-            &weak,
-            "id = \"viscous_friction\"\nviscous_n_m_s_per_rad = 4e-4",
-            false,
-        ),
+        (&weak, "id = \"viscous_friction\"\nviscous_n_m_s_per_rad = 4e-4", false),
         (&weak, "id = \"supply_sag\"\nsag_ohm = 0.3", false),
         (
             &default,
@@ -126,8 +115,5 @@ fn what_a_recommended_run_promises_shows_and_nothing_is_promised_twice() {
     }
     let (promised, shown) = (all.promised, all.shown);
     println!("{shown} of {promised} shown in {} runs", all.runs);
-    assert!(
-        promised >= 6 && 10 * shown >= 9 * promised,
-        "{shown} of {promised}"
-    );
+    assert!(promised >= 6 && 10 * shown >= 9 * promised, "{shown} of {promised}");
 }

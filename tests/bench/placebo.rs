@@ -44,11 +44,7 @@ struct Sized(&'static Placebo, f64);
 
 impl Sized {
     fn within(&self, equation: Enters, at: &Instant) -> f64 {
-        if self.0.card.enters == equation {
-            self.1 * self.0.at(at)
-        } else {
-            0.0
-        }
+        if self.0.card.enters == equation { self.1 * self.0.at(at) } else { 0.0 }
     }
 }
 
@@ -78,32 +74,22 @@ impl Effect for &'static Placebo {
 }
 
 /// A kind of placebo: its name, the equation that it is put into, and its value at each sample of a run.
-type Kind = (
-    &'static str,
-    Enters,
-    fn(&Scenario, &mut ChaCha8Rng) -> Vec<f64>,
-);
+type Kind = (&'static str, Enters, fn(&Scenario, &mut ChaCha8Rng) -> Vec<f64>);
 
 /// For a run that a torque or a current drives: speeds of another moment.
 pub(crate) const OF_THE_SPEED: &[Kind] = &[
-    ("placebo: shifted w", Enters::Torque, |run, rng| {
-        shifted(&run.speed_rad_s, rng)
-    }),
+    ("placebo: shifted w", Enters::Torque, |run, rng| shifted(&run.speed_rad_s, rng)),
     ("placebo: shifted w |w|", Enters::Torque, |run, rng| {
         let speeds = shifted(&run.speed_rad_s, rng);
         speeds.iter().map(|w| w * w.abs()).collect()
     }),
     // Less its mean: that is a constant load, which a record may well miss.
-    (
-        "placebo: shifted |w| less its mean",
-        Enters::Torque,
-        |run, rng| {
-            let speeds = shifted(&run.speed_rad_s, rng);
-            let sizes: Vec<f64> = speeds.iter().map(|w| w.abs()).collect();
-            let mean = mean(&sizes);
-            sizes.iter().map(|size| size - mean).collect()
-        },
-    ),
+    ("placebo: shifted |w| less its mean", Enters::Torque, |run, rng| {
+        let speeds = shifted(&run.speed_rad_s, rng);
+        let sizes: Vec<f64> = speeds.iter().map(|w| w.abs()).collect();
+        let mean = mean(&sizes);
+        sizes.iter().map(|size| size - mean).collect()
+    }),
 ];
 
 /// For a run with a voltage, on even stamps: in the torque balance those of the motion, in the voltage balance that of the
@@ -114,22 +100,14 @@ pub(crate) const OF_MOTION_AND_CURRENT: &[Kind] = &[
     ("placebo: w of another phase", Enters::Torque, |run, rng| {
         another_phase(&run.speed_rad_s, period_s(run), rng)
     }),
-    (
-        "placebo: blocks of w |w| permuted",
-        Enters::Torque,
-        |run, rng| {
-            let speeds = permuted(&run.speed_rad_s, period_s(run), rng);
-            speeds.iter().map(|w| w * w.abs()).collect()
-        },
-    ),
-    ("placebo: shifted i", Enters::Voltage, |run, rng| {
-        shifted(&run.current_a, rng)
+    ("placebo: blocks of w |w| permuted", Enters::Torque, |run, rng| {
+        let speeds = permuted(&run.speed_rad_s, period_s(run), rng);
+        speeds.iter().map(|w| w * w.abs()).collect()
     }),
-    (
-        "placebo: i of another phase",
-        Enters::Voltage,
-        |run, rng| another_phase(&run.current_a, period_s(run), rng),
-    ),
+    ("placebo: shifted i", Enters::Voltage, |run, rng| shifted(&run.current_a, rng)),
+    ("placebo: i of another phase", Enters::Voltage, |run, rng| {
+        another_phase(&run.current_a, period_s(run), rng)
+    }),
 ];
 
 /// `count` placebos, the kinds in turn, made of the signals of a run: the same instants for training and hold-out.
@@ -141,17 +119,9 @@ pub(crate) fn placebos(
 ) -> Vec<&'static dyn Effect> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let placebo = |id, enters, values| -> &'static dyn Effect {
-        let card = Card {
-            id,
-            name: id,
-            enters,
-            ..Card::PLAIN
-        };
-        let kept: &'static Placebo = Box::leak(Box::new(Placebo {
-            card,
-            period_s: period_s(run),
-            values,
-        }));
+        let card = Card { id, name: id, enters, ..Card::PLAIN };
+        let kept: &'static Placebo =
+            Box::leak(Box::new(Placebo { card, period_s: period_s(run), values }));
         Box::leak(Box::new(kept))
     };
     let mut placebos = vec![placebo("placebo: sin 3.7 w", Enters::Torque, vec![])];
@@ -176,9 +146,7 @@ fn shuffled_angle(run: &Scenario, rng: &mut ChaCha8Rng) -> Vec<f64> {
 /// At least a tenth of the record away, round its end.
 fn shifted(values: &[f64], rng: &mut ChaCha8Rng) -> Vec<f64> {
     let by = whole(rng.random_range(0.1..0.9) * values.len() as f64);
-    (0..values.len())
-        .map(|k| values[(k + by) % values.len()])
-        .collect()
+    (0..values.len()).map(|k| values[(k + by) % values.len()]).collect()
 }
 
 /// Spectrum of the signal with every phase drawn anew: lines up to 10 Hz, above which these signals have little.

@@ -101,9 +101,7 @@ fn wrong(found: &Diagnosis, id: &str) -> Vec<&'static str> {
         pairs.any(|pair| pair[0] == name && is_right(pair[1]))
     };
     let names = found.effects.iter().copied();
-    names
-        .filter(|name| !is_right(name) && !is_open(name))
-        .collect()
+    names.filter(|name| !is_right(name) && !is_open(name)).collect()
 }
 
 struct Row {
@@ -120,11 +118,7 @@ fn doses_are_found_within_their_interval_and_named_from_some_size_on() {
     let plain = evidence(&[], machine);
     let without = diagnose(&nameplate(), plain.clone()).unwrap();
     println!("no dose: {} {:?}", without.sentence, without.confusable);
-    let multiples: &[f64] = if is_quick() {
-        &FEW_MULTIPLES
-    } else {
-        &MULTIPLES
-    };
+    let multiples: &[f64] = if is_quick() { &FEW_MULTIPLES } else { &MULTIPLES };
     let mut failures = Vec::new();
     for dose in doses_done() {
         let mut candidates = without.candidates.iter();
@@ -154,10 +148,7 @@ fn doses_are_found_within_their_interval_and_named_from_some_size_on() {
         let mut before = natural;
         for row in &rows {
             let found = &row.found;
-            let (off, unit) = (
-                row.value - natural - row.size,
-                (row.value - natural) / row.size,
-            );
+            let (off, unit) = (row.value - natural - row.size, (row.value - natural) / row.size);
             println!(
                 "  x {:4}: {:.2e}, found {:.3e} +- {:.1e} ({unit:.3} per unit, {:.2} std off): {:?} {:?}, open {:?}, {:.2} -> {:.2}",
                 row.multiple,
@@ -182,10 +173,7 @@ fn doses_are_found_within_their_interval_and_named_from_some_size_on() {
             fails(row.value <= before, "not in the order of the doses");
             let is_named = is_named(found, dose.0);
             fails(named_from.is_some() && !is_named, "named below, not here");
-            fails(
-                row.multiple >= KEPT && !is_named,
-                "would have shown, it said",
-            );
+            fails(row.multiple >= KEPT && !is_named, "would have shown, it said");
             // A name that is only left open beside one of the background is none yet.
             if found.effects.contains(&dose.0) {
                 named_from = named_from.or(Some(row.multiple));
@@ -349,10 +337,7 @@ fn give(run: &mut Scenario, id: &str, size: f64) {
         // clock starts.
         "command_delay" => {
             let begin_s = run.begin_s();
-            run.events
-                .iter_mut()
-                .skip(1)
-                .for_each(|event| event.0 -= size);
+            run.events.iter_mut().skip(1).for_each(|event| event.0 -= size);
             let mut events = std::mem::take(&mut run.events).into_iter();
             run.events.extend(events.next());
             run.events.extend(events.filter(|event| event.0 > begin_s));

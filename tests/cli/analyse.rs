@@ -11,11 +11,9 @@ fn fleet(desk: &Desk) -> PathBuf {
     let (plain, dry) = (desk.put("plain.toml", PLAIN), desk.put("dry.toml", &dry));
     let hidden = desk.put("hidden.toml", HIDDEN);
     let runs = desk.path("runs");
-    for (serial, spring, autumn) in [
-        (11, &plain, &plain),
-        (12, &plain, &dry),
-        (13, &hidden, &hidden),
-    ] {
+    for (serial, spring, autumn) in
+        [(11, &plain, &plain), (12, &plain, &dry), (13, &hidden, &hidden)]
+    {
         for (month, emulator) in [("03", spring), ("10", autumn)] {
             let out = desk.path("one");
             let options = format!(
@@ -39,12 +37,7 @@ fn fleet(desk: &Desk) -> PathBuf {
 /// The numbers of one column, in the rows that have one: no cell before it has a comma.
 fn figures(table: &str, name: &str) -> Vec<f64> {
     let mut rows = table.lines().map(|row| row.split(',').collect::<Vec<_>>());
-    let place = rows
-        .next()
-        .unwrap()
-        .iter()
-        .position(|cell| *cell == name)
-        .unwrap();
+    let place = rows.next().unwrap().iter().position(|cell| *cell == name).unwrap();
     rows.filter_map(|row| row[place].parse().ok()).collect()
 }
 
@@ -65,20 +58,8 @@ fn the_table_is_the_same_whatever_the_threads_the_parts_and_the_kills() {
     let lines: Vec<&str> = whole.lines().collect();
     assert_eq!(lines.len(), 8, "{whole}");
     for (row, words) in [
-        (
-            1,
-            [
-                "03/machine-11,ok,,",
-                "2026-03-01T12:00:00Z,drivebench software drive,11,ZK-22FC",
-            ],
-        ),
-        (
-            6,
-            [
-                "10/machine-13,ok,,",
-                "2026-10-01T12:00:00Z,drivebench software drive,13,ZK-22FC",
-            ],
-        ),
+        (1, ["03/machine-11,ok,,", "2026-03-01T12:00:00Z,drivebench software drive,11,ZK-22FC"]),
+        (6, ["10/machine-13,ok,,", "2026-10-01T12:00:00Z,drivebench software drive,13,ZK-22FC"]),
         (7, ["torn,unread,", "without a samples.csv"]),
     ] {
         has(lines[row], &words);
@@ -88,9 +69,8 @@ fn the_table_is_the_same_whatever_the_threads_the_parts_and_the_kills() {
         inertia.len() == 6 && inertia.iter().all(|value| (0.004..0.005).contains(value)),
         "{inertia:?}"
     );
-    for (low, high) in figures(&whole, "load_torque_n_m_low")
-        .iter()
-        .zip(figures(&whole, "load_torque_n_m_high"))
+    for (low, high) in
+        figures(&whole, "load_torque_n_m_low").iter().zip(figures(&whole, "load_torque_n_m_high"))
     {
         assert!(*low < high);
     }
@@ -107,11 +87,7 @@ fn the_table_is_the_same_whatever_the_threads_the_parts_and_the_kills() {
     for part in 1..=3 {
         let out = desk.path(format!("part-{part}.csv"));
         let status = i32::from(part == 3);
-        call(
-            &format!("analyse {{}} --out {{}} --shard {part}/3"),
-            &[&runs, &out],
-        )
-        .expect(status);
+        call(&format!("analyse {{}} --out {{}} --shard {part}/3"), &[&runs, &out]).expect(status);
         let text = fs::read_to_string(out).unwrap();
         let (header, rows) = text.split_once('\n').unwrap();
         assert_eq!(header, lines[0]);
@@ -120,16 +96,11 @@ fn the_table_is_the_same_whatever_the_threads_the_parts_and_the_kills() {
     assert_eq!(format!("{}\n{parts}", lines[0]), whole);
     // Whatever a kill has left of the journal, it is gone on with.
     let (part, out) = (desk.path("killed.csv.part"), desk.path("killed.csv"));
-    for cut in (0..whole.len())
-        .step_by(whole.len() / 12)
-        .chain([whole.len()])
-    {
+    for cut in (0..whole.len()).step_by(whole.len() / 12).chain([whole.len()]) {
         fs::write(&part, &whole[..cut]).unwrap();
         refusal("analyse {} --out {}", &[&runs, &out]);
         let kept = whole[..cut].matches('\n').count().saturating_sub(1);
-        let sum = call("analyse {} --out {} --resume --json", &[&runs, &out])
-            .expect(1)
-            .json();
+        let sum = call("analyse {} --out {} --resume --json", &[&runs, &out]).expect(1).json();
         assert_eq!(sum["kept"], kept, "cut at {cut}");
         assert_eq!(fs::read_to_string(&out).unwrap(), whole, "cut at {cut}");
         assert!(!part.exists());
@@ -145,9 +116,7 @@ fn only_what_is_still_true_is_kept() {
     refusal("analyse {} --out {}", &[&runs, &desk.path("fleet.csv")]);
     let kept = |options: &str| {
         let text = format!("analyse {{}} --out {{}} --resume --json {options}");
-        let sum = call(&text, &[&runs, &desk.path("fleet.csv")])
-            .expect(1)
-            .json();
+        let sum = call(&text, &[&runs, &desk.path("fleet.csv")]).expect(1).json();
         sum["kept"].as_u64().unwrap()
     };
     assert_eq!(kept(""), 7);
@@ -207,10 +176,7 @@ fn what_is_no_run_is_said_before_anything_is_written() {
     let table = desk.path("fleet.csv");
     call("analyse {} --out {}", &[&desk.path("empty"), &table])
         .fails(2, &["1 of 1 runs could not be read"]);
-    has(
-        &fs::read_to_string(&table).unwrap(),
-        &["empty,unread,", "without a samples.csv"],
-    );
+    has(&fs::read_to_string(&table).unwrap(), &["empty,unread,", "without a samples.csv"]);
     // A line break in a path is a blank in its row, and the row is there.
     let broken = desk.path("line\nbreak");
     fs::create_dir_all(&broken).unwrap();
@@ -219,16 +185,10 @@ fn what_is_no_run_is_said_before_anything_is_written() {
         let text = format!("analyse {{}} --out {{}} --json {options}");
         let done = call(&text, &[&broken, &table]).expect(2);
         has(&done.stdout, &[&format!("\"kept\": {kept}")]);
-        has(
-            &fs::read_to_string(&table).unwrap(),
-            &["line break,unread,"],
-        );
+        has(&fs::read_to_string(&table).unwrap(), &["line break,unread,"]);
     }
     fs::create_dir_all(desk.path("line break")).unwrap();
-    refusals(
-        "analyse {} {} => two runs have this name",
-        &[&broken, &desk.path("line break")],
-    );
+    refusals("analyse {} {} => two runs have this name", &[&broken, &desk.path("line break")]);
 }
 
 /// The blocks of a page that stand behind `<!-- tool: name -->`.
@@ -251,31 +211,20 @@ fn the_queries_of_the_page_find_the_dry_bearing_and_the_hidden_effect() {
     let runs = fleet(&desk);
     let whole = table(&desk, &runs, "fleet.csv", "--diagnose");
     let header: Vec<&str> = whole.lines().next().unwrap().split(',').collect();
-    let of_a_parameter = |name: &&&str| {
-        ["_std", "_low", "_high", "_verdict"]
-            .iter()
-            .any(|end| name.ends_with(end))
-    };
+    let of_a_parameter =
+        |name: &&&str| ["_std", "_low", "_high", "_verdict"].iter().any(|end| name.ends_with(end));
     for name in header.iter().filter(|name| !of_a_parameter(name)) {
-        assert!(
-            page.contains(&format!("`{name}`")),
-            "the page does not name {name}"
-        );
+        assert!(page.contains(&format!("`{name}`")), "the page does not name {name}");
     }
     let queries = blocks(page, "duckdb");
     let names: Vec<&str> = queries.iter().map(|(name, _)| name.as_str()).collect();
     assert_eq!(names, ["drift", "worst", "effects", "unread"]);
     let python = |code: &str| {
-        let output = Command::new("python3")
-            .args(["-c", code])
-            .current_dir(desk.folder())
-            .output();
+        let output = Command::new("python3").args(["-c", code]).current_dir(desk.folder()).output();
         output.map_or_else(|_| Done::default(), |output| Done::of(&output))
     };
     let is_there = |module: &str| {
-        let is_there = python(&format!("import {module}; print(1)"))
-            .stdout
-            .starts_with('1');
+        let is_there = python(&format!("import {module}; print(1)")).stdout.starts_with('1');
         if !is_there {
             eprintln!(
                 "SKIPPED: {module} for Python is not installed: its queries of docs/suites.md were not run"
@@ -291,9 +240,7 @@ fn the_queries_of_the_page_find_the_dry_bearing_and_the_hidden_effect() {
             rows
         });
         let found: Vec<Value> = found.collect();
-        let [drift, worst, effects, unread] = &found[..] else {
-            panic!("{found:?}")
-        };
+        let [drift, worst, effects, unread] = &found[..] else { panic!("{found:?}") };
         // Twelve per cent more friction, beyond all doubt; the other two as they were.
         let serial = |row: &Value| row[1].to_string().replace('"', "");
         assert_eq!(serial(&drift[0]), "12", "{drift}");
@@ -310,10 +257,7 @@ fn the_queries_of_the_page_find_the_dry_bearing_and_the_hidden_effect() {
         let said = python(&printed).expect(0).stdout;
         let (serial, percent) = said.lines().last().unwrap().split_once(' ').unwrap();
         assert_eq!(serial, "12", "{said}");
-        assert!(
-            (percent.parse::<f64>().unwrap() - 12.0).abs() < 1.0,
-            "{said}"
-        );
+        assert!((percent.parse::<f64>().unwrap() - 12.0).abs() < 1.0, "{said}");
     }
 }
 
@@ -334,11 +278,7 @@ impl Yearly {
         let desk = Desk::new();
         let runs = fleet(&desk);
         let (spring, other) = (runs.join("03/machine-12"), runs.join("03/machine-11"));
-        Self {
-            desk,
-            spring,
-            other,
-        }
+        Self { desk, spring, other }
     }
 
     fn suite(&self, emulator: &str) -> PathBuf {
@@ -370,42 +310,20 @@ fn a_suite_names_what_has_drifted_since_an_earlier_run_of_the_same_machine() {
     let drift = &found["cases"][0]["steps"][1]["identified"]["drift"];
     has(
         word(drift, "/sentence"),
-        &[
-            "no drift shown since 2026-03-01: 5 parameters compared",
-            "larger than",
-        ],
+        &["no drift shown since 2026-03-01: 5 parameters compared", "larger than"],
     );
     has(word(drift, "/caution"), &["one run on each side"]);
 
     let (failed, found, _) = yearly.drifted();
-    has(
-        &failed.stderr,
-        &[
-            "FAILED",
-            "drift: load_torque_n_m, has to be none",
-            "drift_percent: 1",
-        ],
-    );
-    let changes = found["cases"][0]["steps"][1]["identified"]["drift"]["changes"]
-        .as_array()
-        .unwrap()
-        .clone();
-    let friction = changes
-        .iter()
-        .find(|change| change["key"] == "load_torque_n_m")
-        .unwrap();
+    has(&failed.stderr, &["FAILED", "drift: load_torque_n_m, has to be none", "drift_percent: 1"]);
+    let changes =
+        found["cases"][0]["steps"][1]["identified"]["drift"]["changes"].as_array().unwrap().clone();
+    let friction = changes.iter().find(|change| change["key"] == "load_torque_n_m").unwrap();
     has(
         word(friction, "/sentence"),
-        &[
-            "+1",
-            "% (95 % interval +1",
-            "since 2026-03-01",
-            "possible cause: bearing",
-        ],
+        &["+1", "% (95 % interval +1", "since 2026-03-01", "possible cause: bearing"],
     );
-    let others = changes
-        .iter()
-        .filter(|change| change["key"] != "load_torque_n_m");
+    let others = changes.iter().filter(|change| change["key"] != "load_torque_n_m");
     assert!(
         others.clone().count() == 4 && others.clone().all(|change| change["drifted"] == false),
         "{changes:?}"
@@ -433,10 +351,7 @@ fn an_earlier_result_serves_as_a_baseline_once_and_as_far_as_it_goes() {
     let [first, second, run] = twice.each_ref();
     let options = format!("--baseline {second} --baseline {run} --baseline {first}");
     let counted = test("plain.toml", &result, &options).expect(1);
-    has(
-        &counted.stdout,
-        &["one run on each side", "3 of the baseline"],
-    );
+    has(&counted.stdout, &["one run on each side", "3 of the baseline"]);
 
     // What was carried and is not any more, what cannot be compared at all, and a unit that has no number.
     let doctored = |name: &str, change: &dyn Fn(&mut Value)| {
@@ -461,10 +376,7 @@ fn an_earlier_result_serves_as_a_baseline_once_and_as_far_as_it_goes() {
     let paths = [suite("dry.toml"), desk.path("suites"), more];
     let paths = paths.each_ref().map(PathBuf::as_path);
     let told = call("test {} --out {} --baseline {}", &paths).expect(1);
-    has(
-        &told.stdout,
-        &["  viscous_friction.coefficient not compared:"],
-    );
+    has(&told.stdout, &["  viscous_friction.coefficient not compared:"]);
     let less = doctored("less.json", &|found| found["parameters"] = json!({}));
     has(
         &test("dry.toml", &less, "").expect(1).stdout,
@@ -479,9 +391,7 @@ fn an_earlier_result_serves_as_a_baseline_once_and_as_far_as_it_goes() {
         found["machine"]["drive_serial"] = "".into();
     });
     has(
-        &test("dry.toml", &unnumbered, "--any-machine")
-            .expect(0)
-            .stdout,
+        &test("dry.toml", &unnumbered, "--any-machine").expect(0).stdout,
         &["no serial number: not known to be the same unit"],
     );
 }
@@ -493,35 +403,18 @@ fn another_machine_is_no_baseline_and_without_one_nothing_is_judged() {
     let refused = yearly.test("plain.toml", other, "").expect(1);
     has(
         &refused.stderr,
-        &[
-            "not known to be of this machine",
-            "serial 12",
-            "serial 11",
-            "--any-machine",
-        ],
+        &["not known to be of this machine", "serial 12", "serial 11", "--any-machine"],
     );
     let compared = yearly.test("plain.toml", other, "--any-machine").expect(1);
     has(&compared.stderr, &["has to be none"]);
 
     // Without one the case is skipped; where it does not say that it needs one, it cannot be judged.
     let alone = |text: &str| {
-        call(
-            "test {} --json --out {}",
-            &[&desk.put("suite.toml", text), &desk.path("suites")],
-        )
+        call("test {} --json --out {}", &[&desk.put("suite.toml", text), &desk.path("suites")])
     };
     let plain = SUITE.replace("EMULATOR", "plain.toml");
-    has(
-        &alone(&plain).expect(0).stderr,
-        &["skipped", "no --baseline"],
-    );
+    has(&alone(&plain).expect(0).stderr, &["skipped", "no --baseline"]);
     let unsaid = plain.replace("needs = [\"baseline\"]\n", "");
-    has(
-        &alone(&unsaid).expect(1).stderr,
-        &["ERROR", "give --baseline RUN"],
-    );
-    refusal(
-        "test {} --baseline {}",
-        &[&yearly.suite("plain.toml"), &desk.path("plain.toml")],
-    );
+    has(&alone(&unsaid).expect(1).stderr, &["ERROR", "give --baseline RUN"]);
+    refusal("test {} --baseline {}", &[&yearly.suite("plain.toml"), &desk.path("plain.toml")]);
 }

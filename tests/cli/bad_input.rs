@@ -67,18 +67,13 @@ fn refused_if(words: &str, change: impl Fn(&mut Row)) {
 #[test]
 fn the_record_itself_is_good() {
     let header = format!("{COLUMNS},angle_rad");
-    for (text, has_model) in [
-        (spoilt(|_| {}), false),
-        (spoilt_csv(&header, |_| {}), false),
-        (spoilt(|_| {}), true),
-    ] {
+    for (text, has_model) in
+        [(spoilt(|_| {}), false), (spoilt_csv(&header, |_| {}), false), (spoilt(|_| {}), true)]
+    {
         let done = identified(&text, has_model).expect(0);
         lacks(&done.stderr, &["warning"]);
         let found = done.json();
-        assert_eq!(
-            found["parameters"]["back_emf_v_s_per_rad"]["verdict"],
-            "settled"
-        );
+        assert_eq!(found["parameters"]["back_emf_v_s_per_rad"]["verdict"], "settled");
         assert!(found["notes"].as_array().unwrap().is_empty(), "{found:#}");
         let value = parameter(&found, "inertia_kg_m2").unwrap();
         assert!((value / J - 1.0).abs() < 0.01, "{value}");
@@ -97,11 +92,7 @@ fn a_record_without_excitation_is_refused_with_the_operating_point() {
         text
     };
     let steady = level(24.0, 1.286, 63.8);
-    refused(
-        "24 & one operating point & steps of voltage",
-        false,
-        &steady,
-    );
+    refused("24 & one operating point & steps of voltage", false, &steady);
     refused("one operating point", true, &steady);
     let still = level(0.0, 0.0, 0.0);
     refused("stands still & 7.995 s & steps of voltage", false, &still);
@@ -199,10 +190,7 @@ fn a_header_in_another_unit_needs_a_factor() {
     identify("speed [rpm]").fails(2, &["9.5493", "*0.104719755"]);
     let found = identify("speed [rpm]*0.104719755").expect(0).json();
     let value = parameter(&found, "back_emf_v_s_per_rad");
-    assert!(
-        (value.unwrap() / Bench::PAPER_A.ke - 1.0).abs() < 0.01,
-        "{value:?}"
-    );
+    assert!((value.unwrap() / Bench::PAPER_A.ke - 1.0).abs() < 0.01, "{value:?}");
     // Whoever writes the factor 1 means it.
     identify("speed [rpm]*1").expect(0);
 }
@@ -226,14 +214,8 @@ fn an_unusable_file_is_status_2_for_every_command() {
     for (part, text) in [
         ("2 usable rows, at least 20", two),
         ("no voltage", spoilt(|row| row[1..].fill(nan))),
-        (
-            "neither current nor speed",
-            spoilt(|row| row[2..].fill(nan)),
-        ),
-        (
-            "neither current nor speed",
-            spoilt_csv("time_s,voltage_v", |_| {}),
-        ),
+        ("neither current nor speed", spoilt(|row| row[2..].fill(nan))),
+        ("neither current nor speed", spoilt_csv("time_s,voltage_v", |_| {})),
         ("no column", spoilt_csv("time_s", |_| {})),
         ("inf", after(3.0, 0, f64::INFINITY)),
         ("size up to 1e12", spoilt(|row| row[0] *= 1e20)),
@@ -262,17 +244,9 @@ fn compare_and_diagnose_do_not_judge_by_spoilt_data() {
     // A model as given can be compared with anything; what is wrong stands beside the figures.
     let done = call("compare {} --json --model {}", &[&swapped, &nameplate]).expect(0);
     has(&done.stderr, &["swapped"]);
-    assert!(
-        done.json()["notes"][0]
-            .as_str()
-            .unwrap()
-            .contains("swapped")
-    );
+    assert!(done.json()["notes"][0].as_str().unwrap().contains("swapped"));
     // A record that excites nothing has its own verdict in `diagnose`, and its caution.
-    let steady = desk.put(
-        "steady.csv",
-        &spoilt(|row| *row = [row[0], 12.0, 1.5, 30.0, 0.0]),
-    );
+    let steady = desk.put("steady.csv", &spoilt(|row| *row = [row[0], 12.0, 1.5, 30.0, 0.0]));
     let done = call("diagnose {} --json --model {}", &[&steady, &nameplate]);
     assert!(done.status == 5 || done.status == 0, "{}", done.stderr);
     has(&done.stderr, &["nothing changes"]);
@@ -281,10 +255,7 @@ fn compare_and_diagnose_do_not_judge_by_spoilt_data() {
 #[test]
 fn a_locked_rotor_gives_the_winding_and_nothing_else() {
     let mut text = format!("{COLUMNS}\n");
-    let locked = Bench {
-        free: false,
-        ..Bench::PAPER_A
-    };
+    let locked = Bench { free: false, ..Bench::PAPER_A };
     for row in locked.record(|t| 0.2 * steps(t)) {
         push(&mut text, &row[..4]);
     }
@@ -297,8 +268,7 @@ fn a_locked_rotor_gives_the_winding_and_nothing_else() {
     for key in ["back_emf_v_s_per_rad", "inertia_kg_m2", "load_torque_n_m"] {
         assert!(value(key).is_none(), "{key}: {found:#}");
     }
-    desk.on("identify {} --require inertia_kg_m2", &text)
-        .expect(5);
+    desk.on("identify {} --require inertia_kg_m2", &text).expect(5);
 }
 
 #[test]

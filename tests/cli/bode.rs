@@ -17,11 +17,7 @@ fn modes(found: &Value, pathway: &str) -> Vec<(String, f64, f64)> {
     let own = all.iter().filter(|mode| mode["pathway"] == pathway);
     own.map(|mode| {
         let hertz = number(mode, "/frequency_hz");
-        (
-            word(mode, "/kind").to_owned(),
-            hertz,
-            number(mode, "/damping_ratio"),
-        )
+        (word(mode, "/kind").to_owned(), hertz, number(mode, "/damping_ratio"))
     })
     .collect()
 }
@@ -53,15 +49,11 @@ fn a_chirp_finds_the_coupling_and_the_model_without_it_is_told_off() {
     let head =
         "pathway,frequency_hz,magnitude_unit,magnitude,magnitude_low,magnitude_high,phase_rad,";
     assert!(rows.next().unwrap().starts_with(head));
-    let count: usize = (0..3)
-        .map(|own| found["pathways"][own]["points"].as_array().unwrap().len())
-        .sum();
+    let count: usize =
+        (0..3).map(|own| found["pathways"][own]["points"].as_array().unwrap().len()).sum();
     assert_eq!(rows.count(), count);
     let svg_text = fs::read_to_string(&svg).unwrap();
-    has(
-        &svg_text,
-        &["<svg", ">resonance 22", "coherence", ">model</text>"],
-    );
+    has(&svg_text, &["<svg", ">resonance 22", "coherence", ">model</text>"]);
     lacks(&svg_text, &["NaN"]);
     for (option, path) in [("--csv", &csv), ("--svg", &svg)] {
         let error = refusal(&format!("bode {{}} {option} {{}}"), &[&run, path]);
@@ -94,10 +86,7 @@ fn a_rigid_shaft_has_no_resonance_and_its_model_departs_nowhere() {
     assert_eq!(found["modes"], json!([]));
     assert_eq!(found["departures"], json!([]));
     let text = call("bode {} --model {}", &paths).expect(0).stdout;
-    has(
-        &text,
-        &["no resonance is named from", "drivebench tune --model"],
-    );
+    has(&text, &["no resonance is named from", "drivebench tune --model"]);
 }
 
 #[test]
@@ -121,10 +110,7 @@ fn a_slow_link_says_what_its_rate_cannot_show() {
     let text = fs::read_to_string(CHIRP).unwrap();
     let text = text.replace("\"own-stream\"", "\"own\"");
     let text = text.replace("\"stream\"", "\"modbus-rtu\"");
-    let bench = desk.put(
-        "rtu.toml",
-        &text.replace("rate_hz = 500.0", "rate_hz = 100.0"),
-    );
+    let bench = desk.put("rtu.toml", &text.replace("rate_hz = 500.0", "rate_hz = 100.0"));
     let out = desk.out();
     let paths: [&Path; 2] = [&bench, &out];
     call("run {} --headless --port sim:rtu --out {}", &paths).expect(0);
@@ -151,10 +137,7 @@ fn a_run_in_a_closed_loop_is_taken_with_a_caution() {
     assert!([0, 5].contains(&done.status), "{}", done.stderr);
     let found = done.json();
     assert_eq!(found["modes"], json!([]));
-    has(
-        &found["cautions"].to_string(),
-        &["recorded in a closed loop"],
-    );
+    has(&found["cautions"].to_string(), &["recorded in a closed loop"]);
 }
 
 #[test]
@@ -168,10 +151,7 @@ fn what_cannot_be_answered_is_refused_with_the_next_step() {
         let _ = writeln!(steady, "{time_s},20,{wave},50");
         let _ = writeln!(torque, "{time_s},{wave},50");
     }
-    let (steady, torque) = (
-        desk.put("steady.csv", &steady),
-        desk.put("torque.csv", &torque),
-    );
+    let (steady, torque) = (desk.put("steady.csv", &steady), desk.put("torque.csv", &torque));
     let done = call("bode {}", &[&steady]).fails(5, &["holds its voltage", "chirp"]);
     assert_eq!(done.stdout, "");
     call("bode {}", &[&torque]).fails(2, &["has no voltage", "--map voltage_v"]);

@@ -20,17 +20,11 @@ impl Seen {
     #[track_caller]
     fn card(&self, command: &str, status: i32) -> String {
         let mut process = std::process::Command::new(BINARY);
-        process
-            .args(command.split(' '))
-            .current_dir(self.desk.folder());
+        process.args(command.split(' ')).current_dir(self.desk.folder());
         let output = process.output().expect("it runs");
         let text = String::from_utf8(output.stdout).expect("text");
         let said = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(
-            output.status.code(),
-            Some(status),
-            "{command}: {said}\n{text}"
-        );
+        assert_eq!(output.status.code(), Some(status), "{command}: {said}\n{text}");
         text
     }
 
@@ -45,17 +39,11 @@ impl Seen {
 #[track_caller]
 fn expect_card(command: &str, text: &str, last: &str) {
     let rows: Vec<&str> = text.lines().collect();
-    assert!(
-        rows.len() <= LINES,
-        "{command}: {} lines\n{text}",
-        rows.len()
-    );
+    assert!(rows.len() <= LINES, "{command}: {} lines\n{text}", rows.len());
     for row in &rows {
         let columns = row.chars().count();
         assert!(columns <= COLUMNS, "{command}: {columns} columns\n{row}");
-        let is_markdown = ["#", "|", "> ", "- ["]
-            .iter()
-            .any(|mark| row.starts_with(mark));
+        let is_markdown = ["#", "|", "> ", "- ["].iter().any(|mark| row.starts_with(mark));
         assert!(!is_markdown, "{command}: raw Markdown\n{row}");
     }
     let end = rows.last().expect("a last line");
@@ -85,27 +73,15 @@ fn every_result_fits_a_terminal_and_ends_with_its_page_or_the_next_command() {
     let baseline = seen.desk.put("motor.toml", MOTOR);
     let baseline = baseline.file_name().unwrap().to_str().unwrap();
     for (command, status, last) in [
-        (
-            format!("identify {fit} {select}"),
-            0,
-            "drivebench diagnose ",
-        ),
+        (format!("identify {fit} {select}"), 0, "drivebench diagnose "),
         (format!("compare {fit} --holdout {select}"), 0, "--holdout "),
-        (
-            format!("compare {fit} --model {baseline} --holdout {select}"),
-            0,
-            "--holdout ",
-        ),
+        (format!("compare {fit} --model {baseline} --holdout {select}"), 0, "--holdout "),
         (
             format!("diagnose {fit} --model {baseline} --holdout {select}"),
             0,
             "--output model2.toml",
         ),
-        (
-            format!("diagnose {fit} --holdout {select} --html page.html"),
-            0,
-            "page.html",
-        ),
+        (format!("diagnose {fit} --holdout {select} --html page.html"), 0, "page.html"),
         (
             format!(
                 "add stribeck_friction --model {baseline} --run {fit} --holdout {select} --output with.toml"
@@ -120,37 +96,19 @@ fn every_result_fits_a_terminal_and_ends_with_its_page_or_the_next_command() {
             1,
             "--holdout ",
         ),
-        (
-            format!("tune --model {model}"),
-            0,
-            "drivebench speed --model ",
-        ),
+        (format!("tune --model {model}"), 0, "drivebench speed --model "),
         (
             format!("speed --headless --port sim: --seed 7 --model {model} --out others"),
             0,
             "/report.html",
         ),
-        (
-            "run --headless --port sim: --seed 7 --out others".to_owned(),
-            0,
-            "/report.html",
-        ),
+        ("run --headless --port sim: --seed 7 --out others".to_owned(), 0, "/report.html"),
     ] {
         let text = seen.card(&command, status);
         expect_card(&command, &text, last);
     }
-    let text = seen.card(
-        &format!("diagnose {fit} --model {baseline} --holdout {select}"),
-        0,
-    );
-    has(
-        &text,
-        &[
-            "cause ",
-            "remedy ",
-            "drivebench add stribeck_friction --model motor.toml",
-        ],
-    );
+    let text = seen.card(&format!("diagnose {fit} --model {baseline} --holdout {select}"), 0);
+    has(&text, &["cause ", "remedy ", "drivebench add stribeck_friction --model motor.toml"]);
     // Everything is still there for who asks.
     let full = seen.card(&format!("diagnose {fit} --holdout {select} --full"), 0);
     assert!(full.lines().count() > LINES, "{full}");
@@ -228,10 +186,7 @@ fn no_line_that_a_command_prints_is_wider_than_a_terminal() {
             // What is copied stays whole.
             let is_alone = !row.trim().contains(' ');
             let columns = row.chars().count();
-            assert!(
-                columns <= COLUMNS || is_alone,
-                "{command}: {columns} columns\n{row}"
-            );
+            assert!(columns <= COLUMNS || is_alone, "{command}: {columns} columns\n{row}");
         }
         if !command.contains("--full") {
             let lines = stdout.lines().count();
@@ -244,18 +199,9 @@ fn no_line_that_a_command_prints_is_wider_than_a_terminal() {
 #[test]
 fn a_mistake_is_answered_with_what_to_do() {
     for (command, parts) in [
-        (
-            "registers",
-            &["no command is given", "allowed: read, write"][..],
-        ),
-        (
-            "completions tcsh",
-            &["tcsh", "allowed: bash, elvish, fish, powershell, zsh"],
-        ),
-        (
-            "completions bash --json",
-            &["'--json'", "see drivebench completions --help"],
-        ),
+        ("registers", &["no command is given", "allowed: read, write"][..]),
+        ("completions tcsh", &["tcsh", "allowed: bash, elvish, fish, powershell, zsh"]),
+        ("completions bash --json", &["'--json'", "see drivebench completions --help"]),
         ("effects --jsno", &["did you mean `--json`?"]),
         ("diagnos", &["did you mean `diagnose`?"]),
         ("effects stribek", &["did you mean `stribeck_friction`?"]),
@@ -271,13 +217,7 @@ fn a_mistake_is_answered_with_what_to_do() {
             ],
         ),
         ("compare r --min-fit high", &["expected a number"]),
-        (
-            "diagnose",
-            &[
-                "usage: drivebench diagnose <RUN>",
-                "for example `drivebench diagnose ",
-            ],
-        ),
+        ("diagnose", &["usage: drivebench diagnose <RUN>", "for example `drivebench diagnose "]),
         ("diagnose a b", &["--holdout"]),
         ("view a b", &["--holdout RUN2"]),
         ("inspect runs", &["'inspect'", "see drivebench --help"]),
@@ -287,10 +227,7 @@ fn a_mistake_is_answered_with_what_to_do() {
         lacks(&said, &["as a value", "found in string", "float literal"]);
     }
     let runs = &Runs::plain().fit;
-    has(
-        &refusal("tune --model {}", &[runs]),
-        &["its model is ", "/model.toml"],
-    );
+    has(&refusal("tune --model {}", &[runs]), &["its model is ", "/model.toml"]);
     let Ok(full) = fs::OpenOptions::new().write(true).open("/dev/full") else {
         // Only Linux has a disk that is always full.
         return;
@@ -298,9 +235,7 @@ fn a_mistake_is_answered_with_what_to_do() {
     let mut process = std::process::Command::new(BINARY);
     process.args(["completions", "bash"]).stdout(full);
     let done = Done::of(&process.output().expect("it runs"));
-    let said = done
-        .fails(6, &["cannot write the result", "make room"])
-        .stderr;
+    let said = done.fails(6, &["cannot write the result", "make room"]).stderr;
     lacks(&said, &["fault of drivebench"]);
 }
 
@@ -319,10 +254,7 @@ fn a_brush_drop_is_no_other_motor_for_a_run_either() {
     let run = "run --headless --port sim: --emulator zk-22fc-brushes --seed 7 --out runs";
     let text = seen.card(run, 0);
     lacks(&text, &["does NOT fit", "another motor"]);
-    has(
-        &text,
-        &["plate     nameplate not judged: the five-parameter model leaves "],
-    );
+    has(&text, &["plate     nameplate not judged: the five-parameter model leaves "]);
 }
 
 #[test]
@@ -334,16 +266,10 @@ fn compare_says_which_model_it_judges_and_judges_as_diagnose_does() {
         |command: String| -> Value { serde_json::from_str(&seen.card(&command, 0)).expect("JSON") };
     let compared = of(format!("compare {run} --json"));
     let diagnosed = of(format!("diagnose {run} --json"));
-    let [here, there] = [
-        number(&compared, "/holdout_rmse"),
-        number(&diagnosed, "/holdout_before"),
-    ];
+    let [here, there] = [number(&compared, "/holdout_rmse"), number(&diagnosed, "/holdout_before")];
     assert!((here / there - 1.0).abs() < 0.01, "{here} and {there}");
     let text = seen.card(&format!("compare {run}"), 0);
-    has(
-        &text,
-        &["model.toml, refitted to this run as diagnose does"],
-    );
+    has(&text, &["model.toml, refitted to this run as diagnose does"]);
     let given = seen.card(&format!("compare {run} --model {run}/model.toml"), 0);
     has(&given, &["model.toml, as it is"]);
 }
@@ -360,13 +286,7 @@ fn what_was_nearly_right_is_named() {
         let output = process.args(command.split(' ')).current_dir(desk).output();
         String::from_utf8(output.expect("it runs").stderr).expect("text")
     };
-    has(
-        &said("compare runs"),
-        &[
-            "a folder of 2 runs",
-            "did you mean the latest of them, runs/",
-        ],
-    );
+    has(&said("compare runs"), &["a folder of 2 runs", "did you mean the latest of them, runs/"]);
     has(&said("compare ."), &["no run", "help: "]);
     let run = seen.runs("emulated");
     let text = said(&format!("identify {run} --require inertia"));
@@ -377,9 +297,7 @@ fn what_was_nearly_right_is_named() {
 fn a_command_with_a_long_path_is_printed_to_be_copied() {
     let desk = Desk::new();
     let out = desk.path("long".repeat(30));
-    let shown = call("run --headless --port sim: --out {}", &[&out])
-        .expect(0)
-        .stdout;
+    let shown = call("run --headless --port sim: --out {}", &[&out]).expect(0).stdout;
     let run = only_folder(&out);
     let command = format!("drivebench diagnose {}", run.display());
     assert!(command.chars().count() > 100);

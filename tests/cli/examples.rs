@@ -1,39 +1,19 @@
 //! The examples of the library do what they promise.
 
 #[path = "../../examples/diagnose_two_runs.rs"]
-#[allow(
-    dead_code,
-    unreachable_pub,
-    reason = "an example is a program of its own"
-)]
+#[allow(dead_code, unreachable_pub, reason = "an example is a program of its own")]
 mod diagnose_two_runs;
 #[path = "../../examples/drive_link.rs"]
-#[allow(
-    dead_code,
-    unreachable_pub,
-    reason = "an example is a program of its own"
-)]
+#[allow(dead_code, unreachable_pub, reason = "an example is a program of its own")]
 mod drive_link;
 #[path = "../../examples/gallery.rs"]
-#[allow(
-    dead_code,
-    unreachable_pub,
-    reason = "an example is a program of its own"
-)]
+#[allow(dead_code, unreachable_pub, reason = "an example is a program of its own")]
 mod gallery;
 #[path = "../../examples/identify_csv.rs"]
-#[allow(
-    dead_code,
-    unreachable_pub,
-    reason = "an example is a program of its own"
-)]
+#[allow(dead_code, unreachable_pub, reason = "an example is a program of its own")]
 mod identify_csv;
 #[path = "../../examples/own_effect.rs"]
-#[allow(
-    dead_code,
-    unreachable_pub,
-    reason = "an example is a program of its own"
-)]
+#[allow(dead_code, unreachable_pub, reason = "an example is a program of its own")]
 mod own_effect;
 
 use drivebench::drive::DriveLink;
@@ -55,20 +35,10 @@ fn a_foreign_csv_gives_the_resistance() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("record.csv");
     std::fs::write(&path, "t,u,i,w\n".to_owned() + &rows.collect::<String>()).unwrap();
-    let map = "time_s=t,voltage_v=u,current_a=i,speed_rad_s=w"
-        .parse()
-        .unwrap();
+    let map = "time_s=t,voltage_v=u,current_a=i,speed_rad_s=w".parse().unwrap();
     let found = identify_csv::identify(&path, &map).unwrap();
-    let resistance = found
-        .lines()
-        .find_map(|line| line.strip_prefix("resistance_ohm = "));
-    let value: f64 = resistance
-        .unwrap()
-        .split(' ')
-        .next()
-        .unwrap()
-        .parse()
-        .unwrap();
+    let resistance = found.lines().find_map(|line| line.strip_prefix("resistance_ohm = "));
+    let value: f64 = resistance.unwrap().split(' ').next().unwrap().parse().unwrap();
     assert!((value / 1.1 - 1.0).abs() < 0.5, "{found}");
 }
 
@@ -82,11 +52,7 @@ fn the_fan_is_named() {
 fn an_effect_of_ones_own_is_judged_like_any_other() {
     let result = own_effect::judged().unwrap();
     assert_eq!(result.parameters[0].key, "cubic_load.cubic_n_m_s3_per_rad3");
-    assert!(
-        result.parameters[0].value.unwrap() > 0.0,
-        "{}",
-        result.reason
-    );
+    assert!(result.parameters[0].value.unwrap() > 0.0, "{}", result.reason);
 }
 
 #[test]
@@ -97,12 +63,7 @@ fn a_drive_turns_for_a_second_and_is_off_afterwards() {
     let last = samples.last().unwrap();
     assert!(last.get(Channel::Speed).unwrap() > 20.0, "{last:?}");
     clock.set_time_s(5.0);
-    let after = link
-        .exchange(Command {
-            seq: 200,
-            demand: Demand::Disable,
-        })
-        .unwrap();
+    let after = link.exchange(Command { seq: 200, demand: Demand::Disable }).unwrap();
     assert!(after.get(Channel::Speed).unwrap().abs() < 1.0, "{after:?}");
 }
 
@@ -113,9 +74,6 @@ fn the_gallery_in_the_documentation_is_that_of_this_program() {
     assert!(files.len() > 30, "{}", files.len());
     for (name, text) in files {
         let there = std::fs::read_to_string(docs.join(&name)).unwrap_or_default();
-        assert!(
-            there == text,
-            "docs/{name} is not current: cargo run --release --example gallery"
-        );
+        assert!(there == text, "docs/{name} is not current: cargo run --release --example gallery");
     }
 }

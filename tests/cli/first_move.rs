@@ -58,21 +58,14 @@ fn a_reversed_encoder_is_refused_before_the_run_and_a_waiver_is_kept() {
     let reversed = format!("{PLAIN}\n[faults]\nencoder_reversed = true\n");
     let done = run(&desk, &bench("", STEPS), &reversed, "").expect(3);
     let error = done.error();
-    has(
-        &error,
-        &["direction: encoder reversed", "help: exchange A and B"],
-    );
+    has(&error, &["direction: encoder reversed", "help: exchange A and B"]);
     assert!(!desk.path("runs").exists(), "nothing was recorded");
 
     // What the waived pulse would have shown the run shows itself: no waiver lets an encoder run backwards.
     let done = run(&desk, &bench("", STEPS), &reversed, "--waive-direction").expect(4);
     has(
         &done.stderr,
-        &[
-            "waived: direction",
-            "WAIVED: no pulse was made",
-            "safety trip: encoder reversed",
-        ],
+        &["waived: direction", "WAIVED: no pulse was made", "safety trip: encoder reversed"],
     );
     let waivers = desk.manifest()["waivers"].to_string();
     has(&waivers, &["direction", "plausibility"]);
@@ -82,16 +75,11 @@ fn a_reversed_encoder_is_refused_before_the_run_and_a_waiver_is_kept() {
 #[test]
 fn a_back_emf_per_revolution_is_refused_with_the_mistake_named() {
     let desk = Desk::new();
-    let wrong = bench("", STEPS).replace(
-        "back_emf_v_s_per_rad = 0.3538",
-        "back_emf_v_s_per_rad = 0.03705",
-    );
+    let wrong =
+        bench("", STEPS).replace("back_emf_v_s_per_rad = 0.3538", "back_emf_v_s_per_rad = 0.03705");
     let error = run(&desk, &wrong, PLAIN, "").expect(3).error();
     has(&error, &["plausibility: back-EMF constant 0.3"]);
-    has(
-        &error,
-        &["V per r/min on the nameplate", "--waive-plausibility"],
-    );
+    has(&error, &["V per r/min on the nameplate", "--waive-plausibility"]);
 }
 
 const VERTICAL: &str = "[load]\nvertical = true\nhold_current_a = 2.26\n\
@@ -105,31 +93,18 @@ fn a_vertical_load_is_held_before_its_brake_opens_and_until_it_has_closed() {
     let hoist = format!("{PLAIN}\n{HOIST}");
     run(&desk, &bench(VERTICAL, STEPS), &hoist, "").expect(0);
     let events = desk.read("events.jsonl");
-    let at = |words: &str| {
-        events
-            .find(words)
-            .unwrap_or_else(|| panic!("{words}: {events}"))
-    };
+    let at = |words: &str| events.find(words).unwrap_or_else(|| panic!("{words}: {events}"));
     // Held, then moved; at rest, then shut, then off.
     let order = ["releases", "\"running\"", "applies", "\"stopping\""].map(at);
     assert!(order.is_sorted(), "{events}");
     let samples = desk.read("samples.csv");
-    let (angles, volts) = (
-        column(&samples, "angle_rad"),
-        column(&samples, "voltage_cmd_v"),
-    );
+    let (angles, volts) = (column(&samples, "angle_rad"), column(&samples, "voltage_cmd_v"));
     // The load is lifted and never sinks below where it hung.
     let start = angles[0];
     assert!(angles.iter().all(|angle| angle - start > -1.0), "it fell");
-    assert!(
-        angles.iter().any(|angle| angle - start > 20.0),
-        "it was not lifted"
-    );
+    assert!(angles.iter().any(|angle| angle - start > 20.0), "it was not lifted");
     // 2.26 A times 1.1 ohm, from the begin to the end of the brake's time.
-    let held = volts
-        .iter()
-        .filter(|volts| (**volts - 2.486).abs() < 0.02)
-        .count();
+    let held = volts.iter().filter(|volts| (**volts - 2.486).abs() < 0.02).count();
     assert!(held >= 40, "{held} cycles of holding");
 }
 
@@ -154,10 +129,7 @@ fn a_supply_that_takes_nothing_back_limits_the_deceleration_instead_of_the_bus_s
     run(&desk, &bench("", fast), &stiff, "").fails(4, &["bus voltage too high"]);
 
     let desk = Desk::new();
-    let limited = bench(
-        "[supply]\nregenerates = false\nbrake_power_w = 20.0\n",
-        fast,
-    );
+    let limited = bench("[supply]\nregenerates = false\nbrake_power_w = 20.0\n", fast);
     // A small resistor burns what is left beside friction and winding.
     let sink = stiff.replace("1e-3", "1.0");
     run(&desk, &limited, &sink, "").expect(0);
@@ -201,10 +173,7 @@ fn a_bridge_of_one_quadrant_goes_one_way_and_a_lost_field_is_a_trip() {
     let profile = thyristor(&desk);
     let with = |sequence: &str| {
         bench("", sequence)
-            .replace(
-                "profile = \"own\"",
-                &format!("profile = {:?}", profile.to_str().unwrap()),
-            )
+            .replace("profile = \"own\"", &format!("profile = {:?}", profile.to_str().unwrap()))
             .replace("rate_hz = 100.0", "rate_hz = 10.0\ndeadline_ms = 2000.0")
             .replace("link_silence_s = 0.45", "link_silence_s = 20.0")
             .replace("bus_min_v = 100.0", "")

@@ -28,26 +28,13 @@ fn called_alone_it_shows_the_loop_and_the_next_step_from_what_lies_there() {
     let alone = || call_in(desk.folder(), "").expect(0);
     let first = alone();
     assert_eq!(first.stderr, "");
-    has(
-        &first.stdout,
-        &["nothing of ours yet", "Next\n  drivebench commission\n"],
-    );
+    has(&first.stdout, &["nothing of ours yet", "Next\n  drivebench commission\n"]);
     desk.put("bench.toml", BENCH);
-    has(
-        &alone().stdout,
-        &[
-            "bench files: bench.toml",
-            "Next\n  drivebench plan bench.toml\n",
-        ],
-    );
+    has(&alone().stdout, &["bench files: bench.toml", "Next\n  drivebench plan bench.toml\n"]);
     call_in(desk.folder(), "run bench.toml --headless --port sim:").expect(0);
     has(
         &alone().stdout,
-        &[
-            "runs: 1, the newest ",
-            "Next\n  drivebench diagnose runs/latest\n",
-            "/report.html",
-        ],
+        &["runs: 1, the newest ", "Next\n  drivebench diagnose runs/latest\n", "/report.html"],
     );
     model(&desk, "model.toml", STRIBECK);
     has(
@@ -72,15 +59,9 @@ fn latest_is_the_newest_run_wherever_a_run_is_taken() {
     };
     let link = desk.out().join("latest");
     let first = record("1");
-    assert_eq!(
-        fs::read_link(&link).unwrap(),
-        Path::new(first.file_name().unwrap())
-    );
+    assert_eq!(fs::read_link(&link).unwrap(), Path::new(first.file_name().unwrap()));
     let second = record("2");
-    assert_eq!(
-        fs::read_link(&link).unwrap(),
-        Path::new(second.file_name().unwrap())
-    );
+    assert_eq!(fs::read_link(&link).unwrap(), Path::new(second.file_name().unwrap()));
     for command in ["identify {}", "compare {}", "replay {}"] {
         let command = format!("{command} --json");
         let (through, direct) = (json_of(&command, &[&link]), json_of(&command, &[&second]));
@@ -88,10 +69,7 @@ fn latest_is_the_newest_run_wherever_a_run_is_taken() {
     }
     // What is written down names the run, not the link.
     let model = desk.path("added.toml");
-    call(
-        "add viscous_friction --run {} --output {}",
-        &[&link, &model],
-    );
+    call("add viscous_friction --run {} --output {}", &[&link, &model]);
     let identified = desk.path("identified.toml");
     call("identify {} --output {}", &[&link, &identified]).expect(0);
     let text = fs::read_to_string(&identified).unwrap();
@@ -105,34 +83,22 @@ fn what_else_is_called_latest_stays_and_the_run_is_kept() {
     let own = desk.out().join("latest");
     fs::create_dir_all(&own).unwrap();
     fs::write(own.join("mine"), "mine").unwrap();
-    let done = desk
-        .simulate("commission --headless", "--emulator zk-22fc-plain", &[])
-        .expect(0);
+    let done = desk.simulate("commission --headless", "--emulator zk-22fc-plain", &[]).expect(0);
     assert_eq!(fs::read_to_string(own.join("mine")).unwrap(), "mine");
-    assert_eq!(
-        done.stderr.matches("no link `latest`").count(),
-        1,
-        "{}",
-        done.stderr
-    );
+    assert_eq!(done.stderr.matches("no link `latest`").count(), 1, "{}", done.stderr);
 }
 
 #[test]
 fn a_simulation_has_the_measurement_beside_it() {
     let runs = Runs::plain();
     let paths: [&Path; 2] = [&runs.model, &runs.fit];
-    let alone = call("simulate --model {} --run {}", &paths)
-        .expect(0)
-        .stdout;
-    let both = call("simulate --model {} --run {} --measured", &paths)
-        .expect(0)
-        .stdout;
+    let alone = call("simulate --model {} --run {}", &paths).expect(0).stdout;
+    let both = call("simulate --model {} --run {} --measured", &paths).expect(0).stdout;
     assert_eq!(column(&alone, "speed_rad_s"), column(&both, "speed_rad_s"));
     let recorded = fs::read_to_string(runs.fit.join("samples.csv")).unwrap();
-    for (signal, name) in [
-        ("current_a", "measured_current_a"),
-        ("speed_rad_s", "measured_speed_rad_s"),
-    ] {
+    for (signal, name) in
+        [("current_a", "measured_current_a"), ("speed_rad_s", "measured_speed_rad_s")]
+    {
         let (there, here) = (column(&recorded, signal), column(&both, name));
         assert!(here.len() > 1000 && there.len() >= here.len(), "{signal}");
         let known = here.iter().filter(|value| there.contains(value)).count();
@@ -144,10 +110,7 @@ fn a_simulation_has_the_measurement_beside_it() {
         };
         let error = rms(&mut here.iter().zip(&model).map(|(a, b)| a - b));
         let size = rms(&mut here.iter().copied());
-        assert!(
-            error < 0.1 * size,
-            "{signal}: {error} of {size} between neighbours of a row"
-        );
+        assert!(error < 0.1 * size, "{signal}: {error} of {size} between neighbours of a row");
     }
 }
 
@@ -159,31 +122,19 @@ fn two_models_are_compared_on_one_run_and_only_beyond_chance_one_is_better() {
     let add = "add stribeck_friction --run {} --holdout {} --output {}";
     call(add, &[&runs.fit, &runs.holdout, &with]).expect(0);
     let text = "compare {} --holdout {} --model {} --model {}";
-    let found = json_of(
-        &format!("{text} --json"),
-        &[&runs.fit, &runs.holdout, &bare, &with],
-    );
+    let found = json_of(&format!("{text} --json"), &[&runs.fit, &runs.holdout, &bare, &with]);
     assert_eq!(found["better"], "second", "{found}");
     assert_eq!(found["models"][1]["effects"][0], "stribeck_friction");
     let [before, after] = [0, 1].map(|one| found["holdout_rmse"][one].as_f64().unwrap());
     assert!(after < 0.5 * before, "{before} {after}");
-    let swapped = json_of(
-        &format!("{text} --json"),
-        &[&runs.fit, &runs.holdout, &with, &bare],
-    );
+    let swapped = json_of(&format!("{text} --json"), &[&runs.fit, &runs.holdout, &with, &bare]);
     assert_eq!(swapped["better"], "first");
     let same = call(text, &[&runs.fit, &runs.holdout, &with, &with]).expect(0);
     has(&same.stdout, &["A  ", "B  ", "both models give the same"]);
-    let error = refusal(
-        &format!("{text} --min-fit 90"),
-        &[&runs.fit, &runs.holdout, &bare, &with],
-    );
+    let error = refusal(&format!("{text} --min-fit 90"), &[&runs.fit, &runs.holdout, &bare, &with]);
     has(&error, &["--min-fit", "one model"]);
     let three = format!("{text} --model {{}}");
-    has(
-        &refusal(&three, &[&runs.fit, &runs.holdout, &bare, &with, &bare]),
-        &["more than two"],
-    );
+    has(&refusal(&three, &[&runs.fit, &runs.holdout, &bare, &with, &bare]), &["more than two"]);
 }
 
 #[test]
@@ -193,10 +144,7 @@ fn behind_a_coupling_tune_takes_a_notch_says_what_it_is_worth_and_holds_for_ever
                     damping_ratio = 0.02\nfriction_split = 0.5\n\n[history]\n\
                     fitted = [{ key = \"elastic_coupling.frequency_hz\", std = 0.2 }]\n";
     let model = model(&desk, "elastic.toml", coupling);
-    let tuned = json_of(
-        "tune --model {} --rate-hz 200 --delay-cycles 2 --json",
-        &[&model],
-    );
+    let tuned = json_of("tune --model {} --rate-hz 200 --delay-cycles 2 --json", &[&model]);
     assert_eq!(tuned["gains"]["notch"]["frequency_hz"], 22.0);
     assert_eq!(tuned["draws"]["count"], 200);
     assert_eq!(tuned["draws"]["stable_share"], 1.0);
@@ -206,32 +154,20 @@ fn behind_a_coupling_tune_takes_a_notch_says_what_it_is_worth_and_holds_for_ever
     let middle = &tuned["step"][10];
     assert!(number(middle, "/low") < number(middle, "/speed"));
     assert!(number(middle, "/high") > number(middle, "/speed"));
-    let slow = json_of(
-        "tune --model {} --rate-hz 200 --delay-cycles 2 --json --no-notch",
-        &[&model],
-    );
+    let slow =
+        json_of("tune --model {} --rate-hz 200 --delay-cycles 2 --json --no-notch", &[&model]);
     assert!(slow["gains"].get("notch").is_none());
     let hertz = |tuned| number(tuned, "/margins/bandwidth_rad_s") / std::f64::consts::TAU;
     assert!(hertz(&tuned) > 1.05 * hertz(&slow));
-    let card = call(
-        "tune --model {} --rate-hz 200 --delay-cycles 2 --full",
-        &[&model],
-    )
-    .expect(0)
-    .stdout;
+    let card =
+        call("tune --model {} --rate-hz 200 --delay-cycles 2 --full", &[&model]).expect(0).stdout;
     let worth = format!(
         "a notch at 22.0 Hz keeps {:.1} Hz of bandwidth; without it {:.1} Hz",
         hertz(&tuned),
         hertz(&slow)
     );
     let flat = card.split_whitespace().collect::<Vec<_>>().join(" ");
-    has(
-        &flat,
-        &[
-            &worth,
-            "worst of 200 draws of the parameters (100 % stable)",
-        ],
-    );
+    has(&flat, &[&worth, "worst of 200 draws of the parameters (100 % stable)"]);
     // It goes out whole or not at all.
     let gains = desk.put("gains.json", &tuned.to_string());
     let text = "export --model {} --to json --gains {} --limit-v 110";
@@ -250,33 +186,18 @@ fn a_model_goes_out_with_its_gains_and_those_of_another_model_are_refused() {
     let done = call(text, &[&own, &gains, &header]).expect(0);
     has(&done.stdout, &["pump-1.h: ZK-22FC with stribeck_friction"]);
     let written = fs::read_to_string(&header).unwrap();
-    has(
-        &written,
-        &[
-            "pump_1_step(",
-            "pump_1_regulate(",
-            "stribeck_friction_stribeck_n_m = 0.2,",
-        ],
-    );
-    has(
-        &refusal(text, &[&own, &gains, &header]),
-        &["nothing is overwritten"],
-    );
+    has(&written, &["pump_1_step(", "pump_1_regulate(", "stribeck_friction_stribeck_n_m = 0.2,"]);
+    has(&refusal(text, &[&own, &gains, &header]), &["nothing is overwritten"]);
     // It is a header that a strict compiler takes; where there is none, that is said.
-    let source = desk.put(
-        "main.c",
-        "#include \"pump-1.h\"\nint main(void) { return 0; }\n",
-    );
+    let source = desk.put("main.c", "#include \"pump-1.h\"\nint main(void) { return 0; }\n");
     let compiled = Command::new("cc")
         .args(["-std=c99", "-pedantic", "-Werror", "-Wall", "-fsyntax-only"])
         .arg(&source)
         .output();
     match compiled {
-        Ok(output) => assert!(
-            output.status.success(),
-            "{}",
-            String::from_utf8_lossy(&output.stderr)
-        ),
+        Ok(output) => {
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr))
+        }
         Err(error) => eprintln!("SKIPPED: no C compiler: {error}"),
     }
     let document = json_of("export --model {} --to json", &[&own]);
@@ -284,26 +205,15 @@ fn a_model_goes_out_with_its_gains_and_those_of_another_model_are_refused() {
     assert_eq!(document["effect"][0]["id"], "stribeck_friction");
     let law = word(&document, "/laws/0/terms/0/formula");
     assert_eq!(law, "stribeck_n_m * exp(-(w / stribeck_speed_rad_s)^2.0)");
-    let other = desk.put(
-        "other.toml",
-        &fs::read_to_string(&own).unwrap().replace("0.0045", "0.009"),
-    );
+    let other =
+        desk.put("other.toml", &fs::read_to_string(&own).unwrap().replace("0.0045", "0.009"));
     let text = "export --model {} --to python --gains {} --limit-v 110";
-    has(
-        &refusal(text, &[&other, &gains]),
-        &["gains of another model", "drivebench tune"],
-    );
-    has(
-        &refusal("export --model {} --to c --gains {}", &[&own, &gains]),
-        &["--limit-v"],
-    );
+    has(&refusal(text, &[&other, &gains]), &["gains of another model", "drivebench tune"]);
+    has(&refusal("export --model {} --to c --gains {}", &[&own, &gains]), &["--limit-v"]);
     let play = "[[effect]]\nid = \"backlash\"\ngap_rad = 0.02\nfrequency_hz = 40.0\ninertia_ratio = 0.5\n\
                 damping_ratio = 0.05\nfriction_split = 0.5\n";
     let loose = model(&desk, "loose.toml", play);
-    has(
-        &refusal("export --model {} --to matlab", &[&loose]),
-        &["backlash", "second inertia"],
-    );
+    has(&refusal("export --model {} --to matlab", &[&loose]), &["backlash", "second inertia"]);
     let document = json_of("export --model {} --to json", &[&loose]);
     assert!(document["laws"][0]["terms"].is_null(), "{document}");
 }
@@ -316,26 +226,14 @@ fn a_torque_map_comes_from_runs_and_leaves_empty_what_they_do_not_show() {
     let (fit, other): (&Path, &Path) = (runs.fit.as_ref(), runs.holdout.as_ref());
     let text = "export --torque-map friction --run {} --run {} --model {} --to csv";
     let table = call(text, &[fit, other, &own]).expect(0).stdout;
-    let rows: Vec<Vec<&str>> = table
-        .lines()
-        .map(|line| line.split(',').collect())
-        .collect();
-    assert_eq!(
-        rows[0].join(","),
-        "speed_rad_s,torque_n_m,torque_low_n_m,torque_high_n_m,windows"
-    );
+    let rows: Vec<Vec<&str>> = table.lines().map(|line| line.split(',').collect()).collect();
+    assert_eq!(rows[0].join(","), "speed_rad_s,torque_n_m,torque_low_n_m,torque_high_n_m,windows");
     assert_eq!(rows.len(), 25, "{table}");
     let mut known = 0;
     for row in &rows[1..] {
-        let [speed, cells @ .., windows] = row.as_slice() else {
-            panic!("{row:?}")
-        };
+        let [speed, cells @ .., windows] = row.as_slice() else { panic!("{row:?}") };
         let windows: u32 = windows.parse().unwrap();
-        assert_eq!(
-            cells.iter().all(|cell| cell.is_empty()),
-            windows < 4,
-            "{row:?}"
-        );
+        assert_eq!(cells.iter().all(|cell| cell.is_empty()), windows < 4, "{row:?}");
         if windows < 4 {
             continue;
         }
@@ -354,21 +252,13 @@ fn a_torque_map_comes_from_runs_and_leaves_empty_what_they_do_not_show() {
     let written = fs::read_to_string(&header).unwrap();
     has(&written, &["rubs_torque(float speed_rad_s,"]);
     for (text, paths, words) in [
-        (
-            "export --torque-map friction --run {} --to csv",
-            vec![fit],
-            "--model",
-        ),
+        ("export --torque-map friction --run {} --to csv", vec![fit], "--model"),
         (
             "export --torque-map friction --run {} --model {} --to json",
             vec![fit, &own],
             "a torque map as csv or c",
         ),
-        (
-            "export --model {} --to csv",
-            vec![own.as_path()],
-            "--torque-map",
-        ),
+        ("export --model {} --to csv", vec![own.as_path()], "--torque-map"),
         (
             // It turns too fast for what the angle does.
             "export --torque-map cogging --run {} --model {} --to csv",
@@ -390,10 +280,7 @@ fn a_run_keeps_its_samples_as_columns_where_that_is_asked_for() {
     let desk = Desk::new();
     if cfg!(not(feature = "parquet")) {
         for (command, paths) in [
-            (
-                "run --headless --port sim: --parquet --out {}",
-                vec![desk.out()],
-            ),
+            ("run --headless --port sim: --parquet --out {}", vec![desk.out()]),
             (
                 "export --run {} --to parquet --output {}",
                 vec![Runs::plain().fit.to_path_buf(), desk.path("run.parquet")],
@@ -406,11 +293,7 @@ fn a_run_keeps_its_samples_as_columns_where_that_is_asked_for() {
         assert!(!desk.out().exists(), "nothing is recorded");
         return;
     }
-    call(
-        "run --headless --port sim: --parquet --out {}",
-        &[&desk.out()],
-    )
-    .expect(0);
+    call("run --headless --port sim: --parquet --out {}", &[&desk.out()]).expect(0);
     let (run, exported) = (desk.run(), desk.path("run.parquet"));
     let text = "export --run {} --to parquet --output {}";
     has(&call(text, &[&run, &exported]).expect(0).stdout, &[" rows"]);
@@ -422,10 +305,7 @@ fn a_run_keeps_its_samples_as_columns_where_that_is_asked_for() {
         let output = Command::new("python3").args(arguments).output();
         output.map_or_else(|_| Done::default(), |output| Done::of(&output))
     };
-    if python(&["-c".as_ref(), "import pyarrow; print(1)".as_ref()])
-        .stdout
-        .is_empty()
-    {
+    if python(&["-c".as_ref(), "import pyarrow; print(1)".as_ref()]).stdout.is_empty() {
         eprintln!("SKIPPED: pyarrow is not installed: the Parquet file was not read by it");
         return;
     }
@@ -464,12 +344,9 @@ fn the_manual_has_a_page_for_every_command() {
     for _ in 0..2 {
         call("man --out {}", &[&folder]).expect(0);
     }
-    for page in [
-        "drivebench",
-        "drivebench-diagnose",
-        "drivebench-registers-write",
-        "drivebench-export",
-    ] {
+    for page in
+        ["drivebench", "drivebench-diagnose", "drivebench-registers-write", "drivebench-export"]
+    {
         let text = fs::read_to_string(folder.join(format!("{page}.1"))).unwrap();
         has(&text, &[".SH NAME", ".SH SYNOPSIS"]);
     }

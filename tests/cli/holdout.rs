@@ -11,19 +11,11 @@ fn record(bench: Bench, share: f64) -> Vec<Row> {
 
 /// The same motor with other noise.
 fn again(seed: u64) -> Bench {
-    Bench {
-        seed,
-        ..Bench::PAPER_A
-    }
+    Bench { seed, ..Bench::PAPER_A }
 }
 
 /// Another motor.
-const OTHER: Bench = Bench {
-    resistance_ohm: 3.3,
-    ke: 0.17,
-    seed: 29,
-    ..Bench::PAPER_A
-};
+const OTHER: Bench = Bench { resistance_ohm: 3.3, ke: 0.17, seed: 29, ..Bench::PAPER_A };
 
 fn good() -> &'static [Row] {
     static ROWS: OnceLock<Vec<Row>> = OnceLock::new();
@@ -52,11 +44,9 @@ fn a_holdout_that_tests_nothing_is_not_used_and_why_is_told() {
         ("seems to be in ms", again_but(|row| row[0] *= 1e3)),
     ] {
         let holdout = desk.put("holdout.csv", &text);
-        let done = call(
-            "diagnose {} --json --model {} --holdout {}",
-            &[&run, &nameplate, &holdout],
-        )
-        .expect(0);
+        let done =
+            call("diagnose {} --json --model {} --holdout {}", &[&run, &nameplate, &holdout])
+                .expect(0);
         let found = done.json();
         assert_eq!(found["holdout_from"], "split", "{reason}: {}", done.stderr);
         assert_eq!(found["verdict"], "none", "{reason}: {found:#}");
@@ -64,11 +54,8 @@ fn a_holdout_that_tests_nothing_is_not_used_and_why_is_told() {
         has(&found["notes"].to_string(), &[reason]);
     }
     let good = desk.put("holdout.csv", &text_of(&again, |_| {}));
-    let done = call(
-        "diagnose {} --json --model {} --holdout {}",
-        &[&run, &nameplate, &good],
-    )
-    .expect(0);
+    let done =
+        call("diagnose {} --json --model {} --holdout {}", &[&run, &nameplate, &good]).expect(0);
     assert_eq!(done.json()["holdout_from"], "run");
     lacks(&done.stderr, &["warning"]);
 }
@@ -87,10 +74,7 @@ fn a_model_no_better_than_the_mean_is_not_fitted_and_names_nothing() {
     let run = desk.put("run.csv", &format!("time_s,torque_n_m,speed_rad_s\n{rows}"));
     let done = call("diagnose {}", &[&run]).expect(0);
     has(&done.stdout, &["NOT FITTED", "no effect is named"]);
-    has(
-        &done.stdout,
-        &["not observable", "drivebench identify", "--full"],
-    );
+    has(&done.stdout, &["not observable", "drivebench identify", "--full"]);
     lacks(&done.stdout, &["settled", "ruled out "]);
     let done = call("compare {}", &[&run]).expect(0);
     has(&done.stdout, &["NOT FITTED"]);
@@ -194,10 +178,7 @@ fn both_pages_tell_of_holes_and_of_rows_that_were_dropped() {
 #[test]
 fn a_record_that_begins_while_the_motor_runs_out_has_the_floor_of_the_rest_after_it() {
     let desk = Desk::new();
-    let bench = Bench {
-        turning: 80.0,
-        ..again(31)
-    };
+    let bench = Bench { turning: 80.0, ..again(31) };
     let rows = record(bench, 1.0);
     let run = desk.put("coasts.csv", &text_of(&rows, |_| {}));
     let nameplate = desk.nameplate();
@@ -218,17 +199,10 @@ fn what_is_missing_in_a_file_is_told_before_it_passes_for_an_effect() {
     }
     let gap = desk.put("gap.csv", &text);
     let done = call("compare {} --json --model {}", &[&gap, &nameplate]).expect(0);
-    has(
-        &done.stderr,
-        &["the longest time without 0.900 s from 3.200 s on"],
-    );
+    has(&done.stderr, &["the longest time without 0.900 s from 3.200 s on"]);
     let mut holes = format!("{COLUMNS}\n");
     for (k, row) in good().iter().enumerate() {
-        let volts = if k % 10 == 9 {
-            String::new()
-        } else {
-            row[1].to_string()
-        };
+        let volts = if k % 10 == 9 { String::new() } else { row[1].to_string() };
         let _ = writeln!(holes, "{},{volts},{},{}", row[0], row[2], row[3]);
     }
     let holes = desk.put("holes.csv", &holes);

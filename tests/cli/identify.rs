@@ -20,11 +20,9 @@ fn a_known_added_inertia_gives_the_absolute_scale() {
     let text = format!("identify {{}} --added-inertia {added} --json");
     let done = call(&text, &[&bare]).expect(0);
     let found = done.json();
-    for (key, truth) in [
-        ("torque_n_m_per_a", 0.30),
-        ("inertia_kg_m2", 0.0045),
-        ("load_torque_n_m", 0.455),
-    ] {
+    for (key, truth) in
+        [("torque_n_m_per_a", 0.30), ("inertia_kg_m2", 0.0045), ("load_torque_n_m", 0.455)]
+    {
         let value = number(&found, &format!("/absolute/{key}/value"));
         let std = number(&found, &format!("/absolute/{key}/std"));
         assert!((value / truth - 1.0).abs() < 0.01, "{key} {value}");
@@ -35,21 +33,14 @@ fn a_known_added_inertia_gives_the_absolute_scale() {
     assert!((assumed / 0.0045 - 0.3538 / 0.30).abs() < 0.01, "{assumed}");
     lacks(&done.stdout, &["plausible"]);
 
-    let ten_times = format!(
-        "identify {{}} --added-inertia {}=0.005 --json",
-        disc.display()
-    );
+    let ten_times = format!("identify {{}} --added-inertia {}=0.005 --json", disc.display());
     let wrong = call(&ten_times, &[&bare]).expect(0);
     has(&wrong.stdout, &["plausible"]);
 }
 
 #[test]
 fn several_runs_give_the_spread_between_them() {
-    let runs = [
-        run_with(0.0045, 3),
-        run_with(0.0045, 4),
-        run_with(0.0047, 5),
-    ];
+    let runs = [run_with(0.0045, 3), run_with(0.0045, 4), run_with(0.0047, 5)];
     let paths: Vec<_> = runs.iter().map(|run| &**run).collect();
     let found = json_of("identify {} {} {} --json --gear-ratio 10", &paths);
     let at = |pointer: &str| number(&found, pointer);
@@ -57,10 +48,7 @@ fn several_runs_give_the_spread_between_them() {
     // 0.0045, 0.0045, 0.0047, times Ke/Kt.
     let expected = 0.3538 / 0.30 * 0.0002 / 3f64.sqrt();
     let spread = at("/parameters/inertia_kg_m2/run_to_run_std");
-    assert!(
-        (spread / expected - 1.0).abs() < 0.05,
-        "{spread} {expected}"
-    );
+    assert!((spread / expected - 1.0).abs() < 0.05, "{spread} {expected}");
     let reason = &found["parameters"]["inertia_kg_m2"]["reason"];
     assert!(reason.as_str().unwrap().contains("run to run"), "{reason}");
     assert_eq!(found["parameters"]["resistance_ohm"]["verdict"], "settled");
@@ -78,10 +66,7 @@ fn a_drive_that_limits_the_voltage_settles_nothing() {
     for (key, parameter) in found["parameters"].as_object().unwrap() {
         assert_ne!(parameter["verdict"], "settled", "{key} {parameter}");
     }
-    assert!(
-        found["notes"].to_string().contains("limited it"),
-        "{found:#}"
-    );
+    assert!(found["notes"].to_string().contains("limited it"), "{found:#}");
 }
 
 #[test]
@@ -144,10 +129,8 @@ fn one_size_has_one_deviation_whatever_command_tells_it() {
     let written: toml::Table = written.parse().expect("a model file");
     let of_file = |key: &str| {
         let fitted = written["history"]["fitted"].as_array().expect("a list");
-        let own = fitted
-            .iter()
-            .find(|own| own["key"].as_str() == Some(key))
-            .expect("a fitted value");
+        let own =
+            fitted.iter().find(|own| own["key"].as_str() == Some(key)).expect("a fitted value");
         own["std"].as_float().expect("a number")
     };
     let at = |found: &Value, place: &str, what: &str| number(found, &format!("{place}/{what}"));
@@ -200,10 +183,7 @@ fn one_size_has_one_deviation_whatever_command_tells_it() {
         (std.parse().expect("a number"), verdict.to_owned())
     };
     let (added, removed) = (behind(&of_add), behind(&of_remove));
-    assert!(
-        (added.0 / removed.0 - 1.0).abs() < 0.1,
-        "{added:?} {removed:?}"
-    );
+    assert!((added.0 / removed.0 - 1.0).abs() < 0.1, "{added:?} {removed:?}");
     assert_eq!(added.1, removed.1);
 }
 
@@ -235,17 +215,11 @@ fn steps_of_several_levels_have_together_what_none_has_alone() {
     let back_emf = number(&found, "/parameters/back_emf_v_s_per_rad/value");
     assert!((back_emf * 2.4 - 1.0).abs() < 0.02, "{found:#}");
     let inertia = number(&found, "/parameters/inertia_kg_m2/value");
-    assert!(
-        (inertia * 8.0 * 2.4 * 2.4 / 0.12 - 1.0).abs() < 0.1,
-        "{found:#}"
-    );
+    assert!((inertia * 8.0 * 2.4 * 2.4 / 0.12 - 1.0).abs() < 0.1, "{found:#}");
     assert_eq!(found["joint"], true);
     let gain = number(&found, "/parameters/first_order.gain_rad_s_per_v/value");
     assert!((gain / 2.4 - 1.0).abs() < 0.02, "{found:#}");
     let alone = json_of("identify {} --model {} --json", &[&files[2], &model]);
     let reason = &alone["parameters"]["back_emf_v_s_per_rad"]["reason"];
-    assert!(
-        reason.as_str().unwrap().contains("together with"),
-        "{reason}"
-    );
+    assert!(reason.as_str().unwrap().contains("together with"), "{reason}");
 }

@@ -64,16 +64,10 @@ fn a_foreign_file_with_other_names_and_units_gives_the_same_motor() {
         drivebench(arguments)
     };
     let done = mapped(map).expect(0);
-    has(
-        &done.stderr,
-        &["foreign.csv: it begins with a byte order mark"],
-    );
+    has(&done.stderr, &["foreign.csv: it begins with a byte order mark"]);
     let found = done.json();
     for key in ["resistance_ohm", "back_emf_v_s_per_rad", "inertia_kg_m2"] {
-        let (ours, theirs) = (
-            parameter(&own, key).unwrap(),
-            parameter(&found, key).unwrap(),
-        );
+        let (ours, theirs) = (parameter(&own, key).unwrap(), parameter(&found, key).unwrap());
         assert!((theirs / ours - 1.0).abs() < 1e-3, "{key}: {ours} {theirs}");
     }
     // A header that is not there is named, with what is there.
@@ -88,12 +82,8 @@ fn a_file_of_another_dialect_with_products_and_stamps_that_repeat_gives_the_same
     let own = desk.identify(&csv(HEADER, &rows), "").expect(0).json();
     let mut text = "sep=;\nt;duty;bus_v;i;rpm;way\n".to_owned();
     for (number, [time, volts, amps, speed]) in rows.iter().enumerate() {
-        let duty = volts
-            .parse()
-            .map_or(String::new(), |volts: f64| (volts / 120.0).to_string());
-        let (way, speed) = speed
-            .strip_prefix('-')
-            .map_or((1, &**speed), |speed| (-1, speed));
+        let duty = volts.parse().map_or(String::new(), |volts: f64| (volts / 120.0).to_string());
+        let (way, speed) = speed.strip_prefix('-').map_or((1, &**speed), |speed| (-1, speed));
         let row = format!("{time};{duty};120;{amps};{speed};{way}\n").replace('.', ",");
         // The logger was faster than its clock here.
         let count = if number == 300 { 3 } else { 1 };
@@ -111,10 +101,7 @@ fn a_file_of_another_dialect_with_products_and_stamps_that_repeat_gives_the_same
     );
     let found = done.json();
     assert_eq!(found["rows_dropped"], 2);
-    has(
-        &found["notes"].to_string(),
-        &["decimal comma", "2 repeat it"],
-    );
+    has(&found["notes"].to_string(), &["decimal comma", "2 repeat it"]);
     for key in ["resistance_ohm", "back_emf_v_s_per_rad"] {
         let ours = parameter(&own, key).unwrap();
         expect_near(key, parameter(&found, key), ours, 0.05);
@@ -147,8 +134,7 @@ fn files_without_data_are_status_2_with_the_name() {
     }
     call("identify {}", &[&desk.path("missing.csv")]).fails(2, &["missing.csv"]);
     let repeated = format!("{HEADER}0,1,1,1\n0,1,1,1\n");
-    desk.identify(&repeated, "")
-        .fails(2, &["strictly increasing"]);
+    desk.identify(&repeated, "").fails(2, &["strictly increasing"]);
     let no_number = format!("{HEADER}0,1,1,fast\n1,1,1,1\n");
     desk.identify(&no_number, "").fails(2, &["fast"]);
 }
@@ -167,15 +153,10 @@ fn a_column_of_missing_values_is_not_measured_and_never_zero() {
     let all = desk.identify(&csv(HEADER, &rows), "").expect(0).json();
     let found = desk.identify(&without(2), "").expect(0).json();
     let key = "back_emf_v_s_per_rad";
-    let (ours, theirs) = (
-        parameter(&all, key).unwrap(),
-        parameter(&found, key).unwrap(),
-    );
+    let (ours, theirs) = (parameter(&all, key).unwrap(), parameter(&found, key).unwrap());
     assert!((theirs / ours - 1.0).abs() < 0.02, "{ours} {theirs}");
     // Without the voltage nothing electrical can come out.
-    let done = desk
-        .identify(&without(1), "--require resistance_ohm")
-        .expect(5);
+    let done = desk.identify(&without(1), "--require resistance_ohm").expect(5);
     assert!(parameter(&done.json(), "resistance_ohm").is_none());
     done.error();
 }
@@ -183,10 +164,8 @@ fn a_column_of_missing_values_is_not_measured_and_never_zero() {
 #[test]
 fn data_that_excite_nothing_are_status_5_with_a_reason() {
     let (desk, rows) = (Desk::new(), rows());
-    let steady: Vec<[String; 4]> = rows
-        .iter()
-        .map(|[time, ..]| [time, "12.0", "1.5", "30.0"].map(str::to_owned))
-        .collect();
+    let steady: Vec<[String; 4]> =
+        rows.iter().map(|[time, ..]| [time, "12.0", "1.5", "30.0"].map(str::to_owned)).collect();
     desk.identify(&csv(HEADER, &steady), "").expect(5).error();
     // The quarter of a second at zero volts that each run begins with.
     let done = desk.identify(&csv(HEADER, &rows[..23]), "").expect(5);
@@ -265,12 +244,7 @@ fn figures_of_an_axis_without_electrics_stand_under_their_names() {
     let mut text = format!("{header}\n");
     for k in 0..500_u32 {
         let digit = k.wrapping_mul(2_654_435_761) >> 31;
-        let _ = writeln!(
-            text,
-            "{:.5},0.000,{}",
-            f64::from(k) * 2e-3,
-            f64::from(digit) * 1e-7
-        );
+        let _ = writeln!(text, "{:.5},0.000,{}", f64::from(k) * 2e-3, f64::from(digit) * 1e-7);
     }
     for row in moving.lines() {
         let (time_s, rest) = row.split_once(',').unwrap();
@@ -289,14 +263,9 @@ fn figures_of_an_axis_without_electrics_stand_under_their_names() {
     let row = |name: &str| {
         let mut lines = shown.lines().map(str::trim_start);
         let found = lines.find(|line| line.starts_with(name) && line.contains(" %"));
-        found
-            .unwrap_or_else(|| panic!("{name}: {shown}"))
-            .to_owned()
+        found.unwrap_or_else(|| panic!("{name}: {shown}")).to_owned()
     };
-    let found = json_of(
-        &format!("compare {{}} --model {{}} --json {map}"),
-        &[&file, &model],
-    );
+    let found = json_of(&format!("compare {{}} --model {{}} --json {map}"), &[&file, &model]);
     let torque = &found["signals"]["torque_n_m"];
     let [floor, rmse] = ["/noise_floor", "/holdout/rmse"]
         .map(|key| torque.pointer(key).and_then(Value::as_f64).unwrap());
@@ -311,10 +280,7 @@ fn figures_of_an_axis_without_electrics_stand_under_their_names() {
     has(&page, &["speed (0.75 s windows)"]);
     let lights = &page[page.find("Residual lights").unwrap()..];
     let lights = &lights[..lights.find("</table>").unwrap()];
-    assert!(
-        lights.contains("torque") && !lights.contains("speed"),
-        "{lights}"
-    );
+    assert!(lights.contains("torque") && !lights.contains("speed"), "{lights}");
 }
 
 #[test]
@@ -323,12 +289,7 @@ fn a_wrong_key_is_named_with_its_line_and_the_nearest() {
     let model = "[motor]\nname = \"m\"\nresistance_ohm = 1.1\ninertia_kg_m2 = 0.0045\n";
     let run = desk.put("run.csv", &csv(HEADER, &rows()[..60]));
     for (command, text, right, wrong) in [
-        (
-            "identify RUN --model {}",
-            model,
-            "inertia_kg_m2",
-            "inertia_kgm2",
-        ),
+        ("identify RUN --model {}", model, "inertia_kg_m2", "inertia_kgm2"),
         ("plan {}", BENCH, "slew_v_per_s", "slew_v_pers"),
         ("plan {}", BENCH, "resistance_ohm", "resistence_ohm"),
         ("emulate {}", PLAIN, "current_limit_a", "curent_limit_a"),
@@ -414,10 +375,7 @@ fn every_command_has_help_with_an_example() {
     for command in commands {
         let help = drivebench([command, "--help"]).expect(0).stdout;
         assert!(help.contains("Example"), "{command}: no example");
-        assert!(
-            help.contains(&format!("drivebench {command} ")),
-            "{command}: {help}"
-        );
+        assert!(help.contains(&format!("drivebench {command} ")), "{command}: {help}");
     }
 }
 

@@ -29,14 +29,7 @@ fn what_was_sent_is_what_came_and_what_was_lost() {
     let options = "run --headless --port sim:rtu --json --emulator {} --out {}";
     let result = call(options, &[&emulator, desk.folder()]).expect(0).json();
     let count = |class: &str| result["link"][class].as_u64().unwrap();
-    let classes = [
-        "timeout",
-        "crc",
-        "stale",
-        "mismatch",
-        "exception",
-        "aborted",
-    ];
+    let classes = ["timeout", "crc", "stale", "mismatch", "exception", "aborted"];
     let lost: u64 = classes.map(count).iter().sum();
     assert!(count("timeout") > 5 && lost > 20, "{}", result["link"]);
     assert_eq!(count("sent"), count("ok") + lost, "{}", result["link"]);
@@ -50,9 +43,8 @@ fn every_fault_of_line_and_drive_is_answered_as_it_has_to_be() {
     let found: Value = serde_json::from_str(&done.stdout).unwrap();
     let cases = found["cases"].as_array().unwrap().iter();
     let wrong = cases.filter(|case| case["verdict"] != "passed");
-    let wrong: Vec<String> = wrong
-        .map(|case| format!("{}: {}", case["name"], case["reason"]))
-        .collect();
+    let wrong: Vec<String> =
+        wrong.map(|case| format!("{}: {}", case["name"], case["reason"])).collect();
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
     assert!(found["passed"].as_u64() > Some(40));
     done.expect(0);
@@ -61,28 +53,17 @@ fn every_fault_of_line_and_drive_is_answered_as_it_has_to_be() {
 #[test]
 fn what_happens_on_a_line_is_refused_where_there_is_none() {
     let desk = Desk::new();
-    let emulator = desk.put(
-        "e.toml",
-        &format!("{PLAIN}\n[[fault]]\nkind = \"babble\"\n"),
-    );
-    let refused = refusal(
-        "run --headless --port sim: --emulator {} --out {}",
-        &[&emulator, desk.folder()],
-    );
+    let emulator = desk.put("e.toml", &format!("{PLAIN}\n[[fault]]\nkind = \"babble\"\n"));
+    let refused =
+        refusal("run --headless --port sim: --emulator {} --out {}", &[&emulator, desk.folder()]);
     has(&refused, &["sim: has no line", "sim:rtu"]);
-    let emulator = desk.put(
-        "k.toml",
-        &format!("{PLAIN}\n[[fault]]\nkind = \"local_control\"\n"),
-    );
+    let emulator = desk.put("k.toml", &format!("{PLAIN}\n[[fault]]\nkind = \"local_control\"\n"));
     for port in ["sim:", "sim:rtu"] {
         let options = format!("run --headless --port {port} --emulator {{}} --out {{}}");
         let refused = refusal(&options, &[&emulator, desk.folder()]);
         has(&refused, &["local_control", "no keypad", "another profile"]);
     }
-    let emulator = desk.put(
-        "f.toml",
-        &format!("{PLAIN}\n[[fault]]\nkind = \"babbles\"\n"),
-    );
+    let emulator = desk.put("f.toml", &format!("{PLAIN}\n[[fault]]\nkind = \"babbles\"\n"));
     let refused = refusal(
         "run --headless --port sim:rtu --emulator {} --out {}",
         &[&emulator, desk.folder()],

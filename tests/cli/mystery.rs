@@ -11,12 +11,8 @@ fn seed_of(id: Option<&str>) -> u64 {
 
 /// The run that was recorded.
 fn run_in(out: &Path) -> PathBuf {
-    let mut entries = fs::read_dir(out)
-        .unwrap()
-        .map(|entry| entry.unwrap().path());
-    entries
-        .find(|path| path.is_dir() && !path.is_symlink())
-        .unwrap()
+    let mut entries = fs::read_dir(out).unwrap().map(|entry| entry.unwrap().path());
+    entries.find(|path| path.is_dir() && !path.is_symlink()).unwrap()
 }
 
 #[test]
@@ -45,10 +41,7 @@ fn a_commissioning_of_a_mystery_ends_with_what_was_hidden_beside_what_was_found(
     let result: Value = serde_json::from_str(&result).expect("JSON");
     let size = &result["truth"]["sizes"][0];
     let drop_v = draw(seed).truth.effects[0].parameters[0].value;
-    assert_eq!(
-        (&size["key"], &size["true"]),
-        (&"drop_v".into(), &drop_v.into())
-    );
+    assert_eq!((&size["key"], &size["true"]), (&"drop_v".into(), &drop_v.into()));
     assert!(number(size, "/error_percent").abs() < 10.0, "{size}");
 }
 
@@ -71,19 +64,12 @@ fn a_bench_file_that_names_the_mystery_runs_the_same_machine_again() {
     let samples = |text: &str, runs: &str| {
         let runs = out.path(runs);
         let paths = [file.as_path(), runs.as_path()];
-        let paths = if text.contains("{} ") {
-            &paths[..]
-        } else {
-            &paths[1..]
-        };
+        let paths = if text.contains("{} ") { &paths[..] } else { &paths[1..] };
         call(text, paths).expect(0);
         fs::read_to_string(only_folder(&runs).join("samples.csv")).expect("samples")
     };
     let named = samples("run {} --port sim: --headless --json --out {}", "named");
-    let asked = samples(
-        "run --port sim: --headless --json --mystery 11 --out {}",
-        "asked",
-    );
+    let asked = samples("run --port sim: --headless --json --mystery 11 --out {}", "asked");
     assert_eq!(named, asked);
 }
 
@@ -121,10 +107,7 @@ fn an_error_that_nothing_known_explains_is_told_with_the_curve_that_it_follows()
 fn a_split_run_names_nothing_that_only_leans_on_what_is_there() {
     let seed = 34;
     let truth = draw(seed).truth;
-    assert_eq!(
-        truth.effect().map(|effect| effect.id.as_str()),
-        Some("torque_bump")
-    );
+    assert_eq!(truth.effect().map(|effect| effect.id.as_str()), Some("torque_bump"));
     let room = Desk::new();
     let out = room.path("runs");
     let text = format!("run --port sim: --headless --mystery {seed} --run-seed 1 --out {{}}");

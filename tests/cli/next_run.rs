@@ -5,14 +5,9 @@ use crate::kit::prelude::*;
 
 /// The default bench with a weak sequence and little time.
 pub(crate) fn weak_bench(emulator: &Path) -> String {
-    let (head, _) = BENCH
-        .split_once("[[sequence]]")
-        .expect("the default bench has a sequence");
+    let (head, _) = BENCH.split_once("[[sequence]]").expect("the default bench has a sequence");
     let head = head
-        .replace(
-            "config = \"zk-22fc-hidden\"",
-            &format!("config = \"{}\"", emulator.display()),
-        )
+        .replace("config = \"zk-22fc-hidden\"", &format!("config = \"{}\"", emulator.display()))
         .replace("time_s = 30.0", "time_s = 7.5");
     assert!(head.contains("time_s = 7.5"));
     let levels = "[20.0, 60.0, 35.0, 80.0, 50.0]";
@@ -58,25 +53,16 @@ fn what_one_run_cannot_tell_apart_the_recommended_run_names() {
     let told = diagnosed(&run, &bench, &at("other.toml"));
     assert_eq!(told["verdict"], "effect", "{}", told["sentence"]);
     assert_eq!(told["effects"], json!(["current_offset"]));
-    let both = json_of(
-        "diagnose {} --with {} --bench {} --json",
-        &[&first, &run, &bench],
-    );
+    let both = json_of("diagnose {} --with {} --bench {} --json", &[&first, &run, &bench]);
     assert_eq!(both["verdict"], "effect", "{}", both["sentence"]);
     assert_eq!(both["effects"], json!(["current_offset"]));
     assert_eq!(both["confusable"], json!([]), "the pair is told apart");
-    assert!(
-        both["next_experiment"]["pair"].is_null(),
-        "and not asked for again"
-    );
+    assert!(both["next_experiment"]["pair"].is_null(), "and not asked for again");
     let peaks = &recommended["peaks"];
     for (column, key) in [("current_a", "current_a"), ("speed_rad_s", "speed_rad_s")] {
         let promised = peaks[key].as_f64().unwrap_or_default();
         let reached = largest(&run.join("samples.csv"), column);
-        assert!(
-            (0.8..1.2).contains(&(reached / promised)),
-            "{column}: {reached} of {promised}"
-        );
+        assert!((0.8..1.2).contains(&(reached / promised)), "{column}: {reached} of {promised}");
     }
 }
 

@@ -107,10 +107,7 @@ fn identify_finds_the_motor_that_was_emulated() {
     assert!((reference / 0.0045 - 1.0).abs() < 0.12, "{reference}");
     for scheme in ["weak-form", "2", "3"] {
         let other = inertia(scheme);
-        assert!(
-            (other / reference - 1.0).abs() < 0.05,
-            "{scheme}: {other}, not {reference}"
-        );
+        assert!((other / reference - 1.0).abs() < 0.05, "{scheme}: {other}, not {reference}");
     }
 }
 
@@ -126,9 +123,7 @@ fn a_requirement_that_the_data_do_not_carry_is_status_5_with_the_json() {
 
 #[test]
 fn compare_keeps_its_contract() {
-    let found = on_hidden("compare {} --holdout {} --model {} --json", &[])
-        .expect(0)
-        .json();
+    let found = on_hidden("compare {} --holdout {} --model {} --json", &[]).expect(0).json();
     for signal in ["speed_rad_s", "current_a"] {
         for key in
             "fit_percent rmse noise_floor one_step_rmse holdout/fit_percent holdout/rmse".split(' ')
@@ -166,9 +161,7 @@ fn a_fit_below_the_least_is_status_1() {
 
 #[test]
 fn diagnose_names_the_hidden_effect() {
-    let found = on_hidden("diagnose {} --holdout {} --model {} --json", &[])
-        .expect(0)
-        .json();
+    let found = on_hidden("diagnose {} --holdout {} --model {} --json", &[]).expect(0).json();
     assert_eq!(word(&found, "/verdict"), "effect");
     assert_eq!(word(&found, "/effect"), "stribeck_friction");
     assert_eq!(found["effects"][0], "stribeck_friction");
@@ -191,10 +184,7 @@ fn diagnose_names_the_hidden_effect() {
     assert!(number(first, "/holdout_after") < 0.5 * number(first, "/holdout_before"));
     assert!(found["confusable"].is_array());
     // The next experiment, where there is one, is a bench file that `plan` takes.
-    if let Some(bench) = found
-        .pointer("/next_experiment/bench")
-        .and_then(Value::as_str)
-    {
+    if let Some(bench) = found.pointer("/next_experiment/bench").and_then(Value::as_str) {
         let folder = Desk::new();
         let file = folder.path("next.toml");
         fs::write(&file, bench).unwrap();
@@ -204,9 +194,7 @@ fn diagnose_names_the_hidden_effect() {
 
 #[test]
 fn what_was_not_computed_is_null_and_a_size_is_also_told_as_torque() {
-    let found = on_hidden("diagnose {} --holdout {} --model {} --json", &[])
-        .expect(0)
-        .json();
+    let found = on_hidden("diagnose {} --holdout {} --model {} --json", &[]).expect(0).json();
     let candidates = found["candidates"].as_array().unwrap();
     let torque = &candidates[0]["reached"]["torque_n_m"];
     let level = number(&candidates[0], "/parameters/stribeck_n_m/value");
@@ -218,10 +206,7 @@ fn what_was_not_computed_is_null_and_a_size_is_also_told_as_torque() {
     for candidate in candidates {
         let probability = number(candidate, "/probability");
         assert!((0.0..=1.0).contains(&probability), "{candidate}");
-        let is_named = found["effects"]
-            .as_array()
-            .unwrap()
-            .contains(&candidate["effect"]);
+        let is_named = found["effects"].as_array().unwrap().contains(&candidate["effect"]);
         let factor = number(candidate, "/interval_factor");
         assert!((factor - 1.0).abs() < 1e-9 || (factor - 2.0).abs() < 1e-9);
         if is_named {
@@ -242,12 +227,7 @@ fn pages_are_whole_and_never_overwritten() {
     for (command, parts) in [
         (
             "diagnose {} --holdout {} --model {} --json --html {}",
-            vec![
-                "Ladder of models",
-                "Effects that were tried",
-                "noise floor",
-                "in this run",
-            ],
+            vec!["Ladder of models", "Effects that were tried", "noise floor", "in this run"],
         ),
         (
             "compare {} --holdout {} --model {} --json --html {}",
@@ -257,10 +237,7 @@ fn pages_are_whole_and_never_overwritten() {
         let page = folder.path(format!("{}.html", parts.len()));
         on_hidden(command, &[&page]).expect(0).json();
         let html = fs::read_to_string(&page).unwrap();
-        for part in parts
-            .iter()
-            .chain(&["Where the model fails", "<svg", "</html>"])
-        {
+        for part in parts.iter().chain(&["Where the model fails", "<svg", "</html>"]) {
             assert!(html.contains(part), "{part} is missing in {command}");
         }
         for outside in ["http://", "https://", "NaN", "src="] {
@@ -301,10 +278,7 @@ fn add_writes_a_model_that_the_other_commands_take_and_never_overwrites() {
     assert_eq!(found["accepted"], true);
     assert!(!word(&found, "/reason").is_empty());
     let speed = "/speed_rad_s/holdout/rmse";
-    let (before, after) = (
-        number(&found["before"], speed),
-        number(&found["after"], speed),
-    );
+    let (before, after) = (number(&found["before"], speed), number(&found["after"], speed));
     assert!(after < 0.5 * before, "{before} -> {after}");
     check_parameters(&found["parameters"]);
     let ladder = found["ladder"].as_array().unwrap();

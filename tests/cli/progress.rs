@@ -15,11 +15,8 @@ fn long_record(folder: &Path) -> PathBuf {
     let mut text = String::from("time_s,voltage_v,current_a,speed_rad_s\n");
     let (mut speed, mut noise) = (0.0_f64, noise(12_345));
     for k in 0..60_000_u32 {
-        let volts = if k < 500 {
-            0.0
-        } else {
-            30.0 * f64::from((k / 200 * 7919) % 13) / 6.5 - 30.0
-        };
+        let volts =
+            if k < 500 { 0.0 } else { 30.0 * f64::from((k / 200 * 7919) % 13) / 6.5 - 30.0 };
         let current = (volts - 0.3538 * speed) / 1.1;
         speed += 1e-3 * (0.3538 * current - 0.002 * speed) / 0.0045;
         let _ = writeln!(
@@ -48,10 +45,7 @@ fn ctrl_c_in_a_diagnosis_ends_it_with_130_and_a_clean_terminal() {
     let (status, screen) = (session.end(), session.text());
     assert_eq!(status, 130, "{screen}");
     has(&screen, &["error: interrupted"]);
-    assert!(
-        !screen.contains("diagnose: "),
-        "the line is left behind: {screen}"
-    );
+    assert!(!screen.contains("diagnose: "), "the line is left behind: {screen}");
     assert!(!bench.exists());
 }
 
@@ -76,10 +70,7 @@ fn progress_is_one_line_that_goes_when_the_answer_comes() {
     assert!(drawn.ends_with(WIPE), "{drawn:?}");
     let end = left.find('\r').expect("nothing follows the line");
     let (line, after) = left.split_at(end);
-    assert!(
-        !line.contains('{'),
-        "the answer stands behind the line: {line:?}"
-    );
+    assert!(!line.contains('{'), "the answer stands behind the line: {line:?}");
     assert!(after.starts_with(WIPE), "the line is left behind: {left:?}");
     assert!(after[WIPE.len()..].starts_with('{'), "{after:?}");
 }

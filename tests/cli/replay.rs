@@ -85,10 +85,7 @@ fn the_configuration_of_the_live_estimators_is_used() {
     let path = run.join("manifest.json");
     let mut manifest = read_json(&path);
     let online = manifest["configs"]["online"].as_str().expect("a text");
-    let other = online.replace(
-        "electrical_forgetting = 0.995",
-        "electrical_forgetting = 0.97",
-    );
+    let other = online.replace("electrical_forgetting = 0.995", "electrical_forgetting = 0.97");
     assert_ne!(online, other);
     manifest["configs"]["online"] = Value::String(other);
     fs::write(&path, manifest.to_string()).expect("the copy can be written");
@@ -146,10 +143,7 @@ fn a_foreign_file_is_replayed_by_its_map() {
     let text = "replay {} --json --map time_s=t,current_a=current_a";
     let done = call(text, &[&foreign]).expect(0);
     has(&done.stderr, &["no speed_rad_s"]);
-    assert_eq!(
-        done.json()["parameters"]["inertia_kg_m2"]["value"],
-        Value::Null
-    );
+    assert_eq!(done.json()["parameters"]["inertia_kg_m2"]["value"], Value::Null);
 }
 
 /// Under a limit on the memory that reading the whole run into columns goes far beyond.

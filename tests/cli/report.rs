@@ -51,9 +51,7 @@ fn a_run_gives_its_page_and_every_picture_of_it() {
     // Rows of a table stay whole, however wide: each has the bars of the one before it.
     let rows: Vec<&str> = markdown.stdout.lines().collect();
     let bars = |row: &str| row.replace("\\|", "").matches('|').count();
-    let tables = rows
-        .windows(2)
-        .filter(|two| two.iter().all(|row| row.starts_with('|')));
+    let tables = rows.windows(2).filter(|two| two.iter().all(|row| row.starts_with('|')));
     let wrong: Vec<_> = tables.filter(|two| bars(two[0]) != bars(two[1])).collect();
     assert!(wrong.is_empty(), "{wrong:?}");
     assert!(rows.iter().any(|row| row.chars().count() > 100));

@@ -5,10 +5,7 @@ use std::num::NonZero;
 
 fn diagnose(more: &str, folder: &Path, size: (u16, u16)) -> Session {
     let runs = Runs::hidden();
-    let mut arguments = line(
-        "diagnose {} --holdout {} --screen",
-        &[&runs.fit, &runs.holdout],
-    );
+    let mut arguments = line("diagnose {} --holdout {} --screen", &[&runs.fit, &runs.holdout]);
     arguments.extend(line(more, &[]));
     Session::start(&arguments, folder, size)
 }
@@ -68,10 +65,7 @@ fn a_small_terminal_shows_the_size_and_scrolls_the_help() {
     session.wait_for(ADD);
     let shown = session.text();
     let row = shown.lines().find(|row| row.contains("▶")).unwrap();
-    assert!(
-        row.contains("stribeck_friction") && row.contains("N.m"),
-        "{shown}"
-    );
+    assert!(row.contains("stribeck_friction") && row.contains("N.m"), "{shown}");
     assert!(shown.trim_end().ends_with("q leave"), "{shown}");
     session.press("?");
     session.wait_for("more below");
@@ -80,9 +74,7 @@ fn a_small_terminal_shows_the_size_and_scrolls_the_help() {
     }
     session.wait_for("A name is an equation");
     session.press("x");
-    session.wait("help closed", |screen| {
-        !screen.contents().contains("A name is")
-    });
+    session.wait("help closed", |screen| !screen.contents().contains("A name is"));
     session.press("n");
     session.wait_for("what these runs do not tell");
     session.press("q");
@@ -168,14 +160,7 @@ fn d_goes_on_by_hand_after_a_run_and_its_result_stays() {
     keep_what_scrolls(&mut session);
     session.press("q");
     assert_eq!(session.end(), 0, "{}", session.text());
-    has(
-        &session.text(),
-        &[
-            "DONE: ",
-            "next      drivebench diagnose runs/",
-            "/report.html",
-        ],
-    );
+    has(&session.text(), &["DONE: ", "next      drivebench diagnose runs/", "/report.html"]);
     session.expect_terminal_as_it_was();
 }
 
@@ -239,10 +224,7 @@ fn after_a_trip_nothing_is_diagnosed_and_the_status_stays() {
     let folder = Desk::new();
     let bench = folder.put("bench.toml", &super::first_move::bench("", fast));
     let emulator = folder.put("emulator.toml", &stiff);
-    let arguments = line(
-        "run {} --emulator {} --port sim: --out runs",
-        &[&bench, &emulator],
-    );
+    let arguments = line("run {} --emulator {} --port sim: --out runs", &[&bench, &emulator]);
     let mut session = Session::start(arguments, folder.folder(), (100, 30));
     session.wait_for("SAFETY TRIP");
     session.wait_for("q = quit");
@@ -252,9 +234,7 @@ fn after_a_trip_nothing_is_diagnosed_and_the_status_stays() {
         session.press("f");
         session.wait_for("FROZEN");
         session.press("f");
-        session.wait("the answer gone", |screen| {
-            !screen.contents().contains("FROZEN")
-        });
+        session.wait("the answer gone", |screen| !screen.contents().contains("FROZEN"));
     }
     session.press("q");
     assert_eq!(session.end(), 4, "{}", session.text());
@@ -290,16 +270,12 @@ fn the_mouse_is_taken_only_where_it_is_asked_for_and_a_click_selects() {
     session.wait_for(ADD);
     session.wait_for("▶ ✓ supported   stribeck_friction");
     let shown = session.text();
-    let row = shown
-        .lines()
-        .position(|row| row.contains("stribeck_friction  "));
+    let row = shown.lines().position(|row| row.contains("stribeck_friction  "));
     // Counted from one; the row below the selected one, as terminals tell it (SGR).
     let below = row.expect("the list") + 2;
     session.press(&format!("\u{1b}[<0;30;{below}M\u{1b}[<0;30;{below}m"));
     session.wait("another row", |screen| {
-        !screen
-            .contents()
-            .contains("▶ ✓ supported   stribeck_friction")
+        !screen.contents().contains("▶ ✓ supported   stribeck_friction")
     });
     session.press("q");
     assert_eq!(session.end(), 0);
@@ -410,9 +386,8 @@ fn a_recorded_run_is_seen_again_and_searched_only_when_d_asks_for_it() {
         session.press("o");
         session.wait_for("Enter shows or hides");
         session.press("\u{1b}");
-        session.wait("the list closed", |screen| {
-            !screen.contents().contains("Enter shows or hides")
-        });
+        session
+            .wait("the list closed", |screen| !screen.contents().contains("Enter shows or hides"));
         session.press("q");
         session.wait_for("d diagnose");
         session.press("c");

@@ -14,11 +14,9 @@ fn frozen() -> String {
 fn a_trip_tells_how_soon_it_stopped_and_where_its_last_seconds_are() {
     let desk = Desk::new();
     let emulator = desk.put("frozen.toml", &frozen());
-    let done = call(
-        "run --headless --json --port sim: --emulator {} --out {}",
-        &[&emulator, &desk.out()],
-    )
-    .expect(4);
+    let done =
+        call("run --headless --json --port sim: --emulator {} --out {}", &[&emulator, &desk.out()])
+            .expect(4);
     let result = done.json();
     let stop = &result["stop"];
     assert_eq!(stop["cause"], "encoder frozen", "{stop:#}");

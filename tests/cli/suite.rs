@@ -39,15 +39,8 @@ fn a_suite_passes_with_its_spread_and_leaves_no_evidence() {
     assert_eq!(found["spread"][0]["count"], 2);
     assert!(found["spread"][0]["std"].as_f64().unwrap() > 0.0);
     let folder = only_folder(&desk.path("out"));
-    assert_eq!(
-        fs::read_dir(&folder).unwrap().count(),
-        1,
-        "result.json alone"
-    );
-    has(
-        &done.stderr,
-        &["PASSED", "seed 2", "skipped", "needs a line in real time"],
-    );
+    assert_eq!(fs::read_dir(&folder).unwrap().count(), 1, "result.json alone");
+    has(&done.stderr, &["PASSED", "seed 2", "skipped", "needs a line in real time"]);
     let junit = fs::read_to_string(desk.path("j.xml")).unwrap();
     has(
         &junit,
@@ -58,10 +51,7 @@ fn a_suite_passes_with_its_spread_and_leaves_no_evidence() {
         ],
     );
     let metrics = fs::read_to_string(desk.path("m.txt")).unwrap();
-    has(
-        &metrics,
-        &["verdict=\"passed\"} 2", "key=\"resistance_ohm\"} 1."],
-    );
+    has(&metrics, &["verdict=\"passed\"} 2", "key=\"resistance_ohm\"} 1."]);
     assert!(metrics.ends_with("# EOF\n"));
 }
 
@@ -71,12 +61,7 @@ fn a_limit_that_is_not_kept_is_said_with_its_evidence() {
     let done = tested(&desk, &suite("\"< 0.5\""), "--filter quick").expect(1);
     has(
         &done.stderr,
-        &[
-            "FAILED",
-            "resistance_ohm: 1.",
-            "has to be < 0.5",
-            "2 of 2 cases did not pass",
-        ],
+        &["FAILED", "resistance_ohm: 1.", "has to be < 0.5", "2 of 2 cases did not pass"],
     );
     let found = found_by(&done);
     let evidence = Path::new(found["cases"][0]["evidence"].as_str().unwrap());
@@ -86,10 +71,7 @@ fn a_limit_that_is_not_kept_is_said_with_its_evidence() {
     let junit = fs::read_to_string(desk.path("j.xml")).unwrap();
     has(
         &junit,
-        &[
-            "<failure type=\"limit\" message=\"resistance_ohm: 1.",
-            "drivebench run --port sim:",
-        ],
+        &["<failure type=\"limit\" message=\"resistance_ohm: 1.", "drivebench run --port sim:"],
     );
 }
 
@@ -110,13 +92,7 @@ fn a_motor_that_is_refused_passes_where_that_is_what_has_to_be() {
     }
     // Without the status it stands in the way of a judgement, and its own status is that of the suite.
     let done = tested(&desk, &case(""), "").expect(3);
-    has(
-        &done.stderr,
-        &[
-            "ERROR",
-            "exit status 3, has to be 0: direction: neither a current flows",
-        ],
-    );
+    has(&done.stderr, &["ERROR", "exit status 3, has to be 0: direction: neither a current flows"]);
 }
 
 #[test]
@@ -185,10 +161,7 @@ fn a_command_that_does_not_end_in_its_time_is_ended_and_said_so() {
     let text = "name = \"late\"\n[[case]]\nname = \"slow\"\ntimeout_s = 0.05\nport = \"emulator\"\n\
                 [[case.step]]\nexcite = {}\n";
     let done = tested(&desk, text, "").expect(1);
-    has(
-        &done.stderr,
-        &["ERROR", "not done in 0.05 s; asked to end, it "],
-    );
+    has(&done.stderr, &["ERROR", "not done in 0.05 s; asked to end, it "]);
     assert!(!done.stderr.contains("by its guard"), "{}", done.stderr);
 }
 
@@ -201,10 +174,7 @@ fn parts_of_a_suite_are_each_case_once() {
         let options = format!("--shard {part}");
         let found = found_by(&tested(&desk, &text, &options).expect(0));
         for case in found["cases"].as_array().unwrap() {
-            seeds.push((
-                case["name"].as_str().unwrap().to_owned(),
-                case["seed"].as_u64().unwrap(),
-            ));
+            seeds.push((case["name"].as_str().unwrap().to_owned(), case["seed"].as_u64().unwrap()));
         }
         fs::remove_file(desk.path("j.xml")).unwrap();
         fs::remove_file(desk.path("m.txt")).unwrap();
@@ -229,16 +199,8 @@ fn what_cannot_be_run_is_refused_before_anything_is() {
                 "help: did you mean `run_seed`?",
             ][..],
         ),
-        (
-            good.replace("excite", "excitation"),
-            "",
-            &["unknown field `excitation`", "`excite`"],
-        ),
-        (
-            good.clone(),
-            "--filter nothing",
-            &["no case of \"small\" has nothing"],
-        ),
+        (good.replace("excite", "excitation"), "", &["unknown field `excitation`", "`excite`"]),
+        (good.clone(), "--filter nothing", &["no case of \"small\" has nothing"]),
         (good.clone(), "--shard 4/3", &["1 <= I <= N"]),
     ] {
         let done = tested(&desk, &text, options).expect(2);
@@ -247,10 +209,7 @@ fn what_cannot_be_run_is_refused_before_anything_is() {
     }
     // A real port, and nobody who says that the motor may turn.
     let done = tested(&desk, &good, "--port /dev/ttyNONE").expect(3);
-    has(
-        &done.stderr,
-        &["nobody has said that its motor may turn", "--hardware"],
-    );
+    has(&done.stderr, &["nobody has said that its motor may turn", "--hardware"]);
 }
 
 #[test]
@@ -315,11 +274,8 @@ fn what_a_suite_writes_is_read_by_its_readers_whatever_its_cases_are_called() {
     );
     let done = tested(&desk, &text, "").expect(1);
     let result = desk.put("result.json", &done.stdout);
-    let [script, junit, metrics] = [
-        ".ci/interop/suite_peer.py".into(),
-        desk.path("j.xml"),
-        desk.path("m.txt"),
-    ];
+    let [script, junit, metrics] =
+        [".ci/interop/suite_peer.py".into(), desk.path("j.xml"), desk.path("m.txt")];
     if let Some(said) = python("json", &[&script, &junit, &metrics, &result]) {
         has(&said, &["5 cases by the rules of the schema"]);
     }
@@ -327,14 +283,7 @@ fn what_a_suite_writes_is_read_by_its_readers_whatever_its_cases_are_called() {
 
 #[test]
 fn the_example_for_pytest_makes_each_case_a_test() {
-    let words = [
-        "-m",
-        "pytest",
-        "-q",
-        "-p",
-        "no:cacheprovider",
-        "examples/pytest",
-    ];
+    let words = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "examples/pytest"];
     if let Some(said) = python("pytest", &words.map(Path::new)) {
         has(&said, &["2 passed, 1 skipped"]);
     }
@@ -351,19 +300,10 @@ fn answers_about_known_machines_make_a_confusion_matrix() {
     let file = desk.put("suite.toml", text);
     let [metrics, out] = ["m.txt", "out"].map(|name| desk.path(name));
     let done = call("test {} --metrics {} --out {}", &[&file, &metrics, &out]).expect(1);
-    has(
-        &done.stdout,
-        &[
-            "(nothing)       (none) 2",
-            "quadratic_load  quadratic_load 1",
-        ],
-    );
+    has(&done.stdout, &["(nothing)       (none) 2", "quadratic_load  quadratic_load 1"]);
     let folder = only_folder(&out);
     let result = read_json(folder.join("result.json"));
-    assert_eq!(
-        result["confusion"]["rows"],
-        json!(["(nothing)", "quadratic_load"])
-    );
+    assert_eq!(result["confusion"]["rows"], json!(["(nothing)", "quadratic_load"]));
     assert_eq!(
         fs::read_to_string(folder.join("confusion.csv")).unwrap(),
         "hidden,quadratic_load,(none)\n(nothing),0,2\nquadratic_load,1,0\n"
@@ -376,25 +316,16 @@ fn answers_about_known_machines_make_a_confusion_matrix() {
 
 /// A machine without tolerance, so that a seed draws its noise alone.
 fn exact(desk: &Desk) -> PathBuf {
-    desk.put(
-        "machine.toml",
-        &PLAIN.replace("tolerance = 0.1", "tolerance = 0.0"),
-    )
+    desk.put("machine.toml", &PLAIN.replace("tolerance = 0.1", "tolerance = 0.0"))
 }
 
 /// The suite that `init` writes from these runs, with other seeds, on a machine in which one thing is changed.
 fn held_to(desk: &Desk, golden: &Path, from: &str, to: &str) -> Done {
     let text = fs::read_to_string(golden).unwrap();
     let machine = fs::read_to_string(desk.path("golden-emulator.toml")).unwrap();
-    assert!(
-        machine.contains(from) && text.contains("seed = 1\n"),
-        "{machine}\n{text}"
-    );
+    assert!(machine.contains(from) && text.contains("seed = 1\n"), "{machine}\n{text}");
     desk.put("golden-emulator.toml", &machine.replace(from, to));
-    let other = desk.put(
-        "other.toml",
-        &text.replace("seed = 1\n", "seed = 500\nrepeat = 3\n"),
-    );
+    let other = desk.put("other.toml", &text.replace("seed = 1\n", "seed = 500\nrepeat = 3\n"));
     let done = call("test {} --out {}", &[&other, &desk.path("out")]);
     desk.put("golden-emulator.toml", &machine);
     done
@@ -404,15 +335,10 @@ fn held_to(desk: &Desk, golden: &Path, from: &str, to: &str) -> Done {
 fn a_suite_from_a_commissioning_passes_with_other_noise_and_fails_on_a_machine_that_changed() {
     let desk = Desk::new();
     let machine = exact(&desk);
-    let done = desk.simulate(
-        "commission --headless",
-        "--emulator {} --seed 1",
-        &[&machine],
-    );
+    let done = desk.simulate("commission --headless", "--emulator {} --seed 1", &[&machine]);
     let found = done.expect(0).json();
-    let folders: Vec<PathBuf> = (0..4)
-        .map(|run| PathBuf::from(word(&found, &format!("/runs/{run}/folder"))))
-        .collect();
+    let folders: Vec<PathBuf> =
+        (0..4).map(|run| PathBuf::from(word(&found, &format!("/runs/{run}/folder")))).collect();
     let golden = desk.path("golden.toml");
     let done = call(
         "init --out {} --suite {} {} {} {}",
@@ -421,24 +347,12 @@ fn a_suite_from_a_commissioning_passes_with_other_noise_and_fails_on_a_machine_t
     let done = done.expect(0);
     has(
         &done.stdout,
-        &[
-            "golden-bench.toml",
-            "resistance_ohm = [1.0",
-            "noise floors; a quarter more",
-        ],
+        &["golden-bench.toml", "resistance_ohm = [1.0", "noise floors; a quarter more"],
     );
     held_to(&desk, &golden, "hidden = []", "hidden = []").expect(0);
     for (from, to, key) in [
-        (
-            "load_torque_n_m = 0.455",
-            "load_torque_n_m = 0.50",
-            "load_torque_n_m: 0.5",
-        ),
-        (
-            "inertia_kg_m2 = 0.0045",
-            "inertia_kg_m2 = 0.0048",
-            "inertia_kg_m2: 0.004",
-        ),
+        ("load_torque_n_m = 0.455", "load_torque_n_m = 0.50", "load_torque_n_m: 0.5"),
+        ("inertia_kg_m2 = 0.0045", "inertia_kg_m2 = 0.0048", "inertia_kg_m2: 0.004"),
         (
             "hidden = []",
             "hidden = [{ id = \"quadratic_load\", quadratic_n_m_s2_per_rad2 = 1.8e-6 }]",
@@ -463,17 +377,10 @@ fn a_suite_from_runs_and_a_speed_loop_holds_both() {
         folders.push(PathBuf::from(word(&found.expect(0).json(), "/folder")));
     }
     let golden = desk.path("golden.toml");
-    let found = json_of(
-        "init --json --out {} --suite {} {}",
-        &[&golden, &folders[0], &folders[1]],
-    );
+    let found = json_of("init --json --out {} --suite {} {}", &[&golden, &folders[0], &folders[1]]);
     has(
         word(&found, "/suite"),
-        &[
-            "excite = { run_seed = 4 }",
-            "speed = {}",
-            "loop.steps.1.overshoot_percent",
-        ],
+        &["excite = { run_seed = 4 }", "speed = {}", "loop.steps.1.overshoot_percent"],
     );
     held_to(&desk, &golden, "hidden = []", "hidden = []").expect(0);
 }
@@ -495,11 +402,7 @@ fn a_run_that_says_nothing_of_a_whole_machine_is_no_golden_one() {
     };
     let out = desk.path("golden.toml");
     for (from, to, words) in [
-        (
-            "\"finished\": true",
-            "\"finished\": false",
-            "the record is not whole",
-        ),
+        ("\"finished\": true", "\"finished\": false", "the record is not whole"),
         (
             "\"outcome\": \"passed\"",
             "\"outcome\": \"safety trip: over-speed\"",

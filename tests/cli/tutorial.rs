@@ -53,18 +53,10 @@ fn every_command_of_the_tutorial_runs_and_says_what_is_shown() {
         assert_eq!(done.status, 0, "{commands}\n{said}");
         for pattern in shown.into_iter().filter(|pattern| !pattern.is_empty()) {
             let is_there = said.lines().any(|line| fits(line, pattern));
-            assert!(
-                is_there,
-                "{pattern:?} is not in the output of\n{commands}\n{said}"
-            );
+            assert!(is_there, "{pattern:?} is not in the output of\n{commands}\n{said}");
         }
     }
-    for page in [
-        "found.html",
-        "better.toml",
-        "figures/figure-2.svg",
-        "simulated.csv",
-    ] {
+    for page in ["found.html", "better.toml", "figures/figure-2.svg", "simulated.csv"] {
         assert!(desk.path(page).exists(), "{page}");
     }
 }

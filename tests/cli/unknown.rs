@@ -11,11 +11,7 @@ fn bench_without(keys: &str) -> String {
 
 #[track_caller]
 fn ratio(parameters: &Value, key: &str, truth: f64) -> f64 {
-    let value = parameters
-        .as_array()
-        .into_iter()
-        .flatten()
-        .find(|p| p["key"] == key);
+    let value = parameters.as_array().into_iter().flatten().find(|p| p["key"] == key);
     let value = value.and_then(|p| p["value"].as_f64()).unwrap_or(f64::NAN);
     value / truth
 }
@@ -23,16 +19,8 @@ fn ratio(parameters: &Value, key: &str, truth: f64) -> f64 {
 #[test]
 fn a_locked_rotor_and_an_open_phase_end_with_their_names_and_numbers() {
     for (emulator, name, sentence) in [
-        (
-            "zk-22fc-locked",
-            "locked rotor",
-            "locked rotor, or a load beyond the rated torque",
-        ),
-        (
-            "zk-22fc-open",
-            "open phase",
-            "open phase, or the motor is not connected: 27.50 V",
-        ),
+        ("zk-22fc-locked", "locked rotor", "locked rotor, or a load beyond the rated torque"),
+        ("zk-22fc-open", "open phase", "open phase, or the motor is not connected: 27.50 V"),
     ] {
         let out = Desk::new();
         let options = format!("--escalate --emulator {emulator}");
@@ -40,9 +28,7 @@ fn a_locked_rotor_and_an_open_phase_end_with_their_names_and_numbers() {
         assert_eq!(done.json()["outcome"], name);
         has(&done.error(), &[sentence]);
         // Every stage is on the disk with what came of it.
-        let folder = done.json()["stages"][0]["folder"]
-            .as_str()
-            .map(str::to_owned);
+        let folder = done.json()["stages"][0]["folder"].as_str().map(str::to_owned);
         let result = Path::new(&folder.unwrap_or_default()).join("result.json");
         assert!(result.exists(), "{}", result.display());
     }
@@ -63,10 +49,7 @@ fn noise_never_passes_for_the_current_of_an_open_phase() {
 fn the_slew_limit_of_the_bench_holds_in_every_stage() {
     let out = Desk::new();
     let limit_v_per_s = 20.0;
-    let text = BENCH.replace(
-        "slew_v_per_s = 150.0",
-        &format!("slew_v_per_s = {limit_v_per_s:.1}"),
-    );
+    let text = BENCH.replace("slew_v_per_s = 150.0", &format!("slew_v_per_s = {limit_v_per_s:.1}"));
     assert_ne!(text, BENCH);
     let bench = out.put("bench.toml", &text);
     let options = "{} --escalate --emulator zk-22fc-plain";
@@ -82,10 +65,7 @@ fn the_slew_limit_of_the_bench_holds_in_every_stage() {
         for pair in commands.windows(2) {
             // A command is stamped when the drive applies it: a period may be some milliseconds short.
             let slew = (pair[1].1 - pair[0].1).abs() / (pair[1].0 - pair[0].0).max(0.01);
-            assert!(
-                slew < 1.3 * limit_v_per_s,
-                "{folder}: {slew} V/s at {pair:?}"
-            );
+            assert!(slew < 1.3 * limit_v_per_s, "{folder}: {slew} V/s at {pair:?}");
             judged += 1;
         }
     }
@@ -101,13 +81,8 @@ fn a_motor_of_which_only_the_rated_values_are_given_is_found_and_the_sequence_is
     let done = out.simulate("run", options, &[&bench]).expect(0);
     let found = done.json();
     assert_eq!(found["escalation"]["outcome"], "found");
-    assert!(
-        found["escalation"]["nameplate"].is_null(),
-        "nothing on the plate, nothing to compare"
-    );
-    let factor = found["escalation"]["scaled"]["factor"]
-        .as_f64()
-        .unwrap_or(f64::NAN);
+    assert!(found["escalation"]["nameplate"].is_null(), "nothing on the plate, nothing to compare");
+    let factor = found["escalation"]["scaled"]["factor"].as_f64().unwrap_or(f64::NAN);
     assert!((0.1..0.25).contains(&factor), "{factor}");
     // The specimen lies within 10 % of the file; Ke to within the last per cent from both.
     let parameters = &found["escalation"]["parameters"];
@@ -132,11 +107,7 @@ fn a_plate_without_its_load_torque_is_planned_without_friction_and_says_so() {
     let out = Desk::new();
     let bench = out.put("bench.toml", &bench_without("load_torque_n_m"));
     let plan = json_of("plan {} --json", &[&bench]);
-    assert!(
-        plan["peak_current_a"]
-            .as_f64()
-            .is_some_and(|peak| peak > 3.0)
-    );
+    assert!(plan["peak_current_a"].as_f64().is_some_and(|peak| peak > 3.0));
     assert!(
         plan["warnings"]
             .to_string()
@@ -190,9 +161,7 @@ fn the_whole_loop_goes_on_from_the_motor_that_was_found() {
 #[test]
 fn an_ordinary_run_is_compared_with_its_plate_too() {
     let out = Desk::new();
-    let done = out
-        .simulate("run", "--emulator zk-22fc-plain", &[])
-        .expect(0);
+    let done = out.simulate("run", "--emulator zk-22fc-plain", &[]).expect(0);
     assert_eq!(done.json()["nameplate"]["fits"], true);
     let kept = read_json(out.run().join("result.json"));
     assert_eq!(kept["nameplate"], done.json()["nameplate"]);

@@ -37,22 +37,16 @@ fn a_machine_with_several_effects_and_late_replies_comes_to_its_floor_and_its_lo
  {
     let desk = Desk::new();
     let machine = desk.put("machine.toml", &format!("{PLAIN}{MACHINE}"));
-    let bench = BENCH.replace(
-        "config = \"zk-22fc-hidden\"",
-        &format!("config = \"{}\"", machine.display()),
-    );
+    let bench = BENCH
+        .replace("config = \"zk-22fc-hidden\"", &format!("config = \"{}\"", machine.display()));
     let bench = desk.put("bench.toml", &bench);
     let out = desk.out();
-    let found = json_of(
-        "commission {} --headless --json --port sim:rtu --out {}",
-        &[&bench, &out],
-    );
+    let found = json_of("commission {} --headless --json --port sim:rtu --out {}", &[&bench, &out]);
     // To its floor on the run that confirms, or the page says why.
     let [before, after] =
         [0, 1].map(|row| number(&found, &format!("/confirmed/{row}/holdout_rmse")));
-    let says_why = found["diagnosis"]["unknown"]
-        .as_array()
-        .is_some_and(|unknown| !unknown.is_empty());
+    let says_why =
+        found["diagnosis"]["unknown"].as_array().is_some_and(|unknown| !unknown.is_empty());
     assert!(
         after < 0.5 * before && (after < 1.3 || says_why),
         "{before} -> {after}: {}",
@@ -113,9 +107,7 @@ fn maps_that_were_measured_are_given_forward_and_take_a_third_of_what_the_model_
         "square = { low_rad_s = 90.0, high_rad_s = 110.0, half_period_s = 2.0, periods = 3 }";
     let reversals = "polyline = { points = [[0.0, 20.0], [1.0, -20.0], [2.0, 20.0], [3.0, -20.0], [4.0, 20.0]] }";
     assert!(head.contains(square));
-    let head = head
-        .replace(square, reversals)
-        .replace("time_s = 30.0", "time_s = 40.0");
+    let head = head.replace(square, reversals).replace("time_s = 30.0", "time_s = 40.0");
     let bench = |name: &str, sequence: &str| {
         let standstill = "[[sequence]]\nstandstill = { seconds = 0.25 }\n\n[[sequence]]\n";
         desk.put(name, &format!("{head}{standstill}{sequence}\n"))
@@ -124,10 +116,7 @@ fn maps_that_were_measured_are_given_forward_and_take_a_third_of_what_the_model_
     let slow = "steps = { levels_v = [3.4, -3.4], hold_s = 10.0 }";
     let [held, slow] = [("held", held), ("slow", slow)].map(|(name, sequence)| {
         let (bench, out) = (bench(&format!("{name}.toml"), sequence), desk.path(name));
-        let found = json_of(
-            "run {} --headless --json --port sim:rtu --out {}",
-            &[&bench, &out],
-        );
+        let found = json_of("run {} --headless --json --port sim:rtu --out {}", &[&bench, &out]);
         PathBuf::from(word(&found, "/folder"))
     });
     let model = desk.path("model.toml");
@@ -149,49 +138,29 @@ fn maps_that_were_measured_are_given_forward_and_take_a_third_of_what_the_model_
     let with_maps = [own.as_slice(), &[&maps[0], &maps[1]]].concat();
     let mapped = json_of(&format!("{given} --json"), &with_maps);
     let rms = |found: &Value| number(found, "/loop/tracking/1/rms_rad_s");
-    assert!(
-        rms(&mapped) < 0.67 * rms(&alone),
-        "{} -> {}",
-        rms(&alone),
-        rms(&mapped)
-    );
+    assert!(rms(&mapped) < 0.67 * rms(&alone), "{} -> {}", rms(&alone), rms(&mapped));
     let manifest: Value = serde_json::from_str(
         &fs::read_to_string(Path::new(word(&mapped, "/folder")).join("manifest.json")).unwrap(),
     )
     .unwrap();
     let named = manifest.to_string();
-    has(
-        &named,
-        &["friction.csv", "the measured cogging in 72 of 72 bins"],
-    );
+    has(&named, &["friction.csv", "the measured cogging in 72 of 72 bins"]);
 
     let volts = desk.put("volts.csv", "time_s,voltage_v\n0,1\n");
     let heavy = fs::read_to_string(&maps[0]).unwrap();
-    let row = heavy
-        .lines()
-        .skip(1)
-        .find(|row| !row.contains(",,,"))
-        .unwrap();
+    let row = heavy.lines().skip(1).find(|row| !row.contains(",,,")).unwrap();
     let middle = row.split(',').next().unwrap();
-    let heavy = desk.put(
-        "heavy.csv",
-        &heavy.replace(row, &format!("{middle},-40.0,-41.0,-39.0,9")),
-    );
+    let heavy =
+        desk.put("heavy.csv", &heavy.replace(row, &format!("{middle},-40.0,-41.0,-39.0,9")));
     let one = format!("{speed} --feed-forward on --feed-forward-map {{}}");
     for (text, files, words) in [
-        (
-            format!("{speed} --feed-forward-map {{}}"),
-            vec![&maps[0]],
-            "feed-forward is off",
-        ),
+        (format!("{speed} --feed-forward-map {{}}"), vec![&maps[0]], "feed-forward is off"),
         (one.clone(), vec![&volts], "header of a friction"),
         (one, vec![&heavy], "asks for 40.000 N.m"),
         (given, vec![&maps[0], &maps[0]], "a second friction map"),
     ] {
-        let files: Vec<&Path> = own
-            .into_iter()
-            .chain(files.into_iter().map(PathBuf::as_path))
-            .collect();
+        let files: Vec<&Path> =
+            own.into_iter().chain(files.into_iter().map(PathBuf::as_path)).collect();
         call(&text, &files).fails(2, &[words]);
     }
 }

@@ -81,11 +81,7 @@ pub(crate) struct Coloured {
 
 impl Coloured {
     pub(crate) fn new(deviation: f64, memory_s: f64, period_s: f64) -> Self {
-        Self {
-            memory: (-period_s / memory_s).exp(),
-            deviation,
-            state: 0.0,
-        }
+        Self { memory: (-period_s / memory_s).exp(), deviation, state: 0.0 }
     }
 
     pub(crate) fn next(&mut self, chance: &mut Chance) -> f64 {
@@ -173,17 +169,11 @@ impl Levels {
             at.push((time_s, next));
             time_s += chance.between(hold_s[0], hold_s[1]);
         }
-        Self {
-            at,
-            slope_per_s: None,
-        }
+        Self { at, slope_per_s: None }
     }
 
     pub(crate) fn along(self, slope_per_s: f64) -> Self {
-        Self {
-            slope_per_s: Some(slope_per_s),
-            ..self
-        }
+        Self { slope_per_s: Some(slope_per_s), ..self }
     }
 
     pub(crate) fn value(&self, time_s: f64) -> f64 {
@@ -214,10 +204,7 @@ pub(crate) struct Log {
 impl Log {
     /// With these heads, in the owner's own words.
     pub(crate) const fn new(heads: &'static str) -> Self {
-        Self {
-            heads,
-            rows: Vec::new(),
-        }
+        Self { heads, rows: Vec::new() }
     }
 
     pub(crate) fn row(&mut self, cells: &[f64]) {

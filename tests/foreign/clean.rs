@@ -20,13 +20,7 @@ pub(crate) struct Plain {
 impl Plain {
     /// At rest.
     pub(crate) const fn of(parameters: [f64; 5]) -> Self {
-        let [
-            resistance_ohm,
-            inductance_h,
-            constant_v_s,
-            inertia_kg_m2,
-            dry_n_m,
-        ] = parameters;
+        let [resistance_ohm, inductance_h, constant_v_s, inertia_kg_m2, dry_n_m] = parameters;
         Self {
             resistance_ohm,
             inductance_h,
@@ -46,15 +40,11 @@ impl Plain {
         let before_a = self.current_a;
         self.current_a = goal_a + (before_a - goal_a) * fades;
         let drive_n_m = self.constant_v_s * 0.5 * (before_a + self.current_a);
-        let dry = Dry {
-            level_n_m: self.dry_n_m,
-            band_rad_s: 1e-4,
-        };
+        let dry = Dry { level_n_m: self.dry_n_m, band_rad_s: 1e-4 };
         let direction = dry.direction(self.speed_rad_s, drive_n_m);
         let before_rad_s = self.speed_rad_s;
-        let rate = direction.map_or(0.0, |sign| {
-            (drive_n_m - self.dry_n_m * sign) / self.inertia_kg_m2
-        });
+        let rate =
+            direction.map_or(0.0, |sign| (drive_n_m - self.dry_n_m * sign) / self.inertia_kg_m2);
         self.speed_rad_s = Dry::settled(direction, before_rad_s + step_s * rate);
         self.angle_rad += 0.5 * step_s * (before_rad_s + self.speed_rad_s);
     }

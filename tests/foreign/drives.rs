@@ -19,10 +19,7 @@ pub(crate) const SCRIPT: Case = Case {
     map: "time_s=unix_s,voltage_v=psu_v,current_a=psu_a,speed_rad_s=tacho",
     about: [1.8, 0.0015, 0.05, 1e-4, 0.01],
     has_nameplate: false,
-    truth: Truth::Effects {
-        missing: &[&["viscous_friction"]],
-        also: &[],
-    },
+    truth: Truth::Effects { missing: &[&["viscous_friction"]], also: &[] },
     record: script,
 };
 
@@ -30,10 +27,7 @@ fn script(seed: u64, run: Run) -> Log {
     let mut own = Chance::of_specimen(seed ^ 0x5C4);
     let (r, l, k) = (own.near(1.8, 0.1), 0.0015, own.near(0.055, 0.1));
     let (j, viscous) = (own.near(1.2e-4, 0.2), own.near(1.1e-4, 0.15));
-    let dry = Dry {
-        level_n_m: own.near(0.006, 0.2),
-        band_rad_s: 1e-4,
-    };
+    let dry = Dry { level_n_m: own.near(0.006, 0.2), band_rad_s: 1e-4 };
     let mut chance = Chance::of_run(seed ^ 0x5C4, run);
     let command = Levels::steps(0.7, 10.0, [0.25, 0.8], &mut chance, |chance, n| {
         let back = if n % 3 == 1 { -1.0 } else { 1.0 };
@@ -45,11 +39,8 @@ fn script(seed: u64, run: Run) -> Log {
         let u = command.value(time_s);
         let current_a = quantised(state[0] + 0.01 * chance.normal(), 0.005);
         log.row(&[time_s, u, current_a, state[1] + 0.5 * chance.normal()]);
-        let pause_s = if chance.between(0.0, 1.0) < 0.01 {
-            chance.between(0.02, 0.05)
-        } else {
-            0.0
-        };
+        let pause_s =
+            if chance.between(0.0, 1.0) < 0.01 { chance.between(0.02, 0.05) } else { 0.0 };
         let loop_s = 0.006 + 0.004 * (0.6 * chance.normal()).exp() + pause_s;
         // Whole microseconds, as the stamps have them.
         let loop_s = quantised(loop_s, 1e-6);
@@ -83,10 +74,7 @@ pub(crate) const FAN: Case = Case {
     map: "time_s=Zeit,torque_n_m=Moment,speed_rad_s=Drehzahl*0.104719755",
     about: [f64::NAN; 5],
     has_nameplate: false,
-    truth: Truth::Effects {
-        missing: &[&["quadratic_load"]],
-        also: &[],
-    },
+    truth: Truth::Effects { missing: &[&["quadratic_load"]], also: &[] },
     record: fan,
 };
 
@@ -121,10 +109,7 @@ fn fan(seed: u64, run: Run) -> Log {
         }
         state = rk4(state, step_s, |&[torque_n_m, w]| {
             let against = quadratic * w * w.abs() + dry_n_m * (w / 0.5).tanh();
-            [
-                (goal_n_m - torque_n_m) / 0.008,
-                (torque_n_m - against) / inertia_kg_m2,
-            ]
+            [(goal_n_m - torque_n_m) / 0.008, (torque_n_m - against) / inertia_kg_m2]
         });
     }
     log
@@ -145,10 +130,7 @@ pub(crate) const FILTERED: Case = Case {
     map: "time_s=t,voltage_v=u,current_a=i,speed_rad_s=w_mon",
     about: [0.9, 0.004, 0.35, 0.008, 0.3],
     has_nameplate: true,
-    truth: Truth::Effects {
-        missing: &[&["speed_filter", "speed_delay"]],
-        also: &[],
-    },
+    truth: Truth::Effects { missing: &[&["speed_filter", "speed_delay"]], also: &[] },
     record: filtered,
 };
 
@@ -162,9 +144,8 @@ fn filtered(seed: u64, run: Run) -> Log {
     let base = Levels::steps(0.5, 6.0, [0.5, 1.0], &mut chance, |chance, _| {
         chance.sign() * chance.between(5.0, 45.0)
     });
-    let binary = Levels::steps(0.5, 6.0, [0.03, 0.15], &mut chance, |chance, _| {
-        10.0 * chance.sign()
-    });
+    let binary =
+        Levels::steps(0.5, 6.0, [0.03, 0.15], &mut chance, |chance, _| 10.0 * chance.sign());
     let mut log = Log::new("t,u,i,w_mon");
     let (mut state, mut u) = ([0.0_f64; 4], 0.0);
     for n in 0..120_000_u32 {

@@ -23,10 +23,7 @@ pub(crate) const SERVO: Case = Case {
     map: "time_s=t_ms*0.001,voltage_v=uq_ref,current_a=iq,speed_rad_s=n_act*0.104719755",
     about: [0.35, 0.004, 0.8, 0.014, 0.7],
     has_nameplate: false,
-    truth: Truth::Effects {
-        missing: &[&["voltage_drop"]],
-        also: &[],
-    },
+    truth: Truth::Effects { missing: &[&["voltage_drop"]], also: &[] },
     record: servo,
 };
 
@@ -70,10 +67,7 @@ fn servo(seed: u64, run: Run) -> Log {
         back * chance.between(20.0, 200.0)
     })
     .along(1500.0);
-    let friction = Dry {
-        level_n_m: dry_n_m,
-        band_rad_s: 1e-3,
-    };
+    let friction = Dry { level_n_m: dry_n_m, band_rad_s: 1e-3 };
     let mut log = Log::new("t_ms,uq_ref,iq,n_act");
     let (mut state, mut command_v) = ([0.0_f64; 4], [0.0_f64; 2]);
     // Speed, d and q: what the integrators of the controllers hold.
@@ -102,12 +96,7 @@ fn servo(seed: u64, run: Run) -> Log {
                 ];
             }
             let rpm = told_rad_s * 60.0 / TAU;
-            log.row(&[
-                1e3 * time_s,
-                quantised(command_v[1], 0.01),
-                quantised(told_a, 0.01),
-                rpm,
-            ]);
+            log.row(&[1e3 * time_s, quantised(command_v[1], 0.01), quantised(told_a, 0.01), rpm]);
         }
         let torque_n_m = |d_a: f64, q_a: f64| {
             1.5 * motor.pole_pairs * (motor.flux_v_s + (motor.d_h - motor.q_h) * d_a) * q_a
@@ -145,10 +134,7 @@ pub(crate) const HOT: Case = Case {
     map: "time_s=time,voltage_v=u,current_a=i,speed_rad_s=omega",
     about: [0.5, 6e-4, 0.03, 3e-4, 0.01],
     has_nameplate: true,
-    truth: Truth::Effects {
-        missing: &[&["winding_heating"]],
-        also: &[],
-    },
+    truth: Truth::Effects { missing: &[&["winding_heating"]], also: &[] },
     record: hot,
 };
 
@@ -164,10 +150,7 @@ fn hot(seed: u64, run: Run) -> Log {
         let back = if n % 2 == 0 { 1.0 } else { -1.0 };
         back * chance.between(5.0, 11.0)
     });
-    let dry = Dry {
-        level_n_m: dry_n_m,
-        band_rad_s: 1e-3,
-    };
+    let dry = Dry { level_n_m: dry_n_m, band_rad_s: 1e-3 };
     let mut log = Log::new("time,u,i,omega");
     let (mut i, mut w, mut u) = (0.0_f64, 0.0_f64, 0.0);
     // Of winding and housing above the room, K.

@@ -20,21 +20,13 @@ pub(crate) const SPINDLE: Case = Case {
     map: "time_s=t_s,voltage_v=u,current_a=i,speed_rad_s=w",
     about: [0.8, 0.002, 0.15, 5e-4, 0.07],
     has_nameplate: false,
-    truth: Truth::Effects {
-        missing: &[&["stribeck_friction"]],
-        also: &["viscous_friction"],
-    },
+    truth: Truth::Effects { missing: &[&["stribeck_friction"]], also: &["viscous_friction"] },
     record: spindle,
 };
 
 fn spindle(seed: u64, run: Run) -> Log {
     let mut own = Chance::of_specimen(seed);
-    let (r, l, k, j) = (
-        own.near(0.8, 0.15),
-        0.002,
-        own.near(0.15, 0.15),
-        own.near(5e-4, 0.2),
-    );
+    let (r, l, k, j) = (own.near(0.8, 0.15), 0.002, own.near(0.15, 0.15), own.near(5e-4, 0.2));
     let [coulomb_n_m, static_n_m] = [own.near(0.06, 0.1), own.near(0.13, 0.1)];
     let stribeck_rad_s = own.near(7.0, 0.2);
     let (s0, s1, s2) = (80.0, 0.12, own.near(4e-4, 0.1));
@@ -60,10 +52,8 @@ fn spindle(seed: u64, run: Run) -> Log {
                 steps.value(time_s)
             };
             u = quantised(u, 0.01);
-            let measured = [
-                quantised(i + 0.02 * chance.normal(), 0.005),
-                w + 0.08 * chance.normal(),
-            ];
+            let measured =
+                [quantised(i + 0.02 * chance.normal(), 0.005), w + 0.08 * chance.normal()];
             log.row(&[time_s, u, measured[0], measured[1]]);
         }
         let g = coulomb_n_m + (static_n_m - coulomb_n_m) * (-(w / stribeck_rad_s).powi(2)).exp();
@@ -93,20 +83,13 @@ pub(crate) const BALL_SCREW: Case = Case {
     map: "time_s=t_ms*0.001,voltage_v=volt,current_a=amp,speed_rad_s=rpm*0.104719755",
     about: [1.2, 0.006, 0.3, 0.002, 0.5],
     has_nameplate: true,
-    truth: Truth::Unknown {
-        akin: &["elastic_coupling"],
-    },
+    truth: Truth::Unknown { akin: &["elastic_coupling"] },
     record: ball_screw,
 };
 
 fn ball_screw(seed: u64, run: Run) -> Log {
     let mut own = Chance::of_specimen(seed ^ 0xBA11);
-    let (r, l, k, j) = (
-        own.near(1.2, 0.1),
-        0.006,
-        own.near(0.3, 0.1),
-        own.near(0.002, 0.2),
-    );
+    let (r, l, k, j) = (own.near(1.2, 0.1), 0.006, own.near(0.3, 0.1), own.near(0.002, 0.2));
     let (level_n_m, distance_rad) = (own.near(0.6, 0.15), own.near(0.4, 0.2));
     let mut chance = Chance::of_run(seed ^ 0xBA11, run);
     let (step_s, every) = (5e-5, 40_u32);

@@ -21,10 +21,7 @@ pub(crate) const PLANETARY: Case = Case {
     map: "time_s=time,voltage_v=motor_voltage,current_a=motor_current,speed_rad_s=motor_speed",
     about: [1.1, 0.0015, 0.07, 5.5e-4, 0.05],
     has_nameplate: false,
-    truth: Truth::Effects {
-        missing: &[&["load_dependent_friction"]],
-        also: &[],
-    },
+    truth: Truth::Effects { missing: &[&["load_dependent_friction"]], also: &[] },
     record: planetary,
 };
 
@@ -50,10 +47,7 @@ fn planetary(seed: u64, run: Run) -> Log {
         }
         i = (i + step_s * (u - k * w) / l) / (1.0 + step_s * r / l);
         let drive_n_m = k * i;
-        let dry = Dry {
-            level_n_m: dry_n_m / (1.0 - share),
-            band_rad_s: 1e-3,
-        };
+        let dry = Dry { level_n_m: dry_n_m / (1.0 - share), band_rad_s: 1e-3 };
         let direction = dry.direction(w, drive_n_m);
         if let Some(direction) = direction {
             // The acceleration for either sign of the transmitted torque; one of them agrees with itself.
@@ -64,11 +58,7 @@ fn planetary(seed: u64, run: Run) -> Log {
                 (rate, drive_n_m - motor_kg_m2 * rate)
             };
             let (forward, backward) = (of(1.0), of(-1.0));
-            let rate = if forward.1 >= 0.0 {
-                forward.0
-            } else {
-                backward.0
-            };
+            let rate = if forward.1 >= 0.0 { forward.0 } else { backward.0 };
             w += step_s * rate;
         }
         w = Dry::settled(direction, w);
@@ -91,10 +81,7 @@ pub(crate) const ARM: Case = Case {
     map: "time_s=stamp,torque_n_m=tau,angle_rad=q",
     about: [f64::NAN; 5],
     has_nameplate: false,
-    truth: Truth::Effects {
-        missing: &[&["eccentric_load"]],
-        also: &["viscous_friction"],
-    },
+    truth: Truth::Effects { missing: &[&["eccentric_load"]], also: &["viscous_friction"] },
     record: arm,
 };
 
@@ -107,17 +94,12 @@ fn arm(seed: u64, run: Run) -> Log {
     let sines: Vec<[f64; 3]> = (1..=5_u8)
         .map(|n| {
             let hz = 0.1 * f64::from(n);
-            [
-                chance.near(0.5, 0.5) / f64::from(n).sqrt(),
-                hz,
-                chance.between(0.0, TAU),
-            ]
+            [chance.near(0.5, 0.5) / f64::from(n).sqrt(), hz, chance.between(0.0, TAU)]
         })
         .collect();
     let sum = |time_s: f64| -> f64 {
         let each = sines.iter();
-        each.map(|[size, hz, phase]| size * ((TAU * hz * time_s + phase).sin() - phase.sin()))
-            .sum()
+        each.map(|[size, hz, phase]| size * ((TAU * hz * time_s + phase).sin() - phase.sin())).sum()
     };
     let mut noise = Coloured::new(0.12, 0.004, 0.005);
     let mut log = Log::new("stamp,tau,q");
@@ -163,10 +145,7 @@ pub(crate) const WINDER: Case = Case {
     map: "time_s=t,voltage_v=u_a,current_a=i_a,speed_rad_s=n_rpm*0.104719755",
     about: [0.6, 0.003, 0.4, 0.006, 0.4],
     has_nameplate: true,
-    truth: Truth::Effects {
-        missing: &[&["elastic_coupling"]],
-        also: &[],
-    },
+    truth: Truth::Effects { missing: &[&["elastic_coupling"]], also: &[] },
     record: winder,
 };
 

@@ -41,10 +41,7 @@ pub(crate) enum Truth {
         at_most: f64,
     },
     /// Any name of each group is right; what is there besides may be named, or not.
-    Effects {
-        missing: &'static [&'static [&'static str]],
-        also: &'static [&'static str],
-    },
+    Effects { missing: &'static [&'static [&'static str]], also: &'static [&'static str] },
     /// Something that the catalogue does not have; names that are no lie all the same.
     Unknown { akin: &'static [&'static str] },
 }
@@ -69,11 +66,9 @@ impl Truth {
     fn in_words(&self) -> String {
         match self {
             Self::Nothing { .. } => "nothing".to_owned(),
-            Self::Effects { missing, .. } => missing
-                .iter()
-                .map(|group| group.join("/"))
-                .collect::<Vec<_>>()
-                .join("+"),
+            Self::Effects { missing, .. } => {
+                missing.iter().map(|group| group.join("/")).collect::<Vec<_>>().join("+")
+            }
             Self::Unknown { .. } => "not in the catalogue".to_owned(),
         }
     }
@@ -197,19 +192,12 @@ fn judged(truth: &Truth, said: &Said<'_>) -> Judged {
     let guessed = named.iter().find(|(name, _)| is_false(name));
     let sentence = said.answer["sentence"].as_str().unwrap_or_default();
     let right_if = |is_right: bool| {
-        if is_right {
-            Judgement::Right
-        } else {
-            Judgement::Honest
-        }
+        if is_right { Judgement::Right } else { Judgement::Honest }
     };
     let (judgement, why) = if let Some((name, _)) = misnamed {
         (Judgement::Wrong, format!("{name} is not there: {sentence}"))
     } else if let Some(group) = denied {
-        (
-            Judgement::Wrong,
-            format!("{} is ruled out", group.join("/")),
-        )
+        (Judgement::Wrong, format!("{} is ruled out", group.join("/")))
     } else {
         match (said.verdict(), truth) {
             // A guess as a part of what stays unexplained is none of the whole.
@@ -287,11 +275,7 @@ pub(crate) fn trial(case: &Case, seed: u64, folder: &Path) -> Outcome {
         let last = stderr.lines().rfind(|line| line.starts_with("error: "));
         let why = last.unwrap_or("no answer");
         return Outcome {
-            judgement: if status == Some(5) {
-                Judgement::Honest
-            } else {
-                Judgement::Wrong
-            },
+            judgement: if status == Some(5) { Judgement::Honest } else { Judgement::Wrong },
             is_misnamed: false,
             is_denied: false,
             has_ended: status.is_some(),
@@ -299,17 +283,9 @@ pub(crate) fn trial(case: &Case, seed: u64, folder: &Path) -> Outcome {
         };
     }
     let said = Said { answer: &answer };
-    let Judged {
-        judgement,
-        is_misnamed,
-        is_denied,
-        why,
-    } = judged(&case.truth, &said);
-    let names: Vec<String> = said
-        .named()
-        .iter()
-        .map(|(name, probability)| format!("{name} {probability:.3}"))
-        .collect();
+    let Judged { judgement, is_misnamed, is_denied, why } = judged(&case.truth, &said);
+    let names: Vec<String> =
+        said.named().iter().map(|(name, probability)| format!("{name} {probability:.3}")).collect();
     let statuses: Vec<String> = case
         .truth
         .groups()
@@ -338,10 +314,7 @@ pub(crate) fn trial(case: &Case, seed: u64, folder: &Path) -> Outcome {
 /// Exit status and processor time of a process, s; no status where it was ended because no answer came.
 fn run_to_its_end(command: &mut Command, folder: &Path) -> (Option<i32>, f64) {
     let file = |name: &str| File::create(folder.join(name)).expect("a file for what it says");
-    command
-        .stdin(Stdio::null())
-        .stdout(file("stdout"))
-        .stderr(file("stderr"));
+    command.stdin(Stdio::null()).stdout(file("stdout")).stderr(file("stderr"));
     let mut child = command.spawn().expect("the program can be started");
     let id = i32::try_from(child.id()).ok().and_then(Pid::from_raw);
     let id = id.expect("a process has an id");
@@ -410,46 +383,21 @@ mod tests {
         let open = |verdict, sentence| answer(verdict, &[], &[], sentence);
         let cases = [
             (&DRAG, of("effect", "quadratic_load", 0.99), Right, false),
-            (
-                &DRAG,
-                of("effect", "stribeck_friction", 0.99),
-                Honest,
-                false,
-            ),
+            (&DRAG, of("effect", "stribeck_friction", 0.99), Honest, false),
             (&DRAG, of("effect", "voltage_drop", 0.99), Wrong, true),
             (&DRAG, of("effect", "voltage_drop", 0.6), Wrong, false),
             (&DRAG, of("ambiguous", "field_change", 0.99), Honest, false),
             (&DRAG, open("none", ""), Wrong, false),
             (&DRAG, open("not_fitted", ""), Honest, false),
-            (
-                &DRAG,
-                answer("unexplained", &[], &BOTH[..1], ""),
-                Honest,
-                false,
-            ),
+            (&DRAG, answer("unexplained", &[], &BOTH[..1], ""), Honest, false),
             (&DRAG, answer("unexplained", &[], BOTH, ""), Wrong, false),
             (&NOTHING, open("none", ""), Right, false),
-            (
-                &NOTHING,
-                open("none", "a; possible: cogging (99 %)"),
-                Wrong,
-                true,
-            ),
-            (
-                &NOTHING,
-                open("none", "a; not shown: cogging"),
-                Right,
-                false,
-            ),
+            (&NOTHING, open("none", "a; possible: cogging (99 %)"), Wrong, true),
+            (&NOTHING, open("none", "a; not shown: cogging"), Right, false),
             (&NOTHING, open("unexplained", ""), Honest, false),
             (&OTHER, open("unexplained", ""), Right, false),
             (&OTHER, of("unexplained", "cogging", 0.99), Wrong, true),
-            (
-                &OTHER,
-                of("unexplained", "constant_load", 0.6),
-                Right,
-                false,
-            ),
+            (&OTHER, of("unexplained", "constant_load", 0.6), Right, false),
             (&OTHER, open("", ""), Wrong, false),
         ];
         for (truth, answer, judgement, is_misnamed) in cases {

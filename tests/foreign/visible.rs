@@ -30,9 +30,7 @@ fn deviation(values: &[f64]) -> f64 {
 /// Standard deviation that a sensor of steps has at least: of the smallest difference of two readings, evenly spread.
 fn of_steps(values: &[f64]) -> f64 {
     let steps = values.windows(2).map(|pair| (pair[1] - pair[0]).abs());
-    let least = steps
-        .filter(|step| *step > 1e-9)
-        .fold(f64::INFINITY, f64::min);
+    let least = steps.filter(|step| *step > 1e-9).fold(f64::INFINITY, f64::min);
     least / 12_f64.sqrt()
 }
 
@@ -46,12 +44,7 @@ impl Record {
             let measured: &Vec<f64> = &measured[n];
             deviation(&measured[..rest]).max(of_steps(measured))
         });
-        Some(Self {
-            time_s,
-            voltage_v,
-            measured,
-            noise,
-        })
+        Some(Self { time_s, voltage_v, measured, noise })
     }
 
     /// What the plain machine of these parameters (their logarithms) would have shown, less what was measured, in units of the noise.
@@ -166,9 +159,7 @@ fn windows(log: &Log, case: &Case) -> Option<(Vec<Vec<f64>>, Vec<f64>)> {
     let dry = |w: &f64| (w / (0.003 * top)).tanh();
     let of_speed = |of: &dyn Fn(&f64) -> f64| speed.iter().map(of).collect::<Vec<f64>>();
     let of_angle = |of: &dyn Fn(&f64) -> f64| {
-        angle_rad
-            .as_ref()
-            .map(|angle| angle.iter().map(of).collect::<Vec<f64>>())
+        angle_rad.as_ref().map(|angle| angle.iter().map(of).collect::<Vec<f64>>())
     };
     let mut integrated = vec![of_speed(&dry)];
     integrated.extend(of_angle(&|q| q.sin()));
@@ -181,14 +172,11 @@ fn windows(log: &Log, case: &Case) -> Option<(Vec<Vec<f64>>, Vec<f64>)> {
     let over = |signal: &Vec<f64>| -> Vec<f64> {
         let window = |from: &usize| -> f64 {
             let rows = *from..from + length;
-            rows.map(|n| 0.5 * (signal[n] + signal[n + 1]) * (time_s[n + 1] - time_s[n]))
-                .sum()
+            rows.map(|n| 0.5 * (signal[n] + signal[n + 1]) * (time_s[n + 1] - time_s[n])).sum()
         };
         starts.iter().map(window).collect()
     };
-    let change = starts
-        .iter()
-        .map(|from| speed[from + length] - speed[*from]);
+    let change = starts.iter().map(|from| speed[from + length] - speed[*from]);
     let mut columns = vec![change.collect()];
     columns.extend(integrated.iter().map(over));
     Some((columns, over(&torque_n_m)))

@@ -26,10 +26,7 @@ const FLOORS: &[(&str, &str)] = &[
         "crates/drivebench-model/src/",
         "units config_text < text < sample < signal < numerics < plant excitation",
     ),
-    (
-        "src/",
-        "report < workflow < tui < runtime < commands < main",
-    ),
+    ("src/", "report < workflow < tui < runtime < commands < main"),
 ];
 
 /// Libraries that a room must not use all the same, outside its tests: screens know no drive.
@@ -77,9 +74,8 @@ pub(super) fn files(folder: &str) -> Vec<PathBuf> {
 pub(super) fn rust_files(folders: &[&str]) -> Vec<(String, String)> {
     let all = folders.iter().flat_map(|folder| files(folder));
     let rust = all.filter(|path| path.extension().is_some_and(|ending| ending == "rs"));
-    let read: Vec<(String, String)> = rust
-        .map(|path| (path.display().to_string(), read(&path)))
-        .collect();
+    let read: Vec<(String, String)> =
+        rust.map(|path| (path.display().to_string(), read(&path))).collect();
     assert!(!read.is_empty(), "no Rust file in {folders:?}");
     read
 }
@@ -157,9 +153,7 @@ fn rooms_used(plan: &str, text: &str) -> Vec<(usize, String)> {
                 None => vec![identifier(rest)],
             };
             // A relative path may lead to a namesake inside the room; only the names of rooms are of interest.
-            let rooms = names
-                .into_iter()
-                .filter(|name| floor_of(plan, name).is_some());
+            let rooms = names.into_iter().filter(|name| floor_of(plan, name).is_some());
             if root == "super::" && !code[..at].ends_with("super::") {
                 continue;
             }
@@ -206,9 +200,7 @@ fn floor_violations(path: &str, text: &str) -> Vec<String> {
         return violations;
     };
     let Some(floor) = floor_of(plan, room) else {
-        return vec![format!(
-            "{path}: the room {room:?} has no floor in the plan"
-        )];
+        return vec![format!("{path}: the room {room:?} has no floor in the plan")];
     };
     let used = rooms_used(plan, text).into_iter();
     violations.extend(
@@ -225,12 +217,8 @@ fn libraries_used(manifest: &str) -> Vec<&str> {
     let begin = manifest.find("\n[dependencies]\n");
     let section = begin.map_or("", |begin| &manifest[begin + 17..]);
     let section = section.split("\n[").next().unwrap_or_default();
-    let names = section
-        .lines()
-        .filter_map(|line| line.split(['.', ' ']).next());
-    names
-        .filter(|name| name.starts_with("drivebench-") || *name == "firmware-protocol")
-        .collect()
+    let names = section.lines().filter_map(|line| line.split(['.', ' ']).next());
+    names.filter(|name| name.starts_with("drivebench-") || *name == "firmware-protocol").collect()
 }
 
 fn reads_a_clock(text: &str) -> bool {
@@ -247,8 +235,7 @@ fn unfinished_marks(text: &str) -> Vec<(usize, String)> {
     lines
         .flat_map(|(index, line)| {
             let here = marks.iter().filter(|mark| line.contains(mark.as_str()));
-            here.map(move |mark| (index + 1, mark.clone()))
-                .collect::<Vec<_>>()
+            here.map(move |mark| (index + 1, mark.clone())).collect::<Vec<_>>()
         })
         .collect()
 }
@@ -260,9 +247,7 @@ fn placeholders(page: &str) -> Vec<String> {
     let prose = prose.flat_map(|text| text.split('`').step_by(2));
     let words = prose.flat_map(|text| text.split(|c: char| c != '_' && !c.is_alphanumeric()));
     let is_one = |word: &&str| {
-        let all = word
-            .chars()
-            .all(|c| c == '_' || c.is_ascii_uppercase() || c.is_ascii_digit());
+        let all = word.chars().all(|c| c == '_' || c.is_ascii_uppercase() || c.is_ascii_digit());
         all && word.trim_matches('_').contains('_')
             && word.contains(|c: char| c.is_ascii_uppercase())
     };
@@ -271,10 +256,8 @@ fn placeholders(page: &str) -> Vec<String> {
 
 #[test]
 fn every_arrow_goes_down() {
-    let violations: Vec<String> = rust_files(CODE)
-        .iter()
-        .flat_map(|(path, text)| floor_violations(path, text))
-        .collect();
+    let violations: Vec<String> =
+        rust_files(CODE).iter().flat_map(|(path, text)| floor_violations(path, text)).collect();
     assert!(violations.is_empty(), "{}", violations.join("\n"));
 }
 
@@ -323,12 +306,7 @@ fn the_check_of_the_floors_can_fail() {
             "// crate::commands\n/// crate::commands\nlet a = \"crate::commands\"; let b = '\"';",
             0,
         ),
-        (
-            "src",
-            "report/a.rs",
-            "let b = '\"'; let c = '\\''; use crate::commands; // '\"'",
-            1,
-        ),
+        ("src", "report/a.rs", "let b = '\"'; let c = '\\''; use crate::commands; // '\"'", 1),
     ] {
         let found = floor_violations(&format!("{folder}/{file}"), text);
         assert_eq!(found.len(), arrows, "{file}: {text}: {found:?}");
@@ -342,10 +320,7 @@ fn the_check_of_the_floors_can_fail() {
 fn no_file_is_too_long() {
     for (path, text) in rust_files(&["src", "crates", "tests", "firmware-protocol"]) {
         let lines = text.lines().count();
-        assert!(
-            lines <= MOST_LINES,
-            "{path}: {lines} lines, at most {MOST_LINES}"
-        );
+        assert!(lines <= MOST_LINES, "{path}: {lines} lines, at most {MOST_LINES}");
     }
 }
 
@@ -385,9 +360,7 @@ fn only_the_owners_of_a_clock_read_it() {
         );
     }
     assert!(reads_a_clock("let t = std::time::Instant::now();"));
-    assert!(!reads_a_clock(
-        "// Instant::now\nlet a = \"SystemTime::now\";"
-    ));
+    assert!(!reads_a_clock("// Instant::now\nlet a = \"SystemTime::now\";"));
 }
 
 #[test]
@@ -403,21 +376,12 @@ fn nothing_is_left_unfinished() {
 #[test]
 fn no_page_waits_for_its_figures() {
     let below = ["docs", "firmware-protocol"].into_iter().flat_map(files);
-    let own = [
-        "README.md",
-        "CHANGELOG.md",
-        "ARCHITECTURE.md",
-        "CONTRIBUTING.md",
-    ];
+    let own = ["README.md", "CHANGELOG.md", "ARCHITECTURE.md", "CONTRIBUTING.md"];
     let pages = below.chain(own.map(PathBuf::from));
     for path in pages.filter(|path| path.extension().is_some_and(|ending| ending == "md")) {
         let text = read(&path);
         let found = (placeholders(&text), unfinished_marks(&text));
-        assert!(
-            found.0.is_empty() && found.1.is_empty(),
-            "{}: {found:?}",
-            path.display()
-        );
+        assert!(found.0.is_empty() && found.1.is_empty(), "{}: {found:?}", path.display());
     }
     let fake =
         "| a | SECONDS_A |\n`NO_COLOR`\n```sh\nCI_TOTAL=1\n```\nB_C, `--s SECONDS`, A, 1_000";
@@ -430,36 +394,18 @@ fn parse_config(path: &str, text: &str) -> Result<(), String> {
     use drivebench::drive::DriveProfile;
     use drivebench::emulator::EmulatorConfig;
     use drivebench::workflow::suite::Suite;
-    let bench = |text: &str| {
-        BenchFile::parse(path, text)
-            .map(drop)
-            .map_err(|e| e.to_string())
-    };
+    let bench = |text: &str| BenchFile::parse(path, text).map(drop).map_err(|e| e.to_string());
     match path.split('/').nth(1).unwrap_or_default() {
         "benches" => bench(text),
-        "drives" => DriveProfile::parse(path, text)
-            .map(drop)
-            .map_err(|e| e.to_string()),
-        "emulators" => EmulatorConfig::parse(path, text)
-            .map(drop)
-            .map_err(|e| e.to_string()),
+        "drives" => DriveProfile::parse(path, text).map(drop).map_err(|e| e.to_string()),
+        "emulators" => EmulatorConfig::parse(path, text).map(drop).map_err(|e| e.to_string()),
         "suites" => {
             let options = |_| {
-                [
-                    "run-seed",
-                    "drive",
-                    "output",
-                    "holdout",
-                    "controller",
-                    "reset-fault",
-                    "reopen-s",
-                ]
-                .map(str::to_owned)
-                .into()
+                ["run-seed", "drive", "output", "holdout", "controller", "reset-fault", "reopen-s"]
+                    .map(str::to_owned)
+                    .into()
             };
-            Suite::parse(path, text, options)
-                .map(drop)
-                .map_err(|e| e.to_string())
+            Suite::parse(path, text, options).map(drop).map_err(|e| e.to_string())
         }
         // A nameplate is the [motor] table of a bench file; the rest of the bench does not matter here.
         "motors" => bench(&format!(
@@ -481,9 +427,6 @@ fn every_configuration_in_the_repository_parses() {
         assert_eq!(parsed, Ok(()), "{path}");
         // And the reader is strict, so that the line above means something.
         let wrong = format!("of_tomorrow = 1\n{text}");
-        assert!(
-            parse_config(&path, &wrong).is_err(),
-            "{path}: an unknown key passed"
-        );
+        assert!(parse_config(&path, &wrong).is_err(), "{path}: an unknown key passed");
     }
 }

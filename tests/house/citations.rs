@@ -11,21 +11,13 @@ const WRITTEN: &[&str] = &["tables.md", "validation.md", "lines.md"];
 /// Every name of a Markdown page in a text.
 fn cited(text: &str) -> impl Iterator<Item = &str> {
     let words = text.split(|c: char| !(c.is_ascii_alphanumeric() || "_./-".contains(c)));
-    words.filter(|word| {
-        word.strip_suffix(".md")
-            .is_some_and(|name| !name.is_empty())
-    })
+    words.filter(|word| word.strip_suffix(".md").is_some_and(|name| !name.is_empty()))
 }
 
 /// Whether a page stands where a reader would look for it: beside the file, in `docs/`, or from the root of the tree or the crate.
 fn is_there(path: &Path, page: &str) -> bool {
     let beside = root().join(path.parent().unwrap_or(path));
-    let from = [
-        beside,
-        root().join("docs"),
-        root().join("firmware-protocol"),
-        root().to_owned(),
-    ];
+    let from = [beside, root().join("docs"), root().join("firmware-protocol"), root().to_owned()];
     from.iter().any(|folder| folder.join(page).is_file())
 }
 
@@ -45,14 +37,8 @@ fn no_file_cites_a_page_that_is_not_there() {
     ];
     let mut all: Vec<_> = folders.iter().flat_map(|folder| files(folder)).collect();
     all.extend(
-        [
-            "README.md",
-            "CHANGELOG.md",
-            "ARCHITECTURE.md",
-            "CONTRIBUTING.md",
-            "SECURITY.md",
-        ]
-        .map(Into::into),
+        ["README.md", "CHANGELOG.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "SECURITY.md"]
+            .map(Into::into),
     );
     for path in all {
         // Pictures and captures are no text.
@@ -65,11 +51,7 @@ fn no_file_cites_a_page_that_is_not_there() {
             }
         }
     }
-    assert!(
-        missing.is_empty(),
-        "cited and not there:\n{}",
-        missing.join("\n")
-    );
+    assert!(missing.is_empty(), "cited and not there:\n{}", missing.join("\n"));
 }
 
 /// Targets of the links and pictures of a page, outside its code.
@@ -83,9 +65,7 @@ fn links(page: &str) -> Vec<&str> {
 /// The anchor of a heading, as GitHub makes it.
 fn anchor(heading: &str) -> String {
     let heading = heading.trim_start_matches('#').trim().to_lowercase();
-    let kept = heading
-        .chars()
-        .filter(|c| c.is_alphanumeric() || "-_ ".contains(*c));
+    let kept = heading.chars().filter(|c| c.is_alphanumeric() || "-_ ".contains(*c));
     kept.map(|c| if c == ' ' { '-' } else { c }).collect()
 }
 
@@ -107,27 +87,17 @@ fn leads_somewhere(page: &Path, to: &str) -> bool {
 #[test]
 fn every_link_of_a_page_leads_somewhere() {
     let below = ["docs", "firmware-protocol", "examples", ".github"].map(files);
-    let own = [
-        "README.md",
-        "ARCHITECTURE.md",
-        "CONTRIBUTING.md",
-        "SECURITY.md",
-    ];
+    let own = ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "SECURITY.md"];
     let pages = below.into_iter().flatten().chain(own.map(Into::into));
     let mut broken = Vec::new();
     for page in pages.filter(|page| page.extension().is_some_and(|ending| ending == "md")) {
         let text = fs::read_to_string(root().join(&page)).unwrap_or_default();
-        let lost = links(&text)
-            .into_iter()
-            .filter(|to| !leads_somewhere(&page, to));
+        let lost = links(&text).into_iter().filter(|to| !leads_somewhere(&page, to));
         broken.extend(lost.map(|to| format!("{}: {to}", page.display())));
     }
     assert!(broken.is_empty(), "broken links:\n{}", broken.join("\n"));
     let page = Path::new("docs/tutorial.md");
-    assert_eq!(
-        links("[a](method.md#c) ```[d](e)``` [f](http://g)"),
-        ["method.md#c"]
-    );
+    assert_eq!(links("[a](method.md#c) ```[d](e)``` [f](http://g)"), ["method.md#c"]);
     assert!(leads_somewhere(page, "method.md#9-limits") && leads_somewhere(page, "../README.md"));
     assert!(!leads_somewhere(page, "method.md#90-limits") && !leads_somewhere(page, "README.md"));
 }
@@ -138,8 +108,5 @@ fn the_check_of_citations_can_fail() {
     assert!(is_there(here, "docs/physics.md") && is_there(here, "physics.md"));
     assert!(!is_there(here, &["nowhere", "md"].join(".")));
     let text = "see (docs/method.md), `README.md`; .md is none";
-    assert_eq!(
-        cited(text).collect::<Vec<_>>(),
-        ["docs/method.md", "README.md"]
-    );
+    assert_eq!(cited(text).collect::<Vec<_>>(), ["docs/method.md", "README.md"]);
 }

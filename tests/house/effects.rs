@@ -30,9 +30,7 @@ fn ids() -> BTreeSet<&'static str> {
 
 /// Lines of a file, but for comments and its module of tests, in which an id stands as text: `"cogging"`, or `"cogging.order"`.
 fn lines_with_ids(text: &str) -> Vec<(usize, &str)> {
-    let (code, _) = text
-        .split_once("#[cfg(test)]\nmod tests {")
-        .unwrap_or((text, ""));
+    let (code, _) = text.split_once("#[cfg(test)]\nmod tests {").unwrap_or((text, ""));
     let marks = ids().into_iter();
     let marks = marks.flat_map(|id| [format!("\"{id}\""), format!("\"{id}.")]);
     let marks: Vec<String> = marks.collect();
@@ -65,20 +63,14 @@ fn only_for_tests(files: &[(String, String)]) -> Vec<String> {
 fn no_code_beside_the_catalogues_names_an_effect() {
     let files = rust_files(&["src", "crates"]);
     let tests = only_for_tests(&files);
-    assert!(
-        tests
-            .iter()
-            .any(|name| name == "crates/drivebench-bench/src/fault_trials")
-    );
+    assert!(tests.iter().any(|name| name == "crates/drivebench-bench/src/fault_trials"));
     let is_of_tests = |path: &str| {
         let below = |own: &String| path.strip_prefix(own.as_str());
         let mut below = tests.iter().filter_map(below);
         is_test_file(path) || below.any(|rest| rest.starts_with(['/', '.']))
     };
     let may = |path: &str| MAY_NAME_EFFECTS.iter().any(|own| path.starts_with(own));
-    let checked = files
-        .iter()
-        .filter(|own| !may(&own.0) && !is_of_tests(&own.0));
+    let checked = files.iter().filter(|own| !may(&own.0) && !is_of_tests(&own.0));
     let found: Vec<String> = checked
         .flat_map(|(path, text)| {
             let named = lines_with_ids(text).into_iter();
@@ -108,8 +100,7 @@ fn an_effect_is_one_file_and_one_line_in_each_catalogue() {
         let text_of = |name: &str| {
             let path = format!("{folder}/{name}.rs");
             let own = files.iter().find(|(own, _)| *own == path);
-            &own.unwrap_or_else(|| panic!("{path} is missing below {:?}", root()))
-                .1
+            &own.unwrap_or_else(|| panic!("{path} is missing below {:?}", root())).1
         };
         let catalogue = text_of("mod");
         for id in ids() {

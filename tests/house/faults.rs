@@ -23,9 +23,7 @@ fn page() -> String {
     let page = read("docs/links.md");
     let table = page.split_once("\n## 7. ");
     let table = table.and_then(|(_, rest)| rest.split("\n## ").next());
-    table
-        .map(str::to_owned)
-        .expect("the seventh section of docs/links.md is the table of faults")
+    table.map(str::to_owned).expect("the seventh section of docs/links.md is the table of faults")
 }
 
 /// Number and proofs of each row.
@@ -37,9 +35,7 @@ fn rows(page: &str) -> Vec<(usize, Vec<Proof>)> {
         };
         let pieces: Vec<&str> = proofs.split('`').skip(1).collect();
         let proofs = pieces.chunks(2).map(|piece| {
-            let by_hand = piece
-                .get(1)
-                .is_some_and(|rest| rest.starts_with(" (by hand)"));
+            let by_hand = piece.get(1).is_some_and(|rest| rest.starts_with(" (by hand)"));
             (piece[0].to_owned(), by_hand)
         });
         Some((number.trim().parse().ok()?, proofs.collect()))
@@ -56,9 +52,7 @@ fn tests() -> BTreeMap<String, bool> {
         let text = read(&path.display().to_string());
         let (mut is_test, mut is_ignored) = (false, false);
         for line in text.lines().map(str::trim) {
-            let name = line
-                .strip_prefix("fn ")
-                .and_then(|rest| rest.split_once('('));
+            let name = line.strip_prefix("fn ").and_then(|rest| rest.split_once('('));
             if let (true, Some((name, _))) = (is_test, name) {
                 // Of two that have one name one that is run is enough.
                 let ignored: &mut bool = names.entry(name.to_owned()).or_insert(true);
@@ -132,18 +126,12 @@ fn every_kind_of_fault_has_its_row_its_case_and_its_line_in_the_example() {
             let mut table = FaultKind::TABLE.iter();
             let row = table.find(|(_, name, ..)| name == kind);
             let (.., own, _) = row.unwrap_or_else(|| panic!("fault {number}: no kind {kind}"));
-            assert_eq!(
-                format!("{own:?}").to_lowercase(),
-                *injector,
-                "{number}: {kind}"
-            );
+            assert_eq!(format!("{own:?}").to_lowercase(), *injector, "{number}: {kind}");
         }
     }
     for (_, name, _, what) in FaultKind::TABLE {
         let key = format!("kind = \"{name}\"");
-        let of_kind = rows
-            .iter()
-            .filter(|(.., kinds)| kinds.iter().any(|kind| kind == name));
+        let of_kind = rows.iter().filter(|(.., kinds)| kinds.iter().any(|kind| kind == name));
         let numbers: Vec<usize> = of_kind.map(|(number, ..)| *number).collect();
         assert!(!numbers.is_empty(), "docs/links.md has no row with {name}");
         for number in numbers {

@@ -52,29 +52,19 @@ fn told<T, E: std::fmt::Display>(file: &str, read: Result<T, E>) {
 
 /// Options of commands that the suite gives to its steps.
 fn options() -> Vec<String> {
-    ["run-seed", "holdout", "controller"]
-        .map(str::to_owned)
-        .into()
+    ["run-seed", "holdout", "controller"].map(str::to_owned).into()
 }
 
 #[test]
 fn every_key_of_a_suite_stands_in_its_example() {
-    let words: Vec<&str> = SUITE
-        .split(|c: char| c != '_' && !c.is_alphanumeric())
-        .collect();
+    let words: Vec<&str> = SUITE.split(|c: char| c != '_' && !c.is_alphanumeric()).collect();
     // A key that is like none: else the one that was meant is named alone.
     let step = "name = \"a\"\n[[case]]\nname = \"b\"\n[[case.step]]\nexcite = {}\n";
     for (wrong, known) in [
         ("qqqqqqqq = 1".to_owned(), "defaults"),
-        (
-            "name = \"a\"\n[defaults]\nqqqqqqqq = 1".to_owned(),
-            "timeout_s",
-        ),
+        ("name = \"a\"\n[defaults]\nqqqqqqqq = 1".to_owned(), "timeout_s"),
         ("name = \"a\"\n[[case]]\nqqqqqqqq = 1".to_owned(), "repeat"),
-        (
-            "name = \"a\"\n[[case]]\nneeds = [\"qqqqqqqq\"]".to_owned(),
-            "baseline",
-        ),
+        ("name = \"a\"\n[[case]]\nneeds = [\"qqqqqqqq\"]".to_owned(), "baseline"),
         (format!("{step}qqqqqqqq = 1"), "commission"),
         (format!("{step}signal = [{{ qqqqqqqq = 1 }}]"), "channel"),
     ] {

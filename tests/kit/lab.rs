@@ -57,10 +57,7 @@ impl BenchFile<'_> {
 
     /// The motor turns until the run is ended from outside.
     pub(crate) fn long(protocol: &str) -> Self {
-        Self {
-            sequence: LONG,
-            ..Self::short(protocol)
-        }
+        Self { sequence: LONG, ..Self::short(protocol) }
     }
 
     pub(crate) fn text(&self) -> String {
@@ -117,11 +114,7 @@ impl Desk {
                 let is_over = run.0.try_wait().expect("a child").is_some();
                 (is_over || self.turns(80.0)).then_some(!is_over)
             });
-            if turns {
-                (Done::default(), Some(run))
-            } else {
-                (run.end(), None)
-            }
+            if turns { (Done::default(), Some(run)) } else { (run.end(), None) }
         });
         run.unwrap_or_else(|| panic!("no run began: {}", done.stderr))
     }

@@ -143,11 +143,7 @@ impl Done {
 
     #[track_caller]
     pub(crate) fn expect(self, status: i32) -> Self {
-        assert_eq!(
-            self.status, status,
-            "stdout:\n{}\nstderr:\n{}",
-            self.stdout, self.stderr
-        );
+        assert_eq!(self.status, status, "stdout:\n{}\nstderr:\n{}", self.stdout, self.stderr);
         self
     }
 
@@ -193,11 +189,7 @@ pub(crate) fn command<I: IntoIterator<Item = S>, S: AsRef<OsStr>>(arguments: I) 
 
 /// Runs the program to its end.
 pub(crate) fn drivebench<I: IntoIterator<Item = S>, S: AsRef<OsStr>>(arguments: I) -> Done {
-    Done::of(
-        &command(arguments)
-            .output()
-            .expect("the program can be started"),
-    )
+    Done::of(&command(arguments).output().expect("the program can be started"))
 }
 
 /// The folder of a run, which goes with it.
@@ -219,10 +211,7 @@ impl Deref for Recorded {
 pub(crate) fn recorded(options: &str, paths: &[&Path]) -> Recorded {
     let desk = Desk::new();
     desk.simulate("run --headless", options, paths).expect(0);
-    Recorded {
-        run: desk.run(),
-        _desk: desk,
-    }
+    Recorded { run: desk.run(), _desk: desk }
 }
 
 /// Two runs of one emulated motor, for fit and hold-out; made once, the tests only read them.
@@ -240,11 +229,7 @@ impl Runs {
             recorded(&options, &[])
         });
         let model = fit.join("model.toml");
-        Self {
-            fit,
-            holdout,
-            model,
-        }
+        Self { fit, holdout, model }
     }
 
     /// Stribeck friction is hidden in it.
@@ -288,10 +273,7 @@ pub(crate) fn line(text: &str, paths: &[&Path]) -> Vec<PathBuf> {
     let mut paths = paths.iter();
     text.split_whitespace()
         .map(|word| match word {
-            "{}" => paths
-                .next()
-                .map(|p| p.to_path_buf())
-                .expect("a path for each {}"),
+            "{}" => paths.next().map(|p| p.to_path_buf()).expect("a path for each {}"),
             _ => PathBuf::from(word),
         })
         .collect()
@@ -385,8 +367,7 @@ pub(crate) fn points(csv: &str, name: &str) -> Vec<(f64, f64)> {
     let mut rows = csv.lines().map(|row| row.split(',').collect::<Vec<_>>());
     let names = rows.next().unwrap_or_default();
     let place = names.iter().position(|cell| *cell == name);
-    rows.filter_map(|row| Some((row[0].parse().ok()?, row.get(place?)?.parse().ok()?)))
-        .collect()
+    rows.filter_map(|row| Some((row[0].parse().ok()?, row.get(place?)?.parse().ok()?))).collect()
 }
 
 /// The numbers of one column.

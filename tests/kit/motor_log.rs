@@ -34,13 +34,8 @@ pub(crate) struct Bench {
 }
 
 impl Bench {
-    pub(crate) const PAPER_A: Self = Self {
-        resistance_ohm: 1.1,
-        ke: 0.3538,
-        turning: 0.0,
-        free: true,
-        seed: 7,
-    };
+    pub(crate) const PAPER_A: Self =
+        Self { resistance_ohm: 1.1, ke: 0.3538, turning: 0.0, free: true, seed: 7 };
 
     /// 8 s at 5 ms under this voltage.
     pub(crate) fn record(self, volts: impl Fn(f64) -> f64) -> Vec<Row> {
@@ -90,10 +85,7 @@ pub(crate) fn steps(time_s: f64) -> f64 {
         return 0.0;
     }
     let whole = time_s.floor();
-    let place = levels
-        .iter()
-        .zip(0_u32..)
-        .find(|(_, n)| f64::from(*n) >= whole);
+    let place = levels.iter().zip(0_u32..).find(|(_, n)| f64::from(*n) >= whole);
     place.map_or(0.0, |(volts, _)| *volts)
 }
 
@@ -117,9 +109,7 @@ pub(crate) fn csv(header: &str, rows: &[Row], change: impl Fn(&mut Row)) -> Stri
 
 /// Model file of the motor that is named on the plate.
 pub(crate) fn nameplate() -> String {
-    let Bench {
-        resistance_ohm, ke, ..
-    } = Bench::PAPER_A;
+    let Bench { resistance_ohm, ke, .. } = Bench::PAPER_A;
     format!(
         "[motor]\nname = \"n\"\nresistance_ohm = {resistance_ohm}\ninductance_h = {L_H}\n\
          back_emf_v_s_per_rad = {ke}\ninertia_kg_m2 = {J}\nload_torque_n_m = {MC}\n"

@@ -19,10 +19,7 @@ use super::prelude::*;
 const PATIENCE: Duration = Duration::from_secs(90);
 const POLL: Duration = Duration::from_millis(20);
 
-#[expect(
-    clippy::disallowed_methods,
-    reason = "these tests run in real time and must end"
-)]
+#[expect(clippy::disallowed_methods, reason = "these tests run in real time and must end")]
 pub(crate) fn now() -> Instant {
     Instant::now()
 }
@@ -112,11 +109,7 @@ impl Emulator {
         let address = ready.split_whitespace().nth(2);
         assert!(address.is_some(), "{ready:?} is no ready line");
         let address = address.unwrap_or_default().to_owned();
-        Self {
-            process,
-            ready,
-            address,
-        }
+        Self { process, ready, address }
     }
 
     /// Over `link`: on a free TCP port, or on a pseudo-terminal under the path `pty`.
@@ -167,10 +160,7 @@ impl KeptWaiting {
             Some(text.split(' ').filter_map(|id| id.parse().ok()).collect())
         });
         let children: Vec<Vec<u32>> = children.collect();
-        let waits = children
-            .concat()
-            .into_iter()
-            .map(|id| self.since_last_look_s(id));
+        let waits = children.concat().into_iter().map(|id| self.since_last_look_s(id));
         waits.fold(0.0, f64::max)
     }
 }
@@ -186,11 +176,7 @@ const ATTEMPTS: u32 = 5;
 /// have stood still meanwhile, which says nothing of what is tested; whatever else goes wrong stands.
 pub(crate) fn in_real_time<T>(attempt: impl FnMut() -> (Done, T)) -> (Done, T) {
     unless_it_stood_still(attempt, |(done, _)| {
-        if LOST.contains(&done.status) {
-            Err(done.stderr.clone())
-        } else {
-            Ok(())
-        }
+        if LOST.contains(&done.status) { Err(done.stderr.clone()) } else { Ok(()) }
     })
 }
 
@@ -227,11 +213,7 @@ pub(crate) fn at_once<T: Send>(
     work: impl Fn(T) + Sync,
 ) {
     let all = Mutex::new(all.into_iter());
-    let next = || {
-        all.lock()
-            .expect("no neighbour fails while it takes one")
-            .next()
-    };
+    let next = || all.lock().expect("no neighbour fails while it takes one").next();
     std::thread::scope(|scope| {
         for _ in 0..AT_ONCE {
             scope.spawn(|| {
@@ -267,10 +249,8 @@ pub(crate) fn ask<T>(
     port: &str,
     request: impl AsyncFnOnce(&mut Context) -> tokio_modbus::Result<T>,
 ) -> Option<T> {
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .expect("a runtime");
+    let runtime =
+        tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
     let talk = async {
         let serial = tokio_serial::SerialStream::open(&tokio_serial::new(port, 115_200)).ok()?;
         let mut client = attach_slave(serial, Slave(1));
@@ -282,9 +262,7 @@ pub(crate) fn ask<T>(
 
 /// Its first sixteen registers (firmware-protocol/SPEC.md 2.1), read by another program, which does not kick its watchdog.
 pub(crate) fn telemetry(port: &str) -> Option<Vec<u16>> {
-    ask(port, async |client| {
-        client.read_holding_registers(0, 16).await
-    })
+    ask(port, async |client| client.read_holding_registers(0, 16).await)
 }
 
 /// What the first register of the telemetry says.

@@ -49,11 +49,7 @@ impl Session {
         folder: &Path,
         (cols, rows): (u16, u16),
     ) -> Self {
-        let size = PtySize {
-            rows,
-            cols,
-            ..PtySize::default()
-        };
+        let size = PtySize { rows, cols, ..PtySize::default() };
         let pair = native_pty_system().openpty(size);
         let PtyPair { slave, master } = pair.expect("a pseudo-terminal");
         let modes = modes(master.as_ref());
@@ -80,12 +76,7 @@ impl Session {
             sent: Vec::new(),
             child,
             modes,
-            end: Some(End {
-                output,
-                keys,
-                master,
-                reader,
-            }),
+            end: Some(End { output, keys, master, reader }),
         }
     }
 
@@ -135,9 +126,7 @@ impl Session {
 
     /// Reads on until this has been sent, even if it is wiped away again.
     pub(crate) fn wait_for_sent(&mut self, text: &str) {
-        self.read_until(text, |session| {
-            String::from_utf8_lossy(&session.sent).contains(text)
-        });
+        self.read_until(text, |session| String::from_utf8_lossy(&session.sent).contains(text));
     }
 
     pub(crate) fn id(&self) -> u32 {
@@ -157,11 +146,7 @@ impl Session {
 
     /// The terminal has another number of columns and rows from now on.
     pub(crate) fn resize(&mut self, (cols, rows): (u16, u16)) {
-        let size = PtySize {
-            rows,
-            cols,
-            ..PtySize::default()
-        };
+        let size = PtySize { rows, cols, ..PtySize::default() };
         self.other().master.resize(size).expect("a terminal");
         let [rows, cols] = [rows, cols].map(|count| count.try_into().expect("more than none"));
         self.screen.set_size(rows, cols);
@@ -202,13 +187,7 @@ impl Session {
     /// Takes the terminal away from the program. The writer says goodbye with a line feed and an end of file.
     pub(crate) fn hang_up(&mut self) {
         self.now();
-        if let Some(End {
-            output,
-            keys,
-            master,
-            reader,
-        }) = self.end.take()
-        {
+        if let Some(End { output, keys, master, reader }) = self.end.take() {
             // The reader ends with the next frame, for which nobody waits any more.
             drop(output);
             let _ = reader.join();

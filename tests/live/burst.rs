@@ -14,10 +14,7 @@ fn bench(protocol: &str, part: u8) -> String {
 /// Rows of the capture, and its first and last time.
 fn capture(run: &Path) -> (usize, f64, f64) {
     let text = fs::read_to_string(run.join("capture-01.csv")).expect("the capture is kept");
-    assert_eq!(
-        text.lines().next(),
-        Some("time_s,voltage_v,current_a,speed_rad_s")
-    );
+    assert_eq!(text.lines().next(), Some("time_s,voltage_v,current_a,speed_rad_s"));
     let times = column(&text, "time_s");
     (times.len(), times[0], times[times.len() - 1])
 }
@@ -46,10 +43,7 @@ fn resistance_and_inductance_come_from_a_burst_that_a_slow_loop_could_not_see() 
     assert_eq!(rows, 4095);
     assert!((last_s - first_s - 0.4094).abs() < 1e-6);
     let armed_s = armed_at_s(&run);
-    assert!(
-        (first_s - armed_s).abs() < 0.05,
-        "{first_s} after {armed_s}"
-    );
+    assert!((first_s - armed_s).abs() < 0.05, "{first_s} after {armed_s}");
 
     // The truth of seed 3 is within 10 % of the plate; the run itself tells it well.
     let identify = |data: &Path| {
@@ -60,10 +54,7 @@ fn resistance_and_inductance_come_from_a_burst_that_a_slow_loop_could_not_see() 
     for key in ["resistance_ohm", "inductance_h"] {
         let (whole, burst) = (parameter(&whole, key), parameter(&burst, key));
         let ratio = burst.expect("told") / whole.expect("told");
-        assert!(
-            (0.99..1.01).contains(&ratio),
-            "{key}: {burst:?} of {whole:?}"
-        );
+        assert!((0.99..1.01).contains(&ratio), "{key}: {burst:?} of {whole:?}");
     }
 }
 

@@ -67,10 +67,7 @@ fn is_identified(link: &str) {
     assert_eq!(manifest["outcome"], "passed", "{manifest:#}");
     // Only this drive calls itself so; over the stream nobody has a name.
     if link == "modbus-rtu" {
-        assert!(
-            manifest.to_string().contains("reference slave in C"),
-            "{manifest:#}"
-        );
+        assert!(manifest.to_string().contains("reference slave in C"), "{manifest:#}");
     }
     let found = json_of("identify {} --json", &[&desk.run()]);
     for (key, truth, tolerance) in [
@@ -116,11 +113,7 @@ fn a_host_that_speaks_the_other_protocol_is_told_so() {
 /// Function code 08 and back; `None` where the pseudo-terminal is just being replaced.
 fn echoes(port: &Path) -> Option<()> {
     const ECHO: [u8; 8] = [0x01, 0x08, 0x00, 0x00, 0xA5, 0x37, 0xDA, 0x8D];
-    let mut host = fs::OpenOptions::new()
-        .read(true)
-        .write(true)
-        .open(port)
-        .ok()?;
+    let mut host = fs::OpenOptions::new().read(true).write(true).open(port).ok()?;
     host.write_all(&ECHO).ok()?;
     let mut answer = Vec::new();
     while answer.len() < ECHO.len() {

@@ -34,16 +34,9 @@ fn an_hour_over_a_pseudo_terminal_loses_nothing_and_takes_no_memory() {
     let sequence = format!(
         "standstill = {{ seconds = 0.5 }}\nsteps = {{ levels_v = [40.0, -40.0, 60.0, -30.0], hold_s = {hold_s:?} }}"
     );
-    let limits = format!(
-        "{}\ntime_s = {:?}",
-        crate::kit::lab::LIMITS,
-        1.1 * seconds + 60.0
-    );
-    let bench = BenchFile {
-        sequence: &sequence,
-        limits: &limits,
-        ..BenchFile::short("modbus-rtu")
-    };
+    let limits = format!("{}\ntime_s = {:?}", crate::kit::lab::LIMITS, 1.1 * seconds + 60.0);
+    let bench =
+        BenchFile { sequence: &sequence, limits: &limits, ..BenchFile::short("modbus-rtu") };
     let mut run = desk.until_turning(&bench.text(), &drive.port(), "");
     let ids = [run.0.id(), drive.process.0.id()];
     let begun = now();
@@ -65,31 +58,18 @@ fn an_hour_over_a_pseudo_terminal_loses_nothing_and_takes_no_memory() {
     let done = run.end().expect(0);
     let (first, last) = (first.unwrap(), last.unwrap());
     for (begin, end) in first.iter().zip(&last) {
-        assert!(
-            end.0 <= begin.0 + GROWN_KB,
-            "{first:?} kB and files, then {last:?}"
-        );
+        assert!(end.0 <= begin.0 + GROWN_KB, "{first:?} kB and files, then {last:?}");
         assert_eq!(end.1, begin.1, "files are left open");
     }
     let result = done.json();
     let count = |key: &str, of: &Value| of[key].as_u64().unwrap();
     let (link, timing) = (&result["link"], &result["timing"]);
-    let failed = [
-        "timeout",
-        "crc",
-        "stale",
-        "mismatch",
-        "exception",
-        "aborted",
-    ];
+    let failed = ["timeout", "crc", "stale", "mismatch", "exception", "aborted"];
     let failed: u64 = failed.iter().map(|key| count(key, link)).sum();
     assert_eq!(count("sent", link), count("ok", link) + failed);
     let deadlines = count("cycles", timing) + count("missed_cycles", timing);
     let due = result["duration_s"].as_f64().unwrap() * timing["rate_asked_hz"].as_f64().unwrap();
-    assert!(
-        (deadlines as f64 - due).abs() < 50.0,
-        "{deadlines} of {due}"
-    );
+    assert!((deadlines as f64 - due).abs() < 50.0, "{deadlines} of {due}");
     let rows = desk.read("samples.csv").lines().count() as u64 - 1;
     assert_eq!(count("rows", &result), rows);
     println!(

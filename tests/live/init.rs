@@ -93,10 +93,7 @@ fn limits_are_read_from_the_drive_and_only_offline_does_without() {
     assert!(reason(&made, "limits.bus_max_v").contains("(read back)"));
     // It is a port of a real drive for all that the file knows.
     let next = made["next"].as_array().unwrap();
-    assert!(
-        next.iter()
-            .any(|line| line.as_str().unwrap().ends_with("--hardware --headless"))
-    );
+    assert!(next.iter().any(|line| line.as_str().unwrap().ends_with("--hardware --headless")));
     // The file on stdout is a bench file.
     let text = call("init --drive own --port {} --motor {}", &[&pty, &plate()]);
     let bench = desk.put("bench.toml", &text.expect(0).stdout);

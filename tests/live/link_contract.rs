@@ -51,12 +51,7 @@ fn contract(link: &mut dyn DriveLink, mut tick: impl FnMut()) {
     // Across the end of the sixteen bits that travel.
     for seq in 65_530..65_550 {
         tick();
-        let sample = link
-            .exchange(Command {
-                seq,
-                demand: Demand::Voltage(12.0),
-            })
-            .unwrap();
+        let sample = link.exchange(Command { seq, demand: Demand::Voltage(12.0) }).unwrap();
         assert_eq!(sample.seq, Some(seq));
         let applied = sample.applied.unwrap();
         assert_eq!(applied.seq, seq);
@@ -72,12 +67,7 @@ fn contract(link: &mut dyn DriveLink, mut tick: impl FnMut()) {
     tick();
     link.stop().unwrap();
     tick();
-    let rest = link
-        .exchange(Command {
-            seq: 70_000,
-            demand: Demand::Disable,
-        })
-        .unwrap();
+    let rest = link.exchange(Command { seq: 70_000, demand: Demand::Disable }).unwrap();
     assert_ne!(rest.state, Some(DriveState::Running));
     assert_eq!(rest.get(Channel::VoltageCmd), Some(0.0));
     let statistics = link.statistics();
@@ -137,10 +127,7 @@ fn a_peer_that_vanishes_is_noticed_at_once_and_for_good() {
     ] {
         let name = format!("{kind:?} {endpoint:?}");
         let (server, mut link) = served(kind, endpoint, 0);
-        let volts = |seq| Command {
-            seq,
-            demand: Demand::Voltage(1.0),
-        };
+        let volts = |seq| Command { seq, demand: Demand::Voltage(1.0) };
         link.exchange(volts(1)).unwrap();
         server.join().unwrap();
         let start = now();

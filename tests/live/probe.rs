@@ -50,10 +50,7 @@ fn is_120_v(told: &Value) {
 
 fn signal<'a>(report: &'a Value, name: &str) -> &'a Value {
     let signals = report["signals"].as_array().unwrap();
-    signals
-        .iter()
-        .find(|signal| signal["name"] == name)
-        .unwrap()
+    signals.iter().find(|signal| signal["name"] == name).unwrap()
 }
 
 #[test]
@@ -80,16 +77,8 @@ fn every_built_in_profile_is_plausible_at_its_own_drive_and_nothing_is_written()
         }
         let is_known = map.functions.contains(&43);
         let names = report["names"].as_array().unwrap();
-        assert_eq!(
-            names.contains(&Value::from("drivebench emulator")),
-            is_known,
-            "{name}"
-        );
-        assert_eq!(
-            report["answers_function_8"],
-            map.functions.contains(&8),
-            "{name}"
-        );
+        assert_eq!(names.contains(&Value::from("drivebench emulator")), is_known, "{name}");
+        assert_eq!(report["answers_function_8"], map.functions.contains(&8), "{name}");
         is_read_only(&tap);
     });
 }
@@ -111,10 +100,7 @@ fn an_address_base_that_is_off_by_one_is_named() {
     assert_eq!(report["verdict"], "implausible");
     let best = report["hypotheses"][0]["change"].as_str().unwrap();
     assert_eq!(best, "every address one higher (base 0 instead of 1)");
-    assert_eq!(
-        report["hypotheses"][0]["plausible"],
-        report["hypotheses"][0]["judged"]
-    );
+    assert_eq!(report["hypotheses"][0]["plausible"], report["hypotheses"][0]["judged"]);
     // The register beside it holds noise, which may pass for a small bus voltage when its bytes are exchanged.
     let bus = signal(&report, "bus");
     let candidates = bus["candidates"].as_array().unwrap();
@@ -151,13 +137,9 @@ fn a_swapped_word_order_is_named_with_the_value_that_it_would_give() {
     let right = desk.put("right.toml", &bus("high_first"));
     let wrong = desk.put("wrong.toml", &bus("low_first"));
     let emulator = emulator_of(&desk, right.to_str().unwrap());
-    let report = probe(&emulator, "--drive {} --json", &[&right])
-        .expect(0)
-        .json();
+    let report = probe(&emulator, "--drive {} --json", &[&right]).expect(0).json();
     assert_eq!(signal(&report, "bus")["confirms"], true);
-    let report = probe(&emulator, "--drive {} --json", &[&wrong])
-        .expect(1)
-        .json();
+    let report = probe(&emulator, "--drive {} --json", &[&wrong]).expect(1).json();
     let candidate = &signal(&report, "bus")["candidates"][0];
     assert_eq!(candidate["change"], "word_order = \"high_first\"");
     is_120_v(candidate);
@@ -174,29 +156,19 @@ fn a_swapped_word_order_is_named_with_the_value_that_it_would_give() {
 #[test]
 fn our_own_drive_is_looked_at_over_every_link() {
     let desk = Desk::new();
-    for (link, drive) in [
-        ("modbus-rtu", "own"),
-        ("modbus-tcp", "own"),
-        ("stream", "own-stream"),
-    ] {
+    for (link, drive) in [("modbus-rtu", "own"), ("modbus-tcp", "own"), ("stream", "own-stream")] {
         let emulator = Emulator::on(link, &desk.path(link), "zk-22fc-plain", &[]);
-        let report = probe(&emulator, &format!("--drive {drive} --json"), &[])
-            .expect(0)
-            .json();
+        let report = probe(&emulator, &format!("--drive {drive} --json"), &[]).expect(0).json();
         assert_eq!(report["identity"]["is_emulator"], true, "{link}");
         assert_eq!(report["identity"]["current_limit_a"], 11.4, "{link}");
         assert_eq!(report["watchdog_s"], 0.5, "{link}");
         let bus = signal(&report, "bus_voltage");
         is_120_v(bus);
         assert_eq!(bus["raw"].is_null(), link == "stream", "{link}: {bus}");
-        let text = probe(&emulator, &format!("--drive {drive}"), &[])
-            .expect(0)
-            .stdout;
+        let text = probe(&emulator, &format!("--drive {drive}"), &[]).expect(0).stdout;
         has(&text, &["emulator", "bus_voltage"]);
     }
-    let text = call("probe --port emulator --drive own", &[])
-        .expect(0)
-        .stdout;
+    let text = call("probe --port emulator --drive own", &[]).expect(0).stdout;
     has(&text, &["those of a drive at rest"]);
 }
 
@@ -207,10 +179,7 @@ fn without_a_drive_every_profile_is_tried_and_the_right_one_remains() {
     let survey = probe(&own, "--json", &[]).expect(0).json();
     let tried = survey["profiles"].as_array().unwrap();
     assert_eq!(tried.len(), DriveProfile::names().count());
-    assert_eq!(
-        (&tried[0]["profile"], &tried[0]["fit"]),
-        (&"own".into(), &"matches".into())
-    );
+    assert_eq!((&tried[0]["profile"], &tried[0]["fit"]), (&"own".into(), &"matches".into()));
     let stream = tried.iter().find(|t| t["profile"] == "own-stream").unwrap();
     assert_eq!(stream["fit"], "not_tried");
 
@@ -233,16 +202,11 @@ fn nobody_and_another_drive_are_exit_status_3_and_wrong_arguments_2() {
     let another = probe(&emulator, "--drive own --json", &[]).expect(3);
     assert_eq!(another.json()["verdict"], "wrong_drive");
     has(&another.error(), &["register 64"]);
-    let mut arguments = line(
-        "probe --drive siemens-v20 --unit 9 --timeout-ms 50 --port",
-        &[],
-    );
+    let mut arguments = line("probe --drive siemens-v20 --unit 9 --timeout-ms 50 --port", &[]);
     arguments.push(PathBuf::from(&emulator.address));
     let nobody = drivebench(arguments).fails(3, &["no reply within 50 ms"]);
     assert!(nobody.stdout.is_empty());
-    call("probe --drive own --port /dev/drivebench-none", &[])
-        .expect(3)
-        .error();
+    call("probe --drive own --port /dev/drivebench-none", &[]).expect(3).error();
     refusals(
         "probe --drive own
          probe --port sim: --drive own

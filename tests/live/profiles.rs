@@ -25,15 +25,9 @@ fn the_ready_line_names_the_drive_with_its_unit_and_baud_rate() {
     let desk = Desk::new();
     let pty = desk.path("v20.pty");
     let emulator = Emulator::start("emulate --profile siemens-v20 --pty {}", &[&pty]);
+    assert!(emulator.ready.starts_with("ready modbus-rtu "), "{}", emulator.ready);
     assert!(
-        emulator.ready.starts_with("ready modbus-rtu "),
-        "{}",
-        emulator.ready
-    );
-    assert!(
-        emulator
-            .ready
-            .ends_with("unit=1 baud=9600 profile=siemens-v20\n"),
+        emulator.ready.ends_with("unit=1 baud=9600 profile=siemens-v20\n"),
         "{}",
         emulator.ready
     );
@@ -46,11 +40,8 @@ fn a_frequency_converter_is_refused_what_it_cannot_carry_before_anything_is_sent
     let runs = desk.path("runs");
     let _emulator = Emulator::start("emulate --profile siemens-v20 --pty {}", &[&pty]);
     let bench = bench(&desk, "siemens-v20", 4, "");
-    call(
-        "run {} --port {} --headless --hardware --out {}",
-        &[&bench, &pty, &runs],
-    )
-    .fails(2, &["takes no armature voltage", "docs/drives.md"]);
+    call("run {} --port {} --headless --hardware --out {}", &[&bench, &pty, &runs])
+        .fails(2, &["takes no armature voltage", "docs/drives.md"]);
 }
 
 #[test]
@@ -58,10 +49,8 @@ fn a_servo_amplifier_is_driven_by_a_speed_loop_over_a_pseudo_terminal() {
     let desk = Desk::new();
     let pty = desk.path("epulse.pty");
     let runs = desk.path("runs");
-    let _emulator = Emulator::start(
-        "emulate zk-22fc-plain --profile epulse50-dc --pty {}",
-        &[&pty],
-    );
+    let _emulator =
+        Emulator::start("emulate zk-22fc-plain --profile epulse50-dc --pty {}", &[&pty]);
     let bench = bench(&desk, "epulse50-dc", 10, SPEED);
     let done = call(
         "speed {} --port {} --headless --hardware --waive-watchdog --out {}",
@@ -72,18 +61,8 @@ fn a_servo_amplifier_is_driven_by_a_speed_loop_over_a_pseudo_terminal() {
     has(&done.stderr, &["trust manual"]);
     let manifest = desk.manifest();
     let configs = &manifest["configs"];
-    assert!(
-        configs["drive"]
-            .as_str()
-            .unwrap()
-            .contains("trust = \"manual\"")
-    );
-    assert!(
-        configs["drive_provenance"]
-            .as_str()
-            .unwrap()
-            .contains("trust manual")
-    );
+    assert!(configs["drive"].as_str().unwrap().contains("trust = \"manual\""));
+    assert!(configs["drive_provenance"].as_str().unwrap().contains("trust manual"));
     assert_eq!(manifest["signals"]["speed_rad_s"], "measured");
 }
 
@@ -135,10 +114,8 @@ fn a_profile_from_a_file_whose_supply_is_known_takes_voltages_over_a_pseudo_term
     has(&text, &[from]);
     let to = "scale = 0.12\nunit = \"V\"\nquantity = \"voltage\"\nlimits = [-120, 120]";
     let profile = desk.put("roboteq-120v.toml", &text.replace(from, to));
-    let _emulator = Emulator::start(
-        "emulate zk-22fc-plain --profile {} --pty {}",
-        &[&profile, &pty],
-    );
+    let _emulator =
+        Emulator::start("emulate zk-22fc-plain --profile {} --pty {}", &[&profile, &pty]);
     let bench = bench(&desk, profile.to_str().unwrap(), 10, "");
     call(
         "run {} --port {} --headless --hardware --waive-watchdog --json --out {}",
@@ -156,10 +133,7 @@ fn a_profile_from_a_file_whose_supply_is_known_takes_voltages_over_a_pseudo_term
 fn a_bench_that_asks_for_more_than_its_drive_s_profile_allows_is_refused() {
     let desk = Desk::new();
     let text = include_str!("../../bench-configs/drives/own.toml");
-    let profile = desk.put(
-        "small.toml",
-        &text.replace("# current_a = 11.4", "current_a = 6.0"),
-    );
+    let profile = desk.put("small.toml", &text.replace("# current_a = 11.4", "current_a = 6.0"));
     let bench = BENCH.replace("\"own\"", &format!("{:?}", profile.to_str().unwrap()));
     let beyond = desk.put("beyond.toml", &bench);
     for command in ["plan {}", "run {} --port sim: --headless"] {
@@ -178,16 +152,10 @@ fn a_defect_in_a_profile_is_an_error_with_its_line() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-configs/drives/vacon10.toml");
     let text = fs::read_to_string(folder).unwrap();
     let wrong = text.replacen("quantity = \"status\"", "quantty = \"status\"", 1);
-    let line_of = 1 + wrong
-        .lines()
-        .position(|line| line.starts_with("quantty"))
-        .unwrap();
+    let line_of = 1 + wrong.lines().position(|line| line.starts_with("quantty")).unwrap();
     let profile = desk.put("vacon.toml", &wrong);
     let error = refusal("emulate --profile {}", &[&profile]);
-    has(
-        &error,
-        &[&format!("vacon.toml:{line_of}:1: unknown field `quantty`")],
-    );
+    has(&error, &[&format!("vacon.toml:{line_of}:1: unknown field `quantty`")]);
     has(&error, &["did you mean `quantity`?"]);
     let unknown = refusal("emulate --profile siemens-v30", &[]);
     assert!(unknown.contains("did you mean `siemens-v20`?"), "{unknown}");

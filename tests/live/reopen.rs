@@ -64,9 +64,7 @@ impl Lab {
 
     fn events(&self) -> Vec<Value> {
         let text = self.desk.read("events.jsonl");
-        text.lines()
-            .map(|line| serde_json::from_str(line).expect("JSON"))
-            .collect()
+        text.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect()
     }
 
     /// The first of this kind, which may be to come.
@@ -140,9 +138,7 @@ fn a_drive_that_comes_back_under_another_number_is_brought_to_rest_and_not_start
         let _taken = take(&before);
         let again = lab.drive(1);
         assert_ne!(fs::read_link(&again.address).expect("a symlink"), before);
-        let done = run
-            .end()
-            .fails(3, &["link lost", "stop confirmed; nothing is armed"]);
+        let done = run.end().fails(3, &["link lost", "stop confirmed; nothing is armed"]);
         let told = &done.json()["reopened"];
         assert_eq!(told["ending"], "stopped", "{told:#}");
         assert!(told["downtime_s"].as_f64() > Some(0.5), "{told:#}");
@@ -204,19 +200,13 @@ fn a_search_ends_with_ctrl_c_with_its_time_and_where_it_is_switched_off() {
     assert_eq!(done.json()["reopened"]["ending"], "interrupted");
     assert!(lab.event("reopened")["downtime_s"].as_f64() < Some(8.0));
 
-    at_once(
-        [("--reopen-s 0.5", "given_up"), ("--reopen-s 0", "")],
-        |(option, ending)| {
-            let (_lab, drive, run) = Lab::turning("modbus-rtu", option);
-            drop(drive);
-            let done = run.end().expect(3);
-            let told = done.json();
-            assert_eq!(
-                told["reopened"]["ending"].as_str().unwrap_or_default(),
-                ending
-            );
-        },
-    );
+    at_once([("--reopen-s 0.5", "given_up"), ("--reopen-s 0", "")], |(option, ending)| {
+        let (_lab, drive, run) = Lab::turning("modbus-rtu", option);
+        drop(drive);
+        let done = run.end().expect(3);
+        let told = done.json();
+        assert_eq!(told["reopened"]["ending"].as_str().unwrap_or_default(), ending);
+    });
 }
 
 #[test]

@@ -29,8 +29,7 @@ impl Lab {
 
     fn run(&self, bench: &BenchFile<'_>) -> Done {
         let options = "--headless --json";
-        self.desk
-            .at_port("run", &bench.text(), &self.port(), options)
+        self.desk.at_port("run", &bench.text(), &self.port(), options)
     }
 
     /// Starts a long run and returns once the record shows that the motor turns fast.
@@ -44,18 +43,11 @@ impl Lab {
 fn telemetry(port: &str) -> Option<(u16, u16, f64, f64)> {
     let words = telemetry_words(port)?;
     let signed = |word: u16| f64::from(word.cast_signed());
-    Some((
-        words[0],
-        words[1],
-        0.02 * signed(words[9]),
-        0.01 * signed(words[14]),
-    ))
+    Some((words[0], words[1], 0.02 * signed(words[9]), 0.01 * signed(words[14])))
 }
 
 fn reset_fault(port: &str) -> Option<()> {
-    ask(port, async |client| {
-        client.write_single_register(CONTROL, RESET_FAULT).await
-    })
+    ask(port, async |client| client.write_single_register(CONTROL, RESET_FAULT).await)
 }
 
 /// Address of the control word, and the word that resets a fault (firmware-protocol/SPEC.md 2.2).
@@ -84,9 +76,8 @@ fn complete_run(link: &'static str) {
     assert_eq!(manifest["rows"].as_u64(), Some(rows as u64));
     assert!(rows > 50, "{rows} rows");
     let speeds = column(&samples, "speed_rad_s");
-    let (slowest, fastest) = (speeds.iter()).fold((0.0_f64, 0.0_f64), |(least, most), speed| {
-        (least.min(*speed), most.max(*speed))
-    });
+    let (slowest, fastest) = (speeds.iter())
+        .fold((0.0_f64, 0.0_f64), |(least, most), speed| (least.min(*speed), most.max(*speed)));
     // 75 either way on a quiet machine. Where cycles are late the slew limit lets the voltage rise less between them.
     assert!(fastest > 25.0 && slowest < -25.0, "{slowest} .. {fastest}");
     for file in ["events.jsonl", "model.toml", "result.json", "report.html"] {
@@ -109,10 +100,7 @@ fn a_port_that_is_not_there_is_status_3_and_names_what_is() {
     let done = call("run --headless --port /dev/ttyNowhere", &[]).expect(3);
     let error = done.error();
     has(&error, &["/dev/ttyNowhere"]);
-    assert!(
-        error.contains("there are: ") || error.contains("no serial port is there"),
-        "{error}"
-    );
+    assert!(error.contains("there are: ") || error.contains("no serial port is there"), "{error}");
     // Port 1 of this machine: nobody listens.
     call("run --headless --port tcp:127.0.0.1:1", &[]).fails(3, &["127.0.0.1:1"]);
 }
@@ -201,20 +189,14 @@ fn the_drive_stops_itself_when_its_host_is_killed() {
     let at_rest = |(_, _, speed_rad_s, command_v): &(u16, u16, f64, f64)| {
         speed_rad_s.abs() < 2.0 && *command_v == 0.0
     };
-    wait_for("the motor at rest", || {
-        telemetry(&lab.port()).filter(at_rest)
-    });
+    wait_for("the motor at rest", || telemetry(&lab.port()).filter(at_rest));
     let later = wait_for("an answer", || telemetry(&lab.port()));
     assert!(at_rest(&later), "{later:?}");
     // What was recorded until then is there, and says that it is not all.
     let folder = lab.desk.run();
     assert_eq!(lab.desk.manifest()["finished"], false);
     let opened = call("identify {} --json", &[&folder]);
-    assert!(
-        opened.status == 0 || opened.status == 5,
-        "{}",
-        opened.stderr
-    );
+    assert!(opened.status == 0 || opened.status == 5, "{}", opened.stderr);
     has(&opened.stderr, &["warning: ", "not finished"]);
     assert!(opened.json()["rows_dropped"].is_u64());
     // The fault stays latched: the next host is refused until somebody resets it by hand.
@@ -228,9 +210,7 @@ fn the_drive_stops_itself_when_its_host_is_killed() {
         line_of_reset = fs::read_link(lab.port()).ok();
         reset_fault(&lab.port())
     });
-    wait_for("a fresh line", || {
-        (fs::read_link(lab.port()).ok() != line_of_reset).then_some(())
-    });
+    wait_for("a fresh line", || (fs::read_link(lab.port()).ok() != line_of_reset).then_some(()));
     let again = in_real_time(|| {
         let _ = fs::remove_dir_all(lab.desk.out());
         (lab.run(&short), ())
@@ -265,9 +245,8 @@ fn an_emulator_ends_quietly_and_takes_its_path_with_it() {
     let path = PathBuf::from(&lab.port());
     assert!(path.exists());
     lab.drive.process.signal(Signal::SIGTERM);
-    let status = wait_for("the end of the emulator", || {
-        lab.drive.process.0.try_wait().expect("a child")
-    });
+    let status =
+        wait_for("the end of the emulator", || lab.drive.process.0.try_wait().expect("a child"));
     assert_eq!(status.code(), Some(0));
     assert!(fs::symlink_metadata(&path).is_err());
 }
@@ -295,12 +274,7 @@ fn an_emulator_tells_its_states_as_json_one_object_a_line() {
     assert!(pty.exists());
     drive.signal(Signal::SIGINT);
     let stopped = state();
-    assert_eq!(
-        (&stopped["state"], &stopped["address"]),
-        (&"stopped".into(), &ready["address"])
-    );
-    let status = wait_for("the end of the emulator", || {
-        drive.0.try_wait().expect("a child")
-    });
+    assert_eq!((&stopped["state"], &stopped["address"]), (&"stopped".into(), &ready["address"]));
+    let status = wait_for("the end of the emulator", || drive.0.try_wait().expect("a child"));
     assert_eq!(status.code(), Some(0));
 }

@@ -27,12 +27,7 @@ fn space_stops_the_run_and_q_gives_the_terminal_back() {
     session.wait_for("resistance");
     session.wait("a curve", |screen| {
         let dots = |letter: char| ('\u{2801}'..='\u{28ff}').contains(&letter);
-        screen
-            .contents()
-            .chars()
-            .filter(|letter| dots(*letter))
-            .count()
-            > 60
+        screen.contents().chars().filter(|letter| dots(*letter)).count() > 60
     });
     // Energised: no way out but the stop.
     session.press("q");
@@ -42,9 +37,7 @@ fn space_stops_the_run_and_q_gives_the_terminal_back() {
     session.press(" ");
     session.wait_for("STOPPED");
     session.press("?");
-    session.wait("help closed", |screen| {
-        !screen.contents().contains("any key closes it")
-    });
+    session.wait("help closed", |screen| !screen.contents().contains("any key closes it"));
     session.wait_for("Output off, q = quit.");
     session.press("q");
     assert_eq!(session.end(), 130, "{}", session.text());

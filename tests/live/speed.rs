@@ -21,11 +21,7 @@ fn number(value: &Value, key: &str) -> f64 {
 /// Time that the controller's current takes for a step, s: against the friction on the way up, with it on the way down.
 fn acceleration_s(inertia: f64, from: f64, to: f64) -> f64 {
     let (torque, friction) = (0.3538 * 10.0, 0.455);
-    let against = if to > from {
-        torque - friction
-    } else {
-        torque + friction
-    };
+    let against = if to > from { torque - friction } else { torque + friction };
     inertia * (to - from).abs() / against
 }
 
@@ -53,10 +49,7 @@ fn the_adaptive_loop_keeps_its_response_while_the_inertia_jumps_and_the_fixed_on
         let (from, to) = (number(step, "from_rad_s"), number(step, "to_rad_s"));
         let allowed_s = 1.3 * acceleration_s(inertia, from, to) + 5.0 * small_s;
         assert!(number(step, "overshoot_percent") < 10.0, "{index}: {step}");
-        assert!(
-            number(step, "settling_s") <= allowed_s,
-            "{index}: {allowed_s} {step}"
-        );
+        assert!(number(step, "settling_s") <= allowed_s, "{index}: {allowed_s} {step}");
     }
     let changes = found["loop"]["gain_changes"].as_array().expect("changes");
     assert!(!changes.is_empty());
@@ -64,18 +57,9 @@ fn the_adaptive_loop_keeps_its_response_while_the_inertia_jumps_and_the_fixed_on
     let done = fixed.speed(BENCH, "--controller pi", &[]).expect(0);
     let fixed = done.json();
     let steps = fixed["loop"]["steps"].as_array().expect("steps").clone();
-    assert!(
-        fixed["loop"]["gain_changes"]
-            .as_array()
-            .expect("a list")
-            .is_empty()
-    );
+    assert!(fixed["loop"]["gain_changes"].as_array().expect("a list").is_empty());
     // At 0.05 s the gains of 0.2 s swing, until the watch of the loop makes them softer.
-    assert!(
-        number(&steps[6], "overshoot_percent") > 20.0,
-        "{}",
-        steps[6]
-    );
+    assert!(number(&steps[6], "overshoot_percent") > 20.0, "{}", steps[6]);
     softened_within(&fixed, 12.0..14.0);
     the_record_is_whole(&desk, &found);
 }
@@ -97,12 +81,7 @@ fn the_record_is_whole(desk: &Desk, found: &Value) {
     let samples = read("samples.csv");
     let references = column(&samples, "reference_rad_s");
     assert!(references.len() > 3000, "{}", references.len());
-    let of = |level: f64| {
-        references
-            .iter()
-            .filter(|value| (*value - level).abs() < 1e-9)
-            .count()
-    };
+    let of = |level: f64| references.iter().filter(|value| (*value - level).abs() < 1e-9).count();
     assert!(of(110.0) > 1500 && of(90.0) > 1500);
     // It starts at the speed that is there.
     assert!(references[0].abs() < 2.0, "{}", references[0]);
@@ -114,17 +93,10 @@ fn the_record_is_whole(desk: &Desk, found: &Value) {
         assert!((cycles - 1.0).abs() < 0.05, "{when}: {cycles}");
     }
     let events = read("events.jsonl");
-    let gains: Vec<&str> = events
-        .lines()
-        .filter(|line| line.contains("\"gains\""))
-        .collect();
+    let gains: Vec<&str> = events.lines().filter(|line| line.contains("\"gains\"")).collect();
     let told = found["loop"]["gain_changes"].as_array().expect("changes");
     assert_eq!(gains.len(), told.len());
-    assert!(
-        gains[0].contains("Kp") && gains[0].contains("reason"),
-        "{}",
-        gains[0]
-    );
+    assert!(gains[0].contains("Kp") && gains[0].contains("reason"), "{}", gains[0]);
     assert!(read("model.toml").contains("inertia_kg_m2 = 0.02276"));
     let result = read_json(folder.join("result.json"));
     assert_eq!(result["loop"]["steps"], found["loop"]["steps"]);
@@ -148,29 +120,19 @@ fn the_loop_runs_over_a_pseudo_terminal_and_states_the_delay_of_its_link() {
         let desk = Desk::new();
         let emulator = desk.put("emulator.toml", &patient_emulator());
         let options = format!("--json --emulator {}", emulator.display());
-        (
-            desk.at_port("speed", &patient_bench(), "emulator", &options),
-            desk,
-        )
+        (desk.at_port("speed", &patient_bench(), "emulator", &options), desk)
     });
     let found = done.expect(0).json();
     assert_eq!(found["outcome"], "done");
     let delay = &found["delay_at_rest"];
     assert!(number(delay, "measured") >= 10.0, "{delay}");
-    assert!(
-        (0.3..4.0).contains(&number(delay, "median_cycles")),
-        "{delay}"
-    );
+    assert!((0.3..4.0).contains(&number(delay, "median_cycles")), "{delay}");
     let tuned_s = number(&found["loop"]["timing"], "delay_s");
     assert!((tuned_s - number(delay, "median_s")).abs() < 1e-9);
     let steps = found["loop"]["steps"].as_array().expect("steps");
     assert_eq!(steps.len(), 2);
     // The second one ends at its level, however busy the machine is.
-    assert!(
-        number(&steps[1], "absolute_error_rad") < 20.0,
-        "{}",
-        steps[1]
-    );
+    assert!(number(&steps[1], "absolute_error_rad") < 20.0, "{}", steps[1]);
 }
 
 #[test]
@@ -203,19 +165,10 @@ fn model_with(effect: &str) -> String {
 fn a_second_cycle_of_delay_that_the_model_knows_is_tuned_for() {
     let desk = Desk::new();
     let delay = "command_delay\"\ndelay_s = 0.01\n";
-    let emulator = desk.put(
-        "emulator.toml",
-        &format!("{EMULATOR}\n[[hidden]]\nid = \"{delay}"),
-    );
-    let model = desk.put(
-        "model.toml",
-        &model_with(&format!("[[effect]]\nid = \"{delay}")),
-    );
+    let emulator = desk.put("emulator.toml", &format!("{EMULATOR}\n[[hidden]]\nid = \"{delay}"));
+    let model = desk.put("model.toml", &model_with(&format!("[[effect]]\nid = \"{delay}")));
     let options = "--emulator {} --model {}";
-    let found = desk
-        .speed(BENCH, options, &[&emulator, &model])
-        .expect(0)
-        .json();
+    let found = desk.speed(BENCH, options, &[&emulator, &model]).expect(0).json();
     let tuned_s = number(&found["loop"]["timing"], "delay_s");
     assert!((tuned_s - 0.02).abs() < 5e-4, "{tuned_s}");
     for step in &found["loop"]["steps"].as_array().expect("steps")[7..11] {
@@ -223,10 +176,7 @@ fn a_second_cycle_of_delay_that_the_model_knows_is_tuned_for() {
     }
     let fixed = Desk::new();
     let options = "--emulator {} --model {} --controller pi";
-    let found = fixed
-        .speed(BENCH, options, &[&emulator, &model])
-        .expect(0)
-        .json();
+    let found = fixed.speed(BENCH, options, &[&emulator, &model]).expect(0).json();
     // Paper A, Figure 6: 40 to 54 % at a quarter of the inertia, and no settling; here the watch ends it in the first step.
     let first = &found["loop"]["steps"][6];
     assert!(number(first, "overshoot_percent") > 20.0, "{first}");
@@ -242,20 +192,13 @@ fn a_minute_at_a_constant_reference_leaves_the_estimate_alone() {
         let constant = format!(
             "periods = 2 }}\n[[speed.reference]]\nconstant = {{ speed_rad_s = 90.0, seconds = {hold_s} }}"
         );
-        let bench = BENCH
-            .replace("periods = 8 }", &constant)
-            .replace("time_s = 60.0", "time_s = 90.0");
-        let found = desk
-            .speed(&bench, "--emulator {}", &[&emulator])
-            .expect(0)
-            .json();
+        let bench =
+            BENCH.replace("periods = 8 }", &constant).replace("time_s = 60.0", "time_s = 90.0");
+        let found = desk.speed(&bench, "--emulator {}", &[&emulator]).expect(0).json();
         let told = found["loop"]["gains"][0].as_str().expect("text").to_owned();
         let text = told.split("TM = ").nth(1).expect("an estimate");
-        let value: f64 = text
-            .split(' ')
-            .next()
-            .and_then(|text| text.parse().ok())
-            .expect("a number");
+        let value: f64 =
+            text.split(' ').next().and_then(|text| text.parse().ok()).expect("a number");
         value
     };
     let (before, after) = (mechanical_s(0.1), mechanical_s(60.0));
@@ -268,17 +211,9 @@ fn what_is_given_forward_is_compared_in_one_run() {
     let desk = Desk::new();
     let drop = "voltage_drop\"\ndrop_v = 2.0\n";
     let plain = EMULATOR.split("[[change]]").next().expect("a beginning");
-    let emulator = desk.put(
-        "emulator.toml",
-        &format!("{plain}\n[[hidden]]\nid = \"{drop}"),
-    );
-    let model = desk.put(
-        "model.toml",
-        &model_with(&format!("[[effect]]\nid = \"{drop}")),
-    );
-    let (before, _) = BENCH
-        .split_once("[[speed.reference]]")
-        .expect("a reference");
+    let emulator = desk.put("emulator.toml", &format!("{plain}\n[[hidden]]\nid = \"{drop}"));
+    let model = desk.put("model.toml", &model_with(&format!("[[effect]]\nid = \"{drop}")));
+    let (before, _) = BENCH.split_once("[[speed.reference]]").expect("a reference");
     let (_, sequence) = BENCH.split_once("[[sequence]]").expect("a sequence");
     let bench = format!(
         "{before}[[speed.reference]]\npolyline = {{ points = [[0.0, 15.0], [2.0, -15.0], [4.0, 15.0]] }}\n\n[[sequence]]{sequence}"
@@ -297,33 +232,23 @@ fn what_is_given_forward_is_compared_in_one_run() {
 #[test]
 fn a_current_or_a_speed_is_commanded_where_the_drive_takes_it() {
     let bench = |lag: &str| {
-        BENCH
-            .replace("controller = \"addc\"", lag)
-            .replace("periods = 8", "periods = 2")
+        BENCH.replace("controller = \"addc\"", lag).replace("periods = 8", "periods = 2")
     };
     for (options, section, actuator) in [
         ("--actuator current", "controller = \"addc\"", "current"),
-        (
-            "--actuator speed",
-            "controller = \"pi\"\ndrive_lag_s = 0.2",
-            "speed",
-        ),
+        ("--actuator speed", "controller = \"pi\"\ndrive_lag_s = 0.2", "speed"),
     ] {
         let desk = Desk::new();
         let done = desk.speed(&bench(section), options, &[]).expect(0);
         let found = done.json();
         assert_eq!(found["loop"]["actuator"], actuator);
         for step in &found["loop"]["steps"].as_array().expect("steps")[1..] {
-            assert!(
-                number(step, "overshoot_percent") < 20.0,
-                "{actuator}: {step}"
-            );
+            assert!(number(step, "overshoot_percent") < 20.0, "{actuator}: {step}");
             assert!(step["settling_s"].is_number(), "{actuator}: {step}");
         }
     }
     let desk = Desk::new();
-    desk.speed(BENCH, "--actuator speed", &[])
-        .fails(2, &["does not act with a speed"]);
+    desk.speed(BENCH, "--actuator speed", &[]).fails(2, &["does not act with a speed"]);
 }
 
 #[test]
@@ -335,11 +260,7 @@ fn what_cannot_be_regulated_is_refused_before_anything_is_opened() {
     };
     for (from, to, expected) in [
         ("= 0.02276", "= -0.02", "inertia_kg_m2 = -0.02"),
-        (
-            "ohm = 1.1",
-            "ohm = 11.0",
-            "resistance_ohm = 11 is that of another motor",
-        ),
+        ("ohm = 1.1", "ohm = 11.0", "resistance_ohm = 11 is that of another motor"),
         ("ZK-22FC", "other", "the model is of the motor \"other\""),
     ] {
         let model = Desk::new();
@@ -349,26 +270,10 @@ fn what_cannot_be_regulated_is_refused_before_anything_is_opened() {
     let gains =
         "controller = \"pi\"\ngains = { proportional_v_s_per_rad = 20.0, integral_time_s = 0.2 }";
     for (from, to, expected) in [
-        (
-            "high_rad_s = 110.0",
-            "high_rad_s = 350.0",
-            "high_rad_s = 350",
-        ),
-        (
-            "current_limit_a = 10.0",
-            "current_limit_a = 20.0",
-            "speed.current_limit_a = 20",
-        ),
-        (
-            "controller = \"addc\"",
-            gains,
-            "speed.gains.proportional_v_s_per_rad = 20",
-        ),
-        (
-            "controller = \"addc\"",
-            "bandwidth_rad_s = 900.0",
-            "bandwidth 900",
-        ),
+        ("high_rad_s = 110.0", "high_rad_s = 350.0", "high_rad_s = 350"),
+        ("current_limit_a = 10.0", "current_limit_a = 20.0", "speed.current_limit_a = 20"),
+        ("controller = \"addc\"", gains, "speed.gains.proportional_v_s_per_rad = 20"),
+        ("controller = \"addc\"", "bandwidth_rad_s = 900.0", "bandwidth 900"),
     ] {
         assert!(BENCH.contains(from), "{from}");
         refused(&BENCH.replacen(from, to, 1), "", &[], expected);

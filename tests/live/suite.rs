@@ -18,16 +18,11 @@ fn a_suite_that_is_killed_leaves_no_motor_turning() {
     let process = Process::start(&line(&text, &[&suite, &desk.out()]));
     let rows = || {
         let text = fs::read_to_string(&journal).expect("a journal");
-        let whole = text
-            .rsplit_once('\n')
-            .map_or("", |(whole, _)| whole)
-            .to_owned();
+        let whole = text.rsplit_once('\n').map_or("", |(whole, _)| whole).to_owned();
         let set_points = column(&whole, "set_point_v");
         (whole, set_points)
     };
-    wait_for("a motor that turns", || {
-        rows().1.iter().any(|volts| *volts > 35.0).then_some(())
-    });
+    wait_for("a motor that turns", || rows().1.iter().any(|volts| *volts > 35.0).then_some(()));
     process.signal(Signal::SIGKILL);
     let last = wait_for("a drive that is told to stop", || {
         let (text, _) = rows();

@@ -19,11 +19,7 @@ impl Drive {
     /// Runs a command against this drive; `{}` in the text are the paths.
     fn ask(&self, text: &str, paths: &[&Path]) -> Done {
         let mut arguments = line(text, paths);
-        let option = if self.emulator.address.contains(':') {
-            "--host"
-        } else {
-            "--port"
-        };
+        let option = if self.emulator.address.contains(':') { "--host" } else { "--port" };
         arguments
             .extend([option, &self.emulator.address, "--timeout-ms", "20000"].map(PathBuf::from));
         drivebench(arguments)
@@ -51,15 +47,9 @@ fn registers_are_read_as_the_contract_says() {
         assert_eq!(reads[1]["values"], json!([0x4442]));
         assert!(reads[0].get("error").is_none());
         for key in ["rate_hz", "p50_us", "p99_us"] {
-            assert!(
-                result[key].as_f64().is_some_and(|value| value > 0.0),
-                "{key}"
-            );
+            assert!(result[key].as_f64().is_some_and(|value| value > 0.0), "{key}");
         }
-        assert_eq!(
-            (&result["asked"], &result["answered"]),
-            (&10.into(), &10.into())
-        );
+        assert_eq!((&result["asked"], &result["answered"]), (&10.into(), &10.into()));
         balances(&result["counters"]);
         let text = drive.ask("registers read 64:2", &[]).expect(0).stdout;
         has(&text, &["17474", "4442"]);
@@ -93,10 +83,7 @@ fn a_read_that_is_refused_is_named_beside_those_that_are_not() {
 #[test]
 fn nobody_at_the_other_end_is_exit_status_3_with_the_json() {
     let drive = Drive::start("modbus-rtu");
-    let mut arguments = line(
-        "registers read 1 2 --unit 9 --timeout-ms 50 --json --port",
-        &[],
-    );
+    let mut arguments = line("registers read 1 2 --unit 9 --timeout-ms 50 --json --port", &[]);
     arguments.push(PathBuf::from(&drive.emulator.address));
     let done = drivebench(arguments).expect(3);
     let result = done.json();
@@ -136,21 +123,13 @@ fn a_write_is_shown_guarded_and_read_back() {
     let before = drive.ask("registers read 73 --json", &[]).expect(0).json();
     assert_ne!(before["reads"][0]["values"][0], 640);
     // Our emulator says what it is, so --hardware is not needed.
-    let result = drive
-        .ask("registers write 73 640 --yes --json", &[])
-        .expect(0)
-        .json();
+    let result = drive.ask("registers write 73 640 --yes --json", &[]).expect(0).json();
     assert_eq!(result["before"], before["reads"][0]["values"]);
     assert_eq!(result["after"], json!([640]));
-    assert_eq!(
-        (&result["confirmed"], &result["is_emulator"]),
-        (&true.into(), &true.into())
-    );
+    assert_eq!((&result["confirmed"], &result["is_emulator"]), (&true.into(), &true.into()));
     balances(&result["counters"]);
     // Below the least that the register allows: refused, and nothing is changed.
-    let done = drive
-        .ask("registers write 73 1 --yes --json", &[])
-        .expect(3);
+    let done = drive.ask("registers write 73 1 --yes --json", &[]).expect(3);
     assert_eq!(done.json()["confirmed"], false);
     assert_eq!(done.json()["after"], json!([640]));
     has(&done.error(), &["0x03"]);
@@ -240,25 +219,12 @@ fn the_doctor_measures_and_leaves_a_line_to_paste() {
     let found = done.expect(0).json();
     assert_eq!(found["exclusive"], true);
     assert_eq!(found["round_trip"]["answered"], 50);
-    assert!(
-        found["round_trip"]["reachable"]["read_write_hz"]
-            .as_f64()
-            .is_some_and(|r| r > 1.0)
-    );
+    assert!(found["round_trip"]["reachable"]["read_write_hz"].as_f64().is_some_and(|r| r > 1.0));
     assert_eq!(found["answers_function_8"], true);
     assert_eq!(found["names"][0], "drivebench");
     balances(&found["counters"]);
     let text = drive.ask("doctor", &[]).expect(0).stdout;
-    has(
-        &text,
-        &[
-            "round trip",
-            "loop rate",
-            "bug report",
-            "115200 8N1 unit 1",
-            "fc08 yes",
-        ],
-    );
+    has(&text, &["round trip", "loop rate", "bug report", "115200 8N1 unit 1", "fc08 yes"]);
     let mut arguments = line("doctor --unit 9 --timeout-ms 50 --port", &[]);
     arguments.push(PathBuf::from(&drive.emulator.address));
     let done = drivebench(arguments).expect(3);

@@ -43,12 +43,7 @@ impl Lab {
     }
 
     fn arguments(&self, command: &str) -> [String; 4] {
-        [
-            command.to_owned(),
-            "bench.toml".to_owned(),
-            "--port".to_owned(),
-            self.drive.port(),
-        ]
+        [command.to_owned(), "bench.toml".to_owned(), "--port".to_owned(), self.drive.port()]
     }
 
     fn on_screen(&self, command: &str) -> Session {
@@ -82,11 +77,7 @@ impl Lab {
         std::thread::sleep(Duration::from_millis(1200));
         let words = wait_for("an answer", || telemetry(&self.drive.port()));
         assert_ne!(words[0] & STATE, RUNNING, "{by}: status {:#x}", words[0]);
-        assert_eq!(
-            words[0] & WATCHDOG_TRIPPED,
-            0,
-            "{by}: the watchdog stopped it"
-        );
+        assert_eq!(words[0] & WATCHDOG_TRIPPED, 0, "{by}: the watchdog stopped it");
         assert_eq!(words[1], 0, "{by}: fault");
     }
 }
@@ -165,17 +156,14 @@ fn commands(lab: &Lab) -> Vec<f64> {
 
 #[test]
 fn signals_on_the_screen_stop_the_motor_first_and_are_status_130() {
-    at_once(
-        [Signal::SIGQUIT, Signal::SIGHUP, Signal::SIGUSR1],
-        |signal| {
-            let lab = Lab::new();
-            let mut session = lab.on_screen("run");
-            session.signal(signal);
-            assert_eq!(session.end(), 130, "{signal}: {}", session.text());
-            session.expect_terminal_as_it_was();
-            lab.expect_stopped(signal.as_str());
-        },
-    );
+    at_once([Signal::SIGQUIT, Signal::SIGHUP, Signal::SIGUSR1], |signal| {
+        let lab = Lab::new();
+        let mut session = lab.on_screen("run");
+        session.signal(signal);
+        assert_eq!(session.end(), 130, "{signal}: {}", session.text());
+        session.expect_terminal_as_it_was();
+        lab.expect_stopped(signal.as_str());
+    });
 }
 
 #[test]
@@ -247,11 +235,7 @@ fn a_run_goes_on_when_the_disk_takes_no_more_and_prints_its_result() {
     has(&manifest, &["\"finished\": false"]);
     // What there was room for is there, row by row.
     let opened = call("identify {} --json", &[&lab.desk.run()]);
-    assert!(
-        opened.status == 0 || opened.status == 5,
-        "{}",
-        opened.stderr
-    );
+    assert!(opened.status == 0 || opened.status == 5, "{}", opened.stderr);
 }
 
 #[test]

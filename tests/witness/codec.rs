@@ -74,21 +74,11 @@ pub(crate) fn request(bytes: &[u8]) -> Option<Result<(u8, Request, usize), usize
         return Some(Err(whole));
     }
     let request = match body[1] {
-        function @ (3 | 4) => Request::Read {
-            function,
-            address: word(body, 2),
-            count: word(body, 4),
-        },
-        6 => Request::Write {
-            function: 6,
-            address: word(body, 2),
-            values: vec![word(body, 4)],
-        },
-        16 => Request::Write {
-            function: 16,
-            address: word(body, 2),
-            values: words(&body[7..]),
-        },
+        function @ (3 | 4) => {
+            Request::Read { function, address: word(body, 2), count: word(body, 4) }
+        }
+        6 => Request::Write { function: 6, address: word(body, 2), values: vec![word(body, 4)] },
+        16 => Request::Write { function: 16, address: word(body, 2), values: words(&body[7..]) },
         23 => Request::WriteRead {
             read: (word(body, 2), word(body, 4)),
             write: word(body, 6),
@@ -134,11 +124,7 @@ mod tests {
         assert_eq!(crc(&[0x02, 0x07]), 0x1241);
         let read = framed(&[0x11, 0x03, 0x00, 0x6B, 0x00, 0x03]);
         assert_eq!(read[6..], [0x76, 0x87]);
-        let asked = Request::Read {
-            function: 3,
-            address: 0x6B,
-            count: 3,
-        };
+        let asked = Request::Read { function: 3, address: 0x6B, count: 3 };
         assert_eq!(request(&read), Some(Ok((0x11, asked, 8))));
     }
 }

@@ -140,9 +140,7 @@ impl Drive {
     pub(crate) fn seen_s(&self) -> Option<f64> {
         let found_out = || {
             let last = self.log.iter().rposition(|row| row.volts != 0.0)?;
-            self.from_s
-                .and(self.log.get(last + 1))
-                .map(|row| row.time_s)
+            self.from_s.and(self.log.get(last + 1)).map(|row| row.time_s)
         };
         self.visible_s.or_else(found_out)
     }
@@ -184,9 +182,7 @@ impl Drive {
 
     /// Time since it began, s.
     fn faulty_for_s(&self) -> Option<f64> {
-        self.from_s
-            .map(|from_s| self.now_s - from_s)
-            .filter(|for_s| *for_s >= 0.0)
+        self.from_s.map(|from_s| self.now_s - from_s).filter(|for_s| *for_s >= 0.0)
     }
 
     /// Neither side hears the other.
@@ -322,30 +318,18 @@ impl Drive {
             return codec::exception(UNIT, *function, code);
         }
         match request {
-            Request::Read {
-                function,
-                address,
-                count,
-            } => match self.read(*address, *count) {
+            Request::Read { function, address, count } => match self.read(*address, *count) {
                 Some(values) => codec::registers(UNIT, *function, &values),
                 None => codec::exception(UNIT, *function, 2),
             },
-            Request::Write {
-                function,
-                address,
-                values,
-            } => {
+            Request::Write { function, address, values } => {
                 if self.write(*address, values) {
                     codec::written(UNIT, *function, *address, values)
                 } else {
                     codec::exception(UNIT, *function, 2)
                 }
             }
-            Request::WriteRead {
-                read: (address, count),
-                write,
-                values,
-            } => {
+            Request::WriteRead { read: (address, count), write, values } => {
                 let written = self.write(*write, values);
                 match self.read(*address, *count).filter(|_| written) {
                     Some(values) => codec::registers(UNIT, 23, &values),
@@ -401,9 +385,7 @@ impl Drive {
         }
         let mut told = true_words;
         let scaled = |word: u16, by: f64| {
-            (f64::from(word.cast_signed()) * by)
-                .round()
-                .clamp(-32_000.0, 32_000.0) as i16
+            (f64::from(word.cast_signed()) * by).round().clamp(-32_000.0, 32_000.0) as i16
         };
         match (self.act, self.frozen) {
             (Act::FrozenRegisters, Some(frozen)) => told = frozen,

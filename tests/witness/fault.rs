@@ -118,13 +118,8 @@ pub(crate) enum Way {
 }
 
 impl Way {
-    pub(crate) const ALL: [Self; 5] = [
-        Self::Run,
-        Self::RunScreen,
-        Self::Commission,
-        Self::Speed,
-        Self::SpeedScreen,
-    ];
+    pub(crate) const ALL: [Self; 5] =
+        [Self::Run, Self::RunScreen, Self::Commission, Self::Speed, Self::SpeedScreen];
 
     pub(crate) const fn command(self) -> &'static str {
         match self {
@@ -227,18 +222,10 @@ const fn follows(act: Act) -> (Class, &'static [i32], &'static str) {
         | Act::RoughLine(..)
         | Act::Host(Host::QuitKey) => (GoesOn, DONE, ""),
         Act::LateOnce(_) => (GoesOn, DONE, "late repl|replies late|came late|stale"),
-        Act::ForeignFrames => (
-            GoesOn,
-            DONE,
-            "second master|another master|frames on the line",
-        ),
+        Act::ForeignFrames => (GoesOn, DONE, "second master|another master|frames on the line"),
         Act::SecondMaster => (Cut(NOTICED_S), LINK_OR_TRIP, "master|set-point|commanded"),
         Act::Exception(2) => (Cut(0.0), LINK, "exception 0x02|illegal data address"),
-        Act::Exception(4) => (
-            Cut(0.0),
-            LINK,
-            "exception 0x04|device failure|server failure",
-        ),
+        Act::Exception(4) => (Cut(0.0), LINK, "exception 0x04|device failure|server failure"),
         Act::Exception(_) => (Cut(0.0), LINK, "exception 0x06"),
         Act::Dead(f64::INFINITY) => (Watchdog, LINK, "no reply|silent|gone"),
         Act::Dead(seconds) => (Cut(seconds), LINK, "no reply|silent|gone"),
@@ -264,16 +251,10 @@ const fn follows(act: Act) -> (Class, &'static [i32], &'static str) {
             LINK_OR_TRIP,
             "frozen|stuck|stands still|same|encoder|voltage|still runs|over-current",
         ),
-        Act::InvalidCodes => (
-            Cut(0.0),
-            LINK_OR_TRIP,
-            "speed|not available|invalid|missing",
-        ),
-        Act::EnableIgnored => (
-            Refused,
-            LINK_OR_TRIP,
-            "does not run|not running|never ran|never runs",
-        ),
+        Act::InvalidCodes => (Cut(0.0), LINK_OR_TRIP, "speed|not available|invalid|missing"),
+        Act::EnableIgnored => {
+            (Refused, LINK_OR_TRIP, "does not run|not running|never ran|never runs")
+        }
         Act::Trip => (Cut(0.0), TRIP, "fault"),
         Act::CommLoss => (Cut(0.0), TRIP, "watchdog|communication|comm_loss"),
         Act::LocalControl => (Cut(0.0), TRIP, "local"),
@@ -285,11 +266,7 @@ const fn follows(act: Act) -> (Class, &'static [i32], &'static str) {
             "not confirmed|still|did not stop|not stopped|unconfirmed|set-point not followed",
         ),
         Act::PowerLost(_) => (Cut(0.0), LINK_OR_TRIP, "silent|no reply|stopped|not run"),
-        Act::Host(Host::Suspend) => (
-            Watchdog,
-            LINK_OR_TRIP,
-            "stood still|suspend|watchdog|silent",
-        ),
+        Act::Host(Host::Suspend) => (Watchdog, LINK_OR_TRIP, "stood still|suspend|watchdog|silent"),
         // The process has no status of its own.
         Act::Host(Host::Kill) => (Watchdog, &[-1], ""),
         Act::Host(Host::CloseOutput) => (GoesOn, &[0, 2, 6, 141], ""),
@@ -301,13 +278,7 @@ const fn follows(act: Act) -> (Class, &'static [i32], &'static str) {
 
 const fn fault(name: &'static str, act: Act) -> Fault {
     let (class, statuses, words) = follows(act);
-    Fault {
-        name,
-        act,
-        class,
-        statuses,
-        words,
-    }
+    Fault { name, act, class, statuses, words }
 }
 
 /// Replies of which something is done to this share, in a thousand.
@@ -321,20 +292,11 @@ pub(crate) const FAULTS: &[Fault] = &[
     fault("late replies", Act::Replies(Reply::Late(0.03), FEW)),
     fault("lost replies", Act::Replies(Reply::Lost, FEW)),
     fault("doubled replies", Act::Replies(Reply::Doubled, FEW)),
-    fault(
-        "garbage before replies",
-        Act::Replies(Reply::GarbageBefore, SOME),
-    ),
-    fault(
-        "garbage after replies",
-        Act::Replies(Reply::GarbageAfter, SOME),
-    ),
+    fault("garbage before replies", Act::Replies(Reply::GarbageBefore, SOME)),
+    fault("garbage after replies", Act::Replies(Reply::GarbageAfter, SOME)),
     fault("wrong check sums", Act::Replies(Reply::WrongCrc, SOME)),
     fault("truncated replies", Act::Replies(Reply::Truncated, SOME)),
-    fault(
-        "replies of another unit",
-        Act::Replies(Reply::OtherUnit, SOME),
-    ),
+    fault("replies of another unit", Act::Replies(Reply::OtherUnit, SOME)),
     fault("foreign frames", Act::ForeignFrames),
     fault("second master writes", Act::SecondMaster),
     fault("exception 02", Act::Exception(2)),

@@ -65,11 +65,7 @@ pub(crate) fn judge(drive: &Drive, act: Act, class: Class, from_s: Option<f64>) 
         wrong.push("the output is on at the end".to_owned());
     }
     if class == Class::Refused {
-        let most = drive
-            .log
-            .iter()
-            .map(|row| row.volts.abs())
-            .fold(0.0, f64::max);
+        let most = drive.log.iter().map(|row| row.volts.abs()).fold(0.0, f64::max);
         if most > PULSE_V {
             wrong.push(format!("energised with {most:.1} V"));
         }
@@ -81,9 +77,7 @@ pub(crate) fn judge(drive: &Drive, act: Act, class: Class, from_s: Option<f64>) 
     };
     let mut within = |what: &str, took_s: f64, allowed_s: f64| {
         if took_s > allowed_s {
-            wrong.push(format!(
-                "{what} after {took_s:.3} s instead of {allowed_s:.3} s"
-            ));
+            wrong.push(format!("{what} after {took_s:.3} s instead of {allowed_s:.3} s"));
         }
     };
     match class {
@@ -113,29 +107,15 @@ mod tests {
     use super::*;
 
     fn row(time_s: f64, volts: f64) -> Row {
-        Row {
-            time_s,
-            volts,
-            current_a: 0.0,
-            speed_rad_s: 0.0,
-            is_on: volts != 0.0,
-        }
+        Row { time_s, volts, current_a: 0.0, speed_rad_s: 0.0, is_on: volts != 0.0 }
     }
 
     #[test]
     fn the_end_is_the_last_fall_to_zero() {
         let volts = [0.0, 5.0, 0.0, 40.0, 40.0, 30.0, 20.0, 0.0, 0.0];
-        let log: Vec<Row> = (0..)
-            .zip(volts)
-            .map(|(t, u)| row(f64::from(t), u))
-            .collect();
-        let wanted = Ending {
-            zero_s: Some(7.0),
-            rose_s: 3.0,
-            fell_s: 5.0,
-            volts: 40.0,
-            is_off: true,
-        };
+        let log: Vec<Row> = (0..).zip(volts).map(|(t, u)| row(f64::from(t), u)).collect();
+        let wanted =
+            Ending { zero_s: Some(7.0), rose_s: 3.0, fell_s: 5.0, volts: 40.0, is_off: true };
         assert_eq!(ending(&log), wanted);
         // It rises again while it should stop.
         let armed = [log, vec![row(9.0, 3.0)]].concat();

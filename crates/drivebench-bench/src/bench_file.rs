@@ -22,12 +22,7 @@ pub enum BenchFileError {
     #[error(transparent)]
     Text(#[from] ConfigError),
     #[error("{file}: {key} = {value} is not allowed (expected {allowed})")]
-    Value {
-        file: String,
-        key: String,
-        value: String,
-        allowed: String,
-    },
+    Value { file: String, key: String, value: String, allowed: String },
     #[error("{file}: {error}")]
     Sequence {
         file: String,
@@ -165,10 +160,7 @@ pub struct EmulatorSection {
 
 impl Default for EmulatorSection {
     fn default() -> Self {
-        Self {
-            config: "zk-22fc-hidden".to_owned(),
-            seed: 1,
-        }
+        Self { config: "zk-22fc-hidden".to_owned(), seed: 1 }
     }
 }
 
@@ -223,13 +215,7 @@ pub struct RunsSection {
 
 impl Default for RunsSection {
     fn default() -> Self {
-        Self {
-            fit: 1,
-            select: 2,
-            confirm: 3,
-            repeat: 1,
-            burst_at: None,
-        }
+        Self { fit: 1, select: 2, confirm: 3, repeat: 1, burst_at: None }
     }
 }
 
@@ -332,10 +318,7 @@ impl BenchFile {
             return Err(refusal(file, &key, value, allowed));
         }
         let program = self.program(self.runs.fit).map(drop);
-        program.map_err(|error| BenchFileError::Sequence {
-            file: file.to_owned(),
-            error,
-        })
+        program.map_err(|error| BenchFileError::Sequence { file: file.to_owned(), error })
     }
 
     /// The first value that is not allowed: key, value and what is.
@@ -496,9 +479,7 @@ const SPEED_ENDS_S: f64 = 4.0;
 /// The error of a reference at the line that names the value.
 fn at_its_line(file: &str, text: &str, error: &ReferenceError) -> BenchFileError {
     let headers = text.match_indices("[[speed.reference]]");
-    let part = headers
-        .map(|(offset, _)| offset)
-        .nth(error.number.saturating_sub(1));
+    let part = headers.map(|(offset, _)| offset).nth(error.number.saturating_sub(1));
     let key = error.key.rsplit(' ').next().unwrap_or(error.key);
     let from = part.unwrap_or(0);
     let offset = text[from..].find(key).map_or(from, |found| from + found);

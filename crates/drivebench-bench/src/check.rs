@@ -40,10 +40,7 @@ pub enum CheckError {
     Stopped,
     /// The output was on and the stop is not confirmed; `before`: what had ended the checks, if anything had.
     #[error("{}stop NOT confirmed by the drive: {stop}", before.as_ref().map_or_else(String::new, |text| format!("{text}; ")))]
-    Unstopped {
-        stop: LinkError,
-        before: Option<String>,
-    },
+    Unstopped { stop: LinkError, before: Option<String> },
 }
 
 impl CheckError {
@@ -163,9 +160,8 @@ pub fn check(
 ) -> Result<CheckReport, CheckError> {
     let identity = link.identify()?;
     let kind = commanded(link.zero());
-    let hold = options
-        .first_move
-        .map_or((0.0, 0.0), |first| pulse::hold(kind, first.plate, limits));
+    let hold =
+        options.first_move.map_or((0.0, 0.0), |first| pulse::hold(kind, first.plate, limits));
     let mut checker = Checker {
         zero: kind.demand(hold.0),
         hold,
@@ -176,10 +172,7 @@ pub fn check(
         link,
         clock,
         period_s: 1.0 / options.rate_hz,
-        report: CheckReport {
-            identity,
-            ..CheckReport::default()
-        },
+        report: CheckReport { identity, ..CheckReport::default() },
     };
     let result = checker.all(limits, options);
     if !checker.touched {
@@ -475,10 +468,7 @@ impl Checker<'_> {
         self.touched = true;
         self.report.last_seq += 1;
         self.link.bound(self.silence_s);
-        Ok(self.link.exchange(Command {
-            seq: self.report.last_seq,
-            demand,
-        })?)
+        Ok(self.link.exchange(Command { seq: self.report.last_seq, demand })?)
     }
 }
 

@@ -34,10 +34,7 @@ pub struct MonotonicClock {
 }
 
 impl MonotonicClock {
-    #[expect(
-        clippy::disallowed_methods,
-        reason = "this file owns the clock of a bench run"
-    )]
+    #[expect(clippy::disallowed_methods, reason = "this file owns the clock of a bench run")]
     pub fn start() -> Self {
         Self {
             origin: Instant::now(),

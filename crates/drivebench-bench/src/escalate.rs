@@ -76,10 +76,7 @@ pub fn stage_session(bench: &BenchFile, stage: &Stage) -> Result<Session, Excita
     // The stage's own slew serves the experiment; a limit that the bench file gives stands above it.
     let given = bench.limits.slew_v_per_s.unwrap_or(f64::INFINITY);
     let slew_v_per_s = given.min(stage.slew_v_per_s);
-    let limits = Limits {
-        slew_v_per_s,
-        ..bench.limits()
-    };
+    let limits = Limits { slew_v_per_s, ..bench.limits() };
     let program = excitation::Program::new(&stage.segments, slew_v_per_s)?;
     let guard = Guard::for_unknown_motor(limits, stage.winding_v, stage.back_emf_v_s_per_rad)
         .with_period(bench.period_s());
@@ -115,11 +112,7 @@ pub fn scale(
     let tried = |factor: f64, slew_v_per_s: f64| -> Result<Option<Scaled>, ModelError> {
         let mut scaled = bench.clone();
         scaled.limits.slew_v_per_s = Some(slew_v_per_s);
-        for volts in scaled
-            .sequence
-            .iter_mut()
-            .flat_map(|segment| cells(segment).volts)
-        {
+        for volts in scaled.sequence.iter_mut().flat_map(|segment| cells(segment).volts) {
             *volts *= factor;
         }
         let Ok(program) = scaled.program(scaled.runs.fit) else {
@@ -141,13 +134,7 @@ pub fn scale(
             }
             first.get_or_insert(plan);
         }
-        Ok(first.map(|plan| Scaled {
-            bench: scaled,
-            factor,
-            slew_v_per_s,
-            plan,
-            refusal: None,
-        }))
+        Ok(first.map(|plan| Scaled { bench: scaled, factor, slew_v_per_s, plan, refusal: None }))
     };
     let whole = tried(1.0, given_slew)?;
     let first_refusal = |scaled: &Scaled| scaled.plan.refusals.first().cloned();

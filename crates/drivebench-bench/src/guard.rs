@@ -44,12 +44,7 @@ const REST_CURRENT_SHARE: f64 = 0.02;
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum RestError {
     #[error("not at rest: {name} {value:.3} {unit}, at most {limit:.3} {unit} is allowed")]
-    Moving {
-        name: &'static str,
-        value: f64,
-        limit: f64,
-        unit: &'static str,
-    },
+    Moving { name: &'static str, value: f64, limit: f64, unit: &'static str },
     #[error("the drive is in state {state:?}, it must be disabled or ready")]
     State { state: &'static str },
     #[error("not known to be at rest: the last sample has no {name}")]
@@ -64,12 +59,7 @@ impl RestError {
 }
 
 /// Signals of which the loss ends a run, if the drive gives them at all.
-const WATCHED: [Channel; 4] = [
-    Channel::Current,
-    Channel::Speed,
-    Channel::Angle,
-    Channel::Bus,
-];
+const WATCHED: [Channel; 4] = [Channel::Current, Channel::Speed, Channel::Angle, Channel::Bus];
 
 /// The safety guard of one bench session.
 #[derive(Clone, Debug)]
@@ -127,10 +117,7 @@ impl Guard {
         let braking_s = winding_v.map_or(0.0, |_| {
             (motor.inertia_kg_m2 * limits.speed_rad_s / torque).min(LONGEST_COAST_S)
         });
-        Self {
-            braking_s,
-            ..Self::with_shaper(limits, shaper, plausibility)
-        }
+        Self { braking_s, ..Self::with_shaper(limits, shaper, plausibility) }
     }
 
     /// A guard for a motor that is not known: `winding_v` bounds the voltage across the winding, as far as the resistance
@@ -222,8 +209,7 @@ impl Guard {
 
     /// Another slew limit from now on, as while a loop is closed; `None`: that of the limits.
     pub fn set_slew(&mut self, v_per_s: Option<f64>) {
-        self.shaper
-            .set_slew(v_per_s.unwrap_or(self.limits.slew_v_per_s));
+        self.shaper.set_slew(v_per_s.unwrap_or(self.limits.slew_v_per_s));
     }
 
     pub const fn tripped(&self) -> Option<&Trip> {
@@ -238,10 +224,7 @@ impl Guard {
 
     /// Begins a run: counts time and travel from here. Call it when the output is about to be switched on.
     pub fn begin(&mut self, now_s: f64, sample: &Sample) {
-        self.counts = Counts {
-            angle_origin_rad: sample.get(Channel::Angle),
-            ..Counts::default()
-        };
+        self.counts = Counts { angle_origin_rad: sample.get(Channel::Angle), ..Counts::default() };
         self.last_valid_s = Some(now_s);
         self.shaper.rest(now_s);
         self.plausibility.begin();
@@ -301,10 +284,7 @@ impl Guard {
         let reason = format!(
             "this computer was suspended for {slept_s:.1} s, and nobody watched the motor meanwhile"
         );
-        self.latch(Trip {
-            reason,
-            ..Trip::new(TripKind::Suspended, now_s, (slept_s, 0.0), "")
-        })
+        self.latch(Trip { reason, ..Trip::new(TripKind::Suspended, now_s, (slept_s, 0.0), "") })
     }
 
     /// The drive answers, and says that it cannot do now what it is asked: should this go on for too long, that is why.
@@ -363,10 +343,7 @@ impl Guard {
             None
         };
         if sample.time_s.is_finite() {
-            self.last_sample = Some(Seen {
-                host_s: now_s,
-                sample_s: sample.time_s,
-            });
+            self.last_sample = Some(Seen { host_s: now_s, sample_s: sample.time_s });
         }
         found.and_then(|trip| self.latch(trip))
     }
@@ -409,9 +386,7 @@ impl Guard {
     /// Whether the motor stands still and the drive is off and without a fault.
     pub fn check_rest(&self, sample: &Sample) -> Result<(), RestError> {
         if let Some(state @ (DriveState::Running | DriveState::Fault)) = sample.state {
-            return Err(RestError::State {
-                state: state.name(),
-            });
+            return Err(RestError::State { state: state.name() });
         }
         for (channel, limit) in [
             (Channel::Speed, self.rest_rad_s()),
@@ -421,12 +396,7 @@ impl Guard {
             match sample.get(channel) {
                 Some(value) if value.abs() <= limit => {}
                 Some(value) => {
-                    return Err(RestError::Moving {
-                        name,
-                        value,
-                        limit,
-                        unit,
-                    });
+                    return Err(RestError::Moving { name, value, limit, unit });
                 }
                 None if self.has_seen(channel) => return Err(RestError::Unread { name }),
                 None => {}
@@ -473,14 +443,13 @@ impl Guard {
             (BusHigh, Channel::Bus, None, limits.bus_max_v, above),
             (BusLow, Channel::Bus, None, limits.bus_min_v, below),
         ];
-        rows.into_iter()
-            .find_map(|(kind, channel, instead, limit, breaks)| {
-                let value = instead.unwrap_or(read(channel))?;
-                let limit = limit.filter(|limit| breaks(value, *limit))?;
-                let (name, unit) = (channel.name(), channel.unit());
-                let what = format!("{name} {value:.4} {unit}, limit {limit:.4} {unit}");
-                Some(Trip::new(kind, now_s, (value, limit), what))
-            })
+        rows.into_iter().find_map(|(kind, channel, instead, limit, breaks)| {
+            let value = instead.unwrap_or(read(channel))?;
+            let limit = limit.filter(|limit| breaks(value, *limit))?;
+            let (name, unit) = (channel.name(), channel.unit());
+            let what = format!("{name} {value:.4} {unit}, limit {limit:.4} {unit}");
+            Some(Trip::new(kind, now_s, (value, limit), what))
+        })
     }
 
     fn field(&self, now_s: f64, sample: &Sample) -> Option<Trip> {
@@ -557,11 +526,8 @@ impl Guard {
         let last = self.last_sample?;
         let (drive_s, host_s) = (sample.time_s - last.sample_s, now_s - last.host_s);
         // No clock that was on all the time runs back at all.
-        let most_s = if drive_s < 0.0 {
-            RESTARTED_S
-        } else {
-            self.limits.link_silence_s.max(RESTARTED_S)
-        };
+        let most_s =
+            if drive_s < 0.0 { RESTARTED_S } else { self.limits.link_silence_s.max(RESTARTED_S) };
         ((drive_s - host_s).abs() > most_s).then_some((drive_s, host_s, most_s))
     }
 

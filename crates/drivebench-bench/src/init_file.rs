@@ -98,10 +98,7 @@ pub struct InitError {
 
 impl InitError {
     fn new(reason: impl Into<String>, help: impl Into<String>) -> Self {
-        Self {
-            reason: reason.into(),
-            help: help.into(),
-        }
+        Self { reason: reason.into(), help: help.into() }
     }
 }
 
@@ -119,11 +116,7 @@ impl From<ExcitationError> for InitError {
 
 impl Reasoned {
     fn new(key: &str, value: Option<f64>, reason: impl Into<String>) -> Self {
-        Self {
-            key: key.to_owned(),
-            value,
-            reason: reason.into(),
-        }
+        Self { key: key.to_owned(), value, reason: reason.into() }
     }
 }
 
@@ -196,9 +189,7 @@ pub fn init_file(request: &InitRequest<'_>) -> Result<InitFile, InitError> {
     reasons.push(rate.reason.clone());
     let mut bench = BenchFile {
         name: name(&motor.name, &profile.name),
-        drive: DriveSection {
-            profile: request.drive.to_owned(),
-        },
+        drive: DriveSection { profile: request.drive.to_owned() },
         link: LinkSection {
             port: request.port.to_owned(),
             protocol: protocol(profile, request.port),
@@ -229,14 +220,7 @@ pub fn init_file(request: &InitRequest<'_>) -> Result<InitFile, InitError> {
     let text = page::text(request, &bench, purpose, &reasons, &remarks, plan.as_ref());
     let read = BenchFile::parse("the new bench file", &text)?;
     read.check_speed("the new bench file", &text)?;
-    Ok(InitFile {
-        bench: read,
-        text,
-        purpose,
-        reasons,
-        remarks,
-        plan,
-    })
+    Ok(InitFile { bench: read, text, purpose, reasons, remarks, plan })
 }
 
 /// What is to be expected of the proof of the watchdog.
@@ -283,11 +267,7 @@ fn short(value: f64) -> f64 {
     let step = 10_f64.powf(value.log10().floor() - 3.0);
     let whole = (value / step + 1e-6).floor();
     // A step below one has a whole inverse, and a division by it gives the shortest decimal.
-    if step < 1.0 {
-        whole / (1.0 / step).round()
-    } else {
-        whole * step
-    }
+    if step < 1.0 { whole / (1.0 / step).round() } else { whole * step }
 }
 
 #[cfg(test)]

@@ -67,13 +67,8 @@ pub(super) struct LineWatch {
 
 impl LineWatch {
     pub(super) fn new(rate_hz: f64) -> Self {
-        let matter = |events, least, text, ended| Matter {
-            events,
-            least,
-            text,
-            ended,
-            ..Matter::default()
-        };
+        let matter =
+            |events, least, text, ended| Matter { events, least, text, ended, ..Matter::default() };
         Self {
             rate_hz,
             matters: [
@@ -110,12 +105,8 @@ impl LineWatch {
 
     /// Frames that the line has carried up to now.
     pub(super) fn frames(&mut self, now_s: f64, line: LineCounts) -> Vec<News> {
-        let counts = [
-            line.stale_frames,
-            line.foreign_frames,
-            line.unasked_frames,
-            line.foreign_writes,
-        ];
+        let counts =
+            [line.stale_frames, line.foreign_frames, line.unasked_frames, line.foreign_writes];
         let matters = self.matters.iter_mut().zip(counts);
         let news = matters.filter_map(|(matter, count)| matter.look(now_s, count));
         news.collect()
@@ -131,12 +122,7 @@ impl LineWatch {
     ) -> Option<News> {
         let window_s = WINDOW_S.max(WINDOW_CYCLES / self.rate_hz);
         let begun_s = *self.since_s.get_or_insert(now_s);
-        self.window.push_back(Exchange {
-            at_s: now_s,
-            took_s,
-            answered,
-            line,
-        });
+        self.window.push_back(Exchange { at_s: now_s, took_s, answered, line });
         while (self.window.front()).is_some_and(|first| now_s - first.at_s >= window_s) {
             self.window.pop_front();
         }
@@ -163,11 +149,7 @@ impl LineWatch {
                 (Level::Warning, "rate_lost", text)
             }
         };
-        Some(News {
-            event,
-            figure: achieved_hz,
-            notice: Notice { level, text },
-        })
+        Some(News { event, figure: achieved_hz, notice: Notice { level, text } })
     }
 
     /// No run is on: its rate is measured anew.
@@ -229,11 +211,7 @@ impl Matter {
         } else {
             return None;
         };
-        Some(News {
-            event,
-            figure: here as f64,
-            notice: Notice { level, text },
-        })
+        Some(News { event, figure: here as f64, notice: Notice { level, text } })
     }
 }
 
@@ -243,11 +221,7 @@ mod tests {
     use crate::testing::has;
 
     fn line(stale_frames: u64, resync_ms: u64) -> LineCounts {
-        LineCounts {
-            stale_frames,
-            resync_ms,
-            ..LineCounts::default()
-        }
+        LineCounts { stale_frames, resync_ms, ..LineCounts::default() }
     }
 
     #[test]

@@ -52,10 +52,7 @@ pub struct RowEstimator {
 
 impl RowEstimator {
     pub fn new(config: OnlineConfig) -> Self {
-        Self {
-            online: Online::new(config),
-            rows: 0,
-        }
+        Self { online: Online::new(config), rows: 0 }
     }
 
     pub const fn online(&self) -> &Online {
@@ -128,11 +125,7 @@ impl OnlineSettings {
 impl From<OnlineConfig> for OnlineSettings {
     fn from(config: OnlineConfig) -> Self {
         // Taken apart in full: what is added to the configuration has to be kept as well.
-        let OnlineConfig {
-            memory,
-            torque_n_m_per_a,
-            start,
-        } = config;
+        let OnlineConfig { memory, torque_n_m_per_a, start } = config;
         Self {
             electrical_forgetting: memory.electrical,
             mechanical_forgetting: memory.mechanical,
@@ -214,10 +207,7 @@ mod tests {
     #[test]
     fn the_settings_come_back_from_their_text_to_the_bit() {
         let full = OnlineConfig {
-            memory: Memory {
-                electrical: 0.1 + 0.2,
-                mechanical: 1.0 - 1.0 / 3.0,
-            },
+            memory: Memory { electrical: 0.1 + 0.2, mechanical: 1.0 - 1.0 / 3.0 },
             torque_n_m_per_a: Some(1.0 / 7.0),
             start: Some(StartValues {
                 resistance_ohm: 1e-7 / 3.0,

@@ -102,10 +102,7 @@ pub struct SupplySection {
 
 impl Default for SupplySection {
     fn default() -> Self {
-        Self {
-            regenerates: true,
-            brake_power_w: None,
-        }
+        Self { regenerates: true, brake_power_w: None }
     }
 }
 

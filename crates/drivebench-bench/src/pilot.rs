@@ -28,9 +28,7 @@ impl Program for excitation::Program {
 
     fn segment_at(&self, time_s: f64) -> usize {
         let spans = self.spans();
-        spans
-            .partition_point(|span| span.end_s <= time_s)
-            .min(spans.len().saturating_sub(1))
+        spans.partition_point(|span| span.end_s <= time_s).min(spans.len().saturating_sub(1))
     }
 
     fn segment_name(&self, index: usize) -> &str {

@@ -75,13 +75,7 @@ impl SegmentPlan {
         limit: f64,
         unit: &'static str,
     ) -> Refusal {
-        Refusal {
-            segment: self.name.clone(),
-            quantity,
-            predicted,
-            limit,
-            unit,
-        }
+        Refusal { segment: self.name.clone(), quantity, predicted, limit, unit }
     }
 }
 
@@ -346,11 +340,8 @@ impl Prediction {
         let points_s = (1..=POINTS_PER_PERIOD).map(|point| point as f64 * step_s);
         let mut one_period = under_voltage("plan", points_s.collect());
         let periods = whole((program.duration_s() * rate_hz).ceil()).max(1);
-        let mut predicted = Self {
-            step_s,
-            reverse_a: REVERSE_SHARE * motor.rated_current_a,
-            ..Self::default()
-        };
+        let mut predicted =
+            Self { step_s, reverse_a: REVERSE_SHARE * motor.rated_current_a, ..Self::default() };
         let (mut current_a, mut speed_rad_s, mut angle_rad) = (hold_a, 0.0, 0.0);
         let mut out = Trajectory::default();
         for period in 0..periods {
@@ -361,11 +352,7 @@ impl Prediction {
             };
             let shaped = guard.shape(begin_s, wanted);
             let coasts = !wanted.energises();
-            let volts = if coasts {
-                0.0
-            } else {
-                shaped.demand.voltage_v().unwrap_or(0.0)
-            };
+            let volts = if coasts { 0.0 } else { shaped.demand.voltage_v().unwrap_or(0.0) };
             let excess_v = wanted
                 .voltage_v()
                 .map_or(0.0, |wanted_v| (wanted_v.abs() - limits.voltage_v).max(0.0));
@@ -376,11 +363,7 @@ impl Prediction {
             for (&i, &w) in out.current_a.iter().zip(&out.speed_rad_s) {
                 angle_rad += 0.5 * (speed_rad_s + w) * step_s;
                 (current_a, speed_rad_s) = (i, w);
-                let terminal_v = if coasts {
-                    motor.back_emf_v_s_per_rad * w
-                } else {
-                    volts
-                };
+                let terminal_v = if coasts { motor.back_emf_v_s_per_rad * w } else { volts };
                 let point = Point {
                     time_s: begin_s + (predicted.points % POINTS_PER_PERIOD + 1) as f64 * step_s,
                     segment: program.segment_at(begin_s),
@@ -511,11 +494,7 @@ fn parameters(predicted: &Prediction, motor: &Nameplate, rate_hz: f64) -> Vec<Ob
     };
     let where_enough = |share: f64, prospect: Prospect| {
         let is_enough = share >= ENOUGH;
-        if is_enough {
-            prospect
-        } else {
-            Prospect::NotObservable
-        }
+        if is_enough { prospect } else { Prospect::NotObservable }
     };
     let by_share = |key: MotorKey, share: f64, what: &str| {
         let reason = format!("{what} reaches {:.0} % of rated", 100.0 * share);
@@ -543,11 +522,7 @@ fn parameters(predicted: &Prediction, motor: &Nameplate, rate_hz: f64) -> Vec<Ob
         of(
             MotorKey::Inductance,
             where_enough(current_share, prospect),
-            format!(
-                "L/R {:.2} ms, period {:.2} ms: {verdict}",
-                1e3 * electrical_s,
-                1e3 / rate_hz
-            ),
+            format!("L/R {:.2} ms, period {:.2} ms: {verdict}", 1e3 * electrical_s, 1e3 / rate_hz),
         ),
         by_share(MotorKey::BackEmf, speed_share, "the speed"),
         by_share(MotorKey::Inertia, inertial_share, "the accelerating torque"),
@@ -572,13 +547,7 @@ mod tests {
     }
 
     fn step(volts: f64, slew_v_per_s: f64) -> Plan {
-        step_within(
-            volts,
-            &Limits {
-                slew_v_per_s,
-                ..limits()
-            },
-        )
+        step_within(volts, &Limits { slew_v_per_s, ..limits() })
     }
 
     fn step_within(volts: f64, limits: &Limits) -> Plan {
@@ -610,16 +579,8 @@ mod tests {
         near(plan.peak_current_a, 12.1, 0.6);
         // The way down is time with the output on: 1 s and a third.
         for (time_s, refused) in [(1.3, true), (1.4, false)] {
-            let limits = Limits {
-                slew_v_per_s: 300.0,
-                time_s,
-                ..limits()
-            };
-            assert_eq!(
-                step_within(100.0, &limits).is_refused(),
-                refused,
-                "{time_s}"
-            );
+            let limits = Limits { slew_v_per_s: 300.0, time_s, ..limits() };
+            assert_eq!(step_within(100.0, &limits).is_refused(), refused, "{time_s}");
         }
     }
 
@@ -648,11 +609,7 @@ mod tests {
     fn travel_time_and_the_drive_s_own_limit_are_checked_too() {
         let bench = BenchFile::embedded_default();
         let program = bench.program(1).unwrap();
-        let tight = Limits {
-            travel_rad: Some(10.0),
-            time_s: 5.0,
-            ..bench.limits()
-        };
+        let tight = Limits { travel_rad: Some(10.0), time_s: 5.0, ..bench.limits() };
         let plate = bench.nameplate().unwrap();
         let plan = plan(&program, &plate, &tight, 100.0, Some(3.0)).unwrap();
         for quantity in ["travel", "time with the output on", "peak current"] {
@@ -666,11 +623,7 @@ mod tests {
         let program = Wave {
             duration_s: 2.0,
             demand: |time_s: f64| {
-                if time_s < 1.0 {
-                    Demand::Voltage(50.0)
-                } else {
-                    Demand::Disable
-                }
+                if time_s < 1.0 { Demand::Voltage(50.0) } else { Demand::Disable }
             },
         };
         let plan = plan(&program, &Nameplate::zk_22fc(), &limits(), 100.0, None).unwrap();
@@ -682,10 +635,7 @@ mod tests {
         let bench = BenchFile::embedded_default();
         let program = bench.program(1).unwrap();
         let parameters = planned(&bench, &program, rate_hz).parameters;
-        parameters
-            .iter()
-            .map(|parameter| parameter.prospect)
-            .collect()
+        parameters.iter().map(|parameter| parameter.prospect).collect()
     }
 
     #[test]
@@ -699,10 +649,7 @@ mod tests {
     #[test]
     fn a_voltage_below_breakaway_shows_no_mechanics() {
         let bench = BenchFile::embedded_default();
-        let program = Wave {
-            duration_s: 1.0,
-            demand: |_| Demand::Voltage(1.0),
-        };
+        let program = Wave { duration_s: 1.0, demand: |_| Demand::Voltage(1.0) };
         let plan = planned(&bench, &program, 100.0);
         for parameter in &plan.parameters[2..] {
             assert_eq!(parameter.prospect, Prospect::NotObservable, "{parameter:?}");

@@ -183,11 +183,8 @@ impl Plausibility {
 
     /// The watch of a motor that is not known.
     pub(super) fn of_unknown(limits: &Limits) -> Self {
-        let scale = Scale {
-            volts: limits.voltage_v,
-            amps: limits.current_a,
-            rad_s: limits.speed_rad_s,
-        };
+        let scale =
+            Scale { volts: limits.voltage_v, amps: limits.current_a, rad_s: limits.speed_rad_s };
         Self::new(limits, scale)
     }
 
@@ -212,10 +209,9 @@ impl Plausibility {
     /// How noisy the sensors are: readings at rest, before the output was on. A drive may read nothing at all while it is
     /// off, so equal readings are no evidence.
     pub(super) fn learn(&mut self, rest: &[Sample]) {
-        for (channel, sensor) in [
-            (Channel::Speed, &mut self.speed),
-            (Channel::Current, &mut self.current),
-        ] {
+        for (channel, sensor) in
+            [(Channel::Speed, &mut self.speed), (Channel::Current, &mut self.current)]
+        {
             let reading = |sample: &Sample| Some((sample.time_s, sample.get(channel)?));
             let readings: Vec<(f64, f64)> = rest.iter().filter_map(reading).collect();
             let differ = |pair: &[(f64, f64)]| pair[0].1.to_bits() != pair[1].1.to_bits();
@@ -242,10 +238,8 @@ impl Plausibility {
         self.speed.begin();
         self.current.begin();
         self.history.clear();
-        self.proven = Proven {
-            factor: self.plate.map(|_| Factor::new(&self.scale)),
-            ..Proven::default()
-        };
+        self.proven =
+            Proven { factor: self.plate.map(|_| Factor::new(&self.scale)), ..Proven::default() };
         self.reference_rad_s = None;
     }
 
@@ -389,11 +383,7 @@ impl Plausibility {
     }
 
     fn window_rows(&self) -> usize {
-        if self.is_exact() {
-            SETTINGS.stamped_rows
-        } else {
-            self.cycles() - 2
-        }
+        if self.is_exact() { SETTINGS.stamped_rows } else { self.cycles() - 2 }
     }
 
     /// Whether the window is that of a motor with a warm winding and another specimen's flux.
@@ -464,9 +454,7 @@ impl Plausibility {
             return None;
         }
         let since_s = *self.doubts.stands_since_s.get_or_insert(last_s);
-        let longest_s = SETTINGS
-            .standing_s
-            .max(SETTINGS.latency_cycles as f64 * row.seconds);
+        let longest_s = SETTINGS.standing_s.max(SETTINGS.latency_cycles as f64 * row.seconds);
         let torque = plate.back_emf * row.current_a.abs();
         let what = format!(
             "the shaft is locked, or the encoder stands still: {:.2} rad/s for {:.2} s under {:.2} A, which give {torque:.3} N.m where friction is {:.3} N.m by the nameplate; {longest_s:.2} s are allowed; check brake and load, turn the shaft by hand and watch the speed",
@@ -565,11 +553,8 @@ impl Plausibility {
             && gain * volts < 0.0
             && self.is_mirrored(window, speed, current, SETTINGS.moved_voltage);
         // A braked shaft may lose speed under a current that drives it, where a load takes more.
-        let least_share = if current * volts < 0.0 {
-            SETTINGS.moved_voltage
-        } else {
-            SETTINGS.drop
-        };
+        let least_share =
+            if current * volts < 0.0 { SETTINGS.moved_voltage } else { SETTINGS.drop };
         let sensor = self.proven.current_sign
             && speed * volts > 0.0
             && gain * current < 0.0
@@ -704,11 +689,8 @@ impl Plausibility {
         let flows = |currents: Range, sign: f64| most(currents, sign) > idle_v;
         let both = |sign: f64| flows(held.currents, sign) && flows(currents, -sign);
         let turns = held.current.abs() < idle_v || both(1.0) || both(-1.0);
-        let drops_v = if turns {
-            2.0 * self.drop_v()
-        } else {
-            SETTINGS.rest_voltage * self.scale.volts
-        };
+        let drops_v =
+            if turns { 2.0 * self.drop_v() } else { SETTINGS.rest_voltage * self.scale.volts };
         let doubt =
             drops_v + (1.0 - SETTINGS.winding_factor.low) * by_current + 0.5 * window.volts.width();
         // From another speed than it was, and from the measured one: what was held may be of a winding in transit.
@@ -794,9 +776,7 @@ impl Plausibility {
             (current, speed, window.speed)
         };
         let (measured, by_voltage) = (reading / per_unit, (window.mean_volts - other) / per_unit);
-        let plausible = window
-            .volts
-            .plus(negative(range.times(SETTINGS.any_factor)));
+        let plausible = window.volts.plus(negative(range.times(SETTINGS.any_factor)));
         let plausible = plausible.wider(self.drop_v()).times(SETTINGS.any_factor);
         let (low, high) = (plausible.low / per_unit, plausible.high / per_unit);
         let how = match kind {
@@ -824,11 +804,8 @@ impl Plausibility {
     fn current_scaled(&self, factor: f64) -> Trip {
         let last = self.history.last().and_then(|last| last.current_a);
         let current = last.unwrap_or(0.0);
-        let kind = if factor < 0.0 {
-            TripKind::CurrentReversed
-        } else {
-            TripKind::CurrentImplausible
-        };
+        let kind =
+            if factor < 0.0 { TripKind::CurrentReversed } else { TripKind::CurrentImplausible };
         let what = format!(
             "the measured current reads {factor:.2} times what voltage and acceleration ask for, 0.5 to 2 is allowed; now it is {current:.2} A; {CHECK_CURRENT}"
         );

@@ -171,11 +171,8 @@ impl Search<'_> {
                             "stop taken but not confirmed: this drive does not tell whether its output is off, see that the shaft stands still",
                         )
                     };
-                    let fault = if state == Some(DriveState::Fault) {
-                        "; it is in fault"
-                    } else {
-                        ""
-                    };
+                    let fault =
+                        if state == Some(DriveState::Fault) { "; it is in fault" } else { "" };
                     let text = format!(
                         "the same drive is back, zero reference and stop sent, {how}; nothing is armed{fault}"
                     );

@@ -347,14 +347,10 @@ impl Runner<'_> {
         let Some(stop) = stop else { return };
         let event = Event::new(now_s + self.end.drive_minus_host_s, None, "stop");
         let detail = serde_json::to_value(stop).unwrap_or(Value::Null);
-        self.recorder
-            .event(event.with("host_time_s", now_s).with("stop", detail));
+        self.recorder.event(event.with("host_time_s", now_s).with("stop", detail));
         // One that was not confirmed has been told of with the link's last word.
         if *outcome != Outcome::Done && stop.confirmed_after_ms.is_some() {
-            self.act_on_notice(Notice {
-                level: Level::Info,
-                text: stop.sentence(),
-            });
+            self.act_on_notice(Notice { level: Level::Info, text: stop.sentence() });
         }
     }
 
@@ -399,10 +395,7 @@ impl Runner<'_> {
     /// Whether the shaft, or the current that brakes it, has not come to rest after what was before this run.
     fn still_moves(&self) -> bool {
         let guard = self.session.guard();
-        let rest = self
-            .session
-            .last_sample()
-            .map(|sample| guard.check_rest(sample));
+        let rest = self.session.last_sample().map(|sample| guard.check_rest(sample));
         let may_change = RestError::may_change;
         rest.is_some_and(|rest| rest.is_err_and(|error| may_change(&error)))
     }
@@ -521,12 +514,7 @@ impl Runner<'_> {
         } else {
             self.watch.rest();
         }
-        for News {
-            event,
-            figure,
-            notice,
-        } in news
-        {
+        for News { event, figure, notice } in news {
             let is_rate = event.starts_with("rate");
             let key = if is_rate { "achieved_hz" } else { "frames" };
             if event == FOREIGN_WRITES {
@@ -534,8 +522,7 @@ impl Runner<'_> {
                 self.inputs.push_back(master);
             }
             let event = Event::new(now_s + self.end.drive_minus_host_s, None, event);
-            self.recorder
-                .event(event.with("host_time_s", now_s).with(key, figure));
+            self.recorder.event(event.with("host_time_s", now_s).with(key, figure));
             self.act_on_notice(notice);
         }
     }
@@ -587,10 +574,7 @@ impl Runner<'_> {
     }
 
     fn warn(&mut self, text: String) {
-        self.act_on_notice(Notice {
-            level: Level::Warning,
-            text,
-        });
+        self.act_on_notice(Notice { level: Level::Warning, text });
     }
 
     fn act_on_notice(&mut self, notice: Notice) {

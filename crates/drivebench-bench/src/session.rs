@@ -100,10 +100,7 @@ impl Session {
     /// Keeps the order of a load's brake: torque, then release; rest, then the brake, then the output off.
     #[must_use]
     pub fn with_brake(mut self, brake: Option<Brake>) -> Self {
-        self.brake = brake.map(|brake| BrakeOrder {
-            brake,
-            motion: None,
-        });
+        self.brake = brake.map(|brake| BrakeOrder { brake, motion: None });
         self
     }
 
@@ -307,11 +304,7 @@ impl Session {
             }
             _ => {}
         }
-        if let State::Stopping {
-            since_s,
-            requested_s,
-            ..
-        } = self.state
+        if let State::Stopping { since_s, requested_s, .. } = self.state
             && !self.drive.repeats_stop(self.now_s, since_s, requested_s)
         {
             return;
@@ -383,17 +376,11 @@ impl Session {
     fn send(&mut self, wanted: Demand) -> Command {
         let shaped = self.guard.shape(self.now_s, wanted);
         // The guard answers `Stop` to everything after a trip; in the final phases reading is all that is left to do.
-        let demand = if self.phase().is_final() && !wanted.energises() {
-            wanted
-        } else {
-            shaped.demand
-        };
+        let demand =
+            if self.phase().is_final() && !wanted.energises() { wanted } else { shaped.demand };
         self.note_shaping(wanted, demand, shaped.causes);
         self.seq += 1;
-        let command = Command {
-            seq: self.seq,
-            demand,
-        };
+        let command = Command { seq: self.seq, demand };
         if let (State::Stopping { requested_s, .. }, Demand::Stop) = (&mut self.state, demand) {
             *requested_s = Some(self.now_s);
         }
@@ -492,8 +479,7 @@ impl Session {
 
     fn is_at_rest(&self) -> bool {
         let rest_rad_s = self.guard.rest_rad_s();
-        self.speed_rad_s()
-            .is_some_and(|speed| speed.abs() <= rest_rad_s)
+        self.speed_rad_s().is_some_and(|speed| speed.abs() <= rest_rad_s)
     }
 
     fn is_ramped_down(&self, since_s: f64) -> bool {
@@ -555,11 +541,9 @@ impl Session {
         let rest = self.guard.check_rest(sample);
         rest.map_err(|error| format!("cannot start: {error}"))?;
         let needs_angle = self.guard.limits().travel_rad.is_some();
-        for (channel, needed) in [
-            (Channel::Current, true),
-            (Channel::Speed, true),
-            (Channel::Angle, needs_angle),
-        ] {
+        for (channel, needed) in
+            [(Channel::Current, true), (Channel::Speed, true), (Channel::Angle, needs_angle)]
+        {
             if needed && !self.guard.has_seen(channel) {
                 return Err(format!(
                     "cannot start: the drive gives no {}, so its limit cannot be watched",
@@ -621,10 +605,7 @@ impl Session {
             return;
         }
         self.guard.begin_stop(self.now_s);
-        self.enter(State::RampDown {
-            since_s: self.now_s,
-            ending,
-        });
+        self.enter(State::RampDown { since_s: self.now_s, ending });
     }
 
     fn trip(&mut self, trip: &Trip) {
@@ -637,10 +618,7 @@ impl Session {
         let new = match &self.state {
             _ if trip.kind.is_link() => self.ending_by_loss(&trip.reason),
             // The first cause of the stop stays its reason, whatever is found while it stops.
-            State::Stopping {
-                ending: ending @ Outcome::LinkLost { .. },
-                ..
-            } => ending.clone(),
+            State::Stopping { ending: ending @ Outcome::LinkLost { .. }, .. } => ending.clone(),
             _ => Outcome::Tripped(trip.clone()),
         };
         // A drive that gives no sample while it has to stop gets no more time for it.
@@ -654,9 +632,7 @@ impl Session {
     /// A lost link is how the session ends, unless a trip or a person had ended it before.
     fn ending_by_loss(&self, reason: &str) -> Outcome {
         match self.ending() {
-            None | Some(Outcome::Done) => Outcome::LinkLost {
-                reason: reason.to_owned(),
-            },
+            None | Some(Outcome::Done) => Outcome::LinkLost { reason: reason.to_owned() },
             Some(ending) => ending.clone(),
         }
     }
@@ -694,11 +670,7 @@ impl Session {
         if is_confirmed && !reports_stop {
             self.notice(Level::Warning, UNREPORTED);
         }
-        self.enter(State::Over {
-            phase: outcome.phase(),
-            is_confirmed,
-            ending,
-        });
+        self.enter(State::Over { phase: outcome.phase(), is_confirmed, ending });
         self.event(
             "finished",
             json!({ "outcome": outcome.name(), "stop_confirmed": is_confirmed && reports_stop }),
@@ -715,10 +687,8 @@ impl Session {
             } else {
                 UNREPORTED
             };
-            return (self.state.confirmed() == Some(false)).then(|| Notice {
-                level: Level::Warning,
-                text: text.to_owned(),
-            });
+            return (self.state.confirmed() == Some(false))
+                .then(|| Notice { level: Level::Warning, text: text.to_owned() });
         };
         // A drive that had reported its stop may have been switched on by what was under way.
         let answer = match error {

@@ -28,11 +28,7 @@ pub enum Target {
 
 impl Target {
     pub const fn of(identity: &Identity) -> Self {
-        if identity.is_emulator {
-            Self::Sim
-        } else {
-            Self::Hardware
-        }
+        if identity.is_emulator { Self::Sim } else { Self::Hardware }
     }
 
     pub const fn name(self) -> &'static str {
@@ -120,19 +116,13 @@ pub struct SnapshotCell {
 impl SnapshotCell {
     /// A cell that passes on every notice as well.
     pub fn heard_by(listener: Sender<Notice>) -> Self {
-        Self {
-            listener: Some(listener),
-            ..Self::default()
-        }
+        Self { listener: Some(listener), ..Self::default() }
     }
 
     /// The same cell for somebody who only looks.
     #[must_use]
     pub fn unheard(&self) -> Self {
-        Self {
-            latest: Arc::clone(&self.latest),
-            listener: None,
-        }
+        Self { latest: Arc::clone(&self.latest), listener: None }
     }
 
     /// Whoever listens hears it.
@@ -188,9 +178,7 @@ impl Publisher {
         if self.points.len() == POINTS {
             self.points.pop_front();
         }
-        let applied = sample
-            .applied
-            .map_or(sample.time_s, |applied| applied.time_s);
+        let applied = sample.applied.map_or(sample.time_s, |applied| applied.time_s);
         let command_v = match demand {
             Demand::Voltage(volts) => volts,
             _ => f64::NAN,

@@ -37,9 +37,7 @@ pub struct Stop {
 impl Stop {
     /// In a few words: what for, when, and how soon the drive said that its output is zero.
     pub fn short(&self) -> String {
-        let at = self
-            .at_s
-            .map_or_else(String::new, |at_s| format!(" at {at_s:.2} s"));
+        let at = self.at_s.map_or_else(String::new, |at_s| format!(" at {at_s:.2} s"));
         let cause = &self.cause;
         match self.confirmed_after_ms {
             Some(ms) => format!("stopped: {cause}{at}, zero confirmed after {ms:.0} ms"),
@@ -49,9 +47,8 @@ impl Stop {
 
     /// One line: for a card, a screen and a page.
     pub fn sentence(&self) -> String {
-        let after_ramp = self
-            .ramp_ms
-            .map_or_else(String::new, |ms| format!(" and a ramp of {ms:.0} ms"));
+        let after_ramp =
+            self.ramp_ms.map_or_else(String::new, |ms| format!(" and a ramp of {ms:.0} ms"));
         let cause = format!("{}{after_ramp}", self.cause);
         let attempts = match self.attempts {
             1 => "1 attempt".to_owned(),
@@ -146,12 +143,9 @@ impl StopWatch {
     pub(super) fn answered<T>(&mut self, answer: &Result<T, LinkError>) {
         match answer {
             Ok(_) => self.last_refusal = None,
-            Err(LinkError::Exception {
-                request,
-                code,
-                name,
-                ..
-            }) => self.last_refusal = Some(format!("exception {code:#04x} {name} to {request}")),
+            Err(LinkError::Exception { request, code, name, .. }) => {
+                self.last_refusal = Some(format!("exception {code:#04x} {name} to {request}"))
+            }
             Err(_) => {}
         }
     }
@@ -232,10 +226,7 @@ mod tests {
         watch.asked(5.1, true);
         let stop = watch.stop(Some(0.2)).unwrap();
         assert_eq!(stop.attempts, 2);
-        assert_eq!(
-            stop.short(),
-            "stopped: over-current at 5.00 s, zero confirmed after 25 ms"
-        );
+        assert_eq!(stop.short(), "stopped: over-current at 5.00 s, zero confirmed after 25 ms");
         assert_eq!(
             stop.sentence(),
             "stop sent 10.0 ms after over-current, confirmed after 25.0 ms (2 attempts)"
@@ -266,10 +257,7 @@ mod tests {
         watch.asked(1.5, false);
         let stop = watch.stop(None).unwrap();
         assert_eq!((stop.ramp_ms, stop.sent_after_ms), (Some(500.0), None));
-        has(
-            stop.sentence(),
-            "after the end and a ramp of 500 ms no request",
-        );
+        has(stop.sentence(), "after the end and a ramp of 500 ms no request");
         has(stop.sentence(), "no watchdog is known");
         assert_eq!(watch.last_seconds(), None);
     }

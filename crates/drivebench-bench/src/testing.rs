@@ -229,10 +229,8 @@ impl DriveLink for ScriptedDrive {
             .with(Channel::Angle, self.angle_rad);
         sample.seq = Some(command.seq);
         sample.state = Some(self.state);
-        sample.applied = Some(Applied {
-            seq: command.seq,
-            time_s: self.time_s - 0.3 * self.period_s,
-        });
+        sample.applied =
+            Some(Applied { seq: command.seq, time_s: self.time_s - 0.3 * self.period_s });
         for fault in faults {
             match fault {
                 Fault::Set(channel, value) => sample.set(channel, value),
@@ -299,11 +297,7 @@ pub(super) fn refusal(link: String, code: u8) -> LinkError {
 }
 
 pub(super) fn timeout(link: LinkName, request: &str) -> LinkError {
-    LinkError::Timeout {
-        link: link.0,
-        deadline_ms: 5,
-        request: request.to_owned(),
-    }
+    LinkError::Timeout { link: link.0, deadline_ms: 5, request: request.to_owned() }
 }
 
 /// What happens to exchanges on their way.
@@ -369,11 +363,7 @@ impl Stalls {
     /// None most of the time.
     fn length_s(self, dice: &mut ChaCha8Rng) -> f64 {
         let mut uniform = || f64::from(dice.next_u32()) / f64::from(u32::MAX);
-        if uniform() < self.share {
-            self.longest_s * uniform()
-        } else {
-            0.0
-        }
+        if uniform() < self.share { self.longest_s * uniform() } else { 0.0 }
     }
 
     /// A laptop that stands still now and then, with a drive in memory that for a while answers nothing.
@@ -434,10 +424,7 @@ impl<F: FnMut(f64) -> f64 + Send> Clock for LateClock<F> {
 
 /// The emulator without tolerance, so that its motor is the nameplate's.
 pub(super) fn exact(name: &str) -> EmulatorConfig {
-    EmulatorConfig {
-        tolerance: 0.0,
-        ..EmulatorConfig::embedded(name).unwrap()
-    }
+    EmulatorConfig { tolerance: 0.0, ..EmulatorConfig::embedded(name).unwrap() }
 }
 
 /// A motor that somebody could have put on the bench: R and L/R over the whole range, the rest so that it is a motor.
@@ -526,10 +513,7 @@ impl Default for Course<'_> {
 
 impl Course<'_> {
     pub(super) fn at(rate_hz: f64) -> Self {
-        Self {
-            rate_hz,
-            ..Self::default()
-        }
+        Self { rate_hz, ..Self::default() }
     }
 
     pub(super) fn run(

@@ -50,11 +50,7 @@ impl Punctuality {
         let span_s = self.last_s - self.first_s.unwrap_or(self.last_s);
         Timing {
             rate_asked_hz,
-            rate_achieved_hz: if span_s > 0.0 {
-                (self.cycles - 1) as f64 / span_s
-            } else {
-                0.0
-            },
+            rate_achieved_hz: if span_s > 0.0 { (self.cycles - 1) as f64 / span_s } else { 0.0 },
             lateness_p50_s: self.quantile_s(0.5),
             lateness_p99_s: self.quantile_s(0.99),
             lateness_max_s: self.worst_s,
@@ -71,11 +67,7 @@ impl Punctuality {
             below += count;
             if below >= rank && below > 0 {
                 let edge_s = SMALLEST_S * 10_f64.powf(bucket as f64 / PER_DECADE);
-                return if bucket == 0 {
-                    0.0
-                } else {
-                    edge_s.min(self.worst_s)
-                };
+                return if bucket == 0 { 0.0 } else { edge_s.min(self.worst_s) };
             }
         }
         0.0

@@ -119,10 +119,7 @@ impl TripKind {
 
     /// Whether it was the link that was lost (exit status 3) and not a limit that was crossed (4).
     pub const fn is_link(self) -> bool {
-        matches!(
-            self,
-            Self::LinkSilence | Self::Refused | Self::HostGap | Self::Suspended
-        )
+        matches!(self, Self::LinkSilence | Self::Refused | Self::HostGap | Self::Suspended)
     }
 }
 
@@ -146,13 +143,7 @@ impl Trip {
         (value, limit): (f64, f64),
         what: impl Display,
     ) -> Self {
-        Self {
-            kind,
-            at_s,
-            value,
-            limit,
-            reason: format!("{}: {what}", kind.name()),
-        }
+        Self { kind, at_s, value, limit, reason: format!("{}: {what}", kind.name()) }
     }
 
     /// A span of time that was too long.
@@ -201,10 +192,7 @@ impl Trip {
         let reason = format!(
             "the shaft does not come to rest: {speed_rad_s:.2} rad/s after {waited_s:.1} s of zero"
         );
-        Self {
-            reason,
-            ..Self::new(TripKind::OverSpeed, at_s, (speed_rad_s, 0.0), "")
-        }
+        Self { reason, ..Self::new(TripKind::OverSpeed, at_s, (speed_rad_s, 0.0), "") }
     }
 
     /// A drive that goes on running although its output is to be off, or of which nothing is heard meanwhile.

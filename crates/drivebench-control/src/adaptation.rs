@@ -70,20 +70,13 @@ impl Gathered {
             return None;
         }
         // One sample is its own mean, to the bit.
-        let [charge, time_s, speed] = if is_first {
-            now
-        } else {
-            self.sums.map(|sum| sum / self.length_s)
-        };
+        let [charge, time_s, speed] =
+            if is_first { now } else { self.sums.map(|sum| sum / self.length_s) };
         let from = self.from_rad_s.replace(speed);
         self.charge -= charge;
         self.time_s -= time_s;
         (self.sums, self.length_s) = ([0.0; 3], 0.0);
-        from.map(|from| Row {
-            charge,
-            time_s,
-            moved: speed - from,
-        })
+        from.map(|from| Row { charge, time_s, moved: speed - from })
     }
 }
 
@@ -171,17 +164,12 @@ impl LoadEstimator {
         };
         let regressor = [row.charge, -speed.signum() * row.time_s];
         let moved = row.moved;
-        let noise = RowNoise {
-            carry: 1.0,
-            continues: self.continues,
-        };
+        let noise = RowNoise { carry: 1.0, continues: self.continues };
         self.continues = true;
         if self.watches {
             self.watch(&regressor, moved);
         }
-        self.estimator
-            .update_row(&regressor, moved, noise)
-            .is_some()
+        self.estimator.update_row(&regressor, moved, noise).is_some()
     }
 
     /// Nothing is known of what was before this sample.
@@ -212,10 +200,7 @@ impl LoadEstimator {
 
     pub fn load(&self) -> Load {
         let [value, friction] = self.estimator.parameters();
-        let std = self
-            .estimator
-            .standard_deviations()
-            .map_or(f64::INFINITY, |stds| stds[0]);
+        let std = self.estimator.standard_deviations().map_or(f64::INFINITY, |stds| stds[0]);
         Load {
             acceleration_per_a: value,
             std,
@@ -259,11 +244,7 @@ mod tests {
     }
 
     fn swinging(t: f64) -> f64 {
-        if (t / 0.4).floor() % 2.0 == 0.0 {
-            4.0
-        } else {
-            -3.0
-        }
+        if (t / 0.4).floor() % 2.0 == 0.0 { 4.0 } else { -3.0 }
     }
 
     #[test]

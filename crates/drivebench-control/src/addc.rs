@@ -254,11 +254,7 @@ impl SpeedController for Addc {
         let still = self.still.map(|why| format!("stand still: {why}"));
         let state = still.unwrap_or_else(|| "follow the estimate".to_owned());
         vec![
-            format!(
-                "{}; {}",
-                gains.text(&self.pi.softened_text()),
-                self.mechanical_text()
-            ),
+            format!("{}; {}", gains.text(&self.pi.softened_text()), self.mechanical_text()),
             format!("gains {state}{}", self.electrical_text()),
         ]
     }
@@ -301,10 +297,7 @@ impl SpeedController for Addc {
             proportional: gains.proportional,
             integral_time_s: gains.integral_time_s,
             mechanical_s: load.map(|_| self.inertia_ratio() * self.model_mechanical_s),
-            electrical_s: self
-                .electrical
-                .as_ref()
-                .and_then(Electrical::time_constant_s),
+            electrical_s: self.electrical.as_ref().and_then(Electrical::time_constant_s),
             inertia_kg_m2: inertia,
             load_torque_n_m: load.zip(inertia).map(|(load, j)| load.friction_rad_s2 * j),
         })

@@ -86,10 +86,9 @@ impl Electrical {
     /// In words.
     pub(super) fn text(&self) -> String {
         match self.found {
-            Some((ratio, _)) => format!(
-                "Ta = {:.2} ms ({ratio:.2} times the model's)",
-                1e3 * ratio * self.model_s
-            ),
+            Some((ratio, _)) => {
+                format!("Ta = {:.2} ms ({ratio:.2} times the model's)", 1e3 * ratio * self.model_s)
+            }
             None => format!("Ta = {:.2} ms is the model's", 1e3 * self.model_s),
         }
     }
@@ -162,9 +161,7 @@ mod tests {
     fn the_gains_at_a_ta_that_was_found_are_those_of_tuning_for_it() {
         let (model, timing, request) = (model(inertia(0.2)), timing(1.0), Request::default());
         let base = Schedule::new(&plant(inertia(0.2)), &[], &timing, &request).unwrap();
-        let mut electrical = Electrical::new(&model, 0.0, &[], &timing, &request)
-            .unwrap()
-            .unwrap();
+        let mut electrical = Electrical::new(&model, 0.0, &[], &timing, &request).unwrap().unwrap();
         let at = |electrical: &Electrical, ratio| {
             electrical.at(base.within(ratio, ratio), ratio, ratio).gains
         };
@@ -178,11 +175,7 @@ mod tests {
             let exact = crate::tuning::tune(&exact, &timing, &request).unwrap();
             let found = at(&electrical, ratio);
             assert_close(found.proportional / exact.gains.proportional, 1.0, 0.06);
-            assert_close(
-                found.integral_time_s / exact.gains.integral_time_s,
-                1.0,
-                0.06,
-            );
+            assert_close(found.integral_time_s / exact.gains.integral_time_s, 1.0, 0.06);
         }
     }
 
@@ -209,19 +202,12 @@ mod tests {
         };
         let course = Course {
             reference_rad_s: &|t| {
-                if (t / 0.5).floor() % 2.0 == 0.0 {
-                    90.0
-                } else {
-                    100.0
-                }
+                if (t / 0.5).floor() % 2.0 == 0.0 { 90.0 } else { 100.0 }
             },
             inertia_kg_m2: &|_| inertia(0.2),
             load_n_m: &|_| 0.0,
         };
-        let limiter = Limiter {
-            output: 110.0,
-            current: None,
-        };
+        let limiter = Limiter { output: 110.0, current: None };
         // What is given forward is part of the voltage that the winding has.
         let forward = FeedForward::new(&model, &[], Actuator::Voltage, &timing, 1e3).unwrap();
         let mut compensated = Compensated::new(Box::new(addc.clone()), forward);

@@ -84,11 +84,7 @@ impl Winding {
 
     /// The drive's own loop holds it: the mean over the period is the command.
     const fn behind_current(period_s: f64) -> Self {
-        Self {
-            left: 0.0,
-            lead: 1.0,
-            ahead_s: 0.5 * period_s,
-        }
+        Self { left: 0.0, lead: 1.0, ahead_s: 0.5 * period_s }
     }
 }
 
@@ -104,11 +100,7 @@ pub struct Motion {
 impl Motion {
     /// Without acceleration.
     pub const fn steady(speed_rad_s: f64, angle_rad: Option<f64>) -> Self {
-        Self {
-            speed_rad_s,
-            acceleration_rad_s2: 0.0,
-            angle_rad,
-        }
+        Self { speed_rad_s, acceleration_rad_s2: 0.0, angle_rad }
     }
 }
 
@@ -174,19 +166,14 @@ impl FeedForward {
             let when = while_measured(torque == MappedTorque::Cogging);
             format!(", the measured {name} in {known} of {bins} bins{when}")
         };
-        let names: String = (self.effects.iter().map(name))
-            .chain(self.maps.iter().map(map))
-            .collect();
+        let names: String =
+            (self.effects.iter().map(name)).chain(self.maps.iter().map(map)).collect();
         let motion = match (is_planned, self.actuator) {
             (false, _) => "",
             (true, Actuator::Voltage) => ", back-EMF and acceleration of the reference",
             (true, _) => ", acceleration of the reference",
         };
-        let verb = if names.is_empty() && motion.is_empty() {
-            "is"
-        } else {
-            "are"
-        };
+        let verb = if names.is_empty() && motion.is_empty() { "is" } else { "are" };
         let ahead_ms = 1e3 * self.ahead_s();
         format!(
             "Coulomb friction{names}{motion} {verb} given forward, {ahead_ms:.1} ms ahead of the sample"
@@ -200,11 +187,7 @@ impl FeedForward {
 
     /// The current that a motion takes, A, and the voltage that effects drop there.
     fn cost(&self, motion: &Motion) -> (f64, f64) {
-        let Motion {
-            speed_rad_s,
-            acceleration_rad_s2,
-            angle_rad,
-        } = *motion;
+        let Motion { speed_rad_s, acceleration_rad_s2, angle_rad } = *motion;
         // The mean over a period in which the speed passes zero.
         let turn_rad_s = 0.5 * self.period_s * acceleration_rad_s2.abs();
         let sign = (speed_rad_s / turn_rad_s.max(SIGN_SPEED_RAD_S)).clamp(-1.0, 1.0);
@@ -241,9 +224,8 @@ impl FeedForward {
             + self.inertia_kg_m2 * acceleration_rad_s2;
         let here = at(motion_n_m * self.amperes_per_torque);
         let sums = given().map(|effect| effect.terms.sums(&here, &[]));
-        let torque_n_m = sums.fold(motion_n_m, |torque, sums| {
-            torque + sums.torque_n_m + sums.friction_n_m * sign
-        });
+        let torque_n_m = sums
+            .fold(motion_n_m, |torque, sums| torque + sums.torque_n_m + sums.friction_n_m * sign);
         let current_a = torque_n_m * self.amperes_per_torque;
         // The current that this torque takes is the one at which a voltage drop is counted.
         let here = at(current_a);
@@ -332,11 +314,8 @@ impl Compensated {
 
     fn extend_plan(&mut self, reference_rad_s: f64) {
         let target = self.foreseen_rad_s.take().unwrap_or(reference_rad_s);
-        let next = if self.is_planned {
-            self.forward.towards(self.plan[0], target)
-        } else {
-            target
-        };
+        let next =
+            if self.is_planned { self.forward.towards(self.plan[0], target) } else { target };
         self.plan.truncate(KEPT);
         self.plan.push_front(next);
     }
@@ -389,11 +368,8 @@ impl SpeedController for Compensated {
     fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64 {
         self.extend_plan(reference_rad_s);
         self.give(now);
-        let reference = if self.is_planned {
-            self.planned(self.shown_before_s())
-        } else {
-            reference_rad_s
-        };
+        let reference =
+            if self.is_planned { self.planned(self.shown_before_s()) } else { reference_rad_s };
         self.wanted = self.given + self.inner.step(reference, now, period_s);
         self.wanted
     }
@@ -457,11 +433,7 @@ mod tests {
     };
     use drivebench_model::plant::{MapBin, MappedValue, Motor};
 
-    const TIMING: LoopTiming = LoopTiming {
-        period_s: 0.01,
-        delay_s: 0.02,
-        filter_s: 0.0,
-    };
+    const TIMING: LoopTiming = LoopTiming { period_s: 0.01, delay_s: 0.02, filter_s: 0.0 };
     const LIMIT_A: f64 = 10.0;
 
     fn model(id: &str, values: &[f64]) -> Model {
@@ -497,11 +469,7 @@ mod tests {
     fn an_acceleration_costs_the_torque_of_the_inertia_and_friction_turns_over_with_the_speed() {
         let plain = forward(&Model::baseline(Motor::zk_22fc()), Actuator::Current);
         let current_a = |speed_rad_s| {
-            plain.output(&Motion {
-                speed_rad_s,
-                acceleration_rad_s2: 100.0,
-                angle_rad: None,
-            })
+            plain.output(&Motion { speed_rad_s, acceleration_rad_s2: 100.0, angle_rad: None })
         };
         assert_close(current_a(20.0), (0.455 + 0.45) / 0.3538, 1e-9);
         assert_close(current_a(-20.0), (0.45 - 0.455) / 0.3538, 1e-9);
@@ -542,10 +510,7 @@ mod tests {
         ] {
             let left_out = voltage(id, values);
             let said = left_out.sentence(false);
-            assert!(
-                said.starts_with("Coulomb friction is given forward, "),
-                "{said}"
-            );
+            assert!(said.starts_with("Coulomb friction is given forward, "), "{said}");
             assert_close(at(&left_out, 200.0, Some(1.0)), friction, 1e-9);
         }
         let mut unknown = model("quadratic_load", &[2e-6]);
@@ -579,10 +544,7 @@ mod tests {
                 }),
             }
         };
-        TorqueMap {
-            torque,
-            bins: (0..count).map(bin).collect(),
-        }
+        TorqueMap { torque, bins: (0..count).map(bin).collect() }
     }
 
     #[test]
@@ -591,14 +553,9 @@ mod tests {
         let friction =
             |speed: f64| (speed.abs() < 50.0).then(|| 0.3 * speed.signum() + 0.002 * speed);
         let cogging = |angle: f64| Some(0.1 * (7.0 * angle).cos());
-        let maps = [
-            map(MappedTorque::Friction, friction),
-            map(MappedTorque::Cogging, cogging),
-        ];
+        let maps = [map(MappedTorque::Friction, friction), map(MappedTorque::Cogging, cogging)];
         let mut given = model("quadratic_load", &[2e-6]);
-        let other = Model::baseline(Motor::zk_22fc())
-            .with_effect("cogging")
-            .unwrap();
+        let other = Model::baseline(Motor::zk_22fc()).with_effect("cogging").unwrap();
         given.effects.extend(other.effects);
         given.effects[1].values = vec![Some(0.0), Some(0.5), Some(3.0)];
         let forward = FeedForward::new(&given, &maps, Actuator::Current, &TIMING, LIMIT_A).unwrap();
@@ -616,10 +573,7 @@ mod tests {
         // Half way up the change of sign: half the friction of the slowest bin.
         assert_close(torque(0.05, None), 0.5 * own(2.5), 1e-9);
         let said = forward.sentence(false);
-        assert!(
-            said.contains("the measured friction in 20 of 40 bins"),
-            "{said}"
-        );
+        assert!(said.contains("the measured friction in 20 of 40 bins"), "{said}");
     }
 
     /// Records what it is asked and gives nothing: what is fed forward is all that moves the motor.
@@ -694,11 +648,8 @@ mod tests {
             speed_noise_rad_s: 0.0,
             current_noise_a: 0.0,
         };
-        let course = Course {
-            reference_rad_s: reference,
-            inertia_kg_m2: &|_| 0.0045,
-            load_n_m: &|_| 0.0,
-        };
+        let course =
+            Course { reference_rad_s: reference, inertia_kg_m2: &|_| 0.0045, load_n_m: &|_| 0.0 };
         let limiter = Limiter {
             output: 110.0,
             current: Some(CurrentLimit {
@@ -720,27 +671,18 @@ mod tests {
     /// Up to 20 rad/s, back and forth between 20 and -20 in 0.4 s.
     fn reversals(time_s: f64) -> f64 {
         let phase = ((time_s - 0.2) / 0.4).rem_euclid(2.0);
-        if time_s < 0.0 {
-            0.0
-        } else {
-            40.0 * (phase - 1.0).abs() - 20.0
-        }
+        if time_s < 0.0 { 0.0 } else { 40.0 * (phase - 1.0).abs() - 20.0 }
     }
 
     fn rms(trace: &[TrialPoint]) -> f64 {
-        let squares = trace
-            .iter()
-            .map(|p| (p.reference_rad_s - p.speed_rad_s).powi(2));
+        let squares = trace.iter().map(|p| (p.reference_rad_s - p.speed_rad_s).powi(2));
         (squares.sum::<f64>() / trace.len() as f64).sqrt()
     }
 
     #[test]
     fn what_is_given_forward_alone_reverses_a_known_motor_without_lag_over_a_line_with_delay() {
         let asked = std::sync::Arc::new(std::sync::Mutex::new(Vec::new()));
-        let still = Still {
-            plans: true,
-            asked: asked.clone(),
-        };
+        let still = Still { plans: true, asked: asked.clone() };
         let trace = followed(still, &reversals, 200);
         // A speed that is 10 ms late would be 1 rad/s off.
         assert!(rms(&trace[40..]) < 0.6, "{}", rms(&trace[40..]));
@@ -761,10 +703,7 @@ mod tests {
         let pi = Pi::new(gains, AntiWindup::Hold, Holding::default());
         let step = |time_s: f64| if time_s < 0.5 { 0.0 } else { 100.0 };
         let trace = followed(pi, &step, 120);
-        let most = trace
-            .iter()
-            .map(|point| point.speed_rad_s)
-            .fold(0.0, f64::max);
+        let most = trace.iter().map(|point| point.speed_rad_s).fold(0.0, f64::max);
         assert!(most < 104.0, "{most}");
         let settled = &trace[100..];
         assert!(rms(settled) < 0.5, "{}", rms(settled));
@@ -774,10 +713,7 @@ mod tests {
     #[test]
     fn a_controller_with_a_model_of_its_own_keeps_its_reference_and_is_given_friction_only() {
         let asked = std::sync::Arc::new(std::sync::Mutex::new(Vec::new()));
-        let still = Still {
-            plans: false,
-            asked: asked.clone(),
-        };
+        let still = Still { plans: false, asked: asked.clone() };
         let plain = forward(&Model::baseline(Motor::zk_22fc()), Actuator::Voltage);
         let mut compensated = Compensated::new(Box::new(still), plain);
         let friction_v = 1.1 / 0.3538 * 0.455;

@@ -77,12 +77,7 @@ pub struct Measured {
 
 impl Measured {
     pub const fn at(speed_rad_s: f64) -> Self {
-        Self {
-            speed_rad_s,
-            current_a: None,
-            angle_rad: None,
-            limited: false,
-        }
+        Self { speed_rad_s, current_a: None, angle_rad: None, limited: false }
     }
 }
 

@@ -41,11 +41,7 @@ const ROUNDING: f64 = 1e-9;
 /// Sign of the limit between what was wanted and what was given: +1 where more was wanted; zero where nothing was cut.
 pub(super) fn limited(wanted: f64, given: f64) -> f64 {
     let short = wanted - given;
-    if short.abs() > ROUNDING * wanted.abs().max(1.0) {
-        short.signum()
-    } else {
-        0.0
-    }
+    if short.abs() > ROUNDING * wanted.abs().max(1.0) { short.signum() } else { 0.0 }
 }
 
 #[cfg(test)]

@@ -45,22 +45,13 @@ pub struct Dominant {
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum PlantError {
     #[error("{key} is missing in the model (needed for a speed loop over {actuator})")]
-    Missing {
-        key: &'static str,
-        actuator: &'static str,
-    },
+    Missing { key: &'static str, actuator: &'static str },
     #[error("{key} = {value} is not physical (allowed: a finite value above 0)")]
     NotPhysical { key: &'static str, value: f64 },
     #[error("{VISCOUS} = {0} is not physical: it drives the shaft (allowed: 0 or more)")]
     Drives(f64),
     #[error("{effect}.{key} = {value} is not physical (allowed: {low} to {high})")]
-    Outside {
-        effect: &'static str,
-        key: &'static str,
-        value: f64,
-        low: f64,
-        high: f64,
-    },
+    Outside { effect: &'static str, key: &'static str, value: f64, low: f64, high: f64 },
 }
 
 impl PlantError {
@@ -86,16 +77,10 @@ pub fn viscous_n_m_s_per_rad(model: &Model, actuator: Actuator) -> Result<f64, P
     let Some(effect) = effects.find(|effect| effect.id() == TermKind::Drag.id()) else {
         return Ok(0.0);
     };
-    let missing = PlantError::Missing {
-        key: VISCOUS,
-        actuator: actuator.name(),
-    };
+    let missing = PlantError::Missing { key: VISCOUS, actuator: actuator.name() };
     let slope = effect.values.first().copied().flatten().ok_or(missing)?;
     if !slope.is_finite() {
-        return Err(PlantError::NotPhysical {
-            key: VISCOUS,
-            value: slope,
-        });
+        return Err(PlantError::NotPhysical { key: VISCOUS, value: slope });
     }
     if slope < 0.0 {
         return Err(PlantError::Drives(slope));
@@ -217,10 +202,7 @@ impl LinearPlant {
     /// The same on a rigid shaft.
     #[must_use]
     pub const fn rigid(&self) -> Self {
-        Self {
-            coupling: None,
-            ..*self
-        }
+        Self { coupling: None, ..*self }
     }
 
     /// `A` and `b` of the rigid shaft.
@@ -284,8 +266,7 @@ impl LinearPlant {
     /// Sum of the time constants of the denominator and their product: `1 + sum s + product s^2` over the gain.
     pub fn denominator(&self) -> Option<(f64, f64)> {
         let determinant = self.a.determinant();
-        self.gain()
-            .map(|_| (-self.a.trace() / determinant, 1.0 / determinant))
+        self.gain().map(|_| (-self.a.trace() / determinant, 1.0 / determinant))
     }
 
     /// `(Phi, Gamma)` over `time_s` with the input held: `x(t) = Phi x(0) + Gamma u`.
@@ -293,12 +274,8 @@ impl LinearPlant {
         let (a, b) = self.whole();
         // exp([[A, b], [0, 0]] t) holds both (Van Loan 1978).
         let mut joint = SMatrix::<f64, { STATES + 1 }, { STATES + 1 }>::zeros();
-        joint
-            .fixed_view_mut::<STATES, STATES>(0, 0)
-            .copy_from(&(a * time_s));
-        joint
-            .fixed_view_mut::<STATES, 1>(0, STATES)
-            .copy_from(&(b * time_s));
+        joint.fixed_view_mut::<STATES, STATES>(0, 0).copy_from(&(a * time_s));
+        joint.fixed_view_mut::<STATES, 1>(0, STATES).copy_from(&(b * time_s));
         let grown = joint.exp();
         (
             grown.fixed_view::<STATES, STATES>(0, 0).into_owned(),
@@ -313,10 +290,7 @@ fn coupling(model: &Model, actuator: Actuator) -> Result<Option<Coupling>, Plant
         let guessed = active.effect.terms(&active.values_or_guess()).coupling();
         let Some(coupling) = guessed else { continue };
         for (spec, value) in active.effect.parameters().iter().zip(&active.values) {
-            let missing = PlantError::Missing {
-                key: spec.key,
-                actuator: actuator.name(),
-            };
+            let missing = PlantError::Missing { key: spec.key, actuator: actuator.name() };
             let value = value.ok_or(missing)?;
             if !(spec.min..=spec.max).contains(&value) {
                 return Err(PlantError::Outside {
@@ -344,18 +318,13 @@ fn positive(model: &Model, key: MotorKey, actuator: Actuator) -> Result<f64, Pla
 
 fn given(key: MotorKey, value: Option<f64>, actuator: Actuator) -> Result<f64, PlantError> {
     let key = key.key();
-    let missing = PlantError::Missing {
-        key,
-        actuator: actuator.name(),
-    };
+    let missing = PlantError::Missing { key, actuator: actuator.name() };
     checked(key, value.ok_or(missing)?)
 }
 
 fn checked(key: &'static str, value: f64) -> Result<f64, PlantError> {
     let physical = value.is_finite() && value > 0.0;
-    physical
-        .then_some(value)
-        .ok_or(PlantError::NotPhysical { key, value })
+    physical.then_some(value).ok_or(PlantError::NotPhysical { key, value })
 }
 
 #[cfg(test)]
@@ -398,16 +367,11 @@ mod tests {
         let mut model = Model::baseline(Motor::zk_22fc());
         assert_eq!(slope(&model), Ok(0.0));
         model = model.with_effect("viscous_friction").unwrap();
-        let missing = PlantError::Missing {
-            key: VISCOUS,
-            actuator: Actuator::Voltage.name(),
-        };
+        let missing = PlantError::Missing { key: VISCOUS, actuator: Actuator::Voltage.name() };
         assert_eq!(slope(&model), Err(missing));
-        for (value, expected) in [
-            (2e-4, Ok(2e-4)),
-            (0.0, Ok(0.0)),
-            (-1e-6, Err(PlantError::Drives(-1e-6))),
-        ] {
+        for (value, expected) in
+            [(2e-4, Ok(2e-4)), (0.0, Ok(0.0)), (-1e-6, Err(PlantError::Drives(-1e-6)))]
+        {
             model.effects[0].values[0] = Some(value);
             assert_eq!(slope(&model), expected);
         }
@@ -502,10 +466,7 @@ mod tests {
         motor.clear(MotorKey::Inductance);
         assert!(matches!(
             LinearPlant::voltage(&Model::baseline(motor), 0.0),
-            Err(PlantError::Missing {
-                key: "inductance_h",
-                ..
-            })
+            Err(PlantError::Missing { key: "inductance_h", .. })
         ));
     }
 }

@@ -44,9 +44,7 @@ impl PiGains {
     /// Kp, what has become of it, Tn and the notch, as a person reads them.
     pub(super) fn text(&self, softened: &str) -> String {
         let (kp, tn_s) = (self.proportional, self.integral_time_s);
-        let notch = self
-            .notch
-            .map_or_else(String::new, |notch| format!(", {}", notch.text()));
+        let notch = self.notch.map_or_else(String::new, |notch| format!(", {}", notch.text()));
         format!("Kp = {kp:.4} per rad/s{softened}, Tn = {tn_s:.4} s{notch}")
     }
 }
@@ -155,10 +153,7 @@ impl LoopShape {
     /// The same plant under other gains: what is known of it stays known.
     #[must_use]
     pub fn with_gains(&self, gains: &PiGains) -> Self {
-        Self {
-            gains: *gains,
-            ..self.clone()
-        }
+        Self { gains: *gains, ..self.clone() }
     }
 
     fn rest(&self) -> Memory {
@@ -239,13 +234,8 @@ impl LoopShape {
         let order = [0, 2, 3];
         for (step, column) in order.into_iter().filter(|n| *n < size).enumerate() {
             let of = |row: &[Complex<f64>; STATES + 1]| row[column].norm_sqr();
-            let pivot = (step..size).fold(step, |best, n| {
-                if of(&rows[n]) > of(&rows[best]) {
-                    n
-                } else {
-                    best
-                }
-            });
+            let pivot = (step..size)
+                .fold(step, |best, n| if of(&rows[n]) > of(&rows[best]) { n } else { best });
             rows.swap(step, pivot);
             let (done, rest) = rows.split_at_mut(step + 1);
             let lead = &done[step];
@@ -265,11 +255,7 @@ impl LoopShape {
         let push = std::array::from_fn(|n| back * self.older[n] + self.newer[n]);
         let late = back.powu(u32::try_from(self.whole).unwrap_or(u32::MAX));
         let filter = self.filter_share / (1.0 - (1.0 - self.filter_share) * back);
-        Seen {
-            frequency_rad_s,
-            back,
-            plant: late * self.speed(z, &SVector::from(push)) * filter,
-        }
+        Seen { frequency_rad_s, back, plant: late * self.speed(z, &SVector::from(push)) * filter }
     }
 
     /// Open loop, regulator included, of what is seen at a frequency.
@@ -328,11 +314,7 @@ impl LoopShape {
             |open: Complex<f64>| (open / (1.0 + open)).norm() - std::f64::consts::FRAC_1_SQRT_2;
         let on_axis = |open: Complex<f64>| {
             let growth = 1.0 / open.norm();
-            if is_stable {
-                growth.max(open.norm())
-            } else {
-                growth
-            }
+            if is_stable { growth.max(open.norm()) } else { growth }
         };
         let mut before = Complex::new(f64::NAN, f64::NAN);
         let mut low = f64::NAN;
@@ -406,11 +388,7 @@ impl LoopShape {
 
 /// Share of the way that a first-order lag goes in a period; all of it without one.
 pub(super) fn lag_share(period_s: f64, lag_s: f64) -> f64 {
-    if lag_s > 0.0 {
-        -(-period_s / lag_s).exp_m1()
-    } else {
-        1.0
-    }
+    if lag_s > 0.0 { -(-period_s / lag_s).exp_m1() } else { 1.0 }
 }
 
 /// Between -180 and 180 degrees.
@@ -430,12 +408,8 @@ mod tests {
     use crate::testing::{assert_close, elastic, slow_machine, timing};
 
     fn shape(cycles: f64, proportional: f64) -> LoopShape {
-        let gains = PiGains {
-            proportional,
-            integral_time_s: 0.19,
-            reference_filter_s: 0.0,
-            notch: None,
-        };
+        let gains =
+            PiGains { proportional, integral_time_s: 0.19, reference_filter_s: 0.0, notch: None };
         LoopShape::new(&slow_machine(), &timing(cycles), &gains)
     }
 
@@ -446,10 +420,7 @@ mod tests {
         let at = |factor: f64| {
             let proportional = factor * shape.gains.proportional;
             // Kp alone: what the integral does stays the same share of it.
-            let gains = PiGains {
-                proportional,
-                ..shape.gains
-            };
+            let gains = PiGains { proportional, ..shape.gains };
             shape.with_gains(&gains).radius()
         };
         assert!(at(0.999 * margins.gain_margin) < 1.0, "{margins:?}");
@@ -470,11 +441,7 @@ mod tests {
             Actuator::Current => LinearPlant::current(&model, 0.0, 0.002),
             _ => LinearPlant::voltage(&model, 0.0),
         };
-        let quick = LoopTiming {
-            period_s: 0.002,
-            delay_s: 0.002 * cycles,
-            filter_s: 0.0,
-        };
+        let quick = LoopTiming { period_s: 0.002, delay_s: 0.002 * cycles, filter_s: 0.0 };
         let gains = PiGains {
             proportional: gains[0],
             integral_time_s: gains[1],
@@ -492,15 +459,8 @@ mod tests {
                 for (actuator, gains) in [(Voltage, [0.2, 0.026]), (Current, [0.3, 0.06])] {
                     let shape = coupled(damping_ratio, actuator, gains, cycles);
                     gain_margin_is_where_the_radius_is_one(&shape);
-                    let notch = Notch {
-                        frequency_hz: 22.0,
-                        damping_ratio: 0.2,
-                        depth: 0.1,
-                    };
-                    let gains = PiGains {
-                        notch: Some(notch),
-                        ..shape.gains
-                    };
+                    let notch = Notch { frequency_hz: 22.0, damping_ratio: 0.2, depth: 0.1 };
+                    let gains = PiGains { notch: Some(notch), ..shape.gains };
                     gain_margin_is_where_the_radius_is_one(&shape.with_gains(&gains));
                 }
             }
@@ -518,9 +478,7 @@ mod tests {
         // Lightly damped it rises above one where it swings: that crossing counts.
         let margins = coupled(0.005, Actuator::Voltage, gains, 1.0).margins();
         assert_close(margins.phase_margin_deg, 51.95, 2e-3);
-        let rigid = LinearPlant::voltage(&elastic(0.5, 0.02), 0.0)
-            .unwrap()
-            .rigid();
+        let rigid = LinearPlant::voltage(&elastic(0.5, 0.02), 0.0).unwrap().rigid();
         let whole = coupled(0.02, Actuator::Voltage, gains, 1.0);
         let rigid = LoopShape::new(&rigid, &whole.timing, &whole.gains).margins();
         assert_close(rigid.gain_margin, 11.49, 0.01);
@@ -532,10 +490,7 @@ mod tests {
         let plant = LinearPlant::current(&elastic(0.5, 0.02), 0.0, 0.002).unwrap();
         let shape = coupled(0.02, Actuator::Current, [0.5, 0.06], 1.0);
         let late = |delay_s: f64| {
-            let timing = LoopTiming {
-                delay_s: shape.timing.delay_s + delay_s,
-                ..shape.timing
-            };
+            let timing = LoopTiming { delay_s: shape.timing.delay_s + delay_s, ..shape.timing };
             LoopShape::new(&plant, &timing, &shape.gains).radius() < 1.0
         };
         let limit_s = root::halved(0.0, 0.02, 30, late);
@@ -545,9 +500,8 @@ mod tests {
             .collect();
         // The swing rises above one and falls again.
         assert_eq!(crossings.len(), 3, "{crossings:?}");
-        let turns = crossings
-            .iter()
-            .map(|w| (w, wrapped(180.0 + shape.open(*w).arg().to_degrees())));
+        let turns =
+            crossings.iter().map(|w| (w, wrapped(180.0 + shape.open(*w).arg().to_degrees())));
         let turns: Vec<_> = turns.collect();
         // A delay turns one way only, and further than half a turn if need be.
         let delays = (turns.iter()).map(|(w, turn)| turn.rem_euclid(360.0).to_radians() / **w);
@@ -584,10 +538,7 @@ mod tests {
             reference_filter_s: 0.0,
             notch: None,
         };
-        let slow = LoopTiming {
-            period_s: 0.1,
-            ..timing(0.0)
-        };
+        let slow = LoopTiming { period_s: 0.1, ..timing(0.0) };
         let margins = LoopShape::new(&slow_machine(), &slow, &gains).margins();
         assert!(margins.bandwidth_rad_s.is_infinite(), "{margins:?}");
         assert!(timing(64.0).is_valid() && !timing(65.0).is_valid());

@@ -52,11 +52,7 @@ fn limiter() -> Limiter {
 
 fn square(half_s: f64, low: f64, high: f64) -> impl Fn(f64) -> f64 {
     move |t| {
-        if (t / half_s).floor() % 2.0 == 0.0 {
-            high
-        } else {
-            low
-        }
+        if (t / half_s).floor() % 2.0 == 0.0 { high } else { low }
     }
 }
 
@@ -141,10 +137,7 @@ fn a_load_that_comes_on_is_held_without_an_error_that_stays() {
 }
 
 fn rival(disconnects: bool) -> Mrac {
-    let scales = MracScales {
-        speed_rad_s: 120.0,
-        current_a: CURRENT_LIMIT_A,
-    };
+    let scales = MracScales { speed_rad_s: 120.0, current_a: CURRENT_LIMIT_A };
     Mrac::new(&plant(), &timing(), scales, disconnects).unwrap()
 }
 
@@ -159,10 +152,7 @@ fn start_and_brake(controller: &mut dyn SpeedController) -> Vec<f64> {
     // Mean square error over the last two seconds of each step.
     let square = |p: &TrialPoint| (p.reference_rad_s - p.speed_rad_s).powi(2);
     let mean = |end: &[TrialPoint]| end.iter().map(square).sum::<f64>() / end.len() as f64;
-    trace
-        .chunks(500)
-        .map(|chunk| mean(&chunk[300..]).sqrt())
-        .collect()
+    trace.chunks(500).map(|chunk| mean(&chunk[300..]).sqrt()).collect()
 }
 
 #[test]
@@ -205,10 +195,7 @@ fn a_limit_that_only_the_drive_sees_is_taken_for_no_load() {
         inertia_kg_m2: &|_| inertia(0.2),
         load_n_m: &|_| 0.0,
     };
-    let limiter = Limiter {
-        output: 110.0,
-        current: None,
-    };
+    let limiter = Limiter { output: 110.0, current: None };
     for (machine, rival) in rivals {
         let cycles = whole(20.0 / machine.period_s);
         let trace = trial(&machine, &course, rival, &limiter, cycles, 1);
@@ -228,18 +215,11 @@ fn over_steps(controller: &mut dyn SpeedController, ratio: f64) -> (f64, f64) {
         inertia_kg_m2: &|_| ratio * inertia(0.2),
         load_n_m: &|_| 0.0,
     };
-    let machine = TrialMachine {
-        delay_periods: 1,
-        ..machine(1.0)
-    };
+    let machine = TrialMachine { delay_periods: 1, ..machine(1.0) };
     let trace = trial(&machine, &course, controller, &limiter(), 4800, 1);
     let steps = steps(&trace, 2.0).split_off(11);
     let count = steps.len() as f64;
-    let error = steps
-        .iter()
-        .map(|step| step.absolute_error_rad)
-        .sum::<f64>()
-        / count;
+    let error = steps.iter().map(|step| step.absolute_error_rad).sum::<f64>() / count;
     let overshoots = steps.iter().map(|step| step.overshoot_percent);
     (error, overshoots.fold(0.0, f64::max))
 }
@@ -259,23 +239,13 @@ fn over_an_eightfold_inertia_the_adaptive_controller_is_no_worse_than_a_hand_at_
         let gains = tune(&plant, &timing, &request).unwrap().gains;
         Pi::new(gains, AntiWindup::Hold, holding).leaving_after(timing.leaving_s())
     };
-    let scales = MracScales {
-        speed_rad_s: 110.0,
-        current_a: CURRENT_LIMIT_A,
-    };
+    let scales = MracScales { speed_rad_s: 110.0, current_a: CURRENT_LIMIT_A };
     let paper_b = PaperBPlant::new(PERIOD_S, 0.009, 0.2, 0.3538);
     let names = "PI by hand | addc | pi | mrac | paper-b | load-observer";
     eprintln!("| inertia | {names} |");
     for ratio in [0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0] {
-        let addc = Addc::new(
-            &model(),
-            &plant(),
-            &timing,
-            &AddcSettings::new(holding, 0.15),
-        );
-        let addc = addc
-            .unwrap()
-            .adapting_to_the_winding(&model(), 0.0, &timing);
+        let addc = Addc::new(&model(), &plant(), &timing, &AddcSettings::new(holding, 0.15));
+        let addc = addc.unwrap().adapting_to_the_winding(&model(), 0.0, &timing);
         let gains = tune(&plant(), &timing, &Request::default()).unwrap().gains;
         let observing = LoadObservingSettings::default();
         let mut all: [Box<dyn SpeedController>; 6] = [

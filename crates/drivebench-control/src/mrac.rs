@@ -97,12 +97,7 @@ impl Mrac {
     pub fn gains(&self) -> [f64; 4] {
         let ([reference, speed, current, constant], scales) = (self.now, &self.scales);
         let per_speed = [reference, speed].map(|gain| gain / scales.speed_rad_s);
-        [
-            per_speed[0],
-            per_speed[1],
-            current / scales.current_a,
-            constant,
-        ]
+        [per_speed[0], per_speed[1], current / scales.current_a, constant]
     }
 
     /// One period of the reference model: two lags in series, each exact for a held input.

@@ -80,10 +80,7 @@ pub(super) struct NotchMemory {
 
 impl NotchMemory {
     pub(super) const fn at_rest() -> Self {
-        Self {
-            inputs: [0.0; 2],
-            outputs: [0.0; 2],
-        }
+        Self { inputs: [0.0; 2], outputs: [0.0; 2] }
     }
 
     /// What comes out for this input, nothing remembered.
@@ -111,11 +108,7 @@ mod tests {
     use super::*;
     use crate::testing::assert_close;
 
-    const NOTCH: Notch = Notch {
-        frequency_hz: 22.0,
-        damping_ratio: 0.3,
-        depth: 0.1,
-    };
+    const NOTCH: Notch = Notch { frequency_hz: 22.0, damping_ratio: 0.3, depth: 0.1 };
 
     /// Amplitude of what is left of a sine.
     fn left_of(frequency_hz: f64, period_s: f64) -> f64 {
@@ -147,11 +140,7 @@ mod tests {
         for _ in 0..3000 {
             memory.pass(Some(&NOTCH), 3.0, 0.002);
         }
-        let wider = Notch {
-            frequency_hz: 40.0,
-            damping_ratio: 0.7,
-            ..NOTCH
-        };
+        let wider = Notch { frequency_hz: 40.0, damping_ratio: 0.7, ..NOTCH };
         for (notch, period_s) in [(&wider, 0.002), (&NOTCH, 0.004), (&NOTCH, 0.1)] {
             assert_close(memory.answer(Some(notch), 3.0, period_s), 3.0, 1e-9);
         }

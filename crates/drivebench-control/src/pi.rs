@@ -225,19 +225,11 @@ mod tests {
     use crate::testing::assert_close;
 
     fn gains() -> PiGains {
-        PiGains {
-            proportional: 2.0,
-            integral_time_s: 0.5,
-            reference_filter_s: 0.0,
-            notch: None,
-        }
+        PiGains { proportional: 2.0, integral_time_s: 0.5, reference_filter_s: 0.0, notch: None }
     }
 
     fn holding() -> Holding {
-        Holding {
-            per_speed: 0.35,
-            against: 0.0,
-        }
+        Holding { per_speed: 0.35, against: 0.0 }
     }
 
     #[test]
@@ -259,18 +251,11 @@ mod tests {
         assert_close(pi.step(100.0, &Measured::at(100.0), 0.01), 36.5, 1e-12);
     }
 
-    const NOTCH: Notch = Notch {
-        frequency_hz: 22.0,
-        damping_ratio: 0.3,
-        depth: 0.1,
-    };
+    const NOTCH: Notch = Notch { frequency_hz: 22.0, damping_ratio: 0.3, depth: 0.1 };
 
     #[test]
     fn with_a_notch_it_starts_and_resets_without_a_step_and_regulates_what_the_notch_leaves() {
-        let gains = PiGains {
-            notch: Some(NOTCH),
-            ..gains()
-        };
+        let gains = PiGains { notch: Some(NOTCH), ..gains() };
         let mut pi = Pi::new(gains, AntiWindup::Hold, holding());
         let mut notch = NotchMemory::at_rest();
         let mut integral = 36.5;
@@ -290,10 +275,7 @@ mod tests {
 
     #[test]
     fn new_gains_do_not_move_the_output_whatever_filter_and_notch_hold_back() {
-        let other = Notch {
-            frequency_hz: 30.0,
-            ..NOTCH
-        };
+        let other = Notch { frequency_hz: 30.0, ..NOTCH };
         for (reference_filter_s, notches) in [
             (0.0, [None, None]),
             (0.2, [None, None]),
@@ -341,10 +323,7 @@ mod tests {
             let mut pi = Pi::new(gains(), AntiWindup::Hold, holding());
             let (mut speed, mut limited, mut most) = (0.0_f64, false, 0.0_f64);
             for _ in 0..4000 {
-                let now = Measured {
-                    limited: limited && says,
-                    ..Measured::at(speed)
-                };
+                let now = Measured { limited: limited && says, ..Measured::at(speed) };
                 let wanted = pi.step(100.0, &now, 0.01);
                 pi.applied(wanted);
                 let back_emf = 0.35 * speed;

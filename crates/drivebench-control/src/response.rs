@@ -24,10 +24,7 @@ pub fn response(trace: &[(f64, f64)], from: f64, to: f64) -> Response {
     let begin_s = trace.first().map_or(0.0, |point| point.0);
     // Progress is 0 before and 1 after, whichever way it goes.
     let progress = |speed: f64| (speed - from) / step;
-    let peak = trace
-        .iter()
-        .map(|point| progress(point.1))
-        .fold(0.0, f64::max);
+    let peak = trace.iter().map(|point| progress(point.1)).fold(0.0, f64::max);
     let first_at = |share: f64| {
         let point = trace.iter().find(|point| progress(point.1) >= share)?;
         Some(point.0 - begin_s)
@@ -36,15 +33,11 @@ pub fn response(trace: &[(f64, f64)], from: f64, to: f64) -> Response {
     let is_there = |point: &(f64, f64)| (progress(point.1) - 1.0).abs() <= SETTLED_SHARE;
     let outside = |point: &(f64, f64)| !is_there(point);
     let settled = trace.get(trace.iter().rposition(outside).map_or(0, |last| last + 1));
-    let absolute_error_rad = trace
-        .windows(2)
-        .map(|pair| (to - pair[0].1).abs() * (pair[1].0 - pair[0].0))
-        .sum();
+    let absolute_error_rad =
+        trace.windows(2).map(|pair| (to - pair[0].1).abs() * (pair[1].0 - pair[0].0)).sum();
     Response {
         overshoot_percent: 100.0 * (peak - 1.0).max(0.0),
-        rise_s: first_at(0.1)
-            .zip(first_at(0.9))
-            .map(|(low, high)| high - low),
+        rise_s: first_at(0.1).zip(first_at(0.9)).map(|(low, high)| high - low),
         settling_s: settled.map(|point| point.0 - begin_s),
         absolute_error_rad,
     }
@@ -56,10 +49,7 @@ mod tests {
     use crate::testing::assert_close;
 
     fn trace(speed: impl Fn(f64) -> f64) -> Vec<(f64, f64)> {
-        (0..=4000)
-            .map(|n| f64::from(n) * 0.001)
-            .map(|t| (t, speed(t)))
-            .collect()
+        (0..=4000).map(|n| f64::from(n) * 0.001).map(|t| (t, speed(t))).collect()
     }
 
     #[test]

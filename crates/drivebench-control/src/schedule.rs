@@ -71,10 +71,8 @@ impl Schedule {
         let step = 2.0 * REACH.ln() / (POINTS - 1) as f64;
         let middle = POINTS / 2;
         let own = tune_over(plant, draws, timing, request)?;
-        let request = Request {
-            notch: own.gains.notch.map_or(NotchUse::Off, NotchUse::Like),
-            ..*request
-        };
+        let request =
+            Request { notch: own.gains.notch.map_or(NotchUse::Off, NotchUse::Like), ..*request };
         let hardest = own.draws.as_ref().map(|draws| draws.hardest.as_slice());
         let at = |index: usize| {
             let ratio = (index as f64 * step - REACH.ln()).exp();
@@ -104,12 +102,7 @@ impl Schedule {
                 }
             }
         }
-        Ok(Self {
-            points,
-            refused,
-            lowest: first as f64 * step - REACH.ln(),
-            step,
-        })
+        Ok(Self { points, refused, lowest: first as f64 * step - REACH.ln(), step })
     }
 
     /// Smallest and largest ratio of the grid.
@@ -193,15 +186,8 @@ mod tests {
     #[test]
     fn behind_a_coupling_every_point_has_the_notch_of_its_own_frequency_and_holds() {
         let plant = LinearPlant::current(&elastic(0.5, 0.02), 0.0, 0.002).unwrap();
-        let quick = LoopTiming {
-            period_s: 0.002,
-            delay_s: 0.004,
-            filter_s: 0.0,
-        };
-        let request = Request {
-            rule: Rule::SymmetricalOptimum,
-            ..Request::default()
-        };
+        let quick = LoopTiming { period_s: 0.002, delay_s: 0.004, filter_s: 0.0 };
+        let request = Request { rule: Rule::SymmetricalOptimum, ..Request::default() };
         let schedule = Schedule::new(&plant, &[], &quick, &request).unwrap();
         let (low, high) = schedule.range();
         assert!(low < 0.7 && high > 3.0, "{low} {high}");
@@ -211,10 +197,7 @@ mod tests {
             let hertz = there.coupling().unwrap().frequency_hz;
             assert_close(gains.notch.unwrap().frequency_hz / hertz, 1.0, 0.02);
             let margins = LoopShape::new(&there, &quick, &gains).margins();
-            assert!(
-                margins.radius < 1.0 && margins.gain_margin > 1.6,
-                "{ratio} {margins:?}"
-            );
+            assert!(margins.radius < 1.0 && margins.gain_margin > 1.6, "{ratio} {margins:?}");
         }
     }
 

@@ -53,10 +53,8 @@ mod tests {
     use crate::testing::{assert_close, elastic};
 
     fn fitted(values: &[(&str, f64)]) -> Vec<FittedValue> {
-        let fitted = values.iter().map(|(key, std)| FittedValue {
-            key: (*key).to_owned(),
-            std: *std,
-        });
+        let fitted =
+            values.iter().map(|(key, std)| FittedValue { key: (*key).to_owned(), std: *std });
         fitted.collect()
     }
 

@@ -8,10 +8,7 @@ use drivebench_model::plant::{Model, Motor, MotorKey};
 pub(crate) fn assert_close(found: f64, expected: f64, tolerance: f64) {
     let scale = found.abs().max(expected.abs());
     let within = tolerance * if scale > 1.0 { scale } else { 1.0 };
-    assert!(
-        (found - expected).abs() <= within,
-        "{found} is not {expected} within {tolerance}"
-    );
+    assert!((found - expected).abs() <= within, "{found} is not {expected} within {tolerance}");
 }
 
 /// Inertia of the paper's motor for a mechanical time constant.
@@ -41,9 +38,5 @@ pub(super) fn slow_machine() -> LinearPlant {
 
 /// A loop of 10 ms with so many cycles of delay.
 pub(super) fn timing(cycles: f64) -> LoopTiming {
-    LoopTiming {
-        period_s: 0.01,
-        delay_s: 0.01 * cycles,
-        filter_s: 0.0,
-    }
+    LoopTiming { period_s: 0.01, delay_s: 0.01 * cycles, filter_s: 0.0 }
 }

@@ -49,9 +49,7 @@ impl LoopTiming {
     pub fn is_valid(&self) -> bool {
         self.period_s.is_finite()
             && self.period_s > 0.0
-            && [self.delay_s, self.filter_s]
-                .iter()
-                .all(|time| time.is_finite() && *time >= 0.0)
+            && [self.delay_s, self.filter_s].iter().all(|time| time.is_finite() && *time >= 0.0)
             && self.delay_cycles() <= Self::MOST_CYCLES
     }
 }

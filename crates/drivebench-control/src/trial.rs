@@ -172,11 +172,7 @@ fn rubbed(
     // Without friction nothing holds a shaft that passes zero.
     let rubs = friction_n_m > 0.0;
     let sticks = rubs && speed_rad_s == 0.0 && drive_n_m.abs() <= friction_n_m;
-    let towards = if speed_rad_s == 0.0 {
-        drive_n_m
-    } else {
-        speed_rad_s
-    };
+    let towards = if speed_rad_s == 0.0 { drive_n_m } else { speed_rad_s };
     let direction = towards.signum();
     let resisting_n_m = friction_n_m * direction;
     let moved = next(resisting_n_m);
@@ -206,17 +202,14 @@ impl TrialMachine {
     ) -> bool {
         let (r, l) = (self.resistance_ohm, self.inductance_h);
         let (ke, kt) = (self.back_emf_v_s_per_rad, self.torque_n_m_per_a);
-        let (share, split) = self.coupling.map_or((0.0, 0.0), |coupling| {
-            (coupling.inertia_ratio, coupling.friction_split)
-        });
+        let (share, split) = self
+            .coupling
+            .map_or((0.0, 0.0), |coupling| (coupling.inertia_ratio, coupling.friction_split));
         let motor_inertia = (1.0 - share) * inertia;
         let motor_friction_n_m = (1.0 - split) * self.friction_n_m;
         let part = LinearPart::new(&[
             [-r / l, -ke / l],
-            [
-                kt / motor_inertia,
-                -self.viscous_n_m_s_per_rad / motor_inertia,
-            ],
+            [kt / motor_inertia, -self.viscous_n_m_s_per_rad / motor_inertia],
         ]);
         let part_s = self.part_s();
         let propagator = part.over(part_s);
@@ -315,10 +308,7 @@ mod tests {
             inertia_kg_m2: &|_| mechanical_s * ke * ke / 3.25,
             load_n_m: &|_| 0.0,
         };
-        let limiter = Limiter {
-            output: 1e3,
-            current: None,
-        };
+        let limiter = Limiter { output: 1e3, current: None };
         let trace = trial(&machine, &course, &mut Given(12.0), &limiter, 400, 1);
         let (g, h) = PaperBPlant::new(0.001, electrical_s, mechanical_s, ke).state_space();
         let mut x = nalgebra::Vector2::zeros();
@@ -349,15 +339,9 @@ mod tests {
             speed_noise_rad_s: 0.0,
             current_noise_a: 0.0,
         };
-        let course = Course {
-            reference_rad_s: &|_| 0.0,
-            inertia_kg_m2: &|_| 0.0045,
-            load_n_m: &|_| 0.0,
-        };
-        let limiter = Limiter {
-            output: 1e3,
-            current: None,
-        };
+        let course =
+            Course { reference_rad_s: &|_| 0.0, inertia_kg_m2: &|_| 0.0045, load_n_m: &|_| 0.0 };
+        let limiter = Limiter { output: 1e3, current: None };
         let trace = trial(&machine, &course, &mut Given(12.0), &limiter, 300, 1);
         let (phi, gamma) = plant.held_over(0.002);
         let mut x = nalgebra::Vector4::<f64>::zeros();
@@ -366,10 +350,6 @@ mod tests {
             x = phi * x + gamma * 12.0;
         }
         // It rings on the way: the motor alone turns back.
-        assert!(
-            trace
-                .windows(2)
-                .any(|pair| pair[1].speed_rad_s < pair[0].speed_rad_s - 0.05)
-        );
+        assert!(trace.windows(2).any(|pair| pair[1].speed_rad_s < pair[0].speed_rad_s - 0.05));
     }
 }

@@ -64,10 +64,7 @@ pub enum Finding {
     /// It goes on swinging by more than is let at a motor, and the gains cannot fall (any more).
     SwingsOn { swing_rad_s: f64, most_rad_s: f64 },
     /// Most of the last second was spent at a limit, and the error does not fall.
-    Saturated {
-        limited_share: f64,
-        error_rad_s: f64,
-    },
+    Saturated { limited_share: f64, error_rad_s: f64 },
 }
 
 /// The watch of one loop.
@@ -120,11 +117,7 @@ impl LoopWatch {
 
     /// What is left of the gains.
     pub fn share(&self) -> f64 {
-        if self.gave_back {
-            1.0
-        } else {
-            STEP.powi(self.steps)
-        }
+        if self.gave_back { 1.0 } else { STEP.powi(self.steps) }
     }
 
     /// One cycle; `limited`: the output before it was held by a limit.
@@ -207,10 +200,7 @@ impl LoopWatch {
         }
         let most_rad_s = (NOISES * self.noise_rad_s).max(END_SHARE * self.largest_rad_s);
         if swing_rad_s > most_rad_s {
-            return Some(Finding::SwingsOn {
-                swing_rad_s,
-                most_rad_s,
-            });
+            return Some(Finding::SwingsOn { swing_rad_s, most_rad_s });
         }
         self.tell(swing_rad_s)
     }
@@ -281,25 +271,18 @@ impl LoopWatch {
         if last < self.floor_rad_s() || last < (1.0 - FALLS) * first {
             return None;
         }
-        let crosses = all()
-            .zip(all().skip(1))
-            .any(|(one, next)| one.0 * next.0 < 0.0);
+        let crosses = all().zip(all().skip(1)).any(|(one, next)| one.0 * next.0 < 0.0);
         if crosses {
             return self.found(last);
         }
         self.second.clear();
-        Some(Finding::Saturated {
-            limited_share,
-            error_rad_s: last,
-        })
+        Some(Finding::Saturated { limited_share, error_rad_s: last })
     }
 }
 
 /// Least and largest.
 fn ends(errors: impl Iterator<Item = f64>) -> (f64, f64) {
-    errors.fold((f64::MAX, f64::MIN), |(low, high), error| {
-        (low.min(error), high.max(error))
-    })
+    errors.fold((f64::MAX, f64::MIN), |(low, high), error| (low.min(error), high.max(error)))
 }
 
 /// Amplitude of the sine that has the root mean square of these errors about their mean.
@@ -441,10 +424,7 @@ mod tests {
             let time = f64::from(n);
             let speed = 100.0 + 30.0 * (-time / 40.0).exp() * (time / 1.5).sin();
             let found = watch.push(100.0, speed, false);
-            assert!(
-                !matches!(found, Some(Finding::SwingsOn { .. })),
-                "{n} {found:?}"
-            );
+            assert!(!matches!(found, Some(Finding::SwingsOn { .. })), "{n} {found:?}");
         }
     }
 

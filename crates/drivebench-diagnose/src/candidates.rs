@@ -206,11 +206,7 @@ pub(super) fn candidates(
         let [before, after] = [0, 1].map(|k: usize| rung.map(|rung| rung[k]));
         let explained_percent = rung.map(|[before, after]| {
             let fall = before.score.nrms.powi(2) - after.score.nrms.powi(2);
-            if explainable > 0.0 {
-                100.0 * fall / explainable
-            } else {
-                0.0
-            }
+            if explainable > 0.0 { 100.0 * fall / explainable } else { 0.0 }
         });
         let times = evidence.noise.source.times();
         let is_sized = !(has_no_scale && is_tied(spec_unit(inferred.effect)));
@@ -272,12 +268,7 @@ fn of_holdout(effect: &dyn Effect, onset: &Onset) -> Vec<ParameterEstimate> {
             } else {
                 (onset.time_s, (high - low) / (2.0 * TWO_SIDED_95))
             };
-            let slot = Slot::Effect {
-                index: 0,
-                parameter,
-                spec,
-                id,
-            };
+            let slot = Slot::Effect { index: 0, parameter, spec, id };
             let mut found = judge(&slot, value, Some(std), f64::NAN);
             let reason = found.reason.map(|reason| format!("; {reason}"));
             let reason = reason.unwrap_or_default();
@@ -313,11 +304,7 @@ pub(super) fn happening(
         [one] => Some(format!("{} only, {}", place(one), when(one))),
         several => {
             let each = several.iter().map(|own| {
-                if is_first(own) {
-                    when(own)
-                } else {
-                    format!("{} {}", place(own), when(own))
-                }
+                if is_first(own) { when(own) } else { format!("{} {}", place(own), when(own)) }
             });
             Some(each.collect::<Vec<_>>().join("; "))
         }
@@ -343,17 +330,15 @@ fn evidence_sentence(
     let unit_of_run = spec_unit(inferred.effect);
     let most = told(bound, unit_of_run, run_s)
         .map_or_else(String::new, |bound| format!("; at most {}", size(bound)));
-    let shown = told(least, unit_of_run, run_s).map_or_else(String::new, |least| {
-        format!("; {} would have shown", size(least))
-    });
+    let shown = told(least, unit_of_run, run_s)
+        .map_or_else(String::new, |least| format!("; {} would have shown", size(least)));
     if let Some(reason) = inferred.why_not {
         return format!("{} cannot be judged from this run: {reason}", card.name);
     }
     match (status, rung) {
-        (Status::NotExcited, _) => format!(
-            "{}: these runs would not show it; {}",
-            card.name, card.excite
-        ),
+        (Status::NotExcited, _) => {
+            format!("{}: these runs would not show it; {}", card.name, card.excite)
+        }
         (_, Some([before, after])) => format!(
             "{} is there with {percent}{}; with it the held-out error goes from {:.2} to {:.2} {times}",
             card.name,

@@ -84,10 +84,8 @@ pub struct Signals {
 impl Signals {
     /// What the speed's figures are of: those of windows must not pass for those of a free run.
     pub fn speed_name(&self) -> String {
-        self.speed_windows_s.map_or_else(
-            || "speed".to_owned(),
-            |length_s| format!("speed ({length_s} s windows)"),
-        )
+        self.speed_windows_s
+            .map_or_else(|| "speed".to_owned(), |length_s| format!("speed ({length_s} s windows)"))
     }
 }
 
@@ -259,9 +257,7 @@ fn with_input(residual: &[(f64, f64)], scenario: &Scenario) -> Vec<(f64, f64)> {
         events[event].1
     };
     let residual = residual.iter();
-    residual
-        .map(|(time_s, value)| (*value, held(*time_s)))
-        .collect()
+    residual.map(|(time_s, value)| (*value, held(*time_s))).collect()
 }
 
 /// Root mean square of the one-step prediction errors of current and speed on the training run.
@@ -269,10 +265,8 @@ fn one_step_rmse(model: &Model, evidence: &Evidence) -> Result<[f64; 2], FitErro
     let scenario = &evidence.training;
     let start = output_error::predict(model, scenario, &evidence.noise)?.start;
     let ahead = Plant::new(model, scenario.input)?.predict_ahead(scenario, start, 1);
-    let pairs = [
-        (&ahead.current_a, &scenario.current_a),
-        (&ahead.speed_rad_s, &scenario.speed_rad_s),
-    ];
+    let pairs =
+        [(&ahead.current_a, &scenario.current_a), (&ahead.speed_rad_s, &scenario.speed_rad_s)];
     Ok(pairs.map(|(predicted, measured)| {
         scored(predicted, measured, scenario).map_or(f64::NAN, |signal| signal.rmse)
     }))
@@ -280,10 +274,7 @@ fn one_step_rmse(model: &Model, evidence: &Evidence) -> Result<[f64; 2], FitErro
 
 fn scored(predicted: &[f64], measured: &[f64], scenario: &Scenario) -> Option<SignalScore> {
     let samples = scenario.scored.clone();
-    let errors: Vec<f64> = samples
-        .clone()
-        .map(|k| predicted[k] - measured[k])
-        .collect();
+    let errors: Vec<f64> = samples.clone().map(|k| predicted[k] - measured[k]).collect();
     signal_score(&errors, &measured[samples])
 }
 
@@ -302,25 +293,17 @@ impl Balance {
         fitted: bool,
     ) -> Comparison {
         let reference = Sides::new(Method::InverseDynamics, model, evidence).ok();
-        let both = [Some(&self.sides), reference.as_ref()]
-            .into_iter()
-            .flatten();
+        let both = [Some(&self.sides), reference.as_ref()].into_iter().flatten();
         let processing = both.filter_map(|sides| processing_error(sides, model, fitted));
         let processing = processing.collect();
         let training = self.score(model, &self.sides.training);
         let holdout = self.score(model, &self.sides.holdout);
         let figures = |score: &Score| score.torque.unwrap_or(SignalScore::UNKNOWN);
-        let SignalScore {
-            fit_percent, rmse, ..
-        } = figures(&training);
+        let SignalScore { fit_percent, rmse, .. } = figures(&training);
         let speed_rad_s = speed(model, evidence);
         // Where it fails is a help; a run that it cannot be told for is still compared.
-        let Located {
-            locations,
-            balances,
-            map,
-            notes,
-        } = locate(model, &evidence.holdout, &evidence.noise, error_of).unwrap_or_default();
+        let Located { locations, balances, map, notes } =
+            locate(model, &evidence.holdout, &evidence.noise, error_of).unwrap_or_default();
         let torques = self.sides.holdout.left.iter().copied();
         let left = holdout.torque_residual.iter().map(|point| point.1);
         let with_torque: Vec<(f64, f64)> = left.zip(torques).collect();
@@ -352,10 +335,7 @@ impl Balance {
             limits: notes,
             residual: ResidualLights::of_torque(&with_torque),
             noise_floor_from: self.source,
-            noise: NoiseFloor {
-                source: self.source,
-                ..evidence.noise
-            },
+            noise: NoiseFloor { source: self.source, ..evidence.noise },
             holdout_from: evidence.holdout_from,
             holdout_rmse: holdout.nrms,
         };
@@ -373,11 +353,7 @@ fn processing_error(sides: &Sides, model: &Model, fitted: bool) -> Option<Proces
         100.0 * (squares / whole.max(f64::MIN_POSITIVE)).sqrt()
     };
     let on = |rows: &TorqueRows, model: &Model| {
-        let own = if fitted {
-            mechanical::fit(model, rows)?.model
-        } else {
-            model.clone()
-        };
+        let own = if fitted { mechanical::fit(model, rows)?.model } else { model.clone() };
         Some((relative(rows, &own), own))
     };
     let (relative_error_percent, model) = on(&sides.training, model)?;

@@ -271,16 +271,10 @@ pub fn diagnose_with(
     evidence: Evidence,
     progress: Progress<'_>,
 ) -> Result<Diagnosis, FitError> {
-    progress(Event::Begun {
-        stage: Stage::Baseline,
-        of: 0,
-    });
+    progress(Event::Begun { stage: Stage::Baseline, of: 0 });
     let several = (evidence.parts.len() > 1).then(|| evidence.clone());
     let (bench, baseline) = Bench::new(model, evidence)?;
-    progress(Event::Begun {
-        stage: Stage::Screen,
-        of: CATALOGUE.len(),
-    });
+    progress(Event::Begun { stage: Stage::Screen, of: CATALOGUE.len() });
     let eligible = eligible(&baseline.model, None);
     let inference = bench.infer(&baseline, &eligible, progress)?;
     // What a fit of runs behind each other cannot hold is known only now.
@@ -298,11 +292,7 @@ pub fn diagnose_with(
     let (bench, baseline) = Bench::for_fits_of(&found, model, several)?;
     let inference = bench.infer(&baseline, &eligible, progress)?;
     let first = Concluded::of(bench, &baseline, inference, progress)?;
-    let better = if all.held_out_by(&first)? < first.held_out_by(&first)? {
-        all
-    } else {
-        first
-    };
+    let better = if all.held_out_by(&first)? < first.held_out_by(&first)? { all } else { first };
     Ok(better.answer())
 }
 
@@ -323,10 +313,7 @@ impl Concluded {
         for veto in vetoes::surplus(&inference) {
             inference.veto(veto);
         }
-        progress(Event::Begun {
-            stage: Stage::Refit,
-            of: inference.named.len(),
-        });
+        progress(Event::Begun { stage: Stage::Refit, of: inference.named.len() });
         let mut rungs = climb(&bench, baseline, &inference, vec![], progress)?;
         if !rungs[0].score.nrms.is_finite() {
             return Err(nothing_judged(&bench.evidence.holdout));
@@ -340,11 +327,7 @@ impl Concluded {
         if let Some(last) = rungs.pop() {
             rungs.push(last.with_deviations(&bench, &inference));
         }
-        Ok(Self {
-            bench,
-            inference,
-            rungs,
-        })
+        Ok(Self { bench, inference, rungs })
     }
 
     /// The held-out error of the whole model, in the units of `other`.
@@ -431,11 +414,7 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
             .limits()
             .into_iter()
             .chain(inference.lost_rows(floor))
-            .chain(
-                inference
-                    .why_open()
-                    .map(|reason| format!("nothing is ruled out: {reason}")),
-            )
+            .chain(inference.why_open().map(|reason| format!("nothing is ruled out: {reason}")))
             .chain(repeatability.why_not)
             .collect(),
         equivalences: (named.iter())
@@ -541,11 +520,7 @@ fn verdict(
         };
     };
     let above = |nrms: f64| nrms * nrms - floor.highest().powi(2);
-    let unknown: f64 = inference
-        .unknown
-        .iter()
-        .map(|part| part.share_of_error)
-        .sum();
+    let unknown: f64 = inference.unknown.iter().map(|part| part.share_of_error).sum();
     let explainable = above(base.nrms).max(0.0);
     let unexplained = inference.disturbance_error.powi(2) + unknown * explainable;
     // A free run that falls into step a moment late is far off though nothing is missing: one of the two will do, but
@@ -615,11 +590,7 @@ fn confirmed(
                      explained (z {z:.1}, {CONFIRMED_SIGMAS} is asked){}",
                     diagnosis.effects.join(" and "),
                     100.0 * share,
-                    if explains_it {
-                        ""
-                    } else {
-                        "; what is left there is more than noise"
-                    }
+                    if explains_it { "" } else { "; what is left there is more than noise" }
                 );
                 (true, Some(holds), found)
             }
@@ -710,17 +681,11 @@ mod tests {
         };
         // But a run that had no part in it and leaves more has an error to explain.
         assert_eq!(below.answer(), Answer::Found);
-        let below = Diagnosis {
-            confirm: None,
-            ..below
-        };
+        let below = Diagnosis { confirm: None, ..below };
         assert_eq!(below.answer(), Answer::NoErrorLeft);
         let said = sentence(&below);
         let start = "no error left to explain: held-out error 0.95 times the noise floor";
-        assert!(
-            said.starts_with(start) && said.contains("quadratic_load"),
-            "{said}"
-        );
+        assert!(said.starts_with(start) && said.contains("quadratic_load"), "{said}");
         assert!(!said.contains("% explained"), "{said}");
     }
 

@@ -37,36 +37,11 @@ const FEW: f64 = 2.5;
 #[test]
 fn an_event_is_named_with_its_moment_in_the_runs_in_which_it_happened() {
     for (id, size, times_s, words) in [
-        (
-            "load_step",
-            0.1,
-            [Some(5.02), None],
-            "in the fit run only, from 5.0",
-        ),
-        (
-            "one_sided_load",
-            0.1,
-            [None, Some(3.13)],
-            "in the hold-out only, from 3.1",
-        ),
-        (
-            "friction_onset",
-            6e-4,
-            [Some(2.6), Some(5.1)],
-            "in the hold-out from",
-        ),
-        (
-            "load_step",
-            0.1,
-            [Some(5.02), Some(3.13)],
-            "in the hold-out from",
-        ),
-        (
-            "inertia_change",
-            0.3,
-            [Some(5.02), Some(5.02)],
-            "from 5.02 s on, inertia +30 %",
-        ),
+        ("load_step", 0.1, [Some(5.02), None], "in the fit run only, from 5.0"),
+        ("one_sided_load", 0.1, [None, Some(3.13)], "in the hold-out only, from 3.1"),
+        ("friction_onset", 6e-4, [Some(2.6), Some(5.1)], "in the hold-out from"),
+        ("load_step", 0.1, [Some(5.02), Some(3.13)], "in the hold-out from"),
+        ("inertia_change", 0.3, [Some(5.02), Some(5.02)], "from 5.02 s on, inertia +30 %"),
     ] {
         let found = diagnose(&nameplate(), evidence(id, size, times_s, 3)).unwrap();
         let said = &found.sentence;
@@ -132,12 +107,7 @@ fn where_nothing_happened_no_event_is_likely() {
         let found = diagnose(&nameplate(), data).unwrap();
         assert!(found.effects.is_empty(), "{}", found.sentence);
         complete += usize::from(found.verdict == DiagnosisVerdict::None);
-        for id in [
-            "load_step",
-            "one_sided_load",
-            "friction_onset",
-            "inertia_change",
-        ] {
+        for id in ["load_step", "one_sided_load", "friction_onset", "inertia_change"] {
             let event = candidate(&found, id);
             assert!(event.probability < 0.1, "{id}: {}", event.probability);
         }
@@ -152,19 +122,12 @@ fn what_was_there_before_either_run_moved_is_no_event() {
     let machine = truth("friction_onset", &[-3e-4, 0.1]);
     let data = Evidence::new(record(&machine, 0, 71), Some(record(&machine, 1, 72)), None);
     let found = diagnose(&nameplate(), data).unwrap();
-    assert!(
-        !found.effects.contains(&"friction_onset"),
-        "{}",
-        found.sentence
-    );
+    assert!(!found.effects.contains(&"friction_onset"), "{}", found.sentence);
 }
 
 /// A run of the commands that came, of which those that were asked for are known.
 fn asked(came: Vec<(f64, f64)>, asked: Vec<(f64, f64)>, end_s: f64, seed: u64) -> Scenario {
-    Scenario {
-        events: asked,
-        ..testing::record(&nameplate(), came, PERIOD_S, end_s, seed)
-    }
+    Scenario { events: asked, ..testing::record(&nameplate(), came, PERIOD_S, end_s, seed) }
 }
 
 /// A machine whose drive lets each start from rest wait, as the commands that were given say nothing of.
@@ -223,21 +186,14 @@ fn a_late_start_that_one_small_command_tells_of_is_not_named_beside_what_is_ther
     // More likely than not by the innovations, it is vetoed because it lowers no error, and the run would not
     // show it; its probability stays what it is.
     let late = candidate(&found, "start_delay");
-    assert!(
-        late.probability > 0.5 && late.status == Status::NotExcited,
-        "{}",
-        late.probability
-    );
+    assert!(late.probability > 0.5 && late.status == Status::NotExcited, "{}", late.probability);
     assert!(late.evidence.contains("not named: "), "{}", late.evidence);
 }
 
 #[test]
 fn runs_that_cannot_be_fitted_behind_each_other_are_set_aside_with_a_sentence() {
     let first = |model: &Model| lively(model, 0, 31);
-    for (id, values) in [
-        ("load_step", &[0.1, 3.02][..]),
-        ("winding_heating", &[3e-3, 60.0]),
-    ] {
+    for (id, values) in [("load_step", &[0.1, 3.02][..]), ("winding_heating", &[3e-3, 60.0])] {
         let machine = truth(id, values);
         let evidence = Evidence::new(first(&machine), Some(lively(&machine, 1, 32)), None);
         let alone = diagnose(&nameplate(), evidence.clone()).unwrap();
@@ -261,9 +217,5 @@ fn runs_that_cannot_be_fitted_behind_each_other_are_set_aside_with_a_sentence() 
     let found = diagnose(&nameplate(), evidence.with_run(lively(&machine, 2, 33))).unwrap();
     let said = found.limits.join("; ");
     assert!(!said.contains("set aside"), "{said}");
-    assert!(
-        found.effects.contains(&"quadratic_load"),
-        "{}",
-        found.sentence
-    );
+    assert!(found.effects.contains(&"quadratic_load"), "{}", found.sentence);
 }

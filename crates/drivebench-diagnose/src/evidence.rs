@@ -299,10 +299,7 @@ impl Evidence {
             self.why_unjudged(current, self.noise.current_a),
             self.why_unjudged(speed, self.noise.speed_rad_s),
         ];
-        let names = [
-            ("current", "current_a", "speed"),
-            ("speed", "speed_rad_s", "current"),
-        ];
+        let names = [("current", "current_a", "speed"), ("speed", "speed_rad_s", "current")];
         let reasons = why.into_iter().zip(names);
         let words = reasons.filter_map(|(reason, (name, key, other))| {
             let reason = reason?;
@@ -360,11 +357,7 @@ impl Evidence {
             };
             self.noise.current_a = level(score.current);
             self.noise.speed_rad_s = level(score.speed);
-            fit = output_error::fit(
-                std::slice::from_ref(&fit.model),
-                &self.training,
-                &self.noise,
-            )?;
+            fit = output_error::fit(std::slice::from_ref(&fit.model), &self.training, &self.noise)?;
         }
         Ok((self, fit))
     }
@@ -514,10 +507,7 @@ fn shared(run: &Scenario, other: &Scenario, later_s: f64) -> f64 {
         compared += 1;
         let sought_s = time_s - later_s;
         let is_before = |there_s: &f64| *there_s < sought_s - SAME_TIME_S;
-        at += run.sample_time_s[at..]
-            .iter()
-            .take_while(|there_s| is_before(there_s))
-            .count();
+        at += run.sample_time_s[at..].iter().take_while(|there_s| is_before(there_s)).count();
         let there_s = run.sample_time_s.get(at);
         if there_s.is_none_or(|there_s| (there_s - sought_s).abs() > SAME_TIME_S) {
             continue;
@@ -533,11 +523,7 @@ fn shared(run: &Scenario, other: &Scenario, later_s: f64) -> f64 {
             equal += 1;
         }
     }
-    if compared < FEWEST_MOVING {
-        0.0
-    } else {
-        equal as f64 / compared as f64
-    }
+    if compared < FEWEST_MOVING { 0.0 } else { equal as f64 / compared as f64 }
 }
 
 #[cfg(test)]
@@ -605,10 +591,7 @@ mod tests {
         assert!(evidence.training.samples() > MOST_SAMPLES);
         let (evidence, words) = evidence.shortened();
         let words = words.unwrap();
-        assert!(
-            words.contains("50000 of 100000") && words.contains("30000 of 40000"),
-            "{words}"
-        );
+        assert!(words.contains("50000 of 100000") && words.contains("30000 of 40000"), "{words}");
         assert_eq!(evidence.first_run().samples(), 30_000);
         assert_eq!(evidence.holdout.scored, 30_000..50_000);
         assert_eq!(evidence.training.samples(), 60_000);
@@ -635,11 +618,7 @@ mod tests {
         let places = [0, first.samples(), first.samples() + slow.samples()];
         for (place, begin_s) in places.into_iter().zip(evidence.begins_s()) {
             let there_s = training.sample_time_s[place] - training.begin_s();
-            let behind_s = if place == first.samples() {
-                &slow
-            } else {
-                &first
-            };
+            let behind_s = if place == first.samples() { &slow } else { &first };
             let behind_s = behind_s.sample_time_s[0] - behind_s.begin_s();
             assert!((there_s - begin_s - behind_s).abs() < 1e-9, "{place}");
         }

@@ -128,10 +128,7 @@ pub fn fingerprint(start: &Model, scenario: &Scenario) -> Option<Fingerprint> {
         let std = value * covariance[(index, index)].sqrt();
         (std < VAGUE_SHARE * value).then_some(Value { value, std })
     };
-    Some(Fingerprint {
-        resistance_ohm: of(0)?,
-        back_emf_v_s_per_rad: of(2)?,
-    })
+    Some(Fingerprint { resistance_ohm: of(0)?, back_emf_v_s_per_rad: of(2)? })
 }
 
 /// Current at the rows, from the first row's measurement: exact under a held voltage and the speed of the middle of each

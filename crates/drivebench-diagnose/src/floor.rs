@@ -27,10 +27,7 @@ pub(super) struct Floor<'a> {
 
 impl<'a> Floor<'a> {
     pub(super) const fn new(evidence: &'a Evidence, unobserved: f64) -> Self {
-        Self {
-            evidence,
-            unobserved,
-        }
+        Self { evidence, unobserved }
     }
 
     fn with(self, unobserved: f64) -> f64 {
@@ -115,10 +112,7 @@ impl Repeatability {
         }
         let found = || -> Result<Self, FitError> {
             let floor = in_noise(not_repeated(model, runs, &evidence.noise)?, &evidence.noise);
-            let mut found = Self {
-                floor,
-                ..Self::default()
-            };
+            let mut found = Self { floor, ..Self::default() };
             if found.repeats() == Some(false) {
                 found.follows = locate_difference(model, runs, &evidence.noise)?;
             }
@@ -129,10 +123,7 @@ impl Repeatability {
 
     fn not_known(reason: &str) -> Self {
         let why_not = format!("whether this machine repeats is not known: {reason}");
-        Self {
-            why_not: Some(why_not),
-            ..Self::default()
-        }
+        Self { why_not: Some(why_not), ..Self::default() }
     }
 
     /// Whether the difference is little more than the sensors' noise; none where it is not known.
@@ -142,8 +133,7 @@ impl Repeatability {
 
     /// A sensor may be a little noisier in motion than at rest, which a repeated run tells: by so much.
     pub(super) fn in_motion(&self) -> f64 {
-        self.floor
-            .map_or(1.0, |floor| floor.clamp(1.0, REPEATS_RATIO))
+        self.floor.map_or(1.0, |floor| floor.clamp(1.0, REPEATS_RATIO))
     }
 }
 

@@ -32,9 +32,8 @@ pub(super) fn held(levels_v: &[f64], hold_s: f64) -> Vec<(f64, f64)> {
 
 /// Staircase both ways with slow passages through zero; `shift` makes another run of it.
 pub(super) fn record(model: &Model, shift: usize, seed: u64) -> Scenario {
-    let levels = [
-        0.0, 30.0, 60.0, 90.0, 40.0, 3.0, -3.0, -40.0, -90.0, -50.0, 4.0, 0.0, 70.0, -70.0, 20.0,
-    ];
+    let levels =
+        [0.0, 30.0, 60.0, 90.0, 40.0, 3.0, -3.0, -40.0, -90.0, -50.0, 4.0, 0.0, 70.0, -70.0, 20.0];
     let mut events = vec![(0.0, 0.0)];
     for step in 1..levels.len() {
         let level = levels[1 + (step + 3 * shift) % (levels.len() - 1)];

@@ -84,13 +84,7 @@ impl Bench {
             let fit = balance.fitted(fit, &evidence);
             (Some(balance), fit)
         };
-        let bench = Self {
-            evidence,
-            balance,
-            given: model.clone(),
-            aside,
-            searched,
-        };
+        let bench = Self { evidence, balance, given: model.clone(), aside, searched };
         Ok((bench, fit))
     }
 
@@ -149,9 +143,7 @@ impl Bench {
     }
 
     fn fit_with(&self, start: &Model, options: Options) -> Result<Fitted, FitError> {
-        let Evidence {
-            training, noise, ..
-        } = &self.evidence;
+        let Evidence { training, noise, .. } = &self.evidence;
         let Some(balance) = &self.balance else {
             let options = Options {
                 most_iterations: affordable(start, training, options.most_iterations),
@@ -173,11 +165,9 @@ impl Bench {
     /// What an error of current, of speed and of torque is counted in; not finite where there is none.
     pub(super) fn levels(&self) -> [f64; 3] {
         let noise = &self.evidence.noise;
-        self.balance
-            .as_ref()
-            .map_or([noise.current_a, noise.speed_rad_s, f64::NAN], |balance| {
-                [f64::NAN, f64::NAN, balance.unit_n_m]
-            })
+        self.balance.as_ref().map_or([noise.current_a, noise.speed_rad_s, f64::NAN], |balance| {
+            [f64::NAN, f64::NAN, balance.unit_n_m]
+        })
     }
 
     /// Torques of the rows of a balance, fitted and held out.
@@ -287,9 +277,8 @@ fn beside(
     let given = given.filter(|id| inference.is_eligible(id));
     let ids: Vec<&'static str> = given.chain(kept.iter().copied()).collect();
     let start = inference.with_effects(&ids);
-    let mut start = start.ok_or_else(|| FitError::CannotSimulate {
-        run: "the fit run".to_owned(),
-    })?;
+    let mut start =
+        start.ok_or_else(|| FitError::CannotSimulate { run: "the fit run".to_owned() })?;
     let unasked = baseline.effects.iter();
     let unasked: Vec<_> = unasked.filter(|active| !start.has(active.id())).collect();
     start.effects.extend(unasked.into_iter().cloned());
@@ -307,11 +296,7 @@ pub(super) struct Standing {
 impl Standing {
     fn of(fit: Fitted, bench: &Bench) -> Result<Self, FitError> {
         let score = bench.held_out(&fit.model)?;
-        Ok(Self {
-            fit,
-            score,
-            keeps_free_run: false,
-        })
+        Ok(Self { fit, score, keeps_free_run: false })
     }
 
     /// With the parameters that prediction errors give, unless they do not foretell the hold-out: whatever is said of an
@@ -325,10 +310,7 @@ impl Standing {
         let led = Self::of(led, bench)?;
         let keeps_free_run = led.score.nrms > AS_GOOD * free.score.nrms;
         let kept = if keeps_free_run { free } else { led };
-        Ok(Self {
-            keeps_free_run,
-            ..kept
-        })
+        Ok(Self { keeps_free_run, ..kept })
     }
 
     /// Where the values are the free run's each is uncertain by how far it is from that of its prediction errors beside. What
@@ -341,10 +323,7 @@ impl Standing {
     }
 
     pub(super) fn rung(&self) -> Rung {
-        Rung {
-            effects: self.fit.model.effect_ids(),
-            holdout_rmse: self.score.nrms,
-        }
+        Rung { effects: self.fit.model.effect_ids(), holdout_rmse: self.score.nrms }
     }
 }
 
@@ -369,29 +348,18 @@ pub(super) fn climb(
     // rungs together take no longer than one refit.
     let most = Options::thrifty().most_iterations;
     let in_passing = Options {
-        most_iterations: if inference.is_cut() {
-            most / last.max(1)
-        } else {
-            most
-        },
+        most_iterations: if inference.is_cut() { most / last.max(1) } else { most },
         one_of_many: false,
         ..Options::thrifty()
     };
-    let as_it_is = Options {
-        most_iterations: 0,
-        ..Options::thrifty()
-    };
+    let as_it_is = Options { most_iterations: 0, ..Options::thrifty() };
     let climbed: Vec<Standing> = (known.len()..last)
         .into_par_iter()
         .with_max_len(1)
         .map(|place| {
             let start = beside(&baseline.model, inference, &inference.named[..=place])?;
             let is_last = place + 1 == last && !inference.is_cut();
-            let options = if is_last {
-                Options::default()
-            } else {
-                in_passing
-            };
+            let options = if is_last { Options::default() } else { in_passing };
             let fitted = bench.fit_with(&start, options);
             // Where much else is missing a free run is fitted by what is no machine: what was found along the run is.
             let stands = fitted.and_then(|fit| on_rung(place + 1, fit));
@@ -445,10 +413,7 @@ impl AddResult {
     pub fn force(&mut self) {
         if !self.accepted && self.can_be_forced() {
             (self.accepted, self.forced) = (true, true);
-            self.reason = format!(
-                "forced, although these runs do not ask for it: {}",
-                self.reason
-            );
+            self.reason = format!("forced, although these runs do not ask for it: {}", self.reason);
         }
     }
 }
@@ -499,11 +464,7 @@ fn change(
     };
     let after = handed_on(after)?;
     // The model before has the effect that is taken out, and gives its size.
-    let before = if adding {
-        Standing::of(before, bench)?
-    } else {
-        handed_on(before)?
-    };
+    let before = if adding { Standing::of(before, bench)? } else { handed_on(before)? };
     let mut rungs = vec![before, after];
     // Beside others that the runs show too, one alone need not lower the error.
     let is_alone = adding && inference.named == [id];
@@ -518,10 +479,7 @@ fn change(
         Some(run) => {
             let on = |standing: &Standing| -> Result<Rung, FitError> {
                 let score = bench.confirming(&standing.fit.model, run)?.score;
-                Ok(Rung {
-                    holdout_rmse: score.nrms,
-                    ..standing.rung()
-                })
+                Ok(Rung { holdout_rmse: score.nrms, ..standing.rung() })
             };
             Some([on(&before)?, on(&after)?])
         }
@@ -539,11 +497,7 @@ fn change(
     }
     let [compared_before, compared_after] = sides;
     let fit = bench.as_believed(&after.fit);
-    let believed = if adding {
-        fit.clone()
-    } else {
-        bench.as_believed(&before.fit)
-    };
+    let believed = if adding { fit.clone() } else { bench.as_believed(&before.fit) };
     Ok(AddResult {
         effect: id,
         accepted: inference.names(id) == adding && refused.is_none(),
@@ -674,38 +628,17 @@ fn reason(effect: &dyn Effect, inference: &Inference, fall: &str, adding: bool) 
     // The list behind these words, if there is anything in it.
     let listed = |before: &str, ids: Vec<&str>, between: &str, behind: &str| {
         let words = || format!("{before}{}{behind}", ids.join(between));
-        if ids.is_empty() {
-            String::new()
-        } else {
-            words()
-        }
+        if ids.is_empty() { String::new() } else { words() }
     };
     if is_there {
-        let pairs = inference
-            .confusable
-            .iter()
-            .filter(|pair| pair.contains(&id));
+        let pairs = inference.confusable.iter().filter(|pair| pair.contains(&id));
         let twins = pairs.map(|pair| if pair[0] == id { pair[1] } else { pair[0] });
-        let twins = listed(
-            ", which these runs cannot tell from ",
-            twins.collect(),
-            " and ",
-            "",
-        );
+        let twins = listed(", which these runs cannot tell from ", twins.collect(), " and ", "");
         let superfluous = inference.superfluous_in_words();
         return format!("{name} is there with {likely}{twins}; with it {fall}{superfluous}");
     }
     let rivals = inference.named.iter().copied().filter(|named| *named != id);
-    let beside = listed(
-        " beside what these runs ask for (",
-        rivals.collect(),
-        ", ",
-        ")",
-    );
-    let unseen = if is_excited {
-        ""
-    } else {
-        "; these runs would not show it"
-    };
+    let beside = listed(" beside what these runs ask for (", rivals.collect(), ", ", ")");
+    let unseen = if is_excited { "" } else { "; these runs would not show it" };
     format!("{name} is there with {likely} only{beside}{unseen}; with it alone {fall}")
 }

@@ -127,18 +127,12 @@ impl Balance {
     ) -> Result<(Self, Option<BalanceFit>), FitError> {
         let sides = Sides::weak_form(model, evidence)?;
         let baseline = fit(model, &sides.training);
-        let (unit_n_m, source) = baseline
-            .as_ref()
-            .map_or((f64::NAN, FloorSource::None), |fit| {
-                let floor = standstill_floor(model, &evidence.training, &sides.training, fit);
-                let own = || (fit.rms_n_m.max(f64::MIN_POSITIVE), FloorSource::None);
-                floor.map_or_else(own, |floor| (floor, FloorSource::Standstill))
-            });
-        let balance = Self {
-            sides,
-            unit_n_m,
-            source,
-        };
+        let (unit_n_m, source) = baseline.as_ref().map_or((f64::NAN, FloorSource::None), |fit| {
+            let floor = standstill_floor(model, &evidence.training, &sides.training, fit);
+            let own = || (fit.rms_n_m.max(f64::MIN_POSITIVE), FloorSource::None);
+            floor.map_or_else(own, |floor| (floor, FloorSource::Standstill))
+        });
+        let balance = Self { sides, unit_n_m, source };
         Ok((balance, baseline))
     }
 
@@ -153,10 +147,7 @@ impl Balance {
             model: fit.model,
             parameters: fit.parameters,
             nrms: fit.rms_n_m / self.unit_n_m,
-            noise: NoiseFloor {
-                source: self.source,
-                ..evidence.noise
-            },
+            noise: NoiseFloor { source: self.source, ..evidence.noise },
             interval_factor: 1.0,
             start: start_of(&evidence.training),
         }
@@ -240,12 +231,7 @@ fn column(model: &Model, slot: &Slot, rows: &TorqueRows, at: &[Instant]) -> Vec<
             let signs: Vec<f64> = at.iter().map(|at| at.speed_rad_s.signum()).collect();
             rows.column(&signs)
         }
-        Slot::Effect {
-            index,
-            parameter,
-            spec,
-            ..
-        } => {
+        Slot::Effect { index, parameter, spec, .. } => {
             let active = &model.effects[index];
             let known = active.values[parameter].filter(|value| *value != 0.0);
             let probe = known.unwrap_or(spec.scale);
@@ -308,12 +294,8 @@ fn instants<'a>(model: &Model, rows: &'a TorqueRows) -> Cow<'a, [Instant]> {
 
 /// The instants of the samples under this torque, N.m in each row: between rows on the line from one to the next.
 fn transmitting(rows: &TorqueRows, torque_n_m: &[f64]) -> Vec<Instant> {
-    let points: Vec<(f64, f64)> = rows
-        .time_s
-        .iter()
-        .copied()
-        .zip(torque_n_m.iter().copied())
-        .collect();
+    let points: Vec<(f64, f64)> =
+        rows.time_s.iter().copied().zip(torque_n_m.iter().copied()).collect();
     let driven = |at: &Instant| Instant {
         current_a: signal::line_with_ends(&points, at.time_s + rows.begin_s) / at.torque_n_m_per_a,
         ..*at
@@ -347,9 +329,7 @@ fn alone(effect: &dyn Effect, values: &[f64], coefficient: usize, size: f64) -> 
 fn takes_power_only(model: &Model, slot: &Slot, rows: &TorqueRows) -> bool {
     let (index, parameter) = match *slot {
         Slot::Motor(key) => return key == MotorKey::LoadTorque,
-        Slot::Effect {
-            index, parameter, ..
-        } => (index, parameter),
+        Slot::Effect { index, parameter, .. } => (index, parameter),
     };
     let active = &model.effects[index];
     let specs = active.effect.parameters();
@@ -363,10 +343,7 @@ fn takes_power_only(model: &Model, slot: &Slot, rows: &TorqueRows) -> bool {
     // In either direction: a weight drives the shaft down, also where a run only lifts it.
     let some: Vec<Instant> = (rows.at.iter().step_by(step))
         .flat_map(|at| {
-            [1.0, -1.0].map(|turned| Instant {
-                speed_rad_s: turned * at.speed_rad_s,
-                ..*at
-            })
+            [1.0, -1.0].map(|turned| Instant { speed_rad_s: turned * at.speed_rad_s, ..*at })
         })
         .collect();
     let powers = torque(active.effect, &unit, &some).into_iter().zip(&some);
@@ -476,9 +453,7 @@ pub(super) fn averaged_over_forms(fit: &Fitted, rows: &TorqueRows) -> Fitted {
 /// Gives the model the values that it has without what depends on the transmitted torque: from them that torque follows.
 fn start_of_transmission(model: &mut Model, rows: &TorqueRows) -> Option<()> {
     let mut plain = model.clone();
-    plain
-        .effects
-        .retain(|active| !depends_on_drive(active.effect));
+    plain.effects.retain(|active| !depends_on_drive(active.effect));
     let plain = fit(&plain, rows)?.model;
     for slot in plain.slots() {
         let key = slot.key();
@@ -550,11 +525,7 @@ fn search(model: &mut Model, forms: &[Slot], rows: &TorqueRows) {
 fn finish(mut model: Model, rows: &TorqueRows) -> Option<BalanceFit> {
     let mut system = System::new(&model, rows)?;
     let mut x = system.solve_bounded()?;
-    let passes = if transmits(&model) {
-        PASSES_OF_TRANSMISSION
-    } else {
-        PASSES
-    };
+    let passes = if transmits(&model) { PASSES_OF_TRANSMISSION } else { PASSES };
     for _ in 0..passes {
         let before = system.matrix.clone();
         system.put(&mut model, &x);
@@ -633,9 +604,7 @@ fn blocks(rows: &TorqueRows, residual: &[f64]) -> Vec<usize> {
     let block_s = BLOCK_S.max(five_s).min(span_s(rows) / FEWEST_BLOCKS);
     let block_s = block_s.max(f64::MIN_POSITIVE);
     let times = rows.time_s.iter();
-    times
-        .map(|time_s| whole((time_s - rows.time_s[0]) / block_s))
-        .collect()
+    times.map(|time_s| whole((time_s - rows.time_s[0]) / block_s)).collect()
 }
 
 /// Time over which a series remembers itself: half of `1 + 2 sum rho`, in seconds; the sum stops where the correlation
@@ -748,13 +717,8 @@ mod tests {
         let events = times.iter().map(|time_s| (*time_s, torque(*time_s)));
         let speeds = times.iter().map(|time_s| speed(*time_s)).collect();
         let events = events.collect();
-        let mut run = Scenario::planned(
-            "geared",
-            Input::Torque,
-            Channel::Torque,
-            events,
-            times.clone(),
-        );
+        let mut run =
+            Scenario::planned("geared", Input::Torque, Channel::Torque, events, times.clone());
         run.current_a = vec![f64::NAN; times.len()];
         run.speed_rad_s = speeds;
         run
@@ -802,12 +766,7 @@ mod tests {
         for id in ["load_dependent_friction", "torque_ripple"] {
             assert!(of_drive(id), "{id}");
         }
-        for id in [
-            "viscous_friction",
-            "quadratic_load",
-            "cogging",
-            "stribeck_friction",
-        ] {
+        for id in ["viscous_friction", "quadratic_load", "cogging", "stribeck_friction"] {
             assert!(!of_drive(id), "{id}");
         }
     }

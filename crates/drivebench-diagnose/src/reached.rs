@@ -57,14 +57,7 @@ pub struct Reached {
 impl Reached {
     /// Those that there are.
     pub fn peaks(&self) -> impl Iterator<Item = Peak> {
-        [
-            self.torque_n_m,
-            self.voltage_v,
-            self.speed_rad_s,
-            self.current_a,
-        ]
-        .into_iter()
-        .flatten()
+        [self.torque_n_m, self.voltage_v, self.speed_rad_s, self.current_a].into_iter().flatten()
     }
 }
 
@@ -95,11 +88,7 @@ pub(super) fn of_fit(fit: &Fitted, effect: &'static dyn Effect, run: &Scenario) 
         let mut moved = values.clone();
         // At the upper bound it may be smaller only.
         let upwards = values[index] + std;
-        let beside = if upwards <= spec.max {
-            upwards
-        } else {
-            values[index] - std
-        };
+        let beside = if upwards <= spec.max { upwards } else { values[index] - std };
         moved[index] = beside.max(spec.min);
         let there = along.sizes(&moved).unwrap_or(sizes);
         for k in 0..4 {
@@ -279,10 +268,7 @@ mod tests {
         let (found, run) = reached("viscous_friction", &[8e-4]);
         let fastest = largest(run.speed_rad_s.iter().copied());
         let torque = found.torque_n_m.unwrap();
-        assert!(
-            (torque.value / (8e-4 * fastest) - 1.0).abs() < 0.05,
-            "{torque:?}"
-        );
+        assert!((torque.value / (8e-4 * fastest) - 1.0).abs() < 0.05, "{torque:?}");
         let [from, to] = torque.interval_95.unwrap();
         assert!(from < torque.value && torque.value < to && torque.unit == "N.m");
         assert!(torque.percent_of_largest.unwrap() < 100.0);
@@ -293,21 +279,13 @@ mod tests {
     fn a_drop_is_told_in_volts_and_a_delay_by_what_it_changes() {
         let (drop, _) = reached("voltage_drop", &[1.5]);
         let voltage = drop.voltage_v.unwrap();
-        assert!(
-            (voltage.value - 1.5).abs() < 0.05 && voltage.unit == "V",
-            "{voltage:?}"
-        );
+        assert!((voltage.value - 1.5).abs() < 0.05 && voltage.unit == "V", "{voltage:?}");
         assert!(drop.torque_n_m.is_none());
         let (late, run) = reached("speed_delay", &[0.004]);
         let steps = run.speed_rad_s.windows(40);
-        let steepest = steps
-            .map(|part| (part[39] - part[0]).abs() / 0.039)
-            .fold(0.0, f64::max);
+        let steepest = steps.map(|part| (part[39] - part[0]).abs() / 0.039).fold(0.0, f64::max);
         let change = late.speed_rad_s.unwrap();
-        assert!(
-            (change.value / (0.004 * steepest) - 1.0).abs() < 0.2,
-            "{change:?}"
-        );
+        assert!((change.value / (0.004 * steepest) - 1.0).abs() < 0.2, "{change:?}");
         assert!(late.torque_n_m.is_none() && late.voltage_v.is_none());
     }
 

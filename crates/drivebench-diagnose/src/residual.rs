@@ -145,41 +145,29 @@ impl ResidualLights {
         let each = self.named().filter(|_| self.enough_samples);
         let told = each.filter_map(|(name, lights)| {
             let with = lights.goes_with()?;
-            Some(format!(
-                "{name} error goes with {with}; in brackets: times what chance gives"
-            ))
+            Some(format!("{name} error goes with {with}; in brackets: times what chance gives"))
         });
         told.collect()
     }
 
     /// Each signal with its name and lights, those that there are.
     pub fn named(&self) -> impl Iterator<Item = (&'static str, SignalLights)> {
-        [
-            ("speed", self.speed_rad_s),
-            ("current", self.current_a),
-            ("torque", self.torque_n_m),
-        ]
-        .into_iter()
-        .filter_map(|(name, lights)| Some((name, lights?)))
+        [("speed", self.speed_rad_s), ("current", self.current_a), ("torque", self.torque_n_m)]
+            .into_iter()
+            .filter_map(|(name, lights)| Some((name, lights?)))
     }
 
     fn of_signals(residuals: [&[(f64, f64)]; 3]) -> Self {
         let [current_a, speed_rad_s, torque_n_m] = residuals.map(lights);
         // A signal that the run does not have says nothing either way.
-        let measured = || {
-            residuals
-                .into_iter()
-                .filter(|residual| !residual.is_empty())
-        };
+        let measured = || residuals.into_iter().filter(|residual| !residual.is_empty());
         let enough_samples = measured().next().is_some()
             && measured().all(|residual| residual.len() >= FEWEST_SAMPLES);
         let each = || [current_a, speed_rad_s, torque_n_m].into_iter().flatten();
         let changes =
             |pairs: &[(f64, f64)]| varies(&pairs.iter().map(|pair| pair.1).collect::<Vec<_>>());
         let is_asked = enough_samples && measured().any(changes);
-        let worst = each()
-            .map(|l| l.rho_ee.outside_99_percent)
-            .fold(0.0, f64::max);
+        let worst = each().map(|l| l.rho_ee.outside_99_percent).fold(0.0, f64::max);
         Self {
             white: enough_samples && each().all(|lights| lights.is_white()),
             enough_samples,
@@ -229,26 +217,18 @@ fn light(correlations: &[f64], n: usize) -> Light {
     let largest_over_band = ratios.iter().copied().fold(0.0, f64::max);
     let outside = ratios.iter().filter(|ratio| **ratio > 1.0).count() as f64;
     let outside_99_percent = outside / ratios.len() as f64;
-    Light {
-        largest_over_band,
-        outside_99_percent,
-        passes: largest_over_band <= FAR_OUTSIDE,
-    }
+    Light { largest_over_band, outside_99_percent, passes: largest_over_band <= FAR_OUTSIDE }
 }
 
 /// Of a residual with itself: its lags are independent, so that their number counts too.
 fn whiteness(correlations: &[f64], n: usize) -> Light {
     let light = light(correlations, n);
-    Light {
-        passes: light.passes && light.outside_99_percent <= OUTSIDE_BY_CHANCE,
-        ..light
-    }
+    Light { passes: light.passes && light.outside_99_percent <= OUTSIDE_BY_CHANCE, ..light }
 }
 
 fn centred(values: impl Iterator<Item = f64> + Clone) -> Vec<f64> {
-    let (count, sum) = values
-        .clone()
-        .fold((0.0, 0.0), |(count, sum), value| (count + 1.0, sum + value));
+    let (count, sum) =
+        values.clone().fold((0.0, 0.0), |(count, sum), value| (count + 1.0, sum + value));
     values.map(|value| value - sum / count).collect()
 }
 
@@ -294,10 +274,7 @@ mod tests {
     fn noise_is_white_and_a_slow_wave_is_not() {
         let (e, u) = (noise(4, 5000), noise(5, 5000));
         let good = lights(&e, &u);
-        assert!(
-            good.white && good.independent_of_input == Some(true),
-            "{good:?}"
-        );
+        assert!(good.white && good.independent_of_input == Some(true), "{good:?}");
         let one = good.current_a.unwrap();
         assert!(one.ljung_box < one.ljung_box_limit && good.speed_rad_s.is_none());
         let wave = spoilt(&e, |k| 0.6 * (k as f64 / 50.0).sin());
@@ -328,19 +305,13 @@ mod tests {
         );
         // Noise that grows with the input is white and goes with no input itself.
         let (all, size) = with(&|k| e[k] * u[k].abs());
-        assert!(
-            !size.rho_u2e2.passes && size.rho_ue.passes && all.white,
-            "{size:?}"
-        );
+        assert!(!size.rho_u2e2.passes && size.rho_ue.passes && all.white, "{size:?}");
         let mut fed_back = e.clone();
         for k in 1..4000 {
             fed_back[k] += 0.4 * fed_back[k - 1] * u[k - 1];
         }
         let bilinear = lights(&fed_back, &u).current_a.unwrap();
-        assert!(
-            !bilinear.rho_e_eu.passes && bilinear.rho_ee.passes,
-            "{bilinear:?}"
-        );
+        assert!(!bilinear.rho_e_eu.passes && bilinear.rho_ee.passes, "{bilinear:?}");
     }
 
     #[test]
@@ -352,21 +323,14 @@ mod tests {
         let independent = |found: &ResidualLights| found.independent_of_input == Some(true);
         let count =
             |seeds: u64, alarm: &dyn Fn(u64) -> bool| (0..seeds).filter(|k| alarm(*k)).count();
-        let alarms = count(100, &|k| {
-            !independent(&lights(&noise(2000 + k, 4000), &steps))
-        });
-        assert!(
-            alarms <= 1,
-            "white noise goes with no slow input: {alarms} of 100"
-        );
+        let alarms = count(100, &|k| !independent(&lights(&noise(2000 + k, 4000), &steps)));
+        assert!(alarms <= 1, "white noise goes with no slow input: {alarms} of 100");
         let alarms = count(60, &|k| {
             let found = lights(&noise(100 + k, 2000), &noise(900 + k, 2000));
             !(white(&found) && independent(&found))
         });
         assert!(alarms <= 2, "{alarms} of 60");
-        let alarms = count(400, &|k| {
-            !white(&lights(&noise(5000 + k, 1000), &[0.0; 1000]))
-        });
+        let alarms = count(400, &|k| !white(&lights(&noise(5000 + k, 1000), &[0.0; 1000])));
         assert!(alarms <= 1, "white noise is called so: {alarms} of 400");
     }
 
@@ -376,10 +340,7 @@ mod tests {
         let echoed = spoilt(&e, |k| if k >= 5 { 0.14 * e[k - 5] } else { 0.0 });
         let found = lights(&echoed, &u);
         assert!(found.autocorrelation_outside_99_percent <= OUTSIDE_BY_CHANCE);
-        assert!(
-            !found.white && found.independent_of_input == Some(true),
-            "{found:?}"
-        );
+        assert!(!found.white && found.independent_of_input == Some(true), "{found:?}");
         let one = found.current_a.unwrap();
         assert!(!one.rho_ee.passes && one.ljung_box > one.ljung_box_limit);
     }
@@ -394,15 +355,9 @@ mod tests {
         let echoed = spoilt(&e, |k| if k >= 1 { 0.6 * e[k - 1] } else { 0.0 });
         let found = lights(&echoed, &u);
         let sentence = found.sentence();
-        assert!(
-            !found.is_noise() && sentence.contains("not white ("),
-            "{sentence}"
-        );
+        assert!(!found.is_noise() && sentence.contains("not white ("), "{sentence}");
         let details = found.details();
-        assert!(
-            details[0].starts_with("current error goes with its own past ("),
-            "{details:?}"
-        );
+        assert!(details[0].starts_with("current error goes with its own past ("), "{details:?}");
     }
 
     #[test]
@@ -410,10 +365,7 @@ mod tests {
         let short = ResidualLights::of(&[(0.0, 1.0); 40], &[]);
         assert!(!short.white && !short.enough_samples);
         let still = ResidualLights::of(&[(0.0, 1.0); 400], &[]);
-        assert!(
-            still.white && still.current_a.is_none(),
-            "an exact model leaves nothing"
-        );
+        assert!(still.white && still.current_a.is_none(), "an exact model leaves nothing");
         let steady = lights(&noise(23, 400), &[1.0; 400]);
         assert!(steady.white && steady.independent_of_input.is_none());
     }

@@ -21,11 +21,7 @@ pub struct SignalScore {
 }
 
 impl SignalScore {
-    pub(super) const UNKNOWN: Self = Self {
-        fit_percent: f64::NAN,
-        rmse: f64::NAN,
-        samples: 0,
-    };
+    pub(super) const UNKNOWN: Self = Self { fit_percent: f64::NAN, rmse: f64::NAN, samples: 0 };
 }
 
 /// Residuals of a free run over the scored samples, or of a balance of torques over its rows.
@@ -96,9 +92,7 @@ impl Score {
 
     /// Readings that are judged: of the signal that has most of them.
     pub(super) fn samples(&self) -> usize {
-        let signals = [self.current, self.speed, self.torque]
-            .into_iter()
-            .flatten();
+        let signals = [self.current, self.speed, self.torque].into_iter().flatten();
         signals.map(|own| own.samples).max().unwrap_or(0)
     }
 
@@ -118,9 +112,7 @@ impl Score {
 pub(super) fn varies(values: &[f64]) -> bool {
     let mut present = values.iter().filter(|value| value.is_finite());
     #[expect(clippy::float_cmp, reason = "exactly constant is what is asked")]
-    present
-        .next()
-        .is_some_and(|first| present.any(|value| value != first))
+    present.next().is_some_and(|first| present.any(|value| value != first))
 }
 
 pub(super) fn signal_score(residual: &[f64], measured: &[f64]) -> Option<SignalScore> {
@@ -135,11 +127,7 @@ pub(super) fn signal_score(residual: &[f64], measured: &[f64]) -> Option<SignalS
     let spread: f64 = pairs.iter().map(|pair| (pair.1 - mean).powi(2)).sum();
     let squares: f64 = pairs.iter().map(|pair| pair.0 * pair.0).sum();
     let fit_percent = 100.0 * (1.0 - (squares / spread.max(f64::MIN_POSITIVE)).sqrt());
-    Some(SignalScore {
-        fit_percent,
-        rmse: (squares / samples as f64).sqrt(),
-        samples,
-    })
+    Some(SignalScore { fit_percent, rmse: (squares / samples as f64).sqrt(), samples })
 }
 
 fn finite_points(time_s: &[f64], values: &[f64]) -> Vec<(f64, f64)> {
@@ -293,18 +281,11 @@ mod tests {
         let noise = NoiseFloor::from_standstill(&run).unwrap();
         let fit = output_error::fit(&[nameplate()], &run, &noise).unwrap();
         let score = Score::of(&fit.model, &run, &noise).unwrap().nrms;
-        assert!(
-            (fit.nrms / score - 1.0).abs() < 1e-9,
-            "{} {score}",
-            fit.nrms
-        );
+        assert!((fit.nrms / score - 1.0).abs() < 1e-9, "{} {score}", fit.nrms);
         let weighing_samples = (fit.minimum.cost / fit.minimum.residual.len() as f64).sqrt();
         assert!((weighing_samples / score - 1.0).abs() > 0.05);
         // Of a signal that is not judged nothing counts.
-        let unjudged = NoiseFloor {
-            current_a: f64::INFINITY,
-            ..noise
-        };
+        let unjudged = NoiseFloor { current_a: f64::INFINITY, ..noise };
         let score = Score::of(&fit.model, &run, &unjudged).unwrap();
         let speed = score.speed.unwrap();
         let alone = speed.samples as f64 * score.nrms.powi(2);
@@ -329,10 +310,8 @@ mod tests {
             ("stribeck_friction.stribeck_n_m", 5e-3, Some(2.2e-2)),
             ("stribeck_friction.speed_rad_s", 33.0, Some(3.0)),
         ];
-        let wave: &[_] = &[
-            ("cogging.sin_n_m", 1e-3, Some(2e-2)),
-            ("cogging.cos_n_m", -5e-2, Some(2e-2)),
-        ];
+        let wave: &[_] =
+            &[("cogging.sin_n_m", 1e-3, Some(2e-2)), ("cogging.cos_n_m", -5e-2, Some(2e-2))];
         let none: &[_] = &[("voltage_drop.drop_v", 0.0, Some(0.0))];
         let coupling: &[_] = &[("elastic_coupling.frequency_hz", 20.0, Some(0.1))];
         let unknown: &[_] = &[("cogging.sin_n_m", 1.0, None)];

@@ -38,10 +38,7 @@ pub(super) fn sentence(diagnosis: &Diagnosis) -> String {
             }
         }
         DiagnosisVerdict::None if diagnosis.is_refuted() => {
-            let there = diagnosis
-                .confirm
-                .as_ref()
-                .and_then(|confirm| confirm.error_before);
+            let there = diagnosis.confirm.as_ref().and_then(|confirm| confirm.error_before);
             format!(
                 "the held-out error is {before:.2} {times}, but on the confirming run it is {:.2}: something is missing that \
                  only that run shows",
@@ -53,11 +50,7 @@ pub(super) fn sentence(diagnosis: &Diagnosis) -> String {
         }
         DiagnosisVerdict::None => format!(
             "{}: held-out error {before:.2} {times}{}",
-            if diagnosis.is_all_judged() {
-                NOTHING_IS_MISSING
-            } else {
-                NOTHING_THAT_SHOWS
-            },
+            if diagnosis.is_all_judged() { NOTHING_IS_MISSING } else { NOTHING_THAT_SHOWS },
             unseen(diagnosis)
         ),
         DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous if diagnosis.has_no_error() => {
@@ -115,15 +108,13 @@ pub(super) fn not_told(confusable: &[[&'static str; 2]]) -> String {
     if each.is_empty() {
         return String::new();
     }
-    let words = each
-        .into_iter()
-        .map(|(id, rivals)| match rivals.as_slice() {
-            [first, second, _, _, ..] => {
-                let more = rivals.len() - 2;
-                format!("{id} from {first}, {second} and {more} others")
-            }
-            few => format!("{id} from {}", few.join(", ")),
-        });
+    let words = each.into_iter().map(|(id, rivals)| match rivals.as_slice() {
+        [first, second, _, _, ..] => {
+            let more = rivals.len() - 2;
+            format!("{id} from {first}, {second} and {more} others")
+        }
+        few => format!("{id} from {}", few.join(", ")),
+    });
     let words: Vec<String> = words.collect();
     format!("; this run cannot tell {}", words.join(" nor "))
 }
@@ -148,13 +139,7 @@ fn unseen(diagnosis: &Diagnosis) -> String {
         with(Status::Possible).partition(|candidate| candidate.is_not_borne_out());
     let possible: Vec<String> = possible
         .into_iter()
-        .map(|candidate| {
-            format!(
-                "{} ({})",
-                candidate.effect,
-                probability(candidate.probability)
-            )
-        })
+        .map(|candidate| format!("{} ({})", candidate.effect, probability(candidate.probability)))
         .collect();
     let mut said = String::new();
     if !possible.is_empty() {
@@ -169,21 +154,14 @@ fn unseen(diagnosis: &Diagnosis) -> String {
     let names = match unseen.len() {
         0 => return said,
         1..=FEW => unseen.join(", "),
-        many => format!(
-            "{} and {} more",
-            unseen[..FEW - 1].join(", "),
-            many - FEW + 1
-        ),
+        many => format!("{} and {} more", unseen[..FEW - 1].join(", "), many - FEW + 1),
     };
     said + "; not shown: " + &names
 }
 
 /// Said where the machine does not do the same twice: how much of the error that is, and what it follows.
 fn not_repeating(diagnosis: &Diagnosis) -> String {
-    let Some(floor) = diagnosis
-        .repeat_floor
-        .filter(|_| diagnosis.repeats == Some(false))
-    else {
+    let Some(floor) = diagnosis.repeat_floor.filter(|_| diagnosis.repeats == Some(false)) else {
         return String::new();
     };
     let share = (floor * floor - 1.0) / (diagnosis.holdout_before.powi(2) - 1.0);

@@ -55,11 +55,7 @@ fn of_a_model_that_follows_nothing_nothing_is_concluded() {
     assert!(found.effects.is_empty() && found.candidates.is_empty() && found.unknown.is_empty());
     assert!(found.reason.is_some() && !found.sufficient, "{said}");
     // JSON, card and page give the same of each parameter, and what was given stays.
-    for parameters in [
-        &found.parameters,
-        &found.baseline.parameters,
-        &found.model.parameters,
-    ] {
+    for parameters in [&found.parameters, &found.baseline.parameters, &found.model.parameters] {
         for own in parameters {
             let is_given = own.key == "resistance_ohm";
             assert_eq!(own.value.is_some(), is_given, "{own:?}");
@@ -77,12 +73,7 @@ fn an_error_that_no_effect_explains_is_called_unexplained() {
         }
     }
     let found = diagnose(&nameplate(), data).unwrap();
-    assert_eq!(
-        found.verdict,
-        DiagnosisVerdict::Unexplained,
-        "{}",
-        found.sentence
-    );
+    assert_eq!(found.verdict, DiagnosisVerdict::Unexplained, "{}", found.sentence);
     assert!(!found.sufficient && found.effects.is_empty());
 }
 
@@ -91,12 +82,7 @@ fn two_effects_are_both_found() {
     let both: [(&str, &[f64]); 2] = [("voltage_drop", &[1.2]), ("quadratic_load", &[2.5e-6])];
     let data = evidence(&with(nameplate(), &both), 3);
     let found = diagnose(&nameplate(), data.clone()).unwrap();
-    assert_eq!(
-        names(&found),
-        ["quadratic_load", "voltage_drop"],
-        "{}",
-        found.sentence
-    );
+    assert_eq!(names(&found), ["quadratic_load", "voltage_drop"], "{}", found.sentence);
     let mut steps = found.ladder.windows(2);
     assert!(steps.all(|rungs| rungs[1].holdout_rmse < rungs[0].holdout_rmse));
     // They come first, in the order of the answer, and their sizes are those of the fit with both.
@@ -105,10 +91,7 @@ fn two_effects_are_both_found() {
         assert_eq!((candidate.effect, candidate.rank), (*id, place + 1));
         assert_eq!(candidate.status, Status::Supported);
         let true_size = both.iter().find(|(known, _)| known == id).unwrap().1[0];
-        assert!(
-            is_of_size(candidate, true_size),
-            "{candidate:?} of {true_size}"
-        );
+        assert!(is_of_size(candidate, true_size), "{candidate:?} of {true_size}");
         let size = &candidate.parameters[0];
         let mut joint = found.model.parameters.iter();
         assert_eq!(joint.find(|own| own.key == size.key), Some(size));
@@ -176,10 +159,7 @@ fn a_signal_without_rest_samples_is_named_with_the_reason_and_the_other_answers(
     assert!(compared.limits.contains(limit), "{:?}", compared.limits);
     // How good the model is for it can still be said; only not in units of its noise.
     let current = compared.signals.current_a.unwrap();
-    assert!(
-        current.noise_floor.is_none() && current.holdout.rmse > 0.0,
-        "{current:?}"
-    );
+    assert!(current.noise_floor.is_none() && current.holdout.rmse > 0.0, "{current:?}");
     assert!(current.fit_percent > 50.0, "{current:?}");
     // Nothing is said of runs that lack nothing.
     assert_eq!(evidence(&nameplate(), 8).unjudged(), Vec::<String>::new());
@@ -195,11 +175,7 @@ fn compared(data: Evidence) -> Comparison {
 fn the_location_names_equation_and_axis() {
     let peak = compared(evidence(&truth("stribeck_friction", &[0.3, 12.0]), 6));
     let first = &peak.locations[0];
-    assert_eq!(
-        (first.equation, first.variable),
-        ("torque", "speed_rad_s"),
-        "{first:?}"
-    );
+    assert_eq!((first.equation, first.variable), ("torque", "speed_rad_s"), "{first:?}");
     assert!(first.from < 0.0 && first.to > 0.0, "{first:?}");
     assert!(!peak.residual.white);
     let drop = compared(evidence(&truth("voltage_drop", &[1.5]), 6));
@@ -224,10 +200,7 @@ fn a_fitted_model_that_follows_nothing_has_no_places_and_a_given_one_has() {
 #[test]
 fn a_repeat_gives_the_floor_that_the_standstill_gives_when_only_sensors_are_noisy() {
     let data = evidence(&nameplate(), 7);
-    let unknown = Evidence {
-        noise: NoiseFloor::from_spread(&data.training),
-        ..data.clone()
-    };
+    let unknown = Evidence { noise: NoiseFloor::from_spread(&data.training), ..data.clone() };
     let repeat = record(&nameplate(), 0, 99);
     let repeated = unknown.with_repeat(&nameplate(), repeat).unwrap();
     assert_eq!(repeated.noise.source, FloorSource::Repeat);
@@ -250,20 +223,11 @@ fn wandering(seed: u32) -> Scenario {
 #[test]
 fn a_machine_that_does_not_repeat_is_not_called_complete() {
     let repeated = |data: Evidence, repeat: Scenario| {
-        diagnose(
-            &nameplate(),
-            data.with_repeat(&nameplate(), repeat).unwrap(),
-        )
-        .unwrap()
+        diagnose(&nameplate(), data.with_repeat(&nameplate(), repeat).unwrap()).unwrap()
     };
     let found = repeated(evidence(&nameplate(), 8), record(&nameplate(), 0, 98));
     let expected = (DiagnosisVerdict::None, Some(true));
-    assert_eq!(
-        (found.verdict, found.repeats),
-        expected,
-        "{}",
-        found.sentence
-    );
+    assert_eq!((found.verdict, found.repeats), expected, "{}", found.sentence);
     let data = Evidence::new(wandering(3), Some(wandering(4)), None);
     let found = repeated(data, wandering(5));
     let said = &found.sentence;
@@ -303,10 +267,7 @@ fn where_a_model_fails_is_one_sentence_whatever_two_tests_say() {
     let unknown = sentence(&|found| found.balances[0].nres = None);
     assert!(unknown.starts_with("not known"), "{unknown}");
     let follows_nothing = sentence(&|found| found.balances[0].fails = true);
-    assert!(
-        follows_nothing.contains("follows no speed"),
-        "{follows_nothing}"
-    );
+    assert!(follows_nothing.contains("follows no speed"), "{follows_nothing}");
     let not_asked = sentence(&|found| found.balances.clear());
     assert!(not_asked.contains("do not tell"), "{not_asked}");
     // What is named first is not told twice.

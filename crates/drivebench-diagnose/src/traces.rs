@@ -93,12 +93,7 @@ impl SignalTrace {
             let from_s = first + part * part_s;
             if places.last().is_none_or(|place| place.from_s < from_s) {
                 (count, largest) = (0.0, 0.0);
-                places.push(WorstPlace {
-                    from_s,
-                    to_s: from_s + part_s,
-                    at_s: *time_s,
-                    rms: 0.0,
-                });
+                places.push(WorstPlace { from_s, to_s: from_s + part_s, at_s: *time_s, rms: 0.0 });
             }
             if let Some(place) = places.last_mut() {
                 count += 1.0;
@@ -163,12 +158,7 @@ impl RunTraces {
     pub fn free_run(model: &Model, run: &Scenario, noise: &NoiseFloor) -> Result<Self, FitError> {
         let mut signals = free_run(model, run, noise)?;
         signals.push(command(run));
-        Ok(Self {
-            run: run.name.clone(),
-            part: Part::HoldOut,
-            held_out_from_s: None,
-            signals,
-        })
+        Ok(Self { run: run.name.clone(), part: Part::HoldOut, held_out_from_s: None, signals })
     }
 
     /// First and last instant of all signals; zero and one where there is none.
@@ -177,8 +167,7 @@ impl RunTraces {
             let (first, last) = (signal.time_s.first()?, signal.time_s.last()?);
             Some((*first, *last))
         });
-        ends.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
-            .unwrap_or((0.0, 1.0))
+        ends.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).unwrap_or((0.0, 1.0))
     }
 }
 
@@ -263,9 +252,7 @@ impl Traces {
                     let rows = rows_of(&balance.sides, part);
                     let known = balance.source != FloorSource::None;
                     let unit_n_m = known.then_some(balance.unit_n_m);
-                    rows.map(|rows| torque(model, rows, run, unit_n_m))
-                        .into_iter()
-                        .collect()
+                    rows.map(|rows| torque(model, rows, run, unit_n_m)).into_iter().collect()
                 }
             };
             if run.input == Input::Voltage {
@@ -285,10 +272,7 @@ impl Traces {
             })
         };
         let runs = parts.into_iter().map(traced);
-        Ok(Self {
-            runs: runs.collect::<Result<_, FitError>>()?,
-            effects: model.effect_ids(),
-        })
+        Ok(Self { runs: runs.collect::<Result<_, FitError>>()?, effects: model.effect_ids() })
     }
 }
 
@@ -346,11 +330,7 @@ fn estimates(run: &Run, scenario: &Scenario) -> Vec<SignalTrace> {
     }
     let command = Channel::VoltageCmd;
     let is_measured = scenario.input_channel == Channel::Voltage && run.column(command).is_some();
-    let used = if is_measured {
-        Cow::Owned(run.without(command))
-    } else {
-        Cow::Borrowed(run)
-    };
+    let used = if is_measured { Cow::Owned(run.without(command)) } else { Cow::Borrowed(run) };
     let stride = used.rows().div_ceil(ESTIMATES).max(1);
     let mut online = Online::new(OnlineConfig::default());
     let mut times = Vec::new();
@@ -446,11 +426,7 @@ mod tests {
         for (of_right, of_wrong) in right.runs.iter().zip(&wrong.runs) {
             let (speed, missed) = (&of_right.signals[0], &of_wrong.signals[0]);
             assert_eq!(speed.quantity, Quantity::Channel(Channel::Speed));
-            assert!(
-                (rms(speed) / SPEED_NOISE_RAD_S - 1.0).abs() < 0.15,
-                "{}",
-                rms(speed)
-            );
+            assert!((rms(speed) / SPEED_NOISE_RAD_S - 1.0).abs() < 0.15, "{}", rms(speed));
             assert!(rms(missed) > 5.0 * rms(speed));
             assert!((speed.noise.unwrap() / SPEED_NOISE_RAD_S - 1.0).abs() < 0.3);
             assert!(speed.time_s[0].abs() < 1e-9 && speed.time_s.len() == speed.model.len());
@@ -464,10 +440,8 @@ mod tests {
     fn the_worst_place_is_where_the_model_is_farthest_off() {
         let time_s: Arc<[f64]> = (0..1000).map(|k| 0.01 * f64::from(k)).collect();
         let bump = |at: f64, size: f64, t: f64| size * (-((t - at) / 0.05).powi(2)).exp();
-        let model: Vec<f64> = time_s
-            .iter()
-            .map(|t| bump(7.35, 3.0, *t) + bump(2.05, -5.0, *t))
-            .collect();
+        let model: Vec<f64> =
+            time_s.iter().map(|t| bump(7.35, 3.0, *t) + bump(2.05, -5.0, *t)).collect();
         let trace = SignalTrace {
             quantity: Quantity::Channel(Channel::Speed),
             measured: vec![0.0; 1000],
@@ -479,10 +453,7 @@ mod tests {
         };
         let worst = trace.worst_places(100);
         assert!((worst[0].at_s - 2.05).abs() < 0.02, "{:?}", worst[0]);
-        let next = worst
-            .iter()
-            .find(|place| (place.at_s - 2.05).abs() > 0.5)
-            .unwrap();
+        let next = worst.iter().find(|place| (place.at_s - 2.05).abs() > 0.5).unwrap();
         assert!((next.at_s - 7.35).abs() < 0.06, "{next:?}");
         assert_eq!(worst.len(), 100);
     }
@@ -491,9 +462,7 @@ mod tests {
     fn a_split_run_is_one_run_and_says_from_when_on_it_is_held_out() {
         let evidence = Evidence::new(with_a_fan(0), None, None);
         let traces = Traces::of(&with_its_fan(), &evidence, &RecordedChannels::default()).unwrap();
-        let [run] = traces.runs.as_slice() else {
-            panic!("{}", traces.runs.len())
-        };
+        let [run] = traces.runs.as_slice() else { panic!("{}", traces.runs.len()) };
         assert!(!run.run.contains("last"), "{}", run.run);
         let from_s = run.held_out_from_s.unwrap();
         assert!((from_s / run.span_s().1 - 0.6).abs() < 0.01, "{from_s}");
@@ -503,13 +472,8 @@ mod tests {
     fn what_else_was_recorded_stands_beside_under_the_time_of_its_run() {
         let fitted = with_a_fan(0);
         let times = fitted.sample_time_s.clone();
-        let volts = times
-            .iter()
-            .map(|time_s| fitted.input_at(*time_s))
-            .collect();
-        let bus = (0..times.len())
-            .map(|k| if k == 1 { f64::NAN } else { 48.0 })
-            .collect();
+        let volts = times.iter().map(|time_s| fitted.input_at(*time_s)).collect();
+        let bus = (0..times.len()).map(|k| if k == 1 { f64::NAN } else { 48.0 }).collect();
         let columns = [
             (Channel::VoltageCmd, volts, Origin::Unknown),
             (Channel::Current, fitted.current_a.clone(), Origin::Measured),
@@ -536,13 +500,7 @@ mod tests {
             .unwrap();
         let (value, std) = (resistance.measured.last(), resistance.std.last());
         let (value, std) = (*value.unwrap(), *std.unwrap());
-        assert!(
-            (value - 1.1).abs() < 5.0 * std && std < 0.1,
-            "{value} {std}"
-        );
-        assert!(
-            resistance.measured[0].is_nan(),
-            "nothing is known at the start"
-        );
+        assert!((value - 1.1).abs() < 5.0 * std && std < 0.1, "{value} {std}");
+        assert!(resistance.measured[0].is_nan(), "nothing is known at the start");
     }
 }

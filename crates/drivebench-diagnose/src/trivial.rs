@@ -39,11 +39,7 @@ pub(super) fn as_good(
         constant(name, unit, own?, &part(fitted), &part(held_out), level)
     };
     let level = |level: f64| {
-        if evidence.noise.samples > 0 {
-            level
-        } else {
-            0.0
-        }
+        if evidence.noise.samples > 0 { level } else { 0.0 }
     };
     let speed = score.speed.map(|own| own.rmse);
     let current = score.current.map(|own| own.rmse);
@@ -68,10 +64,8 @@ fn constant(
         return None;
     }
     let error = |value: f64| mean_square(held_out.iter().map(|held_out| held_out - value)).sqrt();
-    let constants = [
-        ("mean of it", mean(&held_out)),
-        ("last value of the fitted part", *fitted.last()?),
-    ];
+    let constants =
+        [("mean of it", mean(&held_out)), ("last value of the fitted part", *fitted.last()?)];
     let as_good = constants
         .iter()
         .find(|(_, value)| own.is_nan() || own >= CONSTANT_RATIO * error(*value))?;
@@ -96,9 +90,8 @@ fn lag(own: f64, fitted: &Scenario, held_out: &Scenario) -> Option<String> {
 }
 
 fn mean_square(values: impl Iterator<Item = f64>) -> f64 {
-    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), value| {
-        (sum + value * value, count + 1.0)
-    });
+    let (sum, count) =
+        values.fold((0.0, 0.0), |(sum, count), value| (sum + value * value, count + 1.0));
     sum / f64::max(count, 1.0)
 }
 
@@ -138,13 +131,7 @@ mod tests {
         let is_found = |own| constant("torque", "N.m", own, &held_out, &held_out, 0.0).is_some();
         assert!(is_found(2.5) && is_found(f64::NAN) && !is_found(0.5));
         // A signal that is noise alone is no test.
-        assert_eq!(
-            constant("torque", "N.m", 2.5, &held_out, &held_out, 2.0),
-            None
-        );
-        assert_eq!(
-            constant("torque", "N.m", 2.5, &held_out, &held_out[..3], 0.0),
-            None
-        );
+        assert_eq!(constant("torque", "N.m", 2.5, &held_out, &held_out, 2.0), None);
+        assert_eq!(constant("torque", "N.m", 2.5, &held_out, &held_out[..3], 0.0), None);
     }
 }

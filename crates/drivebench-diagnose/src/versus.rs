@@ -64,20 +64,12 @@ pub fn versus(models: [&Model; 2], evidence: &Evidence) -> Result<Versus, FitErr
         let noise = &evidence.noise;
         let score = |model| Score::of(model, &evidence.holdout, noise);
         let scores = [score(models[0])?, score(models[1])?];
-        (
-            scores,
-            [noise.current_a, noise.speed_rad_s, f64::NAN],
-            noise.source,
-        )
+        (scores, [noise.current_a, noise.speed_rad_s, f64::NAN], noise.source)
     } else {
         let (balance, _) = Balance::new(models[0], evidence)?;
         let score = |model| balance.score(model, &balance.sides.holdout);
         let scores = [score(models[0]), score(models[1])];
-        (
-            scores,
-            [f64::NAN, f64::NAN, balance.unit_n_m],
-            balance.source,
-        )
+        (scores, [f64::NAN, f64::NAN, balance.unit_n_m], balance.source)
     };
     let by_blocks = ByBlocks::of([&scores[0], &scores[1]], levels);
     let better = by_blocks.better;
@@ -129,13 +121,7 @@ impl ByBlocks {
             }
             _ => Better::NotToldApart,
         };
-        Self {
-            better,
-            difference,
-            difference_std,
-            blocks: blocks.len(),
-            limit,
-        }
+        Self { better, difference, difference_std, blocks: blocks.len(), limit }
     }
 }
 
@@ -210,17 +196,15 @@ fn signals(scores: &[Score; 2]) -> Vec<SignalVersus> {
         ("current_a", "A", first.current, second.current),
         ("torque_n_m", "N.m", first.torque, second.torque),
     ];
-    let both = pairs
-        .into_iter()
-        .filter_map(|(signal, unit, first, second)| {
-            let (first, second) = (first?, second?);
-            Some(SignalVersus {
-                signal,
-                unit,
-                rmse: [first.rmse, second.rmse],
-                fit_percent: [first.fit_percent, second.fit_percent],
-            })
-        });
+    let both = pairs.into_iter().filter_map(|(signal, unit, first, second)| {
+        let (first, second) = (first?, second?);
+        Some(SignalVersus {
+            signal,
+            unit,
+            rmse: [first.rmse, second.rmse],
+            fit_percent: [first.fit_percent, second.fit_percent],
+        })
+    });
     both.collect()
 }
 
@@ -239,12 +223,7 @@ mod tests {
     fn with_friction(viscous: f64) -> Model {
         let mut model = Model::baseline(Motor::zk_22fc());
         let effect = effect::find("viscous_friction").unwrap();
-        model
-            .effects
-            .push(drivebench_model::plant::ActiveEffect::with(
-                effect,
-                &[viscous],
-            ));
+        model.effects.push(drivebench_model::plant::ActiveEffect::with(effect, &[viscous]));
         model
     }
 
@@ -255,11 +234,7 @@ mod tests {
         let bare = Model::baseline(Motor::zk_22fc());
         let found = versus([&bare, &truth], &evidence).unwrap();
         assert_eq!(found.better, Better::Second, "{}", found.sentence);
-        assert!(
-            found.sentence.starts_with("B is better"),
-            "{}",
-            found.sentence
-        );
+        assert!(found.sentence.starts_with("B is better"), "{}", found.sentence);
         assert!((found.holdout_rmse[1] - 1.0).abs() < 0.1, "{found:?}");
         let swapped = versus([&truth, &bare], &evidence).unwrap();
         assert_eq!(swapped.better, Better::First);
@@ -275,11 +250,7 @@ mod tests {
             |share: f64| Model::baseline(Motor::zk_22fc().with(MotorKey::Inertia, 0.0045 * share));
         let found = versus([&inertia(1.0 + 2e-5), &inertia(1.0 - 2e-5)], &evidence).unwrap();
         assert_eq!(found.better, Better::NotToldApart, "{}", found.sentence);
-        assert!(
-            found.sentence.contains("does not tell"),
-            "{}",
-            found.sentence
-        );
+        assert!(found.sentence.contains("does not tell"), "{}", found.sentence);
         let same = versus([&truth, &truth], &evidence).unwrap();
         assert_eq!(same.better, Better::NotToldApart);
         assert!(same.sentence.contains("the same"), "{}", same.sentence);

@@ -29,10 +29,7 @@ pub(super) struct Veto {
 
 impl Veto {
     pub(super) fn new(effect: &'static str, reason: impl Into<String>) -> Self {
-        Self {
-            effect,
-            reason: reason.into(),
-        }
+        Self { effect, reason: reason.into() }
     }
 }
 
@@ -127,8 +124,7 @@ fn without_inertia(bench: &Bench, named: &[&'static str], rungs: &[Standing]) ->
     let has_inertia = |rung: &Standing| {
         let key = MotorKey::Inertia.key();
         let own = rung.fit.parameters.iter().find(|own| own.key == key);
-        own.and_then(|own| own.value)
-            .is_some_and(|value| value > 0.0)
+        own.and_then(|own| own.value).is_some_and(|value| value > 0.0)
     };
     let mut steps = rungs.windows(2).zip(named);
     let (_, id) = steps.find(|(pair, _)| has_inertia(&pair[0]) && !has_inertia(&pair[1]))?;
@@ -146,9 +142,7 @@ fn by_chance(
 ) -> Option<Veto> {
     let evidence = &bench.evidence;
     let floor = inference.floor(evidence);
-    let left = rungs
-        .iter()
-        .position(|rung| floor.is_reached(rung.score.nrms));
+    let left = rungs.iter().position(|rung| floor.is_reached(rung.score.nrms));
     let left = left.filter(|left| !bench.fits_at_once() && left + 1 < rungs.len())?;
     let on_both = |rung: &Standing| {
         let fitted = Score::of(&rung.fit.model, &evidence.training, &evidence.noise).ok()?;

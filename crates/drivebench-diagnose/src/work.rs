@@ -39,9 +39,7 @@ impl Work {
 /// Iterations that a refit may take of `most`, each of so many sub-steps.
 pub(super) fn iterations_of(steps: u64, most: usize) -> usize {
     let affordable = REFIT_SHARE * MOST_STEPS as f64 / steps.max(1) as f64;
-    (FEWEST_ITERATIONS.min(most)..most)
-        .find(|count| *count as f64 >= affordable)
-        .unwrap_or(most)
+    (FEWEST_ITERATIONS.min(most)..most).find(|count| *count as f64 >= affordable).unwrap_or(most)
 }
 
 #[cfg(test)]

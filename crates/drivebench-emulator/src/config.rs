@@ -36,12 +36,7 @@ pub enum EmulatorConfigError {
     #[error(transparent)]
     Text(#[from] ConfigError),
     #[error("{file}: {key} = {value} is not allowed (expected {allowed})")]
-    Value {
-        file: String,
-        key: &'static str,
-        value: f64,
-        allowed: &'static str,
-    },
+    Value { file: String, key: &'static str, value: f64, allowed: &'static str },
     #[error(
         "{file}: {key} of the hidden effect {effect} = {value} is not allowed (expected {allowed})"
     )]
@@ -63,11 +58,7 @@ pub enum EmulatorConfigError {
     )]
     TwoShafts { file: String },
     #[error("[[fault]] kind = {kind:?} does nothing {on} (expected {allowed})")]
-    Idle {
-        kind: &'static str,
-        on: &'static str,
-        allowed: &'static str,
-    },
+    Idle { kind: &'static str, on: &'static str, allowed: &'static str },
     #[error("there is no embedded emulator {name:?}")]
     Unknown { name: String },
 }
@@ -282,10 +273,7 @@ impl EmulatorConfig {
         let (limits, noise, step) = (&self.limits, &self.noise, &self.quantisation);
         let capacitance_f = limits.bus_capacitance_f.unwrap_or(1.0);
         let (release_s, apply_s) = self.brake.map_or((1.0, 1.0), |b| (b.release_s, b.apply_s));
-        let carried = [
-            ("current_limit_a", limits.current_limit_a),
-            ("bus_v", limits.bus_v),
-        ];
+        let carried = [("current_limit_a", limits.current_limit_a), ("bus_v", limits.bus_v)];
         let speed = [("speed_limit_rad_s", limits.speed_limit_rad_s)];
         let winding = [("winding_limit_c", limits.winding_limit_c)];
         let brake = [("brake.release_s", release_s), ("brake.apply_s", apply_s)];
@@ -336,12 +324,7 @@ impl EmulatorConfig {
 
     fn check(&self, file: &str) -> Result<(), EmulatorConfigError> {
         let refuse = |(key, value, allowed)| {
-            Err(EmulatorConfigError::Value {
-                file: file.to_owned(),
-                key,
-                value,
-                allowed,
-            })
+            Err(EmulatorConfigError::Value { file: file.to_owned(), key, value, allowed })
         };
         if let Some(impossible) = self.impossible() {
             return refuse(impossible);

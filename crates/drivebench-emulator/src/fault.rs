@@ -174,12 +174,10 @@ impl FaultEntry {
         as_another: bool,
         protocol: Protocol,
     ) -> Result<(), EmulatorConfigError> {
-        self.kind
-            .idle(as_another, protocol)
-            .map_or(Ok(()), |(on, allowed)| {
-                let kind = self.kind.row().map_or("", |(_, name, ..)| name);
-                Err(EmulatorConfigError::Idle { kind, on, allowed })
-            })
+        self.kind.idle(as_another, protocol).map_or(Ok(()), |(on, allowed)| {
+            let kind = self.kind.row().map_or("", |(_, name, ..)| name);
+            Err(EmulatorConfigError::Idle { kind, on, allowed })
+        })
     }
 
     /// The first value that makes no sense, with what is allowed: `(key, value, allowed)`.
@@ -196,28 +194,10 @@ impl FaultEntry {
             ("fault.from_s", self.from_s, !wraps, TIMES, TIME),
             ("fault.for_s", self.for_s, !wraps, TIMES, TIME),
             ("fault.share", Some(self.share), true, [0.0, 1.0], "0 to 1"),
-            (
-                "fault.late_ms",
-                self.late_ms,
-                late,
-                [0.0, 1e5],
-                "0 to 100000",
-            ),
+            ("fault.late_ms", self.late_ms, late, [0.0, 1e5], "0 to 100000"),
             ("fault.code", code, refuses, [1.0, 255.0], "1 to 255"),
-            (
-                "fault.factor",
-                self.factor,
-                scaled,
-                [-1e3, 1e3],
-                "-1000 to 1000",
-            ),
-            (
-                "fault.wraps_after_s",
-                self.wraps_after_s,
-                wraps,
-                TIMES,
-                TIME,
-            ),
+            ("fault.factor", self.factor, scaled, [-1e3, 1e3], "-1000 to 1000"),
+            ("fault.wraps_after_s", self.wraps_after_s, wraps, TIMES, TIME),
         ];
         let refused =
             |(key, value, belongs, [low, high], allowed): (_, Option<f64>, bool, [f64; 2], _)| {
@@ -239,21 +219,13 @@ pub(super) struct TimedFault {
 
 impl TimedFault {
     pub(super) fn new(entry: FaultEntry) -> Self {
-        Self {
-            entry,
-            begun_s: entry.from_s.is_none().then_some(0.0),
-            next_s: 0.0,
-        }
+        Self { entry, begun_s: entry.from_s.is_none().then_some(0.0), next_s: 0.0 }
     }
 
     /// Whether it is there at `now_s` of the drive's time; `ran_s`: since its last start, as long as it ran. A drive that has
     /// stopped in the same instant has reached it all the same.
     pub(super) fn is_active(&mut self, now_s: f64, ran_s: Option<f64>) -> bool {
-        let starts = || {
-            ran_s
-                .zip(self.entry.from_s)
-                .is_some_and(|(ran_s, from_s)| ran_s >= from_s)
-        };
+        let starts = || ran_s.zip(self.entry.from_s).is_some_and(|(ran_s, from_s)| ran_s >= from_s);
         if self.begun_s.is_none() && starts() {
             self.begun_s = Some(now_s);
         }
@@ -283,10 +255,7 @@ mod tests {
         assert!(!fault.is_active(5.0, None));
         assert!(!fault.is_active(6.0, Some(0.9)));
         assert!(fault.is_active(6.1, Some(1.0)));
-        assert!(
-            fault.is_active(6.5, None),
-            "it goes on where the drive stops"
-        );
+        assert!(fault.is_active(6.5, None), "it goes on where the drive stops");
         assert!(!fault.is_active(6.7, Some(1.6)));
         assert!(!fault.is_active(9.0, Some(1.0)), "once");
         assert!(TimedFault::new(entry("kind = \"trip\"")).is_active(0.0, None));
@@ -313,19 +282,9 @@ mod tests {
         for (kinds, as_another, protocol, allowed) in [
             (&["local_control"][..], true, rtu, None),
             (&["local_control"], false, rtu, Some("another profile")),
-            (
-                &["other_version", "clock_wraps"],
-                true,
-                rtu,
-                Some("the profile own"),
-            ),
+            (&["other_version", "clock_wraps"], true, rtu, Some("the profile own")),
             (&["other_version", "clock_wraps"], false, tcp, None),
-            (
-                &["wrong_unit", "wrong_request", "exception"],
-                false,
-                tcp,
-                None,
-            ),
+            (&["wrong_unit", "wrong_request", "exception"], false, tcp, None),
             (
                 &["wrong_unit", "wrong_request", "exception", "other_version"],
                 false,
@@ -333,18 +292,8 @@ mod tests {
                 Some("modbus-rtu or modbus-tcp"),
             ),
             (&["foreign_frames", "second_master"], false, rtu, None),
-            (
-                &["foreign_frames", "second_master"],
-                false,
-                tcp,
-                Some("modbus-rtu"),
-            ),
-            (
-                &["foreign_frames", "second_master"],
-                false,
-                stream,
-                Some("modbus-rtu"),
-            ),
+            (&["foreign_frames", "second_master"], false, tcp, Some("modbus-rtu")),
+            (&["foreign_frames", "second_master"], false, stream, Some("modbus-rtu")),
         ] {
             for kind in kinds {
                 let suits = entry(&format!("kind = {kind:?}")).suits(as_another, protocol);
@@ -364,11 +313,7 @@ mod tests {
             ("kind = \"echo\"\nshare = 1.5", Some("fault.share")),
             ("kind = \"trip\"\nfrom_s = -1", Some("fault.from_s")),
         ] {
-            assert_eq!(
-                entry(text).refused().map(|(key, ..)| key),
-                refused,
-                "{text}"
-            );
+            assert_eq!(entry(text).refused().map(|(key, ..)| key), refused, "{text}");
         }
     }
 }

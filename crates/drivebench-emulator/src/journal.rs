@@ -40,12 +40,7 @@ impl Journal {
     pub fn create(path: &Path) -> io::Result<Self> {
         let mut file = File::create_new(path)?;
         writeln!(file, "{COLUMNS}")?;
-        Ok(Self {
-            file: Some(file),
-            last: None,
-            host: None,
-            origin_s: 0.0,
-        })
+        Ok(Self { file: Some(file), last: None, host: None, origin_s: 0.0 })
     }
 
     fn note(&mut self, drive: &SoftDrive, now_s: f64) {
@@ -75,10 +70,7 @@ impl Journal {
             plant.speed_rad_s(),
             (now_s - drive.time_s()).max(0.0)
         );
-        let written = self
-            .file
-            .as_mut()
-            .map(|file| file.write_all(row.as_bytes()));
+        let written = self.file.as_mut().map(|file| file.write_all(row.as_bytes()));
         if let Some(Err(_)) = written {
             self.file = None;
         }
@@ -103,11 +95,7 @@ impl Journaled {
         clock: Box<dyn Fn() -> f64 + Send>,
     ) -> Self {
         journal.origin_s = origin_s;
-        Self {
-            drive,
-            journal,
-            clock,
-        }
+        Self { drive, journal, clock }
     }
 
     fn note(&mut self) {
@@ -177,10 +165,7 @@ mod tests {
         assert_eq!(lines.next(), Some(COLUMNS));
         let rows: Vec<Vec<&str>> = lines.map(|line| line.split(',').collect()).collect();
         let number = |row: &[&str], at: usize| row[at].parse::<f64>().unwrap();
-        assert!(
-            rows.windows(2)
-                .all(|pair| number(&pair[1], 0) - number(&pair[0], 0) < 0.0111)
-        );
+        assert!(rows.windows(2).all(|pair| number(&pair[1], 0) - number(&pair[0], 0) < 0.0111));
         assert_eq!((rows[0][2], rows[0][8]), ("1", "3"), "on, by this host");
         assert!((number(&rows[0], 1) - 20.0).abs() < 1e-9);
         // Nobody commands it any more: its watchdog of 0.5 s is in it to the millisecond.

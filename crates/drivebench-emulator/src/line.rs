@@ -57,9 +57,7 @@ impl FarEnd for DriveOnLine {
             self.line_faults.host_byte(*byte);
             let mut drive = self.line_faults.before(self.drive.as_mut(), at_s);
             // Only a peer that is no Modbus TCP cannot be framed.
-            let _ = self
-                .codec
-                .push(*byte, &mut drive, &mut || true, &mut answers);
+            let _ = self.codec.push(*byte, &mut drive, &mut || true, &mut answers);
             self.send(at_s, &mut answers, &mut sent);
         }
         self.silent_from_s = at_s + self.pace.gap_s();
@@ -128,10 +126,7 @@ mod tests {
             let at_s = begun_s + f64::from(cycle) * 0.02;
             clock.set_time_s(at_s);
             let demand = Demand::Voltage(30.0 * f64::from(cycle % 7));
-            let sample = link.exchange(Command {
-                seq: cycle.into(),
-                demand,
-            });
+            let sample = link.exchange(Command { seq: cycle.into(), demand });
             let sample = sample.unwrap();
             let took_s = clock.time_s() - at_s;
             // 58 characters at 115200 baud, one silence, the turnaround.

@@ -66,11 +66,7 @@ impl LineFaults {
         now_s: f64,
     ) -> FaultyLine<'a> {
         let faults = self;
-        FaultyLine {
-            drive,
-            faults,
-            now_s,
-        }
+        FaultyLine { drive, faults, now_s }
     }
 
     /// A byte of the host.
@@ -144,9 +140,8 @@ impl LineFaults {
                 answer.insert(self.below(length + 1), byte);
             }
             FaultKind::BitFlipped => {
-                let bits: BTreeSet<usize> = (0..=self.below(3))
-                    .map(|_| self.below(8 * length))
-                    .collect();
+                let bits: BTreeSet<usize> =
+                    (0..=self.below(3)).map(|_| self.below(8 * length)).collect();
                 for bit in bits {
                     answer[bit / 8] ^= 1 << (bit % 8);
                 }

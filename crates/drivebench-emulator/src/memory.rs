@@ -40,20 +40,14 @@ impl Latency {
             request_s = pace.arrival_s(0.0);
         }
         let delivered_s = pace.delivery_s(request_s, REPLY_BYTES);
-        Self {
-            request_s,
-            reply_s: delivered_s - request_s,
-        }
+        Self { request_s, reply_s: delivered_s - request_s }
     }
 }
 
 impl Default for Latency {
     /// About what an exchange takes over Modbus RTU at 115200 baud, with silent gaps.
     fn default() -> Self {
-        Self {
-            request_s: 0.001_8,
-            reply_s: 0.005_5,
-        }
+        Self { request_s: 0.001_8, reply_s: 0.005_5 }
     }
 }
 
@@ -131,12 +125,7 @@ impl DriveLink for MemoryLink {
         let block = firmware_protocol::Identity::from_registers(&block)
             .map_err(|error| timeline::identity_error(&self.name().0, error))?;
         self.capture_period_s = f64::from(block.capture_period_us) * 1e-6;
-        let text = |object| {
-            self.drive
-                .identification(object)
-                .unwrap_or_default()
-                .to_owned()
-        };
+        let text = |object| self.drive.identification(object).unwrap_or_default().to_owned();
         Ok(Identity {
             vendor: text(0),
             product: text(4),
@@ -161,10 +150,7 @@ impl DriveLink for MemoryLink {
     }
 
     fn stop(&mut self) -> Result<()> {
-        let stop = Command {
-            seq: self.last_seq.wrapping_add(1),
-            demand: Demand::Stop,
-        };
+        let stop = Command { seq: self.last_seq.wrapping_add(1), demand: Demand::Stop };
         stop_confirmed(&self.name().0, || self.exchange(stop))
     }
 
@@ -184,12 +170,8 @@ impl DriveLink for MemoryLink {
 impl Burst for MemoryLink {
     fn arm(&mut self) -> Result<()> {
         let arm = [CaptureControl::Arm.code()];
-        self.ask(
-            Some((CAPTURE_CONTROL.address, &arm)),
-            CAPTURE_CONTROL.address,
-            "arm the capture",
-        )
-        .map(|[_]: [u16; 1]| ())
+        self.ask(Some((CAPTURE_CONTROL.address, &arm)), CAPTURE_CONTROL.address, "arm the capture")
+            .map(|[_]: [u16; 1]| ())
     }
 
     fn fetch(&mut self) -> Result<Option<Capture>> {
@@ -230,10 +212,7 @@ mod tests {
     }
 
     fn volts(seq: u64, volts: f64) -> Command {
-        Command {
-            seq,
-            demand: Demand::Voltage(volts),
-        }
+        Command { seq, demand: Demand::Voltage(volts) }
     }
 
     #[test]
@@ -278,10 +257,7 @@ mod tests {
 
     #[test]
     fn an_exchange_takes_as_long_as_its_line() {
-        let line = |baud| LineConfig {
-            baud,
-            ..LineConfig::default()
-        };
+        let line = |baud| LineConfig { baud, ..LineConfig::default() };
         let rtu = Latency::of_line(&line(115_200), true);
         let usual = Latency::default();
         assert!((rtu.request_s - usual.request_s).abs() < 0.1e-3, "{rtu:?}");
@@ -299,10 +275,7 @@ mod tests {
         let sample = link.exchange(volts(2, 20.0)).unwrap();
         assert_eq!(sample.state, Some(DriveState::Fault));
         assert_eq!(sample.fault, Some(Fault::Watchdog.code()));
-        let reset = Command {
-            seq: 3,
-            demand: Demand::ResetFault,
-        };
+        let reset = Command { seq: 3, demand: Demand::ResetFault };
         assert_eq!(link.exchange(reset).unwrap().fault, None);
     }
 }

@@ -29,11 +29,7 @@ struct Late {
 
 impl Late {
     fn of(line: &LineConfig) -> Self {
-        Self {
-            share: line.late_share,
-            by_s: line.late_ms * 1e-3,
-            due: 0.0,
-        }
+        Self { share: line.late_share, by_s: line.late_ms * 1e-3, due: 0.0 }
     }
 
     /// What the next answer is late by, s.
@@ -50,11 +46,8 @@ impl Late {
 impl Pace {
     /// A serial line; `with_gaps`: silence separates frames.
     pub(super) fn serial(line: &LineConfig, with_gaps: bool) -> Self {
-        let char_s = if line.baud == 0 {
-            0.0
-        } else {
-            f64::from(line.bits_per_char) / f64::from(line.baud)
-        };
+        let char_s =
+            if line.baud == 0 { 0.0 } else { f64::from(line.bits_per_char) / f64::from(line.baud) };
         let standard_gap_s = match line.baud {
             0 => 0.0,
             baud if baud > 19_200 => 0.001_75,
@@ -74,10 +67,7 @@ impl Pace {
 
     /// A network connection: only the drive itself takes time.
     pub(super) fn network(line: &LineConfig) -> Self {
-        Self {
-            char_s: 0.0,
-            ..Self::serial(line, false)
-        }
+        Self { char_s: 0.0, ..Self::serial(line, false) }
     }
 
     /// Silence that ends a frame, s.
@@ -132,28 +122,10 @@ mod tests {
         // FC23 r16 w4: 21 + 37 characters of 86.8 us, one gap, turnaround. Slow lines have a gap of 3.5 characters.
         let without_gap_s = 58.0 * 10.0 / 115_200.0 + 0.000_5;
         for (line, with_gaps, request, answer, expected_s) in [
-            (
-                line(115_200, 10, 0.5),
-                true,
-                21,
-                37,
-                without_gap_s + 0.001_75,
-            ),
+            (line(115_200, 10, 0.5), true, 21, 37, without_gap_s + 0.001_75),
             (line(115_200, 10, 0.5), false, 21, 37, without_gap_s),
-            (
-                line(9600, 10, 0.0),
-                true,
-                8,
-                25,
-                (33.0 + 3.5) * 10.0 / 9600.0,
-            ),
-            (
-                line(9600, 11, 0.0),
-                true,
-                8,
-                25,
-                (33.0 + 3.5) * 11.0 / 9600.0,
-            ),
+            (line(9600, 10, 0.0), true, 8, 25, (33.0 + 3.5) * 10.0 / 9600.0),
+            (line(9600, 11, 0.0), true, 8, 25, (33.0 + 3.5) * 11.0 / 9600.0),
             (line(0, 10, 0.5), true, 21, 37, 0.000_5),
         ] {
             let took_s = exchange_s(&line, with_gaps, request, answer);
@@ -175,11 +147,7 @@ mod tests {
 
     #[test]
     fn so_many_answers_come_late_and_the_others_in_time() {
-        let line = LineConfig {
-            late_share: 0.01,
-            late_ms: 30.0,
-            ..LineConfig::default()
-        };
+        let line = LineConfig { late_share: 0.01, late_ms: 30.0, ..LineConfig::default() };
         let mut pace = Pace::serial(&line, true);
         let taken = (0..1000).map(|exchange| {
             let begin = f64::from(exchange);

@@ -49,9 +49,7 @@ impl Claim {
         };
         let mut name = b"drivebench-pty-".to_vec();
         // The name has room for 107 bytes; two paths of one hash (FNV-1a) would be refused, not mixed up.
-        let path = folder
-            .canonicalize()?
-            .join(stable.file_name().unwrap_or_default());
+        let path = folder.canonicalize()?.join(stable.file_name().unwrap_or_default());
         let hash = fnv_1a(EMPTY, path.as_os_str().as_bytes().iter().copied());
         name.extend_from_slice(format!("{hash:016x}").as_bytes());
         let address = SocketAddr::from_abstract_name(name)?;
@@ -79,10 +77,7 @@ fn check_free(stable: &Path) -> io::Result<()> {
     if target.starts_with(SLAVES) {
         Ok(())
     } else {
-        taken(format!(
-            "a symlink to {} is there, which is no emulator's",
-            target.display()
-        ))
+        taken(format!("a symlink to {} is there, which is no emulator's", target.display()))
     }
 }
 
@@ -105,21 +100,13 @@ impl PtyPort {
         tcsetattr(&master, SetArg::TCSANOW, &termios)?;
         let slave = PathBuf::from(ptsname_r(&master)?);
         let hung_up = false;
-        Ok(Self {
-            master,
-            slave,
-            hung_up,
-        })
+        Ok(Self { master, slave, hung_up })
     }
 
     /// Whether another host is here since the last one went; from then on it is served like the first.
     pub(crate) fn taken_again(&mut self) -> bool {
         let mut fds = [PollFd::new(self.master.as_fd(), PollFlags::POLLIN)];
-        let polled = ppoll(
-            &mut fds,
-            Some(TimeSpec::from_duration(Duration::ZERO)),
-            None,
-        );
+        let polled = ppoll(&mut fds, Some(TimeSpec::from_duration(Duration::ZERO)), None);
         let nobody = polled.is_err()
             || (fds[0].revents()).is_none_or(|seen| seen.contains(PollFlags::POLLHUP));
         let again = self.hung_up && !nobody;
@@ -191,15 +178,8 @@ mod tests {
     fn nobody_there_is_not_a_hang_up_and_a_close_is_one() {
         let mut port = PtyPort::open().unwrap();
         let mut buffer = [0; 64];
-        assert_eq!(
-            port.read_within(&mut buffer, Duration::from_millis(1)),
-            Ok(0)
-        );
-        let host = fs::File::options()
-            .read(true)
-            .write(true)
-            .open(&port.slave)
-            .unwrap();
+        assert_eq!(port.read_within(&mut buffer, Duration::from_millis(1)), Ok(0));
+        let host = fs::File::options().read(true).write(true).open(&port.slave).unwrap();
         // Control characters would be eaten, echoed or changed on a cooked terminal.
         let bytes = [0x03, 0x04, 0x0D, 0x0A, 0x11, 0x13, 0x1A, 0x7F, 0xFF, 0x00];
         (&host).write_all(&bytes).unwrap();
@@ -244,11 +224,7 @@ mod tests {
     #[test]
     fn a_host_that_does_not_read_blocks_nobody() {
         let mut port = PtyPort::open().unwrap();
-        let _host = fs::File::options()
-            .read(true)
-            .write(true)
-            .open(&port.slave)
-            .unwrap();
+        let _host = fs::File::options().read(true).write(true).open(&port.slave).unwrap();
         let taken = port.write(&vec![0x55; 1 << 20]);
         assert!(taken < 1 << 20);
     }
@@ -262,10 +238,7 @@ mod tests {
         second.publish(&stable).unwrap();
         assert_eq!(fs::read_link(&stable).unwrap(), second.slave);
         first.unpublish(&stable);
-        assert!(
-            fs::symlink_metadata(&stable).is_ok(),
-            "it leads to the second by now"
-        );
+        assert!(fs::symlink_metadata(&stable).is_ok(), "it leads to the second by now");
         second.unpublish(&stable);
         assert!(fs::symlink_metadata(&stable).is_err());
         fs::write(&stable, "mine").unwrap();

@@ -54,16 +54,9 @@ pub enum ServerError {
     #[error("pseudo-terminal {}: {source}", .path.display())]
     Pty { path: PathBuf, source: io::Error },
     #[error("tcp {address}: {source}")]
-    Tcp {
-        address: SocketAddr,
-        source: io::Error,
-    },
+    Tcp { address: SocketAddr, source: io::Error },
     #[error("link {link} does not run over {over} (expected {allowed})")]
-    Transport {
-        link: Protocol,
-        over: &'static str,
-        allowed: &'static str,
-    },
+    Transport { link: Protocol, over: &'static str, allowed: &'static str },
     #[error(transparent)]
     Fault(#[from] EmulatorConfigError),
     #[error("the emulator's thread ended before it was ready")]
@@ -153,9 +146,9 @@ impl ServerHandle {
 
     pub fn join(mut self) -> Result<(), ServerError> {
         self.stop();
-        self.thread.take().map_or(Ok(()), |thread| {
-            thread.join().unwrap_or(Err(ServerError::Thread))
-        })
+        self.thread
+            .take()
+            .map_or(Ok(()), |thread| thread.join().unwrap_or(Err(ServerError::Thread)))
     }
 }
 
@@ -187,10 +180,7 @@ pub fn spawn_as(
     link: Protocol,
     endpoint: Endpoint,
 ) -> Result<ServerHandle, ServerError> {
-    let (stop, counters) = (
-        Arc::new(AtomicBool::new(false)),
-        Arc::new(Counters::default()),
-    );
+    let (stop, counters) = (Arc::new(AtomicBool::new(false)), Arc::new(Counters::default()));
     let (ready, readiness) = mpsc::channel();
     let thread = {
         let (stop, counters) = (Arc::clone(&stop), Arc::clone(&counters));
@@ -209,13 +199,7 @@ pub fn spawn_as(
         let ended = thread.join().unwrap_or(Err(ServerError::Thread));
         return Err(ended.err().unwrap_or(ServerError::Thread));
     };
-    Ok(ServerHandle {
-        address,
-        ready_line,
-        stop,
-        counters,
-        thread: Some(thread),
-    })
+    Ok(ServerHandle { address, ready_line, stop, counters, thread: Some(thread) })
 }
 
 pub struct Served<'a> {
@@ -234,13 +218,7 @@ pub fn serve(
     stop: &AtomicBool,
     ready: impl FnOnce(&str),
 ) -> Result<(), ServerError> {
-    let Served {
-        guise,
-        config,
-        seed,
-        link,
-        journal,
-    } = served;
+    let Served { guise, config, seed, link, journal } = served;
     config.suits(guise.is_some(), link)?;
     let counters = Counters::default();
     let mut server = Server::new(guise, config, seed, link, stop, &counters);
@@ -307,20 +285,12 @@ impl<'a> Server<'a> {
                 over: "TCP",
                 allowed: "modbus-tcp or stream",
             }),
-            (Endpoint::Pty(path), _) => {
-                self.serve_pty(path, ready)
-                    .map_err(|source| ServerError::Pty {
-                        path: path.clone(),
-                        source,
-                    })
-            }
-            (Endpoint::Tcp(address), _) => {
-                self.serve_tcp(*address, ready)
-                    .map_err(|source| ServerError::Tcp {
-                        address: *address,
-                        source,
-                    })
-            }
+            (Endpoint::Pty(path), _) => self
+                .serve_pty(path, ready)
+                .map_err(|source| ServerError::Pty { path: path.clone(), source }),
+            (Endpoint::Tcp(address), _) => self
+                .serve_tcp(*address, ready)
+                .map_err(|source| ServerError::Tcp { address: *address, source }),
         }
     }
 
@@ -433,10 +403,7 @@ impl<'a> Server<'a> {
     }
 }
 
-#[expect(
-    clippy::disallowed_methods,
-    reason = "this file owns the emulator's clock"
-)]
+#[expect(clippy::disallowed_methods, reason = "this file owns the emulator's clock")]
 fn now() -> Instant {
     Instant::now()
 }

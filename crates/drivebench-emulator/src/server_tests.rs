@@ -46,11 +46,7 @@ fn wait_until(is: impl Fn() -> bool) {
 }
 
 fn open(server: &ServerHandle) -> File {
-    File::options()
-        .read(true)
-        .write(true)
-        .open(server.address())
-        .unwrap()
+    File::options().read(true).write(true).open(server.address()).unwrap()
 }
 
 /// Bytes, with five seconds of silence between them at most, until `enough` are there.
@@ -216,17 +212,13 @@ fn tokio_modbus_reads_and_writes_over_the_pseudo_terminal() {
 
 async fn connected(server: &ServerHandle) -> tokio_modbus::client::Context {
     let address = server.address().parse().unwrap();
-    prelude::tcp::connect_slave(address, Slave(1))
-        .await
-        .unwrap()
+    prelude::tcp::connect_slave(address, Slave(1)).await.unwrap()
 }
 
 #[test]
 fn of_several_tcp_hosts_one_commands_and_all_read() {
     let server = network(Protocol::ModbusTcp);
-    let _mute: Vec<_> = (0..3)
-        .map(|_| TcpStream::connect(server.address()).unwrap())
-        .collect();
+    let _mute: Vec<_> = (0..3).map(|_| TcpStream::connect(server.address()).unwrap()).collect();
     let runtime = runtime();
     let within = Duration::from_secs(2);
     runtime.block_on(async {
@@ -294,11 +286,7 @@ fn impossible_endpoints_are_refused_with_the_reason() {
     const NOWHERE: &str = "/nonexistent/folder/drive";
     let (anywhere, nowhere) = (Endpoint::temporary_pty(), Endpoint::Pty(NOWHERE.into()));
     for (link, endpoint, part) in [
-        (
-            Protocol::ModbusTcp,
-            anywhere,
-            "modbus-tcp does not run over",
-        ),
+        (Protocol::ModbusTcp, anywhere, "modbus-tcp does not run over"),
         (Protocol::ModbusRtu, nowhere, NOWHERE),
     ] {
         let error = spawn(config(0), 1, link, endpoint).err().unwrap();

@@ -45,9 +45,8 @@ pub(super) struct Commander {
 impl Commander {
     /// Whether this session may command at `now_s`; it is in command from then on.
     pub(super) fn takes(&mut self, session: u64, now_s: f64) -> bool {
-        let by_another = self
-            .held
-            .is_some_and(|(holder, at_s)| holder != session && now_s - at_s < HAND_OVER_S);
+        let by_another =
+            self.held.is_some_and(|(holder, at_s)| holder != session && now_s - at_s < HAND_OVER_S);
         if !by_another {
             self.held = Some((session, now_s));
         }
@@ -133,9 +132,7 @@ impl Session {
             let may_command = &mut || commander.takes(number, at);
             far.line_faults.host_byte(byte);
             let mut drive = far.line_faults.before(far.drive, at);
-            let pushed = self
-                .codec
-                .push(byte, &mut drive, may_command, &mut self.answers);
+            let pushed = self.codec.push(byte, &mut drive, may_command, &mut self.answers);
             self.broken |= pushed.is_err();
             self.send(at, far);
             self.silent_from_s = Some(at + self.pace.gap_s());
@@ -148,10 +145,7 @@ impl Session {
             self.send(now, far);
             far.line_faults.silence();
         }
-        for (due, bytes) in far
-            .line_faults
-            .unasked(now, now + LONGEST_WAIT_S, far.drive)
-        {
+        for (due, bytes) in far.line_faults.unasked(now, now + LONGEST_WAIT_S, far.drive) {
             self.under_way(due, bytes);
         }
         if self.gone {
@@ -224,15 +218,9 @@ fn deliver(counters: &Counters, port: &mut dyn Port, answer: &[u8]) {
     counters.answers.fetch_add(1, Ordering::Relaxed);
     let taken = port.write(answer);
     let dropped = answer.len() - taken;
-    counters
-        .bytes_dropped
-        .fetch_add(u64::try_from(dropped).unwrap_or(0), Ordering::Relaxed);
+    counters.bytes_dropped.fetch_add(u64::try_from(dropped).unwrap_or(0), Ordering::Relaxed);
 }
 
 fn due<T>(queue: &mut VecDeque<(f64, T)>, now_s: f64) -> Option<(f64, T)> {
-    if queue.front()?.0 <= now_s {
-        queue.pop_front()
-    } else {
-        None
-    }
+    if queue.front()?.0 <= now_s { queue.pop_front() } else { None }
 }

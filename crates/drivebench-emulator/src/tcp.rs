@@ -28,9 +28,7 @@ impl TcpPorts {
         stream.set_nonblocking(false).ok()?;
         stream.set_nodelay(true).ok()?;
         // A host that takes nothing for so long loses the answer.
-        stream
-            .set_write_timeout(Some(Duration::from_millis(100)))
-            .ok()?;
+        stream.set_write_timeout(Some(Duration::from_millis(100))).ok()?;
         Some(TcpPort { stream })
     }
 }
@@ -74,9 +72,7 @@ impl Port for TcpPort {
             std::thread::sleep(timeout);
             return self.read_now(buffer);
         }
-        self.stream
-            .set_read_timeout(Some(timeout))
-            .map_err(|_| Gone)?;
+        self.stream.set_read_timeout(Some(timeout)).map_err(|_| Gone)?;
         taken(self.stream.read(buffer))
     }
 

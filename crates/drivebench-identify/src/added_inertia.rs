@@ -27,11 +27,7 @@ impl Seen<'_> {
 
 /// Torque constant, inertia (without the added one) and load torque, absolute. `added_kg_m2` is on the motor shaft.
 pub fn absolute(without: &Seen<'_>, with: &Seen<'_>, added_kg_m2: f64) -> Vec<ParameterEstimate> {
-    let keys = [
-        MotorKey::TorqueConstant,
-        MotorKey::Inertia,
-        MotorKey::LoadTorque,
-    ];
+    let keys = [MotorKey::TorqueConstant, MotorKey::Inertia, MotorKey::LoadTorque];
     let none = |reason: &str| -> Vec<ParameterEstimate> {
         keys.map(|key| verdict::unknown(key, reason)).to_vec()
     };
@@ -82,10 +78,7 @@ mod tests {
     }
 
     fn seen(parameters: &[ParameterEstimate], torque_n_m_per_a: f64) -> Seen<'_> {
-        Seen {
-            parameters,
-            torque_n_m_per_a,
-        }
+        Seen { parameters, torque_n_m_per_a }
     }
 
     #[test]

@@ -94,11 +94,7 @@ pub(super) fn unknowns(
     carried: impl Fn(&ActiveEffect) -> bool,
 ) -> Vec<Unknown> {
     let keys: &[MotorKey] = match equation {
-        Balance::Voltage => &[
-            MotorKey::Resistance,
-            MotorKey::Inductance,
-            MotorKey::BackEmf,
-        ],
+        Balance::Voltage => &[MotorKey::Resistance, MotorKey::Inductance, MotorKey::BackEmf],
         Balance::Torque => &[MotorKey::Inertia, MotorKey::LoadTorque],
     };
     let driven = equation == Balance::Torque || scenario.input == Input::Voltage;
@@ -150,9 +146,9 @@ impl Signals<'_> {
                 Column::Values(speeds.iter().map(|speed| speed.signum()).collect())
             }
             Slot::Motor(MotorKey::TorqueConstant) => Column::Values(vec![f64::NAN; speeds.len()]),
-            Slot::Effect {
-                index, parameter, ..
-            } => Column::Values(self.effect(&self.model.effects[index], parameter)),
+            Slot::Effect { index, parameter, .. } => {
+                Column::Values(self.effect(&self.model.effects[index], parameter))
+            }
         }
     }
 

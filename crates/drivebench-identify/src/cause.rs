@@ -71,11 +71,7 @@ impl Carried {
             let std = slopes[place].abs() * bread[(place, place)].sqrt();
             determined[place].then_some(std / value)
         };
-        Some(Self {
-            least: (0..free.len()).map(least).collect(),
-            motor,
-            free,
-        })
+        Some(Self { least: (0..free.len()).map(least).collect(), motor, free })
     }
 
     fn why_not(
@@ -92,10 +88,7 @@ impl Carried {
         if least > NOT_OBSERVABLE {
             return self.too_slow(key, scenario);
         }
-        let carries = format!(
-            "the run carries it to {:.1} % at best",
-            100.0 * least.max(1e-3)
-        );
+        let carries = format!("the run carries it to {:.1} % at best", 100.0 * least.max(1e-3));
         Some(if !fit.minimum.converged {
             format!("{carries}, and the fit had not converged: give starting values with --model")
         } else if let Some(left) = misfit.worst_text() {
@@ -177,9 +170,7 @@ mod tests {
     }
 
     fn found(run: &Run) -> Vec<ParameterEstimate> {
-        identify("output-error", run, &unknown())
-            .unwrap()
-            .parameters
+        identify("output-error", run, &unknown()).unwrap().parameters
     }
 
     #[test]
@@ -202,10 +193,7 @@ mod tests {
         }
         let found = identify("output-error", &run, &model).unwrap().parameters;
         let back_emf = judged(&found, "back_emf_v_s_per_rad", Verdict::NotObservable);
-        assert_says(
-            back_emf,
-            &["together with", "load_torque_n_m", "several levels"],
-        );
+        assert_says(back_emf, &["together with", "load_torque_n_m", "several levels"]);
     }
 
     #[test]

@@ -101,11 +101,7 @@ struct Claim {
 
 impl Claim {
     fn new(keys: &[MotorKey], weight: Weight, reason: impl Into<String>) -> Self {
-        Self {
-            keys: keys.iter().map(|key| key.key()).collect(),
-            weight,
-            reason: reason.into(),
-        }
+        Self { keys: keys.iter().map(|key| key.key()).collect(), weight, reason: reason.into() }
     }
 
     /// Only ever downward: settled, searching, invalid. What has no value, or is given, stays as it is.
@@ -146,12 +142,8 @@ fn claims(run: &Run, scenario: &Scenario) -> Vec<Claim> {
 
 const MECHANICAL: [MotorKey; 2] = [MotorKey::Inertia, MotorKey::LoadTorque];
 /// With Kt taken equal to Ke, what is wrong in Ke is wrong in every torque.
-pub(super) const OF_BACK_EMF: [MotorKey; 4] = [
-    MotorKey::BackEmf,
-    MotorKey::TorqueConstant,
-    MotorKey::Inertia,
-    MotorKey::LoadTorque,
-];
+pub(super) const OF_BACK_EMF: [MotorKey; 4] =
+    [MotorKey::BackEmf, MotorKey::TorqueConstant, MotorKey::Inertia, MotorKey::LoadTorque];
 
 fn of_voltage(run: &Run, channel: Channel) -> Option<Claim> {
     let key = channel.key();
@@ -327,8 +319,7 @@ mod tests {
             let mut run = run(Origin::Measured);
             let measured = run.column(Channel::Voltage).unwrap().iter();
             let command = measured.map(|u| u + drop_v * u.signum()).collect();
-            run.set_column(Channel::VoltageCmd, command, Origin::Commanded)
-                .unwrap();
+            run.set_column(Channel::VoltageCmd, command, Origin::Commanded).unwrap();
             run
         };
         let torque = || {
@@ -356,15 +347,8 @@ mod tests {
             let found: Vec<Verdict> = parameters.iter().map(|p| p.verdict).collect();
             assert_eq!(found, verdicts, "{name}: {notes:?}");
             assert!(parameters.iter().all(|p| p.value == Some(1.0)), "{name}");
-            assert_eq!(
-                notes.len(),
-                usize::from(!note.is_empty()),
-                "{name}: {notes:?}"
-            );
-            assert!(
-                notes.iter().all(|own| own.contains(note)),
-                "{name}: {notes:?}"
-            );
+            assert_eq!(notes.len(), usize::from(!note.is_empty()), "{name}: {notes:?}");
+            assert!(notes.iter().all(|own| own.contains(note)), "{name}: {notes:?}");
         }
         let (parameters, _) = limited(&run(Origin::Commanded));
         assert_says(&parameters[0], &["drive's own drops"]);

@@ -125,21 +125,14 @@ struct Sample {
 
 impl Sample {
     fn of(key: &str, runs: &[Vec<ParameterEstimate>]) -> Option<Self> {
-        let all = runs
-            .iter()
-            .filter_map(|run| ParameterEstimate::find(run, key));
+        let all = runs.iter().filter_map(|run| ParameterEstimate::find(run, key));
         let unit = all.clone().next()?.unit;
         let carried = all.filter_map(|estimate| {
             let (value, std) = estimate.carried()?;
-            std.filter(|std| std.is_finite() && *std > 0.0)
-                .map(|std| (value, std * std))
+            std.filter(|std| std.is_finite() && *std > 0.0).map(|std| (value, std * std))
         });
         let (values, variances): (Vec<f64>, Vec<f64>) = carried.unzip();
-        (!values.is_empty()).then(|| Self {
-            within: mean(&variances),
-            values,
-            unit,
-        })
+        (!values.is_empty()).then(|| Self { within: mean(&variances), values, unit })
     }
 
     fn count(&self) -> f64 {
@@ -148,10 +141,7 @@ impl Sample {
 
     fn squares(&self) -> f64 {
         let centre = mean(&self.values);
-        self.values
-            .iter()
-            .map(|value| (value - centre).powi(2))
-            .sum()
+        self.values.iter().map(|value| (value - centre).powi(2)).sum()
     }
 }
 
@@ -171,11 +161,7 @@ pub fn between(
     let both = |key: &str| Sample::of(key, before).zip(Sample::of(key, after));
     let resistance = MotorKey::Resistance.key();
     let is_at_20 = both(temperature::KEY).is_some();
-    let other = if is_at_20 {
-        resistance
-    } else {
-        temperature::KEY
-    };
+    let other = if is_at_20 { resistance } else { temperature::KEY };
     keys.retain(|key| *key != other);
     let (mut changes, mut not_compared) = (Vec::new(), Vec::new());
     for key in keys {
@@ -196,11 +182,8 @@ pub fn between(
         change.sentence = sentence(change, since);
     }
     let single = |change: &&Change| change.runs_before + change.runs_after <= 2;
-    let singles: Vec<String> = changes
-        .iter()
-        .filter(single)
-        .map(|change| name(&change.key))
-        .collect();
+    let singles: Vec<String> =
+        changes.iter().filter(single).map(|change| name(&change.key)).collect();
     let of = if singles.len() == changes.len() {
         String::new()
     } else {
@@ -226,11 +209,7 @@ fn why_not(
     before: &[Vec<ParameterEstimate>],
     after: &[Vec<ParameterEstimate>],
 ) -> Option<NotCompared> {
-    let mut all = before
-        .iter()
-        .chain(after)
-        .flatten()
-        .filter(|estimate| estimate.key == key);
+    let mut all = before.iter().chain(after).flatten().filter(|estimate| estimate.key == key);
     // What was given to both is no finding of either.
     let is_given = all.clone().all(|estimate| estimate.std == Some(0.0));
     let [open_before, open_after] = [before, after].map(|runs| Sample::of(key, runs).is_none());
@@ -241,11 +220,7 @@ fn why_not(
     };
     let own = all.find_map(|estimate| estimate.reason.as_ref());
     let reason = own.map_or_else(|| reason.to_owned(), |own| format!("{reason}: {own}"));
-    (!is_given).then(|| NotCompared {
-        key: key.to_owned(),
-        reason,
-        carried_before: !open_before,
-    })
+    (!is_given).then(|| NotCompared { key: key.to_owned(), reason, carried_before: !open_before })
 }
 
 /// The change with its interval; the probability is that of this parameter alone.
@@ -261,9 +236,8 @@ fn change(key: &str, before: &Sample, after: &Sample) -> Change {
         let of = |earlier: f64, later: f64| {
             (later / after.count() + share * share * earlier / before.count()).sqrt()
         };
-        let of_spread = student.map_or(0.0, |(pooled, student)| {
-            student.inverse_cdf(0.975) * of(pooled, pooled)
-        });
+        let of_spread = student
+            .map_or(0.0, |(pooled, student)| student.inverse_cdf(0.975) * of(pooled, pooled));
         of_spread.max(TWO_SIDED_95 * of(before.within, after.within))
     };
     let normal = Normal::standard();
@@ -383,10 +357,7 @@ fn sentence(change: &Change, since: &str) -> String {
         let chance = probability(change.by_chance);
         let cause = change.possible_cause.as_ref();
         let cause = cause.map_or_else(String::new, |cause| format!("; possible cause: {cause}"));
-        return format!(
-            "{name} {} since {since}, {chance} by chance{cause}",
-            size(change)
-        );
+        return format!("{name} {} since {since}, {chance} by chance{cause}", size(change));
     }
     if change.unsettled {
         return format!(
@@ -412,10 +383,7 @@ fn answer(changes: &[Change], not_compared: &[NotCompared], since: &str) -> Stri
             .map(|change| format!("{} {}", name(&change.key), size(change)));
         named.collect::<Vec<_>>().join("; ")
     };
-    let [drifted, unsettled] = [
-        list(|change| change.drifted),
-        list(|change| change.unsettled),
-    ];
+    let [drifted, unsettled] = [list(|change| change.drifted), list(|change| change.unsettled)];
     let open: Option<Vec<f64>> = changes.iter().map(Change::at_most_percent).collect();
     let count = changes.len();
     let answer = if !drifted.is_empty() {

@@ -57,18 +57,11 @@ fn five(rng: &mut ChaCha8Rng, count: usize, spread: f64) -> Runs {
 fn the_rate_of_false_alarms_is_the_stated_one() {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     // From run to run of itself the machine moves by nothing, or by five times the noise within a run: then repeats show it.
-    for (before, after, spread) in [
-        (1, 1, 0.0),
-        (3, 3, 0.0),
-        (3, 3, 0.05),
-        (4, 2, 0.05),
-        (8, 1, 0.05),
-    ] {
+    for (before, after, spread) in
+        [(1, 1, 0.0), (3, 3, 0.0), (3, 3, 0.05), (4, 2, 0.05), (8, 1, 0.05)]
+    {
         let mut is_alarm = |_: &usize| {
-            let (before, after) = (
-                five(&mut rng, before, spread),
-                five(&mut rng, after, spread),
-            );
+            let (before, after) = (five(&mut rng, before, spread), five(&mut rng, after, spread));
             between(&before, &after, "May").drifted().next().is_some()
         };
         let alarms = (0..4000).filter(&mut is_alarm).count();
@@ -98,10 +91,7 @@ fn intervals_hold_the_truth_where_one_side_is_surer() {
         };
         let inside = (0..4000).filter(&mut is_inside).count();
         // 3,800 are expected; fewer than 3,740 happen once in 100,000.
-        assert!(
-            inside >= 3740,
-            "{inside} with {before} and {after} runs, {stds:?}"
-        );
+        assert!(inside >= 3740, "{inside} with {before} and {after} runs, {stds:?}");
     }
 }
 
@@ -118,18 +108,13 @@ fn single_runs_do_not_show_the_spread_of_the_machine() {
     let bare = || run(&[(INERTIA, 0.0045, 1e-5)]);
     let once = compared(&[with_both(0.45), bare(), bare()], &with_both(0.45));
     let caution = once.caution.unwrap();
-    assert!(
-        caution.contains("each side with friction (load torque):"),
-        "{caution}"
-    );
+    assert!(caution.contains("each side with friction (load torque):"), "{caution}");
 }
 
 #[test]
 fn a_change_has_an_interval_and_a_possible_cause() {
     let drift = between(&[with_both(0.45)], &[with_both(0.504)], "2026-03-01");
-    let [friction, inertia] = &drift.changes[..] else {
-        panic!("{drift:?}")
-    };
+    let [friction, inertia] = &drift.changes[..] else { panic!("{drift:?}") };
     assert!(friction.drifted && !inertia.drifted);
     assert_eq!(
         friction.sentence,
@@ -207,34 +192,20 @@ fn a_temperature_that_is_known_is_no_drift() {
     let key = MotorKey::Resistance.key();
     let at = |resistance| run(&[(key, resistance, 0.001), (temperature::KEY, 1.1, 0.001)]);
     let drift = compared(&[at(1.10)], &at(1.30));
-    assert!(
-        drift.changes.len() == 1 && !drift.changes[0].drifted,
-        "{drift:?}"
-    );
+    assert!(drift.changes.len() == 1 && !drift.changes[0].drifted, "{drift:?}");
     let warm = compared(&[run(&[(key, 1.10, 0.001)])], &run(&[(key, 1.31, 0.001)]));
     let sentence = &warm.changes[0].sentence;
-    assert!(
-        sentence.contains("a winding some 49 K warmer"),
-        "{sentence}"
-    );
+    assert!(sentence.contains("a winding some 49 K warmer"), "{sentence}");
 }
 
 /// The estimates from a simulated run of this motor.
 fn identified(motor: &Motor, seed: u64) -> Vec<ParameterEstimate> {
     let levels = [0.0, 40.0, 70.0, -50.0, 20.0, -80.0, 60.0, -30.0];
-    let events = levels
-        .into_iter()
-        .enumerate()
-        .map(|(k, level)| (0.5 * k as f64, level))
-        .collect();
+    let events = levels.into_iter().enumerate().map(|(k, level)| (0.5 * k as f64, level)).collect();
     let scenario = record(&Model::baseline(motor.clone()), events, 0.005, 4.0, seed);
     let run = crate::testing::recorded(&scenario);
     let model = crate::testing::unknown();
-    let data = Data {
-        run: &run,
-        scenario: &scenario,
-        model: &model,
-    };
+    let data = Data { run: &run, scenario: &scenario, model: &model };
     default_for(&scenario).identify(&data).unwrap().parameters
 }
 

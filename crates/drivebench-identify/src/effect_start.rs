@@ -26,10 +26,7 @@ pub struct Starts {
 /// Tries the grids of `model`, whose motor values are all given. What the model gives stays, but for moments of events,
 /// which are another in each run, unless they are fixed.
 pub fn scan(model: &Model, scenario: &Scenario, noise: &NoiseFloor) -> Result<Starts, FitError> {
-    let mut starts = Starts {
-        models: vec![model.clone()],
-        chosen: Vec::new(),
-    };
+    let mut starts = Starts { models: vec![model.clone()], chosen: Vec::new() };
     let has_grid = |active: &&ActiveEffect| {
         (0..active.values.len()).any(|index| is_sought(model, active, index))
     };
@@ -134,13 +131,7 @@ impl<'a> Trial<'a> {
                 }
                 Err(error) => return Err(error),
             };
-        Ok(Self {
-            model,
-            scenario,
-            noise,
-            residual,
-            jacobian,
-        })
+        Ok(Self { model, scenario, noise, residual, jacobian })
     }
 
     /// Every combination of the grids, the best first.
@@ -194,9 +185,8 @@ impl<'a> Trial<'a> {
     /// All free coefficients at once, by linear least squares beside the motor's own parameters.
     fn one(&self, given: &Model, active: &ActiveEffect, values: &[f64]) -> Result<Tried, FitError> {
         let specs = active.effect.parameters();
-        let free: Vec<usize> = (0..specs.len())
-            .filter(|index| is_free_coefficient(given, active, *index))
-            .collect();
+        let free: Vec<usize> =
+            (0..specs.len()).filter(|index| is_free_coefficient(given, active, *index)).collect();
         let with = |values: &[f64]| {
             let mut model = self.model.clone();
             model.effects.push(ActiveEffect {
@@ -207,11 +197,7 @@ impl<'a> Trial<'a> {
         };
         let coefficients = specs.iter().filter(|spec| spec.is_coefficient()).count();
         let silent = free.iter().all(|index| values[*index] == 0.0) && free.len() == coefficients;
-        let before = if silent && !free.is_empty() {
-            self.residual.clone()
-        } else {
-            with(values)?
-        };
+        let before = if silent && !free.is_empty() { self.residual.clone() } else { with(values)? };
         let before = DVector::from_vec(before);
         let own = self.jacobian.ncols();
         let mut columns = (self.jacobian.clone()).resize_horizontally(own + free.len(), 0.0);
@@ -232,10 +218,7 @@ impl<'a> Trial<'a> {
             found.values[*index] = Some((-solution[own + place]).clamp(spec.min, spec.max));
         }
         let cost: f64 = self.residual.iter().map(|r| r * r).sum();
-        Ok(Tried {
-            active: found,
-            gain: cost - (before.norm_squared() - explained),
-        })
+        Ok(Tried { active: found, gain: cost - (before.norm_squared() - explained) })
     }
 }
 
@@ -251,11 +234,7 @@ fn residual_of(
     let problem = FreeRun::new(model, scenario, *noise)?;
     let x = problem.start();
     let mut out = vec![0.0; problem.residual_len()];
-    if problem.residual(&x, &mut out) {
-        Ok(out)
-    } else {
-        Err(cannot_simulate(scenario))
-    }
+    if problem.residual(&x, &mut out) { Ok(out) } else { Err(cannot_simulate(scenario)) }
 }
 
 #[cfg(test)]
@@ -265,10 +244,7 @@ mod tests {
 
     /// Slow turns both ways, so that effects of position show.
     fn record(truth: &Model) -> Scenario {
-        let events = held(
-            [0.0, 0.2, 1.2, 2.0, 3.0, 3.5],
-            [0.0, 6.0, 12.0, -5.0, -20.0, 0.0],
-        );
+        let events = held([0.0, 0.2, 1.2, 2.0, 3.0, 3.5], [0.0, 6.0, 12.0, -5.0, -20.0, 0.0]);
         testing::record(truth, events, 0.002, 4.0, 3)
     }
 

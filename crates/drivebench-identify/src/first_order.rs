@@ -163,9 +163,8 @@ fn delayed(run: &Scenario, dead_time_s: f64) -> Scenario {
     let mut late = run.clone();
     if dead_time_s > 0.0 {
         let mut speeds = run.speed_rad_s.iter().filter(|speed| speed.is_finite());
-        let rests = speeds
-            .next()
-            .is_none_or(|first| first.abs() <= RESTS * largest(&run.speed_rad_s));
+        let rests =
+            speeds.next().is_none_or(|first| first.abs() <= RESTS * largest(&run.speed_rad_s));
         let before = if rests { 0.0 } else { run.events[0].1 };
         for event in &mut late.events {
             event.0 += dead_time_s;
@@ -208,16 +207,10 @@ fn response(run: &Scenario, time_constant_s: f64) -> Vec<Row> {
                 while event + 1 < events.len() && events[event + 1].0 <= now_s {
                     event += 1;
                 }
-                let next_s = events
-                    .get(event + 1)
-                    .map_or(*time_s, |next| next.0.min(*time_s));
+                let next_s = events.get(event + 1).map_or(*time_s, |next| next.0.min(*time_s));
                 let keeps = (-(next_s - now_s) / time_constant_s).exp();
                 let volts = events[event].1;
-                let sign = if volts == 0.0 {
-                    turning
-                } else {
-                    volts.signum()
-                };
+                let sign = if volts == 0.0 { turning } else { volts.signum() };
                 voltage = keeps * voltage + (1.0 - keeps) * volts;
                 direction = keeps * direction + (1.0 - keeps) * sign;
                 now_s = next_s;

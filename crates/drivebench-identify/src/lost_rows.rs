@@ -9,10 +9,8 @@ pub fn sentence(run: &Run, scenario: &Scenario) -> Option<String> {
     let longest = holes.iter().max_by_key(|hole| hole.lost_rows)?;
     let lost: usize = holes.iter().map(|hole| hole.lost_rows).sum();
     let rows = lost + run.points(scenario.input_channel).count();
-    let unknown_s: f64 = (holes.iter())
-        .filter(|hole| hole.variance > 0.0)
-        .map(|hole| hole.to_s - hole.from_s)
-        .sum();
+    let unknown_s: f64 =
+        (holes.iter()).filter(|hole| hole.variance > 0.0).map(|hole| hole.to_s - hole.from_s).sum();
     let restarts = holes.iter().filter(|hole| hole.restart.is_some()).count();
     let holes = match restarts {
         1 => "the long hole".to_owned(),

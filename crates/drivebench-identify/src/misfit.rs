@@ -61,11 +61,8 @@ impl Left {
     /// `3.1 times the noise of current_a`.
     pub fn text(&self) -> Option<String> {
         let times = self.times_noise?;
-        let times = if times < 1000.0 {
-            format!("{times:.1}")
-        } else {
-            "more than 1000".to_owned()
-        };
+        let times =
+            if times < 1000.0 { format!("{times:.1}") } else { "more than 1000".to_owned() };
         Some(format!("{times} times the noise of {}", self.signal))
     }
 }
@@ -106,9 +103,8 @@ impl Misfit {
             (Channel::Current, current, fit.noise.current_a),
             (Channel::Speed, speed, fit.noise.speed_rad_s),
         ] {
-            let own: Vec<usize> = (0..rows.len())
-                .filter(|row| rows[*row].1 == (channel == Channel::Speed))
-                .collect();
+            let own: Vec<usize> =
+                (0..rows.len()).filter(|row| rows[*row].1 == (channel == Channel::Speed)).collect();
             if own.is_empty() {
                 continue;
             }
@@ -222,10 +218,7 @@ pub fn widen_by_forms_of_torque(
             continue;
         };
         let is_own = |found: &&ParameterEstimate| !parameters.iter().any(|p| p.key == found.key);
-        let own = with
-            .iter()
-            .find(is_own)
-            .and_then(ParameterEstimate::carried);
+        let own = with.iter().find(is_own).and_then(ParameterEstimate::carried);
         let Some((size, Some(std))) = own.filter(|own| own.1 > Some(0.0)) else {
             continue;
         };

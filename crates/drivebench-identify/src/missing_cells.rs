@@ -56,9 +56,7 @@ fn interpolated(scenario: &Scenario) -> Scenario {
     let times = &scenario.sample_time_s;
     let mut bridged = scenario.clone();
     for values in [&mut bridged.current_a, &mut bridged.speed_rad_s] {
-        let there: Vec<usize> = (0..times.len())
-            .filter(|k| values[*k].is_finite())
-            .collect();
+        let there: Vec<usize> = (0..times.len()).filter(|k| values[*k].is_finite()).collect();
         let longest_s = LONGEST_BRIDGE * median_gap(there.iter().map(|k| times[*k]));
         let mut begin = 0;
         for end in 1..=there.len() {
@@ -66,9 +64,8 @@ fn interpolated(scenario: &Scenario) -> Scenario {
             if next.is_some_and(|row| times[*row] - times[there[end - 1]] <= longest_s) {
                 continue;
             }
-            let points: Vec<(f64, f64)> = (there[begin..end].iter())
-                .map(|row| (times[*row], values[*row]))
-                .collect();
+            let points: Vec<(f64, f64)> =
+                (there[begin..end].iter()).map(|row| (times[*row], values[*row])).collect();
             // A line would cut the corners off a curve, and bias what is averaged over it.
             let rows = there[begin]..=there[end - 1];
             let read = spline(&points, &times[rows.clone()]);

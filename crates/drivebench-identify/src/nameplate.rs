@@ -112,19 +112,11 @@ impl Comparison {
 
 /// Compares the values of the nameplate with the estimates; a key that neither has is left out.
 pub fn compare(nameplate: &Motor, found: &[ParameterEstimate]) -> Comparison {
-    let rows: Vec<Row> = KEYS
-        .into_iter()
-        .filter_map(|key| row(key, nameplate.get(key), found))
-        .collect();
+    let rows: Vec<Row> =
+        KEYS.into_iter().filter_map(|key| row(key, nameplate.get(key), found)).collect();
     let fits = rows.iter().all(|row| row.fits != Fits::No);
     let causes = if fits { Vec::new() } else { causes(&rows) };
-    Comparison {
-        fits,
-        tolerance: CATALOGUE_TOLERANCE,
-        rows,
-        causes,
-        doubt: None,
-    }
+    Comparison { fits, tolerance: CATALOGUE_TOLERANCE, rows, causes, doubt: None }
 }
 
 fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Option<Row> {
@@ -135,10 +127,8 @@ fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Op
         return None;
     }
     let unit = key.unit();
-    let ratio = nameplate
-        .filter(|plate| *plate > 0.0)
-        .zip(value)
-        .map(|(plate, value)| value / plate);
+    let ratio =
+        nameplate.filter(|plate| *plate > 0.0).zip(value).map(|(plate, value)| value / plate);
     let fits = match (nameplate, value) {
         (Some(plate), Some(value)) => {
             let margin = 2.0 * std.unwrap_or(0.0);
@@ -176,16 +166,7 @@ fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Op
             with_std(value.unwrap_or(f64::NAN), std)
         ),
     };
-    Some(Row {
-        key: name,
-        unit,
-        nameplate,
-        found: value,
-        std,
-        ratio,
-        fits,
-        sentence,
-    })
+    Some(Row { key: name, unit, nameplate, found: value, std, ratio, fits, sentence })
 }
 
 /// Cause, powers of a wrong factor of one sensor in R, L, Ke, J, Mc, and the key whose ratio gives the factor. The torque constant
@@ -204,31 +185,13 @@ fn speed_cause(factor: f64) -> String {
     let per_minute = 60.0 / (2.0 * PI);
     let known = [
         (per_minute, "speed in r/min taken for rad/s (factor 9.55)"),
-        (
-            1.0 / per_minute,
-            "speed in rad/s taken for r/min (factor 1/9.55)",
-        ),
-        (
-            2.0 * PI,
-            "speed in rad/s taken for turns per second (factor 6.28)",
-        ),
-        (
-            1.0 / (2.0 * PI),
-            "speed in turns per second taken for rad/s (factor 1/6.28)",
-        ),
-        (
-            2.0,
-            "encoder pulses per turn given as half of what they are, or edges counted twice",
-        ),
-        (
-            4.0,
-            "encoder pulses per turn: lines given, quadrature edges counted (factor 4)",
-        ),
+        (1.0 / per_minute, "speed in rad/s taken for r/min (factor 1/9.55)"),
+        (2.0 * PI, "speed in rad/s taken for turns per second (factor 6.28)"),
+        (1.0 / (2.0 * PI), "speed in turns per second taken for rad/s (factor 1/6.28)"),
+        (2.0, "encoder pulses per turn given as half of what they are, or edges counted twice"),
+        (4.0, "encoder pulses per turn: lines given, quadrature edges counted (factor 4)"),
         (0.5, "encoder pulses per turn given as twice what they are"),
-        (
-            0.25,
-            "encoder pulses per turn: edges given, lines counted (factor 1/4)",
-        ),
+        (0.25, "encoder pulses per turn: edges given, lines counted (factor 1/4)"),
         (10.0, "speed scaling ten times too large"),
         (0.1, "speed scaling ten times too small"),
     ];
@@ -339,10 +302,7 @@ mod tests {
         let found = scaled([1.34, 1.0, 1.0, 1.0, 1.0]);
         let differences: Vec<&str> = found.differences().collect();
         let has_both = differences[0].contains("1.474") && differences[0].contains("1.100");
-        assert!(
-            !found.fits && differences.len() == 1 && has_both,
-            "{differences:?}"
-        );
+        assert!(!found.fits && differences.len() == 1 && has_both, "{differences:?}");
         let c: f64 = 9.549;
         for (factors, cause) in [
             ([1.34, 1.0, 1.0, 1.0, 1.0], "87 K"),

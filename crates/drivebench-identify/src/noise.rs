@@ -96,11 +96,7 @@ impl NoiseFloor {
             let level = standard_deviation(settled).max(quantum_noise(quantum));
             let (least, most) = extent(finite(values));
             // Repeats of a signal that is quieter than its resolution are no memory.
-            let memory = if level > quantum {
-                memory(settled)
-            } else {
-                0.0
-            };
+            let memory = if level > quantum { memory(settled) } else { 0.0 };
             // The squares of a first-order process are correlated by the square of that.
             let independent =
                 settled.len() as f64 * (1.0 - memory * memory) / (1.0 + memory * memory);
@@ -137,11 +133,7 @@ impl NoiseFloor {
                 let n = rest.samples as f64;
                 (squares + n * level(rest).powi(2), samples + n)
             });
-            if samples > 0.0 {
-                (squares / samples).sqrt()
-            } else {
-                f64::INFINITY
-            }
+            if samples > 0.0 { (squares / samples).sqrt() } else { f64::INFINITY }
         };
         Some(Self {
             current_a: mean(|rest| rest.current_a),
@@ -352,10 +344,7 @@ mod tests {
         let coloured: Vec<f64> = coloured.collect();
         let [white, coloured] =
             [floor(400, white), floor(400, |k| coloured[k])].map(Option::unwrap);
-        assert!(
-            white.memory[1].abs() < 1e-12 && white.samples > 380,
-            "{white:?}"
-        );
+        assert!(white.memory[1].abs() < 1e-12 && white.samples > 380, "{white:?}");
         assert!((0.7..0.95).contains(&coloured.memory[1]), "{coloured:?}");
         assert!((20..150).contains(&coloured.samples), "{coloured:?}");
     }

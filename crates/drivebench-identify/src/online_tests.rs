@@ -152,11 +152,9 @@ fn jittered_stamps_change_little_and_separate_commands_no_bit() {
     // As the live bench does it: each command is given just before the first sample after it.
     let mut live = Online::new(OnlineConfig::default());
     let read = [&bench.current[..], &bench.speed];
-    in_order(&bench.events, &bench.times, read, |sample| {
-        match sample.get(Channel::VoltageCmd) {
-            Some(volts) => live.command_applied(sample.time_s, volts),
-            None => live.push(&sample),
-        }
+    in_order(&bench.events, &bench.times, read, |sample| match sample.get(Channel::VoltageCmd) {
+        Some(volts) => live.command_applied(sample.time_s, volts),
+        None => live.push(&sample),
     });
     assert_eq!(live.estimates(), online.estimates());
     assert_eq!(live.innovation(), online.innovation());
@@ -247,10 +245,7 @@ fn a_changing_inertia_is_never_settled_at_a_value_between() {
                 let inertia = online.estimates().swap_remove(3);
                 if inertia.verdict == Verdict::Settled {
                     settled += 1;
-                    assert!(
-                        covers(&inertia, truth, 5.0),
-                        "{factor} {time_s} {inertia:?}"
-                    );
+                    assert!(covers(&inertia, truth, 5.0), "{factor} {time_s} {inertia:?}");
                 }
             }
         });

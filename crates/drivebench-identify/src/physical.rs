@@ -75,10 +75,7 @@ impl Extents {
             MotorKey::Resistance => (
                 SHOWS * self.voltage_v / self.current_a,
                 ROOM * self.voltage_v / self.current_rms_a,
-                format!(
-                    "up to {volts} V drove {} A (rms)",
-                    three(self.current_rms_a)
-                ),
+                format!("up to {volts} V drove {} A (rms)", three(self.current_rms_a)),
             ),
             MotorKey::Inductance => (
                 // Twice the bound of the fit: what lies below has run into it.
@@ -108,11 +105,9 @@ impl Extents {
                     ),
                 )
             }
-            MotorKey::LoadTorque => (
-                f64::NAN,
-                self.torque_n_m,
-                format!("up to {torque} N.m turned the shaft"),
-            ),
+            MotorKey::LoadTorque => {
+                (f64::NAN, self.torque_n_m, format!("up to {torque} N.m turned the shaft"))
+            }
             MotorKey::TorqueConstant => (f64::NAN, f64::NAN, String::new()),
         }
     }
@@ -180,14 +175,9 @@ mod tests {
     /// What is left of these values, R, L, Ke, J, Mc, in a record of the motor of paper A.
     fn left(values: &Truth) -> Vec<ParameterEstimate> {
         let scenario = record(&paper(), steps(0.3, 4.0, 1.0, 0.2), 0.002, 4.0, 1);
-        let of_motor = KEYS
-            .iter()
-            .zip(values)
-            .map(|(key, value)| (key.key(), key.unit(), *value));
-        let effects = [
-            ("voltage_offset.offset_v", "V", -350.0),
-            ("current_offset.offset_a", "A", 0.2),
-        ];
+        let of_motor = KEYS.iter().zip(values).map(|(key, value)| (key.key(), key.unit(), *value));
+        let effects =
+            [("voltage_offset.offset_v", "V", -350.0), ("current_offset.offset_a", "A", 0.2)];
         let all = of_motor.chain(effects);
         let mut found: Vec<ParameterEstimate> = all
             .map(|(key, unit, value)| ParameterEstimate::found(key, unit, value, 0.01, None))

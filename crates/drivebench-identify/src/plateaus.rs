@@ -27,10 +27,7 @@ fn levels(scenario: &Scenario) -> Vec<Level> {
         most - least
     };
     let spans = [span(&scenario.current_a), span(&scenario.speed_rad_s)];
-    let rough = [
-        roughness(&scenario.current_a),
-        roughness(&scenario.speed_rad_s),
-    ];
+    let rough = [roughness(&scenario.current_a), roughness(&scenario.speed_rad_s)];
     let times = &scenario.sample_time_s;
     let events = &scenario.events;
     let changes: Vec<usize> = (0..events.len())
@@ -100,11 +97,7 @@ fn estimates(levels: &[Level]) -> Vec<ParameterEstimate> {
         return Vec::new();
     }
     let column = |of: fn(&Level) -> f64| levels.iter().map(of).collect::<Vec<f64>>();
-    let cells = [
-        column(|own| own.current_a),
-        column(|own| own.speed_rad_s),
-        column(|_| 1.0),
-    ];
+    let cells = [column(|own| own.current_a), column(|own| own.speed_rad_s), column(|_| 1.0)];
     let matrix = DMatrix::from_fn(levels.len(), 3, |row, place| cells[place][row]);
     let right = DVector::from_vec(column(|own| own.voltage_v));
     let blocks: Vec<usize> = (0..levels.len()).collect();

@@ -72,11 +72,8 @@ fn one(
     let within = carried.iter().map(|(_, std)| std * std).sum::<f64>() / count;
     let std = (spread.max(within) / count).sqrt();
     let differs = !by_chance(spread, within, values.len());
-    let repeated = |estimate, runs| Repeated {
-        estimate,
-        runs,
-        run_to_run_std: Some(spread.sqrt()),
-    };
+    let repeated =
+        |estimate, runs| Repeated { estimate, runs, run_to_run_std: Some(spread.sqrt()) };
     if let Some(joint) = joint.filter(|own| FirstOrder::is_key(&own.key)) {
         let estimate = differing(joint, differs.then_some(spread.sqrt()));
         return Some(repeated(estimate, runs));
@@ -176,17 +173,10 @@ mod tests {
     #[test]
     fn agreeing_runs_share_their_noise_and_differing_ones_do_not() {
         let runs = [run(1.100, 0.002), run(1.102, 0.002), run(1.099, 0.002)];
-        let Repeated {
-            estimate,
-            run_to_run_std,
-            ..
-        } = combined(&runs, &[]);
+        let Repeated { estimate, run_to_run_std, .. } = combined(&runs, &[]);
         assert!((estimate.value.unwrap() - 1.100_333).abs() < 1e-6);
         assert!((estimate.std.unwrap() - 0.002 / 3f64.sqrt()).abs() < 1e-12);
-        assert_eq!(
-            (estimate.verdict, estimate.reason),
-            (Verdict::Settled, None)
-        );
+        assert_eq!((estimate.verdict, estimate.reason), (Verdict::Settled, None));
         assert!((run_to_run_std.unwrap() - 0.001_527_5).abs() < 1e-6);
         let runs = [run(1.0, 0.001), run(1.1, 0.001), run(1.2, 0.001)];
         let estimate = combined(&runs, &[]).estimate;

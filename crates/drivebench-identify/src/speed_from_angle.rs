@@ -79,9 +79,7 @@ fn side(points: &[(f64, f64)]) -> usize {
     // Over the longest span resolution hardly counts: a fair estimate of the largest speed, of which it may cost 0.2 %.
     let largest = largest(slopes(points, most));
     let error = resolution(points) / 12f64.sqrt();
-    (1..most)
-        .find(|side| error * gain(*side as f64, period_s) <= 0.002 * largest)
-        .unwrap_or(most)
+    (1..most).find(|side| error * gain(*side as f64, period_s) <= 0.002 * largest).unwrap_or(most)
 }
 
 /// Smallest change of the angle that the data show.
@@ -117,11 +115,8 @@ fn slope(points: &[(f64, f64)], at_s: f64) -> f64 {
     let second = |x: f64| x * x - skew * x - mean_square;
     let norm = sum(&|p| second(x(p)).powi(2));
     let first = sum(&|p| x(p) * p.1) / s2;
-    let curvature = if points.len() > 2 && norm > 0.0 {
-        sum(&|p| second(x(p)) * p.1) / norm
-    } else {
-        0.0
-    };
+    let curvature =
+        if points.len() > 2 && norm > 0.0 { sum(&|p| second(x(p)) * p.1) / norm } else { 0.0 };
     let at = (at_s - centre) / scale;
     (first + curvature * (2.0 * at - skew)) / scale
 }
@@ -132,9 +127,8 @@ mod tests {
     use crate::testing::{changed, put, run_of};
 
     fn run(angle: impl Fn(f64) -> f64, jitter: f64) -> Run {
-        let times: Vec<f64> = (0..500)
-            .map(|k| f64::from(k) * 0.001 + jitter * f64::from(k % 3))
-            .collect();
+        let times: Vec<f64> =
+            (0..500).map(|k| f64::from(k) * 0.001 + jitter * f64::from(k % 3)).collect();
         let angles = times.iter().map(|t| angle(*t)).collect();
         run_of(times, [(Channel::Angle, angles)])
     }

@@ -33,14 +33,11 @@ pub fn refuse(parameters: &mut [ParameterEstimate], half_width_s: f64) {
     let of = |key: MotorKey| ParameterEstimate::find(parameters, key.key())?.value;
     let resistance = of(MotorKey::Resistance);
     let electrical_s = of(MotorKey::Inductance).zip(resistance).map(|(l, r)| l / r);
-    let mechanical = resistance
-        .zip(of(MotorKey::Inertia))
-        .zip(of(MotorKey::BackEmf));
+    let mechanical = resistance.zip(of(MotorKey::Inertia)).zip(of(MotorKey::BackEmf));
     let mechanical_s = mechanical.map(|((r, j), ke)| r * j / (ke * ke));
-    for (key, name, constant_s) in [
-        (MotorKey::Inductance, "L/R", electrical_s),
-        (MotorKey::Inertia, "R J/Ke^2", mechanical_s),
-    ] {
+    for (key, name, constant_s) in
+        [(MotorKey::Inductance, "L/R", electrical_s), (MotorKey::Inertia, "R J/Ke^2", mechanical_s)]
+    {
         let Some(constant_s) = constant_s.filter(|s| half_width_s > 0.25 * s.abs()) else {
             continue;
         };
@@ -60,10 +57,8 @@ pub fn refuse(parameters: &mut [ParameterEstimate], half_width_s: f64) {
 pub fn widen(parameters: &mut [ParameterEstimate], late: &[ParameterEstimate], period_s: f64) {
     for parameter in parameters.iter_mut() {
         let shifted = late.iter().find(|other| other.key == parameter.key);
-        let Some(((value, std), shifted)) = parameter
-            .value
-            .zip(parameter.std)
-            .zip(shifted.and_then(|other| other.value))
+        let Some(((value, std), shifted)) =
+            parameter.value.zip(parameter.std).zip(shifted.and_then(|other| other.value))
         else {
             continue;
         };

@@ -29,9 +29,8 @@ pub fn complete(model: &Model, scenario: &Scenario) -> Result<Model, FitError> {
         return checked(model);
     }
     let sums = integrals(scenario);
-    let electrical: Vec<[f64; 4]> = (sums.iter())
-        .map(|s| [s.current, s.current_step, s.angle, s.voltage])
-        .collect();
+    let electrical: Vec<[f64; 4]> =
+        (sums.iter()).map(|s| [s.current, s.current_step, s.angle, s.voltage]).collect();
     let [resistance, inductance, back_emf] = positive(solve_rows(&electrical), MODEST);
     set(&mut model, MotorKey::Resistance, resistance);
     set(&mut model, MotorKey::Inductance, inductance);
@@ -96,13 +95,7 @@ fn set(model: &mut Model, key: MotorKey, value: f64) -> f64 {
 /// Values that physics allows: where noise or poor excitation gives none, a modest default.
 fn positive<const N: usize>(found: Option<[f64; N]>, otherwise: [f64; N]) -> [f64; N] {
     let found = found.unwrap_or(otherwise);
-    std::array::from_fn(|k| {
-        if found[k] > 0.0 {
-            found[k]
-        } else {
-            otherwise[k]
-        }
-    })
+    std::array::from_fn(|k| if found[k] > 0.0 { found[k] } else { otherwise[k] })
 }
 
 fn integrals(scenario: &Scenario) -> Vec<Sums> {
@@ -124,11 +117,7 @@ fn between(times: &[f64], values: &[f64]) -> Vec<f64> {
     let cells = times.iter().copied().zip(values.iter().copied());
     let points: Vec<(f64, f64)> = cells.clone().filter(|cell| cell.1.is_finite()).collect();
     let filled = |(time_s, value): (f64, f64)| {
-        if value.is_finite() {
-            value
-        } else {
-            signal::line(&points, time_s)
-        }
+        if value.is_finite() { value } else { signal::line(&points, time_s) }
     };
     cells.map(filled).collect()
 }
@@ -150,10 +139,7 @@ mod tests {
 
     #[test]
     fn starting_values_come_within_a_factor_that_the_fit_can_bridge() {
-        let events = held(
-            [0.0, 0.3, 0.8, 1.5, 2.2, 3.0],
-            [0.0, 20.0, -25.0, 60.0, -10.0, 35.0],
-        );
+        let events = held([0.0, 0.3, 0.8, 1.5, 2.2, 3.0], [0.0, 20.0, -25.0, 60.0, -10.0, 35.0]);
         for period_s in [0.001, 0.01] {
             let times = every(period_s, 4.0);
             starts_near(&simulated(&paper(), Input::Voltage, events.clone(), times));

@@ -58,9 +58,7 @@ fn at_20_c(
     // A temperature that moves during the run leaves it open which one the resistance belongs to.
     let moved_k = (most_c - least_c) / 12f64.sqrt();
     let factor = resistance_at_20_c(1.0, mean_c);
-    let std = resistance
-        .std
-        .map(|std| factor * std.hypot(value * factor * COPPER_PER_K * moved_k));
+    let std = resistance.std.map(|std| factor * std.hypot(value * factor * COPPER_PER_K * moved_k));
     let note = format!(
         "resistance_ohm holds at {mean_c:.1} C (mean of temperature_c over the rows used, {least_c:.1} to {most_c:.1} \
          C); at 20 C by copper's 0.00393 per K, if that is the winding's temperature"

@@ -37,9 +37,7 @@ pub(super) const LARGE: Truth = [0.3, 0.006, 1.2, 0.8, 4.0];
 
 pub(super) fn motor(truth: &Truth) -> Motor {
     let values = KEYS.into_iter().zip(truth);
-    values.fold(Motor::new("truth"), |motor, (key, value)| {
-        motor.with(key, *value)
-    })
+    values.fold(Motor::new("truth"), |motor, (key, value)| motor.with(key, *value))
 }
 
 /// The motor of paper A, nothing missing.
@@ -61,9 +59,7 @@ pub(super) fn paper_with(id: &str, values: &[f64]) -> Model {
 
 /// Voltage steps at odd instants in both directions after a rest; the full scale is 70.
 pub(super) fn steps(begin_s: f64, seconds: f64, scale: f64, hold_s: f64) -> Vec<(f64, f64)> {
-    let levels = [
-        20.0, 35.0, 15.0, 60.0, 30.0, 45.0, 25.0, -30.0, -50.0, -20.0, 10.0, 70.0,
-    ];
+    let levels = [20.0, 35.0, 15.0, 60.0, 30.0, 45.0, 25.0, -30.0, -50.0, -20.0, 10.0, 70.0];
     let mut events = vec![(0.0, 0.0)];
     let mut at_s = begin_s;
     for step in 0_u8.. {
@@ -88,9 +84,7 @@ pub(super) fn jittered(period_s: f64, seconds: f64, seed: u64) -> Vec<f64> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let late = Uniform::new(0.0, 0.3 * period_s).unwrap();
     let times = every(period_s, seconds).into_iter();
-    times
-        .map(|time_s| time_s + late.sample(&mut random))
-        .collect()
+    times.map(|time_s| time_s + late.sample(&mut random)).collect()
 }
 
 /// `model` under an input at the given instants, without noise.
@@ -114,10 +108,7 @@ pub(super) fn simulated(
 /// The values with white noise.
 pub(super) fn noisy(values: &[f64], sigma: f64, random: &mut ChaCha8Rng) -> Vec<f64> {
     let noise = Normal::new(0.0, sigma).unwrap();
-    values
-        .iter()
-        .map(|value| value + noise.sample(random))
-        .collect()
+    values.iter().map(|value| value + noise.sample(random)).collect()
 }
 
 /// Measured columns at the given instants.
@@ -147,11 +138,7 @@ pub(super) fn changed(run: &Run, channel: Channel, cell: impl Fn(usize, f64) -> 
 pub(super) fn limited(run: &Run, within_s: std::ops::Range<f64>) -> Run {
     let times = run.time_s();
     let commanded = |row: usize, volts: f64| {
-        let share = if within_s.contains(&times[row]) {
-            0.6
-        } else {
-            1.0
-        };
+        let share = if within_s.contains(&times[row]) { 0.6 } else { 1.0 };
         volts / share
     };
     let mut out = changed(run, Channel::VoltageCmd, commanded);
@@ -219,10 +206,7 @@ impl Record {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut read = |values: &[f64], sigma: f64, quantum: f64| -> Vec<f64> {
             let values = noisy(values, sigma, &mut random);
-            values
-                .iter()
-                .map(|x| (x / quantum).round() * quantum)
-                .collect()
+            values.iter().map(|x| (x / quantum).round() * quantum).collect()
         };
         let current = read(&self.current, CURRENT_NOISE_A, 1e-3);
         [current, read(&self.speed, SPEED_NOISE_RAD_S, 0.01)]
@@ -230,10 +214,8 @@ impl Record {
 
     /// The run of a seed, without one as simulated; commands on rows of their own.
     pub(super) fn run(&self, seed: Option<u64>) -> Run {
-        let [current, speed] = seed.map_or_else(
-            || [self.current.clone(), self.speed.clone()],
-            |seed| self.noisy(seed),
-        );
+        let [current, speed] = seed
+            .map_or_else(|| [self.current.clone(), self.speed.clone()], |seed| self.noisy(seed));
         let mut rows: Vec<(f64, [f64; 3])> = Vec::new();
         in_order(&self.events, &self.times, [&current, &speed], |sample| {
             let cell = |channel| sample.get(channel).unwrap_or(f64::NAN);
@@ -246,12 +228,8 @@ impl Record {
         });
         let column = |k: usize| rows.iter().map(|row| row.1[k]).collect();
         let times = rows.iter().map(|row| row.0).collect();
-        let mut run = run_of(
-            times,
-            [(Channel::Current, column(1)), (Channel::Speed, column(2))],
-        );
-        run.set_column(Channel::VoltageCmd, column(0), Origin::Commanded)
-            .unwrap();
+        let mut run = run_of(times, [(Channel::Current, column(1)), (Channel::Speed, column(2))]);
+        run.set_column(Channel::VoltageCmd, column(0), Origin::Commanded).unwrap();
         run
     }
 }
@@ -293,11 +271,7 @@ pub(super) fn assert_says(found: &ParameterEstimate, words: &[&str]) {
 /// What the scheme of that name finds in a run.
 pub(super) fn identify(id: &str, run: &Run, model: &Model) -> Result<Identified, IdentifyError> {
     let scenario = &Scenario::from_run(run).unwrap();
-    let data = Data {
-        run,
-        scenario,
-        model,
-    };
+    let data = Data { run, scenario, model };
     scheme::find(id).unwrap().identify(&data)
 }
 
@@ -305,10 +279,7 @@ pub(super) fn identify(id: &str, run: &Run, model: &Model) -> Result<Identified,
 #[track_caller]
 pub(super) fn assert_near(found: f64, truth: f64, within: f64) {
     let off = found / truth - 1.0;
-    assert!(
-        off.abs() < within,
-        "{found} is {off} off {truth}, allowed {within}"
-    );
+    assert!(off.abs() < within, "{found} is {off} off {truth}, allowed {within}");
 }
 
 /// Within a relative distance of the truth, and within four of its own deviations.

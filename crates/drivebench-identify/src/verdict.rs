@@ -50,10 +50,7 @@ pub fn judge(slot: &Slot, value: f64, std: Option<f64>, period_s: f64) -> Parame
     if positive && value < -1.96 * std {
         let reason = "negative, which no motor has: check signs, units and columns of the signals";
         let found = ParameterEstimate::found(key, unit, value, std, Some(reason.to_owned()));
-        return ParameterEstimate {
-            verdict: Verdict::Invalid,
-            ..found
-        };
+        return ParameterEstimate { verdict: Verdict::Invalid, ..found };
     }
     if positive && relative > NOT_OBSERVABLE {
         let uncertain = uncertainty(relative);

@@ -47,11 +47,8 @@ pub fn find(run: &Run) -> Option<Departure> {
             let held = commands[..next].last()?.1;
             // A sample at the very instant of a step may show either level.
             let before = next.checked_sub(2).map_or(held, |at| commands[at].1);
-            let nearer = if (measured_v - before).abs() < (measured_v - held).abs() {
-                before
-            } else {
-                held
-            };
+            let nearer =
+                if (measured_v - before).abs() < (measured_v - held).abs() { before } else { held };
             Some(measured_v - nearer)
         })
         .collect();
@@ -62,10 +59,7 @@ pub fn find(run: &Run) -> Option<Departure> {
     let threshold = (8.0 * robust_deviation(&differences)).max(0.02 * largest_command_v);
     let departed = differences.iter().filter(|d| d.abs() > threshold);
     let share = departed.clone().count() as f64 / differences.len() as f64;
-    (share > 0.005).then(|| Departure {
-        share,
-        largest_v: largest(departed),
-    })
+    (share > 0.005).then(|| Departure { share, largest_v: largest(departed) })
 }
 
 #[cfg(test)]
@@ -82,8 +76,7 @@ mod tests {
             .enumerate()
             .map(|(k, u)| applied(k, *u) + [0.02, -0.02][k % 2])
             .collect();
-        run.set_column(Channel::VoltageCmd, command, Origin::Commanded)
-            .unwrap();
+        run.set_column(Channel::VoltageCmd, command, Origin::Commanded).unwrap();
         run.set_column(Channel::Voltage, measured, origin).unwrap();
         run
     }
@@ -94,10 +87,7 @@ mod tests {
         // A constant small loss is no limiting, and a voltage that nobody measured shows none.
         assert_eq!(find(&run(|_, u| 0.99 * u, Origin::Measured)), None);
         assert_eq!(find(&run(|_, u| 0.5 * u, Origin::Unknown)), None);
-        let limited = run(
-            |k, u| if k % 100 < 10 { u.min(35.0) } else { u },
-            Origin::Measured,
-        );
+        let limited = run(|k, u| if k % 100 < 10 { u.min(35.0) } else { u }, Origin::Measured);
         let departure = find(&limited).unwrap();
         // Two of four levels lie above 35 V, one tenth of the time; a sample may show the level before.
         assert!((0.04..0.06).contains(&departure.share), "{departure:?}");

@@ -92,12 +92,7 @@ fn balance(model: &Model, scenario: &Scenario, equation: Balance, doubt_of_left:
     let estimate = |unknown: &Unknown| {
         let place = (unknown.fixed.is_none()).then(|| places.next()).flatten();
         let Some(((solution, doubts), place)) = doubts.as_ref().zip(place) else {
-            return unknown.unsolved(&why_too_few(
-                system.windows.len(),
-                model,
-                scenario,
-                equation,
-            ));
+            return unknown.unsolved(&why_too_few(system.windows.len(), model, scenario, equation));
         };
         let value = solution.x[place] + doubts[place].pulled;
         // Not a number where it is undetermined.
@@ -106,15 +101,9 @@ fn balance(model: &Model, scenario: &Scenario, equation: Balance, doubt_of_left:
     };
     let parameters: Vec<ParameterEstimate> = system.unknowns.iter().map(estimate).collect();
     let noise_floor = noise.floor(&system, &parameters, model);
-    let residual = solution.map_or_else(Vec::new, |solution| {
-        solution.residual.iter().copied().collect()
-    });
-    Balanced {
-        equation,
-        parameters,
-        residual,
-        noise_floor,
-    }
+    let residual =
+        solution.map_or_else(Vec::new, |solution| solution.residual.iter().copied().collect());
+    Balanced { equation, parameters, residual, noise_floor }
 }
 
 /// What the covariance does not know of one value.
@@ -204,9 +193,8 @@ impl System {
             speed_rad_s: &scenario.speed_rad_s,
             at: &at,
         };
-        let columns: Vec<Column> = (unknowns.iter())
-            .map(|unknown| signals.column(&unknown.slot))
-            .collect();
+        let columns: Vec<Column> =
+            (unknowns.iter()).map(|unknown| signals.column(&unknown.slot)).collect();
         let is_free = |index: &usize| unknowns[*index].fixed.is_none();
         let free: Vec<usize> = (0..unknowns.len()).filter(is_free).collect();
         let (mut rows, mut right, mut windows) = (Vec::new(), Vec::new(), Vec::new());
@@ -324,11 +312,7 @@ fn left(model: &Model, scenario: &Scenario, equation: Balance) -> Vec<f64> {
         }
         (Balance::Torque, Input::Voltage | Input::Current) => {
             let kt = model.motor.torque_constant().unwrap_or(f64::NAN);
-            scenario
-                .current_a
-                .iter()
-                .map(|current| kt * current)
-                .collect()
+            scenario.current_a.iter().map(|current| kt * current).collect()
         }
     }
 }
@@ -519,11 +503,7 @@ fn samples(model: &Model, scenario: &Scenario) -> (Vec<Instant>, Vec<f64>) {
     };
     let commanded_s: Vec<f64> = scenario.events.iter().map(|event| event.0).collect();
     let step_s = statistics::median_step(&commanded_s);
-    let longest_gap_s = if step_s.is_finite() {
-        5.0 * step_s
-    } else {
-        0.0
-    };
+    let longest_gap_s = if step_s.is_finite() { 5.0 * step_s } else { 0.0 };
     let kt = model.motor.torque_constant().unwrap_or(f64::NAN);
     let constants = Instant::of(&model.motor);
     let (mut at, mut left) = (Vec::new(), Vec::new());
@@ -535,11 +515,7 @@ fn samples(model: &Model, scenario: &Scenario) -> (Vec<Instant>, Vec<f64>) {
         let (current_a, torque_n_m, torque_n_m_per_a) = if scenario.input == Input::Torque {
             // Where the torque has a hole it is not known what was held.
             let beside = signal::line_across(&scenario.events, time_s, longest_gap_s);
-            let torque = if beside.is_finite() {
-                held_mean(scenario, sample)
-            } else {
-                f64::NAN
-            };
+            let torque = if beside.is_finite() { held_mean(scenario, sample) } else { f64::NAN };
             (torque, torque, 1.0)
         } else {
             let current = scenario.current_a[sample];

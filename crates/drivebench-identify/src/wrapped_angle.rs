@@ -50,10 +50,7 @@ impl Sawtooth {
         let pairs = points.windows(2);
         let steps: Vec<(f64, f64)> = pairs.map(|w| (w[1].0 - w[0].0, w[1].1 - w[0].1)).collect();
         let is_jump = |step: &&(f64, f64)| step.1.abs() > JUMP * span;
-        let sizes = steps
-            .iter()
-            .map(|step| step.1.abs())
-            .filter(|step| *step > 1e-9 * span);
+        let sizes = steps.iter().map(|step| step.1.abs()).filter(|step| *step > 1e-9 * span);
         let finest = sizes.fold(f64::INFINITY, f64::min);
         // A flickering last digit is no sawtooth.
         if span <= 16.0 * finest {
@@ -117,9 +114,7 @@ fn span(points: &[(f64, f64)]) -> f64 {
 /// All values within one turn, most of it used, and steps of more than half of it.
 fn looks_wrapped(points: &[(f64, f64)]) -> bool {
     let span = span(points);
-    let jumps = points
-        .windows(2)
-        .filter(|w| (w[1].1 - w[0].1).abs() > JUMP * TAU);
+    let jumps = points.windows(2).filter(|w| (w[1].1 - w[0].1).abs() > JUMP * TAU);
     span > 0.85 * TAU && span < 1.01 * TAU && jumps.count() > 1
 }
 

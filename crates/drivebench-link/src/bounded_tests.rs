@@ -46,11 +46,7 @@ fn on_a_line(late: usize, dead_from: usize, work: impl FnOnce(Line)) {
         let dead_from = Arc::new(AtomicUsize::new(dead_from));
         let end = Arc::clone(&dead_from);
         let script = move |number: usize, request: &[u8]| {
-            let delay = if number == late {
-                LATE
-            } else {
-                Duration::from_micros(700)
-            };
+            let delay = if number == late { LATE } else { Duration::from_micros(700) };
             let is_answered = number < end.load(Ordering::Relaxed);
             let reply = is_answered.then(|| (delay, answer(request)));
             reply.into_iter().collect()
@@ -110,10 +106,7 @@ fn one_late_reply_moves_no_later_stamp_and_its_silence_ends() {
         let last_s = slow.last().unwrap();
         assert!((3.0..5.0).contains(&first_s), "{slow:?}");
         let stretch_s = 100.0 * LATE.as_secs_f64();
-        assert!(
-            (0.5 * stretch_s..1.5 * stretch_s).contains(&(last_s - first_s)),
-            "{slow:?}"
-        );
+        assert!((0.5 * stretch_s..1.5 * stretch_s).contains(&(last_s - first_s)), "{slow:?}");
         let counts = RegisterBus::line(&line.bus).unwrap();
         assert_eq!(counts.stale_frames, 1);
         assert!(counts.resync_ms > 100, "{counts:?}");
@@ -161,10 +154,7 @@ fn whoever_wants_a_stop_ends_a_resynchronisation_at_once() {
             alarm::set(raised, Arc::clone(&flag));
             assert!(line.bus.read(ReadRequest::holding(100, 3)).is_err());
             let after = now().saturating_duration_since(raised);
-            assert!(
-                flag.load(Ordering::Acquire),
-                "{after_ms}: it ended by itself"
-            );
+            assert!(flag.load(Ordering::Acquire), "{after_ms}: it ended by itself");
             assert!(after <= Duration::from_millis(5), "{after_ms}: {after:?}");
             // The stop is next, and it does not wait for its reply for long, nor the one behind it for the first.
             let (began, before) = (now(), line.heard());

@@ -117,11 +117,7 @@ impl LineBudget {
             let times = frames
                 .iter()
                 .map(|(request, reply)| line.exchange_s(*request as f64, *reply as f64));
-            AdapterRate {
-                adapter,
-                delay_ms: delay_s * 1e3,
-                rate_hz: times.sum::<f64>().recip(),
-            }
+            AdapterRate { adapter, delay_ms: delay_s * 1e3, rate_hz: times.sum::<f64>().recip() }
         });
         let request_bytes = frames.iter().map(|(request, _)| request).sum();
         let reply_bytes = frames.iter().map(|(_, reply)| reply).sum();
@@ -192,9 +188,7 @@ impl LostReply {
     pub fn of(profile: &DriveProfile) -> Option<Self> {
         let map = profile.registers.as_ref()?;
         let budget = LineBudget::of(profile)?;
-        let (request, reply) = cycle_frames(map)
-            .into_iter()
-            .max_by_key(|(_, reply)| *reply)?;
+        let (request, reply) = cycle_frames(map).into_iter().max_by_key(|(_, reply)| *reply)?;
         let line = LineTiming::serial(&profile.link, profile.link.baud, true);
         let once_s = line.brief(request, reply).as_secs_f64();
         Some(Self {
@@ -269,11 +263,7 @@ mod tests {
     use crate::standard_gap_s;
 
     fn settings(baud: u32, reply_ms: f64) -> LinkSettings {
-        LinkSettings {
-            baud,
-            reply_ms,
-            ..DriveProfile::named("own").unwrap().link
-        }
+        LinkSettings { baud, reply_ms, ..DriveProfile::named("own").unwrap().link }
     }
 
     #[test]
@@ -350,10 +340,7 @@ mod tests {
             (921_600, 177.0, 91.0),
         ] {
             let rates = line(baud, Framing::EightNoneOne).rates();
-            assert!(
-                (rates.read_write_hz - read_write_hz).abs() < 1.0,
-                "{rates:?}"
-            );
+            assert!((rates.read_write_hz - read_write_hz).abs() < 1.0, "{rates:?}");
             assert!((rates.write_then_read_hz - two_requests_hz).abs() < 1.0);
         }
         let wire_s = |framing| line(9600, framing).read_s(10) - 1.7e-3;

@@ -36,11 +36,7 @@ impl Capture {
             let index = u16::try_from(samples.len()).unwrap_or(u16::MAX);
             samples.extend(block(index)?);
         }
-        Ok(Self {
-            first_s,
-            period_s,
-            samples,
-        })
+        Ok(Self { first_s, period_s, samples })
     }
 
     /// The burst as a run: `voltage_v`, `current_a` and `speed_rad_s`, those that the drive has. A captured voltage is
@@ -49,9 +45,8 @@ impl Capture {
     pub fn run(&self, name: impl Into<String>) -> Result<Run, RunError> {
         type Of = fn(&[CaptureSample]) -> f64;
         let pairs = || self.samples.windows(2);
-        let time_s = (0..pairs().count())
-            .map(|index| self.first_s + index as f64 * self.period_s)
-            .collect();
+        let time_s =
+            (0..pairs().count()).map(|index| self.first_s + index as f64 * self.period_s).collect();
         let mut run = Run::new(name, time_s)?;
         let columns: [(Channel, Of); 3] = [
             (Channel::Voltage, |pair| pair[1].voltage_v),
@@ -91,11 +86,7 @@ mod tests {
     use super::*;
 
     fn sample(current_a: f64) -> CaptureSample {
-        CaptureSample {
-            voltage_v: 10.0 + current_a,
-            current_a,
-            speed_rad_s: f64::NAN,
-        }
+        CaptureSample { voltage_v: 10.0 + current_a, current_a, speed_rad_s: f64::NAN }
     }
 
     #[test]

@@ -16,11 +16,7 @@ pub struct CommandTimes {
 impl Default for CommandTimes {
     /// Of a drive that obeys at once.
     fn default() -> Self {
-        Self {
-            enable_s: 1.0,
-            stop_s: 1.0,
-            reset_s: 1.0,
-        }
+        Self { enable_s: 1.0, stop_s: 1.0, reset_s: 1.0 }
     }
 }
 
@@ -78,11 +74,7 @@ mod tests {
                 "abb-efb" => (5.0..7.0, 10.0..13.0, 1.0..99.0),
                 // Two pauses of 0.5 s, so that it never runs within 1 s.
                 "abb-dcs-gateway" => (1.5..99.0, 1.0..99.0, 1.001..99.0),
-                _ => (
-                    least.enable_s..99.0,
-                    least.stop_s..99.0,
-                    least.reset_s..99.0,
-                ),
+                _ => (least.enable_s..99.0, least.stop_s..99.0, least.reset_s..99.0),
             };
             assert!(enable_s.contains(&times.enable_s), "{name}: {times:?}");
             assert!(stop_s.contains(&times.stop_s), "{name}: {times:?}");

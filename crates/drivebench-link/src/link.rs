@@ -44,11 +44,7 @@ impl Identity {
             "serial {}, firmware {}{protocol}, {}",
             told(&self.serial_number),
             told(&self.firmware),
-            if self.is_emulator {
-                "emulator"
-            } else {
-                "hardware"
-            }
+            if self.is_emulator { "emulator" } else { "hardware" }
         )
     }
 
@@ -142,11 +138,7 @@ pub struct RoundTrips {
 
 impl Default for RoundTrips {
     fn default() -> Self {
-        Self {
-            counts: [0; BUCKETS],
-            total: 0,
-            longest_s: 0.0,
-        }
+        Self { counts: [0; BUCKETS], total: 0, longest_s: 0.0 }
     }
 }
 
@@ -325,11 +317,8 @@ mod tests {
 
     #[test]
     fn missing_facts_of_a_drive_are_named() {
-        let mut identity = Identity {
-            product: "Acme 40".to_owned(),
-            is_emulator: true,
-            ..Identity::default()
-        };
+        let mut identity =
+            Identity { product: "Acme 40".to_owned(), is_emulator: true, ..Identity::default() };
         let sentence = "Acme 40, serial not told, firmware not told, emulator";
         assert_eq!(identity.sentence(), sentence);
         identity.serial_number = "17".to_owned();
@@ -348,11 +337,9 @@ mod tests {
         for k in 1..=1000 {
             trips.add(f64::from(k) * 1e-5);
         }
-        for (found_s, expected_s) in [
-            (trips.p50_s(), 5e-3),
-            (trips.p99_s(), 9.9e-3),
-            (trips.quantile_s(0.0), 1e-5),
-        ] {
+        for (found_s, expected_s) in
+            [(trips.p50_s(), 5e-3), (trips.p99_s(), 9.9e-3), (trips.quantile_s(0.0), 1e-5)]
+        {
             assert!((found_s.unwrap() / expected_s - 1.0).abs() < 0.06);
         }
         assert!((trips.longest_s() - 0.01).abs() < 1e-12);
@@ -369,23 +356,11 @@ mod tests {
     #[test]
     fn every_end_has_one_class() {
         let (link, request) = (String::new(), String::new());
-        let timeout = LinkError::Timeout {
-            link: link.clone(),
-            deadline_ms: 1,
-            request: request.clone(),
-        };
-        let exception = LinkError::Exception {
-            link: link.clone(),
-            request,
-            code: 2,
-            name: "x",
-        };
+        let timeout =
+            LinkError::Timeout { link: link.clone(), deadline_ms: 1, request: request.clone() };
+        let exception = LinkError::Exception { link: link.clone(), request, code: 2, name: "x" };
         let (found, expected) = (2, 1);
-        let version = LinkError::Version {
-            link,
-            found,
-            expected,
-        };
+        let version = LinkError::Version { link, found, expected };
         let of = |class: fn(String, String) -> LinkError| Err(class(String::new(), String::new()));
         let mut tally = Tally::default();
         for end in [

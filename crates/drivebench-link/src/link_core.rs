@@ -67,10 +67,7 @@ impl LinkCore {
     /// An error once the link is gone.
     pub(super) fn live(&self) -> Result<()> {
         if self.gone {
-            return Err(LinkError::Gone(
-                self.name.clone(),
-                "it broke before".to_owned(),
-            ));
+            return Err(LinkError::Gone(self.name.clone(), "it broke before".to_owned()));
         }
         Ok(())
     }
@@ -85,9 +82,7 @@ impl LinkCore {
     }
 
     pub(super) fn sample(&mut self, command: Command, answer: &Answer<Telemetry>) -> Sample {
-        let mut sample = self
-            .timeline
-            .sample(&answer.value, command.seq, answer.span);
+        let mut sample = self.timeline.sample(&answer.value, command.seq, answer.span);
         sample.host_time_s = Some(answer.complete_s);
         sample
     }
@@ -95,10 +90,7 @@ impl LinkCore {
     /// The command with which a stop is asked for; what it does takes as long as it takes.
     pub(super) fn stop_command(&mut self) -> Command {
         self.bound.set(f64::INFINITY, now());
-        Command {
-            seq: self.last_seq.wrapping_add(1),
-            demand: Demand::Stop,
-        }
+        Command { seq: self.last_seq.wrapping_add(1), demand: Demand::Stop }
     }
 }
 

@@ -8,11 +8,7 @@ pub enum LinkError {
     #[error("{}: cannot open: {}", whom(.0), .1)]
     Open(String, String),
     #[error("{}: no reply within {deadline_ms} ms to {request}", whom(link))]
-    Timeout {
-        link: String,
-        deadline_ms: u64,
-        request: String,
-    },
+    Timeout { link: String, deadline_ms: u64, request: String },
     #[error("{}: {}", whom(.0), .1)]
     Corrupt(String, String),
     #[error("{}: the reply belongs to an earlier request: {}", whom(.0), .1)]
@@ -22,27 +18,15 @@ pub enum LinkError {
     Unproven(String, String),
     #[error("{}: the reply belongs to another request: {}", whom(.0), .1)]
     Mismatch(String, String),
-    #[error(
-        "{}: the drive refused {request}: exception {code:#04x} {name}",
-        whom(link)
-    )]
-    Exception {
-        link: String,
-        request: String,
-        code: u8,
-        name: &'static str,
-    },
+    #[error("{}: the drive refused {request}: exception {code:#04x} {name}", whom(link))]
+    Exception { link: String, request: String, code: u8, name: &'static str },
     #[error("{}: the link is gone: {}", whom(.0), .1)]
     Gone(String, String),
     #[error(
         "{}: drive protocol version {found} is not {expected}, which this program speaks",
         whom(link)
     )]
-    Version {
-        link: String,
-        found: u16,
-        expected: u16,
-    },
+    Version { link: String, found: u16, expected: u16 },
     #[error("{}: {}", whom(.0), .1)]
     Identity(String, String),
     /// Nothing was sent: the profile or its limits forbid it.
@@ -53,13 +37,7 @@ pub enum LinkError {
     Unstopped(String, String),
     /// The drive did not do what a step of a command waits for.
     #[error("{}: {command}, step {step} of {steps}: {reason}", whom(link))]
-    Sequence {
-        link: String,
-        command: &'static str,
-        step: usize,
-        steps: usize,
-        reason: String,
-    },
+    Sequence { link: String, command: &'static str, step: usize, steps: usize, reason: String },
 }
 
 /// What an exchange gave, or why it gave nothing.

@@ -93,14 +93,7 @@ struct Question<'a> {
 
 impl<'a> Question<'a> {
     const fn plain(request: Request<'a>, pdu: [u8; 5], what: &'a str, allowed: Duration) -> Self {
-        Self {
-            request,
-            pdu,
-            what,
-            allowed,
-            is_probe: false,
-            is_numbered: false,
-        }
+        Self { request, pdu, what, allowed, is_probe: false, is_numbered: false }
     }
 
     fn read(read: ReadRequest, what: &'a str, allowed: Duration) -> Self {
@@ -158,20 +151,13 @@ impl ModbusLink {
         address: u16,
         count: u16,
     ) -> Result<Vec<u16>> {
-        let read = ReadRequest {
-            table,
-            address,
-            count,
-        };
+        let read = ReadRequest { table, address, count };
         Ok(self.read_checked(read, &read.text())?.value)
     }
 
     fn read_checked(&mut self, read: ReadRequest, what: &str) -> Result<Answer<Vec<u16>>> {
         let allowed = self.core.timing.allowed(READ_BYTES, read.reply_bytes());
-        self.read_with_retries(
-            &Question::read(read, what, allowed),
-            words(read.count.into()),
-        )
+        self.read_with_retries(&Question::read(read, what, allowed), words(read.count.into()))
     }
 
     /// Writes raw registers, 1 to 123 of them; never repeated by itself.
@@ -187,10 +173,7 @@ impl ModbusLink {
     /// One command on the wire. Only a reply that carries its number is its sample.
     fn command(&mut self, command: Command) -> Result<Sample> {
         let travels = self.core.command(command);
-        self.filter.expect(Echo {
-            at: ECHO_AT,
-            bytes: travels.seq.to_be_bytes(),
-        });
+        self.filter.expect(Echo { at: ECHO_AT, bytes: travels.seq.to_be_bytes() });
         let sent: [u16; COMMAND_WORDS] = travels.to_registers();
         let read = telemetry_request();
         let request = Request::ReadWriteMultipleRegisters(
@@ -234,10 +217,7 @@ impl ModbusLink {
         let question = Question::plain(request, [23, 0, 0, 0, 0], "captured samples", allowed);
         self.with_retries(|link| {
             link.listen()?;
-            link.filter.expect(Echo {
-                at: 2,
-                bytes: index.to_be_bytes(),
-            });
+            link.filter.expect(Echo { at: 2, bytes: index.to_be_bytes() });
             let answer = link.call(question.clone().numbered(), words(WINDOW_WORDS))?;
             Ok(answer.value)
         })
@@ -374,10 +354,8 @@ impl ModbusLink {
         };
         let reply = REPLY_BYTES + 2 * usize::from(words);
         let allowed = self.core.timing.hurried(READ_BYTES, reply);
-        let question = Question {
-            is_probe: true,
-            ..Question::plain(request, pdu, "the probe", allowed)
-        };
+        let question =
+            Question { is_probe: true, ..Question::plain(request, pdu, "the probe", allowed) };
         self.call(question, |_| Ok(())).map(drop)
     }
 
@@ -397,21 +375,12 @@ impl ModbusLink {
         // What came before the request has been judged.
         self.filter.inner().reception.take_anomaly();
         self.proof.sent(&question.pdu, question.is_probe, sent);
-        let Question {
-            request,
-            what,
-            is_probe,
-            ..
-        } = question;
+        let Question { request, what, is_probe, .. } = question;
         let reply = {
             let bound = &self.core.bound;
             let mut call = std::pin::pin!(self.context.call(request));
             loop {
-                let look = if is_probe {
-                    bound.next_look(now(), deadline)
-                } else {
-                    deadline
-                };
+                let look = if is_probe { bound.next_look(now(), deadline) } else { deadline };
                 match self.waiting.until(look, call.as_mut()) {
                     None if look < deadline && !bound.is_over(look) => {}
                     reply => break reply,
@@ -448,8 +417,7 @@ impl ModbusLink {
             if end == End::Missing {
                 reception.retire();
             }
-            self.proof
-                .settle(end, reception, question.is_numbered, received);
+            self.proof.settle(end, reception, question.is_numbered, received);
             (reception.asked, reception.answered)
         };
         if result.is_err() && self.kind == FrameKind::Rtu {
@@ -684,9 +652,7 @@ fn objects(response: Response) -> Result<Names, String> {
         Response::ReadDeviceIdentification(names) => names.device_id_objects,
         other => return Err(format!("{other:?}")),
     };
-    let texts = objects
-        .iter()
-        .map(|object| (object.id, object.value_as_str().map(str::to_owned)));
+    let texts = objects.iter().map(|object| (object.id, object.value_as_str().map(str::to_owned)));
     Ok(texts.collect())
 }
 

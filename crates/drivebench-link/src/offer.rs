@@ -49,11 +49,7 @@ pub fn carried(profile: &DriveProfile) -> Vec<(Channel, String)> {
 
 fn stands_for(signal: &Signal) -> String {
     let keys = &signal.keys;
-    let sign = if signal.is_signed() {
-        "signed"
-    } else {
-        "no sign"
-    };
+    let sign = if signal.is_signed() { "signed" } else { "no sign" };
     let origin = keys.origin.unwrap_or_default().name();
     let mut parts = vec![origin.to_owned(), sign.to_owned()];
     if let Some(side) = keys.side {
@@ -108,7 +104,9 @@ pub fn remarks(profile: &DriveProfile) -> Vec<String> {
             converter.dead_time_ms
         ));
         remarks.push(match (map.of_quantity(Quantity::FieldCurrent), map.field_min_a) {
-            (Some(field), Some(least)) => format!("{} below {least} A is a trip: the field is lost", field.name),
+            (Some(field), Some(least)) => {
+                format!("{} below {least} A is a trip: the field is lost", field.name)
+            }
             (Some(field), None) => format!(
                 "{} is read, but limits.field_min_a is not given: a lost field is not watched over",
                 field.name
@@ -185,10 +183,7 @@ fn no_reference(profile: &DriveProfile) -> String {
 }
 
 fn no_shaft_speed(profile: &DriveProfile) -> Option<String> {
-    let origin = profile
-        .signals
-        .get(Channel::Speed)
-        .or(profile.signals.get(Channel::Angle));
+    let origin = profile.signals.get(Channel::Speed).or(profile.signals.get(Channel::Angle));
     let Some(map) = &profile.registers else {
         let none = || "the drive gives no speed".to_owned();
         return origin.is_none().then(none);
@@ -296,10 +291,7 @@ mod tests {
         for (name, said) in [
             ("abb-dcs-gateway", "four quadrants"),
             ("abb-dcs-gateway", "3.3 ms"),
-            (
-                "abb-dcs-gateway",
-                "field_current is read, but limits.field_min_a",
-            ),
+            ("abb-dcs-gateway", "field_current is read, but limits.field_min_a"),
             ("siemens-v20", "no sign"),
             ("roboteq-dc", "resumes the old one"),
             ("abb-efb", "blind for 30 s"),

@@ -54,10 +54,7 @@ impl FromStr for Target {
     type Err = TargetError;
 
     fn from_str(text: &str) -> Result<Self, TargetError> {
-        let wrong = |reason| TargetError {
-            text: text.to_owned(),
-            reason,
-        };
+        let wrong = |reason| TargetError { text: text.to_owned(), reason };
         let Some(address) = text.strip_prefix("tcp:") else {
             // On this floor there are only wires; `sim:` is resolved above.
             return match text.split_once(':') {
@@ -65,20 +62,11 @@ impl FromStr for Target {
                     Err(wrong("this kind of link is not known"))
                 }
                 _ if text.is_empty() => Err(wrong("it is empty")),
-                _ => Ok(Self::Serial {
-                    path: text.to_owned(),
-                    baud: None,
-                    unit: None,
-                }),
+                _ => Ok(Self::Serial { path: text.to_owned(), baud: None, unit: None }),
             };
         };
-        let (host, port) = address
-            .rsplit_once(':')
-            .ok_or_else(|| wrong("the port is missing"))?;
-        let host = host
-            .strip_prefix('[')
-            .and_then(|host| host.strip_suffix(']'))
-            .unwrap_or(host);
+        let (host, port) = address.rsplit_once(':').ok_or_else(|| wrong("the port is missing"))?;
+        let host = host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host);
         if host.is_empty() {
             return Err(wrong("the host is missing"));
         }
@@ -171,9 +159,7 @@ pub(super) fn open_line(
             }
             Target::Tcp { host, port, unit } => {
                 let stream = connect(&name, host, *port)?;
-                let ends = stream
-                    .local_addr()
-                    .and_then(|ours| Ok((ours, stream.peer_addr()?)));
+                let ends = stream.local_addr().and_then(|ours| Ok((ours, stream.peer_addr()?)));
                 let tap = match tap {
                     Some(tap) => {
                         let (ours, peer) = ends.map_err(cannot)?;
@@ -196,9 +182,7 @@ pub(super) fn open_line(
     };
     let unit = unit.unwrap_or(settings.unit);
     let waiting = Waiting::Real(runtime);
-    Ok(ModbusLink::new(
-        name, waiting, port, kind, unit, timing, epoch,
-    ))
+    Ok(ModbusLink::new(name, waiting, port, kind, unit, timing, epoch))
 }
 
 /// Opens a stream link. The profile's protocol is not asked.
@@ -244,15 +228,7 @@ mod tests {
             by_path.parse(),
             Ok(Target::Serial { path, .. }) if path == by_path
         ));
-        for wrong in [
-            "",
-            "tcp:",
-            "tcp:host",
-            "tcp::502",
-            "tcp:host:0",
-            "tcp:host:x",
-            "udp:a:1",
-        ] {
+        for wrong in ["", "tcp:", "tcp:host", "tcp::502", "tcp:host:0", "tcp:host:x", "udp:a:1"] {
             assert!(wrong.parse::<Target>().is_err(), "{wrong}");
         }
     }
@@ -264,9 +240,7 @@ mod tests {
         drop(listener);
         let target = format!("tcp:127.0.0.1:{port}").parse().unwrap();
         let profile = DriveProfile::named("own").unwrap();
-        let error = open(&target, &profile, super::super::waiting::now())
-            .map(drop)
-            .unwrap_err();
+        let error = open(&target, &profile, super::super::waiting::now()).map(drop).unwrap_err();
         assert!(matches!(error, LinkError::Open { .. }));
         assert!(error.to_string().contains(&port.to_string()), "{error}");
     }

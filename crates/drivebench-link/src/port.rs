@@ -141,10 +141,7 @@ impl TimedPort for Closed {
 
 fn what_came(result: io::Result<usize>) -> io::Result<usize> {
     match result {
-        Ok(0) => Err(io::Error::new(
-            ErrorKind::BrokenPipe,
-            "the other end closed",
-        )),
+        Ok(0) => Err(io::Error::new(ErrorKind::BrokenPipe, "the other end closed")),
         other => what_went(other),
     }
 }
@@ -157,10 +154,7 @@ fn what_went(result: io::Result<usize>) -> io::Result<usize> {
 }
 
 fn is_only_late(error: &io::Error) -> bool {
-    matches!(
-        error.kind(),
-        ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted
-    )
+    matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted)
 }
 
 #[cfg(test)]

@@ -13,10 +13,7 @@ use drivebench_model::sample::{Channel, Origin, Side};
 /// A file of `bench-configs/drives/` under its name.
 macro_rules! embedded {
     ($name:literal) => {
-        (
-            $name,
-            include_str!(concat!("../../../bench-configs/drives/", $name, ".toml")),
-        )
+        ($name, include_str!(concat!("../../../bench-configs/drives/", $name, ".toml")))
     };
 }
 
@@ -153,9 +150,7 @@ impl DriveProfile {
             .into_iter()
             .find(|(known, _)| *known == name)
             .map(|(_, text)| text)
-            .ok_or_else(|| ProfileError::Unknown {
-                name: name.to_owned(),
-            })
+            .ok_or_else(|| ProfileError::Unknown { name: name.to_owned() })
     }
 
     pub fn names() -> impl Iterator<Item = &'static str> {
@@ -207,11 +202,7 @@ impl DriveProfile {
             watchdog: Watchdog {
                 kicked_by: map.watchdog.keys.kicked_by,
                 // Off as delivered is no time.
-                default_ms: map
-                    .watchdog
-                    .default_s()
-                    .filter(|s| *s > 0.0)
-                    .map(|s| s * 1e3),
+                default_ms: map.watchdog.default_s().filter(|s| *s > 0.0).map(|s| s * 1e3),
             },
             limits,
             registers: Some(Arc::new(map)),
@@ -240,8 +231,7 @@ impl DriveProfile {
 /// Profiles of our own register map have no `schema`; where neither is there the error is that of our own.
 fn has_register_map(text: &str) -> bool {
     let starts = |line: &str, key: &str| {
-        line.strip_prefix(key)
-            .is_some_and(|rest| rest.trim_start().starts_with('='))
+        line.strip_prefix(key).is_some_and(|rest| rest.trim_start().starts_with('='))
     };
     let mut lines = text.lines().map(str::trim);
     lines.any(|line| starts(line, "schema") || line == "[device]")
@@ -284,11 +274,7 @@ mod tests {
             ("unit = 1 ", "unit = 0 ", "link.unit"),
             ("baud = 115200 ", "baud = 0 ", "link.baud"),
             ("reply_ms = 1.0", "reply_ms = nan", "link.reply_ms"),
-            (
-                "# deadline_ms = 50.0",
-                "deadline_ms = 0.0",
-                "link.deadline_ms",
-            ),
+            ("# deadline_ms = 50.0", "deadline_ms = 0.0", "link.deadline_ms"),
             ("# current_a = 11.4", "current_a = -1.0", "limits.current_a"),
         ] {
             let error = DriveProfile::parse("x.toml", &own.replace(from, to)).unwrap_err();

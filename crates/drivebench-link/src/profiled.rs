@@ -10,10 +10,7 @@
 /// Bus and readings beside the points.
 macro_rules! far_end {
     ($link:ident) => {
-        crate::profiled::points::FarEnd {
-            bus: &mut $link.bus,
-            readings: &$link.readings,
-        }
+        crate::profiled::points::FarEnd { bus: &mut $link.bus, readings: &$link.readings }
     };
 }
 
@@ -244,10 +241,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         sample.applied = put_s.map(|(asked_s, carried)| {
             // What was not written again is what the drive has had since before.
             let applied_s = self.on_time_axis(carried.map_or(asked_s, Span::middle_s));
-            Applied {
-                seq,
-                time_s: applied_s.min(time_s),
-            }
+            Applied { seq, time_s: applied_s.min(time_s) }
         });
         Ok(sample)
     }
@@ -261,11 +255,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
             return (span.middle_s(), Some(span.half_width_s()));
         };
         let time_s = clock.follow(&self.readings);
-        let others = if self.readings.fast().len() > 1 {
-            2.0
-        } else {
-            0.0
-        };
+        let others = if self.readings.fast().len() > 1 { 2.0 } else { 0.0 };
         let others_s = others * span.half_width_s();
         (time_s, Some(clock.half_width_s() + others_s))
     }
@@ -297,13 +287,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         reason: String,
     ) -> LinkError {
         let link = self.bus.name().0;
-        LinkError::Sequence {
-            link,
-            command,
-            step,
-            steps,
-            reason,
-        }
+        LinkError::Sequence { link, command, step, steps, reason }
     }
 
     /// Silence that was longer than the drive's watchdog: an old set-point must not come back with the next write.
@@ -356,11 +340,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         let references = self.map.set_points.iter().filter(|p| p.is_reference());
         references
             .map(|point| {
-                Step::Write(Write {
-                    set_point: point.name.clone(),
-                    value: 0.0,
-                    mask: None,
-                })
+                Step::Write(Write { set_point: point.name.clone(), value: 0.0, mask: None })
             })
             .collect()
     }
@@ -372,11 +352,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
 
     /// The command that is to stop the drive, from its beginning.
     fn stopping(&self, command: &'static str) -> Mode {
-        Mode::Stopping(Sequence::new(
-            command,
-            self.way_down(command),
-            self.bus.now_s(),
-        ))
+        Mode::Stopping(Sequence::new(command, self.way_down(command), self.bus.now_s()))
     }
 
     fn way_down(&self, command: &str) -> &[Step] {
@@ -504,13 +480,10 @@ impl<B: RegisterBus> ProfiledLink<B> {
             gone(self.readings.read_now(&mut self.bus, Quantity::FaultCode))?;
         }
         self.in_fault_since_s = since_s;
-        if let (Some(least_a), Some(field)) = (
-            self.map.field_min_a,
-            self.map.of_quantity(Quantity::FieldCurrent),
-        ) {
-            let weak = self
-                .reading(&field.name)
-                .is_none_or(|amperes| amperes < least_a);
+        if let (Some(least_a), Some(field)) =
+            (self.map.field_min_a, self.map.of_quantity(Quantity::FieldCurrent))
+        {
+            let weak = self.reading(&field.name).is_none_or(|amperes| amperes < least_a);
             if weak && self.mode == Mode::On {
                 self.field_lost = true;
                 return gone(self.give_up());
@@ -818,9 +791,7 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
     /// Fast signals and one set-point.
     fn shortest_cycle_s(&self) -> Option<f64> {
         let frames = cycle_frames(&self.map).into_iter();
-        frames
-            .map(|(request, reply)| self.bus.wire_s(request, reply))
-            .sum()
+        frames.map(|(request, reply)| self.bus.wire_s(request, reply)).sum()
     }
 
     fn round_trips(&self) -> Option<&RoundTrips> {

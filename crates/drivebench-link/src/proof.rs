@@ -186,11 +186,7 @@ impl Proof {
             policy,
             quiet,
             // By trial the first replies are proven later; else one to the last user of the line may be under way.
-            sync: if is_fixed {
-                Sync::Doubtful(false)
-            } else {
-                Sync::InStep
-            },
+            sync: if is_fixed { Sync::Doubtful(false) } else { Sync::InStep },
             wait: Wait::None,
             probing: Probing {
                 method,
@@ -590,11 +586,7 @@ impl Proof {
                     _ => RegisterTable::Input,
                 };
                 let address = place.map_or(0, |place| place.address);
-                let mut reads = (1..=4).map(|count| ReadRequest {
-                    table,
-                    address,
-                    count,
-                });
+                let mut reads = (1..=4).map(|count| ReadRequest { table, address, count });
                 reads.find(is_free).map(ReadRequest::pdu)
             }
             Method::Nonce => {
@@ -662,10 +654,7 @@ mod tests {
     }
 
     fn late(pdu: &[u8]) -> [OldReply; 1] {
-        [OldReply {
-            code: Code::answering(pdu),
-            behind: false,
-        }]
+        [OldReply { code: Code::answering(pdu), behind: false }]
     }
 
     /// Goes on until a probe is due.

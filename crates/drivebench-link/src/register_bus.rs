@@ -32,11 +32,7 @@ pub struct ReadRequest {
 
 impl ReadRequest {
     pub const fn holding(address: u16, count: u16) -> Self {
-        Self {
-            table: RegisterTable::Holding,
-            address,
-            count,
-        }
+        Self { table: RegisterTable::Holding, address, count }
     }
 
     /// The address behind its last register.
@@ -94,10 +90,7 @@ pub struct Span {
 
 impl Span {
     pub const fn new(asked_s: f64, answered_s: f64) -> Self {
-        Self {
-            asked_s,
-            answered_s,
-        }
+        Self { asked_s, answered_s }
     }
 
     pub const fn middle_s(self) -> f64 {

@@ -21,11 +21,7 @@ pub struct Backoff {
 impl Backoff {
     /// Pauses from `first_s` to `longest_s`, doubled each time; the seed draws their jitter.
     pub const fn between(first_s: f64, longest_s: f64, seed: u64) -> Self {
-        Self {
-            next_s: first_s,
-            longest_s,
-            dice: seed,
-        }
+        Self { next_s: first_s, longest_s, dice: seed }
     }
 
     pub fn pause_s(&mut self) -> f64 {
@@ -96,10 +92,7 @@ impl Anchor {
     /// To be made while the port is there; `root` is the folder below which the system lies.
     pub fn of(root: &Path, target: &Target) -> Self {
         let Target::Serial { path, baud, unit } = target else {
-            return Self {
-                target: target.clone(),
-                adapter: None,
-            };
+            return Self { target: target.clone(), adapter: None };
         };
         let stable = stable_name(root, Path::new(path));
         Self {
@@ -135,10 +128,7 @@ impl Anchor {
 
 fn plate(usb: &UsbInfo) -> String {
     let serial = usb.serial_number.as_deref().unwrap_or("none");
-    format!(
-        "{}:{} serial number {serial}",
-        usb.vendor_id, usb.product_id
-    )
+    format!("{}:{} serial number {serial}", usb.vendor_id, usb.product_id)
 }
 
 /// The reason where the drive that answers is not the one from before. What a loss of power resets (watchdog

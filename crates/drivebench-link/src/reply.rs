@@ -264,11 +264,7 @@ mod tests {
     use crate::scripted::frame;
 
     fn expecting(request: &[u8], echoes: bool) -> Expected {
-        Expected {
-            request: request.to_vec(),
-            echoes,
-            ..Expected::default()
-        }
+        Expected { request: request.to_vec(), echoes, ..Expected::default() }
     }
 
     fn rtu(request: &[u8], received: &[&[u8]], echoes: bool) -> Search {
@@ -338,10 +334,7 @@ mod tests {
         let request = frame(1, &[3, 0, 0, 0, 2]);
         let reply = frame(1, &[3, 4, 1, 2, 3, 4]);
         let alone = rtu(&request, &[&reply], false);
-        assert_eq!(
-            (alone.reply, alone.foreign, alone.echo),
-            (Some((0, 9)), 0, false)
-        );
+        assert_eq!((alone.reply, alone.foreign, alone.echo), (Some((0, 9)), 0, false));
         for other in [
             frame(2, &[3, 4, 1, 2, 3, 4]),
             frame(1, &[4, 4, 1, 2, 3, 4]),

@@ -34,11 +34,7 @@ pub(super) struct Inner {
 
 impl ReplyFilter {
     pub(super) fn new(port: Box<dyn Port>, kind: FrameKind) -> Self {
-        Self(Arc::new(Mutex::new(Inner {
-            port,
-            reception: Reception::new(kind, now()),
-            taken: 0,
-        })))
+        Self(Arc::new(Mutex::new(Inner { port, reception: Reception::new(kind, now()), taken: 0 })))
     }
 
     /// Reads away whatever lies on the line and ends the last exchange. Returns the bytes that nobody asked for.
@@ -100,10 +96,9 @@ impl Inner {
         let mut bytes = [0; 512];
         let mut buffer = ReadBuf::new(&mut bytes);
         match Pin::new(&mut self.port).poll_read(cx, &mut buffer) {
-            Poll::Ready(Ok(())) if buffer.filled().is_empty() => Poll::Ready(Err(io::Error::new(
-                ErrorKind::BrokenPipe,
-                "the other end closed",
-            ))),
+            Poll::Ready(Ok(())) if buffer.filled().is_empty() => {
+                Poll::Ready(Err(io::Error::new(ErrorKind::BrokenPipe, "the other end closed")))
+            }
             Poll::Ready(Ok(())) => {
                 self.reception.push(buffer.filled(), now());
                 Poll::Ready(Ok(buffer.filled().len()))
@@ -153,10 +148,7 @@ impl AsyncWrite for ReplyFilter {
         match Pin::new(&mut inner.port).poll_write(cx, bytes) {
             Poll::Ready(Ok(count)) => {
                 let reception = &mut inner.reception;
-                reception
-                    .expected
-                    .request
-                    .extend_from_slice(&bytes[..count]);
+                reception.expected.request.extend_from_slice(&bytes[..count]);
                 reception.sent(count, at);
                 Poll::Ready(Ok(count))
             }

@@ -21,11 +21,7 @@ pub(super) struct Scripted<S> {
 
 impl<S: FnMut(usize, &[u8]) -> Vec<Delayed> + Send> Scripted<S> {
     pub(super) fn new(script: S) -> Arc<Mutex<Self>> {
-        Arc::new(Mutex::new(Self {
-            script,
-            received: Vec::new(),
-            requests: Vec::new(),
-        }))
+        Arc::new(Mutex::new(Self { script, received: Vec::new(), requests: Vec::new() }))
     }
 }
 

@@ -102,12 +102,9 @@ pub fn adapter(root: &Path, path: &Path) -> Option<UsbInfo> {
 pub fn latency_file(root: &Path, path: &Path) -> Option<PathBuf> {
     let device = device_file(root, path);
     let class = root.join("sys/class/tty").join(device.file_name()?);
-    [
-        class.join("device/latency_timer"),
-        class.join("latency_timer"),
-    ]
-    .into_iter()
-    .find(|file| file.exists())
+    [class.join("device/latency_timer"), class.join("latency_timer")]
+        .into_iter()
+        .find(|file| file.exists())
 }
 
 /// Programs that have the port open, ourselves left out. Those of other users are seen by root only.
@@ -144,18 +141,13 @@ fn device_file(root: &Path, path: &Path) -> PathBuf {
         return path.to_owned();
     };
     let root = fs::canonicalize(root).unwrap_or_else(|_| root.to_owned());
-    real.strip_prefix(root)
-        .map_or(real.clone(), |inside| Path::new("/").join(inside))
+    real.strip_prefix(root).map_or(real.clone(), |inside| Path::new("/").join(inside))
 }
 
 /// An absolute path below the root folder.
 fn below(root: &Path, path: &Path) -> PathBuf {
     let inside = path.strip_prefix("/").unwrap_or(path);
-    if path.is_absolute() {
-        root.join(inside)
-    } else {
-        path.to_owned()
-    }
+    if path.is_absolute() { root.join(inside) } else { path.to_owned() }
 }
 
 fn by_id(root: &Path, name: &std::ffi::OsStr) -> Vec<PathBuf> {
@@ -177,10 +169,7 @@ fn driver(class: &Path) -> Option<String> {
 /// The USB device is some levels above the port.
 fn usb(class: &Path) -> Option<UsbInfo> {
     let device = fs::canonicalize(class.join("device")).ok()?;
-    let above = device
-        .ancestors()
-        .take(5)
-        .find(|folder| folder.join("idVendor").exists())?;
+    let above = device.ancestors().take(5).find(|folder| folder.join("idVendor").exists())?;
     Some(UsbInfo {
         vendor_id: read(&above.join("idVendor"))?,
         product_id: read(&above.join("idProduct"))?,
@@ -257,10 +246,7 @@ mod tests {
         for (from, to) in [
             (of_port("driver"), "../../../../../bus/drivers/ftdi_sio"),
             (of_class("ttyUSB3/device"), device),
-            (
-                "sys/devices/8250/driver".to_owned(),
-                "../../bus/drivers/serial8250",
-            ),
+            ("sys/devices/8250/driver".to_owned(), "../../bus/drivers/serial8250"),
             (of_class("ttyS0/device"), "../../../devices/8250"),
             (by_id, "../../ttyUSB3"),
             ("proc/4711/fd/3".to_owned(), "/dev/ttyUSB3"),
@@ -284,10 +270,7 @@ mod tests {
             manufacturer: None,
             product: Some("FT232R USB UART".to_owned()),
         };
-        let holder = Holder {
-            pid: 4711,
-            command: "minicom".to_owned(),
-        };
+        let holder = Holder { pid: 4711, command: "minicom".to_owned() };
         assert_eq!(holder.to_string(), "pid 4711 (minicom)");
         let port = SerialPortInfo {
             path: "/dev/ttyUSB3".into(),

@@ -155,12 +155,7 @@ pub(super) fn check_ranges(
     for (key, value, (low, high, allowed)) in rows {
         if let Some(value) = value.filter(|value| !(low..=high).contains(value)) {
             let profile = profile.to_owned();
-            return Err(RangeError {
-                profile,
-                key,
-                value,
-                allowed,
-            });
+            return Err(RangeError { profile, key, value, allowed });
         }
     }
     Ok(())

@@ -207,10 +207,8 @@ impl StreamLink {
             if left.is_zero() {
                 return Ok(None);
             }
-            let count = self
-                .port
-                .read_within(&mut bytes, left)
-                .map_err(|error| self.lost(&error))?;
+            let count =
+                self.port.read_within(&mut bytes, left).map_err(|error| self.lost(&error))?;
             wreckage.bytes += count;
             let mut answer = None;
             let at = now();
@@ -314,11 +312,8 @@ impl DriveLink for StreamLink {
         let question = Frame::command(self.core.command(command));
         let allowed = self.core.timing.allowed(COMMAND_BYTES, TELEMETRY_BYTES);
         let answer = self.ask(&question, "the command", allowed, telemetry)?;
-        let answer = Answer {
-            value: answer.value.0,
-            span: answer.span,
-            complete_s: answer.complete_s,
-        };
+        let answer =
+            Answer { value: answer.value.0, span: answer.span, complete_s: answer.complete_s };
         Ok(self.core.sample(command, &answer))
     }
 

@@ -110,9 +110,9 @@ impl TapFile {
         let lost = self.lost.load(Ordering::Relaxed);
         match result {
             Err(error) => Err(format!("{path}: the capture is not complete: {error}")),
-            Ok(()) if lost > 0 => Err(format!(
-                "{path}: {lost} frames are not in the capture: the disk was too slow"
-            )),
+            Ok(()) if lost > 0 => {
+                Err(format!("{path}: {lost} frames are not in the capture: the disk was too slow"))
+            }
             Ok(()) => Ok(()),
         }
     }
@@ -123,9 +123,7 @@ impl TapFile {
         };
         // A writer that has failed takes nothing more; its result holds the reason.
         let _ = self.sender.send(Message::End);
-        writer
-            .join()
-            .unwrap_or_else(|_| Err(io::Error::other("the writer broke off")))
+        writer.join().unwrap_or_else(|_| Err(io::Error::other("the writer broke off")))
     }
 }
 
@@ -305,10 +303,7 @@ struct Received {
 
 impl Received {
     const fn new(splitting: Splitting) -> Self {
-        Self {
-            splitting,
-            bytes: Vec::new(),
-        }
+        Self { splitting, bytes: Vec::new() }
     }
 
     fn push(&mut self, bytes: &[u8]) {
@@ -369,12 +364,7 @@ struct Conversation {
 
 impl Conversation {
     const fn new(ours: SocketAddr, peer: SocketAddr) -> Self {
-        Self {
-            ours,
-            peer,
-            sent: 1,
-            received: 1,
-        }
+        Self { ours, peer, sent: 1, received: 1 }
     }
 
     fn packet(&mut self, data: &[u8], is_sent: bool) -> Vec<u8> {
@@ -423,9 +413,7 @@ fn ip4(from: [u8; 4], to: [u8; 4], segment: &mut [u8]) -> Vec<u8> {
 }
 
 fn ip6(from: &[u8; 16], to: &[u8; 16], segment: &mut [u8]) -> Vec<u8> {
-    let length = u16::try_from(segment.len())
-        .unwrap_or(u16::MAX)
-        .to_be_bytes();
+    let length = u16::try_from(segment.len()).unwrap_or(u16::MAX).to_be_bytes();
     let pseudo = [&from[..], to, &[0, 0], &length, &[0, 0, 0, TCP]].concat();
     seal(&pseudo, segment);
     let mut packet = vec![0x60, 0, 0, 0, length[0], length[1], TCP, 64];
@@ -487,10 +475,7 @@ mod tests {
         assert_eq!(bytes[..4], 0xA1B2_3C4D_u32.to_le_bytes());
         assert_eq!(bytes[20..24], 147_u32.to_le_bytes());
         assert_eq!(bytes[24..28], 9_u32.to_le_bytes());
-        assert_eq!(
-            records(&bytes),
-            [&request[..], &reply, &[0xFF, 0xFE], &request]
-        );
+        assert_eq!(records(&bytes), [&request[..], &reply, &[0xFF, 0xFE], &request]);
         assert!(TapFile::create(&path, UNIX_EPOCH).is_err(), "overwritten");
     }
 

@@ -38,11 +38,7 @@ impl DriveClock {
             let turns = ((passed_us - step_us) / TURN_US).round();
             last.since_connect_us + step_us + turns * TURN_US
         });
-        self.last = Some(Last {
-            raw_us,
-            host_s,
-            since_connect_us,
-        });
+        self.last = Some(Last { raw_us, host_s, since_connect_us });
         since_connect_us * 1e-6
     }
 }
@@ -108,9 +104,8 @@ impl ClockMap {
         let centre_s = good().map(|mark| mark.host_s).sum::<f64>() / count;
         let offset_s = good().map(|mark| mark.offset_s).sum::<f64>() / count;
         let spread: f64 = good().map(|mark| (mark.host_s - centre_s).powi(2)).sum();
-        let joint: f64 = good()
-            .map(|mark| (mark.host_s - centre_s) * (mark.offset_s - offset_s))
-            .sum();
+        let joint: f64 =
+            good().map(|mark| (mark.host_s - centre_s) * (mark.offset_s - offset_s)).sum();
         let slope = if spread > 0.0 { joint / spread } else { 0.0 };
         Some((centre_s, offset_s, slope))
     }
@@ -148,10 +143,7 @@ impl Timeline {
         sample.fault_text = fault.map(|fault| fault.text().into());
         sample.applied = (telemetry.seq == low_word(seq)).then(|| {
             let age_us = signed_difference(telemetry.time_us, telemetry.applied_us);
-            Applied {
-                seq,
-                time_s: sample.time_s - f64::from(age_us) * 1e-6,
-            }
+            Applied { seq, time_s: sample.time_s - f64::from(age_us) * 1e-6 }
         });
         for (channel, value) in [
             (Channel::VoltageCmd, telemetry.voltage_cmd_v),
@@ -215,11 +207,9 @@ pub fn identity(block: &firmware_protocol::Identity) -> Identity {
 pub fn identity_error(link: &str, error: IdentityError) -> LinkError {
     let link = link.to_owned();
     match error {
-        IdentityError::Version(found) => LinkError::Version {
-            link,
-            found,
-            expected: PROTOCOL_VERSION,
-        },
+        IdentityError::Version(found) => {
+            LinkError::Version { link, found, expected: PROTOCOL_VERSION }
+        }
         IdentityError::Magic(found) => LinkError::Identity(
             link,
             format!(
@@ -236,13 +226,7 @@ mod tests {
     use super::*;
 
     fn telemetry(seq: u16, time_us: u32, applied_us: u32) -> Telemetry {
-        Telemetry {
-            seq,
-            time_us,
-            applied_us,
-            temperature_c: f64::NAN,
-            ..Telemetry::default()
-        }
+        Telemetry { seq, time_us, applied_us, temperature_c: f64::NAN, ..Telemetry::default() }
     }
 
     #[test]

@@ -15,11 +15,7 @@ const SLEEP_SLACK: Duration = Duration::from_micros(300);
 /// Silence between frames that the standard asks for, s.
 pub fn standard_gap_s(baud: u32, framing: Framing) -> f64 {
     // 3.5 characters, and a fixed time above 19200 baud (MODBUS over Serial Line V1.02, 2.5.1.1).
-    if baud > 19_200 {
-        0.001_75
-    } else {
-        3.5 * char_s(baud, framing)
-    }
+    if baud > 19_200 { 0.001_75 } else { 3.5 * char_s(baud, framing) }
 }
 
 pub(super) fn char_s(baud: u32, framing: Framing) -> f64 {
@@ -40,9 +36,8 @@ pub(super) struct LineTiming {
 impl LineTiming {
     /// A serial line; `with_gaps`: silence separates frames.
     pub(super) fn serial(settings: &LinkSettings, baud: u32, with_gaps: bool) -> Self {
-        let gap_s = settings
-            .gap_us
-            .map_or_else(|| standard_gap_s(baud, settings.framing), |us| us * 1e-6);
+        let gap_s =
+            settings.gap_us.map_or_else(|| standard_gap_s(baud, settings.framing), |us| us * 1e-6);
         Self {
             char_s: char_s(baud, settings.framing),
             gap_s: if with_gaps { gap_s } else { 0.0 },
@@ -85,15 +80,13 @@ impl LineTiming {
     }
 
     pub(super) fn allowed(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
-        self.deadline
-            .unwrap_or_else(|| self.unhurried(request_bytes, reply_bytes))
+        self.deadline.unwrap_or_else(|| self.unhurried(request_bytes, reply_bytes))
     }
 
     /// Time that an exchange within a cycle of a run may take: after a lost reply the question is asked again before the
     /// silence of the link would end the run.
     pub(super) fn hurried(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
-        self.deadline
-            .unwrap_or_else(|| self.brief(request_bytes, reply_bytes))
+        self.deadline.unwrap_or_else(|| self.brief(request_bytes, reply_bytes))
     }
 
     /// Time for what must not wait: one turnaround, and what an adapter adds.
@@ -148,14 +141,8 @@ mod tests {
         assert!((cycle - expected).abs() < 1e-12);
         let slow = LineTiming::serial(&settings, 9600, true);
         assert!((slow.gap().as_secs_f64() - 3.5 * 10.0 / 9600.0).abs() < 1e-8);
-        assert_eq!(
-            LineTiming::network(&settings).shortest_cycle_s(21, 37),
-            None
-        );
-        assert_eq!(
-            LineTiming::serial(&settings, 9600, false).gap(),
-            Duration::ZERO
-        );
+        assert_eq!(LineTiming::network(&settings).shortest_cycle_s(21, 37), None);
+        assert_eq!(LineTiming::serial(&settings, 9600, false).gap(), Duration::ZERO);
     }
 
     #[test]

@@ -148,10 +148,9 @@ impl Leftover {
             Self::Stale => {
                 LinkError::Stale(link, format!("only late answers came after {request}"))
             }
-            Self::Foreign => LinkError::Mismatch(
-                link,
-                format!("only frames that do not answer {request} came"),
-            ),
+            Self::Foreign => {
+                LinkError::Mismatch(link, format!("only frames that do not answer {request} came"))
+            }
             Self::Damaged(bytes) => LinkError::Corrupt(
                 link,
                 format!("{bytes} bytes without a valid frame came in reply to {request}"),
@@ -276,8 +275,7 @@ impl Reception {
         self.line.foreign_frames += search.foreign as u64;
         self.line.foreign_writes += search.foreign_writes as u64;
         let old = search.old.into_iter();
-        self.old_replies
-            .extend(old.map(|code| OldReply { code, behind }));
+        self.old_replies.extend(old.map(|code| OldReply { code, behind }));
     }
 
     fn drop_bytes(&mut self, count: usize) {
@@ -298,10 +296,7 @@ impl Reception {
     /// Moves the reply out of what was received, if it is there.
     pub(super) fn accept(&mut self) -> io::Result<bool> {
         let found = search(self.kind, &self.expected, &self.received).map_err(|_| {
-            io::Error::new(
-                ErrorKind::ConnectionAborted,
-                "the peer speaks no Modbus TCP",
-            )
+            io::Error::new(ErrorKind::ConnectionAborted, "the peer speaks no Modbus TCP")
         })?;
         if let Some((begin, end)) = found.reply {
             let echo = usize::from(found.echo) * self.expected.request.len();

@@ -93,11 +93,7 @@ pub(super) struct VirtualPort<D> {
 
 impl<D: Device> VirtualPort<D> {
     pub(super) fn new(device: Arc<Mutex<D>>) -> Self {
-        Self {
-            device,
-            coming: BTreeMap::new(),
-            count: 0,
-        }
+        Self { device, coming: BTreeMap::new(), count: 0 }
     }
 
     fn send(&mut self, bytes: &[u8]) {
@@ -238,19 +234,14 @@ impl VirtualLink {
         let far = Far(LineTime(origin), Arc::new(Mutex::new(far)));
         let far = Arc::new(Mutex::new(far));
         let link = modbus_link(name, FrameKind::Rtu, &profile.link, &far);
-        Self {
-            link: dressed(link, profile),
-            clock,
-            origin,
-        }
+        Self { link: dressed(link, profile), clock, origin }
     }
 
     fn within<R>(&mut self, work: impl FnOnce(&mut (dyn DriveLink + 'static)) -> R) -> R {
         let begun_s = self.clock.time_s();
         let _virtual = InVirtualTime::at(self.origin + Duration::from_secs_f64(begun_s));
         let result = work(self.link.as_mut());
-        self.clock
-            .set_time_s(LineTime(self.origin).now_s().max(begun_s));
+        self.clock.set_time_s(LineTime(self.origin).now_s().max(begun_s));
         result
     }
 

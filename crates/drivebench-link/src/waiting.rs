@@ -24,10 +24,7 @@ thread_local! {
 }
 
 /// The time of this thread.
-#[expect(
-    clippy::disallowed_methods,
-    reason = "this file owns the clock of the line"
-)]
+#[expect(clippy::disallowed_methods, reason = "this file owns the clock of the line")]
 pub(super) fn now() -> Instant {
     NOW.get().unwrap_or_else(Instant::now)
 }
@@ -55,9 +52,7 @@ pub(super) struct InVirtualTime {
 
 impl InVirtualTime {
     pub(super) fn at(now: Instant) -> Self {
-        Self {
-            before: NOW.replace(Some(now)),
-        }
+        Self { before: NOW.replace(Some(now)) }
     }
 }
 

@@ -33,13 +33,7 @@ impl ConfigError {
         let line = before.matches('\n').count() + 1;
         let tail = before.rsplit('\n').next().unwrap_or_default();
         let column = tail.chars().count() + 1;
-        Self {
-            file: file.to_owned(),
-            line,
-            column,
-            message: message.into(),
-            help: help.into(),
-        }
+        Self { file: file.to_owned(), line, column, message: message.into(), help: help.into() }
     }
 }
 
@@ -186,30 +180,16 @@ mod tests {
         let byte = "expected a whole number from 0 to 255";
         let history = "`history` is a key of model files: is it the right file?";
         for (text, line, message, help) in [
-            (
-                "speed_rads = 5",
-                2,
-                "unknown field `speed_rads`",
-                "did you mean `speed_rad_s`?",
-            ),
+            ("speed_rads = 5", 2, "unknown field `speed_rads`", "did you mean `speed_rad_s`?"),
             ("[history]", 2, "unknown field `history`", history),
-            (
-                "\nspeed_rad_s = \"x\"",
-                3,
-                "not allowed: string \"x\"",
-                "see",
-            ),
+            ("\nspeed_rad_s = \"x\"", 3, "not allowed: string \"x\"", "see"),
             ("speed_rad_s = = 3", 2, "", "see"),
             ("unit = 300", 2, "not allowed: number `300`, ", "see"),
             ("unit = 300", 2, byte, "see"),
             ("unit = \"x\"", 2, byte, "see"),
         ] {
             let error = parse::<Limits>("l", &format!("current_a = 3.0\n{text}\n")).unwrap_err();
-            assert_eq!(
-                (error.line, &error.help[..help.len()]),
-                (line, help),
-                "{text}"
-            );
+            assert_eq!((error.line, &error.help[..help.len()]), (line, help), "{text}");
             assert!(error.message.contains(message), "{text}: {error}");
         }
         let missing = parse::<Limits>("l", "").unwrap_err();

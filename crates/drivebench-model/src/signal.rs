@@ -25,12 +25,13 @@ pub fn holding_since(points: &[Point], time_s: f64) -> &[Point] {
 pub fn pieces(points: &[Point], from_s: f64, to_s: f64) -> impl Iterator<Item = Point> + Clone {
     let first = points.partition_point(|point| point.0 <= from_s).max(1) - 1;
     let held = points.iter().enumerate().skip(first);
-    held.take_while(move |(index, point)| *index == 0 || point.0 < to_s)
-        .filter_map(move |(index, &(at_s, value))| {
+    held.take_while(move |(index, point)| *index == 0 || point.0 < to_s).filter_map(
+        move |(index, &(at_s, value))| {
             let next_s = points.get(index + 1).map_or(to_s, |next| next.0.min(to_s));
             let begin_s = if index == 0 { from_s } else { at_s.max(from_s) };
             (next_s > begin_s).then_some((next_s - begin_s, value))
-        })
+        },
+    )
 }
 
 /// Integral of a held signal.
@@ -106,12 +107,7 @@ impl Window {
         for weight in weights.iter_mut().chain(&mut rates) {
             *weight /= total;
         }
-        Self {
-            begin,
-            middle_s,
-            weights,
-            rates,
-        }
+        Self { begin, middle_s, weights, rates }
     }
 
     pub fn mean(&self, values: &[f64]) -> f64 {

@@ -25,12 +25,8 @@ const LEVELS_RAD_S: [f64; 2] = [90.0, 110.0];
 const HALF_S: f64 = 4.0;
 /// Forgetting factor of Figure 6.
 pub const FORGETTING: f64 = 0.96;
-const SIZES: Sizes = Sizes {
-    levels_rad_s: LEVELS_RAD_S,
-    half_s: HALF_S,
-    start_rad_s: 250.0,
-    load_n_m: 1.0,
-};
+const SIZES: Sizes =
+    Sizes { levels_rad_s: LEVELS_RAD_S, half_s: HALF_S, start_rad_s: 250.0, load_n_m: 1.0 };
 
 /// Figures 5 to 7 of paper A.
 #[derive(Clone, Debug, Serialize)]
@@ -48,12 +44,7 @@ pub(super) fn adaptive_loop(mut begins: impl FnMut(&str)) -> AdaptiveLoop {
     begins("Figure 7");
     let figure_7 = figure_7(&bench);
     begins("every regulator on the same cases");
-    AdaptiveLoop {
-        figure_5,
-        figure_6,
-        figure_7,
-        comparison: comparison(&bench, &SIZES),
-    }
+    AdaptiveLoop { figure_5, figure_6, figure_7, comparison: comparison(&bench, &SIZES) }
 }
 
 /// What the text leaves open in Figures 5 to 7.
@@ -78,11 +69,7 @@ fn bench() -> Bench {
             [0.009, MECHANICAL_S[0]],
             0.455,
         )),
-        timing: LoopTiming {
-            period_s: PERIOD_S,
-            delay_s: DELAY_CYCLES * PERIOD_S,
-            filter_s: 0.0,
-        },
+        timing: LoopTiming { period_s: PERIOD_S, delay_s: DELAY_CYCLES * PERIOD_S, filter_s: 0.0 },
         current_limit_a: 10.0,
         voltage_limit_v: 110.0,
         speed_noise_rad_s: 0.15,
@@ -421,11 +408,7 @@ fn start_and_brake(bench: &Bench, kind: Kind) -> Saturated {
         error_rad_s: rms(chunk[rows - counted..].iter().map(error)),
         limited_percent: limited_percent(chunk),
     };
-    Saturated {
-        controller: kind,
-        cycles: trace.chunks(rows).map(cycle).collect(),
-        trace,
-    }
+    Saturated { controller: kind, cycles: trace.chunks(rows).map(cycle).collect(), trace }
 }
 
 /// How a regulator gets over a jump of TM that comes with a step of the reference, and its trace about the jump.
@@ -455,9 +438,8 @@ fn jump(
     let rows = cycles(SMALL_HALF_S, PERIOD_S);
     let after = STEPS_BEFORE * rows..;
     let pairs = trace[after.clone()].iter().zip(&adapted[after]);
-    let away: Vec<f64> = pairs
-        .map(|(now, adapted)| (now.speed_rad_s - adapted.speed_rad_s).abs())
-        .collect();
+    let away: Vec<f64> =
+        pairs.map(|(now, adapted)| (now.speed_rad_s - adapted.speed_rad_s).abs()).collect();
     let over_height = |sum: f64| PERIOD_S * sum / height_rad_s;
     let outside = |away: &f64| *away > ADAPTED_SHARE * height_rad_s;
     let back = away.iter().rposition(outside).map_or(0, |last| last + 1);

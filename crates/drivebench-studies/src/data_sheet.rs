@@ -74,12 +74,7 @@ pub(super) fn data_sheet() -> DataSheet {
     let ke = BACK_EMF_V_PER_RPM / rad_s_from_rpm(1.0);
     let kt = RATED_N_M / RATED_A;
     let mechanical_s = |kt: f64| RESISTANCE_OHM * INERTIA_KG_M2 / (ke * kt);
-    let check = |what, unit, printed, computed| Check {
-        what,
-        unit,
-        printed,
-        computed,
-    };
+    let check = |what, unit, printed, computed| Check { what, unit, printed, computed };
     let rated_v = BACK_EMF_V_PER_RPM * RATED_RPM + RESISTANCE_OHM * RATED_A;
     // Two of three phases conduct for a sixth of an electrical turn about their common crest.
     let half_step = std::f64::consts::PI / STEPS;
@@ -87,12 +82,7 @@ pub(super) fn data_sheet() -> DataSheet {
     let mean = crest * half_step.sin() / half_step;
     DataSheet {
         checks: vec![
-            check(
-                "T1 = L/R",
-                "ms",
-                1e3 * ELECTRICAL_S,
-                1e3 * INDUCTANCE_H / RESISTANCE_OHM,
-            ),
+            check("T1 = L/R", "ms", 1e3 * ELECTRICAL_S, 1e3 * INDUCTANCE_H / RESISTANCE_OHM),
             check(
                 "T1 = (L - M)/R",
                 "ms",
@@ -101,25 +91,10 @@ pub(super) fn data_sheet() -> DataSheet {
             ),
             check("P = T n", "W", POWER_W, RATED_N_M * rated_rad_s),
             check("P = ke n I", "W", POWER_W, ke * rated_rad_s * RATED_A),
-            check(
-                "P = 2 ke n I",
-                "W",
-                POWER_W,
-                2.0 * ke * rated_rad_s * RATED_A,
-            ),
+            check("P = 2 ke n I", "W", POWER_W, 2.0 * ke * rated_rad_s * RATED_A),
             check("ke (SI) = T/I", "V.s/rad", ke, kt),
-            check(
-                "Tm = R J/ke^2",
-                "ms",
-                1e3 * MECHANICAL_S,
-                1e3 * mechanical_s(ke),
-            ),
-            check(
-                "Tm = R J I/(ke T)",
-                "ms",
-                1e3 * MECHANICAL_S,
-                1e3 * mechanical_s(kt),
-            ),
+            check("Tm = R J/ke^2", "ms", 1e3 * MECHANICAL_S, 1e3 * mechanical_s(ke)),
+            check("Tm = R J I/(ke T)", "ms", 1e3 * MECHANICAL_S, 1e3 * mechanical_s(kt)),
             check("0.827 = 3 sqrt(3)/(2 pi)", "-", MEAN_FACTOR, 0.5 * mean),
         ],
         rectified_v: rectified_v(),
@@ -156,20 +131,13 @@ fn switched(speed_rad_s: f64) -> [Switched; 3] {
             added.values = values.iter().copied().map(Some).collect();
         }
         let times = stamps(STAMP_S, SAMPLES);
-        let scenario = driven(
-            String::new(),
-            Channel::Voltage,
-            vec![(0.0, voltage_v)],
-            times,
-        );
+        let scenario = driven(String::new(), Channel::Voltage, vec![(0.0, voltage_v)], times);
         let mut plant = Plant::new(&model, Input::Voltage).expect(COMPLETE);
         let found = plant.simulate(&scenario, State::at(RATED_A, speed_rad_s));
         let settled = &found.speed_rad_s[SETTLED..];
         let (low, high) = settled
             .iter()
-            .fold((f64::MAX, f64::MIN), |(low, high), speed| {
-                (speed.min(low), speed.max(high))
-            });
+            .fold((f64::MAX, f64::MIN), |(low, high), speed| (speed.min(low), speed.max(high)));
         let mean_of = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
         Switched {
             model: name,

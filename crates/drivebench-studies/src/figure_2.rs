@@ -70,13 +70,8 @@ pub(super) const TA: usize = 1;
 pub(super) const KE: usize = 2;
 pub(super) const MC: usize = 4;
 /// Their heads in files.
-pub(super) const COLUMNS: [&str; 5] = [
-    "tm_s",
-    "ta_s",
-    "back_emf_v_s_per_rad",
-    "inertia_kg_m2",
-    "load_torque_n_m",
-];
+pub(super) const COLUMNS: [&str; 5] =
+    ["tm_s", "ta_s", "back_emf_v_s_per_rad", "inertia_kg_m2", "load_torque_n_m"];
 
 /// Estimates over time or their spread, by parameter; an object in JSON.
 #[derive(Clone, Debug)]
@@ -189,11 +184,7 @@ fn case(ask: Ask) -> Case {
         .collect();
     let spread = |motor: &Motor, from: usize, to: usize| {
         let truth = truth(motor);
-        let first = if method.is_batch() {
-            to - 1
-        } else {
-            from + FILLING
-        };
+        let first = if method.is_batch() { to - 1 } else { from + FILLING };
         ByParameter(from_fn(|which| {
             let told = every.iter().flat_map(|seed| &seed[first..to]);
             Spread::of(truth[which], told.map(|five| five[which]))
@@ -219,10 +210,7 @@ fn follows(every: &[Vec<Five>]) -> Option<usize> {
     let middle = |k: usize| median(&every.iter().map(|seed| seed[k][0]).collect::<Vec<_>>());
     // A scheme that lies there all the time follows nothing.
     let lies_there = middle(JUMP_AT - 1) >= goal;
-    (JUMP_AT..SAMPLES)
-        .find(|k| middle(*k) >= goal)
-        .filter(|_| !lies_there)
-        .map(|k| k - JUMP_AT)
+    (JUMP_AT..SAMPLES).find(|k| middle(*k) >= goal).filter(|_| !lies_there).map(|k| k - JUMP_AT)
 }
 
 /// Voltage held from each sample to the next, and the speed that the scheme sees.
@@ -230,10 +218,8 @@ fn record(noise: NoiseModel, ratio: SignalToNoise, seed: u64) -> (Vec<f64>, Vec<
     let volts = random_binary(&mut random(seed, 1), LEVELS_V, HOLD, SAMPLES);
     let [before, after] = motors();
     let pieces = [(&before, JUMP_AT), (&after, SAMPLES - JUMP_AT)];
-    let clean: Vec<f64> = forward(&pieces, PERIOD_S, &volts, None)
-        .iter()
-        .map(|at| at.speed_rad_s)
-        .collect();
+    let clean: Vec<f64> =
+        forward(&pieces, PERIOD_S, &volts, None).iter().map(|at| at.speed_rad_s).collect();
     let mut errors = white(&mut random(seed, 2), SAMPLES);
     let deviation = match noise {
         NoiseModel::Sensor => ratio.noise_beside(&clean),

@@ -76,13 +76,10 @@ pub(super) fn figure_3() -> Figure3 {
 
 fn case(motor: &Motor, ask: Ask) -> Case {
     let seeds = (0..SEEDS).into_par_iter();
-    let traces: Vec<[Vec<f64>; 2]> = seeds
-        .map(|seed| estimates(motor, ask, SHOWN_SEED + seed))
-        .collect();
+    let traces: Vec<[Vec<f64>; 2]> =
+        seeds.map(|seed| estimates(motor, ask, SHOWN_SEED + seed)).collect();
     let spread = |key: MotorKey, which: usize| {
-        let settled = traces
-            .iter()
-            .flat_map(|trace| &trace[which][SETTLED_FROM..]);
+        let settled = traces.iter().flat_map(|trace| &trace[which][SETTLED_FROM..]);
         Spread::of(value(motor, key), settled.copied())
     };
     let (noise, signal_to_noise, current_noise, integral) = ask;
@@ -112,10 +109,7 @@ fn estimates(motor: &Motor, ask: Ask, seed: u64) -> [Vec<f64>; 2] {
     let volts = random_binary(&mut random(seed, 1), LEVELS_V, HOLD, SAMPLES);
     let clean = forward(&[(motor, SAMPLES)], PERIOD_S, &volts, None);
     let columns = |turning: &[Turning]| -> (Vec<f64>, Vec<f64>) {
-        turning
-            .iter()
-            .map(|at| (at.speed_rad_s, at.current_a))
-            .unzip()
+        turning.iter().map(|at| (at.speed_rad_s, at.current_a)).unzip()
     };
     let (mut speed, mut current) = columns(&clean);
     let errors = white(&mut random(seed, 2), SAMPLES);

@@ -54,11 +54,7 @@ impl SpeedSensor for HallSensor {
         let at = |index: f64| last_s + (time_s - last_s) * (index - last) / (now - last);
         let (lowest, highest) = (last.min(now).floor() + 1.0, last.max(now).floor());
         // Downwards the edges come in the other order.
-        let (mut index, step) = if now < last {
-            (highest, -1.0)
-        } else {
-            (lowest, 1.0)
-        };
+        let (mut index, step) = if now < last { (highest, -1.0) } else { (lowest, 1.0) };
         while (lowest..=highest).contains(&index) {
             self.passes(at(index), index);
             index += step;
@@ -107,10 +103,8 @@ mod tests {
     fn under_acceleration_it_is_late_by_half_an_interval_and_the_time_since_the_edge() {
         let rate = 100.0;
         let found = readings(|t| 50.0 * t + 0.5 * rate * t * t);
-        let lag: Vec<f64> = found[500..]
-            .iter()
-            .map(|(t, read)| (50.0 + rate * t - read) / rate)
-            .collect();
+        let lag: Vec<f64> =
+            found[500..].iter().map(|(t, read)| (50.0 + rate * t - read) / rate).collect();
         let mean = lag.iter().sum::<f64>() / lag.len() as f64;
         // About one interval in the mean: half of it within, half of it waiting.
         let interval_s = std::f64::consts::TAU / 12.0 / 125.0;

@@ -43,12 +43,8 @@ pub const ALL_ERRORS: Errors = Errors {
 };
 
 /// A profiled drive without a clock at 115,200 baud.
-pub const HOST_STAMPED: Pace = Pace {
-    rate_hz: 50.0,
-    request_s: 0.8e-3,
-    reply_s: 1.6e-3,
-    drive_cycle_s: 2e-3,
-};
+pub const HOST_STAMPED: Pace =
+    Pace { rate_hz: 50.0, request_s: 0.8e-3, reply_s: 1.6e-3, drive_cycle_s: 2e-3 };
 
 /// One line of a table: a line, or a cause that was left out.
 #[derive(Clone, Debug, Serialize)]
@@ -130,12 +126,7 @@ pub fn line_study(runs: usize, seed: u64, tell: impl Fn(usize)) -> LineStudy {
     for (name, pace, errors) in links {
         for percent in [0.0, 1.0, 5.0] {
             let share = 0.01 * percent;
-            let errors = Errors {
-                late: share,
-                lost: share,
-                doubled: share,
-                ..errors
-            };
+            let errors = Errors { late: share, lost: share, doubled: share, ..errors };
             let name = format!("{name}; {percent:.0} %");
             lines.push(row(name, pace, errors, runs, seed, Told::All));
             tell(lines.len());
@@ -151,12 +142,7 @@ pub fn line_study(runs: usize, seed: u64, tell: impl Fn(usize)) -> LineStudy {
         ("voltage sampled only, stamps believed", sampled, believed),
         ("voltage sampled only", sampled, Told::All),
     ];
-    let mut found = LineStudy {
-        runs,
-        seed,
-        lines,
-        causes: Vec::new(),
-    };
+    let mut found = LineStudy { runs, seed, lines, causes: Vec::new() };
     for (name, errors, told) in causes {
         let row = row(name.to_owned(), HOST_STAMPED, errors, runs, seed, told);
         found.causes.push(row);
@@ -211,11 +197,7 @@ fn identify(run: &Run) -> Vec<ParameterEstimate> {
     let Ok(scenario) = Scenario::from_run(run) else {
         return Vec::new();
     };
-    let data = scheme::Data {
-        run,
-        scenario: &scenario,
-        model: &Model::baseline(Motor::new("?")),
-    };
+    let data = scheme::Data { run, scenario: &scenario, model: &Model::baseline(Motor::new("?")) };
     let found = scheme::find("output-error").and_then(|scheme| scheme.identify(&data));
     let mut parameters = found.map(|found| found.parameters).unwrap_or_default();
     if let Some(half_width_s) = scenario.typical_half_width_s() {
@@ -317,11 +299,7 @@ pub fn record(seed: u64, pace: Pace, errors: Errors) -> Recorded {
     let mut near = |value: f64| value * rng.random_range(-0.4..0.4_f64).exp();
     let truth = [1.1, 0.0099, 0.3538, 4.5e-3, 0.455].map(&mut near);
     let mut plant = Plant::new(motor(truth), &[]);
-    let mut far = FarEnd {
-        plant: &mut plant,
-        now_s: 0.0,
-        volts: 0.0,
-    };
+    let mut far = FarEnd { plant: &mut plant, now_s: 0.0, volts: 0.0 };
     let (mut rows, mut commands): (Vec<Row>, Vec<(f64, f64)>) = (Vec::new(), vec![(0.0, 0.0)]);
     let (mut cycle_s, mut wanted, mut held_until_s) = (1e-3, 0.0, REST_S);
     while cycle_s < LENGTH_S {
@@ -332,11 +310,7 @@ pub fn record(seed: u64, pace: Pace, errors: Errors) -> Recorded {
             held_until_s = cycle_s + rng.random_range(0.1..0.5);
         }
         let mut within = |span_s: f64| {
-            if errors.jitter {
-                rng.random_range(0.0..span_s)
-            } else {
-                0.5 * span_s
-            }
+            if errors.jitter { rng.random_range(0.0..span_s) } else { 0.5 * span_s }
         };
         let applied_s = cycle_s + pace.request_s + within(pace.drive_cycle_s);
         let asked_s = applied_s + pace.reply_s + within(1e-3);
@@ -363,11 +337,7 @@ pub fn record(seed: u64, pace: Pace, errors: Errors) -> Recorded {
         }
         let mut read = |value: f64, noise: f64, step: f64| {
             let noisy = value + noise * rng.sample::<f64, _>(StandardNormal);
-            if errors.quantised {
-                (noisy / step).round() * step
-            } else {
-                noisy
-            }
+            if errors.quantised { (noisy / step).round() * step } else { noisy }
         };
         if heard {
             let values = [
@@ -386,12 +356,7 @@ pub fn record(seed: u64, pace: Pace, errors: Errors) -> Recorded {
         cycle_s = free_s.max(cycle_s + 1.0 / pace.rate_hz);
     }
     let samples = rows.len();
-    Recorded {
-        run: run_of(&rows, &commands, errors),
-        truth,
-        samples,
-        length_s: LENGTH_S,
-    }
+    Recorded { run: run_of(&rows, &commands, errors), truth, samples, length_s: LENGTH_S }
 }
 
 fn motor(truth: [f64; 5]) -> MotorTruth {
@@ -421,11 +386,7 @@ impl FarEnd<'_> {
             let step_s = TRUTH_STEP_S.min(time_s - self.now_s);
             self.plant.advance(Terminals::Voltage(self.volts), step_s);
             // The last step ends at the instant itself, whatever the sum has lost.
-            self.now_s = if step_s < TRUTH_STEP_S {
-                time_s
-            } else {
-                self.now_s + step_s
-            };
+            self.now_s = if step_s < TRUTH_STEP_S { time_s } else { self.now_s + step_s };
         }
     }
 }
@@ -475,10 +436,7 @@ mod tests {
         assert!(widths.len() > 200 && widths.iter().all(|s| (0.5e-3..5e-3).contains(s)));
         let scenario = Scenario::from_run(&host).unwrap();
         assert!(scenario.typical_half_width_s().unwrap() > 1e-3);
-        let clocked = Errors {
-            stamps: false,
-            ..ALL_ERRORS
-        };
+        let clocked = Errors { stamps: false, ..ALL_ERRORS };
         let drive = record(1, HOST_STAMPED, clocked).run;
         assert!(drive.column(Channel::TimeHalfWidth).is_none());
         let scenario = Scenario::from_run(&drive).unwrap();

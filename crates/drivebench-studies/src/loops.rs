@@ -153,10 +153,7 @@ impl Bench {
     }
 
     pub(super) fn mrac(&self, disconnects: bool) -> Mrac {
-        let scales = MracScales {
-            speed_rad_s: self.scale_rad_s,
-            current_a: self.current_limit_a,
-        };
+        let scales = MracScales { speed_rad_s: self.scale_rad_s, current_a: self.current_limit_a };
         Mrac::new(&self.plant(), &self.timing, scales, disconnects).expect(FIXED)
     }
 
@@ -229,18 +226,12 @@ impl<'a> Trial<'a> {
     #[must_use]
     pub(super) fn with_inertia_ratio(self, bench: &Bench, ratio: impl Fn(f64) -> f64 + 'a) -> Self {
         let inertia = bench.inertia();
-        Self {
-            inertia_kg_m2: Box::new(move |t| inertia * ratio(t)),
-            ..self
-        }
+        Self { inertia_kg_m2: Box::new(move |t| inertia * ratio(t)), ..self }
     }
 
     #[must_use]
     pub(super) fn with_load(self, load_n_m: impl Fn(f64) -> f64 + 'a) -> Self {
-        Self {
-            load_n_m: Box::new(load_n_m),
-            ..self
-        }
+        Self { load_n_m: Box::new(load_n_m), ..self }
     }
 
     pub(super) fn run(
@@ -339,11 +330,7 @@ impl SpeedController for Joining {
     }
 
     fn explain(&self) -> Vec<String> {
-        if self.joined() {
-            self.adaptive.explain()
-        } else {
-            self.fixed.explain()
-        }
+        if self.joined() { self.adaptive.explain() } else { self.fixed.explain() }
     }
 }
 
@@ -356,11 +343,7 @@ pub(super) struct WithBackEmf {
 
 impl WithBackEmf {
     pub(super) const fn new(inner: PaperB, back_emf_v_s_per_rad: f64) -> Self {
-        Self {
-            inner,
-            back_emf_v_s_per_rad,
-            fed_forward_v: 0.0,
-        }
+        Self { inner, back_emf_v_s_per_rad, fed_forward_v: 0.0 }
     }
 }
 
@@ -426,10 +409,7 @@ pub struct Named {
 
 impl Named {
     pub fn new(name: impl Into<String>, trace: Vec<TrialPoint>) -> Self {
-        Self {
-            name: name.into(),
-            trace,
-        }
+        Self { name: name.into(), trace }
     }
 
     /// Each trace with its name.
@@ -443,11 +423,7 @@ impl Named {
 pub(super) fn square(half_s: f64, high: f64, low: f64) -> impl Fn(f64) -> f64 {
     // A hundredth of a step of rounding must not decide on which side of an edge a cycle lies.
     move |t| {
-        if ((t / half_s + 1e-9).floor() % 2.0).abs() < 0.5 {
-            high
-        } else {
-            low
-        }
+        if ((t / half_s + 1e-9).floor() % 2.0).abs() < 0.5 { high } else { low }
     }
 }
 
@@ -546,9 +522,7 @@ pub(super) fn limited_percent(trace: &[TrialPoint]) -> f64 {
 
 /// Root mean square of the output's change from cycle to cycle, V.
 pub(super) fn effort_v(trace: &[TrialPoint]) -> f64 {
-    rms(trace
-        .windows(2)
-        .map(|pair| pair[1].output_v - pair[0].output_v))
+    rms(trace.windows(2).map(|pair| pair[1].output_v - pair[0].output_v))
 }
 
 pub(super) fn rms(values: impl Iterator<Item = f64>) -> f64 {
@@ -580,13 +554,8 @@ pub enum Case {
 }
 
 impl Case {
-    pub const ALL: [Self; 5] = [
-        Self::Nominal,
-        Self::Lighter,
-        Self::Heavier,
-        Self::Start,
-        Self::Load,
-    ];
+    pub const ALL: [Self; 5] =
+        [Self::Nominal, Self::Lighter, Self::Heavier, Self::Start, Self::Load];
 
     /// Inertia over the model's before and after the jump.
     const fn ratio(self) -> f64 {
@@ -685,11 +654,7 @@ fn row(bench: &Bench, sizes: &Sizes, kind: Kind, case: Case) -> CaseRow {
     } else {
         of_steps(&steps(&trace)[COUNTED_FROM..])
     };
-    CaseRow {
-        controller: kind,
-        case,
-        ..found
-    }
+    CaseRow { controller: kind, case, ..found }
 }
 
 /// The longest of these times; none where one of them never comes.
@@ -713,10 +678,7 @@ fn of_steps(counted: &[Step]) -> CaseRow {
 }
 
 fn of_load(trace: &[TrialPoint], [on_s, off_s, end_s]: [f64; 3]) -> CaseRow {
-    let changes = [
-        load_change(trace, on_s, off_s),
-        load_change(trace, off_s, end_s),
-    ];
+    let changes = [load_change(trace, on_s, off_s), load_change(trace, off_s, end_s)];
     let seen = within(trace, on_s, end_s);
     let period_s = trace[1].time_s - trace[0].time_s;
     let errors = seen.iter().map(|point| error(point).abs());

@@ -22,13 +22,7 @@ const LOAD_TORQUE_N_M: f64 = 2.0;
 /// A motor with the resistance and back-EMF constant of the ZK-22FC and these time constants, s.
 pub(super) fn motor(ta_s: f64, tm_s: f64) -> Motor {
     let name = format!("Ta {ta_s} s, TM {tm_s} s");
-    made_of(
-        &name,
-        RESISTANCE_OHM,
-        BACK_EMF,
-        [ta_s, tm_s],
-        LOAD_TORQUE_N_M,
-    )
+    made_of(&name, RESISTANCE_OHM, BACK_EMF, [ta_s, tm_s], LOAD_TORQUE_N_M)
 }
 
 /// A motor with these time constants: electrical and mechanical, s.
@@ -118,11 +112,8 @@ pub(super) struct ZeroOrderHold {
 impl ZeroOrderHold {
     pub(super) fn new(motor: &Motor, period_s: f64) -> Self {
         let of = |key| value(motor, key);
-        let (r, l, ke) = (
-            of(MotorKey::Resistance),
-            of(MotorKey::Inductance),
-            of(MotorKey::BackEmf),
-        );
+        let (r, l, ke) =
+            (of(MotorKey::Resistance), of(MotorKey::Inductance), of(MotorKey::BackEmf));
         let inertia = of(MotorKey::Inertia);
         #[rustfmt::skip]
         let rates = Matrix4::new(
@@ -131,9 +122,7 @@ impl ZeroOrderHold {
             0.0,     0.0,          0.0,     0.0,
             0.0,     0.0,          0.0,     0.0,
         );
-        Self {
-            step: (rates * period_s).exp(),
-        }
+        Self { step: (rates * period_s).exp() }
     }
 
     /// The state one period later; `sign Mc = -1` for forward motion.
@@ -143,10 +132,7 @@ impl ZeroOrderHold {
             g[(row, 0)] * now.speed_rad_s + g[(row, 1)] * now.current_a + g[(row, 2)] * voltage_v
                 - g[(row, 3)]
         };
-        Turning {
-            speed_rad_s: next(0),
-            current_a: next(1),
-        }
+        Turning { speed_rad_s: next(0), current_a: next(1) }
     }
 
     /// `[a1, a2, b1, b2, b3]` of paper A, eq. (13).
@@ -218,17 +204,11 @@ pub enum RatioOf {
 
 impl SignalToNoise {
     pub(super) const fn power(value: f64) -> Self {
-        Self {
-            value,
-            of: RatioOf::Power,
-        }
+        Self { value, of: RatioOf::Power }
     }
 
     pub(super) const fn amplitude(value: f64) -> Self {
-        Self {
-            value,
-            of: RatioOf::Amplitude,
-        }
+        Self { value, of: RatioOf::Amplitude }
     }
 
     /// Standard deviation of the noise beside this signal (its mean does not count).
@@ -276,16 +256,13 @@ pub(super) fn random_binary(
 
 /// White Gaussian noise of variance one.
 pub(super) fn white(random: &mut ChaCha8Rng, samples: usize) -> Vec<f64> {
-    (0..samples)
-        .map(|_| StandardNormal.sample(random))
-        .collect()
+    (0..samples).map(|_| StandardNormal.sample(random)).collect()
 }
 
 /// `signal + deviation * noise`.
 pub(super) fn with_noise(signal: &[f64], noise: &[f64], deviation: f64) -> Vec<f64> {
     let both = signal.iter().zip(noise);
-    both.map(|(signal, noise)| signal + deviation * noise)
-        .collect()
+    both.map(|(signal, noise)| signal + deviation * noise).collect()
 }
 
 /// How estimates of one quantity lie over time and seeds.
@@ -359,14 +336,11 @@ mod tests {
 
     #[test]
     fn noise_has_the_asked_ratio_to_the_signal() {
-        let signal: Vec<f64> = (0..4000)
-            .map(|k| 50.0 + (0.1 * f64::from(k)).sin())
-            .collect();
+        let signal: Vec<f64> = (0..4000).map(|k| 50.0 + (0.1 * f64::from(k)).sin()).collect();
         let noise = white(&mut random(1, 1), 4000);
-        for (ratio, power) in [
-            (SignalToNoise::power(10.0), 10.0),
-            (SignalToNoise::amplitude(10.0), 100.0),
-        ] {
+        for (ratio, power) in
+            [(SignalToNoise::power(10.0), 10.0), (SignalToNoise::amplitude(10.0), 100.0)]
+        {
             let noisy = with_noise(&signal, &noise, ratio.noise_beside(&signal));
             let rest: Vec<f64> = noisy.iter().zip(&signal).map(|(a, b)| a - b).collect();
             let found = variance(&signal) / variance(&rest);

@@ -46,13 +46,7 @@ pub struct Figure {
 
 impl Figure {
     pub const fn over_time(time_s: Vec<f64>) -> Self {
-        Self {
-            axis: TIME,
-            column: "time_s",
-            at: time_s,
-            panels: Vec::new(),
-            columns: Vec::new(),
-        }
+        Self { axis: TIME, column: "time_s", at: time_s, panels: Vec::new(), columns: Vec::new() }
     }
 
     pub fn over_samples(count: usize) -> Self {
@@ -139,10 +133,7 @@ pub fn with(own: impl Serialize, more: Value) -> Value {
 impl Findings {
     /// The study's own JSON, with what its page needs beside it.
     pub fn new(study: &impl Serialize, more: Value) -> Self {
-        Self {
-            values: with(study, more),
-            ..Self::default()
-        }
+        Self { values: with(study, more), ..Self::default() }
     }
 
     #[must_use]
@@ -185,18 +176,13 @@ impl Findings {
 
     /// The page that these layouts make of it, one after the other.
     pub fn on(self, layouts: &[&'static str]) -> Result<FiguresAndTables, String> {
-        let mut page = FiguresAndTables {
-            series: self.series.clone(),
-            ..FiguresAndTables::default()
-        };
+        let mut page =
+            FiguresAndTables { series: self.series.clone(), ..FiguresAndTables::default() };
         for &layout in layouts {
             let lines = || layout.lines().filter(|line| !line.is_empty());
             let names = lines().filter_map(|line| line.strip_prefix("[name ")?.split_once("] "));
-            let scope = Scope {
-                root: &self.values,
-                row: &self.values,
-                names: &names.collect::<Vec<_>>(),
-            };
+            let scope =
+                Scope { root: &self.values, row: &self.values, names: &names.collect::<Vec<_>>() };
             let mut lines = lines();
             while let Some(line) = lines.next() {
                 let filled = self.block(&mut page, &scope, line, &mut lines);
@@ -226,8 +212,7 @@ impl Findings {
             let found = self.pictures.iter().find(|picture| picture.0 == name);
             let (name, plot) = found.ok_or_else(|| format!("no picture {name}"))?;
             let caption = scope.fill(caption)?;
-            page.blocks
-                .push(Block::Picture(name, plot.clone(), caption));
+            page.blocks.push(Block::Picture(name, plot.clone(), caption));
         } else if let Some((name, sentence)) = directive(line, "[grid ") {
             let found = self.grids.iter().find(|grid| grid.0 == name);
             let (_, table) = found.ok_or_else(|| format!("no grid {name}"))?;
@@ -240,10 +225,7 @@ impl Findings {
             };
             let head = cells(more.next()).ok_or("a table without a head")?;
             let cells = cells(more.next()).ok_or("a table without cells")?;
-            let rows = scope
-                .find(rows)?
-                .as_array()
-                .ok_or("rows that are no list")?;
+            let rows = scope.find(rows)?.as_array().ok_or("rows that are no list")?;
             let row = |row: &Value| -> Result<Vec<String>, String> {
                 let (root, names) = (scope.root, scope.names);
                 let scope = Scope { root, row, names };
@@ -252,10 +234,7 @@ impl Findings {
             let rows: Result<Vec<Vec<String>>, String> = rows.iter().map(row).collect();
             page.table(name, scope.fill(sentence)?, table(head, rows?));
         } else if let Some((path, _)) = directive(line, "[each ") {
-            let texts = scope
-                .find(path)?
-                .as_array()
-                .ok_or("texts that are no list")?;
+            let texts = scope.find(path)?.as_array().ok_or("texts that are no list")?;
             let texts = texts.iter().map(|text| Block::Paragraph(plain(text)));
             page.blocks.extend(texts);
         } else if !line.starts_with("[name ") {
@@ -331,9 +310,7 @@ impl Scope<'_> {
         };
         let factor: f64 = factor.parse().map_err(|_| format!("no factor {factor}"))?;
         let numbers = value.as_f64().zip(divisor);
-        Ok(numbers.map_or(Value::Null, |(value, divisor)| {
-            Value::from(factor * value / divisor)
-        }))
+        Ok(numbers.map_or(Value::Null, |(value, divisor)| Value::from(factor * value / divisor)))
     }
 
     fn shown(&self, value: &Value, format: &str) -> Result<String, String> {
@@ -505,10 +482,8 @@ impl FiguresAndTables {
 
     /// `(name, content)` of every file: the page, as Markdown under this name too, pictures, tables, series.
     pub fn files(&self, markdown: &str) -> Vec<(String, String)> {
-        let mut files = vec![
-            ("report.html".to_owned(), self.html()),
-            (markdown.to_owned(), self.markdown()),
-        ];
+        let mut files =
+            vec![("report.html".to_owned(), self.html()), (markdown.to_owned(), self.markdown())];
         files.extend(self.blocks.iter().filter_map(|block| match block {
             Block::Picture(name, plot, _) if !plot.svg.is_empty() => {
                 Some((format!("{name}.svg"), standalone(&plot.svg)))

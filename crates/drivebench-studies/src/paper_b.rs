@@ -50,12 +50,8 @@ const SETTINGS: PaperBSettings = PaperBSettings {
 };
 
 /// Of the cases that every regulator is put through.
-const SIZES: Sizes = Sizes {
-    levels_rad_s: [90.0, 110.0],
-    half_s: 1.0,
-    start_rad_s: 150.0,
-    load_n_m: LOAD_N_M,
-};
+const SIZES: Sizes =
+    Sizes { levels_rad_s: [90.0, 110.0], half_s: 1.0, start_rad_s: 150.0, load_n_m: LOAD_N_M };
 
 /// Paper B, computed again.
 #[derive(Clone, Debug, Serialize)]
@@ -115,11 +111,7 @@ fn bench() -> Bench {
             [ELECTRICAL_S, MECHANICAL_S],
             FRICTION_N_M,
         )),
-        timing: LoopTiming {
-            period_s: PERIOD_S,
-            delay_s: 0.0,
-            filter_s: 0.0,
-        },
+        timing: LoopTiming { period_s: PERIOD_S, delay_s: 0.0, filter_s: 0.0 },
         current_limit_a: 3.0 * RATED_A,
         voltage_limit_v: rectified_v(),
         speed_noise_rad_s: SETTINGS.measurement_noise.sqrt(),
@@ -175,10 +167,7 @@ fn without(settings: PaperBSettings) -> PaperBSettings {
 
 /// The regulator with so much of K3.
 fn with_share(compensation: f64, settings: PaperBSettings) -> PaperBSettings {
-    PaperBSettings {
-        compensation,
-        ..settings
-    }
+    PaperBSettings { compensation, ..settings }
 }
 
 /// Without compensation, with as much of K3 as is usable, and with the K3 that is printed.
@@ -219,15 +208,8 @@ fn chosen() -> Vec<String> {
 }
 
 /// Reference: time s, speed rad/s.
-const POLYLINE: [(f64, f64); 7] = [
-    (0.0, 0.0),
-    (0.3, 100.0),
-    (0.8, 100.0),
-    (1.0, 150.0),
-    (1.5, 150.0),
-    (1.9, 50.0),
-    (2.5, 50.0),
-];
+const POLYLINE: [(f64, f64); 7] =
+    [(0.0, 0.0), (0.3, 100.0), (0.8, 100.0), (1.0, 150.0), (1.5, 150.0), (1.9, 50.0), (2.5, 50.0)];
 const POLYLINE_S: f64 = POLYLINE[POLYLINE.len() - 1].0;
 /// After a corner the flat parts are given this time, s.
 const FLAT_AFTER_S: f64 = 0.2;
@@ -275,10 +257,7 @@ fn figure_4(bench: &Bench) -> Figure4 {
         let trace = trial.run(&mut bench.paper_b(settings), POLYLINE_S);
         measured(settings.compensation, trace)
     };
-    Figure4 {
-        polyline: POLYLINE,
-        courses: courses(course),
-    }
+    Figure4 { polyline: POLYLINE, courses: courses(course) }
 }
 
 fn measured(share_of_k3: f64, trace: Vec<TrialPoint>) -> Followed {
@@ -352,11 +331,7 @@ fn figure_5(bench: &Bench) -> Figure5 {
             trace,
         }
     };
-    Figure5 {
-        speed_rad_s: SPEED_RAD_S,
-        load_n_m: LOAD_N_M,
-        courses: courses(course),
-    }
+    Figure5 { speed_rad_s: SPEED_RAD_S, load_n_m: LOAD_N_M, courses: courses(course) }
 }
 
 const TOLERANCES: [f64; 3] = [1e-3, 1e-6, 1e-9];
@@ -419,10 +394,7 @@ pub struct Design {
 }
 
 fn design(bench: &Bench) -> Design {
-    let finest = PaperBSettings {
-        tolerance: TOLERANCES[TOLERANCES.len() - 1],
-        ..SETTINGS
-    };
+    let finest = PaperBSettings { tolerance: TOLERANCES[TOLERANCES.len() - 1], ..SETTINGS };
     let made = bench.paper_b(finest);
     let (filter, feedback) = made.convergence();
     let (filter_gain, feedback_gain) = made.gains();
@@ -448,10 +420,8 @@ fn design(bench: &Bench) -> Design {
 }
 
 fn with_ratio(bench: &Bench, factor: f64) -> WithRatio {
-    let settings = PaperBSettings {
-        process_noise: factor * SETTINGS.process_noise,
-        ..without(SETTINGS)
-    };
+    let settings =
+        PaperBSettings { process_noise: factor * SETTINGS.process_noise, ..without(SETTINGS) };
     let made = bench.paper_b(settings);
     let gain = made.gains().0;
     let noise = input_noise(bench, SEED, DESIGN_S);
@@ -484,11 +454,7 @@ fn with_ratio(bench: &Bench, factor: f64) -> WithRatio {
 
 fn radii(bench: &Bench) -> Radii {
     let radius = |compensation: f64, filter_share: f64| {
-        let settings = PaperBSettings {
-            filter_share,
-            compensation,
-            ..SETTINGS
-        };
+        let settings = PaperBSettings { filter_share, compensation, ..SETTINGS };
         match control::PaperB::new(bench.paper_b_plant(), settings) {
             Ok(made) => made.radius(),
             Err(PaperBError::Unstable { radius }) => radius,
@@ -578,16 +544,9 @@ fn noise(bench: &Bench) -> Noise {
                 effort_v[which] += volts / SEEDS as f64;
             }
         }
-        Variance {
-            disturbance,
-            speed_variance,
-            effort_v,
-        }
+        Variance { disturbance, speed_variance, effort_v }
     };
-    Noise {
-        seeds: SEEDS,
-        variances: Disturbance::ALL.map(of).into(),
-    }
+    Noise { seeds: SEEDS, variances: Disturbance::ALL.map(of).into() }
 }
 
 fn disturbed(
@@ -656,10 +615,7 @@ pub struct Hall {
 
 fn hall(bench: &Bench) -> Hall {
     let edges_per_turn = STATES * POLE_PAIRS;
-    let slower = PaperBSettings {
-        voltage_cost: SLOWER * SETTINGS.voltage_cost,
-        ..SETTINGS
-    };
+    let slower = PaperBSettings { voltage_cost: SLOWER * SETTINGS.voltage_cost, ..SETTINGS };
     // On the paper's plant, with friction and without other noise: what is seen is then the edges' doing alone.
     let run = |sees_edges: bool, settings, reference: &dyn Fn(f64) -> f64, seconds| {
         let mut trial = on_paper(bench, reference);

@@ -101,14 +101,9 @@ fn record(
         (Channel::Current, current, Origin::Measured),
         (Channel::Speed, speed, Origin::Measured),
     ] {
-        run.set_column(channel, cells, origin)
-            .expect("every column has one cell per stamp");
+        run.set_column(channel, cells, origin).expect("every column has one cell per stamp");
     }
-    Record {
-        motor: motor.clone(),
-        run,
-        scenario,
-    }
+    Record { motor: motor.clone(), run, scenario }
 }
 
 /// The schemes that take part: all that read these records.
@@ -140,11 +135,7 @@ fn known(scheme: &Scheme, truth: &Motor) -> Model {
 /// What `scheme` finds in `record`.
 fn errors(scheme: &Scheme, record: &Record) -> Errors {
     let model = known(scheme, &record.motor);
-    let data = Data {
-        run: &record.run,
-        scenario: &record.scenario,
-        model: &model,
-    };
+    let data = Data { run: &record.run, scenario: &record.scenario, model: &model };
     let Ok(found) = scheme.identify(&data) else {
         return Errors::default();
     };
@@ -173,10 +164,7 @@ fn curves(records: &[Vec<Record>], asked: impl Fn(&str) -> bool) -> Vec<Curve> {
             let found = records.par_iter().map(|record| errors(scheme, record));
             Errors::medians(&found.collect::<Vec<_>>())
         };
-        Curve {
-            scheme: scheme.id(),
-            errors: records.par_iter().map(median).collect(),
-        }
+        Curve { scheme: scheme.id(), errors: records.par_iter().map(median).collect() }
     };
     let asked = taking_part().filter(|scheme| asked(scheme.id()));
     asked.map(curve).collect()
@@ -272,11 +260,7 @@ fn at_ta(tm_over_ta: f64) -> AtTa {
             },
         )
     };
-    AtTa {
-        tm_over_ta,
-        printed: of(Form::Printed),
-        exact: of(Form::Exact),
-    }
+    AtTa { tm_over_ta, printed: of(Form::Printed), exact: of(Form::Exact) }
 }
 
 /// Ratios of power.

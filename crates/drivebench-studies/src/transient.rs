@@ -167,11 +167,9 @@ pub(super) fn table_1() -> Table1 {
         forgetting: FORGETTING,
         seeds: SEEDS,
         rows: rows(&motor, PERIOD_S),
-        by_period: (PERIODS_S
-            .iter()
-            .flat_map(|period_s| rows(&motor, *period_s)))
-        .filter(|row| row.n == 20 || row.n == 50)
-        .collect(),
+        by_period: (PERIODS_S.iter().flat_map(|period_s| rows(&motor, *period_s)))
+            .filter(|row| row.n == 20 || row.n == 50)
+            .collect(),
     }
 }
 
@@ -196,10 +194,8 @@ fn rows(motor: &Motor, period_s: f64) -> Vec<Row> {
     let over_seeds = |row: usize, which: usize, truth: f64| {
         OverSeeds::of(truth, noisy.iter().map(|seed| seed[row][which]))
     };
-    let values = |inertia_kg_m2: f64, load_torque_n_m: f64| Values {
-        inertia_kg_m2,
-        load_torque_n_m,
-    };
+    let values =
+        |inertia_kg_m2: f64, load_torque_n_m: f64| Values { inertia_kg_m2, load_torque_n_m };
     let of = |estimates: &Estimates| values(estimates[0].0, estimates[1].0);
     let rows = PRINTED.iter().enumerate().map(|(row, printed)| Row {
         period_s,

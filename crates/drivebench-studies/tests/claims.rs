@@ -31,9 +31,7 @@ fn members<'a>(values: &[&'a Value], part: &str) -> Vec<&'a Value> {
 
 fn found<'a>(paper: &'a Value, path: &str) -> Vec<&'a Value> {
     let mut parts = path.split('.');
-    parts
-        .by_ref()
-        .fold(vec![paper], |values, part| members(&values, part))
+    parts.by_ref().fold(vec![paper], |values, part| members(&values, part))
 }
 
 fn holds(paper: &Value, claim: &str) -> Option<bool> {
@@ -54,9 +52,7 @@ fn holds(paper: &Value, claim: &str) -> Option<bool> {
             let (above, below) = (numbers(above)?, numbers(below)?);
             let count = above.len().max(below.len());
             let both = above.iter().cycle().zip(below.iter().cycle());
-            both.take(count)
-                .map(|(above, below)| above / below)
-                .collect()
+            both.take(count).map(|(above, below)| above / below).collect()
         }
     };
     Some(!values.is_empty() && values.iter().all(|value| range.contains(value)))

@@ -45,16 +45,8 @@ fn what_is_not_understood_is_refused_with_what_is_allowed() {
         ("paper-b --seed 2 --json", None, &["--seed"]),
         ("lines --mysteries 2 --json", None, &["--mysteries"]),
         ("discovery --sets 101 --json", None, &["101", "100"]),
-        (
-            "discovery --sets 0 --mysteries 0 --json",
-            None,
-            &["leaves nothing to study"],
-        ),
-        (
-            "discovery --records . --json",
-            None,
-            &["none of the records", "emps/DATA_EMPS.csv"],
-        ),
+        ("discovery --sets 0 --mysteries 0 --json", None, &["leaves nothing to study"]),
+        ("discovery --records . --json", None, &["none of the records", "emps/DATA_EMPS.csv"]),
         ("paper-a", Some(own), &["never overwritten"]),
         ("lines", Some(proc), &["cannot write", "--out"]),
     ] {
@@ -112,13 +104,7 @@ fn the_papers_are_printed_plotted_and_filed_the_same_every_time() {
         (
             "paper-b",
             "figure-4 figure-5 convergence hall back-emf back-emf-closed",
-            &[
-                "chosen by us",
-                "Figure 5",
-                "K and gamma",
-                "Hall",
-                "back-EMF",
-            ],
+            &["chosen by us", "Figure 5", "K and gamma", "Hall", "back-EMF"],
         ),
     ] {
         let folder = tempfile::tempdir().unwrap();
@@ -130,14 +116,8 @@ fn the_papers_are_printed_plotted_and_filed_the_same_every_time() {
         assert!(!text.contains("NaN") && !text.contains("inf"), "{text}");
         for name in pictures.split(' ') {
             let svg = read(&format!("{name}.svg"));
-            assert!(
-                svg.starts_with("<?xml") && svg.trim_end().ends_with("</svg>"),
-                "{name}"
-            );
-            assert!(
-                !svg.contains("NaN") && svg.matches("class=\"series").count() > 1,
-                "{name}"
-            );
+            assert!(svg.starts_with("<?xml") && svg.trim_end().ends_with("</svg>"), "{name}");
+            assert!(!svg.contains("NaN") && svg.matches("class=\"series").count() > 1, "{name}");
         }
         let drawn = read("report.html").matches("<svg class=\"plot").count();
         assert_eq!(drawn, pictures.split(' ').count());
@@ -154,13 +134,8 @@ fn the_papers_are_printed_plotted_and_filed_the_same_every_time() {
             let mean = &json["table_1"]["rows"][5]["inertia_with_noise"]["mean"];
             has(&table, &[&format!("{:.0} ±", 1e6 * mean.as_f64().unwrap())]);
         } else {
-            let dip = json["figure_5"]["courses"][1]["applied"]["dip_rad_s"]
-                .as_f64()
-                .unwrap();
-            has(
-                &read("figure-5.csv"),
-                &[&format!("0.05 K3,applied,{dip:.2}")],
-            );
+            let dip = json["figure_5"]["courses"][1]["applied"]["dip_rad_s"].as_f64().unwrap();
+            has(&read("figure-5.csv"), &[&format!("0.05 K3,applied,{dip:.2}")]);
         }
     }
 }

@@ -46,12 +46,7 @@ pub fn response_len(pdu: &[u8]) -> Length {
 
 /// Length of the response that a request gets when all is well; `None` where the request does not tell.
 pub fn expected_response_len(request: &[u8]) -> Option<usize> {
-    let quantity = || {
-        Some(usize::from(u16::from_be_bytes([
-            *request.get(3)?,
-            *request.get(4)?,
-        ])))
-    };
+    let quantity = || Some(usize::from(u16::from_be_bytes([*request.get(3)?, *request.get(4)?])));
     match request.first()? {
         1 | 2 => Some(2 + quantity()?.div_ceil(8)),
         3 | 4 | 23 => Some(2 + 2 * quantity()?),
@@ -64,9 +59,7 @@ pub fn expected_response_len(request: &[u8]) -> Option<usize> {
 
 /// The byte at `at` counts the bytes after it.
 fn counted(pdu: &[u8], at: usize) -> Length {
-    pdu.get(at).map_or(Length::NeedMore, |count| {
-        Length::Known(at + 1 + usize::from(*count))
-    })
+    pdu.get(at).map_or(Length::NeedMore, |count| Length::Known(at + 1 + usize::from(*count)))
 }
 
 /// Device identification: a list of objects, each with its length.

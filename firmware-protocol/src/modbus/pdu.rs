@@ -252,11 +252,7 @@ const fn word(high: u8, low: u8) -> u16 {
 
 /// A range that runs past 65535 names addresses that do not exist.
 fn check_range(address: u16, quantity: usize) -> Result<(), Exception> {
-    if usize::from(address) + quantity > 0x1_0000 {
-        Err(Exception::IllegalAddress)
-    } else {
-        Ok(())
-    }
+    if usize::from(address) + quantity > 0x1_0000 { Err(Exception::IllegalAddress) } else { Ok(()) }
 }
 
 /// Every count in a PDU is below 253.

@@ -96,12 +96,7 @@ impl RtuReceiver {
             start: 0,
             end: 0,
             gap: false,
-            statistics: RtuStatistics {
-                frames: 0,
-                foreign: 0,
-                skipped: 0,
-                checked: 0,
-            },
+            statistics: RtuStatistics { frames: 0, foreign: 0, skipped: 0, checked: 0 },
             checked: Cell::new(0),
         }
     }
@@ -154,10 +149,7 @@ impl RtuReceiver {
 
     /// What was seen so far.
     pub const fn statistics(&self) -> RtuStatistics {
-        RtuStatistics {
-            checked: self.checked.get(),
-            ..self.statistics
-        }
+        RtuStatistics { checked: self.checked.get(), ..self.statistics }
     }
 
     const fn skip(&mut self, bytes: usize) {

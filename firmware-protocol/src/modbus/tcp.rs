@@ -66,11 +66,7 @@ impl Default for TcpReceiver {
 impl TcpReceiver {
     /// A receiver for a new connection.
     pub const fn new() -> Self {
-        Self {
-            buffer: [0; MAX_FRAME],
-            end: 0,
-            broken: None,
-        }
+        Self { buffer: [0; MAX_FRAME], end: 0, broken: None }
     }
 
     /// Takes one byte; gives the request that it completes.

@@ -51,11 +51,8 @@ pub struct CaptureBlock {
 impl CaptureBlock {
     /// A block of the first [`CAPTURE_BLOCK_SAMPLES`] of `samples`.
     pub fn new(index: u16, samples: &[CaptureSample]) -> Self {
-        let mut block = Self {
-            index,
-            count: 0,
-            samples: [CaptureSample::default(); CAPTURE_BLOCK_SAMPLES],
-        };
+        let mut block =
+            Self { index, count: 0, samples: [CaptureSample::default(); CAPTURE_BLOCK_SAMPLES] };
         for (slot, sample) in block.samples.iter_mut().zip(samples) {
             *slot = *sample;
             block.count += 1;
@@ -81,10 +78,7 @@ impl CaptureBlock {
     pub(super) fn read(reader: &mut Reader<'_>) -> Option<Self> {
         let index = u16::from_be_bytes(reader.bytes()?);
         let [count] = reader.bytes()?;
-        let mut block = Self {
-            count,
-            ..Self::new(index, &[])
-        };
+        let mut block = Self { count, ..Self::new(index, &[]) };
         for sample in block.samples.get_mut(..usize::from(count))? {
             *sample = CaptureSample {
                 voltage_v: reader.value(&r::WINDOW_VOLTAGE),

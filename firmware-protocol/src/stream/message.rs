@@ -24,11 +24,7 @@ pub struct Frame {
 impl Frame {
     /// An answer of the drive, formed at this time.
     pub const fn answer(seq: u16, time_us: u32, message: Message) -> Self {
-        Self {
-            seq,
-            time_us,
-            message,
-        }
+        Self { seq, time_us, message }
     }
 
     /// A question of the host.
@@ -49,10 +45,7 @@ impl Frame {
 
 /// What is said.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[expect(
-    clippy::large_enum_variant,
-    reason = "there is no allocator to box a capture block"
-)]
+#[expect(clippy::large_enum_variant, reason = "there is no allocator to box a capture block")]
 pub enum Message {
     /// Host: who are you? Answer: `Identity`.
     Hello,

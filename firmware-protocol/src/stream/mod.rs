@@ -99,10 +99,7 @@ impl Default for Decoder {
 impl Decoder {
     /// A decoder that takes the first byte as the beginning of a frame.
     pub const fn new() -> Self {
-        Self {
-            buffer: [0; MAX_FRAME],
-            length: 0,
-        }
+        Self { buffer: [0; MAX_FRAME], length: 0 }
     }
 
     /// Takes one byte; gives the frame, or the damage, that it completes.
@@ -131,9 +128,7 @@ impl Decoder {
 
 fn decode_plain(plain: &[u8]) -> Result<Frame, FrameError> {
     let (body, crc) = plain.split_last_chunk::<2>().ok_or(FrameError::TooShort)?;
-    let (header, payload) = body
-        .split_first_chunk::<HEADER>()
-        .ok_or(FrameError::TooShort)?;
+    let (header, payload) = body.split_first_chunk::<HEADER>().ok_or(FrameError::TooShort)?;
     if crc16(body) != u16::from_be_bytes(*crc) {
         return Err(FrameError::Crc);
     }
@@ -165,10 +160,7 @@ mod tests {
     }
 
     fn push_all(decoder: &mut Decoder, bytes: &[u8]) -> Result<Frame, FrameError> {
-        bytes
-            .iter()
-            .find_map(|byte| decoder.push(*byte))
-            .expect("the bytes end with a delimiter")
+        bytes.iter().find_map(|byte| decoder.push(*byte)).expect("the bytes end with a delimiter")
     }
 
     #[test]
@@ -187,11 +179,7 @@ mod tests {
         let unknown = FrameError::UnknownType { kind: 0x55, seq: 9 };
         assert_eq!(receive(&other), Err(unknown));
         let command = [2, VERSION, 0, 9, 0, 0, 0, 0];
-        for wrong in [
-            &[0, 3, 0, 0, 0][..],
-            &[0, 6, 0, 0, 0, 0],
-            &[0, 3, 0x80, 0, 0, 0],
-        ] {
+        for wrong in [&[0, 3, 0, 0, 0][..], &[0, 6, 0, 0, 0, 0], &[0, 3, 0x80, 0, 0, 0]] {
             assert_eq!(receive(&[&command[..], wrong].concat()), payload(2));
         }
         let telemetry = [0x82, VERSION, 0, 9, 0, 0, 0, 0];

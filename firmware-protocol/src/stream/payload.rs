@@ -42,11 +42,7 @@ pub(super) struct Reader<'a> {
 
 impl<'a> Reader<'a> {
     pub(super) const fn new(payload: &'a [u8], time_us: u32) -> Self {
-        Self {
-            rest: payload,
-            time_us,
-            short: false,
-        }
+        Self { rest: payload, time_us, short: false }
     }
 
     /// Neither a byte too few nor one too many.

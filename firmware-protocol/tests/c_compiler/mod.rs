@@ -25,11 +25,7 @@ const LIBRARY: &[&str] = &["drive_map.c", "drive_modbus.c", "drive_stream.c"];
 pub(crate) fn folder() -> PathBuf {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     let inside = here.join("c");
-    if inside.is_dir() {
-        inside
-    } else {
-        here.join("firmware-protocol").join("c")
-    }
+    if inside.is_dir() { inside } else { here.join("firmware-protocol").join("c") }
 }
 
 /// Compiles the reference slave with a program of its folder into `out`.
@@ -69,12 +65,7 @@ pub(crate) fn build(program: &str, out: &Path) -> PathBuf {
 fn can_sanitize(compiler: &str, out: &Path) -> bool {
     let (source, binary) = (out.join("probe.c"), out.join("probe"));
     std::fs::write(&source, "int main(void) { return 0; }\n").expect("the folder can be written");
-    let built = Command::new(compiler)
-        .args(SANITIZED)
-        .arg(&source)
-        .arg("-o")
-        .arg(&binary)
-        .output();
+    let built = Command::new(compiler).args(SANITIZED).arg(&source).arg("-o").arg(&binary).output();
     let built = built.is_ok_and(|output| output.status.success());
     built && Command::new(&binary).status().is_ok_and(|s| s.success())
 }

@@ -59,18 +59,11 @@ fn the_library_needs_four_functions_of_the_c_library_and_no_more() {
             .arg(&object)
             .output()
             .expect("the compiler can be started");
-        assert!(
-            output.status.success(),
-            "{}",
-            String::from_utf8_lossy(&output.stderr)
-        );
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         let output = Command::new("nm").arg("-u").arg(&object).output();
         let output = output.expect("nm is there: binutils, with which Rust links");
         let text = String::from_utf8_lossy(&output.stdout).into_owned();
-        for name in text
-            .lines()
-            .filter_map(|line| line.split_whitespace().last())
-        {
+        for name in text.lines().filter_map(|line| line.split_whitespace().last()) {
             let of_the_platform = name.starts_with("__stack_chk") || name.starts_with('_');
             assert!(
                 name.starts_with("drive_")
@@ -97,19 +90,12 @@ impl Talk {
         let mut child = command.stdout(Stdio::piped()).spawn().expect("it starts");
         let questions = child.stdin.take().expect("it is a pipe");
         let answers = BufReader::new(child.stdout.take().expect("it is a pipe"));
-        Self {
-            child,
-            questions,
-            answers,
-        }
+        Self { child, questions, answers }
     }
 
     fn ask(&mut self, question: &str) -> Vec<String> {
         let asked = writeln!(self.questions, "{question}").and_then(|()| self.questions.flush());
-        assert!(
-            asked.is_ok(),
-            "the C slave ended; its last words are on stderr"
-        );
+        assert!(asked.is_ok(), "the C slave ended; its last words are on stderr");
         let mut said = Vec::new();
         loop {
             let mut line = String::new();
@@ -161,9 +147,7 @@ fn compare(
 /// Addresses and values where something happens.
 fn pointed_pdu() -> impl Strategy<Value = Vec<u8>> {
     let address = prop::sample::select(
-        &[
-            0_u16, 7, 15, 31, 32, 33, 34, 35, 64, 73, 80, 128, 133, 134, 254,
-        ][..],
+        &[0_u16, 7, 15, 31, 32, 33, 34, 35, 64, 73, 80, 128, 133, 134, 254][..],
     );
     let word = prop_oneof![0_u16..7, Just(0x8000), Just(200), any::<u16>()];
     prop_oneof![
@@ -213,10 +197,8 @@ fn any_rtu_dialogue_gets_the_same_answers_from_the_c_slave() {
 
 #[test]
 fn any_stream_dialogue_gets_the_same_answers_from_the_c_slave() {
-    let payload = prop::collection::vec(
-        prop_oneof![4 => Just(0_u8), 2 => 0..9_u8, 1 => any::<u8>()],
-        0..9,
-    );
+    let payload =
+        prop::collection::vec(prop_oneof![4 => Just(0_u8), 2 => 0..9_u8, 1 => any::<u8>()], 0..9);
     let question = (0_u8..9, any::<u16>(), payload);
     let fitting = (0_u8..9, any::<u16>(), any::<[u8; 6]>(), 0_u8..7).prop_map(
         |(kind, seq, mut payload, small)| {

@@ -29,10 +29,7 @@ pub(crate) fn modbus() -> String {
     let mut example =
         |shows: &str, ask: &dyn Fn(&[u8]) -> Vec<Field>, say: &dyn Fn(&[u8]) -> Vec<Field>| {
             let [request, response] = exchange(shows);
-            let sides = [
-                ("host", &request, ask(&request)),
-                ("drive", &response, say(&response)),
-            ];
+            let sides = [("host", &request, ask(&request)), ("drive", &response, say(&response))];
             writeln!(text, "{shows}:\n\n```text").expect("a string takes it");
             for (who, bytes, fields) in sides {
                 take_apart(&mut text, who, bytes, &fields);
@@ -47,13 +44,7 @@ pub(crate) fn modbus() -> String {
     );
     example(
         "command 2: voltage 12.000 V",
-        &|bytes| {
-            command(
-                bytes,
-                "unit 1|function 1|first address 2|registers 2|byte count 1",
-                7,
-            )
-        },
+        &|bytes| command(bytes, "unit 1|function 1|first address 2|registers 2|byte count 1", 7),
         &fixed("unit 1|function 1|first address 2|registers 2|CRC 2"),
     );
     example(
@@ -115,11 +106,7 @@ pub(crate) fn stream() -> String {
         take_apart(&mut text, "frame", &plain, &fields);
         text += "```\n\n";
     }
-    assert_eq!(
-        seen.len(),
-        MessageType::ALL.len(),
-        "a message has no example"
-    );
+    assert_eq!(seen.len(), MessageType::ALL.len(), "a message has no example");
     text
 }
 
@@ -177,9 +164,7 @@ fn named(text: &str) -> Vec<Field> {
 
 /// Registers from `address` on with their values; the bytes end with a whole value.
 fn registers(address: u16, bytes: &[u8]) -> Vec<Field> {
-    let words = bytes
-        .chunks_exact(2)
-        .map(|pair| u16::from_be_bytes([pair[0], pair[1]]));
+    let words = bytes.chunks_exact(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]]));
     let block: Vec<u16> = words.collect();
     let end = address + u16::try_from(block.len()).expect("a short block");
     let inside = |register: &&Register| (address..end).contains(&register.address);
@@ -208,17 +193,11 @@ fn take_apart(text: &mut String, who: &str, bytes: &[u8], fields: &[Field]) {
 /// Request and response of the vector that shows this.
 fn exchange(shows: &str) -> [Vec<u8>; 2] {
     let vectors = committed("vectors/modbus-rtu.txt");
-    let mut lines = vectors
-        .lines()
-        .skip_while(|line| line.strip_prefix("# ") != Some(shows));
+    let mut lines = vectors.lines().skip_while(|line| line.strip_prefix("# ") != Some(shows));
     let mut side = |mark: &str| {
         lines.next();
         let mut here = lines.clone();
-        unhex(
-            here.next()
-                .and_then(|line| line.strip_prefix(mark))
-                .expect(shows),
-        )
+        unhex(here.next().and_then(|line| line.strip_prefix(mark)).expect(shows))
     };
     [side("> "), side("< ")]
 }

@@ -39,10 +39,7 @@ fn rtu_work(bytes: impl Iterator<Item = u8>, asks_late: bool) -> u64 {
 }
 
 fn few() -> ProptestConfig {
-    ProptestConfig {
-        cases: 40,
-        ..config()
-    }
+    ProptestConfig { cases: 40, ..config() }
 }
 
 proptest! {

@@ -19,9 +19,7 @@ use crate::support::{
 fn dialogue() -> impl Iterator<Item = (&'static str, &'static str)> {
     let lines = |mark| {
         let text = include_str!("dialogue.txt");
-        text.lines()
-            .skip(1)
-            .filter_map(move |line| line.strip_prefix(mark))
+        text.lines().skip(1).filter_map(move |line| line.strip_prefix(mark))
     };
     lines("# ").zip(lines("> "))
 }
@@ -90,10 +88,7 @@ fn exchanges(name: &str) -> Vec<(Vec<u8>, Vec<u8>)> {
 #[test]
 fn the_receivers_answer_the_committed_dialogues() {
     let exchanges_rtu = exchanges("vectors/modbus-rtu.txt");
-    assert_eq!(
-        exchanges_rtu.len(),
-        dialogue().count() + UNANSWERED.len() + 2
-    );
+    assert_eq!(exchanges_rtu.len(), dialogue().count() + UNANSWERED.len() + 2);
     let (mut receiver, mut bank) = (RtuReceiver::new(UNIT), Bank::new());
     for (request, response) in exchanges_rtu {
         let said = serve(&mut receiver, &mut bank, &request, true).concat();
@@ -105,12 +100,7 @@ fn the_receivers_answer_the_committed_dialogues() {
             .iter()
             .find_map(|byte| receiver.push(*byte).expect("the header is right"))
             .expect("a whole request");
-        assert_eq!(
-            hex(&frame.answer(&mut bank)),
-            hex(&response),
-            "to {}",
-            hex(&request)
-        );
+        assert_eq!(hex(&frame.answer(&mut bank)), hex(&response), "to {}", hex(&request));
     }
 }
 
@@ -119,20 +109,11 @@ fn frames() -> Vec<(&'static str, Frame)> {
     let command = |seq, control| Frame::command(DriveCommand { seq, control });
     let ask = Frame::ask;
     let answer = |seq, message| Frame::answer(seq, 1_000_000, message);
-    let complete = CaptureStatus {
-        state: CaptureState::Complete,
-        count: 2000,
-        first_time_us: 500_000,
-    };
-    let refusal = Refusal {
-        kind: MessageType::Command.code(),
-        code: ErrorCode::NotSupported,
-    };
-    let sample = |voltage_v, current_a, speed_rad_s| CaptureSample {
-        voltage_v,
-        current_a,
-        speed_rad_s,
-    };
+    let complete =
+        CaptureStatus { state: CaptureState::Complete, count: 2000, first_time_us: 500_000 };
+    let refusal = Refusal { kind: MessageType::Command.code(), code: ErrorCode::NotSupported };
+    let sample =
+        |voltage_v, current_a, speed_rad_s| CaptureSample { voltage_v, current_a, speed_rad_s };
     let samples = [sample(24.0, -2.5, 60.0), sample(f64::NAN, 0.0, -0.5)];
     let block = CaptureBlock::new(1998, &samples);
     let mut stopped = telemetry();
@@ -146,33 +127,18 @@ fn frames() -> Vec<(&'static str, Frame)> {
         ("identity", answer(1, Message::Identity(identity()))),
         ("command: disable", command(2, Control::Disable)),
         ("command: voltage 12 V", command(3, Control::Voltage(12.0))),
-        (
-            "command: current -0.5 A",
-            command(4, Control::Current(-0.5)),
-        ),
-        (
-            "command: speed 100 rad/s",
-            command(5, Control::Speed(100.0)),
-        ),
+        ("command: current -0.5 A", command(4, Control::Current(-0.5))),
+        ("command: speed 100 rad/s", command(5, Control::Speed(100.0))),
         (running, Frame::telemetry(5, telemetry())),
         ("telemetry, disabled", Frame::telemetry(6, stopped)),
         ("telemetry request", ask(6, Message::TelemetryRequest)),
         ("watchdog 100 ms", ask(7, Message::SetWatchdog(100))),
         ("capture: arm", ask(8, arm)),
         ("capture: how far?", ask(9, Message::CaptureStatusRequest)),
-        (
-            "capture: complete, 2000 samples from 500000 us",
-            answer(9, status),
-        ),
-        (
-            "capture: samples from 1998 on",
-            ask(10, Message::CaptureRequest(1998)),
-        ),
+        ("capture: complete, 2000 samples from 500000 us", answer(9, status)),
+        ("capture: samples from 1998 on", ask(10, Message::CaptureRequest(1998))),
         (two_samples, answer(10, Message::CaptureBlock(block))),
-        (
-            "refused: command, not supported",
-            answer(11, Message::Error(refusal)),
-        ),
+        ("refused: command, not supported", answer(11, Message::Error(refusal))),
     ]
 }
 

@@ -59,10 +59,7 @@ fn header() -> String {
         }
         if let Some(raw) = register.not_available() {
             // The smallest 32-bit number is no literal in C.
-            define(
-                &format!("{name}_NOT_AVAILABLE"),
-                format!("({} - 1)", raw + 1),
-            );
+            define(&format!("{name}_NOT_AVAILABLE"), format!("({} - 1)", raw + 1));
         }
     }
     define("WATCHDOG_MIN_MS", registers::WATCHDOG.min.to_string());

@@ -170,10 +170,7 @@ fn a_long_identification_comes_in_several_answers() {
 #[test]
 fn the_checksum_has_its_published_check_value() {
     assert_eq!(rtu::crc16(b"123456789"), 0x4B37);
-    assert_eq!(
-        hex(&frame(0x11, "03 00 6b 00 03")),
-        "11 03 00 6b 00 03 76 87"
-    );
+    assert_eq!(hex(&frame(0x11, "03 00 6b 00 03")), "11 03 00 6b 00 03 76 87");
 }
 
 fn frame(unit: u8, pdu: &str) -> Vec<u8> {

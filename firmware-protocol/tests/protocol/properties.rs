@@ -38,17 +38,8 @@ pub(crate) fn pdu() -> impl Strategy<Value = Vec<u8>> {
         (0_u16..300, 1_u16..126).prop_map(|(address, quantity)| read(4, address, quantity)),
         (0_u16..300, any::<u16>()).prop_map(|(address, value)| read(6, address, value)),
         (0_u16..300, vec(any::<u16>(), 1..124)).prop_map(|(a, values)| write(vec![16], a, &values)),
-        (
-            0_u16..300,
-            1_u16..126,
-            0_u16..300,
-            vec(any::<u16>(), 1..122)
-        )
-            .prop_map(|(from, quantity, to, values)| write(
-                read(23, from, quantity),
-                to,
-                &values
-            )),
+        (0_u16..300, 1_u16..126, 0_u16..300, vec(any::<u16>(), 1..122))
+            .prop_map(|(from, quantity, to, values)| write(read(23, from, quantity), to, &values)),
     ]
 }
 
@@ -79,13 +70,7 @@ fn sample() -> impl Strategy<Value = CaptureSample> {
 
 fn telemetry() -> impl Strategy<Value = Telemetry> {
     let whole = (any::<[u16; 4]>(), any::<[u32; 2]>());
-    let values = (
-        sample(),
-        -200_000.0..200_000.0,
-        0.0..6000.0,
-        -300.0..300.0,
-        -300.0..300.0,
-    );
+    let values = (sample(), -200_000.0..200_000.0, 0.0..6000.0, -300.0..300.0, -300.0..300.0);
     (whole, values).prop_map(|((words, times), values)| Telemetry {
         status: Status(words[0]),
         fault: Fault::from_code(words[1]),

@@ -111,35 +111,16 @@ fn an_old_set_point_does_not_come_back_with_a_control_word_alone() {
         (32, &run[..], command(7, Voltage(12.0)), "a whole block"),
         (33, &[1], command(7, Stop), "stopped"),
         (33, &[3], command(7, Voltage(0.0)), "12 V are forgotten"),
-        (
-            34,
-            &[0, 5000],
-            command(7, Voltage(5.0)),
-            "a set-point alone",
-        ),
-        (
-            33,
-            &[5],
-            command(7, Speed(0.0)),
-            "5 V must not become 5 rad/s",
-        ),
+        (34, &[0, 5000], command(7, Voltage(5.0)), "a set-point alone"),
+        (33, &[5], command(7, Speed(0.0)), "5 V must not become 5 rad/s"),
         (34, &[0, 5000], command(7, Speed(5.0)), "a set-point alone"),
-        (
-            32,
-            &[8],
-            command(8, Speed(5.0)),
-            "a new number alone keeps the rest",
-        ),
+        (32, &[8], command(8, Speed(5.0)), "a new number alone keeps the rest"),
     ] {
         assert_eq!(block.write(address, words), wanted, "{why}");
     }
     block.forget();
     assert_eq!(block.write(34, &[0, 5000]), command(8, Disable));
-    assert_eq!(
-        block.registers(),
-        [8, 0, 0, 0],
-        "no set-point is kept while stopped"
-    );
+    assert_eq!(block.registers(), [8, 0, 0, 0], "no set-point is kept while stopped");
     let half = registers::check_write(35, &[0, 0]);
     assert_eq!(half, Err(WriteError::HalfValue));
     let before = block;
@@ -153,10 +134,9 @@ fn an_old_set_point_does_not_come_back_with_a_control_word_alone() {
 fn identity_survives_and_a_stranger_is_named() {
     let block = identity().to_registers();
     assert_eq!(Identity::from_registers(&block), Ok(identity()));
-    for (at, word, error) in [
-        (0, 0x7777, IdentityError::Magic(0x7777)),
-        (1, 2, IdentityError::Version(2)),
-    ] {
+    for (at, word, error) in
+        [(0, 0x7777, IdentityError::Magic(0x7777)), (1, 2, IdentityError::Version(2))]
+    {
         let mut stranger = block;
         stranger[at] = word;
         assert_eq!(Identity::from_registers(&stranger), Err(error));
@@ -178,11 +158,7 @@ fn codes_of_states_and_faults_are_their_positions() {
 
 #[test]
 fn captured_samples_stand_in_the_window_as_the_table_says() {
-    let sample = CaptureSample {
-        voltage_v: 24.0,
-        current_a: -2.0,
-        speed_rad_s: 10.0,
-    };
+    let sample = CaptureSample { voltage_v: 24.0, current_a: -2.0, speed_rad_s: 10.0 };
     assert_eq!(sample.to_registers(), [2400, 0xFF38, 500]);
     let back = CaptureSample::from_registers(&sample.to_registers());
     assert_eq!(back, sample);

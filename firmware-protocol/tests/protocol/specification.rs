@@ -43,10 +43,7 @@ fn spec() -> String {
         ("modbus_check", format!("{:04X}", rtu::crc16(b"123456789"))),
         ("modbus_examples", examples::modbus()),
         ("stream_examples", examples::stream()),
-        (
-            "stream_check",
-            format!("{:04X}", stream::crc16(b"123456789")),
-        ),
+        ("stream_check", format!("{:04X}", stream::crc16(b"123456789"))),
     ];
     let mut text = include_str!("specification.md.in").to_owned();
     for (name, value) in values {
@@ -55,10 +52,7 @@ fn spec() -> String {
         text = text.replace(&place, &value);
     }
     let text = text.trim_end().to_owned() + "\n";
-    assert!(
-        !text.contains("{{"),
-        "the template has a place without a value"
-    );
+    assert!(!text.contains("{{"), "the template has a place without a value");
     text
 }
 
@@ -73,9 +67,7 @@ fn block(addresses: std::ops::Range<u16>) -> String {
             Access::Read => "r",
             Access::ReadWrite => "rw",
         };
-        let missing = register
-            .not_available()
-            .map_or(String::new(), |raw| raw.to_string());
+        let missing = register.not_available().map_or(String::new(), |raw| raw.to_string());
         writeln!(
             text,
             "| {} | `{}` | {} | {access} | {} | {} | {} .. {} | {missing} | {} |",
@@ -144,17 +136,9 @@ fn messages() -> String {
             MessageType::CaptureRequest => "CaptureBlock",
             _ => "",
         };
-        let from = if kind.code() & 0x80 == 0 {
-            "host"
-        } else {
-            "drive"
-        };
-        writeln!(
-            text,
-            "| 0x{:02X} | {kind:?} | {from} | {payload} | {answer} |",
-            kind.code()
-        )
-        .expect("a string takes it");
+        let from = if kind.code() & 0x80 == 0 { "host" } else { "drive" };
+        writeln!(text, "| 0x{:02X} | {kind:?} | {from} | {payload} | {answer} |", kind.code())
+            .expect("a string takes it");
     }
     text
 }
@@ -170,12 +154,8 @@ fn errors() -> String {
 fn telemetry_payload() -> String {
     let mut text = "| field | type | scale | unit |\n|---|---|---|---|\n".to_owned();
     for field in telemetry_fields() {
-        writeln!(
-            text,
-            "| `{}` | {} | {} | {} |",
-            field.0, field.1, field.2, field.3
-        )
-        .expect("a string takes it");
+        writeln!(text, "| `{}` | {} | {} | {} |", field.0, field.1, field.2, field.3)
+            .expect("a string takes it");
     }
     text
 }

@@ -68,9 +68,8 @@ impl Bank {
             Control::Voltage(_) | Control::Current(_) | Control::Speed(_) => State::Running,
         };
         self.telemetry.seq = command.seq;
-        self.telemetry.status = Status::new(state)
-            .with(Status::COMMAND_APPLIED, true)
-            .with(Status::EMULATOR, true);
+        self.telemetry.status =
+            Status::new(state).with(Status::COMMAND_APPLIED, true).with(Status::EMULATOR, true);
         if self.capture_state() == CaptureState::Armed {
             self.set_capture_state(CaptureState::Recording);
         }
@@ -204,10 +203,7 @@ pub(crate) fn stream_frame(frame: &Frame) -> Vec<u8> {
 /// Every frame, and every damage, in the bytes of a stream.
 pub(crate) fn decode(bytes: &[u8]) -> Vec<Result<Frame, FrameError>> {
     let mut decoder = Decoder::new();
-    bytes
-        .iter()
-        .filter_map(|byte| decoder.push(*byte))
-        .collect()
+    bytes.iter().filter_map(|byte| decoder.push(*byte)).collect()
 }
 
 /// The response to a request, both without their frames.

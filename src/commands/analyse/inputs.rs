@@ -23,11 +23,7 @@ pub(super) fn runs(named: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
     };
     for path in named {
         if path.exists() {
-            let inside = if path.is_dir() {
-                below(path)
-            } else {
-                Vec::new()
-            };
+            let inside = if path.is_dir() { below(path) } else { Vec::new() };
             if inside.is_empty() {
                 // Also a folder without a run in it: that it has none is its answer.
                 add(resolved(path));
@@ -40,10 +36,8 @@ pub(super) fn runs(named: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
             let headline = format!("{}: there is no such run or folder of runs", path.display());
             return Err(Failure::usage(headline, "check the path"));
         }
-        let matched: Vec<PathBuf> = expanded(path)
-            .into_iter()
-            .flat_map(|path| below(&path))
-            .collect();
+        let matched: Vec<PathBuf> =
+            expanded(path).into_iter().flat_map(|path| below(&path)).collect();
         if matched.is_empty() {
             let headline = format!("{text}: no run has a path like this");
             let help = "* and ? stand for letters of one name, ** for any folders between";
@@ -107,18 +101,12 @@ fn expanded(pattern: &Path) -> Vec<PathBuf> {
 }
 
 fn here(base: &Path) -> &Path {
-    if base.as_os_str().is_empty() {
-        Path::new(".")
-    } else {
-        base
-    }
+    if base.as_os_str().is_empty() { Path::new(".") } else { base }
 }
 
 fn names(base: &Path) -> Vec<String> {
     let entries = fs::read_dir(here(base)).into_iter().flatten().flatten();
-    entries
-        .map(|entry| entry.file_name().to_string_lossy().into_owned())
-        .collect()
+    entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
 }
 
 /// The folder and all below it.
@@ -182,11 +170,7 @@ mod tests {
             (".git", ".*", true),
             ("axbxc", "a*b*c", true),
         ] {
-            assert_eq!(
-                has_form(name.as_bytes(), pattern.as_bytes()),
-                is_so,
-                "{name} {pattern}"
-            );
+            assert_eq!(has_form(name.as_bytes(), pattern.as_bytes()), is_so, "{name} {pattern}");
         }
     }
 
@@ -196,11 +180,7 @@ mod tests {
         for run in ["b/2", "b/1", "a/deep/3", "c"] {
             fs::create_dir_all(root.path().join(run)).unwrap();
         }
-        for run in [
-            "b/2/samples.csv",
-            "b/1/samples.csv",
-            "a/deep/3/manifest.json",
-        ] {
+        for run in ["b/2/samples.csv", "b/1/samples.csv", "a/deep/3/manifest.json"] {
             fs::write(root.path().join(run), "").unwrap();
         }
         std::os::unix::fs::symlink("1", root.path().join("b/latest")).unwrap();
@@ -217,11 +197,7 @@ mod tests {
         assert_eq!(named(&["b/2", "b", "b/latest"]).unwrap(), ["b/1", "b/2"]);
         assert_eq!(named(&["b/*"]).unwrap(), ["b/1", "b/2"]);
         assert_eq!(named(&["**/3"]).unwrap(), ["a/deep/3"]);
-        assert_eq!(
-            named(&["c"]).unwrap(),
-            ["c"],
-            "its row says that nothing is in it"
-        );
+        assert_eq!(named(&["c"]).unwrap(), ["c"], "its row says that nothing is in it");
         assert!(named(&["c*"]).is_err() && named(&["d"]).is_err());
     }
 }

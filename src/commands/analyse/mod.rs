@@ -80,10 +80,7 @@ pub(super) struct Arguments {
 pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let _endable = signals::endable()?;
     let shown = progress::begin("analyse");
-    let words = format!(
-        "{:?} {:?} {}",
-        arguments.map, arguments.scheme, arguments.diagnose
-    );
+    let words = format!("{:?} {:?} {}", arguments.map, arguments.scheme, arguments.diagnose);
     let model = arguments.model.as_deref();
     let sum = analyse(&AnalysisRequest {
         runs: &arguments.runs,
@@ -91,11 +88,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         scheme: arguments.scheme.as_deref(),
         diagnose: arguments.diagnose,
         out: arguments.out.as_deref(),
-        form: if arguments.json {
-            Form::JsonLines
-        } else {
-            Form::Csv
-        },
+        form: if arguments.json { Form::JsonLines } else { Form::Csv },
         resume: arguments.resume,
         shard: arguments.shard,
         jobs: arguments.jobs,
@@ -177,10 +170,7 @@ impl Analysed {
         );
         for (count, what) in [
             (self.kept, "rows kept from before"),
-            (
-                self.left_out,
-                "rows of other runs, options or versions left out",
-            ),
+            (self.left_out, "rows of other runs, options or versions left out"),
         ] {
             if count > 0 {
                 let _ = write!(text, "; {count} {what}");
@@ -201,9 +191,7 @@ impl Analysed {
 
 /// The checksum of what the rows depend on: words of the command line, and the model file's text.
 pub(crate) fn analysis_of(words: &str, model: Option<&Path>) -> String {
-    let text = model
-        .and_then(|path| std::fs::read(path).ok())
-        .unwrap_or_default();
+    let text = model.and_then(|path| std::fs::read(path).ok()).unwrap_or_default();
     format!("{:016x}", fnv_1a(fnv_1a(EMPTY, words.bytes()), text))
 }
 
@@ -244,11 +232,7 @@ pub(crate) fn analyse(request: &AnalysisRequest<'_>) -> Result<Analysed, Failure
         .out
         .map(|path| Table::open(path, all.clone(), &request.analysis, request.resume, &named));
     drop(named);
-    let sink = Sink {
-        table: table.transpose()?,
-        columns: all,
-        form: request.form,
-    };
+    let sink = Sink { table: table.transpose()?, columns: all, form: request.form };
     if sink.table.is_none() && request.form == Form::Csv {
         let names: Vec<&str> = sink.columns.iter().map(|(name, _)| name.as_str()).collect();
         output::line(line_of(&names).trim_end())?;
@@ -256,9 +240,7 @@ pub(crate) fn analyse(request: &AnalysisRequest<'_>) -> Result<Analysed, Failure
     let cores = || std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
     let jobs = request.jobs.map_or_else(cores, NonZeroUsize::get);
     // Where somebody has asked before, the threads within a run are as they are; rows do not depend on them.
-    let _ = rayon::ThreadPoolBuilder::new()
-        .num_threads(jobs)
-        .build_global();
+    let _ = rayon::ThreadPoolBuilder::new().num_threads(jobs).build_global();
     let window = WINDOW * jobs;
     progress::stage("analyses the runs", runs.len());
     let line = Mutex::new(Line {
@@ -279,10 +261,7 @@ pub(crate) fn analyse(request: &AnalysisRequest<'_>) -> Result<Analysed, Failure
     if let Some(failure) = line.ended {
         return Err(failure);
     }
-    let mut sum = Analysed {
-        runs: runs.len(),
-        ..line.sum
-    };
+    let mut sum = Analysed { runs: runs.len(), ..line.sum };
     if let Some(table) = line.sink.table {
         sum.left_out = table.finish(&runs)?;
         sum.output = request.out.map(|path| path.display().to_string());
@@ -379,11 +358,8 @@ fn work(
         next.begun += 1;
         drop(next);
         let content = row::content(run);
-        let kept = lock()
-            .sink
-            .table
-            .as_ref()
-            .and_then(|table| table.kept(&row::name(run), &content));
+        let kept =
+            lock().sink.table.as_ref().and_then(|table| table.kept(&row::name(run), &content));
         let ready = kept.map_or_else(
             || {
                 let (cells, status) = row::row(run, &content, request, columns);

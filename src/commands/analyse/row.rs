@@ -37,23 +37,15 @@ impl Cell {
         let text: String = text.into();
         // A row is a line.
         let text = text.replace(['\n', '\r'], " ");
-        if text.is_empty() {
-            Self::Empty
-        } else {
-            Self::Word(text)
-        }
+        if text.is_empty() { Self::Empty } else { Self::Word(text) }
     }
 
     fn quantity(value: Option<f64>) -> Self {
-        value
-            .filter(|value| value.is_finite())
-            .map_or(Self::Empty, Self::Quantity)
+        value.filter(|value| value.is_finite()).map_or(Self::Empty, Self::Quantity)
     }
 
     fn count(count: Option<usize>) -> Self {
-        count
-            .and_then(|count| u64::try_from(count).ok())
-            .map_or(Self::Empty, Self::Count)
+        count.and_then(|count| u64::try_from(count).ok()).map_or(Self::Empty, Self::Count)
     }
 
     /// As a cell of a CSV.
@@ -160,13 +152,9 @@ impl Columns {
     pub(super) fn of(model: Model) -> Self {
         let motor = MotorKey::ALL.map(|key| key.key().to_owned());
         let slots = model.slots();
-        let effects = slots
-            .iter()
-            .filter(|slot| matches!(slot, Slot::Effect { .. }));
-        let keys = motor
-            .into_iter()
-            .chain([temperature::KEY.to_owned()])
-            .chain(effects.map(Slot::key));
+        let effects = slots.iter().filter(|slot| matches!(slot, Slot::Effect { .. }));
+        let keys =
+            motor.into_iter().chain([temperature::KEY.to_owned()]).chain(effects.map(Slot::key));
         let keys = keys.collect();
         Self { model, keys }
     }
@@ -184,12 +172,7 @@ impl Columns {
                 (format!("{name}_verdict"), ColumnKind::Word),
             ]
         });
-        ABOUT
-            .map(own)
-            .into_iter()
-            .chain(parameters)
-            .chain(ANSWER.map(own))
-            .collect()
+        ABOUT.map(own).into_iter().chain(parameters).chain(ANSWER.map(own)).collect()
     }
 }
 
@@ -270,33 +253,20 @@ pub(super) fn row(
     let work = || analyse(run, request, &columns.model, &mut found);
     let (ended, said) = output::aside(|| {
         catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| {
-            Err(Failure::new(
-                INTERNAL,
-                "a fault of the program, which this run brings about",
-            ))
+            Err(Failure::new(INTERNAL, "a fault of the program, which this run brings about"))
         })
     });
     let (status, reason) = judged(ended, &found);
-    let cells = cells(
-        run,
-        content,
-        request,
-        columns,
-        (status, &reason),
-        &found,
-        said,
-    );
+    let cells = cells(run, content, request, columns, (status, &reason), &found, said);
     (cells, status)
 }
 
 /// How far it came, and why no further. What was read is not unread whatever comes behind it.
 fn judged(ended: Result<(), Failure>, found: &Found) -> (Status, String) {
-    let reason = ended
-        .err()
-        .map(|failure| match (failure.headline(), &found.one) {
-            (headline, Some(_)) => format!("no diagnosis: {headline}"),
-            (headline, None) => headline.to_owned(),
-        });
+    let reason = ended.err().map(|failure| match (failure.headline(), &found.one) {
+        (headline, Some(_)) => format!("no diagnosis: {headline}"),
+        (headline, None) => headline.to_owned(),
+    });
     let parameters = || found.one.iter().flat_map(|one| &one.parameters);
     if found.about.is_none() {
         (Status::Unread, reason.unwrap_or_default())
@@ -304,10 +274,7 @@ fn judged(ended: Result<(), Failure>, found: &Found) -> (Status, String) {
         (Status::Ok, reason.unwrap_or_default())
     } else {
         let own = || parameters().find_map(|parameter| parameter.reason.clone());
-        (
-            Status::NotIdentified,
-            reason.or_else(own).unwrap_or_default(),
-        )
+        (Status::NotIdentified, reason.or_else(own).unwrap_or_default())
     }
 }
 
@@ -348,11 +315,7 @@ fn analyse(
         };
         found.answer = Some(Answer {
             verdict: serde_json::to_value(found_effects.verdict).unwrap_or_default(),
-            effects: found_effects
-                .effects
-                .iter()
-                .map(|id| (*id).to_owned())
-                .collect(),
+            effects: found_effects.effects.iter().map(|id| (*id).to_owned()).collect(),
             probabilities: found_effects
                 .effects
                 .iter()
@@ -378,10 +341,7 @@ impl About {
             rows,
             rows_dropped: run.rows_dropped,
             rows_limited: run.limited_rows().len(),
-            duration_s: times
-                .first()
-                .zip(times.last())
-                .map(|(begin, end)| end - begin),
+            duration_s: times.first().zip(times.last()).map(|(begin, end)| end - begin),
             period_s: period,
             notes: loaded.warnings.clone(),
             manifest,
@@ -401,14 +361,7 @@ impl Identified {
             scheme: one.found.scheme,
             parameters: one.found.parameters.clone(),
             residual: residual(one),
-            notes: one
-                .loaded
-                .run
-                .notes
-                .iter()
-                .chain(&one.found.notes)
-                .cloned()
-                .collect(),
+            notes: one.loaded.run.notes.iter().chain(&one.found.notes).cloned().collect(),
         }
     }
 }
@@ -422,11 +375,7 @@ fn residual(one: &OneRun) -> Option<(f64, &'static str)> {
     }
     one.found.model.require_complete().ok()?;
     let at_rest = NoiseFloor::from_standstill(scenario);
-    let unit = if at_rest.is_some() {
-        "noise_at_rest"
-    } else {
-        "share_of_spread"
-    };
+    let unit = if at_rest.is_some() { "noise_at_rest" } else { "share_of_spread" };
     let noise = at_rest.unwrap_or_else(|| NoiseFloor::from_spread(scenario));
     let score = Score::of(&one.found.model, scenario, &noise).ok()?;
     Some((score.nrms, unit))
@@ -441,11 +390,7 @@ fn cells(
     found: &Found,
     said: Vec<String>,
 ) -> Vec<Cell> {
-    let (about, one, answer) = (
-        found.about.as_ref(),
-        found.one.as_ref(),
-        found.answer.as_ref(),
-    );
+    let (about, one, answer) = (found.about.as_ref(), found.one.as_ref(), found.answer.as_ref());
     let word = |of: fn(&About) -> String| about.map_or(Cell::Empty, |about| Cell::word(of(about)));
     let count = |of: fn(&About) -> Option<u64>| about.and_then(of).map_or(Cell::Empty, Cell::Count);
     let size = |of: fn(&About) -> usize| Cell::count(about.map(of));
@@ -466,13 +411,7 @@ fn cells(
         size(|about| about.rows_dropped),
         size(|about| about.rows_limited),
         count(|about| about.statistic("sent")),
-        count(|about| {
-            Some(
-                about
-                    .statistic("sent")?
-                    .saturating_sub(about.statistic("ok")?),
-            )
-        }),
+        count(|about| Some(about.statistic("sent")?.saturating_sub(about.statistic("ok")?))),
         count(|about| about.manifest.missed_cycles),
         Cell::quantity(about.and_then(|about| about.duration_s)),
         Cell::quantity(about.and_then(|about| about.period_s)),
@@ -492,14 +431,9 @@ fn cells(
     }
     let mut notes: Vec<String> = Vec::new();
     let own = about.into_iter().flat_map(|about| &about.notes);
-    let own = own
-        .chain(one.into_iter().flat_map(|one| &one.notes))
-        .cloned();
+    let own = own.chain(one.into_iter().flat_map(|one| &one.notes)).cloned();
     for note in own.chain(said) {
-        let note = note
-            .strip_prefix("warning: ")
-            .map(str::to_owned)
-            .unwrap_or(note);
+        let note = note.strip_prefix("warning: ").map(str::to_owned).unwrap_or(note);
         if !notes.contains(&note) {
             notes.push(note);
         }
@@ -508,11 +442,7 @@ fn cells(
     cells.extend([
         Cell::quantity(residual.map(|(size, _)| size)),
         Cell::word(residual.map_or("", |(_, unit)| unit)),
-        Cell::word(
-            answer
-                .and_then(|answer| answer.verdict.as_str())
-                .unwrap_or_default(),
-        ),
+        Cell::word(answer.and_then(|answer| answer.verdict.as_str()).unwrap_or_default()),
         Cell::word(answer.map_or(String::new(), |answer| answer.effects.join(";"))),
         Cell::word(answer.map_or(String::new(), |answer| answer.probabilities.join(";"))),
         Cell::quantity(answer.map(|answer| answer.holdout)),
@@ -557,14 +487,8 @@ mod tests {
         let reason = "no diagnosis: the hold-out is short".to_owned();
         let nothing = ParameterEstimate::not_observable("inductance_h", "H", "sample faster");
         found.one = Some(of(nothing));
-        assert_eq!(
-            judged(Ok(()), &found),
-            (Status::NotIdentified, "sample faster".to_owned())
-        );
-        assert_eq!(
-            judged(refused(), &found),
-            (Status::NotIdentified, reason.clone())
-        );
+        assert_eq!(judged(Ok(()), &found), (Status::NotIdentified, "sample faster".to_owned()));
+        assert_eq!(judged(refused(), &found), (Status::NotIdentified, reason.clone()));
         let inertia = ParameterEstimate::found("inertia_kg_m2", "kg.m2", 0.004, 1e-5, None);
         found.one = Some(of(inertia));
         assert_eq!(judged(Ok(()), &found), (Status::Ok, String::new()));

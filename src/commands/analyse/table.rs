@@ -60,10 +60,8 @@ impl Table {
         if !resume {
             output::refuse_existing(path, "--out")?;
             if part.exists() {
-                let headline = format!(
-                    "{}: rows of an analysis that did not come to its end",
-                    part.display()
-                );
+                let headline =
+                    format!("{}: rows of an analysis that did not come to its end", part.display());
                 return Err(Failure::usage(
                     headline,
                     "go on with them by --resume, or move them away",
@@ -92,11 +90,7 @@ impl Table {
                 "wait for its end, or give another name to --out",
             ));
         }
-        let mut known = Known {
-            analysis,
-            rows: HashMap::new(),
-            others: Vec::new(),
-        };
+        let mut known = Known { analysis, rows: HashMap::new(), others: Vec::new() };
         let mut sources = vec![journal.try_clone().map_err(|error| cannot(&error))?];
         if resume && path.exists() {
             let mut table = File::open(path).map_err(|error| {
@@ -105,9 +99,7 @@ impl Table {
                     "check the path",
                 )
             })?;
-            known
-                .read(&mut table, 1, &header)
-                .map_err(|error| cannot(&error))?;
+            known.read(&mut table, 1, &header).map_err(|error| cannot(&error))?;
             sources.push(table);
         }
         // What was torn when the program was killed is cut.
@@ -181,19 +173,14 @@ impl Table {
         let _whole = signals::writing();
         self.assemble(&new, runs).map_err(cannot)?;
         if is_parquet(&self.path)? {
-            let kinds: HashMap<&str, ColumnKind> = self
-                .columns
-                .iter()
-                .map(|(name, kind)| (name.as_str(), *kind))
-                .collect();
+            let kinds: HashMap<&str, ColumnKind> =
+                self.columns.iter().map(|(name, kind)| (name.as_str(), *kind)).collect();
             let kind = |name: &str| kinds.get(name).copied().unwrap_or(ColumnKind::Word);
             let csv = File::open(&new).map_err(cannot)?;
             let columns = parquet(BufReader::new(csv), kind).map_err(Failure::internal)?;
             fs::write(&new, columns).map_err(cannot)?;
         }
-        File::open(&new)
-            .and_then(|file| file.sync_all())
-            .map_err(cannot)?;
+        File::open(&new).and_then(|file| file.sync_all()).map_err(cannot)?;
         fs::rename(&new, &self.path).map_err(cannot)?;
         fs::remove_file(beside(&self.path, "part")).map_err(cannot)?;
         Ok(self.replaced + self.rows.len().saturating_sub(runs.len()))
@@ -225,10 +212,7 @@ fn is_parquet(path: &Path) -> Result<bool, Failure> {
         Some("parquet") => require_parquet().map(|()| true),
         _ => {
             let headline = format!("--out {}: its form is not known", path.display());
-            Err(Failure::usage(
-                headline,
-                "allowed: a name that ends with .csv or .parquet",
-            ))
+            Err(Failure::usage(headline, "allowed: a name that ends with .csv or .parquet"))
         }
     }
 }
@@ -268,10 +252,8 @@ fn refuse_other(path: &Path, header: &str, may_be_torn: bool) -> Result<(), Fail
     if is_ours || may_be_torn && header.as_bytes().starts_with(&first) {
         return Ok(());
     }
-    let headline = format!(
-        "{}: not a table of this analysis: its columns are others",
-        path.display()
-    );
+    let headline =
+        format!("{}: not a table of this analysis: its columns are others", path.display());
     let help =
         "another --model has other columns, another version may have; give another name to --out";
     Err(Failure::usage(headline, help))
@@ -300,9 +282,8 @@ impl Known<'_> {
             }
             if !std::mem::take(&mut is_first) {
                 let mut record = csv::StringRecord::new();
-                let mut reader = csv::ReaderBuilder::new()
-                    .has_headers(false)
-                    .from_reader(&line[..]);
+                let mut reader =
+                    csv::ReaderBuilder::new().has_headers(false).from_reader(&line[..]);
                 let is_read = reader.read_record(&mut record).unwrap_or(false);
                 let taken = is_read.then(|| self.take(&record, (source, offset, length)));
                 if taken.is_none_or(|taken| taken.is_none()) {

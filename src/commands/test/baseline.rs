@@ -31,14 +31,8 @@ pub(super) struct Baseline {
 }
 
 enum Source {
-    Run {
-        path: PathBuf,
-        manifest: Box<Manifest>,
-    },
-    Result {
-        path: PathBuf,
-        result: Value,
-    },
+    Run { path: PathBuf, manifest: Box<Manifest> },
+    Result { path: PathBuf, result: Value },
 }
 
 impl Baseline {
@@ -46,10 +40,7 @@ impl Baseline {
     pub(super) fn read(paths: &[PathBuf], any_machine: bool) -> Result<Option<Self>, Failure> {
         let sources: Result<Vec<Source>, Failure> = paths.iter().map(|path| source(path)).collect();
         let sources = sources?;
-        Ok((!sources.is_empty()).then_some(Self {
-            sources,
-            any_machine,
-        }))
+        Ok((!sources.is_empty()).then_some(Self { sources, any_machine }))
     }
 
     /// Compares what a step found on a machine with what was found before; `identify` does to an earlier run what the step
@@ -95,12 +86,9 @@ impl Baseline {
                         others.push(format!("{}: {}", source.name(), other.machine));
                     }
                     let same = steps.iter().filter(is_same);
-                    is_unit_known &= same
-                        .clone()
-                        .all(|step| !step.machine.drive_serial.is_empty());
+                    is_unit_known &= same.clone().all(|step| !step.machine.drive_serial.is_empty());
                     is_alike &= same.clone().all(|step| step.excitation == found.excitation);
-                    same.map(|step| (step.parameters.clone(), began.clone()))
-                        .collect()
+                    same.map(|step| (step.parameters.clone(), began.clone())).collect()
                 }
             };
             for (parameters, began) in earlier {
@@ -133,10 +121,7 @@ impl Baseline {
                 is_alike,
                 "excited otherwise than then, or not known to be alike: what the model lacks may look like a drift",
             ),
-            (
-                is_unit_known,
-                "no serial number: not known to be the same unit",
-            ),
+            (is_unit_known, "no serial number: not known to be the same unit"),
             (
                 !is_itself,
                 "figure for figure as it was then: the same run, or a software drive that repeats itself",
@@ -145,10 +130,7 @@ impl Baseline {
         let said = said.into_iter().filter(|(is_well, _)| !is_well);
         let repeats =
             format!("{repeated} of the baseline are a run that is in it already, and not counted");
-        let cautions = drift
-            .caution
-            .into_iter()
-            .chain(said.map(|(_, said)| said.to_owned()));
+        let cautions = drift.caution.into_iter().chain(said.map(|(_, said)| said.to_owned()));
         let cautions: Vec<String> = cautions.chain((repeated > 0).then_some(repeats)).collect();
         drift.caution = (!cautions.is_empty()).then(|| cautions.join("; "));
         Ok(drift)
@@ -218,24 +200,15 @@ fn source(path: &Path) -> Result<Source, Failure> {
         let (path, manifest) = (path.to_owned(), Box::new(manifest));
         return Ok(Source::Run { path, manifest });
     }
-    let file = if path.is_dir() {
-        path.join(RunFile::Result.name())
-    } else {
-        path.to_owned()
-    };
+    let file = if path.is_dir() { path.join(RunFile::Result.name()) } else { path.to_owned() };
     let result: Option<Value> = serde_json::from_str(&read_text(&file)?).ok();
     let Some(result) = result.filter(|result| result["cases"].is_array()) else {
-        let headline = format!(
-            "--baseline {}: neither a run nor the result of a suite",
-            path.display()
-        );
+        let headline =
+            format!("--baseline {}: neither a run nor the result of a suite", path.display());
         let help = "give a run folder, or result.json of an earlier suite, as suites/*/result.json";
         return Err(Failure::usage(headline, help));
     };
-    Ok(Source::Result {
-        path: path.to_owned(),
-        result,
-    })
+    Ok(Source::Result { path: path.to_owned(), result })
 }
 
 /// The manifest of a run folder that has samples.
@@ -251,15 +224,9 @@ pub(super) fn manifest_of(run: &Path) -> Option<Manifest> {
 /// What a step found in the runs of an earlier suite; a result of before it kept that has none.
 fn steps_of(result: &Value, case: &str, step: &str) -> Vec<IdentifiedStep> {
     let list = |value: &Value| value.as_array().cloned().unwrap_or_default();
-    let cases = list(&result["cases"])
-        .into_iter()
-        .filter(|own| own["name"] == case);
-    let steps = cases
-        .flat_map(|own| list(&own["steps"]))
-        .filter(|own| own["name"] == step);
-    steps
-        .filter_map(|own| serde_json::from_value(own["identified"].clone()).ok())
-        .collect()
+    let cases = list(&result["cases"]).into_iter().filter(|own| own["name"] == case);
+    let steps = cases.flat_map(|own| list(&own["steps"])).filter(|own| own["name"] == step);
+    steps.filter_map(|own| serde_json::from_value(own["identified"].clone()).ok()).collect()
 }
 
 /// The estimates of `identify --json`, and of the parameters of its keys.
@@ -283,8 +250,7 @@ fn estimates(parameters: &Value) -> Vec<ParameterEstimate> {
 fn has_figures(one: &[ParameterEstimate], other: &[ParameterEstimate]) -> bool {
     let carried = |all: &[ParameterEstimate]| -> Vec<(String, u64)> {
         let all = all.iter();
-        all.filter_map(|own| Some((own.key.clone(), own.carried()?.0.to_bits())))
-            .collect()
+        all.filter_map(|own| Some((own.key.clone(), own.carried()?.0.to_bits()))).collect()
     };
     let figures = carried(one);
     !figures.is_empty() && figures == carried(other)
@@ -310,14 +276,9 @@ pub(super) fn figures(drift: &Drift) -> Vec<(&'static str, Value)> {
     if drift.changes.is_empty() {
         return Vec::new();
     }
-    let keys: Vec<&str> = drift
-        .in_question()
-        .map(|change| change.key.as_str())
-        .collect();
-    let lost: Vec<String> = drift
-        .lost()
-        .map(|own| format!("{} not compared: {}", own.key, own.reason))
-        .collect();
+    let keys: Vec<&str> = drift.in_question().map(|change| change.key.as_str()).collect();
+    let lost: Vec<String> =
+        drift.lost().map(|own| format!("{} not compared: {}", own.key, own.reason)).collect();
     let drifted = if lost.is_empty() {
         keys.into()
     } else {
@@ -336,20 +297,9 @@ pub(super) fn figures(drift: &Drift) -> Vec<(&'static str, Value)> {
 pub(crate) fn lines(outcome: &SuiteOutcome) -> Vec<String> {
     let mut lines = Vec::new();
     for case in &outcome.cases {
-        for drift in case
-            .steps
-            .iter()
-            .filter_map(|step| step.identified.as_ref()?.drift.as_ref())
-        {
-            lines.push(format!(
-                "{} [seed {}]: {}",
-                case.name, case.seed, drift.sentence
-            ));
-            lines.extend(
-                drift
-                    .in_question()
-                    .map(|change| format!("  {}", change.sentence)),
-            );
+        for drift in case.steps.iter().filter_map(|step| step.identified.as_ref()?.drift.as_ref()) {
+            lines.push(format!("{} [seed {}]: {}", case.name, case.seed, drift.sentence));
+            lines.extend(drift.in_question().map(|change| format!("  {}", change.sentence)));
             let not_compared = drift.not_compared.iter();
             lines.extend(
                 not_compared

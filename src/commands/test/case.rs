@@ -52,17 +52,11 @@ struct Ended {
 
 impl Ended {
     fn failed(reason: String) -> Self {
-        Self {
-            verdict: Verdict::Failed(reason),
-            status: None,
-        }
+        Self { verdict: Verdict::Failed(reason), status: None }
     }
 
     fn error(reason: String) -> Self {
-        Self {
-            verdict: Verdict::Error(reason),
-            status: None,
-        }
+        Self { verdict: Verdict::Error(reason), status: None }
     }
 }
 
@@ -129,16 +123,12 @@ impl Progress<'_> {
                 Ok(())
             }
             Action::File(file) => self.make(file),
-            Action::Command {
-                verb,
-                options,
-                statuses,
-            } => self.command(step, *verb, options, statuses),
-            Action::Assert {
-                of,
-                limits,
-                signals,
-            } => self.assert(step, of.as_deref(), limits, signals),
+            Action::Command { verb, options, statuses } => {
+                self.command(step, *verb, options, statuses)
+            }
+            Action::Assert { of, limits, signals } => {
+                self.assert(step, of.as_deref(), limits, signals)
+            }
         }
     }
 
@@ -154,10 +144,7 @@ impl Progress<'_> {
         }
         let words = self.words(verb, options, &self.port())?;
         let number = self.outcomes.len() + 1;
-        let file = |ending: &str| {
-            self.folder
-                .join(format!("{number:02}-{}.{ending}", step.name))
-        };
+        let file = |ending: &str| self.folder.join(format!("{number:02}-{}.{ending}", step.name));
         let (stdout, stderr) = (file("json"), file("txt"));
         let command = self.command_of(&words);
         let timeout_s = step.timeout_s.unwrap_or(self.case.timeout_s);
@@ -229,10 +216,9 @@ impl Progress<'_> {
         let names = (self.case.name.as_str(), step.name.as_str());
         let found = baseline::found(self.bench.baseline, names, result, run.as_deref(), identify);
         let found = found.map_err(|reason| Ended::error(format!("{}: {reason}", step.name)))?;
-        if let (Some(drift), Some(Value::Object(figures))) = (
-            &found.drift,
-            self.left.get_mut(&step.name).map(|left| &mut left.result),
-        ) {
+        if let (Some(drift), Some(Value::Object(figures))) =
+            (&found.drift, self.left.get_mut(&step.name).map(|left| &mut left.result))
+        {
             let own = baseline::figures(drift).into_iter();
             figures.extend(own.map(|(key, figure)| (key.to_owned(), figure)));
         }
@@ -245,9 +231,7 @@ impl Progress<'_> {
     /// This program with these words.
     fn command_of(&self, words: &[String]) -> Command {
         let mut command = Command::new(self.bench.program);
-        command
-            .args(words)
-            .env("RAYON_NUM_THREADS", self.bench.threads.to_string());
+        command.args(words).env("RAYON_NUM_THREADS", self.bench.threads.to_string());
         command
     }
 
@@ -312,9 +296,7 @@ impl Progress<'_> {
             }
             End::Asked(status) => {
                 let how = asked_to_end(status, error);
-                return Err(Ended::error(format!(
-                    "{name}: not done in {timeout_s} s; {how}"
-                )));
+                return Err(Ended::error(format!("{name}: not done in {timeout_s} s; {how}")));
             }
             End::Killed => {
                 let reason = format!(
@@ -325,19 +307,13 @@ impl Progress<'_> {
         };
         let wanted: Vec<String> = statuses.iter().map(u8::to_string).collect();
         let said = error.map_or_else(String::new, |error| format!(": {error}"));
-        let reason = format!(
-            "{name}: exit status {status}, has to be {}{said}",
-            wanted.join(" or ")
-        );
+        let reason =
+            format!("{name}: exit status {status}, has to be {}{said}", wanted.join(" or "));
         // A drive that trips, or does not, where the suite says otherwise is a finding; what stands in the way of a judgement
         // is an error.
         let is_finding = status == REFUSED || status == 0 || statuses != [0];
         Err(Ended {
-            verdict: if is_finding {
-                Verdict::Failed(reason)
-            } else {
-                Verdict::Error(reason)
-            },
+            verdict: if is_finding { Verdict::Failed(reason) } else { Verdict::Error(reason) },
             status: Some(status),
         })
     }
@@ -353,9 +329,7 @@ impl Progress<'_> {
         error: Option<String>,
         run: Option<PathBuf>,
     ) {
-        let text = fs::read_to_string(stdout)
-            .ok()
-            .filter(|text| !text.is_empty());
+        let text = fs::read_to_string(stdout).ok().filter(|text| !text.is_empty());
         // Where it was killed, there is only what its run has kept.
         let of_run = run.as_ref().filter(|_| verb.is_live());
         let text = text.or_else(|| fs::read_to_string(of_run?.join("result.json")).ok());
@@ -404,12 +378,8 @@ impl Progress<'_> {
         port: &str,
     ) -> Result<Vec<String>, Ended> {
         let mut words = vec![verb.command().to_owned()];
-        let option = |key: &str| {
-            options
-                .iter()
-                .find(|(name, _)| name == key)
-                .map(|(_, value)| value)
-        };
+        let option =
+            |key: &str| options.iter().find(|(name, _)| name == key).map(|(_, value)| value);
         let given = |key: &str| option(key).and_then(toml::Value::as_str);
         if verb.is_live() || verb == Verb::Plan {
             if let Some(bench) = self.bench_path()? {
@@ -424,10 +394,7 @@ impl Progress<'_> {
         if !verb.is_live() && verb.has_run() {
             let run = self.run_about(options)?;
             let run = run.ok_or_else(|| {
-                Ended::error(format!(
-                    "{}: no earlier step has recorded a run",
-                    verb.command()
-                ))
+                Ended::error(format!("{}: no earlier step has recorded a run", verb.command()))
             })?;
             if verb == Verb::Add {
                 words.push("--run".to_owned());
@@ -436,10 +403,7 @@ impl Progress<'_> {
         }
         if verb.is_live() {
             words.extend(["--port".to_owned(), port.to_owned()]);
-            words.extend([
-                "--out".to_owned(),
-                self.folder.join("runs").display().to_string(),
-            ]);
+            words.extend(["--out".to_owned(), self.folder.join("runs").display().to_string()]);
             if self.bench.hardware {
                 words.push("--hardware".to_owned());
             } else if self.drive.is_none() {
@@ -531,9 +495,7 @@ impl Progress<'_> {
         let mut table = toml::Table::try_from(&base).map_err(|error| wrong(&error))?;
         merge(&mut table, &self.changed);
         let text = toml::to_string(&table).map_err(|error| wrong(&error))?;
-        let path = self
-            .folder
-            .join(format!("emulator-{}.toml", self.outcomes.len() + 1));
+        let path = self.folder.join(format!("emulator-{}.toml", self.outcomes.len() + 1));
         fs::write(&path, text).map_err(|error| wrong(&error))?;
         Ok(Some(path.display().to_string()))
     }
@@ -580,11 +542,7 @@ impl Progress<'_> {
             checks,
             identified: None,
         });
-        if failures.is_empty() {
-            Ok(())
-        } else {
-            Err(Ended::failed(failures.join("; ")))
-        }
+        if failures.is_empty() { Ok(()) } else { Err(Ended::failed(failures.join("; "))) }
     }
 }
 
@@ -592,9 +550,7 @@ impl Progress<'_> {
 fn runs_in(runs: &Path) -> BTreeSet<PathBuf> {
     let entries = fs::read_dir(runs).into_iter().flatten().flatten();
     let folders = entries.map(|entry| entry.path());
-    folders
-        .filter(|path| path.is_dir() && !path.is_symlink())
-        .collect()
+    folders.filter(|path| path.is_dir() && !path.is_symlink()).collect()
 }
 
 /// The newest run that was not there `before`.
@@ -677,10 +633,7 @@ mod tests {
             (None, None),
         ] {
             let text = asked_to_end(status, said);
-            assert!(
-                text.ends_with("how it left the motor is not known"),
-                "{text}"
-            );
+            assert!(text.ends_with("how it left the motor is not known"), "{text}");
         }
     }
 }

@@ -23,10 +23,8 @@ pub(crate) fn write(folders: &[PathBuf], out: &Path) -> Result<Written, Failure>
     for folder in folders {
         let (manifest, run) = read(folder)?;
         // Every run of a commissioning holds its result: it counts once.
-        if let Some(first) = run
-            .result
-            .pointer("/runs/0/folder")
-            .and_then(serde_json::Value::as_str)
+        if let Some(first) =
+            run.result.pointer("/runs/0/folder").and_then(serde_json::Value::as_str)
         {
             if commissionings.iter().any(|own| own == first) {
                 continue;
@@ -46,12 +44,7 @@ pub(crate) fn write(folders: &[PathBuf], out: &Path) -> Result<Written, Failure>
     let [bench, emulator] = ["bench", "emulator"].map(|kind| beside(out, kind));
     let config = |key: &str| manifest.configs.get(key);
     let is_emulated = manifest.identity["is_emulator"] == true && config("emulator").is_some();
-    let name = |path: &Path| {
-        path.file_name()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .into_owned()
-    };
+    let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let serial = manifest.identity["serial_number"].as_str();
     let place = Place {
         bench: name(&bench),
@@ -62,9 +55,7 @@ pub(crate) fn write(folders: &[PathBuf], out: &Path) -> Result<Written, Failure>
             (link, false) => link.to_owned(),
         },
         // Its serial number is the seed that drew it.
-        seed: serial
-            .filter(|_| is_emulated)
-            .and_then(|text| text.parse().ok()),
+        seed: serial.filter(|_| is_emulated).and_then(|text| text.parse().ok()),
     };
     let stem = out.file_stem().unwrap_or_default().to_string_lossy();
     let made = golden(&stem, &runs, &place).map_err(|(what, help)| Failure::usage(what, help))?;
@@ -79,10 +70,7 @@ pub(crate) fn write(folders: &[PathBuf], out: &Path) -> Result<Written, Failure>
     for (path, text) in &files {
         output::file(path, text)?;
     }
-    Ok(Written {
-        golden: made,
-        files: files.into_iter().map(|(path, _)| path).collect(),
-    })
+    Ok(Written { golden: made, files: files.into_iter().map(|(path, _)| path).collect() })
 }
 
 /// `suite.toml` and `bench`: `suite-bench.toml`.
@@ -103,18 +91,11 @@ fn read(folder: &Path) -> Result<(Manifest, GoldenRun), Failure> {
         })
     };
     let wrong = |error: serde_json::Error| {
-        Failure::usage(
-            format!("{}: {error}", folder.display()),
-            "give the folder of a run",
-        )
+        Failure::usage(format!("{}: {error}", folder.display()), "give the folder of a run")
     };
     let manifest: Manifest = serde_json::from_value(parsed("manifest.json")?).map_err(wrong)?;
     // A run that was cut short has none, and is refused for that.
-    let result = if manifest.finished {
-        parsed("result.json")?
-    } else {
-        serde_json::Value::Null
-    };
+    let result = if manifest.finished { parsed("result.json")? } else { serde_json::Value::Null };
     let run = GoldenRun {
         name: folder.display().to_string(),
         is_whole: manifest.finished,
@@ -140,11 +121,7 @@ fn same_machine(one: &Manifest, of: &Path, other: &Manifest, folder: &Path) -> R
         (serial(one) != serial(other) && drawn != Some(0.0)).then_some("drive's serial number")
     });
     what.map_or(Ok(()), |what| {
-        let headline = format!(
-            "{} and {} differ in their {what}",
-            of.display(),
-            folder.display()
-        );
+        let headline = format!("{} and {} differ in their {what}", of.display(), folder.display());
         Err(Failure::usage(
             headline,
             "a suite holds one machine on one bench to what it was; give its runs alone",

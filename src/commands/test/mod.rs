@@ -137,11 +137,7 @@ fn list(suite: &Suite, arguments: &Arguments) -> Result<(), Failure> {
         .collect();
     output::result(&rows, arguments.json, |_| {
         let line = |case: &&crate::workflow::suite::Case| {
-            let times = if case.repeat > 1 {
-                format!(" x{}", case.repeat)
-            } else {
-                String::new()
-            };
+            let times = if case.repeat > 1 { format!(" x{}", case.repeat) } else { String::new() };
             format!("{}{times}  [{}]", case.name, case.tags.join(", "))
         };
         cases.iter().map(line).collect::<Vec<_>>().join("\n")
@@ -178,20 +174,11 @@ fn text(outcome: &SuiteOutcome) -> String {
         Verdict::Passed | Verdict::Skipped(_) => None,
     });
     let wrong: Vec<String> = wrong.collect();
-    lines.extend(
-        wrong
-            .iter()
-            .take(MOST_LINES)
-            .flat_map(|line| output::fitted(line)),
-    );
+    lines.extend(wrong.iter().take(MOST_LINES).flat_map(|line| output::fitted(line)));
     if wrong.len() > MOST_LINES {
         lines.push(format!("and {} more", wrong.len() - MOST_LINES));
     }
-    lines.extend(
-        baseline::lines(outcome)
-            .iter()
-            .flat_map(|line| output::fitted(line)),
-    );
+    lines.extend(baseline::lines(outcome).iter().flat_map(|line| output::fitted(line)));
     lines.join("\n")
 }
 
@@ -200,9 +187,7 @@ fn options_of(verb: Verb) -> Vec<String> {
     let program = super::Arguments::command();
     let command = program.find_subcommand(verb.command());
     let options = command.into_iter().flat_map(clap::Command::get_arguments);
-    options
-        .filter_map(|option| option.get_long().map(str::to_owned))
-        .collect()
+    options.filter_map(|option| option.get_long().map(str::to_owned)).collect()
 }
 
 /// Cases with a software drive of their own that run at once: they mostly wait, and their cycles stay punctual.
@@ -240,11 +225,7 @@ pub(crate) fn read(
     options_of: impl Fn(Verb) -> Vec<String>,
 ) -> Result<Suite, Failure> {
     let text = read_text(file)?;
-    Ok(Suite::parse(
-        &file.display().to_string(),
-        &text,
-        options_of,
-    )?)
+    Ok(Suite::parse(&file.display().to_string(), &text, options_of)?)
 }
 
 /// The cases that are asked for, each as often as it repeats.
@@ -261,11 +242,7 @@ fn jobs<'a>(suite: &'a Suite, request: &SuiteRequest) -> Result<Vec<Job<'a>>, Fa
             ));
         }
         for repeat in 0..case.repeat {
-            jobs.push(Job {
-                case,
-                seed: case.seed.wrapping_add(repeat),
-                port: port.clone(),
-            });
+            jobs.push(Job { case, seed: case.seed.wrapping_add(repeat), port: port.clone() });
         }
     }
     if let Some((part, of)) = request.shard {
@@ -291,10 +268,7 @@ pub(crate) fn selected<'a>(suite: &'a Suite, filter: &[String]) -> Result<Vec<&'
             suite.name,
             filter.join(" or ")
         );
-        return Err(Failure::usage(
-            headline,
-            "drivebench test SUITE.toml --list shows all",
-        ));
+        return Err(Failure::usage(headline, "drivebench test SUITE.toml --list shows all"));
     }
     Ok(cases)
 }
@@ -336,15 +310,11 @@ pub(crate) fn carry_out(suite: &Suite, request: &SuiteRequest) -> Result<SuiteOu
         .iter()
         .enumerate()
         .partition(|(_, job)| Port::parse(&job.port).is_some_and(|port| port.is_virtual()));
-    let (by_themselves, on_a_line): (Vec<_>, Vec<_>) = on_a_line
-        .into_iter()
-        .partition(|(_, job)| job.case.has_own_drive());
+    let (by_themselves, on_a_line): (Vec<_>, Vec<_>) =
+        on_a_line.into_iter().partition(|(_, job)| job.case.has_own_drive());
     // Real time first and alone: what is done beside it would make its cycles late.
-    for (part, at_once) in [
-        (by_themselves, OWN_DRIVES_AT_ONCE),
-        (on_a_line, 1),
-        (in_memory, cores),
-    ] {
+    for (part, at_once) in [(by_themselves, OWN_DRIVES_AT_ONCE), (on_a_line, 1), (in_memory, cores)]
+    {
         let done = Mutex::new(&mut outcomes);
         each(part, at_once, |(index, job)| {
             let bench = Bench {
@@ -367,20 +337,12 @@ pub(crate) fn carry_out(suite: &Suite, request: &SuiteRequest) -> Result<SuiteOu
     }
     let mut cases: Vec<CaseOutcome> = outcomes.into_iter().flatten().collect();
     if !request.keep {
-        for case in cases
-            .iter_mut()
-            .filter(|case| case.verdict == Verdict::Passed)
-        {
+        for case in cases.iter_mut().filter(|case| case.verdict == Verdict::Passed) {
             case.evidence = None;
         }
     }
-    let outcome = SuiteOutcome::of(
-        &suite.name,
-        began.to_string(),
-        machine(),
-        watch.took_s(),
-        cases,
-    );
+    let outcome =
+        SuiteOutcome::of(&suite.name, began.to_string(), machine(), watch.took_s(), cases);
     write_results(&outcome, request, &folder)?;
     if stop.load(Ordering::Acquire) {
         let headline = format!("interrupted after {} of {total} cases", outcome.cases.len());
@@ -402,10 +364,7 @@ fn one(bench: &Bench<'_>, job: &Job<'_>, folder: &Path) -> CaseOutcome {
 /// Why a case cannot be done on this bench.
 fn unfit(job: &Job<'_>, bench: &Bench<'_>) -> Option<String> {
     let case = job.case;
-    let has_fault = case
-        .steps
-        .iter()
-        .any(|step| matches!(step.action, Action::Fault(_)));
+    let has_fault = case.steps.iter().any(|step| matches!(step.action, Action::Fault(_)));
     let wants_emulator = case.needs.contains(&Need::Emulator)
         || case.emulator.is_some()
         || has_fault
@@ -491,11 +450,7 @@ fn write_results(
 
 /// One line for a case, and beneath it why it did not pass.
 fn line(outcome: &CaseOutcome, repeats: u64) -> String {
-    let seed = if repeats > 1 {
-        format!(", seed {}", outcome.seed)
-    } else {
-        String::new()
-    };
+    let seed = if repeats > 1 { format!(", seed {}", outcome.seed) } else { String::new() };
     let (word, reason) = match &outcome.verdict {
         Verdict::Passed => ("PASSED", None),
         Verdict::Failed(reason) => ("FAILED", Some(reason)),

@@ -60,11 +60,7 @@ impl OwnDrive {
         command.stderr(File::create(file(".txt"))?);
         let mut child = process::start(command)?;
         match ready(&mut child, order.stop, READY_S) {
-            Ok(address) => Ok(Self {
-                child,
-                address,
-                is_network,
-            }),
+            Ok(address) => Ok(Self { child, address, is_network }),
             Err(error) => {
                 let _ = child.kill();
                 let _ = child.wait();
@@ -78,11 +74,7 @@ impl OwnDrive {
 
     /// As `--port` takes it.
     pub(super) fn port(&self) -> String {
-        if self.is_network {
-            format!("tcp:{}", self.address)
-        } else {
-            self.address.clone()
-        }
+        if self.is_network { format!("tcp:{}", self.address) } else { self.address.clone() }
     }
 
     /// It is gone at once, and its motor with it.
@@ -166,10 +158,6 @@ mod tests {
         let silent = |stop| opened("exec sleep 60", stop).unwrap_err();
         assert_eq!(silent(false), "not ready in 0.5 s;");
         assert_eq!(silent(true), "interrupted");
-        assert!(
-            opened("echo no", false)
-                .unwrap_err()
-                .contains("has not said")
-        );
+        assert!(opened("echo no", false).unwrap_err().contains("has not said"));
     }
 }

@@ -43,10 +43,7 @@ pub(super) struct Done {
 pub(super) struct Watch(Instant);
 
 impl Watch {
-    #[expect(
-        clippy::disallowed_methods,
-        reason = "a time limit on a process is in real time"
-    )]
+    #[expect(clippy::disallowed_methods, reason = "a time limit on a process is in real time")]
     pub(super) fn start() -> Self {
         Self(Instant::now())
     }
@@ -91,10 +88,7 @@ fn end_with_parent(command: &mut Command) {
 /// From now on a read of this end returns at once.
 pub(super) fn do_not_block(end: impl AsFd) -> io::Result<()> {
     let flags = rustix::fs::fcntl_getfl(&end)?;
-    Ok(rustix::fs::fcntl_setfl(
-        &end,
-        flags | rustix::fs::OFlags::NONBLOCK,
-    )?)
+    Ok(rustix::fs::fcntl_setfl(&end, flags | rustix::fs::OFlags::NONBLOCK)?)
 }
 
 /// Sends a signal; a process that has just ended hears nothing.
@@ -126,10 +120,7 @@ pub(super) fn finish(
         }
         std::thread::sleep(LOOK);
     };
-    Ok(Done {
-        end,
-        took_s: watch.took_s(),
-    })
+    Ok(Done { end, took_s: watch.took_s() })
 }
 
 fn code_of(status: ExitStatus) -> Option<u8> {
@@ -181,14 +172,9 @@ mod tests {
     fn a_process_ends_by_itself_or_is_asked_to() {
         let (done, out) = shell("echo said; exit 4", 60.0);
         assert_eq!((done.end, out.as_str()), (End::Status(4), "said\n"));
-        let (done, out) = shell(
-            "trap 'echo stopped; exit 130' TERM; while :; do sleep 0.01; done",
-            0.3,
-        );
-        assert_eq!(
-            (done.end, out.as_str()),
-            (End::Asked(Some(130)), "stopped\n")
-        );
+        let (done, out) =
+            shell("trap 'echo stopped; exit 130' TERM; while :; do sleep 0.01; done", 0.3);
+        assert_eq!((done.end, out.as_str()), (End::Asked(Some(130)), "stopped\n"));
         let (done, _) = shell("trap 'exit 6' TERM; while :; do sleep 0.01; done", 0.3);
         assert_eq!(done.end, End::Asked(Some(6)));
         // It has no answer to the signal.

@@ -48,14 +48,7 @@ pub fn map_as_c(map: &TorqueMap, name: &str, title: &str) -> String {
         ("unit", unit),
         ("place", place),
         ("suffix", if turns { "rad" } else { "rad_s" }),
-        (
-            "axis",
-            if turns {
-                "the angle within a turn"
-            } else {
-                "the speed, both directions"
-            },
-        ),
+        ("axis", if turns { "the angle within a turn" } else { "the speed, both directions" }),
         ("title", &title.replace("*/", "* /")),
         ("name", &name),
         ("NAME", &name.to_uppercase()),

@@ -130,9 +130,7 @@ impl Export {
                 MotorKey::TorqueConstant => model.motor.torque_constant(),
                 other => model.motor.get(other),
             };
-            let unset = || ModelError::Unset {
-                key: key.key().to_owned(),
-            };
+            let unset = || ModelError::Unset { key: key.key().to_owned() };
             parameters.push((key.key().to_owned(), value.ok_or_else(unset)?, key.unit()));
         }
         let (mut terms, mut states) = (Vec::new(), Vec::new());
@@ -213,10 +211,7 @@ impl Export {
         }
         fill("state_names", &names);
         fill("state_count", &(4 + self.states.len()).to_string());
-        fill(
-            "parameters",
-            &self.lines(|key, _, unit| format!("    double {key}; /* {unit} */")),
-        );
+        fill("parameters", &self.lines(|key, _, unit| format!("    double {key}; /* {unit} */")));
         fill("values", &self.values(target));
         let (gains, fields) = self.regulator_text(target);
         fill("gains", &gains);
@@ -257,10 +252,7 @@ impl Export {
                 let moves =
                     each(&|_, effect, _| format!("    next.{effect} += h * rate->{effect};"));
                 marks.push(("state_moves", moves));
-                marks.push((
-                    "states",
-                    each(&|_, effect, _| format!("    double {effect};")),
-                ));
+                marks.push(("states", each(&|_, effect, _| format!("    double {effect};"))));
             }
             Target::Modelica => {
                 let begin =
@@ -311,9 +303,8 @@ impl Export {
     /// All formulas of a place, zero where there is none.
     fn sum(&self, place: Place, language: &Language) -> String {
         let here = self.terms.iter().filter(|term| term.formula.place == place);
-        let texts: Vec<String> = here
-            .map(|term| language.written(&term.formula.tree, &self.names(term)))
-            .collect();
+        let texts: Vec<String> =
+            here.map(|term| language.written(&term.formula.tree, &self.names(term))).collect();
         match &texts[..] {
             [] => "0.0".to_owned(),
             [one] => one.clone(),
@@ -333,9 +324,7 @@ impl Export {
 
     fn lines(&self, line: impl Fn(&str, f64, &str) -> String) -> String {
         let lines = self.parameters.iter();
-        let lines: Vec<String> = lines
-            .map(|(key, value, unit)| line(key, *value, unit))
-            .collect();
+        let lines: Vec<String> = lines.map(|(key, value, unit)| line(key, *value, unit)).collect();
         lines.join("\n")
     }
 }

@@ -15,17 +15,8 @@ pub(super) struct Names<'a> {
 
 /// A tree in the symbols of the equations.
 pub(super) fn plain(tree: &Tree, keys: &[&'static str]) -> String {
-    let language = Language {
-        target: None,
-        instant: [""; 5],
-        parameter: "",
-    };
-    let names = Names {
-        program: "",
-        effect: "",
-        keys,
-        state: 0,
-    };
+    let language = Language { target: None, instant: [""; 5], parameter: "" };
+    let names = Names { program: "", effect: "", keys, state: 0 };
     language.bare(tree, &names).0
 }
 
@@ -49,24 +40,14 @@ impl Language {
     pub(super) const fn of(target: Target) -> Self {
         let (instant, parameter) = match target {
             Target::C => (
-                [
-                    "voltage_v",
-                    "s->current_a",
-                    "s->speed_rad_s",
-                    "s->angle_rad",
-                    "s->time_s",
-                ],
+                ["voltage_v", "s->current_a", "s->speed_rad_s", "s->angle_rad", "s->time_s"],
                 "p->",
             ),
             Target::Python => (["voltage_v", "s[0]", "s[1]", "s[2]", "s[3]"], "self."),
             Target::Matlab => (["voltage_v", "s(1)", "s(2)", "s(3)", "s(4)"], "p."),
             Target::Modelica => (["voltage_v", "i", "w", "angle_rad", "time"], ""),
         };
-        Self {
-            target: Some(target),
-            instant,
-            parameter,
-        }
+        Self { target: Some(target), instant, parameter }
     }
 
     /// The state of an effect, which is the `number`th of all.
@@ -84,21 +65,13 @@ impl Language {
     pub(super) fn written(&self, tree: &Tree, names: &Names<'_>) -> String {
         let text = self.bound(tree, names, PRODUCT);
         // A sign does not follow an operator.
-        if text.starts_with('-') {
-            format!("({text})")
-        } else {
-            text
-        }
+        if text.starts_with('-') { format!("({text})") } else { text }
     }
 
     /// The tree where an operator of this strength stands beside it.
     fn bound(&self, tree: &Tree, names: &Names<'_>, least: u8) -> String {
         let (text, strength) = self.bare(tree, names);
-        if strength < least {
-            format!("({text})")
-        } else {
-            text
-        }
+        if strength < least { format!("({text})") } else { text }
     }
 
     fn bare(&self, tree: &Tree, names: &Names<'_>) -> (String, u8) {
@@ -145,11 +118,7 @@ impl Language {
         match SYMBOLS.get(index) {
             Some(symbol) if self.target.is_none() => (*symbol).to_owned(),
             None if self.target.is_none() => parameter(names.keys[index - SYMBOLS.len()]),
-            None => parameter(&format!(
-                "{}_{}",
-                names.effect,
-                names.keys[index - SYMBOLS.len()]
-            )),
+            None => parameter(&format!("{}_{}", names.effect, names.keys[index - SYMBOLS.len()])),
             Some(&"R") => parameter("resistance_ohm"),
             Some(&"Ke") => parameter("back_emf_v_s_per_rad"),
             Some(&"Kt") => parameter("torque_n_m_per_a"),

@@ -32,22 +32,14 @@ fn scenario(fine: usize) -> Scenario {
         // No measured speed: the angle is that of the simulation, as in what is exported.
         speed_rad_s: vec![f64::NAN; samples],
         current_a: vec![f64::NAN; samples],
-        ..Scenario::planned(
-            "export",
-            Input::Voltage,
-            Channel::VoltageCmd,
-            events(),
-            times,
-        )
+        ..Scenario::planned("export", Input::Voltage, Channel::VoltageCmd, events(), times)
     }
 }
 
 /// The voltage that is held from each row on.
 fn voltages(scenario: &Scenario) -> Vec<f64> {
     let held = |time: &f64| {
-        let after = scenario
-            .events
-            .partition_point(|event| event.0 <= *time + 1e-9);
+        let after = scenario.events.partition_point(|event| event.0 <= *time + 1e-9);
         scenario.events[after.max(1) - 1].1
     };
     scenario.sample_time_s.iter().map(held).collect()
@@ -66,18 +58,11 @@ fn active(effect: &'static dyn Effect) -> ActiveEffect {
 fn model(effects: Vec<ActiveEffect>) -> Model {
     // Light, so that it turns within the time of the test.
     let motor = Motor::zk_22fc().with(MotorKey::Inertia, 0.0008);
-    Model {
-        effects,
-        ..Model::baseline(motor)
-    }
+    Model { effects, ..Model::baseline(motor) }
 }
 
 fn of_the_catalogue(ids: &[&str]) -> Model {
-    model(
-        ids.iter()
-            .map(|id| active(effect::find(id).unwrap()))
-            .collect(),
-    )
+    model(ids.iter().map(|id| active(effect::find(id).unwrap())).collect())
 }
 
 fn defined() -> Model {
@@ -94,13 +79,7 @@ fn defined() -> Model {
 fn few() -> Vec<(String, Model)> {
     let sets: [&[&str]; 3] = [
         &[],
-        &[
-            "stribeck_friction",
-            "quadratic_load",
-            "cogging",
-            "inertia_change",
-            "speed_filter",
-        ],
+        &["stribeck_friction", "quadratic_load", "cogging", "inertia_change", "speed_filter"],
         &[
             "voltage_drop",
             "winding_heating",
@@ -139,24 +118,17 @@ fn check(models: &[(String, Model)], printed: &str) {
 fn check_rows(models: &[(String, Model)], printed: &str, rows: usize) {
     let numbers: Vec<f64> = printed
         .split_whitespace()
-        .map(|word| {
-            word.parse()
-                .unwrap_or_else(|_| panic!("{word:?} in {printed:.300}"))
-        })
+        .map(|word| word.parse().unwrap_or_else(|_| panic!("{word:?} in {printed:.300}")))
         .collect();
     assert_eq!(numbers.len(), models.len() * rows * 2, "{printed:.300}");
     for ((name, model), theirs) in models.iter().zip(numbers.chunks(2 * rows)) {
         let mut plant = Plant::new(model, Input::Voltage).unwrap();
-        let Trajectory {
-            current_a,
-            speed_rad_s,
-        } = plant.simulate(&scenario(FINE), State::default());
+        let Trajectory { current_a, speed_rad_s } =
+            plant.simulate(&scenario(FINE), State::default());
         let columns: [(&str, &[f64], usize); 2] =
             [("current", &current_a, 0), ("speed", &speed_rad_s, 1)];
         for (signal, ours, column) in columns {
-            let range = ours
-                .iter()
-                .fold(0.0_f64, |most, value| most.max(value.abs()));
+            let range = ours.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
             let off = ours
                 .iter()
                 .step_by(FINE)
@@ -165,10 +137,7 @@ fn check_rows(models: &[(String, Model)], printed: &str, rows: usize) {
                 .map(|(row, value)| (value - theirs[2 * row + column]).abs())
                 .fold(0.0, f64::max);
             assert!(range > 1.0, "{name}: the {signal} stays at {range}");
-            assert!(
-                off < CLOSE * range,
-                "{name}: {signal} is off by {off} of {range}"
-            );
+            assert!(off < CLOSE * range, "{name}: {signal} is off by {off} of {range}");
         }
     }
 }
@@ -179,11 +148,7 @@ const CLOSE: f64 = 1e-3;
 /// A reference and a measured speed for the regulator, which drive it into its limit and back.
 fn loop_input(cycle: usize) -> (f64, f64) {
     let time = cycle as f64;
-    let reference = if (cycle / 60).is_multiple_of(2) {
-        40.0
-    } else {
-        -10.0
-    };
+    let reference = if (cycle / 60).is_multiple_of(2) { 40.0 } else { -10.0 };
     (reference, 30.0 * (0.11 * time).sin())
 }
 
@@ -197,10 +162,7 @@ fn regulator() -> Regulator {
             notch: None,
             reference_filter_s: 0.05,
         },
-        holding: Holding {
-            per_speed: 0.36,
-            against: 1.4,
-        },
+        holding: Holding { per_speed: 0.36, against: 1.4 },
         period_s: 0.01,
         leaving_s: 0.02,
         limit_v: 12.0,
@@ -208,13 +170,7 @@ fn regulator() -> Regulator {
 }
 
 fn regulated() -> Vec<f64> {
-    let Regulator {
-        gains,
-        holding,
-        period_s,
-        leaving_s,
-        limit_v,
-    } = regulator();
+    let Regulator { gains, holding, period_s, leaving_s, limit_v } = regulator();
     let mut pi = Pi::new(gains, AntiWindup::Hold, holding).leaving_after(leaving_s);
     let cycles = (0..CYCLES).map(|cycle| {
         let (reference, speed) = loop_input(cycle);
@@ -229,20 +185,11 @@ fn regulated() -> Vec<f64> {
 fn check_regulator(printed: &str) {
     let ours = regulated();
     let cut = ours.iter().filter(|output| output.abs() >= 12.0).count();
-    assert!(
-        (20..220).contains(&cut),
-        "{cut} of {CYCLES} cycles at the limit"
-    );
-    let theirs: Vec<f64> = printed
-        .split_whitespace()
-        .map(|word| word.parse().unwrap())
-        .collect();
+    assert!((20..220).contains(&cut), "{cut} of {CYCLES} cycles at the limit");
+    let theirs: Vec<f64> = printed.split_whitespace().map(|word| word.parse().unwrap()).collect();
     assert_eq!(theirs.len(), CYCLES);
     for (cycle, (ours, theirs)) in ours.iter().zip(&theirs).enumerate() {
-        assert!(
-            (ours - theirs).abs() < 1e-9,
-            "cycle {cycle}: {ours} and {theirs}"
-        );
+        assert!((ours - theirs).abs() < 1e-9, "cycle {cycle}: {ours} and {theirs}");
     }
 }
 
@@ -260,10 +207,7 @@ fn write(folder: &Path, name: &str, text: &str) -> PathBuf {
 fn printed(command: &mut Command) -> String {
     let output = command.output().unwrap();
     let said = String::from_utf8_lossy(&output.stderr);
-    assert!(
-        output.status.success() && said.is_empty(),
-        "{command:?}: {said}"
-    );
+    assert!(output.status.success() && said.is_empty(), "{command:?}: {said}");
     String::from_utf8(output.stdout).unwrap()
 }
 
@@ -307,11 +251,7 @@ fn c_gives_what_the_simulation_gives() {
     let mut body = String::new();
     for (name, model) in &models {
         let file = format!("{name}.h");
-        write(
-            folder.path(),
-            &file,
-            &export(name, model).written(Target::C).unwrap(),
-        );
+        write(folder.path(), &file, &export(name, model).written(Target::C).unwrap());
         let _ = writeln!(main, "#include \"{file}\"");
         let _ = write!(
             body,
@@ -334,22 +274,9 @@ fn c_gives_what_the_simulation_gives() {
     );
     let source = write(folder.path(), "main.c", &main);
     let program = folder.path().join("main");
-    let strict = [
-        "-std=c99",
-        "-pedantic",
-        "-Wall",
-        "-Wextra",
-        "-Werror",
-        "-Wno-missing-field-initializers",
-    ];
-    printed(
-        Command::new("cc")
-            .args(strict)
-            .arg(&source)
-            .arg("-o")
-            .arg(&program)
-            .arg("-lm"),
-    );
+    let strict =
+        ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-Wno-missing-field-initializers"];
+    printed(Command::new("cc").args(strict).arg(&source).arg("-o").arg(&program).arg("-lm"));
     check(&models, &printed(&mut Command::new(&program)));
     check_regulator(&printed(Command::new(&program).arg("regulator")));
 }
@@ -379,10 +306,7 @@ fn gapped(of: MappedTorque) -> TorqueMap {
             }),
         }
     };
-    TorqueMap {
-        torque: of,
-        bins: (0..count).map(bin).collect(),
-    }
+    TorqueMap { torque: of, bins: (0..count).map(bin).collect() }
 }
 
 #[test]
@@ -390,16 +314,10 @@ fn a_map_as_csv_has_empty_cells_where_nothing_was_measured() {
     let text = gapped(MappedTorque::Friction).to_csv();
     let lines: Vec<&str> = text.lines().collect();
     assert_eq!(lines.len(), 25);
-    assert_eq!(
-        lines[0],
-        "speed_rad_s,torque_n_m,torque_low_n_m,torque_high_n_m,windows"
-    );
+    assert_eq!(lines[0], "speed_rad_s,torque_n_m,torque_low_n_m,torque_high_n_m,windows");
     assert_eq!(lines[1], "-92.0,,,,2");
     let cells: Vec<&str> = lines[2].split(',').collect();
-    assert_eq!(
-        (cells.len(), cells[0], cells[1], cells[4]),
-        (5, "-84.0", "-0.39", "9")
-    );
+    assert_eq!((cells.len(), cells[0], cells[1], cells[4]), (5, "-84.0", "-0.39", "9"));
 }
 
 #[test]
@@ -413,11 +331,7 @@ fn a_map_in_c_gives_what_the_program_reads_from_it() {
     let mut expected = Vec::new();
     for of in MappedTorque::ALL {
         let (map, name) = (gapped(of), of.name());
-        write(
-            folder.path(),
-            &format!("{name}.h"),
-            &map_as_c(&map, name, "a test"),
-        );
+        write(folder.path(), &format!("{name}.h"), &map_as_c(&map, name, "a test"));
         let _ = writeln!(main, "#include \"{name}.h\"");
         for step in -110..=110 {
             // In float as in double on the same side of every edge.
@@ -436,14 +350,7 @@ fn a_map_in_c_gives_what_the_program_reads_from_it() {
     write(folder.path(), "main.c", &main);
     let (source, program) = (folder.path().join("main.c"), folder.path().join("main"));
     let strict = ["-std=c99", "-Wall", "-Wextra", "-Werror"];
-    printed(
-        Command::new("cc")
-            .args(strict)
-            .arg(&source)
-            .arg("-o")
-            .arg(&program)
-            .arg("-lm"),
-    );
+    printed(Command::new("cc").args(strict).arg(&source).arg("-o").arg(&program).arg("-lm"));
     let found = printed(&mut Command::new(&program));
     assert_eq!(found.lines().count(), expected.len());
     assert!(expected.iter().flatten().count() > 100 && expected.contains(&None));
@@ -557,12 +464,10 @@ fn modelica_gives_what_the_simulation_gives() {
     let folder = tempfile::tempdir().unwrap();
     let models = all();
     let voltage =
-        events()
-            .iter()
-            .fold(String::new(), |before, (time_s, voltage_v)| match *time_s {
-                0.0 => format!("{voltage_v:?}"),
-                _ => format!("if time >= {time_s:?} then {voltage_v:?} else {before}"),
-            });
+        events().iter().fold(String::new(), |before, (time_s, voltage_v)| match *time_s {
+            0.0 => format!("{voltage_v:?}"),
+            _ => format!("if time >= {time_s:?} then {voltage_v:?} else {before}"),
+        });
     let mut main = RUN_MODELICA.to_owned();
     for (name, model) in &models {
         let class = camel(name);
@@ -575,10 +480,7 @@ fn modelica_gives_what_the_simulation_gives() {
         let _ = writeln!(main, "run({name:?}, {END_S:?}, {ROWS})");
     }
     let source = write(folder.path(), "main.py", &main);
-    check(
-        &models,
-        &printed(Command::new("python3").arg("-B").arg(&source)),
-    );
+    check(&models, &printed(Command::new("python3").arg("-B").arg(&source)));
 }
 
 #[test]
@@ -595,16 +497,10 @@ fn what_has_no_formula_is_refused_by_its_name() {
             .err()
             .unwrap();
         assert!(error.to_string().contains(id), "{error}");
-        assert!(
-            error.help().contains(&format!("remove {id}")),
-            "{}",
-            error.help()
-        );
+        assert!(error.help().contains(&format!("remove {id}")), "{}", error.help());
     }
     let mechanical = Model::baseline(
-        Motor::new("axis")
-            .with(MotorKey::Inertia, 1.0)
-            .with(MotorKey::LoadTorque, 1.0),
+        Motor::new("axis").with(MotorKey::Inertia, 1.0).with(MotorKey::LoadTorque, 1.0),
     );
     let error = Export::new(&mechanical, None, "m", "t").err().unwrap();
     assert!(error.to_string().contains("resistance_ohm"), "{error}");

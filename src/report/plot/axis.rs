@@ -27,10 +27,7 @@ impl Domain {
             Self { from, to }
         } else {
             let pad = if size > 1e-300 { 0.1 * size } else { 1.0 };
-            Self {
-                from: from - pad,
-                to: to + pad,
-            }
+            Self { from: from - pad, to: to + pad }
         })
     }
 
@@ -38,10 +35,7 @@ impl Domain {
     #[must_use]
     pub fn padded(self, share: f64) -> Self {
         let pad = share * (self.to - self.from);
-        Self {
-            from: self.from - pad,
-            to: self.to + pad,
-        }
+        Self { from: self.from - pad, to: self.to + pad }
     }
 
     /// Wider, to the next round values at both ends: the axis of a chart that grows moves seldom.
@@ -52,28 +46,19 @@ impl Domain {
         let mut factors = [1.0, 2.0, 2.5, 5.0].into_iter();
         let factor = factors.find(|factor| factor * power >= rough);
         let step = factor.unwrap_or(10.0) * power;
-        Self {
-            from: (self.from / step).floor() * step,
-            to: (self.to / step).ceil() * step,
-        }
+        Self { from: (self.from / step).floor() * step, to: (self.to / step).ceil() * step }
     }
 
     /// The range that holds these values as well.
     #[must_use]
     pub const fn with(self, values: [f64; 2]) -> Self {
-        Self {
-            from: self.from.min(values[0]),
-            to: self.to.max(values[1]),
-        }
+        Self { from: self.from.min(values[0]), to: self.to.max(values[1]) }
     }
 
     /// The same range in another unit.
     #[must_use]
     pub fn scaled(self, factor: f64) -> Self {
-        Self {
-            from: self.from * factor,
-            to: self.to * factor,
-        }
+        Self { from: self.from * factor, to: self.to * factor }
     }
 }
 
@@ -91,20 +76,12 @@ pub fn ticks(domain: Domain, most: usize) -> Vec<f64> {
         return Vec::new();
     }
     let power = exponent_of(span / most as f64, ALL_DIGITS);
-    for (factor, power) in [
-        (1.0, power),
-        (2.0, power),
-        (5.0, power),
-        (1.0, power + 1),
-        (2.0, power + 1),
-    ] {
+    for (factor, power) in
+        [(1.0, power), (2.0, power), (5.0, power), (1.0, power + 1), (2.0, power + 1)]
+    {
         let multiple = |k: f64| {
             // Dividing by a whole power of ten gives the nearest double to the decimal number.
-            if power < 0 {
-                k * factor / 10f64.powi(-power)
-            } else {
-                k * factor * 10f64.powi(power)
-            }
+            if power < 0 { k * factor / 10f64.powi(-power) } else { k * factor * 10f64.powi(power) }
         };
         let step = multiple(1.0);
         let first = (domain.from / step - ROUNDING).ceil();
@@ -124,16 +101,9 @@ pub fn ticks(domain: Domain, most: usize) -> Vec<f64> {
 
 /// Labels of ticks, all with the same number of decimals.
 pub fn labels(ticks: &[f64]) -> Vec<String> {
-    let step = ticks
-        .windows(2)
-        .map(|pair| pair[1] - pair[0])
-        .fold(f64::INFINITY, f64::min);
+    let step = ticks.windows(2).map(|pair| pair[1] - pair[0]).fold(f64::INFINITY, f64::min);
     let size = ticks.iter().fold(0.0f64, |size, tick| size.max(tick.abs()));
-    let step = if step.is_finite() {
-        step
-    } else {
-        size.max(1e-300)
-    };
+    let step = if step.is_finite() { step } else { size.max(1e-300) };
     let last = exponent_of(step, SAFE_DIGITS);
     if last < -4 || size >= 1e6 {
         // Enough digits that the last one is that of the step.
@@ -156,17 +126,12 @@ pub fn powers(domain: Domain) -> Vec<f64> {
     let few = to - from < 4.0;
     let factors: &[f64] = if few { &[1.0, 2.0, 5.0] } else { &[1.0] };
     let all = (-30..=30).flat_map(|power| factors.iter().map(move |f| f * 10f64.powi(power)));
-    all.filter(|tick| (from - 1e-9..=to + 1e-9).contains(&tick.log10()))
-        .collect()
+    all.filter(|tick| (from - 1e-9..=to + 1e-9).contains(&tick.log10())).collect()
 }
 
 /// A tick without an exponent where it is short.
 pub fn plain(value: f64) -> String {
-    if (1e-3..1e4).contains(&value) {
-        format!("{value}")
-    } else {
-        format!("{value:e}")
-    }
+    if (1e-3..1e4).contains(&value) { format!("{value}") } else { format!("{value:e}") }
 }
 
 #[cfg(test)]
@@ -180,19 +145,13 @@ mod tests {
 
     #[test]
     fn well_known_ranges_have_the_expected_ticks() {
-        assert_eq!(
-            ticks(domain(0.0, 7.5), 8),
-            [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
-        );
+        assert_eq!(ticks(domain(0.0, 7.5), 8), [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
         assert_eq!(
             labels(&ticks(domain(-0.31, 0.29), 7)),
             ["-0.3", "-0.2", "-0.1", "0.0", "0.1", "0.2", "0.3"][..6]
         );
         assert_eq!(labels(&ticks(domain(-98.0, 98.0), 6)), ["-50", "0", "50"]);
-        assert_eq!(
-            labels(&ticks(domain(0.0, 4e-6), 6)),
-            ["0", "1e-6", "2e-6", "3e-6", "4e-6"]
-        );
+        assert_eq!(labels(&ticks(domain(0.0, 4e-6), 6)), ["0", "1e-6", "2e-6", "3e-6", "4e-6"]);
     }
 
     #[test]

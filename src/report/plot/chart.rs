@@ -44,12 +44,7 @@ pub(super) struct Scale {
 
 impl Scale {
     pub(super) fn new(along: Along, domain: Domain, from_px: f64, to_px: f64) -> Self {
-        Self {
-            along,
-            domain,
-            from_px,
-            to_px,
-        }
+        Self { along, domain, from_px, to_px }
     }
 
     /// Across the picture between the usual margins.
@@ -91,9 +86,7 @@ impl Svg {
 
     pub(super) fn text(&mut self, class: &str, x: f64, y: f64, content: &str) {
         let (x, y, content) = (px(x), px(y), escape(content));
-        self.write(format_args!(
-            "<text class=\"{class}\" x=\"{x}\" y=\"{y}\">{content}</text>"
-        ));
+        self.write(format_args!("<text class=\"{class}\" x=\"{x}\" y=\"{y}\">{content}</text>"));
     }
 
     pub(super) fn path(&mut self, class: &str, path: &str) {

@@ -24,10 +24,7 @@ pub fn bars(
         return String::new();
     };
     let base = HEAD + ROW * bars.len() as f64;
-    let domain = Domain {
-        from: 0.0,
-        ..values
-    };
+    let domain = Domain { from: 0.0, ..values };
     let x = Scale::new(Along::Linear, domain, LEFT, WIDTH - RIGHT);
     let mut svg = Svg::default();
     let at = ticks(domain, 10);
@@ -38,11 +35,7 @@ pub fn bars(
         svg.text("legend", LEFT + 2.0, top + 15.0, label);
         let is_last = row + 1 == bars.len();
         let class = if is_last { "bar last" } else { "bar" };
-        let end = if value.is_finite() {
-            x.px(value.clamp(0.0, domain.to))
-        } else {
-            LEFT
-        };
+        let end = if value.is_finite() { x.px(value.clamp(0.0, domain.to)) } else { LEFT };
         svg.rectangle(class, LEFT, top + 21.0, end - LEFT, 17.0);
         svg.text("value", end + 6.0, top + 34.0, &significant(*value, 3));
     }
@@ -115,17 +108,8 @@ pub struct Place {
 impl Place {
     /// With a standard deviation; one that is not finite is taken for none.
     pub fn new(at: f64, value: f64, std: f64) -> Self {
-        let half = if std.is_finite() {
-            TWO_SIDED_95 * std
-        } else {
-            0.0
-        };
-        Self {
-            at,
-            value,
-            low: value - half,
-            high: value + half,
-        }
+        let half = if std.is_finite() { TWO_SIDED_95 * std } else { 0.0 };
+        Self { at, value, low: value - half, high: value + half }
     }
 
     pub fn is_known(&self) -> bool {
@@ -172,11 +156,7 @@ impl AxisChart {
     }
 
     const fn along(&self) -> Along {
-        if self.is_logarithmic {
-            Along::Log
-        } else {
-            Along::Linear
-        }
+        if self.is_logarithmic { Along::Log } else { Along::Linear }
     }
 
     /// Empty where no panel has two points.
@@ -186,11 +166,7 @@ impl AxisChart {
             return String::new();
         };
         let x = Scale::across(self.along(), across);
-        let at = if self.is_logarithmic {
-            powers(across)
-        } else {
-            ticks(across, 10)
-        };
+        let at = if self.is_logarithmic { powers(across) } else { ticks(across, 10) };
         let (mut svg, mut upper, mut base) = (Svg::default(), HEAD, HEAD);
         let last = self.shown().count() - 1;
         for (place, (panel, values)) in self.shown().enumerate() {
@@ -222,11 +198,8 @@ impl AxisChart {
             let at = x.px(*place);
             svg.line("divider", (at, upper), (at, base));
             // Beside the line, on the side where there is room, each in a row of its own.
-            let left = if at + width(name) + 8.0 < x.to_px {
-                at + 4.0
-            } else {
-                at - width(name) - 4.0
-            };
+            let left =
+                if at + width(name) + 8.0 < x.to_px { at + 4.0 } else { at - width(name) - 4.0 };
             if named {
                 svg.text("tick", left, upper + 13.0 + 14.0 * row as f64, name);
             }
@@ -257,9 +230,7 @@ impl AxisPanel {
         let widest = WIDEST_GAP * (x.domain.to - x.domain.from);
         let pieces = line.chunk_by(|a, b| b.0 - a.0 <= widest);
         let place = |(at, value): &(f64, f64)| (x.px(*at), y.px(*value));
-        let path: String = pieces
-            .map(|piece| polyline(piece.iter().map(place)) + "h0")
-            .collect();
+        let path: String = pieces.map(|piece| polyline(piece.iter().map(place)) + "h0").collect();
         svg.path("series command", &path);
     }
 }
@@ -444,21 +415,14 @@ impl CurveChart {
         svg.frame(x, upper, lower);
         svg.grid_across(x, &powers(x.domain), upper, lower);
         let at = powers(y.domain);
-        svg.axis_upwards(
-            x,
-            &y,
-            &at,
-            &at.iter().map(|tick| plain(*tick)).collect::<Vec<_>>(),
-        );
+        svg.axis_upwards(x, &y, &at, &at.iter().map(|tick| plain(*tick)).collect::<Vec<_>>());
         svg.text("title", x.from_px, upper - 8.0, &panel.title);
         for (index, curve) in panel.curves.iter().enumerate() {
             let is_drawn =
                 |(at, value): &(f64, f64)| at.is_finite() && value.is_finite() && *at > 0.0;
             let place = |(at, value): &(f64, f64)| (x.px(*at), y.px(value.max(f64::MIN_POSITIVE)));
             let pieces = curve.split(|point| !is_drawn(point));
-            let path: String = pieces
-                .map(|piece| polyline(piece.iter().map(place)))
-                .collect();
+            let path: String = pieces.map(|piece| polyline(piece.iter().map(place))).collect();
             if !path.is_empty() {
                 svg.path(&format!("series {}", class(index)), &path);
             }
@@ -532,11 +496,7 @@ pub fn reliability(description: &str, title: &str, across: &str, claims: &[Claim
         // Beside the diagonal, not on it, where the frame leaves room.
         let place = (at - x.from_px) / (x.to_px - x.from_px);
         let is_left = place > 0.9 || (place > 0.1 && found.share > found.given);
-        let (class, beside) = if is_left {
-            ("value end", at - 9.0)
-        } else {
-            ("value", at + 9.0)
-        };
+        let (class, beside) = if is_left { ("value end", at - 9.0) } else { ("value", at + 9.0) };
         let level = share.clamp(HEAD + 14.0, BASE - 6.0);
         svg.text(class, beside, level, &format!("of {}", found.count));
     }
@@ -559,9 +519,8 @@ mod tests {
         let ladder =
             [("a", 4.0), ("b", 2.0), ("c", f64::NAN)].map(|(name, v)| (name.to_owned(), v));
         let svg = bars("ladder", "error", &ladder, Some(("floor", 1.0)));
-        let lengths: Vec<f64> = between(&svg, " width=\"", '"')
-            .map(|px| px.parse().unwrap())
-            .collect();
+        let lengths: Vec<f64> =
+            between(&svg, " width=\"", '"').map(|px| px.parse().unwrap()).collect();
         assert!(
             (lengths[0] / lengths[1] - 2.0).abs() < 0.01 && lengths[2].abs() < 1e-9,
             "{lengths:?}"
@@ -596,10 +555,7 @@ mod tests {
         };
         let svg = chart(&[0.1, 0.0, -0.1], &[0.01, 0.01, 0.01]);
         assert_eq!(svg.matches("class=\"knot").count(), 3);
-        assert!(
-            svg.contains("cx=\"66\"") && svg.contains("cx=\"876\""),
-            "{svg}"
-        );
+        assert!(svg.contains("cx=\"66\"") && svg.contains("cx=\"876\""), "{svg}");
         assert!(svg.contains("what &lt;it&gt; lacks"));
         let svg = chart(&[0.1, f64::NAN, -0.1], &[f64::NAN]);
         assert_eq!(svg.matches("class=\"knot").count(), 2);
@@ -613,11 +569,7 @@ mod tests {
             let set = |label: &str, drawn, shows: bool| {
                 let place = |k: i32| Place {
                     at: 0.5 * 1.2_f64.powi(k),
-                    value: if is_carried(k) == shows {
-                        f64::from(k)
-                    } else {
-                        f64::NAN
-                    },
+                    value: if is_carried(k) == shows { f64::from(k) } else { f64::NAN },
                     low: f64::from(k) - 1.0,
                     high: if k == 3 { f64::NAN } else { f64::from(k) + 1.0 },
                 };
@@ -628,10 +580,7 @@ mod tests {
                     points: (0..30).map(place).collect(),
                 }
             };
-            let sets = vec![
-                set("measured <1>", Drawn::Curve, true),
-                set("", Drawn::Faint, false),
-            ];
+            let sets = vec![set("measured <1>", Drawn::Curve, true), set("", Drawn::Faint, false)];
             let panel = AxisPanel {
                 title: "magnitude, dB".to_owned(),
                 height: 150.0,
@@ -671,10 +620,7 @@ mod tests {
         let svg = chart(&[vec![Some(0.5), None], vec![Some(1.0), Some(0.25)]]);
         assert_eq!(svg.matches("class=\"cell\"").count(), 3);
         // The largest is the darkest, and lies in the upper row at the left.
-        assert!(
-            svg.contains("fill-opacity=\"0.65\" x=\"66\" y=\"26\""),
-            "{svg}"
-        );
+        assert!(svg.contains("fill-opacity=\"0.65\" x=\"66\" y=\"26\""), "{svg}");
         assert!(svg.contains("in 5 windows"));
         assert_eq!(chart(&[vec![None, None], vec![None, None]]), "");
     }
@@ -693,18 +639,9 @@ mod tests {
     #[test]
     fn a_gap_cuts_the_curve_and_nothing_absurd_reaches_the_picture() {
         let (gap, end) = ((0.1, f64::NAN), (2.0, f64::INFINITY));
-        let svg = curve(vec![
-            (0.01, 1.0),
-            gap,
-            (1.0, 10.0),
-            end,
-            (3.0, 0.0),
-            (-1.0, 5.0),
-        ]);
+        let svg = curve(vec![(0.01, 1.0), gap, (1.0, 10.0), end, (3.0, 0.0), (-1.0, 5.0)]);
         assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
-        let path = between(&svg, "class=\"series k0\" d=\"", '"')
-            .next()
-            .unwrap();
+        let path = between(&svg, "class=\"series k0\" d=\"", '"').next().unwrap();
         assert_eq!(path.matches('M').count(), 3);
         assert!(svg.contains("a &lt;b&gt;"));
         assert_eq!(curve(vec![(1.0, f64::NAN)]), "");
@@ -713,13 +650,10 @@ mod tests {
     #[test]
     fn a_decade_has_the_same_height_everywhere() {
         let svg = curve(vec![(1.0, 0.1), (10.0, 1.0), (100.0, 10.0)]);
-        let path = between(&svg, "class=\"series k0\" d=\"", '"')
-            .next()
-            .unwrap();
+        let path = between(&svg, "class=\"series k0\" d=\"", '"').next().unwrap();
         let points = path.split(['M', 'L']).filter(|point| !point.is_empty());
-        let heights: Vec<f64> = points
-            .map(|point| point.split(' ').nth(1).unwrap().parse().unwrap())
-            .collect();
+        let heights: Vec<f64> =
+            points.map(|point| point.split(' ').nth(1).unwrap().parse().unwrap()).collect();
         let bend = heights[0] - 2.0 * heights[1] + heights[2];
         assert!(bend.abs() < 0.3 && heights[0] > heights[1], "{heights:?}");
     }

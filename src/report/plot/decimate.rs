@@ -34,10 +34,8 @@ pub(super) fn pieces(points: impl IntoIterator<Item = (f64, f64)>) -> Pieces {
 /// A commanded value with its corners: held from each event to the next, the last one until `end_s`.
 pub(super) fn held(events: &[(f64, f64)], end_s: f64) -> Pieces {
     let mut line: Vec<(f64, f64)> = Vec::with_capacity(2 * events.len() + 1);
-    let present = events
-        .iter()
-        .copied()
-        .filter(|(time_s, value)| time_s.is_finite() && value.is_finite());
+    let present =
+        events.iter().copied().filter(|(time_s, value)| time_s.is_finite() && value.is_finite());
     for (time_s, value) in present {
         if let Some(&(_, before)) = line.last()
             && (before - value).abs() > 0.0
@@ -51,11 +49,7 @@ pub(super) fn held(events: &[(f64, f64)], end_s: f64) -> Pieces {
     {
         line.push((end_s, value));
     }
-    if line.is_empty() {
-        Pieces::new()
-    } else {
-        vec![line]
-    }
+    if line.is_empty() { Pieces::new() } else { vec![line] }
 }
 
 /// At most four points per column of the picture, whatever the number of samples: the extremes of every column stay, and
@@ -98,20 +92,14 @@ fn push_extremes(line: &mut Vec<(f64, f64)>, points: &[(f64, f64)], same: impl F
     let mut all = line.split_off(line.len() - kept);
     all.extend_from_slice(points);
     let extreme = |better: fn(f64, f64) -> bool| {
-        (0..all.len()).fold(0, |best, index| {
-            if better(all[index].1, all[best].1) {
-                index
-            } else {
-                best
-            }
-        })
+        (0..all.len()).fold(
+            0,
+            |best, index| {
+                if better(all[index].1, all[best].1) { index } else { best }
+            },
+        )
     };
-    let mut chosen = [
-        0,
-        extreme(|a, b| a < b),
-        extreme(|a, b| a > b),
-        all.len() - 1,
-    ];
+    let mut chosen = [0, extreme(|a, b| a < b), extreme(|a, b| a > b), all.len() - 1];
     chosen.sort_unstable();
     let mut before = None;
     for index in chosen {
@@ -129,13 +117,11 @@ mod tests {
 
     #[test]
     fn a_lost_sample_cuts_the_line_and_an_empty_cell_of_another_row_does_not() {
-        let lost: Vec<(f64, f64)> = (0..10)
-            .map(|k| (f64::from(k), if k == 4 { f64::NAN } else { 1.0 }))
-            .collect();
+        let lost: Vec<(f64, f64)> =
+            (0..10).map(|k| (f64::from(k), if k == 4 { f64::NAN } else { 1.0 })).collect();
         assert_eq!(pieces(lost).len(), 2);
-        let interleaved: Vec<(f64, f64)> = (0..20)
-            .map(|k| (f64::from(k), if k % 2 == 0 { f64::NAN } else { 1.0 }))
-            .collect();
+        let interleaved: Vec<(f64, f64)> =
+            (0..20).map(|k| (f64::from(k), if k % 2 == 0 { f64::NAN } else { 1.0 })).collect();
         assert_eq!(pieces(interleaved).len(), 1);
         assert!(pieces([(0.0, f64::NAN)]).is_empty());
     }
@@ -149,11 +135,7 @@ mod tests {
 
     #[test]
     fn gaps_wider_than_a_column_stay() {
-        let line = vec![
-            vec![(0.0, 0.0), (1.0, 0.0)],
-            vec![(1.01, 1.0)],
-            vec![(9.0, 1.0)],
-        ];
+        let line = vec![vec![(0.0, 0.0), (1.0, 0.0)], vec![(1.01, 1.0)], vec![(9.0, 1.0)]];
         let out = decimate(&line, 0.0, 10.0, 10);
         assert_eq!(out.len(), 2);
     }

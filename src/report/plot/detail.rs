@@ -59,11 +59,7 @@ fn base64(text: &mut String, bytes: &[u8]) {
         for place in 0..4 {
             let digit = (bits >> (18 - 6 * place)) & 63;
             let is_there = place <= group.len();
-            text.push(if is_there {
-                char::from(DIGITS[digit as usize])
-            } else {
-                '='
-            });
+            text.push(if is_there { char::from(DIGITS[digit as usize]) } else { '=' });
         }
     }
 }
@@ -74,13 +70,9 @@ mod tests {
 
     #[test]
     fn base64_is_that_of_the_standard() {
-        for (bytes, expected) in [
-            ("", ""),
-            ("f", "Zg=="),
-            ("fo", "Zm8="),
-            ("foo", "Zm9v"),
-            ("foobar", "Zm9vYmFy"),
-        ] {
+        for (bytes, expected) in
+            [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foobar", "Zm9vYmFy")]
+        {
             let mut text = String::new();
             base64(&mut text, bytes.as_bytes());
             assert_eq!(text, expected);
@@ -94,11 +86,7 @@ mod tests {
         let (text, width) = encode(&[&short], 0.0, 3.0, MOST_POINTS);
         assert_eq!(width, None);
         assert_eq!(text.len(), 32_usize.div_ceil(3) * 4 + 1);
-        let long = vec![
-            (0..100_000)
-                .map(|k| (f64::from(k), f64::from(k % 7)))
-                .collect(),
-        ];
+        let long = vec![(0..100_000).map(|k| (f64::from(k), f64::from(k % 7))).collect()];
         let (text, width) = encode(&[&long], 0.0, 1e5, 4_000);
         assert_eq!(width, Some(100.0));
         assert!(text.len() < 8 * 4_100 * 4 / 3, "{}", text.len());

@@ -42,18 +42,13 @@ pub struct Plot {
 
 impl From<String> for Plot {
     fn from(svg: String) -> Self {
-        Self {
-            svg,
-            ..Self::default()
-        }
+        Self { svg, ..Self::default() }
     }
 }
 
 /// Every picture of a page as a file of its own, in their order.
 pub fn pictures(html: &str) -> Vec<String> {
-    let begins = html
-        .match_indices("<svg class=\"plot")
-        .map(|(at, _)| &html[at..]);
+    let begins = html.match_indices("<svg class=\"plot").map(|(at, _)| &html[at..]);
     let whole = |rest: &str| {
         let mut open = 0;
         let mut from = 0;
@@ -73,16 +68,10 @@ pub fn pictures(html: &str) -> Vec<String> {
 
 /// A picture as a file of its own: with the style sheet, which every viewer of SVG understands.
 pub fn standalone(svg: &str) -> String {
-    let opened = svg.replacen(
-        "<svg ",
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"900\" ",
-        1,
-    );
+    let opened =
+        svg.replacen("<svg ", "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"900\" ", 1);
     let style = format!("><style>{STYLE}svg.plot{{background:var(--paper)}}</style>");
-    format!(
-        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n{}\n",
-        opened.replacen('>', &style, 1)
-    )
+    format!("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n{}\n", opened.replacen('>', &style, 1))
 }
 
 #[cfg(test)]

@@ -120,11 +120,7 @@ impl Panel {
 
     fn with(mut self, label: impl Into<String>, style: Style, pieces: Pieces) -> Self {
         let label = label.into();
-        self.series.push(Series {
-            label,
-            style,
-            pieces,
-        });
+        self.series.push(Series { label, style, pieces });
         self
     }
 
@@ -243,9 +239,7 @@ pub fn stacked(
     most_points: usize,
 ) -> Plot {
     let panels = || panels.iter().filter(|panel| !panel.is_empty());
-    let points = panels()
-        .flat_map(|panel| &panel.series)
-        .flat_map(Series::points);
+    let points = panels().flat_map(|panel| &panel.series).flat_map(Series::points);
     let Some(time) = Domain::of(points.map(|point| point.0)) else {
         return Plot::default();
     };
@@ -300,11 +294,7 @@ mod tests {
         let svg = plot(&[1.0, nan, 2.0, infinite, -infinite, 3.0, 3.0, 4.0]);
         assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
         assert!(svg.matches('M').count() > 4, "gaps are drawn as gaps");
-        assert_eq!(
-            plot(&[f64::NAN; 5]),
-            "",
-            "a panel without values is left out"
-        );
+        assert_eq!(plot(&[f64::NAN; 5]), "", "a panel without values is left out");
     }
 
     #[test]

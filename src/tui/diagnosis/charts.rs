@@ -36,18 +36,11 @@ pub(super) fn curve(
         return;
     };
     let title = format!("{}, over {}", curve.title(), curve.axis_label());
-    let place = if drawn.len() > 1 {
-        format!("{} of {}", index + 1, drawn.len())
-    } else {
-        String::new()
-    };
+    let place =
+        if drawn.len() > 1 { format!("{} of {}", index + 1, drawn.len()) } else { String::new() };
     let inner = titled_with(&title, &place, area, buffer);
     let width = usize::from(inner.width);
-    let most = if inner.height >= TALL {
-        MOST_WORDS
-    } else {
-        FEW_WORDS
-    };
+    let most = if inner.height >= TALL { MOST_WORDS } else { FEW_WORDS };
     let room = width.saturating_sub(1).max(1);
     let said = words(curve).into_iter();
     let mut said: Vec<String> = said.flat_map(|text| wrapped(&text, room)).collect();
@@ -80,10 +73,7 @@ fn words(curve: &Arc<EffectCurve>) -> Vec<String> {
 
 fn at_cursor(curve: &EffectCurve, (at, point): (usize, &CurvePoint)) -> Line<'static> {
     let (place, axis, unit) = (significant(point.at, 3), curve.axis_unit, curve.unit);
-    let mut text = format!(
-        " ┊ {place} {axis}: {} {unit}",
-        with_std(point.mean, Some(point.std))
-    );
+    let mut text = format!(" ┊ {place} {axis}: {} {unit}", with_std(point.mean, Some(point.std)));
     if let Some(with) = curve.with_it.get(at) {
         let _ = write!(text, ", with it {}", with_std(with.mean, Some(with.std)));
     }
@@ -110,15 +100,9 @@ pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) 
     };
     let worse = comparison.balances.first();
     let torque_first = worse.is_none_or(|balance| balance.equation == "torque");
-    let (equation, unit) = if torque_first == (index == 0) {
-        ("torque", "N.m")
-    } else {
-        ("voltage", "V")
-    };
-    let MapDigits {
-        largest,
-        rows: speeds,
-    } = map.digits(equation);
+    let (equation, unit) =
+        if torque_first == (index == 0) { ("torque", "N.m") } else { ("voltage", "V") };
+    let MapDigits { largest, rows: speeds } = map.digits(equation);
     let nine = significant(largest, 3);
     let title = format!("{equation} error over speed x current: 9 and i are {nine} {unit}");
     let inner = titled_with(&title, "", area, buffer);
@@ -137,11 +121,7 @@ pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) 
     let step = speeds.len().div_ceil(room.max(1)).max(1);
     for (middle, cells) in speeds.iter().skip(step / 2).step_by(step) {
         for copy in 0..repeat {
-            let label = if copy == 0 {
-                format!("{middle:>6.0} rad/s ")
-            } else {
-                " ".repeat(13)
-            };
+            let label = if copy == 0 { format!("{middle:>6.0} rad/s ") } else { " ".repeat(13) };
             let mut line = Line::from(Span::styled(label, theme::DIM));
             line.extend(cells.iter().map(|cell| {
                 let mark = cell.map_or('·', MapCell::glyph);
@@ -156,11 +136,7 @@ pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) 
     if let (Some(from), Some(to)) = (map.current_edges_a.first(), map.current_edges_a.last()) {
         let [from, to] = [from, to].map(|edge| format!("{} A", shortest(*edge, 3)));
         let gap = (columns * cell_width).saturating_sub(from.chars().count());
-        let left_out = if step > 1 {
-            format!("1 row of {step}")
-        } else {
-            String::new()
-        };
+        let left_out = if step > 1 { format!("1 row of {step}") } else { String::new() };
         let axis = format!(" {left_out:<12}{from}{to:>gap$}");
         lines.push(Line::styled(axis, theme::DIM));
     }

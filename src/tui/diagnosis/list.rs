@@ -152,21 +152,16 @@ pub(super) fn candidates(state: &State, area: Rect, buffer: &mut Buffer) {
         let is_selected = Some(index) == selected;
         let mut line = Line::raw(if is_selected { "▶ " } else { "  " });
         line.extend(spans(row, usize::from(inner.width), state.is_floor_known()));
-        line.style(if is_selected {
-            theme::BOLD
-        } else {
-            theme::PLAIN
-        })
+        line.style(if is_selected { theme::BOLD } else { theme::PLAIN })
     });
     render_rows(&lines.collect::<Vec<_>>(), inner, buffer);
 }
 
 fn spans(row: &Row<'_>, width: usize, floor: bool) -> Vec<Span<'static>> {
     match row {
-        Row::Present(id) => vec![
-            Span::styled("+ in the model ", theme::GOOD),
-            Span::raw((*id).to_owned()),
-        ],
+        Row::Present(id) => {
+            vec![Span::styled("+ in the model ", theme::GOOD), Span::raw((*id).to_owned())]
+        }
         Row::Judged(id, judged) => {
             let mut spans = vec![Span::raw(format!("{id:<25} "))];
             spans.extend(share(judged.share, BAR));
@@ -184,10 +179,8 @@ fn spans(row: &Row<'_>, width: usize, floor: bool) -> Vec<Span<'static>> {
             } else {
                 format!("{word:<13} ")
             };
-            let mut spans = vec![
-                Span::styled(word, style),
-                Span::raw(format!("{:<24} ", candidate.effect)),
-            ];
+            let mut spans =
+                vec![Span::styled(word, style), Span::raw(format!("{:<24} ", candidate.effect))];
             // What would not have shown has no probability but that of before.
             let is_seen = candidate.status != Status::NotExcited;
             let bar_length = match width {
@@ -208,10 +201,7 @@ fn spans(row: &Row<'_>, width: usize, floor: bool) -> Vec<Span<'static>> {
             spans.push(Span::raw(format!("  {}", text.unwrap_or_default())));
             if let Some(other) = candidate.as_good_as {
                 let used: usize = spans.iter().map(Span::width).sum();
-                let text = cut(
-                    &format!(" as good as {other}"),
-                    width.saturating_sub(used + 2),
-                );
+                let text = cut(&format!(" as good as {other}"), width.saturating_sub(used + 2));
                 spans.push(Span::styled(text, theme::CAREFUL));
             }
             if let (true, Some(text)) = (width >= WIDE && is_seen, candidate.seen_from()) {
@@ -232,11 +222,7 @@ fn share(share: Option<f64>, length: usize) -> Vec<Span<'static>> {
     };
     let (full, empty) = bar(share, length);
     let percent = (100.0 * share.clamp(-9.0, 1.0)).round() + 0.0;
-    vec![
-        Span::raw(full),
-        Span::styled(empty, theme::DIM),
-        Span::raw(format!("{percent:>4.0} %")),
-    ]
+    vec![Span::raw(full), Span::styled(empty, theme::DIM), Span::raw(format!("{percent:>4.0} %"))]
 }
 
 /// The status as a word with its mark, and the colour that repeats it.
@@ -258,9 +244,5 @@ fn size(candidate: &Candidate, with_name: bool) -> Option<String> {
     let of_size = |p: &&ParameterEstimate| p.key.rsplit('.').next() == Some(key);
     let parameter = found.clone().find(of_size).or_else(|| found.next())?;
     let text = parameter.text(TWO_SIDED_95);
-    Some(if with_name {
-        format!("{} {text}", parameter_name(&parameter.key).0)
-    } else {
-        text
-    })
+    Some(if with_name { format!("{} {text}", parameter_name(&parameter.key).0) } else { text })
 }

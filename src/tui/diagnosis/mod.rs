@@ -84,10 +84,9 @@ impl DiagnosisScreen {
         // A worker that has gone is told of by its news.
         let title = sources.title.clone();
         let (order, mut state) = match sources.opens {
-            Opens::Comparison(error_of) => (
-                Order::Compare(error_of),
-                State::of_a_comparison(title, error_of),
-            ),
+            Opens::Comparison(error_of) => {
+                (Order::Compare(error_of), State::of_a_comparison(title, error_of))
+            }
             _ => (Order::Diagnose, State::new(title)),
         };
         state.opens = sources.opens;

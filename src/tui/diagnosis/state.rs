@@ -44,11 +44,7 @@ pub(super) struct Step {
 
 impl Step {
     pub(super) fn new(name: String, error: f64, noise: &NoiseFloor) -> Self {
-        Self {
-            name,
-            error,
-            at_floor: noise.is_at_the_floor(error),
-        }
+        Self { name, error, at_floor: noise.is_at_the_floor(error) }
     }
 }
 
@@ -127,11 +123,7 @@ pub(super) struct State {
 
 impl State {
     pub(super) fn new(title: String) -> Self {
-        Self {
-            title,
-            working: Some("fitting the model".to_owned()),
-            ..Self::default()
-        }
+        Self { title, working: Some("fitting the model".to_owned()), ..Self::default() }
     }
 
     /// The run was stopped there: the traces open at that place.
@@ -339,10 +331,7 @@ impl State {
             // What is missing now is searched anew.
             self.search_begins(result.effect);
         } else if added {
-            self.say(format!(
-                "refused: a again adds {} all the same",
-                result.effect
-            ));
+            self.say(format!("refused: a again adds {} all the same", result.effect));
         } else {
             self.say("refused; u takes the last change back");
         }
@@ -515,11 +504,7 @@ impl State {
             Ok((id, true)) => self.say(format!("{id} is in the model already: r removes it")),
             Ok((id, false)) => {
                 self.order(format!("refitting with {id}"));
-                let order = if self.was_refused(id) {
-                    Order::Force
-                } else {
-                    Order::Add
-                };
+                let order = if self.was_refused(id) { Order::Force } else { Order::Add };
                 return Some(Effect::Order(order(id)));
             }
         }
@@ -558,15 +543,9 @@ impl State {
             return;
         };
         let text = if self.before {
-            format!(
-                "after the change of {}: the model as it stands",
-                result.effect
-            )
+            format!("after the change of {}: the model as it stands", result.effect)
         } else {
-            format!(
-                "BEFORE the change of {}; b shows the model as it stands",
-                result.effect
-            )
+            format!("BEFORE the change of {}; b shows the model as it stands", result.effect)
         };
         self.show_before(!self.before);
         self.say(text);
@@ -722,9 +701,7 @@ impl State {
             return None;
         };
         let (place, equation, axis) = (*place, map.equation, map.axis);
-        self.order(format!(
-            "fitting the curve of the {equation} error over {axis}"
-        ));
+        self.order(format!("fitting the curve of the {equation} error over {axis}"));
         Some(Effect::Order(Order::AddCurve(place)))
     }
 

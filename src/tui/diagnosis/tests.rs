@@ -85,10 +85,7 @@ fn searching() -> State {
         let screened = Found::Screened { effect, share };
         hear(&mut state, News::Progress(screened));
     }
-    let refitted = Found::Refitted {
-        effect: "stribeck_friction",
-        error: 1.01,
-    };
+    let refitted = Found::Refitted { effect: "stribeck_friction", error: 1.01 };
     hear(&mut state, News::Progress(refitted));
     state
 }
@@ -127,9 +124,7 @@ fn of_a_fan() -> State {
     let mut found = diagnosis();
     found.candidates[0] = candidate(1, "quadratic_load", Status::Supported, 1.03);
     (found.effect, found.effects) = (Some("quadratic_load"), vec!["quadratic_load"]);
-    found.sentence = found
-        .sentence
-        .replace("stribeck_friction", "quadratic_load");
+    found.sentence = found.sentence.replace("stribeck_friction", "quadratic_load");
     answer(&mut state, found);
     hear(&mut state, News::Curves(fan_curves()));
     state
@@ -206,10 +201,7 @@ pub(in crate::tui) fn pages() -> Vec<Page> {
         let mut found = diagnosis();
         found.confusable = vec![["viscous_friction", "quadratic_load"]];
         answer(&mut state, found);
-        hear(
-            &mut state,
-            News::Recommended(Some(Box::new(next_experiment()))),
-        );
+        hear(&mut state, News::Recommended(Some(Box::new(next_experiment()))));
         pressed(state, &[Press::Next])
     };
     let failed = || {
@@ -233,19 +225,10 @@ pub(in crate::tui) fn pages() -> Vec<Page> {
         ("map", pressed(of_a_fan(), &[Press::Map])),
         ("next", next()),
         ("curve", curve.clone()),
-        (
-            "curve_cursor",
-            pressed(curve, &[Press::Cursor(-1), Press::Cursor(-1)]),
-        ),
+        ("curve_cursor", pressed(curve, &[Press::Cursor(-1), Press::Cursor(-1)])),
         ("traces", traces.clone()),
-        (
-            "worst",
-            pressed(of_a_fan(), &[Press::Worst, Press::Cursor(1)]),
-        ),
-        (
-            "signals",
-            pressed(traces, &[Press::Signals, Press::Move(1)]),
-        ),
+        ("worst", pressed(of_a_fan(), &[Press::Worst, Press::Cursor(1)])),
+        ("signals", pressed(traces, &[Press::Signals, Press::Move(1)])),
         ("drawn_over", pressed(falling(), &[Press::Traces])),
         ("compared", compared_alone()),
         ("stopped", stopped()),
@@ -270,10 +253,7 @@ const OVER: [Over; 7] = [
 #[test]
 fn every_small_size() {
     let more = [of_a_fan(), falling(), compared_alone()];
-    for state in [begun(), searching(), answered(), at_the_floor()]
-        .into_iter()
-        .chain(more)
-    {
+    for state in [begun(), searching(), answered(), at_the_floor()].into_iter().chain(more) {
         for over in OVER.into_iter().chain([Over::Nothing]) {
             let mut state = state.clone();
             state.over = over;
@@ -289,10 +269,7 @@ fn the_selected_row_is_always_in_sight() {
     let mut state = begun();
     for effect in CATALOGUE {
         let (effect, share) = (effect.card().id, 0.1);
-        hear(
-            &mut state,
-            News::Progress(Found::Screened { effect, share }),
-        );
+        hear(&mut state, News::Progress(Found::Screened { effect, share }));
     }
     for _ in 0..40 {
         press(&mut state, Press::Move(1));
@@ -373,11 +350,7 @@ fn r_removes_what_is_in_the_model_and_nothing_else() {
     assert_eq!(press(&mut state, Press::Remove), None);
     assert_eq!(told(&state), "the model has no effect yet");
     let mut state = at_the_floor();
-    assert_eq!(
-        selected(&state),
-        "stribeck_friction",
-        "the cursor stays on what was added"
-    );
+    assert_eq!(selected(&state), "stribeck_friction", "the cursor stays on what was added");
     press(&mut state, DOWN);
     let effect = press(&mut state, Press::Remove);
     assert_eq!(effect, None, "a candidate is selected");
@@ -404,10 +377,7 @@ fn u_takes_the_last_change_back_and_b_looks_before_it() {
     assert!((shown(&state).holdout.rmse - after).abs() < 1e-12);
     let effect = press(&mut state, Press::Undo);
     assert_eq!(effect, Some(Effect::Order(Order::Undo)));
-    let undone = News::Undone {
-        effect: "stribeck_friction",
-        present: Vec::new(),
-    };
+    let undone = News::Undone { effect: "stribeck_friction", present: Vec::new() };
     hear(&mut state, undone);
     assert!(state.present.is_empty() && state.ladder.len() == 1);
     answer(&mut state, diagnosis());
@@ -451,10 +421,7 @@ fn a_rival_of_the_model_stays_on_the_list_and_the_screen_is_not_green() {
     found.remember_rivals(&[["stribeck_friction", "cogging"]]);
     answer(&mut state, found);
     let shown = text(&state, 120, 40);
-    assert!(
-        shown.contains("~ NOTHING MISSING THAT THESE RUNS COULD SHOW"),
-        "{shown}"
-    );
+    assert!(shown.contains("~ NOTHING MISSING THAT THESE RUNS COULD SHOW"), "{shown}");
     assert!(shown.contains("as good as stribeck_friction"), "{shown}");
 }
 
@@ -501,11 +468,7 @@ fn a_click_selects_a_row_and_sets_the_cursor_and_the_wheel_zooms() {
     assert_eq!(shown(&traces), before);
     let mut curve = pressed(of_a_fan(), &[Press::Curve]);
     click(&mut curve, "┤");
-    assert!(
-        matches!(curve.over, Over::Curve(0, Some(_))),
-        "{:?}",
-        curve.over
-    );
+    assert!(matches!(curve.over, Over::Curve(0, Some(_))), "{:?}", curve.over);
 }
 
 #[test]
@@ -556,10 +519,7 @@ fn the_selection_stays_on_its_effect_while_the_order_changes() {
     let mut state = searching();
     press(&mut state, DOWN);
     assert_eq!(selected(&state), "cogging");
-    let screened = Found::Screened {
-        effect: "quadratic_load",
-        share: 0.99,
-    };
+    let screened = Found::Screened { effect: "quadratic_load", share: 0.99 };
     hear(&mut state, News::Progress(screened));
     assert_eq!(selected(&state), "cogging");
     for _ in 0..99 {
@@ -585,10 +545,7 @@ fn e_goes_through_both_equations_and_says_where_there_is_no_map() {
 fn c_draws_the_selected_effect_else_the_error_and_then_what_is_unexplained() {
     let mut state = of_a_fan();
     press(&mut state, Press::Curve);
-    shows(
-        &state,
-        &["without the effect", "with it", "over speed, rad/s"],
-    );
+    shows(&state, &["without the effect", "with it", "over speed, rad/s"]);
     let after_it = press(&mut state, Press::Curve);
     assert_eq!((after_it, state.over), (None, Over::Nothing));
     // The next row has no size: the error alone.
@@ -636,10 +593,7 @@ fn a_change_is_drawn_frame_by_frame_towards_the_floor_and_ends_by_itself() {
         lengths.push(bar(&state));
         assert!(lengths.len() <= usize::from(FRAMES) + 1, "it ends");
     }
-    assert!(
-        lengths.windows(2).all(|pair| pair[1] <= pair[0]),
-        "{lengths:?}"
-    );
+    assert!(lengths.windows(2).all(|pair| pair[1] <= pair[0]), "{lengths:?}");
     assert!(lengths[0] > 3 * lengths[lengths.len() - 1], "{lengths:?}");
     assert!(lengths.len() > 10);
 }
@@ -676,10 +630,7 @@ fn a_comparison_alone_searches_only_when_it_is_asked_to() {
     assert_eq!(press(&mut state, Press::Diagnose), None, "not twice");
     // Over a comparison, and before there is any row.
     for (mut state, expected) in [
-        (
-            pressed(compared_alone(), &[Press::Map]),
-            "this page does not scroll",
-        ),
+        (pressed(compared_alone(), &[Press::Map]), "this page does not scroll"),
         (compared_alone(), "there is no list of effects yet"),
         (begun(), "not yet: no effect has been judged"),
     ] {
@@ -696,17 +647,10 @@ fn n_tells_what_is_not_told_apart_and_the_run_that_would() {
     let mut found = diagnosis();
     found.confusable = vec![["viscous_friction", "quadratic_load"]];
     answer(&mut state, found);
-    hear(
-        &mut state,
-        News::Recommended(Some(Box::new(next_experiment()))),
-    );
+    hear(&mut state, News::Recommended(Some(Box::new(next_experiment()))));
     press(&mut state, Press::Next);
     // The dither is above the constant, below what that run needs.
-    let tried = [
-        "from which on that run tells",
-        "612  tells",
-        "612  does not",
-    ];
+    let tried = ["from which on that run tells", "612  tells", "612  does not"];
     shows(&state, &tried);
     let pair = "viscous_friction and quadratic_load cannot be told apart";
     shows(&state, &[pair, "run a slow ramp"]);
@@ -717,17 +661,11 @@ fn n_tells_what_is_not_told_apart_and_the_run_that_would() {
 #[test]
 fn none_is_asked_for_only_once_the_next_run_has_been_looked_for() {
     let mut state = searching();
-    let without_limits = Diagnosis {
-        limits: Vec::new(),
-        ..diagnosis()
-    };
+    let without_limits = Diagnosis { limits: Vec::new(), ..diagnosis() };
     answer(&mut state, without_limits);
     press(&mut state, Press::Next);
     shows(&state, &["being looked for"]);
-    let reveals = NextExperiment {
-        pair: None,
-        ..next_experiment()
-    };
+    let reveals = NextExperiment { pair: None, ..next_experiment() };
     let mut shown = state.clone();
     hear(&mut shown, News::Recommended(Some(Box::new(reveals))));
     shows(&shown, &["foreseen precision", "slow_ramp"]);

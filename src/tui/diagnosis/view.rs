@@ -49,10 +49,7 @@ impl Places {
     /// What lies between the verdict and the keys: a page over it takes all of that.
     fn body(&self) -> Rect {
         let parts = [self.failing, self.strip, self.list, self.ladder];
-        Rect {
-            height: parts.iter().map(|part| part.height).sum(),
-            ..self.failing
-        }
+        Rect { height: parts.iter().map(|part| part.height).sum(), ..self.failing }
     }
 }
 
@@ -93,15 +90,7 @@ fn places(state: &State, area: Rect) -> Places {
         Constraint::Length(bottom_rows),
     ])
     .areas(area);
-    Places {
-        top,
-        verdict,
-        failing,
-        strip,
-        list,
-        ladder,
-        bottom,
-    }
+    Places { top, verdict, failing, strip, list, ladder, bottom }
 }
 
 /// Selects the row, sets the cursor of traces or curve, where something was clicked; else it is said so.
@@ -169,13 +158,7 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
         state.hidden.set(hidden);
     }
     let (keys, always) = keys(state);
-    hints(
-        state.message.as_deref(),
-        &keys,
-        always,
-        places.bottom,
-        buffer,
-    );
+    hints(state.message.as_deref(), &keys, always, places.bottom, buffer);
 }
 
 /// Rows of the traces on the page itself, where it is large.
@@ -198,22 +181,14 @@ fn top_bar(state: &State, area: Rect, buffer: &mut Buffer) {
         (None, None) => Span::styled(" ready ", theme::GOOD),
     };
     let width = (work.width() as u16).min(area.width);
-    let screen = if state.is_a_comparison() {
-        " COMPARISON "
-    } else {
-        " DIAGNOSIS "
-    };
+    let screen = if state.is_a_comparison() { " COMPARISON " } else { " DIAGNOSIS " };
     let room = usize::from(area.width - width).saturating_sub(screen.len());
     let title = Line::from(vec![
         Span::styled(screen, theme::BOLD),
         Span::styled(cut(&state.title, room), theme::DIM),
     ]);
     row(&title, area, buffer);
-    let right = Rect {
-        x: area.right() - width,
-        width,
-        ..area
-    };
+    let right = Rect { x: area.right() - width, width, ..area };
     row(&Line::from(work), right, buffer);
 }
 
@@ -247,10 +222,8 @@ fn verdict_line(state: &State) -> Line<'static> {
     let colon = if rest.is_empty() { "" } else { ": " };
     let mut line = Line::from(Span::styled(format!("{word}{colon}"), style));
     line.push_span(rest.to_owned());
-    let names_effects = matches!(
-        diagnosis.verdict,
-        DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous
-    );
+    let names_effects =
+        matches!(diagnosis.verdict, DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous);
     if names_effects && !diagnosis.sufficient {
         line.push_span("; this is not all: much is still unexplained");
     }
@@ -265,11 +238,7 @@ fn verdict_line(state: &State) -> Line<'static> {
 
 /// One column in from the left.
 fn inset(area: Rect) -> Rect {
-    Rect {
-        x: area.x + area.width.min(1),
-        width: area.width.saturating_sub(1),
-        ..area
-    }
+    Rect { x: area.x + area.width.min(1), width: area.width.saturating_sub(1), ..area }
 }
 
 /// The verdict as a word, which the colour only repeats.
@@ -318,30 +287,24 @@ fn keys(state: &State) -> (Vec<&'static str>, &'static str) {
             };
             (keys, LEAVE)
         }
-        Over::Nothing if state.only_compares() => (
-            "d diagnose|v traces|j worst place|c curve|g frequency|e map",
-            LEAVE,
-        ),
+        Over::Nothing if state.only_compares() => {
+            ("d diagnose|v traces|j worst place|c curve|g frequency|e map", LEAVE)
+        }
         Over::Nothing if state.working.is_some() => {
             ("v traces|Up Down select|Enter card|e map", LEAVE)
         }
-        Over::Nothing if followed > 0 => (
-            "c curve|t add it|v traces|a add|r remove|w write|n next run|e map",
-            LEAVE,
-        ),
+        Over::Nothing if followed > 0 => {
+            ("c curve|t add it|v traces|a add|r remove|w write|n next run|e map", LEAVE)
+        }
         Over::Nothing if state.ladder.len() > 1 => (
             "a add|v traces|c curve|r remove|u undo|b before|w write|n next run|Enter card|e map",
             LEAVE,
         ),
-        Over::Nothing => (
-            "a add|v traces|c curve|r remove|w write|Enter card|n next run|e map",
-            LEAVE,
-        ),
+        Over::Nothing => {
+            ("a add|v traces|c curve|r remove|w write|Enter card|n next run|e map", LEAVE)
+        }
     };
-    (
-        keys.split('|').filter(|key| !key.is_empty()).collect(),
-        always,
-    )
+    (keys.split('|').filter(|key| !key.is_empty()).collect(), always)
 }
 
 /// How good the model is and where it fails: figures, lights, places.
@@ -395,9 +358,7 @@ fn ladder(state: &State, area: Rect, buffer: &mut Buffer) {
     lines.extend(steps.map(|(index, (before, step))| {
         // The bar of the last change falls, or rises, from the one above it; the figure is the true one at once.
         let is_last = index + 1 == state.ladder.len();
-        let from = before
-            .filter(|_| is_last)
-            .map_or(step.error, |before| before.error);
+        let from = before.filter(|_| is_last).map_or(step.error, |before| before.error);
         let bar = from + state.fallen_share() * (step.error - from);
         rung(step, bar, largest, floor, width)
     }));
@@ -412,8 +373,7 @@ fn changes(state: &State, width: u16) -> Vec<Line<'static>> {
     let (text, style) = change(*added, result);
     let rows = wrapped(&text, usize::from(width).saturating_sub(1));
     let rows = rows.into_iter().take(MOST_ROWS_OF_A_CHANGE);
-    rows.map(|row| Line::styled(format!(" {row}"), style))
-        .collect()
+    rows.map(|row| Line::styled(format!(" {row}"), style)).collect()
 }
 
 fn rung(step: &Step, bar: f64, largest: f64, floor: bool, width: usize) -> Line<'static> {
@@ -428,11 +388,8 @@ fn rung(step: &Step, bar: f64, largest: f64, floor: bool, width: usize) -> Line<
             (false, false) => ' ',
         })
         .collect();
-    let (style, word) = if step.at_floor {
-        (theme::GOOD, " at the floor")
-    } else {
-        (theme::CAREFUL, "")
-    };
+    let (style, word) =
+        if step.at_floor { (theme::GOOD, " at the floor") } else { (theme::CAREFUL, "") };
     Line::from(vec![
         Span::raw(format!(" {:<NAME$} ", cut(&step.name, NAME))),
         Span::styled(bar, style),
@@ -447,10 +404,7 @@ fn change(added: bool, result: &AddResult) -> (String, Style) {
         return (format!("✗ refused: {}", result.reason), theme::CAREFUL);
     }
     if result.forced {
-        return (
-            format!("~ {}: {}", result.effect, result.reason),
-            theme::CAREFUL,
-        );
+        return (format!("~ {}: {}", result.effect, result.reason), theme::CAREFUL);
     }
     let word = if added { "added" } else { "removed" };
     let figures = error_changes(result);

@@ -83,9 +83,7 @@ impl LiveScreen {
         let (model, sources) = (&self.model, &self.sources);
         let mut events = Vec::new();
         // The worker publishes before it finishes: read in the other order, the last snapshot cannot be missed.
-        let worker = sources
-            .worker
-            .state(sources.hang_up.load(Ordering::Acquire));
+        let worker = sources.worker.state(sources.hang_up.load(Ordering::Acquire));
         let snapshot = sources.snapshots.latest();
         if !Arc::ptr_eq(&snapshot, &model.snapshot) {
             events.push(Event::Snapshot(snapshot));
@@ -111,10 +109,7 @@ impl Screen for LiveScreen {
     fn look(&mut self) -> (bool, Option<Exit>) {
         let changes = self.changes();
         let is_told = !changes.is_empty() || self.model.forgets();
-        (
-            is_told,
-            changes.into_iter().find_map(|event| self.act(event)),
-        )
+        (is_told, changes.into_iter().find_map(|event| self.act(event)))
     }
 
     fn press(&mut self, press: Press) -> Option<Exit> {

@@ -95,11 +95,7 @@ pub(super) struct Model {
 impl Model {
     pub(super) fn new(workflow: Option<Arc<Progress>>) -> Self {
         let is_over = workflow.as_ref().is_some_and(|own| own.report.is_some());
-        Self {
-            page: if is_over { Page::Steps } else { Page::Live },
-            workflow,
-            ..Self::default()
-        }
+        Self { page: if is_over { Page::Steps } else { Page::Live }, workflow, ..Self::default() }
     }
 
     /// The snapshot of the scope and the parameters.

@@ -68,22 +68,14 @@ pub(super) fn scope(
     if area.height < 2 || area.width < LABELS + 2 {
         return;
     }
-    let has_innovations = snapshot
-        .innovations
-        .iter()
-        .any(|p| p.speed_rad_s.is_finite());
+    let has_innovations = snapshot.innovations.iter().any(|p| p.speed_rad_s.is_finite());
     let charts: &[Chart] = match (area.height - 1) / SMALLEST {
         0 | 1 => &[Chart::Speed],
         2 => &[Chart::Current, Chart::Speed],
         _ if !has_innovations || area.height <= WITH_INNOVATION => {
             &[Chart::Voltage, Chart::Current, Chart::Speed]
         }
-        _ => &[
-            Chart::Voltage,
-            Chart::Current,
-            Chart::Speed,
-            Chart::Innovation,
-        ],
+        _ => &[Chart::Voltage, Chart::Current, Chart::Speed, Chart::Innovation],
     };
     let (from_s, to_s) = window(&snapshot.trace, window_s);
     let trace = &snapshot.trace;
@@ -112,11 +104,7 @@ fn window(points: &[TracePoint], wanted_s: f64) -> (f64, f64) {
         return (0.0, wanted_s);
     }
     let kept_s = last - first;
-    let length_s = if first > 0.0 && kept_s > 0.0 && kept_s < wanted_s {
-        kept_s
-    } else {
-        wanted_s
-    };
+    let length_s = if first > 0.0 && kept_s > 0.0 && kept_s < wanted_s { kept_s } else { wanted_s };
     let from_s = (last - length_s).max(first);
     (from_s, from_s + length_s)
 }
@@ -138,9 +126,7 @@ fn draw(
     };
     let innovations = snapshot.innovations.iter();
     let measured = match chart {
-        Chart::Innovation => innovations
-            .map(|point| (point.time_s, point.speed_rad_s))
-            .collect(),
+        Chart::Innovation => innovations.map(|point| (point.time_s, point.speed_rad_s)).collect(),
         _ => trace(&|point| chart.value(point)),
     };
     // A loop is held against its reference; the model knows nothing of a load that changes meanwhile.
@@ -158,15 +144,10 @@ fn draw(
         longest_s: longest_step_s(points.len(), |k| points[k].0),
         ..Trace::new(points, stroke, style)
     };
-    let traces = [
-        line(model, Stroke::Dashed, theme::MODEL),
-        line(measured, Stroke::Solid, chart.look().1),
-    ];
+    let traces =
+        [line(model, Stroke::Dashed, theme::MODEL), line(measured, Stroke::Solid, chart.look().1)];
     let (from, to) = (from_s, to_s);
-    let bounds = Bounds {
-        x: Domain { from, to },
-        y: values,
-    };
+    let bounds = Bounds { x: Domain { from, to }, y: values };
     plot::plot(&traces, bounds, plot_area, buffer);
 }
 
@@ -210,11 +191,7 @@ fn title(
 
 /// Two decimals, so that the digits do not dance.
 fn reading(value: f64) -> String {
-    if value.abs() < 1e5 {
-        format!("{value:.2}")
-    } else {
-        significant(value, 4)
-    }
+    if value.abs() < 1e5 { format!("{value:.2}") } else { significant(value, 4) }
 }
 
 /// Round bounds that hold the measurement and zero; a model that runs away does not squeeze the measurement.
@@ -232,25 +209,15 @@ fn bounds(measured: &[(f64, f64)], model: &[(f64, f64)]) -> Domain {
 }
 
 fn time_axis(from_s: f64, to_s: f64, stands: Option<&str>, area: Rect, buffer: &mut Buffer) {
-    let middle = stands.map_or_else(
-        || format!("{} s", seconds(f64::midpoint(from_s, to_s))),
-        str::to_owned,
-    );
+    let middle =
+        stands.map_or_else(|| format!("{} s", seconds(f64::midpoint(from_s, to_s))), str::to_owned);
     let [left, right] = [from_s, to_s].map(|time_s| format!("{} s", seconds(time_s)));
-    let style = if stands.is_some() {
-        theme::CAREFUL
-    } else {
-        theme::DIM
-    };
+    let style = if stands.is_some() { theme::CAREFUL } else { theme::DIM };
     across([&left, &middle, &right], style, area, buffer);
 }
 
 fn seconds(time_s: f64) -> String {
-    if time_s.abs() < 1e6 {
-        format!("{time_s:.1}")
-    } else {
-        tick(time_s)
-    }
+    if time_s.abs() < 1e6 { format!("{time_s:.1}") } else { tick(time_s) }
 }
 
 #[cfg(test)]

@@ -81,10 +81,7 @@ fn notice(level: Level, text: &str) -> Notice {
 
 fn running() -> Snapshot {
     let carried = "the shaft has not turned both ways";
-    let searching = |found| ParameterEstimate {
-        verdict: Verdict::Searching,
-        ..found
-    };
+    let searching = |found| ParameterEstimate { verdict: Verdict::Searching, ..found };
     let estimates = vec![
         found("resistance_ohm", "ohm", 1.103_28, 0.021),
         searching(found("inductance_h", "H", 0.009_87, 0.000_31)),
@@ -129,10 +126,7 @@ fn running() -> Snapshot {
         },
         rows: 840,
         notices: vec![
-            notice(
-                Level::Info,
-                "watchdog proven: output off 98 ms after silence",
-            ),
+            notice(Level::Info, "watchdog proven: output off 98 ms after silence"),
             notice(Level::Warning, "voltage limited by the guard in 12 cycles"),
         ],
         ..Snapshot::default()
@@ -239,11 +233,7 @@ fn workflow(finished: bool) -> Progress {
         ];
         (steps, None)
     };
-    Progress {
-        steps: steps.iter().map(step).collect(),
-        report,
-        finished,
-    }
+    Progress { steps: steps.iter().map(step).collect(), report, finished }
 }
 
 fn model(snapshot: Snapshot) -> Model {
@@ -269,17 +259,9 @@ fn with(model: &Model, change: impl FnOnce(&mut Model)) -> Model {
 /// The same while its residual leans on something.
 fn leaning(snapshot: Snapshot) -> Model {
     let mut model = model(snapshot);
-    let leaning = |effect, share| Leaning {
-        effect,
-        equation: "torque",
-        share,
-        windows: 212,
-    };
+    let leaning = |effect, share| Leaning { effect, equation: "torque", share, windows: 212 };
     model.update(Event::Leaning(Arc::new(Provisional {
-        effects: vec![
-            leaning("quadratic_load", 0.93),
-            leaning("viscous_friction", 0.41),
-        ],
+        effects: vec![leaning("quadratic_load", 0.93), leaning("viscous_friction", 0.41)],
         seconds: 8.4,
     })));
     model
@@ -299,22 +281,12 @@ fn finished(mut model: Model) -> Model {
 fn estimates_that_learn_nothing_under_a_limit_of_the_drive_are_shown_as_frozen_until_they_learn_again()
  {
     let shown = |since_s| {
-        let frozen = Frozen {
-            rows: 120,
-            seconds: 1.2,
-            since_s,
-        };
-        let running = Snapshot {
-            frozen,
-            ..running()
-        };
+        let frozen = Frozen { rows: 120, seconds: 1.2, since_s };
+        let running = Snapshot { frozen, ..running() };
         [(120, 40), (80, 24)].map(|(width, height)| text(&model(running.clone()), width, height))
     };
     let [wide, narrow] = shown(Some(7.2));
-    assert!(
-        wide.contains("frozen: the drive limits, 1.2 s, 120 rows"),
-        "{wide}"
-    );
+    assert!(wide.contains("frozen: the drive limits, 1.2 s, 120 rows"), "{wide}");
     assert!(narrow.contains("frozen: drive limits 1.2 s"), "{narrow}");
     assert!(shown(None).iter().all(|text| !text.contains("frozen")));
 }
@@ -325,10 +297,7 @@ fn a_value_that_is_gone_for_a_while_stays_with_its_age_until_the_run_is_over() {
     let shown = text(&model, 120, 40);
     assert!(shown.contains("0.0046 ± 0.0019 kg.m2"), "{shown}");
     assert!(shown.contains("value of 3.2 s ago"), "{shown}");
-    let last = Snapshot {
-        estimates: Arc::clone(&model.snapshot.estimates),
-        ..done()
-    };
+    let last = Snapshot { estimates: Arc::clone(&model.snapshot.estimates), ..done() };
     model.update(Event::Snapshot(Arc::new(last)));
     let shown = text(&model, 120, 40);
     assert!(!shown.contains("0.0046 ± 0.0019"), "{shown}");
@@ -357,11 +326,7 @@ fn a_value_that_physics_forbids_does_not_come_back() {
     let mut estimates = running().estimates.to_vec();
     estimates[3].verdict = Verdict::Invalid;
     for estimates in [Arc::new(estimates), gone] {
-        let snapshot = Snapshot {
-            elapsed_s: 12.0,
-            estimates,
-            ..running()
-        };
+        let snapshot = Snapshot { elapsed_s: 12.0, estimates, ..running() };
         model.update(Event::Snapshot(Arc::new(snapshot)));
     }
     assert_eq!(model.parameters()[3].value, None);
@@ -380,26 +345,17 @@ fn an_answer_to_a_key_gives_the_keys_back_after_a_while() {
 #[test]
 fn q_says_where_it_leads_where_the_run_went_to_its_end() {
     let leads = |own: &mut Model| own.leads = Some("back to the loop");
-    let unsure = Snapshot {
-        stop_error: Some("no reply within 200 ms".to_owned()),
-        ..done()
-    };
-    for (snapshot, is_led) in [
-        (done(), true),
-        (unsure, false),
-        (tripped(), false),
-        (running(), false),
-    ] {
+    let unsure = Snapshot { stop_error: Some("no reply within 200 ms".to_owned()), ..done() };
+    for (snapshot, is_led) in
+        [(done(), true), (unsure, false), (tripped(), false), (running(), false)]
+    {
         let mut model = with(&model(snapshot), leads);
         assert_eq!(model.quits(), "quit", "the work is not over");
         finish(&mut model);
         let expected = if is_led { "back to the loop" } else { "quit" };
         let shown = text(&model, 120, 40);
         assert!(shown.contains(&format!("q {expected}")), "{shown}");
-        assert!(
-            shown.contains(&format!("q = {expected}.")) || !is_led,
-            "{shown}"
-        );
+        assert!(shown.contains(&format!("q = {expected}.")) || !is_led, "{shown}");
     }
 }
 
@@ -430,10 +386,7 @@ fn a_key_that_does_nothing_says_why() {
 fn what_is_provisional_is_said_so_and_is_gone_when_the_run_is_over() {
     let run = leaning(running());
     let shown = text(&run, 80, 24);
-    assert!(
-        shown.contains("provisional, 8 s: torque residual leans on"),
-        "{shown}"
-    );
+    assert!(shown.contains("provisional, 8 s: torque residual leans on"), "{shown}");
     let shown = text(&finished(leaning(done())), 80, 24);
     assert!(!shown.contains("provisional"), "{shown}");
 }
@@ -508,10 +461,7 @@ fn hardware_is_reversed_and_a_trip_is_white_on_red() {
 
     let trip = terminal_of(tripped());
     let cell = &trip.backend().buffer()[(4, 3)];
-    assert_eq!(
-        (cell.symbol(), cell.fg, cell.bg),
-        ("e", Color::White, Color::Red)
-    );
+    assert_eq!((cell.symbol(), cell.fg, cell.bg), ("e", Color::White, Color::Red));
 }
 
 #[test]
@@ -522,14 +472,8 @@ fn a_frozen_view_keeps_its_data_while_bars_and_trips_stay_live() {
     later.trace = Arc::default();
     model.update(Event::Snapshot(Arc::new(later)));
     let text = text(&model, 80, 24);
-    assert!(
-        text.contains("SAFETY TRIP") && text.contains("TRIPPED"),
-        "{text}"
-    );
-    assert!(
-        text.contains("FROZEN") && text.contains('⣀') && text.contains('⠉'),
-        "{text}"
-    );
+    assert!(text.contains("SAFETY TRIP") && text.contains("TRIPPED"), "{text}");
+    assert!(text.contains("FROZEN") && text.contains('⣀') && text.contains('⠉'), "{text}");
 }
 
 fn phases() -> impl Iterator<Item = Option<Phase>> {
@@ -543,15 +487,7 @@ fn phases() -> impl Iterator<Item = Option<Phase>> {
 /// Every key but that which stops and Ctrl-C.
 fn others() -> impl Iterator<Item = Press> {
     use Press::{Move, NextScreen, Open, Other, PreviousScreen};
-    let more = [
-        NextScreen,
-        PreviousScreen,
-        Move(-1),
-        Move(1),
-        Move(10),
-        Open,
-        Other,
-    ];
+    let more = [NextScreen, PreviousScreen, Move(-1), Move(1), Move(10), Open, Other];
     let keys = CHARACTERS.into_iter().map(|(_, press)| press);
     keys.filter(|press| *press != Press::Stop).chain(more)
 }
@@ -573,12 +509,7 @@ fn report(model: &mut Model, is_there: bool) {
 }
 
 fn in_phase(phase: Option<Phase>, target: Target) -> Model {
-    model(Snapshot {
-        phase,
-        target,
-        drive_state: Some(DriveState::Ready),
-        ..missing()
-    })
+    model(Snapshot { phase, target, drive_state: Some(DriveState::Ready), ..missing() })
 }
 
 /// Every state that changes what keys do.
@@ -633,10 +564,8 @@ fn q_says_stop_first_exactly_where_the_output_may_be_on() {
     for phase in phases() {
         let mut model = in_phase(phase, Target::Sim);
         let effects = press(&mut model, Press::Quit);
-        if matches!(
-            phase,
-            Some(Phase::Armed | Phase::Running | Phase::RampDown | Phase::Stopping)
-        ) {
+        if matches!(phase, Some(Phase::Armed | Phase::Running | Phase::RampDown | Phase::Stopping))
+        {
             assert_eq!(effects, [], "{phase:?}");
             assert_eq!(model.message.as_deref(), Some("stop first: Space"));
         } else {
@@ -681,20 +610,13 @@ fn d_goes_on_by_hand_exactly_where_the_report_is_there_and_the_work_over() {
 #[test]
 fn d_goes_on_from_a_run_that_went_to_its_end_and_from_no_other() {
     let mut whole = model(done());
-    assert_eq!(
-        press(&mut whole, Press::Diagnose),
-        [],
-        "the work is not over"
-    );
+    assert_eq!(press(&mut whole, Press::Diagnose), [], "the work is not over");
     finish(&mut whole);
     let left = press(&mut whole, Press::Diagnose);
     assert_eq!(left, [Effect::Leave(Exit::Diagnosis)]);
     let shown = terminal(&whole, 80, 24).backend().to_string();
     assert!(shown.contains("d = diagnosis by hand, q = quit"), "{shown}");
-    assert!(
-        shown.contains("output off") && !shown.contains("Space = STOP"),
-        "{shown}"
-    );
+    assert!(shown.contains("output off") && !shown.contains("Space = STOP"), "{shown}");
     let mut halted = model(tripped());
     finish(&mut halted);
     assert_eq!(press(&mut halted, Press::Diagnose), []);
@@ -705,10 +627,7 @@ fn ctrl_z_is_refused_for_as_long_as_the_bench_is_at_work() {
     for mut model in every_state() {
         let may = model.may_suspend();
         assert_eq!(may, model.is_finished(), "{model:?}");
-        assert_eq!(
-            may,
-            !model.message.is_some_and(|text| text.starts_with("Ctrl-Z"))
-        );
+        assert_eq!(may, !model.message.is_some_and(|text| text.starts_with("Ctrl-Z")));
     }
 }
 

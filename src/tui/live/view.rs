@@ -42,11 +42,7 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
     let area = frame.area();
     let buffer = frame.buffer_mut();
     let tripped = model.snapshot.trip.is_some();
-    let word = if tripped {
-        "TRIP! too small"
-    } else {
-        "too small"
-    };
+    let word = if tripped { "TRIP! too small" } else { "too small" };
     let (stop, style) = stop_word(model);
     if is_too_small(word, stop.trim(), style, area, buffer) {
         return;
@@ -55,9 +51,7 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
     let step_rows = u16::from(model.workflow.is_some() && area.height >= 12);
     let most_said = (area.height / 8).clamp(1, 3);
     let said_rows = hint_rows(model.message.as_deref(), area.width, most_said.into());
-    let banner_rows = banner
-        .as_ref()
-        .map_or(0, |banner| banner.height(area.width));
+    let banner_rows = banner.as_ref().map_or(0, |banner| banner.height(area.width));
     let [top, progress, step, box_area, body, bottom] = Layout::vertical([
         Constraint::Length(1),
         Constraint::Length(1),
@@ -98,11 +92,7 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
     };
     hints(model.message.as_deref(), keys, &quit, bottom, buffer);
     if let Some(row) = model.help {
-        let under_top = Rect {
-            y: area.y + 1,
-            height: area.height - 1,
-            ..area
-        };
+        let under_top = Rect { y: area.y + 1, height: area.height - 1, ..area };
         let hidden = help(On::Live, &MEANING, row, under_top, buffer);
         model.hidden.set(hidden);
     }
@@ -129,11 +119,7 @@ fn top_bar(model: &Model, area: Rect, buffer: &mut Buffer) {
         spans.push(span);
     }
     Line::from(spans).render(area, buffer);
-    let stop = Rect {
-        x: area.right() - stop_width,
-        width: stop_width,
-        ..area
-    };
+    let stop = Rect { x: area.right() - stop_width, width: stop_width, ..area };
     Line::styled(stop_word, stop_style).render(stop, buffer);
 }
 
@@ -188,18 +174,10 @@ fn phase_style(phase: Phase) -> Style {
 /// How far the run is: a bar, the seconds, the segment.
 fn progress_bar(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
     let (elapsed_s, total_s) = (snapshot.elapsed_s, snapshot.total_s);
-    let share = if total_s > 0.0 {
-        elapsed_s / total_s
-    } else {
-        0.0
-    };
+    let share = if total_s > 0.0 { elapsed_s / total_s } else { 0.0 };
     let segment = snapshot.segment.as_deref().unwrap_or("no segment yet");
     let mut line = Line::raw(" ");
-    line.extend(bar_spans(
-        share,
-        (usize::from(area.width) / 3).min(LONGEST),
-        theme::GOOD,
-    ));
+    line.extend(bar_spans(share, (usize::from(area.width) / 3).min(LONGEST), theme::GOOD));
     line.push_span(format!(" {elapsed_s:.1} / {total_s:.1} s  "));
     line.push_span(Span::styled(segment, theme::BOLD));
     row(&line, area, buffer);
@@ -208,9 +186,7 @@ fn progress_bar(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
 /// The step of the workflow that is under way.
 fn step_line(workflow: &Progress) -> Line<'static> {
     let steps = &workflow.steps;
-    let active = steps
-        .iter()
-        .position(|step| step.state == StepState::Active);
+    let active = steps.iter().position(|step| step.state == StepState::Active);
     let Some(index) = active else {
         let text = if workflow.report.is_none() {
             " no step is active"
@@ -222,10 +198,7 @@ fn step_line(workflow: &Progress) -> Line<'static> {
     let step = &steps[index];
     let (number, title) = (index + 1, step.step.title());
     let head = format!(" step {number} of {}: {title} ", steps.len());
-    Line::from(vec![
-        Span::styled(head, theme::BOLD),
-        Span::raw(format!(" {}", step.line)),
-    ])
+    Line::from(vec![Span::styled(head, theme::BOLD), Span::raw(format!(" {}", step.line))])
 }
 
 /// The newest sentences of the bench, the newest at the bottom.
@@ -238,11 +211,7 @@ fn notices(notices: &[Notice], area: Rect, buffer: &mut Buffer) {
             Level::Error => "ERROR",
         };
         let text = format!(" {word}: {}", notice.text);
-        row(
-            &Line::styled(text, theme::level(notice.level)),
-            place,
-            buffer,
-        );
+        row(&Line::styled(text, theme::level(notice.level)), place, buffer);
     }
 }
 
@@ -299,11 +268,7 @@ fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
 
 /// Parameters with their reasons in full, and the link.
 fn parameters_page(model: &Model, area: Rect, buffer: &mut Buffer) {
-    let (link_rows, notice_rows) = if area.height >= 18 {
-        (LINK_HEIGHT, 2)
-    } else {
-        (0, 0)
-    };
+    let (link_rows, notice_rows) = if area.height >= 18 { (LINK_HEIGHT, 2) } else { (0, 0) };
     let [top, link, bottom] = Layout::vertical([
         Constraint::Fill(1),
         Constraint::Length(link_rows),
@@ -323,9 +288,7 @@ fn steps_page(model: &Model, area: Rect, buffer: &mut Buffer) {
         return;
     };
     let lines = step_lines(model, workflow, usize::from(area.width));
-    model
-        .hidden
-        .set(scrolling(&lines, model.scroll, area, buffer));
+    model.hidden.set(scrolling(&lines, model.scroll, area, buffer));
 }
 
 /// What a step needs, what it makes possible and which command does the same.
@@ -337,12 +300,8 @@ fn explained(step: &StepView, indent: usize, width: usize) -> Vec<Line<'static>>
         _ => "",
     };
     let command = step.command.as_deref().unwrap_or("part of every run");
-    let facts = [
-        ("press", key),
-        ("needs", own.needs()),
-        ("unlocks", own.unlocks()),
-        ("command", command),
-    ];
+    let facts =
+        [("press", key), ("needs", own.needs()), ("unlocks", own.unlocks()), ("command", command)];
     let facts = facts.into_iter().filter(|(_, text)| !text.is_empty());
     let room = width.saturating_sub(indent + 9).max(10);
     let lines = facts.flat_map(|(label, text)| {
@@ -446,34 +405,21 @@ impl Banner {
         let at = stop.and_then(|stop| stop.at_s);
         let at = at.map_or_else(String::new, |at_s| format!(" at {at_s:.2} s"));
         let confirmed = stop.and_then(|stop| stop.confirmed_after_ms);
-        let confirmed = confirmed.map_or_else(String::new, |ms| {
-            format!("; zero confirmed after {ms:.0} ms")
-        });
+        let confirmed =
+            confirmed.map_or_else(String::new, |ms| format!("; zero confirmed after {ms:.0} ms"));
         // What was found and its limit, and when and how the output came to be off.
         let stopped = |reason: &str| {
-            let head = if at.is_empty() {
-                String::new()
-            } else {
-                format!("stopped{at}: ")
-            };
+            let head = if at.is_empty() { String::new() } else { format!("stopped{at}: ") };
             format!("{head}{reason}{confirmed}.{end}")
         };
         let (title, text, style) = if model.confirm_start {
             let text = "A real motor is about to turn. Shaft clear? y = start, any other key = no";
             ("HARDWARE", text.to_owned(), theme::ALARM)
         } else if let Some(text) = &snapshot.reopening {
-            let end = if is_over {
-                format!(" q = {quit}.")
-            } else {
-                String::new()
-            };
+            let end = if is_over { format!(" q = {quit}.") } else { String::new() };
             let is_safe = snapshot.phase == Some(Phase::Safe);
             let title = if is_safe { "SAFE" } else { "LINK LOST" };
-            let style = if is_safe {
-                theme::CAREFUL
-            } else {
-                theme::ALARM
-            };
+            let style = if is_safe { theme::CAREFUL } else { theme::ALARM };
             (title, format!("{text}.{end}"), style)
         } else if let Some(trip) = &snapshot.trip {
             ("SAFETY TRIP", stopped(&trip.reason), theme::ALARM)
@@ -604,16 +550,8 @@ fn frozen_text(model: &Model, is_wide: bool) -> Option<String> {
 fn table(model: &Model, area: Rect, buffer: &mut Buffer) {
     let mut lines = Vec::new();
     for estimate in &model.parameters() {
-        let share = model
-            .viewed()
-            .excitation
-            .get(estimate.key.as_str())
-            .copied();
-        lines.push(with_bar(
-            value_line(estimate, area.width),
-            share,
-            area.width,
-        ));
+        let share = model.viewed().excitation.get(estimate.key.as_str()).copied();
+        lines.push(with_bar(value_line(estimate, area.width), share, area.width));
         lines.push(match &estimate.reason {
             None => verdict_line(estimate, area.width),
             Some(reason) => Line::from(vec![
@@ -630,11 +568,7 @@ fn table(model: &Model, area: Rect, buffer: &mut Buffer) {
 }
 
 fn excitation_style(share: f64) -> Style {
-    if share >= CARRIED {
-        theme::GOOD
-    } else {
-        theme::CAREFUL
-    }
+    if share >= CARRIED { theme::GOOD } else { theme::CAREFUL }
 }
 
 /// One block at the right edge; left out where the text needs the room.
@@ -671,11 +605,7 @@ fn excitation_line(share: Option<f64>, width: u16) -> Line<'static> {
     const HEAD: &str = "   excited   ";
     let length = usize::from(width).saturating_sub(HEAD.len() + PERCENT);
     let mut line = Line::raw(HEAD);
-    line.extend(
-        share
-            .into_iter()
-            .flat_map(|share| excitation_bar(share, length.min(BAR))),
-    );
+    line.extend(share.into_iter().flat_map(|share| excitation_bar(share, length.min(BAR))));
     line
 }
 
@@ -781,16 +711,8 @@ pub(super) fn link_panel(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
     let (link, timing) = (&snapshot.link_statistics, &snapshot.timing);
     let mut lines = vec![
         Line::raw(format!("sent {}  ok {}  ", link.sent, link.ok)),
-        counts(&[
-            ("timeout", link.timeout),
-            ("crc", link.crc),
-            ("stale", link.stale),
-        ]),
-        counts(&[
-            ("mismatch", link.mismatch),
-            ("exception", link.exception),
-            ("io", link.aborted),
-        ]),
+        counts(&[("timeout", link.timeout), ("crc", link.crc), ("stale", link.stale)]),
+        counts(&[("mismatch", link.mismatch), ("exception", link.exception), ("io", link.aborted)]),
         Line::raw(format!(
             "late p50 {} ms p99 {} ms",
             shortest(1e3 * timing.lateness_p50_s, 3),
@@ -814,11 +736,7 @@ pub(super) fn link_panel(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
 /// Losses by their names, those that there are in colour.
 fn counts(losses: &[(&'static str, u64)]) -> Line<'static> {
     let spans = losses.iter().map(|(name, count)| {
-        let style = if *count > 0 {
-            theme::CAREFUL
-        } else {
-            theme::PLAIN
-        };
+        let style = if *count > 0 { theme::CAREFUL } else { theme::PLAIN };
         Span::styled(format!("{name} {count}  "), style)
     });
     spans.collect()
@@ -830,13 +748,9 @@ mod tests {
 
     #[test]
     fn the_bar_is_logarithmic_from_a_thousandth_to_the_whole() {
-        for (share, expected) in [
-            (10.0, 1.0),
-            (1.0, 1.0),
-            (0.01, 1.0 / 3.0),
-            (1e-3, 0.0),
-            (0.0, 0.0),
-        ] {
+        for (share, expected) in
+            [(10.0, 1.0), (1.0, 1.0), (0.01, 1.0 / 3.0), (1e-3, 0.0), (0.0, 0.0)]
+        {
             assert!((uncertainty(share) - expected).abs() < 1e-12, "{share}");
         }
     }

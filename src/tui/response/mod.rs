@@ -64,9 +64,9 @@ impl ResponsePage {
             Press::PreviousScreen => self.chosen = Some(neighbour(all.len() - 1)),
             Press::Cursor(way) if points > 0 => {
                 let first = if way > 0 { 0 } else { points - 1 };
-                let next = self.cursor.map_or(first, |at| {
-                    at.saturating_add_signed(way as isize).min(points - 1)
-                });
+                let next = self
+                    .cursor
+                    .map_or(first, |at| at.saturating_add_signed(way as isize).min(points - 1));
                 self.cursor = Some(next);
             }
             Press::Stop if self.cursor.is_some() => self.cursor = None,
@@ -97,14 +97,7 @@ impl ResponseScreen {
         let mut page = ResponsePage::default();
         page.take(compared);
         page.chosen = asked;
-        Self {
-            title,
-            page,
-            help: None,
-            hidden: std::cell::Cell::new(0),
-            message: None,
-            hang_up,
-        }
+        Self { title, page, help: None, hidden: std::cell::Cell::new(0), message: None, hang_up }
     }
 }
 

@@ -19,11 +19,7 @@ fn points(has_coupling: bool, at: Pathway) -> Vec<ResponsePoint> {
             let x = frequency_hz / hertz;
             (1.0 - x * x).hypot(2.0 * damping * x)
         };
-        let coupling = if has_coupling {
-            swings(15.6, 0.02) / swings(22.0, 0.02)
-        } else {
-            1.0
-        };
+        let coupling = if has_coupling { swings(15.6, 0.02) / swings(22.0, 0.02) } else { 1.0 };
         let rolls = (frequency_hz / 4.0).hypot(1.0);
         let magnitude = match at {
             Pathway::VoltageToSpeed => 2.8 * coupling / rolls,
@@ -60,17 +56,10 @@ fn response(has_coupling: bool) -> FrequencyResponse {
         damping_ratio: 0.0201,
         damping_std: 0.0004,
     };
-    let modes = [
-        mode(ModeKind::AntiResonance, 15.6),
-        mode(ModeKind::Resonance, 22.01),
-    ];
+    let modes = [mode(ModeKind::AntiResonance, 15.6), mode(ModeKind::Resonance, 22.01)];
     FrequencyResponse {
         pathways: pathways.into(),
-        modes: if has_coupling {
-            modes.into()
-        } else {
-            Vec::new()
-        },
+        modes: if has_coupling { modes.into() } else { Vec::new() },
         lowest_hz: 0.2,
         highest_hz: 150.0,
         sampling_hz: 500.0,
@@ -131,10 +120,7 @@ pub(in crate::tui) fn pages() -> Vec<Page> {
     let cursor = [Press::Cursor(1); 40];
     vec![
         page("mechanics", screen(compared())),
-        page(
-            "cursor",
-            pressed(pressed(screen(compared()), &[Press::NextScreen]), &cursor),
-        ),
+        page("cursor", pressed(pressed(screen(compared()), &[Press::NextScreen]), &cursor)),
         page("nothing", screen(nothing_carried())),
         page("help", pressed(screen(compared()), &[Press::Help])),
     ]

@@ -32,12 +32,9 @@ pub(super) fn screen(screen: &ResponseScreen, frame: &mut Frame<'_>) {
         return;
     }
     let bottom = hint_rows(screen.message.as_deref(), area.width, 2);
-    let [top, body, bottom] = Layout::vertical([
-        Constraint::Length(1),
-        Constraint::Fill(1),
-        Constraint::Length(bottom),
-    ])
-    .areas(area);
+    let [top, body, bottom] =
+        Layout::vertical([Constraint::Length(1), Constraint::Fill(1), Constraint::Length(bottom)])
+            .areas(area);
     let title = format!(" frequency response: {}", screen.title);
     row(&Line::styled(title, theme::BOLD), top, buffer);
     view(&screen.page, body, buffer);
@@ -77,9 +74,8 @@ pub(in crate::tui) fn view(page: &ResponsePage, area: Rect, buffer: &mut Buffer)
     let [above, below] =
         Layout::vertical([Constraint::Length(rows), Constraint::Fill(1)]).areas(inner);
     let said = said.into_iter().take(most);
-    let said: Vec<Line<'static>> = said
-        .map(|(told, style)| Line::styled(format!(" {told}"), style))
-        .collect();
+    let said: Vec<Line<'static>> =
+        said.map(|(told, style)| Line::styled(format!(" {told}"), style)).collect();
     text(said, above, buffer);
     let cursor = page.cursor.and_then(|at| own.points.get(at));
     let cursor = cursor.map(|point| point.frequency_hz);
@@ -98,10 +94,7 @@ fn said(compared: &Compared, own: &PathwayResponse) -> Vec<(String, Style)> {
             theme::CAREFUL,
         ));
     } else if modes.is_empty() {
-        said.push((
-            "no resonance is named where it is carried".to_owned(),
-            theme::PLAIN,
-        ));
+        said.push(("no resonance is named where it is carried".to_owned(), theme::PLAIN));
     }
     said.extend(modes.iter().map(|mode| (mode.text(), theme::BOLD)));
     let bands = compared.departures.iter();

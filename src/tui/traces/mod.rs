@@ -111,16 +111,12 @@ impl TracesPage {
             let panels = self.panels();
             let is_first = |(place, _): &Panel| {
                 let quantity = traces.runs[run].signals[*place].quantity;
-                stop.shows
-                    .is_some_and(|channel| quantity == Quantity::Channel(channel))
+                stop.shows.is_some_and(|channel| quantity == Quantity::Channel(channel))
             };
             let rest = first_panels(&panels);
             let rest = rest.into_iter().filter(|panel| !is_first(panel));
-            let first: Vec<Panel> = panels
-                .iter()
-                .filter(|panel| is_first(panel))
-                .copied()
-                .collect();
+            let first: Vec<Panel> =
+                panels.iter().filter(|panel| is_first(panel)).copied().collect();
             if !first.is_empty() {
                 self.chosen = Some(first.into_iter().chain(rest).collect());
             }
@@ -313,14 +309,7 @@ impl TracesPage {
 /// What is shown before a person has chosen: all that the model gives, with its residual.
 fn first_panels(panels: &[Panel]) -> Vec<Panel> {
     let has_residual = |place: usize| panels.contains(&(place, Shows::Residual));
-    let of_the_model: Vec<Panel> = panels
-        .iter()
-        .filter(|(place, _)| has_residual(*place))
-        .copied()
-        .collect();
-    if of_the_model.is_empty() {
-        panels.to_vec()
-    } else {
-        of_the_model
-    }
+    let of_the_model: Vec<Panel> =
+        panels.iter().filter(|(place, _)| has_residual(*place)).copied().collect();
+    if of_the_model.is_empty() { panels.to_vec() } else { of_the_model }
 }

@@ -34,17 +34,10 @@ fn text(page: &TracesPage, width: u16, height: u16) -> String {
 
 #[test]
 fn a_run_that_was_stopped_opens_there_and_only_once() {
-    let stop = |run: &str| StoppedAt {
-        run: run.to_owned(),
-        at_s: 2.5,
-        shows: None,
-        text: String::new(),
-    };
+    let stop =
+        |run: &str| StoppedAt { run: run.to_owned(), at_s: 2.5, shows: None, text: String::new() };
     let opened = |stop: StoppedAt| {
-        let mut page = TracesPage {
-            opens_at: Some(stop),
-            ..TracesPage::default()
-        };
+        let mut page = TracesPage { opens_at: Some(stop), ..TracesPage::default() };
         page.take(fan_traces(false));
         page
     };
@@ -58,10 +51,7 @@ fn a_run_that_was_stopped_opens_there_and_only_once() {
     let moved = page.window_s();
     page.take(fan_traces(true));
     assert_eq!(page.window_s(), moved);
-    let page = opened(StoppedAt {
-        shows: Some(Channel::Current),
-        ..stop("run-b")
-    });
+    let page = opened(StoppedAt { shows: Some(Channel::Current), ..stop("run-b") });
     let seen = page.chosen.as_deref().unwrap()[0];
     let quantity = page.run().unwrap().signals[seen.0].quantity;
     assert_eq!(quantity, Quantity::Channel(Channel::Current));
@@ -84,21 +74,13 @@ fn zoom_and_pan_stay_within_the_run() {
             let (from_s, to_s) = page.window_s();
             assert!(from_s >= whole.0 - 1e-9 && to_s <= whole.1 + 1e-9);
         }
-        let end = if way > 0 {
-            page.window_s().1 - whole.1
-        } else {
-            page.window_s().0 - whole.0
-        };
+        let end = if way > 0 { page.window_s().1 - whole.1 } else { page.window_s().0 - whole.0 };
         assert!(end.abs() < 1e-9, "it comes to the end: {end}");
     }
     for _ in 0..40 {
         page.press(Press::Zoomed(true));
     }
-    assert!(
-        length_s(&page) > 0.03,
-        "some samples are always seen: {}",
-        length_s(&page)
-    );
+    assert!(length_s(&page) > 0.03, "some samples are always seen: {}", length_s(&page));
     for _ in 0..40 {
         page.press(Press::Zoomed(false));
     }
@@ -163,10 +145,7 @@ fn signals_are_chosen_freely_and_another_run_has_its_own() {
     assert!(shown.contains("voltage command"), "{shown}");
     page.press(Press::NextScreen);
     let shown = text(&page, 100, 40);
-    assert!(
-        shown.contains("fit run: run-a") && !shown.contains("voltage command"),
-        "{shown}"
-    );
+    assert!(shown.contains("fit run: run-a") && !shown.contains("voltage command"), "{shown}");
 }
 
 #[test]
@@ -198,10 +177,7 @@ fn a_residual_within_the_noise_is_told_so_and_a_larger_one_is_not() {
     let mut page = page();
     let rms = |page: &TracesPage| {
         let shown = text(page, 120, 12);
-        let after = shown
-            .split(" = ")
-            .nth(1)
-            .unwrap_or_else(|| panic!("{shown}"));
+        let after = shown.split(" = ").nth(1).unwrap_or_else(|| panic!("{shown}"));
         let figure = after.split(' ').next().unwrap();
         figure.parse::<f64>().unwrap()
     };

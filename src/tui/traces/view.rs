@@ -40,11 +40,7 @@ pub(in crate::tui) fn view(page: &TracesPage, area: Rect, buffer: &mut Buffer) {
         return;
     };
     let runs = page.traces.as_ref().map_or(1, |traces| traces.runs.len());
-    let place = if runs > 1 {
-        format!("run {} of {runs}", page.run + 1)
-    } else {
-        String::new()
-    };
+    let place = if runs > 1 { format!("run {} of {runs}", page.run + 1) } else { String::new() };
     let title = format!("{}: {}", run.part.name(), run.run);
     let inner = titled_with(&title, &place, area, buffer);
     panels(page, run, inner, buffer);
@@ -67,11 +63,7 @@ pub(in crate::tui) fn strip(page: &TracesPage, area: Rect, buffer: &mut Buffer) 
 fn fitting(page: &TracesPage, height: u16) -> Vec<Panel> {
     let all = page.panels();
     let mut shown = page.chosen.clone().unwrap_or_else(|| first_panels(&all));
-    let smallest = if height < LOW {
-        SMALLEST_OF_ALL
-    } else {
-        SMALLEST
-    };
+    let smallest = if height < LOW { SMALLEST_OF_ALL } else { SMALLEST };
     let room = usize::from((height / smallest).max(1));
     shown.truncate(room);
     if page.chosen.is_none()
@@ -166,11 +158,7 @@ fn at_cursor(signal: &SignalTrace, values: &[f64], at_s: f64) -> f64 {
 }
 
 fn reading(value: f64) -> String {
-    if value.is_finite() {
-        significant(value, 4)
-    } else {
-        MISSING.to_owned()
-    }
+    if value.is_finite() { significant(value, 4) } else { MISSING.to_owned() }
 }
 
 const fn style_of(quantity: Quantity) -> Style {
@@ -202,20 +190,12 @@ fn panel(
     buffer: &mut Buffer,
 ) {
     let is_wide = area.width >= WIDE;
-    let Drawn {
-        title,
-        values,
-        traces,
-        band,
-    } = match shows {
+    let Drawn { title, values, traces, band } = match shows {
         Shows::Both => both(page, signal, is_wide),
         Shows::Residual => residual(page, signal, is_wide),
     };
     let (from, to) = page.window_s();
-    let bounds = Bounds {
-        x: Domain { from, to },
-        y: values.rounded(),
-    };
+    let bounds = Bounds { x: Domain { from, to }, y: values.rounded() };
     let inner = framed(&title, bounds.y, area, buffer);
     for edge in band.into_iter().flat_map(|band| [-band, band]) {
         let y = bounds.row(edge, inner);
@@ -239,10 +219,7 @@ fn line(signal: &SignalTrace, points: Vec<(f64, f64)>, stroke: Stroke, style: St
     } else {
         longest_step_s(signal.time_s.len(), |k| signal.time_s[k])
     };
-    Trace {
-        longest_s,
-        ..Trace::new(points, stroke, style)
-    }
+    Trace { longest_s, ..Trace::new(points, stroke, style) }
 }
 
 /// While a change is drawn, the place up to which the new model is; beyond it is the old one.
@@ -312,12 +289,7 @@ fn both(page: &TracesPage, signal: &SignalTrace, is_wide: bool) -> Drawn {
         (model, Stroke::Dashed, theme::MODEL),
     ];
     let traces = traces.map(|(points, stroke, style)| line(signal, points, stroke, style));
-    Drawn {
-        title,
-        values,
-        traces: traces.into(),
-        band: None,
-    }
+    Drawn { title, values, traces: traces.into(), band: None }
 }
 
 /// Measured less model, with the band of the noise.
@@ -367,19 +339,9 @@ fn residual(page: &TracesPage, signal: &SignalTrace, is_wide: bool) -> Drawn {
         };
         title.push_span(Span::styled(text, theme::DIM));
     }
-    let marked = signal
-        .noise
-        .map(|noise| (MARKED_SIGMAS * noise, theme::BAD));
-    let trace = Trace {
-        beyond: marked,
-        ..line(signal, points, Stroke::Solid, theme::PLAIN)
-    };
-    Drawn {
-        title,
-        values,
-        traces: vec![trace],
-        band: band.filter(|band| *band > 0.0),
-    }
+    let marked = signal.noise.map(|noise| (MARKED_SIGMAS * noise, theme::BAD));
+    let trace = Trace { beyond: marked, ..line(signal, points, Stroke::Solid, theme::PLAIN) };
+    Drawn { title, values, traces: vec![trace], band: band.filter(|band| *band > 0.0) }
 }
 
 /// The list of everything that can be shown, over the middle of the page.
@@ -387,10 +349,7 @@ fn chooser(page: &TracesPage, run: &RunTraces, at: usize, area: Rect, buffer: &m
     let all = page.panels();
     let shown = page.chosen.clone().unwrap_or_else(|| first_panels(&all));
     let name = |(place, shows): &Panel| {
-        let name = run
-            .signals
-            .get(*place)
-            .map_or("", |own| own.quantity.name());
+        let name = run.signals.get(*place).map_or("", |own| own.quantity.name());
         match shows {
             Shows::Both => match run.signals.get(*place).map(|own| own.quantity) {
                 Some(Quantity::Estimate(_)) => format!("estimate: {name}"),
@@ -399,9 +358,7 @@ fn chooser(page: &TracesPage, run: &RunTraces, at: usize, area: Rect, buffer: &m
             Shows::Residual => format!("{name}: residual"),
         }
     };
-    let height = area
-        .height
-        .min(u16::try_from(all.len() + 2).unwrap_or(u16::MAX));
+    let height = area.height.min(u16::try_from(all.len() + 2).unwrap_or(u16::MAX));
     let width = area.width.min(44);
     let place = Rect {
         x: area.x + (area.width - width) / 2,
@@ -417,18 +374,9 @@ fn chooser(page: &TracesPage, run: &RunTraces, at: usize, area: Rect, buffer: &m
         let arrow = if index == at { "▶" } else { " " };
         let text = format!("{arrow} {mark} {}", name(panel));
         let text = cut(&text, usize::from(width.saturating_sub(2)));
-        Line::styled(
-            text,
-            if index == at {
-                theme::BOLD
-            } else {
-                theme::PLAIN
-            },
-        )
+        Line::styled(text, if index == at { theme::BOLD } else { theme::PLAIN })
     });
     Clear.render(place, buffer);
     let block = Block::bordered().title(" Enter shows or hides, Esc closes ");
-    Paragraph::new(rows.collect::<Vec<_>>())
-        .block(block)
-        .render(place, buffer);
+    Paragraph::new(rows.collect::<Vec<_>>()).block(block).render(place, buffer);
 }

@@ -174,17 +174,9 @@ fn commission_limits(runs: &[&GoldenRun]) -> Result<Vec<GoldenLimit>, Refused> {
     };
     let mut limits = Vec::new();
     let mut say = |key: &str, limit: String, reason: String| {
-        limits.push(GoldenLimit {
-            case,
-            key: key.to_owned(),
-            limit,
-            reason,
-        });
+        limits.push(GoldenLimit { case, key: key.to_owned(), limit, reason });
     };
-    let answers: Vec<Answer> = runs
-        .iter()
-        .map(|run| answer(run))
-        .collect::<Result<_, _>>()?;
+    let answers: Vec<Answer> = runs.iter().map(|run| answer(run)).collect::<Result<_, _>>()?;
     if answers.iter().any(|own| *own != answers[0]) {
         let told: Vec<String> = runs
             .iter()
@@ -192,10 +184,7 @@ fn commission_limits(runs: &[&GoldenRun]) -> Result<Vec<GoldenLimit>, Refused> {
             .map(|(run, own)| format!("{}: {}", run.name, own.words()))
             .collect();
         return Err((
-            format!(
-                "the runs do not agree on what is missing: {}",
-                told.join("; ")
-            ),
+            format!("the runs do not agree on what is missing: {}", told.join("; ")),
             "give runs of one machine in one state, or those alone that are right".to_owned(),
         ));
     }
@@ -206,11 +195,7 @@ fn commission_limits(runs: &[&GoldenRun]) -> Result<Vec<GoldenLimit>, Refused> {
         [] => {
             say("verdict", quoted(verdict), what);
             if of("sufficient").is_some_and(|all| all.iter().all(|own| *own == true)) {
-                say(
-                    "sufficient",
-                    "true".to_owned(),
-                    "no error was left".to_owned(),
-                );
+                say("sufficient", "true".to_owned(), "no error was left".to_owned());
             }
             // Which effect a run just shows differs from run to run: one without reserve is no promise for the next.
             let open = of("not_shown").unwrap_or_default();
@@ -219,11 +204,7 @@ fn commission_limits(runs: &[&GoldenRun]) -> Result<Vec<GoldenLimit>, Refused> {
                 let reason = format!(
                     "{most} effects at most were neither named nor ruled out; which of them a run just shows is chance, so {NOT_SHOWN_MORE} more may be"
                 );
-                say(
-                    "not_shown",
-                    quoted(&format!("<= {}", most + NOT_SHOWN_MORE)),
-                    reason,
-                );
+                say("not_shown", quoted(&format!("<= {}", most + NOT_SHOWN_MORE)), reason);
             }
         }
         [only] => say("missing", only.clone(), what),
@@ -235,10 +216,7 @@ fn commission_limits(runs: &[&GoldenRun]) -> Result<Vec<GoldenLimit>, Refused> {
         let most = extent(&errors).1;
         say(
             "held_out_error",
-            quoted(&format!(
-                "< {}",
-                significant(ERROR_MARGIN * most.max(1.0), 3)
-            )),
+            quoted(&format!("< {}", significant(ERROR_MARGIN * most.max(1.0), 3))),
             format!(
                 "the largest was {} noise floors; a quarter more than that, or than the floor",
                 significant(most, 3)
@@ -292,29 +270,20 @@ fn answer(run: &GoldenRun) -> Result<Answer, Refused> {
 fn parameter_limits(kind: Kind, runs: &[&GoldenRun]) -> Result<Vec<GoldenLimit>, Refused> {
     let settled: Vec<Vec<Estimate>> = runs.iter().map(|run| estimates(&run.result)).collect();
     let of_key = |key: &str| -> Option<Vec<&Estimate>> {
-        settled
-            .iter()
-            .map(|run| run.iter().find(|own| own.key == key))
-            .collect()
+        settled.iter().map(|run| run.iter().find(|own| own.key == key)).collect()
     };
     let first = settled.first().into_iter().flatten();
     let common: Vec<Vec<&Estimate>> = first.filter_map(|own| of_key(&own.key)).collect();
     if common.is_empty() {
         let names: Vec<&str> = runs.iter().map(|run| run.name.as_str()).collect();
         return Err((
-            format!(
-                "no parameter was settled in every one of {}",
-                names.join(", ")
-            ),
+            format!("no parameter was settled in every one of {}", names.join(", ")),
             "a longer or stronger sequence tells more; `drivebench plan` says what can be observed"
                 .to_owned(),
         ));
     }
     let level = 1.0 / (FALSE_ALARMS * common.len() as f64);
-    Ok(common
-        .iter()
-        .map(|own| parameter_limit(kind, own, level))
-        .collect())
+    Ok(common.iter().map(|own| parameter_limit(kind, own, level)).collect())
 }
 
 struct Estimate {
@@ -336,14 +305,10 @@ fn estimates(result: &Value) -> Vec<Estimate> {
         })
     };
     match &result["parameters"] {
-        Value::Array(rows) => rows
-            .iter()
-            .filter_map(|own| read(own["key"].as_str()?, own))
-            .collect(),
-        Value::Object(rows) => rows
-            .iter()
-            .filter_map(|(key, own)| read(key, own))
-            .collect(),
+        Value::Array(rows) => {
+            rows.iter().filter_map(|own| read(own["key"].as_str()?, own)).collect()
+        }
+        Value::Object(rows) => rows.iter().filter_map(|(key, own)| read(key, own)).collect(),
         _ => Vec::new(),
     }
 }
@@ -352,15 +317,10 @@ fn parameter_limit(kind: Kind, runs: &[&Estimate], level: f64) -> GoldenLimit {
     let values: Vec<f64> = runs.iter().map(|own| own.value).collect();
     let count = values.len() as f64;
     let own = mean(&runs.iter().map(|own| own.std.powi(2)).collect::<Vec<_>>()).sqrt();
-    let between = if values.len() > 1 {
-        variance(&values).sqrt()
-    } else {
-        0.0
-    };
+    let between = if values.len() > 1 { variance(&values).sqrt() } else { 0.0 };
     let freedom = count - 1.0;
-    let by_chance = ChiSquared::new(freedom.max(1.0)).map_or(f64::INFINITY, |chi| {
-        own * (chi.inverse_cdf(BY_CHANCE) / freedom.max(1.0)).sqrt()
-    });
+    let by_chance = ChiSquared::new(freedom.max(1.0))
+        .map_or(f64::INFINITY, |chi| own * (chi.inverse_cdf(BY_CHANCE) / freedom.max(1.0)).sqrt());
     // Two numbers that differ by more than their intervals tell little of how far the next may be: Student's quantile says how
     // little.
     let (std, factor, whose) = if between > by_chance {
@@ -371,11 +331,7 @@ fn parameter_limit(kind: Kind, runs: &[&Estimate], level: f64) -> GoldenLimit {
             "what the runs differ by",
         )
     } else {
-        (
-            own.max(between),
-            Normal::standard().inverse_cdf(1.0 - level / 2.0),
-            "its interval",
-        )
+        (own.max(between), Normal::standard().inverse_cdf(1.0 - level / 2.0), "its interval")
     };
     let around = mean(&values);
     let statistical = factor * std * (1.0 + 1.0 / count).sqrt();
@@ -407,13 +363,9 @@ fn parameter_limit(kind: Kind, runs: &[&Estimate], level: f64) -> GoldenLimit {
 fn response_limits(runs: &[&GoldenRun]) -> Vec<GoldenLimit> {
     let mut limits = Vec::new();
     let most = |path: &str| {
-        let found: Option<Vec<f64>> = runs
-            .iter()
-            .map(|run| find(&run.result, path)?.as_f64())
-            .collect();
-        found
-            .filter(|all| !all.is_empty())
-            .map(|all| extent(&all).1)
+        let found: Option<Vec<f64>> =
+            runs.iter().map(|run| find(&run.result, path)?.as_f64()).collect();
+        found.filter(|all| !all.is_empty()).map(|all| extent(&all).1)
     };
     let mut say = |key: String, limit: f64, reason: String| {
         limits.push(GoldenLimit {
@@ -446,10 +398,7 @@ fn response_limits(runs: &[&GoldenRun]) -> Vec<GoldenLimit> {
             say(key("overshoot_percent"), limit, reason);
         }
         if let Some(worst) = most(&key("settling_s")) {
-            let reason = format!(
-                "at most {} s, and half as much again",
-                significant(worst, 3)
-            );
+            let reason = format!("at most {} s, and half as much again", significant(worst, 3));
             say(key("settling_s"), RESPONSE_MARGIN * worst, reason);
         }
     }
@@ -475,10 +424,8 @@ fn write_case(
     }
     let _ = writeln!(text, "port = {}", quoted(&place.port));
     if let Some(seed) = place.seed {
-        let _ = writeln!(
-            text,
-            "# The specimen of the software drive, and its noise.\nseed = {seed}"
-        );
+        let _ =
+            writeln!(text, "# The specimen of the software drive, and its noise.\nseed = {seed}");
     }
     // Every run of one excitation, or the suite has to choose one.
     let seed = runs.first().and_then(|run| run.seed);
@@ -488,20 +435,12 @@ fn write_case(
         }
         _ => "{}".to_owned(),
     };
-    let _ = write!(
-        text,
-        "\n[[case.step]]\n{verb} = {options}\n\n[[case.step]]\n[case.step.assert]\n"
-    );
+    let _ =
+        write!(text, "\n[[case.step]]\n{verb} = {options}\n\n[[case.step]]\n[case.step.assert]\n");
     for limit in limits {
-        let is_bare = limit
-            .key
-            .chars()
-            .all(|letter| letter.is_ascii_alphanumeric() || letter == '_');
-        let key = if is_bare {
-            limit.key.clone()
-        } else {
-            quoted(&limit.key)
-        };
+        let is_bare =
+            limit.key.chars().all(|letter| letter.is_ascii_alphanumeric() || letter == '_');
+        let key = if is_bare { limit.key.clone() } else { quoted(&limit.key) };
         let _ = writeln!(text, "# {}\n{key} = {}", limit.reason, limit.limit);
     }
 }
@@ -509,11 +448,7 @@ fn write_case(
 /// Six digits, as TOML takes them.
 fn number(value: f64) -> String {
     let text = significant(value, 6);
-    if text.contains(['.', 'e']) {
-        text
-    } else {
-        format!("{text}.0")
-    }
+    if text.contains(['.', 'e']) { text } else { format!("{text}.0") }
 }
 
 /// A text as TOML takes it.
@@ -541,11 +476,7 @@ mod tests {
     }
 
     fn place() -> Place {
-        Place {
-            bench: "bench.toml".to_owned(),
-            port: "sim:".to_owned(),
-            ..Place::default()
-        }
+        Place { bench: "bench.toml".to_owned(), port: "sim:".to_owned(), ..Place::default() }
     }
 
     /// Half the width of the limit of the resistance, in ohm.
@@ -567,9 +498,8 @@ mod tests {
         let many: Vec<GoldenRun> = (0..9).map(|_| run("a", 1.0, 0.1)).collect();
         assert!((width(&many) - 3.2905 * 0.1 * (10f64 / 9.0).sqrt()).abs() < 1e-3);
         // Runs that differ by more than their intervals: their spread is the machine's.
-        let spread: Vec<GoldenRun> = [0.97, 0.99, 1.0, 1.01, 1.03]
-            .map(|value| run("a", value, 1e-4))
-            .into();
+        let spread: Vec<GoldenRun> =
+            [0.97, 0.99, 1.0, 1.01, 1.03].map(|value| run("a", value, 1e-4)).into();
         let wide = width(&spread);
         assert!(wide > 8.0 * 0.022 && wide < 10.0 * 0.022, "{wide}");
         // A parameter that is known to the last digit may still warm.
@@ -581,9 +511,7 @@ mod tests {
         let refused = |change: fn(&mut GoldenRun)| {
             let mut own = run("runs/a", 1.0, 0.1);
             change(&mut own);
-            golden("m", &[run("runs/b", 1.0, 0.1), own], &place())
-                .unwrap_err()
-                .0
+            golden("m", &[run("runs/b", 1.0, 0.1), own], &place()).unwrap_err().0
         };
         assert!(refused(|run| run.is_whole = false).contains("runs/a: the record is not whole"));
         let trip = refused(|run| run.outcome = Some("safety trip: over-speed".to_owned()));
@@ -616,9 +544,7 @@ mod tests {
     #[test]
     fn what_runs_agree_on_is_held_to_whatever_they_could_rule_out() {
         let texts = |all: &[(&str, &str)]| -> Vec<(String, String)> {
-            let own = all
-                .iter()
-                .map(|(key, limit)| ((*key).to_owned(), (*limit).to_owned()));
+            let own = all.iter().map(|(key, limit)| ((*key).to_owned(), (*limit).to_owned()));
             own.collect()
         };
         let nothing = |not_shown| {
@@ -642,19 +568,10 @@ mod tests {
         assert_eq!(unknown[0].1, "\"unexplained\"");
         // What one of them does not say of itself is no limit.
         let mut silent = of(0);
-        silent.result["diagnosis"]
-            .as_object_mut()
-            .unwrap()
-            .remove("sufficient");
-        silent.result["diagnosis"]
-            .as_object_mut()
-            .unwrap()
-            .remove("holdout_after");
-        let keys: Vec<String> = held_to(&[silent, of(0)])
-            .unwrap()
-            .into_iter()
-            .map(|(key, _)| key)
-            .collect();
+        silent.result["diagnosis"].as_object_mut().unwrap().remove("sufficient");
+        silent.result["diagnosis"].as_object_mut().unwrap().remove("holdout_after");
+        let keys: Vec<String> =
+            held_to(&[silent, of(0)]).unwrap().into_iter().map(|(key, _)| key).collect();
         assert_eq!(keys, ["verdict", "not_shown"]);
     }
 

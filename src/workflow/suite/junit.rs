@@ -101,10 +101,7 @@ mod tests {
         let (_, rest) = text.split_once(from).unwrap();
         let (_, rest) = rest.split_once(&format!(" {name}=\"")).unwrap();
         let (value, _) = rest.split_once('"').unwrap();
-        assert!(
-            value.chars().all(|letter| !letter.is_control()),
-            "{value:?}"
-        );
+        assert!(value.chars().all(|letter| !letter.is_control()), "{value:?}");
         [
             ("&lt;", "<"),
             ("&gt;", ">"),
@@ -114,9 +111,7 @@ mod tests {
             ("&amp;", "&"),
         ]
         .iter()
-        .fold(value.to_owned(), |value, (entity, letter)| {
-            value.replace(entity, letter)
-        })
+        .fold(value.to_owned(), |value, (entity, letter)| value.replace(entity, letter))
     }
 
     proptest! {

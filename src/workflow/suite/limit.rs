@@ -71,10 +71,7 @@ impl Limit {
             toml::Value::Table(table) => Self::parse_tolerance(table),
             toml::Value::Datetime(_) => wrong(format!("{value} is a date")),
             toml::Value::Integer(_) | toml::Value::Float(_) => match number(value) {
-                Some(exact) => Ok(Self::Within {
-                    least: exact,
-                    most: exact,
-                }),
+                Some(exact) => Ok(Self::Within { least: exact, most: exact }),
                 None => wrong(format!("{value} is not a number")),
             },
         }
@@ -91,20 +88,13 @@ impl Limit {
             }
             return Ok(Self::Has(part.trim().to_lowercase()));
         }
-        for (sign, is_below, or_equal) in [
-            ("<=", true, true),
-            (">=", false, true),
-            ("<", true, false),
-            (">", false, false),
-        ] {
+        for (sign, is_below, or_equal) in
+            [("<=", true, true), (">=", false, true), ("<", true, false), (">", false, false)]
+        {
             let Some(rest) = text.strip_prefix(sign) else {
                 continue;
             };
-            let bound = rest
-                .trim()
-                .parse()
-                .ok()
-                .filter(|bound: &f64| bound.is_finite());
+            let bound = rest.trim().parse().ok().filter(|bound: &f64| bound.is_finite());
             return match (bound, is_below) {
                 (Some(bound), true) => Ok(Self::Below { bound, or_equal }),
                 (Some(bound), false) => Ok(Self::Above { bound, or_equal }),
@@ -135,10 +125,9 @@ impl Limit {
             _ => None,
         };
         match (around, by) {
-            (Some(value), Some(by)) if by >= 0.0 => Ok(Self::Within {
-                least: value - by,
-                most: value + by,
-            }),
+            (Some(value), Some(by)) if by >= 0.0 => {
+                Ok(Self::Within { least: value - by, most: value + by })
+            }
             _ => Err((
                 "a tolerance needs a value and one width, not negative".to_owned(),
                 HELP.to_owned(),
@@ -256,19 +245,13 @@ pub fn find(result: &Value, key: &str) -> Option<Value> {
         at(&[]).or_else(|| at(&["diagnosis"]))
     };
     let parameter = || {
-        let lists = ["parameters", "estimates", "online"]
-            .into_iter()
-            .filter_map(&path);
-        lists
-            .into_iter()
-            .find_map(|list| entry(list, key)?.get("value"))
+        let lists = ["parameters", "estimates", "online"].into_iter().filter_map(&path);
+        lists.into_iter().find_map(|list| entry(list, key)?.get("value"))
     };
     match key {
         "missing" => missing(path("verdict")?.as_str()?, &path),
         "not_shown" => path("candidates").map(|list| not_shown(list).into()),
-        "held_out_error" => path("holdout_after")
-            .or_else(|| path("holdout_rmse"))
-            .cloned(),
+        "held_out_error" => path("holdout_after").or_else(|| path("holdout_rmse")).cloned(),
         _ => path(key).or_else(parameter).cloned(),
     }
 }
@@ -287,11 +270,8 @@ fn missing<'a>(verdict: &str, path: &impl Fn(&str) -> Option<&'a Value>) -> Opti
         "none" => {
             let names: Vec<&str> = not_shown.iter().map(String::as_str).collect();
             Some(
-                format!(
-                    "nothing that these runs could show ({} not ruled out)",
-                    names.join(", ")
-                )
-                .into(),
+                format!("nothing that these runs could show ({} not ruled out)", names.join(", "))
+                    .into(),
             )
         }
         verdict => Some(verdict.into()),
@@ -309,10 +289,7 @@ pub fn answered(result: &Value) -> Option<Answered> {
         ("none", None) if missing.is_string() => "(none shown)".to_owned(),
         (verdict, _) => format!("({verdict})"),
     };
-    Some(Answered {
-        hidden: hidden.unwrap_or_else(|| "(nothing)".to_owned()),
-        named,
-    })
+    Some(Answered { hidden: hidden.unwrap_or_else(|| "(nothing)".to_owned()), named })
 }
 
 /// The words of a list that has any, in one order.
@@ -337,9 +314,9 @@ fn not_shown(candidates: &Value) -> Vec<String> {
 /// The row of a parameter in a table of parameters, in either of its two forms.
 pub fn entry<'a>(table: &'a Value, key: &str) -> Option<&'a Value> {
     match table {
-        Value::Array(rows) => rows
-            .iter()
-            .find(|row| row.get("key").and_then(Value::as_str) == Some(key)),
+        Value::Array(rows) => {
+            rows.iter().find(|row| row.get("key").and_then(Value::as_str) == Some(key))
+        }
         rows => rows.get(key),
     }
 }
@@ -412,15 +389,9 @@ mod tests {
 
     #[test]
     fn a_failure_says_what_was_found_and_what_it_has_to_be() {
-        let said = limit("[1.0, 1.3]")
-            .unwrap()
-            .fails(Some(&json!(1.512_345)))
-            .unwrap();
+        let said = limit("[1.0, 1.3]").unwrap().fails(Some(&json!(1.512_345))).unwrap();
         assert_eq!(said, "1.512, has to be 1.00000 to 1.30000");
-        let said = limit("\"none\"")
-            .unwrap()
-            .fails(Some(&json!(["backlash"])))
-            .unwrap();
+        let said = limit("\"none\"").unwrap().fails(Some(&json!(["backlash"]))).unwrap();
         assert_eq!(said, "backlash, has to be none");
     }
 
@@ -470,11 +441,7 @@ mod tests {
             "nothing that these runs could show (backlash not ruled out), has to be none"
         );
         assert!(judged(&of("possible", true)).is_some());
-        assert!(
-            judged(&of("ruled_out", false))
-                .unwrap()
-                .contains("an error left")
-        );
+        assert!(judged(&of("ruled_out", false)).unwrap().contains("an error left"));
         assert!(judged(&json!({ "verdict": "none", "effects": [] })).is_some());
         // What it does prove can be asked for.
         assert!(holds("\"none\"", &find(&weak, "verdict").unwrap()));
@@ -512,9 +479,6 @@ mod tests {
     fn a_name_that_another_run_speaks_against_is_none() {
         let of = |confirmed: bool| json!({ "verdict": "effect", "effects": ["cogging"], "sufficient": true, "confirm": { "confirmed": confirmed } });
         assert_eq!(find(&of(true), "missing"), Some(json!(["cogging"])));
-        assert_eq!(
-            find(&of(false), "missing"),
-            Some(json!("cogging, not confirmed"))
-        );
+        assert_eq!(find(&of(false), "missing"), Some(json!("cogging, not confirmed")));
     }
 }

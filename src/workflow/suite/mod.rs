@@ -164,10 +164,8 @@ impl SignalLimit {
             .filter(around)
             .map(|(_, value)| value)
             .min_by(|a, b| (a - self.value).abs().total_cmp(&(b - self.value).abs()));
-        let wanted = format!(
-            "{} ± {} at {} ± {} s",
-            self.value, self.within, self.at_s, self.within_s
-        );
+        let wanted =
+            format!("{} ± {} at {} ± {} s", self.value, self.within, self.at_s, self.within_s);
         match nearest {
             None => Some(format!("no sample there, has to be {wanted}")),
             Some(found) if (found - self.value).abs() <= self.within => None,
@@ -213,10 +211,7 @@ impl Verb {
 
     /// Whether it opens a link, and may move the motor.
     pub const fn is_live(self) -> bool {
-        matches!(
-            self,
-            Self::Connect | Self::Commission | Self::Excite | Self::Speed
-        )
+        matches!(self, Self::Connect | Self::Commission | Self::Excite | Self::Speed)
     }
 
     /// Whether it talks with a drive, if only to look at it.
@@ -341,9 +336,8 @@ const MOST_S: f64 = 86_400.0;
 const TIMEOUT_S: f64 = 300.0;
 /// Options that the driver gives by what stands in the case and on its own command line: which motor turns, and where files
 /// are made, is not for a step to say.
-const GIVEN: [&str; 8] = [
-    "port", "emulator", "seed", "out", "hardware", "headless", "json", "screen",
-];
+const GIVEN: [&str; 8] =
+    ["port", "emulator", "seed", "out", "hardware", "headless", "json", "screen"];
 /// What a suite has in the place of acts on its own commands.
 const HOST_HELP: &str = "allowed: faults of line and drive, as fault = { fault = [{ kind = \"black_hole\", from_s = 1.0 }] }; \
                          signals, terminals, ports and disks are no concern of a suite";
@@ -386,17 +380,11 @@ impl Suite {
         for case in keys.cases {
             let at = case.name.span().start;
             let name = case.name.into_inner();
-            if let Some(word) = [&name]
-                .into_iter()
-                .chain(&case.tags)
-                .find(|word| !is_printable(word))
+            if let Some(word) =
+                [&name].into_iter().chain(&case.tags).find(|word| !is_printable(word))
             {
                 let what = format!("{word:?} is not allowed as a name or a tag");
-                return Err(error(
-                    at,
-                    what,
-                    "allowed: up to 200 characters that can be printed",
-                ));
+                return Err(error(at, what, "allowed: up to 200 characters that can be printed"));
             }
             if cases.iter().any(|other| other.name == name) {
                 let what = format!("two cases are named {name:?}");
@@ -441,10 +429,7 @@ impl Suite {
                 steps,
             });
         }
-        Ok(Self {
-            name: keys.name.into_inner(),
-            cases,
-        })
+        Ok(Self { name: keys.name.into_inner(), cases })
     }
 }
 
@@ -487,11 +472,7 @@ fn read_step(
     for (verb, word, _) in Verb::ALL {
         if let Some(table) = keys.options(verb) {
             let options = read_options(verb, word, table, before, options_of)?;
-            let action = Action::Command {
-                verb,
-                options,
-                statuses: statuses.clone(),
-            };
+            let action = Action::Command { verb, options, statuses: statuses.clone() };
             found.push((word, action));
         }
     }
@@ -519,11 +500,7 @@ fn read_step(
             format!("the step does several things: {}", names.join(", "))
         };
         let verbs = Verb::ALL.map(|(_, word, _)| word).join(", ");
-        (
-            at,
-            what,
-            format!("allowed: one of {verbs}, fault, file, assert"),
-        )
+        (at, what, format!("allowed: one of {verbs}, fault, file, assert"))
     })?;
     let is_command = matches!(action, Action::Command { .. });
     if has_status && !is_command {
@@ -618,11 +595,7 @@ fn read_assert(
             return Err((at, what, help));
         }
     }
-    Ok(Action::Assert {
-        of,
-        limits,
-        signals,
-    })
+    Ok(Action::Assert { of, limits, signals })
 }
 
 fn help_for_name(name: &str, before: &[Step]) -> String {
@@ -669,11 +642,9 @@ mod tests {
     use super::*;
 
     fn options_of(_: Verb) -> Vec<String> {
-        [
-            "run-seed", "escalate", "holdout", "model", "require", "out", "tap",
-        ]
-        .map(String::from)
-        .into()
+        ["run-seed", "escalate", "holdout", "model", "require", "out", "tap"]
+            .map(String::from)
+            .into()
     }
 
     fn parse(text: &str) -> Result<Suite, ConfigError> {
@@ -712,18 +683,12 @@ timeout_s = 9.0
     fn a_suite_is_read_whole() {
         let suite = parse(WHOLE).unwrap();
         let case = &suite.cases[0];
-        assert_eq!(
-            (suite.name.as_str(), case.repeat, case.seed),
-            ("acceptance", 3, 1)
-        );
+        assert_eq!((suite.name.as_str(), case.repeat, case.seed), ("acceptance", 3, 1));
         assert_eq!(case.port.as_deref(), Some("sim:"));
         assert_eq!(case.tags, ["all", "smoke"]);
         assert!((case.timeout_s - TIMEOUT_S).abs() < 1e-9);
         let names: Vec<&str> = case.steps.iter().map(|step| step.name.as_str()).collect();
-        assert_eq!(
-            names,
-            ["fault", "fit", "diagnose", "assert", "assert", "speed"]
-        );
+        assert_eq!(names, ["fault", "fit", "diagnose", "assert", "assert", "speed"]);
         let Action::Command { statuses, .. } = &case.steps[5].action else {
             panic!("speed is a command");
         };
@@ -739,50 +704,22 @@ timeout_s = 9.0
         for (from, to, words) in [
             ("repeat = 3", "repeat = 0", "10:10: repeat = 0"),
             ("tags = [\"smoke\"]", "tag = 1", "unknown field `tag`"),
-            (
-                "run_seed = 2",
-                "runseed = 2",
-                "unknown option `runseed` of excite",
-            ),
+            ("run_seed = 2", "runseed = 2", "unknown option `runseed` of excite"),
             ("\"@fit\"", "\"@fitt\"", "no earlier step is named \"fitt\""),
-            (
-                "[1.0, 1.3]",
-                "[1.3, 1.0]",
-                "resistance_ohm: [1.3, 1] has its larger end first",
-            ),
+            ("[1.0, 1.3]", "[1.3, 1.0]", "resistance_ohm: [1.3, 1] has its larger end first"),
             (
                 "name = \"acceptance\"",
                 "name = \"\\u001b[2J\"",
                 "name = \"\\u{1b}[2J\" is not allowed",
             ),
-            (
-                "tags = [\"smoke\"]",
-                "tags = [\"a\\u0007\"]",
-                "not allowed as a name or a tag",
-            ),
-            (
-                "as = \"fit\"",
-                "as = \"a/../b\"",
-                "as = \"a/../b\" is not allowed",
-            ),
+            ("tags = [\"smoke\"]", "tags = [\"a\\u0007\"]", "not allowed as a name or a tag"),
+            ("as = \"fit\"", "as = \"a/../b\"", "as = \"a/../b\" is not allowed"),
             ("run_seed = 2", "out = \"/\"", "excite does not take `out`"),
-            (
-                "run_seed = 2",
-                "tap = \"../line.pcap\"",
-                "tap = \"../line.pcap\" is not allowed",
-            ),
+            ("run_seed = 2", "tap = \"../line.pcap\"", "tap = \"../line.pcap\" is not allowed"),
             ("speed = {}", "", "the step does nothing"),
-            (
-                "speed = {}",
-                "assert = { rows = 1 }",
-                "status stands without a command",
-            ),
+            ("speed = {}", "assert = { rows = 1 }", "status stands without a command"),
             ("speed = {}", "speed = {}\nexcite = {}", "several things"),
-            (
-                "speed = {}",
-                "speed = {}\nhost = { act = \"kill\" }",
-                "25:1: unknown field `host`",
-            ),
+            ("speed = {}", "speed = {}\nhost = { act = \"kill\" }", "25:1: unknown field `host`"),
             (
                 "missing = \"none\"",
                 "\"motor.zero_after_s\" = \"< 1\"",
@@ -793,36 +730,12 @@ timeout_s = 9.0
                 "file = { of = \"a.toml\", name = \"../b.toml\", set = {} }",
                 "file: name = \"../b.toml\" is not allowed",
             ),
-            (
-                "of = \"fit\"",
-                "of = \"fir\"",
-                "no earlier step is named so",
-            ),
-            (
-                "within = 2.0",
-                "within = inf",
-                "signal: within = inf is not allowed",
-            ),
-            (
-                "within_s = 0.1",
-                "within_s = nan",
-                "signal: within_s = NaN is not allowed",
-            ),
-            (
-                "timeout_s = 9.0",
-                "timeout_s = nan",
-                "26:13: timeout_s = NaN is not allowed",
-            ),
-            (
-                "timeout_s = 9.0",
-                "timeout_s = inf",
-                "timeout_s = inf is not allowed",
-            ),
-            (
-                "timeout_s = 9.0",
-                "timeout = 9.0",
-                "unknown field `timeout`",
-            ),
+            ("of = \"fit\"", "of = \"fir\"", "no earlier step is named so"),
+            ("within = 2.0", "within = inf", "signal: within = inf is not allowed"),
+            ("within_s = 0.1", "within_s = nan", "signal: within_s = NaN is not allowed"),
+            ("timeout_s = 9.0", "timeout_s = nan", "26:13: timeout_s = NaN is not allowed"),
+            ("timeout_s = 9.0", "timeout_s = inf", "timeout_s = inf is not allowed"),
+            ("timeout_s = 9.0", "timeout = 9.0", "unknown field `timeout`"),
         ] {
             assert!(WHOLE.contains(from), "{from}");
             let error = parse(&WHOLE.replace(from, to)).unwrap_err();
@@ -855,11 +768,6 @@ timeout_s = 9.0
         assert_eq!(limit.fails(ramp(1.05)), None);
         let said = limit.fails(ramp(1.2)).unwrap();
         assert_eq!(said, "0, has to be 90 ± 2 at 1 ± 0.1 s");
-        assert!(
-            limit
-                .fails(std::iter::empty())
-                .unwrap()
-                .contains("no sample")
-        );
+        assert!(limit.fails(std::iter::empty()).unwrap().contains("no sample"));
     }
 }

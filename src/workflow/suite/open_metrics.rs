@@ -42,11 +42,7 @@ pub fn text(outcome: &SuiteOutcome) -> String {
         );
     }
     text.push_str("# TYPE drivebench_figure gauge\n# HELP drivebench_figure Mean of a judged figure over the repeats of its case, in the unit that ends its key.\n");
-    for figure in outcome
-        .spread
-        .iter()
-        .filter(|figure| figure.mean.is_finite())
-    {
+    for figure in outcome.spread.iter().filter(|figure| figure.mean.is_finite()) {
         let (case, key) = (escaped(&figure.case), escaped(&figure.key));
         let _ = writeln!(
             text,
@@ -72,7 +68,5 @@ pub fn text(outcome: &SuiteOutcome) -> String {
 
 /// A label's value.
 fn escaped(text: &str) -> String {
-    text.replace('\\', "\\\\")
-        .replace('"', "\\\"")
-        .replace('\n', "\\n")
+    text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
 }

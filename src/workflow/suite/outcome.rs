@@ -140,24 +140,14 @@ impl Confusion {
             note(&mut others, &answer.named);
         }
         let is_named = |row: &&String| answers.iter().any(|own| own.named == **row);
-        let columns: Vec<String> = rows
-            .iter()
-            .filter(is_named)
-            .cloned()
-            .chain(others)
-            .collect();
+        let columns: Vec<String> = rows.iter().filter(is_named).cloned().chain(others).collect();
         let count = |row: &String, column: &String| {
             let here = |own: &&&Answered| own.hidden == *row && own.named == *column;
             answers.iter().filter(here).count()
         };
-        let counts = rows
-            .iter()
-            .map(|row| columns.iter().map(|column| count(row, column)).collect());
-        Self {
-            counts: counts.collect(),
-            rows,
-            columns,
-        }
+        let counts =
+            rows.iter().map(|row| columns.iter().map(|column| count(row, column)).collect());
+        Self { counts: counts.collect(), rows, columns }
     }
 
     pub const fn is_empty(&self) -> bool {
@@ -232,10 +222,7 @@ impl SuiteOutcome {
             skipped: count(|verdict| matches!(verdict, Verdict::Skipped(_))),
             spread: spread(&cases),
             confusion: Confusion::of(
-                &cases
-                    .iter()
-                    .flat_map(|case| &case.answers)
-                    .collect::<Vec<_>>(),
+                &cases.iter().flat_map(|case| &case.answers).collect::<Vec<_>>(),
             ),
             cases,
         }
@@ -257,11 +244,7 @@ impl SuiteOutcome {
         }
         let mut statuses = wrong().map(|case| case.status.unwrap_or(1));
         let first = statuses.next().unwrap_or(1);
-        if statuses.all(|status| status == first) {
-            first
-        } else {
-            1
-        }
+        if statuses.all(|status| status == first) { first } else { 1 }
     }
 }
 
@@ -313,11 +296,7 @@ mod tests {
                 command: String::new(),
                 status: None,
                 took_s: 0.0,
-                checks: vec![Check {
-                    key: "resistance_ohm".into(),
-                    value,
-                    failure: None,
-                }],
+                checks: vec![Check { key: "resistance_ohm".into(), value, failure: None }],
                 identified: None,
             }],
             answers: Vec::new(),
@@ -340,10 +319,7 @@ mod tests {
         assert_eq!(outcome(vec![passed(), error(3), error(3)]).exit_status(), 3);
         assert_eq!(outcome(vec![error(3), error(4)]).exit_status(), 1);
         let all = outcome(vec![passed(), failed(), error(3), skipped()]);
-        assert_eq!(
-            (all.passed, all.failed, all.errors, all.skipped),
-            (1, 1, 1, 1)
-        );
+        assert_eq!((all.passed, all.failed, all.errors, all.skipped), (1, 1, 1, 1));
     }
 
     #[test]
@@ -378,15 +354,8 @@ mod tests {
             "hidden,cogging,torque_ripple,(ambiguous)\ncogging,2,1,0\nbacklash,0,0,1\ntorque_ripple,0,1,0\n"
         );
         let rows: Vec<_> = found.named().collect();
-        assert_eq!(
-            rows[0],
-            ("cogging", vec![("cogging", 2), ("torque_ripple", 1)])
-        );
+        assert_eq!(rows[0], ("cogging", vec![("cogging", 2), ("torque_ripple", 1)]));
         assert_eq!(rows[1], ("backlash", vec![("(ambiguous)", 1)]));
-        assert!(
-            outcome(vec![case("a", Verdict::Passed, None, None)])
-                .confusion
-                .is_empty()
-        );
+        assert!(outcome(vec![case("a", Verdict::Passed, None, None)]).confusion.is_empty());
     }
 }

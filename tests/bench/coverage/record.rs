@@ -60,13 +60,8 @@ impl Trajectory {
         let largest_a = largest_v / resistance;
         let load = back_emf * largest_a * log_uniform(0.008, 0.05);
         let noise = log_uniform(0.3, 3.0);
-        let truth = [
-            resistance,
-            ta * resistance,
-            back_emf,
-            tm * back_emf * back_emf / resistance,
-            load,
-        ];
+        let truth =
+            [resistance, ta * resistance, back_emf, tm * back_emf * back_emf / resistance, load];
         let mut events = vec![(0.0, 0.0)];
         let mut at_s = REST_S + rng.random_range(0.0..0.01);
         let hold_s = (ta + tm).clamp(0.05, 0.4);
@@ -76,11 +71,7 @@ impl Trajectory {
             events.push((at_s, sign * level * largest_v));
             at_s += hold_s * rng.random_range(0.4..1.6);
         }
-        let period_s = if sampling == Sampling::Fast {
-            0.001
-        } else {
-            0.01
-        };
+        let period_s = if sampling == Sampling::Fast { 0.001 } else { 0.01 };
         let times: Vec<f64> = (0..u32::MAX)
             .map(|k| f64::from(k) * period_s)
             .take_while(|time_s| *time_s < seconds - 0.5 * period_s)
@@ -139,11 +130,7 @@ impl Trajectory {
         );
         let mut read = |value: f64, std: f64, step: f64| {
             let noisy = value + std * rng.sample::<f64, _>(StandardNormal);
-            if quantised {
-                (noisy / step).round() * step
-            } else {
-                noisy
-            }
+            if quantised { (noisy / step).round() * step } else { noisy }
         };
         let mut rows: Vec<(f64, f64, f64, f64)> = Vec::new();
         for (k, &time_s) in self.times.iter().enumerate() {
@@ -172,13 +159,8 @@ impl Trajectory {
 
 /// Current and speed at `times` under held voltages, by the emulator's machine in fine steps.
 fn integrate(truth: &[f64; 5], events: &[(f64, f64)], times: &[f64]) -> (Vec<f64>, Vec<f64>) {
-    let [
-        resistance_ohm,
-        inductance_h,
-        back_emf_v_s_per_rad,
-        inertia_kg_m2,
-        load_torque_n_m,
-    ] = *truth;
+    let [resistance_ohm, inductance_h, back_emf_v_s_per_rad, inertia_kg_m2, load_torque_n_m] =
+        *truth;
     let mut plant = Plant::new(
         MotorTruth {
             name: "random".to_owned(),

@@ -62,11 +62,7 @@ pub(crate) fn record(
     duration_s: f64,
 ) -> Scenario {
     let motor = nameplate_truth().specimen(TOLERANCE, machine);
-    let site = Site {
-        bus_v: motor.rated_voltage_v,
-        motor,
-        seed: 1000 * machine + run,
-    };
+    let site = Site { bus_v: motor.rated_voltage_v, motor, seed: 1000 * machine + run };
     let mut effects = hidden.to_vec();
     if mess > 0.0 {
         effects.extend(HiddenEffect::new("messy", &[("scale", mess)]));
@@ -75,11 +71,7 @@ pub(crate) fn record(
     plant.start();
     let path = *plant.path();
     let mut sensors = Sensors::new(
-        NoiseConfig {
-            current_a: 0.03,
-            speed_rad_s: 0.15,
-            ..NoiseConfig::default()
-        },
+        NoiseConfig { current_a: 0.03, speed_rad_s: 0.15, ..NoiseConfig::default() },
         QuantisationConfig {
             current_a: 0.01,
             speed_rad_s: TAU / 60.0,

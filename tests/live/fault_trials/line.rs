@@ -21,10 +21,7 @@ use crate::witness::drive::Drive;
 /// A witness that stood still for longer than this has not seen what happened meanwhile, s.
 pub(crate) const STOOD_STILL_S: f64 = 0.02;
 
-#[expect(
-    clippy::disallowed_methods,
-    reason = "the witness keeps the time of its log"
-)]
+#[expect(clippy::disallowed_methods, reason = "the witness keeps the time of its log")]
 pub(crate) fn now() -> Instant {
     Instant::now()
 }
@@ -71,12 +68,7 @@ impl Line {
         let thread = std::thread::spawn(move || {
             carry((master, slave), &path, origin, &mine, &over);
         });
-        Self {
-            origin,
-            shared,
-            ended,
-            thread: Some(thread),
-        }
+        Self { origin, shared, ended, thread: Some(thread) }
     }
 
     pub(crate) fn now_s(&self) -> f64 {

@@ -76,11 +76,7 @@ impl fmt::Display for Trial {
         )?;
         if self.attempts > 1 || self.stood_still_s > STOOD_STILL_S {
             let ms = self.stood_still_s * 1e3;
-            write!(
-                f,
-                " (attempt {}, it stood still for {ms:.0} ms)",
-                self.attempts
-            )?;
+            write!(f, " (attempt {}, it stood still for {ms:.0} ms)", self.attempts)?;
         }
         for parameter in &self.parameters {
             write!(f, "; {parameter}")?;
@@ -89,11 +85,7 @@ impl fmt::Display for Trial {
             write!(f, "\n     {wrong}")?;
         }
         if !self.passed() {
-            write!(
-                f,
-                "\n     said: {}",
-                self.said.replace('\n', "\n           ")
-            )?;
+            write!(f, "\n     said: {}", self.said.replace('\n', "\n           "))?;
         }
         Ok(())
     }
@@ -356,11 +348,7 @@ fn attempt(fault: &'static Fault, way: Way, seed: u64) -> Trial {
             let (words, off) = trials::hold_against_truth(SIGMAS, |key| {
                 let parameter = &result["parameters"][key];
                 let verdict = parameter["verdict"].as_str().unwrap_or("not told");
-                (
-                    verdict,
-                    parameter["value"].as_f64(),
-                    parameter["std"].as_f64(),
-                )
+                (verdict, parameter["value"].as_f64(), parameter["std"].as_f64())
             });
             parameters.extend(words);
             wrong.extend(off);

@@ -49,24 +49,15 @@ fn the_embedded_bench_documents_every_key() {
         brake_release_s: Some(1.0),
         brake_apply_s: Some(1.0),
     };
-    full.supply = SupplySection {
-        regenerates: false,
-        brake_power_w: Some(1.0),
-    };
-    full.limits = LimitsSection {
-        travel_rad: Some(1.0),
-        ..full.limits
-    };
+    full.supply = SupplySection { regenerates: false, brake_power_w: Some(1.0) };
+    full.limits = LimitsSection { travel_rad: Some(1.0), ..full.limits };
     if let Some(speed) = &mut full.speed {
         speed.bandwidth_rad_s = Some(1.0);
         speed.slew_v_per_s = Some(1.0);
         speed.actuator = Some(Actuator::Voltage);
         speed.drive_lag_s = Some(1.0);
         speed.rule = Some(Rule::ModulusOptimum);
-        speed.gains = Some(GainsSection {
-            proportional_v_s_per_rad: 1.0,
-            integral_time_s: 1.0,
-        });
+        speed.gains = Some(GainsSection { proportional_v_s_per_rad: 1.0, integral_time_s: 1.0 });
     }
     let text = full.to_toml();
     for (key, _) in text.lines().filter_map(|line| line.split_once(" = ")) {

@@ -118,17 +118,13 @@ impl Checker<'_> {
         let lost_speed = gives_speed && legs.iter().any(is_blind);
         let (figures, refusal) = judge::direction(&known, &legs);
         let (ratios, implausible) = judge::plausibility(&known, &legs);
-        let way = if one_way {
-            "one way, as the converter goes no other"
-        } else {
-            "one way and back"
-        };
+        let way =
+            if one_way { "one way, as the converter goes no other" } else { "one way and back" };
         let figures = format!("pulse {way}: {figures}");
         let (text, help) = match (cut, refusal) {
-            (Some(Cut::Moved(text)), _) => (
-                format!("the shaft moved at zero reference: {text}"),
-                AT_ZERO_HELP,
-            ),
+            (Some(Cut::Moved(text)), _) => {
+                (format!("the shaft moved at zero reference: {text}"), AT_ZERO_HELP)
+            }
             (Some(Cut::Astray), _) => {
                 let why = judge::astray(&known, &legs).unwrap_or_default();
                 let help = "the pulse was stopped at once: compare word_order, scale, unit and address of the set-point with the drive's manual";
@@ -196,9 +192,7 @@ impl<'c, 'a> Mover<'c, 'a> {
             current_a: limits
                 .current_a
                 .min(CURRENT_IN_RATED * plate.rated_current_a + size.hold_a.abs()),
-            speed_rad_s: limits
-                .speed_rad_s
-                .min(SPEED_IN_RATED * plate.rated_speed_rad_s),
+            speed_rad_s: limits.speed_rad_s.min(SPEED_IN_RATED * plate.rated_speed_rad_s),
             ..limits.clone()
         };
         let limit_a = checker.report.identity.current_limit_a;
@@ -239,11 +233,7 @@ impl<'c, 'a> Mover<'c, 'a> {
             self.hold_for(brake.release_s + self.rise_of_hold_s())?;
         }
         // Up before down, where something pulls.
-        let up = if self.known.size.hold_a < 0.0 {
-            -1.0
-        } else {
-            1.0
-        };
+        let up = if self.known.size.hold_a < 0.0 { -1.0 } else { 1.0 };
         let ways: &[f64] = if one_way { &[1.0] } else { &[up, -up] };
         self.there_and_back(ways, legs)?;
         let is_settled = |leg: &Leg| judge::is_settled(&self.known, leg);

@@ -147,10 +147,7 @@ fn fault(known: &Known<'_>, direction: f64, seen: &Ends) -> Option<(String, &'st
         && amps * direction < 0.0
     {
         // A sensor the wrong way round shows a change the wrong way round too.
-        if let Some(rise_a) = seen
-            .rise_a
-            .filter(|rise| rise * direction > known.flowed_a())
-        {
+        if let Some(rise_a) = seen.rise_a.filter(|rise| rise * direction > known.flowed_a()) {
             return Some((
                 format!(
                     "an offset: the current is {amps:+.2} A against what is asked and goes with it all the same, by {rise_a:+.2} A; \
@@ -252,9 +249,7 @@ struct Ratio {
 impl Ratio {
     fn text(&self) -> String {
         let (low, value, high) = self.interval;
-        let Self {
-            name, unit, plate, ..
-        } = self;
+        let Self { name, unit, plate, .. } = self;
         if self.is_untold() {
             return format!(
                 "the {name} cannot be told at this size ({low:.2} to {high:.2} times the nameplate's {plate} {unit})"
@@ -384,20 +379,13 @@ fn ends(known: &Known<'_>, leg: &Leg) -> (Option<Mean>, Option<Mean>) {
     let first = moves_at(known, leg);
     let rest = mean(known, leg, 0..first.unwrap_or(all));
     let motion = first.and_then(|first| mean(known, leg, first..all));
-    (
-        rest.filter(|mean| mean.voltage_v > 0.0 && mean.current_a.abs() > known.flowed_a()),
-        motion,
-    )
+    (rest.filter(|mean| mean.voltage_v > 0.0 && mean.current_a.abs() > known.flowed_a()), motion)
 }
 
 fn interval(value: f64, doubt: f64, by: f64, by_doubt: f64) -> (f64, f64, f64) {
     let (value, by) = (value.max(0.0), by.max(1e-12));
     let low = (value - doubt).max(0.0) / (by + by_doubt);
-    let high = if by > by_doubt {
-        (value + doubt) / (by - by_doubt)
-    } else {
-        f64::INFINITY
-    };
+    let high = if by > by_doubt { (value + doubt) / (by - by_doubt) } else { f64::INFINITY };
     (low, value / by, high)
 }
 
@@ -443,16 +431,10 @@ fn ratios(known: &Known<'_>, leg: &Leg) -> Vec<Ratio> {
 
 /// A drive that takes a speed: whether it turns at about the speed that was asked.
 fn followed(known: &Known<'_>, leg: &Leg) -> Option<(String, bool)> {
-    let last = leg
-        .points
-        .last()
-        .filter(|_| known.size.kind == Actuator::Speed)?;
+    let last = leg.points.last().filter(|_| known.size.kind == Actuator::Speed)?;
     let speed = (last.speed_rad_s? - known.speed.0).abs();
     let ratio = speed / last.asked.abs();
-    let text = format!(
-        "{:.2} rad/s asked, {speed:.2} rad/s measured",
-        last.asked.abs()
-    );
+    let text = format!("{:.2} rad/s asked, {speed:.2} rad/s measured", last.asked.abs());
     let believed = 1.0 / FOLLOWED_FACTOR..=FOLLOWED_FACTOR;
     Some((text, believed.contains(&ratio)))
 }
@@ -561,18 +543,13 @@ mod tests {
     }
 
     fn reply(current_a: f64, speed_rad_s: f64) -> Sample {
-        Sample::at(0.0)
-            .with(Channel::Current, current_a)
-            .with(Channel::Speed, speed_rad_s)
+        Sample::at(0.0).with(Channel::Current, current_a).with(Channel::Speed, speed_rad_s)
     }
 
     /// A pulse both ways that ends with these figures for the positive way, and the same the other way.
     fn ended(volts: f64, current_a: f64, speed_rad_s: f64, signed: bool) -> (String, String) {
         let plate = Nameplate::zk_22fc();
-        let known = Known {
-            signed_current: signed,
-            ..known(&plate, Demand::Voltage(0.0))
-        };
+        let known = Known { signed_current: signed, ..known(&plate, Demand::Voltage(0.0)) };
         let legs = [1.0, -1.0].map(|way| {
             let mut leg = Leg::new(way);
             for _ in 0..3 {
@@ -626,10 +603,9 @@ mod tests {
 
     #[test]
     fn a_current_without_sign_or_within_noise_passes() {
-        for (current_a, signed, words) in [
-            (-1.8, false, "has no sign"),
-            (0.05, true, "sign cannot be told"),
-        ] {
+        for (current_a, signed, words) in
+            [(-1.8, false, "has no sign"), (0.05, true, "sign cannot be told")]
+        {
             let (figures, refusal) = ended(5.0, current_a, 9.0, signed);
             assert_eq!(refusal, "");
             has(figures, words);
@@ -683,10 +659,7 @@ mod tests {
             load_torque_n_m: 0.455 / rpm,
             ..plate.clone()
         };
-        let other = Nameplate {
-            resistance_ohm: 12.0,
-            ..plate.clone()
-        };
+        let other = Nameplate { resistance_ohm: 12.0, ..plate.clone() };
         for (plate, factors, words) in [
             (&per_rpm, (1.0, 1.0), "V per r/min on the nameplate"),
             (&plate, (1.0, rpm), "r/min that is taken for rad/s"),
@@ -700,10 +673,7 @@ mod tests {
     #[test]
     fn a_wrong_speed_is_refused_with_the_set_points_name() {
         let plate = Nameplate::zk_22fc();
-        let known = Known {
-            set_point: Some("speed_ref"),
-            ..known(&plate, Demand::Speed(0.0))
-        };
+        let known = Known { set_point: Some("speed_ref"), ..known(&plate, Demand::Speed(0.0)) };
         let mut leg = Leg::new(1.0);
         let reply = Sample::at(0.0).with(Channel::Speed, 32.8);
         leg.push(&known.size, 7.5, Demand::Speed(7.5), &reply);
@@ -763,11 +733,7 @@ mod tests {
                 let volts = 0.1 * f64::from(step);
                 let current_a = (volts / 1.1).min(1.29);
                 let speed = (volts - 1.1 * current_a) / 0.3538;
-                time_s += if after(leg.points.len()) {
-                    pause_s
-                } else {
-                    0.01
-                };
+                time_s += if after(leg.points.len()) { pause_s } else { 0.01 };
                 let mut reply = reply(way * current_a, way * speed);
                 reply.time_s = time_s;
                 let sent = Demand::Voltage(way * volts);

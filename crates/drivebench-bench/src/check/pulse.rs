@@ -248,9 +248,7 @@ mod tests {
     }
 
     fn reply(current_a: f64, speed_rad_s: f64) -> Sample {
-        Sample::at(0.0)
-            .with(Channel::Current, current_a)
-            .with(Channel::Speed, speed_rad_s)
+        Sample::at(0.0).with(Channel::Current, current_a).with(Channel::Speed, speed_rad_s)
     }
 
     fn sent(volts: f64) -> Demand {

@@ -126,18 +126,13 @@ impl Still {
             };
             (channel, mean, most.max(NOISE_FACTOR * std))
         });
-        Self {
-            bounds,
-            angle_rad: None,
-        }
+        Self { bounds, angle_rad: None }
     }
 
     /// What moves in this sample, or has moved since the first one.
     pub(super) fn moved(&mut self, sample: &Sample) -> Option<String> {
         let beyond = |(channel, mean, most): (Channel, f64, f64)| {
-            let value = sample
-                .get(channel)
-                .filter(|value| (value - mean).abs() > most)?;
+            let value = sample.get(channel).filter(|value| (value - mean).abs() > most)?;
             Some(figure(channel, "", value, most))
         };
         if let Some(text) = self.bounds.into_iter().find_map(beyond) {
@@ -222,8 +217,7 @@ impl Checker<'_> {
         let mut last_error = None;
         let mut begin_s = self.clock.now_s();
         for probe in 0..PROBES {
-            self.clock
-                .sleep_until_s(begin_s + (probe + 1) as f64 * self.period_s);
+            self.clock.sleep_until_s(begin_s + (probe + 1) as f64 * self.period_s);
             let sent_s = self.clock.now_s();
             match self.exchange(Demand::Disable) {
                 Ok(mut sample) => {
@@ -452,23 +446,13 @@ mod tests {
 
     #[test]
     fn a_braking_that_averages_to_nothing_is_no_noise() {
-        let floor = |channel, mean, std| NoiseFloor {
-            channel,
-            mean,
-            std,
-            samples: 50,
-        };
+        let floor = |channel, mean, std| NoiseFloor { channel, mean, std, samples: 50 };
         // As a drive showed that was stopped while it turned at 105 rad/s.
-        let braking = [
-            floor(Channel::Speed, 2.1551, 11.3723),
-            floor(Channel::Current, -0.4720, 2.0936),
-        ];
+        let braking =
+            [floor(Channel::Speed, 2.1551, 11.3723), floor(Channel::Current, -0.4720, 2.0936)];
         let text = unrest_of_all(&braking, &limits()).unwrap();
         assert!(text.contains("spread 11.37"), "{text}");
-        let quiet = [
-            floor(Channel::Speed, 0.02, 0.15),
-            floor(Channel::Current, 0.1, 0.03),
-        ];
+        let quiet = [floor(Channel::Speed, 0.02, 0.15), floor(Channel::Current, 0.1, 0.03)];
         assert_eq!(unrest_of_all(&quiet, &limits()), None);
         assert!(unrest(&sample(30.0, 0.0, 0.0), &limits(), false).is_some());
         assert_eq!(unrest(&sample(0.5, 0.2, 0.5), &limits(), true), None);

@@ -36,16 +36,10 @@ fn specimen(seed: u64) -> (Nameplate, EmulatorConfig) {
     let torque = config.motor.load_torque_n_m;
     let speed = plate.rated_speed_rad_s;
     let hidden: &[(&str, &[(&str, f64)])] = &[
-        (
-            "viscous_friction",
-            &[("viscous_n_m_s_per_rad", torque / speed)],
-        ),
+        ("viscous_friction", &[("viscous_n_m_s_per_rad", torque / speed)]),
         (
             "stribeck_friction",
-            &[
-                ("stribeck_n_m", 0.3 * torque),
-                ("stribeck_speed_rad_s", 0.03 * speed),
-            ],
+            &[("stribeck_n_m", 0.3 * torque), ("stribeck_speed_rad_s", 0.03 * speed)],
         ),
         ("voltage_drop", &[("drop_v", 0.01 * plate.rated_voltage_v)]),
         ("command_delay", &[("delay_s", 2e-3)]),
@@ -84,11 +78,7 @@ fn checked(
         hardware_allowed: true,
         hardware_said: true,
         waivers,
-        first_move: Some(FirstMove {
-            plate,
-            profile,
-            is_withheld: false,
-        }),
+        first_move: Some(FirstMove { plate, profile, is_withheld: false }),
         stopped: &|| false,
         reset_fault: false,
     };
@@ -134,19 +124,14 @@ fn no_motor_that_fits_is_refused() {
     let refusals = refused(200, |seed| {
         let (plate, config) = specimen(seed);
         let rate_hz = one_of(seed, &[20.0, 50.0, 100.0, 200.0, 500.0]);
-        let latency = Latency {
-            request_s: 0.2 / rate_hz,
-            reply_s: 0.5 / rate_hz,
-        };
+        let latency = Latency { request_s: 0.2 / rate_hz, reply_s: 0.5 / rate_hz };
         let mut clock = VirtualClock::new();
         let drive = SoftDrive::new(&config, seed);
         let mut link = MemoryLink::new(drive, clock.clone(), latency);
         said(&first_move(&mut link, &mut clock, (&plate, rate_hz)))
     });
     // One is heavy, with brushes and hardly any friction: it coasts on into the way back, which is then too weak to turn it.
-    let of_nameplate = refusals
-        .iter()
-        .filter(|text| text.contains("plausibility:"));
+    let of_nameplate = refusals.iter().filter(|text| text.contains("plausibility:"));
     assert_eq!(of_nameplate.count(), 0, "{refusals:#?}");
     assert!(refusals.len() <= 1, "{refusals:#?}");
 }
@@ -178,16 +163,8 @@ fn another_motor_or_other_units_are_refused_where_visible() {
         ("Ke x 2", |plate| plate.back_emf_v_s_per_rad *= 2.0, 30),
         ("R x 0.3", |plate| plate.resistance_ohm *= 0.3, 1),
         ("R x 5", |plate| plate.resistance_ohm *= 5.0, 30),
-        (
-            "V per r/min",
-            |plate| plate.back_emf_v_s_per_rad /= rpm_from_rad_s(1.0),
-            90,
-        ),
-        (
-            "r/min for rad/s",
-            |plate| plate.back_emf_v_s_per_rad *= rpm_from_rad_s(1.0),
-            90,
-        ),
+        ("V per r/min", |plate| plate.back_emf_v_s_per_rad /= rpm_from_rad_s(1.0), 90),
+        ("r/min for rad/s", |plate| plate.back_emf_v_s_per_rad *= rpm_from_rad_s(1.0), 90),
     ];
     for (name, change, least) in wrong {
         let refusals = refused(100, |seed| {
@@ -207,10 +184,7 @@ fn a_pulse_of_pauses_only_is_repeated_once_then_refused() {
     let plate = Nameplate::zk_22fc();
     let profile = DriveProfile::named("own").unwrap();
     for plausibility in [false, true] {
-        let waivers = Waivers {
-            plausibility,
-            ..Waivers::default()
-        };
+        let waivers = Waivers { plausibility, ..Waivers::default() };
         let (mut link, clock) = in_memory(&config, 3);
         // From the pulse on every cycle is late.
         let late_s = |now_s: f64| if now_s > 1.35 { 0.03 } else { 0.0 };
@@ -244,19 +218,15 @@ fn every_profiles_machine_passes_a_pulse_with_pauses() {
             let bus = ForeignBus::new(drive, &guise, clock.clone());
             let mut link = ProfiledLink::new(Arc::clone(&guise.map), bus);
             let mut clock = standing_still(clock, pause_s, 7);
-            let waivers = Waivers {
-                watchdog: true,
-                ..Waivers::default()
-            };
+            let waivers = Waivers { watchdog: true, ..Waivers::default() };
             let report = match checked(&mut link, &mut clock, &plate, &profile, RATE_HZ, waivers) {
                 // It takes no set-point that its profile could give in SI.
                 Err(CheckError::Link(LinkError::Refused(..))) => continue,
                 report => report.unwrap(),
             };
             let refusal = said(&report).unwrap_or_default();
-            let is_pulse = ["direction", "plausibility"]
-                .iter()
-                .any(|name| refusal.starts_with(name));
+            let is_pulse =
+                ["direction", "plausibility"].iter().any(|name| refusal.starts_with(name));
             assert!(!is_pulse, "{name}, {pause_s} s: {refusal}");
             passed += usize::from(report.passed());
         }

@@ -15,15 +15,8 @@ use drivebench_emulator::{
 };
 use drivebench_link::{CommandTimes, ProfiledLink, RegisterBus};
 
-const NONE: Waivers = Waivers {
-    watchdog: false,
-    direction: false,
-    plausibility: false,
-};
-const NO_WATCHDOG: Waivers = Waivers {
-    watchdog: true,
-    ..NONE
-};
+const NONE: Waivers = Waivers { watchdog: false, direction: false, plausibility: false };
+const NO_WATCHDOG: Waivers = Waivers { watchdog: true, ..NONE };
 
 /// Without a first move, as for a motor that is not known.
 fn options() -> CheckOptions<'static> {
@@ -69,11 +62,7 @@ fn stopped_by<'a>(
     (plate, profile): &'a (Nameplate, DriveProfile),
 ) -> CheckOptions<'a> {
     CheckOptions {
-        first_move: Some(FirstMove {
-            plate,
-            profile,
-            is_withheld: false,
-        }),
+        first_move: Some(FirstMove { plate, profile, is_withheld: false }),
         stopped,
         ..options()
     }
@@ -96,10 +85,7 @@ fn moved(
 ) -> (CheckReport, MemoryLink) {
     let (mut link, mut clock) = in_memory(config, 3);
     let first = (bench.nameplate().unwrap(), plain().1);
-    let options = CheckOptions {
-        waivers,
-        ..moving(&first)
-    };
+    let options = CheckOptions { waivers, ..moving(&first) };
     let report = check(&mut link, &mut clock, &bench.limits(), options).unwrap();
     (report, link)
 }
@@ -179,10 +165,7 @@ fn a_broken_machine_is_refused_with_its_name() {
         assert!(report.refusal().unwrap().help.is_some());
         // Found within some per cent of the rated speed.
         turned_less(&link, 6.0);
-        let waived = Waivers {
-            direction: true,
-            ..NONE
-        };
+        let waived = Waivers { direction: true, ..NONE };
         let (report, link) = moved(&config, &bench, waived);
         passes(&report);
         assert_eq!(report.waived, ["plausibility", "direction"]);
@@ -198,10 +181,7 @@ fn a_foreign_nameplate_is_refused_unless_waived() {
     let (report, _) = moved(&config, &bench, NONE);
     refuses(&report, "plausibility", "factor 9.549");
     refuses(&report, "plausibility", "V per r/min");
-    let waived = Waivers {
-        plausibility: true,
-        ..NONE
-    };
+    let waived = Waivers { plausibility: true, ..NONE };
     let (report, _) = moved(&config, &bench, waived);
     assert!(report.passed());
     assert_eq!(report.waived, ["plausibility"]);
@@ -238,11 +218,8 @@ fn real_hardware_is_moved_only_after_the_word() {
     let mut drive = ScriptedDrive::new(0.01);
     drive.is_emulator = false;
     let first = plain();
-    let beside_a_screen = CheckOptions {
-        hardware_allowed: true,
-        waivers: NO_WATCHDOG,
-        ..moving(&first)
-    };
+    let beside_a_screen =
+        CheckOptions { hardware_allowed: true, waivers: NO_WATCHDOG, ..moving(&first) };
     let report = scripted(drive, beside_a_screen).unwrap();
     refuses(&report, "direction", "");
     has(report.refusal().unwrap().help.unwrap(), "--hardware");
@@ -275,10 +252,7 @@ fn a_stop_ends_the_pulse_and_a_weak_field_precedes_it() {
     let stopped = check(&mut link, &mut clock, &limits(), asked);
     assert!(matches!(stopped, Err(CheckError::Stopped)), "{stopped:?}");
     turned_less(&link, 1e-12);
-    let limits = Limits {
-        field_min_a: Some(0.3),
-        ..limits()
-    };
+    let limits = Limits { field_min_a: Some(0.3), ..limits() };
     let report = check(&mut link, &mut clock, &limits, asked).unwrap();
     refuses(&report, "field", "");
 }
@@ -326,10 +300,7 @@ fn speed_noise(report: &CheckReport) -> f64 {
 
 #[test]
 fn a_slow_link_is_refused_with_its_rate() {
-    let report = emulated(Latency {
-        request_s: 0.01,
-        reply_s: 0.01,
-    });
+    let report = emulated(Latency { request_s: 0.01, reply_s: 0.01 });
     refuses(&report, "link", "reaches 50 Hz, asked 100 Hz");
     assert_eq!(report.items.len(), 3, "nothing is tried after a refusal");
 }
@@ -481,10 +452,7 @@ fn a_latched_fault_is_reset_on_request() {
 /// The checks at `rate_hz` with the watchdog waived, before a drive that may take 2 s to run.
 fn patient(drive: &mut ScriptedDrive, rate_hz: f64) -> CheckReport {
     drive.times.enable_s = 2.0;
-    let asked = CheckOptions {
-        rate_hz,
-        ..waived()
-    };
+    let asked = CheckOptions { rate_hz, ..waived() };
     checked(drive, asked)
 }
 
@@ -503,10 +471,7 @@ fn a_drive_that_never_runs_is_given_up_in_time() {
     for rate_hz in [4.0, 100.0, 1000.0] {
         let mut drive = ScriptedDrive::new(1.0 / rate_hz).with(0, u64::MAX, Fault::NeverRuns);
         let report = patient(&mut drive, rate_hz);
-        let times = CommandTimes {
-            enable_s: 2.0,
-            ..CommandTimes::default()
-        };
+        let times = CommandTimes { enable_s: 2.0, ..CommandTimes::default() };
         let waited_s = times.asked_every(1.0 / rate_hz).enable_s;
         let words = format!("the drive does not run at zero within {waited_s:.2} s");
         assert_eq!(report.refusal().unwrap().text, words);
@@ -516,20 +481,14 @@ fn a_drive_that_never_runs_is_given_up_in_time() {
 }
 
 /// Below the silence that is allowed and the drive's watchdog.
-const STALLS: Stalls = Stalls {
-    share: 0.03,
-    longest_s: 0.2,
-};
+const STALLS: Stalls = Stalls { share: 0.03, longest_s: 0.2 };
 
 #[test]
 fn a_good_machine_is_not_refused_because_the_laptop_stood_still() {
     let config = emulator("zk-22fc-plain");
     let first = plain();
     for rate_hz in [20.0, 50.0, 100.0] {
-        let options = CheckOptions {
-            rate_hz,
-            ..moving(&first)
-        };
+        let options = CheckOptions { rate_hz, ..moving(&first) };
         let refused = |seed| {
             let (mut link, mut clock) = STALLS.at(&config, seed);
             let report = check(&mut link, &mut clock, &limits(), options).unwrap();
@@ -576,19 +535,10 @@ impl Table {
     }
 
     fn check(&mut self, reset_fault: bool) -> CheckReport {
-        let limits = Limits {
-            link_silence_s: 1.0,
-            bus_min_v: None,
-            bus_max_v: None,
-            ..limits()
-        };
+        let limits = Limits { link_silence_s: 1.0, bus_min_v: None, bus_max_v: None, ..limits() };
         let first = (plain().0, self.host.clone());
-        let options = CheckOptions {
-            rate_hz: 15.0,
-            waivers: NO_WATCHDOG,
-            reset_fault,
-            ..moving(&first)
-        };
+        let options =
+            CheckOptions { rate_hz: 15.0, waivers: NO_WATCHDOG, reset_fault, ..moving(&first) };
         check(&mut self.link, &mut self.clock, &limits, options).unwrap()
     }
 

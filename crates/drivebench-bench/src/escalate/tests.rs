@@ -45,11 +45,7 @@ struct Done {
 
 fn escalated(bench: &BenchFile, config: &EmulatorConfig, seed: u64) -> Done {
     let (link, mut clock) = in_memory(config, seed);
-    let by = Watched {
-        clock: clock.clone(),
-        peak_a: 0.0,
-        peak_rad_s: 0.0,
-    };
+    let by = Watched { clock: clock.clone(), peak_a: 0.0, peak_rad_s: 0.0 };
     let mut watched = Tampered { link, by };
     let mut escalation = Escalation::new(bounds(bench));
     let mut outcomes = Vec::new();
@@ -68,12 +64,7 @@ fn escalated(bench: &BenchFile, config: &EmulatorConfig, seed: u64) -> Done {
         }
         escalation.learn(&recorder.run("stage").unwrap()).unwrap();
     }
-    Done {
-        escalation,
-        outcomes,
-        peak_a: watched.by.peak_a,
-        peak_rad_s: watched.by.peak_rad_s,
-    }
+    Done { escalation, outcomes, peak_a: watched.by.peak_a, peak_rad_s: watched.by.peak_rad_s }
 }
 
 fn named(emulator: &str) -> Done {
@@ -130,10 +121,7 @@ fn a_locked_rotor_and_an_open_phase_are_named() {
     let Some(Outcome::Named(ending)) = done.escalation.outcome() else {
         panic!("{report}");
     };
-    let Ending::OpenPhase {
-        voltage_v, below_a, ..
-    } = ending
-    else {
+    let Ending::OpenPhase { voltage_v, below_a, .. } = ending else {
         panic!("{}", ending.sentence());
     };
     within(*voltage_v, 27.4..27.6);
@@ -144,11 +132,7 @@ fn a_locked_rotor_and_an_open_phase_are_named() {
 
 #[test]
 fn the_motor_behind_the_plate_is_found_whatever_the_plate_says() {
-    for name in [
-        "zk-22fc-plain",
-        "small-servo-behind-zk-22fc",
-        "large-motor-behind-zk-22fc",
-    ] {
+    for name in ["zk-22fc-plain", "small-servo-behind-zk-22fc", "large-motor-behind-zk-22fc"] {
         let config = EmulatorConfig::embedded(name).unwrap();
         for seed in 1..=3 {
             let done = escalated(&unknown_bench(), &config, seed);
@@ -264,8 +248,5 @@ fn random_motors_are_found_without_a_trip_and_below_every_limit() {
     let count: u64 = asked.unwrap_or(40);
     let faults: Vec<String> = (0..count).into_par_iter().filter_map(fault_of).collect();
     let (failed, all) = (faults.len(), faults.join("\n"));
-    assert!(
-        faults.is_empty(),
-        "{failed} of {count} random motors:\n{all}"
-    );
+    assert!(faults.is_empty(), "{failed} of {count} random motors:\n{all}");
 }

@@ -68,8 +68,7 @@ impl Record for Critic {
         let angle_rad = sample.get(Channel::Angle).unwrap_or(f64::NAN);
         if (angle_rad - truth_rad).abs() >= ANGLE_RAD || angle_rad.is_nan() {
             let time_s = sample.time_s;
-            self.wrong
-                .push(format!("{time_s} s: {angle_rad} rad, true {truth_rad}"));
+            self.wrong.push(format!("{time_s} s: {angle_rad} rad, true {truth_rad}"));
         }
         self.order.sample(sample)
     }
@@ -120,11 +119,7 @@ fn one_run(
         hardware_allowed: true,
         hardware_said: true,
         waivers: Waivers::default(),
-        first_move: Some(FirstMove {
-            plate: &plate,
-            profile,
-            is_withheld: false,
-        }),
+        first_move: Some(FirstMove { plate: &plate, profile, is_withheld: false }),
         stopped: &|| false,
         reset_fault: true,
     };
@@ -136,9 +131,8 @@ fn one_run(
         .after_seq(last_seq.max(report.last_seq))
         .with_rest(&report.rest);
     let (_sender, intents) = channel();
-    let mut online = RowEstimator::new(OnlineConfig::from_model(&Model::baseline(
-        bench.motor.motor(),
-    )));
+    let mut online =
+        RowEstimator::new(OnlineConfig::from_model(&Model::baseline(bench.motor.motor())));
     run(
         session,
         Bench {

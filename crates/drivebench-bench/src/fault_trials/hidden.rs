@@ -83,15 +83,8 @@ fn machine(seed: u64) -> Outcome {
     let clean = answer(hidden, Act::Nothing, seed).unwrap();
     let effects = spoilt.effects.iter().filter(|id| **id != OF_THE_LINE);
     let named = spoilt.verdict == DiagnosisVerdict::Effect && effects.eq([&name]);
-    let wrong = format!(
-        "{seed}, {name}: {} (clean: {})",
-        spoilt.sentence, clean.sentence
-    );
-    Outcome {
-        wrong: (!named).then_some(wrong),
-        moves: moves(&spoilt, &clean),
-        again,
-    }
+    let wrong = format!("{seed}, {name}: {} (clean: {})", spoilt.sentence, clean.sentence);
+    Outcome { wrong: (!named).then_some(wrong), moves: moves(&spoilt, &clean), again }
 }
 
 #[test]

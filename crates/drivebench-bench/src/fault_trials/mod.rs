@@ -81,14 +81,7 @@ impl FarEnd for Surroundings {
             self.replied_s = *at_s;
         }
         let request = codec::request(bytes).and_then(Result::ok);
-        if let Some((
-            _,
-            Request::Write {
-                address, values, ..
-            },
-            _,
-        )) = request
-        {
+        if let Some((_, Request::Write { address, values, .. }, _)) = request {
             for (at, word) in (address..).zip(values) {
                 let is_off = match at {
                     CONTROL_WORD => word & RUN_BIT == 0,
@@ -255,11 +248,7 @@ fn work(
         hardware_allowed: true,
         hardware_said: true,
         waivers: Waivers::default(),
-        first_move: Some(FirstMove {
-            plate: &plate,
-            profile,
-            is_withheld: false,
-        }),
+        first_move: Some(FirstMove { plate: &plate, profile, is_withheld: false }),
         stopped: &stopped,
         reset_fault: false,
     };
@@ -417,9 +406,8 @@ fn wrong(fault: &Fault, way: Way, seed: u64) -> Vec<String> {
 fn expect(subject: Subject) {
     let cases = trials::cases(subject).into_iter();
     let cases = cases.filter(|(fault, _)| is_virtual(fault));
-    let cases: Vec<(trials::Case, u64)> = cases
-        .flat_map(|case| (0..SEEDS).map(move |seed| (case, seed)))
-        .collect();
+    let cases: Vec<(trials::Case, u64)> =
+        cases.flat_map(|case| (0..SEEDS).map(move |seed| (case, seed))).collect();
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let done = trials::at_once(cores, &cases, |&((fault, way), seed)| {
         let wrong = wrong(fault, way, seed).join("\n  ");
@@ -489,18 +477,13 @@ fn a_stop_is_on_a_live_line_in_time_in_1000_trials() {
     let (mut worst, mut wrong) = (0.0_f64, Vec::new());
     for (seed, (fault, latency_s, allowed_s)) in &done {
         if latency_s > allowed_s {
-            wrong.push(format!(
-                "{fault}, seed {seed}: {latency_s:.4} s, allowed {allowed_s:.4} s"
-            ));
+            wrong.push(format!("{fault}, seed {seed}: {latency_s:.4} s, allowed {allowed_s:.4} s"));
         }
         worst = worst.max(latency_s / allowed_s);
         let bucket = crate::timing::whole(1e3 * latency_s / BUCKET_MS);
         *counts.entry(bucket).or_insert(0_u64) += 1;
     }
-    let mut text = format!(
-        "worst {:.0} % of what is allowed; ms, trials:",
-        100.0 * worst
-    );
+    let mut text = format!("worst {:.0} % of what is allowed; ms, trials:", 100.0 * worst);
     for (bucket, count) in counts {
         let _ = write!(
             text,

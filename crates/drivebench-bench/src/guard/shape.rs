@@ -23,10 +23,7 @@ const FALLING: usize = 6;
 
 /// Why a demand was changed; more than one may hold.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[expect(
-    clippy::struct_excessive_bools,
-    reason = "independent flags, reported one by one"
-)]
+#[expect(clippy::struct_excessive_bools, reason = "independent flags, reported one by one")]
 pub struct Causes {
     /// Beyond the voltage, current or speed limit.
     pub limit: bool,
@@ -56,10 +53,7 @@ pub struct Shaped {
 
 impl Shaped {
     pub(super) fn unchanged(demand: Demand) -> Self {
-        Self {
-            demand,
-            causes: Causes::default(),
-        }
+        Self { demand, causes: Causes::default() }
     }
 }
 
@@ -117,11 +111,7 @@ impl Shaper {
     /// Time in which the slew limit takes a voltage back, s.
     pub(super) fn ramp_s(&self, volts: f64) -> f64 {
         // Of a longer period only a part is counted in each cycle.
-        let period_s = if self.fresh_s.is_finite() {
-            self.fresh_s / FRESH_PERIODS
-        } else {
-            0.0
-        };
+        let period_s = if self.fresh_s.is_finite() { self.fresh_s / FRESH_PERIODS } else { 0.0 };
         volts / self.slew_v_per_s * (period_s / LONGEST_SLEW_TIME_S).max(1.0)
     }
 
@@ -132,8 +122,7 @@ impl Shaper {
 
     /// Longest time from a speed to rest where the supply takes nothing back, s.
     pub(super) fn coast_s(&self, speed_rad_s: f64) -> f64 {
-        self.braking
-            .map_or(0.0, |braking| braking.coast_s(speed_rad_s))
+        self.braking.map_or(0.0, |braking| braking.coast_s(speed_rad_s))
     }
 
     pub(super) const fn is_off(&self) -> bool {
@@ -181,8 +170,7 @@ impl Shaper {
             return next;
         };
         let left = fall_per_s * (by_s - now_s).max(0.0);
-        next.clamp(wanted - left, wanted + left)
-            .clamp(before.min(wanted), before.max(wanted))
+        next.clamp(wanted - left, wanted + left).clamp(before.min(wanted), before.max(wanted))
     }
 
     /// Where the back-EMF may be, lowest and highest. Unseen for some periods it has moved from where it was towards
@@ -191,10 +179,8 @@ impl Shaper {
         let age_s = self.speed_at_s.map_or(0.0, |at_s| now_s - at_s);
         if age_s > self.fresh_s {
             let (low, high) = self.unseen_v.unwrap_or((back_emf_v, back_emf_v));
-            self.unseen_v = Some((
-                low.min(self.output_v - self.load_v),
-                high.max(self.output_v + self.load_v),
-            ));
+            self.unseen_v =
+                Some((low.min(self.output_v - self.load_v), high.max(self.output_v + self.load_v)));
         }
         self.unseen_v.unwrap_or((back_emf_v, back_emf_v))
     }
@@ -226,9 +212,9 @@ impl Shaper {
             }
             Demand::Current(amps) => {
                 let (wanted_a, mut causes) = bounded(amps, limits.current_a, 4);
-                let amps = self.braking.map_or(wanted_a, |braking| {
-                    braking.current(self.speed_rad_s, wanted_a)
-                });
+                let amps = self
+                    .braking
+                    .map_or(wanted_a, |braking| braking.current(self.speed_rad_s, wanted_a));
                 causes.supply = (amps - wanted_a).abs() > 1e-9 * limits.current_a;
                 self.was_off = false;
                 (Demand::Current(amps), causes)
@@ -261,11 +247,7 @@ impl Shaper {
             // zero, and what the sensor's noise makes of it would be a first command that nobody gave. Nothing is switched
             // on to stop.
             let coasts = self.speed_rad_s.abs() > self.rest_rad_s;
-            self.output_v = if coasts && self.stop_by_s.is_none() {
-                back_emf_v
-            } else {
-                0.0
-            };
+            self.output_v = if coasts && self.stop_by_s.is_none() { back_emf_v } else { 0.0 };
             self.was_off = false;
         }
         let mut target_v = wanted_v;
@@ -288,9 +270,7 @@ impl Shaper {
             target_v = inside;
         }
         if let Some(braking) = self.braking.filter(|_| bound) {
-            let inside = braking
-                .voltage(self.speed_rad_s, target_v)
-                .clamp(-limit_v, limit_v);
+            let inside = braking.voltage(self.speed_rad_s, target_v).clamp(-limit_v, limit_v);
             causes.supply = (inside - target_v).abs() > 1e-9 * limit_v;
             target_v = inside;
         }

@@ -321,10 +321,7 @@ fn a_trip_stays_and_an_unknown_speed_is_no_rest() {
     // A second cause does not replace the first.
     guard.watch(now_s, &at_rad_s(now_s, 900.0), true);
     assert_eq!(guard.tripped().unwrap().kind, TripKind::OverCurrent);
-    assert_eq!(
-        guard.shape(now_s, Demand::Voltage(5.0)).demand,
-        Demand::Stop
-    );
+    assert_eq!(guard.shape(now_s, Demand::Voltage(5.0)).demand, Demand::Stop);
     let running = RestError::State { state: "running" };
     assert_eq!(guard.check_rest(&sample(now_s)), Err(running));
     let mut rest = at_rad_s(now_s, 100.0);

@@ -54,9 +54,8 @@ fn current(request: &InitRequest<'_>) -> Reasoned {
         format!("{CURRENT_IN_RATED:.1} x rated current {rated} A (nameplate)")
     });
     let own = own_limit(request.told.current_limit_a, "A");
-    let profiled = bound(request.profile.limits.current_a, |value| {
-        format!("the profile's limit {value} A")
-    });
+    let profiled =
+        bound(request.profile.limits.current_a, |value| format!("the profile's limit {value} A"));
     let untold = untold_limit(request, &own, "its own current limit");
     least("limits.current_a", [plate, own, profiled], untold)
 }
@@ -83,9 +82,8 @@ fn voltage(request: &InitRequest<'_>) -> Reasoned {
     let bus = bound(request.told.bus_v, |value| {
         format!("the intermediate circuit's {value:.1} V (read back)")
     });
-    let profiled = bound(request.profile.limits.voltage_v, |value| {
-        format!("the profile's limit {value} V")
-    });
+    let profiled =
+        bound(request.profile.limits.voltage_v, |value| format!("the profile's limit {value} V"));
     let taken = bound(most(request, Quantity::Voltage), |value| {
         format!("the most that the drive's set-point takes, {value} V (profile)")
     });
@@ -95,9 +93,7 @@ fn voltage(request: &InitRequest<'_>) -> Reasoned {
 }
 
 fn own_limit(value: Option<f64>, unit: &str) -> Bound {
-    bound(value, |value| {
-        format!("the drive's own limit {value} {unit} (read back)")
-    })
+    bound(value, |value| format!("the drive's own limit {value} {unit} (read back)"))
 }
 
 fn untold_limit(request: &InitRequest<'_>, own: &Bound, what: &str) -> Option<String> {
@@ -265,11 +261,7 @@ pub(super) fn rate(request: &InitRequest<'_>) -> Rate {
             "at {rate_hz} Hz an unknown motor may not be found from small steps: a faster line, or a whole nameplate, is better"
         ));
     }
-    Rate {
-        hz: rate_hz,
-        reason: Reasoned::new("link.rate_hz", Some(rate_hz), why),
-        remarks,
-    }
+    Rate { hz: rate_hz, reason: Reasoned::new("link.rate_hz", Some(rate_hz), why), remarks }
 }
 
 /// A round number at or below.

@@ -166,19 +166,13 @@ fn motor(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile) {
         ("rated_speed_rad_s", "rad/s"),
         ("resistance_ohm", "ohm, armature loop"),
         ("inductance_h", "H"),
-        (
-            "back_emf_v_s_per_rad",
-            "V.s/rad; also the torque constant in N.m/A",
-        ),
+        ("back_emf_v_s_per_rad", "V.s/rad; also the torque constant in N.m/A"),
         ("inertia_kg_m2", "kg.m2, load included"),
         ("load_torque_n_m", "N.m, Coulomb, always against the motion"),
     ] {
         match given.iter().find(|(known, _)| *known == key) {
             Some((_, value)) => page.value(key, &number(*value), meaning),
-            None => page.left_out(
-                key,
-                "not on the plate: `run` finds it from small steps first",
-            ),
+            None => page.left_out(key, "not on the plate: `run` finds it from small steps first"),
         }
     }
 }

@@ -50,11 +50,7 @@ pub(super) fn fit(
     request: &InitRequest<'_>,
     purpose: InitUse,
 ) -> Result<Fitted, InitError> {
-    let mut fitted = Fitted {
-        reasons: Vec::new(),
-        remarks: Vec::new(),
-        plan: None,
-    };
+    let mut fitted = Fitted { reasons: Vec::new(), remarks: Vec::new(), plan: None };
     let plate = bench.nameplate();
     match purpose {
         InitUse::SpeedLoop => {
@@ -69,9 +65,7 @@ pub(super) fn fit(
             _ => LEVEL_S,
         };
         let why = format!("{LEVELS:?} of what the limits reach; a level lasts {hold_s} s");
-        fitted
-            .reasons
-            .push(Reasoned::new("speed.reference", None, why));
+        fitted.reasons.push(Reasoned::new("speed.reference", None, why));
         bench.speed = Some(speed);
     } else {
         fitted.remarks.push(
@@ -80,9 +74,10 @@ pub(super) fn fit(
         );
     }
     let sequence_s = bench.program(bench.runs.fit)?.duration_s();
-    let reference_s = bench.speed.as_ref().map_or(0.0, |speed| {
-        speed.reference.iter().map(length_s).sum::<f64>() + ENDS_S
-    });
+    let reference_s = bench
+        .speed
+        .as_ref()
+        .map_or(0.0, |speed| speed.reference.iter().map(length_s).sum::<f64>() + ENDS_S);
     let time_s = (sequence_s.max(reference_s) * ROOM / 5.0).ceil() * 5.0;
     bench.limits.time_s = Some(time_s);
     fitted.reasons.push(Reasoned::new("limits.time_s", Some(time_s), format!(
@@ -93,10 +88,7 @@ pub(super) fn fit(
 
 fn length_s(part: &ReferencePart) -> f64 {
     match part {
-        ReferencePart::Steps {
-            levels_rad_s,
-            hold_s,
-        } => levels_rad_s.len() as f64 * hold_s,
+        ReferencePart::Steps { levels_rad_s, hold_s } => levels_rad_s.len() as f64 * hold_s,
         _ => 0.0,
     }
 }
@@ -185,11 +177,7 @@ fn from_zero_up(voltage_v: f64, slew_v_per_s: f64) -> Vec<Segment> {
         Segment::Steps(Steps {
             levels_v: levels_v.to_vec(),
             hold_s,
-            dither: Some(Dither {
-                amplitude_v: 0.1 * voltage_v,
-                clock_s: 0.05,
-                seed: 1,
-            }),
+            dither: Some(Dither { amplitude_v: 0.1 * voltage_v, clock_s: 0.05, seed: 1 }),
         }),
         Segment::Prbs(Prbs {
             amplitude_v: 0.4 * voltage_v,
@@ -260,11 +248,7 @@ fn speed_section(
     let takes = &request.profile.capabilities;
     let is_outer = !takes.voltage_command && !takes.current_command;
     SpeedSection {
-        controller: if takes.voltage_command {
-            ControllerKind::Addc
-        } else {
-            ControllerKind::Pi
-        },
+        controller: if takes.voltage_command { ControllerKind::Addc } else { ControllerKind::Pi },
         drive_lag_s: is_outer.then_some(UNKNOWN_LAG_S),
         reference: vec![ReferencePart::Steps {
             levels_rad_s: LEVELS.map(|share| short(share * top)).to_vec(),

@@ -60,14 +60,8 @@ fn every_limit_stands_with_its_value_and_its_reason() {
     let bus = (limits.bus_min_v, limits.bus_max_v);
     assert_eq!(bus, (Some(96.0), Some(150.0)));
     near(limits.link_silence_s, 0.45, 1e-9);
-    for key in [
-        "current_a",
-        "speed_rad_s",
-        "voltage_v",
-        "slew_v_per_s",
-        "time_s",
-        "link_silence_s",
-    ] {
+    for key in ["current_a", "speed_rad_s", "voltage_v", "slew_v_per_s", "time_s", "link_silence_s"]
+    {
         let reason = reason(&file, &format!("limits.{key}"));
         let is_told = reason.value.is_some() && reason.reason.len() > 20;
         assert!(is_told, "{reason:?}");
@@ -113,10 +107,7 @@ fn a_drive_that_starts_late_does_so_before_the_first_step() {
 
 #[test]
 fn what_was_not_read_back_is_said() {
-    let offline = Told {
-        is_offline: true,
-        ..Told::default()
-    };
+    let offline = Told { is_offline: true, ..Told::default() };
     let file = made("own", &plate(), offline).unwrap();
     let current = reason(&file, "limits.current_a");
     assert_eq!(current.value, Some(11.4));
@@ -169,11 +160,9 @@ fn a_drive_without_voltage_gets_a_speed_loop_or_a_reason() {
 
 #[test]
 fn every_line_gets_a_rate_that_it_carries() {
-    for (profile, least, most) in [
-        ("own", 60.0, 100.0),
-        ("own-stream", 200.0, 500.0),
-        ("epulse50-dc", 10.0, 29.0),
-    ] {
+    for (profile, least, most) in
+        [("own", 60.0, 100.0), ("own-stream", 200.0, 500.0), ("epulse50-dc", 10.0, 29.0)]
+    {
         let file = made(profile, &plate(), told()).unwrap();
         let rate_hz = file.bench.link.rate_hz;
         assert!((least..=most).contains(&rate_hz), "{profile}: {rate_hz} Hz");
@@ -203,12 +192,7 @@ fn motors_of_other_sizes_get_a_sequence_of_their_own() {
             inertia_kg_m2: Some(j),
             load_torque_n_m: Some(mc),
         };
-        let free = Told {
-            current_limit_a: None,
-            voltage_limit_v: None,
-            bus_v: None,
-            ..told()
-        };
+        let free = Told { current_limit_a: None, voltage_limit_v: None, bus_v: None, ..told() };
         let file = made("own", &motor, free).unwrap();
         let plan = file.plan.as_ref().unwrap();
         assert!(!plan.is_refused(), "{name}: {:?}", plan.refusals);

@@ -102,11 +102,7 @@ impl Window {
 
     /// The same with another reading in the place of a measured one.
     pub(super) fn with(&self, current: Range, speed: Range) -> Self {
-        Self {
-            current,
-            speed,
-            ..*self
-        }
+        Self { current, speed, ..*self }
     }
 }
 
@@ -126,13 +122,7 @@ struct Normal<const N: usize> {
 
 impl<const N: usize> Normal<N> {
     fn new(prior: [(f64, f64); N]) -> Self {
-        Self {
-            matrix: SMatrix::zeros(),
-            right: SVector::zeros(),
-            square: 0.0,
-            rows: 0.0,
-            prior,
-        }
+        Self { matrix: SMatrix::zeros(), right: SVector::zeros(), square: 0.0, rows: 0.0, prior }
     }
 
     fn add(&mut self, keep: f64, factors: [f64; N], value: f64, noise: f64) {

@@ -199,14 +199,12 @@ impl History {
         let last = self.samples.back()?;
         let lag = if last.exact { 2 } else { cycles as u64 };
         let wanted = last.demand?;
-        let values = self
-            .in_force(last, last, lag)
-            .map(|demand| match (demand, wanted) {
-                (Demand::Voltage(value), Demand::Voltage(_))
-                | (Demand::Current(value), Demand::Current(_))
-                | (Demand::Speed(value), Demand::Speed(_)) => Some(value),
-                _ => None,
-            });
+        let values = self.in_force(last, last, lag).map(|demand| match (demand, wanted) {
+            (Demand::Voltage(value), Demand::Voltage(_))
+            | (Demand::Current(value), Demand::Current(_))
+            | (Demand::Speed(value), Demand::Speed(_)) => Some(value),
+            _ => None,
+        });
         Some((wanted, Range::of_known(values)?))
     }
 

@@ -87,9 +87,7 @@ impl Plausibility {
             return None;
         };
         let period_s = self.history.period_s()?;
-        let latency_s = SETTINGS
-            .latency_s
-            .max(SETTINGS.latency_cycles as f64 * period_s);
+        let latency_s = SETTINGS.latency_s.max(SETTINGS.latency_cycles as f64 * period_s);
         let (speed, current) = (last.speed_rad_s?, last.current_a?);
         let idle = current.abs() < self.idle_a() && speed.abs() < self.rest_rad_s();
         let factors = match demand {
@@ -101,11 +99,7 @@ impl Plausibility {
         let (measured, full, confirm_s, unit) = match demand {
             Demand::Voltage(_) => {
                 region = region.wider(self.drop_v());
-                let soon_s = if last.exact {
-                    0.6 * latency_s
-                } else {
-                    1.5 * period_s
-                };
+                let soon_s = if last.exact { 0.6 * latency_s } else { 1.5 * period_s };
                 let confirm_s = if idle { SETTINGS.idle_s } else { soon_s };
                 if last.limited || current.abs() > self.bounds.limiting_a {
                     // A limit brings the voltage nearer to the back-EMF, never beyond it.
@@ -143,9 +137,7 @@ impl Plausibility {
             watch.not_followed(demand, (value, wanted), idle, &figures)
         };
         if let (Demand::Voltage(_), Some(value)) = (demand, measured)
-            && let Some(for_s) = self
-                .stays(set_point, value)
-                .filter(|for_s| *for_s >= confirm_s)
+            && let Some(for_s) = self.stays(set_point, value).filter(|for_s| *for_s >= confirm_s)
         {
             let region = set_point.wider(self.drop_v());
             return Some(not_followed(self, region, value, for_s));
@@ -155,10 +147,7 @@ impl Plausibility {
             self.doubts.departure = None;
             return None;
         };
-        let departure = Departure {
-            since_s: last.time_s,
-            distance,
-        };
+        let departure = Departure { since_s: last.time_s, distance };
         let first = self.doubts.departure.get_or_insert(departure);
         if distance < first.distance - 0.01 * full {
             // It is on its way.
@@ -170,8 +159,7 @@ impl Plausibility {
         if for_s < confirm_s {
             return None;
         }
-        self.swapped()
-            .or_else(|| Some(not_followed(self, region, value, for_s)))
+        self.swapped().or_else(|| Some(not_followed(self, region, value, for_s)))
     }
 
     /// For how long the measured voltage has stayed where it was although the set-point has moved, s. A reading whose scale
@@ -268,14 +256,9 @@ impl Plausibility {
         }
         let rate = (turned - worst.1) / (seconds - worst.2);
         // Where each speed has its time the mean is narrower than their range.
-        let speeds = if self.is_exact() {
-            Range::around(by_speed / seconds, widest)
-        } else {
-            speeds?
-        };
-        let plausible = speeds
-            .times(SETTINGS.any_factor)
-            .wider(2.0 * self.rest_rad_s());
+        let speeds =
+            if self.is_exact() { Range::around(by_speed / seconds, widest) } else { speeds? };
+        let plausible = speeds.times(SETTINGS.any_factor).wider(2.0 * self.rest_rad_s());
         if plausible.gap(Range::at(rate)) <= 0.0 {
             self.doubts.angle_windows = 0;
             return None;
@@ -310,10 +293,10 @@ impl Plausibility {
             self.doubts.runaway = None;
             return None;
         }
-        let runaway = self.doubts.runaway.get_or_insert(Runaway {
-            from_rad_s: speed - row.speed_change_rad_s,
-            cycles: 0,
-        });
+        let runaway = self
+            .doubts
+            .runaway
+            .get_or_insert(Runaway { from_rad_s: speed - row.speed_change_rad_s, cycles: 0 });
         runaway.cycles += 1;
         let growth = direction * (speed - runaway.from_rad_s);
         let long = runaway.cycles >= SETTINGS.runaway_cycles;

@@ -80,10 +80,7 @@ impl Repeats {
 
     /// As `is_stuck`, of a sensor with noise of its own.
     pub(super) fn is_silent(&self) -> bool {
-        self.is_stuck()
-            && self
-                .share()
-                .is_some_and(|share| share <= SETTINGS.seldom_repeats)
+        self.is_stuck() && self.share().is_some_and(|share| share <= SETTINGS.seldom_repeats)
     }
 }
 
@@ -131,9 +128,6 @@ mod tests {
         let slow: Vec<f64> = (0..60).map(|n: u32| f64::from(n / 4)).collect();
         assert!(!after(&slow, 40).is_stuck());
         assert!(after(&slow, 90).is_stuck());
-        assert!(
-            !after(&slow, 90).is_silent(),
-            "this may be a shaft that trembled"
-        );
+        assert!(!after(&slow, 90).is_silent(), "this may be a shaft that trembled");
     }
 }

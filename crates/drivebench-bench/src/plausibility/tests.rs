@@ -109,11 +109,9 @@ impl Broken {
             }
         }
         if self.odd.coarse {
-            for (channel, step) in [
-                (Channel::Voltage, 0.1),
-                (Channel::Current, 0.01),
-                (Channel::Speed, 0.104_719_755),
-            ] {
+            for (channel, step) in
+                [(Channel::Voltage, 0.1), (Channel::Current, 0.01), (Channel::Speed, 0.104_719_755)]
+            {
                 if let Some(value) = sample.get(channel) {
                     sample.set(channel, step * (value / step).round());
                 }
@@ -168,12 +166,7 @@ impl Trial {
     fn new(wrong: Wrong, from_s: f64, seed: u64) -> Self {
         let bench = BenchFile::embedded_default();
         Self {
-            odd: Oddities {
-                wrong,
-                from_s,
-                stale: 1,
-                ..Oddities::default()
-            },
+            odd: Oddities { wrong, from_s, stale: 1, ..Oddities::default() },
             rate_hz: 100.0,
             waived: false,
             config: EmulatorConfig::embedded("zk-22fc-plain").unwrap(),
@@ -337,9 +330,7 @@ fn embedded_program(seed: u64) -> Box<dyn Program> {
 #[test]
 fn a_healthy_motor_with_any_hidden_effect_is_believed() {
     let mut false_alarms = Vec::new();
-    for name in [
-        "hidden", "plain", "viscous", "fan", "brushes", "warming", "changing",
-    ] {
+    for name in ["hidden", "plain", "viscous", "fan", "brushes", "warming", "changing"] {
         for seed in 1..=3 {
             let mut trial = Trial::new(Wrong::Nothing, 0.0, seed);
             trial.config = EmulatorConfig::embedded(&format!("zk-22fc-{name}")).unwrap();
@@ -373,14 +364,7 @@ fn slow_steps() -> Box<dyn Program> {
 #[test]
 fn a_slow_coarse_and_stale_drive_is_believed() {
     let mut false_alarms = Vec::new();
-    let slow = [
-        (20.0, 2),
-        (20.0, 3),
-        (10.0, 1),
-        (10.0, 2),
-        (8.0, 1),
-        (8.0, 3),
-    ];
+    let slow = [(20.0, 2), (20.0, 3), (10.0, 1), (10.0, 2), (8.0, 1), (8.0, 3)];
     let fast = [(50.0, 1), (50.0, 4), (33.0, 3)];
     for (rate_hz, stale) in fast.into_iter().chain(slow) {
         for seed in 1..=3 {

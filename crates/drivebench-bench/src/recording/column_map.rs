@@ -81,9 +81,8 @@ fn split_unquoted(text: &str, separator: char) -> Vec<&str> {
 }
 
 fn parse_item(item: &str) -> Result<Mapping, RecordingError> {
-    let (target, source) = item
-        .split_once('=')
-        .ok_or_else(|| wrong(item, "no = between target and header"))?;
+    let (target, source) =
+        item.split_once('=').ok_or_else(|| wrong(item, "no = between target and header"))?;
     let target = target.trim();
     let channel = Channel::from_key(target);
     if channel.is_none() && target != "time_s" {
@@ -118,22 +117,12 @@ fn parse_item(item: &str) -> Result<Mapping, RecordingError> {
         _ => header.to_owned(),
     };
     let is_bare = parts.len() == 1 && (header == source || source.ends_with('"'));
-    Ok(Mapping {
-        target: channel,
-        header,
-        columns,
-        factor,
-        offset,
-        scaled: !is_bare,
-    })
+    Ok(Mapping { target: channel, header, columns, factor, offset, scaled: !is_bare })
 }
 
 /// A header, in double quotes or not, or `sign(header)`; behind a star no text that looks like a number.
 fn parse_column(item: &str, part: &str, is_behind: bool) -> Result<Factor, RecordingError> {
-    if let Some(inner) = part
-        .strip_prefix("sign(")
-        .and_then(|rest| rest.strip_suffix(')'))
-    {
+    if let Some(inner) = part.strip_prefix("sign(").and_then(|rest| rest.strip_suffix(')')) {
         return match parse_column(item, inner.trim(), false)? {
             Factor::Column(name) => Ok(Factor::SignOf(name)),
             Factor::SignOf(_) => Err(wrong(item, "the sign of a sign is the sign itself")),
@@ -196,21 +185,14 @@ fn number(text: &str) -> Option<f64> {
 }
 
 fn wrong(item: &str, reason: impl Into<String>) -> RecordingError {
-    RecordingError::Map {
-        item: item.to_owned(),
-        reason: reason.into(),
-    }
+    RecordingError::Map { item: item.to_owned(), reason: reason.into() }
 }
 
 /// The nearest target and all of them: a foreign name is seldom near to any.
 fn unknown_target_help(target: &str) -> String {
     let all = ColumnMap::targets().collect::<Vec<_>>().join(", ");
     let help = help_for_unknown(target, ColumnMap::targets());
-    if help.starts_with("did you mean") {
-        format!("{help} allowed: {all}")
-    } else {
-        help
-    }
+    if help.starts_with("did you mean") { format!("{help} allowed: {all}") } else { help }
 }
 
 #[cfg(test)]
@@ -311,21 +293,14 @@ mod tests {
 
     #[test]
     fn the_example_of_the_contract() {
-        let map: ColumnMap = "time_s=t,voltage_v=u,current_a=i,speed_rad_s=rpm*0.104719755"
-            .parse()
-            .unwrap();
+        let map: ColumnMap =
+            "time_s=t,voltage_v=u,current_a=i,speed_rad_s=rpm*0.104719755".parse().unwrap();
         assert_eq!(map.items().len(), 4);
         assert_eq!(map.items()[3].factor.to_bits(), 0.104_719_755_f64.to_bits());
-        let scaled = |map: &ColumnMap| {
-            map.items()
-                .iter()
-                .map(|item| item.scaled)
-                .collect::<Vec<_>>()
-        };
+        let scaled =
+            |map: &ColumnMap| map.items().iter().map(|item| item.scaled).collect::<Vec<_>>();
         assert_eq!(scaled(&map), [false, false, false, true]);
-        let map = "time_s=t*1,current_a=\"i\"*1,voltage_v=\"u\""
-            .parse()
-            .unwrap();
+        let map = "time_s=t*1,current_a=\"i\"*1,voltage_v=\"u\"".parse().unwrap();
         assert_eq!(scaled(&map), [true, true, false]);
     }
 

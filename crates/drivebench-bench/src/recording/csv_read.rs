@@ -55,20 +55,14 @@ pub(super) fn collect(
             column.push(row.get(*channel).unwrap_or(f64::NAN));
         }
     }
-    let wrap = |source| RecordingError::Run {
-        file: file.to_owned(),
-        source,
-    };
+    let wrap = |source| RecordingError::Run { file: file.to_owned(), source };
     let mut run = Run::new(file, time_s).map_err(wrap)?;
     for (channel, column) in channels.into_iter().zip(columns) {
         if column.iter().all(|value| value.is_nan()) {
             continue;
         }
-        let origin = if our_own && channel.is_commanded() {
-            Origin::Commanded
-        } else {
-            Origin::Unknown
-        };
+        let origin =
+            if our_own && channel.is_commanded() { Origin::Commanded } else { Origin::Unknown };
         run.set_column(channel, column, origin).map_err(wrap)?;
     }
     run.set_limited_rows(limited_rows);
@@ -191,11 +185,7 @@ impl From<csv::Error> for Unparted {
 
 impl<R: BufRead> Cells<R> {
     fn behind_header(inner: R, separator: u8, lines_before: u64) -> Self {
-        let bounded = Bounded {
-            inner,
-            length: 0,
-            is_over: false,
-        };
+        let bounded = Bounded { inner, length: 0, is_over: false };
         let mut builder = csv::ReaderBuilder::new();
         builder.has_headers(false).flexible(true).quoting(false);
         builder.delimiter(separator);
@@ -432,9 +422,7 @@ impl<R: BufRead> CsvRows<R> {
             self.warnings.push(text);
         }
         if self.rows == 0 {
-            return Err(RecordingError::NoRows {
-                file: self.file.clone(),
-            });
+            return Err(RecordingError::NoRows { file: self.file.clone() });
         }
         let too_many = self.stamps.backwards as f64 > MOST_BACKWARDS_SHARE * self.rows as f64;
         match self.stamps.first.take() {
@@ -466,9 +454,7 @@ impl<R: BufRead> CsvRows<R> {
 
     /// How the file departs from comma and decimal point, where it does; complete after the last row.
     pub fn dialect(&self) -> Option<String> {
-        let Dialect {
-            separator, decimal, ..
-        } = self.dialect;
+        let Dialect { separator, decimal, .. } = self.dialect;
         let name = if separator == b'\t' {
             "a tab".to_owned()
         } else {
@@ -512,12 +498,7 @@ impl<R: BufRead> CsvRows<R> {
         }
         self.lines += 1;
         let (file, row, headers) = (&self.file, self.lines, &self.headers);
-        let wrong = |problem| RecordingError::Row {
-            file: file.clone(),
-            row,
-            line,
-            problem,
-        };
+        let wrong = |problem| RecordingError::Row { file: file.clone(), row, line, problem };
         if self.cells.record.len() != headers.len() {
             return Err(wrong(RowProblem::FieldCount {
                 found: self.cells.record.len(),
@@ -564,17 +545,12 @@ impl<R: BufRead> CsvRows<R> {
             if empty {
                 return Ok(None);
             }
-            return Err(wrong(RowProblem::TimeMissing {
-                column: headers[time_column].clone(),
-            }));
+            return Err(wrong(RowProblem::TimeMissing { column: headers[time_column].clone() }));
         }
         if let Some(before_s) = self.last_s
             && out.time_s <= before_s
         {
-            let error = wrong(RowProblem::TimeNotIncreasing {
-                time_s: out.time_s,
-                before_s,
-            });
+            let error = wrong(RowProblem::TimeNotIncreasing { time_s: out.time_s, before_s });
             if !self.is_mapped {
                 return Err(error);
             }
@@ -598,17 +574,13 @@ impl<R: BufRead> CsvRows<R> {
 fn unparted(why: &Unparted, file: &str, line: usize) -> RecordingError {
     let file = file.to_owned();
     match why {
-        Unparted::Io(error) => RecordingError::Io {
-            path: file,
-            doing: "read",
-            reason: error.to_string(),
-        },
+        Unparted::Io(error) => {
+            RecordingError::Io { path: file, doing: "read", reason: error.to_string() }
+        }
         // It has not been counted.
-        Unparted::TooLong => RecordingError::LineTooLong {
-            file,
-            line: line + 1,
-            most: LONGEST_LINE,
-        },
+        Unparted::TooLong => {
+            RecordingError::LineTooLong { file, line: line + 1, most: LONGEST_LINE }
+        }
         Unparted::NotUtf8 => RecordingError::NotUtf8 { file, line },
         Unparted::Quote => RecordingError::Quote { file, line },
     }
@@ -621,12 +593,8 @@ fn head(
     file: &str,
     time: &str,
 ) -> Result<(Vec<String>, Dialect, u64), RecordingError> {
-    let mut dialect = Dialect {
-        separator: b',',
-        decimal: None,
-        has_mark: false,
-        has_sep_line: false,
-    };
+    let mut dialect =
+        Dialect { separator: b',', decimal: None, has_mark: false, has_sep_line: false };
     let mut separators = SEPARATORS.to_vec();
     let mut bytes = Vec::new();
     for lines in 1.. {
@@ -672,9 +640,7 @@ fn head(
         let headers = found.into_iter().nth(chosen).unwrap_or_default();
         return Ok((headers, dialect, lines));
     }
-    Err(RecordingError::Empty {
-        file: file.to_owned(),
-    })
+    Err(RecordingError::Empty { file: file.to_owned() })
 }
 
 fn headers(
@@ -729,12 +695,7 @@ fn wanted_of_our_own(
 ) -> Result<Vec<Wanted>, RecordingError> {
     let plain = |header, target| {
         let field = field_of(headers, header, file)?;
-        Ok(Wanted {
-            target,
-            cells: vec![Cell { field, sign: None }],
-            factor: 1.0,
-            offset: 0.0,
-        })
+        Ok(Wanted { target, cells: vec![Cell { field, sign: None }], factor: 1.0, offset: 0.0 })
     };
     let mut wanted = vec![plain("time_s", None)?];
     let mut ignored = Vec::new();
@@ -761,26 +722,16 @@ fn wanted_of_our_own(
 }
 
 fn field_of(headers: &[String], header: &str, file: &str) -> Result<usize, RecordingError> {
-    let fields: Vec<usize> = (0..headers.len())
-        .filter(|field| headers[*field] == header)
-        .collect();
+    let fields: Vec<usize> = (0..headers.len()).filter(|field| headers[*field] == header).collect();
     let (file, header) = (file.to_owned(), header.to_owned());
     match (fields.first(), fields.len()) {
         (Some(field), 1) => Ok(*field),
-        (Some(_), count) => Err(RecordingError::AmbiguousHeader {
-            file,
-            header,
-            count,
-        }),
+        (Some(_), count) => Err(RecordingError::AmbiguousHeader { file, header, count }),
         (None, _) => {
             let names = headers.iter().map(String::as_str);
             let near = nearest(&header, names.filter(|name| !name.is_empty()));
             let near = near.map_or_else(String::new, |name| format!("did you mean {name:?}? "));
-            Err(RecordingError::HeaderNotFound {
-                file,
-                header,
-                help: near + &map_help(headers),
-            })
+            Err(RecordingError::HeaderNotFound { file, header, help: near + &map_help(headers) })
         }
     }
 }
@@ -788,10 +739,7 @@ fn field_of(headers: &[String], header: &str, file: &str) -> Result<usize, Recor
 /// What is in the file, and how to say which column is which.
 fn map_help(headers: &[String]) -> String {
     let there: Vec<String> = headers.iter().map(|name| format!("{name:?}")).collect();
-    format!(
-        "the file has {}; name them with --map 'time_s=HEADER,...'",
-        there.join(", ")
-    )
+    format!("the file has {}; name them with --map 'time_s=HEADER,...'", there.join(", "))
 }
 
 #[cfg(test)]

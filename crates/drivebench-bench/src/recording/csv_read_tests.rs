@@ -9,10 +9,7 @@ fn own(text: &[u8]) -> Result<(Run, Vec<String>), RecordingError> {
 
 fn mapped(text: &str, map: &str) -> Result<(Run, Vec<String>), RecordingError> {
     let map: ColumnMap = map.parse().unwrap();
-    let options = ReadOptions {
-        map: Some(&map),
-        in_run_folder: false,
-    };
+    let options = ReadOptions { map: Some(&map), in_run_folder: false };
     read_csv(text.as_bytes(), "foreign.csv", options)
 }
 
@@ -163,12 +160,7 @@ fn a_foreign_file_cut_at_any_byte_keeps_every_whole_row() {
 fn a_row_torn_in_the_middle_is_an_error_and_a_tail_of_zero_bytes_is_not() {
     assert!(matches!(
         own(b"time_s,current_a\n0,1\n0.1,\n0.2\n0.3,4\n").unwrap_err(),
-        RecordingError::Row {
-            row: 3,
-            line: 4,
-            problem: RowProblem::FieldCount { .. },
-            ..
-        }
+        RecordingError::Row { row: 3, line: 4, problem: RowProblem::FieldCount { .. }, .. }
     ));
     // what a file system may leave behind after a power cut
     let (run, warnings) = own(b"time_s,current_a\n0,1\n\0\0\0\0\0\0").unwrap();
@@ -181,15 +173,8 @@ fn a_line_without_an_end_fills_no_memory() {
     let text = b"time_s,current_a\n0,1\n".chain(endless);
     let error = read_csv(text, "run.csv", ReadOptions::default()).unwrap_err();
     says(&error, "run.csv: line 3 is longer than 1048576 bytes");
-    let error = read_csv(
-        io::BufReader::new(io::repeat(b',')),
-        "run.csv",
-        ReadOptions::default(),
-    );
-    says(
-        &error.unwrap_err(),
-        "run.csv: line 1 is longer than 1048576 bytes",
-    );
+    let error = read_csv(io::BufReader::new(io::repeat(b',')), "run.csv", ReadOptions::default());
+    says(&error.unwrap_err(), "run.csv: line 1 is longer than 1048576 bytes");
 }
 
 #[test]

@@ -46,10 +46,7 @@ impl Row {
     /// Zero has no sign here, in the cells neither: the file has none either, and a row has to be the same again when
     /// it is read.
     pub fn at(time_s: f64) -> Self {
-        Self {
-            time_s: time_s + 0.0,
-            ..Self::default()
-        }
+        Self { time_s: time_s + 0.0, ..Self::default() }
     }
 
     pub fn get(&self, channel: Channel) -> Option<f64> {
@@ -69,10 +66,7 @@ impl Row {
 
     /// Whether a limit of the drive held the output.
     pub fn is_limited(&self) -> bool {
-        let mut remarks = self
-            .quality
-            .split(' ')
-            .filter_map(|remark| remark.split_once(':'));
+        let mut remarks = self.quality.split(' ').filter_map(|remark| remark.split_once(':'));
         remarks.any(|remark| remark == (Channel::VoltageCmd.key(), LIMITED))
     }
 }
@@ -89,11 +83,7 @@ pub struct Layout {
 impl Layout {
     /// The bookkeeping columns and these channels; their order does not matter.
     pub fn of_drive(channels: &[Channel]) -> Self {
-        Self {
-            host_time: true,
-            exchange: true,
-            ..Self::plain(channels)
-        }
+        Self { host_time: true, exchange: true, ..Self::plain(channels) }
     }
 
     /// Time and these channels only, as for a simulated run.
@@ -282,10 +272,7 @@ mod tests {
         row.set(Channel::Current, Some(9.0)); // not in the layout
         row.remark(Channel::VoltageCmd, "unconfirmed");
         row.remark(Channel::Speed, "stale");
-        assert_eq!(
-            layout.line(&row),
-            "0.5,,7,,0,,voltage_cmd_v:unconfirmed speed_rad_s:stale\n"
-        );
+        assert_eq!(layout.line(&row), "0.5,,7,,0,,voltage_cmd_v:unconfirmed speed_rad_s:stale\n");
     }
 
     proptest! {

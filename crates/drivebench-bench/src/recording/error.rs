@@ -28,17 +28,9 @@ const ABSURD: &str = "check the cell and the unit of its column; leave a damaged
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum RecordingError {
     #[error("{path}: cannot {doing}: {reason}")]
-    Io {
-        path: String,
-        doing: &'static str,
-        reason: String,
-    },
+    Io { path: String, doing: &'static str, reason: String },
     #[error("{path}: a folder of {runs} runs and none itself")]
-    FolderOfRuns {
-        path: String,
-        runs: usize,
-        latest: String,
-    },
+    FolderOfRuns { path: String, runs: usize, latest: String },
     #[error("{path}: a folder without a samples.csv, which is no run")]
     NoRun { path: String },
     #[error("--map: {item:?}: {reason}")]
@@ -48,26 +40,13 @@ pub enum RecordingError {
     #[error("--map: no item for time_s, which every run needs")]
     MapWithoutTime,
     #[error("{file}: no column {header:?} in the header")]
-    HeaderNotFound {
-        file: String,
-        header: String,
-        help: String,
-    },
+    HeaderNotFound { file: String, header: String, help: String },
     #[error("{file}: {count} columns are called {header:?}, exactly one is needed")]
-    AmbiguousHeader {
-        file: String,
-        header: String,
-        count: usize,
-    },
+    AmbiguousHeader { file: String, header: String, count: usize },
     #[error("{file}: no column that drivebench knows beside time_s")]
     NoKnownColumn { file: String, help: String },
     #[error("{file}: row {row} (line {line}){problem}")]
-    Row {
-        file: String,
-        row: usize,
-        line: usize,
-        problem: RowProblem,
-    },
+    Row { file: String, row: usize, line: usize, problem: RowProblem },
     #[error(
         "{file}: line {line}: a double quote is not closed on its line, or text follows a closed one"
     )]
@@ -75,11 +54,7 @@ pub enum RecordingError {
     #[error("{file}: line {line}: the text is not UTF-8")]
     NotUtf8 { file: String, line: usize },
     #[error("{file}: line {line} is longer than {most} bytes, the most that a row may have")]
-    LineTooLong {
-        file: String,
-        line: usize,
-        most: u64,
-    },
+    LineTooLong { file: String, line: usize, most: u64 },
     #[error("{file}: the file is empty (a header row and data rows are needed)")]
     Empty { file: String },
     #[error("{file}: a header but no data row")]
@@ -134,10 +109,6 @@ impl RecordingError {
     }
 
     pub(crate) fn io(path: &Path, doing: &'static str, error: &std::io::Error) -> Self {
-        Self::Io {
-            path: path.display().to_string(),
-            doing,
-            reason: error.to_string(),
-        }
+        Self::Io { path: path.display().to_string(), doing, reason: error.to_string() }
     }
 }

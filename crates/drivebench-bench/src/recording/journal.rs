@@ -24,12 +24,7 @@ pub struct Event {
 
 impl Event {
     pub fn new(time_s: f64, seq: Option<u64>, event: impl Into<String>) -> Self {
-        Self {
-            time_s,
-            seq,
-            event: event.into(),
-            details: Map::new(),
-        }
+        Self { time_s, seq, event: event.into(), details: Map::new() }
     }
 
     #[must_use]
@@ -138,18 +133,9 @@ pub(super) struct Room {
 impl Room {
     /// For samples on disk: the last seconds at 1 kHz of what is written, and without a disk hours at 50 Hz, half an hour at
     /// 1 kHz.
-    pub(super) const SAMPLES: Self = Self {
-        taken: 1 << 20,
-        all: 256 << 20,
-    };
-    pub(super) const EVENTS: Self = Self {
-        taken: 1 << 18,
-        all: 16 << 20,
-    };
-    pub(super) const UNBOUNDED: Self = Self {
-        taken: usize::MAX,
-        all: usize::MAX,
-    };
+    pub(super) const SAMPLES: Self = Self { taken: 1 << 20, all: 256 << 20 };
+    pub(super) const EVENTS: Self = Self { taken: 1 << 18, all: 16 << 20 };
+    pub(super) const UNBOUNDED: Self = Self { taken: usize::MAX, all: usize::MAX };
 }
 
 /// Sentences that a run has for its reader; a disk that comes and goes has the same ones again and again.
@@ -220,11 +206,7 @@ impl<S: Durable> Lines<S> {
     }
 
     fn before(&self) -> BufReader<ReadBack<'_, S>> {
-        BufReader::new(ReadBack {
-            sink: &self.sink,
-            at: 0,
-            end: self.earlier_bytes,
-        })
+        BufReader::new(ReadBack { sink: &self.sink, at: 0, end: self.earlier_bytes })
     }
 
     /// All lines so far; `None` where they are not to be had any more.
@@ -255,12 +237,7 @@ impl<S: Durable> Lines<S> {
             (lines, lost) = (1, lost - 1);
         }
         let sink = fresh.into_inner().map_err(IntoInnerError::into_error)?;
-        Ok(Moved {
-            sink,
-            bytes,
-            lines,
-            lost,
-        })
+        Ok(Moved { sink, bytes, lines, lost })
     }
 
     /// Goes on where it was moved to, first with what is in memory.
@@ -561,10 +538,7 @@ mod tests {
     }
 
     fn disk(room: usize) -> Disk {
-        Disk {
-            room,
-            ..Disk::default()
-        }
+        Disk { room, ..Disk::default() }
     }
 
     impl Write for Disk {
@@ -705,10 +679,7 @@ mod tests {
         journal.samples.sink.room = 10_000;
         row(&mut journal, 0.5);
         let status = journal.status();
-        assert!(
-            status.news[3].contains("rows and 2 events are lost"),
-            "{status:?}"
-        );
+        assert!(status.news[3].contains("rows and 2 events are lost"), "{status:?}");
         // Another disk: a header, the rows that are left, and the new ones.
         journal.go_on_in(disk(10_000), disk(10_000)).unwrap();
         row(&mut journal, 100.0);

@@ -84,11 +84,7 @@ impl Machine {
 impl std::fmt::Display for Machine {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let or_unknown = |word: &str| {
-            if word.is_empty() {
-                "unknown".to_owned()
-            } else {
-                word.to_owned()
-            }
+            if word.is_empty() { "unknown".to_owned() } else { word.to_owned() }
         };
         let [drive, serial, motor] =
             [&self.drive, &self.drive_serial, &self.motor].map(|word| or_unknown(word));
@@ -100,19 +96,10 @@ impl Manifest {
     /// Drive and motor; the motor is that of the bench file that was used.
     pub fn machine(&self) -> Machine {
         let said = |key: &str| {
-            self.identity
-                .get(key)
-                .and_then(Value::as_str)
-                .unwrap_or_default()
-                .to_owned()
+            self.identity.get(key).and_then(Value::as_str).unwrap_or_default().to_owned()
         };
-        let bench = self
-            .configs
-            .get("bench")
-            .and_then(|text| text.parse::<toml::Table>().ok());
-        let motor = bench
-            .as_ref()
-            .and_then(|bench| bench.get("motor")?.get("name")?.as_str());
+        let bench = self.configs.get("bench").and_then(|text| text.parse::<toml::Table>().ok());
+        let motor = bench.as_ref().and_then(|bench| bench.get("motor")?.get("name")?.as_str());
         Machine {
             drive: said("product"),
             drive_serial: said("serial_number"),
@@ -122,10 +109,7 @@ impl Manifest {
 
     /// The checksum of the excitation: two runs that were excited alike have the same. Empty where the manifest does not say.
     pub fn excitation(&self) -> String {
-        let bench = self
-            .configs
-            .get("bench")
-            .and_then(|text| text.parse::<toml::Table>().ok());
+        let bench = self.configs.get("bench").and_then(|text| text.parse::<toml::Table>().ok());
         let sequence = bench.as_ref().and_then(|bench| bench.get("sequence"));
         sequence.map_or_else(String::new, |sequence| {
             format!("{:016x}", fnv_1a(EMPTY, sequence.to_string().bytes()))
@@ -180,9 +164,7 @@ mod tests {
         };
         manifest.set_origin(Channel::Voltage, Origin::Measured);
         manifest.set_side(Channel::Current, Side::Supply);
-        manifest
-            .configs
-            .insert("bench".into(), "[drive]\nport = \"sim:\"\n".into());
+        manifest.configs.insert("bench".into(), "[drive]\nport = \"sim:\"\n".into());
         let text = manifest.text();
         assert!(text.contains("\"voltage_v\": \"measured\""));
         assert!(text.contains("\"current_a\": \"supply\""));

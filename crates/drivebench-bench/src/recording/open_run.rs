@@ -51,10 +51,7 @@ impl RunRows {
         let io = |doing, error| RecordingError::io(&samples, doing, &error);
         let mut file = File::open(&samples).map_err(|error| io("open", error))?;
         let name = path.display().to_string();
-        let options = ReadOptions {
-            map,
-            in_run_folder: folder.is_some(),
-        };
+        let options = ReadOptions { map, in_run_folder: folder.is_some() };
         // Only the record of a run ends as we know; what else is read may be a pipe.
         let (length, ends_torn) = match folder {
             Some(_) => whole_rows(&mut file).map_err(|error| io("read", error))?,
@@ -62,13 +59,7 @@ impl RunRows {
         };
         let mut rows = CsvRows::new(BufReader::new(file.take(length)), &name, options)?;
         rows.set_ends_torn(ends_torn);
-        Ok(Self {
-            rows,
-            name,
-            manifest,
-            folder,
-            warnings,
-        })
+        Ok(Self { rows, name, manifest, folder, warnings })
     }
 
     /// What the reader should know, once the last row has been read.
@@ -138,10 +129,7 @@ pub fn run_from_memory(
     manifest: &Manifest,
 ) -> Result<LoadedRun, RecordingError> {
     let name = folder.display().to_string();
-    let options = ReadOptions {
-        map: None,
-        in_run_folder: true,
-    };
+    let options = ReadOptions { map: None, in_run_folder: true };
     // Memory can be read.
     let (length, ends_torn) = whole_rows(&mut Cursor::new(samples)).unwrap_or_default();
     let mut rows = CsvRows::new(samples.take(length), &name, options)?;
@@ -196,11 +184,7 @@ fn folder_of(
 fn set_origins(run: &mut Run, manifest: &Manifest) {
     for channel in Channel::ALL {
         let origin = manifest.origin(channel).unwrap_or_else(|| {
-            if channel.is_commanded() {
-                Origin::Commanded
-            } else {
-                Origin::Unknown
-            }
+            if channel.is_commanded() { Origin::Commanded } else { Origin::Unknown }
         });
         run.set_origin(channel, origin);
         if let Some(side) = manifest.side(channel) {
@@ -225,11 +209,7 @@ mod tests {
     #[test]
     fn a_folder_and_its_samples_are_the_same_run() {
         let root = tempfile::tempdir().unwrap();
-        let mut manifest = Manifest {
-            finished: true,
-            rows: Some(2),
-            ..Manifest::default()
-        };
+        let mut manifest = Manifest { finished: true, rows: Some(2), ..Manifest::default() };
         manifest.set_origin(Channel::Voltage, Origin::Measured);
         manifest.set_side(Channel::Voltage, Side::Terminal);
         let samples = "time_s,voltage_cmd_v,voltage_v\n0,1,0.9\n1,,0.8\n";

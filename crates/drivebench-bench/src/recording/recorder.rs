@@ -73,9 +73,7 @@ impl KeptLogs {
             let (mut to_samples, mut to_events) = folder.create_logs()?;
             let written = to_samples.write_all(&samples);
             let written = written.and_then(|()| to_events.write_all(&events));
-            let written = written
-                .and_then(|()| to_samples.sync())
-                .and_then(|()| to_events.sync());
+            let written = written.and_then(|()| to_samples.sync()).and_then(|()| to_events.sync());
             written.map_err(|error| RecordingError::io(folder.path(), "write", &error))?;
             folder.write_manifest(manifest)?;
             Ok(folder)
@@ -143,13 +141,7 @@ impl Recorder {
             .map_err(|error| {
                 RecordingError::io(folder.path(), "start the writer thread of", &error)
             })?;
-        Ok(Self {
-            folder,
-            order,
-            sender: Some(sender),
-            writer: Some(writer),
-            status,
-        })
+        Ok(Self { folder, order, sender: Some(sender), writer: Some(writer), status })
     }
 
     /// Where the record was begun.
@@ -244,11 +236,7 @@ impl Place {
             let found = std::fs::metadata(path)?;
             Ok::<_, io::Error>((found.dev(), found.ino()))
         };
-        Ok(Self([
-            number(folder.path())?,
-            number(&folder.samples())?,
-            number(&folder.events())?,
-        ]))
+        Ok(Self([number(folder.path())?, number(&folder.samples())?, number(&folder.events())?]))
     }
 }
 
@@ -275,9 +263,7 @@ impl Durable for Log {
     }
 
     fn read_at(&self, at: u64, into: &mut [u8]) -> io::Result<usize> {
-        self.0
-            .as_ref()
-            .map_or(Ok(0), |file| Durable::read_at(file, at, into))
+        self.0.as_ref().map_or(Ok(0), |file| Durable::read_at(file, at, into))
     }
 }
 
@@ -317,11 +303,7 @@ impl Writer {
             gone: None,
             looks_to_pass: 0,
             looks_passed: 0,
-            unfinished: Manifest {
-                finished: false,
-                rows: None,
-                ..manifest.clone()
-            },
+            unfinished: Manifest { finished: false, rows: None, ..manifest.clone() },
             look_every: sync_every_rows.max(1),
         }
     }
@@ -388,9 +370,7 @@ impl Writer {
                     format!(", without {lost} rows, which the old file did not give back")
                 };
                 (self.gone, self.looks_passed) = (None, 0);
-                self.journal.tell(format!(
-                    "{old} {what}; the record is made again in {new}{rest}"
-                ));
+                self.journal.tell(format!("{old} {what}; the record is made again in {new}{rest}"));
             }
             Err(error) => {
                 self.looks_passed = (2 * self.looks_passed).clamp(1, MOST_LOOKS);
@@ -463,10 +443,7 @@ impl Writer {
 
 /// Whether a path leads nowhere any more.
 fn is_gone(error: &io::Error) -> bool {
-    matches!(
-        error.kind(),
-        io::ErrorKind::NotFound | io::ErrorKind::NotADirectory
-    )
+    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
 }
 
 /// A status is whole after every assignment, so a panic elsewhere cannot have broken it.

@@ -16,10 +16,7 @@ fn drive(recorder: &mut dyn Record, cycles: u32) {
         let seq = u64::from(cycle) + 1;
         let time_s = f64::from(cycle) * 0.01;
         recorder.command(&CommandRow {
-            command: Command {
-                seq,
-                demand: Demand::Voltage(f64::from(cycle % 7)),
-            },
+            command: Command { seq, demand: Demand::Voltage(f64::from(cycle % 7)) },
             time_s,
             reference_rad_s: None,
         });
@@ -27,10 +24,7 @@ fn drive(recorder: &mut dyn Record, cycles: u32) {
             .with(Channel::Current, f64::from(cycle) * 0.1)
             .with(Channel::Speed, -f64::from(cycle));
         sample.seq = Some(seq);
-        sample.applied = Some(Applied {
-            seq,
-            time_s: time_s + 0.001,
-        });
+        sample.applied = Some(Applied { seq, time_s: time_s + 0.001 });
         recorder.row(&sample);
         if cycle % 50 == 0 && cycle < 1000 {
             recorder.event(Event::new(time_s, Some(seq), "mark").with("cycle", cycle));
@@ -43,10 +37,7 @@ fn read(path: std::path::PathBuf) -> String {
 }
 
 fn manifest() -> Manifest {
-    let mut manifest = Manifest {
-        name: "test".into(),
-        ..Manifest::default()
-    };
+    let mut manifest = Manifest { name: "test".into(), ..Manifest::default() };
     manifest.set_origin(Channel::Current, Origin::Measured);
     manifest
 }
@@ -237,11 +228,7 @@ fn a_log_of_a_thousand_rows_that_is_cut_at_any_byte_gives_all_its_whole_rows() {
             before = cut;
         }
         let (length, is_torn) = whole_rows(&mut std::io::Cursor::new(&bytes[..cut])).unwrap();
-        assert_eq!(
-            (length, is_torn),
-            (before as u64, before != cut),
-            "cut at byte {cut}"
-        );
+        assert_eq!((length, is_torn), (before as u64, before != cut), "cut at byte {cut}");
     }
     let folder = std::path::Path::new("r");
     let read = |cut: usize| run_from_memory(folder, &bytes[..cut], &manifest());
@@ -256,11 +243,7 @@ fn a_log_of_a_thousand_rows_that_is_cut_at_any_byte_gives_all_its_whole_rows() {
                 loaded => loaded.unwrap(),
             };
             let run = loaded.run;
-            assert_eq!(
-                (run.rows(), run.rows_dropped),
-                (rows, torn),
-                "cut at byte {cut}"
-            );
+            assert_eq!((run.rows(), run.rows_dropped), (rows, torn), "cut at byte {cut}");
             assert_eq!(loaded.warnings.len(), torn, "{:?}", loaded.warnings);
             assert_eq!(run.time_s(), &all.time_s()[..rows]);
             for channel in channels {
@@ -273,10 +256,7 @@ fn a_log_of_a_thousand_rows_that_is_cut_at_any_byte_gives_all_its_whole_rows() {
             }
         }
     }
-    assert!(
-        read(ends[0] - 1).is_err(),
-        "a header that is torn names no columns"
-    );
+    assert!(read(ends[0] - 1).is_err(), "a header that is torn names no columns");
 }
 
 /// The manifest is replaced whole or not at all; of a disk that breaks this too the samples come all the same.
@@ -294,12 +274,7 @@ fn a_folder_whose_manifest_is_cut_at_any_byte_still_gives_its_rows() {
         assert_eq!(loaded.run.rows(), 6);
         // Only its line feed may be missing.
         let is_whole = cut == text.len() - 1;
-        assert_eq!(
-            loaded.warnings.is_empty(),
-            is_whole,
-            "{:?}",
-            loaded.warnings
-        );
+        assert_eq!(loaded.warnings.is_empty(), is_whole, "{:?}", loaded.warnings);
         assert_eq!(loaded.manifest.is_some(), is_whole);
     }
 }
@@ -309,11 +284,7 @@ fn a_folder_that_cannot_be_written_to_refuses_a_run_before_it_begins() {
     let root = tempfile::tempdir().unwrap();
     let file = root.path().join("file");
     fs::write(&file, "no folder").unwrap();
-    for place in [
-        &file,
-        std::path::Path::new("/proc"),
-        std::path::Path::new("/dev/null"),
-    ] {
+    for place in [&file, std::path::Path::new("/proc"), std::path::Path::new("/dev/null")] {
         let error = RunFolder::create(place, "20260131T000000Z", "test").unwrap_err();
         assert!(matches!(error, RecordingError::Io { .. }), "{error}");
         assert!(error.help().contains("permissions"), "{}", error.help());
@@ -334,22 +305,15 @@ fn be_the_victim(root: &std::path::Path) {
     for seq in 1..1_000_000_u32 {
         let (time_s, seq) = (f64::from(seq), u64::from(seq));
         recorder.command(&CommandRow {
-            command: Command {
-                seq,
-                demand: Demand::Voltage(time_s),
-            },
+            command: Command { seq, demand: Demand::Voltage(time_s) },
             time_s,
             reference_rad_s: None,
         });
         let mut sample = Sample::at(time_s + 0.5).with(Channel::Current, (time_s + 0.5) / 3.0);
         sample.seq = Some(seq);
-        sample.applied = Some(Applied {
-            seq,
-            time_s: time_s + 0.25,
-        });
+        sample.applied = Some(Applied { seq, time_s: time_s + 0.25 });
         handed += recorder.row(&sample).len();
-        told.write_all_at(&(handed as u64).to_le_bytes(), 0)
-            .unwrap();
+        told.write_all_at(&(handed as u64).to_le_bytes(), 0).unwrap();
         while recorder.status().rows < handed {
             std::thread::yield_now();
         }

@@ -151,11 +151,7 @@ impl RowOrder {
 
     /// `time_s`, or the next number after the last row where clocks disagree by a hair.
     fn after_last(&self, time_s: f64) -> f64 {
-        if time_s > self.last_s {
-            time_s
-        } else {
-            self.last_s.next_up()
-        }
+        if time_s > self.last_s { time_s } else { self.last_s.next_up() }
     }
 
     fn fill(&self, waiting: &CommandRow, remark: Option<&str>, row: &mut Row) {
@@ -164,10 +160,9 @@ impl RowOrder {
             Demand::Speed(speed_rad_s) => Some(speed_rad_s),
             _ => None,
         });
-        for (channel, value) in [
-            (Channel::VoltageCmd, demand.voltage_v()),
-            (Channel::Reference, reference_rad_s),
-        ] {
+        for (channel, value) in
+            [(Channel::VoltageCmd, demand.voltage_v()), (Channel::Reference, reference_rad_s)]
+        {
             if value.is_none() || !self.layout.has(channel) {
                 continue;
             }
@@ -224,10 +219,7 @@ mod tests {
 
     fn volts(seq: u64, time_s: f64, volts: f64) -> CommandRow {
         CommandRow {
-            command: Command {
-                seq,
-                demand: Demand::Voltage(volts),
-            },
+            command: Command { seq, demand: Demand::Voltage(volts) },
             time_s,
             reference_rad_s: None,
         }
@@ -305,11 +297,7 @@ mod tests {
             ),
             (
                 "a lost reply leaves a remark and stops nothing",
-                vec![
-                    Send(1, 0.001, 5.0),
-                    Send(2, 0.011, 6.0),
-                    Take(0.020, Some((2, 0.012))),
-                ],
+                vec![Send(1, 0.001, 5.0), Send(2, 0.011, 6.0), Take(0.020, Some((2, 0.012)))],
                 "0.001,1,5,,,voltage_cmd_v:unconfirmed\n0.012,2,6,,,\n0.02,,,1,,\n",
                 0,
                 1,
@@ -323,9 +311,7 @@ mod tests {
             ),
             (
                 "a sample that is not new is counted and left out",
-                [0.1, 0.1, 0.05, f64::NAN, 0.2]
-                    .map(|time_s| Take(time_s, None))
-                    .into(),
+                [0.1, 0.1, 0.05, f64::NAN, 0.2].map(|time_s| Take(time_s, None)).into(),
                 "0.1,,,1,,\n0.2,,,1,,\n",
                 3,
                 0,
@@ -356,10 +342,7 @@ mod tests {
         let mut order = RowOrder::new(Layout::plain(&[Channel::Reference, Channel::VoltageCmd]));
         for (seq, demand) in [(1, Demand::Speed(50.0)), (2, Demand::Stop)] {
             let command = Command { seq, demand };
-            order.command(CommandRow {
-                command,
-                ..volts(seq, seq as f64, 0.0)
-            });
+            order.command(CommandRow { command, ..volts(seq, seq as f64, 0.0) });
         }
         let rows = order.sample(&Sample::at(5.0));
         assert_eq!(rows.len(), 3);

@@ -45,9 +45,7 @@ const MOST_BYTES: u64 = 8 << 20;
 /// What stands in the way, or that it is longer than anything that is read so.
 pub fn read_text(path: &Path) -> io::Result<String> {
     let mut text = String::new();
-    File::open(path)?
-        .take(MOST_BYTES + 1)
-        .read_to_string(&mut text)?;
+    File::open(path)?.take(MOST_BYTES + 1).read_to_string(&mut text)?;
     if text.len() as u64 > MOST_BYTES {
         let what = format!("it is longer than {} MiB", MOST_BYTES >> 20);
         return Err(io::Error::new(ErrorKind::FileTooLarge, what));
@@ -113,9 +111,7 @@ impl RunFolder {
 
     /// A folder that cannot be made for now, under the name that it would have.
     pub fn unmade(root: &Path, stamp: &str, name: &str) -> Self {
-        Self {
-            path: root.join(format!("{}-{}", file_safe(stamp), file_safe(name))),
-        }
+        Self { path: root.join(format!("{}-{}", file_safe(stamp), file_safe(name))) }
     }
 
     /// A folder that is there already.
@@ -144,10 +140,7 @@ impl RunFolder {
     pub fn link_latest(&self) -> std::io::Result<()> {
         let root = self.path.parent().unwrap_or(Path::new("."));
         let link = root.join(LATEST);
-        if link
-            .symlink_metadata()
-            .is_ok_and(|found| !found.is_symlink())
-        {
+        if link.symlink_metadata().is_ok_and(|found| !found.is_symlink()) {
             let reason = "something else has this name, and is left as it is";
             return Err(std::io::Error::new(ErrorKind::AlreadyExists, reason));
         }
@@ -260,11 +253,7 @@ mod tests {
             let inside = root.path().join("latest/model.toml");
             assert_eq!(resolved(&inside), folder.path().join("model.toml"));
         }
-        assert_eq!(
-            fs::read_dir(root.path()).unwrap().count(),
-            3,
-            "no part is left"
-        );
+        assert_eq!(fs::read_dir(root.path()).unwrap().count(), 3, "no part is left");
         assert_eq!(resolved(Path::new("runs/latest")), Path::new("runs/latest"));
         let other = tempfile::tempdir().unwrap();
         fs::create_dir(other.path().join(LATEST)).unwrap();

@@ -68,10 +68,7 @@ impl Case {
         let options = ReopenOptions {
             link: "/dev/serial/by-id/x",
             before: &before,
-            end: RunEnd {
-                drive_minus_host_s: -5.0,
-                last_reply_s: 19.9,
-            },
+            end: RunEnd { drive_minus_host_s: -5.0, last_reply_s: 19.9 },
             seq: 900,
             limit_s: self.limit_s,
             seed: 1,

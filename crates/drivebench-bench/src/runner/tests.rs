@@ -145,16 +145,9 @@ impl<'a> Scripted<'a> {
         let session = Session::new(constant(2.0, Demand::Voltage(10.0)), guard);
         let mut left_s = stall_s;
         let late_s = |now_s| {
-            if now_s >= 0.5 {
-                std::mem::take(&mut left_s)
-            } else {
-                0.0
-            }
+            if now_s >= 0.5 { std::mem::take(&mut left_s) } else { 0.0 }
         };
-        let mut clock = LateClock {
-            clock: VirtualClock::new(),
-            late_s,
-        };
+        let mut clock = LateClock { clock: VirtualClock::new(), late_s };
         let (summary, recorder) = course.run(session, drive, &mut clock);
         (summary, recorder.events_jsonl())
     }
@@ -214,10 +207,9 @@ fn a_run_that_cannot_begin_ends_with_the_reason() {
     let silent = ScriptedDrive::new(0.01).with(0, u64::MAX, Fault::Timeout);
     let (summary, _, _) = Scripted::new(silent).run();
     assert!(matches!(summary.outcome, Outcome::LinkLost { .. }));
-    for (fault, words) in [
-        (Fault::TripWith(3), "fault"),
-        (Fault::Missing(Channel::Current), "current"),
-    ] {
+    for (fault, words) in
+        [(Fault::TripWith(3), "fault"), (Fault::Missing(Channel::Current), "current")]
+    {
         let drive = ScriptedDrive::new(0.01).with(0, u64::MAX, fault);
         let (summary, _, drive) = Scripted::new(drive).run();
         let Outcome::NotStarted { reason } = &summary.outcome else {
@@ -248,10 +240,7 @@ impl LiveEstimator for Bomb {
 fn a_panic_on_the_way_still_ends_at_zero_output() {
     let mut drive = ScriptedDrive::new(0.01);
     let mut bomb = Bomb(30);
-    let course = Course {
-        estimator: Some(&mut bomb),
-        ..Course::default()
-    };
+    let course = Course { estimator: Some(&mut bomb), ..Course::default() };
     let run = AssertUnwindSafe(|| Scripted::run_on(&mut drive, 0.0, course));
     assert!(catch_unwind(run).is_err());
     assert!(drive.demands.last().unwrap().energises());
@@ -393,11 +382,7 @@ fn a_silent_link_is_never_called_a_stalled_host() {
     let motor = Nameplate::zk_22fc();
     for dead_from in 60..70 {
         let mut clock = VirtualClock::new();
-        let by = Held {
-            clock: clock.clone(),
-            dead_from,
-            left_s: f64::INFINITY,
-        };
+        let by = Held { clock: clock.clone(), dead_from, left_s: f64::INFINITY };
         let link = ScriptedDrive::new(0.01);
         let guard = Guard::new(Limits::for_motor(&motor, 100.0), &motor, None);
         let session = Session::new(constant(4.0, Demand::Voltage(5.0)), guard);
@@ -412,10 +397,7 @@ fn a_silent_link_is_never_called_a_stalled_host() {
 const STALLED_HZ: f64 = 50.0;
 const STALLED_LIMIT_A: f64 = 11.0;
 /// Below the silence that is allowed and the drive's watchdog.
-const STALLS: Stalls = Stalls {
-    share: 0.15,
-    longest_s: 0.2,
-};
+const STALLS: Stalls = Stalls { share: 0.15, longest_s: 0.2 };
 
 /// A square wave of voltage on a drive that itself lets through three times the bench's current.
 fn stalled(seed: u64, knows_its_period: bool) -> Outcome {
@@ -443,10 +425,7 @@ fn stalled(seed: u64, knows_its_period: bool) -> Outcome {
         },
     };
     let session = Session::new(Box::new(program), guard);
-    Course::at(STALLED_HZ)
-        .run(session, &mut link, &mut clock)
-        .0
-        .outcome
+    Course::at(STALLED_HZ).run(session, &mut link, &mut clock).0.outcome
 }
 
 /// Currents beyond the limit that ended the runs, A.
@@ -523,10 +502,7 @@ fn foreign(
     };
     link.identify().unwrap();
     let motor = Nameplate::zk_22fc();
-    let limits = Limits {
-        link_silence_s: 0.4,
-        ..Limits::for_motor(&motor, 20.0)
-    };
+    let limits = Limits { link_silence_s: 0.4, ..Limits::for_motor(&motor, 20.0) };
     let session = Session::new(constant(4.0, demand), Guard::new(limits, &motor, None));
     let (summary, recorder) = Course::at(20.0).run(session, &mut link, &mut clock);
     (summary, recorder.events_jsonl(), link.link)
@@ -625,28 +601,10 @@ fn how_soon_a_run_was_stopped_is_told_and_no_more_than_is_known() {
         (None, None, "the end of the sequence", true, true),
         (Some(Fault::TripWith(3)), None, "drive fault", true, true),
         // What is gone was asked nothing; what only does not answer was.
-        (
-            Some(Fault::Gone),
-            Some(gone),
-            "the loss of the link",
-            false,
-            false,
-        ),
-        (
-            Some(Fault::Timeout),
-            Some(unanswered),
-            "link silent",
-            true,
-            false,
-        ),
+        (Some(Fault::Gone), Some(gone), "the loss of the link", false, false),
+        (Some(Fault::Timeout), Some(unanswered), "link silent", true, false),
         // What it was stopped for is no loss of a link that answered all; who does not obey was asked.
-        (
-            Some(Fault::IgnoresStop),
-            Some(disobeyed),
-            "the end of the sequence",
-            true,
-            false,
-        ),
+        (Some(Fault::IgnoresStop), Some(disobeyed), "the end of the sequence", true, false),
     ];
     for (fault, stop_fails, cause, is_sent, is_confirmed) in cases {
         let mut drive = ScriptedDrive::new(0.01);

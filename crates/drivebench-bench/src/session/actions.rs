@@ -45,10 +45,9 @@ pub enum Lost {
 impl From<&LinkError> for Lost {
     fn from(error: &LinkError) -> Self {
         match error {
-            LinkError::Exception {
-                code: ILLEGAL_FIRST..=ILLEGAL_LAST,
-                ..
-            } => Self::Refused(error.to_string()),
+            LinkError::Exception { code: ILLEGAL_FIRST..=ILLEGAL_LAST, .. } => {
+                Self::Refused(error.to_string())
+            }
             // A busy drive (04 to 06) or a gateway: the limit of link silence decides.
             LinkError::Exception { .. } => Self::Busy(error.to_string()),
             error if error.is_transient() => Self::Transient(error.to_string()),
@@ -195,10 +194,7 @@ impl Phase {
     }
 
     pub const fn is_final(self) -> bool {
-        matches!(
-            self,
-            Self::Done | Self::Stopped | Self::Tripped | Self::LinkLost
-        )
+        matches!(self, Self::Done | Self::Stopped | Self::Tripped | Self::LinkLost)
     }
 
     /// Whether commands and samples belong to the record of the run.

@@ -166,11 +166,7 @@ fn a_stop_while_the_motor_coasts_switches_nothing_on() {
     let coasts = Wave {
         duration_s: 5.0,
         demand: |time_s: f64| {
-            if time_s < 1.0 {
-                Demand::Voltage(20.0)
-            } else {
-                Demand::Disable
-            }
+            if time_s < 1.0 { Demand::Voltage(20.0) } else { Demand::Disable }
         },
     };
     let motor = Nameplate::zk_22fc();
@@ -189,26 +185,16 @@ fn a_stop_while_the_motor_coasts_switches_nothing_on() {
 
 #[test]
 fn a_stop_ramps_any_output_to_zero_before_it_goes_off() {
-    let demands: [fn(f64) -> Demand; 3] = [
-        |_| Demand::Voltage(20.0),
-        |_| Demand::Current(3.0),
-        |_| Demand::Speed(50.0),
-    ];
+    let demands: [fn(f64) -> Demand; 3] =
+        [|_| Demand::Voltage(20.0), |_| Demand::Current(3.0), |_| Demand::Speed(50.0)];
     for demand in demands {
         let motor = Nameplate::zk_22fc();
         let guard = Guard::new(Limits::for_motor(&motor, 100.0), &motor, None);
-        let program = Wave {
-            duration_s: 5.0,
-            demand,
-        };
+        let program = Wave { duration_s: 5.0, demand };
         let session = Session::new(Box::new(program), guard);
         let spins: fn(usize, Sample) -> Option<Sample> = |sent, sample| {
             // It turns from shortly before the stop on.
-            Some(if sent < 61 {
-                sample
-            } else {
-                sample.with(Channel::Speed, 20.0)
-            })
+            Some(if sent < 61 { sample } else { sample.with(Channel::Speed, 20.0) })
         };
         let link = (ScriptedDrive::new(0.01), VirtualClock::new());
         let mut bench = Lab::new(session, link, spins).started(60);
@@ -235,10 +221,7 @@ fn what_the_drive_said_before_it_was_told_confirms_no_stop() {
     let is_end = |action: &Action| matches!(action, Action::Finished(_));
     let told = bench.log.iter().position(is_stop);
     let ended = bench.log.iter().position(is_end);
-    assert!(
-        told.is_some_and(|told| told < ended.unwrap()),
-        "{told:?} {ended:?}"
-    );
+    assert!(told.is_some_and(|told| told < ended.unwrap()), "{told:?} {ended:?}");
 }
 
 #[test]
@@ -264,14 +247,7 @@ fn a_waived_watchdog_is_not_named_as_the_stop() {
         let drive = ScriptedDrive::new(0.01).with(60, EVER, Fault::Gone);
         let session = session().with_watchdog(watchdog_s).with_waivers(waived);
         let bench = bench(session, drive).started(100);
-        has(
-            bench
-                .session
-                .stop_notice(Some(&gone("x".to_owned())))
-                .unwrap()
-                .text,
-            words,
-        );
+        has(bench.session.stop_notice(Some(&gone("x".to_owned()))).unwrap().text, words);
     }
 }
 
@@ -283,11 +259,7 @@ fn a_shaft_that_moves_again_rests_anew_before_its_brake() {
         applies.map(|event| event.time_s).collect()
     };
     let run = |moves_at| {
-        let brake = Brake {
-            hold_current_a: 0.0,
-            release_s: 0.05,
-            apply_s: 0.2,
-        };
+        let brake = Brake { hold_current_a: 0.0, release_s: 0.05, apply_s: 0.2 };
         let session = session().with_waivers(vec![PLAUSIBILITY.to_owned()]);
         let moves = Fault::Set(Channel::Speed, 10.0);
         let drive = ScriptedDrive::new(0.01).with(moves_at, moves_at + 3, moves);
@@ -302,9 +274,7 @@ fn a_shaft_that_moves_again_rests_anew_before_its_brake() {
         panic!("{:?}", applies(&moved));
     };
     let phases = events(&moved, "phase");
-    let ends = phases
-        .iter()
-        .find(|event| event.details["to"] == "stopping");
+    let ends = phases.iter().find(|event| event.details["to"] == "stopping");
     within(ends.unwrap().time_s - rests_s, 0.199..0.22);
 }
 
@@ -322,10 +292,7 @@ fn a_stop_that_the_drive_does_not_confirm_is_repeated_and_said() {
 
 /// A session that gives its drive 10 s to stop, after 600 cycles.
 fn patient(from: u64, to: u64, fault: Fault) -> Bench {
-    let times = CommandTimes {
-        stop_s: 10.0,
-        ..CommandTimes::default()
-    };
+    let times = CommandTimes { stop_s: 10.0, ..CommandTimes::default() };
     let drive = ScriptedDrive::new(0.01).with(from, to, fault);
     bench(session().with_command_times(times), drive).started(600)
 }
@@ -346,19 +313,13 @@ fn a_silent_drive_is_not_waited_for() {
 
 #[test]
 fn a_busy_drive_gets_its_stop_often_and_then_seldom() {
-    let times = CommandTimes {
-        stop_s: 2.0,
-        ..CommandTimes::default()
-    };
+    let times = CommandTimes { stop_s: 2.0, ..CommandTimes::default() };
     let watched = session().with_command_times(times).with_watchdog(Some(0.2));
     let busy = ScriptedDrive::new(0.01).with(60, EVER, Fault::Refuses(6));
     let busy = bench(watched, busy).started(600);
     has(lost(&busy), "requests refused: no valid reply for 0.1");
     has(lost(&busy), "the command: exception 0x06 device busy");
-    assert_eq!(
-        events(&busy, "refused_for_now").len(),
-        busy.link.demands.len() - 60
-    );
+    assert_eq!(events(&busy, "refused_for_now").len(), busy.link.demands.len() - 60);
     // 0.2 s of cycles, and then in 1.8 s once in 0.3 s.
     within(stops(&busy) as f64, 20.0..28.0);
     let failed = refusal("script:".to_owned(), 6);
@@ -458,9 +419,8 @@ fn any_input() -> impl Strategy<Value = Input> {
         1 => Just(None),
     ];
     let sample = (number.clone(), number, state).prop_map(|(current, speed, state)| {
-        let mut sample = Sample::at(0.0)
-            .with(Channel::Current, current)
-            .with(Channel::Speed, speed);
+        let mut sample =
+            Sample::at(0.0).with(Channel::Current, current).with(Channel::Speed, speed);
         sample.state = state;
         Input::Sample(Box::new(sample))
     });

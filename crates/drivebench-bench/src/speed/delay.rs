@@ -145,10 +145,8 @@ mod tests {
             meter.sent(n.into(), time_s);
             let mut sample = Sample::at(time_s + 0.01);
             // The reply tells of the command before.
-            sample.applied = n.checked_sub(1).map(|seq| Applied {
-                seq: seq.into(),
-                time_s: time_s + 0.0095,
-            });
+            sample.applied =
+                n.checked_sub(1).map(|seq| Applied { seq: seq.into(), time_s: time_s + 0.0095 });
             meter.sample(&sample);
         }
         let delay = meter.delay(0.01).unwrap();

@@ -171,10 +171,7 @@ impl SpeedPilot {
             });
         }
         match finding {
-            Finding::SwingsOn {
-                swing_rad_s,
-                most_rad_s,
-            } => {
+            Finding::SwingsOn { swing_rad_s, most_rad_s } => {
                 let figures = (swing_rad_s, most_rad_s);
                 Err(Trip::new(TripKind::LoopSwings, now_s, figures, reason))
             }
@@ -214,20 +211,14 @@ impl SpeedPilot {
                 ("given_back", swing_rad_s, reason)
             }
             Finding::Swings { swing_rad_s } => ("swings", swing_rad_s, about(swing_rad_s)),
-            Finding::SwingsOn {
-                swing_rad_s,
-                most_rad_s,
-            } => {
+            Finding::SwingsOn { swing_rad_s, most_rad_s } => {
                 let reason = format!(
                     "{} and goes on, {why}; {most_rad_s:.1} rad/s are allowed; take addc or pi, tuned on a model that was identified on this machine (a coupling or play belongs into it; addc follows an inertia that changed), or a faster link",
                     about(swing_rad_s)
                 );
                 ("swings_on", swing_rad_s, reason)
             }
-            Finding::Saturated {
-                limited_share,
-                error_rad_s,
-            } => {
+            Finding::Saturated { limited_share, error_rad_s } => {
                 let reason = format!(
                     "a limit held the output in {:.0} % of the last second, and the error of {error_rad_s:.1} rad/s to {reference_rad_s:.1} rad/s does not fall; lower the reference or the load, or raise speed.current_limit_a",
                     100.0 * limited_share
@@ -261,10 +252,7 @@ impl SpeedPilot {
 
 /// The watch of the controller of a pass.
 fn watch_of(regulator: &Regulator, pass: usize) -> LoopWatch {
-    let softens = regulator
-        .passes
-        .get(pass)
-        .is_some_and(|(_, one)| one.softens());
+    let softens = regulator.passes.get(pass).is_some_and(|(_, one)| one.softens());
     LoopWatch::new(regulator.noise_rad_s, regulator.timing.period_s, softens)
 }
 
@@ -292,10 +280,7 @@ impl Pilot for SpeedPilot {
     fn begin(&mut self, now_s: f64, sample: Option<&Sample>) {
         let read = |channel| sample.and_then(|sample| sample.get(channel));
         let speed_rad_s = read(Channel::Speed).unwrap_or(0.0);
-        let now = Measured {
-            current_a: read(Channel::Current),
-            ..Measured::at(speed_rad_s)
-        };
+        let now = Measured { current_a: read(Channel::Current), ..Measured::at(speed_rad_s) };
         let output = self.regulator.holding.output(speed_rad_s) + self.settings.hold;
         self.pass = 0;
         self.controller().reset(&now, output);
@@ -376,10 +361,7 @@ impl Pilot for SpeedPilot {
         }
         let reason = self.controller().news()?;
         if self.changes.len() < CHANGES_MAX {
-            self.changes.push(GainChange {
-                time_s: self.elapsed_s,
-                reason: reason.clone(),
-            });
+            self.changes.push(GainChange { time_s: self.elapsed_s, reason: reason.clone() });
         }
         Some(PilotNews::Gains(reason))
     }
@@ -388,9 +370,7 @@ impl Pilot for SpeedPilot {
         let timing = self.regulator.timing;
         let (_, controller) = &self.regulator.passes[self.pass];
         let passes = self.regulator.passes.iter().zip(self.reference.passes());
-        let passes: Vec<_> = passes
-            .map(|((forward, _), pass)| (*forward, *pass))
-            .collect();
+        let passes: Vec<_> = passes.map(|((forward, _), pass)| (*forward, *pass)).collect();
         Some(SpeedReport {
             controller: controller.id(),
             actuator: self.regulator.actuator,

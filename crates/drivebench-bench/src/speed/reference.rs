@@ -102,16 +102,12 @@ impl ReferencePart {
                 let levels = levels_rad_s.iter();
                 levels.map(|level| ("levels_rad_s", *level)).collect()
             }
-            Self::Square {
-                low_rad_s,
-                high_rad_s,
-                ..
-            } => vec![("low_rad_s", *low_rad_s), ("high_rad_s", *high_rad_s)],
-            Self::Ramp {
-                from_rad_s,
-                to_rad_s,
-                ..
-            } => vec![("from_rad_s", *from_rad_s), ("to_rad_s", *to_rad_s)],
+            Self::Square { low_rad_s, high_rad_s, .. } => {
+                vec![("low_rad_s", *low_rad_s), ("high_rad_s", *high_rad_s)]
+            }
+            Self::Ramp { from_rad_s, to_rad_s, .. } => {
+                vec![("from_rad_s", *from_rad_s), ("to_rad_s", *to_rad_s)]
+            }
             Self::Polyline { points } => points.iter().map(|point| ("points", point[1])).collect(),
         }
     }
@@ -134,16 +130,11 @@ impl ReferencePart {
             Self::Constant { seconds, .. } | Self::Ramp { seconds, .. } => {
                 time("seconds", *seconds)
             }
-            Self::Steps {
-                levels_rad_s,
-                hold_s,
-            } => count("number of levels_rad_s", levels_rad_s.len(), 1)
-                .or_else(|| time("hold_s", *hold_s)),
-            Self::Square {
-                half_period_s,
-                periods,
-                ..
-            } => time("half_period_s", *half_period_s)
+            Self::Steps { levels_rad_s, hold_s } => {
+                count("number of levels_rad_s", levels_rad_s.len(), 1)
+                    .or_else(|| time("hold_s", *hold_s))
+            }
+            Self::Square { half_period_s, periods, .. } => time("half_period_s", *half_period_s)
                 .or_else(|| count("periods", *periods as usize, 1)),
             Self::Polyline { points } => {
                 let start = points.first().map_or(0.0, |first| first[0]);
@@ -162,31 +153,17 @@ impl ReferencePart {
     fn lines(&self) -> Vec<(f64, f64, f64)> {
         let held = |level: &f64, seconds: f64| (seconds, *level, *level);
         match self {
-            Self::Constant {
-                speed_rad_s,
-                seconds,
-            } => vec![held(speed_rad_s, *seconds)],
-            Self::Steps {
-                levels_rad_s,
-                hold_s,
-            } => levels_rad_s
-                .iter()
-                .map(|level| held(level, *hold_s))
-                .collect(),
-            Self::Square {
-                low_rad_s,
-                high_rad_s,
-                half_period_s,
-                periods,
-            } => {
+            Self::Constant { speed_rad_s, seconds } => vec![held(speed_rad_s, *seconds)],
+            Self::Steps { levels_rad_s, hold_s } => {
+                levels_rad_s.iter().map(|level| held(level, *hold_s)).collect()
+            }
+            Self::Square { low_rad_s, high_rad_s, half_period_s, periods } => {
                 let period = [high_rad_s, low_rad_s].map(|level| held(level, *half_period_s));
                 period.repeat(*periods as usize)
             }
-            Self::Ramp {
-                from_rad_s,
-                to_rad_s,
-                seconds,
-            } => vec![(*seconds, *from_rad_s, *to_rad_s)],
+            Self::Ramp { from_rad_s, to_rad_s, seconds } => {
+                vec![(*seconds, *from_rad_s, *to_rad_s)]
+            }
             Self::Polyline { points } => {
                 let line = |pair: &[[f64; 2]]| (pair[1][0] - pair[0][0], pair[0][1], pair[1][1]);
                 points.windows(2).map(line).collect()
@@ -254,16 +231,9 @@ impl Reference {
         let mut now_s = 0.0;
         for pass in 1..=times {
             now_s += lead_in_s;
-            all.lines.push(Line {
-                end_s: now_s,
-                from: first,
-                to: first,
-            });
+            all.lines.push(Line { end_s: now_s, from: first, to: first });
             all.parts.push((format!("lead-in, pass {pass}"), now_s));
-            let later = |line: &Line| Line {
-                end_s: now_s + line.end_s,
-                ..*line
-            };
+            let later = |line: &Line| Line { end_s: now_s + line.end_s, ..*line };
             all.lines.extend(self.lines.iter().map(later));
             let named =
                 |(name, end_s): &(String, f64)| (format!("{name}, pass {pass}"), now_s + end_s);
@@ -374,10 +344,7 @@ mod tests {
             part("constant", "speed_rad_s = 50.0, seconds = 1.0"),
             part("square", square),
             part("ramp", "from_rad_s = -10.0, to_rad_s = 30.0, seconds = 4.0"),
-            part(
-                "polyline",
-                "points = [[0.0, 30.0], [1.0, 30.0], [3.0, 0.0]]",
-            ),
+            part("polyline", "points = [[0.0, 30.0], [1.0, 30.0], [3.0, 0.0]]"),
             part("steps", "levels_rad_s = [5.0, 6.0], hold_s = 1.0"),
         ]
     }
@@ -439,11 +406,7 @@ mod tests {
         let none = "levels_rad_s = [], hold_s = 1.0";
         for (kind, keys, expected) in [
             ("constant", "speed_rad_s = 120.0, seconds = 1.0", beyond),
-            (
-                "constant",
-                "speed_rad_s = nan, seconds = 1.0",
-                "speed_rad_s = NaN",
-            ),
+            ("constant", "speed_rad_s = nan, seconds = 1.0", "speed_rad_s = NaN"),
             ("ramp", ramp, "seconds = 0"),
             ("steps", none, "number of levels_rad_s = 0"),
             ("square", square, "periods = 0"),

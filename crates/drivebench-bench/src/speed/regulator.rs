@@ -81,21 +81,11 @@ pub enum RegulatorError {
     #[error(
         "the model's {key} = {value} is that of another motor (expected {low:.4} to {high:.4}, about the nameplate)"
     )]
-    OtherMotor {
-        key: &'static str,
-        value: f64,
-        low: f64,
-        high: f64,
-    },
+    OtherMotor { key: &'static str, value: f64, low: f64, high: f64 },
     #[error(
         "speed.gains.proportional_v_s_per_rad = {value} is not allowed (expected up to {most:.4} with {cycles:.2} cycles of delay{})", behind(*coupling_hz)
     )]
-    Gain {
-        value: f64,
-        most: f64,
-        cycles: f64,
-        coupling_hz: Option<f64>,
-    },
+    Gain { value: f64, most: f64, cycles: f64, coupling_hz: Option<f64> },
     #[error(
         "speed.gains.integral_time_s = {value} s is not allowed: the sampled loop has a radius of {radius:.3} (expected more, for a radius below 1)"
     )]
@@ -103,18 +93,11 @@ pub enum RegulatorError {
     #[error(
         "speed.gains is for the controller \"pi\" over a voltage only, and {controller:?} over a {actuator} is asked for"
     )]
-    GainsOf {
-        controller: &'static str,
-        actuator: &'static str,
-    },
+    GainsOf { controller: &'static str, actuator: &'static str },
     #[error(
         "the controller {controller:?} does not act with a {actuator} (expected one of {allowed})"
     )]
-    Acts {
-        controller: &'static str,
-        actuator: &'static str,
-        allowed: String,
-    },
+    Acts { controller: &'static str, actuator: &'static str, allowed: String },
     #[error(
         "speed.drive_lag_s is missing (needed for a speed command: the time in which the drive's own loop follows)"
     )]
@@ -124,11 +107,7 @@ pub enum RegulatorError {
     #[error(
         "the {name} map asks for {value:.3} N.m (expected up to the {most:.3} N.m of the loop's current limit)"
     )]
-    Map {
-        name: &'static str,
-        value: f64,
-        most: f64,
-    },
+    Map { name: &'static str, value: f64, most: f64 },
     #[error(
         "{controller}: with {cycles:.2} cycles of delay{} the loop goes on swinging by {swing:.1} rad/s after a step of {step:.1} rad/s (expected below {most:.1})", behind(*coupling_hz)
     )]
@@ -163,10 +142,7 @@ impl RegulatorError {
             }
             Self::NothingForward { .. } => "leave --feed-forward out",
             Self::Map { .. } => "take the map of this motor, in N.m",
-            Self::Swings {
-                coupling_hz: Some(_),
-                ..
-            } => {
+            Self::Swings { coupling_hz: Some(_), .. } => {
                 "ask for less (speed.bandwidth_rad_s), take addc or pi, which are tuned for the coupling, or stiffen it"
             }
             Self::Swings { .. } => {
@@ -178,19 +154,14 @@ impl RegulatorError {
 
 /// Where the load hangs on a coupling, says so.
 fn behind(coupling_hz: Option<f64>) -> String {
-    coupling_hz.map_or_else(String::new, |hertz| {
-        format!(" and the coupling at {hertz:.1} Hz")
-    })
+    coupling_hz.map_or_else(String::new, |hertz| format!(" and the coupling at {hertz:.1} Hz"))
 }
 
 /// Refuses a model of another motor: gains tuned on one are not for another.
 pub fn check_kinship(model: &Model, motor: &Nameplate) -> Result<(), RegulatorError> {
     let name = &model.motor.name;
     if !name.is_empty() && *name != motor.name {
-        return Err(RegulatorError::OtherName {
-            model: name.clone(),
-            bench: motor.name.clone(),
-        });
+        return Err(RegulatorError::OtherName { model: name.clone(), bench: motor.name.clone() });
     }
     let (resistance, back_emf) = (motor.resistance_ohm, motor.back_emf_v_s_per_rad);
     for (key, plate, factor) in [
@@ -201,12 +172,7 @@ pub fn check_kinship(model: &Model, motor: &Nameplate) -> Result<(), RegulatorEr
         // What is missing or not physical is for the plant to say.
         let value = model.motor.get(key).filter(|value| *value > 0.0);
         if let Some(value) = value.filter(|value| !(low..=high).contains(value)) {
-            return Err(RegulatorError::OtherMotor {
-                key: key.key(),
-                value,
-                low,
-                high,
-            });
+            return Err(RegulatorError::OtherMotor { key: key.key(), value, low, high });
         }
     }
     Ok(())
@@ -342,10 +308,7 @@ impl Design<'_> {
             _ => "without the motor's friction, inertia and constants in the model",
         };
         let forward = forward.ok_or(RegulatorError::NothingForward { why })?;
-        let rest = Holding {
-            against: 0.0,
-            ..Holding::of(self.model, self.actuator, 0.0)
-        };
+        let rest = Holding { against: 0.0, ..Holding::of(self.model, self.actuator, 0.0) };
         let inner = self.controller(plants, rest)?.0;
         Ok(Box::new(Compensated::new(inner, forward)))
     }
@@ -360,10 +323,7 @@ impl Design<'_> {
             bandwidth_rad_s: self.section.bandwidth_rad_s,
             notch: NotchUse::unless(self.section.no_notch),
         };
-        let refused = |error| RegulatorError::Tuning {
-            rule: request.rule.id(),
-            error,
-        };
+        let refused = |error| RegulatorError::Tuning { rule: request.rule.id(), error };
         let tuned = || -> Result<Tuning, RegulatorError> {
             let tuning = tune_over(&plants.own, &plants.draws, &self.timing, &request);
             let mut tuning = tuning.map_err(refused)?;
@@ -401,8 +361,7 @@ impl Design<'_> {
                 if self.actuator == Actuator::Voltage {
                     let viscous = viscous_n_m_s_per_rad(self.model, self.actuator)?;
                     let adapting =
-                        addc.clone()
-                            .adapting_to_the_winding(self.model, viscous, &self.timing);
+                        addc.clone().adapting_to_the_winding(self.model, viscous, &self.timing);
                     // A rule that refuses a bound of the winding's time constant leaves it at the model's.
                     addc = adapting.unwrap_or(addc);
                 }
@@ -473,8 +432,7 @@ impl Design<'_> {
     }
 
     fn current_limit_a(&self) -> f64 {
-        self.section
-            .current_limit_a(self.motor.rated_current_a, self.limits)
+        self.section.current_limit_a(self.motor.rated_current_a, self.limits)
     }
 
     fn limiter(&self) -> Limiter {
@@ -556,9 +514,8 @@ impl Design<'_> {
 
 /// From the least to the largest. No number, or below zero, where one of them is none.
 fn extent(values: impl Iterator<Item = f64>) -> f64 {
-    let (low, top) = values.fold((f64::MAX, f64::MIN), |(low, top), value| {
-        (low.min(value), top.max(value))
-    });
+    let (low, top) =
+        values.fold((f64::MAX, f64::MIN), |(low, top), value| (low.min(value), top.max(value)));
     top - low
 }
 

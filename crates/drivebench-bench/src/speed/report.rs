@@ -146,8 +146,7 @@ fn around_reversals(cycles: &[Cycle]) -> impl Iterator<Item = &Cycle> {
     }
     let near = move |cycle: &&Cycle| {
         let next = at_s.partition_point(|at| *at < cycle.time_s - REVERSAL_S);
-        at_s.get(next)
-            .is_some_and(|at| *at <= cycle.time_s + REVERSAL_S)
+        at_s.get(next).is_some_and(|at| *at <= cycle.time_s + REVERSAL_S)
     };
     cycles.iter().filter(near)
 }
@@ -191,11 +190,7 @@ pub(super) fn figures(
     let figure = |step: &ReferenceStep| {
         let until_s = step.until_s - leads_s(step.until_s);
         let cycles = cycles(record, step.at_s - leads_s(step.at_s), until_s)?;
-        let Cycle {
-            time_s: begin_s,
-            speed_rad_s,
-            ..
-        } = *cycles.first()?;
+        let Cycle { time_s: begin_s, speed_rad_s, .. } = *cycles.first()?;
         let trace = cycles.iter().map(|cycle| (cycle.time_s, cycle.speed_rad_s));
         let trace: Vec<(f64, f64)> = trace.collect();
         let early_s = (step.at_s - begin_s).max(0.0);
@@ -250,11 +245,7 @@ mod tests {
 
     #[test]
     fn each_step_has_the_figures_of_its_own_time() {
-        let steps = [
-            (0.0, 1.0, 0.0, 10.0),
-            (1.0, 2.0, 10.0, 20.0),
-            (2.0, 9.0, 20.0, 0.0),
-        ];
+        let steps = [(0.0, 1.0, 0.0, 10.0), (1.0, 2.0, 10.0, 20.0), (2.0, 9.0, 20.0, 0.0)];
         let steps = steps.map(|(at_s, until_s, from_rad_s, to_rad_s)| ReferenceStep {
             at_s,
             until_s,
@@ -309,11 +300,7 @@ mod tests {
             let ramp = |at_s: f64| 10.0 * ((time_s - at_s + 0.02) / 0.04).clamp(0.0, 1.0);
             Cycle {
                 time_s,
-                reference_rad_s: if (1.0..2.0).contains(&time_s) {
-                    10.0
-                } else {
-                    0.0
-                },
+                reference_rad_s: if (1.0..2.0).contains(&time_s) { 10.0 } else { 0.0 },
                 speed_rad_s: ramp(1.0) - ramp(2.0),
                 output: 0.0,
                 limited: false,

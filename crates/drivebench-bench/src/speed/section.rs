@@ -27,13 +27,7 @@ pub enum ControllerKind {
 }
 
 impl ControllerKind {
-    pub const ALL: [Self; 5] = [
-        Self::Pi,
-        Self::Addc,
-        Self::Mrac,
-        Self::PaperB,
-        Self::LoadObserver,
-    ];
+    pub const ALL: [Self; 5] = [Self::Pi, Self::Addc, Self::Mrac, Self::PaperB, Self::LoadObserver];
 
     pub const fn id(self) -> &'static str {
         match self {
@@ -239,17 +233,11 @@ mod tests {
     use crate::testing::{has, near};
 
     fn section(reference: ReferencePart) -> SpeedSection {
-        SpeedSection {
-            reference: vec![reference],
-            ..SpeedSection::default()
-        }
+        SpeedSection { reference: vec![reference], ..SpeedSection::default() }
     }
 
     fn constant(speed_rad_s: f64) -> SpeedSection {
-        section(ReferencePart::Constant {
-            speed_rad_s,
-            seconds: 1.0,
-        })
+        section(ReferencePart::Constant { speed_rad_s, seconds: 1.0 })
     }
 
     fn plate() -> (Nameplate, Limits) {
@@ -272,11 +260,8 @@ mod tests {
     #[test]
     fn a_comparison_follows_the_reference_twice() {
         let (motor, limits) = plate();
-        let mut section = section(ReferencePart::Ramp {
-            from_rad_s: 20.0,
-            to_rad_s: 80.0,
-            seconds: 3.0,
-        });
+        let mut section =
+            section(ReferencePart::Ramp { from_rad_s: 20.0, to_rad_s: 80.0, seconds: 3.0 });
         section.feed_forward = ForwardUse::Compare;
         let reference = section.reference(&limits, Some(&motor)).unwrap();
         near(reference.duration_s(), 8.0, 1e-12);
@@ -293,11 +278,8 @@ mod tests {
     #[test]
     fn a_drive_gets_the_first_command_it_takes() {
         let mut section = constant(10.0);
-        let mut takes = Capabilities {
-            voltage_command: false,
-            current_command: true,
-            speed_command: true,
-        };
+        let mut takes =
+            Capabilities { voltage_command: false, current_command: true, speed_command: true };
         assert_eq!(section.actuator(&takes), Some(Actuator::Current));
         section.actuator = Some(Actuator::Speed);
         assert_eq!(section.actuator(&takes), Some(Actuator::Speed));

@@ -81,10 +81,7 @@ type MemoryLab<F> = Lab<MemoryLink, F>;
 
 /// The embedded bench on its own motor, with faults of the drive and replies spoilt on the way.
 fn lab<F: FnMut(usize, Sample) -> Option<Sample>>(faults: FaultsConfig, spoil: F) -> MemoryLab<F> {
-    let config = EmulatorConfig {
-        faults,
-        ..exact("zk-22fc-plain")
-    };
+    let config = EmulatorConfig { faults, ..exact("zk-22fc-plain") };
     let bench = bench();
     let session = session(&bench, &baseline(&bench));
     Lab::new(session, in_memory(&config, 1), spoil)
@@ -165,10 +162,7 @@ fn a_missing_speed_is_held_and_after_three_the_loop_stops() {
 
 #[test]
 fn a_reversed_encoder_is_stopped_in_the_first_move() {
-    let faults = FaultsConfig {
-        encoder_reversed: true,
-        ..FaultsConfig::default()
-    };
+    let faults = FaultsConfig { encoder_reversed: true, ..FaultsConfig::default() };
     let lab = lab(faults, unspoilt).started(300);
     let (kind, reason) = lab.trip();
     assert_eq!(kind, TripKind::EncoderReversed, "{reason}");
@@ -181,10 +175,8 @@ fn a_reversed_encoder_is_stopped_in_the_first_move() {
 fn a_frozen_encoder_is_stopped_wherever_it_freezes() {
     // At rest; during the start; at 110 rad/s just before the first step down.
     for (from_s, most_cycles) in [(0.0, 20.0), (0.15, 15.0), (1.9, 40.0)] {
-        let faults = FaultsConfig {
-            encoder_frozen_from_s: Some(from_s),
-            ..FaultsConfig::default()
-        };
+        let faults =
+            FaultsConfig { encoder_frozen_from_s: Some(from_s), ..FaultsConfig::default() };
         let lab = lab(faults, unspoilt).started(600);
         let (kind, reason) = lab.trip();
         assert_eq!(kind, TripKind::EncoderFrozen, "{from_s}: {reason}");
@@ -212,11 +204,7 @@ fn a_loop_with_a_broken_signal_stops_and_names_it() {
         (idle, &[CurrentStuck], 235),
         (|sample| scale(sample, 0.3), &[SpeedImplausible], 172),
         // The loop reverses its voltage within a cycle: whether sign or scale is wrong may not be told from so few.
-        (
-            |sample| scale(sample, -1.0),
-            &[EncoderReversed, SpeedImplausible],
-            172,
-        ),
+        (|sample| scale(sample, -1.0), &[EncoderReversed, SpeedImplausible], 172),
         (exchange, &[SignalsSwapped], 172),
     ];
     for (change, kinds, most_cycles) in cases {
@@ -324,10 +312,8 @@ fn gains_by_hand_are_held_within_what_the_delay_leaves() {
     ] {
         let section = bench.speed.as_mut().unwrap();
         section.controller = controller;
-        section.gains = Some(GainsSection {
-            proportional_v_s_per_rad: proportional,
-            integral_time_s: 0.04,
-        });
+        section.gains =
+            Some(GainsSection { proportional_v_s_per_rad: proportional, integral_time_s: 0.04 });
         match expected {
             Some(words) => has(refused(&bench, &model, cycles), words),
             None => assert!(refusal(&bench, &model, cycles).is_none()),
@@ -465,10 +451,7 @@ fn what_the_model_knows_given_forward_lowers_the_tracking_error() {
         assert!(!without.feed_forward && with.feed_forward);
         // The ramp is planned, and known in advance: what is left is noise of 0.15 rad/s and a little more.
         within(with.rms_rad_s, ..0.3);
-        within(
-            with.reversal_rms_rad_s.unwrap(),
-            ..0.5 * without.reversal_rms_rad_s.unwrap(),
-        );
+        within(with.reversal_rms_rad_s.unwrap(), ..0.5 * without.reversal_rms_rad_s.unwrap());
         within(with.peak_rad_s, ..0.6 * without.peak_rad_s);
     }
 }
@@ -485,12 +468,7 @@ fn behind_a_coupling(
     factors: [f64; 4],
     fitted: &[FittedValue],
 ) -> (Vec<String>, Vec<StepFigures>) {
-    let keys = [
-        "frequency_hz",
-        "inertia_ratio",
-        "damping_ratio",
-        "friction_split",
-    ];
+    let keys = ["frequency_hz", "inertia_ratio", "damping_ratio", "friction_split"];
     let truth: Vec<(&str, f64)> = keys.into_iter().zip(COUPLING).collect();
     let mut config = exact("zk-22fc-plain");
     config.noise.speed_rad_s = 0.02;
@@ -525,10 +503,7 @@ fn behind_a_coupling(
     let pilot = SpeedPilot::new(regulator, bench.reference(section).unwrap(), settings);
     let session = Session::with_pilot(Box::new(pilot), Guard::new(limits, &motor, Some(11.4)));
     let clock = VirtualClock::new();
-    let latency = Latency {
-        request_s: 4e-4,
-        reply_s: 4e-4,
-    };
+    let latency = Latency { request_s: 4e-4, reply_s: 4e-4 };
     let link = MemoryLink::new(SoftDrive::new(&config, 1), clock.clone(), latency);
     let lab = Lab::new(session, (link, clock), unspoilt).every(QUICK_S);
     let lab = lab.started(3600);
@@ -542,10 +517,7 @@ fn behind_a_coupling(
 #[test]
 fn behind_a_coupling_a_step_settles_without_ringing() {
     use ControllerKind::{Addc, Pi};
-    let std = |key: &str, std: f64| FittedValue {
-        key: key.to_owned(),
-        std,
-    };
+    let std = |key: &str, std: f64| FittedValue { key: key.to_owned(), std };
     // What a fit of such a coupling leaves open: 1 %, 5 % and 20 %.
     let fitted = [
         std("elastic_coupling.frequency_hz", 0.22),
@@ -644,9 +616,8 @@ fn fare(seed: u64) -> Fate {
         let until_s = begin_s + 2.0 * f64::from(level + 1);
         let last = until_s - 0.4..until_s;
         let rows = end.iter().filter(|row| last.contains(&row.0));
-        let (low, high) = rows.fold((f64::MAX, f64::MIN), |(low, high), row| {
-            (low.min(row.1), high.max(row.1))
-        });
+        let (low, high) =
+            rows.fold((f64::MAX, f64::MIN), |(low, high), row| (low.min(row.1), high.max(row.1)));
         (high - low).max(0.0)
     });
     Fate {
@@ -674,10 +645,7 @@ fn two_hundred_motors_stay_stable_and_within_limits() {
         fates.into_iter().partition(|fate| fate.largest_v > 0.0);
     assert!(started.len() >= 190, "{refused:?}");
     let mut hidden = refused.iter().map(|fate| &fate.hidden);
-    assert!(
-        hidden.all(|hidden| hidden == "current_offset"),
-        "{refused:?}"
-    );
+    assert!(hidden.all(|hidden| hidden == "current_offset"), "{refused:?}");
     for fate in &started {
         assert_eq!(fate.outcome, Some(Outcome::Done), "{fate:?}");
         assert!(fate.swing_rad_s < STILL_RAD_S, "{fate:?}");
@@ -691,11 +659,7 @@ fn a_loop_short_of_its_reference_ends_at_zero() {
     config.hidden =
         vec![HiddenEffect::new("load_step", &[("step_n_m", 3.2), ("time_s", 4.0)]).unwrap()];
     let bench = bench();
-    let lab = Lab::new(
-        session(&bench, &baseline(&bench)),
-        in_memory(&config, 1),
-        unspoilt,
-    );
+    let lab = Lab::new(session(&bench, &baseline(&bench)), in_memory(&config, 1), unspoilt);
     let lab = lab.started(1600);
     let (kind, reason) = lab.trip();
     assert_eq!(kind, TripKind::LoopSaturated, "{reason}");

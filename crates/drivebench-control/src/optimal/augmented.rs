@@ -136,10 +136,7 @@ fn with_load(plant: &LinearPlant, period_s: f64, inertia: f64) -> (Matrix3<f64>,
     joint[(1, 2)] = -1.0 / inertia;
     joint.fixed_view_mut::<2, 1>(0, 3).copy_from(b);
     let grown = (joint * period_s).exp();
-    (
-        grown.fixed_view::<3, 3>(0, 0).into_owned(),
-        grown.fixed_view::<3, 1>(0, 3).into_owned(),
-    )
+    (grown.fixed_view::<3, 3>(0, 0).into_owned(), grown.fixed_view::<3, 1>(0, 3).into_owned())
 }
 
 impl SpeedController for LoadObserving {

@@ -42,10 +42,7 @@ impl PaperBPlant {
 
     /// State `x1 = n(k)`, `x2 = n(k+1) - A u(k)`: `x(k+1) = G x + H u`.
     pub fn state_space(&self) -> (Matrix2<f64>, Vector2<f64>) {
-        (
-            Matrix2::new(0.0, 1.0, -self.d, -self.f),
-            Vector2::new(self.a, self.b - self.a * self.f),
-        )
+        (Matrix2::new(0.0, 1.0, -self.d, -self.f), Vector2::new(self.a, self.b - self.a * self.f))
     }
 }
 
@@ -85,11 +82,7 @@ impl Default for PaperBSettings {
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum PaperBError {
     #[error("{what} = {value} is not allowed (expected {allowed})")]
-    Setting {
-        what: &'static str,
-        value: f64,
-        allowed: &'static str,
-    },
+    Setting { what: &'static str, value: f64, allowed: &'static str },
     #[error("the {0} does not come to rest with these settings")]
     Iteration(&'static str),
     #[error("the closed loop would have a radius of {radius:.4} (allowed: below 1)")]
@@ -164,9 +157,7 @@ impl PaperB {
         };
         let radius = made.closed_radius();
         made.radius = radius;
-        (radius < 1.0)
-            .then_some(made)
-            .ok_or(PaperBError::Unstable { radius })
+        (radius < 1.0).then_some(made).ok_or(PaperBError::Unstable { radius })
     }
 
     /// Largest eigenvalue of the loop closed with its own plant.
@@ -227,11 +218,7 @@ impl PaperB {
             state[6..8].copy_from_slice(&memory.voltages);
             state[8] = memory.filtered;
             // Switched off, the compensation is a constant and no part of the loop.
-            state[9] = if self.gain_3 > 0.0 {
-                memory.compensation
-            } else {
-                0.0
-            };
+            state[9] = if self.gain_3 > 0.0 { memory.compensation } else { 0.0 };
         })
     }
 }
@@ -300,11 +287,7 @@ fn check(settings: &PaperBSettings) -> Result<(), PaperBError> {
         ("compensation", settings.compensation, SHARE),
     ] {
         if !(least..=most).contains(&value) {
-            return Err(PaperBError::Setting {
-                what,
-                value,
-                allowed,
-            });
+            return Err(PaperBError::Setting { what, value, allowed });
         }
     }
     Ok(())

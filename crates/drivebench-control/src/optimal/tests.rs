@@ -55,10 +55,7 @@ fn follow(controller: &mut PaperB, cycles: usize, push: impl Fn(usize) -> f64) -
 #[test]
 fn the_compensation_takes_a_load_that_the_feedback_alone_leaves() {
     let error = |compensation| {
-        let settings = PaperBSettings {
-            compensation,
-            ..PaperBSettings::default()
-        };
+        let settings = PaperBSettings { compensation, ..PaperBSettings::default() };
         let mut controller = PaperB::new(plant(0.001), settings).unwrap();
         let trace = follow(&mut controller, 4000, |k| if k > 2000 { 0.02 } else { 0.0 });
         assert_close(trace[1999], 100.0, 1e-3);
@@ -71,14 +68,8 @@ fn the_compensation_takes_a_load_that_the_feedback_alone_leaves() {
 
 #[test]
 fn settings_that_mean_nothing_are_refused() {
-    let none = PaperBSettings {
-        measurement_noise: 0.0,
-        ..PaperBSettings::default()
-    };
-    assert!(matches!(
-        PaperB::new(plant(0.001), none),
-        Err(PaperBError::Setting { .. })
-    ));
+    let none = PaperBSettings { measurement_noise: 0.0, ..PaperBSettings::default() };
+    assert!(matches!(PaperB::new(plant(0.001), none), Err(PaperBError::Setting { .. })));
 }
 
 #[test]
@@ -91,11 +82,8 @@ fn the_gains_converge_and_say_when() {
 
 #[test]
 fn a_filter_that_does_not_come_to_rest_is_refused() {
-    let settings = PaperBSettings {
-        process_noise: 1e-4,
-        measurement_noise: 1e5,
-        ..PaperBSettings::default()
-    };
+    let settings =
+        PaperBSettings { process_noise: 1e-4, measurement_noise: 1e5, ..PaperBSettings::default() };
     let refused = PaperB::new(plant(0.0005), settings).err();
     assert_eq!(refused, Some(PaperBError::Iteration("filter's gain")));
 }

@@ -24,10 +24,7 @@ impl Looped {
             notch: None,
         };
         let shape = |plant: &LinearPlant| LoopShape::new(plant, timing, &gains);
-        Self {
-            held: shape(plant),
-            let_go: plant.let_go().as_ref().map(shape),
-        }
+        Self { held: shape(plant), let_go: plant.let_go().as_ref().map(shape) }
     }
 
     fn margins(&self, gains: &PiGains) -> Margins {
@@ -50,10 +47,7 @@ impl Loops {
     pub(super) fn new(plant: &LinearPlant, draws: &[LinearPlant], timing: &LoopTiming) -> Self {
         Self {
             own: Looped::new(plant, timing),
-            draws: draws
-                .iter()
-                .map(|plant| Looped::new(plant, timing))
-                .collect(),
+            draws: draws.iter().map(|plant| Looped::new(plant, timing)).collect(),
             order: RefCell::new((0..draws.len()).collect()),
         }
     }

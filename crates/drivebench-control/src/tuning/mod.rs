@@ -51,11 +51,8 @@ pub enum Rule {
 }
 
 impl Rule {
-    pub const ALL: [Self; 3] = [
-        Self::ModulusOptimum,
-        Self::SymmetricalOptimum,
-        Self::PolePlacement,
-    ];
+    pub const ALL: [Self; 3] =
+        [Self::ModulusOptimum, Self::SymmetricalOptimum, Self::PolePlacement];
 
     pub const fn id(self) -> &'static str {
         match self {
@@ -163,20 +160,11 @@ pub enum TuningError {
         "timing: period {period_s} s, delay {delay_s} s, filter {filter_s} s (allowed: a period above 0, the others not negative, a delay of at most {} periods)",
         LoopTiming::MOST_CYCLES
     )]
-    Timing {
-        period_s: f64,
-        delay_s: f64,
-        filter_s: f64,
-    },
+    Timing { period_s: f64, delay_s: f64, filter_s: f64 },
     #[error("{rule} needs a plant that comes to rest at a speed, this one integrates without end")]
     Integrates { rule: &'static str },
     #[error("bandwidth {asked:.4} rad/s ({:.3} Hz) is beyond what a loop of {period_ms:.3} ms with {cycles:.2} cycles of delay can carry (reachable: {reachable:.4} rad/s, {:.3} Hz)", asked / std::f64::consts::TAU, reachable / std::f64::consts::TAU)]
-    Bandwidth {
-        asked: f64,
-        reachable: f64,
-        period_ms: f64,
-        cycles: f64,
-    },
+    Bandwidth { asked: f64, reachable: f64, period_ms: f64, cycles: f64 },
     #[error("bandwidth {0} rad/s is not a positive number")]
     NoBandwidth(f64),
     #[error(
@@ -232,12 +220,7 @@ impl Found {
         let [proportional, integral_time_s, reference_filter_s] = kp_tn_filter;
         Self {
             is_the_rules_own: false,
-            gains: PiGains {
-                proportional,
-                integral_time_s,
-                reference_filter_s,
-                notch: None,
-            },
+            gains: PiGains { proportional, integral_time_s, reference_filter_s, notch: None },
             small_time_s,
             reasons: vec![reason],
         }
@@ -282,13 +265,7 @@ pub fn tune_over(
         });
     }
     let loops = Loops::new(plant, draws, timing);
-    let task = Task {
-        plant,
-        loops: &loops,
-        timing,
-        rule: request.rule,
-        notch: None,
-    };
+    let task = Task { plant, loops: &loops, timing, rule: request.rule, notch: None };
     let found = task.found(request)?;
     let shape = loops.own(&found.gains);
     let margins = loops.margins(&found.gains);
@@ -306,10 +283,7 @@ pub fn tune_over(
     }
     let length_s = PREDICTED_SMALL_TIMES * found.small_time_s + 4.0 * found.gains.integral_time_s;
     let step = shape.step_response(length_s.max(20.0 * timing.period_s));
-    let trace: Vec<(f64, f64)> = step
-        .iter()
-        .map(|point| (point.time_s, point.speed))
-        .collect();
+    let trace: Vec<(f64, f64)> = step.iter().map(|point| (point.time_s, point.speed)).collect();
     let mut reasons = found.reasons;
     if let Some(coupling) = plant.coupling().filter(|_| plant.let_go().is_some()) {
         reasons.push(format!(
@@ -369,10 +343,7 @@ impl Task<'_> {
             NotchUse::Off => by(self),
             NotchUse::Like(notch) => {
                 let like = self.notches().next();
-                let notch = like.map(|own| Notch {
-                    frequency_hz: own.frequency_hz,
-                    ..notch
-                });
+                let notch = like.map(|own| Notch { frequency_hz: own.frequency_hz, ..notch });
                 by(&Self { notch, ..*self })
             }
             NotchUse::Auto => match by(self) {
@@ -389,11 +360,7 @@ impl Task<'_> {
         let reached = frequency_hz.filter(|hertz| Notch::reaches(*hertz, self.timing.period_s));
         reached.into_iter().flat_map(|frequency_hz| {
             NOTCH_DAMPINGS.into_iter().flat_map(move |damping_ratio| {
-                NOTCH_DEPTHS.map(|depth| Notch {
-                    frequency_hz,
-                    damping_ratio,
-                    depth,
-                })
+                NOTCH_DEPTHS.map(|depth| Notch { frequency_hz, damping_ratio, depth })
             })
         })
     }
@@ -427,17 +394,11 @@ impl Task<'_> {
         let mut best: Option<(f64, Notch, Found)> = None;
         let mut refused = without;
         for notch in self.notches() {
-            let with = Self {
-                notch: Some(notch),
-                ..*self
-            };
+            let with = Self { notch: Some(notch), ..*self };
             match by(&with) {
                 Ok(found) if self.holds(&found) => {
                     let reached_hz = hertz(&found);
-                    if best
-                        .as_ref()
-                        .is_none_or(|(most_hz, ..)| reached_hz > *most_hz)
-                    {
+                    if best.as_ref().is_none_or(|(most_hz, ..)| reached_hz > *most_hz) {
                         best = Some((reached_hz, notch, found));
                     }
                 }
@@ -578,11 +539,7 @@ impl Task<'_> {
             "{rule}: Tn = {large_s:.4} s cancels the large time constant, Kp = Tn / (2 K Ts) = {proportional:.4} with the small one Ts = {:.2} ms",
             1e3 * small_time_s
         );
-        Ok(Found::new(
-            [proportional, large_s, 0.0],
-            small_time_s,
-            reason,
-        ))
+        Ok(Found::new([proportional, large_s, 0.0], small_time_s, reason))
     }
 
     /// The plant's own poles swing: nothing can be cancelled by a real zero. The same condition, gain one up to the fourth
@@ -613,18 +570,10 @@ impl Task<'_> {
     fn pole_placement(&self, slower: f64) -> Found {
         // The slow part as one time constant (none: an integrator), whatever is quicker as the small one.
         let (rate, decay, small_s) = if let Some(dominant) = self.plant.dominant() {
-            (
-                dominant.rate,
-                dominant.large_s.map_or(0.0, |large_s| 1.0 / large_s),
-                dominant.small_s,
-            )
+            (dominant.rate, dominant.large_s.map_or(0.0, |large_s| 1.0 / large_s), dominant.small_s)
         } else {
             let (sum, product) = self.plant.denominator().unwrap_or((1.0, 1.0));
-            (
-                self.plant.gain().unwrap_or(1.0) / sum,
-                1.0 / sum,
-                product / sum,
-            )
+            (self.plant.gain().unwrap_or(1.0) / sum, 1.0 / sum, product / sum)
         };
         let small_time_s = slower * (small_s + self.late_s());
         let natural = FREQUENCY_TIMES_SMALL / small_time_s;
@@ -646,9 +595,7 @@ impl Task<'_> {
     fn symmetrical_optimum(&self, slower: f64) -> Result<Found, TuningError> {
         let integrating = self.plant.dominant().filter(|dominant| {
             let integral_time_s = A * A * (dominant.small_s + self.late_s());
-            dominant
-                .large_s
-                .is_none_or(|large_s| large_s > integral_time_s)
+            dominant.large_s.is_none_or(|large_s| large_s > integral_time_s)
         });
         let Some(dominant) = integrating else {
             let mut found = self.modulus_optimum(slower)?;

@@ -9,10 +9,7 @@ fn plant(mechanical_s: f64) -> LinearPlant {
 }
 
 fn request(rule: Rule) -> Request {
-    Request {
-        rule,
-        ..Request::default()
-    }
+    Request { rule, ..Request::default() }
 }
 
 #[test]
@@ -25,10 +22,7 @@ fn the_modulus_optimum_is_the_textbooks() {
     assert_close(tuning.gains.proportional, expected, 1e-9);
     // 4.3 % of a second-order loop; the dead time is a lag only to first order.
     let (response, margins) = (&tuning.response, &tuning.margins);
-    assert!(
-        (2.0..8.0).contains(&response.overshoot_percent),
-        "{response:?}"
-    );
+    assert!((2.0..8.0).contains(&response.overshoot_percent), "{response:?}");
     assert!(margins.phase_margin_deg > 55.0, "{margins:?}");
 }
 
@@ -57,11 +51,7 @@ fn a_cycle_of_delay_that_is_left_out_costs_what_the_issue_says() {
     let blind = tune(&plant(0.2), &timing(0.0), &request(Rule::ModulusOptimum)).unwrap();
     let overshoot = |cycles| {
         let shape = LoopShape::new(&plant(0.2), &timing(cycles), &blind.gains);
-        let trace: Vec<_> = shape
-            .step_response(4.0)
-            .iter()
-            .map(|p| (p.time_s, p.speed))
-            .collect();
+        let trace: Vec<_> = shape.step_response(4.0).iter().map(|p| (p.time_s, p.speed)).collect();
         response(&trace, 0.0, 1.0).overshoot_percent
     };
     let (none, two) = (overshoot(0.0), overshoot(2.0));
@@ -101,21 +91,14 @@ fn a_drive_that_takes_current_gets_a_rule_for_integrators() {
 
 #[test]
 fn a_timing_that_is_none_is_refused() {
-    let nonsense = LoopTiming {
-        period_s: f64::NAN,
-        ..timing(0.0)
-    };
+    let nonsense = LoopTiming { period_s: f64::NAN, ..timing(0.0) };
     let error = tune(&plant(0.2), &nonsense, &Request::default()).unwrap_err();
     assert!(matches!(error, TuningError::Timing { .. }));
 }
 
 /// A loop of 500 Hz.
 fn quick(cycles: f64) -> LoopTiming {
-    LoopTiming {
-        period_s: 0.002,
-        delay_s: 0.002 * cycles,
-        filter_s: 0.0,
-    }
+    LoopTiming { period_s: 0.002, delay_s: 0.002 * cycles, filter_s: 0.0 }
 }
 
 /// The paper's motor behind a current command, with half of its inertia behind a coupling of 22 Hz.
@@ -132,10 +115,7 @@ fn a_notch_is_taken_where_it_keeps_bandwidth_and_says_how_much() {
     for (damping_ratio, cycles) in [(0.02, 1.0), (0.02, 2.0), (0.005, 2.0)] {
         let plant = elastic_over_current(damping_ratio);
         let with = request(Rule::SymmetricalOptimum);
-        let without = Request {
-            notch: NotchUse::Off,
-            ..with
-        };
+        let without = Request { notch: NotchUse::Off, ..with };
         let [with, without] =
             [with, without].map(|request| tune(&plant, &quick(cycles), &request).unwrap());
         println!(
@@ -150,11 +130,7 @@ fn a_notch_is_taken_where_it_keeps_bandwidth_and_says_how_much() {
             hertz(&with),
             hertz(&without)
         );
-        assert!(
-            with.reasons.iter().any(|reason| reason.contains(&said)),
-            "{:?}",
-            with.reasons
-        );
+        assert!(with.reasons.iter().any(|reason| reason.contains(&said)), "{:?}", with.reasons);
         assert!(without.gains.notch.is_none());
         for tuning in [&with, &without] {
             assert!(is_safe(&tuning.margins), "{:?}", tuning.margins);
@@ -188,10 +164,7 @@ fn the_worst_draw_holds_where_the_mean_alone_would_not() {
     let mut tuning = tune_over(&elastic_over_current(0.02), &draws, &quick(2.0), &rule).unwrap();
     let drawn = tuning.draws.clone().unwrap();
     assert_eq!((drawn.count, drawn.hardest.len()), (40, 8));
-    assert!(
-        is_safe(&drawn.worst) && drawn.stable_share > 0.999,
-        "{drawn:?}"
-    );
+    assert!(is_safe(&drawn.worst) && drawn.stable_share > 0.999, "{drawn:?}");
     assert!(drawn.worst.gain_margin < tuning.margins.gain_margin);
     for plant in &draws {
         let margins = LoopShape::new(plant, &quick(2.0), &tuning.gains).margins();
@@ -203,27 +176,15 @@ fn the_worst_draw_holds_where_the_mean_alone_would_not() {
         let (low, high) = (point.low.unwrap(), point.high.unwrap());
         assert!(low <= high && low < point.speed + 0.05 && high > point.speed - 0.05);
     }
-    assert!(
-        tuning
-            .step
-            .iter()
-            .any(|point| point.high.unwrap() > point.low.unwrap() + 0.1)
-    );
+    assert!(tuning.step.iter().any(|point| point.high.unwrap() > point.low.unwrap() + 0.1));
 }
 
 #[test]
 fn what_no_gains_hold_for_all_draws_is_refused_with_their_number() {
     let draws = [0.001, 1.0, 1000.0].map(|ratio| plant(0.2).with_inertia_ratio(ratio));
     let error = tune_over(&plant(0.2), &draws, &timing(1.0), &Request::default()).unwrap_err();
-    assert!(
-        matches!(error, TuningError::Margins { draws: 3, .. }),
-        "{error:?}"
-    );
-    assert!(
-        error
-            .to_string()
-            .contains("in the worst of 3 draws of the parameters (needed")
-    );
+    assert!(matches!(error, TuningError::Margins { draws: 3, .. }), "{error:?}");
+    assert!(error.to_string().contains("in the worst of 3 draws of the parameters (needed"));
 }
 
 #[test]
@@ -254,10 +215,7 @@ fn a_model_with_the_errors_of_a_fit_gives_nearly_the_bandwidth_of_full_knowledge
             for (value, error) in values.iter_mut().zip(errors) {
                 *value = value.map(|value| value * (1.0 + sign * error));
             }
-            let std = |key: &str, std: f64| FittedValue {
-                key: key.to_owned(),
-                std,
-            };
+            let std = |key: &str, std: f64| FittedValue { key: key.to_owned(), std };
             let fitted = [
                 std("elastic_coupling.frequency_hz", 0.22),
                 std("elastic_coupling.inertia_ratio", 0.025),
@@ -276,10 +234,7 @@ fn a_model_with_the_errors_of_a_fit_gives_nearly_the_bandwidth_of_full_knowledge
                 known.gains, found.gains
             );
             assert!(is_safe(&there), "{there:?}");
-            assert!(
-                (reached / full - 1.0).abs() < 0.2,
-                "{cycles} {sign}: {reached} {full}"
-            );
+            assert!((reached / full - 1.0).abs() < 0.2, "{cycles} {sign}: {reached} {full}");
         }
     }
 }

@@ -204,13 +204,7 @@ impl Inference {
     /// The model with these effects alone, where a fit begins: those of the best set as they are there, the others in their
     /// likeliest form.
     pub(crate) fn with_effects(&self, ids: &[&'static str]) -> Option<Model> {
-        let SearchResult {
-            hypothesis,
-            reduced,
-            posterior,
-            happened,
-            ..
-        } = &self.found;
+        let SearchResult { hypothesis, reduced, posterior, happened, .. } = &self.found;
         let linear = &reduced.linear;
         let mut missing: Vec<&str> = ids.to_vec();
         let candidates = linear.candidates.iter().zip(&posterior.forms);
@@ -451,10 +445,7 @@ mod tests {
 
     #[test]
     fn a_curve_without_a_share_of_the_error_is_no_part_of_it() {
-        let candidate = |id| Candidate {
-            id,
-            ..Candidate::default()
-        };
+        let candidate = |id| Candidate { id, ..Candidate::default() };
         let candidates = ["voltage over current", "torque over speed"].map(candidate);
         let parts = unknown_parts(&candidates, &[1.0, 1.0], &[0.0, 0.4]);
         let equations: Vec<&str> = parts.iter().map(|part| part.equation).collect();

@@ -44,11 +44,7 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
         } else {
             spec.scale
         };
-        let (present, share) = if is_size {
-            (values[index] / unit, 0.02)
-        } else {
-            (0.0, 0.01)
-        };
+        let (present, share) = if is_size { (values[index] / unit, 0.02) } else { (0.0, 0.01) };
         let step = share * unit;
         form.variant.positive |= is_size && (spec.min >= 0.0 || effect.card().takes_power);
         let change = (step, step / unit);
@@ -200,17 +196,8 @@ pub(super) fn linearise(
     let (mut next_in, mut next_out) = (always.len(), 0);
     for part in &mut parts {
         let in_model = part.candidate.in_model;
-        let next = if in_model {
-            &mut next_in
-        } else {
-            &mut next_out
-        };
-        for column in part
-            .candidate
-            .variants
-            .iter_mut()
-            .flat_map(|own| &mut own.columns)
-        {
+        let next = if in_model { &mut next_in } else { &mut next_out };
+        for column in part.candidate.variants.iter_mut().flat_map(|own| &mut own.columns) {
             column.at = order.len();
             order.push((in_model, *next));
             *next += 1;
@@ -311,15 +298,7 @@ fn assemble(
     let shift = &gram * &present;
     squares += 2.0 * right.dot(&present) + present.dot(&shift);
     right += shift;
-    Linear {
-        nuisances,
-        candidates,
-        gram,
-        right,
-        squares,
-        columns,
-        present,
-    }
+    Linear { nuisances, candidates, gram, right, squares, columns, present }
 }
 
 /// Candidates that exclude each other: alternatives of one family, and under a voltage an unknown curve and an effect over the

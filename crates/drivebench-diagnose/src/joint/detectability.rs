@@ -95,11 +95,7 @@ pub(super) fn detectable(reduced: &Reduced, with: &Set, k: usize, sd: f64) -> Op
     }
     for _ in 0..12 {
         let middle = 0.5 * (low + high);
-        *(if is_named(middle) {
-            &mut high
-        } else {
-            &mut low
-        }) = middle;
+        *(if is_named(middle) { &mut high } else { &mut low }) = middle;
     }
     Some(high)
 }
@@ -150,9 +146,7 @@ pub(super) fn moments(
     let others = reduced.columns(&reduced.cleared(best, k));
     let alone = candidate.variants.iter();
     let alone = alone.filter(|variant| variant.columns.len() == 1);
-    alone
-        .map(|variant| reduced.information(&others, variant, variant.columns[0].unit))
-        .collect()
+    alone.map(|variant| reduced.information(&others, variant, variant.columns[0].unit)).collect()
 }
 
 /// Size that an event is below with 95 %, whenever it happened: a moment counts by its evidence, and where it has no
@@ -178,16 +172,10 @@ pub(super) fn whenever(moments: &[ColumnInformation]) -> f64 {
     };
     // Bisection from four standard deviations down.
     let mut low = 0.0;
-    let mut high = sizes
-        .iter()
-        .fold(0.0, |high, (_, mean, sd)| f64::max(high, mean + 4.0 * sd));
+    let mut high = sizes.iter().fold(0.0, |high, (_, mean, sd)| f64::max(high, mean + 4.0 * sd));
     for _ in 0..40 {
         let middle = 0.5 * (low + high);
-        *(if beyond(middle) > 1.0 - 0.95 {
-            &mut low
-        } else {
-            &mut high
-        }) = middle;
+        *(if beyond(middle) > 1.0 - 0.95 { &mut low } else { &mut high }) = middle;
     }
     high
 }
@@ -238,12 +226,7 @@ mod tests {
         let sharp = BOUND_SIGMAS * 2.0 / 20.0;
         let (open, there) = (moment(1.0, 0.0), moment(400.0, 200.0));
         for (name, count, other, expected) in [
-            (
-                "equal",
-                10,
-                moment(400.0, 0.0),
-                0.999 * sharp..1.001 * sharp,
-            ),
+            ("equal", 10, moment(400.0, 0.0), 0.999 * sharp..1.001 * sharp),
             // A quarter leaves it open: it may be nearly as large as is plausible at all.
             ("open", 10, open, 2.0..f64::INFINITY),
             // One in which it is there counts, and the others hardly do.

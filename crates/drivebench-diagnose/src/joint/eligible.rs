@@ -36,10 +36,7 @@ pub(crate) fn why_not(effect: &dyn Effect, scenario: &Scenario) -> Option<&'stat
     if why_not.is_some() {
         return why_not;
     }
-    let at_last = Instant {
-        time_s: f64::MAX,
-        ..Instant::default()
-    };
+    let at_last = Instant { time_s: f64::MAX, ..Instant::default() };
     if terms.inertia_gain(&at_last) != 0.0 {
         return Some(
             "a change of the inertia is no term of the torque balance: record the voltage too",
@@ -77,12 +74,8 @@ pub(crate) fn why_not(effect: &dyn Effect, scenario: &Scenario) -> Option<&'stat
 
 /// Whether the effect is friction that grows with the driving torque.
 fn is_friction_of_drive(effect: &dyn Effect, terms: &dyn Terms) -> bool {
-    let at = Instant {
-        current_a: 1.0,
-        speed_rad_s: 1.0,
-        torque_n_m_per_a: 1.0,
-        ..Instant::default()
-    };
+    let at =
+        Instant { current_a: 1.0, speed_rad_s: 1.0, torque_n_m_per_a: 1.0, ..Instant::default() };
     depends_on_drive(effect) && terms.friction_n_m(&at) != 0.0
 }
 
@@ -139,9 +132,7 @@ fn resolves(scenario: &Scenario, periods_per_turn: f64) -> bool {
     // What the noise of a resting shaft adds up to is no motion: less than 0.02 of the longest step.
     let moves = 0.02 * steps.iter().fold(0.0, |most, step| f64::max(most, *step));
     steps.retain(|step| *step > moves);
-    let close = steps
-        .iter()
-        .filter(|step| **step * periods_per_turn < 0.25 * TAU);
+    let close = steps.iter().filter(|step| **step * periods_per_turn < 0.25 * TAU);
     close.count() as f64 >= 0.1 * steps.len() as f64
 }
 

@@ -29,13 +29,8 @@ const AROUND: i32 = 8;
 const SLOWER: [f64; 3] = [0.5, -1.0, 0.5];
 /// Other forms of an onset: weights and the time before and behind the moment, s. Later or earlier and slower or faster, since its
 /// rate is not known; and built up slowly, since that would pass for a friction beside it.
-const ONSETS: [([f64; 3], f64); 5] = [
-    ([0.5, 0.0, -0.5], 0.01),
-    (SLOWER, 0.01),
-    (SLOWER, 0.1),
-    (SLOWER, 0.4),
-    (SLOWER, 1.6),
-];
+const ONSETS: [([f64; 3], f64); 5] =
+    [([0.5, 0.0, -0.5], 0.01), (SLOWER, 0.01), (SLOWER, 0.1), (SLOWER, 0.4), (SLOWER, 1.6)];
 
 /// An event of one run.
 #[derive(Clone)]
@@ -82,9 +77,7 @@ impl Event {
         let parts = [-around_s, 0.0, around_s].into_iter().zip(weights);
         let terms_at = |after_s| self.terms_at(self.time_s() + after_s);
         Tangent::Event {
-            parts: parts
-                .map(|(after_s, weight)| (weight, terms_at(after_s)))
-                .collect(),
+            parts: parts.map(|(after_s, weight)| (weight, terms_at(after_s))).collect(),
             begins_s: self.time_s() - around_s - LEAD_S,
         }
     }
@@ -99,10 +92,7 @@ impl Event {
     fn tangent(&self, slab: f64, time_s: f64) -> Tangent {
         let mut there = self.clone();
         there.values[self.effect.size_index()] = slab;
-        Tangent::Event {
-            parts: vec![(1.0, there.terms_at(time_s))],
-            begins_s: time_s - LEAD_S,
-        }
+        Tangent::Event { parts: vec![(1.0, there.terms_at(time_s))], begins_s: time_s - LEAD_S }
     }
 }
 
@@ -131,10 +121,7 @@ impl Hypothesis {
 
     /// A model of one run, with its events.
     pub(super) fn whole(model: &Model) -> Self {
-        Self {
-            model: model.clone(),
-            events: vec![],
-        }
+        Self { model: model.clone(), events: vec![] }
     }
 
     pub(super) fn events_of(&self, run: usize) -> Vec<ActiveEffect> {
@@ -179,11 +166,7 @@ impl Hypothesis {
 
 /// Parts of a run at whose ends an effect is looked for. Steps of the load stand for a disturbance, too.
 fn parts_of_run(effect: &dyn Effect) -> usize {
-    if effect.card().is_disturbance_step {
-        96
-    } else {
-        48
-    }
+    if effect.card().is_disturbance_step { 96 } else { 48 }
 }
 
 fn spacing_s(run: &LinearisedRun<'_>, effect: &dyn Effect) -> f64 {
@@ -237,10 +220,7 @@ pub(super) fn parts(
         for event in &own {
             add(&mut form, event, event.values[size]);
         }
-        for (event, onset) in own
-            .iter()
-            .flat_map(|event| ONSETS.map(|onset| (event, onset)))
-        {
+        for (event, onset) in own.iter().flat_map(|event| ONSETS.map(|onset| (event, onset))) {
             form.column(Source::In(event.run, event.onset(onset)), Column::default());
         }
         part.push(form);
@@ -262,11 +242,7 @@ pub(super) fn parts(
         let others = hypothesis.events.iter();
         let others = others.filter(|event| event.run == number && event.id() != id);
         for (time_s, is_rival) in grid.chain(others.map(|event| (event.time_s(), true))) {
-            let mut event = Event {
-                run: number,
-                effect,
-                values: guess.clone(),
-            };
+            let mut event = Event { run: number, effect, values: guess.clone() };
             event.put_at(time_s);
             event.values[size] = slab(number);
             let mut form = Form::new(event.values.clone(), log_share);
@@ -454,10 +430,7 @@ impl Search<'_> {
         let interval_s = likely.fold([best_s - half_s, best_s + half_s], |[low, high], own| {
             [low.min(own.0), high.max(own.0)]
         });
-        Moment {
-            time_s: best_s,
-            interval_s,
-        }
+        Moment { time_s: best_s, interval_s }
     }
 }
 
@@ -502,8 +475,5 @@ pub(super) fn placed(
         };
         Some(search.nearest(excess))
     };
-    place().unwrap_or(Moment {
-        time_s: event.time_s(),
-        interval_s: [event.time_s(); 2],
-    })
+    place().unwrap_or(Moment { time_s: event.time_s(), interval_s: [event.time_s(); 2] })
 }

@@ -24,11 +24,7 @@ pub struct InformationBasis {
 
 impl InformationBasis {
     pub(crate) const fn new(noise: Noise, excess: f64, start: State) -> Self {
-        Self {
-            noise,
-            excess,
-            start,
-        }
+        Self { noise, excess, start }
     }
 }
 

@@ -16,11 +16,7 @@ pub(super) fn disturbance_error(run: &LinearisedRun<'_>) -> [f64; 2] {
 
 /// The same of the unknown voltage in the holes of its record.
 pub(super) fn unobserved(run: &LinearisedRun<'_>) -> [f64; 2] {
-    let calm = Noise {
-        disturbance_n_m: 0.0,
-        input: 0.0,
-        ..run.noise
-    };
+    let calm = Noise { disturbance_n_m: 0.0, input: 0.0, ..run.noise };
     carried(run, &calm, |passage| passage.unobserved)
 }
 
@@ -50,11 +46,7 @@ fn carried(
             form: [0.0; 3],
             fresh,
             unobserved: fresh,
-            together: if passage.begins_again {
-                0.0
-            } else {
-                covariance
-            },
+            together: if passage.begins_again { 0.0 } else { covariance },
             ..*passage
         };
         if passage.begins_again {

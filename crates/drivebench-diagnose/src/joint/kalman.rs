@@ -186,10 +186,7 @@ fn measured(scenario: &Scenario, noise: &Noise, sample: usize) -> [Option<f64>; 
     };
     let by_voltage = scenario.input == Input::Voltage;
     let current = by_voltage.then(|| value(&scenario.current_a, noise.current_a));
-    [
-        current.flatten(),
-        value(&scenario.speed_rad_s, noise.speed_rad_s),
-    ]
+    [current.flatten(), value(&scenario.speed_rad_s, noise.speed_rad_s)]
 }
 
 /// Variance of the speed that a break-away or a change of sign adds: a deviation of 0.0017 of the largest speed.
@@ -251,11 +248,7 @@ impl<'a> Filter<'a> {
         let by_voltage = scenario.input == Input::Voltage;
         let longest = |times: Vec<f64>| {
             let gaps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
-            let periods = if by_voltage {
-                f64::INFINITY
-            } else {
-                LONGEST_HOLD_PERIODS
-            };
+            let periods = if by_voltage { f64::INFINITY } else { LONGEST_HOLD_PERIODS };
             periods * median(&gaps)
         };
         let slow_rad_s = REVERSAL_SHARE * largest(&scenario.speed_rad_s);
@@ -388,14 +381,10 @@ impl<'a> Filter<'a> {
         let acceleration = (state.speed_rad_s - self.last_speed) / interval_s;
         let acceleration = if passes { acceleration } else { 0.0 };
         let input = self.scenario.events[self.event].1;
-        let at = self
-            .forms
-            .instant(time_s - self.scenario.begin_s(), input, state);
+        let at = self.forms.instant(time_s - self.scenario.begin_s(), input, state);
         let inductance = self.dynamics.inverse_inductance;
         let load_n_m = self.load_n_m;
-        let (squares, rates) = self
-            .forms
-            .at(&at, state, acceleration, load_n_m, inductance);
+        let (squares, rates) = self.forms.at(&at, state, acceleration, load_n_m, inductance);
         let end_s = self.hole_ends_s.get(self.holes_passed);
         let begins_again = end_s.is_some_and(|to_s| *to_s <= time_s);
         self.holes_passed += usize::from(begins_again);
@@ -416,11 +405,7 @@ impl<'a> Filter<'a> {
         let mut form = squares.map(|square| FORM_SHARE * FORM_SHARE * square);
         form[2] = self.ringing(squares[2], interval_s);
         let passage = Passage {
-            propagator: if begins_again {
-                Propagator::default()
-            } else {
-                propagator
-            },
+            propagator: if begins_again { Propagator::default() } else { propagator },
             fresh,
             begins_again,
             unobserved,
@@ -495,14 +480,8 @@ pub(super) fn lead(
     let mut filter = Filter::new(model, scenario, start, noise)?;
     let mut plant = Plant::new(model, scenario.input).ok()?;
     let n = scenario.samples();
-    let mut follower = Follower {
-        late_s: filter.late_s,
-        ..Follower::default()
-    };
-    let mut out = Followed {
-        vague: vec![[0.0; 2]; n],
-        ..Followed::default()
-    };
+    let mut follower = Follower { late_s: filter.late_s, ..Follower::default() };
+    let mut out = Followed { vague: vec![[0.0; 2]; n], ..Followed::default() };
     let mut trajectory = Trajectory::default();
     let mut step = |sample: usize, reading: [f64; 2], state: &State| {
         let (passage, forget, rates) = filter.approach(sample, state);
@@ -539,12 +518,7 @@ pub(super) fn lead(
 const FOLLOWED_COST: u64 = 6;
 
 const fn correction(change: [f64; 4], load_n_m: f64, voltage_v: f64) -> Correction {
-    Correction {
-        current_a: change[0],
-        speed_rad_s: change[1],
-        load_n_m,
-        voltage_v,
-    }
+    Correction { current_a: change[0], speed_rad_s: change[1], load_n_m, voltage_v }
 }
 
 /// Whitened innovations of another model with the gains of `follower`, and the sub-steps that it cost.
@@ -655,11 +629,7 @@ pub(super) const QUIET: Noise = Noise {
 
 /// The same beside a disturbance of the load and an error of the voltage.
 #[cfg(test)]
-pub(super) const DISTURBED: Noise = Noise {
-    disturbance_n_m: 0.01,
-    input: 0.05,
-    ..QUIET
-};
+pub(super) const DISTURBED: Noise = Noise { disturbance_n_m: 0.01, input: 0.05, ..QUIET };
 
 /// A hole of one lost row under 20 V, of unknown voltage.
 #[cfg(test)]
@@ -697,10 +667,7 @@ mod tests {
                 let rho = pairs.map(|(a, b)| a * b).sum::<f64>() / n;
                 // Four standard deviations of 4,000 numbers.
                 let [expected, most] = if lag == 0 { [1.0, 2.0] } else { [0.0, 1.0] };
-                assert!(
-                    (rho - expected).abs() < 4.0 * f64::sqrt(most / n),
-                    "lag {lag}: {rho}"
-                );
+                assert!((rho - expected).abs() < 4.0 * f64::sqrt(most / n), "lag {lag}: {rho}");
             }
         }
         // The same model with its own gains.

@@ -75,11 +75,7 @@ pub(super) fn unknown_shares(
             floor += run.follower.rows as f64;
         }
         let taken = (before - after) / (before - floor);
-        if before > floor {
-            taken.clamp(0.0, 1.0)
-        } else {
-            0.0
-        }
+        if before > floor { taken.clamp(0.0, 1.0) } else { 0.0 }
     };
     let candidates = linear.candidates.iter().zip(set).enumerate();
     let shares = candidates.map(|(k, (candidate, chosen))| match chosen {

@@ -134,13 +134,7 @@ fn averaged(
             }
         }
     }
-    Averaged {
-        passages,
-        counts,
-        vague,
-        values,
-        width,
-    }
+    Averaged { passages, counts, vague, values, width }
 }
 
 /// The passage over all samples of a block of this size, and whether the speed becomes uncertain within.
@@ -149,10 +143,7 @@ fn passage_of(
     samples: std::ops::Range<usize>,
     size: usize,
 ) -> (Passage, bool) {
-    let mut block = Passage {
-        kept: 1.0,
-        ..Passage::default()
-    };
+    let mut block = Passage { kept: 1.0, ..Passage::default() };
     let mut jumps = false;
     for sample in samples {
         let passage = &run.follower.passages[sample];
@@ -171,9 +162,7 @@ fn passage_of(
             block.unobserved[signal] += passage.unobserved[signal];
         }
         block.interval_s += passage.interval_s;
-        let last = sample
-            .checked_sub(1)
-            .map(|last| run.followed.direction[last]);
+        let last = sample.checked_sub(1).map(|last| run.followed.direction[last]);
         let turns = last.is_some_and(|last| passage.direction * last <= 0.0);
         jumps |= turns && passage.direction != 0.0;
         block.direction = passage.direction;
@@ -259,15 +248,11 @@ pub(super) fn likeliest(
         .collect();
     let k = columns.len();
     let log_likelihood = |noise: &Noise| -> f64 {
-        let parts: Vec<(DMatrix<f64>, f64)> = runs
-            .par_iter()
-            .zip(&data)
-            .map(|(run, data)| data.filter(run, noise))
-            .collect();
+        let parts: Vec<(DMatrix<f64>, f64)> =
+            runs.par_iter().zip(&data).map(|(run, data)| data.filter(run, noise)).collect();
         let zero = (DMatrix::zeros(data[0].width, data[0].width), 0.0);
-        let (sums, log) = parts
-            .into_iter()
-            .fold(zero, |sum, part| (sum.0 + part.0, sum.1 + part.1));
+        let (sums, log) =
+            parts.into_iter().fold(zero, |sum, part| (sum.0 + part.0, sum.1 + part.1));
         let mut a = sums.view((0, 0), (k, k)).into_owned();
         let mut b = sums.view((0, k), (k, 1)).column(0).into_owned();
         for (d, column) in columns.iter().enumerate() {
@@ -299,22 +284,12 @@ pub(super) fn likeliest(
 fn where_significant(found: Noise, start: Noise, log_likelihood: impl Fn(&Noise) -> f64) -> Noise {
     let best = log_likelihood(&found);
     let unless_as_likely = |now: Noise, same: Noise| {
-        if log_likelihood(&same) >= best - 0.5 {
-            same
-        } else {
-            now
-        }
+        if log_likelihood(&same) >= best - 0.5 { same } else { now }
     };
     let mut now = found;
     if found.disturbance_n_m > start.disturbance_n_m {
         let disturbance_n_m = start.disturbance_n_m;
-        now = unless_as_likely(
-            now,
-            Noise {
-                disturbance_n_m,
-                ..now
-            },
-        );
+        now = unless_as_likely(now, Noise { disturbance_n_m, ..now });
     }
     let input = start.input;
     unless_as_likely(now, Noise { input, ..now })
@@ -345,13 +320,8 @@ enum Unknown {
     Speed,
 }
 
-const UNKNOWNS: [Unknown; 5] = [
-    Unknown::Disturbance,
-    Unknown::Input,
-    Unknown::Correlation,
-    Unknown::Current,
-    Unknown::Speed,
-];
+const UNKNOWNS: [Unknown; 5] =
+    [Unknown::Disturbance, Unknown::Input, Unknown::Correlation, Unknown::Current, Unknown::Speed];
 
 impl Unknown {
     fn of(self, noise: &mut Noise) -> &mut f64 {
@@ -474,10 +444,7 @@ mod tests {
 
     #[test]
     fn the_search_follows_the_ridge_of_a_spectrum() {
-        let floor = Noise {
-            input: 0.0,
-            ..DISTURBED
-        };
+        let floor = Noise { input: 0.0, ..DISTURBED };
         let likelihood = |noise: &Noise| {
             let corner = (noise.correlation_s / 0.05).ln();
             let above = (noise.disturbance_n_m.powi(2) / noise.correlation_s / 6e-3).ln();
@@ -490,10 +457,7 @@ mod tests {
 
     #[test]
     fn the_search_reaches_the_maximum_in_few_runs_of_the_filter() {
-        let floor = Noise {
-            input: 0.01,
-            ..DISTURBED
-        };
+        let floor = Noise { input: 0.01, ..DISTURBED };
         let count = Cell::new(0);
         let likelihood = |noise: &Noise| {
             count.set(count.get() + 1);
@@ -516,11 +480,7 @@ mod tests {
     #[test]
     fn more_disturbance_and_another_input_need_a_gain() {
         let (start, more, less) = ([2e-5, 0.01], 4e-5, 1e-5);
-        let noise = |disturbance_n_m, input| Noise {
-            disturbance_n_m,
-            input,
-            ..QUIET
-        };
+        let noise = |disturbance_n_m, input| Noise { disturbance_n_m, input, ..QUIET };
         // Nats lost by another disturbance, and by another input, than the one that was found.
         for (disturbance_n_m, loses, expected) in [
             (more, [0.1, 0.1], start),

@@ -81,11 +81,7 @@ pub(super) fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Sourc
 fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
     let by_voltage = scenario.input == Input::Voltage;
     let along = by_voltage && are_tangents(model, scenario);
-    let late = [
-        TermKind::LateCommand,
-        TermKind::LateCurrent,
-        TermKind::LateSpeed,
-    ];
+    let late = [TermKind::LateCommand, TermKind::LateCurrent, TermKind::LateSpeed];
     let count = if by_voltage { late.len() } else { 1 };
     let period_s = scenario.mean_period_s();
     let half_width_s = scenario.typical_half_width_s();
@@ -93,11 +89,7 @@ fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
     let of_commands_s = scenario.input_delay_s().map(|(_, deviation)| deviation);
     late.into_iter().take(count).map(move |kind| {
         let is_command = kind == TermKind::LateCommand;
-        let known_s = if is_command {
-            of_commands_s
-        } else {
-            of_samples_s
-        };
+        let known_s = if is_command { of_commands_s } else { of_samples_s };
         let least_periods = match known_s {
             // Where in its period a torque stands is not known.
             _ if !by_voltage => 1.0,
@@ -115,11 +107,7 @@ fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
         }
         let effect = kind.effect();
         let mut moved = model.clone();
-        match moved
-            .effects
-            .iter_mut()
-            .find(|active| active.id() == kind.id())
-        {
+        match moved.effects.iter_mut().find(|active| active.id() == kind.id()) {
             Some(active) => active.values = vec![Some(active.values_or_guess()[0] + error_s)],
             None => moved.effects.push(ActiveEffect::with(effect, &[error_s])),
         }
@@ -144,9 +132,7 @@ pub(super) fn of_equations(run: &LinearisedRun<'_>) -> Vec<(ErrorOf, Vec<f32>)> 
     let forms = of_effects.flat_map(|(number, active)| {
         let values = active.values_or_guess();
         let forms = bends(&run.model, active.effect, &values, run.scenario);
-        forms
-            .into_iter()
-            .map(move |form| (Some(number), Source::Tangent(form)))
+        forms.into_iter().map(move |form| (Some(number), Source::Tangent(form)))
     });
     let stamps = stamps(&run.model, run.scenario).map(|stamp| (None, stamp));
     let (mut errors, mut sources): (Vec<ErrorOf>, Vec<Source>) = (vec![], vec![]);
@@ -154,11 +140,7 @@ pub(super) fn of_equations(run: &LinearisedRun<'_>) -> Vec<(ErrorOf, Vec<f32>)> 
         let kind = effect.and(source.tangent(0)).map(mem::discriminant);
         let same = |own: &&ErrorOf| (own.effect, own.kind) == (effect, kind);
         let number = errors.iter().filter(same).count();
-        errors.push(ErrorOf {
-            effect,
-            kind,
-            number,
-        });
+        errors.push(ErrorOf { effect, kind, number });
         sources.push(source);
     }
     let sources: Vec<&Source> = sources.iter().collect();
@@ -171,10 +153,7 @@ pub(super) fn of_equations(run: &LinearisedRun<'_>) -> Vec<(ErrorOf, Vec<f32>)> 
 fn small_and_most_v(terms: &dyn Terms, scenario: &Scenario) -> ([f64; 2], f64) {
     let most_a = largest(scenario.current_a.iter().copied());
     let at = |current_a: f64| {
-        let at = Instant {
-            current_a,
-            ..Instant::default()
-        };
+        let at = Instant { current_a, ..Instant::default() };
         terms.voltage_v(&at, &[]).abs()
     };
     ([SMALL_SHARE * most_a, most_a].map(at), SMALL_SHARE * most_a)
@@ -190,11 +169,7 @@ fn has_a_level(terms: &dyn Terms, scenario: &Scenario) -> bool {
 /// Whether terms lie before the chopper, where a capacitor holds the voltage: the motor's current gets there by the duty.
 fn is_before_the_chopper(terms: &dyn Terms, motor: &Instant) -> bool {
     let at = |voltage_v: f64| {
-        let at = Instant {
-            current_a: 1.0,
-            voltage_v,
-            ..*motor
-        };
+        let at = Instant { current_a: 1.0, voltage_v, ..*motor };
         terms.voltage_v(&at, &[])
     };
     (at(motor.supply_v) - at(0.0)).abs() > 0.0
@@ -290,11 +265,7 @@ struct HotCopper(Box<dyn Terms>);
 
 impl Terms for HotCopper {
     fn voltage_v(&self, at: &Instant, own: &[f64]) -> f64 {
-        let cold = Instant {
-            current_a: 1.0,
-            resistance_ohm: 1.0,
-            ..Instant::default()
-        };
+        let cold = Instant { current_a: 1.0, resistance_ohm: 1.0, ..Instant::default() };
         0.5 * self.0.voltage_v(&cold, own) * self.0.voltage_v(at, own)
     }
 
@@ -316,11 +287,7 @@ fn spread(effect: &'static dyn Effect, values: &[f64]) -> impl Iterator<Item = T
         [0.5, 2.0].map(|factor| {
             let mut other = values.to_vec();
             other[shape] *= factor;
-            Tangent::Change {
-                from: effect.terms(values),
-                to: effect.terms(&other),
-                over: 4.0,
-            }
+            Tangent::Change { from: effect.terms(values), to: effect.terms(&other), over: 4.0 }
         })
     })
 }
@@ -373,21 +340,11 @@ pub(super) fn unknown_curves(runs: &[LinearisedRun<'_>]) -> Vec<Part> {
     };
     let hats = |axis: Axis, count: i32, most: f64, size: f64| -> Vec<Tangent> {
         let width = 2.0 * most / f64::from(count - 1);
-        let hat = |k| Tangent::Hat {
-            axis,
-            centre: width * f64::from(k) - most,
-            width,
-            size,
-        };
+        let hat = |k| Tangent::Hat { axis, centre: width * f64::from(k) - most, width, size };
         (0..count).map(hat).collect()
     };
     let wave = |order: i32, sine: bool| {
-        Tangent::Wave(Wave {
-            order: f64::from(order),
-            sine,
-            size: torque,
-            of_current: false,
-        })
+        Tangent::Wave(Wave { order: f64::from(order), sine, size: torque, of_current: false })
     };
     let over_speed = if by_voltage {
         hats(Axis::Speed, 11, speed, torque)
@@ -395,10 +352,8 @@ pub(super) fn unknown_curves(runs: &[LinearisedRun<'_>]) -> Vec<Part> {
         beyond_the_catalogue(speed, torque)
     };
     let waves = (1..=6).flat_map(|order| [true, false].map(|sine| wave(order, sine)));
-    let mut parts = vec![
-        part("torque over speed", over_speed),
-        part("torque over angle", waves.collect()),
-    ];
+    let mut parts =
+        vec![part("torque over speed", over_speed), part("torque over angle", waves.collect())];
     if by_voltage {
         let volts = hats(Axis::Current, 7, current, volts);
         parts.push(part("voltage over current", volts));
@@ -452,11 +407,7 @@ mod tests {
     fn hot_copper_adds_half_the_square_of_its_rise() {
         let model = truth("winding_heating", &[1e-3, 20.0]);
         let terms = model.effects[0].effect.terms(&[1e-3, 20.0]);
-        let at = Instant {
-            current_a: 5.0,
-            resistance_ohm: 2.0,
-            ..Instant::default()
-        };
+        let at = Instant { current_a: 5.0, resistance_ohm: 2.0, ..Instant::default() };
         // A rise of a tenth, of ten volts.
         let hot = HotCopper(terms);
         assert!((hot.voltage_v(&at, &[100.0]) - 0.05).abs() < 1e-12);

@@ -35,21 +35,11 @@ struct Coordinate {
 
 impl Coordinate {
     const fn linear(unit: f64, range: (f64, f64), at: f64) -> Self {
-        Self {
-            unit: Some(unit),
-            range,
-            sd: 1.0,
-            at,
-        }
+        Self { unit: Some(unit), range, sd: 1.0, at }
     }
 
     fn logarithm(sd: f64, range: (f64, f64), value: f64) -> Self {
-        Self {
-            unit: None,
-            range,
-            sd,
-            at: value.ln(),
-        }
+        Self { unit: None, range, sd, at: value.ln() }
     }
 
     /// `None` for what is not fitted: the number of cogs, the time of an event, and what the run leaves undetermined.
@@ -63,12 +53,7 @@ impl Coordinate {
                     MotorPrior::Linear(unit) => Self::linear(unit, (0.0, 1e9), value / unit),
                 });
             }
-            Slot::Effect {
-                index,
-                parameter,
-                spec,
-                ..
-            } => (index, parameter, spec),
+            Slot::Effect { index, parameter, spec, .. } => (index, parameter, spec),
         };
         let effect = model.effects[index].effect;
         let is_chosen = matches!(spec.role, ParameterRole::Choice | ParameterRole::EventTime);
@@ -206,11 +191,7 @@ impl Vague {
         let scale = DMatrix::from_diagonal(&shares);
         let eigen = (&scale * &self.gram * &scale).symmetric_eigen();
         let of_one = |s: f64| {
-            if s > 1e-9 {
-                (1.0 - 1.0 / (1.0 + s).sqrt()) / s
-            } else {
-                0.0
-            }
+            if s > 1e-9 { (1.0 - 1.0 / (1.0 + s).sqrt()) / s } else { 0.0 }
         };
         let middle = DMatrix::from_diagonal(&eigen.eigenvalues.map(of_one));
         let turn = scale * &eigen.eigenvectors;
@@ -310,11 +291,7 @@ impl<'a> Innovations<'a> {
         let value = unit.to_value(x[parameter]);
         match slot {
             Slot::Motor(key) => Some(Source::Tangent(Tangent::Motor(*key, unit.slope(value)))),
-            Slot::Effect {
-                index,
-                parameter: place,
-                ..
-            } => {
+            Slot::Effect { index, parameter: place, .. } => {
                 let own = &there.model.effects[*index];
                 let over = self.difference_step(parameter);
                 let step = unit.to_value(x[parameter] + over) - value;
@@ -403,9 +380,7 @@ impl Problem for Innovations<'_> {
         let columns = columns_of(&known, self.runs);
         let log_det = |x: &[f64]| {
             let vague = self.vague.as_ref();
-            vague.map_or(0.0, |vague| {
-                vague.at(&self.hypothesis_at(x).model).log_det.sqrt()
-            })
+            vague.map_or(0.0, |vague| vague.at(&self.hypothesis_at(x).model).log_det.sqrt())
         };
         let freeing = self.vague.as_ref().map(|vague| vague.at(&there.model));
         let own = self.len - x.len() - 1;
@@ -433,8 +408,7 @@ impl Problem for Innovations<'_> {
             Some(slope)
         };
         let each = sources.iter().enumerate();
-        each.map(|(parameter, source)| source.as_ref().and_then(|_| column(parameter)))
-            .collect()
+        each.map(|(parameter, source)| source.as_ref().and_then(|_| column(parameter))).collect()
     }
 
     fn clamp(&self, x: &mut [f64]) {
@@ -572,9 +546,7 @@ pub(crate) fn led(mut fit: Fitted, run: &Scenario, noise: Noise, may_move: bool)
         return (fit, Led::Neither);
     };
     let score = may_move.then(|| Score::of(&estimated.model, run, &fit.noise));
-    let led = score
-        .and_then(Result::ok)
-        .filter(|score| score.nrms < LED_ONLY_RATIO * fit.nrms);
+    let led = score.and_then(Result::ok).filter(|score| score.nrms < LED_ONLY_RATIO * fit.nrms);
     let kept = led.as_ref().map_or(&fit.model, |_| &estimated.model);
     let kept = kept.clone();
     let period_s = run.mean_period_s();
@@ -621,11 +593,7 @@ mod tests {
     use drivebench_model::plant::{Motor, effect, testing};
 
     fn linearised<'a>(model: &Model, run: &'a Scenario, disturbance_n_m: f64) -> LinearisedRun<'a> {
-        let noise = Noise {
-            disturbance_n_m,
-            input: 1e-3,
-            ..QUIET
-        };
+        let noise = Noise { disturbance_n_m, input: 1e-3, ..QUIET };
         LinearisedRun::new(model, run, State::default(), noise).unwrap()
     }
 
@@ -641,16 +609,10 @@ mod tests {
         }
         for disturbance_n_m in [1e-4, 1e-2] {
             let runs = [0, 1].map(|k| linearised(&start, &scenarios[k], disturbance_n_m));
-            let found = fit(&Hypothesis::of(&start), &runs)
-                .unwrap()
-                .hypothesis
-                .model;
+            let found = fit(&Hypothesis::of(&start), &runs).unwrap().hypothesis.model;
             for key in [MotorKey::Resistance, MotorKey::BackEmf, MotorKey::Inertia] {
                 let ratio = found.motor.get(key).unwrap() / fan.motor.get(key).unwrap();
-                assert!(
-                    (ratio - 1.0).abs() < 0.03,
-                    "{disturbance_n_m} {key:?} {ratio}"
-                );
+                assert!((ratio - 1.0).abs() < 0.03, "{disturbance_n_m} {key:?} {ratio}");
             }
             let size = found.effects[0].values[0].unwrap();
             assert!((size / 2e-6 - 1.0).abs() < 0.1, "{disturbance_n_m} {size}");
@@ -770,16 +732,8 @@ mod tests {
             off_ohm.abs() / own.std.unwrap()
         };
         let offs = [off(&found), off(&free)];
-        assert!(
-            offs[0] < 2.0 && offs[1] > 4.0,
-            "{offs:?} standard deviations"
-        );
+        assert!(offs[0] < 2.0 && offs[1] > 4.0, "{offs:?} standard deviations");
         // The prediction of a free run is no worse.
-        assert!(
-            found.nrms < LED_ONLY_RATIO * free.nrms,
-            "{} {}",
-            found.nrms,
-            free.nrms
-        );
+        assert!(found.nrms < LED_ONLY_RATIO * free.nrms, "{} {}", found.nrms, free.nrms);
     }
 }

@@ -153,21 +153,18 @@ impl Weighed<'_> {
             },
         );
         let base = base?;
-        let removals = eligible
-            .iter()
-            .zip(refitted?)
-            .map(|((k, candidate), refit)| {
-                let promised = whole - likelihood(&without(best, *k));
-                let change = refit.as_ref();
-                let change = change.map_or(0.0, |refit| 0.5 * (refit.deviance - base.deviance));
-                let gained = if candidate.in_model { change } else { -change };
-                let left = refit.filter(|_| candidate.in_model);
-                let left = left.map_or_else(|| self.hypothesis.clone(), |left| left.hypothesis);
-                let is_kept = candidate.log_odds > 0.0;
-                let raised = if is_kept { KEPT_LOG_ODDS } else { 0.0 };
-                let odds = self.posterior.log_factor[*k] - raised - (promised - gained).max(0.0);
-                (odds, candidate.id, left)
-            });
+        let removals = eligible.iter().zip(refitted?).map(|((k, candidate), refit)| {
+            let promised = whole - likelihood(&without(best, *k));
+            let change = refit.as_ref();
+            let change = change.map_or(0.0, |refit| 0.5 * (refit.deviance - base.deviance));
+            let gained = if candidate.in_model { change } else { -change };
+            let left = refit.filter(|_| candidate.in_model);
+            let left = left.map_or_else(|| self.hypothesis.clone(), |left| left.hypothesis);
+            let is_kept = candidate.log_odds > 0.0;
+            let raised = if is_kept { KEPT_LOG_ODDS } else { 0.0 };
+            let odds = self.posterior.log_factor[*k] - raised - (promised - gained).max(0.0);
+            (odds, candidate.id, left)
+        });
         let refuted = removals.filter(|own| own.0 < 0.0);
         let (odds, id, left) = refuted.min_by(|a, b| a.0.total_cmp(&b.0))?;
         let probability = 1.0 / (1.0 + (-odds).exp());
@@ -197,10 +194,7 @@ impl Weighed<'_> {
             };
             let mut start = self.hypothesis.clone();
             start.model.effects.retain(|active| !is_one(&active));
-            start
-                .model
-                .effects
-                .push(ActiveEffect::with(effect, &[begin]));
+            start.model.effects.push(ActiveEffect::with(effect, &[begin]));
             // Errors of the form are in proportion to the size that it is filtered with: the second time that is its own.
             let left = fit(&fit(&start, self.runs)?.hypothesis, self.runs)?;
             let rich = fit(self.hypothesis, self.runs)?;
@@ -232,11 +226,7 @@ mod tests {
     }
 
     fn linearised<'a>(model: &Model, run: &'a Scenario) -> [LinearisedRun<'a>; 1] {
-        let noise = Noise {
-            disturbance_n_m: 1e-4,
-            input: 1e-3,
-            ..QUIET
-        };
+        let noise = Noise { disturbance_n_m: 1e-4, input: 1e-3, ..QUIET };
         [LinearisedRun::new(model, run, State::default(), noise).unwrap()]
     }
 
@@ -281,10 +271,9 @@ mod tests {
     #[test]
     fn a_coupling_is_barred_unless_the_model_has_it() {
         let id = "elastic_coupling";
-        for (model, is_barred) in [
-            (nameplate(), true),
-            (nameplate().with_effect(id).unwrap(), false),
-        ] {
+        for (model, is_barred) in
+            [(nameplate(), true), (nameplate().with_effect(id).unwrap(), false)]
+        {
             let odds = |linear: &mut Linear| {
                 bar_wholes(linear);
                 let mut wholes = linear.candidates.iter().filter(|own| own.is_whole());
@@ -303,10 +292,9 @@ mod tests {
             with(nameplate(), &effects)
         };
         let apart = two(&[4e-3], &[5e-4]);
-        for (machine, model, stands) in [
-            (&late, two(&[6e-4], &[6e-4]), Some("command_delay")),
-            (&apart, apart.clone(), None),
-        ] {
+        for (machine, model, stands) in
+            [(&late, two(&[6e-4], &[6e-4]), Some("command_delay")), (&apart, apart.clone(), None)]
+        {
             let simpler = |given: &[&'static str]| {
                 weighed([machine, &model], &DELAYS, |_| {}, |own| own.simpler(given))
             };
@@ -320,11 +308,9 @@ mod tests {
             assert!(simpler(&["speed_delay"]).is_none());
         }
         // Two that one stands for exclude each other.
-        for (one, expected) in [
-            (None, false),
-            (Some("current_offset"), false),
-            (Some("command_delay"), true),
-        ] {
+        for (one, expected) in
+            [(None, false), (Some("current_offset"), false), (Some("command_delay"), true)]
+        {
             let model = nameplate();
             let excluded = weighed(
                 [&model; 2],
@@ -333,9 +319,7 @@ mod tests {
                 |own| {
                     let candidates = &own.reduced.linear.candidates;
                     let place = |id| candidates.iter().position(|own| own.id == id).unwrap();
-                    candidates[place("current_filter")]
-                        .excludes
-                        .contains(&place("speed_delay"))
+                    candidates[place("current_filter")].excludes.contains(&place("speed_delay"))
                 },
             );
             assert_eq!(excluded, expected, "{one:?}");
@@ -363,10 +347,8 @@ mod tests {
     fn an_effect_that_a_refit_needs_is_kept() {
         let id = "viscous_friction";
         let drag = truth(id, &[4e-4]);
-        for (machine, expected) in [
-            (&drag, &[RefitVerdict::Kept { id }][..]),
-            (&nameplate(), &[]),
-        ] {
+        for (machine, expected) in [(&drag, &[RefitVerdict::Kept { id }][..]), (&nameplate(), &[])]
+        {
             let run = record(machine, 0, 7);
             let runs = linearised(&drag, &run);
             let next = fit(&Hypothesis::of(&nameplate()), &runs).unwrap();

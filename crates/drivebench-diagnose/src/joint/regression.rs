@@ -31,12 +31,7 @@ pub(super) struct Column {
 
 impl Column {
     pub(super) fn of(parameter: Option<usize>, unit: f64, present: f64) -> Self {
-        Self {
-            parameter,
-            unit,
-            present,
-            ..Self::default()
-        }
+        Self { parameter, unit, present, ..Self::default() }
     }
 }
 
@@ -159,16 +154,8 @@ impl Part {
         effect: Option<&'static dyn Effect>,
         log_odds: f64,
     ) -> Self {
-        let candidate = Candidate {
-            id,
-            effect,
-            log_odds,
-            ..Candidate::default()
-        };
-        Self {
-            candidate,
-            sources: vec![],
-        }
+        let candidate = Candidate { id, effect, log_odds, ..Candidate::default() };
+        Self { candidate, sources: vec![] }
     }
 
     pub(super) fn push(&mut self, form: Form) {
@@ -192,25 +179,14 @@ pub(super) struct Form {
 
 impl Form {
     pub(super) fn new(values: Vec<f64>, log_prior: f64) -> Self {
-        let variant = Variant {
-            values,
-            log_prior,
-            ..Variant::default()
-        };
-        Self {
-            variant,
-            sources: vec![],
-        }
+        let variant = Variant { values, log_prior, ..Variant::default() };
+        Self { variant, sources: vec![] }
     }
 
     /// Of an effect without coefficients, in the model or not: the difference that the model without it or with it makes.
     pub(super) fn whole(&mut self, other: Model, in_model: bool) {
         self.variant.mean = 1.0 / WHOLE;
-        let (sign, present) = if in_model {
-            (-1.0, 1.0 / WHOLE)
-        } else {
-            (1.0, 0.0)
-        };
+        let (sign, present) = if in_model { (-1.0, 1.0 / WHOLE) } else { (1.0, 0.0) };
         let source = Source::difference(other, sign / WHOLE);
         self.column(source, Column::of(None, 0.0, present));
     }
@@ -300,11 +276,7 @@ impl Base {
         let cross = DMatrix::from_fn(m, width, |r, c| products[r][lane + c]);
         let solved = self.factor.solve(&cross);
         let own = DMatrix::from_fn(width, width, |r, c| {
-            if r == c {
-                products[m + 1][lane + r] + 1.0
-            } else {
-                products[m + 2][lane]
-            }
+            if r == c { products[m + 1][lane + r] + 1.0 } else { products[m + 2][lane] }
         });
         let rest = DVector::from_fn(width, |r, _| products[m][lane + r]);
         let rest = rest - solved.tr_mul(&self.right);
@@ -324,11 +296,7 @@ impl Base {
         let m = self.right.len();
         let cross = DVector::from_fn(m, |r, _| products[r][lane]);
         let [information, score] = self.left(&cross, products[m + 1][lane], products[m][lane]);
-        ColumnInformation {
-            information,
-            score,
-            unit,
-        }
+        ColumnInformation { information, score, unit }
     }
 }
 

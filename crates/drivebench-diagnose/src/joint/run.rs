@@ -99,14 +99,7 @@ impl<'a> LinearisedRun<'a> {
         let model = with_events(model, &self.events);
         let mut out = Vec::with_capacity(scenario.samples());
         let follower = &self.follower;
-        let steps = follow(
-            follower,
-            &model,
-            scenario,
-            self.start,
-            &self.noise,
-            &mut out,
-        );
+        let steps = follow(follower, &model, scenario, self.start, &self.noise, &mut out);
         let Some(steps) = steps else {
             return vec![0.0; 2 * scenario.samples()];
         };
@@ -138,11 +131,7 @@ impl<'a> LinearisedRun<'a> {
 /// Zero in the place of a column that grows without bound along the run, as the oscillation of a stiff shaft in a form far from
 /// the run: the motor's own parameters reach 1e6 standard deviations, and one larger number spoils every solution.
 fn bounded(column: Vec<f32>) -> Vec<f32> {
-    if column.iter().all(|cell| cell.abs() < 1e12) {
-        column
-    } else {
-        vec![0.0; column.len()]
-    }
+    if column.iter().all(|cell| cell.abs() < 1e12) { column } else { vec![0.0; column.len()] }
 }
 
 /// Sum of the squares of the innovations.

@@ -31,9 +31,7 @@ pub(super) fn keep_likeliest(
     for (number, part) in parts.iter().enumerate() {
         let (candidate, width) = (&part.candidate, part.sources[0].len());
         // Small steps of the load at all times add up to a disturbance: they are not dropped.
-        let is_step = candidate
-            .effect
-            .is_some_and(|own| own.card().is_disturbance_step);
+        let is_step = candidate.effect.is_some_and(|own| own.card().is_disturbance_step);
         let mut sources = part.sources.iter().flatten();
         if part.sources.len() > KEPT
             && width <= 2
@@ -231,9 +229,7 @@ mod tests {
 
     /// Candidates beside `model` in a run of `truth`, by their names.
     fn candidates(model: &Model, truth: &Model) -> impl Fn(&str) -> Candidate + use<> {
-        let levels_v = [
-            30.0, -40.0, 60.0, -20.0, 50.0, -60.0, 25.0, -45.0, 80.0, -30.0,
-        ];
+        let levels_v = [30.0, -40.0, 60.0, -20.0, 50.0, -60.0, 25.0, -45.0, 80.0, -30.0];
         let events = levels_v.iter().enumerate();
         let events = events.map(|(k, level_v)| (0.25 * k as f64, *level_v));
         let scenario = record(truth, events.collect(), 1e-3, 2.5, 5);

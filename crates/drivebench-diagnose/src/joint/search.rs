@@ -114,11 +114,7 @@ impl<'a> Runs<'a> {
 
     /// The first of them.
     pub(super) fn first(&self) -> Self {
-        Self {
-            scenarios: &self.scenarios[..1],
-            starts: &self.starts[..1],
-            ..*self
-        }
+        Self { scenarios: &self.scenarios[..1], starts: &self.starts[..1], ..*self }
     }
 }
 
@@ -143,9 +139,7 @@ pub(super) fn search(
         replaced: None,
         last: Hypothesis::of(models[0]),
     };
-    search
-        .rounds(models, progress)
-        .or_else(|| search.ended_at_last())
+    search.rounds(models, progress).or_else(|| search.ended_at_last())
 }
 
 /// A search on its way.
@@ -215,10 +209,7 @@ impl<'a> Search<'a> {
             let mut reduced = Reduced::new(linear, 1.0, true)?;
             if round == 0 {
                 screened(&reduced, progress);
-                progress(Notice::Begun {
-                    stage: Stage::Check,
-                    of: 0,
-                });
+                progress(Notice::Begun { stage: Stage::Check, of: 0 });
             }
             let (mut posterior, filtered_with) = (weigh(&reduced), self.noise);
             let is_first = by_voltage && is_near && round == 0;
@@ -392,10 +383,7 @@ fn screened(reduced: &Reduced, progress: Progress<'_>) {
     let candidates = &reduced.linear.candidates;
     for (k, candidate) in candidates.iter().enumerate() {
         if k == 0 || candidates[k - 1].id != candidate.id {
-            progress(Notice::Screened {
-                effect: candidate.id,
-                share: reduced.share_alone(k),
-            });
+            progress(Notice::Screened { effect: candidate.id, share: reduced.share_alone(k) });
         }
     }
 }

@@ -122,16 +122,12 @@ impl Reduced {
 
     /// Products of columns with each other.
     fn products(&self, rows: &[usize], columns: &[usize]) -> DMatrix<f64> {
-        DMatrix::from_fn(rows.len(), columns.len(), |r, c| {
-            self.gram[(rows[r], columns[c])]
-        })
+        DMatrix::from_fn(rows.len(), columns.len(), |r, c| self.gram[(rows[r], columns[c])])
     }
 
     /// Right-hand side of the normal equations of columns, their prior means included.
     fn right_side(&self, columns: &[usize]) -> DVector<f64> {
-        DVector::from_fn(columns.len(), |r, _| {
-            self.right[columns[r]] + self.prior[columns[r]]
-        })
+        DVector::from_fn(columns.len(), |r, _| self.right[columns[r]] + self.prior[columns[r]])
     }
 
     /// The normal equations of columns under their slabs.
@@ -219,9 +215,7 @@ impl Reduced {
     /// Log likelihood of the best sizes of these columns, relative to none.
     pub(super) fn log_likelihood(&self, columns: &[usize]) -> f64 {
         let base = self.base(columns);
-        base.map_or(f64::NEG_INFINITY, |base| {
-            0.5 * base.right.dot(&base.factor.solve(&base.right))
-        })
+        base.map_or(f64::NEG_INFINITY, |base| 0.5 * base.right.dot(&base.factor.solve(&base.right)))
     }
 
     /// Whether no effect of the set would need a size that physics does not allow.
@@ -268,11 +262,7 @@ impl Reduced {
             base.left(&cross, self.gram[(column, column)], self.right[column])
         });
         let [information, score] = left.unwrap_or_default();
-        ColumnInformation {
-            information,
-            score,
-            unit,
-        }
+        ColumnInformation { information, score, unit }
     }
 
     /// What the odds of a form of a set would be if more of it were in the records.
@@ -335,9 +325,7 @@ pub(super) struct Injection {
 impl Injection {
     /// Log odds with `size` slabs of each column.
     pub(super) fn log_odds(&self, size: &[f64]) -> f64 {
-        let added = DVector::from_fn(self.left.nrows(), |r, _| {
-            size.get(r).copied().unwrap_or(0.0)
-        });
+        let added = DVector::from_fn(self.left.nrows(), |r, _| size.get(r).copied().unwrap_or(0.0));
         let right = &self.left * added;
         let mean = self.schur.solve(&right);
         let sign = log_sign(self.positive, &mean, &self.schur);
@@ -347,11 +335,7 @@ impl Injection {
 
 /// Log of the normalisation of a form whose first size physics allows one sign of; zero where it allows both.
 fn log_sign(positive: bool, mean: &DVector<f64>, precision: &Cholesky<f64, Dyn>) -> f64 {
-    if positive {
-        log_positive(mean[0], precision.inverse()[(0, 0)].sqrt())
-    } else {
-        0.0
-    }
+    if positive { log_positive(mean[0], precision.inverse()[(0, 0)].sqrt()) } else { 0.0 }
 }
 
 /// log 2 Phi(mean / sd): the share of a normal density on the side that physics allows.
@@ -429,11 +413,7 @@ impl Explored<'_> {
 /// Finds the plausible sets, from each of `starts` on.
 pub(super) fn select(reduced: &Reduced, starts: &[Set]) -> Posterior {
     let n = reduced.linear.candidates.len();
-    let mut explored = Explored {
-        reduced,
-        weighed: HashMap::new(),
-        exact: HashMap::new(),
-    };
+    let mut explored = Explored { reduced, weighed: HashMap::new(), exact: HashMap::new() };
     for start in starts {
         let log = explored.exactly(start);
         explored.weighed.insert(start.clone(), log);
@@ -466,13 +446,7 @@ pub(super) fn select(reduced: &Reduced, starts: &[Set]) -> Posterior {
     };
     let (log_factor, forms) = (0..n).map(likeliest).unzip();
     sets.retain(|s| s.1 > best_log - PLAUSIBLE_NATS);
-    Posterior {
-        probability,
-        best,
-        log_factor,
-        sets,
-        forms,
-    }
+    Posterior { probability, best, log_factor, sets, forms }
 }
 
 #[cfg(test)]
@@ -491,10 +465,7 @@ mod tests {
                 effect: effect::find(id),
                 log_odds: (0.1_f64 / 0.9).ln(),
                 variants: vec![Variant {
-                    columns: vec![Column {
-                        at: column,
-                        ..Column::of(Some(0), 1.0, 0.0)
-                    }],
+                    columns: vec![Column { at: column, ..Column::of(Some(0), 1.0, 0.0) }],
                     values: vec![1.0],
                     ..Variant::default()
                 }],
@@ -549,10 +520,7 @@ mod tests {
         data.right = &data.gram * truth;
         assert!(data.right[1].abs() < 1e-9);
         let found = weighed(&data, false);
-        assert!(
-            found[0] > 0.999 && found[1] > 0.999 && found[2] < 0.01,
-            "{found:?}"
-        );
+        assert!(found[0] > 0.999 && found[1] > 0.999 && found[2] < 0.01, "{found:?}");
     }
 
     #[test]

@@ -38,9 +38,7 @@ pub(super) fn linearised_runs<'a>(
 /// The candidates that a model has.
 pub(super) fn present(linear: &Linear) -> Set {
     let candidates = linear.candidates.iter();
-    candidates
-        .map(|candidate| candidate.in_model.then_some(0))
-        .collect()
+    candidates.map(|candidate| candidate.in_model.then_some(0)).collect()
 }
 
 /// The events of a form of a candidate at the linear solution, each with the standard deviation of its size.
@@ -51,11 +49,7 @@ fn happening(candidate: &Candidate, form: usize, estimate: &Estimate) -> Option<
     let moments = columns.filter_map(|column| Some((column, column.moment?)));
     moments
         .map(|(column, (run, time_s))| {
-            let mut event = Event {
-                run,
-                effect,
-                values: variant.values.clone(),
-            };
+            let mut event = Event { run, effect, values: variant.values.clone() };
             event.put_at(time_s);
             let spec = &effect.parameters()[effect.size_index()];
             let (mean, variance) = estimate.of(column.at)?;
@@ -106,10 +100,7 @@ pub(super) fn at_solution(
             _ => {}
         }
     }
-    Some(Hypothesis {
-        model: next,
-        events: happens,
-    })
+    Some(Hypothesis { model: next, events: happens })
 }
 
 /// The same with its events at their likeliest moments.
@@ -143,11 +134,7 @@ pub(super) fn happened(
         for (mut event, deviation) in happening(candidate, form, &estimate)? {
             let moment = events::placed(&event, linear, set, runs, excess);
             event.put_at(moment.time_s);
-            all.push(Happened {
-                event,
-                moment,
-                deviation,
-            });
+            all.push(Happened { event, moment, deviation });
         }
     }
     Some(all)

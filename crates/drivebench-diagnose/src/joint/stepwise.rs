@@ -95,10 +95,7 @@ fn best_step(
     singles.truncate(6);
     // The linear solution hardly holds for what is there wholly or not at all, and just how much that leaves is known.
     for whole in as_it_is(linear, &set) {
-        if !singles
-            .iter()
-            .any(|own| (own.1, own.2) == (whole.1, whole.2))
-        {
+        if !singles.iter().any(|own| (own.1, own.2) == (whole.1, whole.2)) {
             singles.push(whole);
         }
     }
@@ -221,9 +218,7 @@ fn as_it_is(linear: &Linear, set: &Set) -> Vec<(f64, usize, usize)> {
                 size * right - 0.5 * size * size * linear.gram[(column, column)]
             };
             let forms = candidate.variants.iter().enumerate();
-            forms
-                .map(|(form, variant)| (fall(variant), k, form))
-                .max_by(|a, b| a.0.total_cmp(&b.0))
+            forms.map(|(form, variant)| (fall(variant), k, form)).max_by(|a, b| a.0.total_cmp(&b.0))
         })
         .collect()
 }

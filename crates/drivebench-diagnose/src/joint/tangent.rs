@@ -268,13 +268,7 @@ impl<'a> Traveller<'a> {
             Tangent::LateCommands(late_s) => pulses(run, *late_s),
             _ => vec![],
         };
-        Self {
-            tangent,
-            own: vec![0.0; states],
-            rate: vec![0.0; states],
-            most,
-            pulses,
-        }
+        Self { tangent, own: vec![0.0; states], rate: vec![0.0; states], most, pulses }
     }
 
     /// What terms, or others in their place, do at an instant of an interval.
@@ -299,22 +293,16 @@ impl<'a> Traveller<'a> {
                 let (from, to) = (from.sums(at, &[]), to.sums(at, &[]));
                 combined(&from, &to, |from, to| (to - from) / over)
             }
-            Tangent::Bent {
-                terms,
-                power,
-                share,
-            } => combined(&terms.sums(at, &[]), &self.most, |value, most| {
-                if value != 0.0 && most > 0.0 {
-                    share * value * (value / most).abs().powf(*power)
-                } else {
-                    0.0
-                }
-            }),
-            Tangent::Slow {
-                terms,
-                factor,
-                share,
-            } => {
+            Tangent::Bent { terms, power, share } => {
+                combined(&terms.sums(at, &[]), &self.most, |value, most| {
+                    if value != 0.0 && most > 0.0 {
+                        share * value * (value / most).abs().powf(*power)
+                    } else {
+                        0.0
+                    }
+                })
+            }
+            Tangent::Slow { terms, factor, share } => {
                 let slow = Instant {
                     current_a: at.current_a / factor,
                     speed_rad_s: at.speed_rad_s / factor,
@@ -327,19 +315,13 @@ impl<'a> Traveller<'a> {
                     ..combined(&slow, &own, |slow, own| share * (slow - own))
                 }
             }
-            Tangent::Lagging {
-                terms,
-                time_constant_s,
-            } => {
+            Tangent::Lagging { terms, time_constant_s } => {
                 let (lag, settled_v) = (interval_s / time_constant_s, terms.voltage_v(at, &[]));
                 let (behind_v, kept) = (self.own[0] - settled_v, (-lag).exp());
                 self.own[0] = settled_v + behind_v * kept;
                 // The mean of the difference over the interval.
                 let mean_v = behind_v * (1.0 - kept) / lag;
-                Sums {
-                    voltage_v: if lag > 0.0 { mean_v } else { behind_v },
-                    ..Sums::default()
-                }
+                Sums { voltage_v: if lag > 0.0 { mean_v } else { behind_v }, ..Sums::default() }
             }
             _ => Sums::default(),
         }
@@ -360,11 +342,7 @@ impl Waves {
         }
         let is_next = (order - self.order - 1.0).abs() < f64::EPSILON;
         for (wave, at) in self.each.iter_mut().zip(instants) {
-            *wave = if is_next {
-                at.angle.next_wave(*wave)
-            } else {
-                at.angle.wave(order)
-            };
+            *wave = if is_next { at.angle.next_wave(*wave) } else { at.angle.wave(order) };
         }
         self.order = order;
     }
@@ -397,16 +375,11 @@ pub(super) fn carry(
         _ => f64::NEG_INFINITY,
     });
     let begin_s = begins_s.fold(f64::INFINITY, f64::min);
-    let silent = run
-        .instants
-        .partition_point(|instant| instant.time_s < begin_s);
+    let silent = run.instants.partition_point(|instant| instant.time_s < begin_s);
     for first in (0..n).step_by(CHUNK).skip(silent / CHUNK) {
         let range = first..(first + CHUNK).min(n);
         // No order is this: the first wave of a chunk is computed anew.
-        let mut waves = Waves {
-            order: f64::NEG_INFINITY,
-            each: [[0.0; 2]; CHUNK],
-        };
+        let mut waves = Waves { order: f64::NEG_INFINITY, each: [[0.0; 2]; CHUNK] };
         for (lane, traveller) in travellers.iter_mut().enumerate() {
             let put = |k: usize, [current, speed]: [f64; 2]| {
                 (forcing[k][0][lane], forcing[k][1][lane]) = (current, speed);
@@ -497,12 +470,7 @@ fn force(
                 put(k, [0.0, -torque * inertia]);
             }
         }
-        Tangent::Hat {
-            axis,
-            centre,
-            width,
-            size,
-        } => {
+        Tangent::Hat { axis, centre, width, size } => {
             let hat = |x: f64| size * (1.0 - ((x - centre) / width).abs()).max(0.0);
             for (k, at) in instants.iter().enumerate() {
                 let forcing = match axis {
@@ -556,11 +524,7 @@ fn of_motor(
     direction: f64,
     rates: [f64; 2],
 ) -> [f64; 2] {
-    let Dynamics {
-        inverse_inductance: inductance,
-        inverse_inertia: inertia,
-        ..
-    } = run.dynamics;
+    let Dynamics { inverse_inductance: inductance, inverse_inertia: inertia, .. } = run.dynamics;
     let is_tied = run.model.motor.get(MotorKey::TorqueConstant).is_none();
     let (i, w) = (at.current_a, at.speed_rad_s);
     match key {
@@ -630,10 +594,7 @@ pub(super) fn alone_at(
     index: usize,
 ) -> Option<Tangent> {
     if let Some(harmonic) = effect.card().harmonic {
-        let order = effect
-            .parameters()
-            .iter()
-            .position(|spec| spec.key == "order")?;
+        let order = effect.parameters().iter().position(|spec| spec.key == "order")?;
         return Some(Tangent::Wave(Wave {
             order: values[order],
             sine: index == 0,
@@ -692,9 +653,8 @@ mod tests {
         let difference = run.difference(with, run.scenario, 1.0).into_iter();
         let pairs = column.into_iter().zip(difference.map(f64::from));
         let pairs = pairs.skip(rows.start).take(rows.len());
-        let squares = pairs.fold([0.0, 0.0], |[apart, own], (a, b)| {
-            [apart + (a - b).powi(2), own + b * b]
-        });
+        let squares =
+            pairs.fold([0.0, 0.0], |[apart, own], (a, b)| [apart + (a - b).powi(2), own + b * b]);
         (squares[0] / squares[1]).sqrt()
     }
 
@@ -702,10 +662,7 @@ mod tests {
     fn a_tangent_is_the_difference_of_two_filtered_runs() {
         let (model, scenario, by_s) = (nameplate(), run(1e-3), 2e-5);
         let mut cases = vec![(Tangent::LateCommands(by_s), truth("command_delay", &[by_s]))];
-        for (id, late_s) in [
-            ("current_filter", [by_s, 0.0]),
-            ("speed_delay", [0.0, by_s]),
-        ] {
+        for (id, late_s) in [("current_filter", [by_s, 0.0]), ("speed_delay", [0.0, by_s])] {
             cases.push((Tangent::LateReadings(late_s), truth(id, &[by_s])));
         }
         let effects: [(&str, &[f64]); 8] = [
@@ -723,11 +680,7 @@ mod tests {
             let terms = terms_of(&with.effects[0]);
             let path = terms.path();
             let offset = Tangent::Offset([path.current_offset_a, path.speed_offset_rad_s]);
-            let tangent = if path.measures_directly() {
-                Tangent::Terms(terms)
-            } else {
-                offset
-            };
+            let tangent = if path.measures_directly() { Tangent::Terms(terms) } else { offset };
             (tangent, with)
         }));
         let keys = MotorKey::ALL.into_iter();
@@ -769,12 +722,7 @@ mod tests {
             for ((id, of_current, size), sine) in
                 of.into_iter().flat_map(|of| [(of, true), (of, false)])
             {
-                let wave = Tangent::Wave(Wave {
-                    order,
-                    sine,
-                    size,
-                    of_current,
-                });
+                let wave = Tangent::Wave(Wave { order, sine, size, of_current });
                 let [sines, cosines] = if sine { [size, 0.0] } else { [0.0, size] };
                 let with = truth(id, &[sines, cosines, order]);
                 let apart = distance(&linearised(&scenario), &wave, &with, ALL);

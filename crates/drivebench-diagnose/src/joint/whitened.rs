@@ -82,9 +82,7 @@ impl Whitened {
             add_at(&mut sum, &own, &there);
             sum
         };
-        let parts = (0..self.rows.div_ceil(part))
-            .into_par_iter()
-            .with_max_len(1);
+        let parts = (0..self.rows.div_ceil(part)).into_par_iter().with_max_len(1);
         let sums: Vec<DMatrix<f64>> = parts.map(sum_of).collect();
         let sums = sums.into_iter();
         let mut gram = sums.fold(DMatrix::zeros(p, p), |sum, part| sum + part);

@@ -55,15 +55,8 @@ pub(super) fn ranked(
     model: &Model,
     error_of: ErrorOf,
 ) -> Vec<FailureLocation> {
-    let search = Search {
-        windows,
-        equation,
-        own: if refitted {
-            own_keys(equation).len()
-        } else {
-            0
-        },
-    };
+    let search =
+        Search { windows, equation, own: if refitted { own_keys(equation).len() } else { 0 } };
     let mut found = Vec::new();
     if !refitted {
         found.extend(search.own_values(model, error_of));
@@ -183,9 +176,7 @@ impl Search<'_> {
             return None;
         }
         let is_known = |s: &f64| *s > 1e-9 * largest;
-        let inverse = scale
-            .iter()
-            .map(|s| if is_known(s) { 1.0 / s } else { 0.0 });
+        let inverse = scale.iter().map(|s| if is_known(s) { 1.0 / s } else { 0.0 });
         let inverse: Vec<f64> = inverse.collect();
         for at in 0..columns {
             right[at] *= inverse[at];
@@ -197,19 +188,11 @@ impl Search<'_> {
         let solved = normal.cholesky()?.solve(&right);
         let explained = solved.dot(&right).clamp(0.0, power);
         let left = power - explained;
-        let by_chance = if noise > 0.0 {
-            noise / n
-        } else {
-            left / (n - k)
-        };
+        let by_chance = if noise > 0.0 { noise / n } else { left / (n - k) };
         let by_chance = by_chance.max(1e-12 * power / n);
         let beyond = (power - noise).max(0.02 * power);
         let fit = Fit {
-            coefficients: solved
-                .iter()
-                .zip(&inverse)
-                .map(|(x, unit)| x * unit)
-                .collect(),
+            coefficients: solved.iter().zip(&inverse).map(|(x, unit)| x * unit).collect(),
             adjusted: 1.0 - (left / (n - k)) / (power / n),
             follows: ((explained - k * by_chance) / beyond).clamp(0.0, 1.0),
             strength: explained / (k * by_chance),
@@ -229,11 +212,7 @@ impl Search<'_> {
             fitted: row.iter().zip(&fit.coefficients).map(|(c, x)| c * x).sum(),
             beyond: window.beyond(self.equation),
         });
-        narrowest(
-            &along
-                .filter(|point| point.at.is_finite())
-                .collect::<Vec<_>>(),
-        )
+        narrowest(&along.filter(|point| point.at.is_finite()).collect::<Vec<_>>())
     }
 
     fn ranked(
@@ -263,11 +242,7 @@ impl Search<'_> {
 
     /// "85 % of the torque error ..."
     fn says(&self, of_error: f64, what: impl Display) -> String {
-        format!(
-            "{} of the {} error {what}",
-            share(of_error),
-            self.equation.key()
-        )
+        format!("{} of the {} error {what}", share(of_error), self.equation.key())
     }
 
     /// "85 % of the torque error lies below 12 rad/s (11 % of the time)"; that it follows the variable, and over which `range`,
@@ -275,18 +250,11 @@ impl Search<'_> {
     fn lies(&self, variable: &str, region: &Region, fit: &Fit, range: &str) -> String {
         let (name, unit) = name_and_unit(variable);
         if region.share_of_time > NEARLY_ALL_SHARE {
-            return self.says(
-                fit.follows,
-                format_args!("follows the {name}, over {range}"),
-            );
+            return self.says(fit.follows, format_args!("follows the {name}, over {range}"));
         }
         // A drive counts its time from where it was switched on, a person that of a run from its begin.
         let is_time = variable == "time_s";
-        let begin = if is_time {
-            self.windows.scenario.begin_s()
-        } else {
-            0.0
-        };
+        let begin = if is_time { self.windows.scenario.begin_s() } else { 0.0 };
         let (from, to) = (figure(region.from - begin), figure(region.to - begin));
         let unit = if is_time { "s of the run" } else { unit };
         let place = match (region.from_lowest, region.to_highest) {
@@ -294,11 +262,7 @@ impl Search<'_> {
             (_, true) => format!("above {from} {unit}"),
             _ => format!("between {from} and {to} {unit}"),
         };
-        let either = if region.of_size {
-            " in either direction"
-        } else {
-            ""
-        };
+        let either = if region.of_size { " in either direction" } else { "" };
         let time = share(region.share_of_time);
         let lies = format_args!("lies {place}{either} ({time} of the time)");
         self.says(region.share_of_error, lies)
@@ -490,10 +454,7 @@ impl Search<'_> {
         let fit = self.fit(&self.rows(2, |window, row| {
             row.copy_from_slice(&line.wave(window.time_s));
         }))?;
-        let (unit, amplitude) = (
-            self.equation.unit(),
-            figure(self.amplitude(&fit) / line.seen),
-        );
+        let (unit, amplitude) = (self.equation.unit(), figure(self.amplitude(&fit) / line.seen));
         // As sharp as the length of the run allows.
         let times = &self.windows.scenario.sample_time_s;
         let half_hz = 0.5 / (times[times.len() - 1] - times[0]);
@@ -578,21 +539,9 @@ impl Search<'_> {
         {
             return None;
         }
-        let (from, to, word) = if forward {
-            (0.0, 1.0, "forward")
-        } else {
-            (-1.0, 0.0, "reverse")
-        };
-        let region = Region {
-            share_of_error: held,
-            share_of_time: time,
-            ..everywhere(from, to)
-        };
-        let fit = Fit {
-            follows: held,
-            strength: windows as f64,
-            ..Fit::default()
-        };
+        let (from, to, word) = if forward { (0.0, 1.0, "forward") } else { (-1.0, 0.0, "reverse") };
+        let region = Region { share_of_error: held, share_of_time: time, ..everywhere(from, to) };
+        let fit = Fit { follows: held, strength: windows as f64, ..Fit::default() };
         let time = share(time);
         let what = format_args!("falls in {word} motion ({time} of the time in motion)");
         // Always after the variables that say more.
@@ -814,10 +763,7 @@ impl Search<'_> {
         let times = &self.windows.scenario.sample_time_s[self.windows.samples_of(first)];
         let weights = self.windows.weights_of(first).mean;
         let in_phase = |time_s: f64| line.wave(time_s - first.time_s)[0];
-        let averaged = weights
-            .iter()
-            .zip(times)
-            .map(|(weight, time_s)| weight * in_phase(*time_s));
+        let averaged = weights.iter().zip(times).map(|(weight, time_s)| weight * in_phase(*time_s));
         line.seen = averaged.sum::<f64>().abs().max(f64::MIN_POSITIVE);
         Some(line)
     }

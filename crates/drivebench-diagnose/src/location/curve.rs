@@ -122,10 +122,7 @@ impl AxisMap {
             } else {
                 format!("between {from} and {to}")
             };
-            let _ = write!(
-                sentence,
-                "; it is largest {place} {across}: {height} {upwards}"
-            );
+            let _ = write!(sentence, "; it is largest {place} {across}: {height} {upwards}");
         }
         sentence
     }
@@ -151,11 +148,8 @@ pub fn axis_map(
         if let Some(changes) = windows.own_changes(*equation) {
             windows.take_out(*equation, &changes);
         }
-        let search = Search {
-            windows: &windows,
-            equation: *equation,
-            own: own_keys(*equation).len(),
-        };
+        let search =
+            Search { windows: &windows, equation: *equation, own: own_keys(*equation).len() };
         let axes = axes(*equation, scenario.input).iter();
         maps.extend(axes.filter_map(|axis| search.map(*axis)));
         if *equation == Balance::Torque {
@@ -254,10 +248,7 @@ impl Search<'_> {
         let errors = DMatrix::from_iterator(rows.len(), 1, errors);
         let (bread, _) = least_squares::inverse_where_determined(&base);
         let left_over = |of: &DMatrix<f64>| of - &base * (&bread * base.tr_mul(of));
-        let (residual, columns) = (
-            left_over(&errors).column(0).into_owned(),
-            left_over(&columns),
-        );
+        let (residual, columns) = (left_over(&errors).column(0).into_owned(), left_over(&columns));
         let (bread, _) = least_squares::inverse_where_determined(&columns);
         let coefficients = &bread * columns.tr_mul(&residual);
         let left = &residual - &columns * &coefficients;
@@ -324,11 +315,8 @@ impl Search<'_> {
                 scenario.sample_time_s.iter().map(at).collect()
             }
         };
-        let mut map = if axis == Axis::Angle {
-            self.turn(&along)?
-        } else {
-            self.hats(axis, &along)?
-        };
+        let mut map =
+            if axis == Axis::Angle { self.turn(&along)? } else { self.hats(axis, &along)? };
         map.sentence = map.sentence_over(axis, self.equation, scenario);
         Some(map)
     }
@@ -336,9 +324,7 @@ impl Search<'_> {
     /// Harmonics over a turn.
     fn turn(&self, along: &[f64]) -> Option<AxisMap> {
         let step_rad = TAU / KNOTS_OF_A_TURN as f64;
-        let knots: Vec<f64> = (0..KNOTS_OF_A_TURN)
-            .map(|knot| knot as f64 * step_rad)
-            .collect();
+        let knots: Vec<f64> = (0..KNOTS_OF_A_TURN).map(|knot| knot as f64 * step_rad).collect();
         let mut shape = DMatrix::zeros(KNOTS_OF_A_TURN, 2 * HARMONICS);
         for (knot, angle_rad) in knots.iter().enumerate() {
             let mut row = [0.0; 2 * HARMONICS];
@@ -361,10 +347,7 @@ impl Search<'_> {
             let data = |knot: usize| tried.iter().map(|row| row[self.own + knot].powi(2)).sum();
             let data: Vec<f64> = (0..knots.len()).map(data).collect();
             let least = LEAST_DATA_SHARE * data.iter().sum::<f64>() / data.len() as f64;
-            let kept = knots
-                .into_iter()
-                .zip(data)
-                .filter(|(_, data)| *data >= least);
+            let kept = knots.into_iter().zip(data).filter(|(_, data)| *data >= least);
             let knots: Vec<f64> = kept.map(|(knot, _)| knot).collect();
             let enough = knots.len() >= FEWEST_KNOTS;
             let shape = DMatrix::identity(knots.len(), knots.len());

@@ -145,11 +145,7 @@ impl From<&AxisMap> for EffectCurve {
         Self {
             effect: None,
             equation: map.equation,
-            unit: if map.equation == "voltage" {
-                "V"
-            } else {
-                "N.m"
-            },
+            unit: if map.equation == "voltage" { "V" } else { "N.m" },
             axis: map.axis,
             axis_unit,
             axis_name: name.to_owned(),
@@ -188,10 +184,7 @@ pub fn effect_curve(
             without_it.take_out(*equation, &changes);
         }
     }
-    let pairs = Pairs {
-        without_it: &without_it,
-        with_it: Some(&with_it),
-    };
+    let pairs = Pairs { without_it: &without_it, with_it: Some(&with_it) };
     Ok(pairs.curve(Some(active)))
 }
 
@@ -210,10 +203,7 @@ pub fn error_curve(
             windows.take_out(*equation, &changes);
         }
     }
-    let pairs = Pairs {
-        without_it: &windows,
-        with_it: None,
-    };
+    let pairs = Pairs { without_it: &windows, with_it: None };
     Ok(pairs.curve(None))
 }
 
@@ -269,9 +259,9 @@ impl Pairs<'_> {
     ) -> impl Iterator<Item = At> {
         let without = self.without_it.each.iter().enumerate();
         without.filter_map(move |(index, window)| {
-            let with = self.with_it.map_or(Some(0.0), |with| {
-                Some(with.each.get(index)?.error(equation))
-            })?;
+            let with = self
+                .with_it
+                .map_or(Some(0.0), |with| Some(with.each.get(index)?.error(equation)))?;
             let at = At {
                 place: place(index, window),
                 without: window.error(equation),
@@ -303,11 +293,7 @@ impl Pairs<'_> {
             let tried = tried.filter_map(|along| {
                 let places = self.places(equation, along, active)?;
                 let r2 = self.follows(equation, &places)?;
-                let weight = if along == Along::Axis(Axis::Time) {
-                    WEIGHT_OF_TIME
-                } else {
-                    1.0
-                };
+                let weight = if along == Along::Axis(Axis::Time) { WEIGHT_OF_TIME } else { 1.0 };
                 Some((weight * r2, along, places, r2))
             });
             let best = tried.max_by(|a, b| a.0.total_cmp(&b.0))?;
@@ -344,16 +330,8 @@ impl Pairs<'_> {
             axis_name,
             why_axis: share_followed.map(|followed| why(active, name, followed)),
             points: points(|at| at.without),
-            line: if is_drawn {
-                line(&all, &fine)
-            } else {
-                Vec::new()
-            },
-            with_it: if is_drawn {
-                points(|at| at.with)
-            } else {
-                Vec::new()
-            },
+            line: if is_drawn { line(&all, &fine) } else { Vec::new() },
+            with_it: if is_drawn { points(|at| at.with) } else { Vec::new() },
             noise: (noise > 0.0).then_some(noise),
             rms_without: rms(|at| at.without),
             rms_with: is_drawn.then(|| rms(|at| at.with)),
@@ -366,11 +344,7 @@ impl Pairs<'_> {
             let (mut power, mut unit) = (0.0, 0.0);
             for at in self.along(*equation, |_, _| 0.0) {
                 power += self.followed(&at).powi(2);
-                unit += if at.floor > 0.0 {
-                    at.floor.powi(2)
-                } else {
-                    at.without.powi(2)
-                };
+                unit += if at.floor > 0.0 { at.floor.powi(2) } else { at.without.powi(2) };
             }
             power / f64::max(unit, f64::MIN_POSITIVE)
         };
@@ -406,11 +380,7 @@ impl Pairs<'_> {
             Along::Acceleration => each.map(|window| window.own(Balance::Torque)[0]).collect(),
             Along::VoltageRate => each.map(|window| window.input_rate).collect(),
             Along::Axis(Axis::Angle) => {
-                let search = Search {
-                    windows,
-                    equation,
-                    own: own_keys(equation).len(),
-                };
+                let search = Search { windows, equation, own: own_keys(equation).len() };
                 let angle = search.angle_at_samples()?;
                 let period_rad = TAU / periods_per_turn(active);
                 let middle_and_travel = |window: &Window| {
@@ -473,8 +443,7 @@ fn where_enough(places: Vec<f64>, eligible: Vec<bool>) -> Vec<f64> {
         return places;
     }
     let kept = places.into_iter().zip(eligible);
-    kept.map(|(place, is)| if is { place } else { f64::NAN })
-        .collect()
+    kept.map(|(place, is)| if is { place } else { f64::NAN }).collect()
 }
 
 /// Equation and axis of an effect that is a curve: by its card, and of a turn whatever needs the angle.
@@ -642,11 +611,7 @@ mod tests {
     #[test]
     fn a_fan_comes_back_as_its_parabola() {
         let run = with_a_fan(0);
-        let curve = drawn(
-            &model(&[("quadratic_load", &[FAN])]),
-            "quadratic_load",
-            &run,
-        );
+        let curve = drawn(&model(&[("quadratic_load", &[FAN])]), "quadratic_load", &run);
         assert_eq!((curve.equation, curve.axis), ("torque", "speed_rad_s"));
         assert_eq!(curve.why_axis, None);
         let law = |speed: f64| FAN * speed * speed.abs();
@@ -662,27 +627,18 @@ mod tests {
             assert!(apart < 4.0 * point.std + 0.03 * largest, "{point:?}");
         }
         for point in &curve.with_it {
-            assert!(
-                point.mean.abs() < 4.5 * point.std,
-                "on zero with it: {point:?}"
-            );
+            assert!(point.mean.abs() < 4.5 * point.std, "on zero with it: {point:?}");
         }
         let (without, with) = (curve.rms_without, curve.rms_with.unwrap());
-        assert!(
-            with < 1.2 * curve.noise.unwrap() && without > 3.0 * with,
-            "{curve:?}"
-        );
+        assert!(with < 1.2 * curve.noise.unwrap() && without > 3.0 * with, "{curve:?}");
     }
 
     #[test]
     fn a_line_of_the_wrong_form_misses_the_points() {
         let run = with_a_fan(0);
         // As much loss at 150 rad/s, linear.
-        let curve = drawn(
-            &model(&[("viscous_friction", &[150.0 * FAN])]),
-            "viscous_friction",
-            &run,
-        );
+        let curve =
+            drawn(&model(&[("viscous_friction", &[150.0 * FAN])]), "viscous_friction", &run);
         let off = |point: &CurvePoint| point.mean.abs() > 5.0 * point.std;
         let missed = curve.with_it.iter().filter(|point| off(point)).count();
         assert!(missed >= 3, "{missed}: {:?}", curve.with_it);
@@ -698,22 +654,9 @@ mod tests {
         let events = std::iter::once((0.0, 0.0)).chain(steps).collect();
         let run = testing::record(&truth, events, 0.001, 5.0, 3);
         let curve = drawn(&truth, "command_delay", &run);
-        assert_eq!(
-            (curve.equation, curve.axis),
-            ("voltage", "voltage_rate_v_s")
-        );
-        assert!(
-            curve
-                .why_axis
-                .as_ref()
-                .unwrap()
-                .starts_with("command_delay is no curve")
-        );
-        let far = curve
-            .line
-            .iter()
-            .max_by(|a, b| a.0.total_cmp(&b.0))
-            .unwrap();
+        assert_eq!((curve.equation, curve.axis), ("voltage", "voltage_rate_v_s"));
+        assert!(curve.why_axis.as_ref().unwrap().starts_with("command_delay is no curve"));
+        let far = curve.line.iter().max_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
         let slope_s = far.1 / far.0;
         assert!((slope_s / 0.004 - 1.0).abs() < 0.15, "{slope_s}");
     }
@@ -740,9 +683,6 @@ mod tests {
         assert_eq!((curve.equation, curve.axis), ("torque", "speed_rad_s"));
         assert!(curve.line.is_empty() && curve.with_it.is_empty() && curve.effect.is_none());
         assert!(curve.points.len() > 12 && curve.why_axis.is_some());
-        assert_eq!(
-            effect_curve(&model(&[]), "cogging", &run, &noise).unwrap(),
-            None
-        );
+        assert_eq!(effect_curve(&model(&[]), "cogging", &run, &noise).unwrap(), None);
     }
 }

@@ -48,23 +48,12 @@ pub fn lean(
             continue;
         }
         let mut balance = windows.balance(equation, noise);
-        refit(
-            &mut windows,
-            equation,
-            &mut balance,
-            noise,
-            model,
-            ErrorOf::Structure,
-        );
+        refit(&mut windows, equation, &mut balance, noise, model, ErrorOf::Structure);
         if !balance.fails {
             continue;
         }
         let badness = super::nres(&balance).unwrap_or(balance.relative);
-        let search = Search {
-            windows: &windows,
-            equation,
-            own: own_keys(equation).len(),
-        };
+        let search = Search { windows: &windows, equation, own: own_keys(equation).len() };
         let angle = search.angle_at_samples();
         for effect in CATALOGUE {
             let share = share(&search, *effect, model, angle.as_deref());
@@ -93,9 +82,7 @@ fn share(
 ) -> Option<f64> {
     let card = effect.card();
     let specs = effect.parameters();
-    let happens_once = specs
-        .iter()
-        .any(|spec| spec.role == ParameterRole::EventTime);
+    let happens_once = specs.iter().any(|spec| spec.role == ParameterRole::EventTime);
     if happens_once || !card.enters.includes(search.equation) {
         return None;
     }
@@ -160,22 +147,13 @@ fn column(
             ..motor
         };
         let sums = terms.sums(&at, &[]);
-        let direction = if speed_rad_s.abs() > dead_zone {
-            speed_rad_s.signum()
-        } else {
-            0.0
-        };
+        let direction = if speed_rad_s.abs() > dead_zone { speed_rad_s.signum() } else { 0.0 };
         match search.equation {
             Balance::Voltage => sums.voltage_v,
             Balance::Torque => sums.torque_n_m + sums.friction_n_m * direction,
         }
     };
-    let values: Vec<f64> = scenario
-        .sample_time_s
-        .iter()
-        .enumerate()
-        .map(at_sample)
-        .collect();
+    let values: Vec<f64> = scenario.sample_time_s.iter().enumerate().map(at_sample).collect();
     let own = search.own;
     let rows = search.averaged(&values, 1, |value, weight, row| row[0] += value * weight);
     let column: Vec<f64> = rows.into_iter().map(|row| row[own]).collect();

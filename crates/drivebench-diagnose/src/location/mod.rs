@@ -249,9 +249,8 @@ fn refit(
     balance.nres_refitted = after.nres;
     let is_small = |change: &OwnChange| change.share.abs() < MATERIAL_SHARE;
     let is_another = |change: &OwnChange| {
-        let is_sure = ![MotorKey::LoadTorque, MotorKey::Inductance]
-            .map(MotorKey::key)
-            .contains(&change.key);
+        let is_sure =
+            ![MotorKey::LoadTorque, MotorKey::Inductance].map(MotorKey::key).contains(&change.key);
         is_sure && change.share.abs() > ANOTHER_SHARE
     };
     balance.refitted = match error_of {
@@ -269,11 +268,7 @@ fn refit(
 
 /// Error of a balance in units of its noise, of what is located.
 const fn nres(balance: &EquationBalance) -> Option<f64> {
-    if balance.refitted {
-        balance.nres_refitted
-    } else {
-        balance.nres
-    }
+    if balance.refitted { balance.nres_refitted } else { balance.nres }
 }
 
 /// By what two failing balances are compared. An error that follows something says more than a larger one that follows
@@ -299,19 +294,12 @@ impl EquationBalance {
             None => format!(
                 "{} % of the {} (no noise is known to compare it with)",
                 figure(100.0 * self.relative),
-                if is_torque {
-                    "driving torque"
-                } else {
-                    "voltage"
-                }
+                if is_torque { "driving torque" } else { "voltage" }
             ),
         };
         let moved = match (self.refitted, self.nres, self.nres_refitted) {
             (true, Some(before), Some(after)) if before - after > WORTH_SAYING_NRES => {
-                format!(
-                    ", {after:.2} times where {} may move",
-                    self.largest_change()
-                )
+                format!(", {after:.2} times where {} may move", self.largest_change())
             }
             _ => String::new(),
         };
@@ -323,10 +311,7 @@ impl EquationBalance {
             }
             (false, _) => format!("the {name} equation holds: its error is {size}{moved}"),
             (true, Some(first)) => {
-                format!(
-                    "the {name} equation fails: its error is {size}{moved}; {}",
-                    first.sentence
-                )
+                format!("the {name} equation fails: its error is {size}{moved}; {}", first.sentence)
             }
             (true, None) => format!(
                 "the {name} equation fails: its error is {size}{moved} and follows none of the variables examined"

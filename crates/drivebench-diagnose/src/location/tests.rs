@@ -9,17 +9,12 @@ use drivebench_model::plant::{Plant, State, testing};
 
 /// Both directions, slow passages through zero, dither of 40 ms; another run for each seed.
 fn record(truth: &Model, period_s: f64, seed: u64) -> Scenario {
-    let levels = [
-        30.0, 80.0, 45.0, 6.0, -6.0, -45.0, -90.0, -20.0, 5.0, 60.0, 100.0, -70.0,
-    ];
+    let levels = [30.0, 80.0, 45.0, 6.0, -6.0, -45.0, -90.0, -20.0, 5.0, 60.0, 100.0, -70.0];
     let event = |step: u64| {
         let level = levels[((step / 12 + 5 * seed) % 12) as usize];
         // A small generator of signs; no two runs dither alike.
         let is_below = (step * step * 7 + step * 3 + seed * 11) % 5 < 2;
-        (
-            0.4 + 0.04 * step as f64,
-            level + if is_below { -5.0 } else { 5.0 },
-        )
+        (0.4 + 0.04 * step as f64, level + if is_below { -5.0 } else { 5.0 })
     };
     let events = std::iter::once((0.0, 0.0)).chain((0..150).map(event));
     testing::record(truth, events.collect(), period_s, 6.4, seed)
@@ -33,13 +28,7 @@ fn floor(run: &Scenario) -> NoiseFloor {
 fn located(truth: &Model, period_s: f64, error_of: ErrorOf) -> Located {
     let run = record(truth, period_s, 1);
     let fit = output_error::fit(&[nameplate()], &run, &floor(&run)).unwrap();
-    locate(
-        &fit.model,
-        &record(truth, period_s, 2),
-        &floor(&run),
-        error_of,
-    )
-    .unwrap()
+    locate(&fit.model, &record(truth, period_s, 2), &floor(&run), error_of).unwrap()
 }
 
 /// Where the error lies first: in this equation, along this variable.
@@ -67,24 +56,12 @@ fn a_right_model_has_balances_at_the_noise_and_no_place() {
 #[test]
 fn the_first_place_names_equation_and_axis() {
     let cases: [(&str, &[f64], f64, &str, &str); 7] = [
-        (
-            "stribeck_friction",
-            &[0.2, 10.0],
-            0.001,
-            "torque",
-            "speed_rad_s",
-        ),
+        ("stribeck_friction", &[0.2, 10.0], 0.001, "torque", "speed_rad_s"),
         ("quadratic_load", &[3e-6], 0.001, "torque", "speed_rad_s"),
         ("quadratic_load", &[3e-6], 0.01, "torque", "speed_rad_s"),
         ("voltage_drop", &[1.0], 0.001, "voltage", "current_a"),
         ("voltage_drop", &[1.0], 0.01, "voltage", "current_a"),
-        (
-            "winding_heating",
-            &[0.004, 20.0],
-            0.001,
-            "voltage",
-            "time_s",
-        ),
+        ("winding_heating", &[0.004, 20.0], 0.001, "voltage", "time_s"),
         ("constant_load", &[0.1], 0.001, "torque", "offset_n_m"),
     ];
     for (id, values, period_s, equation, variable) in cases {
@@ -93,10 +70,7 @@ fn the_first_place_names_equation_and_axis() {
         let first = first(&found, (equation, variable), &case);
         assert_eq!(found.balances[0].equation, equation);
         assert!(found.balances[0].nres.unwrap() > 1.3 && found.balances[0].fails);
-        assert!(
-            first.from < first.to && first.share_of_error > 0.5,
-            "{first:?}"
-        );
+        assert!(first.from < first.to && first.share_of_error > 0.5, "{first:?}");
     }
 }
 
@@ -106,10 +80,7 @@ fn friction_that_grows_towards_zero_speed_lies_in_a_narrow_range() {
     let found = located(&peak, 0.001, ErrorOf::Structure);
     let first = &found.locations[0];
     assert!(first.to < 30.0 && first.from > -30.0, "{first:?}");
-    assert!(
-        first.share_of_time < 0.3 && first.share_of_error > 0.6,
-        "{first:?}"
-    );
+    assert!(first.share_of_time < 0.3 && first.share_of_error > 0.6, "{first:?}");
 }
 
 #[test]
@@ -162,11 +133,7 @@ fn a_missing_signal_and_a_short_run_are_said() {
     let (short, _) = record(&nameplate(), 0.001, 6).split(0.1);
     let found = locate(&nameplate(), &short, &noise, ErrorOf::Model).unwrap();
     let mut notes = found.notes.iter();
-    assert!(
-        notes.any(|note| note.contains("longer run")),
-        "{:?}",
-        found.notes
-    );
+    assert!(notes.any(|note| note.contains("longer run")), "{:?}", found.notes);
 }
 
 #[test]
@@ -175,10 +142,7 @@ fn the_map_counts_every_window_once() {
     let found = locate(&nameplate(), &run, &floor(&run), ErrorOf::Model).unwrap();
     let map = found.map.unwrap();
     let windows = Windows::new(&nameplate(), &run, &floor(&run), FEWEST_HALF).unwrap();
-    assert_eq!(
-        map.count.iter().flatten().sum::<usize>(),
-        windows.each.len()
-    );
+    assert_eq!(map.count.iter().flatten().sum::<usize>(), windows.each.len());
     for (counts, errors) in map.count.iter().zip(&map.voltage_rms_v) {
         for (count, error) in counts.iter().zip(errors) {
             assert_eq!(*count > 0, error.is_some());
@@ -200,16 +164,9 @@ fn a_shaker_is_a_line_at_its_frequency() {
     let found = locate(&nameplate(), &run, &noise, ErrorOf::Structure).unwrap();
     let mut locations = found.locations.iter();
     let line = locations.find(|l| l.variable == "frequency_hz").unwrap();
-    assert!(
-        line.from <= 7.32 && line.to >= 7.28 && line.to - line.from < 0.3,
-        "{line:?}"
-    );
+    assert!(line.from <= 7.32 && line.to >= 7.28 && line.to - line.from < 0.3, "{line:?}");
     assert_eq!(line.equation, "torque");
-    assert!(
-        line.sentence.contains("with 0.149 N.m"),
-        "{}",
-        line.sentence
-    );
+    assert!(line.sentence.contains("with 0.149 N.m"), "{}", line.sentence);
 }
 
 /// A failing balance of so many times its noise over 200 windows, and the variables that its error follows.

@@ -85,10 +85,7 @@ pub fn torque_map(
     runs: &[(Scenario, NoiseFloor)],
 ) -> Result<Result<MeasuredMap, MapError>, FitError> {
     let rest = of.taken_out_of(model);
-    let fastest = largest(
-        runs.iter()
-            .flat_map(|(run, _)| run.speed_rad_s.iter().copied()),
-    );
+    let fastest = largest(runs.iter().flat_map(|(run, _)| run.speed_rad_s.iter().copied()));
     let bins = match of {
         MappedTorque::Friction => grid(-fastest, fastest, 2 * BINS_EACH_WAY),
         MappedTorque::Cogging => grid(0.0, TAU, BINS_PER_TURN),
@@ -141,21 +138,13 @@ pub fn torque_map(
     }
     let bins = bins.into_iter().map(|bin| filled(bin, &found)).collect();
     let map = TorqueMap { torque: of, bins };
-    Ok(if map.known() == 0 {
-        Err(MapError::Empty)
-    } else {
-        Ok(MeasuredMap { map, left_out })
-    })
+    Ok(if map.known() == 0 { Err(MapError::Empty) } else { Ok(MeasuredMap { map, left_out }) })
 }
 
 fn grid(from: f64, to: f64, count: usize) -> Vec<MapBin> {
     let edge = |index: usize| from + (to - from) * index as f64 / count as f64;
-    let bin = |index: usize| MapBin {
-        from: edge(index),
-        to: edge(index + 1),
-        windows: 0,
-        torque: None,
-    };
+    let bin =
+        |index: usize| MapBin { from: edge(index), to: edge(index + 1), windows: 0, torque: None };
     (0..count).map(bin).collect()
 }
 
@@ -205,11 +194,7 @@ fn take_friction_out(found: &mut [Found], bins: &[MapBin]) {
         let middle = known.clone().map(|(sum, count)| sum / count).sum::<f64>()
             / known.count().max(1) as f64;
         for (wave, (sum, count)) in wave.iter_mut().zip(&sums) {
-            *wave = if *count > 0.0 {
-                sum / count - middle
-            } else {
-                0.0
-            };
+            *wave = if *count > 0.0 { sum / count - middle } else { 0.0 };
         }
     }
     for found in found {
@@ -223,15 +208,8 @@ fn straight(points: &[(f64, f64)]) -> [f64; 2] {
     let mean = |value: fn(&(f64, f64)) -> f64| points.iter().map(value).sum::<f64>() / n;
     let (x, y) = (mean(|point| point.0), mean(|point| point.1));
     let square: f64 = points.iter().map(|point| (point.0 - x).powi(2)).sum();
-    let product: f64 = points
-        .iter()
-        .map(|point| (point.0 - x) * (point.1 - y))
-        .sum();
-    let slope = if square > SPREAD * n * x * x {
-        product / square
-    } else {
-        0.0
-    };
+    let product: f64 = points.iter().map(|point| (point.0 - x) * (point.1 - y)).sum();
+    let slope = if square > SPREAD * n * x * x { product / square } else { 0.0 };
     [y - slope * x, slope]
 }
 
@@ -248,17 +226,9 @@ fn filled(bin: MapBin, found: &[Found]) -> MapBin {
         let floor = mean(&|found| found.floor_n_m.powi(2));
         let std = (variance.max(floor) * WINDOWS_EACH / n).sqrt();
         let half = std * student(n / WINDOWS_EACH - 1.0);
-        MappedValue {
-            torque_n_m,
-            low_n_m: torque_n_m - half,
-            high_n_m: torque_n_m + half,
-        }
+        MappedValue { torque_n_m, low_n_m: torque_n_m - half, high_n_m: torque_n_m + half }
     });
-    MapBin {
-        windows: inside.len(),
-        torque,
-        ..bin
-    }
+    MapBin { windows: inside.len(), torque, ..bin }
 }
 
 /// Standard deviations to either side that hold the level with so many degrees of freedom.
@@ -317,10 +287,7 @@ mod tests {
             let speed = bin.middle();
             let half_bin = 0.002 * 0.5 * (bin.to - bin.from);
             let expected = 0.455 * speed.signum() + 0.002 * speed;
-            assert!(
-                (torque.torque_n_m - expected).abs() < 0.01 + half_bin,
-                "{bin:?} {expected}"
-            );
+            assert!((torque.torque_n_m - expected).abs() < 0.01 + half_bin, "{bin:?} {expected}");
             assert!(torque.low_n_m <= torque.torque_n_m && torque.torque_n_m <= torque.high_n_m);
         }
         assert!(map.known() < map.bins.len(), "not every speed was held");
@@ -331,10 +298,7 @@ mod tests {
         // About 5 rad/s.
         let plain = cogging_of(&[("cogging", &[0.0, 0.1, 7.0])], &[3.2, -3.2]);
         // Friction that falls with the speed, which the cogging makes swing.
-        let falling = [
-            ("cogging", &[0.0, 0.1, 7.0][..]),
-            ("stribeck_friction", &[0.16, 10.0]),
-        ];
+        let falling = [("cogging", &[0.0, 0.1, 7.0][..]), ("stribeck_friction", &[0.16, 10.0])];
         let falling = cogging_of(&falling, &[3.7, -3.7]);
         for map in [plain, falling] {
             assert!(map.differ() > map.known() / 2, "{}", map.differ());
@@ -342,13 +306,7 @@ mod tests {
     }
 
     fn cogging_of(truth: &[(&str, &[f64])], levels: &[f64]) -> TorqueMap {
-        let map = mapped(
-            MappedTorque::Cogging,
-            &model(truth),
-            &model(&[]),
-            levels,
-            8.0,
-        );
+        let map = mapped(MappedTorque::Cogging, &model(truth), &model(&[]), levels, 8.0);
         assert!(map.known() > BINS_PER_TURN / 2, "{}", map.known());
         let mut off = 0.0;
         for bin in &map.bins {

@@ -83,11 +83,7 @@ impl Window {
 /// The motor's parameters in each equation.
 pub(super) const fn own_keys(equation: Balance) -> &'static [MotorKey] {
     match equation {
-        Balance::Voltage => &[
-            MotorKey::Resistance,
-            MotorKey::Inductance,
-            MotorKey::BackEmf,
-        ],
+        Balance::Voltage => &[MotorKey::Resistance, MotorKey::Inductance, MotorKey::BackEmf],
         Balance::Torque => &[MotorKey::Inertia, MotorKey::LoadTorque],
     }
 }
@@ -178,22 +174,14 @@ impl<'a> Windows<'a> {
         let known =
             |level: f64| (noise.source != FloorSource::None && level.is_finite()).then_some(level);
         let dead_zone_rad_s = known(noise.speed_rad_s)
-            .map_or(DEAD_ZONE_SHARE_WITHOUT_NOISE * fastest, |level| {
-                DEAD_ZONE_SIGMAS * level
-            })
+            .map_or(DEAD_ZONE_SHARE_WITHOUT_NOISE * fastest, |level| DEAD_ZONE_SIGMAS * level)
             .max(DEAD_ZONE_SHARE * fastest);
         let torque_constant = match scenario.input {
             Input::Torque => 1.0,
             _ => model.motor.torque_constant().unwrap_or(f64::NAN),
         };
-        let mut found = Self {
-            each: Vec::new(),
-            scenario,
-            half,
-            period_s,
-            dead_zone_rad_s,
-            torque_constant,
-        };
+        let mut found =
+            Self { each: Vec::new(), scenario, half, period_s, dead_zone_rad_s, torque_constant };
         let mut plant = Plant::new(model, scenario.input)?;
         let levels = [noise.current_a, noise.speed_rad_s].map(|level| known(level).unwrap_or(0.0));
         // Half of the windows begin in the middle of the others.
@@ -434,11 +422,8 @@ impl Windows<'_> {
                 let left = error - (0..k).map(|at| row[at] * change[at]).sum::<f64>();
                 // Huber: absolute values beyond the noise, squares within.
                 let soft = window.floor(equation).max(SOFT_SHARE * scale.min(f64::MAX));
-                let weight = if pass == 0 {
-                    1.0
-                } else {
-                    1.0 / left.abs().max(soft).max(f64::MIN_POSITIVE)
-                };
+                let weight =
+                    if pass == 0 { 1.0 } else { 1.0 / left.abs().max(soft).max(f64::MIN_POSITIVE) };
                 for at in 0..k {
                     right[at] += weight * row[at] * error;
                     for other in 0..k {

@@ -159,9 +159,7 @@ impl ExperimentLimits {
             limits.voltage_v = limits.voltage_v.max(largest(voltages));
             limits.slew_v_per_s = limits.slew_v_per_s.max(slew_v_per_s(run));
             limits.current_a = limits.current_a.max(largest(run.current_a.iter().copied()));
-            limits.speed_rad_s = limits
-                .speed_rad_s
-                .max(largest(run.speed_rad_s.iter().copied()));
+            limits.speed_rad_s = limits.speed_rad_s.max(largest(run.speed_rad_s.iter().copied()));
             limits.rms_current_a = limits.rms_current_a.max(mean_square(&run.current_a).sqrt());
         }
         // A signal that was not recorded limits nothing that can be checked.

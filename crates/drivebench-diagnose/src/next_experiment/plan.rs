@@ -63,11 +63,7 @@ fn figures(value: f64) -> f64 {
     let unit = 10_f64.powf(places.abs());
     // Above its rounding: 9.5 must not become 9.49.
     let above = value * (1.0 + 1e-12);
-    if places >= 0.0 {
-        (above * unit).trunc() / unit
-    } else {
-        (above / unit).trunc() * unit
-    }
+    if places >= 0.0 { (above * unit).trunc() / unit } else { (above / unit).trunc() * unit }
 }
 
 /// Whole milliseconds, upwards; a clock to the tenth of one.
@@ -106,10 +102,9 @@ fn tidy(segment: Segment) -> Segment {
             seconds: milliseconds(prbs.seconds),
             ..prbs
         }),
-        Segment::Sine(sine) => Segment::Sine(Sine {
-            amplitude_v: figures(sine.amplitude_v),
-            ..sine
-        }),
+        Segment::Sine(sine) => {
+            Segment::Sine(Sine { amplitude_v: figures(sine.amplitude_v), ..sine })
+        }
         other => other,
     }
 }
@@ -119,12 +114,7 @@ fn standstill(seconds: f64) -> Segment {
 }
 
 fn ramp(from_v: f64, to_v: f64, seconds: f64, dither: Option<Dither>) -> Segment {
-    Segment::Ramp(Ramp {
-        from_v,
-        to_v,
-        seconds,
-        dither,
-    })
+    Segment::Ramp(Ramp { from_v, to_v, seconds, dither })
 }
 
 /// Holds at these shares of a voltage.
@@ -137,14 +127,7 @@ fn steps(of_v: f64, shares: &[f64], hold_s: f64) -> Segment {
 }
 
 fn random(amplitude_v: f64, clock_s: f64, seconds: f64, seed: u64, levels: u16) -> Segment {
-    Segment::Prbs(Prbs {
-        amplitude_v,
-        clock_s,
-        seconds,
-        seed,
-        offset_v: 0.0,
-        levels,
-    })
+    Segment::Prbs(Prbs { amplitude_v, clock_s, seconds, seed, offset_v: 0.0, levels })
 }
 
 impl Reach {
@@ -202,9 +185,7 @@ impl Reach {
     }
 
     fn current_reversals(&self) -> Vec<Segment> {
-        let levels = [
-            1.0, -1.0, 0.5, -0.5, 0.0, 0.7, -0.7, 0.3, -0.3, 0.0, 1.0, 0.0, -1.0, 0.0,
-        ];
+        let levels = [1.0, -1.0, 0.5, -0.5, 0.0, 0.7, -0.7, 0.3, -0.3, 0.0, 1.0, 0.0, -1.0, 0.0];
         let hold_s = self.reversal_s(self.quick_v).max(0.12);
         let part = |times| steps(self.quick_v, &levels, times * hold_s);
         self.behind_rest(&[part(1.0), part(2.0)])
@@ -215,11 +196,8 @@ impl Reach {
         let (level_v, dither_v) = (0.5 * self.full_v, 0.4 * self.quick_v);
         let change_s = (2.0 * self.arrival_s(0.5)).max(0.5);
         let part = |from_v, to_v, seconds, seed| {
-            let dither = Dither {
-                amplitude_v: dither_v,
-                clock_s: self.fast_clock_s(dither_v),
-                seed,
-            };
+            let dither =
+                Dither { amplitude_v: dither_v, clock_s: self.fast_clock_s(dither_v), seed };
             ramp(from_v, to_v, seconds, Some(dither))
         };
         self.behind_rest(&[
@@ -237,9 +215,7 @@ impl Reach {
         let full_v = self.full_v;
         let hard = [1.0, -1.0, 1.0, 0.0, -1.0, 0.0, 0.5, -0.5, 0.0];
         let hard_s = self.arrival_s(2.0).max(0.2) + 0.15;
-        let stairs = [
-            0.25, 0.5, 0.75, 1.0, 0.6, 0.0, -0.25, -0.5, -0.75, -1.0, -0.6, 0.0,
-        ];
+        let stairs = [0.25, 0.5, 0.75, 1.0, 0.6, 0.0, -0.25, -0.5, -0.75, -1.0, -0.6, 0.0];
         let stairs_s = self.arrival_s(0.6).max(0.2) + 0.5;
         // Large and small: play in a coupling does not grow with the torque.
         let dither = [(1.0, 1), (0.4, 2)].map(|(share, seed)| {
@@ -247,11 +223,8 @@ impl Reach {
             let seconds = (30.0 * clock_s).clamp(2.0, 4.0);
             random(share * self.quick_v, clock_s, seconds, seed, 2)
         });
-        let slow_sine = Segment::Sine(Sine {
-            amplitude_v: self.creep_v,
-            frequency_hz: 0.4,
-            seconds: 7.5,
-        });
+        let slow_sine =
+            Segment::Sine(Sine { amplitude_v: self.creep_v, frequency_hz: 0.4, seconds: 7.5 });
         let levels_s = self.arrival_s(0.4).max(10.0 * self.period_s);
         [
             (
@@ -290,12 +263,7 @@ impl Reach {
                 Change::Slewed,
                 self.behind_rest(&[slow_sine]),
             ),
-            (
-                "standstill",
-                "a standstill reading",
-                Change::Slewed,
-                vec![standstill(4.0)],
-            ),
+            ("standstill", "a standstill reading", Change::Slewed, vec![standstill(4.0)]),
             (
                 "heat_and_repeat",
                 "a first part that is repeated after heating the winding",
@@ -513,11 +481,8 @@ fn reach(model: &Model, limits: &ExperimentLimits, period_s: f64) -> Option<Reac
         return None;
     }
     let motor = |key| model.motor.get(key);
-    let (resistance, back_emf, inertia) = (
-        motor(MotorKey::Resistance)?,
-        motor(MotorKey::BackEmf)?,
-        motor(MotorKey::Inertia)?,
-    );
+    let (resistance, back_emf, inertia) =
+        (motor(MotorKey::Resistance)?, motor(MotorKey::BackEmf)?, motor(MotorKey::Inertia)?);
     let load_a = motor(MotorKey::LoadTorque)? / model.motor.torque_constant()?;
     let idle_v = resistance * load_a;
     let voltage_v = VOLTAGE_SHARE * limits.voltage_v;
@@ -567,9 +532,7 @@ impl Peaks {
 
     /// Largest of the peaks in units of what a plan may use; at most one where all is well.
     fn excess(&self, limits: &ExperimentLimits) -> f64 {
-        let travel = limits
-            .travel_rad
-            .map_or(0.0, |limit| self.travel_rad / (SPEED_SHARE * limit));
+        let travel = limits.travel_rad.map_or(0.0, |limit| self.travel_rad / (SPEED_SHARE * limit));
         [
             self.voltage_v / limits.voltage_v,
             self.current_a / (CURRENT_SHARE * limits.current_a),

@@ -168,11 +168,7 @@ impl Question<'_> {
                 expected_separation: *separation,
                 needed: here.needed,
                 best_program: best.plan.recipe.id,
-                best_separation: if chosen_is_best {
-                    *separation
-                } else {
-                    own(best)
-                },
+                best_separation: if chosen_is_best { *separation } else { own(best) },
                 best_needed: best.needed,
             })
         };
@@ -207,10 +203,7 @@ pub fn recommend(
     if evidence.training.input != Input::Voltage {
         return Ok(None);
     }
-    let evidence = &Evidence {
-        noise: diagnosis.model.noise,
-        ..evidence.clone()
-    };
+    let evidence = &Evidence { noise: diagnosis.model.noise, ..evidence.clone() };
     if diagnosis.confusable.is_empty() {
         return Ok(reveal(diagnosis, evidence, limits));
     }
@@ -218,11 +211,7 @@ pub fn recommend(
     let effects = diagnosis.model.model.effect_ids().into_iter().chain(rivals);
     let (evidence, _) = evidence.fitted_with(&effects.collect::<Vec<_>>());
     let evidence = &*evidence;
-    let pairs = diagnosis
-        .confusable
-        .iter()
-        .zip(&diagnosis.rivals)
-        .take(MOST_PAIRS);
+    let pairs = diagnosis.confusable.iter().zip(&diagnosis.rivals).take(MOST_PAIRS);
     let (mut names, mut rivals) = (Vec::new(), Vec::new());
     for (pair, rival) in pairs {
         let start = std::slice::from_ref(rival);
@@ -293,10 +282,7 @@ fn tell_apart(
     };
     let mut sentence = pairs_in_words(plan, &pairs, name_of);
     if !separable && limits.slew_v_per_s.is_finite() {
-        let free = ExperimentLimits {
-            slew_v_per_s: f64::INFINITY,
-            ..*limits
-        };
+        let free = ExperimentLimits { slew_v_per_s: f64::INFINITY, ..*limits };
         // What does not change any faster then has been tried.
         let known: Vec<&Recipe> = tried.iter().map(|tried| &tried.plan.recipe).collect();
         let freely = question.tried(&free, &known);

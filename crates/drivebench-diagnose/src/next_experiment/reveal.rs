@@ -30,9 +30,7 @@ impl Tried {
     }
 
     fn count(&self) -> usize {
-        (0..self.information.len())
-            .filter(|k| self.promises(*k))
-            .count()
+        (0..self.information.len()).filter(|k| self.promises(*k)).count()
     }
 
     fn total(&self) -> f64 {
@@ -66,9 +64,8 @@ impl Question<'_> {
     fn menu(&self, limits: &ExperimentLimits) -> (Vec<Tried>, bool) {
         let models: Vec<&Model> = std::iter::once(self.model).chain(&self.with).collect();
         let plans = (0..COUNT).into_par_iter();
-        let plans: Vec<Planned> = plans
-            .filter_map(|index| planned(index, &models, limits))
-            .collect();
+        let plans: Vec<Planned> =
+            plans.filter_map(|index| planned(index, &models, limits)).collect();
         let allowed = plans.len();
         let is_open = |plan: &Planned| !self.made.iter().any(|run| plan.was_made_in(run));
         let open: Vec<Planned> = plans.into_iter().filter(is_open).collect();
@@ -96,9 +93,8 @@ impl Question<'_> {
     fn hidden(&self, tried: &[Tried], limits: &ExperimentLimits) -> Vec<Hidden> {
         let best = tried.first();
         let places = 0..self.undetected.len();
-        let left: Vec<usize> = places
-            .filter(|place| !best.is_some_and(|best| best.promises(*place)))
-            .collect();
+        let left: Vec<usize> =
+            places.filter(|place| !best.is_some_and(|best| best.promises(*place))).collect();
         let shows = |tried: &[Tried], place: usize| tried.iter().any(|own| own.promises(place));
         let alone: Vec<usize> = left.iter().copied().filter(|p| !shows(tried, *p)).collect();
         // What limits are in the way of is worked out only where no run is left: it takes a menu for each of them.
@@ -106,9 +102,7 @@ impl Question<'_> {
             Vec::new()
         } else {
             let lifted = lifted(limits).into_iter();
-            lifted
-                .map(|(words, limits)| (words, self.tried(&limits)))
-                .collect()
+            lifted.map(|(words, limits)| (words, self.tried(&limits))).collect()
         };
         let reason = |place: usize| {
             if !alone.contains(&place) {
@@ -121,10 +115,9 @@ impl Question<'_> {
                 |(words, _)| words.clone(),
             )
         };
-        let hidden = left.into_iter().map(|place| Hidden {
-            effect: self.undetected[place],
-            reason: reason(place),
-        });
+        let hidden = left
+            .into_iter()
+            .map(|place| Hidden { effect: self.undetected[place], reason: reason(place) });
         hidden.collect()
     }
 }
@@ -138,18 +131,12 @@ fn lifted(limits: &ExperimentLimits) -> Vec<(String, ExperimentLimits)> {
             limits.slew_v_per_s
         );
         let slew_v_per_s = f64::INFINITY;
-        let limits = ExperimentLimits {
-            slew_v_per_s,
-            ..*limits
-        };
+        let limits = ExperimentLimits { slew_v_per_s, ..*limits };
         all.push((words, limits));
     }
     if let Some(travel_rad) = limits.travel_rad {
         let words = format!("not within {travel_rad:.1} rad: needs more travel");
-        let limits = ExperimentLimits {
-            travel_rad: None,
-            ..*limits
-        };
+        let limits = ExperimentLimits { travel_rad: None, ..*limits };
         all.push((words, limits));
     }
     let more = ExperimentLimits {
@@ -177,10 +164,7 @@ pub(super) fn reveal(
     limits: &ExperimentLimits,
 ) -> Option<NextExperiment> {
     let basis = diagnosis.information_basis?;
-    if matches!(
-        diagnosis.verdict,
-        DiagnosisVerdict::Unexplained | DiagnosisVerdict::NotFitted
-    ) {
+    if matches!(diagnosis.verdict, DiagnosisVerdict::Unexplained | DiagnosisVerdict::NotFitted) {
         return None;
     }
     let model = &diagnosis.model.model;
@@ -201,9 +185,7 @@ pub(super) fn reveal(
     let with = undetected.iter();
     let question = Question {
         model,
-        with: with
-            .filter_map(|id| with_typical(model, id, evidence))
-            .collect(),
+        with: with.filter_map(|id| with_typical(model, id, evidence)).collect(),
         undetected,
         information: ExpectedInformation::new(model, &missing, evidence, basis),
         made: evidence.parts.get(1..).unwrap_or_default(),
@@ -237,10 +219,8 @@ pub(super) fn reveal(
     };
     let places = (0..question.undetected.len()).filter(|place| best.promises(*place));
     let places: Vec<usize> = places.collect();
-    let reveals: Vec<&'static str> = places
-        .iter()
-        .map(|place| question.undetected[*place])
-        .collect();
+    let reveals: Vec<&'static str> =
+        places.iter().map(|place| question.undetected[*place]).collect();
     let weakest = places.iter().map(|place| best.information[*place]);
     Some(NextExperiment {
         sentence: reveals_in_words(&best.plan, &reveals, &hidden),
@@ -279,19 +259,12 @@ fn reveals_in_words(plan: &Planned, shown: &[&'static str], hidden: &[Hidden]) -
 fn nothing_in_words(hidden: &[Hidden]) -> String {
     let hidden = hidden.iter();
     let words = hidden.map(|own| format!("{} ({})", name(own.effect), own.reason));
-    format!(
-        "no further run within the limits would show more; not shown: {}",
-        list(words)
-    )
+    format!("no further run within the limits would show more; not shown: {}", list(words))
 }
 
 fn list(names: impl ExactSizeIterator<Item = String>) -> String {
     let more = names.len().saturating_sub(MOST_NAMES);
     let said: Vec<String> = names.take(MOST_NAMES).collect();
     let said = said.join(", ");
-    if more > 0 {
-        format!("{said} and {more} more")
-    } else {
-        said
-    }
+    if more > 0 { format!("{said} and {more} more") } else { said }
 }

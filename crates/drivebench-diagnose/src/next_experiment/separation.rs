@@ -42,9 +42,8 @@ impl<'a> Rival<'a> {
         let jacobian = jacobian_at(&problem, &x, &residual);
         let normal = jacobian.tr_mul(&jacobian);
         let free = problem.free_slots();
-        let passing: Vec<usize> = (0..x.len())
-            .filter(|&index| free.get(index).is_none_or(is_event))
-            .collect();
+        let passing: Vec<usize> =
+            (0..x.len()).filter(|&index| free.get(index).is_none_or(is_event)).collect();
         let inflation = inflation(&residual, problem.rows());
         Ok(Self {
             model,
@@ -123,10 +122,8 @@ fn inflation(residual: &[f64], rows: &[(usize, bool)]) -> f64 {
             .map(|(value, _)| *value)
             .collect();
         let chance = 2.0 / (signal.len() as f64).sqrt();
-        let correlated: f64 = autocorrelation(&signal, MOST_LAGS)
-            .into_iter()
-            .take_while(|rho| *rho > chance)
-            .sum();
+        let correlated: f64 =
+            autocorrelation(&signal, MOST_LAGS).into_iter().take_while(|rho| *rho > chance).sum();
         let squares: f64 = signal.iter().map(|value| value * value).sum();
         sum += squares * (1.0 + 2.0 * correlated);
     }
@@ -147,9 +144,7 @@ fn planned_run<'a>(rival: &Rival<'_>, run: &'a Scenario, noise: NoiseFloor) -> O
 /// The rival's difference to the run, in units of the noise.
 fn difference(problem: &FreeRun<'_>, x: &[f64]) -> Option<DVector<f64>> {
     let mut out = vec![0.0; problem.residual_len()];
-    problem
-        .residual(x, &mut out)
-        .then(|| DVector::from_vec(out))
+    problem.residual(x, &mut out).then(|| DVector::from_vec(out))
 }
 
 /// How a rival can change in a run.
@@ -229,9 +224,7 @@ impl Response {
 /// The same with the rival fitted in full, so that one that bends does not pass for one that cannot.
 pub(super) fn refitted(run: &Scenario, rival: &Rival<'_>, noise: NoiseFloor) -> Option<f64> {
     let placed = rival.placed(run, noise);
-    let rival = &placed
-        .as_ref()
-        .map_or_else(|| rival.clone(), |model| rival.with(model));
+    let rival = &placed.as_ref().map_or_else(|| rival.clone(), |model| rival.with(model));
     let problem = planned_run(rival, run, noise)?;
     let start = problem.start();
     let (response, difference) = Response::of(rival, run, noise)?;
@@ -247,11 +240,7 @@ pub(super) fn refitted(run: &Scenario, rival: &Rival<'_>, noise: NoiseFloor) -> 
     if !problem.residual(&begin, &mut out) {
         begin.clone_from(&start);
     }
-    let held = HeldByOldData {
-        root: root(&response.information),
-        start,
-        run: problem,
-    };
+    let held = HeldByOldData { root: root(&response.information), start, run: problem };
     let options = Options {
         most_iterations: 12,
         relative_cost: 1e-2,
@@ -303,9 +292,8 @@ fn root(matrix: &DMatrix<f64>) -> DMatrix<f64> {
         .map(|k| matrix[(k, k)])
         .map(|value| if value > 0.0 { value.sqrt() } else { 1.0 })
         .collect();
-    let scaled = DMatrix::from_fn(n, n, |row, column| {
-        matrix[(row, column)] / (scale[row] * scale[column])
-    });
+    let scaled =
+        DMatrix::from_fn(n, n, |row, column| matrix[(row, column)] / (scale[row] * scale[column]));
     let eigen = scaled.symmetric_eigen();
     DMatrix::from_fn(n, n, |row, column| {
         eigen.eigenvalues[row].max(0.0).sqrt() * eigen.eigenvectors[(column, row)] * scale[column]

@@ -102,13 +102,8 @@ fn answer(case: &Case) -> Answer {
         fit.unwrap().model
     };
     let (truth, rival) = (fitted(&case.truth), fitted(&case.rival));
-    let next = next_experiment([&truth, &rival], &evidence, &LIMITS)
-        .unwrap()
-        .unwrap();
-    let recipe = next
-        .recipe
-        .clone()
-        .unwrap_or_else(|| panic!("{} {:?}", next.sentence, next.menu));
+    let next = next_experiment([&truth, &rival], &evidence, &LIMITS).unwrap().unwrap();
+    let recipe = next.recipe.clone().unwrap_or_else(|| panic!("{} {:?}", next.sentence, next.menu));
     let new = made(&case.truth, &recipe, 3);
     let obtained = chi2_of_both(&rival, &evidence, &new) - chi2_of_both(&truth, &evidence, &new);
     println!(
@@ -116,28 +111,18 @@ fn answer(case: &Case) -> Answer {
         next.pair, recipe.id, next.expected_separation, next.sentence, next.menu
     );
     let again = Evidence::new(new, Some(made(&case.truth, &recipe, 4)), None);
-    Answer {
-        next,
-        obtained,
-        again: diagnose(&nameplate(), again).unwrap(),
-    }
+    Answer { next, obtained, again: diagnose(&nameplate(), again).unwrap() }
 }
 
 fn entry(next: &NextExperiment, program: &str) -> f64 {
     let mut menu = next.menu.iter();
-    menu.find(|entry| entry.program == program)
-        .unwrap()
-        .expected_separation
+    menu.find(|entry| entry.program == program).unwrap().expected_separation
 }
 
 /// The run is expected to separate, does so to the same order, and its diagnosis names the truth alone.
 /// A `useless` run promises next to nothing.
 fn told_apart(case: &Case, best: &[&str], useless: &str) -> NextExperiment {
-    let Answer {
-        next,
-        obtained,
-        again,
-    } = answer(case);
+    let Answer { next, obtained, again } = answer(case);
     let (expected, said) = (next.expected_separation, &next.sentence);
     assert!(expected > SEPARATED, "{said}");
     // The menu asks of a run what the decision asks of it.
@@ -149,12 +134,7 @@ fn told_apart(case: &Case, best: &[&str], useless: &str) -> NextExperiment {
     let ratio = obtained / expected;
     assert!((0.3..30.0).contains(&ratio), "{ratio}: {said}");
     let id = case.truth.effects[0].id();
-    assert_eq!(
-        again.verdict,
-        DiagnosisVerdict::Effect,
-        "{}",
-        again.sentence
-    );
+    assert_eq!(again.verdict, DiagnosisVerdict::Effect, "{}", again.sentence);
     assert_eq!(again.effects, [id], "{}", again.sentence);
     let useless = entry(&next, useless);
     assert!(useless < 0.01 * expected, "{useless} of {expected}");
@@ -182,10 +162,7 @@ fn a_delay_and_a_filter_of_the_speed_need_a_fast_dither() {
     let command = |k| {
         let time_s = 0.004 * f64::from(k);
         let legs = (time_s - 0.5).max(0.0) / 1.375;
-        (
-            time_s,
-            40.0 * (1.0 - (legs - 1.0).abs().min(2.0) + (legs - 3.0).max(0.0)),
-        )
+        (time_s, 40.0 * (1.0 - (legs - 1.0).abs().min(2.0) + (legs - 3.0).max(0.0)))
     };
     let case = Case {
         truth: with("speed_delay", &[0.004]),
@@ -204,13 +181,7 @@ fn offsets_of_voltage_and_current_need_both_directions() {
         events: held(&[20.0, 60.0, 35.0, 80.0, 50.0, 70.0, 30.0], 0.7),
         seconds: 6.0,
     };
-    let best = [
-        "hard_cycling",
-        "heat_and_repeat",
-        "slow_ramp",
-        "rich",
-        "random_levels",
-    ];
+    let best = ["hard_cycling", "heat_and_repeat", "slow_ramp", "rich", "random_levels"];
     told_apart(&case, &best, "steady_hold");
 }
 
@@ -228,41 +199,25 @@ fn a_sag_and_a_saturation_need_large_currents_at_several_duties() {
 
 #[test]
 fn the_bench_s_slew_is_kept_and_what_a_faster_one_would_tell_is_said() {
-    let case = [
-        with("speed_delay", &[0.008]),
-        with("speed_filter", &[0.008]),
-    ];
+    let case = [with("speed_delay", &[0.008]), with("speed_filter", &[0.008])];
     let run = |seed| testing::record(&case[0], held(&[20.0, -20.0, 30.0], 0.7), 0.01, 2.6, seed);
     let evidence = Evidence::new(run(1), Some(run(2)), None);
-    let slow = ExperimentLimits {
-        slew_v_per_s: 200.0,
-        period_s: 0.01,
-        ..LIMITS
-    };
+    let slow = ExperimentLimits { slew_v_per_s: 200.0, period_s: 0.01, ..LIMITS };
     for recipe in menu_within(&case[0], &slow) {
         assert!(recipe.slew_v_per_s <= 200.0, "{recipe:?}");
         for pair in commands(&recipe, 0.01).0.windows(2) {
             let change_v = (pair[1].1 - pair[0].1).abs();
-            assert!(
-                change_v <= 2.0 + 1e-9,
-                "{}: {change_v} V in 10 ms",
-                recipe.id
-            );
+            assert!(change_v <= 2.0 + 1e-9, "{}: {change_v} V in 10 ms", recipe.id);
         }
     }
     let recommended = |limits: &ExperimentLimits| {
-        next_experiment([&case[0], &case[1]], &evidence, limits)
-            .unwrap()
-            .unwrap()
+        next_experiment([&case[0], &case[1]], &evidence, limits).unwrap().unwrap()
     };
     let slowly = recommended(&slow);
     assert!(slowly.recipe.is_none(), "{}", slowly.sentence);
     let said = &slowly.sentence;
     assert!(said.contains("with limits.slew_v_per_s"), "{said}");
-    let freely = recommended(&ExperimentLimits {
-        slew_v_per_s: f64::INFINITY,
-        ..slow
-    });
+    let freely = recommended(&ExperimentLimits { slew_v_per_s: f64::INFINITY, ..slow });
     assert_eq!(freely.recipe.unwrap().id, "fast_dither");
 }
 
@@ -275,11 +230,7 @@ fn limits_are_kept_and_a_pair_that_they_hide_is_said_to_stay_hidden() {
     };
     let truth = with("quadratic_load", &[1.5e-6]);
     let rival = with("viscous_friction", &[4e-4]);
-    let tight = ExperimentLimits {
-        voltage_v: 3.0,
-        current_a: 2.5,
-        ..LIMITS
-    };
+    let tight = ExperimentLimits { voltage_v: 3.0, current_a: 2.5, ..LIMITS };
     let next = next_experiment([&truth, &rival], &evidence_of(&truth), &tight);
     let next = next.unwrap().unwrap();
     assert!(next.recipe.is_none() && next.peaks.is_none());
@@ -294,17 +245,11 @@ fn limits_are_kept_and_a_pair_that_they_hide_is_said_to_stay_hidden() {
     let runs = [&evidence.training, &evidence.holdout];
     let hottest_a = runs.map(|run| mean_square(&run.current_a).sqrt());
     assert!(seen.rms_current_a <= hottest_a[0].max(hottest_a[1]));
-    let unknown = ExperimentLimits {
-        current_a: f64::INFINITY,
-        ..LIMITS
-    };
+    let unknown = ExperimentLimits { current_a: f64::INFINITY, ..LIMITS };
     assert!(!menu_within(&truth, &LIMITS).is_empty() && menu_within(&truth, &unknown).is_empty());
     let next = next_experiment([&truth, &rival], &evidence, &seen);
     let peaks = next.unwrap().unwrap().peaks.unwrap();
-    assert!(
-        peaks.voltage_v <= 55.0 && peaks.current_a <= seen.current_a,
-        "{peaks:?}"
-    );
+    assert!(peaks.voltage_v <= 55.0 && peaks.current_a <= seen.current_a, "{peaks:?}");
     assert!(peaks.rms_current_a <= seen.rms_current_a, "{peaks:?}");
 }
 
@@ -315,17 +260,10 @@ fn what_no_run_of_a_menu_was_weighed_for_is_not_said_to_show_nothing() {
     let found = diagnose(&nameplate(), evidence.clone()).unwrap();
     let next = |limits: &ExperimentLimits| recommend(&found, &evidence, limits).unwrap();
     let open = next(&LIMITS).unwrap();
-    assert!(
-        open.pair.is_none() && !open.menu.is_empty(),
-        "{}",
-        open.sentence
-    );
+    assert!(open.pair.is_none() && !open.menu.is_empty(), "{}", open.sentence);
     // No run is planned without a limit of the current.
-    let unknown = ExperimentLimits {
-        current_a: f64::INFINITY,
-        rms_current_a: f64::INFINITY,
-        ..LIMITS
-    };
+    let unknown =
+        ExperimentLimits { current_a: f64::INFINITY, rms_current_a: f64::INFINITY, ..LIMITS };
     let none = next(&unknown).map(|next| next.sentence);
     assert_eq!(none, None);
 }

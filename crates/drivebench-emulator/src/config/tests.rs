@@ -58,10 +58,7 @@ fn every_hidden_effect() -> Vec<HiddenEffect> {
 #[test]
 fn a_second_inertia_behind_a_second_inertia_is_refused() {
     let mut config = EmulatorConfig::parse("example.toml", EXAMPLE).unwrap();
-    config.hidden = every_hidden_effect()
-        .into_iter()
-        .filter(HiddenEffect::is_shaft)
-        .collect();
+    config.hidden = every_hidden_effect().into_iter().filter(HiddenEffect::is_shaft).collect();
     let text = toml::to_string(&config).unwrap();
     let error = refusal(&text);
     let is_named = matches!(error, EmulatorConfigError::TwoShafts { .. });
@@ -79,16 +76,10 @@ fn the_example_documents_every_key() {
     full.motor.torque_n_m_per_a = Some(0.35);
     full.line.gap_us = Some(1750.0);
     full.faults.encoder_frozen_from_s = Some(1.0);
-    full.changes = vec![Change {
-        time_s: 1.0,
-        inertia_ratio: 2.0,
-        load_n_m: 0.5,
-    }];
+    full.changes = vec![Change { time_s: 1.0, inertia_ratio: 2.0, load_n_m: 0.5 }];
     let text = toml::to_string(&full).unwrap();
     for (key, _) in text.lines().filter_map(|line| line.split_once(" = ")) {
-        let mut places = ["", "#", "# "]
-            .map(|mark| format!("\n{mark}{key} = "))
-            .into_iter();
+        let mut places = ["", "#", "# "].map(|mark| format!("\n{mark}{key} = ")).into_iter();
         assert!(places.any(|place| EXAMPLE.contains(&place)), "{key}");
     }
 }
@@ -124,17 +115,12 @@ fn a_change_that_no_bench_can_make_is_refused() {
         ("time_s = -1.0", "change.time_s = -1"),
         ("time_s = nan", "change.time_s = NaN"),
         (twice, "later than the change before"),
-        (
-            "time_s = 1\ninertia_ratio = 0.0",
-            "change.inertia_ratio = 0",
-        ),
+        ("time_s = 1\ninertia_ratio = 0.0", "change.inertia_ratio = 0"),
         ("time_s = 1\nload_n_m = 2e9", "change.load_n_m = 2000000000"),
         ("inertia_ratio = 2.0", "missing field `time_s`"),
         ("time_s = 1\ninertia = 2.0", "unknown field `inertia`"),
     ] {
-        let error = with(&format!("[[change]]\n{change}"))
-            .unwrap_err()
-            .to_string();
+        let error = with(&format!("[[change]]\n{change}")).unwrap_err().to_string();
         assert!(error.contains(expected), "{error}");
     }
     let key = "encoder_frozen_from_s = ";

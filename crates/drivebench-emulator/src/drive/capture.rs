@@ -48,10 +48,7 @@ impl Capture {
 
     /// Mean voltage since the last call; `None` where no time has passed.
     pub(super) fn mean_voltage_v(&mut self) -> Option<f64> {
-        let (volts, ticks) = (
-            std::mem::take(&mut self.volts),
-            std::mem::take(&mut self.ticks),
-        );
+        let (volts, ticks) = (std::mem::take(&mut self.volts), std::mem::take(&mut self.ticks));
         (ticks > 0).then(|| volts / f64::from(ticks))
     }
 

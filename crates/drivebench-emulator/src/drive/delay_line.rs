@@ -70,15 +70,10 @@ impl DelayLine {
         if self.began.is_none() && !is_zero(control) {
             self.began = Some(tick);
         }
-        let started = self
-            .began
-            .is_some_and(|began| tick >= began + self.start_ticks);
+        let started = self.began.is_some_and(|began| tick >= began + self.start_ticks);
         let waits = self.waits(control, tick);
-        let control = if started && !waits || is_zero(control) {
-            control
-        } else {
-            zero_of(control)
-        };
+        let control =
+            if started && !waits || is_zero(control) { control } else { zero_of(control) };
         if self.last != Some(control) {
             self.last = Some(control);
             self.line.push_back((tick + self.delay_ticks, control));
@@ -122,11 +117,7 @@ mod tests {
     use super::*;
 
     fn line(command_delay_s: f64, start_delay_s: f64) -> DelayLine {
-        DelayLine::new(&Path {
-            command_delay_s,
-            start_delay_s,
-            ..Path::default()
-        })
+        DelayLine::new(&Path { command_delay_s, start_delay_s, ..Path::default() })
     }
 
     #[test]

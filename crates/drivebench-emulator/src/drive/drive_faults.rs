@@ -15,9 +15,7 @@ pub(super) struct DriveFaults {
 
 impl DriveFaults {
     pub(super) fn new(faults: &[FaultEntry]) -> Self {
-        let wraps = faults
-            .iter()
-            .find(|fault| fault.kind == FaultKind::ClockWraps);
+        let wraps = faults.iter().find(|fault| fault.kind == FaultKind::ClockWraps);
         let wraps_after_s = wraps.map(|fault| fault.wraps_after_s.unwrap_or(5.0));
         #[expect(
             clippy::cast_possible_truncation,

@@ -56,16 +56,11 @@ mod tests {
         assert_eq!(encoder.read(0.9, at(5.0)), at(5.0));
         encoder.read(1.0, at(6.0));
         // The current is another sensor.
-        let with_current = |current_a: f64, reading| Reading {
-            current_a,
-            ..reading
-        };
+        let with_current = |current_a: f64, reading| Reading { current_a, ..reading };
         assert_eq!(encoder.read(2.0, at(9.0)), with_current(9.0, at(6.0)));
         assert_eq!(encoder.read(0.0, at(3.0)), at(3.0));
-        let mut reversed = Encoder::new(FaultsConfig {
-            encoder_reversed: true,
-            ..FaultsConfig::default()
-        });
+        let mut reversed =
+            Encoder::new(FaultsConfig { encoder_reversed: true, ..FaultsConfig::default() });
         assert_eq!(reversed.read(0.0, at(5.0)), with_current(5.0, at(-5.0)));
     }
 }

@@ -34,9 +34,7 @@ fn voltage(time_s: f64) -> f64 {
         (5.4, 70.0),
         (6.0, 0.0),
     ];
-    let at = KNOTS
-        .partition_point(|knot| knot.0 <= time_s)
-        .clamp(1, KNOTS.len() - 1);
+    let at = KNOTS.partition_point(|knot| knot.0 <= time_s).clamp(1, KNOTS.len() - 1);
     let ((t0, u0), (t1, u1)) = (KNOTS[at - 1], KNOTS[at]);
     let base = u0 + (u1 - u0) * ((time_s - t0) / (t1 - t0)).clamp(0.0, 1.0);
     let clock = (time_s / 0.03).floor();
@@ -64,13 +62,7 @@ fn recorded(hidden: &[HiddenEffect]) -> Scenario {
         drive.advance_to(time_s);
         drive.command(DriveCommand::new(k, Control::Voltage(voltage(time_s))));
         let t = drive.telemetry();
-        let row = [
-            drive.time_s(),
-            t.voltage_cmd_v,
-            t.current_a,
-            t.speed_rad_s,
-            t.angle_rad,
-        ];
+        let row = [drive.time_s(), t.voltage_cmd_v, t.current_a, t.speed_rad_s, t.angle_rad];
         for (column, value) in rows.iter_mut().zip(row) {
             column.push(value);
         }
@@ -90,9 +82,7 @@ fn recorded(hidden: &[HiddenEffect]) -> Scenario {
 
 /// Mean square of the errors in units of the noise.
 fn error(model: &Model, scenario: &Scenario) -> f64 {
-    let out = Plant::new(model, Input::Voltage)
-        .unwrap()
-        .simulate(scenario, State::default());
+    let out = Plant::new(model, Input::Voltage).unwrap().simulate(scenario, State::default());
     let square = |measured: &[f64], simulated: &[f64], scale: f64| {
         let pairs = measured.iter().zip(simulated);
         let sum: f64 = pairs.map(|(m, s)| ((m - s) / scale).powi(2)).sum();

@@ -91,18 +91,11 @@ impl SoftDrive {
             .hidden
             .iter()
             .flat_map(|effect| {
-                effect
-                    .parameters()
-                    .into_iter()
-                    .map(|parameter| (effect.id(), parameter))
+                effect.parameters().into_iter().map(|parameter| (effect.id(), parameter))
             })
             .collect();
         let chance = seed.wrapping_add(config.day.wrapping_mul(ANOTHER_DAY));
-        let site = Site {
-            motor: specimen.clone(),
-            bus_v: config.limits.bus_v,
-            seed: chance,
-        };
+        let site = Site { motor: specimen.clone(), bus_v: config.limits.bus_v, seed: chance };
         let plant = Plant::on_site(site, &config.hidden)
             .broken(config.faults.locked_rotor, config.faults.open_phase)
             .with_changes(config.changes.clone());
@@ -175,10 +168,7 @@ impl SoftDrive {
             .with(Status::CURRENT_LIMIT, self.output.current_limited)
             .with(Status::VOLTAGE_LIMIT, self.output.voltage_limited)
             .with(Status::WATCHDOG, self.fault == Fault::Watchdog)
-            .with(
-                Status::COMMAND_APPLIED,
-                std::mem::take(&mut self.applied_unread),
-            )
+            .with(Status::COMMAND_APPLIED, std::mem::take(&mut self.applied_unread))
             .with(Status::EMULATOR, true);
         Telemetry {
             status,
@@ -217,11 +207,7 @@ impl SoftDrive {
 
     /// Commanded output voltage, V; 0 while it is off.
     pub(super) fn output_v(&self) -> f64 {
-        if self.state == State::Running {
-            self.output.volts
-        } else {
-            0.0
-        }
+        if self.state == State::Running { self.output.volts } else { 0.0 }
     }
 
     /// Since its last start, s, as long as it ran; `None` where it never did.
@@ -269,16 +255,14 @@ impl SoftDrive {
         if !std::mem::take(&mut self.output_fresh) {
             self.refresh_output();
         }
-        self.plant
-            .brake(self.supply_and_brake.holds() || self.has(FaultKind::Blocked));
+        self.plant.brake(self.supply_and_brake.holds() || self.has(FaultKind::Blocked));
         self.plant.advance(self.output.terminals, TICK_S);
         let power_w = self.plant.terminal_v() * self.plant.current_a();
         let is_running = self.state == State::Running;
         self.supply_and_brake.step(TICK_S, is_running, power_w);
         self.tick += 1;
         self.capture.held(self.plant.terminal_v());
-        self.sensors
-            .follow(self.plant.current_a(), self.plant.speed_rad_s());
+        self.sensors.follow(self.plant.current_a(), self.plant.speed_rad_s());
         self.record();
     }
 
@@ -356,9 +340,7 @@ impl SoftDrive {
     /// having an effect: the echo with the state is how the host learns that.
     fn apply(&mut self, command: DriveCommand) {
         let before = (self.state, self.control.code());
-        let control = self
-            .faults
-            .obeyed(self.state, self.control, command.control);
+        let control = self.faults.obeyed(self.state, self.control, command.control);
         match (self.state, control) {
             (State::Fault, Control::ResetFault) if !self.persists(self.fault) => {
                 self.state = State::Disabled;
@@ -423,10 +405,7 @@ impl SoftDrive {
 }
 
 /// Drive time as the protocols carry it.
-#[expect(
-    clippy::cast_possible_truncation,
-    reason = "the counter wraps, as the protocol says"
-)]
+#[expect(clippy::cast_possible_truncation, reason = "the counter wraps, as the protocol says")]
 const fn micros(tick: u64) -> u32 {
     tick.wrapping_mul(TICK_US as u64) as u32
 }

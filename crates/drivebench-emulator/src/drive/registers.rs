@@ -92,18 +92,13 @@ impl SoftDrive {
     fn capture_registers(&self) -> [u16; CAPTURE_WORDS] {
         let mut block = [0; CAPTURE_WORDS];
         let index = self.window_index;
-        let window = self
-            .capture
-            .samples(index, usize::from(CAPTURE_WINDOW_SAMPLES));
+        let window = self.capture.samples(index, usize::from(CAPTURE_WINDOW_SAMPLES));
         let state = self.capture.state().code();
         let counts = [
             (r::CAPTURE_CONTROL, self.capture_control.into()),
             (r::CAPTURE_STATE, state.into()),
             (r::CAPTURE_COUNT, self.capture.count().into()),
-            (
-                r::CAPTURE_TIME,
-                self.micros(self.capture.first_tick()).into(),
-            ),
+            (r::CAPTURE_TIME, self.micros(self.capture.first_tick()).into()),
             (r::WINDOW_INDEX, index.into()),
             (r::WINDOW_COUNT, i64::try_from(window.len()).unwrap_or(0)),
         ];
@@ -112,11 +107,8 @@ impl SoftDrive {
         }
         let start = usize::from(r::WINDOW_VOLTAGE.address - CAPTURE_ADDRESS);
         let slots = block[start..].chunks_exact_mut(CaptureSample::WORDS);
-        let missing = CaptureSample {
-            voltage_v: f64::NAN,
-            current_a: f64::NAN,
-            speed_rad_s: f64::NAN,
-        };
+        let missing =
+            CaptureSample { voltage_v: f64::NAN, current_a: f64::NAN, speed_rad_s: f64::NAN };
         for (slot, sample) in slots.zip(window.iter().chain(std::iter::repeat(&missing))) {
             slot.copy_from_slice(&sample.to_registers());
         }

@@ -52,8 +52,7 @@ impl SupplyAndBrake {
 
     /// Rise of the intermediate circuit over its supply, V.
     pub(super) fn rise_v(&self) -> f64 {
-        self.capacitor
-            .map_or(0.0, |capacitor| capacitor.volts - capacitor.supplied_v)
+        self.capacitor.map_or(0.0, |capacitor| capacitor.volts - capacitor.supplied_v)
     }
 
     pub(super) fn holds(&self) -> bool {
@@ -91,10 +90,7 @@ mod tests {
     #[test]
     fn the_brake_opens_after_the_start_and_shuts_after_the_stop() {
         let mut config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
-        config.brake = Some(BrakeConfig {
-            release_s: 0.2,
-            apply_s: 0.1,
-        });
+        config.brake = Some(BrakeConfig { release_s: 0.2, apply_s: 0.1 });
         let mut around = SupplyAndBrake::new(&config);
         assert!(around.holds(), "shut at power-up");
         let mut after = |seconds: f64, running| {

@@ -106,10 +106,7 @@ fn the_watchdog_stops_the_motor_and_stays_latched() {
     assert!(speed_rad_s(&drive) == 0.0, "no restart without a reset");
     send(&mut drive, 8, Control::ResetFault);
     drive.advance_to(drive.time_s() + 0.1);
-    assert!(
-        speed_rad_s(&drive) == 0.0,
-        "no restart without a new set-point"
-    );
+    assert!(speed_rad_s(&drive) == 0.0, "no restart without a new set-point");
     hold(&mut drive, Control::Voltage(60.0), 0.1);
     assert!(speed_rad_s(&drive) > 1.0);
     assert!(!drive.telemetry().status.has(Status::WATCHDOG));
@@ -204,10 +201,7 @@ fn the_inner_loops_reach_their_set_points() {
         send(&mut drive, 1, Control::Speed(250.0));
         highest = highest.max(speed_rad_s(&drive));
     }
-    assert!(
-        speed_rad_s(&drive) > 249.0 && highest < 1.1 * 250.0,
-        "{highest}"
-    );
+    assert!(speed_rad_s(&drive) > 249.0 && highest < 1.1 * 250.0, "{highest}");
 }
 
 #[test]
@@ -244,20 +238,10 @@ fn registers_refuse_what_the_table_forbids() {
         let read = drive.read(address, &mut vec![0; count]);
         refused(read, Exception::IllegalAddress);
     }
-    for (address, words) in [
-        (0, &[1][..]),
-        (32, &[1, 3, 0, 0, 0]),
-        (34, &[1]),
-        (64, &[0]),
-    ] {
+    for (address, words) in [(0, &[1][..]), (32, &[1, 3, 0, 0, 0]), (34, &[1]), (64, &[0])] {
         refused(drive.write(address, words), Exception::IllegalAddress);
     }
-    for (address, words) in [
-        (33, &[6][..]),
-        (73, &[19]),
-        (73, &[5001]),
-        (32, &[1, 3, 0x8000, 0]),
-    ] {
+    for (address, words) in [(33, &[6][..]), (73, &[19]), (73, &[5001]), (32, &[1, 3, 0x8000, 0])] {
         refused(drive.write(address, words), Exception::IllegalValue);
     }
     assert_eq!(drive.state(), State::Disabled);
@@ -378,13 +362,7 @@ fn frozen_registers_leave_clock_and_state_running() {
     let after = drive.telemetry();
     assert!(speed_rad_s(&drive) < 0.5 * before.speed_rad_s);
     let bits = |t: &Telemetry| {
-        let measured = [
-            t.speed_rad_s,
-            t.current_a,
-            t.voltage_v,
-            t.angle_rad,
-            t.bus_v,
-        ];
+        let measured = [t.speed_rad_s, t.current_a, t.voltage_v, t.angle_rad, t.bus_v];
         measured.map(f64::to_bits)
     };
     assert_eq!(bits(&after), bits(&before));
@@ -403,10 +381,7 @@ fn a_power_loss_resets_everything() {
     drive.advance_to(0.8);
     assert!(drive.is_powered());
     let after = drive.telemetry();
-    assert_eq!(
-        (after.seq, after.status.state()),
-        (0, Some(State::Disabled))
-    );
+    assert_eq!((after.seq, after.status.state()), (0, Some(State::Disabled)));
     assert!(after.time_us < 200_000, "{}", after.time_us);
     assert_eq!(after.applied_us, 0);
     assert_eq!(drive.capture.state(), CaptureState::Empty);

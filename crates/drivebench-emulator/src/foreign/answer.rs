@@ -23,11 +23,7 @@ impl ForeignDrive {
         };
         let response = respond(&mut Bank { drive: self, table }, request);
         if response[0] == function {
-            let by = if writes {
-                KickedBy::Write
-            } else {
-                KickedBy::Any
-            };
+            let by = if writes { KickedBy::Write } else { KickedBy::Any };
             self.kick(by);
         }
         response.to_vec()

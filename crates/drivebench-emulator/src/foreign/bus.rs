@@ -123,10 +123,7 @@ impl ForeignBus {
         self.statistics.ok += 1;
         let rest_s = self.pace.wire_s(answer.len() + FRAME_BYTES - 1);
         let answered_s = self.now_s - rest_s;
-        let span = Span {
-            asked_s,
-            answered_s,
-        };
+        let span = Span { asked_s, answered_s };
         Ok((answer, span))
     }
 
@@ -213,9 +210,8 @@ impl RegisterBus for ForeignBus {
         if !self.functions.contains(&43) {
             return Ok(None);
         }
-        let answer = self.ask(&[43, 14, 4, object], DEADLINE_S, || {
-            "the device identification".to_owned()
-        });
+        let answer =
+            self.ask(&[43, 14, 4, object], DEADLINE_S, || "the device identification".to_owned());
         match answer {
             Ok((answer, _)) => Ok(answer
                 .get(9..)

@@ -40,10 +40,7 @@ impl EnableSequence {
         let mut at_rest = Vec::new();
         for step in &map.commands.enable {
             match (step, words(map, std::slice::from_ref(step)).pop()) {
-                (_, Some(word)) => stages.push(Stage {
-                    word,
-                    shows: Vec::new(),
-                }),
+                (_, Some(word)) => stages.push(Stage { word, shows: Vec::new() }),
                 (Step::Wait { condition, .. }, None) => {
                     if let Some(stage) = stages.last_mut() {
                         stage.shows.push(condition.clone());
@@ -63,23 +60,11 @@ impl EnableSequence {
                 || stops.contains(word)
                 || coasts.contains(word)
         };
-        let mut resets: Vec<Word> = all
-            .iter()
-            .filter(|word| !elsewhere(word))
-            .cloned()
-            .collect();
+        let mut resets: Vec<Word> = all.iter().filter(|word| !elsewhere(word)).cloned().collect();
         if resets.is_empty() {
             resets = all.last().cloned().into_iter().collect();
         }
-        Self {
-            at_rest,
-            stages,
-            stops,
-            coasts,
-            resets,
-            reached: 0,
-            ramping: false,
-        }
+        Self { at_rest, stages, stops, coasts, resets, reached: 0, ramping: false }
     }
 
     pub(super) const fn is_running(&self) -> bool {
@@ -127,16 +112,10 @@ impl EnableSequence {
         number: f64,
         in_fault: bool,
     ) -> bool {
-        #[expect(
-            clippy::cast_possible_truncation,
-            reason = "words are whole numbers of 32 bits"
-        )]
+        #[expect(clippy::cast_possible_truncation, reason = "words are whole numbers of 32 bits")]
         let number = number as i64;
         // Bits that only carry a sign are no command.
-        let signs = map
-            .set_points
-            .iter()
-            .filter_map(|point| point.keys.sign.as_ref());
+        let signs = map.set_points.iter().filter_map(|point| point.keys.sign.as_ref());
         let sign_bits = signs
             .filter(|sign| sign.set_point == set_point)
             .fold(0, |bits, sign| bits | i64::from(sign.mask));
@@ -148,13 +127,8 @@ impl EnableSequence {
             return self.resets.iter().any(is);
         }
         let was_running = self.is_running();
-        let next = self
-            .stages
-            .get(self.reached)
-            .is_some_and(|stage| is(&stage.word));
-        let below = self.stages[..self.reached]
-            .iter()
-            .rposition(|stage| is(&stage.word));
+        let next = self.stages.get(self.reached).is_some_and(|stage| is(&stage.word));
+        let below = self.stages[..self.reached].iter().rposition(|stage| is(&stage.word));
         if next {
             self.reached += 1;
         } else if let Some(stage) = below {
@@ -172,19 +146,13 @@ impl EnableSequence {
 
     /// Bits of a signal that the stages show.
     pub(super) fn shown(&self, signal: &str) -> u32 {
-        let reached = if self.shows_running() {
-            self.stages.len()
-        } else {
-            self.reached
-        };
+        let reached = if self.shows_running() { self.stages.len() } else { self.reached };
         let passed = self.stages[..reached].iter().flat_map(|stage| &stage.shows);
         self.at_rest
             .iter()
             .chain(passed)
             .filter(|condition| condition.signal == signal)
-            .fold(0, |bits, condition| {
-                (bits & !condition.mask) | condition.pattern
-            })
+            .fold(0, |bits, condition| (bits & !condition.mask) | condition.pattern)
     }
 }
 

@@ -15,15 +15,9 @@ impl ForeignDrive {
         }
         let kind = signal.location.layout.kind;
         let numbers = &signal.numbers;
-        self.map
-            .identity
-            .iter()
-            .fold(natural, |shown, check| match check {
-                IdentityCheck::Signal {
-                    signal: name,
-                    mask,
-                    test,
-                } if *name == signal.name => match test {
+        self.map.identity.iter().fold(natural, |shown, check| match check {
+            IdentityCheck::Signal { signal: name, mask, test } if *name == signal.name => {
+                match test {
                     IdentityTest::OneOf(allowed) if allowed.contains(&(shown & mask)) => shown,
                     IdentityTest::OneOf(allowed) => {
                         let first = allowed.first().copied().unwrap_or_default();
@@ -38,9 +32,10 @@ impl ForeignDrive {
                             bits(kind, (0.5 * (low + high) - numbers.offset) / scale)
                         }
                     }
-                },
-                _ => shown,
-            })
+                }
+            }
+            _ => shown,
+        })
     }
 
     /// What the drive tells of a nameplate value, as a check of the identity wants it.
@@ -52,10 +47,7 @@ impl ForeignDrive {
             return natural;
         }
         let kind = signal.location.layout.kind;
-        let shown = self.as_asked(
-            signal,
-            bits(kind, (natural - numbers.offset) / numbers.scale),
-        );
+        let shown = self.as_asked(signal, bits(kind, (natural - numbers.offset) / numbers.scale));
         number_of(kind, shown) * numbers.scale + numbers.offset
     }
 }

@@ -246,10 +246,7 @@ impl ForeignDrive {
 
     /// What goes wrong in the drive by its configuration, as it begins and as it ends.
     fn apply_faults(&mut self) {
-        let (is_off, is_local) = (
-            !self.soft.is_powered(),
-            self.soft.has(FaultKind::LocalControl),
-        );
+        let (is_off, is_local) = (!self.soft.is_powered(), self.soft.has(FaultKind::LocalControl));
         let (was_off, was_local) = std::mem::replace(&mut self.faults, (is_off, is_local));
         if was_off && !is_off {
             self.switch_on_again();
@@ -399,10 +396,7 @@ impl ForeignDrive {
     }
 
     fn written(&mut self, address: u16, word: u16) {
-        let ignored = self
-            .ignored
-            .as_ref()
-            .and_then(|name| self.map.set_point(name));
+        let ignored = self.ignored.as_ref().and_then(|name| self.map.set_point(name));
         if ignored.is_none_or(|point| point.location.address != address) {
             self.written.insert(address, word);
         }
@@ -435,10 +429,7 @@ impl ForeignDrive {
             let Some(number) = self.value(point) else {
                 continue;
             };
-            if self
-                .sequence
-                .take(&map, &point.name, number, self.fault.is_some())
-            {
+            if self.sequence.take(&map, &point.name, number, self.fault.is_some()) {
                 self.fault = None;
                 self.seq = self.seq.wrapping_add(1);
                 let reset = DriveCommand::new(self.seq, Control::ResetFault);
@@ -463,11 +454,7 @@ impl ForeignDrive {
                 .set_points
                 .iter()
                 .any(|point| within(point.location.address, point.location.layout.registers()));
-        let exact = self
-            .map
-            .exact_reads
-            .iter()
-            .any(|(first, count)| within(*first, *count));
+        let exact = self.map.exact_reads.iter().any(|(first, count)| within(*first, *count));
         let time = self.map.watchdog.time.as_ref();
         let time =
             table == RegisterTable::Holding && time.is_some_and(|(at, _)| at.address == address);

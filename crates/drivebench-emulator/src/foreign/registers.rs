@@ -156,11 +156,7 @@ impl ForeignDrive {
         let [m3, m2, m1, m0] = (whole << shift).to_be_bytes();
         let first_is_high = layout.words == Order::HighFirst;
         let high = layout.registers() == 2 && (offset == 0) == first_is_high;
-        let (word, mask) = if high {
-            ([b3, b2], [m3, m2])
-        } else {
-            ([b1, b0], [m1, m0])
-        };
+        let (word, mask) = if high { ([b3, b2], [m3, m2]) } else { ([b1, b0], [m1, m0]) };
         match layout.bytes {
             Order::HighFirst => (u16::from_be_bytes(word), u16::from_be_bytes(mask)),
             Order::LowFirst => (u16::from_le_bytes(word), u16::from_le_bytes(mask)),
@@ -197,11 +193,7 @@ impl ForeignDrive {
 
     /// Status bits: the stages of the enable command, and the states of the profile.
     fn status(&self, signal: &str) -> u32 {
-        let state = |name| {
-            self.map
-                .state(name)
-                .filter(|condition| condition.signal == signal)
-        };
+        let state = |name| self.map.state(name).filter(|condition| condition.signal == signal);
         let mut word = self.sequence.shown(signal);
         if self.fault.is_some() {
             word = 0;

@@ -68,10 +68,7 @@ impl Table {
 
     /// A host with one profile at a drive of another.
     fn mixed(host: &DriveProfile, far: &DriveProfile, watchdog_s: Option<f64>) -> Self {
-        let guise = Guise {
-            watchdog_s,
-            ..Guise::of(far).unwrap()
-        };
+        let guise = Guise { watchdog_s, ..Guise::of(far).unwrap() };
         let mut config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
         config.tolerance = 0.0;
         let clock = VirtualClock::new();
@@ -83,13 +80,7 @@ impl Table {
         let refreshes = points.filter_map(SetPoint::refresh_s);
         let usual_s = 1.2 * link.shortest_cycle_s().unwrap() + 0.02;
         let period_s = refreshes.fold(usual_s, f64::min);
-        Self {
-            link,
-            clock,
-            time_s: 0.0,
-            period_s,
-            seq: 0,
-        }
+        Self { link, clock, time_s: 0.0, period_s, seq: 0 }
     }
 
     fn far(&mut self) -> &mut ForeignDrive {
@@ -208,10 +199,7 @@ fn assert_contains(error: &impl std::fmt::Display, part: &str) {
 
 #[track_caller]
 fn near(name: &str, found: f64, wanted: f64, most: f64) {
-    assert!(
-        (found - wanted).abs() < most,
-        "{name}: {found}, not {wanted}"
-    );
+    assert!((found - wanted).abs() < most, "{name}: {found}, not {wanted}");
 }
 
 /// The profiles of drives of other makes.
@@ -371,15 +359,9 @@ fn a_sign_in_the_control_word_turns_the_other_way() {
     let direction = format!(
         "[setpoints.direction]\naddress = 40101\ntype = \"u16\"\nquantity = \"word\"\n\n{word}"
     );
-    let sign = (
-        "sign = { setpoint = \"control_word\"",
-        "sign = { setpoint = \"direction\"",
-    );
+    let sign = ("sign = { setpoint = \"control_word\"", "sign = { setpoint = \"direction\"");
     let mut table = Table::identified("siemens-v20", &[(word, &direction), sign]);
-    assert_contains(
-        &table.first_error(speed_ref(-20.0)),
-        "which no command has written yet",
-    );
+    assert_contains(&table.first_error(speed_ref(-20.0)), "which no command has written yet");
     near("not turned", table.speed_rad_s(), 0.0, 1.0);
 }
 

@@ -62,10 +62,7 @@ fn kinds_on(protocol: Protocol) -> Vec<FaultKind> {
     };
     match protocol {
         Protocol::ModbusRtu => KINDS.to_vec(),
-        Protocol::ModbusTcp => KINDS
-            .into_iter()
-            .filter(|kind| !changes_bytes(kind))
-            .collect(),
+        Protocol::ModbusTcp => KINDS.into_iter().filter(|kind| !changes_bytes(kind)).collect(),
         Protocol::Stream => KINDS[..13].to_vec(),
     }
 }
@@ -114,16 +111,9 @@ impl Meant {
     #[expect(clippy::cast_possible_truncation, reason = "any sixteen bits will do")]
     fn registers(&self, first: u16, count: u16) -> Vec<u16> {
         let register = |index: u32| {
-            (self
-                .reads
-                .wrapping_mul(2_654_435_761)
-                .wrapping_add(index * 40_503)
-                >> 9) as u16
+            (self.reads.wrapping_mul(2_654_435_761).wrapping_add(index * 40_503) >> 9) as u16
         };
-        (u32::from(first)..)
-            .take(count.into())
-            .map(register)
-            .collect()
+        (u32::from(first)..).take(count.into()).map(register).collect()
     }
 }
 
@@ -205,12 +195,7 @@ impl Observed {
         let drive = Numbered(SoftDrive::new(&config, 1), Arc::clone(&meant));
         let config = LineConfig::default();
         let line = DriveOnLine::new(Box::new(drive), protocol, UNIT, &config, faults, seed);
-        Arc::new(Mutex::new(Self {
-            protocol,
-            line,
-            meant,
-            tampered: 0,
-        }))
+        Arc::new(Mutex::new(Self { protocol, line, meant, tampered: 0 }))
     }
 }
 
@@ -264,11 +249,7 @@ impl Outcome {
 
     fn closed(self, statistics: LinkStatistics, stale_frames: u64) -> Self {
         assert!(statistics.balances(), "{statistics:?}");
-        Self {
-            statistics,
-            stale_frames,
-            ..self
-        }
+        Self { statistics, stale_frames, ..self }
     }
 }
 
@@ -357,10 +338,8 @@ fn every_fault_is_counted_in_its_class_and_costs_one_exchange() {
             let (in_class, costs) = counted(protocol, kind, s);
             assert_eq!(s.lost(), in_class, "{context}");
             // The request after a reply that was late or held back has two, or waits for both.
-            let spreads = matches!(
-                kind,
-                FaultKind::LateReply | FaultKind::HeldReply | FaultKind::HeldTwice
-            );
+            let spreads =
+                matches!(kind, FaultKind::LateReply | FaultKind::HeldReply | FaultKind::HeldTwice);
             let hits = outcome.tampered / if spreads { 2 } else { 1 };
             if costs {
                 assert!(in_class * 10 >= hits * 9, "{context}");
@@ -368,10 +347,7 @@ fn every_fault_is_counted_in_its_class_and_costs_one_exchange() {
             let allowed = if spreads { outcome.tampered / 4 } else { 0 };
             assert!(outcome.collateral <= allowed, "{context}");
             if kind == FaultKind::DoubledReply {
-                assert!(
-                    outcome.stale_frames * 10 >= outcome.tampered * 9,
-                    "{context}"
-                );
+                assert!(outcome.stale_frames * 10 >= outcome.tampered * 9, "{context}");
             }
         }
     }
@@ -471,10 +447,7 @@ fn mixed_faults_never_give_a_wrong_value_on_a_profiled_bus() {
 fn silence_alone_detects_all_faults_but_held_replies() {
     let count = if everything() { 1_000_000 } else { 50_000 };
     let is_late = |kind: &FaultKind| {
-        matches!(
-            kind,
-            FaultKind::LateReply | FaultKind::HeldReply | FaultKind::HeldTwice
-        )
+        matches!(kind, FaultKind::LateReply | FaultKind::HeldReply | FaultKind::HeldTwice)
     };
     let kinds: Vec<FaultKind> = KINDS.into_iter().filter(|kind| !is_late(kind)).collect();
     let outcome = on_a_bus("none", &mixed(&kinds), count, 5);
@@ -490,11 +463,8 @@ fn with_faults(
     work: impl FnOnce(&mut dyn DriveLink, LineTime),
 ) {
     paused(|| {
-        let entry = |kind: &FaultKind| FaultEntry {
-            from_s: Some(0.0),
-            for_s,
-            ..FaultEntry::new(*kind)
-        };
+        let entry =
+            |kind: &FaultKind| FaultEntry { from_s: Some(0.0), for_s, ..FaultEntry::new(*kind) };
         let entries: Vec<FaultEntry> = kinds.iter().map(entry).collect();
         let far = Observed::new(protocol, &entries, 1);
         let time = LineTime::start();
@@ -554,15 +524,11 @@ type Class = fn(&LinkError) -> bool;
 /// What the stream brings in the place of telemetry, and the error that follows; the link lives on.
 #[test]
 fn other_messages_of_the_stream_have_their_class() {
-    let refusal = Refusal {
-        kind: 2,
-        code: ErrorCode::NotSupported,
-    };
+    let refusal = Refusal { kind: 2, code: ErrorCode::NotSupported };
     let cases: [(Message, Class); 2] = [
-        (
-            Message::Identity(firmware_protocol::Identity::default()),
-            |error| matches!(error, LinkError::Mismatch { .. }),
-        ),
+        (Message::Identity(firmware_protocol::Identity::default()), |error| {
+            matches!(error, LinkError::Mismatch { .. })
+        }),
         (Message::Error(refusal), |error| {
             let text = "the drive refused the command: exception 0x04 not supported";
             error.to_string().ends_with(text)
@@ -593,10 +559,7 @@ fn another_version_and_another_map_are_refused() {
     let profile = DriveProfile::named("own").unwrap();
     let link = open_line(None, &config, 1, &profile, VirtualClock::new());
     let version = link.unwrap().identify().unwrap_err();
-    assert!(
-        matches!(version, LinkError::Version { found: 9, .. }),
-        "{version}"
-    );
+    assert!(matches!(version, LinkError::Version { found: 9, .. }), "{version}");
     // Its registers hold no identity.
     let far = Observed::new(Protocol::ModbusRtu, &[], 1);
     let map = paused(|| link_to(Protocol::ModbusRtu, &far).identify().unwrap_err());
@@ -612,9 +575,6 @@ fn raw_registers_are_read_and_a_refusal_has_its_name() {
         let words = link.read_registers(RegisterTable::Holding, 900, 3).unwrap();
         assert_eq!(words, meant.lock().unwrap().registers(900, 3));
         let refused = link.write_registers(64, &[1]).unwrap_err().to_string();
-        assert!(
-            refused.contains("exception 0x02 illegal data address"),
-            "{refused}"
-        );
+        assert!(refused.contains("exception 0x02 illegal data address"), "{refused}");
     });
 }

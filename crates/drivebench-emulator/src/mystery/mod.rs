@@ -79,20 +79,10 @@ pub fn draw(seed: u64) -> Mystery {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     // Stream of the generator; tolerances, noise and random loads have their own.
     rng.set_stream(4);
-    config.hidden = hidden(&mut rng, &Site::of(&config.motor))
-        .into_iter()
-        .collect();
+    config.hidden = hidden(&mut rng, &Site::of(&config.motor)).into_iter().collect();
     let effects = config.hidden.iter().map(TrueEffect::from).collect();
     let motor = config.motor.specimen(config.tolerance, seed);
-    Mystery {
-        seed,
-        config,
-        truth: Truth {
-            seed,
-            motor,
-            effects,
-        },
-    }
+    Mystery { seed, config, truth: Truth { seed, motor, effects } }
 }
 
 fn hidden(rng: &mut ChaCha8Rng, nameplate: &Site) -> Option<HiddenEffect> {

@@ -13,37 +13,27 @@ fn every_effect_is_drawn_and_sometimes_none() {
         .flat_map(|mystery| &mystery.truth.effects)
         .map(|effect| effect.id.as_str())
         .collect();
-    let listed: BTreeSet<&str> = [false, true]
-        .into_iter()
-        .flat_map(HiddenEffect::mysteries)
-        .collect();
+    let listed: BTreeSet<&str> =
+        [false, true].into_iter().flat_map(HiddenEffect::mysteries).collect();
     assert_eq!(ids, listed);
     // Binomial, four standard errors.
     let share = |count: usize| count as f64 / drawn.len() as f64;
     let none = drawn.iter().filter(|m| m.truth.effects.is_empty()).count();
-    let foreign = drawn
-        .iter()
-        .filter(|m| m.truth.effect().is_some_and(|e| e.is_foreign))
-        .count();
+    let foreign = drawn.iter().filter(|m| m.truth.effect().is_some_and(|e| e.is_foreign)).count();
     assert!((share(none) - NONE_SHARE).abs() < 0.031, "{none}");
     assert!((share(foreign) - FOREIGN_SHARE).abs() < 0.028, "{foreign}");
 }
 
 #[test]
 fn a_mystery_is_a_drive_with_effects_of_the_right_catalogue() {
-    let known: Vec<&str> = HiddenEffect::ids()
-        .filter(|id| effect::find(id).is_some())
-        .collect();
+    let known: Vec<&str> = HiddenEffect::ids().filter(|id| effect::find(id).is_some()).collect();
     let drawn = HiddenEffect::mysteries(false);
     assert_eq!(known, drawn, "a new effect joins the draw");
     for seed in 0..400 {
         let mystery = draw(seed);
         assert_eq!(mystery, draw(seed));
         let text = toml::to_string(&mystery.config).unwrap();
-        assert_eq!(
-            EmulatorConfig::parse("mystery", &text).unwrap(),
-            mystery.config
-        );
+        assert_eq!(EmulatorConfig::parse("mystery", &text).unwrap(), mystery.config);
         for hidden in &mystery.truth.effects {
             let found = effect::find(&hidden.id);
             assert_eq!(found.is_none(), hidden.is_foreign, "{}", hidden.id);

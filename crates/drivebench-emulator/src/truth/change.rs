@@ -20,11 +20,7 @@ const fn one() -> f64 {
 }
 
 impl Change {
-    pub(super) const NONE: Self = Self {
-        time_s: 0.0,
-        inertia_ratio: 1.0,
-        load_n_m: 0.0,
-    };
+    pub(super) const NONE: Self = Self { time_s: 0.0, inertia_ratio: 1.0, load_n_m: 0.0 };
 
     /// The first value that makes no sense, with what is allowed: `(key, value, allowed)`. Changes stand in the order of
     /// their times.
@@ -61,11 +57,7 @@ pub(super) struct Changes {
 impl Changes {
     /// `list` in the order of its times.
     pub(super) const fn new(list: Vec<Change>) -> Self {
-        Self {
-            list,
-            next: 0,
-            now: Change::NONE,
-        }
+        Self { list, next: 0, now: Change::NONE }
     }
 
     pub(super) const fn restart(&mut self) {
@@ -91,24 +83,15 @@ mod tests {
 
     #[test]
     fn each_change_holds_until_the_next_and_a_restart_undoes_all() {
-        let at = |time_s, inertia_ratio| Change {
-            time_s,
-            inertia_ratio,
-            ..Change::NONE
-        };
+        let at = |time_s, inertia_ratio| Change { time_s, inertia_ratio, ..Change::NONE };
         let mut changes = Changes::new(vec![at(1.0, 0.25), at(2.0, 5.0)]);
         let mut ratio = |time_s| {
             changes.advance_to(time_s);
             changes.now().inertia_ratio
         };
-        for (time_s, expected) in [
-            (0.0, 1.0),
-            (0.99, 1.0),
-            (1.0, 0.25),
-            (1.5, 0.25),
-            (2.0, 5.0),
-            (9.0, 5.0),
-        ] {
+        for (time_s, expected) in
+            [(0.0, 1.0), (0.99, 1.0), (1.0, 0.25), (1.5, 0.25), (2.0, 5.0), (9.0, 5.0)]
+        {
             assert!((ratio(time_s) - expected).abs() < 1e-12, "{time_s}");
         }
         changes.restart();

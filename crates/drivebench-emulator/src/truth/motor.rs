@@ -59,13 +59,10 @@ impl MotorTruth {
             ("torque_n_m_per_a", self.torque_constant()),
             ("inertia_kg_m2", self.inertia_kg_m2),
         ];
-        positive
-            .into_iter()
-            .find(|(_, value)| !(value.is_finite() && *value > 0.0))
-            .or_else(|| {
-                let torque = self.load_torque_n_m;
-                (!(torque.is_finite() && torque >= 0.0)).then_some(("load_torque_n_m", torque))
-            })
+        positive.into_iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)).or_else(|| {
+            let torque = self.load_torque_n_m;
+            (!(torque.is_finite() && torque >= 0.0)).then_some(("load_torque_n_m", torque))
+        })
     }
 }
 
@@ -107,11 +104,7 @@ mod tests {
             ];
             assert!(ratios.iter().all(|ratio| (ratio - 1.0).abs() <= 0.1));
             // Each parameter has a draw of its own, but Kt and Ke share the flux.
-            assert!(
-                ratios
-                    .windows(2)
-                    .all(|pair| pair[0].to_bits() != pair[1].to_bits())
-            );
+            assert!(ratios.windows(2).all(|pair| pair[0].to_bits() != pair[1].to_bits()));
             let ratio = specimen.torque_constant() / specimen.back_emf_v_s_per_rad;
             assert!((ratio - 0.30 / 0.3538).abs() < 1e-12);
         }

@@ -36,11 +36,7 @@ impl Motion {
 
     /// Where a torque that is not zero turns a shaft that does not hold.
     const fn towards(torque: f64) -> Self {
-        if torque > 0.0 {
-            Self::Forward
-        } else {
-            Self::Backward
-        }
+        if torque > 0.0 { Self::Forward } else { Self::Backward }
     }
 }
 
@@ -102,25 +98,16 @@ pub struct Plant {
 impl Plant {
     /// A machine at rest, cold and without current, on a supply of its rated voltage.
     pub fn new(motor: MotorTruth, hidden: &[HiddenEffect]) -> Self {
-        let site = Site {
-            bus_v: motor.rated_voltage_v,
-            motor,
-            seed: 0,
-        };
+        let site = Site { bus_v: motor.rated_voltage_v, motor, seed: 0 };
         Self::on_site(site, hidden)
     }
 
     /// A machine at rest, cold and without current.
     pub fn on_site(site: Site, hidden: &[HiddenEffect]) -> Self {
         Self {
-            effects: hidden
-                .iter()
-                .flat_map(|effect| effect.mechanisms(&site))
-                .collect(),
+            effects: hidden.iter().flat_map(|effect| effect.mechanisms(&site)).collect(),
             shaft: hidden.iter().find_map(|effect| effect.shaft(&site)),
-            path: hidden.iter().fold(Path::default(), |path, effect| {
-                path.plus(effect.path(&site))
-            }),
+            path: hidden.iter().fold(Path::default(), |path, effect| path.plus(effect.path(&site))),
             bus_v: site.bus_v,
             motor: site.motor,
             state: State::default(),
@@ -200,10 +187,7 @@ impl Plant {
     }
 
     pub fn winding_rise_k(&self) -> f64 {
-        self.effects
-            .iter()
-            .filter_map(|effect| effect.winding_rise_k())
-            .sum()
+        self.effects.iter().filter_map(|effect| effect.winding_rise_k()).sum()
     }
 
     /// Voltage to put out that brings the current to `target_a` within `step_s`, V: what a fast current limiter chops to.
@@ -285,19 +269,12 @@ impl Plant {
         let at = self.moment(state);
         let (load, friction) = self.loads(&at);
         let coupled = self.coupling_torque(state);
-        (
-            at.torque_n_m - load - coupled,
-            (self.coulomb() + friction).max(0.0),
-        )
+        (at.torque_n_m - load - coupled, (self.coulomb() + friction).max(0.0))
     }
 
     /// At rest the friction balances the drive torque up to the breakaway level. Returns the time used, s.
     fn advance_stuck(&mut self, circuit: Option<f64>, step_s: f64, give_up: bool) -> f64 {
-        let extra: f64 = self
-            .effects
-            .iter()
-            .map(|effect| effect.breakaway_extra_n_m())
-            .sum();
+        let extra: f64 = self.effects.iter().map(|effect| effect.breakaway_extra_n_m()).sum();
         let excess = |state: State| {
             let (driving, level) = self.torque_at_rest(&state);
             driving.abs() - level - extra
@@ -340,9 +317,7 @@ impl Plant {
             return step_s;
         }
         let used = if start.w * direction > 0.0 {
-            let used = locate(step_s, |h| {
-                -self.rk4(start, circuit, direction, h).w * direction
-            });
+            let used = locate(step_s, |h| -self.rk4(start, circuit, direction, h).w * direction);
             self.state = self.rk4(start, circuit, direction, used);
             used
         } else {
@@ -407,20 +382,10 @@ impl Plant {
             let torque = (coupled - level * s2) * s2.abs();
             (torque / (shaft.load_share * self.inertia(&at)), w - w2)
         });
-        let mut rate = State {
-            i: di,
-            w: 0.0,
-            theta: 0.0,
-            w2: dw2,
-            x: dx,
-        };
+        let mut rate = State { i: di, w: 0.0, theta: 0.0, w2: dw2, x: dx };
         if direction != 0.0 {
             let (load, friction) = self.loads(&at);
-            let drag: f64 = self
-                .effects
-                .iter()
-                .map(|effect| effect.drag_torque_n_m(w))
-                .sum();
+            let drag: f64 = self.effects.iter().map(|effect| effect.drag_torque_n_m(w)).sum();
             let held = (self.coulomb() + friction).max(0.0) * direction;
             let share = self.shaft.as_ref().map_or(1.0, |shaft| shaft.motor_share);
             rate.w = (at.torque_n_m - held - drag - load - coupled) / (share * self.inertia(&at));
@@ -449,30 +414,20 @@ impl Plant {
     /// Torque from outside and friction beyond Coulomb, N.m.
     fn loads(&self, at: &Moment) -> (f64, f64) {
         let pull = self.changes.now().load_n_m;
-        self.effects
-            .iter()
-            .fold((pull, 0.0), |(load, friction), effect| {
-                (
-                    load + effect.load_torque_n_m(at),
-                    friction + effect.friction_n_m(at),
-                )
-            })
+        self.effects.iter().fold((pull, 0.0), |(load, friction), effect| {
+            (load + effect.load_torque_n_m(at), friction + effect.friction_n_m(at))
+        })
     }
 
     /// Coulomb friction at the motor's own shaft, N.m.
     fn coulomb(&self) -> f64 {
-        let behind = self
-            .shaft
-            .as_ref()
-            .map_or(0.0, |shaft| shaft.friction_split);
+        let behind = self.shaft.as_ref().map_or(0.0, |shaft| shaft.friction_split);
         (1.0 - behind) * self.motor.load_torque_n_m
     }
 
     /// Torque that the coupling takes from the motor, N.m.
     fn coupling_torque(&self, state: &State) -> f64 {
-        self.shaft
-            .as_ref()
-            .map_or(0.0, |shaft| shaft.torque_n_m(state.x, state.w - state.w2))
+        self.shaft.as_ref().map_or(0.0, |shaft| shaft.torque_n_m(state.x, state.w - state.w2))
     }
 
     fn flux(&self, state: &State) -> f64 {
@@ -485,10 +440,7 @@ impl Plant {
     }
 
     fn inductance(&self, i: f64) -> f64 {
-        let factors = self
-            .effects
-            .iter()
-            .map(|effect| effect.inductance_factor(i));
+        let factors = self.effects.iter().map(|effect| effect.inductance_factor(i));
         self.motor.inductance_h * factors.product::<f64>()
     }
 
@@ -498,17 +450,11 @@ impl Plant {
     }
 
     fn supply_factor(&self) -> f64 {
-        self.effects
-            .iter()
-            .map(|effect| effect.supply_factor())
-            .product()
+        self.effects.iter().map(|effect| effect.supply_factor()).product()
     }
 
     fn voltage_loss(&self, i: f64) -> f64 {
-        self.effects
-            .iter()
-            .map(|effect| effect.voltage_loss_v(i))
-            .sum()
+        self.effects.iter().map(|effect| effect.voltage_loss_v(i)).sum()
     }
 }
 

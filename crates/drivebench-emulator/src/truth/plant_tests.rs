@@ -15,11 +15,7 @@ fn stribeck() -> HiddenEffect {
 }
 
 fn run(plant: &mut Plant, terminals: Terminals, time_s: f64, step_s: f64) {
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "a small count"
-    )]
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a small count")]
     for _ in 0..(time_s / step_s).round() as usize {
         plant.advance(terminals, step_s);
     }
@@ -229,11 +225,7 @@ proptest! {
 
 #[test]
 fn a_changed_inertia_keeps_speed_and_divides_acceleration() {
-    let changes = vec![Change {
-        time_s: 1.0,
-        inertia_ratio: 4.0,
-        load_n_m: 0.0,
-    }];
+    let changes = vec![Change { time_s: 1.0, inertia_ratio: 4.0, load_n_m: 0.0 }];
     let mut plant = Plant::new(zk_22fc(), &[]).with_changes(changes);
     // Nothing but friction brakes: Mc/J before, a quarter of it afterwards.
     run(&mut plant, Terminals::Voltage(60.0), 0.5, H);
@@ -258,11 +250,7 @@ fn a_changed_inertia_keeps_speed_and_divides_acceleration() {
 #[test]
 fn a_load_that_comes_on_pulls_backwards_also_at_rest() {
     let pull = |load_n_m| {
-        let changes = vec![Change {
-            time_s: 0.1,
-            inertia_ratio: 1.0,
-            load_n_m,
-        }];
+        let changes = vec![Change { time_s: 0.1, inertia_ratio: 1.0, load_n_m }];
         let mut plant = Plant::new(zk_22fc(), &[]).with_changes(changes);
         let open = Terminals::Open { bus_v: 1000.0 };
         run(&mut plant, open, 0.1, H);

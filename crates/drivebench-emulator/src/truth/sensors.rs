@@ -105,11 +105,7 @@ impl Sensors {
             let kept = (-self.tick_s / time_constant_s).exp();
             kept * output + (1.0 - kept) * 0.5 * (from + to)
         };
-        let Path {
-            current_filter_s,
-            speed_filter_s,
-            ..
-        } = self.path;
+        let Path { current_filter_s, speed_filter_s, .. } = self.path;
         let (from_a, from_rad_s) = (before.current_a, before.delayed_rad_s);
         self.filtered = Some(SensorState {
             delayed_rad_s,
@@ -151,16 +147,12 @@ impl Sensors {
             value + std * normal
         };
         let voltage_v = noisy(truth.voltage_v, self.noise.voltage_v);
-        let (current_a, speed_rad_s) = self
-            .filtered
-            .map_or((truth.current_a, truth.speed_rad_s), |before| {
+        let (current_a, speed_rad_s) =
+            self.filtered.map_or((truth.current_a, truth.speed_rad_s), |before| {
                 (before.filtered_a, before.filtered_rad_s)
             });
         let current_a = noisy(current_a + self.path.current_offset_a, self.noise.current_a);
-        let speed_rad_s = noisy(
-            speed_rad_s + self.path.speed_offset_rad_s,
-            self.noise.speed_rad_s,
-        );
+        let speed_rad_s = noisy(speed_rad_s + self.path.speed_offset_rad_s, self.noise.speed_rad_s);
         let bus_v = noisy(truth.bus_v, self.noise.bus_v);
         Reading {
             voltage_v: quantised(voltage_v, self.quantisation.voltage_v),
@@ -173,11 +165,7 @@ impl Sensors {
 }
 
 fn quantised(value: f64, step: f64) -> f64 {
-    if step > 0.0 {
-        (value / step).round() * step
-    } else {
-        value
-    }
+    if step > 0.0 { (value / step).round() * step } else { value }
 }
 
 #[cfg(test)]
@@ -185,29 +173,20 @@ mod tests {
     use super::*;
 
     fn sensors(seed: u64) -> Sensors {
-        let noise = NoiseConfig {
-            voltage_v: 0.02,
-            current_a: 0.03,
-            speed_rad_s: 0.15,
-            bus_v: 0.1,
-        };
+        let noise = NoiseConfig { voltage_v: 0.02, current_a: 0.03, speed_rad_s: 0.15, bus_v: 0.1 };
         Sensors::new(noise, QuantisationConfig::default(), seed)
     }
 
     #[test]
     fn noise_is_white_and_has_the_stated_size() {
         let mut sensors = sensors(5);
-        let speeds: Vec<f64> = (0..20_000)
-            .map(|tick| sensors.read(tick, Reading::default()).speed_rad_s)
-            .collect();
+        let speeds: Vec<f64> =
+            (0..20_000).map(|tick| sensors.read(tick, Reading::default()).speed_rad_s).collect();
         let n = speeds.len() as f64;
         let mean = speeds.iter().sum::<f64>() / n;
         let variance = speeds.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / n;
-        let lag_one = speeds
-            .windows(2)
-            .map(|pair| (pair[0] - mean) * (pair[1] - mean))
-            .sum::<f64>()
-            / n;
+        let lag_one =
+            speeds.windows(2).map(|pair| (pair[0] - mean) * (pair[1] - mean)).sum::<f64>() / n;
         // Four standard errors of each statistic.
         assert!(mean.abs() < 4.0 * 0.15 / n.sqrt());
         assert!((variance / 0.0225 - 1.0).abs() < 4.0 * (2.0 / n).sqrt());
@@ -227,15 +206,8 @@ mod tests {
 
     #[test]
     fn a_sensor_reads_multiples_of_its_step() {
-        let step = QuantisationConfig {
-            current_a: 0.25,
-            ..QuantisationConfig::default()
-        };
-        let truth = Reading {
-            current_a: 1.13,
-            speed_rad_s: 1.13,
-            ..Reading::default()
-        };
+        let step = QuantisationConfig { current_a: 0.25, ..QuantisationConfig::default() };
+        let truth = Reading { current_a: 1.13, speed_rad_s: 1.13, ..Reading::default() };
         let read = Sensors::new(NoiseConfig::default(), step, 0).read(0, truth);
         assert!((read.current_a - 1.25).abs() < 1e-12);
         assert!((read.speed_rad_s - 1.13).abs() < 1e-12);

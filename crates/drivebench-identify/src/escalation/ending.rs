@@ -36,11 +36,7 @@ pub enum Ending {
         "open phase, or the motor is not connected: {voltage_v:.2} V applied for {:.0} ms, current below {below_a:.3} A",
         1e3 * seconds
     )]
-    OpenPhase {
-        voltage_v: f64,
-        seconds: f64,
-        below_a: f64,
-    },
+    OpenPhase { voltage_v: f64, seconds: f64, below_a: f64 },
     #[error(
         "the drive puts out no voltage: {commanded_v:.2} V commanded, {measured_v:.2} V measured, and no current"
     )]
@@ -60,20 +56,12 @@ pub enum Ending {
     #[error(
         "the speed signal is dead: voltage over current rose from {ohm_at_rest:.3} to {ohm_now:.3} ohm, which a turning shaft does, but the speed stays below {below_rad_s:.2} rad/s"
     )]
-    SpeedSignalDead {
-        ohm_at_rest: f64,
-        ohm_now: f64,
-        below_rad_s: f64,
-    },
+    SpeedSignalDead { ohm_at_rest: f64, ohm_now: f64, below_rad_s: f64 },
     /// The voltage limit was reached before the rated current.
     #[error(
         "the shaft stands still and the voltage limit keeps the current low: {current_a:.2} A of {rated_current_a:.2} A rated at {voltage_v:.2} V"
     )]
-    VoltageLimit {
-        current_a: f64,
-        voltage_v: f64,
-        rated_current_a: f64,
-    },
+    VoltageLimit { current_a: f64, voltage_v: f64, rated_current_a: f64 },
     #[error("the current has the wrong sign: {current_a:.3} A at {voltage_v:.3} V")]
     CurrentSign { voltage_v: f64, current_a: f64 },
     #[error("the speed has the wrong sign: {speed_rad_s:.2} rad/s at {voltage_v:.3} V")]
@@ -133,10 +121,7 @@ pub(super) fn wrong_sign(stage: &Observation) -> Option<Ending> {
     let current_a = stage.current_at_peak_a;
     if current_a.abs() > 10.0 * stage.noise_a && against(current_a, stage.peak_v) && !stage.moves()
     {
-        return Some(Ending::CurrentSign {
-            voltage_v: stage.peak_v,
-            current_a,
-        });
+        return Some(Ending::CurrentSign { voltage_v: stage.peak_v, current_a });
     }
     // Twice what counts as motion, and while the voltage was there: a shaft that runs on is none.
     let is_driven = stage.voltage_of_motion_v.abs() > 0.2 * stage.peak_v.abs();
@@ -155,10 +140,7 @@ pub(super) fn no_current(stage: &Observation, share_a: f64) -> Ending {
     if let Some(measured_v) = stage.measured_at_peak_v
         && measured_v.abs() < 0.3 * stage.peak_v.abs()
     {
-        return Ending::NoOutput {
-            commanded_v: stage.peak_v,
-            measured_v,
-        };
+        return Ending::NoOutput { commanded_v: stage.peak_v, measured_v };
     }
     Ending::OpenPhase {
         voltage_v: stage.peak_v,
@@ -191,11 +173,7 @@ pub(super) fn no_motion(
         });
     }
     Some(if current_a.abs() < reached_a {
-        Ending::VoltageLimit {
-            current_a,
-            voltage_v: stage.peak_v,
-            rated_current_a,
-        }
+        Ending::VoltageLimit { current_a, voltage_v: stage.peak_v, rated_current_a }
     } else {
         Ending::LockedRotor {
             current_a,

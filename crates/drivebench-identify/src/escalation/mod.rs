@@ -356,9 +356,7 @@ impl Escalation {
         let friction_a = turned.and_then(Turned::friction_a);
         let friction_a = friction_a.or(self.break_away_a).unwrap_or(0.0);
         let share = [1.0, 1.5, 2.0][self.rounds.min(2)];
-        let wanted_a = (share * rated_a)
-            .max(friction_a + 0.5 * rated_a)
-            .min(most_a);
+        let wanted_a = (share * rated_a).max(friction_a + 0.5 * rated_a).min(most_a);
         let mut volts = wanted_a * lowest_ohm;
         let mut reason = format!("{wanted_a:.2} A through at least {lowest_ohm:.3} ohm");
         if self.rounds > 0 && !self.knows_resistance() && self.last_a < 0.3 * rated_a {

@@ -92,11 +92,7 @@ impl Observation {
         let (at_mean, mean_speed_rad_s) = farthest(&slow);
         // Empty where the drive measures none.
         let points: Vec<(f64, f64)> = run.points(Channel::Voltage).collect();
-        let measured = if points.is_empty() {
-            Vec::new()
-        } else {
-            at_samples(&points, scenario)
-        };
+        let measured = if points.is_empty() { Vec::new() } else { at_samples(&points, scenario) };
         Self {
             noise_a,
             offset_a,
@@ -118,10 +114,7 @@ impl Observation {
     /// `Ke = (u - R i)/w` where the mean speed was greatest, and its standard deviation, V.s/rad. Without a resistance the
     /// drop across it is left out, and counts as uncertainty.
     pub(super) fn back_emf(&self, rest: Option<RestWinding>) -> (f64, f64) {
-        let (u, i) = (
-            self.voltage_of_motion_v.abs(),
-            self.current_of_motion_a.abs(),
-        );
+        let (u, i) = (self.voltage_of_motion_v.abs(), self.current_of_motion_a.abs());
         let w = self.mean_speed_rad_s.abs().max(f64::MIN_POSITIVE);
         let speed_share = self.motion_rad_s / MOTION_NOISE / w;
         match rest {
@@ -175,9 +168,7 @@ fn means(values: &[f64]) -> Vec<f64> {
 /// The values that were held at the scenario's samples.
 fn at_samples(points: &[(f64, f64)], scenario: &Scenario) -> Vec<f64> {
     let times = scenario.sample_time_s.iter();
-    times
-        .map(|time_s| held(points, *time_s).unwrap_or(0.0))
-        .collect()
+    times.map(|time_s| held(points, *time_s).unwrap_or(0.0)).collect()
 }
 
 // The winding of a shaft at rest: `u = R i + L di/dt`, nothing else.
@@ -378,10 +369,6 @@ impl Turned {
         let Some(p) = worst else {
             return "the estimates did not settle".to_owned();
         };
-        format!(
-            "{}: {}",
-            p.key,
-            p.reason.as_deref().unwrap_or("not settled")
-        )
+        format!("{}: {}", p.key, p.reason.as_deref().unwrap_or("not settled"))
     }
 }

@@ -59,11 +59,7 @@ fn standstill(bounds: &Bounds) -> Segment {
 }
 
 fn steps(levels_v: Vec<f64>, hold_s: f64) -> Segment {
-    Segment::Steps(Steps {
-        levels_v,
-        hold_s,
-        dither: None,
-    })
+    Segment::Steps(Steps { levels_v, hold_s, dither: None })
 }
 
 /// Slowly from rest through these levels, each held for a while, and back.
@@ -75,12 +71,7 @@ fn slowly(bounds: &Bounds, kind: StageKind, levels_v: &[f64], reason: String) ->
     let ramp_s = ramp_s(bounds);
     let hold_s = f64::max(0.3, 20.0 * bounds.period_s);
     let ramp = |from_v: f64, to_v: f64| {
-        Segment::Ramp(Ramp {
-            from_v,
-            to_v,
-            seconds: ramp_s,
-            dither: None,
-        })
+        Segment::Ramp(Ramp { from_v, to_v, seconds: ramp_s, dither: None })
     };
     let (mut segments, mut peak_v) = (vec![standstill(bounds)], 0.0);
     for &level_v in levels_v {
@@ -114,10 +105,8 @@ pub(super) fn look(bounds: &Bounds, kind: StageKind, peak_v: f64, reason: String
 pub(super) fn break_away(bounds: &Bounds, rest: &RestWinding, most: f64) -> Stage {
     let rated_v = bounds.rated_current_a * rest.resistance_ohm;
     let peak_v = (most * rated_v).min(bounds.voltage_limit_v);
-    let reason = format!(
-        "{:.3} ohm at rest: {peak_v:.2} V drive the rated current",
-        rest.resistance_ohm
-    );
+    let reason =
+        format!("{:.3} ohm at rest: {peak_v:.2} V drive the rated current", rest.resistance_ohm);
     let levels_v = [0.5 * peak_v, peak_v];
     slowly(bounds, StageKind::BreakAway, &levels_v, reason)
 }
@@ -140,10 +129,7 @@ impl BothWays {
         let peak_v = self.peak_v;
         Stage {
             kind: self.kind,
-            segments: vec![
-                standstill(bounds),
-                steps(vec![peak_v, 0.0, -peak_v, 0.0], self.hold_s),
-            ],
+            segments: vec![standstill(bounds), steps(vec![peak_v, 0.0, -peak_v, 0.0], self.hold_s)],
             slew_v_per_s: self.slew_v_per_s,
             peak_v,
             stop_current_a: self.stop_current_a.min(0.9 * bounds.current_limit_a),
@@ -163,7 +149,5 @@ pub(super) fn step_s(bounds: &Bounds, mechanical_s: Option<f64>) -> f64 {
 
 /// How long a level is held after the slope to it.
 pub(super) fn settle_s(bounds: &Bounds, mechanical_s: f64) -> f64 {
-    (2.0 * mechanical_s)
-        .clamp(0.1, 0.5)
-        .max(10.0 * bounds.period_s)
+    (2.0 * mechanical_s).clamp(0.1, 0.5).max(10.0 * bounds.period_s)
 }

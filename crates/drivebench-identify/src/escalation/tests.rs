@@ -75,12 +75,7 @@ fn faults_of_sensors_and_drive_are_named() {
     assert!(low, "{found:?}");
     // The current distinguishes a dead speed signal from a locked rotor.
     let found = ending(scaled(Channel::Speed, 0.0));
-    let Ending::SpeedSignalDead {
-        ohm_at_rest,
-        ohm_now,
-        ..
-    } = found
-    else {
+    let Ending::SpeedSignalDead { ohm_at_rest, ohm_now, .. } = found else {
         panic!("{found:?}");
     };
     let rose = (ohm_at_rest - 1.1).abs() < 0.1 && ohm_now > 1.43;
@@ -112,11 +107,7 @@ fn stages(motor: &Motor, bounds: Bounds) -> Vec<Stage> {
 
 #[test]
 fn no_stage_goes_beyond_a_limit() {
-    let tight = Bounds {
-        voltage_limit_v: 9.0,
-        current_limit_a: 9.0,
-        ..bounds()
-    };
+    let tight = Bounds { voltage_limit_v: 9.0, current_limit_a: 9.0, ..bounds() };
     let stuck = Motor::zk_22fc().with(MotorKey::LoadTorque, 2.0);
     for stage in stages(&stuck, tight) {
         let is_within = stage.peak_v <= 9.0 && stage.stop_current_a < 9.0;
@@ -137,10 +128,7 @@ fn no_stage_goes_beyond_a_limit() {
 fn a_record_that_is_too_short_is_an_error_and_the_stage_stays() {
     let mut escalation = Escalation::new(bounds());
     let columns = [Channel::VoltageCmd, Channel::Current, Channel::Speed];
-    let short = run_of(
-        vec![0.0, 0.01, 0.02],
-        columns.map(|channel| (channel, vec![1.0; 3])),
-    );
+    let short = run_of(vec![0.0, 0.01, 0.02], columns.map(|channel| (channel, vec![1.0; 3])));
     assert!(escalation.learn(&short).is_err());
     assert!(escalation.stage().is_some() && escalation.history().is_empty());
 }

@@ -90,17 +90,9 @@ pub fn compared(
 ) -> Result<Compared, FrequencyResponseError> {
     let mut measured = frequency_response(scenarios)?;
     measured.cautions.extend(disagreements(scenarios)?);
-    let model = model
-        .map(|model| response_over(model, scenarios))
-        .transpose()?;
-    let departures = model
-        .as_ref()
-        .map_or_else(Vec::new, |model| departures(&measured, model));
-    Ok(Compared {
-        measured,
-        model,
-        departures,
-    })
+    let model = model.map(|model| response_over(model, scenarios)).transpose()?;
+    let departures = model.as_ref().map_or_else(Vec::new, |model| departures(&measured, model));
+    Ok(Compared { measured, model, departures })
 }
 
 impl Compared {
@@ -146,9 +138,8 @@ fn disagreements(scenarios: &[Scenario]) -> Result<Vec<String>, FrequencyRespons
             pathway.points.retain(|point| point.is_carried);
         }
         let differs = departures(&of_first, &own);
-        let widest = differs
-            .iter()
-            .max_by(|a, b| (a.to_hz / a.from_hz).total_cmp(&(b.to_hz / b.from_hz)));
+        let widest =
+            differs.iter().max_by(|a, b| (a.to_hz / a.from_hz).total_cmp(&(b.to_hz / b.from_hz)));
         sentences.extend(widest.map(|band| {
             let [from, to] = [band.from_hz, band.to_hz].map(|hz| significant(hz, 3));
             format!(
@@ -191,9 +182,7 @@ fn bands(measured: &PathwayResponse, model: &PathwayResponse, lines_hz: f64) -> 
     // Two points inside of their intervals do not end a band.
     let pieces = off.chunk_by(|a, b| b.at - a.at <= 3);
     let found = pieces.filter_map(|piece| {
-        let farthest = piece
-            .iter()
-            .max_by(|a, b| a.half_widths.total_cmp(&b.half_widths))?;
+        let farthest = piece.iter().max_by(|a, b| a.half_widths.total_cmp(&b.half_widths))?;
         let (first, last) = (piece.first()?, piece.last()?);
         let (from_hz, to_hz) = (points[first.at].frequency_hz, points[last.at].frequency_hz);
         let is_wide = piece.len() >= 3 && to_hz - from_hz >= lines_hz;
@@ -217,20 +206,13 @@ fn bands(measured: &PathwayResponse, model: &PathwayResponse, lines_hz: f64) -> 
 fn at_frequency(points: &[ResponsePoint], hertz: f64) -> Option<(f64, f64, f64)> {
     let place = points.partition_point(|point| point.frequency_hz < hertz);
     let above = points.get(place)?;
-    let below = if above.frequency_hz <= hertz {
-        above
-    } else {
-        points.get(place.checked_sub(1)?)?
-    };
+    let below =
+        if above.frequency_hz <= hertz { above } else { points.get(place.checked_sub(1)?)? };
     let span = (above.frequency_hz / below.frequency_hz).ln();
     if span > 0.06 {
         return None;
     }
-    let share = if span > 0.0 {
-        (hertz / below.frequency_hz).ln() / span
-    } else {
-        0.0
-    };
+    let share = if span > 0.0 { (hertz / below.frequency_hz).ln() / span } else { 0.0 };
     let between = |of: fn(&ResponsePoint) -> f64| of(below) + share * (of(above) - of(below));
     Some((
         between(|point| point.magnitude.ln()).exp(),

@@ -47,11 +47,7 @@ pub(super) fn local(lines: &[Line; LINES], offset: f64) -> Option<Local> {
     let at = |row: usize| (row as f64 - SIDE as f64 - offset) / SIDE as f64;
     let regressors = DMatrix::from_fn(LINES, UNKNOWNS, |row, column| {
         let power = i32::try_from(column % (ORDER + 1)).unwrap_or(0);
-        let base = if column <= ORDER {
-            lines[row].input / size
-        } else {
-            Complex::new(1.0, 0.0)
-        };
+        let base = if column <= ORDER { lines[row].input / size } else { Complex::new(1.0, 0.0) };
         base * at(row).powi(power)
     });
     let right = DMatrix::from_fn(LINES, 2, |row, output| lines[row].outputs[output]);
@@ -64,9 +60,7 @@ pub(super) fn local(lines: &[Line; LINES], offset: f64) -> Option<Local> {
     let residual = &right - &regressors * &found;
     let sums = residual.adjoint() * &residual / Complex::new(FREEDOM as f64, 0.0);
     let v = factors.v_t.as_ref()?;
-    let bread: f64 = (0..UNKNOWNS)
-        .map(|k| v[(k, 0)].norm_sqr() / values[k].powi(2))
-        .sum();
+    let bread: f64 = (0..UNKNOWNS).map(|k| v[(k, 0)].norm_sqr() / values[k].powi(2)).sum();
     let share = bread / size.powi(2);
     // What an input does that is nearly as smooth as a transient is not known to this size: it explains that much less.
     let explained = |output: usize| {
@@ -100,10 +94,7 @@ mod tests {
             let gain = Complex::new(2.0, -1.0) + Complex::new(0.01, 0.02) * r;
             let transient = Complex::new(0.3, 0.1) - Complex::new(0.02, 0.0) * r;
             let clean = gain * input + transient;
-            Line {
-                input,
-                outputs: [clean + of(noise), clean * 0.5],
-            }
+            Line { input, outputs: [clean + of(noise), clean * 0.5] }
         })
     }
 
@@ -139,15 +130,9 @@ mod tests {
     #[test]
     fn without_an_input_there_is_no_response() {
         let none = Complex::new(0.0, 0.0);
-        let line = Line {
-            input: none,
-            outputs: [Complex::new(1.0, 0.0); 2],
-        };
+        let line = Line { input: none, outputs: [Complex::new(1.0, 0.0); 2] };
         assert!(local(&[line; LINES], 0.0).is_none());
-        let steady = Line {
-            input: Complex::new(1.0, 0.0),
-            ..line
-        };
+        let steady = Line { input: Complex::new(1.0, 0.0), ..line };
         // As smooth as a transient.
         assert!(local(&[steady; LINES], 0.0).is_none());
     }

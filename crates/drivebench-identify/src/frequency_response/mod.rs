@@ -56,11 +56,7 @@ pub enum Pathway {
 }
 
 impl Pathway {
-    pub const ALL: [Self; 3] = [
-        Self::VoltageToSpeed,
-        Self::VoltageToCurrent,
-        Self::CurrentToSpeed,
-    ];
+    pub const ALL: [Self; 3] = [Self::VoltageToSpeed, Self::VoltageToCurrent, Self::CurrentToSpeed];
 
     /// Name, key as an argument names it, and unit.
     const fn labels(self) -> [&'static str; 3] {
@@ -174,12 +170,8 @@ impl FrequencyResponse {
 
     /// The modes of a pathway, the lowest first.
     pub fn modes_of(&self, pathway: Pathway) -> Vec<Mode> {
-        let mut own: Vec<Mode> = self
-            .modes
-            .iter()
-            .filter(|mode| mode.pathway == pathway)
-            .copied()
-            .collect();
+        let mut own: Vec<Mode> =
+            self.modes.iter().filter(|mode| mode.pathway == pathway).copied().collect();
         own.sort_by(|a, b| a.frequency_hz.total_cmp(&b.frequency_hz));
         own
     }
@@ -230,11 +222,7 @@ pub enum FrequencyResponseError {
     #[error(
         "run {run:?}: {rows} samples in {seconds:.2} s (expected at least {FEWEST_ROWS} samples and {SHORTEST_S} s)"
     )]
-    Short {
-        run: String,
-        rows: usize,
-        seconds: f64,
-    },
+    Short { run: String, rows: usize, seconds: f64 },
 }
 
 impl FrequencyResponseError {
@@ -264,9 +252,8 @@ impl Stretch {
     fn of(scenario: &Scenario, rows: &Range<usize>) -> Self {
         let time_s = scenario.sample_time_s[rows.clone()].to_vec();
         let (begin_s, end_s) = (time_s[0], time_s[time_s.len() - 1]);
-        let held = holding_since(&scenario.events, begin_s)
-            .iter()
-            .take_while(|event| event.0 < end_s);
+        let held =
+            holding_since(&scenario.events, begin_s).iter().take_while(|event| event.0 < end_s);
         let input = held.map(|&(at_s, value)| (at_s.max(begin_s), value));
         let column = |values: &[f64]| {
             let own = values.get(rows.clone()).map(<[f64]>::to_vec);
@@ -295,10 +282,7 @@ impl Stretch {
         let [current, speed] = spectrum::between_samples(frequency_hz * self.period_s);
         Line {
             input: spectrum::of_held(&self.input, self.end_s, frequency_hz),
-            outputs: [
-                output(&self.outputs[0]) * current,
-                output(&self.outputs[1]) * speed,
-            ],
+            outputs: [output(&self.outputs[0]) * current, output(&self.outputs[1]) * speed],
         }
     }
 
@@ -387,11 +371,7 @@ fn response_over(
         let seconds = ends.map_or(0.0, |(first, last)| last - first);
         if time_s.len() < FEWEST_ROWS || seconds < SHORTEST_S {
             let rows = time_s.len();
-            return Err(FrequencyResponseError::Short {
-                run: run(),
-                rows,
-                seconds,
-            });
+            return Err(FrequencyResponseError::Short { run: run(), rows, seconds });
         }
         let (rows, keeps_turning) = stretches(turning);
         if !keeps_turning {
@@ -448,14 +428,7 @@ impl Estimator {
         let frequencies_hz = std::iter::successors(Some(lowest_hz), next)
             .take_while(|hertz| *hertz <= highest_hz)
             .collect();
-        Self {
-            stretches,
-            frequencies_hz,
-            has,
-            period_s,
-            lowest_hz,
-            highest_hz,
-        }
+        Self { stretches, frequencies_hz, has, period_s, lowest_hz, highest_hz }
     }
 
     fn response(&self, mut cautions: Vec<String>) -> FrequencyResponse {
@@ -517,10 +490,7 @@ impl Estimator {
             };
             let weights: Vec<f64> = known.iter().map(weight).collect();
             let sum: f64 = weights.iter().sum();
-            weights
-                .into_iter()
-                .map(|weight| weight / sum)
-                .collect::<Vec<f64>>()
+            weights.into_iter().map(|weight| weight / sum).collect::<Vec<f64>>()
         });
         let response = [0, 1].map(|output| {
             let parts = known
@@ -539,17 +509,9 @@ impl Estimator {
         let coherence = [0, 1].map(|output| {
             let explained: f64 = known.iter().map(|local| local.explained[output]).sum();
             let noise: f64 = known.iter().map(|local| local.noise[output]).sum();
-            if explained > 0.0 {
-                explained / (explained + noise)
-            } else {
-                0.0
-            }
+            if explained > 0.0 { explained / (explained + noise) } else { 0.0 }
         });
-        Some(Pooled {
-            response,
-            covariance,
-            coherence,
-        })
+        Some(Pooled { response, covariance, coherence })
     }
 
     fn points(&self, pathway: Pathway, pooled: &[Option<Pooled>]) -> Vec<ResponsePoint> {
@@ -596,9 +558,8 @@ impl Estimator {
     }
 
     fn modes(&self, locals: &[Vec<Option<Local>>], pathways: &[PathwayResponse]) -> Vec<Mode> {
-        let lines: Vec<Lines> = (0..self.stretches.len().min(3))
-            .map(|stretch| self.lines(stretch, locals))
-            .collect();
+        let lines: Vec<Lines> =
+            (0..self.stretches.len().min(3)).map(|stretch| self.lines(stretch, locals)).collect();
         let Some(found) = rational::fit(&lines, self.period_s) else {
             return Vec::new();
         };
@@ -652,13 +613,9 @@ impl Estimator {
         let (first, last) = (self.lowest_hz / apart_hz, self.highest_hz / apart_hz);
         let stride = (((last - first) / FITTED_LINES).ceil()).max(1.0);
         let count = whole(((last - first) / stride).floor());
-        let frequency_hz: Vec<f64> = (0..=count)
-            .map(|n| (first.ceil() + n as f64 * stride) * apart_hz)
-            .collect();
-        let lines: Vec<Line> = frequency_hz
-            .par_iter()
-            .map(|hertz| own.line(*hertz))
-            .collect();
+        let frequency_hz: Vec<f64> =
+            (0..=count).map(|n| (first.ceil() + n as f64 * stride) * apart_hz).collect();
+        let lines: Vec<Line> = frequency_hz.par_iter().map(|hertz| own.line(*hertz)).collect();
         // Of few degrees of freedom: averaged over the neighbours. What is in doubt between the samples counts as noise too.
         let noise = |output: usize, hertz: f64, measured: Complex<f64>| {
             let at = self.frequencies_hz.partition_point(|own| *own < hertz);
@@ -715,9 +672,7 @@ fn has_extremum(mode: &Mode, points: &[ResponsePoint]) -> bool {
 
 /// A phase moved by whole turns to within half a turn of the one before.
 fn continued(phase_deg: f64, before: Option<f64>) -> f64 {
-    before.map_or(phase_deg, |before| {
-        phase_deg - 360.0 * ((phase_deg - before) / 360.0).round()
-    })
+    before.map_or(phase_deg, |before| phase_deg - 360.0 * ((phase_deg - before) / 360.0).round())
 }
 
 #[cfg(test)]

@@ -141,21 +141,12 @@ impl Task {
                 }
             }
         }
-        Some(Self {
-            rows,
-            stretches: stretches.len(),
-            outputs,
-            unit,
-            period: period_s * unit,
-        })
+        Some(Self { rows, stretches: stretches.len(), outputs, unit, period: period_s * unit })
     }
 
     /// Bayesian information criterion, the noise's size unknown, and the model.
     fn of_order(&self, order: usize) -> Option<(f64, Rational)> {
-        let layout = Layout {
-            order,
-            outputs: self.outputs,
-        };
+        let layout = Layout { order, outputs: self.outputs };
         let size = layout.size(self.stretches);
         let count = 2 * self.rows.len();
         if count < 4 * size {
@@ -167,17 +158,9 @@ impl Task {
             .flatten();
         let (_, start) = starts.min_by(|a, b| a.0.total_cmp(&b.0))?;
         let scale: Vec<f64> = start.iter().map(|value| value.abs().max(1e-9)).collect();
-        let model = Model {
-            task: self,
-            layout,
-            scale,
-        };
+        let model = Model { task: self, layout, scale };
         let x: Vec<f64> = start.iter().zip(&model.scale).map(|(v, s)| v / s).collect();
-        let options = Options {
-            most_iterations: 60,
-            one_of_many: true,
-            ..Options::default()
-        };
+        let options = Options { most_iterations: 60, one_of_many: true, ..Options::default() };
         let minimum = minimise(&model, &x, options)?;
         let (n, k) = (count as f64, size as f64);
         let score = n * (minimum.cost / n).ln() + k * n.ln();
@@ -194,9 +177,7 @@ impl Task {
         };
         let found = Rational {
             poles: pairs(layout.denominator(), true),
-            zeros: (0..self.outputs)
-                .map(|output| pairs(layout.numerator(output), false))
-                .collect(),
+            zeros: (0..self.outputs).map(|output| pairs(layout.numerator(output), false)).collect(),
         };
         score.is_finite().then_some((score, found))
     }

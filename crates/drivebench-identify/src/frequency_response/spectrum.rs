@@ -76,10 +76,7 @@ pub(super) fn of_held(pieces: &[Point], end_s: f64, frequency_hz: f64) -> Comple
 /// Of samples, by the trapezoid rule without the mean; a cell without a number is bridged by its neighbours. For what has
 /// nothing above half the sampling rate the sum over equal steps is exact.
 pub(super) fn of_samples(time_s: &[f64], values: &[f64], frequency_hz: f64) -> Complex<f64> {
-    let mut known = time_s
-        .iter()
-        .zip(values)
-        .filter(|(_, value)| value.is_finite());
+    let mut known = time_s.iter().zip(values).filter(|(_, value)| value.is_finite());
     let all = known.clone();
     let Some((&begin_s, &first)) = known.next() else {
         return Complex::new(0.0, 0.0);

@@ -43,13 +43,7 @@ fn prbs(seconds: f64) -> Segment {
 }
 
 fn chirp(seconds: f64) -> Segment {
-    Segment::Chirp(Chirp {
-        amplitude_v: 8.0,
-        from_hz: 0.5,
-        to_hz: 120.0,
-        seconds,
-        offset_v: 20.0,
-    })
+    Segment::Chirp(Chirp { amplitude_v: 8.0, from_hz: 0.5, to_hz: 120.0, seconds, offset_v: 20.0 })
 }
 
 /// Current, motor speed, load speed, twist: as the textbook has it, by itself.
@@ -88,11 +82,7 @@ fn truth(a: &DMatrix<f64>, hertz: f64) -> [Complex<f64>; 2] {
 /// The first mode of this kind on a pathway, or the last.
 fn mode(all: &[Mode], kind: ModeKind, pathway: Pathway, is_last: bool) -> Mode {
     let own = |mode: &&Mode| mode.kind == kind && mode.pathway == pathway;
-    let found = if is_last {
-        all.iter().rfind(own)
-    } else {
-        all.iter().find(own)
-    };
+    let found = if is_last { all.iter().rfind(own) } else { all.iter().find(own) };
     *found.unwrap()
 }
 
@@ -102,10 +92,7 @@ fn assert_mode(mode: &Mode, hertz: f64, damping: f64) {
     let off_damping = (mode.damping_ratio / damping - 1.0).abs();
     let sigmas = (mode.frequency_hz - hertz).abs() / mode.frequency_std_hz;
     let is_near = off < 0.02 && off_damping < 0.2 && sigmas < 4.0;
-    assert!(
-        is_near,
-        "{mode:?}, true {hertz} Hz, {damping}: {sigmas} deviations"
-    );
+    assert!(is_near, "{mode:?}, true {hertz} Hz, {damping}: {sigmas} deviations");
 }
 
 #[test]
@@ -129,9 +116,7 @@ fn resonance_and_anti_resonance_are_found_with_their_damping() {
         assert_mode(&anti, hertz * held, damping * held);
         // Behind the winding: the poles of the whole.
         let eigenvalues = matrix(coupling).complex_eigenvalues();
-        let poles = eigenvalues
-            .iter()
-            .filter(|p| p.im > 1.0 && -p.re < 0.5 * p.norm());
+        let poles = eigenvalues.iter().filter(|p| p.im > 1.0 && -p.re < 0.5 * p.norm());
         let pole = poles.max_by(|a, b| a.im.total_cmp(&b.im)).unwrap();
         let (hertz, damping) = (pole.norm() / TAU, -pole.re / pole.norm());
         assert_mode(&mode(resonance, voltage, true), hertz, damping);

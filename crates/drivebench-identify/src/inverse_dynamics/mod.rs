@@ -143,10 +143,8 @@ impl Case<'_> {
         }
         let Some(solved) = Solved::new(&full, unknowns, processing.decimation) else {
             let usable = full.iter().flat_map(|rows| &rows.valid).filter(|v| **v);
-            let reason = format!(
-                "{} usable rows: the shaft hardly moves in this run",
-                usable.count()
-            );
+            let reason =
+                format!("{} usable rows: the shaft hardly moves in this run", usable.count());
             return self.refused(Some(processing), &reason);
         };
         // The same filter on every second sample: what the samples miss between them moves the values. Where motion and
@@ -173,11 +171,7 @@ impl Case<'_> {
             };
             let doubt = (&processing, self.doubt_of_left);
             let found = solved.judged(place, &free, &others, doubt);
-            if relative {
-                as_ratio(found)
-            } else {
-                gated(found, &unknown.slot)
-            }
+            if relative { as_ratio(found) } else { gated(found, &unknown.slot) }
         };
         let parameters = unknowns.iter().map(estimate).collect();
         let total: usize = full.iter().map(|rows| rows.valid.len()).sum();
@@ -240,24 +234,14 @@ impl Case<'_> {
         };
         let at = |k: usize| Instant {
             time_s: part.time_s(k) - scenario.begin_s(),
-            voltage_v: if equation == Balance::Voltage {
-                left[k]
-            } else {
-                0.0
-            },
+            voltage_v: if equation == Balance::Voltage { left[k] } else { 0.0 },
             supply_v: scenario.supply_v(),
             current_a: current[k],
             speed_rad_s: speed[k],
             angle: ShaftAngle::at(part.angle_rad[k]),
             ..Instant::of(&model.motor)
         };
-        let signals = Signals {
-            model,
-            equation,
-            current_a: &current,
-            speed_rad_s: speed,
-            at: &at,
-        };
+        let signals = Signals { model, equation, current_a: &current, speed_rad_s: speed, at: &at };
         let column = |unknown: &Unknown| match signals.column(&unknown.slot) {
             Column::Values(values) => low_pass(&spanned(&values)),
             Column::Rate(values) => low_pass(&rate(&values, part.period_s)),
@@ -296,10 +280,8 @@ impl Solved {
         let count = fits.len() as f64;
         let first = fits.first()?;
         let size = first.solution.x.len();
-        let (mut mean, mut covariance) = (
-            DVector::<f64>::zeros(size),
-            DMatrix::<f64>::zeros(size, size),
-        );
+        let (mut mean, mut covariance) =
+            (DVector::<f64>::zeros(size), DMatrix::<f64>::zeros(size, size));
         let mut bread = covariance.clone();
         for fit in &fits {
             mean += &fit.solution.x;
@@ -320,9 +302,7 @@ impl Solved {
         };
         let spread_percent = (0..size).map(spread).fold(0.0, f64::max);
         let rows: usize = fits.iter().map(|fit| fit.solution.residual.len()).sum();
-        let errors = fits
-            .iter()
-            .map(|fit| fit.solution.residual.norm() / fit.level);
+        let errors = fits.iter().map(|fit| fit.solution.residual.norm() / fit.level);
         Some(Self {
             covariance: covariance / count,
             bread: bread / count,
@@ -357,14 +337,10 @@ impl Solved {
         // Noise in the acceleration pulls the inertia towards zero, and with it every value that shares its direction.
         let inertia = free.iter().position(|slot| accelerates(slot));
         let pull = inertia.map_or(0.0, |j| self.bread[(place, j)] * power * self.x[j]);
-        let moves = others
-            .iter()
-            .flatten()
-            .map(|other| other.x[place] - self.x[place]);
+        let moves = others.iter().flatten().map(|other| other.x[place] - self.x[place]);
         let variance = self.covariance[(place, place)].max(0.0);
-        let doubts = moves
-            .chain([pull, doubt_of_left * self.x[place]])
-            .filter(|doubt| doubt.is_finite());
+        let doubts =
+            moves.chain([pull, doubt_of_left * self.x[place]]).filter(|doubt| doubt.is_finite());
         let std = (variance + doubts.map(|doubt| doubt * doubt).sum::<f64>()).sqrt();
         let std = if determined { std } else { f64::NAN };
         judge(slot, self.x[place], Some(std), 1.0 / processing.rate_hz)
@@ -452,26 +428,14 @@ impl Filtered {
         let filter = filter(processing.cut_off_hz, part.period_s)?;
         let angular = processing.motion == Motion::Angle;
         let motion = filter.zero_phase(&part.motion);
-        let speed = if angular {
-            rate(&motion, part.period_s)
-        } else {
-            motion
-        };
-        Some(Self {
-            filter,
-            speed,
-            angular,
-        })
+        let speed = if angular { rate(&motion, part.period_s) } else { motion };
+        Some(Self { filter, speed, angular })
     }
 
     /// A signal beside the speed: where that is a central difference everything else is averaged over its span.
     fn beside(&self, values: &[f64]) -> Vec<f64> {
         let filtered = self.filter.zero_phase(values);
-        if self.angular {
-            spanned(&filtered)
-        } else {
-            filtered
-        }
+        if self.angular { spanned(&filtered) } else { filtered }
     }
 }
 
@@ -524,9 +488,7 @@ struct Stretch {
 impl Stretch {
     /// Both sides go through the filter of the decimation; beside a central difference everything is averaged over its span.
     fn averaged(&self, values: &[f64]) -> Vec<f64> {
-        let filtered = self
-            .filter
-            .zero_phase(&spanned(&values[self.from..self.to]));
+        let filtered = self.filter.zero_phase(&spanned(&values[self.from..self.to]));
         self.valid.iter().map(|row| filtered[*row]).collect()
     }
 }
@@ -601,9 +563,7 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
         return None;
     }
     let averaging = move |values: &[f64]| -> Vec<f64> {
-        (stretches.iter())
-            .flat_map(|stretch| stretch.averaged(values))
-            .collect()
+        (stretches.iter()).flat_map(|stretch| stretch.averaged(values)).collect()
     };
     Some(TorqueRows {
         method: Method::InverseDynamics,

@@ -39,10 +39,7 @@ impl Processing {
         let parts = &gridded.parts;
         let samples: usize = parts.iter().map(Part::samples).sum();
         let rate_hz = samples as f64
-            / parts
-                .iter()
-                .map(|part| part.period_s * part.samples() as f64)
-                .sum::<f64>();
+            / parts.iter().map(|part| part.period_s * part.samples() as f64).sum::<f64>();
         let noise = noise(parts);
         // Differentiations that lead to the speed; one more leads to the acceleration.
         let of_speed = u16::from(gridded.motion == Motion::Angle);
@@ -64,9 +61,8 @@ impl Processing {
             cut_off_hz *= 0.8;
         }
         let cut_off_hz = best.1;
-        let speeds = parts
-            .iter()
-            .flat_map(|part| filtered_speed(gridded.motion, part, cut_off_hz, rate_hz));
+        let speeds =
+            parts.iter().flat_map(|part| filtered_speed(gridded.motion, part, cut_off_hz, rate_hz));
         let fastest = statistics::largest(speeds);
         let deviation = noise_of(of_speed, noise, cut_off_hz, rate_hz);
         Self {
@@ -85,11 +81,7 @@ impl Processing {
 
     /// The same with half the cut-off.
     pub(super) fn at_half_cut_off(&self) -> Self {
-        Self {
-            cut_off_hz: 0.5 * self.cut_off_hz,
-            decimation: 2 * self.decimation,
-            ..self.clone()
-        }
+        Self { cut_off_hz: 0.5 * self.cut_off_hz, decimation: 2 * self.decimation, ..self.clone() }
     }
 
     /// Samples over which the filter reaches.
@@ -116,11 +108,8 @@ impl Processing {
         } else {
             "a tenth of the sampling rate"
         };
-        let carried = if self.interpolated {
-            "; values carried to an even grid by a spline"
-        } else {
-            ""
-        };
+        let carried =
+            if self.interpolated { "; values carried to an even grid by a spline" } else { "" };
         let parts = if self.parts > 1 {
             format!("; {} parts between gaps", self.parts)
         } else {
@@ -199,9 +188,7 @@ fn noise(parts: &[Part]) -> f64 {
         differences.extend(values.map(|v| v[0] - 4.0 * v[1] + 6.0 * v[2] - 4.0 * v[3] + v[4]));
         largest = part.motion.iter().map(|v| v.abs()).fold(largest, f64::max);
         let steps = part.motion.windows(2).map(|v| (v[1] - v[0]).abs());
-        finest = steps
-            .filter(|step| *step > 1e-12 * largest)
-            .fold(finest, f64::min);
+        finest = steps.filter(|step| *step > 1e-12 * largest).fold(finest, f64::min);
     }
     let rough = statistics::robust_deviation(&differences) / 70f64.sqrt();
     let quantum = finest / 12f64.sqrt();
@@ -322,25 +309,16 @@ pub(super) fn gridded(measured: &Measured, scenario: &Scenario) -> Option<Gridde
     let (angle, shaft) = (points(&scenario.angle), points(&scenario.shaft_angle()));
     // A speed that this program derived from the angle is filtered already, by another filter.
     let derived = speed.is_empty() || measured.speed_is_derived;
-    let (motion, moving) = if derived && !angle.is_empty() {
-        (Motion::Angle, angle)
-    } else {
-        (Motion::Speed, speed)
-    };
+    let (motion, moving) =
+        if derived && !angle.is_empty() { (Motion::Angle, angle) } else { (Motion::Speed, speed) };
     let driving = points(&measured.driving);
     let (current, torque) = match scenario.input {
         Input::Torque => (Vec::new(), driving),
         Input::Voltage | Input::Current => (driving, Vec::new()),
     };
-    let mut gridded = Gridded {
-        motion,
-        parts: Vec::new(),
-        interpolated: false,
-    };
-    let needed: Vec<&Points> = [&moving, &current, &torque]
-        .into_iter()
-        .filter(|points| !points.is_empty())
-        .collect();
+    let mut gridded = Gridded { motion, parts: Vec::new(), interpolated: false };
+    let needed: Vec<&Points> =
+        [&moving, &current, &torque].into_iter().filter(|points| !points.is_empty()).collect();
     if needed.is_empty() {
         return None;
     }
@@ -372,9 +350,7 @@ pub(super) fn gridded(measured: &Measured, scenario: &Scenario) -> Option<Gridde
 }
 
 fn within(points: impl Iterator<Item = (f64, f64)>, from_s: f64, to_s: f64) -> Points {
-    points
-        .filter(|point| point.0 >= from_s && point.0 <= to_s)
-        .collect()
+    points.filter(|point| point.0 >= from_s && point.0 <= to_s).collect()
 }
 
 fn median_gap(points: &[(f64, f64)]) -> f64 {
@@ -412,10 +388,7 @@ fn even(points: &[(f64, f64)], period_s: f64) -> Option<Vec<f64>> {
     let own_s = (last.0 - first.0) / (points.len() - 1).max(1) as f64;
     let place = |k: usize| first.0 + own_s * k as f64;
     let fits = own_s > 0.9 * period_s
-        && points
-            .iter()
-            .enumerate()
-            .all(|(k, point)| (point.0 - place(k)).abs() < EVEN * own_s);
+        && points.iter().enumerate().all(|(k, point)| (point.0 - place(k)).abs() < EVEN * own_s);
     fits.then(|| (0..points.len()).map(place).collect())
 }
 
@@ -431,10 +404,7 @@ fn on(grid: &[f64], points: &[(f64, f64)], curved: bool) -> (Vec<f64>, bool) {
     }
     let period_s = grid[1] - grid[0];
     let stands = points.len() == grid.len()
-        && points
-            .iter()
-            .zip(grid)
-            .all(|(point, at)| (point.0 - at).abs() < EVEN * period_s);
+        && points.iter().zip(grid).all(|(point, at)| (point.0 - at).abs() < EVEN * period_s);
     if stands {
         (points.iter().map(|point| point.1).collect(), false)
     } else if curved {

@@ -50,9 +50,7 @@ fn axis(seconds: f64, asymmetry: f64) -> Run {
 }
 
 fn axis_model() -> Model {
-    let motor = Motor::new("axis")
-        .with(MotorKey::Inertia, 50.0)
-        .with(MotorKey::LoadTorque, 10.0);
+    let motor = Motor::new("axis").with(MotorKey::Inertia, 50.0).with(MotorKey::LoadTorque, 10.0);
     Model::baseline(motor)
         .with_effect("viscous_friction")
         .and_then(|model| model.with_effect("constant_load"))
@@ -112,14 +110,7 @@ fn bench(seed: u64, times: Vec<f64>) -> Run {
     let held = times.iter().map(|t| out.input_at(*t)).collect();
     let current = noisy(&out.current_a, CURRENT_NOISE_A, &mut rng);
     let speed = noisy(&out.speed_rad_s, SPEED_NOISE_RAD_S, &mut rng);
-    run_of(
-        times,
-        [
-            (Channel::Voltage, held),
-            (Channel::Current, current),
-            (Channel::Speed, speed),
-        ],
-    )
+    run_of(times, [(Channel::Voltage, held), (Channel::Current, current), (Channel::Speed, speed)])
 }
 
 /// The run without its voltage: what a drive in torque or speed mode leaves.
@@ -159,35 +150,24 @@ fn a_voltage_run_gives_both_balances() {
 #[test]
 fn current_and_speed_alone_bear_jitter_holes_and_a_pause() {
     let mut rng = ChaCha8Rng::seed_from_u64(8);
-    let jittered: Vec<f64> = every(0.002, 6.0)
-        .into_iter()
-        .map(|t| t + rng.random_range(0.0..0.0006))
-        .collect();
+    let jittered: Vec<f64> =
+        every(0.002, 6.0).into_iter().map(|t| t + rng.random_range(0.0..0.0006)).collect();
     let model = paper();
     let whole_run = without_voltage(&bench(2, jittered));
     let (mut holed, mut apart) = (whole_run.clone(), whole_run.clone());
     for (shift, channel) in [Channel::Current, Channel::Speed].into_iter().enumerate() {
         let missing_if = |missing: bool, cell: f64| if missing { f64::NAN } else { cell };
-        holed = changed(&holed, channel, |k, cell| {
-            missing_if((k * 7 + shift * 3) % 11 == 0, cell)
-        });
+        holed = changed(&holed, channel, |k, cell| missing_if((k * 7 + shift * 3) % 11 == 0, cell));
         apart = changed(&apart, channel, |k, cell| missing_if(k % 2 != shift, cell));
     }
     let pause = |k: usize, cell| {
-        if (1200..1500).contains(&k) {
-            f64::NAN
-        } else {
-            cell
-        }
+        if (1200..1500).contains(&k) { f64::NAN } else { cell }
     };
     let cut = changed(&whole_run, Channel::Current, pause);
     let cut = changed(&cut, Channel::Speed, pause);
-    for (run, within, parts) in [
-        (&whole_run, 0.01, 1),
-        (&holed, 0.02, 1),
-        (&apart, 0.03, 1),
-        (&cut, 0.02, 2),
-    ] {
+    for (run, within, parts) in
+        [(&whole_run, 0.01, 1), (&holed, 0.02, 1), (&apart, 0.03, 1), (&cut, 0.02, 2)]
+    {
         let balances = fitted(&model, run);
         assert_eq!(balances.len(), 1);
         assert_eq!(balances[0].processing.as_ref().unwrap().parts, parts);
@@ -196,15 +176,9 @@ fn current_and_speed_alone_bear_jitter_holes_and_a_pause() {
     }
     // Without a torque constant only the ratios to it.
     let balances = fitted(&testing::unknown(), &whole_run);
-    for (key, ratio) in [
-        ("inertia_kg_m2", 0.0045 / 0.3538),
-        ("load_torque_n_m", 0.455 / 0.3538),
-    ] {
+    for (key, ratio) in [("inertia_kg_m2", 0.0045 / 0.3538), ("load_torque_n_m", 0.455 / 0.3538)] {
         let parameter = found(&balances, key);
-        assert_eq!(
-            (parameter.value, parameter.verdict),
-            (None, Verdict::NotObservable)
-        );
+        assert_eq!((parameter.value, parameter.verdict), (None, Verdict::NotObservable));
         let mut words = parameter.reason.as_deref().unwrap().split_whitespace();
         let number = words.find_map(|word| word.parse::<f64>().ok());
         assert_near(number.unwrap(), ratio, 0.02);
@@ -302,11 +276,7 @@ fn intervals_cover_on_even_jittered_slow_and_quantised_data() {
         assert!(share > least, "{name} {share}");
         let settled = all.iter().filter(|p| p.verdict == Verdict::Settled);
         let settled = settled.count() as f64 / all.len() as f64;
-        let as_it_should = if name == "slow" {
-            settled < 0.01
-        } else {
-            settled > 0.95
-        };
+        let as_it_should = if name == "slow" { settled < 0.01 } else { settled > 0.95 };
         assert!(as_it_should, "{name} {settled}");
     }
 }

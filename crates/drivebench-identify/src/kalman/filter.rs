@@ -201,10 +201,7 @@ impl Filter {
     /// Takes other parameters; sensors and voltage stay.
     pub(super) fn restart(&mut self, x: [f64; N], variance: [f64; N]) {
         let (current, speed) = (self.belief.x[I], self.belief.x[W]);
-        self.belief = Belief {
-            x,
-            ..Belief::default()
-        };
+        self.belief = Belief { x, ..Belief::default() };
         (self.belief.x[I], self.belief.x[W]) = (current, speed);
         for (state, value) in variance.iter().enumerate().skip(R) {
             self.belief.p[state][state] = *value;
@@ -365,10 +362,7 @@ impl Filter {
         let mut about = x;
         if let Some(reference) = &self.reference {
             about[R..=MC].copy_from_slice(&reference[R..=MC]);
-            physics = Physics {
-                b: physics.b,
-                ..self.physics_at(&about)
-            };
+            physics = Physics { b: physics.b, ..self.physics_at(&about) };
             step = self.solve(&physics, &about, length_s, s, offsets).1;
         }
         let mut rows = [[0.0; N]; 2];
@@ -426,11 +420,7 @@ impl Filter {
         let mut state = [x[I], x[W]];
         let mut whole: Option<Propagator> = None;
         for (h, volts) in self.voltage.between(self.now_s, self.now_s + length_s) {
-            let step = if s == 0.0 {
-                physics.at_rest(h)
-            } else {
-                physics.turning(h)
-            };
+            let step = if s == 0.0 { physics.at_rest(h) } else { physics.turning(h) };
             state = step.apply(state, physics.forcing(volts - offsets.voltage_v, torque));
             whole = Some(whole.map_or(step, |before| before.then(&step)));
         }
@@ -510,11 +500,7 @@ impl Filter {
     fn scale(&mut self, factor: f64) {
         let p = &mut self.belief.p;
         let root: [f64; N] = std::array::from_fn(|k| {
-            let most = if k < R {
-                factor
-            } else {
-                self.prior[k] / p[k][k].max(f64::MIN_POSITIVE)
-            };
+            let most = if k < R { factor } else { self.prior[k] / p[k][k].max(f64::MIN_POSITIVE) };
             most.clamp(1.0, factor).sqrt()
         });
         for k in 0..N {
@@ -536,8 +522,7 @@ impl Filter {
         self.belief.x[I] = current.unwrap_or(0.0);
         let [amps, rad_s] = self.sensors.map(|sensor| sensor.largest);
         let unknown = amps.max(1e-3 * rad_s).powi(2);
-        self.belief
-            .forget(I, current.map_or(unknown, |_| electrical));
+        self.belief.forget(I, current.map_or(unknown, |_| electrical));
         self.belief.x[W] = speed;
         self.belief.forget(W, mechanical);
         if self.is_signless() {
@@ -607,10 +592,7 @@ mod tests {
             largest = largest.max((0..N).map(|k| belief.p[k][k]).sum());
             belief.measure(state, 0.1, 10f64.powf(exponent), &[f64::INFINITY; N]);
             let matrix = nalgebra::SMatrix::<f64, N, N>::from_fn(|k, m| belief.p[k][m]);
-            assert!(
-                (matrix - matrix.transpose()).abs().max() <= 0.0,
-                "{steps:?}"
-            );
+            assert!((matrix - matrix.transpose()).abs().max() <= 0.0, "{steps:?}");
             let least = matrix.symmetric_eigenvalues().min();
             largest = largest.max(matrix.trace());
             assert!(least > -1e-12 * largest, "{least}: {steps:?}");
@@ -646,10 +628,7 @@ mod tests {
             -10.166096319216177 0 0.9410099934169983 0.841405741719135 0 0 0 0 0
             -9.927568085394332 0 0.9985462916157941 0 0 0 0 0 0";
         let steps = exact.trim().lines().map(|line| {
-            let numbers: Vec<f64> = line
-                .split_whitespace()
-                .map(|n| n.parse().unwrap())
-                .collect();
+            let numbers: Vec<f64> = line.split_whitespace().map(|n| n.parse().unwrap()).collect();
             (0, numbers[0], numbers[1..].try_into().unwrap())
         });
         stays_a_covariance(&steps.collect::<Vec<Step>>());

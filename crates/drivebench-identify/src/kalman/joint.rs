@@ -244,12 +244,7 @@ impl Kalman {
 
     /// Counts of rows and consistency of the innovations, in a sentence.
     pub fn summary(&self) -> String {
-        let Tally {
-            used,
-            breaks,
-            outliers,
-            reopened,
-        } = self.filter.tally;
+        let Tally { used, breaks, outliers, reopened } = self.filter.tally;
         let [current, speed] = self.filter.consistency().map(|ratio| {
             ratio.map_or_else(
                 || "not known (no rest to compare with)".to_owned(),

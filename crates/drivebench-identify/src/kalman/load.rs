@@ -77,9 +77,9 @@ impl LoadTracker {
         }
         let torque = match input {
             Input::Torque => 1.0,
-            _ => motor.torque_constant().ok_or(LoadError::Incomplete {
-                key: MotorKey::TorqueConstant.key(),
-            })?,
+            _ => motor
+                .torque_constant()
+                .ok_or(LoadError::Incomplete { key: MotorKey::TorqueConstant.key() })?,
         };
         let mut x = [0.0; N];
         x[J] = positive(MotorKey::Inertia)?.ln();
@@ -96,22 +96,13 @@ impl LoadTracker {
         let mut filter = Filter::new(x, variance, Some(torque));
         let (effects, left_out) = KnownEffects::of(model);
         filter.effects = effects;
-        filter.source = if input == Input::Voltage {
-            Source::Voltage
-        } else {
-            Source::Current
-        };
+        filter.source = if input == Input::Voltage { Source::Voltage } else { Source::Current };
         filter.load_rate = rate_n_m_per_sqrt_s;
         // A resistance that is warm by 3 K errs as much. It keeps the current near its measurement, where a prediction
         // without it would be trusted for ever.
         filter.voltage_share = 0.01;
         filter.freeze();
-        Ok(Self {
-            filter,
-            input,
-            applied: AppliedVoltage::default(),
-            left_out,
-        })
+        Ok(Self { filter, input, applied: AppliedVoltage::default(), left_out })
     }
 
     /// Takes a sample as [`crate::online::Online::push`] does, and gives the load torque at its instant;
@@ -195,9 +186,8 @@ pub struct LoadTrace {
 pub fn load_torque_trace(run: &Run, model: &Model) -> Result<LoadTrace, LoadError> {
     use MotorKey::{BackEmf, Inductance, Resistance};
     let mut input = Scenario::from_run(run)?.input;
-    let lacks_winding = [Resistance, Inductance, BackEmf]
-        .iter()
-        .any(|key| model.motor.get(*key).is_none());
+    let lacks_winding =
+        [Resistance, Inductance, BackEmf].iter().any(|key| model.motor.get(*key).is_none());
     let has_current = run.points(Channel::Current).next().is_some();
     let mut notes = vec![
         "positive against positive speed, negative where the load drives; friction of the model is not in it".to_owned(),
@@ -244,9 +234,7 @@ pub fn load_torque_trace(run: &Run, model: &Model) -> Result<LoadTrace, LoadErro
     }
     if !tracker.left_out.is_empty() {
         let left_out = tracker.left_out.join(", ");
-        notes.push(format!(
-            "not subtracted, so part of the load torque: {left_out}"
-        ));
+        notes.push(format!("not subtracted, so part of the load torque: {left_out}"));
     }
     Ok(LoadTrace {
         points,
@@ -270,9 +258,7 @@ fn likeliest_rate(run: &Run, model: &Model, input: Input, size: f64) -> Result<f
         }
         scores.push((f64::from(power), tracker.filter.log_likelihood));
     }
-    let best = (0..scores.len())
-        .max_by(|a, b| scores[*a].1.total_cmp(&scores[*b].1))
-        .unwrap_or(0);
+    let best = (0..scores.len()).max_by(|a, b| scores[*a].1.total_cmp(&scores[*b].1)).unwrap_or(0);
     let mut power = scores[best].0;
     if best > 0 && best + 1 < scores.len() {
         let [before, at, after] = [best - 1, best, best + 1].map(|k| scores[k].1);

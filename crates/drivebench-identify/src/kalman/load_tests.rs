@@ -41,12 +41,7 @@ fn plant(events: &[(f64, f64)], load: &dyn Fn(f64) -> f64, period_s: f64, second
         current.push(i);
         speed.push(w);
     }
-    Record {
-        events: events.to_vec(),
-        times,
-        current,
-        speed,
-    }
+    Record { events: events.to_vec(), times, current, speed }
 }
 
 fn track(record: &Record, seed: u64) -> LoadTrace {
@@ -61,15 +56,10 @@ fn events() -> Vec<(f64, f64)> {
 /// Errors from a second after the start on: root mean square, that of error over standard deviation, share within 95 %.
 fn score(trace: &LoadTrace, load: &dyn Fn(f64) -> f64) -> [f64; 3] {
     let late = trace.points.iter().filter(|point| point.time_s > 1.0);
-    let errors: Vec<(f64, f64)> = late
-        .map(|point| (point.load_torque_n_m - load(point.time_s), point.std_n_m))
-        .collect();
+    let errors: Vec<(f64, f64)> =
+        late.map(|point| (point.load_torque_n_m - load(point.time_s), point.std_n_m)).collect();
     let mean = |of: &dyn Fn(f64, f64) -> f64| {
-        errors
-            .iter()
-            .map(|(error, std)| of(*error, *std))
-            .sum::<f64>()
-            / errors.len() as f64
+        errors.iter().map(|(error, std)| of(*error, *std)).sum::<f64>() / errors.len() as f64
     };
     [
         mean(&|error, _| error * error).sqrt(),
@@ -129,10 +119,7 @@ fn the_standard_deviation_is_honest_and_the_rate_is_found() {
                 walk.push(walk.last().unwrap() + 0.4 * 0.001_f64.sqrt() * step);
             }
             let load = |time_s: f64| walk[whole(time_s * 1000.0 + 1e-6).min(6000)];
-            let trace = track(
-                &plant(&[(0.0, 0.0), (0.5, 60.0)], &load, period_s, 6.0),
-                seed,
-            );
+            let trace = track(&plant(&[(0.0, 0.0), (0.5, 60.0)], &load, period_s, 6.0), seed);
             let [_, normal, share] = score(&trace, &load);
             squares += normal * normal / 6.0;
             covered += share / 6.0;
@@ -148,9 +135,7 @@ fn the_standard_deviation_is_honest_and_the_rate_is_found() {
 fn without_a_voltage_the_measured_current_drives_the_shaft() {
     let full = plant(&events(), &stepping, 0.001, 6.0).run(Some(3));
     let speeds = full.column(Channel::Speed).unwrap();
-    let keep: Vec<usize> = (0..full.rows())
-        .filter(|row| speeds[*row].is_finite())
-        .collect();
+    let keep: Vec<usize> = (0..full.rows()).filter(|row| speeds[*row].is_finite()).collect();
     let pick = |values: &[f64]| keep.iter().map(|k| values[*k]).collect();
     let column = |channel| (channel, pick(full.column(channel).unwrap()));
     let columns = [Channel::Current, Channel::Speed].map(column);

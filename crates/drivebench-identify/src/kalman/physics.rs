@@ -124,14 +124,7 @@ mod tests {
 
     #[test]
     fn many_time_constants_end_in_the_steady_state() {
-        let p = Physics {
-            r: 1.1,
-            l: 1e-6,
-            ke: 0.35,
-            kt: 0.35,
-            j: 1e-4,
-            b: 0.0,
-        };
+        let p = Physics { r: 1.1, l: 1e-6, ke: 0.35, kt: 0.35, j: 1e-4, b: 0.0 };
         let x = p.turning(2.0).apply([5.0, 0.0], p.forcing(10.0, 0.35));
         assert!((x[0] - 1.0).abs() < 1e-9, "{x:?}");
         assert!((x[1] - (10.0 - 1.1) / 0.35).abs() < 1e-7, "{x:?}");

@@ -111,10 +111,7 @@ impl Sensor {
         self.at_rest()?;
         (self.test.rows >= FEWEST_TESTED).then(|| {
             let scatter = 1.0 / (2.0 * self.test.rows) + 0.75 / self.differences;
-            (
-                (self.test.expected / self.test.rows).sqrt(),
-                1.0 + 2.6 * scatter.sqrt(),
-            )
+            ((self.test.expected / self.test.rows).sqrt(), 1.0 + 2.6 * scatter.sqrt())
         })
     }
 
@@ -124,11 +121,7 @@ impl Sensor {
             return 1.0;
         }
         let rho = (self.test.products / self.test.squares.max(f64::MIN_POSITIVE)).min(0.99);
-        if rho > 3.0 / self.test.rows.sqrt() {
-            (1.0 + rho) / (1.0 - rho)
-        } else {
-            1.0
-        }
+        if rho > 3.0 / self.test.rows.sqrt() { (1.0 + rho) / (1.0 - rho) } else { 1.0 }
     }
 }
 
@@ -226,9 +219,7 @@ mod tests {
 
     fn rested(samples: impl IntoIterator<Item = f64>) -> Sensor {
         let mut sensor = Sensor::default();
-        samples
-            .into_iter()
-            .for_each(|value| sensor.take(value, true));
+        samples.into_iter().for_each(|value| sensor.take(value, true));
         sensor
     }
 

@@ -60,9 +60,7 @@ fn a_model_that_lacks_nothing_keeps_its_intervals() {
 fn a_late_speed_is_no_settled_resistance() {
     let mut run = record_of(&brushed(), 4.0);
     let speed = run.column(Channel::Speed).unwrap().to_vec();
-    let late = (0..speed.len())
-        .map(|row| speed[row.saturating_sub(6)])
-        .collect();
+    let late = (0..speed.len()).map(|row| speed[row.saturating_sub(6)]).collect();
     put(&mut run, Channel::Speed, late);
     let found = honest(&run, &BRUSHED);
     // What the held levels say of it.

@@ -28,12 +28,7 @@ impl Scaling {
                 let (min, max) = motor_range(*key, model, scenario);
                 Self::Logarithm { min, max }
             }
-            Slot::Effect {
-                spec,
-                index,
-                parameter,
-                ..
-            } => {
+            Slot::Effect { spec, index, parameter, .. } => {
                 let (min, max, effect) = (spec.min, spec.max, model.effects[*index].effect);
                 let scale = match (spec.logarithmic, spec.is_coefficient()) {
                     (true, _) => return Self::Logarithm { min, max },
@@ -93,12 +88,7 @@ impl<'a> FreeRun<'a> {
         let mut model = model.clone();
         for slot in model.slots() {
             match (&slot, model.get(&slot)) {
-                (
-                    Slot::Effect {
-                        index, parameter, ..
-                    },
-                    None,
-                ) => {
+                (Slot::Effect { index, parameter, .. }, None) => {
                     let effect = model.effects[*index].effect;
                     let size = typical_size(effect, *parameter, &model, scenario);
                     model.set(&slot, size);
@@ -121,20 +111,13 @@ impl<'a> FreeRun<'a> {
             .filter(is_measured)
             .collect();
         if rows.is_empty() {
-            return Err(FitError::NothingMeasured {
-                run: scenario.name.clone(),
-            });
+            return Err(FitError::NothingMeasured { run: scenario.name.clone() });
         }
         let free = model.free_slots();
-        let measured_start = State::at(
-            first_finite(&scenario.current_a),
-            first_finite(&scenario.speed_rad_s),
-        );
+        let measured_start =
+            State::at(first_finite(&scenario.current_a), first_finite(&scenario.speed_rad_s));
         Ok(Self {
-            scaling: free
-                .iter()
-                .map(|slot| Scaling::of(slot, &model, scenario))
-                .collect(),
+            scaling: free.iter().map(|slot| Scaling::of(slot, &model, scenario)).collect(),
             start_is_free: !starts_at_rest(scenario, &noise),
             measured_start,
             effect_states: 0,
@@ -174,9 +157,7 @@ impl<'a> FreeRun<'a> {
     pub fn start(&self) -> Vec<f64> {
         let value = |slot: &Slot| self.model.get(slot).unwrap_or(f64::NAN);
         let free = self.free.iter().zip(&self.scaling);
-        let mut x: Vec<f64> = free
-            .map(|(slot, scaling)| scaling.to_x(value(slot)))
-            .collect();
+        let mut x: Vec<f64> = free.map(|(slot, scaling)| scaling.to_x(value(slot))).collect();
         if self.start_is_free {
             let (start, scale) = (&self.measured_start, self.start_scale());
             x.extend([start.current_a / scale.0, start.speed_rad_s / scale.1]);
@@ -256,11 +237,7 @@ impl<'a> FreeRun<'a> {
     /// Units in which the initial state is fitted; 30 A or rad/s without a measurement.
     fn start_scale(&self) -> (f64, f64) {
         let unit = |noise: f64| {
-            if noise.is_finite() {
-                10.0 * noise
-            } else {
-                30.0
-            }
+            if noise.is_finite() { 10.0 * noise } else { 30.0 }
         };
         (unit(self.noise.current_a), unit(self.noise.speed_rad_s))
     }
@@ -284,11 +261,7 @@ pub fn weighted_residual(
     noise: &NoiseFloor,
 ) -> f64 {
     let (measured, level) = measured(scenario, noise, is_speed);
-    let simulated = if is_speed {
-        &simulated.speed_rad_s
-    } else {
-        &simulated.current_a
-    };
+    let simulated = if is_speed { &simulated.speed_rad_s } else { &simulated.current_a };
     let miss = simulated[sample] - measured[sample];
     miss / level.hypot(stamps::spread(scenario, measured, sample))
 }
@@ -356,10 +329,7 @@ fn starts_at_rest(scenario: &Scenario, noise: &NoiseFloor) -> bool {
     let first = begin..end.min(scenario.samples());
     let quiet = |values: &[f64], level: f64| {
         // A missing value is not above.
-        !level.is_finite()
-            || !values[first.clone()]
-                .iter()
-                .any(|value| value.abs() > 6.0 * level)
+        !level.is_finite() || !values[first.clone()].iter().any(|value| value.abs() > 6.0 * level)
     };
     quiet(&scenario.speed_rad_s, noise.speed_rad_s)
         && (!leading.is_empty() || quiet(&scenario.current_a, noise.current_a))

@@ -40,11 +40,7 @@ pub enum FitError {
     )]
     NothingMeasured { run: String },
     #[error("run {run:?}: {rows} rows of the torque balance, at least {needed} are needed")]
-    NoTorqueBalance {
-        run: String,
-        rows: usize,
-        needed: usize,
-    },
+    NoTorqueBalance { run: String, rows: usize, needed: usize },
     #[error("run {run:?}: the model cannot be simulated from its starting values")]
     CannotSimulate { run: String },
 }
@@ -69,9 +65,7 @@ impl FitError {
 }
 
 pub(super) fn cannot_simulate(scenario: &Scenario) -> FitError {
-    FitError::CannotSimulate {
-        run: scenario.name.clone(),
-    }
+    FitError::CannotSimulate { run: scenario.name.clone() }
 }
 
 /// A fitted model with what is known about its parameters.
@@ -212,10 +206,7 @@ pub const BLOCK_S: f64 = 0.25;
 /// would make.
 fn covariance_at(minimum: &Minimum, rows: &[(usize, bool)], scenario: &Scenario) -> DMatrix<f64> {
     let (bread, determined) = inverse_where_determined(&minimum.jacobian);
-    let times: Vec<f64> = rows
-        .iter()
-        .map(|row| scenario.sample_time_s[row.0])
-        .collect();
+    let times: Vec<f64> = rows.iter().map(|row| scenario.sample_time_s[row.0]).collect();
     let block = |time_s: &f64| whole((time_s - times[0]) / BLOCK_S);
     let blocks: Vec<usize> = times.iter().map(block).collect();
     let residual = DVector::from_column_slice(&minimum.residual);
@@ -299,15 +290,10 @@ pub fn fit_delayed(
         let rows: Vec<(usize, usize)> =
             problem.rows().iter().map(|row| row.0).enumerate().collect();
         let block = |row: &(usize, usize)| (here.sample_time_s[row.1] / BLOCK_S).floor();
-        let scores = rows
-            .chunk_by(|a, b| block(a).total_cmp(&block(b)).is_eq())
-            .map(|block| {
-                let score: f64 = block
-                    .iter()
-                    .map(|(row, _)| own[*row] * residual[*row])
-                    .sum();
-                score * score
-            });
+        let scores = rows.chunk_by(|a, b| block(a).total_cmp(&block(b)).is_eq()).map(|block| {
+            let score: f64 = block.iter().map(|(row, _)| own[*row] * residual[*row]).sum();
+            score * score
+        });
         let scores: f64 = scores.sum();
         let clustered_s = found.interval_factor * scores.sqrt() / (left * information);
         let std_s = white_s.max(clustered_s).min(prior_s);
@@ -339,18 +325,14 @@ pub fn predict(
     let is_event = |slot: &Slot| slot.has_role(ParameterRole::EventTime);
     let events: Vec<Slot> = held.free_slots().into_iter().filter(is_event).collect();
     held.fixed = held.slots().iter().map(Slot::key).collect();
-    held.fixed
-        .retain(|key| !events.iter().any(|event| event.key() == *key));
+    held.fixed.retain(|key| !events.iter().any(|event| event.key() == *key));
     if held.free_slots().is_empty() {
         let options = Options::default();
         return predict_from(&held, scenario, noise, options).map(|(prediction, _)| prediction);
     }
     // Each place costs one simulation; only the best few are worth a search. Events are placed one after the other: all
     // places of one with all of the others are a power of their number.
-    let placed_only = Options {
-        most_iterations: 0,
-        ..Options::default()
-    };
+    let placed_only = Options { most_iterations: 0, ..Options::default() };
     let mut placed: Vec<(f64, Model)> = vec![(f64::INFINITY, held)];
     for event in &events {
         placed = placed

@@ -42,12 +42,7 @@ fn intervals_cover_the_truth_and_are_no_wider_than_that_takes() {
     let truth = paper();
     let (mut inside, mut within_half, mut all) = (0_u32, 0_u32, 0_u32);
     for seed in 0..30 {
-        let fit = fit(
-            std::slice::from_ref(&truth),
-            &record(&truth, 0.005, seed),
-            &NOISE,
-        )
-        .unwrap();
+        let fit = fit(std::slice::from_ref(&truth), &record(&truth, 0.005, seed), &NOISE).unwrap();
         for (slot, estimate) in truth.slots().iter().zip(&fit.parameters) {
             let z = (estimate.value.unwrap() - truth.get(slot).unwrap()) / estimate.std.unwrap();
             inside += u32::from(z.abs() < 2.1);
@@ -90,14 +85,10 @@ fn without_motion_or_speed_only_the_winding_is_claimed() {
     // Current alone fixes Ke^2/J and Ke Mc/J, not Ke, J and Mc.
     let mut without_speed = record(&truth, 0.002, 11);
     without_speed.speed_rad_s.fill(f64::NAN);
-    let no_speed = NoiseFloor {
-        speed_rad_s: f64::INFINITY,
-        ..NOISE
-    };
-    for (start, scenario, noise) in [
-        (&truth, still, NOISE),
-        (&off_by(&truth, 1.2), without_speed, no_speed),
-    ] {
+    let no_speed = NoiseFloor { speed_rad_s: f64::INFINITY, ..NOISE };
+    for (start, scenario, noise) in
+        [(&truth, still, NOISE), (&off_by(&truth, 1.2), without_speed, no_speed)]
+    {
         let fit = fit(std::slice::from_ref(start), &scenario, &noise).unwrap();
         for estimate in &fit.parameters {
             let electrical = ["resistance_ohm", "inductance_h"].contains(&estimate.key.as_str());
@@ -150,9 +141,8 @@ fn a_second_inertia_is_found_from_the_neighbour_on_the_grid() {
 #[test]
 fn a_speed_that_the_model_does_not_follow_is_no_steady_state() {
     // A voltage that has nothing to do with it.
-    let events = (0..600)
-        .map(|k| (0.01 * f64::from(k), 2.0 + 2.0 * (0.37 * f64::from(k)).sin()))
-        .collect();
+    let events =
+        (0..600).map(|k| (0.01 * f64::from(k), 2.0 + 2.0 * (0.37 * f64::from(k)).sin())).collect();
     let mut run = testing::record(&paper(), events, 0.01, 6.0, 3);
     for (k, speed) in run.speed_rad_s.iter_mut().enumerate() {
         let noise = 3.0 * (k as f64 * 7919.0).sin();
@@ -163,11 +153,7 @@ fn a_speed_that_the_model_does_not_follow_is_no_steady_state() {
     }
     let noise = NoiseFloor::from_spread(&run);
     let fit = fit(&[paper()], &run, &noise).unwrap();
-    let reasons: String = fit
-        .parameters
-        .into_iter()
-        .filter_map(|p| p.reason)
-        .collect();
+    let reasons: String = fit.parameters.into_iter().filter_map(|p| p.reason).collect();
     assert!(!reasons.contains("steady state"), "{reasons}");
     assert!(reasons.contains("does not follow them"), "{reasons}");
 }

@@ -113,9 +113,7 @@ impl MechanicalBalance {
         let along = [regressor[0], held, held * row.speed_rad_s.abs()];
         self.fits.sloping.update_row(&along, step, noise);
         self.innovation_rad_s = self.fits.estimator.update_row(&regressor, step, noise);
-        self.fits
-            .doubtful
-            .update_row(&[row.doubtful_integral_a_s, held], step, noise);
+        self.fits.doubtful.update_row(&[row.doubtful_integral_a_s, held], step, noise);
         self.last_end_s = row.end_s;
     }
 

@@ -32,10 +32,7 @@ pub(crate) struct Direction {
 impl Direction {
     /// With the standard deviation of the speed at standstill known.
     pub(crate) fn with_noise(noise_rad_s: f64) -> Self {
-        Self {
-            noise_rad_s,
-            ..Self::default()
-        }
+        Self { noise_rad_s, ..Self::default() }
     }
 
     /// -1, 0 (inside the dead zone) or 1.
@@ -46,9 +43,7 @@ impl Direction {
     }
 
     pub(crate) fn dead_zone_rad_s(&self) -> f64 {
-        (0.01 * self.largest_rad_s)
-            .max(4.0 * self.noise_rad_s)
-            .max(0.5)
+        (0.01 * self.largest_rad_s).max(4.0 * self.noise_rad_s).max(0.5)
     }
 
     pub(crate) fn largest_rad_s(&self) -> f64 {

@@ -53,11 +53,7 @@ struct Block {
 impl Scheme2 {
     /// `stride_s`: least length of a row; 0 makes one of each pair of samples, as the paper does.
     pub fn new(integral: CurrentIntegral, forgetting: f64, stride_s: f64) -> Self {
-        let rows = Rows {
-            stride_s,
-            balance: MechanicalBalance::new(forgetting),
-            block: None,
-        };
+        let rows = Rows { stride_s, balance: MechanicalBalance::new(forgetting), block: None };
         Self {
             integral,
             forgetting,
@@ -103,9 +99,7 @@ impl Scheme2 {
         if self.samples.is_multiple_of(2) {
             // Rows of twice the length carry the memory of two.
             let long = 2.0 * self.period_s > self.fine.stride_s * (1.0 + 1e-6);
-            self.coarse
-                .balance
-                .set_forgetting(self.forgetting.powi(if long { 2 } else { 1 }));
+            self.coarse.balance.set_forgetting(self.forgetting.powi(if long { 2 } else { 1 }));
             self.coarse.take(self.integral, fresh);
         }
         self.samples += 1;
@@ -124,10 +118,7 @@ impl Scheme2 {
             CurrentIntegral::Trapezoid => 1.5,
             CurrentIntegral::Rectangle => 1.0,
         };
-        [
-            (a / coarse_a - 1.0).abs() / order,
-            (coarse_b / coarse_a - b / a).abs() / order,
-        ]
+        [(a / coarse_a - 1.0).abs() / order, (coarse_b / coarse_a - b / a).abs() / order]
     }
 
     /// Inertia and load torque for a torque constant, N.m/A, and its standard deviation.

@@ -30,11 +30,7 @@ const NOISE_SHARE: f64 = 1e-3;
 /// Rows of a trial at least. Its torque balance forgets faster than later.
 const TRIAL_ROWS: u32 = 40;
 const TRIAL_FORGETTING: f64 = 0.95;
-const KEYS: [MotorKey; 3] = [
-    MotorKey::Resistance,
-    MotorKey::Inductance,
-    MotorKey::BackEmf,
-];
+const KEYS: [MotorKey; 3] = [MotorKey::Resistance, MotorKey::Inductance, MotorKey::BackEmf];
 
 /// Forgetting factors per row; a row is one block.
 #[derive(Clone, Copy, Debug)]
@@ -46,10 +42,7 @@ pub struct Memory {
 impl Default for Memory {
     /// 200 rows: about 2 s.
     fn default() -> Self {
-        Self {
-            electrical: 0.995,
-            mechanical: 0.995,
-        }
+        Self { electrical: 0.995, mechanical: 0.995 }
     }
 }
 
@@ -66,11 +59,7 @@ impl StartValues {
     /// `None` where the motor leaves one of them out or has one that is not positive.
     pub fn from_motor(motor: &Motor) -> Option<Self> {
         let [r, l, ke] = KEYS.map(|key| motor.get(key).filter(|value| *value > 0.0));
-        Some(Self {
-            resistance_ohm: r?,
-            inductance_h: l?,
-            back_emf_v_s_per_rad: ke?,
-        })
+        Some(Self { resistance_ohm: r?, inductance_h: l?, back_emf_v_s_per_rad: ke? })
     }
 }
 
@@ -251,9 +240,7 @@ impl Scheme3 {
 
     /// The track that predicts better.
     fn best(&self) -> Option<&Track> {
-        self.tracks
-            .iter()
-            .min_by(|a, b| a.misfit().total_cmp(&b.misfit()))
+        self.tracks.iter().min_by(|a, b| a.misfit().total_cmp(&b.misfit()))
     }
 
     /// The samples two by two and what is between them, with this Kt/J, rad/(A.s^2).
@@ -354,13 +341,8 @@ impl Scheme3 {
         let begin_s = self.readings[0].time_s;
         let noise = self.current_at_rest.deviation().unwrap_or(0.0);
         let least = (5.0 * noise).max(0.01 * self.largest_current_a);
-        holding_since(&self.voltage, begin_s)
-            .iter()
-            .all(|event| event.1.abs() <= NEARLY_ZERO_V)
-            && self
-                .readings
-                .iter()
-                .all(|r| r.direction == 0 && r.current_a.abs() <= least)
+        holding_since(&self.voltage, begin_s).iter().all(|event| event.1.abs() <= NEARLY_ZERO_V)
+            && self.readings.iter().all(|r| r.direction == 0 && r.current_a.abs() <= least)
     }
 
     fn track(&self, start: Winding, certain: bool) -> Track {
@@ -371,9 +353,7 @@ impl Scheme3 {
     fn noise(&self) -> SampleNoise {
         let by_rows = |variance: Option<f64>| variance.map(f64::sqrt);
         let least = |value: f64, largest: f64| {
-            value
-                .max(1e-2 * NOISE_SHARE * largest)
-                .max(f64::MIN_POSITIVE.sqrt())
+            value.max(1e-2 * NOISE_SHARE * largest).max(f64::MIN_POSITIVE.sqrt())
         };
         SampleNoise {
             current_a: least(
@@ -426,9 +406,7 @@ impl Scheme3 {
             vec![found]
         } else if rows >= 60 {
             // Where L/R is short against the period, a regression on integrals does not show the inductance.
-            [0.6, 0.25, 0.1, 0.04]
-                .map(|share| [r, share * self.period_s * r, ke])
-                .to_vec()
+            [0.6, 0.25, 0.1, 0.04].map(|share| [r, share * self.period_s * r, ke]).to_vec()
         } else {
             return;
         };
@@ -444,9 +422,7 @@ impl Scheme3 {
         let noise = self.noise();
         let share = self.half_width_s / (3f64.sqrt() * length_s);
         let (first, last) = (self.readings[0], self.readings[self.readings.len() - 1]);
-        let current_a = noise
-            .current_a
-            .hypot(share * (last.current_a - first.current_a));
+        let current_a = noise.current_a.hypot(share * (last.current_a - first.current_a));
         let speed_step_rad_s = last.speed_rad_s - first.speed_rad_s;
         SampleNoise {
             current_a,
@@ -562,9 +538,9 @@ impl Scheme3 {
 
     /// How far the data carry R, L, Ke, Kt/J, Mc/J: 0 nothing learnt, 1 learnt.
     pub fn excitation(&self) -> [f64; 5] {
-        let [r, l, ke] = self.electrical().map_or([1.0; 3], |estimator| {
-            [0, 1, 2].map(|j| estimator.ignorance(j))
-        });
+        let [r, l, ke] = self
+            .electrical()
+            .map_or([1.0; 3], |estimator| [0, 1, 2].map(|j| estimator.ignorance(j)));
         let [a, b] = self.balance.ignorance();
         [r, l, ke, a, b].map(|ignorance| (1.0 - ignorance).clamp(0.0, 1.0))
     }
@@ -580,10 +556,7 @@ impl Scheme3 {
             return Some((given, 0.0));
         }
         let estimator = self.electrical()?;
-        let (value, std) = (
-            estimator.parameters()[2],
-            estimator.standard_deviations()?[2],
-        );
+        let (value, std) = (estimator.parameters()[2], estimator.standard_deviations()?[2]);
         (estimator.ignorance(2) < IGNORANT && value > 0.0).then_some((value, std))
     }
 

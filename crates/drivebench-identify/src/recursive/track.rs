@@ -129,16 +129,13 @@ impl Track {
         let winding = self.anchor;
         let power = noise.current_a.powi(2);
         let speed_power = noise.speed_rad_s.powi(2);
-        let begin = self
-            .filtered
-            .filter(|_| block.continues)
-            .unwrap_or(Filtered {
-                current_a: block.first_current_a,
-                speed_error: 0.0,
-                current_by: [0.0; 3],
-                speed_error_by: [0.0; 3],
-                covariance: [power, 0.0, speed_power],
-            });
+        let begin = self.filtered.filter(|_| block.continues).unwrap_or(Filtered {
+            current_a: block.first_current_a,
+            speed_error: 0.0,
+            current_by: [0.0; 3],
+            speed_error_by: [0.0; 3],
+            covariance: [power, 0.0, speed_power],
+        });
         self.filtered = None;
         let errors = [begin.speed_error, 0.0];
         let predicted = predict(&winding, begin.current_a, errors);
@@ -189,10 +186,7 @@ impl Track {
         self.doubtful.set_forgetting(1.0 - lack);
         let other = predicted - (block.predict)(doubtful, &winding, begin.current_a, errors);
         (self.doubtful).update_row(&row, weight * (value + other), RowNoise::WHITE);
-        let innovation = self
-            .estimator
-            .update_row(&row, weight * value, RowNoise::WHITE)?
-            / weight;
+        let innovation = self.estimator.update_row(&row, weight * value, RowNoise::WHITE)? / weight;
         let (gain, speed_gain) = (variance / total, shared / total);
         self.filtered = Some(Filtered {
             current_a: predicted + gain * surprise,
@@ -207,11 +201,8 @@ impl Track {
         });
         self.move_anchor();
         let square = innovation * innovation / total;
-        self.misfit = if self.misfit.is_nan() {
-            square
-        } else {
-            self.misfit + (square - self.misfit) / 40.0
-        };
+        self.misfit =
+            if self.misfit.is_nan() { square } else { self.misfit + (square - self.misfit) / 40.0 };
         Some(innovation)
     }
 

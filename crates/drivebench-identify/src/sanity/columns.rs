@@ -133,14 +133,12 @@ impl Assignment {
         let moved: Vec<usize> = (0..3).filter(|role| self.place[*role] != *role).collect();
         let reversed = self.reversed();
         let (kind, what) = match (moved.as_slice(), reversed) {
-            ([], Some(role)) => (
-                Kind::Reversed,
-                format!("the sign of the {} is reversed", NAMES[role]),
-            ),
-            ([first, second], _) => (
-                Kind::Swapped,
-                format!("{} and {} are swapped", NAMES[*first], NAMES[*second]),
-            ),
+            ([], Some(role)) => {
+                (Kind::Reversed, format!("the sign of the {} is reversed", NAMES[role]))
+            }
+            ([first, second], _) => {
+                (Kind::Swapped, format!("{} and {} are swapped", NAMES[*first], NAMES[*second]))
+            }
             _ => (
                 Kind::Swapped,
                 "voltage, current and speed stand in each other's columns".to_owned(),
@@ -158,10 +156,7 @@ impl Assignment {
             .filter(|role| self.place[*role] != *role || reversed == Some(*role))
             .map(|role| {
                 let sign = if reversed == Some(role) { "*-1" } else { "" };
-                format!(
-                    "{}=(column of {}){sign}",
-                    keys[role], keys[self.place[role]]
-                )
+                format!("{}=(column of {}){sign}", keys[role], keys[self.place[role]])
             })
             .collect();
         Finding::refusal(

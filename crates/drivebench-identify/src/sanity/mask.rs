@@ -153,11 +153,8 @@ fn zeros(run: &Run, channel: Channel, cells: &[f64]) -> Option<Vec<usize>> {
             && stands_between(cells, rows, AGREE * clear)
             && input_stands(run, channel, rows)
     });
-    let fewest = if channel == Channel::Speed && median_step(run.time_s()) <= CLOSE_S {
-        1
-    } else {
-        BLOCKS
-    };
+    let fewest =
+        if channel == Channel::Speed && median_step(run.time_s()) <= CLOSE_S { 1 } else { BLOCKS };
     (found.len() >= fewest).then(|| found.into_iter().flatten().collect())
 }
 
@@ -187,17 +184,15 @@ fn input_stands(run: &Run, channel: Channel, rows: &Range<usize>) -> bool {
 /// Rows in which every signal stands still to the bit, one of them from the midst of its noise.
 fn frozen_telemetry(run: &mut Run) -> Option<String> {
     let columns = CHANNELS.into_iter();
-    let columns: Vec<(Channel, &[f64])> = columns
-        .filter_map(|channel| Some((channel, run.column(channel)?)))
-        .collect();
+    let columns: Vec<(Channel, &[f64])> =
+        columns.filter_map(|channel| Some((channel, run.column(channel)?))).collect();
     let stands = |row: usize| {
         let mut columns = columns.iter();
         columns.all(|(_, cells)| is_same(cells[row - 1], cells[row]) || cells[row].is_nan())
     };
     let measured = columns.iter().filter(|own| MEASURED.contains(&own.0));
-    let measured: Vec<(&[f64], Sensor)> = measured
-        .map(|(_, cells)| (*cells, Sensor::of(cells)))
-        .collect();
+    let measured: Vec<(&[f64], Sensor)> =
+        measured.map(|(_, cells)| (*cells, Sensor::of(cells))).collect();
     let mut still = stretches(run.rows(), FROZEN_ROWS, stands);
     still.retain(|rows| {
         let stops = |(cells, sensor): &(&[f64], Sensor)| {
@@ -213,20 +208,14 @@ fn frozen_telemetry(run: &mut Run) -> Option<String> {
     });
     let first = still.first()?;
     let times = run.time_s();
-    let lengths = still
-        .iter()
-        .map(|rows| times[rows.end - 1] - times[rows.start]);
+    let lengths = still.iter().map(|rows| times[rows.end - 1] - times[rows.start]);
     let count: usize = still.iter().map(|rows| rows.len() - 1).sum();
     let keys: Vec<&str> = columns.iter().map(|own| own.0.key()).collect();
     let sentence = format!(
         "{} stand exactly still in {} {} of up to {:.3} s (first from {:.3} s on) while the motor runs: the telemetry froze, and {count} rows that repeat the last one are taken as missing",
         keys.join(", "),
         still.len(),
-        if still.len() == 1 {
-            "stretch"
-        } else {
-            "stretches"
-        },
+        if still.len() == 1 { "stretch" } else { "stretches" },
         largest(lengths),
         times[first.start],
     );
@@ -245,9 +234,7 @@ fn repeats(run: &mut Run, channel: Channel) -> Option<String> {
     if rows < 2 {
         return None;
     }
-    let there: Vec<usize> = (0..cells.len())
-        .filter(|row| cells[*row].is_finite())
-        .collect();
+    let there: Vec<usize> = (0..cells.len()).filter(|row| cells[*row].is_finite()).collect();
     let mut repeats = Vec::new();
     let mut since = 0;
     for pair in there.windows(2) {

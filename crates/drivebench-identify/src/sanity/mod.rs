@@ -90,10 +90,7 @@ impl Finding {
         sentence: impl Into<String>,
         help: impl Into<String>,
     ) -> Self {
-        Self {
-            refuses,
-            ..Self::caution(kind, &MotorKey::ALL, sentence, help)
-        }
+        Self { refuses, ..Self::caution(kind, &MotorKey::ALL, sentence, help) }
     }
 
     fn caution(

@@ -90,12 +90,7 @@ fn open_for_a_while(
     );
     let help = "cut the coast-down out of the file; on its own, without a voltage and with torque_n_m_per_a given, it shows the torque balance";
     let share = rows.len() as f64 / table.time_s.len() as f64;
-    Some(Finding::of_all(
-        Kind::OpenCircuit,
-        share > 0.02,
-        sentence,
-        help,
-    ))
+    Some(Finding::of_all(Kind::OpenCircuit, share > 0.02, sentence, help))
 }
 
 /// One operating point, moving or not.
@@ -105,14 +100,8 @@ fn nothing_moves(
     speed: &Activity,
     duration_s: f64,
 ) -> Finding {
-    let signals = [
-        ("voltage", voltage, "V"),
-        ("current", current, "A"),
-        ("speed", speed, "rad/s"),
-    ];
-    let there = signals
-        .iter()
-        .filter(|(_, activity, _)| activity.is_there());
+    let signals = [("voltage", voltage, "V"), ("current", current, "A"), ("speed", speed, "rad/s")];
+    let there = signals.iter().filter(|(_, activity, _)| activity.is_there());
     let levels = there.map(|(name, activity, unit)| {
         let noise = format!(" +- {:.2}", activity.noise);
         let noise = if activity.is_constant() { "" } else { &noise };
@@ -273,10 +262,8 @@ fn dead_at_zero(table: &Table) -> Option<Finding> {
     let inside = |window: &&Range<usize>| longest.start <= window.start && window.end < longest.end;
     let windows: Vec<Range<usize>> = table.windows.iter().filter(inside).cloned().collect();
     let clear_v = CLEARLY * Activity::of(&table.voltage_v).largest();
-    let driven = table.voltage_v[longest.clone()]
-        .iter()
-        .filter(|volts| volts.abs() > clear_v)
-        .count();
+    let driven =
+        table.voltage_v[longest.clone()].iter().filter(|volts| volts.abs() > clear_v).count();
     // A bridge that is off leaves the voltage of the supply, and the winding takes none of it.
     if table.voltage_is_of_a_supply() || driven < FROZEN_ROWS {
         return None;
@@ -315,9 +302,7 @@ fn unsigned(table: &Table, watched: &Watched<'_>) -> Option<Finding> {
     };
     let [ahead, astern] = [1.0, -1.0].map(under);
     // A heavy shaft need not follow a short reversal; one that did came through zero.
-    let astern_least = astern
-        .iter()
-        .fold(f64::INFINITY, |least, x| least.min(x.abs()));
+    let astern_least = astern.iter().fold(f64::INFINITY, |least, x| least.min(x.abs()));
     if astern_least > 0.1 * activity.largest() || ahead.len().min(astern.len()) < FROZEN_ROWS {
         return None;
     }
@@ -390,9 +375,8 @@ fn overflow_of(table: &Table, key: &str, values: &[f64], quantum: f64) -> Option
     let sizes: Vec<f64> = pairs.map(|pair| (pair[1] - pair[0]).abs()).collect();
     let is_end = |value: f64| (value - least).min(most - value) < AT_THE_END * range;
     let ends = |row: &usize| is_end(values[row - 1]) && is_end(values[*row]);
-    let jumps: Vec<usize> = (1..values.len())
-        .filter(|row| sizes[row - 1] > 0.7 * range && ends(row))
-        .collect();
+    let jumps: Vec<usize> =
+        (1..values.len()).filter(|row| sizes[row - 1] > 0.7 * range && ends(row)).collect();
     let is_coarse = quantum <= 0.0 || range < 20.0 * quantum;
     if jumps.len() < 3 || is_coarse || median(&sizes) > SMOOTH * range {
         return None;

@@ -59,9 +59,7 @@ fn speed_over_angle(run: &Run) -> Option<f64> {
         .iter()
         .zip(angle.iter().zip(speed))
         .map(|(time, (angle, speed))| [*time, *angle, *speed]);
-    let rows: Vec<[f64; 3]> = rows
-        .filter(|row| row.iter().all(|cell| cell.is_finite()))
-        .collect();
+    let rows: Vec<[f64; 3]> = rows.filter(|row| row.iter().all(|cell| cell.is_finite())).collect();
     let area = |pair: &[[f64; 3]]| 0.5 * (pair[0][2] + pair[1][2]) * (pair[1][0] - pair[0][0]);
     let window = |chunk: &[[f64; 3]]| {
         let travel: f64 = chunk.windows(2).map(area).sum();
@@ -198,15 +196,11 @@ fn against_nameplate(found: f64, given: f64, windings: Option<(f64, f64)>) -> Op
         given / found
     );
     if let Some((found, given)) = windings {
-        let _ = write!(
-            evidence,
-            ", a resistance of {found:.4e} ohm, the model {given:.4e}"
-        );
+        let _ = write!(evidence, ", a resistance of {found:.4e} ohm, the model {given:.4e}");
     }
     if like(1.0)
-        && let Some(unit) = speed_units()
-            .into_iter()
-            .find(|unit| near(ratio * unit.0, 1.0, BACK_EMF))
+        && let Some(unit) =
+            speed_units().into_iter().find(|unit| near(ratio * unit.0, 1.0, BACK_EMF))
     {
         return Some(not_rad_s(unit, &evidence));
     }
@@ -229,10 +223,7 @@ fn against_nameplate(found: f64, given: f64, windings: Option<(f64, f64)>) -> Op
         (1.0 / 2f64.sqrt(), "r.m.s. for peak values (sqrt 2)"),
         (0.5, "electrical speed of two pole pairs (2)"),
         (1.0 / 3.0, "electrical speed of three pole pairs (3)"),
-        (
-            0.25,
-            "quadrature edges counted as lines, or electrical speed of four pole pairs (4)",
-        ),
+        (0.25, "quadrature edges counted as lines, or electrical speed of four pole pairs (4)"),
         (4.0, "lines counted as quadrature edges (4)"),
     ];
     if let Some(hint) = hints.iter().find(|(factor, _)| near(ratio, *factor, 0.03)) {
@@ -255,19 +246,14 @@ fn against_nameplate(found: f64, given: f64, windings: Option<(f64, f64)>) -> Op
 /// Kt = Ke in SI: with a torque and a current the factor between them is a unit.
 fn against_torque(run: &Run, back_emf: f64) -> Option<Finding> {
     let (torque, current) = (run.column(Channel::Torque)?, run.column(Channel::Current)?);
-    let both = torque
-        .iter()
-        .zip(current)
-        .filter(|(t, i)| t.is_finite() && i.is_finite());
+    let both = torque.iter().zip(current).filter(|(t, i)| t.is_finite() && i.is_finite());
     let power: f64 = both.clone().map(|(_, i)| i * i).sum();
     let constant = both.map(|(t, i)| t * i).sum::<f64>() / power;
     let ratio = constant / back_emf;
     let evidence = format!(
         "torque over current is {constant:.4e} N.m/A, the back-EMF constant {back_emf:.4e} V.s/rad, equal in SI"
     );
-    let unit = speed_units()
-        .into_iter()
-        .find(|unit| near(ratio, unit.0, BACK_EMF))?;
+    let unit = speed_units().into_iter().find(|unit| near(ratio, unit.0, BACK_EMF))?;
     Some(not_rad_s(unit, &evidence))
 }
 
@@ -321,11 +307,7 @@ fn fast(table: &Table, confirmed: bool, by_angle: bool, back_emf: Option<f64>) -
     let per_minute = rpm_from_rad_s(1.0);
     let fast = largest(&table.speed_rad_s);
     // 9,549 r/min, or as many degrees per second as that are in r/min.
-    let suspected = if by_angle {
-        1000.0 * DEGREES / per_minute
-    } else {
-        1000.0
-    };
+    let suspected = if by_angle { 1000.0 * DEGREES / per_minute } else { 1000.0 };
     if fast <= suspected || confirmed {
         return None;
     }
@@ -335,10 +317,8 @@ fn fast(table: &Table, confirmed: bool, by_angle: bool, back_emf: Option<f64>) -
             format!(", and the back-EMF constant {other:.4} instead of {found:.4} V.s/rad")
         })
     };
-    let reaches = format!(
-        "speed_rad_s reaches {fast:.0} rad/s, that is {:.0} r/min",
-        rpm_from_rad_s(fast)
-    );
+    let reaches =
+        format!("speed_rad_s reaches {fast:.0} rad/s, that is {:.0} r/min", rpm_from_rad_s(fast));
     let degrees = format!(
         "in deg/s (a factor {DEGREES:.4}), it is {:.0} rad/s{}",
         fast / DEGREES,
@@ -375,18 +355,8 @@ const UNITS: &[(&str, &str, &str, &str)] = &[
         "r/min (a factor 9.5493)",
         "0.104719755",
     ),
-    (
-        "speed_rad_s",
-        "deg/s dps \u{b0}/s",
-        "deg/s",
-        "0.01745329252",
-    ),
-    (
-        "speed_rad_s",
-        "rps rev/s turns/s hz",
-        "turns per second",
-        "6.283185307",
-    ),
+    ("speed_rad_s", "deg/s dps \u{b0}/s", "deg/s", "0.01745329252"),
+    ("speed_rad_s", "rps rev/s turns/s hz", "turns per second", "6.283185307"),
     ("current_a", "ma milliamp milliamps", "mA", "0.001"),
     ("current_a", "ka", "kA", "1000"),
     ("voltage_v", "mv millivolt millivolts", "mV", "0.001"),
@@ -395,19 +365,9 @@ const UNITS: &[(&str, &str, &str, &str)] = &[
     ("voltage_cmd_v", "kv", "kV", "1000"),
     ("bus_v", "mv", "mV", "0.001"),
     ("time_s", "ms msec millis milliseconds", "ms", "0.001"),
-    (
-        "time_s",
-        "us usec micros \u{b5}s \u{3bc}s",
-        "us",
-        "0.000001",
-    ),
+    ("time_s", "us usec micros \u{b5}s \u{3bc}s", "us", "0.000001"),
     ("time_s", "ns nanos", "ns", "0.000000001"),
-    (
-        "angle_rad",
-        "deg degrees \u{b0}",
-        "degrees",
-        "0.01745329252",
-    ),
+    ("angle_rad", "deg degrees \u{b0}", "degrees", "0.01745329252"),
     ("angle_rad", "rev turns revs", "turns", "6.283185307"),
     ("torque_n_m", "mnm nmm mn.m n.mm", "mN.m", "0.001"),
     ("torque_n_m", "ncm n.cm", "N.cm", "0.01"),

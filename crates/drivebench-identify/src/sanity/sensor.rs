@@ -30,19 +30,15 @@ impl Sensor {
         steps.sort_by(f64::total_cmp);
         // A reading that was rounded once more, or a torn row, may make a smaller step.
         let place = whole(steps.len() as f64 * 0.02);
-        Self {
-            quantum: steps.get(place).copied().unwrap_or(0.0),
-            held_rows: held_rows(&present),
-        }
+        Self { quantum: steps.get(place).copied().unwrap_or(0.0), held_rows: held_rows(&present) }
     }
 }
 
 /// The interval of renewal in rows. A coarse quantum repeats values over stretches of any length; a signal that is sampled
 /// more slowly than it is logged changes at multiples of one interval only.
 fn held_rows(present: &[f64]) -> usize {
-    let changes: Vec<usize> = (1..present.len())
-        .filter(|row| !is_same(present[row - 1], present[*row]))
-        .collect();
+    let changes: Vec<usize> =
+        (1..present.len()).filter(|row| !is_same(present[row - 1], present[*row])).collect();
     let mut gaps: Vec<usize> = changes.windows(2).map(|pair| pair[1] - pair[0]).collect();
     if gaps.len() < 20 {
         return 1;
@@ -56,11 +52,7 @@ fn held_rows(present: &[f64]) -> usize {
         off == 0 || rows >= 4 && (off == 1 || off + 1 == rows) && **gap + 1 >= rows
     };
     let kept = gaps.iter().filter(keeps).count();
-    if rows > 1 && kept as f64 >= 0.95 * gaps.len() as f64 {
-        rows
-    } else {
-        1
-    }
+    if rows > 1 && kept as f64 >= 0.95 * gaps.len() as f64 { rows } else { 1 }
 }
 
 /// Equal to the bit.
@@ -168,9 +160,7 @@ impl Expected {
         // Rows that the line misses by four deviations are left out of the next one.
         for _ in 0..3 {
             let line = if both {
-                let points = kept
-                    .iter()
-                    .map(|row| ([voltage[*row], second[*row], 1.0], own[*row]));
+                let points = kept.iter().map(|row| ([voltage[*row], second[*row], 1.0], own[*row]));
                 fit_normal(&points.collect::<Vec<_>>(), 1e-5)?.x
             } else {
                 let points = kept.iter().map(|row| ([second[*row], 1.0], own[*row]));
@@ -199,11 +189,7 @@ impl Expected {
     /// the quantum; else zero.
     pub(super) fn beyond(&self, row: usize, value: f64, sensor: &Sensor) -> f64 {
         let off = self.values[row] - value;
-        if off.abs() > 3.0 * self.error + sensor.quantum {
-            off
-        } else {
-            0.0
-        }
+        if off.abs() > 3.0 * self.error + sensor.quantum { off } else { 0.0 }
     }
 }
 

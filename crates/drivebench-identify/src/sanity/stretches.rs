@@ -37,15 +37,7 @@ impl<'a> Watched<'a> {
             Signal::Current => ("current_a", current, speed, table.current),
             Signal::Speed => ("speed_rad_s", speed, current, table.speed),
         };
-        Self {
-            table,
-            signal,
-            key,
-            values,
-            other,
-            activity: Activity::of(values),
-            sensor,
-        }
+        Self { table, signal, key, values, other, activity: Activity::of(values), sensor }
     }
 
     /// The longest stretch of one non-zero value in which it cannot have stood still.
@@ -100,10 +92,8 @@ impl<'a> Watched<'a> {
         // At rest any signal stands still.
         let lively = pairs().filter(|(_, b)| b.abs() > JUMP * activity.largest());
         let equal = lively.clone().filter(|(a, b)| is_same(*a, *b)).count();
-        let jumps: Vec<f64> = pairs()
-            .map(|(a, b)| (b - a).abs())
-            .filter(|jump| *jump > 0.0)
-            .collect();
+        let jumps: Vec<f64> =
+            pairs().map(|(a, b)| (b - a).abs()).filter(|jump| *jump > 0.0).collect();
         let large = jumps.iter().filter(|jump| **jump > JUMP * range).count();
         let stands = equal as f64 > 0.8 * lively.count() as f64;
         let is_held = stands && large >= 3 && 2 * large > jumps.len();

@@ -127,14 +127,7 @@ impl Activity {
         let is_coloured = difference < 1.5 * deviation;
         let changes = count > 1 && most > least;
         let moves = changes && (is_coloured || stray > STRAY * noise / (part as f64).sqrt());
-        Self {
-            count,
-            least,
-            most,
-            mean,
-            noise,
-            moves,
-        }
+        Self { count, least, most, mean, noise, moves }
     }
 
     pub(super) fn is_there(&self) -> bool {
@@ -168,10 +161,7 @@ pub(super) fn span(values: &[f64]) -> f64 {
 
 /// Pearson's correlation coefficient over the rows that have both; zero where one does not vary.
 pub(super) fn correlation(a: &[f64], b: &[f64]) -> f64 {
-    let pairs = a
-        .iter()
-        .zip(b)
-        .filter(|(a, b)| a.is_finite() && b.is_finite());
+    let pairs = a.iter().zip(b).filter(|(a, b)| a.is_finite() && b.is_finite());
     let (a, b): (Vec<f64>, Vec<f64>) = pairs.unzip();
     let n = a.len().max(1) as f64;
     let [mean_a, mean_b] = [&a, &b].map(|values| values.iter().sum::<f64>() / n);
@@ -181,11 +171,7 @@ pub(super) fn correlation(a: &[f64], b: &[f64]) -> f64 {
         bb += (b - mean_b).powi(2);
         ab += (a - mean_a) * (b - mean_b);
     }
-    if aa > 0.0 && bb > 0.0 {
-        ab / (aa * bb).sqrt()
-    } else {
-        0.0
-    }
+    if aa > 0.0 && bb > 0.0 { ab / (aa * bb).sqrt() } else { 0.0 }
 }
 
 /// Which columns serve as voltage, current and speed.
@@ -253,22 +239,13 @@ pub(super) struct Balances {
 impl Balances {
     pub(super) fn of(roles: &Roles<'_>) -> Option<Self> {
         let sums = sums(roles);
-        let ([resistance, inductance, back_emf], voltage_error) = fitted(
-            sums.iter()
-                .map(|s| ([s.current, s.current_step, s.angle], s.voltage)),
-        )?;
+        let ([resistance, inductance, back_emf], voltage_error) =
+            fitted(sums.iter().map(|s| ([s.current, s.current_step, s.angle], s.voltage)))?;
         let turning = sums.iter().filter(|s| s.direction != 0.0);
         let ([inertia, ..], torque_error) = fitted(
             turning.map(|s| ([s.speed_step, s.direction * s.length_s, s.angle], s.current)),
         )?;
-        Some(Self {
-            resistance,
-            inductance,
-            back_emf,
-            voltage_error,
-            inertia,
-            torque_error,
-        })
+        Some(Self { resistance, inductance, back_emf, voltage_error, inertia, torque_error })
     }
 
     /// Both errors as one number.
@@ -303,10 +280,7 @@ fn fitted<const N: usize>(
 ) -> Option<([Coefficient; N], f64)> {
     // Share of a regressor that the others must leave to it.
     let fit = fit_normal(&rows.collect::<Vec<_>>(), 1e-4)?;
-    let coefficient = |index| Coefficient {
-        value: fit.x[index],
-        std: fit.std[index],
-    };
+    let coefficient = |index| Coefficient { value: fit.x[index], std: fit.std[index] };
     Some((std::array::from_fn(coefficient), fit.error))
 }
 

@@ -23,9 +23,7 @@ type Change = fn(&mut Columns);
 fn levels() -> Vec<(f64, f64)> {
     let levels = [0.0, 20.0, -25.0, 60.0, -10.0, 35.0, -50.0, 15.0, 30.0];
     let steps = levels.into_iter().enumerate();
-    steps
-        .map(|(step, volts)| (0.5 * step as f64, volts))
-        .collect()
+    steps.map(|(step, volts)| (0.5 * step as f64, volts)).collect()
 }
 
 /// Levels in both directions, and the angle that the speed makes.
@@ -103,10 +101,9 @@ impl Columns {
     }
 
     fn round(&mut self, current_quantum: f64, speed_quantum: f64) {
-        for (values, quantum) in [
-            (&mut self.current, current_quantum),
-            (&mut self.speed, speed_quantum),
-        ] {
+        for (values, quantum) in
+            [(&mut self.current, current_quantum), (&mut self.speed, speed_quantum)]
+        {
             for value in values {
                 *value = (*value / quantum).round() * quantum;
             }
@@ -186,10 +183,7 @@ fn assert_doubted(run: Run, model: &Model, kind: Kind, parts: &str) -> Finding {
 
 #[test]
 fn sound_records_pass_without_a_finding() {
-    for (period_s, seed) in [0.001, 0.005, 0.01]
-        .iter()
-        .flat_map(|s| (0..4).map(|k| (*s, k)))
-    {
+    for (period_s, seed) in [0.001, 0.005, 0.01].iter().flat_map(|s| (0..4).map(|k| (*s, k))) {
         let columns = columns(period_s, seed);
         for run in [columns.run(), columns.with_angle()] {
             for model in [unknown(), paper()] {
@@ -362,21 +356,9 @@ fn signals_that_do_not_move_are_distinguished() {
         (steady, Kind::Steady, "24|operating point"),
         (open, Kind::OpenCircuit, "terminals are open"),
         (of(None, None, Some(held)), Kind::Swapped, "speed"),
-        (
-            of(None, Some(vec![1.5; rows]), None),
-            Kind::Frozen,
-            "1.5 A in all 900 rows",
-        ),
-        (
-            of(None, None, Some(vec![0.0; rows])),
-            Kind::Frozen,
-            "speed is not measured",
-        ),
-        (
-            of(None, None, Some(vec![30.0; rows])),
-            Kind::Frozen,
-            "30 rad/s",
-        ),
+        (of(None, Some(vec![1.5; rows]), None), Kind::Frozen, "1.5 A in all 900 rows"),
+        (of(None, None, Some(vec![0.0; rows])), Kind::Frozen, "speed is not measured"),
+        (of(None, None, Some(vec![30.0; rows])), Kind::Frozen, "30 rad/s"),
     ] {
         assert_refused(it.run(), &unknown(), kind, parts);
     }
@@ -442,10 +424,7 @@ fn cells_that_are_no_measurement_are_masked_and_counted() {
         let (masked, findings) = judged(it.run(), &unknown());
         let text = masked.join(" ");
         let has_parts = parts.split('|').all(|part| text.contains(part));
-        assert!(
-            has_parts && findings.is_empty(),
-            "{parts}: {text} {findings:#?}"
-        );
+        assert!(has_parts && findings.is_empty(), "{parts}: {text} {findings:#?}");
     }
     // A telemetry that froze is a hole of the record.
     let mut it = columns(0.002, 32);
@@ -504,10 +483,9 @@ fn a_frozen_encoder_is_neither_open_terminals_nor_rest() {
     let levels = [0.0, 40.0, 70.0, -50.0, 60.0, 0.0];
     let events = held([0.0, 0.3, 1.0, 1.8, 2.6, 3.2], levels);
     let scenario = record(&paper(), events, 0.001, 4.0, 5);
-    for (at, parts) in [
-        (97.125, "speed_rad_s repeats 97.125"),
-        (0.0, "exactly 0 from 1.4|its sensor is dead"),
-    ] {
+    for (at, parts) in
+        [(97.125, "speed_rad_s repeats 97.125"), (0.0, "exactly 0 from 1.4|its sensor is dead")]
+    {
         let mut it = Columns::of(scenario.clone());
         let row = it.time_s.partition_point(|time_s| *time_s < 1.4);
         it.speed[row..].fill(at);

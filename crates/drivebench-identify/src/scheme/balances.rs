@@ -30,10 +30,7 @@ pub(super) const INVERSE_DYNAMICS: Scheme = Scheme {
     identify: filtered_balances,
 };
 
-#[expect(
-    clippy::unnecessary_wraps,
-    reason = "a scheme of the catalogue may fail"
-)]
+#[expect(clippy::unnecessary_wraps, reason = "a scheme of the catalogue may fail")]
 fn filtered_balances(id: &'static str, data: &Data<'_>) -> Result<Identified, IdentifyError> {
     let balances = inverse_dynamics::fit(data.model, data.run, data.scenario);
     let mut notes = Vec::new();
@@ -65,11 +62,7 @@ fn filtered_balances(id: &'static str, data: &Data<'_>) -> Result<Identified, Id
     if !electrical {
         widen_by_forms_of_torque(&mut found, rows, |form| {
             let with = data.model.with_effect(form).ok()?;
-            Some(of_all(inverse_dynamics::fit(
-                &with,
-                data.run,
-                data.scenario,
-            )))
+            Some(of_all(inverse_dynamics::fit(&with, data.run, data.scenario)))
         });
     }
     let (weak, _) = parameters(data.model, data.scenario);
@@ -86,9 +79,8 @@ fn doubt_coarse_sampling(parameters: &mut [ParameterEstimate], scenario: &Scenar
         return;
     }
     let value = |key: MotorKey| ParameterEstimate::value_of(parameters, key.key());
-    let time_constant_s = value(MotorKey::Inductance)
-        .zip(value(MotorKey::Resistance))
-        .map(|(l, r)| l / r);
+    let time_constant_s =
+        value(MotorKey::Inductance).zip(value(MotorKey::Resistance)).map(|(l, r)| l / r);
     let period_s = median_step(&scenario.sample_time_s);
     if time_constant_s.is_some_and(|ta| period_s <= 1.0 / 3.0 * ta) {
         return;
@@ -119,25 +111,17 @@ fn parameters(model: &Model, scenario: &Scenario) -> (Vec<ParameterEstimate>, Mi
     let misfit = Misfit::of_balances(&balances);
     let rows = balances.last().map_or(0, |torque| torque.residual.len());
     let of_all = |balances: Vec<weak_form::Balanced>| -> Vec<ParameterEstimate> {
-        balances
-            .into_iter()
-            .flat_map(|balance| balance.parameters)
-            .collect()
+        balances.into_iter().flat_map(|balance| balance.parameters).collect()
     };
     let mut found = of_all(balances);
     if relative {
-        let unknown = found
-            .iter_mut()
-            .filter(|found| found.verdict != Verdict::Fixed);
+        let unknown = found.iter_mut().filter(|found| found.verdict != Verdict::Fixed);
         unknown.for_each(|found| *found = as_ratio(found.clone()));
     }
     let mut found = once_each(found);
     if scenario.input != Input::Voltage {
         widen_by_forms_of_torque(&mut found, rows, |form| {
-            Some(of_all(weak_form::fit(
-                &model.with_effect(form).ok()?,
-                scenario,
-            )))
+            Some(of_all(weak_form::fit(&model.with_effect(form).ok()?, scenario)))
         });
     }
     (found, misfit)
@@ -185,19 +169,13 @@ fn once_each(parameters: Vec<ParameterEstimate>) -> Vec<ParameterEstimate> {
             continue;
         };
         let weight = |p: &ParameterEstimate| p.std.filter(|std| *std > 0.0).map(|std| std.powi(-2));
-        match (
-            earlier.value.zip(weight(earlier)),
-            next.value.zip(weight(&next)),
-        ) {
+        match (earlier.value.zip(weight(earlier)), next.value.zip(weight(&next))) {
             (Some((a, wa)), Some((b, wb))) => {
                 let (value, std) = ((wa * a + wb * b) / (wa + wb), (wa + wb).sqrt().recip());
                 // Balances that disagree: the spread is the better measure.
                 let spread = (a - b).abs() / 2.0;
-                let (surer, other) = if wb > wa {
-                    (next, earlier.clone())
-                } else {
-                    (earlier.clone(), next)
-                };
+                let (surer, other) =
+                    if wb > wa { (next, earlier.clone()) } else { (earlier.clone(), next) };
                 let disagree = 2.0 * spread > TWO_SIDED_95 * (wa.recip() + wb.recip()).sqrt();
                 let doubt = if disagree {
                     let (a, b) = (surer.text(1.0), other.text(1.0));
@@ -205,11 +183,8 @@ fn once_each(parameters: Vec<ParameterEstimate>) -> Vec<ParameterEstimate> {
                 } else {
                     other.reason.filter(|_| other.verdict != Verdict::Settled)
                 };
-                *earlier = ParameterEstimate {
-                    value: Some(value),
-                    std: Some(std.max(spread)),
-                    ..surer
-                };
+                *earlier =
+                    ParameterEstimate { value: Some(value), std: Some(std.max(spread)), ..surer };
                 if let Some(doubt) = doubt {
                     earlier.unsettle(doubt);
                 }
@@ -229,10 +204,8 @@ mod tests {
     /// Current and speed alone, as a drive in torque mode leaves them.
     #[test]
     fn rows_of_their_own_and_missing_cells_cost_little() {
-        let events = held(
-            [0.0, 0.3, 0.8, 1.4, 2.0, 2.7, 3.3],
-            [0.0, 40.0, -50.0, 15.0, -20.0, 60.0, 5.0],
-        );
+        let events =
+            held([0.0, 0.3, 0.8, 1.4, 2.0, 2.7, 3.3], [0.0, 40.0, -50.0, 15.0, -20.0, 60.0, 5.0]);
         let mut whole = record(&paper(), events, 0.002, 4.0, 7);
         whole.input = Input::Current;
         let (mut apart, mut holed) = (whole.clone(), whole.clone());

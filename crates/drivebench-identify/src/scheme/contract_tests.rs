@@ -71,11 +71,9 @@ fn poor_data_settle_nothing() {
     let standstill = recorded(&record(&model, vec![(0.0, 0.0)], 0.002, 3.0, 1));
     let two_rows = recorded(&record(&model, steps(), 0.002, 0.004, 2));
     let mut constant = recorded(&record(&model, vec![(0.0, 0.0)], 0.002, 3.0, 3));
-    for (channel, level) in [
-        (Channel::Voltage, 40.0),
-        (Channel::Current, 1.3),
-        (Channel::Speed, 109.0),
-    ] {
+    for (channel, level) in
+        [(Channel::Voltage, 40.0), (Channel::Current, 1.3), (Channel::Speed, 109.0)]
+    {
         let noise = standstill.column(channel).unwrap();
         constant = changed(&constant, channel, |row, _| level + noise[row]);
     }
@@ -107,9 +105,7 @@ fn names_are_unique_and_the_error_of_an_unknown_one_lists_them() {
     }
     let ids: std::collections::HashSet<_> = CATALOGUE.iter().map(|s| s.id()).collect();
     assert_eq!(ids.len(), CATALOGUE.len());
-    let Err(error) = find("4") else {
-        panic!("there is no scheme 4")
-    };
+    let Err(error) = find("4") else { panic!("there is no scheme 4") };
     assert!(error.to_string().contains("output-error"), "{error}");
 }
 
@@ -127,10 +123,7 @@ fn no_scheme_leaves_an_effect_out_in_silence() {
         let found = identify(scheme.id(), &run, &model).unwrap();
         for id in model.effect_ids() {
             let prefix = format!("{id}.");
-            let mut own = found
-                .parameters
-                .iter()
-                .filter(|p| p.key.starts_with(&prefix));
+            let mut own = found.parameters.iter().filter(|p| p.key.starts_with(&prefix));
             let estimated = own.any(|p| p.value.is_some() || p.reason.is_some());
             let noted = found.notes.iter().any(|note| note.starts_with(id));
             assert!(estimated || noted, "{} ignores {id}", scheme.id());

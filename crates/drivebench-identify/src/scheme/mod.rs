@@ -57,12 +57,7 @@ impl Data<'_> {
         reason: impl Into<String>,
         help: &'static str,
     ) -> IdentifyError {
-        IdentifyError::Unusable {
-            scheme,
-            run: self.run.name.clone(),
-            reason: reason.into(),
-            help,
-        }
+        IdentifyError::Unusable { scheme, run: self.run.name.clone(), reason: reason.into(), help }
     }
 }
 
@@ -93,13 +88,7 @@ impl Identified {
         if let Some(value) = ParameterEstimate::value_of(&parameters, torque.key()) {
             model.motor.set(torque, value);
         }
-        Self {
-            scheme,
-            model,
-            parameters,
-            misfit: None,
-            notes: Vec::new(),
-        }
+        Self { scheme, model, parameters, misfit: None, notes: Vec::new() }
     }
 
     #[must_use]
@@ -165,18 +154,12 @@ pub const FREE_RUN: &str = output_error::OUTPUT_ERROR.id;
 
 /// The scheme of that name.
 pub fn find(id: &str) -> Result<&'static Scheme, IdentifyError> {
-    CATALOGUE
-        .iter()
-        .copied()
-        .find(|scheme| scheme.id() == id)
-        .ok_or_else(|| IdentifyError::UnknownScheme {
+    CATALOGUE.iter().copied().find(|scheme| scheme.id() == id).ok_or_else(|| {
+        IdentifyError::UnknownScheme {
             id: id.to_owned(),
-            allowed: CATALOGUE
-                .iter()
-                .map(|scheme| scheme.id())
-                .collect::<Vec<_>>()
-                .join(", "),
-        })
+            allowed: CATALOGUE.iter().map(|scheme| scheme.id()).collect::<Vec<_>>().join(", "),
+        }
+    })
 }
 
 /// The scheme for a run when none is named: the free run where there is a voltage, else the torque balance.
@@ -189,10 +172,7 @@ pub fn default_for(scenario: &Scenario) -> &'static Scheme {
 }
 
 /// Why a scheme for the motor alone carries no effect.
-#[expect(
-    clippy::unnecessary_wraps,
-    reason = "one of the answers that a scheme may give"
-)]
+#[expect(clippy::unnecessary_wraps, reason = "one of the answers that a scheme may give")]
 fn motor_alone(_: &ActiveEffect) -> Option<&'static str> {
     Some("this scheme has the motor's own parameters only")
 }
@@ -257,12 +237,7 @@ pub enum IdentifyError {
     Fit(FitError),
     /// The data cannot serve this scheme; another one may do.
     #[error("scheme {scheme} cannot use run {run:?}: {reason}")]
-    Unusable {
-        scheme: &'static str,
-        run: String,
-        reason: String,
-        help: &'static str,
-    },
+    Unusable { scheme: &'static str, run: String, reason: String, help: &'static str },
 }
 
 impl IdentifyError {

@@ -61,9 +61,7 @@ fn ekf(id: &'static str, data: &Data<'_>) -> Result<Identified, IdentifyError> {
             "the filter subtracts effects whose values are all given, and that depend on voltage, current and speed alone",
         )
     };
-    Ok(identified
-        .with_note(found.summary())
-        .leaving_out(data.model, why))
+    Ok(identified.with_note(found.summary()).leaving_out(data.model, why))
 }
 
 fn rectangle(id: &'static str, data: &Data<'_>) -> Result<Identified, IdentifyError> {
@@ -137,9 +135,8 @@ pub(super) fn with_lost_voltages(run: &Run, scenario: &Scenario) -> Result<Run, 
         let Some(column) = run.column(channel) else {
             continue;
         };
-        let mut cells: Vec<f64> = (rows.iter())
-            .map(|(_, row)| row.map_or(f64::NAN, |row| column[row]))
-            .collect();
+        let mut cells: Vec<f64> =
+            (rows.iter()).map(|(_, row)| row.map_or(f64::NAN, |row| column[row])).collect();
         if channel == scenario.input_channel {
             for hole in holes {
                 cells[place(hole.from_s)] = hole.mean;

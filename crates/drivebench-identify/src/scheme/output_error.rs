@@ -102,11 +102,9 @@ mod tests {
         let steps = (0..18_u8).map(|k| (0.4 + 0.2 * f64::from(k), levels[usize::from(k) % 6]));
         let events = std::iter::once((0.0, 0.0)).chain(steps).collect();
         let scenario = record(&truth, events, 0.002, 4.0, 3);
-        for factors in [
-            [10.0, 0.1, 3.0, 0.1, 5.0],
-            [0.1, 10.0, 0.3, 10.0, 0.2],
-            [5.0, 5.0, 0.2, 20.0, 5.0],
-        ] {
+        for factors in
+            [[10.0, 0.1, 3.0, 0.1, 5.0], [0.1, 10.0, 0.3, 10.0, 0.2], [5.0, 5.0, 0.2, 20.0, 5.0]]
+        {
             let mut start = truth.clone();
             for (key, factor) in KEYS.into_iter().zip(factors) {
                 let value = truth.motor.get(key).unwrap();
@@ -129,10 +127,7 @@ mod tests {
     fn the_order_of_cogging_is_found_from_a_wrapped_angle() {
         let start = paper().with_effect("cogging").unwrap();
         let truth = paper_with("cogging", &[0.06, -0.05, 9.0]);
-        let events = held(
-            [0.0, 0.2, 1.2, 2.0, 3.0, 3.5],
-            [0.0, 7.0, 15.0, -6.0, -20.0, 0.0],
-        );
+        let events = held([0.0, 0.2, 1.2, 2.0, 3.0, 3.5], [0.0, 7.0, 15.0, -6.0, -20.0, 0.0]);
         let recorded = record(&truth, events, 0.002, 4.0, 5);
         let mut run = testing::recorded(&recorded);
         let (mut angle, mut last) = (0.0, 0.0);

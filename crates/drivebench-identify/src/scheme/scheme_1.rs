@@ -168,15 +168,10 @@ impl Grid {
         let times = &scenario.sample_time_s;
         let steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let typical_s = median(&steps);
-        let counts: Vec<f64> = steps
-            .iter()
-            .map(|step| (step / typical_s).round())
-            .collect();
+        let counts: Vec<f64> = steps.iter().map(|step| (step / typical_s).round()).collect();
         let period_s = (times[times.len() - 1] - times[0]) / counts.iter().sum::<f64>();
         let pairs = steps.iter().zip(&counts);
-        let squares: f64 = pairs
-            .map(|(step, count)| (step / period_s - count).powi(2))
-            .sum();
+        let squares: f64 = pairs.map(|(step, count)| (step / period_s - count).powi(2)).sum();
         let jitter = (squares / steps.len() as f64).sqrt();
         // Not below for NaN either.
         let is_even = jitter < MOST_JITTER;
@@ -217,13 +212,7 @@ impl Grid {
         let guess = || roughness(&speed_rad_s).min(0.02 * largest(&speed_rad_s));
         let mut zone = Direction::with_noise(noise_rad_s.unwrap_or_else(guess));
         let direction = speed_rad_s.iter().map(|speed| zone.of(*speed)).collect();
-        Self {
-            period_s,
-            voltage_v,
-            speed_rad_s,
-            direction,
-            noise_rad_s,
-        }
+        Self { period_s, voltage_v, speed_rad_s, direction, noise_rad_s }
     }
 
     const fn series(&self) -> Series<'_> {
@@ -314,9 +303,7 @@ impl Grid {
 
 /// Standard deviation of white noise that would make the third differences as large as they are.
 fn roughness(speed_rad_s: &[f64]) -> f64 {
-    let third = speed_rad_s
-        .windows(4)
-        .map(|w| w[3] - 3.0 * w[2] + 3.0 * w[1] - w[0]);
+    let third = speed_rad_s.windows(4).map(|w| w[3] - 3.0 * w[2] + 3.0 * w[1] - w[0]);
     let third: Vec<f64> = third.filter(|difference| difference.is_finite()).collect();
     let noise = robust_deviation(&third) / 20f64.sqrt();
     if noise.is_finite() { noise } else { 0.0 }

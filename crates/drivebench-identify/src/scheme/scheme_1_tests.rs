@@ -77,12 +77,7 @@ fn resistance_torque_constant_and_fixed_values_are_the_models() {
     let found = identify("1-iv", &bench(0.005), &Model::baseline(Motor::new("m"))).unwrap();
     let all = &found.parameters;
     judged(all, "mechanical_time_constant_s", Verdict::Settled);
-    for key in [
-        "inertia_kg_m2",
-        "load_torque_n_m",
-        "inductance_h",
-        "resistance_ohm",
-    ] {
+    for key in ["inertia_kg_m2", "load_torque_n_m", "inductance_h", "resistance_ohm"] {
         assert_says(judged(all, key, Verdict::NotObservable), &["give"]);
     }
     let mut model = only_resistance();
@@ -90,9 +85,14 @@ fn resistance_torque_constant_and_fixed_values_are_the_models() {
     model.motor.set(MotorKey::LoadTorque, 0.7);
     model.fixed.push(MotorKey::LoadTorque.key().to_owned());
     // Missing cells cost rows and nothing else.
-    let holes = changed(&bench(0.005), Channel::Speed, |row, speed| {
-        if row % 13 == 5 { f64::NAN } else { speed }
-    });
+    let holes =
+        changed(
+            &bench(0.005),
+            Channel::Speed,
+            |row, speed| {
+                if row % 13 == 5 { f64::NAN } else { speed }
+            },
+        );
     let found = identify("1-iv", &holes, &model).unwrap();
     let inertia = judged(&found.parameters, "inertia_kg_m2", Verdict::Settled);
     assert_near(inertia.value.unwrap(), 0.0045 * 0.5 / 0.3538, 0.01);
@@ -140,11 +140,7 @@ fn a_motor_that_never_turns_has_no_observable_parameter() {
     for id in FORMS {
         for parameter in identify(id, &still, &only_resistance()).unwrap().parameters {
             if parameter.key != "resistance_ohm" {
-                assert_eq!(
-                    parameter.verdict,
-                    Verdict::NotObservable,
-                    "{id} {parameter:?}"
-                );
+                assert_eq!(parameter.verdict, Verdict::NotObservable, "{id} {parameter:?}");
                 assert_says(&parameter, &[]);
             }
         }

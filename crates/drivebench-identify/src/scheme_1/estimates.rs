@@ -33,23 +33,11 @@ pub(crate) struct Doubt {
 
 /// A reported quantity: the slot by whose rules it is judged, its key where that is another (then in seconds), and its
 /// value from dynamics, resistance and torque constant.
-type Quantity = (
-    MotorKey,
-    Option<&'static str>,
-    fn(&Dynamics, f64, f64) -> f64,
-);
+type Quantity = (MotorKey, Option<&'static str>, fn(&Dynamics, f64, f64) -> f64);
 
 const WITHOUT_RESISTANCE: [Quantity; 3] = [
-    (
-        MotorKey::Inductance,
-        Some("electrical_time_constant_s"),
-        |d, _, _| d.ta_s,
-    ),
-    (
-        MotorKey::Inertia,
-        Some("mechanical_time_constant_s"),
-        |d, _, _| d.tm_s,
-    ),
+    (MotorKey::Inductance, Some("electrical_time_constant_s"), |d, _, _| d.ta_s),
+    (MotorKey::Inertia, Some("mechanical_time_constant_s"), |d, _, _| d.tm_s),
     (MotorKey::BackEmf, None, |d, _, _| d.ke),
 ];
 
@@ -74,9 +62,7 @@ pub(crate) fn estimates(claim: &Claim) -> Vec<ParameterEstimate> {
             "voltage and speed fix it only with a known resistance: give resistance_ohm in the model file",
         ),
     });
-    let without = WITHOUT_RESISTANCE
-        .iter()
-        .map(|quantity| one(claim, quantity, 1.0));
+    let without = WITHOUT_RESISTANCE.iter().map(|quantity| one(claim, quantity, 1.0));
     without.chain(with_resistance).collect()
 }
 
@@ -101,9 +87,7 @@ fn one(claim: &Claim, quantity: &Quantity, resistance_ohm: f64) -> ParameterEsti
     };
     let better = of(&doubt.better);
     let error = value - better;
-    let noise = doubt
-        .covariance
-        .map_or(0.0, |it| spread(&doubt.better, &it, &of));
+    let noise = doubt.covariance.map_or(0.0, |it| spread(&doubt.better, &it, &of));
     let relative = error.abs() / better.abs().max(f64::MIN_POSITIVE);
     // A comparison with what is not finite shows nothing.
     let visible = relative > 0.02 && error.abs() > 2.0 * noise;
@@ -112,11 +96,7 @@ fn one(claim: &Claim, quantity: &Quantity, resistance_ohm: f64) -> ParameterEsti
         return judged;
     }
     let spoilt = relative > 0.2;
-    judged.verdict = if spoilt {
-        Verdict::Invalid
-    } else {
-        Verdict::Searching
-    };
+    judged.verdict = if spoilt { Verdict::Invalid } else { Verdict::Searching };
     let cause = match &doubt.systematic {
         Some((made_of_it, cause)) if (of(made_of_it) - better) / error > 0.5 => cause,
         _ => &doubt.cause,
@@ -136,11 +116,7 @@ fn not_better_than(noise: f64, doubt: &Doubt, judged: &mut ParameterEstimate) {
         return;
     };
     // Not finite: as if there were no better value.
-    let open = if noise.is_finite() {
-        noise
-    } else {
-        value.abs()
-    };
+    let open = if noise.is_finite() { noise } else { value.abs() };
     judged.std = Some(std.hypot(open));
     if std.hypot(open) > SETTLED * value.abs() {
         let percent = 100.0 * open / value.abs();
@@ -149,10 +125,7 @@ fn not_better_than(noise: f64, doubt: &Doubt, judged: &mut ParameterEstimate) {
         } else {
             format!("is known to {percent:.0} % only")
         };
-        judged.unsettle(format!(
-            "{}, and how far {known} {}",
-            doubt.cause, doubt.source
-        ));
+        judged.unsettle(format!("{}, and how far {known} {}", doubt.cause, doubt.source));
     }
 }
 
@@ -168,11 +141,8 @@ fn spread(dynamics: &Dynamics, covariance: &[[f64; 4]; 4], of: &dyn Fn(&Dynamics
         };
         (moved(step) - moved(-step)) / (2.0 * step)
     });
-    let along = |i: usize| -> f64 {
-        (0..4)
-            .map(|j| gradient[i] * covariance[i][j] * gradient[j])
-            .sum()
-    };
+    let along =
+        |i: usize| -> f64 { (0..4).map(|j| gradient[i] * covariance[i][j] * gradient[j]).sum() };
     (0..4).map(along).sum::<f64>().max(0.0).sqrt()
 }
 
@@ -182,12 +152,7 @@ mod tests {
 
     #[test]
     fn a_bias_that_nothing_bounds_settles_nothing() {
-        let dynamics = Dynamics {
-            ta_s: 0.009,
-            tm_s: 0.04,
-            ke: 0.35,
-            load_v: 1.4,
-        };
+        let dynamics = Dynamics { ta_s: 0.009, tm_s: 0.04, ke: 0.35, load_v: 1.4 };
         let diagonal = |share: f64| {
             let square = |i: usize| (share * dynamics.to_array()[i]).powi(2);
             std::array::from_fn(|i| std::array::from_fn(|j| if i == j { square(i) } else { 0.0 }))
@@ -195,10 +160,7 @@ mod tests {
         // Ta against a better value of this relative deviation.
         let electrical = |relative: f64| {
             let doubt = Doubt {
-                better: Dynamics {
-                    ta_s: 0.0091,
-                    ..dynamics
-                },
+                better: Dynamics { ta_s: 0.0091, ..dynamics },
                 covariance: Some(diagonal(relative)),
                 cause: "noise of the speed biases least squares".to_owned(),
                 systematic: None,

@@ -210,11 +210,7 @@ fn descend(
     let mut share = 1.0;
     for _ in 0..5 {
         let between = Dynamics::from_array(std::array::from_fn(|j| {
-            if j < 3 {
-                a[j] * (b[j] / a[j]).powf(share)
-            } else {
-                a[j] + share * (b[j] - a[j])
-            }
+            if j < 3 { a[j] * (b[j] / a[j]).powf(share) } else { a[j] + share * (b[j] - a[j]) }
         }));
         let there = Auxiliary::of(series, &between);
         if there.error_rad_s <= most {
@@ -242,11 +238,7 @@ fn gain(
     let mut slope = M4::zeros();
     for j in 0..4 {
         let size = sizes[j].abs();
-        let step = of_one_round[j][j]
-            .max(0.0)
-            .sqrt()
-            .max(1e-6 * size)
-            .min(0.05 * size);
+        let step = of_one_round[j][j].max(0.0).sqrt().max(1e-6 * size).min(0.05 * size);
         let moved = |by: f64| {
             let mut there = *at;
             there[j] += by;
@@ -260,9 +252,7 @@ fn gain(
             }
         }
     }
-    (M4::identity() - slope)
-        .try_inverse()
-        .ok_or(InstrumentalError::NotExcited { least: 0.0 })
+    (M4::identity() - slope).try_inverse().ok_or(InstrumentalError::NotExcited { least: 0.0 })
 }
 
 /// Share of the largest speed below which the shaft counts as standing.
@@ -301,10 +291,7 @@ impl Auxiliary {
             speed_rad_s,
             direction: i8::from(speed_rad_s > zone) - i8::from(speed_rad_s < -zone),
         };
-        Self {
-            readings: speed.iter().zip(series.voltage_v).map(reading).collect(),
-            error_rad_s,
-        }
+        Self { readings: speed.iter().zip(series.voltage_v).map(reading).collect(), error_rad_s }
     }
 }
 
@@ -396,11 +383,7 @@ fn pairs(series: &Series<'_>, auxiliary: &[Reading], model: &Dynamics) -> Vec<Pa
     let ratio = coefficients.voltage_step / coefficients.voltage;
     let known = |k: usize| k >= 2 && series.speed_rad_s[k].is_finite();
     let measured = |k: usize| Reading {
-        speed_rad_s: if known(k) {
-            series.speed_rad_s[k]
-        } else {
-            auxiliary[k].speed_rad_s
-        },
+        speed_rad_s: if known(k) { series.speed_rad_s[k] } else { auxiliary[k].speed_rad_s },
         ..auxiliary[k]
     };
     let mut out = Vec::with_capacity(auxiliary.len());
@@ -477,11 +460,7 @@ impl Solution {
         let theta = (inverse * right).component_div(&norms);
         let inverse = M4::from_fn(|i, j| inverse[(i, j)] / (norms[i] * sizes[j]));
         let squares: f64 = pairs.iter().map(|pair| pair.error(&theta).powi(2)).sum();
-        Ok(Self {
-            theta,
-            inverse,
-            residual_rad_s: (squares / (rows - 4) as f64).sqrt(),
-        })
+        Ok(Self { theta, inverse, residual_rad_s: (squares / (rows - 4) as f64).sqrt() })
     }
 
     /// Sandwich covariance of the coefficients; the scores are summed over stretches of several time constants, because
@@ -493,9 +472,9 @@ impl Solution {
         let mut meat = M4::zeros();
         let mut clusters = 0usize;
         for cluster in pairs.chunk_by(|a, b| a.sample / stretch == b.sample / stretch) {
-            let score = cluster.iter().fold(V4::zeros(), |sum, pair| {
-                sum + pair.instrument * pair.error(&self.theta)
-            });
+            let score = cluster
+                .iter()
+                .fold(V4::zeros(), |sum, pair| sum + pair.instrument * pair.error(&self.theta));
             meat += score * score.transpose();
             clusters += 1;
         }

@@ -41,11 +41,7 @@ struct Reading {
 }
 
 impl Reading {
-    const MISSING: Self = Self {
-        voltage_v: f64::NAN,
-        speed_rad_s: f64::NAN,
-        direction: 0,
-    };
+    const MISSING: Self = Self { voltage_v: f64::NAN, speed_rad_s: f64::NAN, direction: 0 };
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -148,13 +144,7 @@ impl Coefficients {
     }
 
     const fn from_array([p, q, voltage, load, voltage_step]: [f64; 5]) -> Self {
-        Self {
-            p,
-            q,
-            voltage,
-            load,
-            voltage_step,
-        }
+        Self { p, q, voltage, load, voltage_step }
     }
 
     const fn to_array(self) -> [f64; 5] {
@@ -238,9 +228,7 @@ impl Dynamics {
         torque_n_m_per_a: Option<f64>,
     ) -> Result<Scheme1Values, Scheme1Rejection> {
         if !(resistance_ohm > 0.0 && resistance_ohm.is_finite()) {
-            return Err(Scheme1Rejection::Resistance {
-                value: resistance_ohm,
-            });
+            return Err(Scheme1Rejection::Resistance { value: resistance_ohm });
         }
         let kt = torque_n_m_per_a.unwrap_or(self.ke);
         Ok(Scheme1Values {
@@ -257,12 +245,7 @@ impl Dynamics {
     }
 
     const fn from_array([ta_s, tm_s, ke, load_v]: [f64; 4]) -> Self {
-        Self {
-            ta_s,
-            tm_s,
-            ke,
-            load_v,
-        }
+        Self { ta_s, tm_s, ke, load_v }
     }
 }
 
@@ -411,11 +394,7 @@ impl Scheme1 {
     /// or where it is not known; from a dead zone, the instrument or a model, never the sign of a noisy speed. A row
     /// needs the same sign at three samples; others are left out. A value that is not finite breaks the chain of samples.
     pub fn push(&mut self, voltage_v: f64, speed_rad_s: f64, direction: i8) -> Option<f64> {
-        let now = Reading {
-            voltage_v,
-            speed_rad_s,
-            direction,
-        };
+        let now = Reading { voltage_v, speed_rad_s, direction };
         let [earlier, before] = self.last;
         self.last = [before, now];
         let row = Row::signed(&[earlier, before, now])?;

@@ -16,12 +16,7 @@ const KE: f64 = 0.35;
 
 /// Ta 20 ms, TM so many times that.
 fn of_ratio(ratio: f64) -> Dynamics {
-    Dynamics {
-        ta_s: 0.02,
-        tm_s: 0.02 * ratio,
-        ke: KE,
-        load_v: 2.0,
-    }
+    Dynamics { ta_s: 0.02, tm_s: 0.02 * ratio, ke: KE, load_v: 2.0 }
 }
 
 struct Record {
@@ -137,22 +132,14 @@ fn at_one_time_constant_the_printed_form_errs_as_known() {
         let truth = of_ratio(ratio);
         let record = Record::of(truth, 0.02, binary(20_000, 5, 30.0, 15.0, 7));
         let found = record.feed(Form::Printed).dynamics().unwrap();
-        let errors = [
-            off(found.ta_s, truth.ta_s) - ta,
-            off(found.tm_s, truth.tm_s) - tm,
-            off(found.ke, KE),
-        ];
+        let errors =
+            [off(found.ta_s, truth.ta_s) - ta, off(found.tm_s, truth.tm_s) - tm, off(found.ke, KE)];
         let as_known = errors.iter().all(|error| error.abs() < 1.0);
         assert!(as_known, "{ratio} {errors:?}");
     }
 }
 
-const SLOW: Dynamics = Dynamics {
-    ta_s: 0.1,
-    tm_s: 0.2,
-    ke: KE,
-    load_v: 2.0,
-};
+const SLOW: Dynamics = Dynamics { ta_s: 0.1, tm_s: 0.2, ke: KE, load_v: 2.0 };
 
 #[test]
 fn coefficients_of_a_motor_lead_back_to_it() {
@@ -203,10 +190,7 @@ fn missing_samples_and_reversals_only_leave_rows_out() {
 #[test]
 fn coefficients_of_no_motor_are_rejected_with_the_reason() {
     let good = Coefficients::of_motor(&SLOW, 0.02);
-    let reversed = Coefficients {
-        voltage: -1e-3,
-        ..good
-    };
+    let reversed = Coefficients { voltage: -1e-3, ..good };
     let with = |p: f64, q: f64| Coefficients { p, q, ..good };
     for (form, coefficients, word) in [
         (Form::Exact, with(2.7, 1.8), "poles"),
@@ -226,10 +210,7 @@ fn coefficients_of_no_motor_are_rejected_with_the_reason() {
     let too_few = matches!(empty, Err(Scheme1Rejection::TooFewRows { rows: 0, .. }));
     assert!(too_few, "{empty:?}");
     for resistance in [0.0, -1.0, f64::NAN] {
-        assert!(matches!(
-            SLOW.values(resistance, None),
-            Err(Scheme1Rejection::Resistance { .. })
-        ));
+        assert!(matches!(SLOW.values(resistance, None), Err(Scheme1Rejection::Resistance { .. })));
     }
     for still in [vec![0.0; 200], vec![40.0; 2000]] {
         let found = Record::of(SLOW, 0.02, still).instruments();
@@ -298,13 +279,7 @@ fn a_doubled_tm_is_followed_with_a_memory_of_33_samples() {
         track
     });
     let tracks: Vec<Vec<[f64; 2]>> = tracks.collect();
-    for (k, truth) in [
-        (600, 1.0),
-        (880, 1.0),
-        (1100, 2.0),
-        (1300, 2.0),
-        (1700, 2.0),
-    ] {
+    for (k, truth) in [(600, 1.0), (880, 1.0), (1100, 2.0), (1300, 2.0), (1700, 2.0)] {
         let [ta, tm] = [0, 1].map(|j| {
             let there: Vec<f64> = tracks.iter().map(|track| track[k][j]).collect();
             median(&there)
@@ -323,10 +298,7 @@ fn claimed_deviations_are_those_of_trials_with_equation_error() {
             if k == 889 {
                 let spread = scheme.dynamics_covariance().unwrap();
                 let found = scheme.dynamics().unwrap();
-                end = [
-                    [found.ta_s, spread[0][0].sqrt()],
-                    [found.tm_s, spread[1][1].sqrt()],
-                ];
+                end = [[found.ta_s, spread[0][0].sqrt()], [found.tm_s, spread[1][1].sqrt()]];
             }
         });
         end
@@ -368,12 +340,7 @@ fn trials(
     let trials: Vec<Trial> = seeds.into_par_iter().map(of_seed).collect();
     let middle =
         |which: usize, j: usize| median(&trials.iter().map(|t| t[which][j]).collect::<Vec<f64>>());
-    let covered = |j: usize| {
-        trials
-            .iter()
-            .filter(|t| t[1][j].abs() < 1.96 * t[2][j])
-            .count()
-    };
+    let covered = |j: usize| trials.iter().filter(|t| t[1][j].abs() < 1.96 * t[2][j]).count();
     let medians = [0, 1].map(|which| [0, 1, 2].map(|j| middle(which, j)));
     (medians, [0, 1, 2].map(covered))
 }

@@ -37,10 +37,7 @@ impl Read {
     /// A product or quotient of values: relative variances add.
     fn product(value: f64, factors: &[Self]) -> Self {
         let squares: f64 = factors.iter().map(|factor| factor.relative().powi(2)).sum();
-        Self {
-            value,
-            std: value.abs() * squares.sqrt(),
-        }
+        Self { value, std: value.abs() * squares.sqrt() }
     }
 }
 
@@ -78,9 +75,7 @@ fn derived(
     let or = |given: Option<f64>, found: &dyn Fn() -> Found| {
         given.map_or_else(found, |value| Ok(Read { value, std: 0.0 }))
     };
-    let resistance = or(given(MotorKey::Resistance), &|| {
-        reading.resistance_ohm.clone()
-    });
+    let resistance = or(given(MotorKey::Resistance), &|| reading.resistance_ohm.clone());
     let voltage = reading.step.voltage_v;
     let (speed, current) = (reading.final_speed_rad_s, reading.final_current_a);
     let back_emf = or(given(MotorKey::BackEmf), &|| {
@@ -92,15 +87,10 @@ fn derived(
             )
         })?;
         let drop = Read::product(resistance.value * current.value, &[resistance, current]);
-        let emf = Read {
-            value: voltage - drop.value,
-            std: drop.std,
-        };
+        let emf = Read { value: voltage - drop.value, std: drop.std };
         Ok(Read::product(emf.value / speed.value, &[emf, speed]))
     });
-    let torque_constant = or(model.motor.get(MotorKey::TorqueConstant), &|| {
-        back_emf.clone()
-    });
+    let torque_constant = or(model.motor.get(MotorKey::TorqueConstant), &|| back_emf.clone());
     let mechanical = reading.mechanical_time_constant_s;
     let needed =
         |what: &str, found: &Found| found.clone().map_err(|why| format!("needs {what}: {why}"));
@@ -109,28 +99,19 @@ fn derived(
         let back_emf = needed("the back-EMF constant", &back_emf)?;
         let kt = needed("the torque constant", &torque_constant)?;
         let value = mechanical.value * back_emf.value * kt.value / resistance.value;
-        Ok(Read::product(
-            value,
-            &[mechanical, back_emf, kt, resistance],
-        ))
+        Ok(Read::product(value, &[mechanical, back_emf, kt, resistance]))
     };
     let load = || -> Found {
         let current = current.ok_or("the run has no current")?;
         let kt = needed("the torque constant", &torque_constant)?;
-        Ok(Read::product(
-            kt.value * current.value.abs(),
-            &[kt, current],
-        ))
+        Ok(Read::product(kt.value * current.value.abs(), &[kt, current]))
     };
     let inductance = reading.inductance_h.clone().or_else(|why| {
         // From the shape of the speed, where the current is not there or too slow.
         let (Ok(ta), Ok(resistance)) = (&reading.electrical_time_constant_s, &resistance) else {
             return Err(why);
         };
-        Ok(Read::product(
-            ta.value * resistance.value,
-            &[*ta, *resistance],
-        ))
+        Ok(Read::product(ta.value * resistance.value, &[*ta, *resistance]))
     });
     let (inertia, load) = (inertia(), load());
     [

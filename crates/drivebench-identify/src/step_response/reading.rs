@@ -42,11 +42,7 @@ pub struct Reading {
 impl Reading {
     /// What was done and how crude it is.
     pub fn sentence(&self) -> String {
-        let Step {
-            at_s,
-            until_s,
-            voltage_v,
-        } = self.step;
+        let Step { at_s, until_s, voltage_v } = self.step;
         let friction = if self.final_current_a.is_some() {
             format!(
                 "friction delays the start by about {:.1} ms, which the curve leaves out",
@@ -118,11 +114,7 @@ fn steps(scenario: &Scenario) -> Vec<Step> {
             let during = |event: &&(f64, f64)| event.0 >= level.0 && event.0 < until_s;
             let held = scenario.events.iter().filter(during);
             let held: Vec<f64> = held.map(|event| event.1).collect();
-            steps.push(Step {
-                at_s: level.0,
-                until_s,
-                voltage_v: statistics::mean(&held),
-            });
+            steps.push(Step { at_s: level.0, until_s, voltage_v: statistics::mean(&held) });
         }
     }
     steps
@@ -259,10 +251,7 @@ impl Response {
             final_speed_rad_s: self.final_speed,
             final_current_a: current,
             rise_time_s,
-            mechanical_time_constant_s: Read {
-                value: tm,
-                std: spread(area_tm - tm),
-            },
+            mechanical_time_constant_s: Read { value: tm, std: spread(area_tm - tm) },
             inductance_h: self.inductance(ta.unwrap_or(0.1 * tm)),
             electrical_time_constant_s: electrical,
             resistance_ohm: resistance,
@@ -287,11 +276,8 @@ impl Response {
         let beside = (0.15 * time_s).max(1.1 * self.period_s);
         let near = |point: &&(f64, f64)| (point.0 - time_s).abs() <= beside;
         // The curve starts at zero with the step.
-        let points: Vec<(f64, f64)> = std::iter::once(&(0.0, 0.0))
-            .chain(&self.speed)
-            .filter(near)
-            .copied()
-            .collect();
+        let points: Vec<(f64, f64)> =
+            std::iter::once(&(0.0, 0.0)).chain(&self.speed).filter(near).copied().collect();
         line(&points, time_s).map_or(f64::NAN, |(height, _)| height)
     }
 
@@ -338,9 +324,8 @@ impl Response {
         };
         let sign = self.step.voltage_v.signum();
         let size = |k: usize| sign * self.current[k].1;
-        let peak = (0..self.current.len())
-            .max_by(|a, b| size(*a).total_cmp(&size(*b)))
-            .unwrap_or(0);
+        let peak =
+            (0..self.current.len()).max_by(|a, b| size(*a).total_cmp(&size(*b))).unwrap_or(0);
         if peak < 2 || peak + 2 >= self.current.len() {
             return Err(format!(
                 "the current is largest {:.1} ms after the step, in its sample {peak}: the peak is not resolved, sample \
@@ -375,10 +360,7 @@ impl Response {
         let nearest = self.current[peak - 1..=peak + 1].iter().map(|p| p.1);
         // What the parabola does not follow, as the three samples at the top show it.
         let shape = value * (nearest.sum::<f64>() / 3.0 / current - 1.0).abs();
-        Ok(Read {
-            value,
-            std: misplaced.hypot(noise).hypot(shape),
-        })
+        Ok(Read { value, std: misplaced.hypot(noise).hypot(shape) })
     }
 
     /// `L = u/(di/dt)` at the start, from a parabola without a constant through the current's first rise.
@@ -404,10 +386,7 @@ impl Response {
         // A parabola stands for an exponential: its third term is left out.
         let cut_off = slope * (0.6f64).powi(2) / 30.0;
         let value = self.step.voltage_v / slope;
-        Ok(Read {
-            value,
-            std: value.abs() * (noise / slope).hypot(cut_off / slope),
-        })
+        Ok(Read { value, std: value.abs() * (noise / slope).hypot(cut_off / slope) })
     }
 }
 
@@ -470,11 +449,7 @@ fn height(x: f64, r: f64) -> f64 {
 /// Time at which the curve first reaches [`MEETING`].
 fn meeting_time(r: f64) -> f64 {
     // The first rise is over before half a turn of the oscillation, and monotonic.
-    let end = if r > 0.25 {
-        std::f64::consts::PI * 2.0 * r / (4.0 * r - 1.0).sqrt()
-    } else {
-        20.0
-    };
+    let end = if r > 0.25 { std::f64::consts::PI * 2.0 * r / (4.0 * r - 1.0).sqrt() } else { 20.0 };
     halved(0.0, end.min(20.0), 60, |x| height(x, r) - MEETING < 0.0)
 }
 

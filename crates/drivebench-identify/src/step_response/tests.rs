@@ -71,10 +71,7 @@ fn a_run_without_step_rest_or_steady_state_is_refused() {
     let random = random.map(|t| (t, 30.0 * (5.0 * t).sin() + 10.0 * (17.0 * t).cos()));
     let random = std::iter::once((0.0, 0.0)).chain(random).collect();
     for (run, expected) in [
-        (
-            record(&truth, vec![(0.0, 40.0), (0.5, 60.0)], 0.001, 1.0, 1),
-            "out of rest",
-        ),
+        (record(&truth, vec![(0.0, 40.0), (0.5, 60.0)], 0.001, 1.0, 1), "out of rest"),
         (step(60.0, 0.001, 0.06, 2), "no steady state"),
         (step(1.0, 0.001, 0.5, 3), "does not turn"),
         (record(&truth, random, 0.001, 3.2, 5), ""),

@@ -14,10 +14,8 @@ fn value(balances: &[Balanced], key: &str) -> f64 {
 fn a_voltage_run_gives_every_parameter() {
     let true_values = testing::paper_with("quadratic_load", &[2e-6]);
     let truth = paper().with_effect("quadratic_load").unwrap();
-    let events = held(
-        [0.0, 0.3, 0.9, 1.5, 2.3, 3.0, 4.0],
-        [0.0, 50.0, 80.0, -60.0, 30.0, -90.0, 40.0],
-    );
+    let events =
+        held([0.0, 0.3, 0.9, 1.5, 2.3, 3.0, 4.0], [0.0, 50.0, 80.0, -60.0, 30.0, -90.0, 40.0]);
     let run = testing::simulated(&true_values, Input::Voltage, events, every(0.001, 5.0));
     let found = fit(&truth, &run);
     for (key, expected) in [
@@ -34,9 +32,7 @@ fn a_voltage_run_gives_every_parameter() {
 
 #[test]
 fn a_linear_axis_under_force_gives_mass_and_friction() {
-    let motor = Motor::new("axis")
-        .with(MotorKey::Inertia, 95.0)
-        .with(MotorKey::LoadTorque, 20.0);
+    let motor = Motor::new("axis").with(MotorKey::Inertia, 95.0).with(MotorKey::LoadTorque, 20.0);
     let model = Model::baseline(motor)
         .with_effect("viscous_friction")
         .unwrap()
@@ -94,10 +90,7 @@ fn the_interval_covers_and_coarse_sampling_widens_it() {
             let (truth, run) = noisy(seed, period_s);
             let found = fit(&unknown, &run);
             for p in found.iter().flat_map(|b| &b.parameters) {
-                let expected = truth
-                    .motor
-                    .get(MotorKey::from_key(&p.key).unwrap())
-                    .unwrap();
+                let expected = truth.motor.get(MotorKey::from_key(&p.key).unwrap()).unwrap();
                 let Some(value) = p.value.filter(|_| p.std.is_some()) else {
                     continue;
                 };
@@ -127,11 +120,7 @@ fn noise_at_rest_and_at_constant_speed_settles_nothing() {
     let found = fit(&testing::unknown(), &run);
     for p in found.iter().flat_map(|b| &b.parameters) {
         if ["inductance_h", "inertia_kg_m2"].contains(&p.key.as_str()) {
-            assert_eq!(
-                (p.value, p.verdict),
-                (None, Verdict::NotObservable),
-                "{p:?}"
-            );
+            assert_eq!((p.value, p.verdict), (None, Verdict::NotObservable), "{p:?}");
         }
     }
 }

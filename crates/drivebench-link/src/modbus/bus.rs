@@ -91,10 +91,7 @@ impl ModbusBus {
             return Err(self.link.unproven());
         }
         let answer = self.link.call(question, words(count.into()))?;
-        let answer = RegistersRead {
-            words: answer.value,
-            span: answer.span,
-        };
+        let answer = RegistersRead { words: answer.value, span: answer.span };
         if self.link.kind == FrameKind::Tcp {
             return Ok(answer);
         }

@@ -237,13 +237,8 @@ impl RawClient {
         let question = identification(code, object, what, self.allowed());
         let texts = |response| match response {
             Response::ReadDeviceIdentification(names) => {
-                let values = names
-                    .device_id_objects
-                    .into_iter()
-                    .map(|object| object.value);
-                Ok(values
-                    .map(|value| String::from_utf8_lossy(&value).into_owned())
-                    .collect())
+                let values = names.device_id_objects.into_iter().map(|object| object.value);
+                Ok(values.map(|value| String::from_utf8_lossy(&value).into_owned()).collect())
             }
             other => Err(format!("{other:?}")),
         };
@@ -363,10 +358,8 @@ pub fn read_batch(
             batch.asked += 1;
             if let Err(gone @ LinkError::Gone { .. }) = &values {
                 // Nothing of this round is proven, and what was not asked any more is missing as well.
-                let none = |request: &ReadRequest| Read {
-                    request: *request,
-                    values: Err(gone.clone()),
-                };
+                let none =
+                    |request: &ReadRequest| Read { request: *request, values: Err(gone.clone()) };
                 batch.reads = requests.iter().map(none).collect();
                 batch.asked = rounds * requests.len() as u64;
                 batch.elapsed_s = elapsed_s(begun + proving);
@@ -377,10 +370,7 @@ pub fn read_batch(
                 batch.answered += 1;
                 round_trips.push(client.last_round_trip());
             }
-            let read = Read {
-                request: *request,
-                values,
-            };
+            let read = Read { request: *request, values };
             match batch.reads.get_mut(index) {
                 Some(old) => *old = read,
                 None => batch.reads.push(read),
@@ -443,9 +433,7 @@ fn read_proven(client: &mut RawClient, request: ReadRequest) -> Result<Vec<u16>>
     let mut last = None;
     // Times that doubtful values are read again, each between two proofs.
     for _ in 0..3 {
-        let values = client
-            .prove_for(request)
-            .and_then(|()| client.read(request));
+        let values = client.prove_for(request).and_then(|()| client.read(request));
         match &values {
             Ok(_) | Err(LinkError::Exception { .. }) if client.link.proof.is_unambiguous => {
                 return values;

@@ -34,11 +34,7 @@ pub(super) fn probe(
     reader.read_mapped()?;
     let rated_current_a = rated_current_a(map, &reader.windows).or(profile.limits.current_a);
     let doubtful = {
-        let picture = Picture {
-            map,
-            windows: &reader.windows,
-            rated_current_a,
-        };
+        let picture = Picture { map, windows: &reader.windows, rated_current_a };
         let fits = |index| picture.fits(index, picture.reading(index));
         (0..map.signals.len()).any(|index| fits(index) == Some(false))
     };
@@ -55,14 +51,8 @@ pub(super) fn probe(
     }
     let watchdog_s = reader.watchdog_s()?;
     let checks = reader.checks(rated_current_a)?;
-    let Reader {
-        windows, refused, ..
-    } = reader;
-    let picture = Picture {
-        map,
-        windows: &windows,
-        rated_current_a,
-    };
+    let Reader { windows, refused, .. } = reader;
+    let picture = Picture { map, windows: &windows, rated_current_a };
     let mut report = ProbeReport::of(profile);
     report.signals = (0..map.signals.len())
         .map(|index| signal(&picture, index, refused[index].as_ref(), advises))
@@ -71,9 +61,7 @@ pub(super) fn probe(
         report.hypotheses = picture.hypotheses();
     }
     report.is_unknown_everywhere = !refused.is_empty()
-        && refused
-            .iter()
-            .all(|refusal| refusal.as_ref().is_some_and(|why| why.is_unknown));
+        && refused.iter().all(|refusal| refusal.as_ref().is_some_and(|why| why.is_unknown));
     if report.is_unknown_everywhere {
         report.remarks.push(address_form(map));
     }
@@ -105,10 +93,7 @@ fn address_form(map: &RegisterMap) -> String {
         table_name(location.table),
         location.address
     );
-    let elsewhere = format!(
-        "or they are {} registers (function code {code})",
-        table_name(other)
-    );
+    let elsewhere = format!("or they are {} registers (function code {code})", table_name(other));
     if (29_999..=49_999).contains(&location.address) {
         format!(
             "{as_asked}: numbers of a manual such as 40014 or 30014 need address_base \"4x1\" (40014 is then holding register 13, 30014 input register 13); {elsewhere}"
@@ -123,11 +108,7 @@ fn address_form(map: &RegisterMap) -> String {
 /// The nameplate's current, where the drive has a register for it.
 fn rated_current_a(map: &RegisterMap, windows: &[Window]) -> Option<f64> {
     let index = map.index(&map.of_quantity(Quantity::RatedCurrent)?.name)?;
-    let picture = Picture {
-        map,
-        windows,
-        rated_current_a: None,
-    };
+    let picture = Picture { map, windows, rated_current_a: None };
     picture.reading(index).value()
 }
 
@@ -277,11 +258,7 @@ impl Reader<'_> {
             let requests: Vec<ReadRequest> = asked.iter().map(|(_, request)| *request).collect();
             for ((index, _), answer) in asked.iter().zip(self.ask(&requests)?) {
                 let window = &mut self.windows[*index];
-                let side = if shift < 0 {
-                    &mut window.below
-                } else {
-                    &mut window.above
-                };
+                let side = if shift < 0 { &mut window.below } else { &mut window.above };
                 *side = answer.ok();
             }
         }
@@ -303,10 +280,7 @@ impl Reader<'_> {
                 // Exception of a register that the unit does not have.
                 is_unknown: code == 0x02,
             })),
-            Err(error) => Ok(Err(Refusal {
-                text: error.to_string(),
-                is_unknown: false,
-            })),
+            Err(error) => Ok(Err(Refusal { text: error.to_string(), is_unknown: false })),
         });
         answers.collect()
     }
@@ -336,11 +310,7 @@ impl Reader<'_> {
                     }
                 }
                 IdentityCheck::Signal { signal, mask, test } => {
-                    let picture = Picture {
-                        map,
-                        windows: &self.windows,
-                        rated_current_a,
-                    };
+                    let picture = Picture { map, windows: &self.windows, rated_current_a };
                     signal_check(&picture, signal, *mask, test)
                 }
             });
@@ -366,11 +336,7 @@ fn signal_check(picture: &Picture<'_>, name: &str, mask: u32, test: &IdentityTes
         (IdentityTest::Within(_), _, Some(value)) => number::reading(value),
         _ => "nothing".to_owned(),
     };
-    ProbedCheck {
-        what,
-        passed,
-        found,
-    }
+    ProbedCheck { what, passed, found }
 }
 
 #[cfg(test)]
@@ -379,26 +345,16 @@ mod tests {
 
     #[test]
     fn unknown_registers_are_answered_with_the_forms_of_an_address() {
-        let mut map = (*DriveProfile::named("delta-ms300")
-            .unwrap()
-            .registers
-            .unwrap())
-        .clone();
+        let mut map = (*DriveProfile::named("delta-ms300").unwrap().registers.unwrap()).clone();
         let location = &mut map.signals[0].location;
         (location.table, location.address) = (RegisterTable::Holding, 40_013);
         let said = address_form(&map);
         assert!(said.contains("address_base \"4x1\""), "{said}");
-        assert!(
-            said.contains("input registers (function code 04)"),
-            "{said}"
-        );
+        assert!(said.contains("input registers (function code 04)"), "{said}");
         let location = &mut map.signals[0].location;
         (location.table, location.address) = (RegisterTable::Input, 14);
         let said = address_form(&map);
         assert!(said.contains("from 0 or from 1"), "{said}");
-        assert!(
-            said.contains("holding registers (function code 03)"),
-            "{said}"
-        );
+        assert!(said.contains("holding registers (function code 03)"), "{said}");
     }
 }

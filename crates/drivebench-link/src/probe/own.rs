@@ -21,21 +21,13 @@ pub(super) fn probe(client: &mut RawClient, profile: &DriveProfile) -> Result<Pr
         what: "the identity block of drivebench's register map has to stand at register 64"
             .to_owned(),
         passed: identity.is_some(),
-        found: if identity.is_some() {
-            "it"
-        } else {
-            "something else"
-        }
-        .to_owned(),
+        found: if identity.is_some() { "it" } else { "something else" }.to_owned(),
     });
     if identity.is_some() {
         let words = u16::try_from(TELEMETRY_WORDS).unwrap_or(MOST_READ);
         let request = ReadRequest::holding(TELEMETRY_ADDRESS, words);
         let mut batch = read_batch(client, &[request], 1, &AtomicBool::new(false));
-        let block = batch
-            .reads
-            .pop()
-            .map_or_else(|| Ok(Vec::new()), |r| r.values)?;
+        let block = batch.reads.pop().map_or_else(|| Ok(Vec::new()), |r| r.values)?;
         if let Ok(block) = <[u16; TELEMETRY_WORDS]>::try_from(block.as_slice()) {
             let limit_a = identity.as_ref().and_then(|found| found.current_limit_a);
             take(&mut report, &block, limit_a, true);
@@ -84,14 +76,10 @@ fn take(
             address: row.address,
             raw: raw.filter(|_| has_raw).map(<[u16]>::to_vec),
             value: known,
-            missing: known
-                .is_none()
-                .then(|| "the drive says that it is not available".to_owned()),
+            missing: known.is_none().then(|| "the drive says that it is not available".to_owned()),
             plausible: expected.filter(|_| known.is_some()).map(within),
             expected,
-            confirms: expected
-                .zip(known)
-                .is_some_and(|(range, value)| confirms(range, value)),
+            confirms: expected.zip(known).is_some_and(|(range, value)| confirms(range, value)),
             candidates: Vec::new(),
             quantity: (row.name == "bus_voltage").then_some(Quantity::BusVoltage),
         });
@@ -99,10 +87,9 @@ fn take(
     let telemetry = Telemetry::from_registers(block);
     let state = telemetry.status.state();
     for (name, of) in [("running", State::Running), ("fault", State::Fault)] {
-        report.states.push(ProbedState {
-            name: name.to_owned(),
-            holds: state.map(|state| state == of),
-        });
+        report
+            .states
+            .push(ProbedState { name: name.to_owned(), holds: state.map(|state| state == of) });
     }
 }
 
@@ -123,10 +110,7 @@ mod tests {
 
     #[test]
     fn every_name_that_is_judged_is_a_row_of_the_table() {
-        let judged = REGISTERS
-            .iter()
-            .filter(|row| meaning(row.name).is_some())
-            .count();
+        let judged = REGISTERS.iter().filter(|row| meaning(row.name).is_some()).count();
         assert_eq!(judged, 6);
         assert!(REGISTERS.iter().any(|row| row.name == "bus_voltage"));
     }

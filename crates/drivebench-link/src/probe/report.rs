@@ -187,19 +187,14 @@ mod tests {
         change: fn(&mut ProbeReport),
     ) -> ProbeReport {
         let mut report = ProbeReport::of(&DriveProfile::named("siemens-v20").unwrap());
-        let signals = signals
-            .iter()
-            .map(|(name, plausible, confirms)| ProbedSignal {
-                name: (*name).to_owned(),
-                plausible: *plausible,
-                confirms: *confirms,
-                ..ProbedSignal::default()
-            });
-        report.signals = signals.collect();
-        report.states.push(ProbedState {
-            name: "running".to_owned(),
-            holds: running,
+        let signals = signals.iter().map(|(name, plausible, confirms)| ProbedSignal {
+            name: (*name).to_owned(),
+            plausible: *plausible,
+            confirms: *confirms,
+            ..ProbedSignal::default()
         });
+        report.signals = signals.collect();
+        report.states.push(ProbedState { name: "running".to_owned(), holds: running });
         change(&mut report);
         report.judge();
         report
@@ -235,28 +230,10 @@ mod tests {
             (&[wrong, zero], Some(false), none, Implausible, "1 of 2"),
             (&[zero], Some(false), none, Plausible, "1 of 1"),
             (&[bus], None, none, Plausible, "1 of 1"),
-            (
-                &[("speed", None, false)],
-                Some(false),
-                none,
-                Unjudged,
-                "no reading",
-            ),
-            (
-                &[wrong],
-                None,
-                unknown,
-                WrongDrive,
-                "has none of the registers",
-            ),
+            (&[("speed", None, false)], Some(false), none, Unjudged, "no reading"),
+            (&[wrong], None, unknown, WrongDrive, "has none of the registers"),
             (&[wrong], None, unknown_new, Implausible, "1 of 1"),
-            (
-                &[bus],
-                Some(true),
-                none,
-                Implausible,
-                "reports that it runs",
-            ),
+            (&[bus], Some(true), none, Implausible, "reports that it runs"),
             (&[bus], Some(true), failed, WrongDrive, "0x0007"),
         ];
         for (signals, running, change, verdict, part) in cases {
@@ -264,10 +241,7 @@ mod tests {
             assert_eq!(report.verdict, verdict, "{}", report.sentence);
             assert!(report.sentence.contains(part), "{}", report.sentence);
             // Zeros alone confirm nothing.
-            let warns = report
-                .remarks
-                .iter()
-                .any(|text| text.contains("about zero"));
+            let warns = report.remarks.iter().any(|text| text.contains("about zero"));
             assert_eq!(warns, signals == [zero], "{:?}", report.remarks);
         }
     }

@@ -42,10 +42,7 @@ enum Joint {
 }
 
 /// All of them, by position in the map.
-#[expect(
-    clippy::struct_excessive_bools,
-    reason = "what is known of an exchange, each for itself"
-)]
+#[expect(clippy::struct_excessive_bools, reason = "what is known of an exchange, each for itself")]
 pub(super) struct Points {
     map: Arc<RegisterMap>,
     sent: Vec<Sent>,
@@ -265,10 +262,7 @@ impl Points {
         }
         self.sent[at].in_doubt = true;
         self.sent[at].writes += 1;
-        self.joint = Joint::With(Joined {
-            at,
-            registers: registers.to_vec(),
-        });
+        self.joint = Joint::With(Joined { at, registers: registers.to_vec() });
         Ok(())
     }
 
@@ -290,11 +284,7 @@ impl Points {
             let text = format!(
                 "the sign of {value} is a bit of setpoint {name}, which no command has written yet"
             );
-            return if value == 0.0 {
-                Ok(())
-            } else {
-                Err(refused(bus, text))
-            };
+            return if value == 0.0 { Ok(()) } else { Err(refused(bus, text)) };
         };
         let word = (before & !mask) | if value < 0.0 { mask } else { 0 };
         if word == before && !sent.in_doubt {
@@ -313,10 +303,8 @@ impl Points {
     ) -> Result<bool> {
         let sent = &self.sent[at];
         if point.keys.write_only_when.is_some() && self.running {
-            let text = format!(
-                "setpoint {} may only be written while the drive stands",
-                point.name
-            );
+            let text =
+                format!("setpoint {} may only be written while the drive stands", point.name);
             return Err(refused(bus, text));
         }
         if point.keys.nvm {
@@ -439,11 +427,8 @@ impl Points {
     }
 
     pub(super) fn mismatch_text(&self) -> String {
-        let worst = self
-            .sent
-            .iter()
-            .zip(&self.map.set_points)
-            .max_by_key(|(sent, _)| sent.mismatches);
+        let worst =
+            self.sent.iter().zip(&self.map.set_points).max_by_key(|(sent, _)| sent.mismatches);
         worst.map_or_else(String::new, |(sent, point)| {
             let why = if sent.found == sent.confirmed {
                 "the drive keeps the value that it had before, so it ignores what is written from here"

@@ -177,32 +177,23 @@ impl Readings {
         let read = read.map_err(|error| {
             let signals = block.signals.iter().map(|index| &self.map.signals[*index]);
             let written = point.map(|(point, _)| (point.name.as_str(), point.line));
-            let places: Vec<_> = written
-                .into_iter()
-                .chain(signals.map(|s| (s.name.as_str(), s.line)))
-                .collect();
+            let places: Vec<_> =
+                written.into_iter().chain(signals.map(|s| (s.name.as_str(), s.line))).collect();
             in_profile(error, &self.map, &places)
         })?;
         for index in &block.signals {
             let location = self.map.signals[*index].location;
             let offset = usize::from(location.address - block.read.address);
-            let pattern = read
-                .words
-                .get(offset..)
-                .and_then(|tail| location.layout.pattern(tail));
+            let pattern = read.words.get(offset..).and_then(|tail| location.layout.pattern(tail));
             let value = pattern.and_then(|pattern| self.value(*index, pattern));
             let value = match (value, pattern) {
-                (Some(_), Some(pattern)) => self
-                    .unwrapped(*index, pattern, read.span.middle_s())
-                    .or(value),
+                (Some(_), Some(pattern)) => {
+                    self.unwrapped(*index, pattern, read.span.middle_s()).or(value)
+                }
                 _ => value,
             };
             self.rejected += u64::from(value.is_none());
-            self.last[*index] = Reading {
-                value,
-                pattern,
-                span: read.span,
-            };
+            self.last[*index] = Reading { value, pattern, span: read.span };
         }
         Ok(read.span)
     }
@@ -221,12 +212,9 @@ impl Readings {
         let raw = signal.location.layout.number(pattern);
         let factor = self.factor(&signal.numbers.scale_by)?;
         let counts = self.positions.get(&index).map_or(raw, |last| {
-            let moved = self
-                .speed_rad_s()
-                .zip(signal.channel)
-                .map(|(speed, (_, si))| {
-                    speed * (at_s - last.at_s) / (si * signal.numbers.scale * factor)
-                });
+            let moved = self.speed_rad_s().zip(signal.channel).map(|(speed, (_, si))| {
+                speed * (at_s - last.at_s) / (si * signal.numbers.scale * factor)
+            });
             let step = raw - last.raw;
             let turns = ((step - moved.unwrap_or(0.0)) / span).round();
             last.counts + step - turns * span
@@ -246,10 +234,7 @@ impl Readings {
 
     /// Product of the signals that a value is scaled with; `None` while one is not known.
     pub(super) fn factor(&self, scale_by: &[String]) -> Option<f64> {
-        scale_by
-            .iter()
-            .map(|name| self.get(name).and_then(|reading| reading.value))
-            .product()
+        scale_by.iter().map(|name| self.get(name).and_then(|reading| reading.value)).product()
     }
 }
 
@@ -259,26 +244,14 @@ pub(super) fn in_profile(
     map: &RegisterMap,
     places: &[(&str, usize)],
 ) -> LinkError {
-    let LinkError::Exception {
-        link,
-        request,
-        code,
-        name,
-    } = error
-    else {
+    let LinkError::Exception { link, request, code, name } = error else {
         return error;
     };
-    let places: Vec<String> = places
-        .iter()
-        .map(|(name, line)| format!("{name} in line {line}"))
-        .collect();
+    let places: Vec<String> =
+        places.iter().map(|(name, line)| format!("{name} in line {line}")).collect();
     LinkError::Exception {
         link,
-        request: format!(
-            "{request} (profile {}: {})",
-            map.device.id,
-            places.join(", ")
-        ),
+        request: format!("{request} (profile {}: {})", map.device.id, places.join(", ")),
         code,
         name,
     }
@@ -333,8 +306,6 @@ impl Clock {
 
     /// A host time on the drive's clock, s; before the first look at it, its zero.
     pub(super) fn of_host_s(&self, host_s: f64) -> f64 {
-        self.map
-            .offset_s(host_s)
-            .map_or(0.0, |offset_s| host_s + offset_s)
+        self.map.offset_s(host_s).map_or(0.0, |offset_s| host_s + offset_s)
     }
 }

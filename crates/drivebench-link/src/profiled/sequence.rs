@@ -75,11 +75,7 @@ impl Sequence {
                 Step::Write(write) => return Next::Write(write.clone()),
                 Step::Delay { seconds } if now_s - self.since_s < *seconds => return Next::Wait,
                 Step::Delay { .. } => self.go_on(now_s),
-                Step::Wait {
-                    condition,
-                    within_s,
-                    error,
-                } => {
+                Step::Wait { condition, within_s, error } => {
                     let fresh =
                         status(&condition.signal).filter(|(_, read_s)| *read_s >= self.since_s);
                     if fresh.is_some_and(|(bits, _)| condition.holds(bits)) {
@@ -220,11 +216,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         sequence.refused(now_s, error.to_string());
         sequence.is_denied |= !later;
         first.get_or_insert(error);
-        Ok(if later {
-            WriteEnd::Unacknowledged
-        } else {
-            WriteEnd::Settled
-        })
+        Ok(if later { WriteEnd::Unacknowledged } else { WriteEnd::Settled })
     }
 
     /// One pass of a command to its end, with the time that its steps take.
@@ -282,11 +274,7 @@ mod tests {
     use crate::register_map::Condition;
 
     fn write(name: &str, value: f64) -> Step {
-        Step::Write(Write {
-            set_point: name.to_owned(),
-            value,
-            mask: None,
-        })
+        Step::Write(Write { set_point: name.to_owned(), value, mask: None })
     }
 
     fn steps() -> Vec<Step> {

@@ -27,8 +27,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
     /// The same where it was read since then, s.
     pub(super) fn state_since(&self, state: &str, since_s: f64) -> Option<bool> {
         let reading = self.readings.get(&self.map.state(state)?.signal)?;
-        self.reported(state)
-            .filter(|_| reading.span.asked_s >= since_s)
+        self.reported(state).filter(|_| reading.span.asked_s >= since_s)
     }
 
     /// Whether its fault condition holds, or that of its own watchdog.
@@ -50,9 +49,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
 
     /// What its fault is, in words, where the profile knows.
     fn fault_words(&self) -> Option<String> {
-        let text = self
-            .fault_code()
-            .and_then(|code| self.map.fault_codes.get(&code));
+        let text = self.fault_code().and_then(|code| self.map.fault_codes.get(&code));
         match (self.has_lost_host(), text) {
             (true, Some(text)) => Some(format!("{COMM_LOSS} ({text})")),
             (true, None) => Some(COMM_LOSS.to_owned()),
@@ -62,17 +59,13 @@ impl<B: RegisterBus> ProfiledLink<B> {
 
     /// Words for a drive whose fault condition holds, and whether its watchdog may be why; else nothing.
     pub(super) fn in_fault_text(&self, now_s: f64) -> String {
-        let holds = ["fault", "comm_loss"]
-            .into_iter()
-            .find(|state| self.reported(state) == Some(true));
+        let holds =
+            ["fault", "comm_loss"].into_iter().find(|state| self.reported(state) == Some(true));
         let Some(fault) = holds.and_then(|state| self.map.state(state)) else {
             return String::new();
         };
-        let mut text = format!(
-            "; it is in fault: {} ({})",
-            self.word_text(fault),
-            fault.expected()
-        );
+        let mut text =
+            format!("; it is in fault: {} ({})", self.word_text(fault), fault.expected());
         if let Some(code) = self.fault_code() {
             let _ = write!(text, ", code {code:#06x}");
         }
@@ -111,10 +104,8 @@ impl<B: RegisterBus> ProfiledLink<B> {
     fn word_text(&self, condition: &Condition) -> String {
         let reading = self.readings.get(&condition.signal);
         let found = reading.and_then(|reading| reading.pattern);
-        let found = found.map_or_else(
-            || "was not read".to_owned(),
-            |bits| format!("is {bits:#06x}"),
-        );
+        let found =
+            found.map_or_else(|| "was not read".to_owned(), |bits| format!("is {bits:#06x}"));
         format!("{} {found}", condition.signal)
     }
 

@@ -81,9 +81,10 @@ impl Numbering {
             (None, None, None) => {
                 Err("the address is missing (expected address, parameter or can)".to_owned())
             }
-            _ => Err(
-                "more than one of address, parameter and can is given (expected one)".to_owned(),
-            ),
+            _ => {
+                Err("more than one of address, parameter and can is given (expected one)"
+                    .to_owned())
+            }
         }
     }
 
@@ -182,11 +183,7 @@ mod tests {
         ] {
             let (base, formula) = (Base::Zero, Some(Formula::CanObject));
             let found = Numbering { base, formula }.resolve(None, None, Some([object, channel]));
-            assert_eq!(
-                found.ok().map(|(wire, _)| wire),
-                wire,
-                "{object:#x} {channel}"
-            );
+            assert_eq!(found.ok().map(|(wire, _)| wire), wire, "{object:#x} {channel}");
         }
     }
 }

@@ -77,12 +77,7 @@ pub(super) struct Change {
 }
 
 impl Change {
-    const NONE: Self = Self {
-        shift: 0,
-        words: false,
-        bytes: false,
-        sign: false,
-    };
+    const NONE: Self = Self { shift: 0, words: false, bytes: false, sign: false };
 
     /// Every change that makes a difference to such a layout.
     fn all(layout: Layout) -> Vec<Self> {
@@ -219,11 +214,7 @@ impl Picture<'_> {
     /// Where the profile's own reading should lie at rest; `None`: it cannot be judged.
     pub fn expected(&self, index: usize) -> Option<[f64; 2]> {
         let signal = &self.map.signals[index];
-        expected_at_rest(
-            signal.keys.quantity,
-            signal.numbers.unit,
-            self.rated_current_a,
-        )
+        expected_at_rest(signal.keys.quantity, signal.numbers.unit, self.rated_current_a)
     }
 
     /// Whether a reading fits a drive at rest; `None` where that cannot be told.
@@ -241,9 +232,7 @@ impl Picture<'_> {
     pub fn confirms(&self, index: usize) -> bool {
         let range = self.expected(index);
         let value = self.reading(index).value();
-        range
-            .zip(value)
-            .is_some_and(|(range, value)| confirms(range, value))
+        range.zip(value).is_some_and(|(range, value)| confirms(range, value))
     }
 
     /// Whether the registers at a signal's address, moved by `shift`, are partly those of another mapped signal. Two
@@ -256,15 +245,13 @@ impl Picture<'_> {
         let signal = &self.map.signals[index];
         let ours = range(signal, shift);
         let others = self.map.signals.iter().enumerate();
-        others
-            .filter(|(other, _)| *other != index)
-            .any(|(_, other)| {
-                let theirs = range(other, 0);
-                other.location.table == signal.location.table
-                    && ours.start < theirs.end
-                    && theirs.start < ours.end
-                    && (shift != 0 || ours != theirs)
-            })
+        others.filter(|(other, _)| *other != index).any(|(_, other)| {
+            let theirs = range(other, 0);
+            other.location.table == signal.location.table
+                && ours.start < theirs.end
+                && theirs.start < ours.end
+                && (shift != 0 || ours != theirs)
+        })
     }
 
     /// Other ways of reading a signal, the likeliest first: those that fit, of those the ones that use no register of
@@ -356,24 +343,11 @@ impl Picture<'_> {
         };
         let (judged, as_written) = (self.judged(), fitting(Change::NONE));
         let shifted = |shift| {
-            let change = Change {
-                shift,
-                ..Change::NONE
-            };
-            (
-                change,
-                shift_text(shift).replace("the address", "every address"),
-            )
+            let change = Change { shift, ..Change::NONE };
+            (change, shift_text(shift).replace("the address", "every address"))
         };
         let ordered = |words| {
-            let (change, none) = (
-                Change {
-                    words,
-                    bytes: !words,
-                    ..Change::NONE
-                },
-                String::new,
-            );
+            let (change, none) = (Change { words, bytes: !words, ..Change::NONE }, String::new);
             let layouts = self.map.signals.iter().map(|signal| signal.location.layout);
             // The other order than that of the first signal which has one.
             let mut of_interest = layouts.filter(|layout| !words || layout.registers() > 1);
@@ -382,17 +356,12 @@ impl Picture<'_> {
         };
         let changes = [shifted(1), shifted(-1), ordered(true), ordered(false)];
         let found = changes.into_iter().map(|(change, text)| {
-            let hypothesis = Hypothesis {
-                change: text,
-                plausible: fitting(change),
-                judged,
-                as_written,
-            };
+            let hypothesis =
+                Hypothesis { change: text, plausible: fitting(change), judged, as_written };
             (change, hypothesis)
         });
-        let mut found: Vec<(Change, Hypothesis)> = found
-            .filter(|(_, hypothesis)| hypothesis.plausible > as_written)
-            .collect();
+        let mut found: Vec<(Change, Hypothesis)> =
+            found.filter(|(_, hypothesis)| hypothesis.plausible > as_written).collect();
         // The second best explains less, and would only be noise beside the best.
         let best = found.iter().map(|(_, found)| found.plausible).max();
         found.retain(|(_, found)| Some(found.plausible) == best);
@@ -452,11 +421,7 @@ mod tests {
                 let zeros = || Some(vec![0; usize::from(signal.location.layout.registers())]);
                 let given = known.iter().find(|(name, _)| *name == signal.name);
                 given.map_or_else(
-                    || Window {
-                        below: zeros(),
-                        here: zeros(),
-                        above: zeros(),
-                    },
+                    || Window { below: zeros(), here: zeros(), above: zeros() },
                     |(_, window)| window.clone(),
                 )
             })
@@ -468,11 +433,7 @@ mod tests {
     }
 
     fn picture<'a>(map: &'a RegisterMap, windows: &'a [Window]) -> Picture<'a> {
-        Picture {
-            map,
-            windows,
-            rated_current_a: None,
-        }
+        Picture { map, windows, rated_current_a: None }
     }
 
     /// What a picture of these windows says of one signal: its candidates and the hypotheses.
@@ -488,11 +449,7 @@ mod tests {
 
     fn window(below: &[u16], here: &[u16], above: &[u16]) -> Window {
         let some = |registers: &[u16]| (!registers.is_empty()).then(|| registers.to_vec());
-        Window {
-            below: some(below),
-            here: some(here),
-            above: some(above),
-        }
+        Window { below: some(below), here: some(here), above: some(above) }
     }
 
     #[test]
@@ -512,11 +469,7 @@ mod tests {
         let bus = map("type = \"u16\"\nscale = 0.1");
         let beside = window(&[9], &[0], &[1200]);
         let (candidates, hypotheses) = judged(&bus, &[("bus", beside)], "bus");
-        assert!(
-            candidates[0]
-                .change
-                .contains("one higher (base 0 instead of 1)")
-        );
+        assert!(candidates[0].change.contains("one higher (base 0 instead of 1)"));
         assert!(candidates[0].plausible && (candidates[0].value - 120.0).abs() < 1e-9);
         // 0.9 V is no supply.
         let lower = "the address one lower (base 1 instead of 0)";
@@ -527,10 +480,8 @@ mod tests {
         let (bus, current) = (index(&map, "bus"), index(&map, "current"));
         map.signals[current].location.address = map.signals[bus].location.address + 1;
         map.signals[current].location.table = map.signals[bus].location.table;
-        let known = [
-            ("bus", window(&[0, 1200], &[1200, 0], &[])),
-            ("current", window(&[1200], &[0], &[])),
-        ];
+        let known =
+            [("bus", window(&[0, 1200], &[1200, 0], &[])), ("current", window(&[1200], &[0], &[]))];
         let (candidates, hypotheses) = judged(&map, &known, "bus");
         let first = &candidates[0];
         let is_lower = first.change.starts_with("the address one lower");
@@ -538,10 +489,7 @@ mod tests {
         assert_eq!(hypotheses[0].change, "the address one lower for bus alone");
         assert_eq!(hypotheses[0].plausible, hypotheses[0].as_written + 1);
         // A factor is read with the same change: 5.7 A rated, current 1 % of it.
-        let map = DriveProfile::named("toshiba-vfs11")
-            .unwrap()
-            .registers
-            .unwrap();
+        let map = DriveProfile::named("toshiba-vfs11").unwrap().registers.unwrap();
         let one_higher = |value: u16| window(&[], &[0], &[value]);
         let known = [
             ("rated_current", one_higher(57)),
@@ -549,10 +497,7 @@ mod tests {
             ("current", one_higher(100)),
         ];
         let best = &judged(&map, &known, "current").1[0];
-        assert!(
-            best.change.starts_with("every address one higher"),
-            "{best:?}"
-        );
+        assert!(best.change.starts_with("every address one higher"), "{best:?}");
         assert_eq!((best.plausible, best.judged, best.as_written), (5, 5, 3));
     }
 
@@ -594,10 +539,7 @@ mod tests {
 
     #[test]
     fn a_standing_shaft_reads_about_zero_in_every_unit() {
-        let map = DriveProfile::named("siemens-v20")
-            .unwrap()
-            .registers
-            .unwrap();
+        let map = DriveProfile::named("siemens-v20").unwrap().registers.unwrap();
         let expected = |signal: &str, rated_a| {
             let signal = map.signal(signal).unwrap();
             expected_at_rest(signal.keys.quantity, signal.numbers.unit, rated_a)

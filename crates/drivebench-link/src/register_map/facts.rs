@@ -27,11 +27,7 @@ pub struct Location {
 
 impl Location {
     pub const fn request(&self) -> ReadRequest {
-        ReadRequest {
-            table: self.table,
-            address: self.address,
-            count: self.layout.registers(),
-        }
+        ReadRequest { table: self.table, address: self.address, count: self.layout.registers() }
     }
 }
 
@@ -197,14 +193,8 @@ pub struct Write {
 #[derive(Clone, Debug, PartialEq)]
 pub enum Step {
     Write(Write),
-    Wait {
-        condition: Condition,
-        within_s: f64,
-        error: Option<String>,
-    },
-    Delay {
-        seconds: f64,
-    },
+    Wait { condition: Condition, within_s: f64, error: Option<String> },
+    Delay { seconds: f64 },
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -237,7 +227,10 @@ pub enum IdentityCheck {
         test: IdentityTest,
     },
     /// An object of function code 43 has to hold this text.
-    Object { object: u8, contains: String },
+    Object {
+        object: u8,
+        contains: String,
+    },
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -309,15 +302,8 @@ pub struct RegisterMap {
 
 impl RegisterMap {
     /// States that a profile may tell from status bits.
-    pub const STATES: [&'static str; 7] = [
-        "fault",
-        "ready",
-        "running",
-        "comm_loss",
-        "local",
-        "sto",
-        "remote",
-    ];
+    pub const STATES: [&'static str; 7] =
+        ["fault", "ready", "running", "comm_loss", "local", "sto", "remote"];
     /// Channels that are mapped or declared missing.
     pub const REQUIRED: [Channel; 3] = [Channel::Voltage, Channel::Current, Channel::Speed];
 

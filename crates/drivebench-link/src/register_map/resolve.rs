@@ -57,10 +57,7 @@ fn read(file: &str, text: &str) -> Result<(RegisterMap, LinkSettings, DriveLimit
     let reader = Reader {
         file,
         text,
-        numbering: Numbering {
-            base: Base::Zero,
-            formula: None,
-        },
+        numbering: Numbering { base: Base::Zero, formula: None },
         link: keys.link.get_ref(),
         counts_per_turn: keys.device.counts_per_turn,
     };
@@ -90,11 +87,7 @@ impl Part<'_> {
     }
 
     fn require(&self, holds: bool, key: &str, message: impl Display) -> Result<(), ConfigError> {
-        if holds {
-            Ok(())
-        } else {
-            Err(self.wrong(key, message))
-        }
+        if holds { Ok(()) } else { Err(self.wrong(key, message)) }
     }
 
     /// What went well, or the error at this key.
@@ -114,15 +107,9 @@ impl Reader<'_> {
         file: &ProfileFile,
     ) -> Result<(RegisterMap, LinkSettings, DriveLimits), ConfigError> {
         self.check_link(file)?;
-        let signals = file
-            .signals
-            .iter()
-            .map(|(name, keys)| self.signal(name, keys));
+        let signals = file.signals.iter().map(|(name, keys)| self.signal(name, keys));
         let signals = signals.collect::<Result<_, _>>()?;
-        let points = file
-            .setpoints
-            .iter()
-            .map(|(name, keys)| self.set_point(name, keys));
+        let points = file.setpoints.iter().map(|(name, keys)| self.set_point(name, keys));
         let set_points = points.collect::<Result<_, _>>()?;
         let link = self.link;
         let mut map = RegisterMap {
@@ -225,19 +212,17 @@ impl Reader<'_> {
         let holds = link.functions.contains(&3) || link.functions.contains(&4);
         let message = "neither 3 nor 4 is there: nothing can be read";
         part.require(holds, "functions", message)?;
-        for (key, value, most) in [
-            ("max_read", link.max_read, 125),
-            ("max_write", link.max_write, 123),
-        ] {
+        for (key, value, most) in
+            [("max_read", link.max_read, 125), ("max_write", link.max_write, 123)]
+        {
             let holds = (1..=most).contains(&value);
             let message = format_args!("{key} {value} is not allowed (expected 1 to {most})");
             part.require(holds, key, message)?;
         }
         let (can, message) = match link.resync {
-            Resync::Fc08 => (
-                link.functions.contains(&8),
-                "resync \"fc08\" needs function code 8 in functions",
-            ),
+            Resync::Fc08 => {
+                (link.functions.contains(&8), "resync \"fc08\" needs function code 8 in functions")
+            }
             Resync::Tid => (
                 link.protocol == Protocol::ModbusTcp,
                 "resync \"tid\" needs protocol \"modbus-tcp\"",
@@ -313,11 +298,7 @@ impl Reader<'_> {
         Ok(Signal {
             name: name.to_owned(),
             line: self.line(&span),
-            location: Location {
-                table,
-                address,
-                layout,
-            },
+            location: Location { table, address, layout },
             numbers: part.of("scale", numbers)?,
             channel,
             wraps_at,
@@ -378,11 +359,8 @@ impl Reader<'_> {
             format_args!("function {function} is not allowed (expected 6 for one register, or 16)");
         part.require(holds, "function", message)?;
         part.of("function", self.knows(function))?;
-        let layout = Layout {
-            words: keys.word_order,
-            bytes: keys.byte_order,
-            ..Layout::plain(keys.kind)
-        };
+        let layout =
+            Layout { words: keys.word_order, bytes: keys.byte_order, ..Layout::plain(keys.kind) };
         let numbers = numbers(keys.scale, keys.offset, &keys.scale_by, keys.unit);
         let numbers = part.of("scale", numbers)?;
         if let Some(limits) = keys.limits {
@@ -393,10 +371,7 @@ impl Reader<'_> {
             };
             part.of("limits", check_limits(limits, keys.quantity, fits))?;
         }
-        for (key, value) in [
-            ("refresh_ms", keys.refresh_ms),
-            ("slew_per_s", keys.slew_per_s),
-        ] {
+        for (key, value) in [("refresh_ms", keys.refresh_ms), ("slew_per_s", keys.slew_per_s)] {
             let is_allowed = value.is_none_or(|value| value.is_finite() && value > 0.0);
             let message = format_args!("{key} is not allowed (expected more than 0)");
             part.require(is_allowed, key, message)?;
@@ -411,11 +386,7 @@ impl Reader<'_> {
         Ok(SetPoint {
             name: name.to_owned(),
             line: self.line(&span),
-            location: Location {
-                table: RegisterTable::Holding,
-                address,
-                layout,
-            },
+            location: Location { table: RegisterTable::Holding, address, layout },
             function,
             si: demand_si(keys.quantity, keys.unit, per_turn),
             numbers,
@@ -452,10 +423,7 @@ impl Reader<'_> {
         let mut times = times.into_iter().flatten();
         let are_times = times.all(|time| time.is_finite() && time >= 0.0);
         part.require(are_times, "default_ms", "times must be 0 or more")?;
-        Ok(Supervision {
-            keys: keys.clone(),
-            time: found,
-        })
+        Ok(Supervision { keys: keys.clone(), time: found })
     }
 
     /// Every required channel is mapped or declared missing, and none twice.
@@ -516,10 +484,9 @@ impl Reader<'_> {
         };
         let signal = map.signals.iter().find(would_be)?;
         let (unit, expected) = match signal.numbers.unit {
-            Unit::Hertz => (
-                "Hz without pole_pairs",
-                "pole_pairs of the motor, for an electrical frequency",
-            ),
+            Unit::Hertz => {
+                ("Hz without pole_pairs", "pole_pairs of the motor, for an electrical frequency")
+            }
             unit => (unit.name(), "a scale to an SI unit or rpm"),
         };
         let message = format!(
@@ -544,25 +511,12 @@ impl Reader<'_> {
             let part = self.part(span, "");
             part.require(registers <= most, "type", message)
         };
-        for Signal {
-            name,
-            numbers,
-            location,
-            ..
-        } in &map.signals
-        {
+        for Signal { name, numbers, location, .. } in &map.signals {
             let span = file.signals[name].span();
             let most = ("max_read", map.max_read);
             fits("signal", name, numbers, location, most, span)?;
         }
-        for SetPoint {
-            name,
-            numbers,
-            location,
-            keys,
-            ..
-        } in &map.set_points
-        {
+        for SetPoint { name, numbers, location, keys, .. } in &map.set_points {
             let span = file.setpoints[name].span();
             let most = ("max_write", map.max_write);
             fits("setpoint", name, numbers, location, most, span.clone())?;
@@ -570,18 +524,10 @@ impl Reader<'_> {
                 let words = map.set_points.iter().filter(|p| p.is_word());
                 let words: Vec<&str> = words.map(|p| p.name.as_str()).collect();
                 let words = words.iter().copied();
-                self.known(
-                    &sign.set_point,
-                    words,
-                    "setpoint of quantity \"word\"",
-                    &span,
-                )?;
+                self.known(&sign.set_point, words, "setpoint of quantity \"word\"", &span)?;
             }
         }
-        let mut clocks = map
-            .signals
-            .iter()
-            .filter(|s| s.keys.quantity == Quantity::Clock);
+        let mut clocks = map.signals.iter().filter(|s| s.keys.quantity == Quantity::Clock);
         if let (Some(first), Some(second)) = (clocks.next(), clocks.next()) {
             return Err(self.twice(file, (&first.name, &second.name), "clocks", "quantity"));
         }
@@ -665,11 +611,7 @@ impl Reader<'_> {
 
     fn part(&self, span: Range<usize>, whose: impl Into<String>) -> Part<'_> {
         let whose = whose.into();
-        Part {
-            reader: self,
-            span,
-            whose,
-        }
+        Part { reader: self, span, whose }
     }
 
     /// An error that names the nearest, unless `name` is one of `allowed`.
@@ -683,9 +625,7 @@ impl Reader<'_> {
         if allowed.clone().into_iter().any(|known| known == name) {
             return Ok(());
         }
-        let offset = self.text[span.start..]
-            .find(name)
-            .map_or(span.start, |at| span.start + at);
+        let offset = self.text[span.start..].find(name).map_or(span.start, |at| span.start + at);
         let message = format!("{name:?} is no {what} of this profile");
         let help = help_for_unknown(name, allowed);
         Err(ConfigError::at(self.file, self.text, offset, message, help))
@@ -733,12 +673,7 @@ fn numbers(
             "scale {scale}, offset {offset} is not allowed (expected finite numbers, scale other than 0)"
         ));
     }
-    Ok(Numbers {
-        scale,
-        offset,
-        scale_by: scale_by.to_vec(),
-        unit,
-    })
+    Ok(Numbers { scale, offset, scale_by: scale_by.to_vec(), unit })
 }
 
 /// Whether a counter can be the time axis of the samples.
@@ -783,12 +718,13 @@ fn wraps_at(keys: &SignalKeys, layout: Layout) -> Result<Option<f64>, String> {
     let whole = keys.kind != Kind::F32;
     match keys.wraps_at {
         None => Ok((is_position && whole).then(|| 2.0_f64.powi(i32::from(layout.width())))),
-        Some(_) if !is_position => Err(
-            "wraps_at is for a position (expected quantity \"angle\", unit \"counts\")".to_owned(),
-        ),
-        Some(counts) if counts < 2 => Err(format!(
-            "wraps_at {counts} is not allowed (expected 2 or more)"
-        )),
+        Some(_) if !is_position => {
+            Err("wraps_at is for a position (expected quantity \"angle\", unit \"counts\")"
+                .to_owned())
+        }
+        Some(counts) if counts < 2 => {
+            Err(format!("wraps_at {counts} is not allowed (expected 2 or more)"))
+        }
         Some(counts) => Ok(Some(f64::from(counts))),
     }
 }

@@ -153,13 +153,9 @@ impl Quantity {
             | Self::LineVoltage
             | Self::RatedVoltage
             | Self::VoltageLimit => &[Unit::V, Unit::Percent],
-            Self::ShaftSpeed | Self::OutputSpeed | Self::RatedSpeed | Self::Speed => &[
-                Unit::Rpm,
-                Unit::RadS,
-                Unit::Hertz,
-                Unit::CountsPerSecond,
-                Unit::Percent,
-            ],
+            Self::ShaftSpeed | Self::OutputSpeed | Self::RatedSpeed | Self::Speed => {
+                &[Unit::Rpm, Unit::RadS, Unit::Hertz, Unit::CountsPerSecond, Unit::Percent]
+            }
             Self::Torque => &[Unit::NewtonMetre, Unit::Percent],
             Self::Power => &[Unit::KiloWatt, Unit::Percent],
             Self::Duty => &[Unit::Percent],
@@ -186,9 +182,7 @@ impl Quantity {
             _ => return Ok(()),
         };
         let name = self.name();
-        Err(format!(
-            "quantity \"{name}\" is one of setpoints (expected {instead})"
-        ))
+        Err(format!("quantity \"{name}\" is one of setpoints (expected {instead})"))
     }
 
     /// Why a set-point cannot be of this quantity.
@@ -206,9 +200,7 @@ impl Quantity {
             _ => "speed, current, voltage, torque, duty, word or other",
         };
         let name = self.name();
-        Err(format!(
-            "quantity \"{name}\" is one of signals (expected {instead})"
-        ))
+        Err(format!("quantity \"{name}\" is one of signals (expected {instead})"))
     }
 
     /// The key that is wrong, and why a value of this quantity cannot be in this unit.

@@ -28,10 +28,7 @@ fn all_eleven_have_name_source_and_trust() {
         assert!(profile.source.len() > 10, "{line}");
     }
     let doubtful = DriveProfile::named("vacon10").unwrap().provenance();
-    assert!(
-        doubtful.contains("trust code; unverified: control_word, speed_ref"),
-        "{doubtful}"
-    );
+    assert!(doubtful.contains("trust code; unverified: control_word, speed_ref"), "{doubtful}");
 }
 
 #[test]
@@ -94,10 +91,7 @@ fn required_channels_are_mapped_or_missing_with_a_reason() {
         let map = map(name);
         for channel in RegisterMap::REQUIRED {
             let mapped = map.of_channel(channel).is_some();
-            let missing = map
-                .missing
-                .get(channel.key())
-                .is_some_and(|why| why.len() > 10);
+            let missing = map.missing.get(channel.key()).is_some_and(|why| why.len() > 10);
             assert!(mapped != missing, "{name} {}", channel.key());
         }
     }
@@ -120,12 +114,9 @@ fn reads_keep_the_drives_limits_and_serve_every_signal() {
         }
     }
     // Eleven registers in one read; one register a request.
-    for (name, reads) in [
-        ("vacon10", 1),
-        ("toshiba-vfs11", 2),
-        ("roboteq-dc", 3),
-        ("delta-ms300", 1),
-    ] {
+    for (name, reads) in
+        [("vacon10", 1), ("toshiba-vfs11", 2), ("roboteq-dc", 3), ("delta-ms300", 1)]
+    {
         let fast = plan_reads(&map(name), PollRate::Fast);
         assert_eq!(fast.len(), reads, "{name}");
     }

@@ -57,13 +57,7 @@ impl Kind {
 
 impl Layout {
     pub const fn plain(kind: Kind) -> Self {
-        Self {
-            kind,
-            words: Order::HighFirst,
-            bytes: Order::HighFirst,
-            byte: None,
-            bits: None,
-        }
+        Self { kind, words: Order::HighFirst, bytes: Order::HighFirst, byte: None, bits: None }
     }
 
     pub const fn registers(&self) -> u16 {
@@ -92,9 +86,11 @@ impl Layout {
             Some(Byte::Low) => whole & 0xFF,
             None => whole,
         };
-        Some(self.bits.map_or(part, |(first, last)| {
-            (part >> first) & (u32::MAX >> (31 - (last - first)))
-        }))
+        Some(
+            self.bits.map_or(part, |(first, last)| {
+                (part >> first) & (u32::MAX >> (31 - (last - first)))
+            }),
+        )
     }
 
     pub const fn width(&self) -> u16 {
@@ -195,11 +191,7 @@ mod tests {
             assert_eq!(decode(layout, registers), number, "{layout:?}");
         }
         assert_eq!(plain(Kind::I32).pattern(&[1]), None);
-        for (kind, raw) in [
-            (Kind::U16, -1.0),
-            (Kind::U16, 65_536.0),
-            (Kind::I16, f64::NAN),
-        ] {
+        for (kind, raw) in [(Kind::U16, -1.0), (Kind::U16, 65_536.0), (Kind::I16, f64::NAN)] {
             assert_eq!(plain(kind).encode(raw), None);
         }
     }

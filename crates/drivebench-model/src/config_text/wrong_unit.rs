@@ -17,16 +17,8 @@ const ENDINGS: [(&str, &str, &str); 31] = [
     ("_kohm", "_ohm", "1 kohm is 1000 ohm"),
     ("_mh", "_h", "1 mH is 0.001 H"),
     ("_uh", "_h", "1 uH is 0.000001 H"),
-    (
-        "_v_per_krpm",
-        "_v_s_per_rad",
-        "1 V per 1000 r/min is 0.0095493 V.s/rad",
-    ),
-    (
-        "_v_per_rpm",
-        "_v_s_per_rad",
-        "1 V per r/min is 9.5493 V.s/rad",
-    ),
+    ("_v_per_krpm", "_v_s_per_rad", "1 V per 1000 r/min is 0.0095493 V.s/rad"),
+    ("_v_per_rpm", "_v_s_per_rad", "1 V per r/min is 9.5493 V.s/rad"),
     ("_kg_cm2", "_kg_m2", "1 kg.cm2 is 0.0001 kg.m2"),
     ("_g_cm2", "_kg_m2", "1 g.cm2 is 0.0000001 kg.m2"),
     ("_kgcm2", "_kg_m2", "1 kg.cm2 is 0.0001 kg.m2"),
@@ -110,24 +102,12 @@ mod tests {
         let keys = ["rated_current_a", "rated_speed_rad_s", "reply_ms"];
         let (units, types) = (["", "A", "V", "rpm", "N.m"], ["u16", "i16", "i32"]);
         for (given, allowed, expected) in [
-            (
-                "rated_speed_rpm",
-                &keys[..],
-                "give rated_speed_rad_s: 1 r/min is 0.10472 rad/s",
-            ),
-            (
-                "rated_current_ma",
-                &keys,
-                "give rated_current_a: 1 mA is 0.001 A",
-            ),
+            ("rated_speed_rpm", &keys[..], "give rated_speed_rad_s: 1 r/min is 0.10472 rad/s"),
+            ("rated_current_ma", &keys, "give rated_current_a: 1 mA is 0.001 A"),
             ("reply_s", &keys, "give reply_ms: 1 s is 1000 ms"),
             ("rated_speed", &keys, ""),
             ("power_kw", &keys, ""),
-            (
-                "mA",
-                &units,
-                "give unit \"A\" with scale 0.001: 1 mA is 0.001 A",
-            ),
+            ("mA", &units, "give unit \"A\" with scale 0.001: 1 mA is 0.001 A"),
             ("MA", &units, ""),
             ("Nm", &units, "give `N.m`"),
             ("s32", &types, "give `i32`"),

@@ -15,10 +15,7 @@ fn bench(text: &str) -> Result<Bench, crate::config_text::ConfigError> {
 
 fn segment(text: &str) -> Segment {
     let bench = bench(&format!("[[sequence]]\n{text}\n"));
-    bench
-        .unwrap_or_else(|error| panic!("{text}: {error}"))
-        .sequence
-        .remove(0)
+    bench.unwrap_or_else(|error| panic!("{text}: {error}")).sequence.remove(0)
 }
 
 /// Each kind as it stands in a bench file.
@@ -74,9 +71,7 @@ fn examples_of_all_kinds_are_programs_and_read_back() {
         assert!(example.starts_with(&format!("{} = ", segment.key())));
         keeps_the_contract(&[segment], 400.0, &backwards);
     }
-    let written = Bench {
-        sequence: rich(24.0, 400.0, 7),
-    };
+    let written = Bench { sequence: rich(24.0, 400.0, 7) };
     let text = toml::to_string(&written).unwrap();
     assert_eq!(bench(&text).unwrap(), written, "{text}");
 }
@@ -141,9 +136,7 @@ fn keeps_the_contract(segments: &[Segment], slew_v_per_s: f64, order: &[usize]) 
 
     let step_s = (duration_s + 0.2) / POINTS as f64;
     let at = |index: usize| -0.1 + index as f64 * step_s;
-    let in_order: Vec<_> = (0..POINTS)
-        .map(|index| program.value_at(at(index)))
-        .collect();
+    let in_order: Vec<_> = (0..POINTS).map(|index| program.value_at(at(index))).collect();
     for index in order {
         assert_eq!(program.value_at(at(*index)), in_order[*index]);
     }

@@ -71,11 +71,7 @@ mod tests {
     #[test]
     fn the_dither_stands_on_the_ramp_and_changes_only_at_its_clock() {
         let ramp = [Piece::line((0.0, -4.0), (1.0, 4.0))];
-        let dither = Dither {
-            amplitude_v: 0.5,
-            clock_s: 0.03,
-            seed: 5,
-        };
+        let dither = Dither { amplitude_v: 0.5, clock_s: 0.03, seed: 5 };
         let pieces = dither.add(&ramp);
         assert_eq!(pieces.len(), 34);
         let mut ups = 0;

@@ -71,10 +71,6 @@ pub(super) fn refuse_unless(
     value: f64,
     allowed: &'static str,
 ) -> Result<(), Refusal> {
-    let refusal = Refusal {
-        key,
-        value,
-        allowed,
-    };
+    let refusal = Refusal { key, value, allowed };
     if good { Ok(()) } else { Err(refusal) }
 }

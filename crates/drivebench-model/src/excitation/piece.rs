@@ -11,12 +11,7 @@ pub struct Piece {
 
 impl Piece {
     pub const fn line((start_s, from_v): (f64, f64), (end_s, to_v): (f64, f64)) -> Self {
-        Self {
-            start_s,
-            end_s,
-            from_v,
-            to_v,
-        }
+        Self { start_s, end_s, from_v, to_v }
     }
 
     pub const fn level(start_s: f64, end_s: f64, volts: f64) -> Self {
@@ -34,11 +29,7 @@ impl Piece {
 
     #[must_use]
     pub const fn shifted(self, by_s: f64) -> Self {
-        Self {
-            start_s: self.start_s + by_s,
-            end_s: self.end_s + by_s,
-            ..self
-        }
+        Self { start_s: self.start_s + by_s, end_s: self.end_s + by_s, ..self }
     }
 }
 
@@ -71,9 +62,7 @@ pub(super) fn chords(
 ) -> Vec<Piece> {
     let mut from = (0.0, value_v(0.0));
     let corners = ends.chain([last_s]).map(|end_s| (end_s, value_v(end_s)));
-    corners
-        .map(|to| Piece::line(std::mem::replace(&mut from, to), to))
-        .collect()
+    corners.map(|to| Piece::line(std::mem::replace(&mut from, to), to)).collect()
 }
 
 /// Makes the pieces end at `end_s`: later ones go, and the last one is cut or extended.

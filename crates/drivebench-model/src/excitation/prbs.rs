@@ -63,14 +63,8 @@ impl Excitation for Prbs {
 mod tests {
     use super::*;
     fn levels_of(levels: u16, seed: u64) -> Vec<f64> {
-        let prbs = Prbs {
-            amplitude_v: 4.0,
-            clock_s: 0.01,
-            seconds: 5.0,
-            seed,
-            offset_v: 1.0,
-            levels,
-        };
+        let prbs =
+            Prbs { amplitude_v: 4.0, clock_s: 0.01, seconds: 5.0, seed, offset_v: 1.0, levels };
         match prbs.target() {
             Target::Voltage(pieces) => pieces.iter().map(|piece| piece.from_v).collect(),
             Target::Coast => vec![],

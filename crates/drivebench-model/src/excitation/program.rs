@@ -50,10 +50,7 @@ impl Program {
         if segments.is_empty() {
             return Err(ExcitationError::Empty);
         }
-        let mut limit = SlewLimit {
-            rate_v_per_s: slew_v_per_s,
-            voltage_v: 0.0,
-        };
+        let mut limit = SlewLimit { rate_v_per_s: slew_v_per_s, voltage_v: 0.0 };
         let mut pieces = Vec::new();
         let mut spans: Vec<Span> = Vec::new();
         let mut start_s = 0.0;
@@ -61,11 +58,7 @@ impl Program {
             let excitation = segment.excitation();
             let kind = segment.key();
             let number = index + 1;
-            let refused = |refusal| ExcitationError::Value {
-                number,
-                kind,
-                refusal,
-            };
+            let refused = |refusal| ExcitationError::Value { number, kind, refusal };
             excitation.check().map_err(refused)?;
             let end_s = start_s + excitation.duration_s();
             if end_s > LONGEST_S {
@@ -86,23 +79,13 @@ impl Program {
                 0 => kind.to_owned(),
                 earlier => format!("{kind} {}", earlier + 1),
             };
-            spans.push(Span {
-                name,
-                start_s,
-                end_s,
-                coast,
-            });
+            spans.push(Span { name, start_s, end_s, coast });
             start_s = end_s;
         }
         if limit.voltage_v != 0.0 {
             let end_s = start_s + limit.voltage_v.abs() / slew_v_per_s;
             pieces.push(Piece::line((start_s, limit.voltage_v), (end_s, 0.0)));
-            spans.push(Span {
-                name: "ramp down".into(),
-                start_s,
-                end_s,
-                coast: false,
-            });
+            spans.push(Span { name: "ramp down".into(), start_s, end_s, coast: false });
         }
         Ok(Self { pieces, spans })
     }
@@ -132,9 +115,7 @@ impl Program {
     /// Farthest voltage from zero, V.
     pub fn peak_v(&self) -> f64 {
         let pieces = self.pieces.iter();
-        pieces.fold(0.0, |peak_v, piece| {
-            peak_v.max(piece.from_v.abs()).max(piece.to_v.abs())
-        })
+        pieces.fold(0.0, |peak_v, piece| peak_v.max(piece.from_v.abs()).max(piece.to_v.abs()))
     }
 
     /// Corners `(time_s, voltage_v)` for a plot; two at one instant where a coast-down begins.
@@ -168,11 +149,7 @@ mod tests {
     use crate::excitation::{CoastDown, Prbs, Standstill, Steps};
 
     fn steps(levels_v: &[f64]) -> Segment {
-        Segment::Steps(Steps {
-            levels_v: levels_v.to_vec(),
-            hold_s: 0.5,
-            dither: None,
-        })
+        Segment::Steps(Steps { levels_v: levels_v.to_vec(), hold_s: 0.5, dither: None })
     }
 
     #[track_caller]
@@ -189,14 +166,8 @@ mod tests {
         let rest = Segment::Standstill(Standstill { seconds: 0.5 });
         let parts = [rest, steps(&[10.0, -10.0]), steps(&[5.0])];
         let program = Program::new(&parts, 100.0).unwrap();
-        assert_volts(
-            &program,
-            &[(-1.0, 0.0), (0.25, 0.0), (0.55, 5.0), (0.7, 10.0)],
-        );
-        assert_volts(
-            &program,
-            &[(1.1, 0.0), (1.3, -10.0), (1.65, 5.0), (2.025, 2.5)],
-        );
+        assert_volts(&program, &[(-1.0, 0.0), (0.25, 0.0), (0.55, 5.0), (0.7, 10.0)]);
+        assert_volts(&program, &[(1.1, 0.0), (1.3, -10.0), (1.65, 5.0), (2.025, 2.5)]);
         assert_volts(&program, &[(2.05, 0.0), (9.0, 0.0), (f64::NAN, 0.0)]);
         let names: Vec<_> = program.spans().iter().map(|span| &span.name).collect();
         assert_eq!(names, ["standstill", "steps", "steps 2", "ramp down"]);
@@ -233,11 +204,7 @@ mod tests {
             (vec![steps(&[1.0]), prbs], 100.0, clock),
             (vec![steps(&[1.0])], 0.0, "slew_v_per_s = 0 is"),
             (vec![], 1.0, "the sequence has no parts"),
-            (
-                vec![steps(&[f64::NAN])],
-                1.0,
-                "sequence part 1 (steps): levels_v = NaN",
-            ),
+            (vec![steps(&[f64::NAN])], 1.0, "sequence part 1 (steps): levels_v = NaN"),
             (vec![day.clone(), day], 1.0, "the sequence lasts 172800 s"),
         ] {
             let error = Program::new(&parts, slew_v_per_s).unwrap_err();

@@ -22,9 +22,7 @@ pub fn rich(voltage_v: f64, slew_v_per_s: f64, seed: u64) -> Vec<Segment> {
     let (standstill_s, ramp_s, sine_s) = (0.5, 2.0, 2.5);
     let other_s = levels_v.len() as f64 * hold_s + 2.0 * standstill_s + ramp_s + sine_s;
     let ramp_v = 0.25 * voltage_v;
-    let rest = Segment::Standstill(Standstill {
-        seconds: standstill_s,
-    });
+    let rest = Segment::Standstill(Standstill { seconds: standstill_s });
     vec![
         rest.clone(),
         Segment::Steps(Steps {
@@ -37,12 +35,7 @@ pub fn rich(voltage_v: f64, slew_v_per_s: f64, seed: u64) -> Vec<Segment> {
                 seed,
             }),
         }),
-        Segment::Ramp(Ramp {
-            from_v: -ramp_v,
-            to_v: ramp_v,
-            seconds: ramp_s,
-            dither: None,
-        }),
+        Segment::Ramp(Ramp { from_v: -ramp_v, to_v: ramp_v, seconds: ramp_s, dither: None }),
         Segment::Prbs(Prbs {
             amplitude_v: random_v,
             clock_s,
@@ -130,10 +123,7 @@ mod tests {
                     peak_a = peak_a.max(i.abs());
                 }
             }
-            assert!(
-                (5.7..4.0 * 5.7).contains(&peak_a),
-                "seed {seed}: {peak_a} A"
-            );
+            assert!((5.7..4.0 * 5.7).contains(&peak_a), "seed {seed}: {peak_a} A");
         }
     }
 }

@@ -114,30 +114,17 @@ mod tests {
     use super::*;
 
     fn chirp(from_hz: f64, to_hz: f64, seconds: f64) -> Chirp {
-        Chirp {
-            amplitude_v: 5.0,
-            from_hz,
-            to_hz,
-            seconds,
-            offset_v: 20.0,
-        }
+        Chirp { amplitude_v: 5.0, from_hz, to_hz, seconds, offset_v: 20.0 }
     }
 
     #[test]
     fn chords_are_close_to_the_curve() {
         let sweep = chirp(0.5, 32.0, 12.0);
-        let sine = Sine {
-            amplitude_v: 12.0,
-            frequency_hz: 0.4,
-            seconds: 3.3,
-        };
+        let sine = Sine { amplitude_v: 12.0, frequency_hz: 0.4, seconds: 3.3 };
         let sine_v = |t: f64| 12.0 * (TAU * 0.4 * t).sin();
         let sweep_v = |t: f64| 20.0 + 5.0 * (TAU * sweep.periods_at(t)).sin();
         let curves: [&dyn Fn(f64) -> f64; 2] = [&sine_v, &sweep_v];
-        let rows = [
-            (sine.target(), 3.3, 12.0 * 3.1e-4),
-            (sweep.target(), 12.0, 5.0 * 1.3e-3),
-        ];
+        let rows = [(sine.target(), 3.3, 12.0 * 3.1e-4), (sweep.target(), 12.0, 5.0 * 1.3e-3)];
         for ((target, end_s, within_v), exact_v) in rows.into_iter().zip(curves) {
             let Target::Voltage(pieces) = target else {
                 panic!("a sine is a voltage");

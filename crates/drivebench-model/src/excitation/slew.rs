@@ -57,10 +57,7 @@ mod tests {
 
     #[test]
     fn a_step_becomes_a_ramp_and_a_hold() {
-        let mut limit = SlewLimit {
-            rate_v_per_s: 10.0,
-            voltage_v: 0.0,
-        };
+        let mut limit = SlewLimit { rate_v_per_s: 10.0, voltage_v: 0.0 };
         let mut pieces = Vec::new();
         limit.follow(&Piece::level(1.0, 2.0, 4.0), &mut pieces);
         assert_eq!(pieces.len(), 2);

@@ -20,12 +20,7 @@ pub struct ChangeWatch {
 impl ChangeWatch {
     /// `noise`: mean square of the residuals of rows as far as it is known beforehand.
     pub const fn new(least_share: f64, noise: f64) -> Self {
-        Self {
-            least_share,
-            noise,
-            window: [(0.0, 0.0); WINDOW],
-            rows: 0,
-        }
+        Self { least_share, noise, window: [(0.0, 0.0); WINDOW], rows: 0 }
     }
 
     /// The next row does not follow the last one, or the memory was dropped.

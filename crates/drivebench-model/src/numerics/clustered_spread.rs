@@ -15,11 +15,7 @@ pub(super) struct ClusteredSpread<const N: usize> {
 
 impl<const N: usize> ClusteredSpread<N> {
     pub(super) const fn new() -> Self {
-        Self {
-            open: [0.0; N],
-            rows: 0,
-            closed: [[0.0; N]; N],
-        }
+        Self { open: [0.0; N], rows: 0, closed: [[0.0; N]; N] }
     }
 
     /// One row with its gain and its residual after the update. Blocks have 25 rows.

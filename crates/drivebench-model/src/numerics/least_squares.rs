@@ -27,11 +27,7 @@ pub fn solve(matrix: &DMatrix<f64>, right: &DVector<f64>, block_of: &[usize]) ->
     let x = &bread * matrix.tr_mul(right);
     let residual = right - matrix * &x;
     let covariance = clustered(matrix, &residual, block_of, bread, &determined);
-    Some(Solution {
-        x,
-        covariance,
-        residual,
-    })
+    Some(Solution { x, covariance, residual })
 }
 
 /// Scales every column to a norm of one, and gives the norms.
@@ -50,10 +46,9 @@ pub fn ridge(mut columns: DMatrix<f64>, right: &DVector<f64>) -> (DVector<f64>, 
     let projected = columns.tr_mul(right);
     // Tikhonov damping: a column of zeros, or one that repeats another, stays at zero.
     let normal = columns.tr_mul(&columns) + DMatrix::identity(scales.len(), scales.len()) * 1e-10;
-    let mut solution = normal.cholesky().map_or_else(
-        || DVector::zeros(scales.len()),
-        |factor| factor.solve(&projected),
-    );
+    let mut solution = normal
+        .cholesky()
+        .map_or_else(|| DVector::zeros(scales.len()), |factor| factor.solve(&projected));
     let explained = projected.dot(&solution);
     for (value, scale) in solution.iter_mut().zip(&scales) {
         *value /= *scale;

@@ -77,11 +77,7 @@ impl Minimum {
     /// Without residual and Jacobian: where only the end of the search counts, and many are kept.
     #[must_use]
     pub fn brief(self) -> Self {
-        Self {
-            residual: Vec::new(),
-            jacobian: DMatrix::zeros(0, 0),
-            ..self
-        }
+        Self { residual: Vec::new(), jacobian: DMatrix::zeros(0, 0), ..self }
     }
 }
 
@@ -99,15 +95,12 @@ pub fn minimise(problem: &impl Problem, start: &[f64], options: Options) -> Opti
         iterations += 1;
         let before = search.cost;
         let normal = search.jacobian.tr_mul(&search.jacobian);
-        let gradient = search
-            .jacobian
-            .tr_mul(&DVector::from_column_slice(&search.residual));
+        let gradient = search.jacobian.tr_mul(&DVector::from_column_slice(&search.residual));
         // Where even a linear problem would gain nothing, no step need be tried.
         let can_gain = promised(&normal, &gradient) > 0.3 * options.relative_cost * before;
         let trials = if exact { 8 } else { 2 };
-        let step = can_gain
-            .then(|| search.step(problem, options, (&normal, &gradient), trials))
-            .flatten();
+        let step =
+            can_gain.then(|| search.step(problem, options, (&normal, &gradient), trials)).flatten();
         let gained = before - search.cost;
         let small = gained <= options.relative_cost * before;
         if small && !exact {
@@ -151,9 +144,7 @@ fn promised(normal: &DMatrix<f64>, gradient: &DVector<f64>) -> f64 {
     for index in 0..gradient.len() {
         damped[(index, index)] += 1e-9 * normal[(index, index)] + 1e-300;
     }
-    damped.cholesky().map_or(f64::INFINITY, |factor| {
-        gradient.dot(&factor.solve(gradient))
-    })
+    damped.cholesky().map_or(f64::INFINITY, |factor| gradient.dot(&factor.solve(gradient)))
 }
 
 /// The change of a step and the residual before it.
@@ -365,21 +356,16 @@ mod tests {
 
     fn decay(gain: f64) -> Decay {
         let data = (0..30).map(|k| gain * (-0.2 * f64::from(k)).exp());
-        Decay {
-            data: data.collect(),
-            can_evaluate: true,
-            misleads: false,
-        }
+        Decay { data: data.collect(), can_evaluate: true, misleads: false }
     }
 
     #[test]
     fn gain_and_rate_are_found_also_with_a_carried_jacobian() {
         let mut thrifty = Options::thrifty();
         thrifty.relative_cost = 1e-9;
-        for (start, options, within) in [
-            ([0.3, 0.5f64.ln()], Options::default(), 1e-6),
-            ([2.0, 0.25f64.ln()], thrifty, 1e-4),
-        ] {
+        for (start, options, within) in
+            [([0.3, 0.5f64.ln()], Options::default(), 1e-6), ([2.0, 0.25f64.ln()], thrifty, 1e-4)]
+        {
             let minimum = minimise(&decay(3.0), &start, options).unwrap();
             let off = [minimum.x[0] - 3.0, minimum.x[1].exp() - 0.2];
             assert!(off.iter().all(|off| off.abs() < within), "{minimum:?}");
@@ -390,10 +376,7 @@ mod tests {
 
     #[test]
     fn a_search_stays_within_bounds_and_reports_where_it_fails() {
-        let options = Options {
-            most_iterations: 1000,
-            ..Options::default()
-        };
+        let options = Options { most_iterations: 1000, ..Options::default() };
         let minimum = minimise(&decay(30.0), &[1.0, -3.0], options).unwrap();
         assert!(minimum.x[0] <= 10.0 && minimum.converged, "{minimum:?}");
         let mut problem = decay(3.0);

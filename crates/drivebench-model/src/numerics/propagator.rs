@@ -44,20 +44,9 @@ impl LinearPart {
             } else {
                 [mean + q, mean - q]
             };
-            RealEigenvalues {
-                each,
-                inverse: each.map(|rate| 1.0 / rate),
-                over_distance: 0.5 / q,
-            }
+            RealEigenvalues { each, inverse: each.map(|rate| 1.0 / rate), over_distance: 0.5 / q }
         });
-        Self {
-            a: *a,
-            mean,
-            square,
-            determinant,
-            size: mean.abs() + square.abs().sqrt(),
-            real,
-        }
+        Self { a: *a, mean, square, determinant, size: mean.abs() + square.abs().sqrt(), real }
     }
 
     fn is_short(&self, t: f64) -> bool {
@@ -97,10 +86,7 @@ impl LinearPart {
             let sum = constant + 0.5 * (one + two);
             combine(&self.a, self.mean, sum, (one - two) * real.over_distance)
         };
-        Propagator {
-            phi: combined(1.0, grown),
-            gamma: combined(0.0, [integral(0), integral(1)]),
-        }
+        Propagator { phi: combined(1.0, grown), gamma: combined(0.0, [integral(0), integral(1)]) }
     }
 
     /// Complex or nearly equal eigenvalues.
@@ -113,10 +99,7 @@ impl LinearPart {
         } else {
             // cosh and sinh of a small argument, to fourth order.
             let z = d * t * t;
-            (
-                1.0 + z / 2.0 + z * z / 24.0,
-                t * (1.0 + z / 6.0 + z * z / 120.0),
-            )
+            (1.0 + z / 2.0 + z * z / 24.0, t * (1.0 + z / 6.0 + z * z / 120.0))
         };
         let phi = combine(a, self.mean, decay * c, decay * s);
         // Gamma = A^-1 (Phi - I); the determinant is m^2 - d > 0 here.
@@ -125,10 +108,7 @@ impl LinearPart {
             [a[1][1] / determinant, -a[0][1] / determinant],
             [-a[1][0] / determinant, a[0][0] / determinant],
         ];
-        Propagator {
-            phi,
-            gamma: multiply(&inverse, &p),
-        }
+        Propagator { phi, gamma: multiply(&inverse, &p) }
     }
 }
 
@@ -152,19 +132,13 @@ impl Propagator {
                 *cell += added;
             }
         }
-        Self {
-            phi: multiply(&next.phi, &self.phi),
-            gamma,
-        }
+        Self { phi: multiply(&next.phi, &self.phi), gamma }
     }
 }
 
 /// `c I + s (A - m I)`.
 fn combine(a: &M2, m: f64, c: f64, s: f64) -> M2 {
-    [
-        [c + s * (a[0][0] - m), s * a[0][1]],
-        [s * a[1][0], c + s * (a[1][1] - m)],
-    ]
+    [[c + s * (a[0][0] - m), s * a[0][1]], [s * a[1][0], c + s * (a[1][1] - m)]]
 }
 
 fn multiply(a: &M2, b: &M2) -> M2 {
@@ -242,10 +216,7 @@ mod tests {
                     let exact = found.apply(x, g);
                     let is_near =
                         |n: usize| (exact[n] - steps[n]).abs() < 1e-8 * steps[n].abs().max(1e-3);
-                    assert!(
-                        is_near(0) && is_near(1),
-                        "{way} {a:?} {t} {exact:?} {steps:?}"
-                    );
+                    assert!(is_near(0) && is_near(1), "{way} {a:?} {t} {exact:?} {steps:?}");
                 }
             }
         }

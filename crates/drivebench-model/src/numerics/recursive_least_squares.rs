@@ -17,10 +17,7 @@ pub struct RowNoise {
 }
 
 impl RowNoise {
-    pub const WHITE: Self = Self {
-        carry: 0.0,
-        continues: false,
-    };
+    pub const WHITE: Self = Self { carry: 0.0, continues: false };
 }
 
 /// Least squares with exponential memory in `N` parameters; allocates nothing.
@@ -331,10 +328,7 @@ mod tests {
     #[test]
     fn standard_deviations_are_those_of_repeated_trials() {
         for carry in [0.0, 1.0] {
-            let kind = RowNoise {
-                carry,
-                continues: true,
-            };
+            let kind = RowNoise { carry, continues: true };
             let (mut squares, mut claimed) = ([0.0; 3], [0.0; 3]);
             for seed in 0..300 {
                 let mut random = ChaCha8Rng::seed_from_u64(seed);

@@ -73,11 +73,7 @@ fn iterate<const N: usize>(
         *gain = k;
         changes.push(change);
         if change < tolerance && !grows {
-            return Some(Steady {
-                gain: k,
-                matrix,
-                changes,
-            });
+            return Some(Steady { gain: k, matrix, changes });
         }
     }
     None

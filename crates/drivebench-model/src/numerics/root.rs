@@ -19,11 +19,7 @@ pub fn falling_through_zero(
         }
         let is_low = there > 0.0;
         // An end that stays twice in a row is weighted down, else the secant would creep.
-        let weight = if last_was_low == Some(is_low) {
-            0.5
-        } else {
-            1.0
-        };
+        let weight = if last_was_low == Some(is_low) { 0.5 } else { 1.0 };
         if is_low {
             (low, at_low, at_high) = (place, there, at_high * weight);
         } else {

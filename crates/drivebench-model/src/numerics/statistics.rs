@@ -19,9 +19,9 @@ pub fn largest<V: Borrow<f64>>(values: impl IntoIterator<Item = V>) -> f64 {
 /// Least and most; infinite the wrong way round for no values.
 pub fn extent<V: Borrow<f64>>(values: impl IntoIterator<Item = V>) -> (f64, f64) {
     let none = (f64::INFINITY, f64::NEG_INFINITY);
-    values.into_iter().fold(none, |(least, most), value| {
-        (least.min(*value.borrow()), most.max(*value.borrow()))
-    })
+    values
+        .into_iter()
+        .fold(none, |(least, most), value| (least.min(*value.borrow()), most.max(*value.borrow())))
 }
 
 pub fn mean_step(times: &[f64]) -> f64 {

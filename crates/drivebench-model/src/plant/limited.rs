@@ -42,9 +42,8 @@ struct Stretch {
 pub(super) fn applied(run: &Run, commands: &[Point]) -> (Vec<Point>, Vec<LimitReached>) {
     let mut reached = Vec::new();
     let stretches = stretches(run).into_iter();
-    let events = stretches.fold(commands.to_vec(), |events, stretch| {
-        replaced(&events, &stretch, &mut reached)
-    });
+    let events = stretches
+        .fold(commands.to_vec(), |events, stretch| replaced(&events, &stretch, &mut reached));
     (events, reached)
 }
 
@@ -88,11 +87,7 @@ fn replaced(events: &[Point], stretch: &Stretch, reached: &mut Vec<LimitReached>
     let last_side = decided.next_back().unwrap_or(first_side);
     let limit = |time_s: f64, side: f64, line_v: f64| {
         let command = held(time_s);
-        if side < 0.0 {
-            command.min(line_v)
-        } else {
-            command.max(line_v)
-        }
+        if side < 0.0 { command.min(line_v) } else { command.max(line_v) }
     };
     let mut inside = Vec::new();
     let pieces = |from_s: f64, to_s: f64, volts: &dyn Fn(f64) -> f64| -> Vec<Point> {
@@ -129,16 +124,11 @@ fn replaced(events: &[Point], stretch: &Stretch, reached: &mut Vec<LimitReached>
         }
     };
     let line = |a: Point, b: Point, time_s: f64| {
-        if b.0 > a.0 {
-            a.1 + (b.1 - a.1) * (time_s - a.0) / (b.0 - a.0)
-        } else {
-            a.1
-        }
+        if b.0 > a.0 { a.1 + (b.1 - a.1) * (time_s - a.0) / (b.0 - a.0) } else { a.1 }
     };
     let second = *samples.get(1).unwrap_or(&first);
-    let towards = pieces(stretch.before_s, first.0, &|t| {
-        limit(t, first_side, line(first, second, t))
-    });
+    let towards =
+        pieces(stretch.before_s, first.0, &|t| limit(t, first_side, line(first, second, t)));
     let stays = |at: usize| (sides.get(at + 1)? * sides[at] > 0.0).then_some(at + 1);
     reach(&towards, stretch.before_a, 0, stays(0));
     inside.extend(towards);
@@ -154,12 +144,8 @@ fn replaced(events: &[Point], stretch: &Stretch, reached: &mut Vec<LimitReached>
         let (to, from) = (pair[0], pair[1]);
         let before = if at > 0 { samples[at - 1] } else { to };
         let behind = *samples.get(at + 2).unwrap_or(&from);
-        inside.extend(pieces(to.0, turned_s, &|t| {
-            limit(t, sides[at], line(before, to, t))
-        }));
-        let towards = pieces(turned_s, from.0, &|t| {
-            limit(t, sides[at + 1], line(from, behind, t))
-        });
+        inside.extend(pieces(to.0, turned_s, &|t| limit(t, sides[at], line(before, to, t))));
+        let towards = pieces(turned_s, from.0, &|t| limit(t, sides[at + 1], line(from, behind, t)));
         reach(&towards, current(at), at + 1, stays(at + 1));
         inside.extend(towards);
     }
@@ -177,13 +163,9 @@ fn replaced(events: &[Point], stretch: &Stretch, reached: &mut Vec<LimitReached>
 
 /// When within `(from_s, to_s]` the command changed most, if it did.
 fn largest_step(events: &[Point], from_s: f64, to_s: f64) -> Option<f64> {
-    let steps = events
-        .windows(2)
-        .map(|pair| (pair[1].0, (pair[1].1 - pair[0].1).abs()));
+    let steps = events.windows(2).map(|pair| (pair[1].0, (pair[1].1 - pair[0].1).abs()));
     let within = steps.filter(|step| step.0 > from_s && step.0 <= to_s && step.1 > 0.0);
-    within
-        .max_by(|one, other| one.1.total_cmp(&other.1))
-        .map(|step| step.0)
+    within.max_by(|one, other| one.1.total_cmp(&other.1)).map(|step| step.0)
 }
 
 fn sign(of: f64) -> f64 {
@@ -204,11 +186,7 @@ mod tests {
         let rows = || (0..12).map(f64::from);
         let measured = rows().map(|k| command(k).min(30.0 + 2.0 * k)).collect();
         let columns = [
-            (
-                Channel::VoltageCmd,
-                rows().map(command).collect(),
-                Origin::Commanded,
-            ),
+            (Channel::VoltageCmd, rows().map(command).collect(), Origin::Commanded),
             (Channel::Voltage, measured, Origin::Measured),
         ];
         let mut run = run_of("r", rows().map(|k| 0.01 * k).collect(), columns);
@@ -221,10 +199,7 @@ mod tests {
     fn assert_held(events: &[Point], points: &[Point], within: f64) {
         for (time_s, volts) in points {
             let found = signal::held(events, *time_s).unwrap();
-            assert!(
-                (found - volts).abs() < within,
-                "{time_s} s: {found}: {events:?}"
-            );
+            assert!((found - volts).abs() < within, "{time_s} s: {found}: {events:?}");
         }
     }
 
@@ -246,17 +221,9 @@ mod tests {
         let grows = events.windows(2).all(|pair| pair[0].0 < pair[1].0);
         assert!(grows, "{events:?}");
         // Inside: 38 to 40 to 42 V; the command was 40 to 60 V.
-        assert_held(
-            &events,
-            &[(0.0451, 39.0), (0.0551, 41.0), (0.0651, 43.0)],
-            0.1,
-        );
+        assert_held(&events, &[(0.0451, 39.0), (0.0551, 41.0), (0.0651, 43.0)], 0.1);
         // Before the line is crossed the command of 30 V holds; after the release it is back.
-        assert_held(
-            &events,
-            &[(0.025, 20.0), (0.035, 30.0), (0.0725, 0.0)],
-            1e-12,
-        );
+        assert_held(&events, &[(0.025, 20.0), (0.035, 30.0), (0.0725, 0.0)], 1e-12);
     }
 
     #[test]
@@ -276,21 +243,9 @@ mod tests {
         let (events, reached) = applied(&run, &commands);
         assert_eq!(reached, [], "no current was measured");
         // To the instant of the reversal on the one side, on the other from there.
-        assert_held(
-            &events,
-            &[(0.0121, 0.0), (0.0171, 31.7), (0.0351, 33.5)],
-            0.15,
-        );
-        assert_held(
-            &events,
-            &[(0.0421, 34.2), (0.0449, 34.5), (0.0451, -34.5)],
-            0.15,
-        );
-        assert_held(
-            &events,
-            &[(0.0481, -34.8), (0.0651, -36.5), (0.0831, -38.3)],
-            0.15,
-        );
+        assert_held(&events, &[(0.0121, 0.0), (0.0171, 31.7), (0.0351, 33.5)], 0.15);
+        assert_held(&events, &[(0.0421, 34.2), (0.0449, 34.5), (0.0451, -34.5)], 0.15);
+        assert_held(&events, &[(0.0481, -34.8), (0.0651, -36.5), (0.0831, -38.3)], 0.15);
         assert_held(&events, &[(0.0871, -20.0), (0.0951, -20.0)], 0.15);
     }
 
@@ -318,11 +273,7 @@ mod tests {
             }
             i += h_s * (volts - r * i - ke * w) / l;
             let is_held = w <= 0.0 && (ke * i).abs() <= mc;
-            w = if is_held {
-                0.0
-            } else {
-                w + h_s * (ke * i - mc * w.signum()) / j
-            };
+            w = if is_held { 0.0 } else { w + h_s * (ke * i - mc * w.signum()) / j };
         }
         let [command, voltage, current, speed] = columns;
         let columns = [
@@ -345,9 +296,7 @@ mod tests {
         for (commands, late_s) in [(step, 0.0), (level, 0.0443)] {
             let run = chopped(&commands, commands[1].0 + late_s);
             let scenario = Scenario::from_run(&run).unwrap();
-            let [limit] = scenario.limits[..] else {
-                panic!("{:?}", scenario.limits)
-            };
+            let [limit] = scenario.limits[..] else { panic!("{:?}", scenario.limits) };
             let is_near = (limit.to_s - 0.06).abs() < 1e-9 && (limit.current_a - 10.0).abs() < 0.05;
             assert!(is_near, "{limit:?}");
             let mut model = Model::baseline(Motor::zk_22fc());

@@ -16,11 +16,7 @@ pub enum ModelError {
     #[error("effect {id:?} is not in the model")]
     Absent { id: String },
     #[error("{key} = {value} is not allowed (expected {allowed})")]
-    Value {
-        key: String,
-        value: f64,
-        allowed: String,
-    },
+    Value { key: String, value: f64, allowed: String },
     #[error("parameter {key:?} is not one of this model")]
     UnknownParameter { key: String },
     #[error("{key} has no value: identify the model first, or give it in the model file")]
@@ -74,18 +70,12 @@ impl std::fmt::Debug for ActiveEffect {
 
 impl ActiveEffect {
     pub fn new(effect: &'static dyn Effect) -> Self {
-        Self {
-            effect,
-            values: vec![None; effect.parameters().len()],
-        }
+        Self { effect, values: vec![None; effect.parameters().len()] }
     }
 
     /// With these values, in the order of its parameters.
     pub fn with(effect: &'static dyn Effect, values: &[f64]) -> Self {
-        Self {
-            effect,
-            values: values.iter().copied().map(Some).collect(),
-        }
+        Self { effect, values: values.iter().copied().map(Some).collect() }
     }
 
     pub fn id(&self) -> &'static str {
@@ -115,12 +105,7 @@ impl ActiveEffect {
 #[derive(Clone, Copy, Debug)]
 pub enum Slot {
     Motor(MotorKey),
-    Effect {
-        index: usize,
-        parameter: usize,
-        spec: &'static ParameterSpec,
-        id: &'static str,
-    },
+    Effect { index: usize, parameter: usize, spec: &'static ParameterSpec, id: &'static str },
 }
 
 impl Slot {
@@ -164,10 +149,7 @@ pub struct Held {
 
 impl Model {
     pub fn baseline(motor: Motor) -> Self {
-        Self {
-            motor,
-            ..Self::default()
-        }
+        Self { motor, ..Self::default() }
     }
 
     /// Every parameter of the model. The torque constant is one only where the motor gives it, and the electrical keys
@@ -182,12 +164,7 @@ impl Model {
             .collect();
         for (index, active) in self.effects.iter().enumerate() {
             for (parameter, spec) in active.effect.parameters().iter().enumerate() {
-                slots.push(Slot::Effect {
-                    index,
-                    parameter,
-                    spec,
-                    id: active.id(),
-                });
+                slots.push(Slot::Effect { index, parameter, spec, id: active.id() });
             }
         }
         slots
@@ -207,9 +184,7 @@ impl Model {
 
     /// True when no electrical key is given: only the torque balance can be used.
     fn is_mechanical_only(&self) -> bool {
-        let mut given = MotorKey::ALL
-            .into_iter()
-            .filter(|key| self.motor.get(*key).is_some());
+        let mut given = MotorKey::ALL.into_iter().filter(|key| self.motor.get(*key).is_some());
         let has_any = given.clone().next().is_some();
         has_any && !given.any(MotorKey::is_electrical)
     }
@@ -217,18 +192,16 @@ impl Model {
     pub fn get(&self, slot: &Slot) -> Option<f64> {
         match *slot {
             Slot::Motor(key) => self.motor.get(key),
-            Slot::Effect {
-                index, parameter, ..
-            } => self.effects[index].values[parameter],
+            Slot::Effect { index, parameter, .. } => self.effects[index].values[parameter],
         }
     }
 
     pub fn set(&mut self, slot: &Slot, value: f64) {
         match *slot {
             Slot::Motor(key) => self.motor.set(key, value),
-            Slot::Effect {
-                index, parameter, ..
-            } => self.effects[index].values[parameter] = Some(value),
+            Slot::Effect { index, parameter, .. } => {
+                self.effects[index].values[parameter] = Some(value)
+            }
         }
     }
 
@@ -255,9 +228,7 @@ impl Model {
     /// The path of command and measurement, by the effects that have their values.
     pub fn known_path(&self) -> Path {
         let known = self.effects.iter().filter_map(ActiveEffect::given_terms);
-        known
-            .map(|terms| terms.path())
-            .fold(Path::default(), Path::plus)
+        known.map(|terms| terms.path()).fold(Path::default(), Path::plus)
     }
 
     /// Fixes the parameter `key` for as long as the effect `id` is in the model. False where it is fixed independently.
@@ -269,10 +240,7 @@ impl Model {
         if !is_fixed {
             self.fixed.push(key.to_owned());
         }
-        let held = Held {
-            effect: id.to_owned(),
-            key: key.to_owned(),
-        };
+        let held = Held { effect: id.to_owned(), key: key.to_owned() };
         if !self.held.contains(&held) {
             self.held.push(held);
         }
@@ -320,11 +288,7 @@ impl Model {
             };
             if !is_good {
                 let key = slot.key();
-                return Err(ModelError::Value {
-                    key,
-                    value,
-                    allowed,
-                });
+                return Err(ModelError::Value { key, value, allowed });
             }
         }
         let keys: Vec<String> = self.slots().iter().map(Slot::key).collect();
@@ -347,8 +311,7 @@ mod tests {
     fn effects_are_added_once_and_removed_with_their_fixed_keys() {
         let base = Model::baseline(Motor::zk_22fc());
         let mut more = base.with_effect("stribeck_friction").unwrap();
-        more.fixed
-            .push("stribeck_friction.stribeck_speed_rad_s".to_owned());
+        more.fixed.push("stribeck_friction.stribeck_speed_rad_s".to_owned());
         assert!(more.validate().is_ok());
         let duplicate = more.with_effect("stribeck_friction").unwrap_err();
         assert!(matches!(duplicate, ModelError::Duplicate { .. }));
@@ -369,10 +332,7 @@ mod tests {
             model = model.with_effect(id).unwrap();
             assert!(model.hold(id, "resistance_ohm"));
         }
-        assert!(
-            !model.hold("supply_sag", "inductance_h"),
-            "fixed independently"
-        );
+        assert!(!model.hold("supply_sag", "inductance_h"), "fixed independently");
         assert_eq!(model.fixed, ["inductance_h", "resistance_ohm"]);
         let one = model.without_effect("supply_sag").unwrap();
         assert_eq!(one.fixed, model.fixed, "the other still holds it");

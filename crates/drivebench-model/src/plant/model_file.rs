@@ -94,9 +94,7 @@ impl ModelFile {
         for (id, key) in &held {
             model.hold(id, key);
         }
-        model
-            .validate()
-            .map_err(|error| reader.error(0, error.key(), &error.to_string()))?;
+        model.validate().map_err(|error| reader.error(0, error.key(), &error.to_string()))?;
         Ok(Self { model, history })
     }
 
@@ -152,12 +150,7 @@ impl ModelFile {
         }
         for (parameter, spec) in active.effect.parameters().iter().enumerate() {
             if let Some(value) = active.effect.written(parameter, active.values[parameter]) {
-                let slot = Slot::Effect {
-                    index,
-                    parameter,
-                    spec,
-                    id: active.id(),
-                };
+                let slot = Slot::Effect { index, parameter, spec, id: active.id() };
                 let value = match value {
                     toml::Value::Float(value) => format!("{value:?}"),
                     other => other.to_string(),
@@ -173,9 +166,7 @@ impl ModelFile {
         let key = slot.key();
         let mut fitted = self.history.fitted.iter();
         let fitted = fitted.find(|fitted| fitted.key == key);
-        fitted.map_or_else(String::new, |it| {
-            format!("  # +- {:?} {}", it.std, slot.unit())
-        })
+        fitted.map_or_else(String::new, |it| format!("  # +- {:?} {}", it.std, slot.unit()))
     }
 }
 
@@ -397,10 +388,7 @@ stribeck_n_m = 0.2
     fn a_written_file_reads_back_to_the_same_model() {
         let mut file = parsed(TEXT);
         file.history.fitted_on.push("runs/x \"quoted\"".to_owned());
-        file.history.fitted.push(FittedValue {
-            key: "inertia_kg_m2".into(),
-            std: 2e-6,
-        });
+        file.history.fitted.push(FittedValue { key: "inertia_kg_m2".into(), std: 2e-6 });
         let again = parsed(&file.to_toml());
         assert_eq!(again.model.motor, file.model.motor);
         assert_eq!(again.model.fixed, file.model.fixed);
@@ -443,10 +431,7 @@ value_2 = 1.5
     #[test]
     fn effects_that_the_user_defines_read_back_to_the_same_effects() {
         let mut file = parsed(DEFINED);
-        file.history.fitted.push(FittedValue {
-            key: "custom.a".into(),
-            std: 1e-8,
-        });
+        file.history.fitted.push(FittedValue { key: "custom.a".into(), std: 1e-8 });
         file.model.fixed = vec!["inertia_kg_m2".to_owned()];
         assert!(file.model.hold("table_time", "resistance_ohm"));
         let text = file.to_toml();
@@ -475,9 +460,7 @@ value_2 = 1.5
 
     #[test]
     fn a_parameter_may_have_any_letters() {
-        let text = DEFINED
-            .replace("a = 1e-6", "\"\u{b5}\" = 1e-6")
-            .replace("a*abs", "\u{b5}*abs");
+        let text = DEFINED.replace("a = 1e-6", "\"\u{b5}\" = 1e-6").replace("a*abs", "\u{b5}*abs");
         let mut file = parsed(&text);
         file.model.fixed = vec!["custom.\u{b5}".to_owned()];
         let again = parsed(&file.to_toml());
@@ -504,13 +487,7 @@ value_2 = 1.5
             (DEFINED, "[\"d\"]", "[\"d\", \"e\"]", 14, 1),
             (DEFINED, "ws = { value", "ws = { valeu", 8, 1),
             (DEFINED, "a = 1e-6", "a = \"x\"", 8, 1),
-            (
-                DEFINED,
-                "equation = \"voltage\"\nexpression",
-                "expression",
-                11,
-                1,
-            ),
+            (DEFINED, "equation = \"voltage\"\nexpression", "expression", 11, 1),
             (DEFINED, "0.0, 100.0]", "0.0, -1.0]", 20, 1),
             (DEFINED, "value_2", "value_3", 28, 1),
             (DEFINED, "value_2 = 1.5", "holds = [\"resistance\"]", 1, 1),
@@ -523,11 +500,7 @@ value_2 = 1.5
         }
         for (from, to, nearest) in [
             ("inertia_kg_m2", "inertia_kgm2", "`inertia_kg_m2`"),
-            (
-                "\"viscous_friction\"",
-                "\"viscous\"",
-                "\"viscous_friction\"",
-            ),
+            ("\"viscous_friction\"", "\"viscous\"", "\"viscous_friction\""),
         ] {
             let error = ModelFile::parse("m.toml", &TEXT.replace(from, to)).unwrap_err();
             assert_eq!(error.help, format!("did you mean {nearest}?"));

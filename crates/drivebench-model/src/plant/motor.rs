@@ -43,10 +43,7 @@ impl MotorKey {
     }
 
     pub const fn is_electrical(self) -> bool {
-        matches!(
-            self,
-            Self::Resistance | Self::Inductance | Self::BackEmf | Self::TorqueConstant
-        )
+        matches!(self, Self::Resistance | Self::Inductance | Self::BackEmf | Self::TorqueConstant)
     }
 
     pub fn from_key(key: &str) -> Option<Self> {
@@ -63,10 +60,7 @@ pub struct Motor {
 
 impl Motor {
     pub fn new(name: impl Into<String>) -> Self {
-        Self {
-            name: name.into(),
-            values: [None; MotorKey::COUNT],
-        }
+        Self { name: name.into(), values: [None; MotorKey::COUNT] }
     }
 
     pub fn get(&self, key: MotorKey) -> Option<f64> {
@@ -89,8 +83,7 @@ impl Motor {
 
     /// Torque per ampere; equal to the back-EMF constant (SI, direct-current machine) unless given.
     pub fn torque_constant(&self) -> Option<f64> {
-        self.get(MotorKey::TorqueConstant)
-            .or_else(|| self.get(MotorKey::BackEmf))
+        self.get(MotorKey::TorqueConstant).or_else(|| self.get(MotorKey::BackEmf))
     }
 
     /// Electrical time constant L/R, s.

@@ -33,19 +33,9 @@ pub enum ScenarioError {
     #[error(
         "run {run:?}: {gap_s} s pass between two samples near {time_s} s (the median is {median_s} s, at most {allowed_s} s are allowed)"
     )]
-    Gap {
-        run: String,
-        gap_s: f64,
-        time_s: f64,
-        median_s: f64,
-        allowed_s: f64,
-    },
+    Gap { run: String, gap_s: f64, time_s: f64, median_s: f64, allowed_s: f64 },
     #[error("run {run:?} has {rows} usable rows, at least {needed} are needed")]
-    TooShort {
-        run: String,
-        rows: usize,
-        needed: usize,
-    },
+    TooShort { run: String, rows: usize, needed: usize },
 }
 
 impl ScenarioError {
@@ -129,9 +119,8 @@ impl Scenario {
 
     /// Prepares the voltage-driven simulation of `run`, or the mechanical one where there is no voltage.
     pub fn from_run(run: &Run) -> Result<Self, ScenarioError> {
-        let (input, channel) = input_of(run).ok_or_else(|| ScenarioError::NoInput {
-            run: run.name.clone(),
-        })?;
+        let (input, channel) =
+            input_of(run).ok_or_else(|| ScenarioError::NoInput { run: run.name.clone() })?;
         let mut events: Vec<Point> = run.points(channel).collect();
         let mut limits = Vec::new();
         if channel == Channel::VoltageCmd {
@@ -145,10 +134,7 @@ impl Scenario {
             cells.any(|cell| cell.is_finite())
         };
         if !(0..run.rows()).any(is_measured) {
-            return Err(ScenarioError::NoOutput {
-                run: run.name.clone(),
-                input: channel.name(),
-            });
+            return Err(ScenarioError::NoOutput { run: run.name.clone(), input: channel.name() });
         }
         let is_usable = |row: &usize| run.time_s()[*row] >= start_s && is_measured(*row);
         let rows: Vec<usize> = (0..run.rows()).filter(is_usable).collect();
@@ -197,11 +183,7 @@ impl Scenario {
                 }
                 // Rows are the same where their stamps are, to the bit.
                 let own = times.get(sample).is_some_and(|time| time <= time_s);
-                if own {
-                    [self.current_a[sample], self.speed_rad_s[sample]]
-                } else {
-                    [f64::NAN; 2]
-                }
+                if own { [self.current_a[sample], self.speed_rad_s[sample]] } else { [f64::NAN; 2] }
             })
             .collect();
         let holes = unknown_input::find(&Rows {
@@ -212,8 +194,7 @@ impl Scenario {
         if holes.is_empty() {
             return;
         }
-        self.events
-            .extend(holes.iter().flat_map(UnknownInput::steps));
+        self.events.extend(holes.iter().flat_map(UnknownInput::steps));
         self.events.sort_by(|a, b| a.0.total_cmp(&b.0));
         for hole in holes.iter().filter(|hole| hole.restart.is_some()) {
             let times = &self.sample_time_s;
@@ -311,15 +292,13 @@ impl Scenario {
         let speeds = self.sample_time_s.iter().zip(&self.speed_rad_s);
         let (mut angle_rad, mut last) = (0.0, None);
         let integrated =
-            speeds
-                .filter(|point| point.1.is_finite())
-                .map(|(&time_s, &speed_rad_s)| {
-                    if let Some((before_s, before_rad_s)) = last {
-                        angle_rad += 0.5 * (speed_rad_s + before_rad_s) * (time_s - before_s);
-                    }
-                    last = Some((time_s, speed_rad_s));
-                    (time_s, angle_rad)
-                });
+            speeds.filter(|point| point.1.is_finite()).map(|(&time_s, &speed_rad_s)| {
+                if let Some((before_s, before_rad_s)) = last {
+                    angle_rad += 0.5 * (speed_rad_s + before_rad_s) * (time_s - before_s);
+                }
+                last = Some((time_s, speed_rad_s));
+                (time_s, angle_rad)
+            });
         Cow::Owned(integrated.collect())
     }
 
@@ -409,44 +388,27 @@ impl Scenario {
         let begins_s = there(later.begin_s());
         let ended_s = begins_s - AT_REST_S;
         let own = |points: &[Point]| -> Vec<Point> {
-            points
-                .iter()
-                .copied()
-                .filter(|point| point.0 < ended_s)
-                .collect()
+            points.iter().copied().filter(|point| point.0 < ended_s).collect()
         };
         let moved = |points: &[Point]| -> Vec<Point> {
-            points
-                .iter()
-                .map(|point| (there(point.0), point.1))
-                .collect()
+            points.iter().map(|point| (there(point.0), point.1)).collect()
         };
         let joined = |a: &[f64], b: &[f64]| [a, b].concat();
-        let events = [
-            own(&self.events),
-            vec![(ended_s, 0.0)],
-            moved(&later.events),
-        ]
-        .concat();
+        let events = [own(&self.events), vec![(ended_s, 0.0)], moved(&later.events)].concat();
         // Without the angle of one of them the position of the shaft is unknown.
         let mut angle = Vec::new();
         if !self.angle.is_empty() && !later.angle.is_empty() {
             angle = [own(&self.angle), moved(&later.angle)].concat();
         }
         let widths = |run: &Self| -> Vec<f64> {
-            (0..run.samples())
-                .map(|sample| run.half_width_s(sample))
-                .collect()
+            (0..run.samples()).map(|sample| run.half_width_s(sample)).collect()
         };
         let mut time_half_width_s = Vec::new();
         if !self.time_half_width_s.is_empty() || !later.time_half_width_s.is_empty() {
             time_half_width_s = joined(&widths(self), &widths(later));
         }
         // Of a hole that reaches beyond the end only the part before it.
-        let holes = self
-            .unknown_input
-            .iter()
-            .filter(|hole| hole.from_s < ended_s);
+        let holes = self.unknown_input.iter().filter(|hole| hole.from_s < ended_s);
         let holes = holes.map(|hole| UnknownInput {
             to_s: hole.to_s.min(ended_s),
             restart: hole.restart.filter(|_| hole.to_s < ended_s),
@@ -469,10 +431,7 @@ impl Scenario {
         let name = format!("{} and {}", self.name, later.name);
         Self {
             angle,
-            limits: limits
-                .filter(|limit| limit.to_s < ended_s)
-                .chain(later_limits)
-                .collect(),
+            limits: limits.filter(|limit| limit.to_s < ended_s).chain(later_limits).collect(),
             current_a: joined(&self.current_a, &later.current_a),
             speed_rad_s: joined(&self.speed_rad_s, &later.speed_rad_s),
             time_half_width_s,
@@ -493,11 +452,7 @@ impl Scenario {
             let rest: Vec<f64> = rest.collect();
             let deviation = (variance(&rest) / rest.len() as f64).sqrt();
             let rests = rest.len() == FEWEST_ROWS && mean(&rest).abs() <= 4.0 * deviation;
-            if rests {
-                0.0
-            } else {
-                first.unwrap_or(f64::NAN)
-            }
+            if rests { 0.0 } else { first.unwrap_or(f64::NAN) }
         };
         [begin(&self.current_a), begin(&self.speed_rad_s)]
     }
@@ -577,10 +532,9 @@ mod tests {
 
     #[test]
     fn a_run_becomes_a_scenario_of_its_input_and_its_usable_rows() {
-        for (origin, channel) in [
-            (Origin::Commanded, Channel::VoltageCmd),
-            (Origin::Unknown, Channel::Voltage),
-        ] {
+        for (origin, channel) in
+            [(Origin::Commanded, Channel::VoltageCmd), (Origin::Unknown, Channel::Voltage)]
+        {
             let scenario = Scenario::from_run(&run(origin)).unwrap();
             assert_eq!(scenario.input_channel, channel);
         }
@@ -614,22 +568,10 @@ mod tests {
         let seconds: Vec<f64> = (0..39).map(f64::from).collect();
         let milliseconds: Vec<f64> = (0..40).map(|k| f64::from(k) * 1000.0).collect();
         for (times, channels, message) in [
-            (
-                milliseconds,
-                [volts, speed],
-                "1000 s pass between two samples",
-            ),
-            (
-                [&seconds[..], &[1e12]].concat(),
-                [volts, speed],
-                "s pass between",
-            ),
+            (milliseconds, [volts, speed], "1000 s pass between two samples"),
+            ([&seconds[..], &[1e12]].concat(), [volts, speed], "s pass between"),
             (seconds[..5].to_vec(), [volts, amperes], "has 5 usable rows"),
-            (
-                seconds.clone(),
-                [volts, Channel::Bus],
-                "has neither current nor speed",
-            ),
+            (seconds.clone(), [volts, Channel::Bus], "has neither current nor speed"),
             (seconds.clone(), [speed, Channel::Bus], "has no voltage"),
         ] {
             let error = of(times, channels);

@@ -68,11 +68,7 @@ pub struct Plant {
 }
 
 fn reading(time_s: f64, state: &State) -> Reading {
-    Reading {
-        time_s,
-        current_a: state.current_a,
-        speed_rad_s: state.speed_rad_s,
-    }
+    Reading { time_s, current_a: state.current_a, speed_rad_s: state.speed_rad_s }
 }
 
 impl Plant {
@@ -207,10 +203,7 @@ impl Plant {
         let mut now_s = self.begin_s;
         let needs_angle = self.equations.needs_angle;
         let angles = needs_angle.then(|| scenario.shaft_angle());
-        let mut angle = AngleTrack {
-            points: angles.as_deref().unwrap_or_default(),
-            next: 0,
-        };
+        let mut angle = AngleTrack { points: angles.as_deref().unwrap_or_default(), next: 0 };
         self.sensors = (!self.equations.path.measures_directly())
             .then(|| Sensors::new(self.equations.path, reading(now_s, &state)));
         for (sample, &sample_s) in scenario.sample_time_s.iter().enumerate() {
@@ -218,9 +211,8 @@ impl Plant {
                 while event + 1 < events.len() && events[event + 1].0 <= now_s {
                     event += 1;
                 }
-                let mut next_s = events
-                    .get(event + 1)
-                    .map_or(sample_s, |next| next.0.min(sample_s));
+                let mut next_s =
+                    events.get(event + 1).map_or(sample_s, |next| next.0.min(sample_s));
                 let mut input = events[event].1;
                 while limits.next_if(|limit| limit.to_s <= now_s).is_some() {}
                 if let Some(limit) = limits.peek()
@@ -370,10 +362,7 @@ impl Plant {
         }
         let piece_s = h / pieces as f64;
         for piece in 0..pieces {
-            let at = Instant {
-                time_s: at.time_s + piece as f64 * piece_s,
-                ..at
-            };
+            let at = Instant { time_s: at.time_s + piece as f64 * piece_s, ..at };
             self.sub_step(state, at, piece_s);
         }
     }
@@ -456,11 +445,7 @@ impl Plant {
             return *state;
         }
         let is_stuck = state.mode == Mode::Stuck;
-        let steps = if is_stuck {
-            &mut self.stuck
-        } else {
-            &mut self.moving
-        };
+        let steps = if is_stuck { &mut self.stuck } else { &mut self.moving };
         let (step, equations) = (steps.over(h), &self.equations);
         let mut next = *state;
         let start = [state.current_a, state.speed_rad_s];
@@ -469,10 +454,7 @@ impl Plant {
             let mut middle = *state;
             [middle.current_a, middle.speed_rad_s] = step.half.apply(start, forcing);
             equations.advance_own(state, at, 0.5 * h, &mut middle.own);
-            let centred = Instant {
-                time_s: at.time_s + 0.5 * h,
-                ..*at
-            };
+            let centred = Instant { time_s: at.time_s + 0.5 * h, ..*at };
             forcing = equations.forcing(&middle, &centred);
             equations.advance_own(&middle, &centred, h, &mut next.own);
         }

@@ -1,8 +1,5 @@
 //! Recorded runs for tests: a model simulated under given voltages, sampled with the noise of a bench.
-#![expect(
-    clippy::missing_panics_doc,
-    reason = "what a test gives wrong is to stop it"
-)]
+#![expect(clippy::missing_panics_doc, reason = "what a test gives wrong is to stop it")]
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -56,9 +53,7 @@ pub fn motor(name: &str, values: &[f64; 5]) -> Motor {
     use MotorKey::{BackEmf, Inductance, Inertia, LoadTorque, Resistance};
     let keys = [Resistance, Inductance, BackEmf, Inertia, LoadTorque];
     let values = keys.into_iter().zip(values);
-    values.fold(Motor::new(name), |motor, (key, value)| {
-        motor.with(key, *value)
-    })
+    values.fold(Motor::new(name), |motor, (key, value)| motor.with(key, *value))
 }
 
 pub fn run_of(
@@ -68,8 +63,7 @@ pub fn run_of(
 ) -> Run {
     let mut run = Run::new(name, times).expect("stamps grow");
     for (channel, cells, origin) in columns {
-        run.set_column(channel, cells, origin)
-            .expect("as many cells as rows");
+        run.set_column(channel, cells, origin).expect("as many cells as rows");
     }
     run
 }
@@ -80,11 +74,8 @@ pub fn with_rows_lost(scenario: &Scenario, lost: impl Fn(usize) -> bool) -> Run 
     let pick = |values: &[f64]| -> Vec<f64> { kept().map(|row| values[row]).collect() };
     let times = pick(&scenario.sample_time_s);
     let volts = times.iter().map(|time_s| scenario.input_at(*time_s));
-    let (volts, current, speed) = (
-        volts.collect(),
-        pick(&scenario.current_a),
-        pick(&scenario.speed_rad_s),
-    );
+    let (volts, current, speed) =
+        (volts.collect(), pick(&scenario.current_a), pick(&scenario.speed_rad_s));
     let columns = [
         (Channel::Voltage, volts, Origin::Unknown),
         (Channel::Current, current, Origin::Measured),

@@ -141,11 +141,7 @@ impl TorqueMap {
             torque.ok_or_else(|| refused(1, header, "the header of a friction or cogging map"))?;
         let mut rows = Vec::new();
         for (line, text) in lines.filter(|(_, text)| !text.trim().is_empty()) {
-            rows.push((
-                line,
-                text,
-                row(text).map_err(|allowed| refused(line, text, allowed))?,
-            ));
+            rows.push((line, text, row(text).map_err(|allowed| refused(line, text, allowed))?));
             if rows.len() > 10_000 {
                 return Err(refused(line, text, "at most 10000 bins"));
             }
@@ -160,12 +156,7 @@ impl TorqueMap {
             if !(width > 0.0 && (middle - even).abs() < OFF_GRID * width) {
                 return Err(refused(line, text, "rising bins of one width"));
             }
-            bins.push(MapBin {
-                from: even - 0.5 * width,
-                to: even + 0.5 * width,
-                windows,
-                torque,
-            });
+            bins.push(MapBin { from: even - 0.5 * width, to: even + 0.5 * width, windows, torque });
         }
         let turn = width * bins.len() as f64;
         let is_whole = match torque {
@@ -240,11 +231,7 @@ fn row(line: &str) -> Result<(f64, Option<MappedValue>, usize), &'static str> {
             if !(low_n_m <= torque_n_m && torque_n_m <= high_n_m) {
                 return Err("a torque inside its interval");
             }
-            Some(MappedValue {
-                torque_n_m,
-                low_n_m,
-                high_n_m,
-            })
+            Some(MappedValue { torque_n_m, low_n_m, high_n_m })
         }
         _ => return Err(ALLOWED),
     };
@@ -277,12 +264,7 @@ mod tests {
     }
 
     fn cogging() -> TorqueMap {
-        map(
-            MappedTorque::Cogging,
-            0.0,
-            TAU,
-            [1.0, 2.0, 3.0, 4.0].map(Some),
-        )
+        map(MappedTorque::Cogging, 0.0, TAU, [1.0, 2.0, 3.0, 4.0].map(Some))
     }
 
     #[test]
@@ -316,10 +298,7 @@ mod tests {
             assert_eq!((again.torque, again.bins.len()), (map.torque, 4));
             for (read, written) in again.bins.iter().zip(&map.bins) {
                 assert!((read.from - written.from).abs() < 1e-12);
-                assert_eq!(
-                    (read.torque, read.windows),
-                    (written.torque, written.windows)
-                );
+                assert_eq!((read.torque, read.windows), (written.torque, written.windows));
             }
         }
         let good = friction().to_csv();

@@ -75,11 +75,7 @@ pub fn typical_size(
         .max(path.speed_offset_rad_s.abs() / largest(&scenario.speed_rad_s));
     let size = 0.03 * specs[parameter].scale / reached;
     let is_size = size.is_finite() && size > 0.0;
-    if is_size {
-        size
-    } else {
-        specs[parameter].scale
-    }
+    if is_size { size } else { specs[parameter].scale }
 }
 
 #[cfg(test)]

@@ -89,9 +89,7 @@ pub(super) fn find(record: &Rows<'_>) -> Vec<UnknownInput> {
     let holes = (0..).zip(&lost).filter(|(_, rows)| **rows > 0);
     let estimate = |(row, &rows): (usize, &usize)| {
         let ((begin_s, before), (to_s, after)) = (input[row], input[row + 1]);
-        let examples = by_length
-            .entry(rows)
-            .or_insert_with(|| excursions.over(rows));
+        let examples = by_length.entry(rows).or_insert_with(|| excursions.over(rows));
         let missed = |drawn: Drawn| examples[drawn as usize].misses((after - before).abs(), rows);
         let mut shape = excursions.shape(row, row + 1, rows);
         let mut miss = missed(shape.drawn);
@@ -179,9 +177,7 @@ fn lost_rows(record: &Rows<'_>) -> Option<(f64, Vec<usize>)> {
     if !writes_repeats && mean(&over_holes) < 1.5 * mean(&alone) && !mostly_distinct(input) {
         return None;
     }
-    let lost = multiples
-        .iter()
-        .map(|multiple| whole((multiple - 1.0).max(0.0)));
+    let lost = multiples.iter().map(|multiple| whole((multiple - 1.0).max(0.0)));
     Some((period_s, lost.collect()))
 }
 
@@ -192,9 +188,8 @@ fn schedule(steps: &[f64]) -> (f64, Vec<f64>) {
     let mut period_s = median(steps);
     let short = steps.iter().zip(rounded(period_s));
     let short = short.filter(|(_, multiple)| (1.0..=3.0).contains(multiple));
-    let (length_s, rows) = short.fold((0.0, 0.0), |sum, (step, multiple)| {
-        (sum.0 + step, sum.1 + multiple)
-    });
+    let (length_s, rows) =
+        short.fold((0.0, 0.0), |sum, (step, multiple)| (sum.0 + step, sum.1 + multiple));
     if rows > 0.0 {
         period_s = length_s / rows;
     }
@@ -220,9 +215,7 @@ fn coarse_resolution_s(steps: &[f64], period_s: f64) -> Option<f64> {
 fn holes_are_off((steps, multiples): (&[f64], &[f64]), period_s: f64, rounded_s: f64) -> bool {
     let holes = steps.iter().zip(multiples);
     let holes = holes.filter(|(_, multiple)| (2.0..=10.0).contains(*multiple));
-    let off: Vec<f64> = holes
-        .map(|(step, multiple)| step - multiple * period_s)
-        .collect();
+    let off: Vec<f64> = holes.map(|(step, multiple)| step - multiple * period_s).collect();
     mean(&off).abs() > 5.0 * rounded_s / (6.0 * off.len() as f64).sqrt()
 }
 
@@ -236,11 +229,7 @@ fn most_frequent_pause(multiples: &[f64]) -> usize {
     let same = pauses.chunk_by(|a, b| a == b);
     let most = same.max_by_key(|same| same.len()).unwrap_or_default();
     let is_one_length = most.first().is_some_and(|periods| *periods > 2);
-    if is_one_length && 2 * most.len() > pauses.len() {
-        most.len()
-    } else {
-        0
-    }
+    if is_one_length && 2 * most.len() > pauses.len() { most.len() } else { 0 }
 }
 
 /// Rows that keep to the places of a schedule within `within_s`; `multiples` are the places between one row and the next.
@@ -296,12 +285,7 @@ enum Drawn {
 
 impl Shape {
     const fn line(from: (f64, f64), to: (f64, f64), drawn: Drawn) -> Self {
-        Self {
-            from,
-            to,
-            corner: None,
-            drawn,
-        }
+        Self { from, to, corner: None, drawn }
     }
 
     fn at(&self, time_s: f64) -> f64 {
@@ -359,10 +343,7 @@ impl Examples {
         let places = &self.0;
         if places.len() < NEIGHBOURS {
             let n = rows as f64;
-            return Miss {
-                of_mean: change.powi(2) * (n + 2.0) / (12.0 * n),
-                ..Miss::default()
-            };
+            return Miss { of_mean: change.powi(2) * (n + 2.0) / (12.0 * n), ..Miss::default() };
         }
         let near = places.partition_point(|place| place.0 < change);
         let same = places.partition_point(|place| place.0 <= change);
@@ -580,29 +561,17 @@ mod tests {
             if !lost(row) {
                 input.push((1e-3 * row as f64, *value));
                 let speed = 0.1 * (row as f64).sin();
-                cells.push(if measured {
-                    [current, speed]
-                } else {
-                    [f64::NAN; 2]
-                });
+                cells.push(if measured { [current, speed] } else { [f64::NAN; 2] });
             }
             current = 0.9 * current + 0.1 * value;
         }
-        find(&Rows {
-            input: &input,
-            measured: &cells,
-            sample_period_s: 1e-3,
-        })
+        find(&Rows { input: &input, measured: &cells, sample_period_s: 1e-3 })
     }
 
     /// The same of these rows without measurements.
     fn holes_of(rows: impl Iterator<Item = (f64, f64)>, sample_period_s: f64) -> Vec<UnknownInput> {
         let input: Vec<(f64, f64)> = rows.collect();
-        find(&Rows {
-            measured: &vec![[f64::NAN; 2]; input.len()],
-            input: &input,
-            sample_period_s,
-        })
+        find(&Rows { measured: &vec![[f64::NAN; 2]; input.len()], input: &input, sample_period_s })
     }
 
     fn all_lost(holes: &[UnknownInput]) -> usize {
@@ -638,13 +607,7 @@ mod tests {
 
     #[test]
     fn ramps_and_their_corners_are_known_through_lost_rows() {
-        type Row = (
-            &'static str,
-            fn(i32) -> f64,
-            fn(usize) -> bool,
-            usize,
-            usize,
-        );
+        type Row = (&'static str, fn(i32) -> f64, fn(usize) -> bool, usize, usize);
         let corners = |row: i32| 3.5 * f64::from((row % 100 - 50).abs().clamp(10, 40));
         let rows: [Row; 3] = [
             (
@@ -654,21 +617,9 @@ mod tests {
                 73,
                 3,
             ),
-            (
-                "one row",
-                |row| 0.25 * f64::from((row - 50).max(0)),
-                |row| row % 40 == 20,
-                73,
-                1,
-            ),
+            ("one row", |row| 0.25 * f64::from((row - 50).max(0)), |row| row % 40 == 20, 73, 1),
             // Two rows at the end of each third ramp, which is at 10, 40, 60 or 90 of a hundred.
-            (
-                "corners",
-                corners,
-                |row| matches!(row % 300, 39 | 40 | 159 | 160),
-                20,
-                2,
-            ),
+            ("corners", corners, |row| matches!(row % 300, 39 | 40 | 159 | 160), 20, 2),
         ];
         for (name, value, lost, count, steps) in rows {
             let values: Vec<f64> = (0..3000).map(value).collect();
@@ -676,16 +627,10 @@ mod tests {
             found.retain(|hole| hole.from_s > 0.055 || name == "corners");
             assert!(found.len() >= count, "{name}: {}", found.len());
             for hole in &found {
-                assert!(
-                    hole.variance < 1e-9 && hole.lost_rows == steps,
-                    "{name}: {hole:?}"
-                );
+                assert!(hole.variance < 1e-9 && hole.lost_rows == steps, "{name}: {hole:?}");
                 for (from_s, value) in hole.steps() {
                     let there = values[whole(from_s * 1e3 + 0.5)];
-                    assert!(
-                        (value - there).abs() < 1e-6,
-                        "{name}: {value}, not {there} V"
-                    );
+                    assert!((value - there).abs() < 1e-6, "{name}: {value}, not {there} V");
                 }
             }
         }

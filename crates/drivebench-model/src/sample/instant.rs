@@ -96,10 +96,7 @@ pub struct Sample {
 
 impl Sample {
     pub fn at(time_s: f64) -> Self {
-        Self {
-            time_s,
-            ..Self::default()
-        }
+        Self { time_s, ..Self::default() }
     }
 
     /// The value of a channel, stale or good; `None` when missing.

@@ -21,13 +21,8 @@ pub enum Origin {
 }
 
 impl Origin {
-    pub const ALL: [Self; 5] = [
-        Self::Measured,
-        Self::Estimated,
-        Self::Commanded,
-        Self::Derived,
-        Self::Unknown,
-    ];
+    pub const ALL: [Self; 5] =
+        [Self::Measured, Self::Estimated, Self::Commanded, Self::Derived, Self::Unknown];
 
     /// As in files and on the command line.
     pub const fn name(self) -> &'static str {
@@ -70,28 +65,13 @@ pub enum RunError {
     #[error(
         "run {run:?}: row {row}: {column} {value:e} is not allowed (expected a size up to {LARGEST:e})"
     )]
-    Absurd {
-        run: String,
-        column: &'static str,
-        row: usize,
-        value: f64,
-    },
+    Absurd { run: String, column: &'static str, row: usize, value: f64 },
     #[error(
         "run {run:?}: row {row}: time {time_s} s is not after {before_s} s (time must be strictly increasing)"
     )]
-    TimeNotIncreasing {
-        run: String,
-        row: usize,
-        time_s: f64,
-        before_s: f64,
-    },
+    TimeNotIncreasing { run: String, row: usize, time_s: f64, before_s: f64 },
     #[error("run {run:?}: column {column} has {rows} rows, time has {expected}")]
-    ColumnLength {
-        run: String,
-        column: &'static str,
-        rows: usize,
-        expected: usize,
-    },
+    ColumnLength { run: String, column: &'static str, rows: usize, expected: usize },
 }
 
 /// Columns over one strictly increasing time axis, which need not be equidistant. NaN marks a missing cell.
@@ -128,11 +108,7 @@ impl Run {
                 before_s: time_s[row],
             });
         }
-        Ok(Self {
-            name,
-            time_s,
-            ..Self::default()
-        })
+        Ok(Self { name, time_s, ..Self::default() })
     }
 
     pub fn set_column(
@@ -242,12 +218,7 @@ impl Run {
 fn refuse_absurd(run: &str, column: &'static str, values: &[f64]) -> Result<(), RunError> {
     let absurd = values.iter().position(|value| value.abs() > LARGEST);
     absurd.map_or(Ok(()), |row| {
-        Err(RunError::Absurd {
-            run: run.to_owned(),
-            column,
-            row,
-            value: values[row],
-        })
+        Err(RunError::Absurd { run: run.to_owned(), column, row, value: values[row] })
     })
 }
 
@@ -266,10 +237,7 @@ mod tests {
         ] {
             let error = Run::new("r", times).err();
             let text = error.map_or_else(String::new, |error| error.to_string());
-            assert!(
-                text.contains(message) && text.is_empty() == message.is_empty(),
-                "{text}"
-            );
+            assert!(text.contains(message) && text.is_empty() == message.is_empty(), "{text}");
         }
         let mut run = Run::new("r", vec![0.0, 0.1, 0.25, 0.3]).unwrap();
         let wild = vec![0.0, f64::NAN, 1e300, 0.0];
@@ -277,10 +245,7 @@ mod tests {
         let text =
             "run \"r\": row 2: speed_rad_s 1e300 is not allowed (expected a size up to 1e12)";
         assert_eq!(error.unwrap_err().to_string(), text);
-        assert!(
-            run.set_column(Channel::Speed, vec![0.0], Origin::Unknown)
-                .is_err()
-        );
+        assert!(run.set_column(Channel::Speed, vec![0.0], Origin::Unknown).is_err());
     }
 
     #[test]
@@ -291,8 +256,7 @@ mod tests {
             (Channel::VoltageCmd, [1.0, none, none, 2.0]),
             (Channel::Current, [none, 0.5, 0.6, 0.7]),
         ] {
-            run.set_column(channel, cells.into(), Origin::Measured)
-                .unwrap();
+            run.set_column(channel, cells.into(), Origin::Measured).unwrap();
         }
         run.set_limited_rows(vec![1]);
         let mut limited = Sample::at(0.1).with(Channel::Current, 0.5);
@@ -301,9 +265,7 @@ mod tests {
             Sample::at(0.0).with(Channel::VoltageCmd, 1.0),
             limited,
             Sample::at(0.25).with(Channel::Current, 0.6),
-            Sample::at(0.3)
-                .with(Channel::VoltageCmd, 2.0)
-                .with(Channel::Current, 0.7),
+            Sample::at(0.3).with(Channel::VoltageCmd, 2.0).with(Channel::Current, 0.7),
         ];
         assert!(run.samples().eq(expected));
         assert_eq!(run.points(Channel::Current).count(), 3);

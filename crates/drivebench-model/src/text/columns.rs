@@ -13,7 +13,5 @@ pub fn widths(rows: &[Vec<String>], least: usize) -> Vec<usize> {
 /// The cells of a row, filled up to the widths of their columns.
 pub fn padded(row: &[String], widths: &[usize]) -> Vec<String> {
     let cells = row.iter().zip(widths);
-    cells
-        .map(|(cell, width)| format!("{cell:<width$}"))
-        .collect()
+    cells.map(|(cell, width)| format!("{cell:<width$}")).collect()
 }

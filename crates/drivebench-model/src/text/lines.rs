@@ -47,9 +47,7 @@ fn broken(line: &str, width: usize) -> Vec<String> {
 /// a table's row, else two columns further in. What is to be copied stays whole: a command in backquotes, and any word, as a
 /// path, which may be too long for a row; and a row of a table with bars.
 pub fn folded(text: &str, width: usize) -> Vec<String> {
-    text.lines()
-        .flat_map(|line| folded_line(line, width))
-        .collect()
+    text.lines().flat_map(|line| folded_line(line, width)).collect()
 }
 
 fn folded_line(line: &str, width: usize) -> Vec<String> {
@@ -87,9 +85,8 @@ fn unbroken(text: &str, most: usize) -> Vec<String> {
     let mut is_open = false;
     for word in text.split_whitespace() {
         let length = 1 + word.chars().count();
-        let begun = words
-            .last_mut()
-            .filter(|begun| is_open && begun.chars().count() + length <= most);
+        let begun =
+            words.last_mut().filter(|begun| is_open && begun.chars().count() + length <= most);
         match begun {
             Some(begun) => {
                 begun.push(' ');
@@ -115,9 +112,7 @@ pub fn cut(text: &str, width: usize) -> String {
 /// A sentence with a capital first letter.
 pub fn capitalised(sentence: &str) -> String {
     let mut letters = sentence.chars();
-    letters.next().map_or_else(String::new, |first| {
-        first.to_uppercase().chain(letters).collect()
-    })
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
 #[cfg(test)]
@@ -143,26 +138,11 @@ mod tests {
     fn folding_keeps_columns_commands_and_paths() {
         for (text, folded_text) in [
             ("short\n\n  as it is", "short\n\n  as it is"),
-            (
-                "error: one two three four five",
-                "error: one two three\n  four five",
-            ),
-            (
-                "key  kind  a reason of words",
-                "key  kind  a reason\n           of words",
-            ),
-            (
-                "  /a/path/that/is/long is",
-                "  /a/path/that/is/long\n    is",
-            ),
-            (
-                "help: so and `do this now` or",
-                "help: so and\n  `do this now` or",
-            ),
-            (
-                "| a row of a table | with bars |",
-                "| a row of a table | with bars |",
-            ),
+            ("error: one two three four five", "error: one two three\n  four five"),
+            ("key  kind  a reason of words", "key  kind  a reason\n           of words"),
+            ("  /a/path/that/is/long is", "  /a/path/that/is/long\n    is"),
+            ("help: so and `do this now` or", "help: so and\n  `do this now` or"),
+            ("| a row of a table | with bars |", "| a row of a table | with bars |"),
             (
                 "x `a command that is longer than a row`",
                 "x `a command that is\n  longer than a row`",

@@ -101,11 +101,7 @@ pub fn percent(value: f64) -> String {
 
 /// How much less than its mean a fit leaves of a signal; a figure only down to twice as much.
 pub fn fit(fit_percent: f64) -> String {
-    if fit_percent < -100.0 {
-        "worse than the mean".to_owned()
-    } else {
-        percent(fit_percent)
-    }
+    if fit_percent < -100.0 { "worse than the mean".to_owned() } else { percent(fit_percent) }
 }
 
 pub fn share(share: f64) -> String {

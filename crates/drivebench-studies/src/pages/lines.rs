@@ -31,14 +31,8 @@ pub(super) fn rows(found: &LineStudy) -> Value {
         let cells = row.parameters.each_ref().map(|own| cell(own, error));
         json!({"name": row.name, "rate_hz": row.rate_hz, "half_width": half_width(row), "cells": cells})
     };
-    let lines = found
-        .lines
-        .iter()
-        .map(|own| row(own, |own| own.error_percent));
-    let causes = found
-        .causes
-        .iter()
-        .map(|own| row(own, |own| own.bias_percent));
+    let lines = found.lines.iter().map(|own| row(own, |own| own.error_percent));
+    let causes = found.causes.iter().map(|own| row(own, |own| own.bias_percent));
     json!({
         "line_runs": found.runs,
         "line_rows": lines.collect::<Vec<_>>(),

@@ -27,17 +27,9 @@ impl PaperA {
     /// The page with its pictures and tables.
     pub fn report(&self) -> Result<FiguresAndTables, String> {
         let identification = with(self, self.identification());
-        let adaptation = with(
-            adaptation(&self.adaptive),
-            compared(&self.adaptive.comparison),
-        );
-        let (saturated, shown) = (
-            &self.adaptive.figure_7.saturated,
-            &self.adaptive.figure_7.shown,
-        );
-        let saturated = saturated
-            .iter()
-            .map(|run| (run.controller.name(), &run.trace[..]));
+        let adaptation = with(adaptation(&self.adaptive), compared(&self.adaptive.comparison));
+        let (saturated, shown) = (&self.adaptive.figure_7.saturated, &self.adaptive.figure_7.shown);
+        let saturated = saturated.iter().map(|run| (run.controller.name(), &run.trace[..]));
         let shown = shown.iter().map(|run| (&run.name[..], &run.trace[..]));
         let mut findings = Findings::new(&identification, adaptation)
             .figure("figure-2", "estimates of scheme 1 over the samples, TM doubled at k = 900", &figure_2_series(&self.figure_2))
@@ -47,40 +39,22 @@ impl PaperA {
             .figure("figure-6", "speed with fixed and with adaptive gains while TM jumps", &figure_6_series(&self.adaptive.figure_6))
             .figure("figure-7-saturation", "start and brake with ADDC, with MRAC disconnected in saturation and with MRAC always connected", &trials(saturated, 110.0, &SPEEDS))
             .figure("figure-7-adaptation", "ADDC, ADDC by forgetting alone and MRAC over a jump of TM, unsaturated", &trials(shown, 150.0, &SPEEDS));
-        for (sweep, name) in self
-            .sampling
-            .sweeps
-            .iter()
-            .zip(["sampling-ta", "sampling-tm"])
-        {
+        for (sweep, name) in self.sampling.sweeps.iter().zip(["sampling-ta", "sampling-tm"]) {
             let drawn = chart(sweep.against, &sweep.ratios, &sweep.curves, (-4, 3));
             let ratios: Vec<String> = sweep.ratios.iter().map(f64::to_string).collect();
             findings = errors_grids(findings, name, sweep.against, &ratios, &sweep.curves)
                 .picture(name, drawn.svg("errors of each scheme against the period"));
         }
         let noise = &self.noise;
-        let drawn = chart(
-            "S/N of power",
-            &noise.signal_to_noise,
-            &noise.curves,
-            (-3, 3),
-        );
-        let ratios: Vec<String> = noise
-            .signal_to_noise
-            .iter()
-            .map(|ratio| format!("{ratio:e}"))
-            .collect();
+        let drawn = chart("S/N of power", &noise.signal_to_noise, &noise.curves, (-3, 3));
+        let ratios: Vec<String> =
+            noise.signal_to_noise.iter().map(|ratio| format!("{ratio:e}")).collect();
         let long = noise.long.curves.iter().map(|curve| {
             let errors = curve.errors.first().copied().unwrap_or_default();
-            std::iter::once(label(curve.scheme))
-                .chain(errors.0.map(or_dash))
-                .collect()
+            std::iter::once(label(curve.scheme)).chain(errors.0.map(or_dash)).collect()
         });
         errors_grids(findings, "noise", "S/N", &ratios, &noise.curves)
-            .picture(
-                "noise",
-                drawn.svg("errors of each scheme against signal-to-noise"),
-            )
+            .picture("noise", drawn.svg("errors of each scheme against signal-to-noise"))
             .grid((
                 "noise-long-record",
                 std::iter::once("scheme").chain(NAMES).collect(),
@@ -114,10 +88,7 @@ impl PaperA {
         });
         let at_ta = self.sampling.at_ta.iter().map(|row| {
             let sizes = row.exact.0.map(|error| error.map_or(f64::NAN, f64::abs));
-            with(
-                row,
-                json!({"largest": sizes.into_iter().fold(0.0, f64::max)}),
-            )
+            with(row, json!({"largest": sizes.into_iter().fold(0.0, f64::max)}))
         });
         json!({
             "ta_error": [
@@ -136,11 +107,7 @@ impl PaperA {
 /// What the layout needs of Figures 5 to 7 beside their JSON.
 fn adaptation(found: &AdaptiveLoop) -> Value {
     let (figure_5, figure_6, figure_7) = (&found.figure_5, &found.figure_6, &found.figure_7);
-    let [least, most] = span(
-        figure_6
-            .adapted(1)
-            .map(|row| row.fixed.response.overshoot_percent),
-    );
+    let [least, most] = span(figure_6.adapted(1).map(|row| row.fixed.response.overshoot_percent));
     let adapted = figure_6.adapted(1).chain(figure_6.adapted(2));
     let [_, adapted] = span(adapted.map(|row| row.adaptive.response.overshoot_percent));
     let before = figure_5.before.iter().map(|step| (false, step));
@@ -166,9 +133,7 @@ fn adaptation(found: &AdaptiveLoop) -> Value {
 
 /// Least, and largest above zero.
 fn span(values: impl Iterator<Item = f64>) -> [f64; 2] {
-    values.fold([f64::INFINITY, 0.0], |[least, most], value| {
-        [least.min(value), most.max(value)]
-    })
+    values.fold([f64::INFINITY, 0.0], |[least, most], value| [least.min(value), most.max(value)])
 }
 
 fn or_dash(error: Option<f64>) -> String {
@@ -186,12 +151,7 @@ fn figure_2_series(figure: &Figure2) -> Figure {
         ("S/N 10 of amplitude", After, Amplitude, Printed),
     ];
     let sensor_noise: &[_] = &[
-        (
-            "instrumental variables",
-            Measured,
-            Power,
-            InstrumentalVariables,
-        ),
+        ("instrumental variables", Measured, Power, InstrumentalVariables),
         ("printed", Before, Power, Printed),
         ("exact", After, Power, Exact),
     ];
@@ -203,10 +163,9 @@ fn figure_2_series(figure: &Figure2) -> Figure {
         (MC, "Mc", "N.m", -10.0..=10.0),
     ];
     let mut drawn = Figure::over_samples(figure.samples);
-    for (noise, lines, shown) in [
-        (EquationError, equation_error, &shown[..]),
-        (Sensor, sensor_noise, &shown[..2]),
-    ] {
+    for (noise, lines, shown) in
+        [(EquationError, equation_error, &shown[..]), (Sensor, sensor_noise, &shown[..2])]
+    {
         for (which, name, unit, frame) in shown {
             let panel = Panel::new(format!("{}: {name}", noise.text()), *unit);
             drawn = drawn.panel(panel.with_height(130.0).within(frame.clone()));
@@ -218,9 +177,7 @@ fn figure_2_series(figure: &Figure2) -> Figure {
             drawn = drawn.line("set value", Command, &figure.set[*which]);
         }
     }
-    drawn = drawn
-        .column("set_tm_s", &figure.set[TM])
-        .column("set_ta_s", &figure.set[TA]);
+    drawn = drawn.column("set_tm_s", &figure.set[TM]).column("set_ta_s", &figure.set[TA]);
     for case in &figure.cases {
         let (of, method) = (case.signal_to_noise.of.name(), case.method.name());
         let noise = case.noise.text().replace(' ', "_");
@@ -235,10 +192,8 @@ fn figure_2_series(figure: &Figure2) -> Figure {
 fn figure_3_series(figure: &Figure3) -> Figure {
     let mut drawn = Figure::over_samples(figure.samples);
     if let [amplitude, power, _, rectangle, trapezoid, ..] = &figure.cases[..] {
-        let (ratios, forms) = (
-            ["S/N 15 of power", "S/N 15 of amplitude"],
-            ["rectangle (printed)", "trapezoid"],
-        );
+        let (ratios, forms) =
+            (["S/N 15 of power", "S/N 15 of amplitude"], ["rectangle (printed)", "trapezoid"]);
         for (noise, labels, cases) in [
             ("equation error", ratios, [power, amplitude]),
             ("sensor noise", forms, [rectangle, trapezoid]),
@@ -281,12 +236,7 @@ fn figure_4_series(figure: &Figure4) -> Figure {
 fn chart(axis: &str, at: &[f64], curves: &[Curve], decades: (i32, i32)) -> CurveChart {
     let panel = |which: usize| {
         let size = |errors: &Errors| errors.0[which].map_or(f64::NAN, f64::abs);
-        let sizes = |curve: &Curve| {
-            at.iter()
-                .copied()
-                .zip(curve.errors.iter().map(size))
-                .collect()
-        };
+        let sizes = |curve: &Curve| at.iter().copied().zip(curve.errors.iter().map(size)).collect();
         CurvePanel {
             title: format!("{}: size of the error, %", NAMES[which]),
             curves: curves.iter().map(sizes).collect(),
@@ -321,9 +271,7 @@ fn errors_grids(
         let gives = |curve: &&Curve| curve.errors.iter().any(|errors| errors.0[which].is_some());
         let giving: Vec<&Curve> = curves.iter().filter(gives).collect();
         let rows = ratios.iter().enumerate().map(|(row, ratio)| {
-            let errors = giving
-                .iter()
-                .map(|curve| or_dash(curve.errors[row].0[which]));
+            let errors = giving.iter().map(|curve| or_dash(curve.errors[row].0[which]));
             std::iter::once(ratio.clone()).chain(errors).collect()
         });
         let head = std::iter::once(against).chain(giving.iter().map(|curve| curve.scheme));
@@ -340,12 +288,7 @@ fn figure_5_series(figure: &Figure5) -> Figure {
         .series("speed_rad_s", "speed", Style::After, &speed)
         .column("estimated_tm_s", &figure.estimate_s)
         .panel(Panel::new("proportional gain", "V per rad/s").with_height(90.0))
-        .series(
-            "proportional_v_s_per_rad",
-            "Kp",
-            Style::After,
-            &figure.proportional,
-        )
+        .series("proportional_v_s_per_rad", "Kp", Style::After, &figure.proportional)
 }
 
 fn figure_6_series(figure: &Figure6) -> Figure {
@@ -372,10 +315,8 @@ fn figure_6_series(figure: &Figure6) -> Figure {
         .column("proportional_adaptive_v_s_per_rad", &figure.proportional[1])
 }
 
-const SPEEDS: [(&str, Style, Quantity); 2] = [
-    ("reference", Style::Command, REFERENCE),
-    ("speed", Style::After, SPEED),
-];
+const SPEEDS: [(&str, Style, Quantity); 2] =
+    [("reference", Style::Command, REFERENCE), ("speed", Style::After, SPEED)];
 
 /// Who adapts sooner, as measured.
 fn verdict(figure: &Figure7) -> String {

@@ -15,11 +15,7 @@ use crate::paper_b::{BackEmf, Design, Disturbance, Figure4, Figure5};
 impl PaperB {
     /// The page with its pictures and tables.
     pub fn report(&self) -> Result<FiguresAndTables, String> {
-        let shown = self
-            .hall
-            .shown
-            .iter()
-            .map(|run| (&run.name[..], &run.trace[..]));
+        let shown = self.hall.shown.iter().map(|run| (&run.name[..], &run.trace[..]));
         let lines: [(&str, Style, Quantity); 3] = [
             ("reference", Style::Command, REFERENCE),
             ("seen", Style::Before, |point| point.seen_rad_s),
@@ -77,13 +73,11 @@ type Traces<'a> = [&'a [TrialPoint]; 3];
 
 /// The same quantity without compensation and with it, in a panel of their own or behind what is in the latest one.
 fn both(figure: Figure, [without, with, _]: Traces<'_>, quantity: Quantity) -> Figure {
-    figure
-        .line(
-            "without compensation",
-            Style::Before,
-            &of(without, quantity),
-        )
-        .line("with", Style::After, &of(with, quantity))
+    figure.line("without compensation", Style::Before, &of(without, quantity)).line(
+        "with",
+        Style::After,
+        &of(with, quantity),
+    )
 }
 
 fn columns(figure: Figure, [without, with, printed]: Traces<'_>) -> Figure {
@@ -116,9 +110,11 @@ fn figure_5_series(figure: &Figure5) -> Figure {
         let begin = course.trace.partition_point(|point| point.time_s < 0.6);
         &course.trace[begin..]
     });
-    let series = Figure::over_time(of(traces[0], TIME))
-        .panel(speed_panel("speed", 200.0))
-        .line("reference", Style::Command, &of(traces[0], REFERENCE));
+    let series = Figure::over_time(of(traces[0], TIME)).panel(speed_panel("speed", 200.0)).line(
+        "reference",
+        Style::Command,
+        &of(traces[0], REFERENCE),
+    );
     let voltage = Panel::new("voltage", "V").with_height(110.0);
     let series = both(both(series, traces, SPEED).panel(voltage), traces, OUTPUT)
         .panel(speed_panel("speed with K3 as printed", 140.0))

@@ -54,8 +54,7 @@ impl Study {
     /// Excitations of a group, in their order.
     fn excitations_of(&self, group: Group) -> Vec<&'static str> {
         let all = Excitation::ALL.iter().map(|excitation| excitation.name());
-        all.filter(|name| !self.of_excitation(group, name).is_empty())
-            .collect()
+        all.filter(|name| !self.of_excitation(group, name).is_empty()).collect()
     }
 
     /// What the layout needs beside the JSON.
@@ -80,12 +79,9 @@ impl Study {
             json!({"before": before, "after": after})
         });
         let failures = self.of(|a| matches!(a.outcome, Outcome::Wrong | Outcome::Failed));
-        let no_failures = failures
-            .is_empty()
-            .then_some("There is none in this study.");
-        let failures = failures
-            .iter()
-            .map(|answer| with(answer, json!({"group": answer.group.name()})));
+        let no_failures = failures.is_empty().then_some("There is none in this study.");
+        let failures =
+            failures.iter().map(|answer| with(answer, json!({"group": answer.group.name()})));
         let all = &self.calibration;
         let counts = json!({
             "single": single,
@@ -132,19 +128,13 @@ impl Study {
             Group::Background { level } => Some(level),
             _ => None,
         });
-        let by_level = distinct(levels).into_iter().map(|level| {
-            (
-                level.to_string(),
-                self.of(|a| a.group == Group::Background { level }),
-            )
-        });
+        let by_level = distinct(levels)
+            .into_iter()
+            .map(|level| (level.to_string(), self.of(|a| a.group == Group::Background { level })));
         let harder = [Group::Harsh, Group::Small].into_iter().flat_map(|group| {
             let all = self.excitations_of(group).into_iter();
             all.map(move |name| {
-                (
-                    format!("{}, {name}", group.name()),
-                    self.of_excitation(group, name),
-                )
+                (format!("{}, {name}", group.name()), self.of_excitation(group, name))
             })
         });
         let mut findings = findings
@@ -184,15 +174,12 @@ impl Study {
         }
         for (group, name) in [(Group::Noisy, "noise"), (Group::Lossy, "lost-rows")] {
             let [plain, harder] = self.against_single(group);
-            let rows = self
-                .excitations_of(group)
-                .into_iter()
-                .flat_map(|excitation| {
-                    [(&plain, "as they are"), (&harder, &*group.name())].map(|(all, label)| {
-                        let own = all.iter().copied().filter(|a| a.excitation == excitation);
-                        (format!("{excitation}, {label}"), own.collect())
-                    })
-                });
+            let rows = self.excitations_of(group).into_iter().flat_map(|excitation| {
+                [(&plain, "as they are"), (&harder, &*group.name())].map(|(all, label)| {
+                    let own = all.iter().copied().filter(|a| a.excitation == excitation);
+                    (format!("{excitation}, {label}"), own.collect())
+                })
+            });
             findings = findings.grid(tallies(name, "excitation", rows));
         }
         findings
@@ -207,9 +194,7 @@ impl Study {
         let by_group = named_groups(&self.answers).into_iter().map(of_group);
         let by_group = by_group.chain([("all".to_owned(), self.coverage.clone())]);
         let rows = by_group.map(|(name, coverage)| {
-            let held = coverage
-                .iter()
-                .map(|own| share(&json!(own.hold), "counted"));
+            let held = coverage.iter().map(|own| share(&json!(own.hold), "counted"));
             std::iter::once(name).chain(held).collect()
         });
         let parameters = self.coverage.iter().map(|own| own.parameter.key());
@@ -282,13 +267,8 @@ fn commissioned(findings: Findings, answers: &[MysteryAnswer]) -> Findings {
     let errors = named.filter_map(|answer| Some((answer.holdout_before?, answer.holdout_after?)));
     let tally = Tally::of_outcomes(answers.iter().map(|answer| answer.outcome));
     let counts = tallied("all".to_owned(), tally, median_errors(errors));
-    let parameters: Vec<_> = answers
-        .iter()
-        .flat_map(|answer| &answer.parameters)
-        .collect();
-    let others = answers
-        .iter()
-        .filter(|answer| answer.outcome != Outcome::Right);
+    let parameters: Vec<_> = answers.iter().flat_map(|answer| &answer.parameters).collect();
+    let others = answers.iter().filter(|answer| answer.outcome != Outcome::Right);
     let others = others.map(|answer| {
         let said = match answer.outcome {
             Outcome::Failed => without_paths(&answer.reason),
@@ -365,9 +345,7 @@ fn beside_what_is_so(all: &Calibration) -> String {
         let share = 100.0 * bin.there.count as f64 / bin.there.of as f64;
         let [given, there] = [mean, share].map(|percent| fixed(percent, 1));
         let (from, to) = (bin.from, bin.to);
-        Some(format!(
-            "{from} to {to} ({side}: {given} % given, {there} % there)"
-        ))
+        Some(format!("{from} to {to} ({side}: {given} % given, {there} % there)"))
     });
     let contradicted: Vec<String> = contradicted.collect();
     if contradicted.is_empty() {
@@ -428,9 +406,8 @@ fn named_groups(answers: &[Answer]) -> Vec<String> {
 }
 
 fn together<'a>(bins: impl Iterator<Item = &'a Bin>) -> Bounded {
-    let (there, of) = bins.fold((0, 0), |(there, of), bin| {
-        (there + bin.there.count, of + bin.there.of)
-    });
+    let (there, of) =
+        bins.fold((0, 0), |(there, of), bin| (there + bin.there.count, of + bin.there.of));
     Bounded::new(there, of)
 }
 
@@ -502,10 +479,7 @@ mod tests {
 
     #[test]
     fn the_page_says_it_in_tables_and_a_picture() {
-        let lossy = Answer {
-            group: Group::Lossy,
-            ..bad()
-        };
+        let lossy = Answer { group: Group::Lossy, ..bad() };
         let study = study(good().into_iter().chain([bad(), lossy]).collect());
         let page = study.report().unwrap();
         insta::assert_snapshot!(page.text());

@@ -309,10 +309,7 @@ pub struct ParameterFinding {
     pub verdict: Verdict,
 }
 
-#[expect(
-    clippy::trivially_copy_pass_by_ref,
-    reason = "the signature that serde asks for"
-)]
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "the signature that serde asks for")]
 fn key<S: serde::Serializer>(parameter: &MotorKey, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_str(parameter.key())
 }
@@ -487,11 +484,7 @@ pub(super) fn counts(answers: &[Answer]) -> Vec<GroupCount> {
     let cells = distinct(answers.iter().map(|a| (a.group, a.excitation))).into_iter();
     let count = |(group, excitation): (Group, &'static str)| {
         let of_cell = |a: &&Answer| a.group == group && a.excitation == excitation;
-        GroupCount {
-            group,
-            excitation,
-            tally: Tally::of(answers.iter().filter(of_cell)),
-        }
+        GroupCount { group, excitation, tally: Tally::of(answers.iter().filter(of_cell)) }
     };
     cells.map(count).collect()
 }
@@ -515,22 +508,14 @@ pub fn matrix(answers: &[Answer]) -> Matrix {
     let counts = |a: &&Answer| matches!(a.group, Group::Single | Group::Null | Group::Unknown);
     let counted: Vec<&Answer> = answers.iter().filter(counts).collect();
     let rows = distinct(counted.iter().map(|answer| answer.class.clone()));
-    let columns = distinct(
-        known()
-            .into_iter()
-            .chain(counted.iter().map(|answer| answer.column())),
-    );
+    let columns = distinct(known().into_iter().chain(counted.iter().map(|answer| answer.column())));
     let count = |row: &String, column: &str| {
         let is = |answer: &&&Answer| answer.class == *row && answer.column() == column;
         counted.iter().filter(is).count()
     };
     let of_row = |row| columns.iter().map(|column| count(row, column)).collect();
     let counts = rows.iter().map(of_row).collect();
-    Matrix {
-        rows,
-        columns,
-        counts,
-    }
+    Matrix { rows, columns, counts }
 }
 
 #[cfg(test)]
@@ -590,14 +575,8 @@ mod tests {
             named("eccentric_load", 0.99),
         ]);
         assert_eq!(counts(all.recalled), (2, 9));
-        let instead = Missed {
-            twin: 1,
-            open: 1,
-            possible: 1,
-            ruled_out: 2,
-            not_excited: 1,
-            other_order: 1,
-        };
+        let instead =
+            Missed { twin: 1, open: 1, possible: 1, ruled_out: 2, not_excited: 1, other_order: 1 };
         assert_eq!(all.missed, instead);
         assert_eq!(counts(all.falsely_ruled_out), (1, 9));
         // Four bounds: the wave of another order has one too.
@@ -655,10 +634,7 @@ mod tests {
         let [only] = &sizes(&answers)[..] else {
             panic!("backlash has no size");
         };
-        assert_eq!(
-            (only.effect, counts(only.intervals_hold)),
-            ("cogging", (1, 3))
-        );
+        assert_eq!((only.effect, counts(only.intervals_hold)), ("cogging", (1, 3)));
         assert!((only.error.unwrap() + 0.2).abs() < 1e-12);
     }
 
@@ -729,9 +705,8 @@ mod tests {
         let share = Bounded::new(3, 20).upper_percent / 100.0;
         let choose = [1.0, 20.0, 190.0, 1140.0];
         let ways = (0..).zip(choose);
-        let sum: f64 = ways
-            .map(|(k, ways)| ways * share.powi(k) * (1.0 - share).powi(20 - k))
-            .sum();
+        let sum: f64 =
+            ways.map(|(k, ways)| ways * share.powi(k) * (1.0 - share).powi(20 - k)).sum();
         assert!((sum - 0.05).abs() < 1e-6, "{sum}");
     }
 }

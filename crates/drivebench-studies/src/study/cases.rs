@@ -35,14 +35,8 @@ pub enum Excitation {
 }
 
 impl Excitation {
-    pub const ALL: [Self; 6] = [
-        Self::Rich,
-        Self::Steps,
-        Self::Unipolar,
-        Self::Prbs,
-        Self::Ramp,
-        Self::Rich100Hz,
-    ];
+    pub const ALL: [Self; 6] =
+        [Self::Rich, Self::Steps, Self::Unipolar, Self::Prbs, Self::Ramp, Self::Rich100Hz];
 
     pub const fn name(self) -> &'static str {
         match self {
@@ -272,16 +266,13 @@ pub(super) fn wrong_form() -> Vec<&'static str> {
 
 fn studied(is: impl Fn(&str, &[&str]) -> bool) -> Vec<&'static str> {
     let all = HiddenEffect::studied();
-    all.filter(|(id, names)| is(id, names))
-        .map(|(id, _)| id)
-        .collect()
+    all.filter(|(id, names)| is(id, names)).map(|(id, _)| id).collect()
 }
 
 /// The names that are right for what the emulator calls `id`; none for what no catalogue has.
 pub(super) fn right_names(id: &str) -> Vec<&'static str> {
     let mut all = HiddenEffect::studied();
-    all.find(|(other, _)| *other == id)
-        .map_or(vec![], |(_, names)| names.to_vec())
+    all.find(|(other, _)| *other == id).map_or(vec![], |(_, names)| names.to_vec())
 }
 
 /// Two at once.
@@ -305,9 +296,7 @@ pub(super) const BACKGROUND: &[&str] =
 pub(super) fn drawn(id: &str, share: f64, rng: &mut ChaCha8Rng) -> Option<HiddenEffect> {
     let specs = effect::find(id).map_or(&[][..], |effect| effect.parameters());
     let is_size = |key: &str| {
-        let mut sizes = specs
-            .iter()
-            .filter(|spec| ParameterSpec::is_coefficient(spec));
+        let mut sizes = specs.iter().filter(|spec| ParameterSpec::is_coefficient(spec));
         sizes.any(|spec| spec.key == key)
     };
     HiddenEffect::study(id, |key| if is_size(key) { share } else { 1.0 }, rng)

@@ -30,11 +30,7 @@ pub fn study(
 ) -> Result<Study, Failure> {
     // Before the study, which takes long.
     let real = folder.map_or(Ok(Vec::new()), real_records)?;
-    let size = Size {
-        sets,
-        seed,
-        reduced: false,
-    };
+    let size = Size { sets, seed, reduced: false };
     if size.sets == 0 && mysteries == 0 {
         return Err(Failure::usage(
             "--sets 0 --mysteries 0 leaves nothing to study",
@@ -83,9 +79,7 @@ fn tell(done: usize, _of: usize, answer: &Answer) {
     if matches!(answer.outcome, Outcome::Wrong | Outcome::Failed) {
         let (group, excitation) = (answer.group.name(), &answer.excitation);
         let (hidden, sentence) = (&answer.class, &answer.sentence);
-        output::message(&format!(
-            "{group} ({excitation}), hidden {hidden}: {sentence}"
-        ));
+        output::message(&format!("{group} ({excitation}), hidden {hidden}: {sentence}"));
     }
     progress::at(done);
 }

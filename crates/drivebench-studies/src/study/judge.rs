@@ -15,17 +15,12 @@ use drivebench::workflow::ORDER;
 
 /// Names whose effects are the same but for a little: the delay and the filter of one signal, which are the same to first
 /// order and told apart only by a quick dither, and drag and fan.
-const TWINS: [[&str; 2]; 2] = [
-    ["speed_delay", "speed_filter"],
-    ["viscous_friction", "quadratic_load"],
-];
+const TWINS: [[&str; 2]; 2] =
+    [["speed_delay", "speed_filter"], ["viscous_friction", "quadratic_load"]];
 
 pub(super) fn twin_of(id: &str) -> Option<&'static str> {
     let pairs = TWINS.into_iter().flat_map(|[a, b]| [(a, b), (b, a)]);
-    pairs
-        .filter(|(one, _)| *one == id)
-        .map(|(_, other)| other)
-        .next()
+    pairs.filter(|(one, _)| *one == id).map(|(_, other)| other).next()
 }
 
 /// Whether these are two names for what is the same to first order.
@@ -203,20 +198,12 @@ pub(super) fn outcome(
                 Group::Unknown => DiagnosisVerdict::Unexplained,
                 _ => DiagnosisVerdict::None,
             };
-            if said.verdict == expected {
-                Outcome::Right
-            } else {
-                Outcome::Abstained
-            }
+            if said.verdict == expected { Outcome::Right } else { Outcome::Abstained }
         }
         DiagnosisVerdict::Unexplained | DiagnosisVerdict::NotFitted => Outcome::Abstained,
         DiagnosisVerdict::None => {
             let excused = |names: &Vec<&str>| names.iter().all(|id| said.not_excited.contains(id));
-            if right.iter().all(excused) {
-                Outcome::NotExcited
-            } else {
-                Outcome::Abstained
-            }
+            if right.iter().all(excused) { Outcome::NotExcited } else { Outcome::Abstained }
         }
         DiagnosisVerdict::Ambiguous => {
             let inside = |names: &&Vec<&str>| names.iter().any(|id| said.pool.contains(id));
@@ -249,10 +236,8 @@ fn named(group: Group, right: &[Vec<&str>], orders: &[Option<f64>], said: &Claim
     let strangers: Vec<&str> = effects.iter().copied().filter(|id| !belongs(id)).collect();
     let is_found = |names: &&Vec<&str>| names.iter().any(|id| effects.contains(id));
     let found = right.iter().filter(is_found).count();
-    let missed: Vec<&str> = (right.iter().filter(|names| !is_found(names)))
-        .flatten()
-        .copied()
-        .collect();
+    let missed: Vec<&str> =
+        (right.iter().filter(|names| !is_found(names))).flatten().copied().collect();
     // What a background's drag of a per cent does under a load that wanders, a small fan does as well.
     let own = BACKGROUND.iter().copied().filter(|_| has_background);
     let unnamed: Vec<&str> = own.filter(|id| !effects.contains(id)).collect();
@@ -369,9 +354,8 @@ impl Finding {
         let is_there = |id: &str| truths.iter().any(|truth| truth.is(id));
         let own: Vec<&Truth> = truths.iter().filter(|truth| truth.is(id)).collect();
         // What was named as a wave of one order is held against that one.
-        let waves: Vec<f64> = (orders.iter().filter(|(other, _)| *other == id))
-            .map(|(_, order)| *order)
-            .collect();
+        let waves: Vec<f64> =
+            (orders.iter().filter(|(other, _)| *other == id)).map(|(_, order)| *order).collect();
         let has_order = |truth: &&&Truth| {
             let close = |order: f64| waves.iter().any(|found| (found - order).abs() < 0.5);
             truth.order.is_none_or(close)
@@ -396,15 +380,9 @@ impl Finding {
             of_other_order: is_named && !own.is_empty() && meant.is_empty(),
             size,
             interval_95,
-            other_name: names
-                .filter(|_| !is_named)
-                .find(|name| named.contains(name)),
+            other_name: names.filter(|_| !is_named).find(|name| named.contains(name)),
             twin: twin.is_some_and(|twin| {
-                if is_named {
-                    own.is_empty() && is_there(twin)
-                } else {
-                    named.contains(&twin)
-                }
+                if is_named { own.is_empty() && is_there(twin) } else { named.contains(&twin) }
             }),
             left_open: open.any(|[first, rival]| {
                 if is_named {

@@ -98,30 +98,26 @@ impl MysteryAnswer {
 /// What the commissioned model says of the motor beside what the drive was made of.
 fn parameters(truth: &Truth, commissioned: &Value) -> Vec<ParameterFinding> {
     let estimates = commissioned["parameters"].as_array();
-    let found = truths(&truth.motor)
-        .into_iter()
-        .filter_map(|(parameter, truth)| {
-            let mut estimates = estimates?.iter();
-            let own = estimates.find(|own| own["key"] == parameter.key())?;
-            Some(ParameterFinding {
-                parameter,
-                truth,
-                value: own["value"].as_f64()?,
-                std: own["std"].as_f64()?,
-                verdict: if own["verdict"] == "settled" {
-                    Verdict::Settled
-                } else {
-                    Verdict::Searching
-                },
-            })
-        });
+    let found = truths(&truth.motor).into_iter().filter_map(|(parameter, truth)| {
+        let mut estimates = estimates?.iter();
+        let own = estimates.find(|own| own["key"] == parameter.key())?;
+        Some(ParameterFinding {
+            parameter,
+            truth,
+            value: own["value"].as_f64()?,
+            std: own["std"].as_f64()?,
+            verdict: if own["verdict"] == "settled" {
+                Verdict::Settled
+            } else {
+                Verdict::Searching
+            },
+        })
+    });
     found.collect()
 }
 
 fn hidden(truth: &Truth) -> String {
-    truth
-        .effect()
-        .map_or_else(|| NOTHING.to_owned(), |effect| effect.id.clone())
+    truth.effect().map_or_else(|| NOTHING.to_owned(), |effect| effect.id.clone())
 }
 
 fn outcome(truth: &Truth, said: &Reported) -> Outcome {
@@ -133,9 +129,7 @@ fn outcome(truth: &Truth, said: &Reported) -> Outcome {
     let mut parameters = truth.effects.iter().flat_map(|own| &own.parameters);
     let order = parameters.find(|one| one.key == ORDER).map(|one| one.value);
     let claims = Claims::of_answer(said);
-    claims.map_or(Outcome::Abstained, |claims| {
-        judge::outcome(group, &right, &[order], &claims)
-    })
+    claims.map_or(Outcome::Abstained, |claims| judge::outcome(group, &right, &[order], &claims))
 }
 
 /// A record: its file, which column is what, and the model that its publishers start from.
@@ -244,30 +238,12 @@ mod tests {
         for (id, verdict, effects, not_excited, expected) in [
             ("cogging", "effect", &["cogging"][..], None, Outcome::Right),
             ("cogging", "effect", &["backlash"], None, Outcome::Wrong),
-            (
-                "cogging",
-                "effect",
-                &["cogging", "backlash"],
-                None,
-                Outcome::Wrong,
-            ),
-            (
-                "speed_delay",
-                "effect",
-                &["speed_filter"],
-                None,
-                Outcome::Twin,
-            ),
+            ("cogging", "effect", &["cogging", "backlash"], None, Outcome::Wrong),
+            ("speed_delay", "effect", &["speed_filter"], None, Outcome::Twin),
             ("cogging", "none", &[], None, Outcome::Abstained),
             ("cogging", "none", &[], Some("cogging"), Outcome::NotExcited),
             ("cogging", "unexplained", &[], None, Outcome::Abstained),
-            (
-                "cogging",
-                "ambiguous",
-                &["cogging", "eccentric_load"],
-                None,
-                Outcome::Ambiguous,
-            ),
+            ("cogging", "ambiguous", &["cogging", "eccentric_load"], None, Outcome::Ambiguous),
             ("cogging", "ambiguous", others, None, Outcome::Wrong),
             (NOTHING, "ambiguous", others, None, Outcome::Wrong),
             ("random_load", "ambiguous", others, None, Outcome::Wrong),
@@ -311,9 +287,7 @@ mod tests {
             ]
         });
         let answer = MysteryAnswer::of(seed, &said);
-        let [own] = answer.parameters.as_slice() else {
-            panic!("{:?}", answer.parameters)
-        };
+        let [own] = answer.parameters.as_slice() else { panic!("{:?}", answer.parameters) };
         assert_eq!(own.verdict, Verdict::Settled);
         assert!((own.value / own.truth - 1.01).abs() < 1e-12);
         assert_eq!(answer.holdout_after, Some(1.02));

@@ -57,20 +57,14 @@ impl Excitation {
     }
 
     fn program(self, rng: &mut ChaCha8Rng, seconds: f64) -> Result<Program, ExcitationError> {
-        let still = Segment::Standstill(Standstill {
-            seconds: STANDSTILL_S,
-        });
+        let still = Segment::Standstill(Standstill { seconds: STANDSTILL_S });
         let hold_s = 0.45;
         let mut levels = |low: f64, high: f64| {
             let mut levels_v = Vec::new();
             while (levels_v.len() as f64) * hold_s < seconds - STANDSTILL_S {
                 levels_v.push(rng.random_range(low..high));
             }
-            Segment::Steps(Steps {
-                levels_v,
-                hold_s,
-                dither: None,
-            })
+            Segment::Steps(Steps { levels_v, hold_s, dither: None })
         };
         match self {
             Self::Rich | Self::Rich100Hz => {
@@ -95,12 +89,7 @@ impl Excitation {
                 let (first_v, second_v) = (level(sign), level(-sign));
                 let quarter_s = 0.25 * (seconds - STANDSTILL_S);
                 let ramp = |from_v, to_v, seconds| {
-                    Segment::Ramp(Ramp {
-                        from_v,
-                        to_v,
-                        seconds,
-                        dither: None,
-                    })
+                    Segment::Ramp(Ramp { from_v, to_v, seconds, dither: None })
                 };
                 let parts = [
                     still,
@@ -209,10 +198,7 @@ fn exchanged(
     rng: &mut ChaCha8Rng,
 ) -> Result<Vec<Row>, StudyError> {
     let clock = VirtualClock::new();
-    let no_wire = Latency {
-        request_s: 0.0,
-        reply_s: 0.0,
-    };
+    let no_wire = Latency { request_s: 0.0, reply_s: 0.0 };
     let drive = SoftDrive::new(config, rng.random());
     let mut link = MemoryLink::new(drive, clock.clone(), no_wire);
     let mut rows: Vec<Row> = Vec::new();
@@ -286,10 +272,7 @@ pub(super) struct Truth {
 pub(super) fn truths(hidden: &[HiddenEffect], motor: &MotorTruth) -> Vec<Truth> {
     let site = Site::of(motor);
     let single = hidden.iter().flat_map(|effect| effect.single(&site));
-    single
-        .map(|effect| Truth::of(&effect, &site))
-        .filter(|truth| !truth.names.is_empty())
-        .collect()
+    single.map(|effect| Truth::of(&effect, &site)).filter(|truth| !truth.names.is_empty()).collect()
 }
 
 impl Truth {
@@ -303,10 +286,7 @@ impl Truth {
 }
 
 fn at_speed(speed_rad_s: f64) -> Instant {
-    Instant {
-        speed_rad_s,
-        ..Instant::default()
-    }
+    Instant { speed_rad_s, ..Instant::default() }
 }
 
 /// How large `hidden` is as the effect `id` of the catalogue.
@@ -319,18 +299,13 @@ fn size(hidden: &HiddenEffect, id: &str, site: &Site) -> Option<f64> {
         "viscous_friction" | "quadratic_load" | "asymmetric_viscous" => {
             let speed_rad_s = SPEED_SHARE * site.motor.rated_speed_rad_s;
             let torque_n_m = hidden.mechanism(site)?.drag_torque_n_m(speed_rad_s);
-            let of_size_one = of_catalogue
-                .terms(&[1.0])
-                .torque_n_m(&at_speed(speed_rad_s), &[]);
+            let of_size_one = of_catalogue.terms(&[1.0]).torque_n_m(&at_speed(speed_rad_s), &[]);
             Some(torque_n_m / of_size_one)
         }
         "stribeck_friction" => {
             let own_rad_s = hidden.value("stribeck_speed_rad_s")?;
             let speed_rad_s = SPEED_SHARE * own_rad_s;
-            let at = Moment {
-                speed_rad_s,
-                ..Moment::default()
-            };
+            let at = Moment { speed_rad_s, ..Moment::default() };
             let terms = of_catalogue.terms(&[1.0, own_rad_s]);
             let of_size_one = terms.friction_n_m(&at_speed(speed_rad_s));
             let friction_n_m = hidden.mechanism(site)?.friction_n_m(&at);
@@ -342,10 +317,7 @@ fn size(hidden: &HiddenEffect, id: &str, site: &Site) -> Option<f64> {
             }
         }
         "field_change" => {
-            let at = Moment {
-                time_s: TIME_S,
-                ..Moment::default()
-            };
+            let at = Moment { time_s: TIME_S, ..Moment::default() };
             Some((hidden.mechanism(site)?.flux_factor(&at) - 1.0) / TIME_S)
         }
         _ => match main.strip_prefix("sin_") {
@@ -406,16 +378,8 @@ mod tests {
             ("viscous_friction", "viscous_n_m_s_per_rad = 4e-4", drag),
             ("quadratic_load", "quadratic_n_m_s2_per_rad2 = 2e-6", fan),
             ("field_change", "drift_per_s = -4e-3", drift),
-            (
-                "exponential_stribeck",
-                "stribeck_n_m = 0.1\nstribeck_speed_rad_s = 8.0",
-                film,
-            ),
-            (
-                "cogging",
-                "order = 6\nsin_n_m = 0.03\ncos_n_m = -0.04",
-                0.05,
-            ),
+            ("exponential_stribeck", "stribeck_n_m = 0.1\nstribeck_speed_rad_s = 8.0", film),
+            ("cogging", "order = 6\nsin_n_m = 0.03\ncos_n_m = -0.04", 0.05),
         ] {
             let size = size_of(&format!("id = {id:?}\n{settings}"));
             assert!((size - expected).abs() < 1e-12, "{id}: {size}");

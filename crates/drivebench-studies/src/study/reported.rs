@@ -46,11 +46,7 @@ impl Reported {
                 }
             }
         }
-        let mut answer = Self {
-            verdict,
-            effects,
-            ..Self::default()
-        };
+        let mut answer = Self { verdict, effects, ..Self::default() };
         for candidate in &each(&diagnosis["candidates"]) {
             let Some(id) = text(&candidate["effect"]) else {
                 continue;
@@ -70,9 +66,7 @@ impl Reported {
             let value = parameter["value"].as_f64();
             if let Some((key, value)) = parameter["key"].as_str().zip(value) {
                 let (id, key) = key.split_once('.').unwrap_or(("", key));
-                answer
-                    .values
-                    .retain(|known| known.0 != id || known.1 != key);
+                answer.values.retain(|known| known.0 != id || known.1 != key);
                 answer.values.push((id.to_owned(), key.to_owned(), value));
             }
         }
@@ -160,49 +154,13 @@ mod tests {
             (None, "none", &[][..], "", "nothing was named"),
             (None, "effect", &["cogging"], "", "cogging was named"),
             (None, "unexplained", &[], "", "left that open"),
-            (
-                Some(&drop),
-                "effect",
-                &["voltage_drop"],
-                "",
-                "voltage_drop was named",
-            ),
-            (
-                Some(&drop),
-                "effect",
-                &["supply_sag"],
-                "",
-                "instead of voltage_drop",
-            ),
-            (
-                Some(&drop),
-                "effect",
-                &["voltage_drop", "cogging"],
-                "",
-                "what is not there",
-            ),
+            (Some(&drop), "effect", &["voltage_drop"], "", "voltage_drop was named"),
+            (Some(&drop), "effect", &["supply_sag"], "", "instead of voltage_drop"),
+            (Some(&drop), "effect", &["voltage_drop", "cogging"], "", "what is not there"),
             (Some(&drop), "none", &[], "", "was not seen"),
-            (
-                Some(&drop),
-                "none",
-                &[],
-                "voltage_drop",
-                "could not show voltage_drop",
-            ),
-            (
-                Some(&drop),
-                "unexplained",
-                &[],
-                "",
-                "did not name voltage_drop",
-            ),
-            (
-                Some(&shaker),
-                "unexplained",
-                &[],
-                "",
-                "nothing known explains",
-            ),
+            (Some(&drop), "none", &[], "voltage_drop", "could not show voltage_drop"),
+            (Some(&drop), "unexplained", &[], "", "did not name voltage_drop"),
+            (Some(&shaker), "unexplained", &[], "", "nothing known explains"),
             (Some(&shaker), "effect", &["cogging"], "", "cannot be it"),
         ] {
             let reason = said(verdict, effects, not_excited).reason(hidden);
@@ -219,10 +177,7 @@ mod tests {
         let answer = Reported::from_json(&diagnosis).unwrap();
         assert_eq!(answer.effects, ["speed_filter", "speed_delay"]);
         let reason = answer.reason(Some(&hidden("speed_delay")));
-        assert!(
-            reason.contains("left open: speed_filter, speed_delay"),
-            "{reason}"
-        );
+        assert!(reason.contains("left open: speed_filter, speed_delay"), "{reason}");
     }
 
     #[test]

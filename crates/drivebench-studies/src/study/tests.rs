@@ -5,22 +5,11 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use super::*;
 
-const REDUCED: Size = Size {
-    sets: 1,
-    seed: 7,
-    reduced: true,
-};
-const WHOLE: Size = Size {
-    sets: 1,
-    seed: 1,
-    reduced: false,
-};
+const REDUCED: Size = Size { sets: 1, seed: 7, reduced: true };
+const WHOLE: Size = Size { sets: 1, seed: 1, reduced: false };
 
 #[test]
-#[cfg_attr(
-    debug_assertions,
-    ignore = "ten diagnoses take a minute without optimisation"
-)]
+#[cfg_attr(debug_assertions, ignore = "ten diagnoses take a minute without optimisation")]
 fn ten_sets_name_what_is_hidden_and_nothing_else() {
     let heard = AtomicUsize::new(0);
     let study = run(REDUCED, &AtomicBool::new(false), |_, _, _| {
@@ -38,9 +27,7 @@ fn ten_sets_name_what_is_hidden_and_nothing_else() {
     for text in ["NaN", "inf "] {
         assert!(!page.contains(text), "{text} in {page}");
     }
-    let rows = page
-        .lines()
-        .filter(|line| line.contains("stribeck_friction"));
+    let rows = page.lines().filter(|line| line.contains("stribeck_friction"));
     assert!(rows.count() >= 2, "{page}");
     assert!(page.contains("There is none in this study."), "{page}");
 }
@@ -102,11 +89,7 @@ fn every_case_of_the_full_study_can_be_recorded_and_has_seeds_of_its_own() {
 #[test]
 fn studies_of_neighbouring_seeds_share_no_set() {
     let seeds = |seed: u64| {
-        let size = Size {
-            sets: 3,
-            seed,
-            ..WHOLE
-        };
+        let size = Size { sets: 3, seed, ..WHOLE };
         cases::all(size).into_iter().map(|case| case.seed)
     };
     let one: HashSet<u64> = seeds(1).collect();
@@ -122,10 +105,7 @@ fn a_line_that_loses_rows_loses_them_of_the_same_run() {
         let mut cases = cases::all(WHOLE).into_iter();
         let is = |case: &Case| case.group == group && case.excitation == Excitation::Steps;
         let case = cases.find(|case| is(case) && case.hidden == ["cogging"]);
-        let case = Case {
-            seconds: 5.0,
-            ..case.unwrap()
-        };
+        let case = Case { seconds: 5.0, ..case.unwrap() };
         record::runs(&case).unwrap()
     };
     let (whole, lossy) = (of(Group::Single), of(Group::Lossy));
@@ -194,9 +174,7 @@ fn a_small_effect_is_named_beside_four_others_and_nothing_that_is_not_there() {
     let cases = cases::all(size);
     let harsh = |case: &&Case| case.group == Group::Harsh && case.excitation == Excitation::Rich;
     let harsh = cases.iter().filter(harsh);
-    let harsh: Vec<&Case> = harsh
-        .filter(|case| wanted.contains(&case.hidden[0]))
-        .collect();
+    let harsh: Vec<&Case> = harsh.filter(|case| wanted.contains(&case.hidden[0])).collect();
     assert_eq!(harsh.len(), wanted.len());
     for case in harsh {
         let answer = answer(case);

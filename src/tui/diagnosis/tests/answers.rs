@@ -30,11 +30,7 @@ fn before_the_comparison_there_is_no_picture_and_it_is_said_so() {
         let mut state = State::new(String::new());
         press(&mut state, key);
         assert_eq!(state.over, Over::Nothing, "{key:?}");
-        assert!(
-            told(&state).starts_with("not yet"),
-            "{key:?}: {}",
-            told(&state)
-        );
+        assert!(told(&state).starts_with("not yet"), "{key:?}: {}", told(&state));
     }
 }
 
@@ -46,26 +42,16 @@ fn after_a_failure_only_what_there_is_is_offered() {
     };
     let mut bare = failed(State::new(String::new()));
     let shown = text(&bare, 80, 24);
-    assert!(
-        !shown.contains("v traces") && !shown.contains("e map"),
-        "{shown}"
-    );
+    assert!(!shown.contains("v traces") && !shown.contains("e map"), "{shown}");
     for key in [Press::Traces, Press::Map, Press::Curve, Press::Diagnose] {
         press(&mut bare, key);
-        assert!(
-            told(&bare).contains("has failed"),
-            "{key:?}: {}",
-            told(&bare)
-        );
+        assert!(told(&bare).contains("has failed"), "{key:?}: {}", told(&bare));
     }
     press(&mut bare, DOWN);
     assert_eq!(told(&bare), "no effect has been judged");
     // The comparison was there before.
     let shown = text(&failed(begun()), 80, 24);
-    assert!(
-        !shown.contains("v traces") && shown.contains("e map"),
-        "{shown}"
-    );
+    assert!(!shown.contains("v traces") && shown.contains("e map"), "{shown}");
 }
 
 #[test]

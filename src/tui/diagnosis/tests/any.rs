@@ -25,16 +25,8 @@ fn state() -> impl Strategy<Value = State> {
     ]);
     let numbers = prop::collection::vec(number(), 8);
     let (kind, down) = (0..7_usize, 0..40_i32);
-    (
-        kind,
-        over,
-        verdict,
-        numbers,
-        ".{0,120}",
-        down,
-        any::<bool>(),
-    )
-        .prop_map(|(kind, over, verdict, numbers, words, down, speaks)| {
+    (kind, over, verdict, numbers, ".{0,120}", down, any::<bool>()).prop_map(
+        |(kind, over, verdict, numbers, words, down, speaks)| {
             let mut state = match kind {
                 0 => begun(),
                 1 => searching(),
@@ -61,10 +53,7 @@ fn state() -> impl Strategy<Value = State> {
             if kind > 1 && kind != 5 {
                 hear(&mut state, News::Diagnosed(Box::new(answer)));
             } else {
-                let found = Found::Screened {
-                    effect: "cogging",
-                    share: numbers[1],
-                };
+                let found = Found::Screened { effect: "cogging", share: numbers[1] };
                 hear(&mut state, News::Progress(found));
             }
             for (step, number) in state.ladder.iter_mut().zip(&numbers) {
@@ -78,7 +67,8 @@ fn state() -> impl Strategy<Value = State> {
             state.title.clone_from(&words);
             state.message = speaks.then_some(words);
             state
-        })
+        },
+    )
 }
 
 proptest! {

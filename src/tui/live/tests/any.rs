@@ -40,29 +40,24 @@ fn snapshot() -> impl Strategy<Value = Snapshot> {
         prop::collection::vec(estimate(), 0..9),
         (".{0,90}", ".{0,90}", number()),
     )
-        .prop_map(
-            |(mut base, (elapsed, total), mut points, sorted, estimates, texts)| {
-                if sorted {
-                    points.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
-                }
-                base.elapsed_s = elapsed;
-                base.total_s = total;
-                base.trace = Arc::new(points);
-                base.estimates = Arc::new(estimates);
-                base.segment = Some(texts.0.clone());
-                base.link = texts.1.clone();
-                base.timing.rate_achieved_hz = texts.2;
-                base.timing.lateness_p99_s = texts.2;
-                base.notices.push(Notice {
-                    level: Level::Error,
-                    text: texts.0,
-                });
-                if let Some(trip) = &mut base.trip {
-                    trip.reason = texts.1;
-                }
-                base
-            },
-        )
+        .prop_map(|(mut base, (elapsed, total), mut points, sorted, estimates, texts)| {
+            if sorted {
+                points.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+            }
+            base.elapsed_s = elapsed;
+            base.total_s = total;
+            base.trace = Arc::new(points);
+            base.estimates = Arc::new(estimates);
+            base.segment = Some(texts.0.clone());
+            base.link = texts.1.clone();
+            base.timing.rate_achieved_hz = texts.2;
+            base.timing.lateness_p99_s = texts.2;
+            base.notices.push(Notice { level: Level::Error, text: texts.0 });
+            if let Some(trip) = &mut base.trip {
+                trip.reason = texts.1;
+            }
+            base
+        })
 }
 
 fn screens() -> impl Strategy<Value = (usize, bool, bool, usize, usize, Option<bool>, bool)> {

@@ -33,13 +33,11 @@ pub(super) fn between_two_values() -> Model {
 fn offers() -> Model {
     finished(with(&model(done()), |own| {
         let mut workflow = workflow(true);
-        workflow
-            .steps
-            .extend([Step::Experiment, Step::SpeedLoop].map(|step| StepView {
-                state: StepState::Offered,
-                command: step.command(&Called::default()),
-                ..StepView::new(step)
-            }));
+        workflow.steps.extend([Step::Experiment, Step::SpeedLoop].map(|step| StepView {
+            state: StepState::Offered,
+            command: step.command(&Called::default()),
+            ..StepView::new(step)
+        }));
         own.update(Event::Workflow(Arc::new(workflow)));
     }))
 }
@@ -52,10 +50,7 @@ pub(in crate::tui) fn pages() -> Vec<Page> {
         report(own, false);
         own.page = super::Page::Steps;
     });
-    let fault = Snapshot {
-        drive_state: Some(DriveState::Fault),
-        ..hardware()
-    };
+    let fault = Snapshot { drive_state: Some(DriveState::Fault), ..hardware() };
     let mut lost = running();
     (lost.phase, lost.outcome) = (Some(Phase::LinkLost), Some("link_lost"));
     lost.reopening = Some("link lost, reopening (attempt 3)…".to_owned());
@@ -65,10 +60,7 @@ pub(in crate::tui) fn pages() -> Vec<Page> {
         ("running", run.clone()),
         ("speed", model(speed())),
         ("missing", model(missing())),
-        (
-            "parameters",
-            with(&run, |own| own.page = super::Page::Parameters),
-        ),
+        ("parameters", with(&run, |own| own.page = super::Page::Parameters)),
         ("between_two_values", between_two_values()),
         ("hardware", waiting.clone()),
         ("confirm", with(&waiting, |own| own.confirm_start = true)),

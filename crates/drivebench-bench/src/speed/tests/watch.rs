@@ -16,16 +16,8 @@ struct Course {
 }
 
 /// One step up, one down, each as long as it takes to be sure; and the embedded bench's six.
-const SHORT: Course = Course {
-    level_s: 1.6,
-    pairs: 1,
-    motors: MOTORS / 2,
-};
-const WHOLE: Course = Course {
-    level_s: 2.0,
-    pairs: 3,
-    motors: MOTORS,
-};
+const SHORT: Course = Course { level_s: 1.6, pairs: 1, motors: MOTORS / 2 };
+const WHOLE: Course = Course { level_s: 2.0, pairs: 3, motors: MOTORS };
 
 /// A ring is a swing of more than this share of the step, beside the noise of the sensor: peak to peak.
 const RING_SHARE: f64 = 0.05;
@@ -47,9 +39,7 @@ fn extent_rad_s(rows: Rows<'_>) -> f64 {
 
 fn ends(rows: Rows<'_>) -> (f64, f64) {
     rows.iter()
-        .fold((f64::MAX, f64::MIN), |(low, high), &(_, speed)| {
-            (low.min(speed), high.max(speed))
-        })
+        .fold((f64::MAX, f64::MIN), |(low, high), &(_, speed)| (low.min(speed), high.max(speed)))
 }
 
 /// Whether these rows ring from the first to the last, by so much.
@@ -62,11 +52,7 @@ fn rings(rows: Rows<'_>, ring_rad_s: f64) -> bool {
     let (low, high) = ends(rows);
     let (size, middle) = (high - low, 0.5 * (low + high));
     let beyond = |row: &&(f64, f64)| (row.1 - middle).abs() > 0.25 * size;
-    let mut sides: Vec<bool> = rows
-        .iter()
-        .filter(beyond)
-        .map(|row| row.1 > middle)
-        .collect();
+    let mut sides: Vec<bool> = rows.iter().filter(beyond).map(|row| row.1 > middle).collect();
     sides.dedup();
     sides.len() > RING_TURNS
 }
@@ -143,17 +129,13 @@ fn heard(config: &EmulatorConfig, kind: ControllerKind, seed: u64, course: Cours
         (Some(Outcome::Done), _) | (_, None) => duration_s,
         (_, Some(last)) => last.time_s,
     };
-    let rows = rows
-        .into_iter()
-        .map(|(time_s, speed)| (time_s - begin_s, speed));
+    let rows = rows.into_iter().map(|(time_s, speed)| (time_s - begin_s, speed));
     let rows: Vec<(f64, f64)> = rows.filter(|row| row.0 < until_s).collect();
     let first_s = watch.first().map(|found| found.time_s);
     let (mut rang, mut unnoticed, mut after_s) = (false, false, None);
     for level in 0..levels {
-        let (from_s, to_s) = (
-            course.level_s * f64::from(level),
-            course.level_s * f64::from(level + 1),
-        );
+        let (from_s, to_s) =
+            (course.level_s * f64::from(level), course.level_s * f64::from(level + 1));
         // The first step comes from rest.
         let step_rad_s = if level == 0 { 110.0 } else { 20.0 };
         let ring_rad_s = RING_SHARE * step_rad_s + NOISE_RAD_S;
@@ -163,10 +145,7 @@ fn heard(config: &EmulatorConfig, kind: ControllerKind, seed: u64, course: Cours
             let reference_rad_s = if level % 2 == 0 { 110.0 } else { 90.0 };
             settled(&rows[from..to.max(from)], reference_rad_s)
         };
-        for second in of_level(to_s)
-            .windows(RING_CYCLES)
-            .filter(|rows| rings(rows, ring_rad_s))
-        {
+        for second in of_level(to_s).windows(RING_CYCLES).filter(|rows| rings(rows, ring_rad_s)) {
             rang = true;
             unnoticed |=
                 first_s.is_none_or(|first_s| first_s > second[RING_CYCLES - 1].0 + PERIOD_S);
@@ -190,10 +169,8 @@ fn heard(config: &EmulatorConfig, kind: ControllerKind, seed: u64, course: Cours
 fn heard_on_all(config: impl Fn(u64) -> EmulatorConfig + Sync, course: Course) -> Vec<Heard> {
     let on = |kind: ControllerKind| (1..=course.motors).map(move |seed| (kind, seed));
     let runs: Vec<(ControllerKind, u64)> = ControllerKind::ALL.into_iter().flat_map(on).collect();
-    let all: Vec<Heard> = runs
-        .into_par_iter()
-        .map(|(kind, seed)| heard(&config(seed), kind, seed, course))
-        .collect();
+    let all: Vec<Heard> =
+        runs.into_par_iter().map(|(kind, seed)| heard(&config(seed), kind, seed, course)).collect();
     for kind in ControllerKind::ALL {
         let own = || all.iter().filter(|heard| heard.kind == kind);
         let count = |counts: &dyn Fn(&Heard) -> bool| own().filter(|heard| counts(heard)).count();
@@ -252,10 +229,8 @@ fn as_the_model_says(seed: u64) -> EmulatorConfig {
         2 => Some(("voltage_drop", ("drop_v", 1.2))),
         _ => None,
     };
-    config.hidden = hidden
-        .map(|(id, value)| HiddenEffect::new(id, &[value]).unwrap())
-        .into_iter()
-        .collect();
+    config.hidden =
+        hidden.map(|(id, value)| HiddenEffect::new(id, &[value]).unwrap()).into_iter().collect();
     config
 }
 

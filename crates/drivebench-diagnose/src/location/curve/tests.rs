@@ -26,11 +26,7 @@ fn run(settings: &str, values: &[f64], seed: u64, period_s: f64, until_s: f64) -
     let mut truth = Model::baseline(Motor::zk_22fc());
     if !settings.is_empty() {
         let table: toml::Table = settings.parse().unwrap();
-        let id = if table.contains_key("axis") {
-            "table"
-        } else {
-            "custom"
-        };
+        let id = if table.contains_key("axis") { "table" } else { "custom" };
         let (effect, _) = effect::define(id, &table).unwrap();
         let values = values.iter().copied().map(Some).collect();
         truth.effects.push(ActiveEffect { effect, values });
@@ -54,12 +50,8 @@ fn voltage(expression: &str) -> String {
 }
 
 fn r2(maps: &[AxisMap], equation: &str, axis: &str) -> f64 {
-    let found = maps
-        .iter()
-        .find(|map| map.equation == equation && map.axis == axis);
-    found
-        .unwrap_or_else(|| panic!("no {equation} over {axis}"))
-        .r2
+    let found = maps.iter().find(|map| map.equation == equation && map.axis == axis);
+    found.unwrap_or_else(|| panic!("no {equation} over {axis}")).r2
 }
 
 /// What explains most: on this axis of this equation, and more than so much.
@@ -122,13 +114,7 @@ fn each_error_is_put_on_its_own_axis() {
         (torque("a*abs(w)*w"), 2e-6, "torque", "speed_rad_s", 0.84),
         (torque("a*sin(theta)"), 0.12, "torque", "angle_rad", 0.93),
         (voltage("a*tanh(i/0.05)"), 1.0, "voltage", "current_a", 0.9),
-        (
-            torque("a*sin(2*pi*4.625*t)"),
-            0.1,
-            "torque",
-            "frequency_hz",
-            0.91,
-        ),
+        (torque("a*sin(2*pi*4.625*t)"), 0.1, "torque", "frequency_hz", 0.91),
         (torque("a*(1+sgn(t-6))/2"), 0.1, "torque", "time_s", 0.73),
     ] {
         let found = maps(&run(&settings, &[size], 7, 0.001, 12.0));
@@ -157,24 +143,17 @@ fn a_run_that_is_driven_by_torque_has_a_torque_balance_only() {
     let mut scenario = run(&torque("a*abs(w)*w"), &[2e-6], 7, 0.001, 8.0);
     // A drive holds its torque from one stamp to the next: the mean of both.
     let torque = scenario.current_a.windows(2);
-    let torque: Vec<f64> = torque
-        .map(|ends| 0.3538 * 0.5 * (ends[0] + ends[1]))
-        .collect();
+    let torque: Vec<f64> = torque.map(|ends| 0.3538 * 0.5 * (ends[0] + ends[1])).collect();
     scenario.events = scenario.sample_time_s.iter().copied().zip(torque).collect();
     scenario.input = Input::Torque;
-    let motor = Motor::new("axis")
-        .with(MotorKey::Inertia, 0.0045)
-        .with(MotorKey::LoadTorque, 0.455);
+    let motor =
+        Motor::new("axis").with(MotorKey::Inertia, 0.0045).with(MotorKey::LoadTorque, 0.455);
     let noise = NoiseFloor::from_spread(&scenario);
     let found = axis_map(&Model::baseline(motor), &scenario, &noise).unwrap();
     assert!(found.iter().all(|map| map.equation == "torque"));
     assert_eq!(found[0].axis, "speed_rad_s", "{:?}", found[0]);
     assert!(r2(&found, "torque", "speed_rad_s") > 0.6, "{found:#?}");
-    assert!(
-        found
-            .iter()
-            .all(|map| map.axis != "current_a" && map.axis != "voltage_v")
-    );
+    assert!(found.iter().all(|map| map.axis != "current_a" && map.axis != "voltage_v"));
 }
 
 #[test]

@@ -5,10 +5,8 @@ use super::*;
 const REFERENCE: Reference<'static> = speed_ref(900.0);
 const CHANGED: [f64; 2] = [400.0, 401.0];
 /// All of its fast signals in one request.
-const ONE_BLOCK: (&str, &str) = (
-    "max_read = 16\nmax_write = 16\nmax_hole = 7",
-    "max_read = 64\nmax_write = 16\nmax_hole = 64",
-);
+const ONE_BLOCK: (&str, &str) =
+    ("max_read = 16\nmax_write = 16\nmax_hole = 7", "max_read = 64\nmax_write = 16\nmax_hole = 64");
 /// The servo amplifier's first signal.
 const FIRST: &str = "[signals.enabled]";
 
@@ -118,19 +116,10 @@ fn a_clock_that_cannot_be_followed_is_refused_with_its_turn() {
     let good = with_clock("u32", "us", "1.0");
     let second = good.replace("uptime", "second").replace("0x1219", "0x1240");
     for (clock, part) in [
-        (
-            with_clock("u16", "us", "1.0"),
-            "comes round every 0.066 s (expected 2 s or more",
-        ),
+        (with_clock("u16", "us", "1.0"), "comes round every 0.066 s (expected 2 s or more"),
         (with_clock("i16", "ms", "1.0"), "expected type u16 or u32"),
-        (
-            with_clock("u32", "rpm", "1.0"),
-            "does not fit quantity \"clock\" (expected us, ms or s)",
-        ),
-        (
-            good.replace("\"fast\"", "\"slow\""),
-            "a clock stamps every sample",
-        ),
+        (with_clock("u32", "rpm", "1.0"), "does not fit quantity \"clock\" (expected us, ms or s)"),
+        (good.replace("\"fast\"", "\"slow\""), "a clock stamps every sample"),
         (second.replace(FIRST, &good), "are both clocks"),
     ] {
         assert_contains(&refused(&[(FIRST, &clock)]), part);
@@ -206,12 +195,7 @@ fn encoder_counts_are_unwrapped_angle_and_speed() {
         "type = \"i16\"\nunit = \"rpm\"\nquantity = \"shaft_speed\"",
         "type = \"i32\"\nunit = \"counts/s\"\nquantity = \"shaft_speed\"",
     );
-    for (kind, wraps) in [
-        ("u16", ""),
-        ("i16", ""),
-        ("u32", ""),
-        ("u16", "wraps_at = 4096\n"),
-    ] {
+    for (kind, wraps) in [("u16", ""), ("i16", ""), ("u32", ""), ("u16", "wraps_at = 4096\n")] {
         let position = with_position(kind, wraps);
         let mut table = servo(&[device, speed, (FIRST, &position)]);
         let mut last = table.drive(REFERENCE, 0.1);
@@ -243,31 +227,16 @@ fn counts_that_cannot_be_followed_are_refused() {
     let turns = position("counts_per_turn = 4096\nwraps_at = 4096\n");
     let only_position: Changes<'_> = &[
         (FIRST, &turns),
-        (
-            "quantity = \"shaft_speed\"\norigin = \"measured\"",
-            "quantity = \"other\"",
-        ),
+        ("quantity = \"shaft_speed\"\norigin = \"measured\"", "quantity = \"other\""),
         ("unit = \"rpm\"", "unit = \"\""),
-        (
-            "[missing]",
-            "[missing]\nspeed_rad_s = \"only the position\"",
-        ),
+        ("[missing]", "[missing]\nspeed_rad_s = \"only the position\""),
         ("[rates]", "[limits]\nspeed_rpm = 3000\n\n[rates]"),
     ];
     for (changes, part) in [
-        (
-            &[(FIRST, &none[..])][..],
-            "unit \"counts\" needs counts_per_turn, here or in [device]",
-        ),
+        (&[(FIRST, &none[..])][..], "unit \"counts\" needs counts_per_turn, here or in [device]"),
         (&[(FIRST, &zero)], "counts_per_turn 0 is not allowed"),
-        (
-            &[(rpm, &speed)],
-            "counts_per_turn does not fit unit \"rpm\"",
-        ),
-        (
-            only_position,
-            "which way cannot be told (expected less than 50 %",
-        ),
+        (&[(rpm, &speed)], "counts_per_turn does not fit unit \"rpm\""),
+        (only_position, "which way cannot be told (expected less than 50 %"),
     ] {
         assert_contains(&refused(changes), part);
     }

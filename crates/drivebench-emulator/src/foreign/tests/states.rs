@@ -60,10 +60,7 @@ fn safe_torque_off_refuses_the_start_and_ends_a_run() {
     table.link.identify().unwrap();
     let rest = table.rest();
     assert_eq!(rest.hindrance, Some(Hindrance::TorqueOff));
-    assert_contains(
-        &table.run(REFERENCE).unwrap_err(),
-        "safe torque off (STO) is active",
-    );
+    assert_contains(&table.run(REFERENCE).unwrap_err(), "safe torque off (STO) is active");
     assert_eq!(table.written("enable_word"), None);
     table.far().switch_torque_off(false);
     table.rest();
@@ -82,14 +79,8 @@ fn a_refusal_names_the_signal_and_its_line_in_the_profile() {
     let text = table.demand(Demand::Disable).unwrap_err();
     assert!(matches!(text, LinkError::Exception { code: 2, .. }));
     let profile = DriveProfile::text("epulse50-dc").unwrap();
-    let line = 1 + profile
-        .lines()
-        .position(|line| line.starts_with("[signals.enabled]"))
-        .unwrap();
-    assert_contains(
-        &text,
-        &format!("profile epulse50-dc: enabled in line {line}"),
-    );
+    let line = 1 + profile.lines().position(|line| line.starts_with("[signals.enabled]")).unwrap();
+    assert_contains(&text, &format!("profile epulse50-dc: enabled in line {line}"));
 }
 
 #[test]

@@ -17,10 +17,8 @@ fn acme_table(changes: Changes<'_>) -> Table {
     Table::of(&acme_with(changes), None).known()
 }
 
-const READY_FIRST: (&str, &str) = (
-    "  { write = \"control_word\", value = 0x0006 },\n  { wait",
-    "  { wait",
-);
+const READY_FIRST: (&str, &str) =
+    ("  { write = \"control_word\", value = 0x0006 },\n  { wait", "  { wait");
 const NO_RUNNING_WAIT: (&str, &str) = (
     "  { wait = \"status\", mask = 0x0004, equals = 0x0004, within_ms = 2000, error = \"operation not enabled\" },\n",
     "",
@@ -88,10 +86,7 @@ fn a_drive_at_rest_does_not_show_that_it_runs() {
     let [ready, running] = ["0x0001", "0x0004"].map(|bit| format!("mask = {bit}, equals = {bit}"));
     let error = acme_table(&[READY_FIRST, (&ready, &running)]).first_error(None);
     assert_contains(&error, "enable, step 1 of 3: not ready");
-    assert_contains(
-        &error,
-        "status is 0x0000 after 1 s (expected 0x0004 under mask 0x0004",
-    );
+    assert_contains(&error, "status is 0x0000 after 1 s (expected 0x0004 under mask 0x0004");
     // That of the first wait of the enable command.
     let text = changed(&acme(), &[READY_FIRST]);
     let mut lines = text.lines();

@@ -36,12 +36,7 @@ pub(super) struct Harmonics {
 impl Harmonics {
     /// The series whose first harmonic is `sin sin(N th) + cos cos(N th)`.
     pub(super) fn new([order, sin, cos]: [f64; 3], second: f64) -> Self {
-        Self {
-            order,
-            amplitude: sin.hypot(cos),
-            phase_rad: cos.atan2(sin),
-            second,
-        }
+        Self { order, amplitude: sin.hypot(cos), phase_rad: cos.atan2(sin), second }
     }
 
     pub(super) fn at(&self, angle_rad: f64) -> f64 {
@@ -67,10 +62,7 @@ mod tests {
         let sums = (0..n).fold((0.0, 0.0), |(sin, cos), step| {
             let angle = std::f64::consts::TAU * f64::from(step) / f64::from(n);
             let torque = series.at(angle);
-            (
-                sin + torque * (k * angle).sin(),
-                cos + torque * (k * angle).cos(),
-            )
+            (sin + torque * (k * angle).sin(), cos + torque * (k * angle).cos())
         });
         (2.0 * sums.0 / f64::from(n), 2.0 * sums.1 / f64::from(n))
     }

@@ -59,10 +59,7 @@ mod tests {
         let slope_at_limit = |saturation_per_a2| {
             let field = KIND.mechanism(&[saturation_per_a2]);
             let volts = |current_a: f64| {
-                let at = Moment {
-                    current_a,
-                    ..Moment::default()
-                };
+                let at = Moment { current_a, ..Moment::default() };
                 let back_emf_v = motor.back_emf_v_s_per_rad * motor.rated_speed_rad_s;
                 motor.resistance_ohm * current_a + back_emf_v * field.flux_factor(&at)
             };

@@ -14,12 +14,6 @@ pub(super) const KIND: HiddenKind = HiddenKind {
     mystery: Some(|dice| vec![dice.size(0.1, 0.5), dice.between(3.0, 9.0)]),
     acts: Acts::Inside(|values, _| {
         let [ratio, time_s] = named(values);
-        inertia_factor(move |at| {
-            if at.time_s >= time_s {
-                1.0 + ratio
-            } else {
-                1.0
-            }
-        })
+        inertia_factor(move |at| if at.time_s >= time_s { 1.0 + ratio } else { 1.0 })
     }),
 };

@@ -92,10 +92,7 @@ pub(super) const NOT_STUDIED: Range<f64> = 0.0..0.0;
 impl Parameter {
     /// N, periods per turn; the study draws one of these.
     pub(super) const fn order(one_of: &'static [f64]) -> Self {
-        Self {
-            one_of,
-            ..Allowed::Order.of("order", "-", 7.0, 1.0..400.0)
-        }
+        Self { one_of, ..Allowed::Order.of("order", "-", 7.0, 1.0..400.0) }
     }
 
     pub(super) const fn is_studied(&self) -> bool {
@@ -151,14 +148,7 @@ impl Allowed {
         usual: f64,
         studied: Range<f64>,
     ) -> Parameter {
-        Parameter {
-            key,
-            unit,
-            allowed: self,
-            usual,
-            studied,
-            one_of: &[],
-        }
+        Parameter { key, unit, allowed: self, usual, studied, one_of: &[] }
     }
 
     pub(super) fn refuses(self, value: f64) -> Option<&'static str> {
@@ -169,10 +159,9 @@ impl Allowed {
             Self::Fraction => ((0.0..=1.0).contains(&value), "0 to 1"),
             Self::Share => (value > 0.0 && value < 1.0, "between 0 and 1"),
             Self::Loss => ((0.0..=0.5).contains(&value), "0 to 0.5"),
-            Self::Order => (
-                value.fract() == 0.0 && (1.0..=400.0).contains(&value),
-                "a whole number, 1 to 400",
-            ),
+            Self::Order => {
+                (value.fract() == 0.0 && (1.0..=400.0).contains(&value), "a whole number, 1 to 400")
+            }
             Self::Delay => ((0.0..=1.0).contains(&value), "0 to 1 s"),
         };
         (!(value.is_finite() && ok)).then_some(text)

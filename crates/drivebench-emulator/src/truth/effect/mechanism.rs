@@ -15,11 +15,7 @@ pub struct Site {
 impl Site {
     /// A motor on a supply of its rated voltage.
     pub fn of(motor: &MotorTruth) -> Self {
-        Self {
-            motor: motor.clone(),
-            bus_v: motor.rated_voltage_v,
-            seed: 0,
-        }
+        Self { motor: motor.clone(), bus_v: motor.rated_voltage_v, seed: 0 }
     }
 
     pub fn rated_torque_n_m(&self) -> f64 {
@@ -44,11 +40,7 @@ impl Moment {
     /// Share of what comes at `from_s` and takes hold with a time constant that is there already.
     pub(super) fn taken_hold(&self, from_s: f64, time_constant_s: f64) -> f64 {
         let since_s = self.time_s - from_s;
-        if since_s > 0.0 {
-            -(-since_s / time_constant_s).exp_m1()
-        } else {
-            0.0
-        }
+        if since_s > 0.0 { -(-since_s / time_constant_s).exp_m1() } else { 0.0 }
     }
 }
 

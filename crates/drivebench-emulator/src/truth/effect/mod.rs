@@ -243,10 +243,7 @@ impl HiddenEffect {
     /// All mechanisms at work, those of its parts included.
     pub(super) fn mechanisms(&self, site: &Site) -> Vec<Box<dyn Mechanism>> {
         let parts = self.single(site);
-        parts
-            .iter()
-            .filter_map(|part| part.mechanism(site))
-            .collect()
+        parts.iter().filter_map(|part| part.mechanism(site)).collect()
     }
 
     /// One of each in the sizes of the example configuration, for tests.
@@ -254,11 +251,7 @@ impl HiddenEffect {
     pub(crate) fn one_of_each() -> Vec<Self> {
         let usual = |kind: &'static HiddenKind| Self {
             kind,
-            values: kind
-                .parameters
-                .iter()
-                .map(|parameter| parameter.usual)
-                .collect(),
+            values: kind.parameters.iter().map(|parameter| parameter.usual).collect(),
         };
         CATALOGUE.iter().map(usual).collect()
     }
@@ -284,9 +277,7 @@ impl Serialize for HiddenEffect {
 impl<'de> Deserialize<'de> for HiddenEffect {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let table = toml::Table::deserialize(deserializer)?;
-        let id = table
-            .get("id")
-            .ok_or_else(|| D::Error::missing_field("id"))?;
+        let id = table.get("id").ok_or_else(|| D::Error::missing_field("id"))?;
         let id = id.as_str().unwrap_or_default();
         let kind = CATALOGUE.iter().find(|kind| kind.id == id);
         let kind = kind.ok_or_else(|| D::Error::custom(unknown("variant", id, Self::ids())))?;

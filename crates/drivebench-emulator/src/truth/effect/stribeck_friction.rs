@@ -16,11 +16,7 @@ pub(super) const KIND: HiddenKind = HiddenKind {
     ],
     mystery: Some(|dice| vec![dice.torque_n_m, dice.between(5.0, 20.0)]),
     acts: Acts::Inside(|values, _| {
-        Box::new(Bristle {
-            torque_n_m: values[0],
-            speed_scale_rad_s: values[1],
-            stretch: 0.0,
-        })
+        Box::new(Bristle { torque_n_m: values[0], speed_scale_rad_s: values[1], stretch: 0.0 })
     }),
 };
 
@@ -66,10 +62,7 @@ mod tests {
     use super::*;
 
     fn turning(speed_rad_s: f64) -> Moment {
-        Moment {
-            speed_rad_s,
-            ..Moment::default()
-        }
+        Moment { speed_rad_s, ..Moment::default() }
     }
 
     #[test]

@@ -51,15 +51,9 @@ mod tests {
 
     #[test]
     fn settles_on_the_duty_cycle_law_and_lags() {
-        let at = Moment {
-            current_a: 6.0,
-            ..Moment::default()
-        };
+        let at = Moment { current_a: 6.0, ..Moment::default() };
         for bus_v in [110.0, 120.0, 300.0] {
-            let site = Site {
-                bus_v,
-                ..Site::of(&zk_22fc())
-            };
+            let site = Site { bus_v, ..Site::of(&zk_22fc()) };
             let mut bus = KIND.mechanism_on(&site, &[0.4]);
             // Half of the 110 V to which the size refers, whatever the bus: the motor loses a quarter of Rs i.
             let full_v = 0.4 * 0.25 * 6.0;

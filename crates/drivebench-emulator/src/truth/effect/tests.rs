@@ -147,10 +147,7 @@ fn at_a_probe_point_the_size_is_that_of_the_key() {
             "quadratic_load" => (torque(m), 1.8e-6 * speed * speed, 1e-9),
             "stribeck_friction" | "exponential_stribeck" => {
                 // At rest.
-                let still = Moment {
-                    speed_rad_s: 0.0,
-                    ..at
-                };
+                let still = Moment { speed_rad_s: 0.0, ..at };
                 (m.breakaway_extra_n_m() + m.friction_n_m(&still), 0.16, 1e-9)
             }
             "asymmetric_viscous" => (torque(m), 1e-4 * speed, 0.011),
@@ -176,10 +173,7 @@ fn at_a_probe_point_the_size_is_that_of_the_key() {
             "discontinuous_conduction" => (m.voltage_loss_v(0.5), 0.5, 0.01),
             "shaker" => (torque(m), 0.1 * (std::f64::consts::TAU * 46.0).sin(), 1e-9),
             "torque_bump" => {
-                let there = Moment {
-                    speed_rad_s: -95.0,
-                    ..at
-                };
+                let there = Moment { speed_rad_s: -95.0, ..at };
                 (m.friction_n_m(&there), 0.12, 1e-9)
             }
             // Has no size at a point; its own test counts its spread.
@@ -198,10 +192,7 @@ fn at_a_probe_point_the_size_is_that_of_the_key() {
 
 #[test]
 fn a_second_inertia_rings_at_its_frequency_and_settles() {
-    for effect in HiddenEffect::one_of_each()
-        .into_iter()
-        .filter(HiddenEffect::is_shaft)
-    {
+    for effect in HiddenEffect::one_of_each().into_iter().filter(HiddenEffect::is_shaft) {
         let (plant, _) = driven(&[effect], &[60.0; 12]);
         let (plain, _) = driven(&[], &[60.0; 12]);
         assert!((plant.speed_rad_s() - plain.speed_rad_s()).abs() < 1e-3);
@@ -228,9 +219,8 @@ fn a_second_inertia_rings_at_its_frequency_and_settles() {
     // After the current has settled: mean crossings of a swing about a constant.
     let tail = &acceleration[4000..];
     let mean = tail.iter().sum::<f64>() / tail.len() as f64;
-    let rising: Vec<usize> = (1..tail.len())
-        .filter(|&k| tail[k - 1] < mean && tail[k] >= mean)
-        .collect();
+    let rising: Vec<usize> =
+        (1..tail.len()).filter(|&k| tail[k - 1] < mean && tail[k] >= mean).collect();
     let (first, last) = (rising[0], rising[rising.len() - 1]);
     let frequency = (rising.len() - 1) as f64 / ((last - first) as f64 * 50e-6);
     assert!((frequency - 22.0).abs() < 0.1, "{frequency}");
@@ -279,11 +269,7 @@ fn a_value_that_an_effect_cannot_have_is_named() {
             &[("order", 6.5), ("sin_n_m", 0.1), ("cos_n_m", 0.0)][..],
             Some(("order", 6.5, "a whole number, 1 to 400")),
         ),
-        (
-            "command_delay",
-            &[("delay_s", 2.0)],
-            Some(("delay_s", 2.0, "0 to 1 s")),
-        ),
+        ("command_delay", &[("delay_s", 2.0)], Some(("delay_s", 2.0, "0 to 1 s"))),
         ("constant_load", &[("constant_n_m", -0.1)], None),
     ] {
         assert_eq!(hidden(id, values).refused(), refused, "{id}");

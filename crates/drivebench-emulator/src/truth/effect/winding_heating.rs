@@ -63,10 +63,7 @@ mod tests {
     use super::*;
 
     fn carrying(current_a: f64) -> Moment {
-        Moment {
-            current_a,
-            ..Moment::default()
-        }
+        Moment { current_a, ..Moment::default() }
     }
 
     #[test]

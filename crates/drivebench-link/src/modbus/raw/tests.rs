@@ -120,10 +120,7 @@ fn answer(pdu: &[u8], fault: Fault, abilities: Abilities, pending: &mut Vec<u8>)
     let reads = |function: u8, count: u16| {
         let values = (0..count).flat_map(|k| (word(1) + k).to_be_bytes());
         let bytes = u8::try_from(2 * count).unwrap();
-        [function, bytes]
-            .into_iter()
-            .chain(values)
-            .collect::<Vec<u8>>()
+        [function, bytes].into_iter().chain(values).collect::<Vec<u8>>()
     };
     let refused = match (pdu[0], abilities.only_reads_of) {
         (3, Some(count)) => word(3) != count,
@@ -189,9 +186,7 @@ fn answered(batch: &Batch, context: &str) -> usize {
         let Ok(values) = &read.values else {
             continue;
         };
-        let right: Vec<u16> = (0..read.request.count)
-            .map(|k| read.request.address + k)
-            .collect();
+        let right: Vec<u16> = (0..read.request.count).map(|k| read.request.address + k).collect();
         assert_eq!(*values, right, "{context}: {:?}", read.request);
         answered += 1;
     }
@@ -254,11 +249,8 @@ fn a_fault_of_every_reply_gives_no_wrong_value() {
 #[test]
 fn a_unit_that_answers_one_length_only_is_proven() {
     for is_silent_otherwise in [false, true] {
-        let abilities = Abilities {
-            only_reads_of: Some(4),
-            is_silent_otherwise,
-            ..Abilities::default()
-        };
+        let abilities =
+            Abilities { only_reads_of: Some(4), is_silent_otherwise, ..Abilities::default() };
         with_client(abilities, 100, always(Fault::None), |client| {
             for _ in 0..2 {
                 let all = batch(client, &reads(&[10, 20], 4), 3);
@@ -277,17 +269,12 @@ fn a_unit_that_answers_one_length_only_is_proven() {
 
 #[test]
 fn lost_replies_cost_a_timeout_and_no_second_write() {
-    with_client(
-        Abilities::default(),
-        200,
-        only(1, Fault::Silent),
-        |client| {
-            assert_eq!(client.read(reads(&[5], 1)[0]).unwrap(), [5]);
-            let lost = client.write(WriteFunction::Multiple, 5, &[9, 9]);
-            assert!(matches!(lost, Err(LinkError::Timeout { .. })), "{lost:?}");
-            client.write(WriteFunction::Single, 5, &[9]).unwrap();
-        },
-    );
+    with_client(Abilities::default(), 200, only(1, Fault::Silent), |client| {
+        assert_eq!(client.read(reads(&[5], 1)[0]).unwrap(), [5]);
+        let lost = client.write(WriteFunction::Multiple, 5, &[9, 9]);
+        assert!(matches!(lost, Err(LinkError::Timeout { .. })), "{lost:?}");
+        client.write(WriteFunction::Single, 5, &[9]).unwrap();
+    });
     with_client(Abilities::default(), 30, always(Fault::Silent), |client| {
         let none = batch(client, &reads(&[1, 2, 3], 1), 2);
         assert_eq!((none.asked, none.answered), (6, 0));
@@ -302,10 +289,7 @@ fn a_peer_that_closes_ends_the_batch() {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
     let server = std::thread::spawn(move || drop(listener.accept().unwrap()));
-    let settings = RawSettings {
-        gap: None,
-        ..settings(Duration::from_secs(2))
-    };
+    let settings = RawSettings { gap: None, ..settings(Duration::from_secs(2)) };
     let target = format!("tcp:{address}").parse().unwrap();
     let mut client = RawClient::open(&target, &settings, None).unwrap();
     server.join().unwrap();
@@ -320,10 +304,7 @@ fn a_peer_that_closes_ends_the_batch() {
 fn requests_are_the_bytes_of_the_standard() {
     const NAMES: &[u8] = &[43, 14, 1, 1, 0, 0, 2, 0, 2, b'A', b'b', 1, 1, 0xE9];
     let sent = with_client(Abilities::default(), 100, always(Fault::None), |client| {
-        let read = ReadRequest {
-            table: RegisterTable::Input,
-            ..ReadRequest::holding(0x0108, 3)
-        };
+        let read = ReadRequest { table: RegisterTable::Input, ..ReadRequest::holding(0x0108, 3) };
         assert_eq!(client.read(read).unwrap(), [0x0108, 0x0109, 0x010A]);
         let (single, multiple) = (WriteFunction::Single, WriteFunction::Multiple);
         client.write(single, 1, &[0x0203]).unwrap();
@@ -332,15 +313,8 @@ fn requests_are_the_bytes_of_the_standard() {
     assert_eq!(sent[0], [4, 1, 8, 0, 3]);
     assert_eq!(sent[1], [6, 0, 1, 2, 3]);
     assert_eq!(sent[2], [16, 0, 1, 0, 2, 4, 0, 10, 1, 2]);
-    for (names, taken) in [
-        (NAMES, &["Ab", "\u{FFFD}"][..]),
-        (&NAMES[..10], &[]),
-        (&[], &[]),
-    ] {
-        let abilities = Abilities {
-            names,
-            ..Abilities::default()
-        };
+    for (names, taken) in [(NAMES, &["Ab", "\u{FFFD}"][..]), (&NAMES[..10], &[]), (&[], &[])] {
+        let abilities = Abilities { names, ..Abilities::default() };
         with_client(abilities, 100, always(Fault::None), |client| {
             assert_eq!(client.names().unwrap(), [""; 0], "no reply yet");
             client.read(reads(&[5], 1)[0]).unwrap();
@@ -368,9 +342,7 @@ fn our_own_drive_is_known_where_its_first_reply_comes_twice() {
             }
             _ => request.to_vec(),
         };
-        let delays = [PIECE, PIECE * 7]
-            .into_iter()
-            .take(if number == 0 { 2 } else { 1 });
+        let delays = [PIECE, PIECE * 7].into_iter().take(if number == 0 { 2 } else { 1 });
         delays.map(|delay| (delay, reply.clone())).collect()
     };
     with_script(300, script, |client| {

@@ -175,8 +175,7 @@ fn condition(
     let fast = map.signals.iter().filter(|s| s.keys.poll == PollRate::Fast);
     let fast: Vec<&str> = fast.map(|signal| signal.name.as_str()).collect();
     let what = "signal with poll = \"fast\"";
-    part.reader
-        .known(signal, fast.iter().copied(), what, &part.span)?;
+    part.reader.known(signal, fast.iter().copied(), what, &part.span)?;
     let holds = pattern & !mask == 0;
     let message =
         format_args!("{pattern:#06x} has bits outside of the mask {mask:#06x}: it can never hold");

@@ -11,10 +11,7 @@ pub struct ShaftAngle {
 
 impl Default for ShaftAngle {
     fn default() -> Self {
-        Self {
-            rad: 0.0,
-            once: [0.0, 1.0],
-        }
+        Self { rad: 0.0, once: [0.0, 1.0] }
     }
 }
 

@@ -21,11 +21,7 @@ pub(super) const EFFECT: Card = Card {
         slope per direction",
     curve: Some((Balance::Torque, Axis::Speed)),
     biases: &[BiasedFit::TorqueBalance],
-    parameters: &[ParameterSpec::coefficient(
-        "asymmetry_n_m_s_per_rad",
-        "N.m.s/rad",
-        2e-4,
-    )],
+    parameters: &[ParameterSpec::coefficient("asymmetry_n_m_s_per_rad", "N.m.s/rad", 2e-4)],
     formula: &[(Place::Torque, "asymmetry_n_m_s_per_rad*abs(w)")],
     terms: |values| torque(values, |at, [asymmetry]| asymmetry * at.speed_rad_s.abs()),
     ..Card::PLAIN

@@ -26,10 +26,7 @@ pub(super) const EFFECT: Card = Card {
         ParameterSpec::coefficient("cos_n_m", "N.m", 0.08),
         ParameterSpec::choice("order", "1/turn", (1.0, 1000.0), WAVE_ORDERS),
     ],
-    formula: &[(
-        Place::Torque,
-        "sin_n_m*sin(order*theta) + cos_n_m*cos(order*theta)",
-    )],
+    formula: &[(Place::Torque, "sin_n_m*sin(order*theta) + cos_n_m*cos(order*theta)")],
     terms: |values| {
         torque(values, |at, [sin_n_m, cos_n_m, order]| {
             let [sin, cos] = at.angle.wave(order);

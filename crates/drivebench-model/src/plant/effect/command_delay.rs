@@ -16,10 +16,7 @@ pub(super) const EFFECT: Card = Card {
     excite: "many steep steps, a fast dither of the voltage; ramps and holds do not show it",
     remedy: "stamp the command where it is applied; declare the delay in the profile; count it \
         into the loop's small time constant",
-    stands_for: &[
-        ["speed_delay", "current_filter"],
-        ["speed_filter", "current_filter"],
-    ],
+    stands_for: &[["speed_delay", "current_filter"], ["speed_filter", "current_filter"]],
     biases: &[BiasedFit::FreeRun],
     parameters: &[ParameterSpec::positive("delay_s", "s", 1e-3).up_to(0.5)],
     terms: |values| path(values[0], |path| &mut path.command_delay_s),

@@ -18,10 +18,7 @@ pub(super) const EFFECT: Card = Card {
         into the current loop's time constant",
     biases: &[BiasedFit::FreeRun],
     parameters: &[ParameterSpec::positive("time_constant_s", "s", 2e-3).up_to(0.5)],
-    formula: &[
-        (Place::StateRate, "(i - x)/time_constant_s"),
-        (Place::CurrentReading, "x - i"),
-    ],
+    formula: &[(Place::StateRate, "(i - x)/time_constant_s"), (Place::CurrentReading, "x - i")],
     terms: |values| path(values[0], |path| &mut path.current_filter_s),
     ..Card::PLAIN
 };

@@ -25,12 +25,7 @@ pub struct DefinitionError {
 
 impl DefinitionError {
     pub(super) fn new(key: &str, message: impl Into<String>, help: impl Into<String>) -> Self {
-        Self {
-            key: key.to_owned(),
-            offset: None,
-            message: message.into(),
-            help: help.into(),
-        }
+        Self { key: key.to_owned(), offset: None, message: message.into(), help: help.into() }
     }
 }
 
@@ -97,10 +92,7 @@ pub(super) fn number_of(key: &str, value: &toml::Value) -> Result<f64, Definitio
     let whole = value.as_integer().map(|whole| whole as f64);
     let (message, help) = match value.as_float().or(whole) {
         Some(number) if number.is_finite() => return Ok(number),
-        Some(number) => (
-            format!("{key} = {number} is not allowed"),
-            "a finite number",
-        ),
+        Some(number) => (format!("{key} = {number} is not allowed"), "a finite number"),
         None => {
             let message = format!("{key} is a {}, expected a number", value.type_str());
             (message, "as 0.02")

@@ -25,24 +25,12 @@ pub(super) const EFFECT: Card = Card {
     takes_power: true,
     curve: Some((Balance::Voltage, Axis::Current)),
     alternatives: &["voltage_drop"],
-    limit: Some(Limit {
-        simpler: "voltage_drop",
-        parameter: 1,
-        least: LEAST_BOUNDARY_A,
-    }),
+    limit: Some(Limit { simpler: "voltage_drop", parameter: 1, least: LEAST_BOUNDARY_A }),
     parameters: &[
         ParameterSpec::coefficient("extra_ohm", "ohm", 1.0),
-        ParameterSpec::shape(
-            "boundary_a",
-            "A",
-            (0.01, 1000.0),
-            &[0.3, 0.6, 1.2, 2.5, 5.0],
-        ),
+        ParameterSpec::shape("boundary_a", "A", (0.01, 1000.0), &[0.3, 0.6, 1.2, 2.5, 5.0]),
     ],
-    formula: &[(
-        Place::Voltage,
-        "extra_ohm*0.5*(abs(i + boundary_a) - abs(i - boundary_a))",
-    )],
+    formula: &[(Place::Voltage, "extra_ohm*0.5*(abs(i + boundary_a) - abs(i - boundary_a))")],
     terms: |values| {
         voltage(values, |at, [extra_ohm, boundary_a]| {
             extra_ohm * at.current_a.clamp(-boundary_a, boundary_a)

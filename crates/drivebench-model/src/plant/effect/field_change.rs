@@ -27,10 +27,7 @@ pub(super) const EFFECT: Card = Card {
         max: 1.0,
         ..ParameterSpec::coefficient("drift_per_s", "1/s", 1e-3)
     }],
-    formula: &[
-        (Place::Voltage, "Ke*w*drift_per_s*t"),
-        (Place::Torque, "-Kt*i*drift_per_s*t"),
-    ],
+    formula: &[(Place::Voltage, "Ke*w*drift_per_s*t"), (Place::Torque, "-Kt*i*drift_per_s*t")],
     terms: |values| {
         voltage_and_torque(values[0], |at, drift| {
             [

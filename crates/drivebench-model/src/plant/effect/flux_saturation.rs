@@ -19,14 +19,8 @@ pub(super) const EFFECT: Card = Card {
         schedule over the current",
     parameters: &[ParameterSpec::positive("saturation_per_a2", "1/A2", 5e-4)],
     formula: &[
-        (
-            Place::Voltage,
-            "-Ke*w*saturation_per_a2*i^2/(1 + saturation_per_a2*i^2)",
-        ),
-        (
-            Place::Torque,
-            "Kt*i*saturation_per_a2*i^2/(1 + saturation_per_a2*i^2)",
-        ),
+        (Place::Voltage, "-Ke*w*saturation_per_a2*i^2/(1 + saturation_per_a2*i^2)"),
+        (Place::Torque, "Kt*i*saturation_per_a2*i^2/(1 + saturation_per_a2*i^2)"),
     ],
     terms: |values| {
         voltage_and_torque(values[0], |at, saturation| {

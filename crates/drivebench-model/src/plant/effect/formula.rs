@@ -140,11 +140,7 @@ mod tests {
         assert_eq!(unwritten.join(" "), expected);
         for effect in CATALOGUE {
             let (id, stated) = (effect.card().id, effect.card().formula.len());
-            assert_eq!(
-                effect.formula().map_or(0, |own| own.len()),
-                stated,
-                "{id} is not read"
-            );
+            assert_eq!(effect.formula().map_or(0, |own| own.len()), stated, "{id} is not read");
             let terms = effect.terms(&vec![1.0; effect.parameters().len()]);
             assert!(terms.states() <= 1, "{id} has one state `x`");
             let is_more = terms.coupling().is_some() || terms.path() != Path::default();

@@ -22,14 +22,9 @@ pub(super) const EFFECT: Card = Card {
         ParameterSpec::coefficient("viscous_n_m_s_per_rad", "N.m.s/rad", 8e-4),
         ParameterSpec::EVENT_TIME,
     ],
-    formula: &[(
-        Place::Torque,
-        "viscous_n_m_s_per_rad*w*0.5*(1 + tanh((t - time_s)/0.02))",
-    )],
+    formula: &[(Place::Torque, "viscous_n_m_s_per_rad*w*0.5*(1 + tanh((t - time_s)/0.02))")],
     terms: |values| {
-        torque(values, |at, [viscous, time_s]| {
-            viscous * at.speed_rad_s * begun(at, time_s)
-        })
+        torque(values, |at, [viscous, time_s]| viscous * at.speed_rad_s * begun(at, time_s))
     },
     ..Card::PLAIN
 };

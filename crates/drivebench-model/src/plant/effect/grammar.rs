@@ -110,10 +110,7 @@ impl Tree {
                     '+' => [0, 1, 2, 3].map(|n| u[n] + v[n]),
                     '-' => [0, 1, 2, 3].map(|n| u[n] - v[n]),
                     '*' => product(u, v),
-                    '/' => product(
-                        u,
-                        chain([1.0 / v[0], -v[0].powi(-2), 2.0 * v[0].powi(-3)], v),
-                    ),
+                    '/' => product(u, chain([1.0 / v[0], -v[0].powi(-2), 2.0 * v[0].powi(-3)], v)),
                     _ if v[1..].iter().all(|part| *part == 0.0) => {
                         let (x, n) = (u[0], v[0]);
                         let slope = n * x.powf(n - 1.0);
@@ -178,12 +175,7 @@ fn slopes(function: &str, x: f64) -> [f64; 2] {
 type HyperDual = [f64; 4];
 
 fn chain([value, slope, bend]: [f64; 3], x: HyperDual) -> HyperDual {
-    [
-        value,
-        slope * x[1],
-        slope * x[2],
-        bend * x[1] * x[2] + slope * x[3],
-    ]
+    [value, slope * x[1], slope * x[2], bend * x[1] * x[2] + slope * x[3]]
 }
 
 fn product(u: HyperDual, v: HyperDual) -> HyperDual {
@@ -197,11 +189,7 @@ fn product(u: HyperDual, v: HyperDual) -> HyperDual {
 
 #[expect(clippy::float_cmp, reason = "an exponent that is written as 2 is 2")]
 fn power(base: f64, exponent: f64) -> f64 {
-    if exponent == 2.0 {
-        base * base
-    } else {
-        base.powf(exponent)
-    }
+    if exponent == 2.0 { base * base } else { base.powf(exponent) }
 }
 
 pub(super) fn sign(value: f64) -> f64 {
@@ -213,12 +201,7 @@ pub(super) fn read(
     text: &str,
     names: &dyn Fn(&str) -> Result<usize, String>,
 ) -> Result<Tree, Mistake> {
-    let mut reader = Reader {
-        text,
-        at: 0,
-        depth: 0,
-        names,
-    };
+    let mut reader = Reader { text, at: 0, depth: 0, names };
     let tree = reader.sum()?;
     match reader.peek() {
         None => Ok(tree),
@@ -239,11 +222,7 @@ struct Reader<'a> {
 
 impl Reader<'_> {
     fn mistake<T>(&self, message: &str, help: &str) -> Result<T, Mistake> {
-        Err(Mistake {
-            offset: self.at,
-            message: message.to_owned(),
-            help: help.to_owned(),
-        })
+        Err(Mistake { offset: self.at, message: message.to_owned(), help: help.to_owned() })
     }
 
     fn no_operator<T>(&self, before: char) -> Result<T, Mistake> {
@@ -267,11 +246,7 @@ impl Reader<'_> {
     /// One level deeper: none is written by hand deeper than 64, and each costs stack.
     fn deeper(&mut self, message: &str) -> Result<(), Mistake> {
         self.depth += 1;
-        if self.depth > 64 {
-            self.mistake(message, "simplify it")
-        } else {
-            Ok(())
-        }
+        if self.depth > 64 { self.mistake(message, "simplify it") } else { Ok(()) }
     }
 
     fn sum(&mut self) -> Result<Tree, Mistake> {
@@ -299,11 +274,7 @@ impl Reader<'_> {
         }
         let power = self.power()?;
         let zero = Tree::Number(0.0);
-        Ok(if negative {
-            zero.both('-', power)
-        } else {
-            power
-        })
+        Ok(if negative { zero.both('-', power) } else { power })
     }
 
     fn power(&mut self) -> Result<Tree, Mistake> {
@@ -455,10 +426,7 @@ mod tests {
             let expected = [at(0.0, 0.0), by_w, by_a, bend / (4.0 * h * h)];
             let found = tree.second_derivative(&[0.9, 1.3], 0, 1);
             for (found, expected) in found.iter().zip(expected) {
-                assert!(
-                    (found - expected).abs() < 1e-5,
-                    "{text}: {found} {expected}"
-                );
+                assert!((found - expected).abs() < 1e-5, "{text}: {found} {expected}");
             }
         }
     }

@@ -20,9 +20,7 @@ pub(super) const EFFECT: Card = Card {
     parameters: &[ParameterSpec::positive("saturation_per_a2", "1/A2", 3e-3)],
     formula: &[(Place::CurrentRate, "saturation_per_a2*i^2")],
     terms: |values| {
-        current_rate_gain(values, |at, [saturation]| {
-            saturation * at.current_a * at.current_a
-        })
+        current_rate_gain(values, |at, [saturation]| saturation * at.current_a * at.current_a)
     },
     ..Card::PLAIN
 };

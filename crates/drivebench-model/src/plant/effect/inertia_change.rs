@@ -29,9 +29,7 @@ pub(super) const EFFECT: Card = Card {
     ],
     formula: &[(Place::Inertia, "ratio*0.5*(1 + tanh((t - time_s)/0.02))")],
     terms: |values| {
-        inertia_gain(values, |at, [ratio, time_s]| {
-            ratio.max(LEAST_RATIO) * begun(at, time_s)
-        })
+        inertia_gain(values, |at, [ratio, time_s]| ratio.max(LEAST_RATIO) * begun(at, time_s))
     },
     ..Card::PLAIN
 };

@@ -24,9 +24,7 @@ pub(super) const EFFECT: Card = Card {
     parameters: &[ParameterSpec::positive("ratio", "-", 0.05).up_to(0.95)],
     formula: &[(Place::Friction, "ratio*abs(Kt*i)")],
     terms: |values| {
-        friction(values, |at, [ratio]| {
-            ratio * (at.torque_n_m_per_a * at.current_a).abs()
-        })
+        friction(values, |at, [ratio]| ratio * (at.torque_n_m_per_a * at.current_a).abs())
     },
     ..Card::PLAIN
 };

@@ -17,18 +17,8 @@ pub(super) const EFFECT: Card = Card {
     curve: Some((Balance::Torque, Axis::Time)),
     is_disturbance_step: true,
     changes: Some("friction"),
-    parameters: &[
-        ParameterSpec::coefficient("step_n_m", "N.m", 0.08),
-        ParameterSpec::EVENT_TIME,
-    ],
-    formula: &[(
-        Place::Friction,
-        "step_n_m*0.5*(1 + tanh((t - time_s)/0.02))",
-    )],
-    terms: |values| {
-        friction(values, |at, [step_n_m, time_s]| {
-            step_n_m * begun(at, time_s)
-        })
-    },
+    parameters: &[ParameterSpec::coefficient("step_n_m", "N.m", 0.08), ParameterSpec::EVENT_TIME],
+    formula: &[(Place::Friction, "step_n_m*0.5*(1 + tanh((t - time_s)/0.02))")],
+    terms: |values| friction(values, |at, [step_n_m, time_s]| step_n_m * begun(at, time_s)),
     ..Card::PLAIN
 };

@@ -18,15 +18,8 @@ pub(super) const EFFECT: Card = Card {
     share_beforehand: 0.03,
     excludes: &["load_step", "friction_onset"],
     changes: Some("load"),
-    parameters: &[
-        ParameterSpec::coefficient("load_n_m", "N.m", 0.08),
-        ParameterSpec::EVENT_TIME,
-    ],
+    parameters: &[ParameterSpec::coefficient("load_n_m", "N.m", 0.08), ParameterSpec::EVENT_TIME],
     formula: &[(Place::Torque, "load_n_m*0.5*(1 + tanh((t - time_s)/0.02))")],
-    terms: |values| {
-        torque(values, |at, [load_n_m, time_s]| {
-            load_n_m * begun(at, time_s)
-        })
-    },
+    terms: |values| torque(values, |at, [load_n_m, time_s]| load_n_m * begun(at, time_s)),
     ..Card::PLAIN
 };

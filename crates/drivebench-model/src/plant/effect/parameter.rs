@@ -52,10 +52,7 @@ impl ParameterSpec {
 
     /// A coefficient that physics keeps at zero or above, such as a delay.
     pub const fn positive(key: &'static str, unit: &'static str, scale: f64) -> Self {
-        Self {
-            min: 0.0,
-            ..Self::coefficient(key, unit, scale)
-        }
+        Self { min: 0.0, ..Self::coefficient(key, unit, scale) }
     }
 
     pub(super) const fn up_to(self, max: f64) -> Self {
@@ -89,11 +86,7 @@ impl ParameterSpec {
         scale: f64,
         shapes: &'static [f64],
     ) -> Self {
-        Self {
-            scale,
-            logarithmic: false,
-            ..Self::shape(key, unit, range, shapes)
-        }
+        Self { scale, logarithmic: false, ..Self::shape(key, unit, range, shapes) }
     }
 
     pub const fn choice(
@@ -102,10 +95,7 @@ impl ParameterSpec {
         range: (f64, f64),
         shapes: &'static [f64],
     ) -> Self {
-        Self {
-            role: ParameterRole::Choice,
-            ..Self::shape(key, unit, range, shapes)
-        }
+        Self { role: ParameterRole::Choice, ..Self::shape(key, unit, range, shapes) }
     }
 
     /// The moment from which on the effect is there, s after the run's first command.
@@ -117,9 +107,7 @@ impl ParameterSpec {
         scale: 0.1,
         role: ParameterRole::EventTime,
         logarithmic: false,
-        shapes: &[
-            0.08, 0.15, 0.22, 0.29, 0.36, 0.43, 0.5, 0.57, 0.64, 0.71, 0.78, 0.85, 0.92,
-        ],
+        shapes: &[0.08, 0.15, 0.22, 0.29, 0.36, 0.43, 0.5, 0.57, 0.64, 0.71, 0.78, 0.85, 0.92],
     };
 
     pub const fn is_coefficient(&self) -> bool {
@@ -128,10 +116,6 @@ impl ParameterSpec {
 
     /// Where a fit starts when nothing better is known.
     pub const fn guess(&self) -> f64 {
-        if self.is_coefficient() {
-            self.scale
-        } else {
-            self.shapes[self.shapes.len() / 2]
-        }
+        if self.is_coefficient() { self.scale } else { self.shapes[self.shapes.len() / 2] }
     }
 }

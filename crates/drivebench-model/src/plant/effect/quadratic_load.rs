@@ -16,16 +16,10 @@ pub(super) const EFFECT: Card = Card {
     takes_power: true,
     curve: Some((Balance::Torque, Axis::Speed)),
     biases: &[BiasedFit::TorqueBalance],
-    parameters: &[ParameterSpec::coefficient(
-        "quadratic_n_m_s2_per_rad2",
-        "N.m.s2/rad2",
-        1.5e-6,
-    )],
+    parameters: &[ParameterSpec::coefficient("quadratic_n_m_s2_per_rad2", "N.m.s2/rad2", 1.5e-6)],
     formula: &[(Place::Torque, "quadratic_n_m_s2_per_rad2*w*abs(w)")],
     terms: |values| {
-        torque(values, |at, [quadratic]| {
-            quadratic * at.speed_rad_s * at.speed_rad_s.abs()
-        })
+        torque(values, |at, [quadratic]| quadratic * at.speed_rad_s * at.speed_rad_s.abs())
     },
     ..Card::PLAIN
 };

@@ -17,10 +17,7 @@ pub(super) const EFFECT: Card = Card {
         small time constant",
     alternatives: &["speed_delay"],
     parameters: &[ParameterSpec::positive("time_constant_s", "s", 3e-3).up_to(0.5)],
-    formula: &[
-        (Place::StateRate, "(w - x)/time_constant_s"),
-        (Place::SpeedReading, "x - w"),
-    ],
+    formula: &[(Place::StateRate, "(w - x)/time_constant_s"), (Place::SpeedReading, "x - w")],
     terms: |values| path(values[0], |path| &mut path.speed_filter_s),
     ..Card::PLAIN
 };

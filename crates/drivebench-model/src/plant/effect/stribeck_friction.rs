@@ -19,31 +19,20 @@ pub(super) const EFFECT: Card = Card {
     curve: Some((Balance::Torque, Axis::Speed)),
     parameters: &[
         ParameterSpec::coefficient("stribeck_n_m", "N.m", 0.1),
-        ParameterSpec::shape(
-            "stribeck_speed_rad_s",
-            "rad/s",
-            (1.0, 40.0),
-            &[4.0, 8.0, 16.0, 30.0],
-        ),
+        ParameterSpec::shape("stribeck_speed_rad_s", "rad/s", (1.0, 40.0), &[4.0, 8.0, 16.0, 30.0]),
     ],
-    formula: &[(
-        Place::Friction,
-        "stribeck_n_m*exp(-(w/stribeck_speed_rad_s)^2)",
-    )],
+    formula: &[(Place::Friction, "stribeck_n_m*exp(-(w/stribeck_speed_rad_s)^2)")],
     terms: |values| {
         // One over the Stribeck speed, so that no instant divides.
-        friction(
-            &[values[0], 1.0 / values[1]],
-            |at, [level_n_m, per_speed]| {
-                let ratio = at.speed_rad_s * per_speed;
-                let square = ratio * ratio;
-                // Beyond, what is left is below the rounding of the friction that it is added to.
-                if square > 40.0 {
-                    return 0.0;
-                }
-                level_n_m * (-square).exp()
-            },
-        )
+        friction(&[values[0], 1.0 / values[1]], |at, [level_n_m, per_speed]| {
+            let ratio = at.speed_rad_s * per_speed;
+            let square = ratio * ratio;
+            // Beyond, what is left is below the rounding of the friction that it is added to.
+            if square > 40.0 {
+                return 0.0;
+            }
+            level_n_m * (-square).exp()
+        })
     },
     ..Card::PLAIN
 };

@@ -26,11 +26,7 @@ pub(super) const EFFECT: Card = Card {
         voltage(values, |at, [sag_ohm]| {
             let duty = at.voltage_v / at.supply_v;
             // A supply of zero volts drives nothing that could sag.
-            if duty.is_finite() {
-                sag_ohm * duty * duty * at.current_a
-            } else {
-                0.0
-            }
+            if duty.is_finite() { sag_ohm * duty * duty * at.current_a } else { 0.0 }
         })
     },
     ..Card::PLAIN

@@ -35,13 +35,7 @@ pub enum Axis {
 }
 
 impl Axis {
-    pub const ALL: [Self; 5] = [
-        Self::Speed,
-        Self::Current,
-        Self::Angle,
-        Self::Time,
-        Self::Voltage,
-    ];
+    pub const ALL: [Self; 5] = [Self::Speed, Self::Current, Self::Angle, Self::Time, Self::Voltage];
 
     /// Key in a model file and unit.
     const fn names(self) -> (&'static str, &'static str) {
@@ -131,12 +125,7 @@ pub(super) fn define(
             parameters: values.leak(),
             ..CARD
         };
-        Box::new(Table {
-            card,
-            balance,
-            axis,
-            knots: knots.leak(),
-        })
+        Box::new(Table { card, balance, axis, knots: knots.leak() })
     });
     Ok((effect, values))
 }
@@ -247,11 +236,7 @@ impl Effect for Table {
 /// The two knots beside a place and their weights: the hat functions that are not zero there.
 pub fn weights(axis: Axis, knots: &[f64], place: f64) -> [(usize, f64); 2] {
     let last = knots.len() - 1;
-    let place = if axis.is_periodic() {
-        place.rem_euclid(TAU)
-    } else {
-        place
-    };
+    let place = if axis.is_periodic() { place.rem_euclid(TAU) } else { place };
     let after = knots.partition_point(|knot| *knot <= place);
     let (low, high, share) = if after > 0 && after <= last {
         let (low, high) = (knots[after - 1], knots[after]);
@@ -305,13 +290,7 @@ mod tests {
         }
         // From 5 to 1 + 2 pi the curve falls from 50 to 10.
         let gap = 1.0 + TAU - 5.0;
-        let angles = [
-            1.5,
-            5.0 + 0.25 * gap,
-            1.0 - 0.25 * gap,
-            1.0 + 3.0 * TAU,
-            1.5 - 2.0 * TAU,
-        ];
+        let angles = [1.5, 5.0 + 0.25 * gap, 1.0 - 0.25 * gap, 1.0 + 3.0 * TAU, 1.5 - 2.0 * TAU];
         for (angle, expected) in angles.into_iter().zip([15.0, 40.0, 20.0, 10.0, 15.0]) {
             let sums = turn.sums(&at(0.0, angle), &[]);
             let off = (sums.voltage_v - expected).abs() + sums.torque_n_m.abs();
@@ -339,12 +318,7 @@ mod tests {
             ("[-10.0, 0.0, 20]", "[0.0, nan]", "knots", "not allowed"),
             ("[-10.0, 0.0, 20]", "7", "knots", "expected a list"),
             ("axis =", "value_4 = 1.0\naxis =", "value_4", "unknown key"),
-            (
-                "axis =",
-                "values = [1.0]\naxis =",
-                "values",
-                "1 values for 3",
-            ),
+            ("axis =", "values = [1.0]\naxis =", "values", "1 values for 3"),
             ("speed_rad_s", "angle_rad", "knots", "rad"),
         ] {
             let error = table(&SPEED.replace(from, to)).err().unwrap();

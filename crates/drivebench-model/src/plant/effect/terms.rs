@@ -135,10 +135,7 @@ impl dyn Terms + '_ {
     /// it would continue from that one.
     pub fn goes_on_over_runs(&self) -> bool {
         let at = |time_s: f64| {
-            let here = Instant {
-                time_s,
-                ..of_ones()
-            };
+            let here = Instant { time_s, ..of_ones() };
             self.sums(&here, &[]).all()
         };
         // False for NaN.
@@ -156,11 +153,7 @@ impl dyn Terms + '_ {
             return false;
         }
         let here = of_ones();
-        let there = Instant {
-            time_s: 1e9,
-            supply_v: 2.0,
-            ..here
-        };
+        let there = Instant { time_s: 1e9, supply_v: 2.0, ..here };
         let (here, there) = (self.sums(&here, &[]), self.sums(&there, &[]));
         let same = |one: f64, other: f64| (one - other).abs() <= 1e-12 * one.abs();
         here.current_rate_gain == 0.0

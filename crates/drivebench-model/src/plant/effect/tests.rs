@@ -105,25 +105,13 @@ fn on_the_way(effect: &dyn Effect, share: f64) -> [f64; 8] {
 fn run(effects: Vec<ActiveEffect>) -> [Vec<f64>; 2] {
     let times: Vec<f64> = (0..1000).map(|k| 0.002 * f64::from(k)).collect();
     let speeds = times.iter().map(|t| 30.0 * (2.0 * t).sin()).collect();
-    let events = held(
-        [0.0, 0.1, 0.6, 1.0, 1.5, 1.8],
-        [0.0, 25.0, 50.0, -30.0, 6.0, 0.0],
-    );
+    let events = held([0.0, 0.1, 0.6, 1.0, 1.5, 1.8], [0.0, 25.0, 50.0, -30.0, 6.0, 0.0]);
     let scenario = Scenario {
         current_a: vec![0.0; times.len()],
         speed_rad_s: speeds,
-        ..Scenario::planned(
-            "contract",
-            Input::Voltage,
-            Channel::VoltageCmd,
-            events,
-            times,
-        )
+        ..Scenario::planned("contract", Input::Voltage, Channel::VoltageCmd, events, times)
     };
-    let model = Model {
-        effects,
-        ..Model::baseline(Motor::zk_22fc())
-    };
+    let model = Model { effects, ..Model::baseline(Motor::zk_22fc()) };
     let mut plant = Plant::new(&model, Input::Voltage).unwrap();
     let found = plant.simulate(&scenario, State::default());
     [found.current_a, found.speed_rad_s]
@@ -176,10 +164,7 @@ fn the_first_coefficient_gives_an_effect_its_size() {
         ("no height", &[WIDTH], 0),
     ];
     for (name, parameters, index) in rows {
-        let card = Card {
-            parameters,
-            ..Card::PLAIN
-        };
+        let card = Card { parameters, ..Card::PLAIN };
         assert_eq!(card.size_index(), index, "{name}");
     }
     for effect in CATALOGUE {
@@ -263,14 +248,9 @@ fn an_effect_enters_only_the_balance_that_its_card_names() {
     for effect in CATALOGUE.iter().filter(|effect| !couples(**effect)) {
         let card = effect.card();
         let [voltage, torque, friction, rate, inertia] = added(*effect, 1.0).map(f64::abs);
-        let entered = (
-            voltage.max(rate) > 1e-6,
-            torque.max(friction).max(inertia) > 1e-6,
-        );
-        let expected = (
-            card.enters.includes(Balance::Voltage),
-            card.enters.includes(Balance::Torque),
-        );
+        let entered = (voltage.max(rate) > 1e-6, torque.max(friction).max(inertia) > 1e-6);
+        let expected =
+            (card.enters.includes(Balance::Voltage), card.enters.includes(Balance::Torque));
         assert_eq!(entered, expected, "{}", card.id);
         let is_on_the_way = on_the_way(*effect, 1.0).iter().any(|value| *value != 0.0);
         assert_eq!(is_on_the_way, card.enters == Enters::Path, "{}", card.id);
@@ -283,10 +263,7 @@ fn effects_that_depend_on_the_angle_are_marked() {
         let card = effect.card();
         let terms = effect.terms(&sized(*effect, 1.0));
         let own = vec![2.0; terms.states()];
-        let turned = Instant {
-            angle: ShaftAngle::at(instant().angle.rad() + 0.1),
-            ..instant()
-        };
+        let turned = Instant { angle: ShaftAngle::at(instant().angle.rad() + 0.1), ..instant() };
         let (here, there) = (terms.sums(&instant(), &own), terms.sums(&turned, &own));
         let mut pairs = here.all().into_iter().zip(there.all());
         let depends = pairs.any(|(a, b)| (a - b).abs() > 1e-9);

@@ -26,10 +26,7 @@ pub(super) const EFFECT: Card = Card {
         ParameterSpec::coefficient("cos_ratio", "-", 0.03),
         ParameterSpec::choice("order", "1/turn", (1.0, 1000.0), WAVE_ORDERS),
     ],
-    formula: &[(
-        Place::Torque,
-        "Kt*i*(sin_ratio*sin(order*theta) + cos_ratio*cos(order*theta))",
-    )],
+    formula: &[(Place::Torque, "Kt*i*(sin_ratio*sin(order*theta) + cos_ratio*cos(order*theta))")],
     terms: |values| {
         torque(values, |at, [sin_ratio, cos_ratio, order]| {
             let [sin, cos] = at.angle.wave(order);

@@ -26,11 +26,7 @@ pub(super) const EFFECT: Card = Card {
         "viscous friction and the drag of eddy currents are one equation, and no run tells them apart. Drive the machine \
          with the rotor's magnets out (or the field off), or run it cold and warm",
     ],
-    parameters: &[ParameterSpec::coefficient(
-        "viscous_n_m_s_per_rad",
-        "N.m.s/rad",
-        4e-4,
-    )],
+    parameters: &[ParameterSpec::coefficient("viscous_n_m_s_per_rad", "N.m.s/rad", 4e-4)],
     formula: &[(Place::Torque, "viscous_n_m_s_per_rad*w")],
     terms: |values| torque(values, |at, [viscous]| viscous * at.speed_rad_s),
     ..Card::PLAIN

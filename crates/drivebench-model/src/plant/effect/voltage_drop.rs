@@ -24,10 +24,6 @@ pub(super) const EFFECT: Card = Card {
     biases: &[BiasedFit::FreeRun],
     parameters: &[ParameterSpec::coefficient("drop_v", "V", 1.0)],
     formula: &[(Place::Voltage, "drop_v*tanh(i/0.1)")],
-    terms: |values| {
-        voltage(values, |at, [drop_v]| {
-            drop_v * (at.current_a / SMOOTHING_A).tanh()
-        })
-    },
+    terms: |values| voltage(values, |at, [drop_v]| drop_v * (at.current_a / SMOOTHING_A).tanh()),
     ..Card::PLAIN
 };

@@ -25,12 +25,7 @@ pub(super) const EFFECT: Card = Card {
         (Place::Voltage, "R*gain_per_a2_s*x*i"),
         (Place::StateRate, "i^2 - x/time_constant_s"),
     ],
-    terms: |values| {
-        Box::new(Heat {
-            gain_per_a2_s: values[0],
-            time_constant_s: values[1],
-        })
-    },
+    terms: |values| Box::new(Heat { gain_per_a2_s: values[0], time_constant_s: values[1] }),
     ..Card::PLAIN
 };
 

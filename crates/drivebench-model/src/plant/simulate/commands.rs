@@ -83,47 +83,23 @@ mod tests {
 
     #[test]
     fn commands_are_delayed_and_zero_until_the_drive_has_started() {
-        let events = held(
-            [1.0, 1.5, 2.0, 2.1, 2.5, 3.0],
-            [0.0, 0.0, 5.0, 6.0, 6.0, -5.0],
-        );
-        let restarts = held(
-            [0.0, 1.0, 1.1, 2.0, 2.4, 2.45, 3.0],
-            [5.0, 0.0, 4.0, 0.0, -5.0, -6.0, 0.0],
-        );
+        let events = held([1.0, 1.5, 2.0, 2.1, 2.5, 3.0], [0.0, 0.0, 5.0, 6.0, 6.0, -5.0]);
+        let restarts =
+            held([0.0, 1.0, 1.1, 2.0, 2.4, 2.45, 3.0], [5.0, 0.0, 4.0, 0.0, -5.0, -6.0, 0.0]);
         assert_eq!(starts_from_rest(&restarts), [0.0, 2.4]);
-        let waited = held(
-            [0.0, 0.1, 1.0, 1.1, 2.0, 2.5, 3.0],
-            [0.0, 5.0, 0.0, 4.0, 0.0, -6.0, 0.0],
-        );
+        let waited =
+            held([0.0, 0.1, 1.0, 1.1, 2.0, 2.5, 3.0], [0.0, 5.0, 0.0, 4.0, 0.0, -6.0, 0.0]);
         // Delays of every command, of the first start and of every start; repeats are dropped.
         for (events, delays, expected) in [
-            (
-                &events,
-                [0.25, 0.0, 0.0],
-                &[(1.0, 0.0), (2.25, 5.0), (2.35, 6.0), (3.25, -5.0)][..],
-            ),
-            (
-                &events,
-                [0.0, 0.05, 0.0],
-                &[(1.0, 0.0), (2.05, 5.0), (2.1, 6.0), (3.0, -5.0)],
-            ),
-            (
-                &events,
-                [0.0, 0.3, 0.0],
-                &[(1.0, 0.0), (2.3, 6.0), (3.0, -5.0)],
-            ),
+            (&events, [0.25, 0.0, 0.0], &[(1.0, 0.0), (2.25, 5.0), (2.35, 6.0), (3.25, -5.0)][..]),
+            (&events, [0.0, 0.05, 0.0], &[(1.0, 0.0), (2.05, 5.0), (2.1, 6.0), (3.0, -5.0)]),
+            (&events, [0.0, 0.3, 0.0], &[(1.0, 0.0), (2.3, 6.0), (3.0, -5.0)]),
             (&events, [0.0, 2.0, 0.0], &[(1.0, 0.0), (4.0, -5.0)]),
             (&restarts, [0.0, 0.0, 0.1], &waited),
             (&events, [0.0; 3], &events),
         ] {
             let [command_delay_s, start_delay_s, restart_delay_s] = delays;
-            let path = Path {
-                command_delay_s,
-                start_delay_s,
-                restart_delay_s,
-                ..Path::default()
-            };
+            let path = Path { command_delay_s, start_delay_s, restart_delay_s, ..Path::default() };
             assert_eq!(*applied(events, &path), *expected, "{delays:?}");
         }
     }

@@ -30,11 +30,7 @@ pub(super) enum Mode {
 
 impl Mode {
     pub(super) fn towards(direction: f64) -> Self {
-        if direction > 0.0 {
-            Self::Forward
-        } else {
-            Self::Backward
-        }
+        if direction > 0.0 { Self::Forward } else { Self::Backward }
     }
 
     pub(super) const fn sign(self) -> f64 {
@@ -48,11 +44,7 @@ impl Mode {
 
 impl State {
     pub fn at(current_a: f64, speed_rad_s: f64) -> Self {
-        Self {
-            current_a,
-            speed_rad_s,
-            ..Self::default()
-        }
+        Self { current_a, speed_rad_s, ..Self::default() }
     }
 
     /// The same state with these states of the effects, such as a warm winding.
@@ -138,9 +130,8 @@ impl Equations {
             return Err(ModelError::SecondCoupling);
         }
         // With a second inertia these are the motor's equations: the load has its share of inertia and friction.
-        let (behind, friction_behind) = coupling.map_or((0.0, 0.0), |coupling| {
-            (coupling.inertia_ratio, coupling.friction_split)
-        });
+        let (behind, friction_behind) = coupling
+            .map_or((0.0, 0.0), |coupling| (coupling.inertia_ratio, coupling.friction_split));
         let inertia = value(MotorKey::Inertia)? * (1.0 - behind);
         let coulomb = value(MotorKey::LoadTorque)?;
         let mut motor = Instant::of(&model.motor);
@@ -158,21 +149,13 @@ impl Equations {
             Input::Torque => (1.0, [[0.0, 0.0], [1.0 / inertia, 0.0]], 0.0),
         };
         motor.torque_n_m_per_a = torque_constant;
-        let at_last = Instant {
-            time_s: f64::MAX,
-            ..motor
-        };
-        let mut gains = effects
-            .iter()
-            .map(|(_, terms)| terms.inertia_gain(&at_last));
+        let at_last = Instant { time_s: f64::MAX, ..motor };
+        let mut gains = effects.iter().map(|(_, terms)| terms.inertia_gain(&at_last));
         let changes_inertia = gains.any(|gain| gain != 0.0);
         let terms: Vec<Entry> = effects
             .into_iter()
             .filter(|(enters, terms)| *enters != Enters::Path && terms.coupling().is_none())
-            .map(|(_, terms)| Entry {
-                states: terms.states(),
-                terms,
-            })
+            .map(|(_, terms)| Entry { states: terms.states(), terms })
             .collect();
         Ok(Self {
             motor,
@@ -274,10 +257,7 @@ impl Equations {
     /// full supply. With the gain `g` of the current's rate it is `((1 + g) (R + dU/di) - R) / L`.
     pub(super) fn added_rate(&self, from_a: f64, to_a: f64) -> f64 {
         let sums = |current_a: f64| {
-            let at = Instant {
-                voltage_v: self.motor.supply_v,
-                ..Instant::default()
-            };
+            let at = Instant { voltage_v: self.motor.supply_v, ..Instant::default() };
             self.sums(&State::at(current_a, 0.0), &at)
         };
         let (from, to) = (sums(from_a), sums(to_a));

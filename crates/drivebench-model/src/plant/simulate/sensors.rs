@@ -27,12 +27,7 @@ pub(super) struct Sensors {
 impl Sensors {
     /// Sensors in the steady state of `first`.
     pub(super) fn new(path: Path, first: Reading) -> Self {
-        Self {
-            path,
-            past: VecDeque::from([first]),
-            delayed: first,
-            filtered: first,
-        }
+        Self { path, past: VecDeque::from([first]), delayed: first, filtered: first }
     }
 
     pub(super) fn follow(&mut self, now: Reading) {
@@ -40,10 +35,7 @@ impl Sensors {
         if interval_s <= 0.0 {
             return;
         }
-        let delayed = Reading {
-            speed_rad_s: self.speed_before(now),
-            ..now
-        };
+        let delayed = Reading { speed_rad_s: self.speed_before(now), ..now };
         let filtered = |of: fn(&Reading) -> f64, time_constant_s: f64| {
             let input = (of(&self.delayed), of(&delayed));
             filter(of(&self.filtered), input, interval_s, time_constant_s)
@@ -139,11 +131,7 @@ mod tests {
         assert!((speed + 1.0 - motion(0.4 - 0.0123).speed_rad_s).abs() < 2e-3);
         // Gain and phase of the first order.
         let tau = 3e-3;
-        let path = Path {
-            speed_filter_s: tau,
-            current_filter_s: tau,
-            ..Path::default()
-        };
+        let path = Path { speed_filter_s: tau, current_filter_s: tau, ..Path::default() };
         let [current, speed] = followed(path, 1.0);
         let expected = |amplitude: f64, w: f64| {
             amplitude * (w - (w * tau).atan()).sin() / (1.0 + (w * tau).powi(2)).sqrt()

@@ -36,12 +36,7 @@ pub(super) struct Steps {
 
 impl Steps {
     pub(super) fn new(a: &M2, with_half: bool) -> Self {
-        Self {
-            linear: LinearPart::new(a),
-            with_half,
-            latest: [Step::default(); 2],
-            last: 0,
-        }
+        Self { linear: LinearPart::new(a), with_half, latest: [Step::default(); 2], last: 0 }
     }
 
     /// Forgets all lengths, so that a run does not depend on the one before.
@@ -69,10 +64,6 @@ impl Steps {
         } else {
             (self.linear.over(length_s), Propagator::default())
         };
-        self.latest[self.last] = Step {
-            length_s,
-            whole,
-            half,
-        };
+        self.latest[self.last] = Step { length_s, whole, half };
     }
 }

@@ -44,10 +44,7 @@ pub(super) fn simulated(
 /// Largest differences of current and speed.
 pub(super) fn differences(one: &Trajectory, other: &Trajectory) -> [f64; 2] {
     let most = |a: &[f64], b: &[f64]| largest(a.iter().zip(b).map(|(a, b)| a - b));
-    [
-        most(&one.current_a, &other.current_a),
-        most(&one.speed_rad_s, &other.speed_rad_s),
-    ]
+    [most(&one.current_a, &other.current_a), most(&one.speed_rad_s, &other.speed_rad_s)]
 }
 
 type Rates<'a> = &'a dyn Fn(f64, f64, f64) -> [f64; 2];
@@ -84,10 +81,7 @@ fn runs_without_effects_are_their_closed_forms() {
     let out = simulated(&[], vec![(0.0, 1.0)], 0.003, 10);
     for (k, current) in out.current_a.iter().enumerate() {
         let expected = (1.0 - (-(k as f64) * 0.003 / 0.009).exp()) / 1.1;
-        assert!(
-            (current - expected).abs() < 1e-12,
-            "{k}: {current} {expected}"
-        );
+        assert!((current - expected).abs() < 1e-12, "{k}: {current} {expected}");
     }
     assert!(out.speed_rad_s.iter().all(|speed| *speed == 0.0));
     // The steady state under a voltage.
@@ -205,21 +199,9 @@ fn steep_effects_settle_on_a_motor_of_little_inductance() {
     let small @ [r, l, ke, j, mc] = [0.8, 5e-4, 0.05, 3e-5, 0.01];
     let events = held([0.0, 0.05, 0.15, 0.25, 0.35], [0.0, 12.0, -12.0, 3.0, 0.0]);
     let cases: [(Effects<'_>, OfCurrent, OfCurrent); 3] = [
-        (
-            &[("voltage_drop", &[1.5])],
-            |i| 1.5 * (i / 0.1).tanh(),
-            |_| 0.0,
-        ),
-        (
-            &[("discontinuous_conduction", &[8.0, 0.5])],
-            |i| 8.0 * i.clamp(-0.5, 0.5),
-            |_| 0.0,
-        ),
-        (
-            &[("inductance_saturation", &[0.03])],
-            |_| 0.0,
-            |i| 0.03 * i * i,
-        ),
+        (&[("voltage_drop", &[1.5])], |i| 1.5 * (i / 0.1).tanh(), |_| 0.0),
+        (&[("discontinuous_conduction", &[8.0, 0.5])], |i| 8.0 * i.clamp(-0.5, 0.5), |_| 0.0),
+        (&[("inductance_saturation", &[0.03])], |_| 0.0, |i| 0.03 * i * i),
     ];
     for (effects, drop, gain) in cases {
         let mut model = model(effects);
@@ -257,16 +239,8 @@ fn no_place_is_steep_on_an_ordinary_motor() {
 fn after_a_long_hole_a_simulation_restarts_from_the_measurement() {
     let cases: [(&str, Effects<'_>, f64); 4] = [
         ("one mass", &[], 1.0),
-        (
-            "a second inertia",
-            &[("elastic_coupling", &[20.0, 0.5, 0.05, 0.5])],
-            1.5,
-        ),
-        (
-            "with play",
-            &[("backlash", &[0.05, 50.0, 0.5, 0.05, 0.5])],
-            1.5,
-        ),
+        ("a second inertia", &[("elastic_coupling", &[20.0, 0.5, 0.05, 0.5])], 1.5),
+        ("with play", &[("backlash", &[0.05, 50.0, 0.5, 0.05, 0.5])], 1.5),
         ("a late command", &[("command_delay", &[5e-3])], 1.0),
     ];
     for (name, effects, most) in cases {
@@ -306,12 +280,8 @@ fn delays_and_offsets_leave_the_equations_as_exact_as_they_are() {
     for (late, bare, [offset_a, offset_rad_s]) in cases {
         let late = simulate(&model(late), &run);
         let mut bare = simulate(&model(bare), &delayed);
-        bare.current_a
-            .iter_mut()
-            .for_each(|current| *current += offset_a);
-        bare.speed_rad_s
-            .iter_mut()
-            .for_each(|speed| *speed += offset_rad_s);
+        bare.current_a.iter_mut().for_each(|current| *current += offset_a);
+        bare.speed_rad_s.iter_mut().for_each(|speed| *speed += offset_rad_s);
         let [di, dw] = differences(&late, &bare);
         assert!(di < 1e-9 && dw < 1e-9, "{di} {dw}");
     }

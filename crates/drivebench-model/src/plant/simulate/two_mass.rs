@@ -103,12 +103,8 @@ impl TwoMass {
             let moves = |bit: usize| f64::from(u8::from(index & bit == 0));
             let (motor, load, spring) = (moves(1), moves(2), moves(4));
             let (a, ahead, behind) = (&equations.a, w0 * r, w0 * (1.0 - r));
-            let of_motor = [
-                a[1][0],
-                -2.0 * zeta * w0 * r,
-                load * 2.0 * zeta * w0 * r,
-                -spring * ahead,
-            ];
+            let of_motor =
+                [a[1][0], -2.0 * zeta * w0 * r, load * 2.0 * zeta * w0 * r, -spring * ahead];
             let of_load = [
                 motor * 2.0 * zeta * w0 * (1.0 - r),
                 -2.0 * zeta * w0 * (1.0 - r),
@@ -438,10 +434,7 @@ impl TwoMass {
             let mut middle = next;
             place(&mut middle, flow.half(x, forcing, h));
             equations.advance_own(&from.motor, &from.at, 0.5 * h, &mut middle.0.own);
-            let centred = Instant {
-                time_s: from.at.time_s + 0.5 * h,
-                ..from.at
-            };
+            let centred = Instant { time_s: from.at.time_s + 0.5 * h, ..from.at };
             forcing = self.forcing(equations, &middle.0, &middle.1, &centred);
             equations.advance_own(&middle.0, &centred, h, &mut next.0.own);
         }
@@ -478,12 +471,7 @@ impl TwoMass {
 }
 
 fn together(state: &State, load: &Load) -> X {
-    [
-        state.current_a,
-        state.speed_rad_s,
-        load.speed_rad_s,
-        load.twist_rad_s,
-    ]
+    [state.current_a, state.speed_rad_s, load.speed_rad_s, load.twist_rad_s]
 }
 
 fn place((state, load): &mut (State, Load), x: X) {
@@ -494,11 +482,7 @@ fn place((state, load): &mut (State, Load), x: X) {
 }
 
 fn stuck_or_moving(driving: f64, level: f64) -> Mode {
-    if driving.abs() <= level {
-        Mode::Stuck
-    } else {
-        Mode::towards(driving)
-    }
+    if driving.abs() <= level { Mode::Stuck } else { Mode::towards(driving) }
 }
 
 /// Current, speed of the motor, speed of the load, twist as a speed (natural frequency times twist).
@@ -630,12 +614,7 @@ struct Flow {
 
 impl Flow {
     fn new(a: Sparse, with_half: bool) -> Self {
-        Self {
-            a,
-            size: a.size(),
-            with_half,
-            ..Self::default()
-        }
+        Self { a, size: a.size(), with_half, ..Self::default() }
     }
 
     /// Forgets all lengths, so that a run does not depend on the one before.
@@ -661,9 +640,7 @@ impl Flow {
     fn miss(&mut self, length_s: f64) {
         if is_same(self.missed_s, length_s) {
             self.last = 1 - self.last;
-            let half = self
-                .with_half
-                .then(|| Matrices::over(&self.a, 0.5 * length_s));
+            let half = self.with_half.then(|| Matrices::over(&self.a, 0.5 * length_s));
             self.steps[self.last] = Step {
                 length_s,
                 whole: Matrices::over(&self.a, length_s),

@@ -26,25 +26,15 @@ fn parts(scale: f64, site: &Site) -> Vec<HiddenEffect> {
     let parts: [(&str, &[(&str, f64)]); 5] = [
         (
             "random_load",
-            &[
-                ("std_n_m", RANDOM_SHARE * torque),
-                ("correlation_s", RANDOM_CORRELATION_S),
-            ],
+            &[("std_n_m", RANDOM_SHARE * torque), ("correlation_s", RANDOM_CORRELATION_S)],
         ),
         ("viscous_friction", &[("viscous_n_m_s_per_rad", drag)]),
         (
             "cogging",
-            &[
-                ("order", COGGING_ORDER),
-                ("sin_n_m", COGGING_SHARE * torque),
-                ("cos_n_m", 0.0),
-            ],
+            &[("order", COGGING_ORDER), ("sin_n_m", COGGING_SHARE * torque), ("cos_n_m", 0.0)],
         ),
         ("command_delay", &[("delay_s", scale * COMMAND_DELAY_S)]),
         ("supply_sag", &[("sag_ohm", scale * SAG_OHM)]),
     ];
-    parts
-        .iter()
-        .filter_map(|(id, values)| HiddenEffect::new(id, values))
-        .collect()
+    parts.iter().filter_map(|(id, values)| HiddenEffect::new(id, values)).collect()
 }

@@ -19,20 +19,12 @@ pub(in super::super) const KIND: HiddenKind = HiddenKind {
         Positive.of("correlation_s", "s", 0.05, 0.15..0.4),
     ],
     mystery: Some(|dice| {
-        vec![
-            dice.size(0.03, 0.08) * dice.rated_torque_n_m,
-            dice.between(0.03, 0.2),
-        ]
+        vec![dice.size(0.03, 0.08) * dice.rated_torque_n_m, dice.between(0.03, 0.2)]
     }),
     acts: Acts::Inside(|values, site| {
         let mut rng = ChaCha8Rng::seed_from_u64(site.seed);
         rng.set_stream(LOAD_STREAM);
-        Box::new(Wander {
-            std_n_m: values[0],
-            correlation_s: values[1],
-            torque_n_m: 0.0,
-            rng,
-        })
+        Box::new(Wander { std_n_m: values[0], correlation_s: values[1], torque_n_m: 0.0, rng })
     }),
 };
 
@@ -74,12 +66,7 @@ mod tests {
         let n = torque.len() as f64;
         let mean_square = torque.iter().map(|t| t * t).sum::<f64>() / n;
         let lag = 50;
-        let product = torque
-            .iter()
-            .zip(&torque[lag..])
-            .map(|(a, b)| a * b)
-            .sum::<f64>()
-            / n;
+        let product = torque.iter().zip(&torque[lag..]).map(|(a, b)| a * b).sum::<f64>() / n;
         // 400 s hold 4000 independent values of the square: 1 of 45 is its standard error.
         assert!((mean_square.sqrt() / 0.02 - 1.0).abs() < 0.05);
         assert!((product / mean_square - (-1.0_f64).exp()).abs() < 0.1);

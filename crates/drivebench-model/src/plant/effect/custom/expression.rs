@@ -89,9 +89,7 @@ impl Expression {
         }
         // Where it does not vanish it is of a size with the first derivative.
         let derivatives = points(self.all).map(|at| self.tree.second_derivative(&at, one, other));
-        let mut finite = derivatives
-            .filter(|of| of[1].is_finite() && of[3].is_finite())
-            .peekable();
+        let mut finite = derivatives.filter(|of| of[1].is_finite() && of[3].is_finite()).peekable();
         finite.peek().is_some() && finite.all(|of| of[3].abs() <= 1e-9 * of[1].abs())
     }
 
@@ -171,11 +169,7 @@ mod tests {
             let expression = Expression::new(text, &["a", "b"]).unwrap();
             let index = |name: char| PARAMETERS + usize::from(name == 'b');
             let indices: Vec<usize> = names.chars().map(index).collect();
-            assert_eq!(
-                expression.is_linear_in(&indices),
-                expected,
-                "{text} in {names}"
-            );
+            assert_eq!(expression.is_linear_in(&indices), expected, "{text} in {names}");
         }
     }
 }

@@ -116,11 +116,7 @@ pub(super) fn define(
                 parameters: specs.leak(),
                 ..CARD
             },
-            body: Box::leak(Box::new(Body {
-                expression,
-                balance,
-                splits,
-            })),
+            body: Box::leak(Box::new(Body { expression, balance, splits })),
             declared,
         })
     });
@@ -167,10 +163,7 @@ impl Effect for Custom {
     fn terms(&self, values: &[f64]) -> Box<dyn Terms> {
         let mut all = [0.0; MOST_NAMES];
         all[PARAMETERS..PARAMETERS + values.len()].copy_from_slice(values);
-        Box::new(Evaluated {
-            body: self.body,
-            all,
-        })
+        Box::new(Evaluated { body: self.body, all })
     }
 
     fn formula(&self) -> Option<Vec<Formula>> {
@@ -196,10 +189,7 @@ impl Effect for Custom {
         let level = Tree::Number(0.5).both('*', level);
         let direction = Tree::Name(formula::SPEED).call("sgn");
         let torque = whole.both('-', direction.both('*', level.clone()));
-        Some(vec![
-            one(Place::Torque, torque),
-            one(Place::Friction, level),
-        ])
+        Some(vec![one(Place::Torque, torque), one(Place::Friction, level)])
     }
 
     fn settings(&self) -> Vec<(&'static str, toml::Value)> {
@@ -245,10 +235,7 @@ impl Evaluated {
         if !self.body.splits {
             return (self.value(at, direction), 0.0);
         }
-        let at_rest = Instant {
-            speed_rad_s: 0.0,
-            ..*at
-        };
+        let at_rest = Instant { speed_rad_s: 0.0, ..*at };
         let level = (self.value(&at_rest, 1.0) - self.value(&at_rest, 0.0)).max(0.0);
         let level = if level.is_finite() { level } else { 0.0 };
         (self.value(at, direction) - direction * level, level)

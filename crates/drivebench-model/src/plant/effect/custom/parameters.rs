@@ -32,19 +32,15 @@ pub(super) fn read(value: Option<&toml::Value>) -> Result<Vec<Declared>, Definit
         Some(toml::Value::Array(names)) => (names.iter())
             .map(|name| one(name.as_str().ok_or_else(wrong_form)?, &nothing))
             .collect::<Result<_, _>>()?,
-        Some(toml::Value::Table(table)) => (table.iter())
-            .map(|(name, value)| one(name, value))
-            .collect::<Result<_, _>>()?,
+        Some(toml::Value::Table(table)) => {
+            (table.iter()).map(|(name, value)| one(name, value)).collect::<Result<_, _>>()?
+        }
         Some(_) => return Err(wrong_form()),
     };
     for (index, one) in declared.iter().enumerate() {
         if declared[..index].iter().any(|other| other.name == one.name) {
             let message = format!("parameter `{}` stands twice", one.name);
-            return Err(DefinitionError::new(
-                "parameters",
-                message,
-                "each name once",
-            ));
+            return Err(DefinitionError::new("parameters", message, "each name once"));
         }
     }
     Ok(declared)
@@ -65,10 +61,7 @@ fn one(name: &str, value: &toml::Value) -> Result<Declared, DefinitionError> {
         let help = format!("taken: {variables}, {PI}, {functions}");
         return Err(DefinitionError::new(name, message, help));
     }
-    let mut declared = Declared {
-        name: name.to_owned(),
-        ..Declared::default()
-    };
+    let mut declared = Declared { name: name.to_owned(), ..Declared::default() };
     let toml::Value::Table(table) = value else {
         declared.value = Some(number_of(name, value)?);
         return Ok(declared);
@@ -131,10 +124,7 @@ impl Declared {
         if min < max {
             return Ok(());
         }
-        refuse(
-            format!("min of `{name}` is {min} and max {max}"),
-            "min must be below max",
-        )
+        refuse(format!("min of `{name}` is {min} and max {max}"), "min must be below max")
     }
 
     fn bounds(&self) -> (f64, f64) {

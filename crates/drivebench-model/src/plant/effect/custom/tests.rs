@@ -18,11 +18,7 @@ fn torque(expression: &str, parameters: &str) -> &'static dyn Effect {
 fn sums(effect: &dyn Effect, values: &[(&str, f64)], speed_rad_s: f64, current_a: f64) -> Sums {
     let value = |spec: &ParameterSpec| values.iter().find(|own| own.0 == spec.key).unwrap().1;
     let values: Vec<f64> = effect.parameters().iter().map(value).collect();
-    let at = Instant {
-        current_a,
-        speed_rad_s,
-        ..Instant::default()
-    };
+    let at = Instant { current_a, speed_rad_s, ..Instant::default() };
     effect.terms(&values).sums(&at, &[])
 }
 
@@ -30,28 +26,13 @@ fn sums(effect: &dyn Effect, values: &[(&str, f64)], speed_rad_s: f64, current_a
 fn linear_parameters_are_coefficients_and_come_first() {
     use ParameterRole::{Coefficient, Shape};
     for (expression, parameters, roles) in [
-        (
-            "z*exp(-(w/b)^2)*sgn(w)",
-            "{ b = 9.0, z = {} }",
-            [("z", Coefficient), ("b", Shape)],
-        ),
+        ("z*exp(-(w/b)^2)*sgn(w)", "{ b = 9.0, z = {} }", [("z", Coefficient), ("b", Shape)]),
         // Either could be the coefficient of a product; both at once could not.
-        (
-            "a*(w + b*w^2)",
-            "{ a = {}, b = 0.01 }",
-            [("a", Coefficient), ("b", Shape)],
-        ),
-        (
-            "(1 + a*w)*z",
-            "{ a = 0.01, z = {} }",
-            [("z", Coefficient), ("a", Shape)],
-        ),
+        ("a*(w + b*w^2)", "{ a = {}, b = 0.01 }", [("a", Coefficient), ("b", Shape)]),
+        ("(1 + a*w)*z", "{ a = 0.01, z = {} }", [("z", Coefficient), ("a", Shape)]),
     ] {
         let specs = torque(expression, parameters).parameters();
-        assert!(
-            specs.iter().map(|spec| (spec.key, spec.role)).eq(roles),
-            "{expression}"
-        );
+        assert!(specs.iter().map(|spec| (spec.key, spec.role)).eq(roles), "{expression}");
         let guess = specs[1].guess();
         assert!(specs[1].logarithmic && parameters.contains(&format!("{guess:?}")));
     }
@@ -59,10 +40,7 @@ fn linear_parameters_are_coefficients_and_come_first() {
 
 #[test]
 fn the_factor_of_the_sign_of_the_speed_is_friction() {
-    let effect = torque(
-        "a*w + b*sgn(w)*(1 + c*abs(i))",
-        "{ a = {}, b = {}, c = 0.5 }",
-    );
+    let effect = torque("a*w + b*sgn(w)*(1 + c*abs(i))", "{ a = {}, b = {}, c = 0.5 }");
     let found = sums(effect, &[("a", 0.01), ("b", 0.2), ("c", 0.5)], -3.0, -2.0);
     assert!((found.torque_n_m + 0.03).abs() < 1e-12, "{found:?}");
     assert!((found.friction_n_m - 0.4).abs() < 1e-12, "{found:?}");
@@ -128,19 +106,9 @@ fn wrong_definitions_are_named() {
         ("a = 1.0", "a = true", "a", "expected a number"),
         ("a = 1.0", "a = nan", "a", "not allowed"),
         ("a = 1.0", "a = { size = 2.0 }", "a", "unknown key"),
-        (
-            "a = 1.0",
-            "a = { unit = 2.0 }",
-            "a",
-            "unit of `a` is not a text",
-        ),
+        ("a = 1.0", "a = { unit = 2.0 }", "a", "unit of `a` is not a text"),
         ("a = 1.0", "a = { value = 3.0, max = 2.0 }", "a", "outside"),
-        (
-            "a = 1.0",
-            "a = { min = 3.0, max = 2.0 }",
-            "a",
-            "min of `a` is 3",
-        ),
+        ("a = 1.0", "a = { min = 3.0, max = 2.0 }", "a", "min of `a` is 3"),
         ("{ a = 1.0 }", "[\"a\", \"a\"]", "parameters", "twice"),
         ("{ a = 1.0 }", "7", "parameters", "a table or a list"),
         ("{ a = 1.0 }", "{ \"1a\" = 1.0 }", "1a", "not a name"),
@@ -153,13 +121,10 @@ fn wrong_definitions_are_named() {
         assert!(error.message.contains(part), "{error}");
         assert!(!error.help.is_empty());
     }
-    for (parameters, part) in [
-        ("[\"a\", \"b\"]", "needs a guess"),
-        ("{ a = {}, b = 0 }", "no size"),
-    ] {
-        let error = defined(&text("torque", "a*sin(b*t)", parameters))
-            .err()
-            .unwrap();
+    for (parameters, part) in
+        [("[\"a\", \"b\"]", "needs a guess"), ("{ a = {}, b = 0 }", "no size")]
+    {
+        let error = defined(&text("torque", "a*sin(b*t)", parameters)).err().unwrap();
         assert!(error.key == "b" && error.message.contains(part), "{error}");
     }
 }

@@ -179,10 +179,7 @@ fn a_held_load_lets_the_motor_ring_on_the_shaft() {
     let w1 = std::f64::consts::TAU * f * r.sqrt();
     for (sample, speed) in out.speed_rad_s.iter().enumerate() {
         let expected = 0.2 / (0.0045 * 0.4 * w1) * (w1 * sample as f64 * 1e-3).sin();
-        assert!(
-            (speed - expected).abs() < 1e-9,
-            "{sample} {speed} {expected}"
-        );
+        assert!((speed - expected).abs() < 1e-9, "{sample} {speed} {expected}");
     }
 }
 
@@ -235,11 +232,7 @@ fn one_step_predictions_of_its_own_motion_are_its_own_motion() {
     let ahead = plant.predict_ahead(&measured, State::default(), 1);
     assert_near(&free, &ahead, 1e-6);
     // Noise on the measurement stays of its size: the load does not run away from the motor.
-    for (speed, noise) in measured
-        .speed_rad_s
-        .iter_mut()
-        .zip([0.1, -0.1].into_iter().cycle())
-    {
+    for (speed, noise) in measured.speed_rad_s.iter_mut().zip([0.1, -0.1].into_iter().cycle()) {
         *speed += noise;
     }
     let noisy = plant.predict_ahead(&measured, State::default(), 1);
