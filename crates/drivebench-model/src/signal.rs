@@ -10,18 +10,21 @@
 pub type Point = (f64, f64);
 
 /// The value of the last point at or before an instant; `None` before the first.
+#[inline]
 pub fn held(points: &[Point], time_s: f64) -> Option<f64> {
     let next = points.partition_point(|point| point.0 <= time_s);
     next.checked_sub(1).map(|at| points[at].1)
 }
 
 /// The points from the one that holds at an instant on.
+#[inline]
 pub fn holding_since(points: &[Point], time_s: f64) -> &[Point] {
     let next = points.partition_point(|point| point.0 <= time_s);
     &points[next.saturating_sub(1)..]
 }
 
 /// The zero-order hold between two instants as `(length, value)`; the first value holds before its point too.
+#[inline]
 pub fn pieces(points: &[Point], from_s: f64, to_s: f64) -> impl Iterator<Item = Point> + Clone {
     let first = points.partition_point(|point| point.0 <= from_s).max(1) - 1;
     let held = points.iter().enumerate().skip(first);
@@ -35,11 +38,13 @@ pub fn pieces(points: &[Point], from_s: f64, to_s: f64) -> impl Iterator<Item = 
 }
 
 /// Integral of a held signal.
+#[inline]
 pub fn integral(points: &[Point], from_s: f64, to_s: f64) -> f64 {
     pieces(points, from_s, to_s).fold(0.0, |sum, (length_s, value)| sum + value * length_s)
 }
 
 /// Mean of a held signal.
+#[inline]
 pub fn mean(points: &[Point], from_s: f64, to_s: f64) -> f64 {
     integral(points, from_s, to_s) / (to_s - from_s)
 }

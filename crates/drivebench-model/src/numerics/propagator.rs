@@ -30,6 +30,7 @@ struct RealEigenvalues {
 }
 
 impl LinearPart {
+    #[inline]
     pub fn new(a: &M2) -> Self {
         let mean = 0.5 * (a[0][0] + a[1][1]);
         let half = 0.5 * (a[0][0] - a[1][1]);
@@ -53,6 +54,7 @@ impl LinearPart {
         self.size * t < 1e-3
     }
 
+    #[inline]
     pub fn over(&self, t: f64) -> Propagator {
         if self.is_short(t) {
             return taylor(&self.a, t);
