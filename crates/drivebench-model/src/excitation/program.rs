@@ -188,6 +188,28 @@ mod tests {
     }
 
     #[test]
+    fn no_sequence_leaves_its_slew_limit() {
+        for (volts, slew, seed) in
+            [(48.0, 300.0, 1), (12.0, 2_000.0, 2), (110.0, 50.0, 3), (400.0, 1e4, 4)]
+        {
+            let program = Program::new(&crate::excitation::rich(volts, slew, seed), slew).unwrap();
+            let mut voltage_v = 0.0;
+            for piece in &program.pieces {
+                let most_v = slew * (piece.end_s - piece.start_s) + 1e-9 * volts;
+                let step_v = (piece.from_v - voltage_v).abs();
+                assert!(
+                    step_v <= 1e-9 * volts,
+                    "{volts} V: {step_v} V at once at {} s",
+                    piece.start_s
+                );
+                assert!((piece.to_v - piece.from_v).abs() <= most_v, "{volts} V: {piece:?}");
+                voltage_v = piece.to_v;
+            }
+            assert_eq!(voltage_v, 0.0);
+        }
+    }
+
+    #[test]
     fn a_wrong_value_is_named_with_its_place() {
         let prbs = Segment::Prbs(Prbs {
             amplitude_v: 1.0,

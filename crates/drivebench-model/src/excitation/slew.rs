@@ -10,8 +10,12 @@ pub(super) struct SlewLimit {
 }
 
 impl SlewLimit {
-    /// Follows one piece of the target; pushes one to three pieces over the same time.
+    /// Follows one piece of the target; pushes one to three pieces over the same time. A piece without length has no
+    /// slope: rounding leaves one where a corner of the dither falls on the end of a level.
     pub(super) fn follow(&mut self, target: &Piece, pieces: &mut Vec<Piece>) {
+        if target.end_s <= target.start_s {
+            return;
+        }
         let slope = target.slope_v_per_s();
         let gap_v = target.from_v - self.voltage_v;
         let mut time_s = target.start_s;
@@ -66,6 +70,9 @@ mod tests {
         // too short to get there
         limit.follow(&Piece::level(2.0, 2.1, -4.0), &mut pieces);
         assert!((limit.voltage_v - 3.0).abs() < 1e-12);
+        // without length
+        limit.follow(&Piece::level(2.1, 2.1, -9.0), &mut pieces);
+        assert!((limit.voltage_v - 3.0).abs() < 1e-12 && pieces.len() == 3);
     }
 
     proptest! {
