@@ -1,17 +1,17 @@
-//! Posterior of each effect of the catalogue, and of what none of them explains.
+//! Result of a diagnosis: posterior of each effect of the catalogue and of unknown functions.
 
 use super::eligible::{prepared, starts, why_not};
 use super::events::Event;
 use super::kalman::Noise;
 use super::marginal::{Inferred, NAMED_PROBABILITY, TOGETHER_PROBABILITY};
-use super::noise::beginning;
+use super::noise::initial_noise;
 pub(crate) use super::prediction_error::{Led, led, refined, with_deviations};
 use super::refits::at_limit;
 use super::regression::Candidate;
 use super::rivals::{confusable, share_among_events, share_at_limit};
 use super::search::{self, SearchResult};
 use super::select::Set;
-use super::solution::{Happened, at_solution};
+use super::solution::{FittedEvent, at_solution};
 use crate::evidence::{Evidence, HoldoutFrom};
 use crate::floor::{Floor, MOST_UNOBSERVED_RATIO};
 use crate::progress::Progress;
@@ -24,23 +24,23 @@ use drivebench_model::plant::effect::CATALOGUE;
 use drivebench_model::plant::{ActiveEffect, Effect, Model, MotorKey, Scenario, State};
 use serde::Serialize;
 
-/// A run that the answer rests on.
+/// Part of a run in the diagnosis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RunOf {
     Fit,
     Holdout,
-    /// One that was made after the first, and is fitted with it.
+    /// A later run, fitted together with the first.
     Later,
-    /// Both, where one run was split.
+    /// Fit and hold-out of one run that was split.
     Whole,
 }
 
-/// When something that happens once did so in one run, and how large it was there: in the unit of its first parameter.
+/// Time and size of an event in one run, the size in the unit of its first parameter.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Onset {
     pub run: RunOf,
-    /// Of a later run which of them it is, the first being one.
+    /// Number of a later run, from one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub number: Option<usize>,
     /// Since the run's first command.
@@ -50,51 +50,51 @@ pub struct Onset {
     pub size_std: f64,
 }
 
-/// A part of the error that follows something and that no effect of the catalogue explains.
+/// A part of the error that is a smooth function of a variable and that no effect of the catalogue explains.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Unknown {
     pub equation: &'static str,
     pub follows: &'static str,
     pub probability: f64,
-    /// Of the error that the baseline leaves.
+    /// Share of the error of the baseline.
     pub share_of_error: f64,
     pub sentence: String,
 }
 
-/// What a run is, and where it is in what is fitted.
+/// Kind of a run and its position in the fitted record, where the runs are put one after the other.
 #[derive(Clone, Copy)]
-struct Place {
+struct RunPosition {
     of: RunOf,
-    /// Of a later run.
+    /// Number of a later run.
     number: Option<usize>,
-    /// When it begins there, s after the first command.
+    /// Begin in the fitted record, s after its first command.
     begins_s: f64,
-    /// When what is fitted of it ends, s after its own first command; zero where it has no part in it.
+    /// End of its fitted part, s after its own first command; zero if it is not fitted.
     fitted_s: f64,
-    /// When the last run ends there, s after the first command.
+    /// End of the fitted record, s after its first command.
     ends_s: f64,
 }
 
-/// The answer of all runs together.
+/// Posterior of all runs together.
 pub(crate) struct Inference {
     /// Every eligible effect.
     pub(crate) effects: Vec<Inferred>,
     pub(crate) unknown: Vec<Unknown>,
-    /// What is more likely there than not, what explains most first.
+    /// Effects that are named, the most probable first.
     pub(crate) named: Vec<&'static str>,
-    /// Effects of the baseline that are not needed beside the others.
+    /// Effects of the baseline that the best set lacks although the runs would show them.
     pub(crate) superfluous: Vec<&'static str>,
-    /// Pairs of which these runs want one and cannot say which; the likelier first.
+    /// Confounded pairs: the runs support one without distinguishing which; the more probable first.
     pub(crate) confusable: Vec<[&'static str; 2]>,
-    /// Error, in units of the noise, that the disturbance of the load makes on the hold-out whatever is named.
+    /// Error, in units of the noise, that the disturbance of the load causes on the hold-out.
     pub(crate) disturbance_error: f64,
-    /// The same of what was commanded in the holes of its record.
+    /// The same, caused by the unknown commands in the holes of its record.
     pub(crate) unobserved: f64,
-    /// What is random in the runs beside it.
+    /// Noise model of the runs.
     pub(crate) noise: Noise,
-    /// What is not named for a reason of its own.
+    /// Effects that are not named for another reason than their probability.
     vetoes: Vec<Veto>,
-    runs: Vec<Place>,
+    runs: Vec<RunPosition>,
     found: SearchResult,
 }
 
@@ -104,12 +104,12 @@ impl Inference {
         Floor::new(evidence, self.unobserved)
     }
 
-    /// The part of the hold-out's error by lost rows and its allowance, from 0.3 of the noise on.
+    /// Sentence on the error of the hold-out by lost rows, if it exceeds 0.3 of the noise.
     pub(crate) fn lost_rows(&self, floor: Floor<'_>) -> Option<String> {
         (self.unobserved >= 0.3).then(|| {
             format!(
-                "nobody knows what was commanded in the rows that the hold-out lacks: that alone makes about {:.1} times the \
-                 noise of its error, and up to {:.1} is allowed for; an error below {:.1} times the noise may be all theirs",
+                "the commands in the rows that the hold-out lacks are unknown: they alone cause an error of about {:.1} times \
+                 the noise, and up to {:.1} is allowed for; an error below {:.1} times the noise may be due to them alone",
                 self.unobserved,
                 MOST_UNOBSERVED_RATIO * self.unobserved,
                 floor.highest()
@@ -127,35 +127,35 @@ impl Inference {
         self.of(id).is_some_and(|found| found.why_not.is_none())
     }
 
-    /// What the model had and does not need any more, as the end of a sentence.
+    /// Effects that have become superfluous, as the end of a sentence.
     pub(crate) fn superfluous_in_words(&self) -> String {
         let end = |end: String, id: &&str| end + "; " + id + " is superfluous now";
         self.superfluous.iter().fold(String::new(), end)
     }
 
-    /// When an effect that happens once did so, in each of the runs where it did.
+    /// Time and size of an event in each run that has it.
     pub(crate) fn onsets(&self, id: &str) -> Vec<Onset> {
-        let own = self.found.happened.iter();
-        let mut own: Vec<&Happened> = own.filter(|own| own.event.id() == id).collect();
+        let own = self.found.fitted_events.iter();
+        let mut own: Vec<&FittedEvent> = own.filter(|own| own.event.id() == id).collect();
         own.sort_by_key(|own| own.event.run);
-        let onset = |own: &Happened| Onset {
+        let onset = |own: &FittedEvent| Onset {
             run: self.runs[own.event.run].of,
             number: self.runs[own.event.run].number,
-            time_s: own.moment.time_s,
-            interval_95_s: own.moment.interval_s,
+            time_s: own.event_time.time_s,
+            interval_95_s: own.event_time.interval_s,
             size: own.event.values[own.event.effect.size_index()],
             size_std: own.deviation,
         };
         own.into_iter().map(onset).collect()
     }
 
-    /// What a fit has to hold: what is named, and what may be in its place.
+    /// Effects to fit: the named ones and those confounded with them.
     pub(crate) fn to_be_fitted(&self) -> Vec<&'static str> {
         let rivals = self.confusable.iter().map(|pair| pair[1]);
         self.named.iter().copied().chain(rivals).collect()
     }
 
-    /// Whether an effect is more likely there than not, or these runs cannot tell it from one that is.
+    /// Whether an effect is more probable than not, or confounded with one that is.
     pub(crate) fn names(&self, id: &str) -> bool {
         let found = self.of(id);
         let likely = found.is_some_and(|found| found.probability > NAMED_PROBABILITY);
@@ -164,12 +164,12 @@ impl Inference {
             || self.confusable.iter().any(|pair| pair[1] == id)
     }
 
-    /// How many times as large as white noise what the best set leaves of the innovations is.
+    /// Long-run variance of the residuals of the best set over that of white noise.
     pub(crate) const fn excess(&self) -> f64 {
         self.found.excess
     }
 
-    /// Whether the set leaves little more than white noise of the innovations: the drift of the free run is then left aside.
+    /// Whether the residuals are nearly white: the drift of the free run is then not judged.
     pub(crate) fn is_nearly_white(&self) -> bool {
         self.found.excess < 1.3
     }
@@ -179,16 +179,16 @@ impl Inference {
         self.found.is_cut
     }
 
-    /// Why nothing is ruled out, where no linear solution of the search holds.
+    /// Why no effect is ruled out, if the linear solution does not hold.
     pub(crate) fn why_open(&self) -> Option<&'static str> {
-        let cut = "the search was ended by its budget of work before a set of effects stood";
-        let far = "the best model leaves several times the noise, so that bounds by it do not hold";
-        // Eight ninths of what is left are the model's then, not the noise's.
+        let cut = "the search reached its limit of work before the set of effects was stable";
+        let far = "the residuals of the best model are several times the noise, so that its bounds do not hold";
+        // Eight ninths of the residual variance are then model error.
         let is_far = self.found.excess > 9.0;
         self.is_cut().then_some(cut).or(is_far.then_some(far))
     }
 
-    /// Keeps an effect from being named; its probability stays what it is.
+    /// Excludes an effect from the named ones; its probability is unchanged.
     pub(crate) fn veto(&mut self, veto: Veto) {
         self.named.retain(|named| *named != veto.effect);
         self.confusable.retain(|pair| pair[0] != veto.effect);
@@ -201,40 +201,41 @@ impl Inference {
         Some(&own.reason)
     }
 
-    /// The model with these effects alone, where a fit begins: those of the best set as they are there, the others in their
-    /// likeliest form.
+    /// Initial model of a fit with these effects alone: those of the best set with their values, the others in their likeliest
+    /// form.
     pub(crate) fn with_effects(&self, ids: &[&'static str]) -> Option<Model> {
-        let SearchResult { hypothesis, reduced, posterior, happened, .. } = &self.found;
+        let SearchResult { hypothesis, reduced, posterior, fitted_events, .. } = &self.found;
         let linear = &reduced.linear;
         let mut missing: Vec<&str> = ids.to_vec();
         let candidates = linear.candidates.iter().zip(&posterior.forms);
         let set: Set = candidates
             .map(|(candidate, form)| {
-                let place = missing.iter().position(|id| *id == candidate.id)?;
-                missing.swap_remove(place);
+                let index = missing.iter().position(|id| *id == candidate.id)?;
+                missing.swap_remove(index);
                 Some(if candidate.in_model { 0 } else { *form })
             })
             .collect();
         let there = at_solution(hypothesis, reduced, &set)?;
         let mut model = there.model;
-        let mut known: Vec<&Event> = happened.iter().map(|happened| &happened.event).collect();
+        let mut known: Vec<&Event> =
+            fitted_events.iter().map(|fitted_events| &fitted_events.event).collect();
         known.sort_by_key(|event| event.run);
         for event in known.into_iter().chain(&there.events) {
             if ids.contains(&event.id()) && !model.has(event.id()) {
-                model.effects.push(in_fitted(event, self.runs[event.run]));
+                model.effects.push(in_fitted_runs(event, self.runs[event.run]));
             }
         }
         (missing.is_empty() && ids.iter().all(|id| model.has(id))).then_some(model)
     }
 }
 
-/// An event as the runs that are fitted have it: what happened only in what is held out comes 1 s after their end.
-fn in_fitted(event: &Event, run: Place) -> ActiveEffect {
+/// An event at its time in the fitted record; one of the hold-out is put 1 s after its end.
+fn in_fitted_runs(event: &Event, run: RunPosition) -> ActiveEffect {
     let mut event = event.clone();
     let is_behind = run.begins_s + run.fitted_s < run.ends_s;
     let time_s = event.time_s();
     match run.of {
-        // Where no other run is behind it, what is held out of it is its own end.
+        // The held-out part is the end of the run, and no further run follows.
         RunOf::Whole if is_behind && time_s > run.fitted_s => event.put_at(run.ends_s + 1.0),
         RunOf::Fit | RunOf::Whole => {}
         RunOf::Later => event.put_at(run.begins_s + time_s),
@@ -243,14 +244,14 @@ fn in_fitted(event: &Event, run: Place) -> ActiveEffect {
     event.active()
 }
 
-/// The effects of the catalogue, and those of a model or beside it that are in none.
+/// The effects of the catalogue, those of the model and a `further` one.
 pub(crate) fn eligible(
     model: &Model,
-    beside: Option<&'static dyn Effect>,
+    further: Option<&'static dyn Effect>,
 ) -> Vec<&'static dyn Effect> {
     let mut eligible = CATALOGUE.to_vec();
     let of_model = model.effects.iter().map(|active| active.effect);
-    for effect in of_model.chain(beside) {
+    for effect in of_model.chain(further) {
         let is_known = |known: &&'static dyn Effect| known.card().id == effect.card().id;
         if !eligible.iter().any(is_known) {
             eligible.push(effect);
@@ -259,8 +260,8 @@ pub(crate) fn eligible(
     eligible
 }
 
-/// Weighs all sets of the eligible effects on the fit run and the hold-out together, from `baseline` on, which was
-/// fitted from `before`.
+/// Posterior of the sets of eligible effects on fit run and hold-out together, searched from `baseline`, which was fitted from
+/// `before`.
 pub(crate) fn infer(
     baseline: &Fitted,
     before: &Model,
@@ -274,9 +275,9 @@ pub(crate) fn infer(
     let scenarios: Vec<&Scenario> = runs.iter().collect();
     let first = State::at(baseline.start.current_a, baseline.start.speed_rad_s);
     let starts = starts(&runs, held_out, first);
-    let noise = beginning(&evidence.noise, &baseline.model, &runs[0]);
+    let noise = initial_noise(&evidence.noise, &baseline.model, &runs[0]);
     let mut model = baseline.model.clone();
-    // A balance may give an inertia that no shaft has.
+    // The torque balance may give a negative inertia.
     let inertia = model.motor.get(MotorKey::Inertia);
     if let Some(inertia) = inertia.filter(|inertia| *inertia <= 0.0) {
         let positive = inertia.abs().max(f64::MIN_POSITIVE);
@@ -301,7 +302,7 @@ pub(crate) fn infer(
     };
     let mut effects: Vec<Inferred> = eligible.iter().map(inferred).collect();
     effects.sort_by(|a, b| b.log_odds.total_cmp(&a.log_odds));
-    // Of two that these runs cannot tell apart the likelier stands for both.
+    // The more probable of a confounded pair stands for both.
     let rivals = confusable(&found);
     share_among_events(&mut effects, &rivals);
     let mut confusable: Vec<_> = rivals.into_iter().map(|rival| rival.pair).collect();
@@ -321,7 +322,7 @@ pub(crate) fn infer(
         !own.given && (alone || together(own.id()) > TOGETHER_PROBABILITY)
     };
     let named: Vec<&'static str> = effects.iter().filter(is_named).map(Inferred::id).collect();
-    // An effect that these runs do not show is neither needed nor superfluous.
+    // An effect that is not detectable is neither needed nor superfluous.
     let is_gone = |id: &&'static str| {
         let mut own = effects.iter().filter(|own| own.id() == *id);
         own.any(|own| own.excited) && !found.hypothesis.has(id)
@@ -346,26 +347,26 @@ pub(crate) fn infer(
     })
 }
 
-/// What each of so many runs is.
-fn runs_of(evidence: &Evidence, count: usize) -> Vec<Place> {
+/// Positions of the first `count` runs.
+fn runs_of(evidence: &Evidence, count: usize) -> Vec<RunPosition> {
     let length_s = |run: &Scenario| run.sample_time_s[run.samples() - 1] - run.begin_s();
     let begins_s = evidence.begins_s();
-    let of = |place: usize| {
-        let of = match (evidence.holdout_from, begins_s.get(place)) {
-            (HoldoutFrom::Split, _) if place == 0 => RunOf::Whole,
-            (HoldoutFrom::Run, _) if place == 0 => RunOf::Fit,
+    let of = |number: usize| {
+        let of = match (evidence.holdout_from, begins_s.get(number)) {
+            (HoldoutFrom::Split, _) if number == 0 => RunOf::Whole,
+            (HoldoutFrom::Run, _) if number == 0 => RunOf::Fit,
             (_, Some(_)) => RunOf::Later,
             (_, None) => RunOf::Holdout,
         };
         let own = match of {
             RunOf::Fit | RunOf::Whole => Some(evidence.first_run()),
-            RunOf::Later => evidence.parts.get(place),
+            RunOf::Later => evidence.parts.get(number),
             RunOf::Holdout => None,
         };
-        Place {
+        RunPosition {
             of,
-            number: (of == RunOf::Later).then_some(place),
-            begins_s: begins_s.get(place).copied().unwrap_or(0.0),
+            number: (of == RunOf::Later).then_some(number),
+            begins_s: begins_s.get(number).copied().unwrap_or(0.0),
             fitted_s: own.map_or(0.0, length_s),
             ends_s: length_s(&evidence.training),
         }
@@ -373,8 +374,8 @@ fn runs_of(evidence: &Evidence, count: usize) -> Vec<Place> {
     (0..count).map(of).collect()
 }
 
-/// The unknown curves that are likely and explain more than 0.03 of the error: one that only bends the innovations, and takes
-/// nothing from the error of a free run, explains none of it.
+/// The unknown functions that are probable and explain more than 3 % of the error of a free run; one that changes only the
+/// innovations explains none of it.
 fn unknown_parts(candidates: &[Candidate], probability: &[f64], shares: &[f64]) -> Vec<Unknown> {
     let parts = candidates.iter().zip(probability).zip(shares);
     parts
@@ -429,7 +430,7 @@ mod tests {
                 values: vec![0.1, at_s],
             };
             let place = runs_of(evidence, evidence.speaking().0.len())[number];
-            let found_s = in_fitted(&event, place).values_or_guess()[1];
+            let found_s = in_fitted_runs(&event, place).values_or_guess()[1];
             let ends_s = evidence.training.sample_time_s[evidence.training.samples() - 1];
             let is_right = if expected_s < behind_s {
                 (found_s - expected_s).abs() < 1e-9

@@ -1,5 +1,5 @@
-//! Columns of the regression on which effects are selected: what each at its slab size would add to the whitened innovations of
-//! a linearised run.
+//! Design matrix of the regression on which effects are selected: sensitivity of the standardised innovations to each parameter,
+//! by tangent linearisation or by finite differences, for one slab.
 
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -18,7 +18,7 @@ use drivebench_model::plant::{
     typical_size,
 };
 
-/// An effect of the model: its parameters, and what else its form may be.
+/// Columns of an effect that the model has: its parameters and the perturbations of its form.
 fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> Option<Part> {
     let id = effect.card().id;
     let specs = effect.parameters();
@@ -29,7 +29,7 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
     let along = tangent::are_tangents(model, scenario);
     let mut form = Form::new(values.clone(), 0.0);
     if !specs.iter().any(ParameterSpec::is_coefficient) {
-        form.whole(model.without_effect(id).ok()?, true);
+        form.fixed_size(model.without_effect(id).ok()?, true);
     }
     for (index, spec) in specs.iter().enumerate() {
         if spec.role == ParameterRole::Choice {
@@ -48,7 +48,8 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
         let step = share * unit;
         form.variant.positive |= is_size && (spec.min >= 0.0 || effect.card().takes_power);
         let change = (step, step / unit);
-        let tangent = along.then(|| tangent::of_effect(effect, &values, index, unit, change));
+        let tangent =
+            along.then(|| tangent::parameter_tangent(effect, &values, index, unit, change));
         let source = tangent.flatten().map_or_else(
             || {
                 let mut moved = model.clone();
@@ -69,8 +70,8 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
     Some(part)
 }
 
-/// An effect that the model lacks, in each form of its grid.
-fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> Part {
+/// Columns of an effect that the model lacks, for each form of its grid.
+fn not_in_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> Part {
     let (specs, card) = (effect.parameters(), effect.card());
     let mut part = Part::new(effect);
     let coefficients: Vec<(usize, f64)> = (0..specs.len())
@@ -92,7 +93,7 @@ fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
         if coefficients.is_empty() {
             let mut with = model.clone();
             with.effects.push(ActiveEffect::with(effect, &shape));
-            form.whole(with, false);
+            form.fixed_size(with, false);
         }
         for (index, slab) in coefficients.iter().copied() {
             let mut values = shape.clone();
@@ -102,7 +103,7 @@ fn beside_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
             values[index] = slab;
             form.variant.values[index] = slab;
             form.variant.positive |= specs[index].min >= 0.0 || card.takes_power;
-            let source = alone(model, effect, &values, index);
+            let source = coefficient_alone(model, effect, &values, index);
             form.column(source, Column::of(Some(index), slab, 0.0));
         }
         part.push(form);
@@ -132,27 +133,33 @@ fn shape_grid(effect: &dyn Effect, training: &Scenario) -> Vec<Vec<f64>> {
     grid
 }
 
-/// What one coefficient of an effect adds, all others at zero.
-fn alone(model: &Model, effect: &'static dyn Effect, values: &[f64], index: usize) -> Source {
-    const PROBE: f64 = 0.25;
-    if let Some(tangent) = tangent::alone_at(effect, values, index) {
+/// Column of one coefficient of an effect, all other coefficients at zero: its tangent, or a finite difference over a quarter of
+/// the slab.
+fn coefficient_alone(
+    model: &Model,
+    effect: &'static dyn Effect,
+    values: &[f64],
+    index: usize,
+) -> Source {
+    let step = 0.25;
+    if let Some(tangent) = tangent::coefficient_tangent(effect, values, index) {
         return Source::Tangent(tangent);
     }
     let mut with = model.clone();
     let mut values = values.to_vec();
-    values[index] *= PROBE;
+    values[index] *= step;
     with.effects.push(ActiveEffect::with(effect, &values));
-    Source::difference(with, PROBE)
+    Source::difference(with, step)
 }
 
-/// Where the columns of what the model has come from, or of what it lacks.
+/// Sources of the columns of the effects that the model has, or of those that it lacks.
 fn sources_of(parts: &[Part], in_model: bool) -> impl Iterator<Item = &Source> {
     let parts = parts.iter();
     let own = parts.filter(move |part| part.candidate.in_model == in_model);
     own.flat_map(|part| part.sources.iter().flatten())
 }
 
-/// The linear problem of `runs` around one model and what happens in each. Every run must be filtered with that.
+/// Linear problem of `runs` about a hypothesis, with which every run must have been filtered.
 pub(super) fn linearise(
     hypothesis: &Hypothesis,
     eligible: &[&'static dyn Effect],
@@ -168,7 +175,7 @@ pub(super) fn linearise(
         } else if model.has(effect.card().id) {
             of_model(model, *effect, training).map(|part| vec![part])
         } else {
-            Some(vec![beside_model(model, *effect, training)])
+            Some(vec![not_in_model(model, *effect, training)])
         }
     };
     let parts: Vec<Vec<Part>> = eligible
@@ -182,7 +189,7 @@ pub(super) fn linearise(
         parts.extend(unknown_curves(runs));
     }
 
-    // What the model has comes first: beside it the likeliest of many forms are found.
+    // Columns of the model first: forms are screened given these.
     let inside: Vec<&Source> = always.iter().chain(sources_of(&parts, true)).collect();
     let base = columns_of(&inside, runs);
     let precision = |k| nuisances.get(k).map_or(1.0, |sd: &f64| 1.0 / (sd * sd));
@@ -260,7 +267,7 @@ pub(super) fn columns_of(sources: &[&Source], runs: &[LinearisedRun<'_>]) -> Vec
                 // All of them cost as much as 10 exact sub-steps a sample.
                 run.count(10 * run.scenario.samples() as u64);
                 let (numbers, tangents): (Vec<usize>, Vec<&Tangent>) = some.into_iter().unzip();
-                numbers.into_iter().zip(run.along(&tangents)).collect()
+                numbers.into_iter().zip(run.tangent_columns(&tangents)).collect()
             }
         };
         (number, columns)
@@ -284,7 +291,7 @@ fn assemble(
     let p = columns[0].columns.len();
     let mut products = DMatrix::zeros(p + 1, p + 1);
     for (run, columns) in runs.iter().zip(&columns) {
-        products += columns.gram(&run.followed.white);
+        products += columns.gram(&run.filtered.white);
     }
     let gram = products.view((0, 0), (p, p)).into_owned();
     let mut right: DVector<f64> = products.view((0, p), (p, 1)).column(0).into_owned();

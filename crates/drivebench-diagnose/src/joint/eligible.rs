@@ -26,7 +26,7 @@ pub(crate) fn why_not(effect: &dyn Effect, scenario: &Scenario) -> Option<&'stat
     let why_not = match effect.card().enters {
         Enters::Voltage => Some("the run has no voltage, and it acts in the voltage balance"),
         Enters::Path => Some(
-            "it lies between motor and measurement, which a run without a voltage does not tell apart",
+            "it acts between motor and measurement: a run without a voltage does not distinguish it",
         ),
         Enters::Both if scenario.input == Input::Torque => {
             Some("it acts through the current, which the run does not have")
@@ -136,7 +136,7 @@ fn resolves(scenario: &Scenario, periods_per_turn: f64) -> bool {
     close.count() as f64 >= 0.1 * steps.len() as f64
 }
 
-/// What each run begins with: the first as it was fitted, one that is held out at rest, the others as they were measured.
+/// Initial state of each run: the fitted one for the first, rest for a hold-out, the measured one for the others.
 pub(super) fn starts(runs: &[Scenario], held_out: usize, first: State) -> Vec<State> {
     let start = |(number, run): (usize, &Scenario)| {
         if run.input != Input::Voltage {
@@ -154,10 +154,9 @@ pub(super) fn starts(runs: &[Scenario], held_out: usize, first: State) -> Vec<St
     runs.iter().enumerate().map(start).collect()
 }
 
-/// The run with the rows that count. A measured current stands for what flowed until halfway to its neighbours, not from its
-/// instant on. Of a speed that was derived from the angle only values that share no sample of it are kept: what they
-/// have in common would pass for the motion of the shaft. The torque keeps every value: from one speed to the next its
-/// whole impulse counts.
+/// The run with the rows that are used. A measured current is held from halfway to its neighbours, not from its own instant. Speeds
+/// derived from the angle are thinned until no two share an angle sample, whose error would otherwise count as motion. The torque
+/// keeps every value, because its impulse between two speeds counts.
 pub(super) fn prepared(scenario: &Scenario, noise_is_known: bool) -> Scenario {
     let mut prepared = scenario.clone();
     if scenario.input == Input::Voltage {

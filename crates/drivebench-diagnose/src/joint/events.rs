@@ -1,12 +1,10 @@
-//! Events that happen once: each run has its own moment of one, or none.
-//!
-//! What an event adds to the innovations is the signature of a jump; its moment is the one of the largest evidence, as in the
-//! generalised likelihood ratio test of Willsky and Jones (IEEE Trans. Automatic Control 21, 1976), its size under a slab.
+//! Events: effects that begin at an unknown time of a run, by the generalised likelihood ratio of a jump (Willsky and Jones, IEEE
+//! Trans. Automatic Control 21, 1976): the time is that of the largest evidence, the size has the prior of a slab.
 //!
 //! ```text
-//! what all runs share, events --in_run--> the model of one run
-//! parts     an event in one run at one of many moments; several runs: one each (paired)
-//! placed    the moment to the sample, by the evidence of moments side by side
+//! shared model, events --in_run--> model of one run
+//! parts           an event in one run at the times of a grid; in two runs: pairs of times
+//! event_time_of   the likeliest time to a quarter of a sampling period, with its interval
 //! ```
 
 use nalgebra::DVector;
@@ -21,14 +19,12 @@ use drivebench_model::plant::{
     ActiveEffect, Effect, Model, ParameterRole, ParameterSpec, Path, Scenario, Terms, typical_size,
 };
 
-/// Time before its moment from which on an event may do anything, s.
+/// Longest rise of an event's onset before its nominal time, s: before, its column is zero.
 const LEAD_S: f64 = 0.4;
-/// Moments on either side of the best one that are evaluated on each level of a search.
-const AROUND: i32 = 8;
-/// Weights before, at and behind the moment, at one standard deviation: a slower onset or a faster one.
+/// Weights before, at and after the event time of a slower (or, negative, faster) onset, at one standard deviation.
 const SLOWER: [f64; 3] = [0.5, -1.0, 0.5];
-/// Other forms of an onset: weights and the time before and behind the moment, s. Later or earlier and slower or faster, since its
-/// rate is not known; and built up slowly, since that would pass for a friction beside it.
+/// Errors of the form of an onset: weights, and the distance before and after the event time, s. Shifted by 0.01 s, and spread over
+/// 0.01 to 1.6 s because the rate of rise is not known: a slow rise would otherwise be taken for a change of friction.
 const ONSETS: [([f64; 3], f64); 5] =
     [([0.5, 0.0, -0.5], 0.01), (SLOWER, 0.01), (SLOWER, 0.1), (SLOWER, 0.4), (SLOWER, 1.6)];
 
@@ -65,14 +61,13 @@ impl Event {
         ActiveEffect::with(self.effect, &self.values)
     }
 
-    /// Its terms at another moment.
     fn terms_at(&self, time_s: f64) -> Box<dyn Terms> {
         let mut there = self.clone();
         there.put_at(time_s);
         there.effect.terms(&there.values)
     }
 
-    /// Change by another form of its onset, so long before and behind the moment.
+    /// Tangent of an error of its onset's form.
     fn onset(&self, (weights, around_s): ([f64; 3], f64)) -> Tangent {
         let parts = [-around_s, 0.0, around_s].into_iter().zip(weights);
         let terms_at = |after_s| self.terms_at(self.time_s() + after_s);
@@ -82,13 +77,13 @@ impl Event {
         }
     }
 
-    /// The tangent of `unit` of its size where it is; `None` where that is no forcing.
+    /// Tangent of `unit` of its size at its time; `None` where it acts in the path and is no forcing.
     pub(super) fn slope(&self, unit: f64) -> Option<Tangent> {
         let acts = self.effect.terms(&self.values).path() == Path::default();
         acts.then(|| self.tangent(unit, self.time_s()))
     }
 
-    /// The same with a slab of it at another moment.
+    /// Tangent of a slab of it at another time.
     fn tangent(&self, slab: f64, time_s: f64) -> Tangent {
         let mut there = self.clone();
         there.values[self.effect.size_index()] = slab;
@@ -96,7 +91,7 @@ impl Event {
     }
 }
 
-/// What all runs share, and what happens in one of them.
+/// The model that all runs share, and the events of each run.
 #[derive(Clone)]
 pub(super) struct Hypothesis {
     pub(super) model: Model,
@@ -104,7 +99,7 @@ pub(super) struct Hypothesis {
 }
 
 impl Hypothesis {
-    /// A fitted model, whose events are those of the first run.
+    /// Of a fitted model; its events are those of the first run.
     pub(super) fn of(model: &Model) -> Self {
         let (events, shared) = (model.effects.iter().cloned())
             .partition::<Vec<_>, _>(|active| time_of(active.effect).is_some());
@@ -119,7 +114,7 @@ impl Hypothesis {
         Self { model, events }
     }
 
-    /// A model of one run, with its events.
+    /// Of a model of one run, its events kept in the model.
     pub(super) fn whole(model: &Model) -> Self {
         Self { model: model.clone(), events: vec![] }
     }
@@ -145,7 +140,7 @@ impl Hypothesis {
         without
     }
 
-    /// Whether no event is more than a period and a half from where it is `before`: its form is linear only close to there.
+    /// Whether no event time differs from that in `before` by more than 1.5 sampling periods, within which its column is linear.
     pub(super) fn events_stay(&self, before: &Self, scenarios: &[&Scenario]) -> bool {
         self.events.iter().all(|event| {
             let period_s = scenarios[event.run].mean_period_s();
@@ -156,7 +151,7 @@ impl Hypothesis {
         })
     }
 
-    /// What there is, an event once for each of its runs.
+    /// Ids of its effects, an event once for each of its runs.
     pub(super) fn ids(&self) -> Vec<(&'static str, usize)> {
         let shared = self.model.effect_ids().into_iter().map(|id| (id, 0));
         let events = self.events.iter().map(|event| (event.id(), 1 + event.run));
@@ -164,7 +159,7 @@ impl Hypothesis {
     }
 }
 
-/// Parts of a run at whose ends an effect is looked for. Steps of the load stand for a disturbance, too.
+/// Grid of event times: parts of a run. Steps of the load get a finer one, because many small ones represent a disturbance.
 fn parts_of_run(effect: &dyn Effect) -> usize {
     if effect.card().is_disturbance_step { 96 } else { 48 }
 }
@@ -174,18 +169,18 @@ fn spacing_s(run: &LinearisedRun<'_>, effect: &dyn Effect) -> f64 {
     (last_s - run.scenario.begin_s()) / parts_of_run(effect) as f64
 }
 
-/// Log of the prior of what happens in one run only at a given moment, in so many runs.
+/// Log prior of an event at a given time of one run, of so many runs.
 fn log_share_of_one(effect: &dyn Effect, runs: usize) -> f64 {
     let only = if runs > 1 { 0.5 / runs as f64 } else { 1.0 };
     only.ln() - ((parts_of_run(effect) - 1) as f64).ln()
 }
 
-/// The same of what happens in two runs at given moments.
+/// Log prior of an event in two runs at given times.
 fn log_share_of_two(effect: &dyn Effect) -> f64 {
     0.5_f64.ln() - 2.0 * ((parts_of_run(effect) - 1) as f64).ln()
 }
 
-/// An event in each of its forms: as the model has it, and in the runs in which the model lacks it.
+/// The candidates of an event: as in the model, and in the runs in which the model lacks it.
 pub(super) fn parts(
     hypothesis: &Hypothesis,
     effect: &'static dyn Effect,
@@ -201,7 +196,7 @@ pub(super) fn parts(
     let add = |form: &mut Form, event: &Event, present: f64| {
         let (unit, time_s) = (slab(event.run), event.time_s());
         let column = Column {
-            moment: Some((event.run, time_s)),
+            event_time: Some((event.run, time_s)),
             ..Column::of(Some(size), unit, present / unit)
         };
         form.column(Source::In(event.run, event.tangent(unit, time_s)), column);
@@ -226,7 +221,7 @@ pub(super) fn parts(
         part.push(form);
         parts.push(part);
     }
-    // Beside what the model has, the other run may have it too.
+    // The other run may have it, too.
     let mut part = Part::new(effect);
     let mut log_share = log_share_of_one(effect, runs.len());
     if !own.is_empty() {
@@ -255,22 +250,21 @@ pub(super) fn parts(
     parts
 }
 
-/// Adds to events that may be in several runs the forms in which they are: of what the model lacks the likeliest moments of
-/// two runs together, of what it has either alone.
+/// Adds forms of events in two runs: pairs of likely times of an event that the model lacks, and each run alone of one that it has.
 pub(super) fn pair(linear: &mut Linear, runs: &[LinearisedRun<'_>]) {
     if runs.len() < 2 {
         return;
     }
     let inside = linear.candidates.iter().filter(|own| own.in_model);
     let inside = inside.flat_map(|own| own.variants[0].numbers());
-    let base: Vec<usize> = (0..linear.nuisances.len()).chain(inside).collect();
-    let Some(given) = Base::of_columns(linear, &base) else {
+    let indices: Vec<usize> = (0..linear.nuisances.len()).chain(inside).collect();
+    let Some(base) = Base::of_columns(linear, &indices) else {
         return;
     };
     let gain = |column: usize| {
-        let cross = DVector::from_fn(base.len(), |r, _| linear.gram[(base[r], column)]);
+        let cross = DVector::from_fn(indices.len(), |r, _| linear.gram[(indices[r], column)]);
         let own = linear.gram[(column, column)] + 1.0;
-        let [own, rest] = given.left(&cross, own, linear.right[column]);
+        let [own, rest] = base.schur_complement(&cross, own, linear.right[column]);
         0.5 * rest * rest / own - 0.5 * own.ln()
     };
     let paired = |candidate: &Candidate| {
@@ -286,13 +280,13 @@ pub(super) fn pair(linear: &mut Linear, runs: &[LinearisedRun<'_>]) {
     }
 }
 
-/// An event of the model that is in two runs, in either alone.
+/// Forms of an event of the model in two runs: in either run alone.
 fn alone(candidate: &Candidate, runs: usize) -> Vec<Variant> {
     let both = &candidate.variants[0];
-    let Some(effect) = candidate.effect.filter(|_| both.moments().count() > 1) else {
+    let Some(effect) = candidate.effect.filter(|_| both.event_times().count() > 1) else {
         return vec![];
     };
-    let own = both.columns.iter().filter(|column| column.moment.is_some());
+    let own = both.columns.iter().filter(|column| column.event_time.is_some());
     let only = |column: &Column| Variant {
         columns: vec![*column],
         log_prior: log_share_of_one(effect, runs),
@@ -301,8 +295,8 @@ fn alone(candidate: &Candidate, runs: usize) -> Vec<Variant> {
     own.map(only).collect()
 }
 
-/// An event that the model lacks, in two runs at once: four likely moments of each, and those of other events. What was there
-/// before either moved is no event but always there, and would give the effects that always are a sign that they do not have.
+/// Forms of an event that the model lacks, in two runs: the four likeliest times of each run, and those of other events. An event
+/// before either shaft has turned equals an effect without a time, and is left out.
 fn together(
     candidate: &Candidate,
     runs: &[LinearisedRun<'_>],
@@ -312,7 +306,7 @@ fn together(
         return vec![];
     };
     let of_run = |run: usize| -> Vec<&Variant> {
-        let is_own = |form: &&Variant| form.moments().next().is_some_and(|own| own.0 == run);
+        let is_own = |form: &&Variant| form.event_times().next().is_some_and(|own| own.0 == run);
         let own = candidate.variants.iter().filter(is_own);
         let mut own: Vec<_> = own.map(|form| (gain(form.columns[0].at), form)).collect();
         own.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -322,8 +316,8 @@ fn together(
     };
     let observable_s = [0, 1].map(|run| moves_s(&runs[run]) + spacing_s(&runs[run], effect));
     let happens = |form: &Variant| {
-        let mut moments = form.moments();
-        moments.any(|(run, time_s)| time_s > observable_s[run])
+        let mut event_times = form.event_times();
+        event_times.any(|(run, time_s)| time_s > observable_s[run])
     };
     let (first, second) = (of_run(0), of_run(1));
     let with_second = |a| second.iter().map(move |b| (a, b));
@@ -338,33 +332,33 @@ fn together(
         .collect()
 }
 
-/// When the shaft of a run turns first, s after its first command.
+/// Time at which the shaft of a run first turns, s after its first command.
 fn moves_s(run: &LinearisedRun<'_>) -> f64 {
-    let mut directions = run.followed.direction.iter();
+    let mut directions = run.filtered.direction.iter();
     let first = directions.position(|direction| *direction != 0.0);
     let time_s = first.map(|sample| run.scenario.sample_time_s[sample]);
     time_s.map_or(f64::INFINITY, |time_s| time_s - run.scenario.begin_s())
 }
 
-/// When an event happened, with the interval that holds the moment with 95 %.
+/// Estimated time of an event with its 95 % interval by the profile likelihood.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Moment {
+pub(super) struct EventTime {
     pub(super) time_s: f64,
     pub(super) interval_s: [f64; 2],
 }
 
-/// The evidence of an event beside the rest of a set, by the whitened residual of a run without all that is in the model.
+/// Evidence of an event at any time given the rest of a set, from the whitened residual of a run.
 struct Search<'a> {
     run: &'a LinearisedRun<'a>,
     event: &'a Event,
     slab: f64,
     residual: Vec<[f64; 2]>,
     columns: Vec<&'a [f32]>,
-    given: Base,
+    base: Base,
 }
 
 impl Search<'_> {
-    /// Log evidence of the event at each of these moments.
+    /// Log evidence of the event at each of these times.
     fn gains(&self, times_s: &[f64]) -> Vec<f64> {
         let gains = |some: &[f64]| -> Vec<f64> {
             let tangent = |time_s: &f64| self.event.tangent(self.slab, *time_s);
@@ -373,27 +367,27 @@ impl Search<'_> {
             let mut products: Vec<Lane> = vec![[0.0; LANES]; self.columns.len() + 3];
             let (columns, residual) = (&self.columns, &self.residual);
             add_products(self.run, columns, residual, &tangents, &mut products);
-            let gain = |lane| self.given.gain(&products, lane, 1);
+            let gain = |lane| self.base.gain(&products, lane, 1);
             (0..some.len()).map(gain).collect()
         };
         let groups = times_s.par_chunks(LANES).with_max_len(1);
         groups.map(gains).collect::<Vec<_>>().concat()
     }
 
-    /// The likeliest moment near the one that the event has; `excess` is that of the variance of what is left.
-    fn nearest(&self, excess: f64) -> Moment {
+    /// The likeliest time near that of the event; `excess`: variance of the residual over that of white noise.
+    fn likeliest_time(&self, excess: f64) -> EventTime {
         let times = &self.run.scenario.sample_time_s;
         let end_s = times[times.len() - 1] - self.run.scenario.begin_s();
         let period_s = self.run.scenario.mean_period_s();
         let spacing_s = spacing_s(self.run, self.event.effect);
         let is_inside = |time_s: &f64| (0.0..end_s).contains(time_s);
-        // Four parts on either side: linearised far from the data it was wrong by more than one.
-        let mut step_s = 4.0 * spacing_s / f64::from(AROUND);
+        // Four parts on either side in eight steps each: linearised far from the data it was wrong by more than one part.
+        let mut step_s = 0.5 * spacing_s;
         let mut best_s = self.event.time_s();
         let mut evaluated: Vec<(f64, f64)> = Vec::new();
         // Five levels, down to a quarter of a period.
         for _ in 0..5 {
-            let tried = (-AROUND..=AROUND).map(|k| best_s + f64::from(k) * step_s);
+            let tried = (-8..=8).map(|k| best_s + f64::from(k) * step_s);
             let tried: Vec<f64> = tried.filter(is_inside).collect();
             evaluated.extend(tried.iter().copied().zip(self.gains(&tried)));
             let likeliest = evaluated.iter().max_by(|a, b| a.1.total_cmp(&b.1));
@@ -401,12 +395,12 @@ impl Search<'_> {
             if step_s < 0.25 * period_s {
                 break;
             }
-            step_s *= 2.0 / f64::from(AROUND);
+            step_s *= 0.25;
         }
         let gains = evaluated.iter().map(|evaluated| evaluated.1);
-        // 1.92 nats below the top end the interval of 95 %.
+        // Half of the 95 % quantile of chi-squared with one degree of freedom (3.84).
         let least = gains.fold(f64::NEG_INFINITY, f64::max) - 1.92 * excess;
-        // Where nothing moves the moment may be anywhere.
+        // At rest the likelihood is flat: the interval grows step by step.
         let wide_s = 0.5 * spacing_s;
         for side in [-1.0, 1.0] {
             let reach = evaluated.iter().filter(|evaluated| evaluated.1 > least);
@@ -424,56 +418,56 @@ impl Search<'_> {
                 from_s = further[LANES - 1];
             }
         }
-        // Between two samples nothing is observed.
+        // At least half a sampling period to each side.
         let half_s = 0.5 * period_s;
         let likely = evaluated.iter().filter(|evaluated| evaluated.1 > least);
         let interval_s = likely.fold([best_s - half_s, best_s + half_s], |[low, high], own| {
             [low.min(own.0), high.max(own.0)]
         });
-        Moment { time_s: best_s, interval_s }
+        EventTime { time_s: best_s, interval_s }
     }
 }
 
-/// When an event of a set happened, beside all else that is in it; as it was where it is not in the set.
-pub(super) fn placed(
+/// Time of an event of a set given the rest of the set; unchanged where it is not in the set.
+pub(super) fn event_time_of(
     event: &Event,
     linear: &Linear,
     set: &Set,
     runs: &[LinearisedRun<'_>],
     excess: f64,
-) -> Moment {
-    let place = || -> Option<Moment> {
+) -> EventTime {
+    let place = || -> Option<EventTime> {
         let chosen = linear.candidates.iter().zip(set);
         let chosen = chosen.filter_map(|(own, form)| Some((own.id, &own.variants[(*form)?])));
         let columns: Vec<(&str, &Column)> = chosen
             .flat_map(|(id, form)| form.columns.iter().map(move |column| (id, column)))
             .collect();
         let is_own = |(id, column): &&(&str, &Column)| {
-            *id == event.id() && column.moment.is_some_and(|own| own.0 == event.run)
+            *id == event.id() && column.event_time.is_some_and(|own| own.0 == event.run)
         };
         let own = columns.iter().find(is_own)?.1;
         let (run, whitened) = (runs.get(event.run)?, linear.columns.get(event.run)?);
-        // Other forms of its onset are left out: they stand for another moment.
+        // Without the columns of its onset's form: a shifted onset is another time.
         let others = columns
             .iter()
-            .filter(|(id, column)| *id != event.id() || column.moment.is_some())
+            .filter(|(id, column)| *id != event.id() || column.event_time.is_some())
             .map(|(_, column)| column.at);
-        let base = (0..linear.nuisances.len()).chain(others);
-        let base: Vec<usize> = base.filter(|column| *column != own.at).collect();
-        let given = Base::of_columns(linear, &base)?;
+        let indices = (0..linear.nuisances.len()).chain(others);
+        let indices: Vec<usize> = indices.filter(|column| *column != own.at).collect();
+        let base = Base::of_columns(linear, &indices)?;
         let shift = whitened * &linear.present;
         let residual =
             |(k, white): (usize, &[f64; 2])| [white[0] + shift[2 * k], white[1] + shift[2 * k + 1]];
-        let white = run.followed.white.iter().enumerate();
+        let white = run.filtered.white.iter().enumerate();
         let search = Search {
             run,
             event,
             slab: own.unit,
             residual: white.map(residual).collect(),
-            columns: base.iter().map(|k| &whitened.columns[*k][..]).collect(),
-            given,
+            columns: indices.iter().map(|k| &whitened.columns[*k][..]).collect(),
+            base,
         };
-        Some(search.nearest(excess))
+        Some(search.likeliest_time(excess))
     };
-    place().unwrap_or(Moment { time_s: event.time_s(), interval_s: [event.time_s(); 2] })
+    place().unwrap_or(EventTime { time_s: event.time_s(), interval_s: [event.time_s(); 2] })
 }

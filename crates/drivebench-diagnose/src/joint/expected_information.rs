@@ -1,8 +1,8 @@
-//! Expected information of a run that is still to be made (Bayesian design of experiments: Chaloner and Verdinelli, Statistical
-//! Science 10, 1995): the same linear problem as that of the answer, with a record as the model expects it.
+//! Expected information of a planned run (Bayesian experimental design: Chaloner and Verdinelli, Statistical Science 10, 1995): the
+//! linear problem of the diagnosis with a simulated record added.
 
 use super::columns::linearise;
-use super::detectability::{UNDETECTABLE_SLABS, spread_slabs};
+use super::detectability::{UNDETECTABLE_SLABS, posterior_sd_slabs};
 use super::eligible::{prepared, starts};
 use super::events::Hypothesis;
 use super::kalman::Noise;
@@ -13,12 +13,12 @@ use crate::evidence::Evidence;
 use drivebench_identify::noise::FloorSource;
 use drivebench_model::plant::{Effect, Model, Scenario, State};
 
-/// The noise that a diagnosis found in its runs, on which the expected information of the next one rests.
+/// Noise estimated by a diagnosis, from which the expected information of the next run is computed.
 #[derive(Clone, Copy, Debug)]
 pub struct InformationBasis {
     noise: Noise,
     excess: f64,
-    /// What the run that is fitted first begins with.
+    /// Initial state of the first run.
     start: State,
 }
 
@@ -28,10 +28,10 @@ impl InformationBasis {
     }
 }
 
-/// Squared size of a slab, in standard deviations, from which on an effect shows.
+/// Squared size of a slab, in standard deviations, from which on an effect is detectable.
 pub(crate) const DETECTS: f64 = 1.0 / (UNDETECTABLE_SLABS * UNDETECTABLE_SLABS);
 
-/// The runs in hand around a model.
+/// The recorded runs and the hypothesis about which they are linearised.
 pub(crate) struct ExpectedInformation {
     hypothesis: Hypothesis,
     eligible: Vec<&'static dyn Effect>,
@@ -41,7 +41,7 @@ pub(crate) struct ExpectedInformation {
 }
 
 impl ExpectedInformation {
-    /// Of the `eligible` effects, beside everything that `model` has.
+    /// For the `eligible` effects, in addition to those of `model`.
     pub(crate) fn new(
         model: &Model,
         eligible: &[&'static dyn Effect],
@@ -63,19 +63,19 @@ impl ExpectedInformation {
         }
     }
 
-    /// For each eligible effect the squared size of a slab in standard deviations, with `new` behind the runs in
-    /// hand, of which a row stands for so many; none where the model cannot be followed.
+    /// For each eligible effect the squared size of a slab in standard deviations with the run `new` added, each row of which is
+    /// the mean of `rows_per_row` rows of the planned record; `None` where the model cannot be linearised.
     pub(crate) fn with_run(
         &self,
         new: &Scenario,
-        stands_for: f64,
+        rows_per_row: f64,
     ) -> Option<Vec<(&'static str, f64)>> {
         let scenarios: Vec<&Scenario> = self.runs.iter().collect();
         let noise = self.basis.noise;
         let mut runs = linearised_runs(&self.hypothesis, &scenarios, &self.starts, noise, None)?;
         let finer = Noise {
-            current_a: noise.current_a / stands_for.sqrt(),
-            speed_rad_s: noise.speed_rad_s / stands_for.sqrt(),
+            current_a: noise.current_a / rows_per_row.sqrt(),
+            speed_rad_s: noise.speed_rad_s / rows_per_row.sqrt(),
             ..noise
         };
         let model = &self.hypothesis.model;
@@ -87,7 +87,7 @@ impl ExpectedInformation {
     }
 }
 
-/// Of each effect beside a set, in the form that shows least of those that may be the likeliest.
+/// Information about each effect, given a set: that of the least detectable among its likeliest forms.
 fn information_of(reduced: &Reduced, set: &Set, excess: f64) -> Vec<(&'static str, f64)> {
     let linear = &reduced.linear;
     let mut all: Vec<(&'static str, f64)> = Vec::new();
@@ -99,11 +99,11 @@ fn information_of(reduced: &Reduced, set: &Set, excess: f64) -> Vec<(&'static st
         let logs = reduced.conditional(&others, k);
         let most = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let forms = logs.iter().enumerate();
-        // Within 3 nats of the likeliest a form may be it once the run is made.
+        // A form within 3 nats may be the likeliest after the run.
         let least = most - 3.0;
         let forms = forms.filter(|(_, log)| log.total_cmp(&least).is_ge());
         let squares = forms.map(|(form, _)| {
-            let spread = spread_slabs(reduced, set, excess, [k, form]);
+            let spread = posterior_sd_slabs(reduced, set, excess, [k, form]);
             spread.map_or(0.0, |spread| spread.powi(-2))
         });
         let square = squares.fold(f64::INFINITY, f64::min);

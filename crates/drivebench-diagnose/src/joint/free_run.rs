@@ -1,26 +1,23 @@
-//! Free-run error: the part of a free run that no model predicts (of a disturbance of the load, and of an unknown voltage), the
-//! excess of innovations over white noise, and the likelihood ratio of two models.
+//! Free-run error by the Lyapunov recursion of its covariance (disturbance of the load, unknown commands), long-run variance of the
+//! innovations over that of white noise, and the likelihood-ratio test of two models.
 
 use super::eligible::prepared;
-use super::kalman::{Noise, Passage, Update, predicted, stationary, stop};
+use super::kalman::{Noise, Transition, Update, fix_speed, predicted_covariance, stationary};
 use super::run::LinearisedRun;
 use drivebench_model::plant::{Model, Scenario, State};
 
-/// Lags over which what is left may be correlated.
-const EXCESS_LAGS: usize = 40;
-
-/// Root mean squares of current, A, and speed, rad/s, of a free run that the disturbance makes: no model predicts it.
+/// Root mean square error of current, A, and speed, rad/s, of a free run caused by the disturbance.
 pub(super) fn disturbance_error(run: &LinearisedRun<'_>) -> [f64; 2] {
-    carried(run, &run.noise, |_| [0.0; 2])
+    propagated_rms(run, &run.noise, |_| [0.0; 2])
 }
 
-/// The same of the unknown voltage in the holes of its record.
+/// The same, caused by the unknown voltage in the holes of the record.
 pub(super) fn unobserved(run: &LinearisedRun<'_>) -> [f64; 2] {
     let calm = Noise { disturbance_n_m: 0.0, input: 0.0, ..run.noise };
-    carried(run, &calm, |passage| passage.unobserved)
+    propagated_rms(run, &calm, |transition| transition.unobserved)
 }
 
-/// The same of a run that has no part in the answer; none where the model cannot be simulated on it.
+/// The same for a run outside the diagnosis; `None` where the model cannot be simulated on it.
 pub(crate) fn unobserved_in(
     run: &Scenario,
     model: &Model,
@@ -31,51 +28,53 @@ pub(crate) fn unobserved_in(
     LinearisedRun::new(model, &run, State::default(), noise).map(|run| unobserved(&run))
 }
 
-/// Deviation of a free run by a disturbance and by what comes `fresh` with each passage.
-fn carried(
+/// Root mean square deviation of a free run by a disturbance and `added_variance` per transition (A. Gelb, *Applied Optimal
+/// Estimation*, §4.1: covariance propagation without updates).
+fn propagated_rms(
     run: &LinearisedRun<'_>,
     noise: &Noise,
-    fresh: impl Fn(&Passage) -> [f64; 2],
+    added_variance: impl Fn(&Transition) -> [f64; 2],
 ) -> [f64; 2] {
     let mut p = stationary(noise);
     let mut squares = [0.0; 2];
-    for (passage, forget) in run.follower.passages.iter().zip(&run.follower.forgets) {
-        let fresh = fresh(passage);
-        let covariance = (fresh[0] * fresh[1]).sqrt();
-        let passage = Passage {
+    for (transition, decay) in run.gains.transitions.iter().zip(&run.gains.decays) {
+        let added_variance = added_variance(transition);
+        let covariance = (added_variance[0] * added_variance[1]).sqrt();
+        let transition = Transition {
             form: [0.0; 3],
-            fresh,
-            unobserved: fresh,
-            together: if passage.begins_again { 0.0 } else { covariance },
-            ..*passage
+            added_variance,
+            unobserved: added_variance,
+            covariance: if transition.restarts { 0.0 } else { covariance },
+            ..*transition
         };
-        if passage.begins_again {
+        if transition.restarts {
             p[0] = [0.0; 4];
             for row in &mut p {
                 row[0] = 0.0;
             }
-            stop(&mut p);
+            fix_speed(&mut p);
         }
-        p = predicted(&p, &passage, &run.dynamics, noise, *forget);
-        if passage.direction == 0.0 {
-            stop(&mut p);
+        p = predicted_covariance(&p, &transition, &run.dynamics, noise, *decay);
+        if transition.direction == 0.0 {
+            fix_speed(&mut p);
         }
         squares[0] += p[0][0];
         squares[1] += p[1][1];
     }
-    let count = run.follower.passages.len().max(1) as f64;
+    let count = run.gains.transitions.len().max(1) as f64;
     squares.map(|square: f64| (square / count).sqrt())
 }
 
-/// Ratio of the variance of sums of what is left of the innovations of `runs` to that of white noise, in the worse of the two
-/// signals; at least one.
+/// Long-run variance of the standardised innovations of `runs`, the larger of the two signals, at least that of white noise, 1: the
+/// sum of the autocovariances up to the first insignificant lag (cf. Geyer, Statistical Science 7, 1992).
 pub(super) fn excess(runs: &[(&LinearisedRun<'_>, Vec<[f64; 2]>)]) -> f64 {
     let mut worst: f64 = 1.0;
     for signal in 0..2 {
-        let mut sums = [0.0; EXCESS_LAGS + 1];
+        // Lag 0 and 40 further ones.
+        let mut sums = [0.0; 41];
         let mut count = 0.0;
         for (run, left) in runs {
-            let updates = run.follower.updates.iter().zip(left);
+            let updates = run.gains.updates.iter().zip(left);
             let left: Vec<f64> = updates
                 .filter(|(update, _)| [update.current, update.speed][signal][4] > 0.0)
                 .map(|(_, left)| left[signal])
@@ -87,19 +86,19 @@ pub(super) fn excess(runs: &[(&LinearisedRun<'_>, Vec<[f64; 2]>)]) -> f64 {
             }
         }
         if count > 0.0 {
-            // A correlation counts beyond two standard deviations of chance.
-            let chance = 2.0 * sums[0] / f64::sqrt(count);
-            let alike = sums[1..].iter().take_while(|sum| **sum > chance);
-            worst = worst.max((sums[0] + 2.0 * alike.sum::<f64>()) / count);
+            // Two standard deviations of the autocovariance of white noise.
+            let least = 2.0 * sums[0] / f64::sqrt(count);
+            let significant = sums[1..].iter().take_while(|sum| **sum > least);
+            worst = worst.max((sums[0] + 2.0 * significant.sum::<f64>()) / count);
         }
     }
     worst
 }
 
-/// Likelihood ratio test of the second model against the first, in standard deviations: the root of twice the log of the ratio of
-/// the likelihoods of all innovations, over the excess of what the second leaves; negative where it is less likely. `starts` is
-/// where each sets out. Beside it root mean squares of current, A, and speed, rad/s, that the holes of the run make. `None`
-/// where a model cannot be simulated on the run.
+/// Signed root of the likelihood-ratio statistic of the second model against the first, in standard deviations: the statistic is
+/// twice the log likelihood ratio over the excess of the second model; negative where the second is less likely. `starts` are the
+/// initial states. Also the root mean squares of current, A, and speed, rad/s, caused by the holes of the run. `None` where a model
+/// cannot be simulated on the run.
 pub(crate) fn likelier(
     models: [&Model; 2],
     starts: [State; 2],
@@ -110,13 +109,13 @@ pub(crate) fn likelier(
     let run = prepared(run, noise_is_known);
     let [worse, better] = [0, 1].map(|k| LinearisedRun::new(models[k], &run, starts[k], noise));
     let (worse, better) = (worse?, better?);
-    let widened = excess(&[(&better, better.followed.white.clone())]);
-    let ratio = (log_likelihood(&better) - log_likelihood(&worse)) / widened;
-    let z = ratio.signum() * (2.0 * ratio.abs()).sqrt();
-    ratio.is_finite().then(|| (z, unobserved(&better)))
+    let excess = excess(&[(&better, better.filtered.white.clone())]);
+    let log_ratio = (log_likelihood(&better) - log_likelihood(&worse)) / excess;
+    let z = log_ratio.signum() * (2.0 * log_ratio.abs()).sqrt();
+    log_ratio.is_finite().then(|| (z, unobserved(&better)))
 }
 
-/// Log likelihood of the innovations but for what every model shares.
+/// Log likelihood of the innovations, without the constant `-ln(2 pi)/2` per reading.
 fn log_likelihood(run: &LinearisedRun<'_>) -> f64 {
     let of_sample = |(update, white): (&Update, &[f64; 2])| {
         let signals = [update.current[4], update.speed[4]].into_iter().zip(white);
@@ -124,8 +123,8 @@ fn log_likelihood(run: &LinearisedRun<'_>) -> f64 {
         let logs = measured.map(|(over_sd, white)| over_sd.ln() - 0.5 * white * white);
         logs.sum::<f64>()
     };
-    let updates = run.follower.updates.iter();
-    updates.zip(&run.followed.white).map(of_sample).sum()
+    let updates = run.gains.updates.iter();
+    updates.zip(&run.filtered.white).map(of_sample).sum()
 }
 
 #[cfg(test)]

@@ -1,9 +1,9 @@
-//! An extended Kalman filter follows a run with a model: innovations that are white where the model is right (Kailath, An
-//! innovations approach to least-squares estimation, IEEE Trans. Automatic Control 13, 1968).
+//! Extended Kalman filter along a run (Kailath, An innovations approach to least-squares estimation, IEEE Trans. Automatic
+//! Control 13, 1968): its innovations over their standard deviations are white if the model is right.
 //!
-//! States are the deviations of current and speed from the model, a disturbance torque and an error of the input, first-order
-//! Gauss-Markov processes: integrated by the shaft, the disturbance makes the error of a free run drift, so that tests on that
-//! error would be wrong. The innovations over their standard deviations are independent under the model whatever it did.
+//! The four states are the deviations of current and speed from the model, a disturbance torque and an error of the input; the
+//! last two are first-order Gauss-Markov processes. The shaft integrates the disturbance, so that the error of a free run drifts
+//! and tests on it would be wrong; the innovations are white for any course of the disturbance.
 
 use super::process_noise::{FORM_SHARE, FormErrors};
 use drivebench_identify::stamps::spread;
@@ -13,7 +13,7 @@ use drivebench_model::plant::{
     Correction, Input, Model, MotorKey, Plant, Scenario, State, Trajectory,
 };
 
-/// What is random in a run.
+/// Noise parameters of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Noise {
     /// Standard deviations of the sensors.
@@ -22,20 +22,21 @@ pub(crate) struct Noise {
     /// Standard deviation and correlation time of the disturbance torque.
     pub disturbance_n_m: f64,
     pub correlation_s: f64,
-    /// Standard deviation of the error of the input: a slow one of a voltage, V; of a measured torque, N.m (or what a measured
-    /// current makes of it), one that is independent from sample to sample.
+    /// Standard deviation of the error of the input: of a voltage, V, correlated over [`Dynamics`]' `input_s`; of a torque, N.m,
+    /// measured or from a measured current, independent from sample to sample.
     pub input: f64,
     /// Prior deviation of the logarithm of the sensors' noise.
     pub sensors: f64,
 }
 
-/// Periods without a torque, or without a speed, after which the torque that was held and the speed are unknown.
+/// Sampling periods without a value of torque or speed after which the speed is treated as unknown: a zero-order hold over a
+/// longer gap is no measurement.
 const LONGEST_HOLD_PERIODS: f64 = 5.0;
-/// Share of the largest speed below which friction is not yet developed where a torque drives: the balance of torques does not
-/// hold at a reversal.
+/// Share of the largest speed below which the torque balance is not used in runs with a torque input: around a reversal friction
+/// is between stiction and sliding.
 const REVERSAL_SHARE: f64 = 0.015;
 
-/// The linear part that deviations follow.
+/// Linear dynamics of the deviations.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Dynamics {
     moving: LinearPart,
@@ -72,7 +73,8 @@ impl Dynamics {
         Some(dynamics)
     }
 
-    /// What the mean of the input's error over an interval of so many samples keeps, and its share of the variance.
+    /// Autocorrelation of the input's error over an interval, and the variance of its mean over so many samples as a share of the
+    /// variance of one.
     pub(super) fn mean_input(&self, interval_s: f64, samples: f64) -> (f64, f64) {
         if self.input_s > 0.0 {
             ((-interval_s / self.input_s).exp(), 1.0)
@@ -81,38 +83,38 @@ impl Dynamics {
         }
     }
 
-    /// How deviations go on over an interval.
+    /// Transition matrix of the deviations over an interval.
     pub(super) fn over(&self, interval_s: f64, rests: bool) -> Propagator {
         let part = if rests { &self.stuck } else { &self.moving };
         part.over(interval_s)
     }
 }
 
-/// One interval between two samples as deviations pass it.
+/// Time update over the interval between two samples.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Passage {
+pub(super) struct Transition {
     pub(super) propagator: Propagator,
     pub(super) interval_s: f64,
     /// Direction of motion in the interval; zero at rest.
     pub(super) direction: f64,
     /// Factor of the speed's deviation: zero where the shaft comes to rest or was at rest.
-    pub(super) kept: f64,
-    /// Variances of voltage, torque and quick torque by errors of the forms of the model's effects.
+    pub(super) speed_factor: f64,
+    /// Variances by errors of the forms of the model's effects: of voltage, torque, and the torque of an oscillating coupling.
     pub(super) form: [f64; 3],
-    /// What the input's error keeps, and the share of its variance that it has.
+    /// Autocorrelation of the input's error over the interval, and the share of its variance.
     pub(super) input_keeps: f64,
     pub(super) input_share: f64,
-    /// Variances of current and speed that an unknown voltage or a reversal adds, and whether the model was taken over from the
-    /// measurement behind a hole in the record.
-    pub(super) fresh: [f64; 2],
-    pub(super) begins_again: bool,
-    /// The part of `fresh` that holes of the record make: an unknown voltage, a state that was measured behind it.
+    /// Variances of current and speed added by an unknown voltage or a reversal, and whether the states were reset to the
+    /// measurement after a gap of the record.
+    pub(super) added_variance: [f64; 2],
+    pub(super) restarts: bool,
+    /// Part of `added_variance` by gaps of the record: unknown voltage, or a state reset to a measurement.
     pub(super) unobserved: [f64; 2],
-    /// Covariance of the part of `fresh` that one voltage makes of both.
-    pub(super) together: f64,
+    /// Covariance of current and speed in `added_variance`: one unknown voltage moves both.
+    pub(super) covariance: f64,
 }
 
-/// The gains of a sample, one scalar after the other: current, then speed.
+/// Sequential measurement update of a sample by two scalars: current, then speed.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Update {
     /// Gains on the four states, and one over the standard deviation of the innovation; zero where not measured.
@@ -138,25 +140,25 @@ impl Update {
     }
 }
 
-/// Gains and passages of one run: the same for a model and for all that are near it.
+/// Gains and transitions of one run, used for a model and for all models near it.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Follower {
+pub(super) struct FilterGains {
     pub(super) updates: Vec<Update>,
-    /// What the disturbance keeps until the next sample.
-    pub(super) forgets: Vec<f64>,
+    /// Autocorrelation of the disturbance over the interval to each sample.
+    pub(super) decays: Vec<f64>,
     /// `passages[k]` leads to sample `k`.
-    pub(super) passages: Vec<Passage>,
+    pub(super) transitions: Vec<Transition>,
     /// Innovations of both signals.
     pub(super) rows: usize,
     /// Delay of the model's commands, s.
-    pub(super) late_s: f64,
+    pub(super) command_delay_s: f64,
     /// Sub-steps of simulation that one pass costs.
     pub(super) work: u64,
 }
 
 /// A filtered run.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Followed {
+pub(super) struct FilteredRun {
     /// Before and after each correction: current, speed.
     pub(super) before: Vec<[f64; 2]>,
     pub(super) after: Vec<[f64; 2]>,
@@ -166,14 +168,14 @@ pub(super) struct Followed {
     /// Innovations over their standard deviations; zero where not measured.
     pub(super) white: Vec<[f64; 2]>,
     /// Variances of the samples by errors of their times.
-    pub(super) vague: Vec<[f64; 2]>,
+    pub(super) stamp_variance: Vec<[f64; 2]>,
 }
 
-/// Covariance of the four states.
-pub(super) type P = [[f64; 4]; 4];
+/// Covariance matrix of the four states.
+pub(super) type Covariance = [[f64; 4]; 4];
 
-/// That of a run before its first sample.
-pub(super) fn stationary(noise: &Noise) -> P {
+/// Stationary covariance, before the first sample of a run.
+pub(super) fn stationary(noise: &Noise) -> Covariance {
     let mut p = [[0.0; 4]; 4];
     p[2][2] = noise.disturbance_n_m.powi(2);
     p[3][3] = noise.input.powi(2);
@@ -190,7 +192,7 @@ fn measured(scenario: &Scenario, noise: &Noise, sample: usize) -> [Option<f64>; 
 }
 
 /// Variance of the speed that a break-away or a change of sign adds: a deviation of 0.0017 of the largest speed.
-pub(super) fn jump_of(scenario: &Scenario) -> f64 {
+pub(super) fn reversal_variance(scenario: &Scenario) -> f64 {
     (0.0017 * largest(&scenario.speed_rad_s)).powi(2)
 }
 
@@ -200,14 +202,14 @@ struct Filter<'a> {
     noise: &'a Noise,
     dynamics: Dynamics,
     forms: FormErrors,
-    p: P,
+    p: Covariance,
     load_n_m: f64,
     input: f64,
     jump: f64,
     /// Where a torque drives: the speed below which its balance does not hold, and for how long one value may stand.
     slow_rad_s: f64,
     longest_hold_s: f64,
-    /// When a speed was measured last, and after how long without one it begins anew.
+    /// Time of the last measured speed, and the gap after which the speed counts as unknown.
     observed_s: f64,
     longest_blind_s: f64,
     direction: f64,
@@ -216,16 +218,16 @@ struct Filter<'a> {
     /// Number of the command that holds.
     event: usize,
     /// Error of the times of commands, and delay of the model's commands, s.
-    edge_s: f64,
-    late_s: f64,
+    command_jitter_s: f64,
+    command_delay_s: f64,
     /// Ends of the holes behind which the model begins again; the first `holes_passed` lie behind.
     hole_ends_s: Vec<f64>,
     holes_passed: usize,
-    /// Square of a coupling's torque, as its oscillation decays; the largest so far, which it may have behind a hole; and when
-    /// the twist became unknown last.
+    /// Square of a coupling's torque with the decay of its oscillation; the largest so far, assumed after a gap of the record; and
+    /// the time of the last gap, from which on the twist is unknown.
     ringing: f64,
     most_ringing: f64,
-    twisted_s: f64,
+    twist_unknown_from_s: f64,
     /// Propagators over the last interval, moving and at rest.
     cached: (f64, [Propagator; 2]),
 }
@@ -234,8 +236,8 @@ impl<'a> Filter<'a> {
     fn new(model: &Model, scenario: &'a Scenario, start: State, noise: &'a Noise) -> Option<Self> {
         let dynamics = Dynamics::of(model, scenario.input)?;
         let mut p = stationary(noise);
-        // What flowed before the first row is not known, as where an offset of the voltage held it: 0.1 of the largest; nor
-        // how fast a shaft turned that did not rest: ten standard deviations.
+        // Initial current: deviation of a tenth of the largest (an offset of the voltage may drive one at rest). Initial speed of
+        // a shaft that did not rest: ten standard deviations of the sensor.
         p[0][0] = (0.1 * largest(&scenario.current_a)).powi(2);
         if start.speed_rad_s != 0.0 && noise.speed_rad_s.is_finite() {
             p[1][1] = (10.0 * noise.speed_rad_s).powi(2);
@@ -253,17 +255,17 @@ impl<'a> Filter<'a> {
         };
         let slow_rad_s = REVERSAL_SHARE * largest(&scenario.speed_rad_s);
         let forms = FormErrors::of(model, scenario);
-        let late_s = forms.terms.iter().map(|terms| terms.path().command_delay_s);
+        let command_delay_s = forms.terms.iter().map(|terms| terms.path().command_delay_s);
         Some(Self {
             scenario,
             noise,
             dynamics,
-            late_s: late_s.sum(),
+            command_delay_s: command_delay_s.sum(),
             forms,
             p,
             load_n_m: 0.0,
             input: 0.0,
-            jump: jump_of(scenario),
+            jump: reversal_variance(scenario),
             slow_rad_s: if by_voltage { 0.0 } else { slow_rad_s },
             longest_hold_s: longest(held.collect()),
             observed_s: scenario.begin_s(),
@@ -272,12 +274,12 @@ impl<'a> Filter<'a> {
             last_s: scenario.begin_s(),
             last_speed: start.speed_rad_s,
             event: 0,
-            edge_s: scenario.input_delay_s().map_or(0.0, |delay| delay.1),
+            command_jitter_s: scenario.input_delay_s().map_or(0.0, |delay| delay.1),
             hole_ends_s: restarted.map(|hole| hole.to_s).collect(),
             holes_passed: 0,
             ringing: 0.0,
             most_ringing: 0.0,
-            twisted_s: f64::NEG_INFINITY,
+            twist_unknown_from_s: f64::NEG_INFINITY,
             cached: (-1.0, [dynamics.over(0.0, false), dynamics.over(0.0, true)]),
         })
     }
@@ -295,9 +297,11 @@ impl<'a> Filter<'a> {
     /// is not known.
     fn edges_v2(&mut self, time_s: f64, interval_s: f64) -> f64 {
         let events = &self.scenario.events;
-        let share = (self.edge_s / interval_s).min(1.0);
+        let share = (self.command_jitter_s / interval_s).min(1.0);
         let mut variance = 0.0;
-        while self.event + 1 < events.len() && events[self.event + 1].0 + self.late_s < time_s {
+        while self.event + 1 < events.len()
+            && events[self.event + 1].0 + self.command_delay_s < time_s
+        {
             variance += ((events[self.event + 1].1 - events[self.event].1) * share).powi(2);
             self.event += 1;
         }
@@ -308,7 +312,7 @@ impl<'a> Filter<'a> {
     /// late as the model's commands do. Errors of two holes are independent.
     fn holes_v2(&self, from_s: f64, to_s: f64) -> f64 {
         let holes = &self.scenario.unknown_input;
-        let over = [from_s - self.late_s, to_s - self.late_s];
+        let over = [from_s - self.command_delay_s, to_s - self.command_delay_s];
         let first = holes.partition_point(|hole| hole.to_s <= over[0]);
         (holes[first..].iter())
             .take_while(|hole| hole.from_s < over[1])
@@ -326,8 +330,8 @@ impl<'a> Filter<'a> {
             .sum()
     }
 
-    /// Variance of a coupling's torque of this square now: where it passes zero an error of its phase is all of it. At the end of
-    /// a hole the twist was not measured: until that has decayed all is unknown.
+    /// Variance of a coupling's torque from its square now. The envelope counts, not the instantaneous value: at a zero crossing
+    /// an error of phase is an error of the full torque. After a gap the twist is unknown until the oscillation has decayed.
     fn ringing(&mut self, square: f64, interval_s: f64) -> f64 {
         let decay_s = self.forms.ringing_s;
         if decay_s <= 0.0 {
@@ -335,13 +339,13 @@ impl<'a> Filter<'a> {
         }
         self.most_ringing = square.max(self.most_ringing);
         self.ringing = square.max(self.ringing * (-2.0 * interval_s / decay_s).exp());
-        let unobserved = (-(self.last_s - self.twisted_s) / decay_s).exp();
+        let unobserved = (-(self.last_s - self.twist_unknown_from_s) / decay_s).exp();
         self.ringing * (self.forms.ringing_share.powi(2) + unobserved)
     }
 
-    /// Variances that come fresh with an interval that ends at `time_s`: of current and speed, their part by holes of the record
-    /// and the covariance that one voltage makes.
-    fn fresh(
+    /// Variances added over an interval that ends at `time_s`: of current and speed, the part by gaps of the record, and the
+    /// covariance of the two.
+    fn added_variance(
         &self,
         [interval_s, time_s]: [f64; 2],
         moved: [f64; 2],
@@ -360,13 +364,13 @@ impl<'a> Filter<'a> {
             (_, true) => self.slow_rad_s,
             _ => 0.0,
         };
-        let together = moved[0] * moved[1] * one_v2;
-        ([current, speed + anew * anew], unobserved, together)
+        let covariance = moved[0] * moved[1] * one_v2;
+        ([current, speed + anew * anew], unobserved, covariance)
     }
 
-    /// Goes to the time of `sample`, where the model is in `state`: the passage, what the disturbance keeps, and the rates of
-    /// current and speed there.
-    fn approach(&mut self, sample: usize, state: &State) -> (Passage, f64, [f64; 2]) {
+    /// Time update to `sample`, where the model is in `state`: the transition, the autocorrelation of the disturbance, and the
+    /// rates of current and speed.
+    fn time_update(&mut self, sample: usize, state: &State) -> (Transition, f64, [f64; 2]) {
         let time_s = self.scenario.sample_time_s[sample];
         let interval_s = time_s - self.last_s;
         self.last_s = time_s;
@@ -375,7 +379,7 @@ impl<'a> Filter<'a> {
         let crossed = now * self.direction < 0.0;
         let released = self.direction == 0.0 && !rests && sample > 0;
         let propagator = self.propagator(interval_s, rests);
-        let forget = (-interval_s / self.noise.correlation_s).exp();
+        let decay = (-interval_s / self.noise.correlation_s).exp();
         let edges_v2 = self.edges_v2(time_s, interval_s);
         let passes = interval_s > 0.0;
         let acceleration = (state.speed_rad_s - self.last_speed) / interval_s;
@@ -386,59 +390,59 @@ impl<'a> Filter<'a> {
         let load_n_m = self.load_n_m;
         let (squares, rates) = self.forms.at(&at, state, acceleration, load_n_m, inductance);
         let end_s = self.hole_ends_s.get(self.holes_passed);
-        let begins_again = end_s.is_some_and(|to_s| *to_s <= time_s);
-        self.holes_passed += usize::from(begins_again);
-        let (fresh, unobserved, together) = if begins_again {
-            // A signal whose noise is not known is not looked at.
+        let restarts = end_s.is_some_and(|to_s| *to_s <= time_s);
+        self.holes_passed += usize::from(restarts);
+        let (added_variance, unobserved, covariance) = if restarts {
+            // A signal of unknown noise (infinite) is not used.
             let levels = [self.noise.current_a, self.noise.speed_rad_s];
             let known = levels.map(|level| if level.is_finite() { level } else { 0.0 });
             let measured = known.map(|level| level * level);
             (measured, measured, 0.0)
         } else {
             let moved = propagator.apply([0.0; 2], [inductance, 0.0]);
-            self.fresh([interval_s, time_s], moved, edges_v2, state.speed_rad_s)
+            self.added_variance([interval_s, time_s], moved, edges_v2, state.speed_rad_s)
         };
-        if begins_again {
+        if restarts {
             self.ringing = self.most_ringing;
-            self.twisted_s = time_s;
+            self.twist_unknown_from_s = time_s;
         }
         let mut form = squares.map(|square| FORM_SHARE * FORM_SHARE * square);
         form[2] = self.ringing(squares[2], interval_s);
-        let passage = Passage {
-            propagator: if begins_again { Propagator::default() } else { propagator },
-            fresh,
-            begins_again,
+        let transition = Transition {
+            propagator: if restarts { Propagator::default() } else { propagator },
+            added_variance,
+            restarts,
             unobserved,
-            together,
+            covariance,
             interval_s,
             direction: now,
-            kept: if rests || released { 0.0 } else { 1.0 },
+            speed_factor: if rests || released { 0.0 } else { 1.0 },
             form,
             input_keeps: self.dynamics.mean_input(interval_s, 1.0).0,
             input_share: 1.0,
         };
-        self.p = predicted(&self.p, &passage, &self.dynamics, self.noise, forget);
+        self.p = predicted_covariance(&self.p, &transition, &self.dynamics, self.noise, decay);
         if crossed || released {
             self.p[1][1] += self.jump;
         }
         if rests {
-            stop(&mut self.p);
+            fix_speed(&mut self.p);
         }
-        self.load_n_m *= forget;
-        self.input *= passage.input_keeps;
+        self.load_n_m *= decay;
+        self.input *= transition.input_keeps;
         // Before the first command nothing has moved.
-        (passage, forget, if passes { rates } else { [0.0; 2] })
+        (transition, decay, if passes { rates } else { [0.0; 2] })
     }
 
     /// Gains for what was measured at `sample`, where the model reads `reading`, and the variances of the samples by errors of
     /// their times.
     fn gains(&mut self, sample: usize, reading: [f64; 2], rests: bool) -> (Update, [f64; 2]) {
-        let (mut update, mut vague) = (Update::default(), [0.0; 2]);
+        let (mut update, mut stamp_variance) = (Update::default(), [0.0; 2]);
         let [current, speed] = measured(self.scenario, self.noise, sample);
         let mut moved = 0.0;
         if let Some(value) = current {
-            vague[0] = spread(self.scenario, &self.scenario.current_a, sample).powi(2);
-            update.current = self.gain(0, self.noise.current_a.powi(2) + vague[0]);
+            stamp_variance[0] = spread(self.scenario, &self.scenario.current_a, sample).powi(2);
+            update.current = self.gain(0, self.noise.current_a.powi(2) + stamp_variance[0]);
             moved = update.current[1] * (value - reading[0]);
         }
         if let Some(value) = speed {
@@ -448,10 +452,10 @@ impl<'a> Filter<'a> {
             if rests && e.abs() > 5.0 * self.noise.speed_rad_s {
                 self.p[1][1] += e * e;
             }
-            vague[1] = spread(self.scenario, &self.scenario.speed_rad_s, sample).powi(2);
-            update.speed = self.gain(1, self.noise.speed_rad_s.powi(2) + vague[1]);
+            stamp_variance[1] = spread(self.scenario, &self.scenario.speed_rad_s, sample).powi(2);
+            update.speed = self.gain(1, self.noise.speed_rad_s.powi(2) + stamp_variance[1]);
         }
-        (update, vague)
+        (update, stamp_variance)
     }
 
     /// Gain of one scalar of `variance`, which the covariance takes in.
@@ -459,7 +463,7 @@ impl<'a> Filter<'a> {
         let p = &self.p;
         let s = p[measured][measured] + variance;
         let k = [0, 1, 2, 3].map(|row| p[row][measured] / s);
-        self.p = corrected(p, &k, measured);
+        self.p = updated_covariance(p, &k, measured);
         [k[0], k[1], k[2], k[3], 1.0 / s.sqrt()]
     }
 }
@@ -470,35 +474,36 @@ fn unknown_v2(own: [f64; 2], variance: f64, over: [f64; 2]) -> f64 {
     variance * (shared_s / (over[1] - over[0])).powi(2)
 }
 
-/// Filters `scenario` with `model` and finds the gains on the way.
-pub(super) fn lead(
+/// Filters `scenario` with `model`, computing the gains.
+pub(super) fn filter_run(
     model: &Model,
     scenario: &Scenario,
     start: State,
     noise: &Noise,
-) -> Option<(Follower, Followed)> {
+) -> Option<(FilterGains, FilteredRun)> {
     let mut filter = Filter::new(model, scenario, start, noise)?;
     let mut plant = Plant::new(model, scenario.input).ok()?;
     let n = scenario.samples();
-    let mut follower = Follower { late_s: filter.late_s, ..Follower::default() };
-    let mut out = Followed { vague: vec![[0.0; 2]; n], ..Followed::default() };
+    let mut gains =
+        FilterGains { command_delay_s: filter.command_delay_s, ..FilterGains::default() };
+    let mut out = FilteredRun { stamp_variance: vec![[0.0; 2]; n], ..FilteredRun::default() };
     let mut trajectory = Trajectory::default();
     let mut step = |sample: usize, reading: [f64; 2], state: &State| {
-        let (passage, forget, rates) = filter.approach(sample, state);
-        let now = passage.direction;
-        let (update, vague) = filter.gains(sample, reading, now == 0.0);
+        let (transition, decay, rates) = filter.time_update(sample, state);
+        let now = transition.direction;
+        let (update, stamp_variance) = filter.gains(sample, reading, now == 0.0);
         let values = measured(scenario, noise, sample);
         let (change, white) = update.correct(values, reading);
         filter.load_n_m += change[2];
         filter.input += change[3];
-        follower.rows += values.iter().flatten().count();
-        follower.updates.push(update);
-        follower.forgets.push(forget);
-        follower.passages.push(passage);
+        gains.rows += values.iter().flatten().count();
+        gains.updates.push(update);
+        gains.decays.push(decay);
+        gains.transitions.push(transition);
         let before = [state.current_a, state.speed_rad_s];
         let after = [before[0] + change[0], before[1] + change[1]];
         out.rates.push(rates);
-        out.vague[sample] = vague;
+        out.stamp_variance[sample] = stamp_variance;
         out.before.push(before);
         out.after.push(after);
         out.white.push(white);
@@ -509,21 +514,20 @@ pub(super) fn lead(
         Some(correction(change, filter.load_n_m, filter.input))
     };
     plant.follow_into(scenario, start, &mut trajectory, &mut step);
-    follower.work = plant.work() + FOLLOWED_COST * n as u64;
-    Some((follower, out))
+    gains.work = plant.work() + FOLLOWED_COST * n as u64;
+    Some((gains, out))
 }
 
-/// Cost of correcting the state at a sample, in exact sub-steps: a record at 1 kHz took four times as long over each of them as
-/// one at 100 Hz.
+/// Cost of a measurement update, in sub-steps of simulation: measured on records at 1 kHz and at 100 Hz.
 const FOLLOWED_COST: u64 = 6;
 
 const fn correction(change: [f64; 4], load_n_m: f64, voltage_v: f64) -> Correction {
     Correction { current_a: change[0], speed_rad_s: change[1], load_n_m, voltage_v }
 }
 
-/// Whitened innovations of another model with the gains of `follower`, and the sub-steps that it cost.
-pub(super) fn follow(
-    follower: &Follower,
+/// Whitened innovations of another model with the gains of `gains`, and the sub-steps that it cost.
+pub(super) fn innovations_with(
+    gains: &FilterGains,
     model: &Model,
     scenario: &Scenario,
     start: State,
@@ -535,9 +539,9 @@ pub(super) fn follow(
     let (mut load, mut input) = (0.0, 0.0);
     let mut trajectory = Trajectory::default();
     plant.follow_into(scenario, start, &mut trajectory, |sample, reading, _| {
-        let update = &follower.updates[sample];
-        load *= follower.forgets[sample];
-        input *= follower.passages[sample].input_keeps;
+        let update = &gains.updates[sample];
+        load *= gains.decays[sample];
+        input *= gains.transitions[sample].input_keeps;
         let (change, white) = update.correct(measured(scenario, noise, sample), reading);
         load += change[2];
         input += change[3];
@@ -549,27 +553,27 @@ pub(super) fn follow(
     out.iter().all(is_finite).then_some(work)
 }
 
-/// Covariance after a passage.
-pub(super) fn predicted(
-    p: &P,
-    passage: &Passage,
+/// Covariance after a time update: `F P F' + Q`.
+pub(super) fn predicted_covariance(
+    p: &Covariance,
+    transition: &Transition,
     dynamics: &Dynamics,
     noise: &Noise,
-    forget: f64,
-) -> P {
-    let propagator = &passage.propagator;
+    decay: f64,
+) -> Covariance {
+    let propagator = &transition.propagator;
     let first = propagator.apply([1.0, 0.0], [0.0; 2]);
     let second = propagator.apply([0.0, 1.0], [0.0; 2]);
-    let second = second.map(|on| on * passage.kept);
-    let moving = if passage.direction == 0.0 { 0.0 } else { 1.0 };
+    let second = second.map(|on| on * transition.speed_factor);
+    let moving = if transition.direction == 0.0 { 0.0 } else { 1.0 };
     let load = propagator.apply([0.0; 2], [0.0, -dynamics.inverse_inertia]);
     let load = load.map(|on| on * moving);
     let input = propagator.apply([0.0; 2], dynamics.per_input);
-    let keeps = passage.input_keeps;
+    let keeps = transition.input_keeps;
     let f = [
         [first[0], second[0], load[0], input[0]],
         [first[1] * moving, second[1], load[1], input[1] * moving],
-        [0.0, 0.0, forget, 0.0],
+        [0.0, 0.0, decay, 0.0],
         [0.0, 0.0, 0.0, keeps],
     ];
     let mut fp = [[0.0; 4]; 4];
@@ -585,28 +589,29 @@ pub(super) fn predicted(
             out[column][row] = out[row][column];
         }
     }
-    out[0][0] += passage.fresh[0];
-    out[0][1] += passage.together * moving;
-    out[1][0] += passage.together * moving;
+    out[0][0] += transition.added_variance[0];
+    out[0][1] += transition.covariance * moving;
+    out[1][0] += transition.covariance * moving;
     // The error of a coupling's form is alike for about a period of its oscillation, 0.01 s.
-    let ringing = passage.form[2] * 0.01 * passage.interval_s;
-    out[1][1] += (passage.fresh[1] + ringing * dynamics.inverse_inertia.powi(2)) * moving;
-    out[2][2] += (noise.disturbance_n_m.powi(2) + passage.form[1]) * (1.0 - forget * forget);
+    let ringing = transition.form[2] * 0.01 * transition.interval_s;
+    out[1][1] +=
+        (transition.added_variance[1] + ringing * dynamics.inverse_inertia.powi(2)) * moving;
+    out[2][2] += (noise.disturbance_n_m.powi(2) + transition.form[1]) * (1.0 - decay * decay);
     out[3][3] +=
-        (noise.input.powi(2) * passage.input_share + passage.form[0]) * (1.0 - keeps * keeps);
+        (noise.input.powi(2) * transition.input_share + transition.form[0]) * (1.0 - keeps * keeps);
     out
 }
 
-/// The speed of a shaft at rest is known.
-pub(super) fn stop(p: &mut P) {
+/// Sets the speed of a shaft at rest as known: zero variance.
+pub(super) fn fix_speed(p: &mut Covariance) {
     p[1] = [0.0; 4];
     for row in p {
         row[1] = 0.0;
     }
 }
 
-/// Covariance after a scalar measurement with these gains.
-pub(super) fn corrected(p: &P, k: &[f64; 4], measured: usize) -> P {
+/// Covariance after a scalar measurement update with these gains: `(I - K H) P`.
+pub(super) fn updated_covariance(p: &Covariance, k: &[f64; 4], measured: usize) -> Covariance {
     let mut out = *p;
     for row in 0..4 {
         for column in 0..4 {
@@ -616,7 +621,7 @@ pub(super) fn corrected(p: &P, k: &[f64; 4], measured: usize) -> P {
     out
 }
 
-/// Sensors of a bench, and next to nothing else that is random.
+/// Sensor noise of a bench, and nearly no disturbance.
 #[cfg(test)]
 pub(super) const QUIET: Noise = Noise {
     current_a: drivebench_model::plant::testing::CURRENT_NOISE_A,
@@ -657,11 +662,11 @@ mod tests {
         let model = nameplate();
         let events = vec![(0.0, 0.0), (0.2, 40.0), (1.2, 80.0), (2.4, 30.0)];
         let scenario = record(&model, events, 1e-3, 4.0, 3);
-        let (follower, followed) = lead(&model, &scenario, State::default(), &QUIET).unwrap();
-        assert_eq!(follower.rows, 2 * scenario.samples());
+        let (gains, filtered) = filter_run(&model, &scenario, State::default(), &QUIET).unwrap();
+        assert_eq!(gains.rows, 2 * scenario.samples());
         let n = scenario.samples() as f64;
         for signal in 0..2 {
-            let white: Vec<f64> = followed.white.iter().map(|white| white[signal]).collect();
+            let white: Vec<f64> = filtered.white.iter().map(|white| white[signal]).collect();
             for lag in 0..20 {
                 let pairs = white.iter().zip(&white[lag..]);
                 let rho = pairs.map(|(a, b)| a * b).sum::<f64>() / n;
@@ -672,9 +677,9 @@ mod tests {
         }
         // The same model with its own gains.
         let (mut again, start) = (Vec::new(), State::default());
-        let steps = follow(&follower, &model, &scenario, start, &QUIET, &mut again);
-        assert_eq!(steps, Some(follower.work));
-        for (a, b) in again.iter().flatten().zip(followed.white.iter().flatten()) {
+        let steps = innovations_with(&gains, &model, &scenario, start, &QUIET, &mut again);
+        assert_eq!(steps, Some(gains.work));
+        for (a, b) in again.iter().flatten().zip(filtered.white.iter().flatten()) {
             assert!((a - b).abs() < 1e-9);
         }
     }
@@ -710,7 +715,7 @@ mod tests {
         let later = share(filter.ringing(0.0, 0.25 / 20.0));
         assert!((0.8..0.9).contains(&later), "{later}");
         // Behind a hole all is unknown, until three times the time of decay.
-        filter.twisted_s = filter.last_s;
+        filter.twist_unknown_from_s = filter.last_s;
         assert!(filter.ringing(square, 1e-3) > square);
         filter.last_s += 0.5;
         let later = filter.ringing(square, 1e-3);
@@ -727,8 +732,8 @@ mod tests {
             restart: Some([scenario.current_a[last], scenario.speed_rad_s[last]]),
             ..hole(to_s - 0.4, to_s, 100.0)
         }];
-        let (follower, _) = lead(&model, &scenario, State::default(), &QUIET).unwrap();
-        let unknown = |sample: usize| follower.passages[sample].form[2];
+        let (gains, _) = filter_run(&model, &scenario, State::default(), &QUIET).unwrap();
+        let unknown = |sample: usize| gains.transitions[sample].form[2];
         let most = (0..last).map(unknown).fold(0.0, f64::max) / (FORM_SHARE * FORM_SHARE);
         // It had long come to rest.
         assert!(unknown(last - 1) < 0.01 * most);

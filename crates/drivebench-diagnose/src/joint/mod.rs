@@ -2,23 +2,24 @@
 //! over a model that is linearised along a Kalman filter and refined by Gauss-Newton: the posterior over all sets of effects.
 //!
 //! ```text
-//! model, run --(kalman: filter; run)--> innovations, gains
-//!                 |-> columns   what each effect at its slab would add to the whitened innovations: a regression
-//!                 |             (nuisances: what is in beside them; tangent: forward sensitivities, eight side by side; screening:
-//!                 |             the few forms that get a column; whitened: their storage and products)
-//!                 |-> noise     disturbance and sensors by marginal likelihood, every effect in under its slab
+//! model, run --(kalman: filter; run: linearised run)--> innovations, gains
+//!                 |-> columns   regressors: change of the whitened innovations by each effect at its slab size
+//!                 |             (nuisances: parameters that are always included; tangent: forward sensitivities, eight at a
+//!                 |             time; screening: which forms get a column; whitened: storage and products of columns)
+//!                 |-> noise     disturbance and sensor noise by maximum marginal likelihood, all effects included at slab width
 //!                 '-> select    posterior over the sets of effects and forms
-//! eligible: which effects a run can judge, and which of its rows count
-//! process_noise: terms of the effects at an instant, and errors of their forms
-//! events:   what happens in one run, at a moment of its own
-//! solution: the model at the linear solution of a set --> prediction_error: its refit
-//! refits:   what refits refute of a set;  stepwise: far from the data, effects that join one by one
-//! search:   all of these in rounds, linearised anew, until set and noise stand;  leftover: what the set leaves
-//! free_run: error of a free run that no model predicts, excess over white noise, likelihood ratio
-//! expected_information: of each effect with a run more
-//! detectability: how sharply runs show an effect, and one that happens once whenever it came
-//! rivals:   confounded effects
-//! marginal: probability, bound and detectable size of one effect;  answer: of all, and of unknown curves
+//! eligible:      which effects a run can judge, and which of its rows are used
+//! process_noise: terms of the effects at an instant, and the process noise by errors of their forms
+//! events:        effects that begin at an unknown time in one run
+//! solution:      model at the posterior mean of a set;  prediction_error: Gauss-Newton refit of it
+//! refits:        tests of the linear solution by refits;  stepwise: forward selection far from the data
+//! search:        rounds of linearisation, selection and refit until set and noise are stable
+//! residuals:     residual of the final set: excess over white noise, share of unknown curves
+//! free_run:      part of a free-run error that no model predicts, excess of innovations, likelihood ratio test
+//! expected_information: information about each effect if one more run were recorded
+//! detectability: posterior deviation and smallest detectable size of an effect
+//! rivals:        confounded effects
+//! marginal:      probability, bound and detectable size of one effect;  answer: of all effects and unknown curves
 //! ```
 
 pub(super) mod answer;
@@ -29,7 +30,6 @@ pub(super) mod events;
 pub(super) mod expected_information;
 pub(super) mod free_run;
 mod kalman;
-mod leftover;
 pub(super) mod marginal;
 mod noise;
 mod nuisances;
@@ -37,6 +37,7 @@ mod prediction_error;
 mod process_noise;
 mod refits;
 mod regression;
+mod residuals;
 mod rivals;
 mod run;
 mod screening;

@@ -1,11 +1,14 @@
-//! Noise levels of a run by maximum marginal likelihood (empirical Bayes), with every effect in under its slab. The likelihood is
-//! that of the innovations of a Kalman filter (Schweppe, IEEE Trans. Information Theory 11, 1965); its maximum is found by cyclic
-//! coordinate search.
+//! Noise parameters by maximum marginal likelihood (empirical Bayes) with every effect included at slab width: likelihood of the
+//! innovations of a Kalman filter (Schweppe, IEEE Trans. Information Theory 11, 1965) over block averages, maximised by cyclic
+//! coordinate search with quadratic interpolation.
 
 use nalgebra::{DMatrix, DMatrixView, DVector};
 use rayon::prelude::*;
 
-use super::kalman::{Noise, Passage, corrected, jump_of, predicted, stationary, stop};
+use super::kalman::{
+    Noise, Transition, fix_speed, predicted_covariance, reversal_variance, stationary,
+    updated_covariance,
+};
 use super::process_noise::constants;
 use super::regression::half_log_det;
 use super::run::LinearisedRun;
@@ -17,11 +20,8 @@ use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::{finite, largest, robust_deviation};
 use drivebench_model::plant::{Input, Model, Scenario};
 
-/// Blocks whose innovations are multiplied at once.
-const AT_ONCE: usize = 128;
-
-/// Noise to begin with: the sensors' as it is known, a disturbance of 0.004 of the largest torque.
-pub(super) fn beginning(floor: &NoiseFloor, model: &Model, run: &Scenario) -> Noise {
+/// Starting values: known sensor noise, a disturbance of 0.004 of the largest torque.
+pub(super) fn initial_noise(floor: &NoiseFloor, model: &Model, run: &Scenario) -> Noise {
     let largest_input = largest(run.events.iter().map(|event| event.1));
     let current = match run.input {
         Input::Voltage => largest(&run.current_a),
@@ -40,7 +40,7 @@ pub(super) fn beginning(floor: &NoiseFloor, model: &Model, run: &Scenario) -> No
     if run.input != Input::Voltage {
         noise.current_a = f64::INFINITY;
         noise.input = (1e-3 * torque).max(f64::MIN_POSITIVE);
-        // Of a speed alone the noise may be another running than at rest.
+        // In a run without a voltage the noise in motion may differ from that at rest.
         noise.sensors = 0.7;
         if floor.source == FloorSource::None {
             noise.speed_rad_s = roughness(&run.speed_rad_s).max(f64::MIN_POSITIVE);
@@ -50,48 +50,49 @@ pub(super) fn beginning(floor: &NoiseFloor, model: &Model, run: &Scenario) -> No
     noise
 }
 
-/// Noise of a signal from its second differences, outliers and steps left aside.
+/// Noise of a signal by its second differences (difference-based estimator: Gasser, Sroka and Jennen-Steinmetz, Biometrika 73,
+/// 1986), with a robust deviation against outliers and steps.
 fn roughness(values: &[f64]) -> f64 {
     let bends = finite(values);
     let bends = bends.windows(3).map(|v| v[0] - 2.0 * v[1] + v[2]);
     robust_deviation(&bends.collect::<Vec<_>>()) / 6f64.sqrt()
 }
 
-/// One run in averages, whatever noise it was whitened with.
-struct Averaged {
-    passages: Vec<(Passage, bool)>,
-    /// Samples that were averaged: current, speed.
+/// Block averages of one run, unwhitened, so that any noise parameters can be tried.
+struct BlockAverages {
+    transitions: Vec<(Transition, bool)>,
+    /// Samples in each block: current, speed.
     counts: Vec<[f64; 2]>,
-    /// Sums of the variances that their stamps give them.
-    vague: Vec<[f64; 2]>,
+    /// Sums of the variances by errors of the time stamps.
+    stamp_variance: Vec<[f64; 2]>,
     /// Block by block the currents, then the speeds, of all columns, the residual last; padded to whole lanes.
     values: Vec<f64>,
     /// Columns with their padding.
     width: usize,
 }
 
-fn averaged(
+fn block_averages(
     run: &LinearisedRun<'_>,
     whitened: &Whitened,
     present: &DVector<f64>,
     columns: &[usize],
-) -> Averaged {
+) -> BlockAverages {
     let n = run.scenario.samples();
     // Averages over 6 ms: the disturbance is slower.
     let size = whole((6e-3 / run.scenario.mean_period_s()).floor()).max(1);
     let blocks = n.div_ceil(size);
-    let (mut counts, mut vague) = (vec![[0.0; 2]; blocks], vec![[0.0; 2]; blocks]);
-    for (sample, update) in run.follower.updates.iter().enumerate() {
+    let (mut counts, mut stamp_variance) = (vec![[0.0; 2]; blocks], vec![[0.0; 2]; blocks]);
+    for (sample, update) in run.gains.updates.iter().enumerate() {
         for (signal, gains) in [&update.current, &update.speed].into_iter().enumerate() {
             counts[sample / size][signal] += f64::from(u8::from(gains[4] > 0.0));
-            vague[sample / size][signal] += run.followed.vague[sample][signal];
+            stamp_variance[sample / size][signal] += run.filtered.stamp_variance[sample][signal];
         }
     }
-    let passages = (0..blocks)
-        .map(|block| passage_of(run, block * size..((block + 1) * size).min(n), size))
+    let transitions = (0..blocks)
+        .map(|block| transition_of(run, block * size..((block + 1) * size).min(n), size))
         .collect();
     let mut residual = whitened * present;
-    for (sum, white) in residual.iter_mut().zip(run.followed.white.iter().flatten()) {
+    for (sum, white) in residual.iter_mut().zip(run.filtered.white.iter().flatten()) {
         *sum += white;
     }
     let width = (columns.len() + 1).next_multiple_of(LANES);
@@ -106,9 +107,8 @@ fn averaged(
             };
             let mut sums = vec![[[0.0; LANES]; 2]; blocks];
             let mut track = Deviations::default();
-            for (sample, (step, update)) in run.steps.iter().zip(&run.follower.updates).enumerate()
-            {
-                track.drift(step);
+            for (sample, (step, update)) in run.steps.iter().zip(&run.gains.updates).enumerate() {
+                track.advance_unforced(step);
                 let mut white = [[0.0; LANES]; 2];
                 for lane in 0..LANES {
                     for (signal, white) in white.iter_mut().enumerate() {
@@ -134,87 +134,88 @@ fn averaged(
             }
         }
     }
-    Averaged { passages, counts, vague, values, width }
+    BlockAverages { transitions, counts, stamp_variance, values, width }
 }
 
 /// The passage over all samples of a block of this size, and whether the speed becomes uncertain within.
-fn passage_of(
+fn transition_of(
     run: &LinearisedRun<'_>,
     samples: std::ops::Range<usize>,
     size: usize,
-) -> (Passage, bool) {
-    let mut block = Passage { kept: 1.0, ..Passage::default() };
+) -> (Transition, bool) {
+    let mut block = Transition { speed_factor: 1.0, ..Transition::default() };
     let mut jumps = false;
     for sample in samples {
-        let passage = &run.follower.passages[sample];
-        block.kept *= passage.kept;
-        for (sum, part) in block.form.iter_mut().zip(passage.form) {
+        let transition = &run.gains.transitions[sample];
+        block.speed_factor *= transition.speed_factor;
+        for (sum, part) in block.form.iter_mut().zip(transition.form) {
             *sum += part / size as f64;
         }
-        // What was not known before the model was taken over is no longer there.
-        if passage.begins_again {
-            block.begins_again = true;
-            (block.fresh, block.unobserved, block.together) = ([0.0; 2], [0.0; 2], 0.0);
+        // A reset to the measurement replaces all earlier variance.
+        if transition.restarts {
+            block.restarts = true;
+            (block.added_variance, block.unobserved, block.covariance) = ([0.0; 2], [0.0; 2], 0.0);
         }
-        block.together += passage.together;
+        block.covariance += transition.covariance;
         for signal in 0..2 {
-            block.fresh[signal] += passage.fresh[signal];
-            block.unobserved[signal] += passage.unobserved[signal];
+            block.added_variance[signal] += transition.added_variance[signal];
+            block.unobserved[signal] += transition.unobserved[signal];
         }
-        block.interval_s += passage.interval_s;
-        let last = sample.checked_sub(1).map(|last| run.followed.direction[last]);
-        let turns = last.is_some_and(|last| passage.direction * last <= 0.0);
-        jumps |= turns && passage.direction != 0.0;
-        block.direction = passage.direction;
+        block.interval_s += transition.interval_s;
+        let last = sample.checked_sub(1).map(|last| run.filtered.direction[last]);
+        let turns = last.is_some_and(|last| transition.direction * last <= 0.0);
+        jumps |= turns && transition.direction != 0.0;
+        block.direction = transition.direction;
     }
     let mean_input = run.dynamics.mean_input(block.interval_s, size as f64);
     (block.input_keeps, block.input_share) = mean_input;
-    if !block.begins_again {
+    if !block.restarts {
         block.propagator = run.dynamics.over(block.interval_s, block.direction == 0.0);
     }
     (block, jumps)
 }
 
-impl Averaged {
+impl BlockAverages {
     /// The normal matrix (residual last, then the padding) and the sum of the logarithms of the variances.
     fn filter(&self, run: &LinearisedRun<'_>, noise: &Noise) -> (DMatrix<f64>, f64) {
         let width = self.width;
-        let jump = jump_of(run.scenario);
+        let jump = reversal_variance(run.scenario);
         let mut states = vec![Deviations::default(); width / LANES];
         let mut p = stationary(noise);
         let mut log = 0.0;
         let mut sums = DMatrix::zeros(width, width);
-        let mut buffer: Vec<f64> = Vec::with_capacity(2 * AT_ONCE * width);
-        for (block, (passage, jumps)) in self.passages.iter().enumerate() {
-            let forget = (-passage.interval_s / noise.correlation_s).exp();
-            p = predicted(&p, passage, &run.dynamics, noise, forget);
+        // Innovations of 128 blocks are multiplied at once.
+        let mut buffer: Vec<f64> = Vec::with_capacity(256 * width);
+        for (block, (transition, jumps)) in self.transitions.iter().enumerate() {
+            let decay = (-transition.interval_s / noise.correlation_s).exp();
+            p = predicted_covariance(&p, transition, &run.dynamics, noise, decay);
             if *jumps {
                 p[1][1] += jump;
             }
-            if passage.direction == 0.0 {
-                stop(&mut p);
+            if transition.direction == 0.0 {
+                fix_speed(&mut p);
             }
-            let step = Step::of(passage, forget, &run.dynamics);
+            let step = Step::of(transition, decay, &run.dynamics);
             for state in &mut states {
-                state.drift(&step);
+                state.advance_unforced(&step);
             }
             for (signal, count) in self.counts[block].into_iter().enumerate() {
                 if count == 0.0 {
                     continue;
                 }
                 let sigma = [noise.current_a, noise.speed_rad_s][signal];
-                let vague = self.vague[block][signal];
-                let s = p[signal][signal] + (sigma * sigma + vague / count) / count;
+                let stamp_variance = self.stamp_variance[block][signal];
+                let s = p[signal][signal] + (sigma * sigma + stamp_variance / count) / count;
                 let gain = [0, 1, 2, 3].map(|row| p[row][signal] / s);
-                p = corrected(&p, &gain, signal);
+                p = updated_covariance(&p, &gain, signal);
                 log += s.ln();
                 let gains = [gain[0], gain[1], gain[2], gain[3], 1.0 / s.sqrt()];
                 let values = &self.values[(2 * block + signal) * width..][..width];
                 for (state, values) in states.iter_mut().zip(values.chunks_exact(LANES)) {
-                    buffer.extend(state.measure(signal, values, &gains));
+                    buffer.extend(state.innovation(signal, values, &gains));
                 }
             }
-            if buffer.len() >= 2 * AT_ONCE * width || block + 1 == self.passages.len() {
+            if buffer.len() >= 256 * width || block + 1 == self.transitions.len() {
                 let rows = buffer.len() / width;
                 let side_by_side = DMatrixView::from_slice(&buffer, width, rows);
                 add_upper(&mut sums, &turned(&buffer, width).as_view(), &side_by_side);
@@ -226,9 +227,9 @@ impl Averaged {
     }
 }
 
-/// The noise that makes the runs likeliest, from `start` on; `floor` is what the sensors show at rest. The effects are in by
-/// these `forms`. What the runs leave undetermined stays as in `start`.
-pub(super) fn likeliest(
+/// The noise of maximum marginal likelihood, searched from `start`; `floor`: noise at rest. Effects are included in these `forms`.
+/// Parameters that the runs do not determine stay as in `start`.
+pub(super) fn maximum_likelihood(
     runs: &[LinearisedRun<'_>],
     reduced: &Reduced,
     forms: &[usize],
@@ -241,10 +242,10 @@ pub(super) fn likeliest(
     let representatives = candidates.flat_map(|(own, form)| own.variants[*form].numbers());
     let columns: Vec<usize> = (0..m).chain(representatives).collect();
     let by_voltage = runs[0].scenario.input == Input::Voltage;
-    let data: Vec<Averaged> = runs
+    let data: Vec<BlockAverages> = runs
         .iter()
         .zip(&linear.columns)
-        .map(|(run, w)| averaged(run, w, &linear.present, &columns))
+        .map(|(run, w)| block_averages(run, w, &linear.present, &columns))
         .collect();
     let k = columns.len();
     let log_likelihood = |noise: &Noise| -> f64 {
@@ -268,19 +269,19 @@ pub(super) fn likeliest(
         let det = half_log_det(&factor);
         -0.5 * (sums[(k, k)] - explained) - det - 0.5 * log + log_prior(noise, floor, by_voltage)
     };
-    let mut unknowns = UNKNOWNS.to_vec();
+    let mut unknowns = NOISE_PARAMETERS.to_vec();
     unknowns.retain(|unknown| unknown.log(floor).is_finite());
-    let found = climb(start, &unknowns, floor, by_voltage, &log_likelihood);
-    // The error of form of a coupling has a spectrum like a disturbance's: there each is taken as it is found.
+    let found = coordinate_search(start, &unknowns, floor, by_voltage, &log_likelihood);
+    // With a coupling in the model the error of its form has the spectrum of a disturbance: no test of significance.
     let mut candidates = linear.candidates.iter();
-    if candidates.any(|own| own.in_model && own.is_whole()) {
+    if candidates.any(|own| own.in_model && own.has_fixed_size()) {
         return found;
     }
     where_significant(found, start, log_likelihood)
 }
 
-/// What was found, with what it began with where that is as likely, to half a nat: such a change is not significant. A
-/// disturbance that turns out to be less is taken at once, since effects may explain what it no longer does.
+/// The estimate, each parameter set back to its starting value where that costs less than half a nat: no significant change. A
+/// smaller disturbance is always taken, because effects may explain the rest.
 fn where_significant(found: Noise, start: Noise, log_likelihood: impl Fn(&Noise) -> f64) -> Noise {
     let best = log_likelihood(&found);
     let unless_as_likely = |now: Noise, same: Noise| {
@@ -295,24 +296,24 @@ fn where_significant(found: Noise, start: Noise, log_likelihood: impl Fn(&Noise)
     unless_as_likely(now, Noise { input, ..now })
 }
 
-/// Usual correlation time of a disturbance.
+/// Prior median of the correlation time of a disturbance.
 const USUAL_CORRELATION_S: f64 = 0.5;
 
 fn log_prior(noise: &Noise, floor: &Noise, by_voltage: bool) -> f64 {
     let surprises = [
         (noise.current_a / floor.current_a).ln() / floor.sensors,
         (noise.speed_rad_s / floor.speed_rad_s).ln() / floor.sensors,
-        // Under a torque the speed alone determines the time, beside drags like a slow load: there it stays nearer to the usual.
+        // With a torque input the speed alone determines it, and a drag looks like a slow load: a narrower prior.
         (noise.correlation_s / USUAL_CORRELATION_S).ln() / if by_voltage { 1.2 } else { 0.8 },
     ];
-    // A signal whose noise is not known is not looked at.
+    // A signal of unknown noise (infinite) is not used.
     let known = surprises.iter().filter(|surprise| surprise.is_finite());
     -0.5 * known.map(|surprise| surprise * surprise).sum::<f64>()
 }
 
-/// A logarithm that is searched.
+/// A noise parameter, searched as its logarithm.
 #[derive(Clone, Copy, PartialEq)]
-enum Unknown {
+enum NoiseParameter {
     Disturbance,
     Input,
     Correlation,
@@ -320,10 +321,15 @@ enum Unknown {
     Speed,
 }
 
-const UNKNOWNS: [Unknown; 5] =
-    [Unknown::Disturbance, Unknown::Input, Unknown::Correlation, Unknown::Current, Unknown::Speed];
+const NOISE_PARAMETERS: [NoiseParameter; 5] = [
+    NoiseParameter::Disturbance,
+    NoiseParameter::Input,
+    NoiseParameter::Correlation,
+    NoiseParameter::Current,
+    NoiseParameter::Speed,
+];
 
-impl Unknown {
+impl NoiseParameter {
     fn of(self, noise: &mut Noise) -> &mut f64 {
         match self {
             Self::Disturbance => &mut noise.disturbance_n_m,
@@ -338,8 +344,8 @@ impl Unknown {
         self.of(&mut noise.clone()).ln()
     }
 
-    /// The noise with this logarithm, as far as it may go. Under a voltage, current and speed determine the spectrum of the
-    /// disturbance above its corner: there its variance over the correlation time stays, and the search follows the ridge.
+    /// The noise with this logarithm, within bounds. With a voltage input the spectrum of the disturbance above its corner is well
+    /// determined: a new correlation time keeps variance over correlation time, so that the search follows the ridge.
     fn set(self, noise: &Noise, floor: &Noise, by_voltage: bool, log: f64) -> Noise {
         let sensors = floor.sensors.exp();
         let (least, most) = match self {
@@ -358,29 +364,29 @@ impl Unknown {
     }
 }
 
-/// Gain of a step below which the search along its line ends, nats.
-const LEAST_GAIN_NATS: f64 = 0.05;
-
-/// Climbs one unknown after the other: outwards while it rises, then to the top of the parabola through the last three.
-fn climb(
+/// Cyclic coordinate search: along each parameter outwards while the likelihood rises, then to the maximum of the parabola through
+/// three points.
+fn coordinate_search(
     start: Noise,
-    unknowns: &[Unknown],
+    unknowns: &[NoiseParameter],
     floor: &Noise,
     by_voltage: bool,
     log_likelihood: &impl Fn(&Noise) -> f64,
 ) -> Noise {
+    // Smaller gains end the search along a line.
+    let least_gain_nats = 0.05;
     let mut now = start;
     let mut best = log_likelihood(&now);
     // Six rounds at most, and no other behind one that gains less than half a nat.
     for _ in 0..6 {
         let before = best;
         for unknown in unknowns {
-            // Known points of this line: logarithm and likelihood.
+            // Evaluated points of this line: logarithm and likelihood.
             let mut known = vec![(unknown.log(&now), best)];
             for sign in [1.0, -1.0] {
                 let mut stride = sign
                     * match unknown {
-                        Unknown::Current | Unknown::Speed => 0.5 * floor.sensors,
+                        NoiseParameter::Current | NoiseParameter::Speed => 0.5 * floor.sensors,
                         _ => 0.8,
                     };
                 loop {
@@ -390,7 +396,7 @@ fn climb(
                     }
                     let log = log_likelihood(&next);
                     known.push((unknown.log(&next), log));
-                    if log <= best + LEAST_GAIN_NATS {
+                    if log <= best + least_gain_nats {
                         break;
                     }
                     (best, now) = (log, next);
@@ -401,8 +407,8 @@ fn climb(
                     break;
                 }
             }
-            if let Some((log, gain)) = top(&mut known)
-                && gain > LEAST_GAIN_NATS
+            if let Some((log, gain)) = parabola_maximum(&mut known)
+                && gain > least_gain_nats
             {
                 let next = unknown.set(&now, floor, by_voltage, log);
                 let log = log_likelihood(&next);
@@ -418,8 +424,8 @@ fn climb(
     now
 }
 
-/// The top of the parabola through the best of the points and its neighbours, and how far it is above.
-fn top(known: &mut [(f64, f64)]) -> Option<(f64, f64)> {
+/// Maximum of the parabola through the best point and its neighbours, and its height above that point.
+fn parabola_maximum(known: &mut [(f64, f64)]) -> Option<(f64, f64)> {
     known.sort_by(|a, b| a.0.total_cmp(&b.0));
     let at = (0..known.len()).max_by(|a, b| known[*a].1.total_cmp(&known[*b].1))?;
     let (left, middle) = (known.get(at.checked_sub(1)?)?, known[at]);
@@ -450,8 +456,8 @@ mod tests {
             let above = (noise.disturbance_n_m.powi(2) / noise.correlation_s / 6e-3).ln();
             -500.0 * above * above - 8.0 * corner * corner
         };
-        let unknowns = [Unknown::Disturbance, Unknown::Correlation];
-        let found = climb(floor, &unknowns, &floor, true, &likelihood);
+        let unknowns = [NoiseParameter::Disturbance, NoiseParameter::Correlation];
+        let found = coordinate_search(floor, &unknowns, &floor, true, &likelihood);
         assert!(likelihood(&found) > -0.5, "{found:?}");
     }
 
@@ -468,12 +474,12 @@ mod tests {
             let quadratic = 6.0 * above * above + 2.0 * above * t + 2.0 * t * t + 5.0 * v * v;
             -quadratic - current.powi(2)
         };
-        let found = climb(floor, &UNKNOWNS, &floor, true, &likelihood);
+        let found = coordinate_search(floor, &NOISE_PARAMETERS, &floor, true, &likelihood);
         assert!(likelihood(&found) > -0.5, "{found:?}");
         assert!(count.get() < 60, "{}", count.get());
         // Nothing to gain: one look to either side of each.
         count.set(0);
-        climb(found, &UNKNOWNS, &floor, true, &likelihood);
+        coordinate_search(found, &NOISE_PARAMETERS, &floor, true, &likelihood);
         assert!(count.get() < 16, "{}", count.get());
     }
 
@@ -507,12 +513,12 @@ mod tests {
         scenario.unknown_input = vec![hole(0.7, 0.71, 9.0)];
         let run = LinearisedRun::new(&model, &scenario, State::default(), QUIET).unwrap();
         let n = scenario.samples();
-        let block = passage_of(&run, 0..n, n).0;
+        let block = transition_of(&run, 0..n, n).0;
         for signal in 0..2 {
-            let each = run.follower.passages.iter();
-            let sum: f64 = each.map(|passage| passage.unobserved[signal]).sum();
+            let each = run.gains.transitions.iter();
+            let sum: f64 = each.map(|transition| transition.unobserved[signal]).sum();
             assert!(sum > 0.0 && (block.unobserved[signal] / sum - 1.0).abs() < 1e-12);
-            assert!(block.fresh[signal] >= block.unobserved[signal]);
+            assert!(block.added_variance[signal] >= block.unobserved[signal]);
         }
     }
 }

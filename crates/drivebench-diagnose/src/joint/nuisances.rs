@@ -1,5 +1,5 @@
-//! Nuisance parameters beside the effects of the catalogue: always the motor's parameters, errors of the stamps, other forms of the
-//! model's effects; and unknown curves of torque and voltage over speed, angle and current.
+//! Nuisance parameters of the regression: the motor's parameters, errors of the time stamps and errors of the forms of the model's
+//! effects; and unknown functions of torque and voltage over speed, angle and current.
 
 use std::mem::{self, Discriminant};
 
@@ -19,8 +19,8 @@ use drivebench_model::plant::{
 
 /// Prior deviation of the logarithm of a motor's parameter.
 const MOTOR_LOG_SIGMA: f64 = 0.3;
-/// Deviation of the form of an effect from its equation, as a share: by harmonics, and by powers of its own size.
-const FORM_SHARE: f64 = 0.1;
+/// Standard deviation of an error of form as a regressor, as a share of the effect: harmonics, and powers of its own size.
+const FORM_SD: f64 = 0.1;
 /// The part of the largest current at which a level counts as reached.
 const SMALL_SHARE: f64 = 0.1;
 
@@ -49,8 +49,8 @@ pub(super) fn motor_prior(key: MotorKey, model: &Model, scenario: &Scenario) -> 
     }
 }
 
-/// What is always in: the motor's parameters, and errors of the stamps of command, current and speed, for all samples alike;
-/// each with its prior deviation.
+/// The nuisances that are always included: the motor's parameters, and one error each of the stamps of command, current and speed,
+/// equal for all samples; with their prior deviations.
 pub(super) fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Source, f64)>> {
     let along = are_tangents(model, scenario);
     let mut nuisances = Vec::new();
@@ -91,18 +91,18 @@ fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
         let is_command = kind == TermKind::LateCommand;
         let known_s = if is_command { of_commands_s } else { of_samples_s };
         let least_periods = match known_s {
-            // Where in its period a torque stands is not known.
+            // A torque may be that of any instant of its period.
             _ if !by_voltage => 1.0,
-            // The drive stamped it.
+            // Stamped by the drive.
             None => 0.01,
             Some(_) => 0.05,
         };
         let error_s = (least_periods * period_s).max(known_s.unwrap_or(0.0));
         if along {
             return Source::Tangent(match kind {
-                TermKind::LateCommand => Tangent::LateCommands(error_s),
-                TermKind::LateCurrent => Tangent::LateReadings([error_s, 0.0]),
-                _ => Tangent::LateReadings([0.0, error_s]),
+                TermKind::LateCommand => Tangent::CommandDelay(error_s),
+                TermKind::LateCurrent => Tangent::ReadingDelay([error_s, 0.0]),
+                _ => Tangent::ReadingDelay([0.0, error_s]),
             });
         }
         let effect = kind.effect();
@@ -125,8 +125,8 @@ pub(super) struct ErrorOf {
     number: usize,
 }
 
-/// Errors of the equations of the model that a run is filtered with, at one standard deviation each: its stamps, and the forms of
-/// its effects. Which forms there are depends on the run.
+/// Errors of the time stamps and of the forms of the effects of a run's model, as columns at one standard deviation each. Which forms
+/// an effect has depends on the run.
 pub(super) fn of_equations(run: &LinearisedRun<'_>) -> Vec<(ErrorOf, Vec<f32>)> {
     let of_effects = run.model.effects.iter().enumerate();
     let forms = of_effects.flat_map(|(number, active)| {
@@ -159,14 +159,15 @@ fn small_and_most_v(terms: &dyn Terms, scenario: &Scenario) -> ([f64; 2], f64) {
     ([SMALL_SHARE * most_a, most_a].map(at), SMALL_SHARE * most_a)
 }
 
-/// Whether terms have reached 0.99 of their level by a small part of the run's currents, as a drop of brushes: in what range they
-/// build up is no part of their equation.
+/// Whether terms have reached 0.99 of their level at a tenth of the run's largest current, as a brush drop: how they build up below
+/// is no part of their equation.
 fn has_a_level(terms: &dyn Terms, scenario: &Scenario) -> bool {
     let ([small_v, most_v], _) = small_and_most_v(terms, scenario);
     most_v > 0.0 && small_v > 0.99 * most_v
 }
 
-/// Whether terms lie before the chopper, where a capacitor holds the voltage: the motor's current gets there by the duty.
+/// Whether terms act on the supply side of the chopper: there the current is the motor's times the duty cycle, and a capacitor delays
+/// the voltage.
 fn is_before_the_chopper(terms: &dyn Terms, motor: &Instant) -> bool {
     let at = |voltage_v: f64| {
         let at = Instant { current_a: 1.0, voltage_v, ..*motor };
@@ -175,8 +176,8 @@ fn is_before_the_chopper(terms: &dyn Terms, motor: &Instant) -> bool {
     (at(motor.supply_v) - at(0.0)).abs() > 0.0
 }
 
-/// Error of the motor's resistance by effects that begin as a resistance and end, as gaps of the current, where they should have
-/// ended, ohm.
+/// Error of the motor's resistance, ohm, by effects that act as a resistance at small currents (discontinuous conduction): the form of
+/// their end is not known.
 pub(super) fn left_beyond_ohm(model: &Model, scenario: &Scenario) -> f64 {
     let left = model.effects.iter().map(|active| {
         let terms = terms_of(active);
@@ -186,7 +187,7 @@ pub(super) fn left_beyond_ohm(model: &Model, scenario: &Scenario) -> f64 {
         }
         let ([small_v, _], small_a) = small_and_most_v(&*terms, scenario);
         if small_v > 0.0 && !has_a_level(&*terms, scenario) {
-            FORM_SHARE * small_v / small_a
+            FORM_SD * small_v / small_a
         } else {
             0.0
         }
@@ -194,7 +195,7 @@ pub(super) fn left_beyond_ohm(model: &Model, scenario: &Scenario) -> f64 {
     left.map(|ohm| ohm * ohm).sum::<f64>().sqrt()
 }
 
-/// Other forms of an effect of the model, each at one standard deviation.
+/// Errors of the form of an effect of the model, each at one standard deviation.
 pub(super) fn bends(
     model: &Model,
     effect: &'static dyn Effect,
@@ -217,7 +218,7 @@ pub(super) fn bends(
             Tangent::Wave(Wave {
                 order: harmonic * order,
                 sine,
-                size: FORM_SHARE * amplitude,
+                size: FORM_SD * amplitude,
                 of_current,
             })
         }));
@@ -232,14 +233,14 @@ pub(super) fn bends(
     if path.measures_directly() && !path.delays_command() {
         // What stands at its level is the same to any power.
         if !has_a_level(&*terms, scenario) {
-            bends.extend([1.0, 2.0].map(|power| Tangent::Bent {
+            bends.extend([1.0, 2.0].map(|power| Tangent::Power {
                 terms: effect.terms(values),
                 power,
-                share: FORM_SHARE,
+                share: FORM_SD,
             }));
         } else if specs.iter().all(ParameterSpec::is_coefficient) {
             // Half of it may build up more slowly.
-            bends.extend([2.0, 4.0, 8.0].map(|factor| Tangent::Slow {
+            bends.extend([2.0, 4.0, 8.0].map(|factor| Tangent::Stretched {
                 terms: effect.terms(values),
                 factor,
                 share: 0.5,
@@ -260,7 +261,7 @@ pub(super) fn bends(
     bends
 }
 
-/// Change of a resistance that rises because copper that is hotter warms up faster: half of its rise squared.
+/// Second-order term of winding heating, half of the rise squared: hotter copper has more loss.
 struct HotCopper(Box<dyn Terms>);
 
 impl Terms for HotCopper {
@@ -278,8 +279,7 @@ impl Terms for HotCopper {
     }
 }
 
-/// A quarter of an effect with other shapes than that of its equation, half and double: a corner that is a bend, a peak with long
-/// tails.
+/// Errors of form: a quarter of the effect with half and with twice its shape parameters.
 fn spread(effect: &'static dyn Effect, values: &[f64]) -> impl Iterator<Item = Tangent> {
     let specs = effect.parameters();
     let shapes = (0..specs.len()).filter(|k| specs[*k].logarithmic && !specs[*k].is_coefficient());
@@ -292,8 +292,8 @@ fn spread(effect: &'static dyn Effect, values: &[f64]) -> impl Iterator<Item = T
     })
 }
 
-/// Torque as functions of the speed orthogonal to friction, drag and load of the catalogue, each of this size: what a run that a
-/// torque drives is made of is theirs first.
+/// Functions of torque over the speed, each of this size, orthogonal (Gram-Schmidt) to those of the catalogue: constant, viscous,
+/// asymmetric, quadratic and Coulomb.
 fn beyond_the_catalogue(most: f64, size: f64) -> Vec<Tangent> {
     const KNOTS: usize = 13;
     let at = |knot: usize| 2.0 * knot as f64 / (KNOTS - 1) as f64 - 1.0;
@@ -319,11 +319,11 @@ fn beyond_the_catalogue(most: f64, size: f64) -> Vec<Tangent> {
     basis.into_iter().skip(5).map(curve).collect()
 }
 
-/// Torque and voltage as functions that no effect of the catalogue gives.
+/// Unknown functions of torque and voltage as candidates.
 pub(super) fn unknown_curves(runs: &[LinearisedRun<'_>]) -> Vec<Part> {
     let run = &runs[0];
     let by_voltage = run.scenario.input == Input::Voltage;
-    let most = |k: usize| largest(run.followed.after.iter().map(|state| state[k]));
+    let most = |k: usize| largest(run.filtered.after.iter().map(|state| state[k]));
     let (current, speed) = (most(0), most(1));
     let share = if by_voltage { 0.06 } else { 0.03 };
     let torque = share * constants(&run.model, run.scenario).torque_n_m_per_a * current;

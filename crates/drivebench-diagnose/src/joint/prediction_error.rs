@@ -8,7 +8,7 @@ use super::columns::columns_of;
 use super::eligible::why_not;
 use super::events::{Event, Hypothesis};
 use super::free_run::excess;
-use super::kalman::{Noise, follow};
+use super::kalman::{Noise, innovations_with};
 use super::nuisances::{ErrorOf, MotorPrior, left_beyond_ohm, motor_prior, of_equations};
 use super::regression::{SLAB, Source};
 use super::run::LinearisedRun;
@@ -24,7 +24,7 @@ use drivebench_model::plant::{
 };
 use drivebench_model::sample::Verdict;
 
-/// The coordinate of a parameter: `p = unit x`, or `p = exp(x)` where there is no unit; with a normal prior about `at`.
+/// Coordinate `x` of a parameter: `p = unit x`, or `p = exp(x)` without a unit; with a normal prior of mean `at` and deviation `sd`.
 #[derive(Clone, Copy)]
 struct Coordinate {
     unit: Option<f64>,
@@ -92,7 +92,7 @@ impl Coordinate {
     }
 
     /// Distance from the prior mean, in standard deviations.
-    fn surprise(self, x: f64) -> f64 {
+    fn standardised(self, x: f64) -> f64 {
         (x - self.at) / self.sd
     }
 
@@ -113,18 +113,18 @@ struct Innovations<'a> {
     sizes: Vec<Coordinate>,
     runs: &'a [LinearisedRun<'a>],
     len: usize,
-    /// Whether their slopes are tangents.
-    along: bool,
+    /// Whether its derivatives are tangents; else differences of simulations.
+    has_tangents: bool,
     /// Errors of the equations that are integrated out.
-    vague: Option<Vague>,
-    /// What this fit has simulated; the count of the whole search depends on the order of the threads.
+    equation_errors: Option<EquationErrors>,
+    /// Sub-steps of this fit alone: the count of the whole search depends on the order of the threads.
     own: Work,
 }
 
-/// Errors of the stamps and the forms of the effects, each at one standard deviation, integrated out of whitened innovations `r`:
-/// `r'(I + F F')^-1 r` is the square of `(I + F F')^(-1/2) r = r - F A F' r`. The error of a form is in proportion to the size
-/// of its effect.
-struct Vague {
+/// Errors of the time stamps and of the forms of the effects, integrated out of whitened innovations `r`. With their columns `F` at
+/// one standard deviation, `r'(I + F F')^-1 r` is the square of `(I + F F')^(-1/2) r = r - F A F' r`. The error of a form is in
+/// proportion to the size of its effect.
+struct EquationErrors {
     columns: Vec<Vec<f32>>,
     /// The effect of each column.
     effects: Vec<Option<usize>>,
@@ -144,8 +144,8 @@ fn sizes(model: &Model) -> Vec<f64> {
     model.effects.iter().map(size).collect()
 }
 
-impl Vague {
-    /// Of runs that were filtered with the model itself, and with events behind its effects.
+impl EquationErrors {
+    /// Of runs filtered with the model; their events follow its effects.
     fn of(model: &Model, runs: &[LinearisedRun<'_>]) -> Self {
         let mut columns: Vec<Vec<f32>> = Vec::new();
         let mut errors: Vec<ErrorOf> = Vec::new();
@@ -163,7 +163,7 @@ impl Vague {
                     errors.push(error);
                     columns.push(Vec::new());
                 }
-                // Nothing in the runs before that have no such form.
+                // Zero in earlier runs without this form.
                 columns[at].resize(rows, 0.0);
                 columns[at].extend(own);
             }
@@ -180,8 +180,8 @@ impl Vague {
         }
     }
 
-    /// What takes them out of innovations of `model`.
-    fn at(&self, model: &Model) -> Freeing<'_> {
+    /// The projection for innovations of `model`.
+    fn at(&self, model: &Model) -> Marginalisation<'_> {
         let now = sizes(model);
         let share = |effect: &Option<usize>| match effect {
             Some(effect) if self.sizes[*effect] > 0.0 => now[*effect] / self.sizes[*effect],
@@ -195,7 +195,7 @@ impl Vague {
         };
         let middle = DMatrix::from_diagonal(&eigen.eigenvalues.map(of_one));
         let turn = scale * &eigen.eigenvectors;
-        Freeing {
+        Marginalisation {
             columns: &self.columns,
             weights: &turn * middle * turn.transpose(),
             log_det: eigen.eigenvalues.iter().map(|s| s.max(0.0).ln_1p()).sum(),
@@ -204,14 +204,14 @@ impl Vague {
 }
 
 /// `F A F'` of a model, and the log determinant of `I + F F'`.
-struct Freeing<'a> {
+struct Marginalisation<'a> {
     columns: &'a [Vec<f32>],
     weights: DMatrix<f64>,
     log_det: f64,
 }
 
-impl Freeing<'_> {
-    fn free(&self, white: &mut [f64]) {
+impl Marginalisation<'_> {
+    fn remove(&self, white: &mut [f64]) {
         let products = self.columns.iter().map(|column| {
             let pairs = column.iter().zip(white.iter());
             pairs.map(|(a, b)| f64::from(*a) * b).sum::<f64>()
@@ -252,16 +252,16 @@ impl<'a> Innovations<'a> {
             free,
             sizes,
             runs,
-            along: tangent::are_tangents(model, runs[0].scenario),
-            vague: None,
+            has_tangents: tangent::are_tangents(model, runs[0].scenario),
+            equation_errors: None,
             own: Work::default(),
         }
     }
 
-    /// As few iterations as the budget of a search holds.
+    /// Options with the iterations that the budget of the search allows.
     fn quick(&self) -> Options {
-        let each: u64 = self.runs.iter().map(|run| run.follower.work).sum();
-        let simulations = if self.along { 2 } else { self.free.len() + 1 };
+        let each: u64 = self.runs.iter().map(|run| run.gains.work).sum();
+        let simulations = if self.has_tangents { 2 } else { self.free.len() + 1 };
         Options {
             most_iterations: iterations_of(each * simulations as u64, QUICK.most_iterations),
             ..QUICK
@@ -277,9 +277,9 @@ impl<'a> Innovations<'a> {
         free.chain(self.sizes.iter().copied())
     }
 
-    /// The slope of the innovations over one coordinate where it is a tangent, of the hypothesis at these coordinates.
+    /// Derivative of the innovations by one coordinate as a tangent; `None` where there is none.
     fn slope(&self, there: &Hypothesis, x: &[f64], parameter: usize) -> Option<Source> {
-        if !self.along {
+        if !self.has_tangents {
             return None;
         }
         let Some((slot, unit)) = self.free.get(parameter) else {
@@ -297,7 +297,8 @@ impl<'a> Innovations<'a> {
                 let step = unit.to_value(x[parameter] + over) - value;
                 let unit = unit.slope(value);
                 let values = own.values_or_guess();
-                let tangent = tangent::of_effect(own.effect, &values, *place, unit, (step, over));
+                let tangent =
+                    tangent::parameter_tangent(own.effect, &values, *place, unit, (step, over));
                 tangent.map(Source::Tangent)
             }
         }
@@ -334,8 +335,9 @@ impl Problem for Innovations<'_> {
         let of_run = |(number, run): (usize, &LinearisedRun<'_>)| {
             let (model, scenario) = (there.in_run(number), run.scenario);
             let mut white = Vec::with_capacity(scenario.samples());
-            let gains = &run.follower;
-            let steps = follow(gains, &model, scenario, run.start, &run.noise, &mut white)?;
+            let gains = &run.gains;
+            let steps =
+                innovations_with(gains, &model, scenario, run.start, &run.noise, &mut white)?;
             run.count(steps);
             self.own.add(steps);
             Some(white)
@@ -348,13 +350,13 @@ impl Problem for Innovations<'_> {
             *cell = *value;
         }
         for ((unit, x), cell) in self.units().zip(x).zip(&mut *priors) {
-            *cell = unit.surprise(*x);
+            *cell = unit.standardised(*x);
         }
         priors[x.len()] = 0.0;
-        if let Some(vague) = &self.vague {
-            let freeing = vague.at(&there.model);
-            freeing.free(out);
-            priors[x.len()] = freeing.log_det.sqrt();
+        if let Some(equation_errors) = &self.equation_errors {
+            let marginalisation = equation_errors.at(&there.model);
+            marginalisation.remove(out);
+            priors[x.len()] = marginalisation.log_det.sqrt();
         }
         true
     }
@@ -379,10 +381,13 @@ impl Problem for Innovations<'_> {
         let known: Vec<&Source> = sources.iter().flatten().collect();
         let columns = columns_of(&known, self.runs);
         let log_det = |x: &[f64]| {
-            let vague = self.vague.as_ref();
-            vague.map_or(0.0, |vague| vague.at(&self.hypothesis_at(x).model).log_det.sqrt())
+            let equation_errors = self.equation_errors.as_ref();
+            equation_errors.map_or(0.0, |equation_errors| {
+                equation_errors.at(&self.hypothesis_at(x).model).log_det.sqrt()
+            })
         };
-        let freeing = self.vague.as_ref().map(|vague| vague.at(&there.model));
+        let marginalisation =
+            self.equation_errors.as_ref().map(|equation_errors| equation_errors.at(&there.model));
         let own = self.len - x.len() - 1;
         let mut next = 0..;
         let mut column = |parameter: usize| {
@@ -390,15 +395,15 @@ impl Problem for Innovations<'_> {
             let mut slope = vec![0.0; self.len];
             let mut from = 0;
             for (whitened, run) in columns.iter().zip(self.runs) {
-                // An event of one run leaves the others as they are.
+                // An event of one run has a zero column in the others.
                 let cells = slope[from..].iter_mut().zip(&whitened.columns[number]);
                 cells.for_each(|(cell, value)| *cell = f64::from(*value));
                 from += 2 * run.scenario.samples();
             }
-            if let Some(freeing) = &freeing {
-                freeing.free(&mut slope[..own]);
+            if let Some(marginalisation) = &marginalisation {
+                marginalisation.remove(&mut slope[..own]);
             }
-            // Columns are what is taken from the innovations.
+            // A column is the negative change of the innovations.
             slope[..own].iter_mut().for_each(|cell| *cell = -*cell);
             slope[own + parameter] = 1.0 / self.units().nth(parameter)?.sd;
             let step = self.difference_step(parameter);
@@ -418,7 +423,7 @@ impl Problem for Innovations<'_> {
     }
 }
 
-/// Options of a refit, of which only the likelihood is needed.
+/// Options of a refit, which needs the likelihood and no deviations.
 const QUICK: Options = Options {
     most_iterations: 25,
     relative_cost: 1e-4,
@@ -430,14 +435,14 @@ const QUICK: Options = Options {
 /// A hypothesis that was refitted.
 pub(super) struct Refit {
     pub(super) hypothesis: Hypothesis,
-    /// Sum of the squares of what is left, of innovations that are white where the model is right.
+    /// Sum of the squares of the whitened innovations, priors included.
     pub(super) squares: f64,
-    /// Minus twice the log of the likelihood, but for what every model shares.
+    /// Minus twice the log likelihood, without the constant that all models share.
     pub(super) deviance: f64,
 }
 
-/// Fits all that is free but the moments of events with the gains of `runs`, also around another model; and the sum of the squares
-/// of what is left. `None` where it cannot be simulated.
+/// Fits all free parameters except event times with the gains of `runs`, also of another model. Returns the fit and the sum of
+/// squares of its innovations; `None` where it cannot be simulated.
 pub(super) fn fit_as_followed(
     start: &Hypothesis,
     runs: &[LinearisedRun<'_>],
@@ -447,18 +452,18 @@ pub(super) fn fit_as_followed(
     Some((problem.hypothesis_at(&minimum.x), minimum.cost))
 }
 
-/// Fits all that is free but the moments of events to runs, each filtered with the start itself: errors of its effects' forms
-/// and of the stamps count neither against it nor for it. `None` where it cannot be simulated.
+/// Fits all free parameters except event times, with the gains of the start itself and errors of forms and stamps integrated out.
+/// `None` where it cannot be simulated.
 pub(super) fn fit<'a>(start: &Hypothesis, runs: &[LinearisedRun<'a>]) -> Option<Refit> {
     let around = |(number, run): (usize, &LinearisedRun<'a>)| {
-        run.around(&start.model, start.events_of(number), run.scenario)
+        run.relinearised(&start.model, start.events_of(number), run.scenario)
     };
     let each = runs.par_iter().with_max_len(1).enumerate();
     let own: Vec<LinearisedRun<'_>> = each.map(around).collect::<Option<_>>()?;
     let mut problem = Innovations::new(start, &own);
-    problem.vague = Some(Vague::of(&start.model, &own));
+    problem.equation_errors = Some(EquationErrors::of(&start.model, &own));
     let minimum = problem.minimum(problem.quick())?;
-    let over_sd = own.iter().flat_map(|run| &run.follower.updates);
+    let over_sd = own.iter().flat_map(|run| &run.gains.updates);
     let over_sd = over_sd.flat_map(|update| [update.current[4], update.speed[4]]);
     let logs: f64 = over_sd.filter(|over_sd| *over_sd > 0.0).map(f64::ln).sum();
     Some(Refit {
@@ -473,18 +478,18 @@ struct Estimated {
     model: Model,
     /// Each free parameter with its standard deviation; none where the run leaves it undetermined.
     deviations: Vec<(Slot, Option<f64>)>,
-    /// Their factor for what is left beyond white noise.
+    /// Their factor for the excess of the residual over white noise.
     factor: f64,
     converged: bool,
 }
 
-/// Fits all that is free in the model of `run`, with the standard deviation of each parameter: jointly with errors of the stamps
-/// and of the forms of the effects, times the excess of what is left over white noise, and without any prior.
+/// Fits all free parameters of the model of `run`. Standard deviations: errors of stamps and forms integrated out, times the excess of
+/// the residual over white noise, without priors.
 fn estimate(run: &LinearisedRun<'_>) -> Option<Estimated> {
     let runs = std::slice::from_ref(run);
     let mut problem = Innovations::new(&Hypothesis::whole(&run.model), runs);
-    // Values that took all of the misfit would be further off than values beside errors of stamps and forms.
-    problem.vague = Some(Vague::of(&run.model, runs));
+    // Without them the parameters would absorb the misfit that the forms of the effects make.
+    problem.equation_errors = Some(EquationErrors::of(&run.model, runs));
     let minimum = problem.minimum(Options {
         most_iterations: problem.quick().most_iterations,
         ..Options::default()
@@ -513,23 +518,22 @@ fn estimate(run: &LinearisedRun<'_>) -> Option<Estimated> {
     })
 }
 
-/// Growth of the error of a free run from which on a model is right only with the corrections of a filter.
+/// Growth of the free-run error from which on values by prediction errors are not used for simulation: the form of an effect differs.
 const LED_ONLY_RATIO: f64 = 1.1;
 
-/// The same fit with values and deviations from its prediction errors: a disturbance of the load, which a free run takes for the
-/// motor's, counts as what it is. Where those values do not predict a free run, as where the form of an effect differs from its
-/// equation, the fit's own stay, each with its distance from the other in its deviation. As it was where the model cannot be
-/// simulated on the run; times of events stay.
+/// A fit with values and deviations by prediction errors, which separate a disturbance of the load from the motor's parameters.
+/// Where those values do not predict a free run (the form of an effect differs from its equation), the values of the fit stay, and
+/// their distance is added to the deviation. Unchanged where the model cannot be simulated on the run; event times stay.
 pub(crate) fn refined(fit: Fitted, run: &Scenario, noise: Noise) -> Fitted {
     led(fit, run, noise, true).0
 }
 
-/// The same of a fit whose values stay in any case, with their distance from those of its prediction errors.
+/// [`refined`] with the values of the fit in any case.
 pub(crate) fn with_deviations(fit: Fitted, run: &Scenario, noise: Noise) -> Fitted {
     led(fit, run, noise, false).0
 }
 
-/// What of a fit is from its prediction errors.
+/// Which figures of a fit are by prediction errors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Led {
     Values,
@@ -538,7 +542,7 @@ pub(crate) enum Led {
     Neither,
 }
 
-/// [`refined`] where it `may_move`, else [`with_deviations`]; and which of it it came to.
+/// [`refined`] if it `may_move`, else [`with_deviations`]; and which figures were replaced.
 pub(crate) fn led(mut fit: Fitted, run: &Scenario, noise: Noise, may_move: bool) -> (Fitted, Led) {
     let start = State::at(fit.start.current_a, fit.start.speed_rad_s);
     let linearised = LinearisedRun::new(&fit.model, run, start, noise);
@@ -586,7 +590,7 @@ pub(crate) fn led(mut fit: Fitted, run: &Scenario, noise: Noise, may_move: bool)
 mod tests {
     use super::*;
     use crate::joint::kalman::QUIET;
-    use crate::joint::noise::beginning;
+    use crate::joint::noise::initial_noise;
     use crate::kit::{nameplate, record, truth, with};
     use drivebench_identify::noise::NoiseFloor;
     use drivebench_identify::output_error;
@@ -640,7 +644,7 @@ mod tests {
         let mut residual = vec![0.0; problem.residual_len()];
         assert!(problem.residual(&x, &mut residual));
         let along = levenberg_marquardt::jacobian_at(&problem, &x, &residual);
-        problem.along = false;
+        problem.has_tangents = false;
         let differences = levenberg_marquardt::jacobian_at(&problem, &x, &residual);
         for (parameter, (slot, _)) in problem.free.iter().enumerate() {
             let [a, b] = [&along, &differences].map(|all| all.column(parameter).into_owned());
@@ -658,7 +662,7 @@ mod tests {
         let found = fit(&Hypothesis::of(&start), &runs).unwrap();
         let drop_v = found.hypothesis.model.effects[0].values[0].unwrap();
         assert!((drop_v / 1.2 - 1.0).abs() < 0.1, "{drop_v}");
-        let mean = found.squares / runs[0].follower.rows as f64;
+        let mean = found.squares / runs[0].gains.rows as f64;
         assert!(mean < 1.5, "{mean}");
     }
 
@@ -671,7 +675,7 @@ mod tests {
         small.current_a.iter_mut().for_each(|a| *a *= 1e-3);
         let runs = [&large, &small].map(|run| linearised(&model, run, 1e-4));
         // Three stamps; either how slowly the level is reached, or powers.
-        let each = [&runs[..1], &runs[1..], &runs].map(|runs| Vague::of(&model, runs));
+        let each = [&runs[..1], &runs[1..], &runs].map(|runs| EquationErrors::of(&model, runs));
         assert_eq!(each.each_ref().map(|of| of.effects.len()), [6, 5, 8]);
         let gram = &each[2].gram;
         assert!(gram.view((3, 6), (3, 2)).amax() <= 0.0, "{gram}");
@@ -715,7 +719,7 @@ mod tests {
         let noise = NoiseFloor::from_standstill(&run).unwrap();
         let start = truth("discontinuous_conduction", &[1.4, 2.0]);
         let free = Fitted::from(output_error::fit(&[start], &run, &noise).unwrap());
-        let along = beginning(&noise, &free.model, &run);
+        let along = initial_noise(&noise, &free.model, &run);
         let (found, of) = led(free.clone(), &run, along, true);
         // The values stay, since the form is another.
         assert_eq!(of, Led::Deviations);

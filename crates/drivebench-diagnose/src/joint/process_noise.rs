@@ -7,11 +7,11 @@ use drivebench_model::plant::{
     Terms,
 };
 
-/// Error of the form of an effect, as a share of what it does.
+/// Error of the form of an effect as process noise, as a share of its torque or voltage.
 pub(super) const FORM_SHARE: f64 = 0.05;
 
-/// The motor's constants in a run: a given torque is the current of a motor with a torque constant of one, and what has no
-/// voltage has no armature.
+/// The motor's constants in a run. A torque input is treated as the current of a motor with a torque constant of one; without a
+/// voltage there is no armature circuit.
 pub(super) fn constants(model: &Model, scenario: &Scenario) -> Instant {
     let mut motor = Instant::of(&model.motor);
     motor.supply_v = scenario.supply_v();
@@ -28,7 +28,7 @@ pub(super) fn terms_of(active: &ActiveEffect) -> Box<dyn Terms> {
     active.effect.terms(&active.values_or_guess())
 }
 
-/// Sums that `f` makes of those of two others, one by one.
+/// Applies `f` to each pair of sums.
 pub(super) fn combined(a: &Sums, b: &Sums, f: impl Fn(f64, f64) -> f64) -> Sums {
     Sums {
         voltage_v: f(a.voltage_v, b.voltage_v),
@@ -39,7 +39,7 @@ pub(super) fn combined(a: &Sums, b: &Sums, f: impl Fn(f64, f64) -> f64) -> Sums 
     }
 }
 
-/// What the effects of a model do at an instant: volts, newton metres, and newton metres of an elastic coupling.
+/// Voltages and torques of the effects of a model at an instant, for the process noise by errors of their forms.
 pub(super) struct FormErrors {
     pub(super) terms: Vec<Box<dyn Terms>>,
     motor: Instant,
@@ -59,9 +59,9 @@ impl FormErrors {
     pub(super) fn of(model: &Model, scenario: &Scenario) -> Self {
         let terms: Vec<Box<dyn Terms>> = model.effects.iter().map(terms_of).collect();
         let coupling = terms.iter().find_map(|terms| terms.coupling());
-        // A damping ratio of 0.01 at least: what is not known of a twist decays at last.
+        // A damping ratio of at least 0.01, so that an unknown twist decays.
         let decay_s = |c: Coupling| 1.0 / (TAU * c.frequency_hz * c.damping_ratio.max(0.01));
-        // When the sides of a play meet nobody can predict: a moment later the whole impact is an error.
+        // The instant at which the flanks of a backlash meet is not predictable: the whole torque of the impact is an error.
         let error = |c: Coupling| if c.gap_rad > 0.0 { 1.0 } else { FORM_SHARE };
         let counts = f64::from(u8::from(scenario.input != Input::Voltage));
         let motor = constants(model, scenario);
@@ -75,7 +75,7 @@ impl FormErrors {
             inertia: model.motor.get(MotorKey::Inertia).unwrap_or(0.0),
             friction,
             coulomb: counts * friction,
-            // No machine measures a torque better than to 0.02.
+            // Error of a measured torque: 0.02 of it, at the best.
             drive: counts * 0.02 / FORM_SHARE * motor.torque_n_m_per_a,
         }
     }
@@ -91,8 +91,8 @@ impl FormErrors {
         }
     }
 
-    /// Squares of what the effects do, V2, (N.m)2 and (N.m)2 of a coupling, and the rates of current, A/s, and speed, rad/s2,
-    /// without what a second inertia does.
+    /// Squares of voltage, torque and coupling torque of the effects, V2 and (N.m)2; and the rates of current, A/s, and speed,
+    /// rad/s2, without a coupling.
     pub(super) fn at(
         &self,
         at: &Instant,

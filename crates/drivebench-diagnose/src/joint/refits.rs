@@ -1,5 +1,5 @@
-//! Refits against the linear solution: what they refute of its best set is barred, and where a simpler effect serves as well by
-//! their likelihood ratio it stands for a richer one or for two.
+//! Likelihood-ratio tests by nonlinear refits of the best set of the linear solution (Ljung, *System Identification*, §16.4): an
+//! effect that a refit refutes is excluded, and a simpler effect replaces a richer one, or two, that fit no better.
 
 use rayon::prelude::*;
 
@@ -8,31 +8,31 @@ use super::prediction_error::{Refit, fit};
 use super::regression::{Candidate, Linear};
 use super::run::LinearisedRun;
 use super::select::{Posterior, Reduced, Set, without};
-use super::solution::{placed, present};
+use super::solution::{present, with_event_times};
 use drivebench_model::plant::effect::CATALOGUE;
 use drivebench_model::plant::{ActiveEffect, Model, effect, typical_size};
 
-/// Prior log odds of an effect that a refit has refuted, and what is added to those of one without which a refit is worse.
+/// Prior log odds of an effect that a refit has refuted: practically zero probability. Its negative is added to the log odds of
+/// an effect without which a refit is worse.
 const BARRED_LOG_ODDS: f64 = -30.0;
-const KEPT_LOG_ODDS: f64 = 30.0;
-/// Growth of the log likelihood that a richer effect, or a second one, must bring to stand for one that serves as well.
+/// Gain of the log likelihood from which on a richer or a second effect is preferred: the odds of 300 to 1.
 const WORTH_A_SECOND_NATS: f64 = 5.7;
 
 /// Verdict of a refit on the linear solution.
 #[derive(PartialEq)]
 pub(super) enum RefitVerdict {
-    /// An effect that is not there, and what is left of its probability.
+    /// The effect is refuted; `probability` is the posterior probability that remains.
     Barred { id: &'static str, probability: f64 },
-    /// One that is there.
+    /// The effect is confirmed.
     Kept { id: &'static str },
 }
 
-/// Keeps effects out of the sets, or in them, as refits found, and out pairs for which `one` was found to stand as well.
+/// Applies the verdicts to the prior odds, and excludes the pairs of effects that `one` replaces.
 pub(super) fn bar(linear: &mut Linear, verdicts: &[RefitVerdict], one: Option<&'static str>) {
     let one = one.and_then(effect::find);
     for pair in one.map_or(&[][..], |one| one.card().stands_for) {
-        let places = pair.map(|id| linear.candidates.iter().position(|own| own.id == id));
-        if let [Some(a), Some(b)] = places {
+        let indices = pair.map(|id| linear.candidates.iter().position(|own| own.id == id));
+        if let [Some(a), Some(b)] = indices {
             linear.candidates[a].excludes.push(b);
             linear.candidates[b].excludes.push(a);
         }
@@ -45,7 +45,7 @@ pub(super) fn bar(linear: &mut Linear, verdicts: &[RefitVerdict], one: Option<&'
                     candidate.log_odds = BARRED_LOG_ODDS;
                 }
                 RefitVerdict::Kept { id } if *id == candidate.id => {
-                    candidate.log_odds = log_odds + KEPT_LOG_ODDS;
+                    candidate.log_odds = log_odds - BARRED_LOG_ODDS;
                 }
                 _ => {}
             }
@@ -53,16 +53,16 @@ pub(super) fn bar(linear: &mut Linear, verdicts: &[RefitVerdict], one: Option<&'
     }
 }
 
-/// Keeps what is there wholly or not at all, and is not in the model, out of the sets.
-pub(super) fn bar_wholes(linear: &mut Linear) {
+/// Excludes the effects of fixed size that the model lacks.
+pub(super) fn bar_fixed_sizes(linear: &mut Linear) {
     let candidates = linear.candidates.iter_mut();
-    for candidate in candidates.filter(|own| own.is_whole() && !own.in_model) {
+    for candidate in candidates.filter(|own| own.has_fixed_size() && !own.in_model) {
         candidate.log_odds = BARRED_LOG_ODDS;
     }
 }
 
-/// The effects of `hypothesis` that the linear solution took out where `next`, refitted, is clearly worse without them: it is
-/// wrong where what an effect does is not in proportion to its size, as impacts' times to a delay.
+/// Effects of `hypothesis` that the linear solution removed although the refit `next` without them is clearly worse: the linear
+/// solution is wrong for effects that are not proportional to their size, for example a delay that shifts impacts.
 pub(super) fn needed(
     hypothesis: &Hypothesis,
     next: &Refit,
@@ -79,7 +79,7 @@ pub(super) fn needed(
     kept.collect()
 }
 
-/// Gives effects that were barred what the refit left of their probability.
+/// Sets the probability of refuted effects to the one that the refit left them, if that is larger.
 pub(super) fn keep_doubts(verdicts: &[RefitVerdict], linear: &Linear, posterior: &mut Posterior) {
     for (candidate, p) in linear.candidates.iter().zip(&mut posterior.probability) {
         for verdict in verdicts {
@@ -92,8 +92,8 @@ pub(super) fn keep_doubts(verdicts: &[RefitVerdict], linear: &Linear, posterior:
     }
 }
 
-/// Each effect with those that it may stand for: with the two that are this one to first order, then the simpler ones of a
-/// limit with the richer one. Each fits what the other does to some degree.
+/// Each effect with those that it may replace: first one effect for two that equal it to first order, then the simpler effect
+/// that is the limit of a richer one.
 fn substitutes() -> impl Iterator<Item = (&'static str, Vec<&'static str>)> {
     let cards = || CATALOGUE.iter().map(|effect| effect.card());
     let for_two =
@@ -102,8 +102,8 @@ fn substitutes() -> impl Iterator<Item = (&'static str, Vec<&'static str>)> {
     for_two.chain(at_limit)
 }
 
-/// The effect of a model that was fitted down to its limit, to 0.02, behind the simpler one that it is there: the gaps of a
-/// current that end below the least boundary of a converter are a drop of brushes, however softly it builds up.
+/// The simpler effect and the richer one of the model whose fitted parameter is within 2 % of the limit where both are equal:
+/// discontinuous conduction with its boundary at the least one of any converter is a voltage drop of the brushes.
 pub(super) fn at_limit(model: &Model) -> Option<[&'static str; 2]> {
     model.effects.iter().find_map(|active| {
         let limit = active.effect.card().limit?;
@@ -112,7 +112,7 @@ pub(super) fn at_limit(model: &Model) -> Option<[&'static str; 2]> {
     })
 }
 
-/// Sets as the linear solution weighs them.
+/// Posterior of the linear solution.
 pub(super) struct Weighed<'a> {
     pub(super) hypothesis: &'a Hypothesis,
     pub(super) reduced: &'a Reduced,
@@ -121,12 +121,12 @@ pub(super) struct Weighed<'a> {
 }
 
 impl Weighed<'_> {
-    /// The effect of the best set, none of `given`, that a refit refutes most clearly, and the model without it. A linear
-    /// solution is wrong where the columns of an effect depend on its size, as those of a large delay.
+    /// The effect of the best set, except those `given`, that a refit refutes most clearly, and the model without it. The linear
+    /// solution is wrong for effects whose columns depend on their size, for example a large delay.
     pub(super) fn doubtful(&self, given: &[&'static str]) -> Option<(RefitVerdict, Hypothesis)> {
         let best = &self.posterior.best;
         let likelihood = |set: &Set| self.reduced.log_likelihood(&self.reduced.columns(set));
-        let whole = likelihood(best);
+        let of_best = likelihood(best);
         let is_eligible = |(k, candidate): &(usize, &Candidate)| {
             best[*k].is_some() && !candidate.is_unknown() && !given.contains(&candidate.id)
         };
@@ -135,14 +135,14 @@ impl Weighed<'_> {
         if eligible.is_empty() {
             return None;
         }
-        // What is left where it goes, or its deviance where it joins.
+        // Refit without an effect that the model has, or with one that it lacks.
         let refitted = |(k, candidate): &(usize, &Candidate)| {
             if candidate.in_model {
                 return fit(&self.hypothesis.without(candidate.id), self.runs).map(Some);
             }
             let mut with = present(&self.reduced.linear);
             with[*k] = best[*k];
-            let start = placed(self.hypothesis, self.reduced, &with, self.runs)?;
+            let start = with_event_times(self.hypothesis, self.reduced, &with, self.runs)?;
             Some(fit(&start, self.runs))
         };
         let (base, refitted) = rayon::join(
@@ -154,14 +154,14 @@ impl Weighed<'_> {
         );
         let base = base?;
         let removals = eligible.iter().zip(refitted?).map(|((k, candidate), refit)| {
-            let promised = whole - likelihood(&without(best, *k));
+            let promised = of_best - likelihood(&without(best, *k));
             let change = refit.as_ref();
             let change = change.map_or(0.0, |refit| 0.5 * (refit.deviance - base.deviance));
             let gained = if candidate.in_model { change } else { -change };
             let left = refit.filter(|_| candidate.in_model);
             let left = left.map_or_else(|| self.hypothesis.clone(), |left| left.hypothesis);
             let is_kept = candidate.log_odds > 0.0;
-            let raised = if is_kept { KEPT_LOG_ODDS } else { 0.0 };
+            let raised = if is_kept { -BARRED_LOG_ODDS } else { 0.0 };
             let odds = self.posterior.log_factor[*k] - raised - (promised - gained).max(0.0);
             (odds, candidate.id, left)
         });
@@ -171,8 +171,7 @@ impl Weighed<'_> {
         Some((RefitVerdict::Barred { id, probability }, left))
     }
 
-    /// A simple effect, and the model with it in the place of a richer one, or of two that it is alike to, where those are not
-    /// clearly better.
+    /// A simpler effect, and the model with it instead of a richer one or of two others that fit no better.
     pub(super) fn simpler(&self, given: &[&'static str]) -> Option<(&'static str, Hypothesis)> {
         let there = &self.hypothesis.model;
         substitutes().find_map(|(simple, others)| {
@@ -195,10 +194,10 @@ impl Weighed<'_> {
             let mut start = self.hypothesis.clone();
             start.model.effects.retain(|active| !is_one(&active));
             start.model.effects.push(ActiveEffect::with(effect, &[begin]));
-            // Errors of the form are in proportion to the size that it is filtered with: the second time that is its own.
+            // The process noise of its form is proportional to the size used for filtering: the second fit uses the fitted size.
             let left = fit(&fit(&start, self.runs)?.hypothesis, self.runs)?;
             let rich = fit(self.hypothesis, self.runs)?;
-            // With more than 0.05 of the squares more its form is another than that at the limit.
+            // Squares that are 5 % larger: the form differs from that at the limit.
             let limit = at_limit(there);
             let is_limit = limit.is_some_and(|[limit, rich]| limit == simple && others == [rich])
                 && left.squares < 1.05 * rich.squares;
@@ -217,8 +216,6 @@ mod tests {
     use crate::kit::{nameplate, record, truth, with};
     use drivebench_model::plant::{Effect, Scenario, State};
 
-    /// The least boundary of the gaps of a converter, A.
-    const LEAST_BOUNDARY_A: f64 = 0.9;
     const DELAYS: [&str; 3] = ["command_delay", "speed_delay", "current_filter"];
 
     fn gaps(extra_ohm: f64, boundary_a: f64) -> Model {
@@ -230,7 +227,7 @@ mod tests {
         [LinearisedRun::new(model, run, State::default(), noise).unwrap()]
     }
 
-    /// What `about` makes of the sets weighed from `model` on in a run of `machine`, with `change` of the linear problem.
+    /// `about` of the posterior of a run of `machine`, linearised about `model` and changed by `change`.
     fn weighed<T>(
         [machine, model]: [&Model; 2],
         eligible: &[&'static str],
@@ -256,13 +253,15 @@ mod tests {
 
     #[test]
     fn gaps_below_any_converter_are_a_drop_of_brushes() {
+        // The least boundary of discontinuous conduction, A.
+        let least_boundary_a = 0.9;
         let brushes = ["voltage_drop", "discontinuous_conduction"];
-        assert_eq!(at_limit(&gaps(1.4, LEAST_BOUNDARY_A)), Some(brushes));
-        assert_eq!(at_limit(&gaps(1.4, 1.5 * LEAST_BOUNDARY_A)), None);
+        assert_eq!(at_limit(&gaps(1.4, least_boundary_a)), Some(brushes));
+        assert_eq!(at_limit(&gaps(1.4, 1.5 * least_boundary_a)), None);
         assert_eq!(at_limit(&truth("voltage_drop", &[0.9])), None);
         // A small drop hardly shows, whatever its form; of a large one the form does.
         for (extra_ohm, stands) in [(0.05, true), (4.0, false)] {
-            let machine = gaps(extra_ohm, LEAST_BOUNDARY_A);
+            let machine = gaps(extra_ohm, least_boundary_a);
             let simpler = weighed([&machine; 2], &brushes, |_| {}, |own| own.simpler(&[]));
             assert_eq!(simpler.is_some(), stands, "{extra_ohm} ohm");
         }
@@ -275,8 +274,8 @@ mod tests {
             [(nameplate(), true), (nameplate().with_effect(id).unwrap(), false)]
         {
             let odds = |linear: &mut Linear| {
-                bar_wholes(linear);
-                let mut wholes = linear.candidates.iter().filter(|own| own.is_whole());
+                bar_fixed_sizes(linear);
+                let mut wholes = linear.candidates.iter().filter(|own| own.has_fixed_size());
                 let found = wholes.any(|own| own.id == id && own.log_odds <= BARRED_LOG_ODDS);
                 assert_eq!(found, is_barred);
             };

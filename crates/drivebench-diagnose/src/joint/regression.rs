@@ -1,5 +1,5 @@
-//! The regression on which effects are selected: candidates with the columns of their forms, their normal equations, and the
-//! Schur complement of columns beside others.
+//! Linear regression for the selection: candidates with the columns of their forms, normal equations, and the Schur complement of
+//! some columns given others.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
@@ -9,24 +9,25 @@ use drivebench_model::plant::{Effect, Model};
 
 /// Prior deviation of the size of an effect, in typical sizes (0.03 of the largest torque or voltage).
 pub(super) const SLAB: f64 = 2.0;
-/// Mean square of the innovations above which a linear solution does not hold, and refutes nothing.
+/// Mean square of the innovations (1 under the model) above which the linearisation is not trusted to reject a form.
 pub(super) const FAR_MEAN_SQUARE: f64 = 3.0;
-/// Deviation of the share of an effect without coefficients that is there, for the form that was tried.
-const WHOLE: f64 = 0.15;
+/// Prior deviation of the share of an effect of fixed size (1: present as tried, 0: absent): its column has slab units of this
+/// share.
+const FIXED_SIZE_SD: f64 = 0.15;
 
 /// One column of a form.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Column {
-    /// Its number among all columns.
+    /// Index among all columns.
     pub(super) at: usize,
-    /// The parameter that it is of; none of another form.
+    /// Index of its parameter; none for an error of the form.
     pub(super) parameter: Option<usize>,
     /// Size of its unit, in the unit of its parameter.
     pub(super) unit: f64,
-    /// Where the model has the effect already: the coordinate that it has there.
+    /// Value that the model has already, in `unit`.
     pub(super) present: f64,
-    /// Of an event the run and when it happens there, s after the run's first command.
-    pub(super) moment: Option<(usize, f64)>,
+    /// Of an event: the run and its time there, s after the run's first command.
+    pub(super) event_time: Option<(usize, f64)>,
 }
 
 impl Column {
@@ -41,9 +42,9 @@ pub(super) struct Variant {
     pub(super) columns: Vec<Column>,
     /// Values of all parameters, coefficients at the slab.
     pub(super) values: Vec<f64>,
-    /// Whether it is at the moment of another event of the model: only there do runs tell the two apart, or not.
+    /// Whether it has the time of another event of the model, so that the two can be compared.
     pub(super) is_rival: bool,
-    /// Prior mean of its first column, in its unit, of an effect that is there wholly or not at all; else zero.
+    /// Prior mean of its first column, in its unit, of an effect of fixed size; else zero.
     pub(super) mean: f64,
     pub(super) positive: bool,
     pub(super) log_prior: f64,
@@ -55,13 +56,13 @@ impl Variant {
         self.columns.iter().map(|column| column.at)
     }
 
-    /// Of an event the runs in which it happens, each with its moment.
-    pub(super) fn moments(&self) -> impl Iterator<Item = (usize, f64)> + '_ {
-        self.columns.iter().filter_map(|column| column.moment)
+    /// Of an event the runs in which it happens, each with its time.
+    pub(super) fn event_times(&self) -> impl Iterator<Item = (usize, f64)> + '_ {
+        self.columns.iter().filter_map(|column| column.event_time)
     }
 }
 
-/// Fisher information of one column beside others and its score, the gradient of the log likelihood at zero, both in slabs.
+/// Fisher information and score (gradient of the log likelihood at zero) of one column given others, in slabs.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ColumnInformation {
     pub(super) information: f64,
@@ -78,27 +79,27 @@ pub(super) struct Candidate {
     pub(super) in_model: bool,
     pub(super) log_odds: f64,
     pub(super) variants: Vec<Variant>,
-    /// Information of all moments of an event beside the model, where few of them have columns.
-    pub(super) moments: Vec<ColumnInformation>,
-    /// Candidates that are out where this one is in.
+    /// Information about an event at each time of the grid, also at those without a column.
+    pub(super) event_information: Vec<ColumnInformation>,
+    /// Candidates that cannot be in a set with this one.
     pub(super) excludes: Vec<usize>,
 }
 
 impl Candidate {
-    /// Whether it is there wholly or not at all, as a shaft's elasticity: it has shapes and no size.
-    pub(super) fn is_whole(&self) -> bool {
+    /// Whether it has shape parameters and no coefficient, as a shaft's elasticity: it is present at its size or absent.
+    pub(super) fn has_fixed_size(&self) -> bool {
         self.variants[0].mean > 0.0
     }
 
-    /// Whether `size` of a form that is there wholly or not at all would be another share of it: the linear solution does
-    /// not hold there. What the model has already was fitted: there its shapes need another fit.
+    /// Whether `size` of a form of fixed size differs from that size by more than a half, so that the linear solution does not
+    /// hold. An effect of the model is exempt: its shapes are refitted.
     pub(super) fn exceeds_linear_range(&self, size: f64, form: &Variant) -> bool {
         !self.in_model && form.mean > 0.0 && (size / form.mean - 1.0).abs() > 0.5
     }
 
-    /// Whether it happens once, in each run at a moment of its own.
+    /// Whether it begins at an unknown time of each run.
     pub(super) fn is_event(&self) -> bool {
-        self.variants[0].moments().next().is_some()
+        self.variants[0].event_times().next().is_some()
     }
 
     /// Whether it is a curve that no effect gives.
@@ -107,17 +108,17 @@ impl Candidate {
     }
 }
 
-/// How a column comes about.
+/// Computation of a column.
 pub(super) enum Source {
-    /// The difference that another model makes, over a step.
+    /// Difference quotient of two simulations.
     Difference {
         model: Model,
         step: f64,
     },
     Tangent(Tangent),
-    /// Likewise, in one of the runs only.
+    /// Tangent in the run of this number only.
     In(usize, Tangent),
-    /// Computed for the beginning of the first run already, and of no interest beyond.
+    /// Already computed for the beginning of the first run, and not needed beyond.
     Known(Vec<f32>),
 }
 
@@ -183,15 +184,14 @@ impl Form {
         Self { variant, sources: vec![] }
     }
 
-    /// Of an effect without coefficients, in the model or not: the difference that the model without it or with it makes.
-    pub(super) fn whole(&mut self, other: Model, in_model: bool) {
-        self.variant.mean = 1.0 / WHOLE;
-        let (sign, present) = if in_model { (-1.0, 1.0 / WHOLE) } else { (1.0, 0.0) };
-        let source = Source::difference(other, sign / WHOLE);
+    /// The column of an effect of fixed size: `other` is the model without it if it is in the model, else with it.
+    pub(super) fn fixed_size(&mut self, other: Model, in_model: bool) {
+        self.variant.mean = 1.0 / FIXED_SIZE_SD;
+        let (sign, present) = if in_model { (-1.0, 1.0 / FIXED_SIZE_SD) } else { (1.0, 0.0) };
+        let source = Source::difference(other, sign / FIXED_SIZE_SD);
         self.column(source, Column::of(None, 0.0, present));
     }
 
-    /// One column more, numbered when all are known.
     pub(super) fn column(&mut self, source: Source, column: Column) {
         self.sources.push(source);
         self.variant.columns.push(column);
@@ -201,7 +201,7 @@ impl Form {
 /// The linear problem of one or several runs.
 #[derive(Clone)]
 pub(super) struct Linear {
-    /// Prior deviations of what is always in: the motor's parameters and the stamps' errors.
+    /// Prior deviations of the nuisances: the motor's parameters and errors of the time stamps.
     pub(super) nuisances: Vec<f64>,
     pub(super) candidates: Vec<Candidate>,
     pub(super) gram: DMatrix<f64>,
@@ -230,7 +230,7 @@ impl Linear {
     }
 }
 
-/// The normal equations of columns that are in, beside which others are weighed.
+/// Normal equations of included columns, given which others are evaluated.
 pub(super) struct Base {
     pub(super) factor: Cholesky<f64, Dyn>,
     pub(super) right: DVector<f64>,
@@ -244,7 +244,7 @@ impl Base {
         Some(Self { factor, right })
     }
 
-    /// Of whitened columns with their prior `precision`, and what they leave to explain.
+    /// Of whitened columns with their prior `precision` and the residual to be explained.
     pub(super) fn of_runs(
         residuals: &[&[[f64; 2]]],
         base: &[Whitened],
@@ -264,8 +264,9 @@ impl Base {
         Some(Self { factor, right })
     }
 
-    /// Information and score of a column with these products with the base, with itself and with the residual.
-    pub(super) fn left(&self, cross: &DVector<f64>, own: f64, rest: f64) -> [f64; 2] {
+    /// Information and score of a column given the base, from its products with the base (`cross`), itself (`own`) and the
+    /// residual (`rest`).
+    pub(super) fn schur_complement(&self, cross: &DVector<f64>, own: f64, rest: f64) -> [f64; 2] {
         let solved = self.factor.solve(cross);
         [own - cross.dot(&solved), rest - self.right.dot(&solved)]
     }
@@ -295,7 +296,8 @@ impl Base {
     ) -> ColumnInformation {
         let m = self.right.len();
         let cross = DVector::from_fn(m, |r, _| products[r][lane]);
-        let [information, score] = self.left(&cross, products[m + 1][lane], products[m][lane]);
+        let [information, score] =
+            self.schur_complement(&cross, products[m + 1][lane], products[m][lane]);
         ColumnInformation { information, score, unit }
     }
 }

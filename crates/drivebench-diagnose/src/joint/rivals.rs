@@ -1,20 +1,20 @@
-//! Confounded effects: which effects the runs do not tell apart, and how they share the probability of one of them.
+//! Confounded effects: pairs whose log likelihoods differ too little to distinguish them, and how they share the probability.
 
 use super::marginal::{Inferred, NAMED_PROBABILITY};
 use super::search::SearchResult;
 use super::select::{Set, without};
 
-/// Two effects of which these runs want one and cannot say which.
+/// Two effects of which the runs support one without distinguishing which.
 pub(super) struct Rival {
     pub(super) pair: [&'static str; 2],
-    /// Loss of log likelihood with the second in the place of the first.
+    /// Loss of log likelihood if the second replaces the first.
     loss_nats: f64,
-    /// Whether both happen once.
+    /// Whether both are events.
     are_events: bool,
 }
 
-/// Pairs of an effect of the best set and one that serves nearly as well in its place when everything else moves along, whatever
-/// the priors of their sizes are.
+/// Pairs of an effect of the best set and one that fits nearly as well in its place, all other parameters estimated anew, without
+/// the priors of their sizes.
 pub(super) fn confusable(found: &SearchResult) -> Vec<Rival> {
     let reduced = &found.reduced;
     let candidates = &reduced.linear.candidates;
@@ -25,7 +25,7 @@ pub(super) fn confusable(found: &SearchResult) -> Vec<Rival> {
         let Some(own) = best[j].filter(|_| !present.is_unknown()) else {
             continue;
         };
-        // What another form of its onset explains it would of the rival's: it is left out of both.
+        // Perturbations of the form of its onset would serve the rival too: leave them out of both.
         let mut columns = reduced.columns(best);
         if present.is_event() {
             let bends = present.variants[own].columns.iter();
@@ -36,7 +36,7 @@ pub(super) fn confusable(found: &SearchResult) -> Vec<Rival> {
         let most = reduced.log_likelihood(&columns);
         for (k, rival) in candidates.iter().enumerate() {
             let pair = [present.id, rival.id];
-            let is_open = best[k].is_none() && !rival.is_unknown() && !rival.is_whole();
+            let is_open = best[k].is_none() && !rival.is_unknown() && !rival.has_fixed_size();
             if !is_open || present.id == rival.id || rivals.iter().any(|own| own.pair == pair) {
                 continue;
             }
@@ -45,7 +45,7 @@ pub(super) fn confusable(found: &SearchResult) -> Vec<Rival> {
                 .filter(|set| reduced.signs_are_right(set));
             let logs = forms.map(|set| likelihood(&set));
             let loss_nats = most - logs.fold(f64::NEG_INFINITY, f64::max);
-            // Two standard deviations and a half.
+            // 3 nats: 2.45 standard deviations.
             if loss_nats < 3.0 {
                 rivals.push(Rival {
                     pair,
@@ -58,8 +58,8 @@ pub(super) fn confusable(found: &SearchResult) -> Vec<Rival> {
     rivals
 }
 
-/// Shares the probability of what happened once among all that explains the same at the same moment, once and by their
-/// likelihoods: the one in the best set was fitted to its moment, and the posterior weighs the others at the moments of a grid.
+/// Shares the probability of an event among the events that explain the same at the same time, by their likelihoods: the one in the
+/// best set has its fitted time, but the posterior of the others is at times of a grid and too small.
 pub(super) fn share_among_events(effects: &mut [Inferred], rivals: &[Rival]) {
     let mut left: Vec<&Rival> = rivals.iter().filter(|rival| rival.are_events).collect();
     while let Some([fitted, _]) = left.first().map(|rival| rival.pair) {
@@ -69,8 +69,8 @@ pub(super) fn share_among_events(effects: &mut [Inferred], rivals: &[Rival]) {
     }
 }
 
-/// Shares the probability of the event `fitted` and of `rivals` by the weights `exp(-loss)`, one and no more for the fitted.
-/// Whose share is less than it has keeps what it has, and the others share the rest.
+/// Shares the total probability of the event `fitted` and of its `rivals` by the weights `exp(-loss)`, at most 1 for the rivals and
+/// 1 for the fitted. A rival whose probability exceeds its share keeps it, and the others share the rest.
 fn share_of_one(effects: &mut [Inferred], fitted: &str, rivals: Vec<&Rival>) {
     let place = |id: &str| effects.iter().position(|own| own.id() == id);
     let Some(first) = place(fitted) else {
@@ -98,9 +98,9 @@ fn share_of_one(effects: &mut [Inferred], fitted: &str, rivals: Vec<&Rival>) {
     }
 }
 
-/// Halves the probability of an effect that was fitted down to its limit between it and the `simpler` one that it is there,
-/// unless it was given, as with gaps of the current and a drop of brushes that is too soft for its own form: these runs do not tell
-/// the two apart. The bound of the simpler one's own form, beside the other or in its place, does not hold then.
+/// Halves the probability of an effect at its limit between it and the `simpler` one that it equals there, unless it was given:
+/// the runs do not distinguish them, for example discontinuous conduction and a soft voltage drop. The bound of the simpler effect
+/// was computed for its own form and does not hold.
 pub(super) fn share_at_limit(
     [simpler, limited]: [&'static str; 2],
     effects: &mut [Inferred],

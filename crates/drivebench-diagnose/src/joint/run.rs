@@ -1,26 +1,26 @@
-//! A run linearised along the Kalman filter of one model: its innovations, and how deviations from its trajectory go on.
+//! Run linearised along the Kalman filter of one model: innovations, and the transition of deviations from its trajectory.
 
-use super::kalman::{Dynamics, Followed, Follower, Noise, follow, lead};
+use super::kalman::{Dynamics, FilterGains, FilteredRun, Noise, filter_run, innovations_with};
 use super::process_noise::constants;
-use super::tangent::{Step, Tangent, carry};
+use super::tangent::{Step, Tangent, propagate};
 use crate::work::Work;
 use drivebench_model::plant::{ActiveEffect, Input, Instant, Model, Scenario, ShaftAngle, State};
 
 pub(super) struct LinearisedRun<'a> {
     pub(super) model: Model,
-    /// What of the model happens in this run alone.
+    /// Events of this run alone.
     events: Vec<ActiveEffect>,
     pub(super) scenario: &'a Scenario,
     pub(super) start: State,
     pub(super) noise: Noise,
-    pub(super) follower: Follower,
-    pub(super) followed: Followed,
+    pub(super) gains: FilterGains,
+    pub(super) filtered: FilteredRun,
     pub(super) dynamics: Dynamics,
     /// The middle of the interval before each sample.
     pub(super) instants: Vec<Instant>,
     /// Transition of deviations over that interval.
     pub(super) steps: Vec<Step>,
-    /// Where simulations of it are counted.
+    /// Counter of the simulated sub-steps.
     work: Option<&'a Work>,
 }
 
@@ -34,7 +34,7 @@ impl<'a> LinearisedRun<'a> {
         Self::with(model, vec![], scenario, start, noise, None)
     }
 
-    /// With events that other runs do not have; its simulations are counted in `work`.
+    /// With events of this run alone; simulated sub-steps are counted in `work`.
     pub(super) fn with(
         model: &Model,
         events: Vec<ActiveEffect>,
@@ -44,37 +44,37 @@ impl<'a> LinearisedRun<'a> {
         work: Option<&'a Work>,
     ) -> Option<Self> {
         let model = with_events(model, &events);
-        let (follower, followed) = lead(&model, scenario, start, &noise)?;
-        let mut white = followed.white.iter().flatten();
+        let (gains, filtered) = filter_run(&model, scenario, start, &noise)?;
+        let mut white = filtered.white.iter().flatten();
         if !white.all(|white| white.is_finite()) {
             return None;
         }
         let dynamics = Dynamics::of(&model, scenario.input)?;
-        let passages = follower.passages.iter().zip(&follower.forgets);
-        let steps = passages.map(|(passage, forget)| {
-            if passage.interval_s > 0.0 {
-                Step::of(passage, *forget, &dynamics)
+        let transitions = gains.transitions.iter().zip(&gains.decays);
+        let steps = transitions.map(|(transition, decay)| {
+            if transition.interval_s > 0.0 {
+                Step::of(transition, *decay, &dynamics)
             } else {
-                Step::still()
+                Step::identity()
             }
         });
         Some(Self {
             steps: steps.collect(),
-            instants: instants(&model, scenario, &followed),
+            instants: instants(&model, scenario, &filtered),
             model,
             events,
             scenario,
             start,
             noise,
-            follower,
-            followed,
+            gains,
+            filtered,
             dynamics,
             work,
         })
     }
 
-    /// The same run, or a part of it, around another model.
-    pub(super) fn around<'b>(
+    /// The same run, or a part of it, linearised along another model.
+    pub(super) fn relinearised<'b>(
         &self,
         model: &Model,
         events: Vec<ActiveEffect>,
@@ -86,7 +86,6 @@ impl<'a> LinearisedRun<'a> {
         LinearisedRun::with(model, events, scenario, self.start, self.noise, self.work)
     }
 
-    /// Counts sub-steps that were simulated of it.
     pub(super) fn count(&self, steps: u64) {
         if let Some(work) = self.work {
             work.add(steps);
@@ -98,22 +97,22 @@ impl<'a> LinearisedRun<'a> {
     pub(super) fn difference(&self, model: &Model, scenario: &Scenario, step: f64) -> Vec<f32> {
         let model = with_events(model, &self.events);
         let mut out = Vec::with_capacity(scenario.samples());
-        let follower = &self.follower;
-        let steps = follow(follower, &model, scenario, self.start, &self.noise, &mut out);
+        let gains = &self.gains;
+        let steps = innovations_with(gains, &model, scenario, self.start, &self.noise, &mut out);
         let Some(steps) = steps else {
             return vec![0.0; 2 * scenario.samples()];
         };
         self.count(steps);
         let over = 1.0 / step;
-        let pairs = out.iter().zip(&self.followed.white);
+        let pairs = out.iter().zip(&self.filtered.white);
         let change = |(a, b): (&[f64; 2], &[f64; 2])| [0, 1].map(|k| single((b[k] - a[k]) * over));
         bounded(pairs.flat_map(change).collect())
     }
 
-    /// Columns of as many tangents as there are lanes, or fewer.
-    pub(super) fn along(&self, tangents: &[&Tangent]) -> Vec<Vec<f32>> {
+    /// Columns of at most [`LANES`](super::tangent::LANES) tangents.
+    pub(super) fn tangent_columns(&self, tangents: &[&Tangent]) -> Vec<Vec<f32>> {
         let mut columns = vec![Vec::with_capacity(self.rows()); tangents.len()];
-        carry(self, tangents, |first, white| {
+        propagate(self, tangents, |first, white| {
             for (lane, column) in columns.iter_mut().enumerate() {
                 column.resize(2 * first, 0.0);
                 column.extend(white.iter().map(|row| single(row[lane])));
@@ -122,21 +121,21 @@ impl<'a> LinearisedRun<'a> {
         columns.into_iter().map(bounded).collect()
     }
 
-    /// Two for each sample, whether measured or not.
+    /// Rows of its columns: two for each sample, measured or not.
     pub(super) fn rows(&self) -> usize {
         2 * self.scenario.samples()
     }
 }
 
-/// Zero in the place of a column that grows without bound along the run, as the oscillation of a stiff shaft in a form far from
-/// the run: the motor's own parameters reach 1e6 standard deviations, and one larger number spoils every solution.
+/// Replaces a column that diverges (a stiff shaft in a form far from the run) by zeros. Columns of the motor's parameters reach
+/// 1e6 standard deviations; beyond 1e12 the normal equations are singular in double precision.
 fn bounded(column: Vec<f32>) -> Vec<f32> {
     if column.iter().all(|cell| cell.abs() < 1e12) { column } else { vec![0.0; column.len()] }
 }
 
 /// Sum of the squares of the innovations.
 pub(super) fn squares(runs: &[LinearisedRun<'_>]) -> f64 {
-    let white = runs.iter().flat_map(|run| run.followed.white.iter());
+    let white = runs.iter().flat_map(|run| run.filtered.white.iter());
     white.flatten().map(|value| value * value).sum()
 }
 
@@ -146,12 +145,12 @@ pub(super) fn with_events(model: &Model, events: &[ActiveEffect]) -> Model {
     model
 }
 
-#[expect(clippy::cast_possible_truncation, reason = "stored like this")]
+#[expect(clippy::cast_possible_truncation, reason = "columns are stored in single precision")]
 const fn single(value: f64) -> f32 {
     value as f32
 }
 
-fn instants(model: &Model, scenario: &Scenario, followed: &Followed) -> Vec<Instant> {
+fn instants(model: &Model, scenario: &Scenario, filtered: &FilteredRun) -> Vec<Instant> {
     let angles = scenario.shaft_angle();
     let motor = constants(model, scenario);
     let instant = |sample: usize| {
@@ -165,7 +164,7 @@ fn instants(model: &Model, scenario: &Scenario, followed: &Followed) -> Vec<Inst
             (Some(point), None) => point.1,
             (None, after) => after.map_or(0.0, |after| after.1),
         };
-        let mean = |k: usize| 0.5 * (followed.after[from][k] + followed.before[sample][k]);
+        let mean = |k: usize| 0.5 * (filtered.after[from][k] + filtered.before[sample][k]);
         let input = scenario.input_at(mid_s);
         let by_voltage = scenario.input == Input::Voltage;
         Instant {

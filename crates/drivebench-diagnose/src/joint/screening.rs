@@ -5,22 +5,22 @@ use rayon::prelude::*;
 
 use super::regression::{Base, FAR_MEAN_SQUARE, Part, Source};
 use super::run::{LinearisedRun, squares};
-use super::tangent::{LANES, Lane, Tangent, carry};
+use super::tangent::{LANES, Lane, Tangent, propagate};
 use super::whitened::Whitened;
 use drivebench_model::plant::Scenario;
 
-/// Forms of one effect that are kept.
+/// Forms of one effect that are kept in each run.
 const KEPT: usize = 6;
 
-/// Forms of one column or two that are carried side by side, and their products with base, residual and each other.
+/// Forms whose columns are propagated in the lanes of one pass, and their products with base, residual and each other.
 struct Group {
     part: usize,
     forms: Vec<usize>,
     products: Vec<Lane>,
 }
 
-/// Leaves of each part with many forms those that explain most of what the model leaves, beside the `base` columns with their
-/// prior `precision`. The priors of the forms that stay are not changed: those of the others are lost.
+/// Keeps of each part with many forms those with the largest likelihood ratio, given the `base` columns with their prior
+/// `precision`. The priors of the kept forms are not renormalised.
 pub(super) fn keep_likeliest(
     parts: &mut [Part],
     runs: &[LinearisedRun<'_>],
@@ -30,7 +30,7 @@ pub(super) fn keep_likeliest(
     let mut groups = Vec::new();
     for (number, part) in parts.iter().enumerate() {
         let (candidate, width) = (&part.candidate, part.sources[0].len());
-        // Small steps of the load at all times add up to a disturbance: they are not dropped.
+        // Load steps at all times together approximate a random-walk disturbance: they are not screened.
         let is_step = candidate.effect.is_some_and(|own| own.card().is_disturbance_step);
         let mut sources = part.sources.iter().flatten();
         if part.sources.len() > KEPT
@@ -48,7 +48,7 @@ pub(super) fn keep_likeliest(
             }
         }
     }
-    let residuals: Vec<&[[f64; 2]]> = runs.iter().map(|run| &run.followed.white[..]).collect();
+    let residuals: Vec<&[[f64; 2]]> = runs.iter().map(|run| &run.filtered.white[..]).collect();
     let Some(given) = Base::of_runs(&residuals, base, precision) else {
         return;
     };
@@ -60,7 +60,7 @@ pub(super) fn keep_likeliest(
             let tangents: Vec<&Tangent> = tangents.collect();
             if !tangents.is_empty() {
                 let columns: Vec<&[f32]> = base.columns.iter().map(|own| &own[..]).collect();
-                let residual = &run.followed.white;
+                let residual = &run.filtered.white;
                 add_products(run, &columns, residual, &tangents, &mut group.products);
             }
         }
@@ -73,7 +73,7 @@ pub(super) fn keep_likeliest(
                 if part.candidate.is_event() {
                     let unit = part.candidate.variants[*form].columns[0].unit;
                     let information = given.information(&group.products, place, unit);
-                    part.candidate.moments.push(information);
+                    part.candidate.event_information.push(information);
                 }
                 gains.push((*form, given.gain(&group.products, place * width, width)));
             }
@@ -94,11 +94,11 @@ pub(super) fn keep_likeliest(
 }
 
 impl Part {
-    /// The forms of an event of each run; of what all runs share all forms.
+    /// Indices of the forms, grouped by the run of the event; one group for an effect that all runs share.
     fn by_run(&self) -> Vec<Vec<usize>> {
         let run = |form: &usize| {
-            let mut moments = self.candidate.variants[*form].moments();
-            moments.next().map_or(0, |moment| moment.0)
+            let mut event_times = self.candidate.variants[*form].event_times();
+            event_times.next().map_or(0, |event_time| event_time.0)
         };
         let forms: Vec<usize> = (0..self.sources.len()).collect();
         let of_runs = forms.chunk_by(|a, b| run(a) == run(b));
@@ -106,26 +106,26 @@ impl Part {
     }
 }
 
-/// Leaves out forms of what is there wholly or not at all that the beginning of a run refutes already: each that is left
-/// costs a simulation of every run. Where it refutes all, the nearest stays with its column there. Nothing is refuted where the
-/// model is far from the data, or where the beginning holds too little information.
+/// Drops forms of effects of fixed size that the first sixth of the run refutes, because each form costs a simulation of every
+/// run. If all are refuted, the nearest stays with its column of that part. Nothing is dropped where the model is far from the
+/// data or the first sixth holds too little information.
 pub(super) fn drop_refuted(
     parts: &mut [Part],
     run: &LinearisedRun<'_>,
     base: &Whitened,
     precision: &[f64],
 ) {
-    if squares(std::slice::from_ref(run)) > FAR_MEAN_SQUARE * run.follower.rows as f64 {
+    if squares(std::slice::from_ref(run)) > FAR_MEAN_SQUARE * run.gains.rows as f64 {
         return;
     }
     // A sixth of the run.
     let beginning = beginning(run.scenario, run.scenario.samples().div_ceil(6));
     let base = base.beginning(2 * beginning.samples());
-    let residual = &run.followed.white[..beginning.samples()];
+    let residual = &run.filtered.white[..beginning.samples()];
     let Some(given) = Base::of_runs(&[residual], std::slice::from_ref(&base), precision) else {
         return;
     };
-    // The share of the effect that is there, and its column, where the whole of it makes 20 standard deviations.
+    // Estimated size over the fixed one, and the column, if the effect makes at least 20 standard deviations.
     let look = |source: &Source, mean: f64| -> Option<(f64, Vec<f32>)> {
         let Source::Difference { model, step } = source else {
             return None;
@@ -134,17 +134,17 @@ pub(super) fn drop_refuted(
         let products = base.products(&column, residual);
         let k = precision.len();
         let cross = products.rows(0, k).into_owned();
-        let [own, rest] = given.left(&cross, products[k], products[k + 1]);
+        let [own, rest] = given.schur_complement(&cross, products[k], products[k + 1]);
         (own * mean * mean > 20.0 * 20.0).then(|| (rest / own / mean, column))
     };
-    let wholes = parts.par_iter_mut();
-    let wholes = wholes.filter(|own| !own.candidate.in_model && own.candidate.is_whole());
-    wholes.for_each(|part| {
+    let parts = parts.par_iter_mut();
+    let fixed_sizes = parts.filter(|own| !own.candidate.in_model && own.candidate.has_fixed_size());
+    fixed_sizes.for_each(|part| {
         let mean = part.candidate.variants[0].mean;
         let forms = part.sources.par_iter().with_max_len(1);
         let looks: Vec<Option<(f64, Vec<f32>)>> =
             forms.map(|sources| look(&sources[0], mean)).collect();
-        // Less than a fifth of it is not there wholly.
+        // An estimate below a fifth of the fixed size refutes the effect.
         let refuted =
             |look: &Option<(f64, Vec<f32>)>| look.as_ref().is_some_and(|look| look.0 < 0.2);
         if !looks.iter().all(refuted) {
@@ -183,7 +183,7 @@ pub(super) fn add_products(
     let [with_rest, squares, pairs] = others else {
         return;
     };
-    carry(run, tangents, |first, white| {
+    propagate(run, tangents, |first, white| {
         for (sum, column) in with_base.iter_mut().zip(columns) {
             let mut part = [0.0; LANES];
             // A column may end early.
@@ -267,9 +267,9 @@ mod tests {
     fn an_event_is_weighed_at_the_moment_of_another() {
         let stepped = truth("load_step", &[0.1, 1.13]);
         let pull = candidates(&stepped, &stepped)("one_sided_load");
-        let mut moments = pull.variants.iter().flat_map(Variant::moments);
-        assert!(moments.any(|(_, time_s)| (time_s - 1.13).abs() < 1e-9));
-        // Moments without columns have their information, too.
-        assert!(pull.moments.len() > pull.variants.len());
+        let mut event_times = pull.variants.iter().flat_map(Variant::event_times);
+        assert!(event_times.any(|(_, time_s)| (time_s - 1.13).abs() < 1e-9));
+        // Times without columns have their information, too.
+        assert!(pull.event_information.len() > pull.variants.len());
     }
 }

@@ -1,7 +1,7 @@
-//! Search for the set of effects by Gauss-Newton: linearised, weighed, refitted and linearised anew until set and noise stand.
+//! Search for the set of effects by iterated linearisation (Gauss-Newton): linearise, select, refit, until set and noise are stable.
 //!
 //! ```text
-//! far from the data   approach: the single effect that, refitted, explains most joins, until the linear solution holds
+//! far from the data   stepwise: forward selection by refits, until the linear solution holds
 //! near                linearise -> noise -> linearise -> posterior over the sets -> refit of the best set -> ...
 //! ```
 
@@ -9,53 +9,60 @@ use super::columns::linearise;
 use super::events::Hypothesis;
 use super::free_run::{disturbance_error, unobserved};
 use super::kalman::Noise;
-use super::leftover::{excess_of, unknown_shares};
-use super::noise::likeliest;
+use super::noise::maximum_likelihood;
 use super::prediction_error::fit;
-use super::refits::{RefitVerdict, Weighed, bar, bar_wholes, keep_doubts, needed};
+use super::refits::{RefitVerdict, Weighed, bar, bar_fixed_sizes, keep_doubts, needed};
 use super::regression::{Candidate, Linear};
+use super::residuals::{excess_of, unknown_shares};
 use super::run::{LinearisedRun, squares};
 use super::select::{Posterior, Reduced, Set, select};
-use super::solution::{Happened, happened, linearised_runs, placed, present};
-use super::stepwise::{approach, nearer};
+use super::solution::{FittedEvent, fitted_events, linearised_runs, present, with_event_times};
+use super::stepwise::{forward_selection, starting_model};
 use crate::progress::{Event as Notice, Progress, Stage};
 use crate::work::Work;
 use drivebench_model::plant::{Effect, Input, Model, Scenario, State};
 
-/// Rounds of weighing and refitting, also where a torque drives: all is linear there, and what does not settle is not in the
-/// catalogue. In the first three the noise is found too.
-const MOST_ROUNDS: usize = 12;
-const MOST_ROUNDS_BY_TORQUE: usize = 5;
-const NOISE_ROUNDS: usize = 3;
-/// Rounds that are spent because an event was found at another moment.
-const MOST_MOVES: usize = 3;
+/// Limits of the iteration, each in rounds of selection and refit.
+struct Limits {
+    with_voltage_input: usize,
+    /// Fewer, because the problem is linear.
+    with_torque_input: usize,
+    /// First rounds in which the noise is estimated.
+    of_noise: usize,
+    /// Further rounds because an event time has changed.
+    of_event_times: usize,
+}
 
-/// What the search ends with.
+const LIMITS: Limits =
+    Limits { with_voltage_input: 12, with_torque_input: 5, of_noise: 3, of_event_times: 3 };
+
+/// Result of the search.
 pub(super) struct SearchResult {
-    /// The best set, fitted on all runs, and when its events happened.
+    /// The best set, fitted to all runs, and its events with their times.
     pub(super) hypothesis: Hypothesis,
-    pub(super) happened: Vec<Happened>,
+    pub(super) fitted_events: Vec<FittedEvent>,
     /// The linear problem around it, with the excess of what is left.
     pub(super) reduced: Reduced,
     pub(super) posterior: Posterior,
-    /// What is random in the runs.
+    /// Noise parameters of the runs.
     pub(super) noise: Noise,
-    /// Excess of what the best set leaves over white noise.
+    /// Long-run variance of the residuals of the best set over that of white noise, at least 1.
     pub(super) excess: f64,
     /// Root mean squares of current, A, and speed, rad/s, that the disturbance makes in a free run of the held-out run.
     pub(super) disturbance_error: [f64; 2],
-    /// The same of what the holes of its record make.
+    /// The same for the unknown commands within its holes.
     pub(super) unobserved: [f64; 2],
-    /// For each candidate that is an unknown part of the best set, its share of the error.
+    /// For each candidate that is an unknown function in the best set, its share of the squared residuals.
     pub(super) unknown_share: Vec<f64>,
-    /// Whether the budget was spent before set and noise stood.
+    /// Whether the budget was spent before set and noise were stable.
     pub(super) is_cut: bool,
 }
 
-/// Names of a set, each with the runs in which it is one that happens.
+/// Effects of a set, each with the runs in which it is an event.
 type Names = Vec<(&'static str, Vec<usize>)>;
 
-/// Whether a set stands: the one before it was the same, or one before that, but for the first, which is of no refit.
+/// Whether a set is stable: equal to the one before it or an earlier one; the first of several counts only for the second, because
+/// no refit preceded it.
 fn was_visited(visited: &[Names], set: &Names) -> bool {
     match visited {
         [first] => first == set,
@@ -63,46 +70,45 @@ fn was_visited(visited: &[Names], set: &Names) -> bool {
     }
 }
 
-/// Whether a set has an event that the model lacks, and nothing new that is there wholly or not at all, for which no linear
-/// solution holds. Put only to a part of a second an event leaves what a disturbance of the load would explain better: it is
-/// placed before the noise is found.
+/// Whether a set has a new event and no new effect of fixed size, for which the linear solution does not hold. The time of such an
+/// event is refined before the noise is estimated: on the coarse grid of times its residual would be taken for a disturbance.
 fn has_new_event(linear: &Linear, set: &Set) -> bool {
     let candidates = linear.candidates.iter().zip(set);
     let new = candidates.filter(|(candidate, form)| form.is_some() && !candidate.in_model);
     let mut new = new.map(|(candidate, _)| candidate);
-    new.clone().any(Candidate::is_event) && !new.any(Candidate::is_whole)
+    new.clone().any(Candidate::is_event) && !new.any(Candidate::has_fixed_size)
 }
 
-/// Whether so much else is random that runs have to be linearised anew.
-fn is_another(noise: &Noise, before: &Noise) -> bool {
+/// Whether two noise models differ so much that the runs have to be filtered and linearised again.
+fn differs(noise: &Noise, before: &Noise) -> bool {
     let change = |a: f64, b: f64| (a / b).ln().abs();
     change(noise.disturbance_n_m, before.disturbance_n_m) > 0.2
         || change(noise.input, before.input) > 0.3
 }
 
-/// The candidates of a set by their names, each with the runs in which it is one that happens.
+/// Effects of a set, each with the runs in which it is an event.
 fn names(linear: &Linear, set: &Set) -> Names {
     let candidates = linear.candidates.iter().zip(set);
     let named = candidates.filter_map(|(candidate, chosen)| {
-        let runs = candidate.variants[(*chosen)?].moments();
-        Some((candidate.id, runs.map(|moment| moment.0).collect()))
+        let runs = candidate.variants[(*chosen)?].event_times();
+        Some((candidate.id, runs.map(|event_time| event_time.0).collect()))
     });
     named.collect()
 }
 
-/// All runs of an answer, where each starts, and the place of the one that is held out.
+/// Runs of a diagnosis, their initial states and the index of the held-out run.
 #[derive(Clone, Copy)]
 pub(super) struct Runs<'a> {
     pub(super) scenarios: &'a [&'a Scenario],
     pub(super) starts: &'a [State],
     pub(super) held_out: usize,
-    /// Whether the noise of the sensors is known, and not the residual of a fit.
+    /// Whether the sensor noise was measured, at standstill, rather than taken from the residual of a fit.
     pub(super) has_floor: bool,
     pub(super) work: &'a Work,
 }
 
 impl<'a> Runs<'a> {
-    /// All of them around a hypothesis.
+    /// All runs, linearised about a hypothesis.
     pub(super) fn linearised_runs(
         &self,
         hypothesis: &Hypothesis,
@@ -112,16 +118,15 @@ impl<'a> Runs<'a> {
         linearised_runs(hypothesis, self.scenarios, self.starts, noise, work)
     }
 
-    /// The first of them.
+    /// The first run alone.
     pub(super) fn first(&self) -> Self {
         Self { scenarios: &self.scenarios[..1], starts: &self.starts[..1], ..*self }
     }
 }
 
-/// Searches from a fitted model on, or from the one that it was fitted from, for the `eligible`, among them what the model has
-/// already; `floor` is the noise to begin with, whose sensors are those at rest. A refit may end where the model is no machine,
-/// or has sensors that are much too late, so that no column means anything: then the last model that could be simulated and
-/// weighed is the answer. `None` where not even the first one can.
+/// Searches the sets of `eligible` effects, from `models`: the fitted model and the one before the fit. `floor` is the initial
+/// noise, with the sensor noise at standstill. A refit may end at parameters that cannot be simulated or linearised; the result
+/// is then the last model that could. `None` if the first one cannot.
 pub(super) fn search(
     models: [&Model; 2],
     eligible: &[&'static dyn Effect],
@@ -139,21 +144,21 @@ pub(super) fn search(
         replaced: None,
         last: Hypothesis::of(models[0]),
     };
-    search.rounds(models, progress).or_else(|| search.ended_at_last())
+    search.rounds(models, progress).or_else(|| search.result_at_last())
 }
 
-/// A search on its way.
+/// State of the iteration.
 struct Search<'a> {
     eligible: &'a [&'static dyn Effect],
     runs: Runs<'a>,
     floor: Noise,
-    /// What is random as far as it is known, and whether little was missing to begin with.
+    /// Present estimate of the noise, and whether the initial model was near the data, by [`noise_of_model`].
     noise: Noise,
     is_near: bool,
-    /// What refits found, and the simple effect that stands for a richer one or for two.
+    /// Results of refits, and the effect that replaces a richer one or two others.
     verdicts: Vec<RefitVerdict>,
     replaced: Option<&'static str>,
-    /// The last model that could be simulated and weighed: at first what the search began with.
+    /// The last model that could be simulated and linearised, initially the fitted one.
     last: Hypothesis,
 }
 
@@ -162,8 +167,8 @@ impl<'a> Search<'a> {
         self.runs.linearised_runs(hypothesis, self.noise)
     }
 
-    /// Far from the data neither unknown curves are eligible, nor anything new that is there wholly or not at all: no linear
-    /// solution holds for that, and a refit with a coupling that is not there is slow and in vain.
+    /// Far from the data neither unknown curves nor new effects of fixed size are candidates: the linear solution does not hold for
+    /// them, and a refit with an absent coupling is slow.
     fn linearised(
         &self,
         hypothesis: &Hypothesis,
@@ -173,21 +178,21 @@ impl<'a> Search<'a> {
         let mut linear = linearise(hypothesis, self.eligible, runs, !is_far)?;
         bar(&mut linear, &self.verdicts, self.replaced);
         if is_far {
-            bar_wholes(&mut linear);
+            bar_fixed_sizes(&mut linear);
         }
         Some(linear)
     }
 
-    /// The answer at the last model that could be simulated and weighed.
-    fn ended_at_last(&self) -> Option<SearchResult> {
+    /// Result at the last model that could be simulated and evaluated.
+    fn result_at_last(&self) -> Option<SearchResult> {
         let runs = self.linearised_runs(&self.last)?;
         let reduced = Reduced::new(self.linearised(&self.last, &runs, false)?, 1.0, true)?;
-        let posterior = weigh(&reduced);
-        self.ended(self.last.clone(), (reduced, posterior), &runs, false)
+        let posterior = posterior_of(&reduced);
+        self.result(self.last.clone(), (reduced, posterior), &runs, false)
     }
 
-    /// Weighs, refits and linearises anew until set and noise stand. Where a torque drives no step by step approach is needed:
-    /// the balance is linear, however much is missing.
+    /// Linearises, selects and refits until set and noise are stable. With a torque input no forward selection is needed: the
+    /// equation of motion is linear in all coefficients, however far the model is from the data.
     fn rounds(&mut self, models: [&Model; 2], progress: Progress<'_>) -> Option<SearchResult> {
         let (eligible, floor) = (self.eligible, self.floor);
         let scenarios = self.runs.scenarios;
@@ -195,70 +200,70 @@ impl<'a> Search<'a> {
         let given = models[0].effect_ids();
         let mut hypothesis = Hypothesis::of(models[0]);
         if by_voltage {
-            hypothesis = nearer(models, self.runs, floor);
-            hypothesis = approach(hypothesis, eligible, self.runs, floor)?;
+            hypothesis = starting_model(models, self.runs, floor);
+            hypothesis = forward_selection(hypothesis, eligible, self.runs, floor)?;
         }
-        (self.noise, self.is_near) = first_noise(&hypothesis, eligible, self.runs, [floor; 2])?;
+        (self.noise, self.is_near) = noise_of_model(&hypothesis, eligible, self.runs, [floor; 2])?;
         let is_near = self.is_near;
         let (mut visited, mut moves): (Vec<Names>, usize) = (vec![], 0);
-        let rounds = [MOST_ROUNDS_BY_TORQUE, MOST_ROUNDS][usize::from(by_voltage)];
+        let rounds = [LIMITS.with_torque_input, LIMITS.with_voltage_input][usize::from(by_voltage)];
         for round in 0..rounds {
             let is_far = round == 0 && !is_near;
             let mut runs = self.linearised_runs(&hypothesis)?;
             let linear = self.linearised(&hypothesis, &runs, is_far)?;
             let mut reduced = Reduced::new(linear, 1.0, true)?;
             if round == 0 {
-                screened(&reduced, progress);
+                report_shares(&reduced, progress);
                 progress(Notice::Begun { stage: Stage::Check, of: 0 });
             }
-            let (mut posterior, filtered_with) = (weigh(&reduced), self.noise);
+            let (mut posterior, filtered_with) = (posterior_of(&reduced), self.noise);
             let is_first = by_voltage && is_near && round == 0;
             let is_to_be_placed = is_first && has_new_event(&reduced.linear, &posterior.best);
-            if round < NOISE_ROUNDS && !is_to_be_placed {
-                // A disturbance of the load explains what an effect would: from little of it on the effects come first.
+            if round < LIMITS.of_noise && !is_to_be_placed {
+                // A large disturbance explains what an effect would; started from a small one, the effects enter first.
                 let from = [self.noise, floor][usize::from(round == 0 && !is_near)];
-                let better = likeliest(&runs, &reduced, &posterior.forms, &floor, from);
-                if is_another(&better, &self.noise) {
+                let better = maximum_likelihood(&runs, &reduced, &posterior.forms, &floor, from);
+                if differs(&better, &self.noise) {
                     self.noise = better;
                 }
             }
             let mut is_settled = self.noise == filtered_with;
-            // With more noise fewer effects are supported; far from the data with less of it others are.
+            // More noise supports fewer effects; far from the data, less noise supports others: select again.
             if self.noise.disturbance_n_m > filtered_with.disturbance_n_m
                 || (!is_near && !is_settled)
             {
                 runs = self.linearised_runs(&hypothesis)?;
                 let linear = self.linearised(&hypothesis, &runs, is_far)?;
                 reduced = Reduced::new(linear, 1.0, true)?;
-                posterior = weigh(&reduced);
+                posterior = posterior_of(&reduced);
                 is_settled = true;
             }
             self.last = hypothesis.clone();
             let set = names(&reduced.linear, &posterior.best);
-            let start = placed(&hypothesis, &reduced, &posterior.best, &runs)?;
-            let stays = moves == MOST_MOVES || start.events_stay(&hypothesis, scenarios);
+            let start = with_event_times(&hypothesis, &reduced, &posterior.best, &runs)?;
+            let stays = moves == LIMITS.of_event_times || start.events_stay(&hypothesis, scenarios);
             moves += usize::from(!stays);
-            // Near the data a model that lacks nothing need not be linearised twice.
-            let is_whole =
+            // Near the data a model to which the selection adds nothing is not linearised twice.
+            let is_complete =
                 visited.is_empty() && is_near && posterior.best == present(&reduced.linear);
-            let stands = stays && is_settled && (is_whole || was_visited(&visited, &set));
-            // Where a torque drives, the balance of torques decides instead.
+            let is_stable = stays && is_settled && (is_complete || was_visited(&visited, &set));
+            // With a torque input the equation of motion is linear, and a refit has nothing to refute.
             let is_last = round + 1 == rounds || self.runs.work.is_spent();
-            if by_voltage && stands && !is_last {
+            if by_voltage && is_stable && !is_last {
                 let weighed = Weighed {
                     hypothesis: &hypothesis,
                     reduced: &reduced,
                     posterior: &posterior,
                     runs: &runs,
                 };
-                if let Some(other) = self.contested(&weighed, &given) {
+                if let Some(other) = self.refuted_by_refits(&weighed, &given) {
                     visited.clear();
                     hypothesis = other;
                     continue;
                 }
             }
-            if stands || is_last {
-                return self.ended(hypothesis, (reduced, posterior), &runs, stands);
+            if is_stable || is_last {
+                return self.result(hypothesis, (reduced, posterior), &runs, is_stable);
             }
             visited.push(set);
             if !is_settled {
@@ -273,7 +278,7 @@ impl<'a> Search<'a> {
                 // What is fitted no longer counts as random.
                 if is_near && (is_to_be_placed || !is_settled) {
                     let known = [floor, self.noise];
-                    self.noise = first_noise(&hypothesis, eligible, self.runs, known)
+                    self.noise = noise_of_model(&hypothesis, eligible, self.runs, known)
                         .map_or(self.noise, |known| known.0);
                 }
             }
@@ -281,13 +286,14 @@ impl<'a> Search<'a> {
         None
     }
 
-    /// The answer where set and noise stand: the posterior again where what is left is more than white noise.
-    fn ended(
+    /// Result for the stable set. If the residuals exceed white noise, the posterior is computed again with the information
+    /// divided by the excess.
+    fn result(
         &self,
         hypothesis: Hypothesis,
         (mut reduced, mut posterior): (Reduced, Posterior),
         runs: &[LinearisedRun<'_>],
-        stands: bool,
+        is_stable: bool,
     ) -> Option<SearchResult> {
         let excess = excess_of(&reduced, &posterior.best, runs);
         let unknown_share = unknown_shares(&reduced, &posterior.best, runs)?;
@@ -299,10 +305,10 @@ impl<'a> Search<'a> {
             posterior = select(&reduced, &sets);
         }
         keep_doubts(&self.verdicts, &reduced.linear, &mut posterior);
-        let happened = happened(&reduced, &posterior.best, runs, excess)?;
+        let fitted_events = fitted_events(&reduced, &posterior.best, runs, excess)?;
         Some(SearchResult {
             hypothesis,
-            happened,
+            fitted_events,
             reduced,
             posterior,
             noise: self.noise,
@@ -310,13 +316,16 @@ impl<'a> Search<'a> {
             disturbance_error,
             unobserved,
             unknown_share,
-            is_cut: !stands && self.runs.work.is_spent(),
+            is_cut: !is_stable && self.runs.work.is_spent(),
         })
     }
 
-    /// What a set that stands gives way to where refits refute it: the model with one effect for two, or that
-    /// without an effect that they refute.
-    fn contested(&mut self, weighed: &Weighed<'_>, given: &[&'static str]) -> Option<Hypothesis> {
+    /// Model to continue with if refits refute a stable set: with one effect instead of two, or without a refuted effect.
+    fn refuted_by_refits(
+        &mut self,
+        weighed: &Weighed<'_>,
+        given: &[&'static str],
+    ) -> Option<Hypothesis> {
         if self.replaced.is_none()
             && let Some((simple, simpler)) = weighed.simpler(given)
         {
@@ -329,14 +338,14 @@ impl<'a> Search<'a> {
     }
 }
 
-/// The posterior from no effect and from those of the model on.
-fn weigh(reduced: &Reduced) -> Posterior {
+/// Posterior of the sets, searched from the empty set and from that of the model.
+fn posterior_of(reduced: &Reduced) -> Posterior {
     let nothing = vec![None; reduced.linear.candidates.len()];
     select(reduced, &[nothing, present(&reduced.linear)])
 }
 
-/// What a refit of `start` finds: effects of `hypothesis` that have to stay, or the hypothesis to go on from. What cannot
-/// be refitted stays as it was.
+/// Refit of `start`: effects of `hypothesis` whose removal the refit refutes, or the hypothesis to continue with; `None` where the
+/// fit fails.
 fn refitted(
     hypothesis: &Hypothesis,
     start: &Hypothesis,
@@ -348,22 +357,22 @@ fn refitted(
     };
     let mut kept = needed(hypothesis, &next, runs);
     kept.retain(|own| !verdicts.contains(own));
-    // A twentieth more of the squares is another minimum.
-    let stands = start.ids() == hypothesis.ids() || next.squares < 1.05 * squares(runs);
-    let goes_on = kept.is_empty() && stands;
-    (kept, goes_on.then_some(next.hypothesis))
+    // A new set whose squares are 5 % larger has ended in a local minimum.
+    let is_accepted = start.ids() == hypothesis.ids() || next.squares < 1.05 * squares(runs);
+    let continues = kept.is_empty() && is_accepted;
+    (kept, continues.then_some(next.hypothesis))
 }
 
-/// The noise to begin with, from `known` on, and whether little is missing, by a mean square of 1.5: then it follows from what
-/// the model itself leaves, at little cost.
-fn first_noise(
+/// Initial noise, and whether the model is near the data: a mean square of the standardised innovations of at most 1.5. Near the
+/// data it is the maximum-likelihood noise of the model's own innovations, otherwise `known`.
+fn noise_of_model(
     hypothesis: &Hypothesis,
     eligible: &[&'static dyn Effect],
     runs: Runs<'_>,
     [floor, known]: [Noise; 2],
 ) -> Option<(Noise, bool)> {
     let runs = runs.linearised_runs(hypothesis, known)?;
-    let rows: usize = runs.iter().map(|run| run.follower.rows).sum();
+    let rows: usize = runs.iter().map(|run| run.gains.rows).sum();
     if squares(&runs) > 1.5 * rows as f64 {
         return Some((known, false));
     }
@@ -372,14 +381,14 @@ fn first_noise(
     let linear = linearise(hypothesis, &own, &runs, false)?;
     let forms = vec![0; linear.candidates.len()];
     let reduced = Reduced::new(linear, 1.0, true)?;
-    let noise = likeliest(&runs, &reduced, &forms, &floor, known);
-    // A disturbance of the load would explain what is missing: it is not taken for more than was thought.
+    let noise = maximum_likelihood(&runs, &reduced, &forms, &floor, known);
+    // A larger disturbance would explain what the missing effects do.
     let is_less = noise.disturbance_n_m <= known.disturbance_n_m;
     Some((if is_less { noise } else { known }, true))
 }
 
-/// Reports what each effect would explain by itself.
-fn screened(reduced: &Reduced, progress: Progress<'_>) {
+/// Reports the share of the squares that each effect alone would explain.
+fn report_shares(reduced: &Reduced, progress: Progress<'_>) {
     let candidates = &reduced.linear.candidates;
     for (k, candidate) in candidates.iter().enumerate() {
         if k == 0 || candidates[k - 1].id != candidate.id {

@@ -1,7 +1,7 @@
 //! Posterior over all sets of effects and forms: spike-and-slab selection (George and McCulloch, J. Am. Stat. Assoc. 88, 1993).
 //!
-//! Beforehand the size of an effect that is in a set is normal with a deviation of one slab, that of one that is out with the
-//! small deviation of a spike. The motor's parameters and the spikes are integrated out first. A set's log evidence is
+//! Prior: the size of an effect in the set is normal with a deviation of one slab, of an effect outside with the small deviation
+//! of a spike. The motor's parameters and the spikes are integrated out first. The log evidence of a set is
 //! `b'(G+I)^-1 b / 2 - log det(G+I) / 2`, with `log 2 Phi(m/s)` for effects whose sign is known.
 //!
 //! The sets are not sampled. From each of the best ones all that differ by one effect added, taken out or exchanged are weighed
@@ -15,7 +15,7 @@ use statrs::function::erf::erfc;
 
 use super::regression::{Base, ColumnInformation, Linear, Variant, half_log_det};
 
-/// Deviation of the spike, in slabs: below, an effect counts as not there.
+/// Deviation of the spike, in slabs: an effect of this size counts as absent.
 const SPIKE_SLABS: f64 = 0.004;
 /// Sets whose neighbours are weighed, at most, and how far behind the best they may be, nats; how far plausible ones.
 const MOST_EXPANDED: usize = 60;
@@ -29,11 +29,11 @@ pub(super) type Set = Vec<Option<usize>>;
 pub(super) struct Posterior {
     pub(super) probability: Vec<f64>,
     pub(super) best: Set,
-    /// Log of the odds of each candidate given the rest of the best set.
+    /// Log posterior odds of each candidate given the rest of the best set.
     pub(super) log_factor: Vec<f64>,
     /// Plausible sets with their logarithms, the best first.
     pub(super) sets: Vec<(Set, f64)>,
-    /// Likeliest variant of each candidate beside the best set.
+    /// Likeliest variant of each candidate given the best set.
     pub(super) forms: Vec<usize>,
 }
 
@@ -64,13 +64,13 @@ pub(super) struct Reduced {
 }
 
 impl Reduced {
-    /// `excess` is the ratio of the variance of what the model leaves to that of white noise.
+    /// `excess`: variance of the residual over that of white noise.
     pub(super) fn new(linear: Linear, excess: f64, with_spikes: bool) -> Option<Self> {
         let m = linear.nuisances.len();
         let p = linear.gram.nrows();
         let gram = &linear.gram / excess;
         let right = &linear.right / excess;
-        // What is always in: the nuisances, and the spike of every effect, since none is exactly zero.
+        // Always included: the nuisances, and the spike of every effect.
         let nuisances = (0..m).map(|column| (column, linear.precision(column)));
         let mut always: Vec<(usize, f64)> = nuisances.collect();
         for candidate in &linear.candidates {
@@ -88,7 +88,7 @@ impl Reduced {
             base[(d, d)] += own.1;
         }
         let cross = DMatrix::from_fn(k, p - m, |r, c| gram[(always[r].0, m + c)]);
-        // With `L L'` the base, what it explains of others is `(L^-1 c)' L^-1 c`: half of a solution.
+        // With the base `L L'` the explained part is `(L^-1 c)' L^-1 c`: one triangular solution instead of two.
         let factor = base.cholesky()?.unpack();
         let b = DVector::from_fn(k, |r, _| right[always[r].0]);
         let half = factor.solve_lower_triangular(&cross)?;
@@ -111,16 +111,15 @@ impl Reduced {
     pub(super) fn columns(&self, set: &Set) -> Vec<usize> {
         let chosen = set.iter().zip(&self.linear.candidates);
         let variants = chosen.filter_map(|(form, own)| Some(&own.variants[(*form)?]));
-        variants.flat_map(|variant| self.own(variant)).collect()
+        variants.flat_map(|variant| self.column_indices(variant)).collect()
     }
 
-    /// The same of one form.
-    fn own(&self, variant: &Variant) -> Vec<usize> {
+    /// Column indices of one form, the nuisances not counted.
+    fn column_indices(&self, variant: &Variant) -> Vec<usize> {
         let m = self.linear.nuisances.len();
         variant.numbers().map(|column| column - m).collect()
     }
 
-    /// Products of columns with each other.
     fn products(&self, rows: &[usize], columns: &[usize]) -> DMatrix<f64> {
         DMatrix::from_fn(rows.len(), columns.len(), |r, c| self.gram[(rows[r], columns[c])])
     }
@@ -139,7 +138,7 @@ impl Reduced {
         Some(Base { factor, right })
     }
 
-    /// The sizes that a set has.
+    /// Posterior mean and covariance of the sizes in a set.
     pub(super) fn estimate(&self, set: &Set) -> Option<Estimate> {
         let columns = self.columns(set);
         let Base { factor, right } = self.base(&columns)?;
@@ -151,16 +150,16 @@ impl Reduced {
         })
     }
 
-    /// Log of (evidence times prior) of each variant of a candidate beside the columns of others, relative to none of it.
+    /// Log posterior odds of each variant of a candidate against its absence, given the columns of others.
     pub(super) fn conditional(&self, others: &[usize], candidate: usize) -> Vec<f64> {
         let Some(base) = self.base(others) else {
             let count = self.linear.candidates[candidate].variants.len();
             return vec![f64::NEG_INFINITY; count];
         };
-        self.beside(others, &base, &base.factor.solve(&base.right), candidate)
+        self.log_odds_given(others, &base, &base.factor.solve(&base.right), candidate)
     }
 
-    fn beside(
+    fn log_odds_given(
         &self,
         others: &[usize],
         base: &Base,
@@ -169,7 +168,7 @@ impl Reduced {
     ) -> Vec<f64> {
         let c = &self.linear.candidates[candidate];
         let weigh = |variant: &Variant| {
-            let own = self.own(variant);
+            let own = self.column_indices(variant);
             let cross = self.products(others, &own);
             let mut a = self.products(&own, &own) - cross.tr_mul(&base.factor.solve(&cross));
             add_identity(&mut a);
@@ -218,7 +217,7 @@ impl Reduced {
         base.map_or(f64::NEG_INFINITY, |base| 0.5 * base.right.dot(&base.factor.solve(&base.right)))
     }
 
-    /// Whether no effect of the set would need a size that physics does not allow.
+    /// Whether every effect of known sign has that sign.
     pub(super) fn signs_are_right(&self, set: &Set) -> bool {
         let Some(estimate) = self.estimate(set) else {
             return false;
@@ -234,10 +233,10 @@ impl Reduced {
         })
     }
 
-    /// Share of the squares that the best form of a candidate alone would take away.
+    /// Largest share of the residual sum of squares that a form of a candidate alone explains.
     pub(super) fn share_alone(&self, candidate: usize) -> f64 {
         let explained = |variant: &Variant| {
-            let columns = self.own(variant);
+            let columns = self.column_indices(variant);
             let base = self.base(&columns)?;
             let mean = base.factor.solve(&base.right);
             let parts = columns.iter().zip(mean.iter());
@@ -249,7 +248,7 @@ impl Reduced {
         most / self.squares.max(f64::MIN_POSITIVE)
     }
 
-    /// Information of one column of a form, a slab of which is `unit`, beside others.
+    /// Information of the first column of a form given others; `unit`: its slab.
     pub(super) fn information(
         &self,
         others: &[usize],
@@ -259,21 +258,21 @@ impl Reduced {
         let column = variant.columns[0].at - self.linear.nuisances.len();
         let left = self.base(others).map(|base| {
             let cross = DVector::from_fn(others.len(), |r, _| self.gram[(others[r], column)]);
-            base.left(&cross, self.gram[(column, column)], self.right[column])
+            base.schur_complement(&cross, self.gram[(column, column)], self.right[column])
         });
         let [information, score] = left.unwrap_or_default();
         ColumnInformation { information, score, unit }
     }
 
-    /// What the odds of a form of a set would be if more of it were in the records.
+    /// Odds of a form of a set as a function of the size that is injected into the records.
     pub(super) fn injection(&self, set: &Set, candidate: usize) -> Option<Injection> {
         let others = self.columns(&without(set, candidate));
         let candidate = (&self.linear.candidates[candidate], set[candidate]?);
         let (candidate, chosen) = (candidate.0, &candidate.0.variants[candidate.1]);
-        let own = self.own(chosen);
+        let own = self.column_indices(chosen);
         let base = self.base(&others)?;
         let cross = self.products(&others, &own);
-        // Of the form's own information what the others leave, without and with its prior.
+        // Information about the form given the others, without and with its prior.
         let left = self.products(&own, &own) - cross.tr_mul(&base.factor.solve(&cross));
         let schur = (&left + DMatrix::identity(own.len(), own.len())).cholesky()?;
         Some(Injection {
@@ -293,7 +292,7 @@ impl Reduced {
         set
     }
 
-    /// The set with a form of a candidate in the place of all that it excludes.
+    /// The set with a form of a candidate instead of all that it excludes.
     pub(super) fn with(&self, set: &Set, candidate: usize, form: usize) -> Set {
         let mut set = self.cleared(set, candidate);
         set[candidate] = Some(form);
@@ -314,7 +313,7 @@ fn add_identity(a: &mut DMatrix<f64>) {
     }
 }
 
-/// A form beside others, with a given size of it in the records and no noise.
+/// A form given others, with an injected size of it in records without noise.
 pub(super) struct Injection {
     left: DMatrix<f64>,
     schur: Cholesky<f64, Dyn>,
@@ -333,22 +332,22 @@ impl Injection {
     }
 }
 
-/// Log of the normalisation of a form whose first size physics allows one sign of; zero where it allows both.
+/// Log normalisation of a form whose first size has a known sign; zero without one.
 fn log_sign(positive: bool, mean: &DVector<f64>, precision: &Cholesky<f64, Dyn>) -> f64 {
     if positive { log_positive(mean[0], precision.inverse()[(0, 0)].sqrt()) } else { 0.0 }
 }
 
-/// log 2 Phi(mean / sd): the share of a normal density on the side that physics allows.
+/// log 2 Phi(mean / sd): normalisation of a normal prior that is truncated to the known sign.
 fn log_positive(mean: f64, sd: f64) -> f64 {
     erfc(-mean / sd / std::f64::consts::SQRT_2).max(1e-300).ln()
 }
 
-/// The sets that were weighed.
+/// Evaluated sets.
 struct Explored<'a> {
     reduced: &'a Reduced,
-    /// Log posterior of each, also where it follows from that of a neighbour.
+    /// Log posterior of each, exact or by the odds of one more effect than a neighbour.
     weighed: HashMap<Set, f64>,
-    /// Log posterior of those whose own was computed.
+    /// Log posterior of those factored by themselves.
     exact: HashMap<Set, f64>,
 }
 
@@ -358,19 +357,19 @@ impl Explored<'_> {
         *self.exact.entry(set.clone()).or_insert_with(log)
     }
 
-    /// Weighs every set that differs from `set` by one effect put in, taken out or exchanged.
+    /// Evaluates every set that differs from `set` by one effect added, removed or exchanged.
     fn expand(&mut self, set: &Set) {
         let inside = (0..set.len()).filter(|k| set[*k].is_some());
         let bases = std::iter::once(set.clone()).chain(inside.map(|k| without(set, k)));
         for from in bases {
             let log = self.exactly(&from);
             self.weighed.insert(from.clone(), log);
-            self.put_in(&from, log);
+            self.add_one(&from, log);
         }
     }
 
-    /// Weighs every set with one effect more than `from`, whose log posterior is `log`.
-    fn put_in(&mut self, from: &Set, log: f64) {
+    /// Evaluates every set with one effect more than `from`, whose log posterior is `log`.
+    fn add_one(&mut self, from: &Set, log: f64) {
         let reduced = self.reduced;
         let columns = reduced.columns(from);
         let Some(base) = reduced.base(&columns) else {
@@ -388,7 +387,7 @@ impl Explored<'_> {
                 let logs = reduced.conditional(&reduced.columns(&cleared), k);
                 (cleared, log, logs)
             } else {
-                (from.clone(), log, reduced.beside(&columns, &base, &mean, k))
+                (from.clone(), log, reduced.log_odds_given(&columns, &base, &mean, k))
             };
             for (v, gain) in logs.iter().enumerate() {
                 let mut with = next.clone();
@@ -525,7 +524,7 @@ mod tests {
 
     #[test]
     fn sign_spike_and_share_of_the_whole_decide_beside_the_evidence() {
-        // What is there wholly or not at all.
+        // An effect of fixed size.
         let mean = 1.0 / 0.15;
         let of = |share: f64| (400.0, share * mean * 400.0);
         // Fifty standard deviations from zero, and no more than a thousandth of the slab.

@@ -1,8 +1,8 @@
-//! The posterior mean of a set as a hypothesis: the runs linearised there, the model and the events that it has.
+//! Posterior mean of a set converted to a hypothesis: a model with its events.
 
 use rayon::prelude::*;
 
-use super::events::{self, Event, Hypothesis, Moment};
+use super::events::{self, Event, EventTime, Hypothesis};
 use super::kalman::Noise;
 use super::regression::{Candidate, Linear};
 use super::run::LinearisedRun;
@@ -12,9 +12,9 @@ use drivebench_model::plant::{ActiveEffect, Scenario, State};
 
 /// An event of the best set.
 #[derive(Clone)]
-pub(super) struct Happened {
+pub(super) struct FittedEvent {
     pub(super) event: Event,
-    pub(super) moment: Moment,
+    pub(super) event_time: EventTime,
     /// Standard deviation of its size.
     pub(super) deviation: f64,
 }
@@ -35,19 +35,23 @@ pub(super) fn linearised_runs<'a>(
         .collect()
 }
 
-/// The candidates that a model has.
+/// The set of the candidates that the model has.
 pub(super) fn present(linear: &Linear) -> Set {
     let candidates = linear.candidates.iter();
     candidates.map(|candidate| candidate.in_model.then_some(0)).collect()
 }
 
 /// The events of a form of a candidate at the linear solution, each with the standard deviation of its size.
-fn happening(candidate: &Candidate, form: usize, estimate: &Estimate) -> Option<Vec<(Event, f64)>> {
+fn events_of_form(
+    candidate: &Candidate,
+    form: usize,
+    estimate: &Estimate,
+) -> Option<Vec<(Event, f64)>> {
     let variant = &candidate.variants[form];
     let effect = candidate.effect?;
     let columns = variant.columns.iter();
-    let moments = columns.filter_map(|column| Some((column, column.moment?)));
-    moments
+    let event_times = columns.filter_map(|column| Some((column, column.event_time?)));
+    event_times
         .map(|(column, (run, time_s))| {
             let mut event = Event { run, effect, values: variant.values.clone() };
             event.put_at(time_s);
@@ -59,7 +63,7 @@ fn happening(candidate: &Candidate, form: usize, estimate: &Estimate) -> Option<
         .collect()
 }
 
-/// What there is at the linear solution of a set.
+/// Hypothesis at the posterior mean of a set.
 pub(super) fn at_solution(
     hypothesis: &Hypothesis,
     reduced: &Reduced,
@@ -74,7 +78,7 @@ pub(super) fn at_solution(
         };
         match chosen {
             Some(form) if candidate.is_event() => {
-                let own = happening(candidate, *form, &estimate)?;
+                let own = events_of_form(candidate, *form, &estimate)?;
                 happens.extend(own.into_iter().map(|own| own.0));
             }
             None if candidate.in_model && !candidate.is_event() => {
@@ -89,7 +93,7 @@ pub(super) fn at_solution(
                     let Some(parameter) = parameter else { continue };
                     let mut x = estimate.of(column.at)?.0;
                     if specs[parameter].min >= 0.0 || effect.card().takes_power {
-                        // At zero a positive coefficient would have no slope.
+                        // A positive coefficient has no derivative at zero.
                         x = x.max(0.02);
                     }
                     values[parameter] = x * column.unit;
@@ -103,8 +107,8 @@ pub(super) fn at_solution(
     Some(Hypothesis { model: next, events: happens })
 }
 
-/// The same with its events at their likeliest moments.
-pub(super) fn placed(
+/// The same with the events at their maximum-likelihood times.
+pub(super) fn with_event_times(
     hypothesis: &Hypothesis,
     reduced: &Reduced,
     set: &Set,
@@ -112,18 +116,18 @@ pub(super) fn placed(
 ) -> Option<Hypothesis> {
     let mut next = at_solution(hypothesis, reduced, set)?;
     for event in &mut next.events {
-        event.put_at(events::placed(event, &reduced.linear, set, runs, 1.0).time_s);
+        event.put_at(events::event_time_of(event, &reduced.linear, set, runs, 1.0).time_s);
     }
     Some(next)
 }
 
-/// The events of a set with their moments and sizes.
-pub(super) fn happened(
+/// The events of a set with their times and sizes.
+pub(super) fn fitted_events(
     reduced: &Reduced,
     set: &Set,
     runs: &[LinearisedRun<'_>],
     excess: f64,
-) -> Option<Vec<Happened>> {
+) -> Option<Vec<FittedEvent>> {
     let linear = &reduced.linear;
     let estimate = reduced.estimate(set)?;
     let mut all = Vec::new();
@@ -131,10 +135,10 @@ pub(super) fn happened(
         let Some(form) = chosen.filter(|_| candidate.is_event()) else {
             continue;
         };
-        for (mut event, deviation) in happening(candidate, form, &estimate)? {
-            let moment = events::placed(&event, linear, set, runs, excess);
-            event.put_at(moment.time_s);
-            all.push(Happened { event, moment, deviation });
+        for (mut event, deviation) in events_of_form(candidate, form, &estimate)? {
+            let event_time = events::event_time_of(&event, linear, set, runs, excess);
+            event.put_at(event_time.time_s);
+            all.push(FittedEvent { event, event_time, deviation });
         }
     }
     Some(all)

@@ -1,6 +1,6 @@
-//! Forward stepwise selection, the way to a model near enough to its runs for a linear solution: the single effect that,
-//! refitted, explains most joins, one after the other. Times in the path from command to reading are scanned: what one of several
-//! time constants of the motor does is linear in no step from zero.
+//! Forward stepwise selection (Draper & Smith, *Applied Regression Analysis*, ch. 15) with a nonlinear refit after each step,
+//! until the linear solution holds. Delays and lags of commands and readings are scanned over powers of two, because their
+//! effect is not linear over steps as long as a time constant of the motor.
 
 use rayon::prelude::*;
 
@@ -14,15 +14,15 @@ use super::regression::{Candidate, FAR_MEAN_SQUARE, Linear, Variant};
 use super::run::{LinearisedRun, squares};
 use super::search::Runs;
 use super::select::{Reduced, Set};
-use super::solution::{placed, present};
+use super::solution::{present, with_event_times};
 use drivebench_model::plant::{ActiveEffect, Effect, Enters, Model};
 
-/// A step towards the data: the model with one effect more, and the squares that it leaves.
+/// A step of the selection: the model with one effect more, and its sum of squares.
 type Step = (Hypothesis, f64);
 
-/// Adds the single effects that explain most when refitted, four at most, one after the other, until the linear solution holds or
-/// none takes a tenth of the squares. Steps are found by the first run, and every run must be simulated with them.
-pub(super) fn approach(
+/// Adds at most four effects, each the one with the least sum of squares after its refit, until the linear solution holds or none
+/// reduces the squares by 10 %. The steps are found on the first run; every run must be simulable with them.
+pub(super) fn forward_selection(
     mut hypothesis: Hypothesis,
     eligible: &[&'static dyn Effect],
     all: Runs<'_>,
@@ -34,10 +34,10 @@ pub(super) fn approach(
         }
         let runs = all.first().linearised_runs(&hypothesis, noise)?;
         let now = squares(&runs);
-        let near = FAR_MEAN_SQUARE * runs[0].follower.rows as f64;
+        let near = FAR_MEAN_SQUARE * runs[0].gains.rows as f64;
         let is_far = now >= near;
         let is_first = step == 0;
-        // In units of its own residual a fit is never far from the data.
+        // Without a measured sensor noise the squares are in units of the fit's own residual and always look near.
         if !is_far && (all.has_floor || !is_first) {
             break;
         }
@@ -45,8 +45,8 @@ pub(super) fn approach(
         let mut found = is_far.then(best).flatten();
         let is_there = |step: &Step| step.1 < near;
         if is_first && !(is_far && found.as_ref().is_some_and(is_there)) {
-            let late = late(&hypothesis, eligible, &runs[0]);
-            let steps = found.into_iter().chain(late);
+            let delay = best_delay(&hypothesis, eligible, &runs[0]);
+            let steps = found.into_iter().chain(delay);
             found = steps.min_by(|a, b| a.1.total_cmp(&b.1));
         }
         let is_simulated = |next: &Hypothesis| all.linearised_runs(next, noise).is_some();
@@ -55,7 +55,8 @@ pub(super) fn approach(
             break;
         };
         hypothesis = step.0;
-        // With the gains of what was measured a play is found at once; a free run without its oscillation ends in a local minimum.
+        // The filtered fit finds the backlash, since its gains follow the measured oscillation; a fit by free run would end in a
+        // local minimum.
         let has_coupling = |active| terms_of(active).coupling().is_some();
         if hypothesis.model.effects.iter().any(has_coupling)
             && let Some(own) = fit(&hypothesis, &runs).filter(|own| is_simulated(&own.hypothesis))
@@ -66,7 +67,7 @@ pub(super) fn approach(
     Some(hypothesis)
 }
 
-/// The best single effect beside what there is; `near` is where the squares are small enough.
+/// Best single effect to add; the search ends at squares below `near`.
 fn best_step(
     hypothesis: &Hypothesis,
     eligible: &[&'static dyn Effect],
@@ -86,17 +87,17 @@ fn best_step(
         let logs = reduced.conditional(&columns, k);
         let mut order: Vec<usize> = (0..logs.len()).collect();
         order.sort_by(|a, b| logs[*b].total_cmp(&logs[*a]));
-        // What has a shape and no size needs a start near it.
-        let starts = if candidate.is_whole() { 3 } else { 1 };
+        // An effect of fixed size is nonlinear in its shape and needs several starts.
+        let starts = if candidate.has_fixed_size() { 3 } else { 1 };
         singles.extend(order.into_iter().take(starts).map(|v| (logs[v], k, v)));
     }
     singles.sort_by(|a, b| b.0.total_cmp(&a.0));
     let most = singles.first()?.0;
     singles.truncate(6);
-    // The linear solution hardly holds for what is there wholly or not at all, and just how much that leaves is known.
-    for whole in as_it_is(linear, &set) {
-        if !singles.iter().any(|own| (own.1, own.2) == (whole.1, whole.2)) {
-            singles.push(whole);
+    // For an effect of fixed size the linear estimate of the size is poor, but the squares at that size are exact.
+    for gain in fixed_size_gains(linear, &set) {
+        if !singles.iter().any(|own| (own.1, own.2) == (gain.1, gain.2)) {
+            singles.push(gain);
         }
     }
     singles.retain(|single| single.0 >= 0.2 * most);
@@ -104,8 +105,8 @@ fn best_step(
     let mut take = |candidate: usize, variant: usize| {
         let mut with = set.clone();
         with[candidate] = Some(variant);
-        let start = placed(hypothesis, &reduced, &with, runs)?;
-        // Far from the data a wider error of form would be the likelier: all have the same noise.
+        let start = with_event_times(hypothesis, &reduced, &with, runs)?;
+        // All are fitted with the same noise: far from the data the likelihood would prefer a larger error of form.
         let step = fit_as_followed(&start, runs)?;
         if best.as_ref().is_none_or(|best| step.1 < best.1.1) {
             best = Some((candidate, step));
@@ -116,9 +117,9 @@ fn best_step(
     for (_, candidate, variant) in &singles {
         leads = take(*candidate, *variant).or(leads);
     }
-    // A fit that began too far off ends in a local minimum: the other forms of what leads are tried too.
+    // A start too far away ends in a local minimum: try the other forms of the best candidate too.
     if let Some((candidate, mut squares)) = leads
-        && linear.candidates[candidate].is_whole()
+        && linear.candidates[candidate].has_fixed_size()
     {
         for variant in 0..linear.candidates[candidate].variants.len() {
             if squares < near {
@@ -133,15 +134,14 @@ fn best_step(
     best.map(|best| best.1)
 }
 
-/// The best single time in the path from command to reading, of all effects that have one, found by the first 5000 samples and
-/// refitted to all of the run.
-fn late(
+/// Best single delay or lag of the commands or readings, scanned on the first 5000 samples and refitted to the whole run.
+fn best_delay(
     hypothesis: &Hypothesis,
     eligible: &[&'static dyn Effect],
     run: &LinearisedRun<'_>,
 ) -> Option<Step> {
     let scenario = run.scenario.stretch(0..run.scenario.samples().min(5000));
-    let beginning = [run.around(&hypothesis.model, vec![], &scenario)?];
+    let beginning = [run.relinearised(&hypothesis.model, vec![], &scenario)?];
     let is_a_time = |effect: &&&'static dyn Effect| {
         let card = effect.card();
         let [spec] = effect.parameters() else {
@@ -155,16 +155,16 @@ fn late(
     };
     let effects: Vec<&'static dyn Effect> = eligible.iter().filter(is_a_time).copied().collect();
     let steps = effects.into_par_iter().with_max_len(1);
-    let steps = steps.filter_map(|effect| late_by(hypothesis, effect, &beginning));
+    let steps = steps.filter_map(|effect| scan_delay(hypothesis, effect, &beginning));
     let best = steps.collect::<Vec<Step>>().into_iter();
     let best = best.min_by(|a, b| a.1.total_cmp(&b.1))?;
-    let whole = run.around(&hypothesis.model, vec![], run.scenario)?;
+    let whole = run.relinearised(&hypothesis.model, vec![], run.scenario)?;
     fit_as_followed(&best.0, &[whole])
 }
 
-/// The best of the times of one effect: from one period of the sampling to a tenth of the run, each twice the last, refitted
-/// from the motor that was found with the last; a fit finds what lies between.
-fn late_by(
+/// Best time of one effect by a scan from one sample period to a tenth of the run in powers of two, each refitted from the
+/// result of the one before.
+fn scan_delay(
     hypothesis: &Hypothesis,
     effect: &'static dyn Effect,
     runs: &[LinearisedRun<'_>],
@@ -185,7 +185,7 @@ fn late_by(
             continue;
         };
         let least = best.as_ref().map_or(f64::INFINITY, |best| best.1);
-        // Times beyond leave still more.
+        // Longer times fit still worse.
         if step.1 > 4.0 * least {
             break;
         }
@@ -202,13 +202,13 @@ fn is_excluded(candidate: &Candidate, set: &Set) -> bool {
     candidate.excludes.iter().any(|other| set[*other].is_some())
 }
 
-/// For each candidate that is there wholly or not at all its form that leaves least when it is put in and nothing else
-/// moves: the fall of the cost, the candidate and the form.
-fn as_it_is(linear: &Linear, set: &Set) -> Vec<(f64, usize, usize)> {
+/// For each absent candidate of fixed size its best form with all other coefficients unchanged: the decrease of half the sum of
+/// squares, the candidate and the form.
+fn fixed_size_gains(linear: &Linear, set: &Set) -> Vec<(f64, usize, usize)> {
     let candidates = linear.candidates.iter().enumerate();
     candidates
         .filter(|(k, candidate)| {
-            set[*k].is_none() && candidate.is_whole() && !is_excluded(candidate, set)
+            set[*k].is_none() && candidate.has_fixed_size() && !is_excluded(candidate, set)
         })
         .filter_map(|(k, candidate)| {
             let fall = |variant: &Variant| {
@@ -223,13 +223,17 @@ fn as_it_is(linear: &Linear, set: &Set) -> Vec<(f64, usize, usize)> {
         .collect()
 }
 
-/// Where a search begins: at the fitted model; or, where that leaves a hundred times the noise, at the one that it was fitted
-/// from, refitted along the run, if this leaves less: the free run of an incomplete model may be fitted by what is no machine.
-pub(super) fn nearer([fitted, before]: [&Model; 2], runs: Runs<'_>, noise: Noise) -> Hypothesis {
+/// Model to start the search from: the fitted one; or, if its mean square exceeds 100, the one before the fit, refitted by the
+/// filter, if its squares are less: fitting the free run of an incomplete model may end at parameters that no machine has.
+pub(super) fn starting_model(
+    [fitted, before]: [&Model; 2],
+    runs: Runs<'_>,
+    noise: Noise,
+) -> Hypothesis {
     let along = |model: &Model| runs.first().linearised_runs(&Hypothesis::of(model), noise);
-    let left = along(fitted).map(|runs| (squares(&runs), runs[0].follower.rows));
-    let is_astray = left.is_none_or(|(left, rows)| left > 100.0 * rows as f64);
-    let again = is_astray.then(|| fit_as_followed(&Hypothesis::of(before), &along(before)?));
+    let left = along(fitted).map(|runs| (squares(&runs), runs[0].gains.rows));
+    let is_far = left.is_none_or(|(left, rows)| left > 100.0 * rows as f64);
+    let again = is_far.then(|| fit_as_followed(&Hypothesis::of(before), &along(before)?));
     match again.flatten() {
         Some((again, squares)) if left.is_none_or(|left| squares < left.0) => again,
         _ => Hypothesis::of(fitted),

@@ -1,7 +1,7 @@
-//! Forward sensitivities of a linearised run: what small forcings along its trajectory do to the innovations, eight side by side;
-//! and which of them are the slopes over what is free in its model.
+//! Forward sensitivity analysis of a linearised run (Cacuci, J. Math. Phys. 22, 1981): response of the innovations to small forcings
+//! along its trajectory, eight at a time; and the forcings that are the derivatives by parameters of the model.
 
-use super::kalman::{Dynamics, Passage, Update};
+use super::kalman::{Dynamics, Transition, Update};
 use super::process_noise::{combined, terms_of};
 use super::run::LinearisedRun;
 use drivebench_model::numerics::count::whole;
@@ -11,31 +11,31 @@ use drivebench_model::plant::{
     Effect, Input, Instant, Model, MotorKey, Path, Scenario, Sums, Terms,
 };
 
-/// Deviations that pass a run at once: the step's coefficients are read once for all of them, and they fill registers.
+/// Deviations that are propagated at once, so that the coefficients of a step are read once and vector registers are full.
 pub(super) const LANES: usize = 8;
-/// Samples that are forced, passed and handed on at once, so that all of it stays in the cache.
+/// Samples that are processed at once, so that their forcings and innovations stay in the cache.
 pub(super) const CHUNK: usize = 128;
 
 /// A number for each lane.
 pub(super) type Lane = [f64; LANES];
 
-/// One passage as the coefficients of current and speed, on: current, speed, disturbance, voltage's error, forcing of the
+/// One transition: coefficients of the new current and speed on current, speed, disturbance, error of the voltage, forcing of the
 /// current, forcing of the speed.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Step {
     current: [f64; 6],
     speed: [f64; 6],
-    forget: f64,
+    decay: f64,
     keeps: f64,
 }
 
 impl Step {
-    pub(super) fn of(passage: &Passage, forget: f64, dynamics: &Dynamics) -> Self {
-        let moves = f64::from(u8::from(passage.direction != 0.0));
-        let apply = |x, g| passage.propagator.apply(x, g);
+    pub(super) fn of(transition: &Transition, decay: f64, dynamics: &Dynamics) -> Self {
+        let moves = f64::from(u8::from(transition.direction != 0.0));
+        let apply = |x, g| transition.propagator.apply(x, g);
         let on = [
             apply([1.0, 0.0], [0.0; 2]),
-            apply([0.0, passage.kept], [0.0; 2]),
+            apply([0.0, transition.speed_factor], [0.0; 2]),
             apply([0.0; 2], [0.0, -dynamics.inverse_inertia * moves]),
             apply([0.0; 2], dynamics.per_input),
             apply([0.0; 2], [1.0, 0.0]),
@@ -44,17 +44,17 @@ impl Step {
         Self {
             current: on.map(|to| to[0]),
             speed: on.map(|to| to[1] * moves),
-            forget,
-            keeps: passage.input_keeps,
+            decay,
+            keeps: transition.input_keeps,
         }
     }
 
-    /// Nothing passes: the first sample is at the run's begin.
-    pub(super) const fn still() -> Self {
+    /// No interval: the first sample is at the begin of the run.
+    pub(super) const fn identity() -> Self {
         Self {
             current: [1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
             speed: [0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
-            forget: 1.0,
+            decay: 1.0,
             keeps: 1.0,
         }
     }
@@ -67,8 +67,8 @@ pub(super) struct Deviations([Lane; 4]);
 impl Deviations {
     /// To the next sample, under forcings of the current (A/s) and the speed (rad/s2).
     #[inline]
-    pub(super) fn pass(&mut self, step: &Step, forcing: &[Lane; 2]) {
-        self.drift(step);
+    pub(super) fn advance(&mut self, step: &Step, forcing: &[Lane; 2]) {
+        self.advance_unforced(step);
         for (state, on) in self.0.iter_mut().zip([&step.current, &step.speed]) {
             for k in 0..LANES {
                 state[k] += on[4] * forcing[0][k] + on[5] * forcing[1][k];
@@ -78,28 +78,27 @@ impl Deviations {
 
     /// The same without a forcing.
     #[inline]
-    pub(super) fn drift(&mut self, step: &Step) {
+    pub(super) fn advance_unforced(&mut self, step: &Step) {
         let [i, w, d, v] = self.0;
         for (state, on) in self.0.iter_mut().zip([&step.current, &step.speed]) {
             for k in 0..LANES {
                 state[k] = (on[0] * i[k] + on[1] * w[k]) + (on[2] * d[k] + on[3] * v[k]);
             }
         }
-        self.0[2] = d.map(|d| d * step.forget);
+        self.0[2] = d.map(|d| d * step.decay);
         self.0[3] = v.map(|v| v * step.keeps);
     }
 
-    /// At a sample: whitened innovations of a prediction that deviates like this from a measurement of nothing, given
-    /// what the readings have beside.
+    /// Measurement update with zero as the measured values: the whitened innovations, `sensor_error` added to the predicted readings.
     #[inline]
-    pub(super) fn correct(&mut self, update: &Update, beside: &[Lane; 2]) -> [Lane; 2] {
+    pub(super) fn whiten(&mut self, update: &Update, sensor_error: &[Lane; 2]) -> [Lane; 2] {
         let mut white = [[0.0; LANES]; 2];
         for (signal, gains) in [&update.current, &update.speed].into_iter().enumerate() {
             let mut error = self.0[signal];
             for k in 0..LANES {
-                error[k] += beside[signal][k];
+                error[k] += sensor_error[signal][k];
             }
-            self.shift(gains, &error, -1.0);
+            self.correct_states(gains, &error, -1.0);
             for k in 0..LANES {
                 white[signal][k] = error[k] * gains[4];
             }
@@ -107,14 +106,14 @@ impl Deviations {
         white
     }
 
-    /// Behind a hole the motion is put where the readings are what was measured, whatever they have beside.
-    fn take_over(&mut self, beside: &[Lane; 2]) {
-        for (motion, beside) in self.0.iter_mut().zip(beside) {
-            *motion = beside.map(|beside| -beside);
+    /// Reset after a gap of the record: the predicted readings, sensor errors included, equal the measured ones.
+    fn reset_to_measurement(&mut self, sensor_error: &[Lane; 2]) {
+        for (motion, sensor_error) in self.0.iter_mut().zip(sensor_error) {
+            *motion = sensor_error.map(|sensor_error| -sensor_error);
         }
     }
 
-    /// The inverse of `correct`: what does this to the readings, from its whitened innovations.
+    /// The inverse of [`Self::whiten`]: change of the readings of a free run from its whitened innovations.
     #[inline]
     pub(super) fn colour(&mut self, update: &Update, white: &[Lane; 2]) -> [Lane; 2] {
         let mut readings = [[0.0; LANES]; 2];
@@ -127,24 +126,24 @@ impl Deviations {
             for k in 0..LANES {
                 readings[signal][k] = error[k] + self.0[signal][k];
             }
-            self.shift(gains, &error, 1.0);
+            self.correct_states(gains, &error, 1.0);
         }
         readings
     }
 
-    /// One scalar measurement: its innovation, over which the deviations are corrected with `gains`.
+    /// Scalar measurement update with `gains`: the whitened innovation.
     #[inline]
-    pub(super) fn measure(&mut self, signal: usize, value: &[f64], gains: &[f64; 5]) -> Lane {
+    pub(super) fn innovation(&mut self, signal: usize, value: &[f64], gains: &[f64; 5]) -> Lane {
         let mut error = [0.0; LANES];
         for k in 0..LANES {
             error[k] = value[k] - self.0[signal][k];
         }
-        self.shift(gains, &error, 1.0);
+        self.correct_states(gains, &error, 1.0);
         error.map(|error| error * gains[4])
     }
 
     #[inline]
-    fn shift(&mut self, gains: &[f64; 5], error: &Lane, sign: f64) {
+    fn correct_states(&mut self, gains: &[f64; 5], error: &Lane, sign: f64) {
         for (state, gain) in self.0.iter_mut().zip(gains) {
             for k in 0..LANES {
                 state[k] += sign * gain * error[k];
@@ -153,33 +152,33 @@ impl Deviations {
     }
 }
 
-/// A torque, or a voltage drop, of one size along a trajectory.
+/// A forcing along a trajectory, or an error of the readings.
 pub(super) enum Tangent {
     Terms(Box<dyn Terms>),
-    /// A weighted sum of terms without states that do nothing before, s after the run's first command.
+    /// A weighted sum of terms without states that are zero before `begins_s`, s after the run's first command.
     Event {
         parts: Vec<(f64, Box<dyn Terms>)>,
         begins_s: f64,
     },
-    /// Terms times a power of their own size: another form of the same effect.
-    Bent {
+    /// Error of form: terms times a power of their own relative size.
+    Power {
         terms: Box<dyn Terms>,
         power: f64,
         share: f64,
     },
-    /// Change of terms that build up more slowly, by this factor of current and speed.
-    Slow {
+    /// Error of form: terms stretched by this factor along current and speed, minus the terms.
+    Stretched {
         terms: Box<dyn Terms>,
         factor: f64,
         share: f64,
     },
-    /// Change of terms that lag by a capacitor with this time constant.
+    /// Error of form: terms behind a first-order lag of this time constant, minus the terms.
     Lagging {
         terms: Box<dyn Terms>,
         time_constant_s: f64,
     },
     Wave(Wave),
-    /// Falls to zero on both sides of the centre: a torque, or over the current a voltage.
+    /// Hat function: a torque over the speed, or a voltage over the current.
     Hat {
         axis: Axis,
         centre: f64,
@@ -193,7 +192,7 @@ pub(super) enum Tangent {
     },
     /// Offsets of the sensors: A and rad/s.
     Offset([f64; 2]),
-    /// Change from terms to others, over the step of a coordinate.
+    /// Difference quotient of two terms.
     Change {
         from: Box<dyn Terms>,
         to: Box<dyn Terms>,
@@ -201,13 +200,13 @@ pub(super) enum Tangent {
     },
     /// Change of a parameter of the motor.
     Motor(MotorKey, f64),
-    /// Commands that act later, s.
-    LateCommands(f64),
-    /// Sensors that show current and speed of a while ago, s.
-    LateReadings([f64; 2]),
+    /// Delay of the commands, s.
+    CommandDelay(f64),
+    /// Delays of current and speed in the readings, s.
+    ReadingDelay([f64; 2]),
 }
 
-/// A torque over the angle, in N.m, or in proportion to the current, of which it then is this share.
+/// Sine or cosine over the shaft angle: a torque, N.m, or a share of the torque of the current.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Wave {
     pub order: f64,
@@ -216,11 +215,11 @@ pub(super) struct Wave {
     pub of_current: bool,
 }
 
-/// What commands that act `late_s` later do to the current in the interval before each sample, as a constant forcing of it.
-fn pulses(run: &LinearisedRun<'_>, late_s: f64) -> Vec<f64> {
+/// Forcing of the current, constant over the interval to each sample, that is equal to a delay of the commands by `late_s`.
+fn delay_forcing(run: &LinearisedRun<'_>, late_s: f64) -> Vec<f64> {
     let times = &run.scenario.sample_time_s;
     let mut forcing = vec![0.0; times.len()];
-    let known_s = run.follower.late_s;
+    let known_s = run.gains.command_delay_s;
     for pair in run.scenario.events.windows(2) {
         let acts_s = pair[1].0 + known_s;
         let sample = times.partition_point(|time_s| *time_s <= acts_s);
@@ -230,7 +229,7 @@ fn pulses(run: &LinearisedRun<'_>, late_s: f64) -> Vec<f64> {
         let gain = run.steps[sample].current[4];
         if gain > 0.0 {
             let missing_a = (pair[0].1 - pair[1].1) * late_s * run.dynamics.inverse_inductance;
-            let rests = run.follower.passages[sample].direction == 0.0;
+            let rests = run.gains.transitions[sample].direction == 0.0;
             let rest = run.dynamics.over(time_s - acts_s, rests);
             *cell += rest.apply([missing_a, 0.0], [0.0; 2])[0] / gain;
         }
@@ -238,18 +237,18 @@ fn pulses(run: &LinearisedRun<'_>, late_s: f64) -> Vec<f64> {
     forcing
 }
 
-/// A tangent on its way along a run.
-struct Traveller<'a> {
+/// A tangent and the states of its terms along a run.
+struct ForcingState<'a> {
     tangent: &'a Tangent,
     own: Vec<f64>,
     rate: Vec<f64>,
-    /// Largest voltage, torque and friction of terms whose power differs.
+    /// Largest voltage, torque and friction along the run, for [`Tangent::Power`].
     most: Sums,
-    /// Forcing of the current by commands that are late, for each sample.
-    pulses: Vec<f64>,
+    /// Forcing of the current by a delay of the commands, for each sample.
+    delay_forcing: Vec<f64>,
 }
 
-impl<'a> Traveller<'a> {
+impl<'a> ForcingState<'a> {
     fn new(tangent: &'a Tangent, run: &LinearisedRun<'_>) -> Self {
         let states = match tangent {
             Tangent::Terms(terms) => terms.states(),
@@ -258,20 +257,20 @@ impl<'a> Traveller<'a> {
             _ => 0,
         };
         let mut most = Sums::default();
-        if let Tangent::Bent { terms, .. } = tangent {
+        if let Tangent::Power { terms, .. } = tangent {
             for at in &run.instants {
                 most = combined(&most, &terms.sums(at, &[]), |most, own| most.max(own.abs()));
             }
             (most.current_rate_gain, most.inertia_gain) = (0.0, 0.0);
         }
-        let pulses = match tangent {
-            Tangent::LateCommands(late_s) => pulses(run, *late_s),
+        let delay_forcing = match tangent {
+            Tangent::CommandDelay(late_s) => delay_forcing(run, *late_s),
             _ => vec![],
         };
-        Self { tangent, own: vec![0.0; states], rate: vec![0.0; states], most, pulses }
+        Self { tangent, own: vec![0.0; states], rate: vec![0.0; states], most, delay_forcing }
     }
 
-    /// What terms, or others in their place, do at an instant of an interval.
+    /// Terms of the tangent at the middle of an interval; advances their states.
     fn sums(&mut self, at: &Instant, interval_s: f64) -> Sums {
         match self.tangent {
             Tangent::Terms(terms) => {
@@ -293,7 +292,7 @@ impl<'a> Traveller<'a> {
                 let (from, to) = (from.sums(at, &[]), to.sums(at, &[]));
                 combined(&from, &to, |from, to| (to - from) / over)
             }
-            Tangent::Bent { terms, power, share } => {
+            Tangent::Power { terms, power, share } => {
                 combined(&terms.sums(at, &[]), &self.most, |value, most| {
                     if value != 0.0 && most > 0.0 {
                         share * value * (value / most).abs().powf(*power)
@@ -302,7 +301,7 @@ impl<'a> Traveller<'a> {
                     }
                 })
             }
-            Tangent::Slow { terms, factor, share } => {
+            Tangent::Stretched { terms, factor, share } => {
                 let slow = Instant {
                     current_a: at.current_a / factor,
                     speed_rad_s: at.speed_rad_s / factor,
@@ -335,7 +334,7 @@ struct Waves {
 }
 
 impl Waves {
-    /// Goes on to `order`; the next one after the present costs one product a sample.
+    /// Sets the order; the next higher one costs one product a sample (angle addition).
     fn to(&mut self, order: f64, instants: &[Instant]) {
         if order.to_bits() == self.order.to_bits() {
             return;
@@ -348,24 +347,26 @@ impl Waves {
     }
 }
 
-/// Carries `tangents`, no more than there are lanes, along `run`; `hand_on` gets the first sample of each chunk and the
-/// whitened innovations of its samples: current, speed, current, ... Chunks before the begin of all tangents are left out.
-pub(super) fn carry(
+/// Propagates at most [`LANES`] tangents along `run`. `output` receives the first sample of each chunk and the whitened innovations
+/// of its samples: current, speed, current, ... Chunks before the begin of all tangents are skipped.
+pub(super) fn propagate(
     run: &LinearisedRun<'_>,
     tangents: &[&Tangent],
-    mut hand_on: impl FnMut(usize, &[Lane]),
+    mut output: impl FnMut(usize, &[Lane]),
 ) {
-    let travellers = tangents.iter().map(|tangent| Traveller::new(tangent, run));
-    let mut travellers: Vec<_> = travellers.collect();
+    let forcing_states = tangents.iter().map(|tangent| ForcingState::new(tangent, run));
+    let mut forcing_states: Vec<_> = forcing_states.collect();
     let mut deviations = Deviations::default();
     let mut forcing = [[[0.0; LANES]; 2]; CHUNK];
     let mut white = [[0.0; LANES]; 2 * CHUNK];
-    let mut beside = [[0.0; LANES]; 2];
+    let mut sensor_error = [[0.0; LANES]; 2];
     let mut late: Vec<(usize, [f64; 2])> = Vec::new();
     for (lane, tangent) in tangents.iter().enumerate() {
         match tangent {
-            Tangent::Offset(offset) => (beside[0][lane], beside[1][lane]) = (offset[0], offset[1]),
-            Tangent::LateReadings(by_s) => late.push((lane, *by_s)),
+            Tangent::Offset(offset) => {
+                (sensor_error[0][lane], sensor_error[1][lane]) = (offset[0], offset[1])
+            }
+            Tangent::ReadingDelay(by_s) => late.push((lane, *by_s)),
             _ => {}
         }
     }
@@ -378,28 +379,28 @@ pub(super) fn carry(
     let silent = run.instants.partition_point(|instant| instant.time_s < begin_s);
     for first in (0..n).step_by(CHUNK).skip(silent / CHUNK) {
         let range = first..(first + CHUNK).min(n);
-        // No order is this: the first wave of a chunk is computed anew.
+        // No wave has this order: the first one of a chunk is computed.
         let mut waves = Waves { order: f64::NEG_INFINITY, each: [[0.0; 2]; CHUNK] };
-        for (lane, traveller) in travellers.iter_mut().enumerate() {
+        for (lane, forcing_state) in forcing_states.iter_mut().enumerate() {
             let put = |k: usize, [current, speed]: [f64; 2]| {
                 (forcing[k][0][lane], forcing[k][1][lane]) = (current, speed);
             };
-            force(run, traveller, range.clone(), &mut waves, put);
+            force(run, forcing_state, range.clone(), &mut waves, put);
         }
         for ((sample, forcing), white) in range.clone().zip(&forcing).zip(white.chunks_exact_mut(2))
         {
-            deviations.pass(&run.steps[sample], forcing);
+            deviations.advance(&run.steps[sample], forcing);
             for (lane, by_s) in &late {
-                for (signal, beside) in beside.iter_mut().enumerate() {
-                    beside[*lane] = -by_s[signal] * run.followed.rates[sample][signal];
+                for (signal, sensor_error) in sensor_error.iter_mut().enumerate() {
+                    sensor_error[*lane] = -by_s[signal] * run.filtered.rates[sample][signal];
                 }
             }
-            if run.follower.passages[sample].begins_again {
-                deviations.take_over(&beside);
+            if run.gains.transitions[sample].restarts {
+                deviations.reset_to_measurement(&sensor_error);
             }
-            white.copy_from_slice(&deviations.correct(&run.follower.updates[sample], &beside));
+            white.copy_from_slice(&deviations.whiten(&run.gains.updates[sample], &sensor_error));
         }
-        hand_on(first, &white[..2 * range.len()]);
+        output(first, &white[..2 * range.len()]);
     }
 }
 
@@ -414,7 +415,7 @@ fn sinc(x: f64) -> f64 {
     }
 }
 
-/// Voltage across the inductance, but for what effects drop.
+/// Voltage across the inductance without the drops of effects.
 fn inductive_v(run: &LinearisedRun<'_>, at: &Instant) -> f64 {
     let value = |key| run.model.motor.get(key).unwrap_or(0.0);
     let (r, ke) = (value(MotorKey::Resistance), value(MotorKey::BackEmf));
@@ -424,49 +425,49 @@ fn inductive_v(run: &LinearisedRun<'_>, at: &Instant) -> f64 {
 /// The forcing of one tangent at the samples of a chunk.
 fn force(
     run: &LinearisedRun<'_>,
-    traveller: &mut Traveller<'_>,
+    forcing_state: &mut ForcingState<'_>,
     range: std::ops::Range<usize>,
     waves: &mut Waves,
     mut put: impl FnMut(usize, [f64; 2]),
 ) {
     let instants = &run.instants[range.clone()];
-    let passages = &run.follower.passages[range.clone()];
+    let transitions = &run.gains.transitions[range.clone()];
     let inductance = run.dynamics.inverse_inductance;
     let inertia = run.dynamics.inverse_inertia;
-    let followed = &run.followed;
+    let filtered = &run.filtered;
     let start = range.start;
     let mean_rate = |signal: usize, k: usize, interval_s: f64| {
         let sample = start + k;
         if sample == 0 || interval_s <= 0.0 {
             return 0.0;
         }
-        (followed.before[sample][signal] - followed.after[sample - 1][signal]) / interval_s
+        (filtered.before[sample][signal] - filtered.after[sample - 1][signal]) / interval_s
     };
-    let along = || instants.iter().zip(passages).enumerate();
-    match traveller.tangent {
-        Tangent::Offset(_) | Tangent::LateReadings(_) => {}
-        Tangent::LateCommands(_) => {
-            for (k, pulse) in traveller.pulses[range].iter().enumerate() {
+    let along = || instants.iter().zip(transitions).enumerate();
+    match forcing_state.tangent {
+        Tangent::Offset(_) | Tangent::ReadingDelay(_) => {}
+        Tangent::CommandDelay(_) => {
+            for (k, pulse) in forcing_state.delay_forcing[range].iter().enumerate() {
                 put(k, [*pulse, 0.0]);
             }
         }
         Tangent::Motor(key, by) => {
-            for (k, (at, passage)) in along() {
-                let rates = [0, 1].map(|signal| mean_rate(signal, k, passage.interval_s));
-                let forcing = of_motor(run, *key, at, passage.direction, rates);
+            for (k, (at, transition)) in along() {
+                let rates = [0, 1].map(|signal| mean_rate(signal, k, transition.interval_s));
+                let forcing = motor_forcing(run, *key, at, transition.direction, rates);
                 put(k, forcing.map(|forcing| by * forcing));
             }
         }
         Tangent::Wave(wave) => {
             waves.to(wave.order, instants);
-            for (k, (at, passage)) in along() {
-                let torque = wave_torque(wave, at, passage.interval_s, &waves.each[k]);
+            for (k, (at, transition)) in along() {
+                let torque = wave_torque(wave, at, transition.interval_s, &waves.each[k]);
                 put(k, [0.0, -torque * inertia]);
             }
         }
         Tangent::Curve { most, values } => {
             for (k, at) in instants.iter().enumerate() {
-                let torque = curve(*most, values, at.speed_rad_s);
+                let torque = interpolated(*most, values, at.speed_rad_s);
                 put(k, [0.0, -torque * inertia]);
             }
         }
@@ -481,11 +482,11 @@ fn force(
             }
         }
         _ => {
-            for (k, (at, passage)) in along() {
-                let sums = traveller.sums(at, passage.interval_s);
+            for (k, (at, transition)) in along() {
+                let sums = forcing_state.sums(at, transition.interval_s);
                 let inductive_v = sums.current_rate_gain * inductive_v(run, at);
-                let acceleration = sums.inertia_gain * mean_rate(1, k, passage.interval_s);
-                let torque_n_m = sums.torque_n_m + passage.direction * sums.friction_n_m;
+                let acceleration = sums.inertia_gain * mean_rate(1, k, transition.interval_s);
+                let torque_n_m = sums.torque_n_m + transition.direction * sums.friction_n_m;
                 put(
                     k,
                     [
@@ -500,7 +501,7 @@ fn force(
 
 /// Torque of a wave over an interval about an instant at which its sine and cosine are these.
 fn wave_torque(wave: &Wave, at: &Instant, interval_s: f64, [sin, cos]: &[f64; 2]) -> f64 {
-    // What a wave does over an interval in which the shaft turns by much of it is little.
+    // Mean over the interval: a wave through which the shaft turns within a sample averages out.
     let mean = sinc(0.5 * wave.order * at.speed_rad_s * interval_s);
     let driving = at.torque_n_m_per_a * at.current_a;
     let per = if wave.of_current { driving } else { 1.0 };
@@ -508,7 +509,7 @@ fn wave_torque(wave: &Wave, at: &Instant, interval_s: f64, [sin, cos]: &[f64; 2]
 }
 
 /// A curve at a speed by its values at equidistant speeds between plus and minus the largest.
-fn curve(most: f64, values: &[f64], speed_rad_s: f64) -> f64 {
+fn interpolated(most: f64, values: &[f64], speed_rad_s: f64) -> f64 {
     let steps = (values.len() - 1) as f64;
     let place = (0.5 * (speed_rad_s / most + 1.0) * steps).clamp(0.0, steps);
     let left = whole(place.floor()).min(values.len() - 2);
@@ -516,8 +517,8 @@ fn curve(most: f64, values: &[f64], speed_rad_s: f64) -> f64 {
     values[left] + share * (values[left + 1] - values[left])
 }
 
-/// What a unit more of a motor's parameter does at rates of current and speed.
-fn of_motor(
+/// Derivatives of the rates of current and speed by a parameter of the motor.
+fn motor_forcing(
     run: &LinearisedRun<'_>,
     key: MotorKey,
     at: &Instant,
@@ -538,13 +539,13 @@ fn of_motor(
     }
 }
 
-/// Whether tangents are slopes of the whole model: a lag between motion and measurement, a second inertia and a current that
-/// settles between two samples have none.
+/// Whether the tangents are derivatives of the model. They are not with a lag between motion and measurement, with a second inertia,
+/// or with a current that settles between two samples.
 pub(super) fn are_tangents(model: &Model, scenario: &Scenario) -> bool {
     if scenario.input == Input::Voltage {
         let interval_s = median_step(&scenario.sample_time_s);
         let constant_s = model.motor.electrical_time_constant_s();
-        // Up to half of the armature's time constant a current's rate is constant over an interval.
+        // The rate of the current is taken as constant over an interval, which holds up to half of the armature's time constant.
         if !constant_s.is_some_and(|constant_s| interval_s < 0.5 * constant_s) {
             return false;
         }
@@ -556,9 +557,9 @@ pub(super) fn are_tangents(model: &Model, scenario: &Scenario) -> bool {
     lags_s <= 0.0 && terms.iter().all(|terms| terms.coupling().is_none())
 }
 
-/// The slope over a parameter of an effect with these values, for each `unit` of a coefficient; of a shape from a step of
-/// `step`, which is `over` of its units. `None` for a shape of an effect with states.
-pub(super) fn of_effect(
+/// Derivative by a parameter of an effect: of a coefficient for `unit` of it, of a shape by a difference over `step`, which is `over` in
+/// its coordinate. `None` for a shape of an effect with states.
+pub(super) fn parameter_tangent(
     effect: &'static dyn Effect,
     values: &[f64],
     index: usize,
@@ -575,9 +576,9 @@ pub(super) fn of_effect(
         alone[index] = unit;
         let late_s = effect.terms(&alone).path().command_delay_s;
         if late_s > 0.0 {
-            return Some(Tangent::LateCommands(late_s));
+            return Some(Tangent::CommandDelay(late_s));
         }
-        return alone_at(effect, &alone, index);
+        return coefficient_tangent(effect, &alone, index);
     }
     let mut moved = values.to_vec();
     moved[index] += step;
@@ -588,7 +589,7 @@ pub(super) fn of_effect(
 }
 
 /// The tangent of one coefficient of an effect, all others at zero; `None` where that is no small forcing.
-pub(super) fn alone_at(
+pub(super) fn coefficient_tangent(
     effect: &'static dyn Effect,
     values: &[f64],
     index: usize,
@@ -646,7 +647,7 @@ mod tests {
         rows: Range<usize>,
     ) -> f64 {
         let mut column = Vec::new();
-        carry(run, &[tangent], |first, white| {
+        propagate(run, &[tangent], |first, white| {
             assert_eq!(column.len(), 2 * first);
             column.extend(white.iter().map(|row| row[0]));
         });
@@ -661,9 +662,9 @@ mod tests {
     #[test]
     fn a_tangent_is_the_difference_of_two_filtered_runs() {
         let (model, scenario, by_s) = (nameplate(), run(1e-3), 2e-5);
-        let mut cases = vec![(Tangent::LateCommands(by_s), truth("command_delay", &[by_s]))];
+        let mut cases = vec![(Tangent::CommandDelay(by_s), truth("command_delay", &[by_s]))];
         for (id, late_s) in [("current_filter", [by_s, 0.0]), ("speed_delay", [0.0, by_s])] {
-            cases.push((Tangent::LateReadings(late_s), truth(id, &[by_s])));
+            cases.push((Tangent::ReadingDelay(late_s), truth(id, &[by_s])));
         }
         let effects: [(&str, &[f64]); 8] = [
             ("viscous_friction", &[1e-4]),
@@ -737,11 +738,11 @@ mod tests {
         let linearised = linearised(&scenario);
         let forcing = [[300.0; LANES], [-20.0; LANES]];
         let (mut free, mut filtered, mut back) = <(Deviations, Deviations, Deviations)>::default();
-        for (step, update) in linearised.steps.iter().zip(&linearised.follower.updates) {
-            free.pass(step, &forcing);
-            filtered.pass(step, &forcing);
-            back.drift(step);
-            let white = filtered.correct(update, &[[0.0; LANES]; 2]);
+        for (step, update) in linearised.steps.iter().zip(&linearised.gains.updates) {
+            free.advance(step, &forcing);
+            filtered.advance(step, &forcing);
+            back.advance_unforced(step);
+            let white = filtered.whiten(update, &[[0.0; LANES]; 2]);
             let readings = back.colour(update, &white);
             for (reading, free) in readings.iter().flatten().zip(free.0[..2].iter().flatten()) {
                 let apart = (reading - free).abs();

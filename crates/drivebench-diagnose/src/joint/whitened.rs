@@ -1,4 +1,4 @@
-//! Whitened columns of one run, and their products.
+//! Whitened regressor columns of one run, and their Gram matrix in cache-sized blocks.
 
 use std::ops::{Mul, Range};
 
@@ -15,9 +15,9 @@ pub(super) struct Whitened {
 
 /// Rows that are multiplied at once.
 const ROWS: usize = 256;
-/// Parts of a run that are summed side by side.
+/// Parts of a run that are summed in parallel, whatever the number of threads: sums are the same to the bit.
 const PARTS: usize = 8;
-/// Columns of one block of a product: blocks below the diagonal are not needed.
+/// Columns of one block of a product; blocks below the diagonal are skipped.
 const BLOCK: usize = 32;
 
 impl Whitened {
@@ -57,7 +57,7 @@ impl Whitened {
         let part = self.rows.div_ceil(PARTS).next_multiple_of(ROWS);
         let sum_of = |number: usize| {
             let mut sum = DMatrix::zeros(p, p);
-            // Columns that are not zero throughout, as those of events yet to come are; the same ones for a while.
+            // Columns that are not zero in these rows (those of later events are); they change seldom.
             let mut there: Vec<usize> = Vec::new();
             let mut own = DMatrix::zeros(1, 1);
             let mut buffer = Vec::with_capacity(p * ROWS);
@@ -181,7 +181,7 @@ mod tests {
         };
         let lengths = [rows, 0, ROWS + 5, rows, 7].into_iter().enumerate();
         let mut each: Vec<Vec<f32>> = lengths.map(column).collect();
-        // Of what begins late all is zero before.
+        // Zero before a late begin.
         each[3][..ROWS + 10].fill(0.0);
         let whitened = Whitened::new(each.clone(), rows);
         let last: Vec<[f64; 2]> = (0..rows / 2).map(|k| [k as f64 % 5.0, -1.0]).collect();

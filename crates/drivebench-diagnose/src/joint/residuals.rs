@@ -1,4 +1,5 @@
-//! What a set leaves of the innovations at its linear solution: its excess over white noise, and the share of unknown curves.
+//! Residuals of a set at its linear solution: their excess over white noise, by the long-run variance and by the cluster-robust
+//! sandwich estimator (Liang & Zeger, Biometrika 73, 1986), and the share of unknown functions.
 
 use nalgebra::DVector;
 
@@ -10,7 +11,7 @@ use super::tangent::{Deviations, Lane};
 use drivebench_model::numerics::count::whole;
 use drivebench_model::plant::Input;
 
-/// The linear solution of a set in all columns, the nuisances' first.
+/// Posterior mean of a set in all columns, the nuisance parameters first.
 fn solution(reduced: &Reduced, set: &Set) -> Option<DVector<f64>> {
     let linear = &reduced.linear;
     let m = linear.nuisances.len();
@@ -26,26 +27,27 @@ fn solution(reduced: &Reduced, set: &Set) -> Option<DVector<f64>> {
     Some(solution)
 }
 
-/// Readings of a free run by two columns, in standard deviations of the sensors: for each sample and column current and speed.
-fn readings(
+/// Outputs of two columns of standardised innovations, the inverse of whitening: per sample current and speed of each column, in
+/// standard deviations of the sensors.
+fn coloured(
     run: &LinearisedRun<'_>,
     white: impl Fn(usize) -> [[f64; 2]; 2],
 ) -> impl Iterator<Item = [[f64; 2]; 2]> {
     let mut track = Deviations::default();
     (0..run.scenario.samples()).map(move |sample| {
-        track.drift(&run.steps[sample]);
+        track.advance_unforced(&run.steps[sample]);
         let columns = white(sample);
         let mut lanes = [Lane::default(); 2];
         for (signal, lane) in lanes.iter_mut().enumerate() {
             lane[..2].copy_from_slice(&columns.map(|column| column[signal]));
         }
-        let [current, speed] = track.colour(&run.follower.updates[sample], &lanes);
+        let [current, speed] = track.colour(&run.gains.updates[sample], &lanes);
         let noise = &run.noise;
         [0, 1].map(|k| [current[k] / noise.current_a, speed[k] / noise.speed_rad_s])
     })
 }
 
-/// What each unknown part of a set takes from the error that the runs have without the set.
+/// Share of the squared output error that each unknown function of a set explains.
 pub(super) fn unknown_shares(
     reduced: &Reduced,
     set: &Set,
@@ -61,8 +63,8 @@ pub(super) fn unknown_shares(
                 own[column] = solution[column];
             }
             let (part, shift) = (columns * &own, columns * &linear.present);
-            let pairs = readings(run, |sample| {
-                let white = run.followed.white[sample];
+            let pairs = coloured(run, |sample| {
+                let white = run.filtered.white[sample];
                 let whole = [0, 1].map(|signal| white[signal] + shift[2 * sample + signal]);
                 [whole, [part[2 * sample], part[2 * sample + 1]]]
             });
@@ -72,7 +74,7 @@ pub(super) fn unknown_shares(
                     after += (whole - part).powi(2);
                 }
             }
-            floor += run.follower.rows as f64;
+            floor += run.gains.rows as f64;
         }
         let taken = (before - after) / (before - floor);
         if before > floor { taken.clamp(0.0, 1.0) } else { 0.0 }
@@ -88,7 +90,7 @@ pub(super) fn unknown_shares(
 /// Ratio of the variance of an effect's size by the scatter between 20 blocks of the runs to that by white noise, for the worst
 /// of the set (cluster-robust variance: Liang and Zeger, Biometrika 73, 1986): what a torque leaves of a real machine is the same
 /// over a whole motion.
-fn clustered(
+fn cluster_robust_ratio(
     linear: &Linear,
     set: &Set,
     runs: &[LinearisedRun<'_>],
@@ -120,7 +122,7 @@ fn clustered(
         let (mut scatter, mut expected) = (0.0, 0.0);
         for ((run, columns), explained) in runs.iter().zip(&linear.columns).zip(explained) {
             let column = columns * &weights;
-            let rows = run.followed.white.iter().flatten().enumerate();
+            let rows = run.filtered.white.iter().flatten().enumerate();
             let products = rows.map(|(row, white)| column[row] * (white - explained[row]));
             let products: Vec<f64> = products.collect();
             let blocks = products.chunks(2 * length);
@@ -135,7 +137,7 @@ fn clustered(
     worst
 }
 
-/// The excess of what a set leaves at its linear solution.
+/// Excess of the residuals of a set: the larger of long-run variance and cluster-robust ratio.
 pub(super) fn excess_of(reduced: &Reduced, set: &Set, runs: &[LinearisedRun<'_>]) -> f64 {
     let linear = &reduced.linear;
     let Some(solution) = solution(reduced, set) else {
@@ -146,10 +148,10 @@ pub(super) fn excess_of(reduced: &Reduced, set: &Set, runs: &[LinearisedRun<'_>]
     let by_blocks = if runs[0].scenario.input == Input::Voltage {
         1.0
     } else {
-        clustered(linear, set, runs, &explained)
+        cluster_robust_ratio(linear, set, runs, &explained)
     };
     let left = runs.iter().zip(&explained).map(|(run, explained)| {
-        let pairs = run.followed.white.iter();
+        let pairs = run.filtered.white.iter();
         let pairs = pairs.zip(explained.as_slice().chunks(2));
         let left = pairs.map(|(white, explained)| [0, 1].map(|k| white[k] - explained[k]));
         (run, left.collect())
