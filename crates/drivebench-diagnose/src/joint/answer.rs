@@ -135,8 +135,8 @@ impl Inference {
 
     /// Time and size of an event in each run that has it.
     pub(crate) fn onsets(&self, id: &str) -> Vec<Onset> {
-        let own = self.found.fitted_events.iter();
-        let mut own: Vec<&FittedEvent> = own.filter(|own| own.event.id() == id).collect();
+        let mut own: Vec<&FittedEvent> =
+            self.found.fitted_events.iter().filter(|own| own.event.id() == id).collect();
         own.sort_by_key(|own| own.event.run);
         let onset = |own: &FittedEvent| Onset {
             run: self.runs[own.event.run].of,
@@ -293,8 +293,8 @@ pub(crate) fn infer(
         has_floor: known,
         work: &work,
     };
-    let found = search::search(models, eligible, together, noise, progress);
-    let found = found.ok_or_else(|| cannot_simulate(&evidence.training))?;
+    let found = search::search(models, eligible, together, noise, progress)
+        .ok_or_else(|| cannot_simulate(&evidence.training))?;
     let inferred = |effect: &&'static dyn Effect| Inferred {
         given: given.contains(&effect.card().id),
         why_not: why_not(*effect, &runs[0]),
@@ -351,7 +351,7 @@ pub(crate) fn infer(
 fn runs_of(evidence: &Evidence, count: usize) -> Vec<RunPosition> {
     let length_s = |run: &Scenario| run.sample_time_s[run.samples() - 1] - run.begin_s();
     let begins_s = evidence.begins_s();
-    let of = |number: usize| {
+    let position = |number: usize| {
         let of = match (evidence.holdout_from, begins_s.get(number)) {
             (HoldoutFrom::Split, _) if number == 0 => RunOf::Whole,
             (HoldoutFrom::Run, _) if number == 0 => RunOf::Fit,
@@ -371,7 +371,7 @@ fn runs_of(evidence: &Evidence, count: usize) -> Vec<RunPosition> {
             ends_s: length_s(&evidence.training),
         }
     };
-    (0..count).map(of).collect()
+    (0..count).map(position).collect()
 }
 
 /// The unknown functions that are probable and explain more than 3 % of the error of a free run; one that changes only the

@@ -192,8 +192,8 @@ pub(super) fn linearise(
     // Columns of the model first: forms are screened given these.
     let inside: Vec<&Source> = always.iter().chain(sources_of(&parts, true)).collect();
     let base = columns_of(&inside, runs);
-    let precision = |k| nuisances.get(k).map_or(1.0, |sd: &f64| 1.0 / (sd * sd));
-    let precision: Vec<f64> = (0..base[0].columns.len()).map(precision).collect();
+    let precision_of = |k| nuisances.get(k).map_or(1.0, |sd: &f64| 1.0 / (sd * sd));
+    let precision: Vec<f64> = (0..base[0].columns.len()).map(precision_of).collect();
     keep_likeliest(&mut parts, runs, &base, &precision);
     drop_refuted(&mut parts, &runs[0], &base[0], &precision);
     let others = columns_of(&sources_of(&parts, false).collect::<Vec<_>>(), runs);
@@ -212,8 +212,7 @@ pub(super) fn linearise(
     }
     let mut candidates: Vec<Candidate> = parts.into_iter().map(|part| part.candidate).collect();
     exclusions(&mut candidates, training.input);
-    let columns = base.into_iter().zip(others).zip(runs);
-    let columns = columns.map(|((mut base, mut others), run)| {
+    let columns = base.into_iter().zip(others).zip(runs).map(|((mut base, mut others), run)| {
         let take = |(inside, k): &(bool, usize)| {
             let from = if *inside { &mut base } else { &mut others };
             std::mem::take(&mut from.columns[*k])

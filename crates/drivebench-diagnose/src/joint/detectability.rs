@@ -145,8 +145,7 @@ pub(super) fn event_information(
         return candidate.event_information.iter().map(wider).collect();
     }
     let others = reduced.columns(&reduced.cleared(best, k));
-    let alone = candidate.variants.iter();
-    let alone = alone.filter(|variant| variant.columns.len() == 1);
+    let alone = candidate.variants.iter().filter(|variant| variant.columns.len() == 1);
     alone.map(|variant| reduced.information(&others, variant, variant.columns[0].unit)).collect()
 }
 
@@ -165,11 +164,11 @@ pub(super) fn event_bound(event_times: &[ColumnInformation]) -> f64 {
     let most = logs.fold(f64::NEG_INFINITY, f64::max);
     let total: f64 = sizes.iter().map(|size| (size.0 - most).exp()).sum();
     let beyond = |bound: f64| -> f64 {
-        let beyond = |(log, mean, sd): &(f64, f64, f64)| {
+        let weighted_tail = |(log, mean, sd): &(f64, f64, f64)| {
             let tail = 0.5 * erfc((bound - mean) / sd / SQRT_2);
             (log - most).exp() * tail
         };
-        sizes.iter().map(beyond).sum::<f64>() / total
+        sizes.iter().map(weighted_tail).sum::<f64>() / total
     };
     // Bisection from four standard deviations down.
     let mut low = 0.0;

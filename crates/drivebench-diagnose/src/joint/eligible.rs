@@ -57,8 +57,11 @@ pub(crate) fn why_not(effect: &dyn Effect, scenario: &Scenario) -> Option<&'stat
     if !effect.card().needs_angle {
         return None;
     }
-    let orders = effect.parameters().iter().find(|spec| spec.key == "order");
-    let orders = orders.map_or(&[1.0][..], |spec| spec.shapes);
+    let orders = effect
+        .parameters()
+        .iter()
+        .find(|spec| spec.key == "order")
+        .map_or(&[1.0][..], |spec| spec.shapes);
     let least = least_periods(effect, scenario);
     if !orders.iter().any(|order| travels(scenario, *order, least)) {
         return Some(if least < LEAST_TRAVEL_PERIODS {

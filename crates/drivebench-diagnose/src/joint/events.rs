@@ -234,8 +234,8 @@ pub(super) fn parts(
         }
         let part_s = spacing_s(run, effect);
         let grid = (1..parts_of_run(effect)).map(|place| (part_s * place as f64, false));
-        let others = hypothesis.events.iter();
-        let others = others.filter(|event| event.run == number && event.id() != id);
+        let others =
+            hypothesis.events.iter().filter(|event| event.run == number && event.id() != id);
         for (time_s, is_rival) in grid.chain(others.map(|event| (event.time_s(), true))) {
             let mut event = Event { run: number, effect, values: guess.clone() };
             event.put_at(time_s);
@@ -255,8 +255,11 @@ pub(super) fn pair(linear: &mut Linear, runs: &[LinearisedRun<'_>]) {
     if runs.len() < 2 {
         return;
     }
-    let inside = linear.candidates.iter().filter(|own| own.in_model);
-    let inside = inside.flat_map(|own| own.variants[0].numbers());
+    let inside = linear
+        .candidates
+        .iter()
+        .filter(|own| own.in_model)
+        .flat_map(|own| own.variants[0].numbers());
     let indices: Vec<usize> = (0..linear.nuisances.len()).chain(inside).collect();
     let Some(base) = Base::of_columns(linear, &indices) else {
         return;
@@ -307,8 +310,12 @@ fn together(
     };
     let of_run = |run: usize| -> Vec<&Variant> {
         let is_own = |form: &&Variant| form.event_times().next().is_some_and(|own| own.0 == run);
-        let own = candidate.variants.iter().filter(is_own);
-        let mut own: Vec<_> = own.map(|form| (gain(form.columns[0].at), form)).collect();
+        let mut own: Vec<_> = candidate
+            .variants
+            .iter()
+            .filter(is_own)
+            .map(|form| (gain(form.columns[0].at), form))
+            .collect();
         own.sort_by(|a, b| b.0.total_cmp(&a.0));
         let own = own.into_iter().map(|own| own.1).enumerate();
         let paired = own.filter(|(place, form)| *place < 4 || form.is_rival);
@@ -387,8 +394,8 @@ impl Search<'_> {
         let mut evaluated: Vec<(f64, f64)> = Vec::new();
         // Five levels, down to a quarter of a period.
         for _ in 0..5 {
-            let tried = (-8..=8).map(|k| best_s + f64::from(k) * step_s);
-            let tried: Vec<f64> = tried.filter(is_inside).collect();
+            let tried: Vec<f64> =
+                (-8..=8).map(|k| best_s + f64::from(k) * step_s).filter(is_inside).collect();
             evaluated.extend(tried.iter().copied().zip(self.gains(&tried)));
             let likeliest = evaluated.iter().max_by(|a, b| a.1.total_cmp(&b.1));
             best_s = likeliest.map_or(best_s, |evaluated| evaluated.0);
@@ -403,12 +410,16 @@ impl Search<'_> {
         // At rest the likelihood is flat: the interval grows step by step.
         let wide_s = 0.5 * spacing_s;
         for side in [-1.0, 1.0] {
-            let reach = evaluated.iter().filter(|evaluated| evaluated.1 > least);
-            let reach = reach.map(|evaluated| side * evaluated.0);
+            let reach = evaluated
+                .iter()
+                .filter(|evaluated| evaluated.1 > least)
+                .map(|evaluated| side * evaluated.0);
             let mut from_s = reach.fold(f64::MIN, f64::max) * side;
             loop {
-                let further = (1..=LANES).map(|k| from_s + side * wide_s * k as f64);
-                let further: Vec<f64> = further.filter(is_inside).collect();
+                let further: Vec<f64> = (1..=LANES)
+                    .map(|k| from_s + side * wide_s * k as f64)
+                    .filter(is_inside)
+                    .collect();
                 let gains = self.gains(&further);
                 let likely = gains.iter().take_while(|gain| **gain > least).count();
                 evaluated.extend(further.iter().copied().zip(gains).take(likely));
@@ -437,8 +448,11 @@ pub(super) fn event_time_of(
     excess: f64,
 ) -> EventTime {
     let place = || -> Option<EventTime> {
-        let chosen = linear.candidates.iter().zip(set);
-        let chosen = chosen.filter_map(|(own, form)| Some((own.id, &own.variants[(*form)?])));
+        let chosen = linear
+            .candidates
+            .iter()
+            .zip(set)
+            .filter_map(|(own, form)| Some((own.id, &own.variants[(*form)?])));
         let columns: Vec<(&str, &Column)> = chosen
             .flat_map(|(id, form)| form.columns.iter().map(move |column| (id, column)))
             .collect();
@@ -452,8 +466,8 @@ pub(super) fn event_time_of(
             .iter()
             .filter(|(id, column)| *id != event.id() || column.event_time.is_some())
             .map(|(_, column)| column.at);
-        let indices = (0..linear.nuisances.len()).chain(others);
-        let indices: Vec<usize> = indices.filter(|column| *column != own.at).collect();
+        let indices: Vec<usize> =
+            (0..linear.nuisances.len()).chain(others).filter(|column| *column != own.at).collect();
         let base = Base::of_columns(linear, &indices)?;
         let shift = whitened * &linear.present;
         let residual =

@@ -52,8 +52,7 @@ impl ExpectedInformation {
         let (in_hand, held_out) = evidence.speaking();
         let runs: Vec<Scenario> = in_hand.iter().map(|run| prepared(run, known)).collect();
         let own = model.effects.iter().map(|active| active.effect);
-        let missing = eligible.iter().copied();
-        let missing = missing.filter(|effect| !model.has(effect.card().id));
+        let missing = eligible.iter().copied().filter(|effect| !model.has(effect.card().id));
         Self {
             hypothesis: Hypothesis::of(model),
             eligible: own.chain(missing).collect(),

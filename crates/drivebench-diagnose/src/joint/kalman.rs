@@ -245,8 +245,12 @@ impl<'a> Filter<'a> {
         let holes = scenario.unknown_input.iter();
         let restarted = holes.filter(|hole| hole.restart.is_some());
         let held = scenario.events.iter().map(|event| event.0);
-        let observed = scenario.sample_time_s.iter().zip(&scenario.speed_rad_s);
-        let observed = observed.filter(|row| row.1.is_finite()).map(|row| *row.0);
+        let observed = scenario
+            .sample_time_s
+            .iter()
+            .zip(&scenario.speed_rad_s)
+            .filter(|row| row.1.is_finite())
+            .map(|row| *row.0);
         let by_voltage = scenario.input == Input::Voltage;
         let longest = |times: Vec<f64>| {
             let gaps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -563,11 +567,9 @@ pub(super) fn predicted_covariance(
 ) -> Covariance {
     let propagator = &transition.propagator;
     let first = propagator.apply([1.0, 0.0], [0.0; 2]);
-    let second = propagator.apply([0.0, 1.0], [0.0; 2]);
-    let second = second.map(|on| on * transition.speed_factor);
+    let second = propagator.apply([0.0, 1.0], [0.0; 2]).map(|on| on * transition.speed_factor);
     let moving = if transition.direction == 0.0 { 0.0 } else { 1.0 };
-    let load = propagator.apply([0.0; 2], [0.0, -dynamics.inverse_inertia]);
-    let load = load.map(|on| on * moving);
+    let load = propagator.apply([0.0; 2], [0.0, -dynamics.inverse_inertia]).map(|on| on * moving);
     let input = propagator.apply([0.0; 2], dynamics.per_input);
     let keeps = transition.input_keeps;
     let f = [

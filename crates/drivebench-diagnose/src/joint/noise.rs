@@ -53,9 +53,9 @@ pub(super) fn initial_noise(floor: &NoiseFloor, model: &Model, run: &Scenario) -
 /// Noise of a signal by its second differences (difference-based estimator: Gasser, Sroka and Jennen-Steinmetz, Biometrika 73,
 /// 1986), with a robust deviation against outliers and steps.
 fn roughness(values: &[f64]) -> f64 {
-    let bends = finite(values);
-    let bends = bends.windows(3).map(|v| v[0] - 2.0 * v[1] + v[2]);
-    robust_deviation(&bends.collect::<Vec<_>>()) / 6f64.sqrt()
+    let values = finite(values);
+    let second_differences = values.windows(3).map(|v| v[0] - 2.0 * v[1] + v[2]);
+    robust_deviation(&second_differences.collect::<Vec<_>>()) / 6f64.sqrt()
 }
 
 /// Block averages of one run, unwhitened, so that any noise parameters can be tried.

@@ -144,19 +144,18 @@ pub(super) fn of_equations(run: &LinearisedRun<'_>) -> Vec<(ErrorOf, Vec<f32>)> 
         sources.push(source);
     }
     let sources: Vec<&Source> = sources.iter().collect();
-    let columns = columns_of(&sources, std::slice::from_ref(run));
-    let columns = columns.into_iter().flat_map(|whitened| whitened.columns);
-    errors.into_iter().zip(columns).collect()
+    let whitened = columns_of(&sources, std::slice::from_ref(run)).into_iter();
+    errors.into_iter().zip(whitened.flat_map(|whitened| whitened.columns)).collect()
 }
 
 /// Voltages of terms at a small part of the run's largest current and at that current, and that part of it, A.
 fn small_and_most_v(terms: &dyn Terms, scenario: &Scenario) -> ([f64; 2], f64) {
     let most_a = largest(scenario.current_a.iter().copied());
-    let at = |current_a: f64| {
+    let voltage_at = |current_a: f64| {
         let at = Instant { current_a, ..Instant::default() };
         terms.voltage_v(&at, &[]).abs()
     };
-    ([SMALL_SHARE * most_a, most_a].map(at), SMALL_SHARE * most_a)
+    ([SMALL_SHARE * most_a, most_a].map(voltage_at), SMALL_SHARE * most_a)
 }
 
 /// Whether terms have reached 0.99 of their level at a tenth of the run's largest current, as a brush drop: how they build up below
@@ -169,11 +168,11 @@ fn has_a_level(terms: &dyn Terms, scenario: &Scenario) -> bool {
 /// Whether terms act on the supply side of the chopper: there the current is the motor's times the duty cycle, and a capacitor delays
 /// the voltage.
 fn is_before_the_chopper(terms: &dyn Terms, motor: &Instant) -> bool {
-    let at = |voltage_v: f64| {
+    let drop_at = |voltage_v: f64| {
         let at = Instant { current_a: 1.0, voltage_v, ..*motor };
         terms.voltage_v(&at, &[])
     };
-    (at(motor.supply_v) - at(0.0)).abs() > 0.0
+    (drop_at(motor.supply_v) - drop_at(0.0)).abs() > 0.0
 }
 
 /// Error of the motor's resistance, ohm, by effects that act as a resistance at small currents (discontinuous conduction): the form of
@@ -209,8 +208,7 @@ pub(super) fn bends(
         let pairs = || specs.iter().zip(values);
         let sizes = pairs().filter(|(spec, _)| spec.is_coefficient());
         let amplitude = sizes.map(|(_, value)| value * value).sum::<f64>().sqrt();
-        let order = pairs().find(|(spec, _)| spec.key == "order");
-        let order = order.map_or(1.0, |(_, order)| *order);
+        let order = pairs().find(|(spec, _)| spec.key == "order").map_or(1.0, |(_, order)| *order);
         // What is in proportion to the current is so in any form.
         let of_current = effect.card().harmonic == Some(Harmonic::OfCurrent);
         let harmonics = [(2.0, true), (2.0, false), (3.0, true), (3.0, false)];

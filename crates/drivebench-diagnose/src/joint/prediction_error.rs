@@ -66,8 +66,7 @@ impl Coordinate {
             let unit = SLAB * typical_size(effect, parameter, model, scenario);
             Self::linear(unit, (least, spec.max), 0.0)
         } else if spec.logarithmic {
-            let limit = effect.card().limit;
-            let limit = limit.filter(|limit| limit.parameter == parameter);
+            let limit = effect.card().limit.filter(|limit| limit.parameter == parameter);
             let least = limit.map_or(spec.min, |limit| limit.least);
             // The prior of a shape: a factor of e; three scales where it may be zero.
             Self::logarithm(1.0, (least, spec.max), value)
@@ -463,8 +462,10 @@ pub(super) fn fit<'a>(start: &Hypothesis, runs: &[LinearisedRun<'a>]) -> Option<
     let mut problem = Innovations::new(start, &own);
     problem.equation_errors = Some(EquationErrors::of(&start.model, &own));
     let minimum = problem.minimum(problem.quick())?;
-    let over_sd = own.iter().flat_map(|run| &run.gains.updates);
-    let over_sd = over_sd.flat_map(|update| [update.current[4], update.speed[4]]);
+    let over_sd = own
+        .iter()
+        .flat_map(|run| &run.gains.updates)
+        .flat_map(|update| [update.current[4], update.speed[4]]);
     let logs: f64 = over_sd.filter(|over_sd| *over_sd > 0.0).map(f64::ln).sum();
     Some(Refit {
         hypothesis: problem.hypothesis_at(&minimum.x),
@@ -497,8 +498,7 @@ fn estimate(run: &LinearisedRun<'_>) -> Option<Estimated> {
     let rows = problem.len - problem.free.len() - 1;
     let slopes = minimum.jacobian.rows(0, rows);
     let (covariance, determined) = inverse_of_normal(&slopes.tr_mul(&slopes));
-    let left = minimum.residual[..rows].chunks_exact(2);
-    let left = left.map(|pair| [pair[0], pair[1]]).collect();
+    let left = minimum.residual[..rows].chunks_exact(2).map(|pair| [pair[0], pair[1]]).collect();
     let factor = excess(&[(run, left)]).sqrt();
     let fitted = problem.hypothesis_at(&minimum.x).model;
     let left_ohm = left_beyond_ohm(&fitted, run.scenario);
@@ -551,8 +551,7 @@ pub(crate) fn led(mut fit: Fitted, run: &Scenario, noise: Noise, may_move: bool)
     };
     let score = may_move.then(|| Score::of(&estimated.model, run, &fit.noise));
     let led = score.and_then(Result::ok).filter(|score| score.nrms < LED_ONLY_RATIO * fit.nrms);
-    let kept = led.as_ref().map_or(&fit.model, |_| &estimated.model);
-    let kept = kept.clone();
+    let kept = led.as_ref().map_or(&fit.model, |_| &estimated.model).clone();
     let period_s = run.mean_period_s();
     let mut is_known = false;
     for (slot, deviation) in &estimated.deviations {

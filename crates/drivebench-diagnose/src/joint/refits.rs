@@ -155,11 +155,11 @@ impl Weighed<'_> {
         let base = base?;
         let removals = eligible.iter().zip(refitted?).map(|((k, candidate), refit)| {
             let promised = of_best - likelihood(&without(best, *k));
-            let change = refit.as_ref();
-            let change = change.map_or(0.0, |refit| 0.5 * (refit.deviance - base.deviance));
+            let change = refit.as_ref().map_or(0.0, |refit| 0.5 * (refit.deviance - base.deviance));
             let gained = if candidate.in_model { change } else { -change };
-            let left = refit.filter(|_| candidate.in_model);
-            let left = left.map_or_else(|| self.hypothesis.clone(), |left| left.hypothesis);
+            let left = refit
+                .filter(|_| candidate.in_model)
+                .map_or_else(|| self.hypothesis.clone(), |left| left.hypothesis);
             let is_kept = candidate.log_odds > 0.0;
             let raised = if is_kept { -BARRED_LOG_ODDS } else { 0.0 };
             let odds = self.posterior.log_factor[*k] - raised - (promised - gained).max(0.0);
@@ -235,8 +235,8 @@ mod tests {
         about: impl FnOnce(&Weighed<'_>) -> T,
     ) -> T {
         let run = record(machine, 0, 7);
-        let eligible = eligible.iter().map(|id| effect::find(id).unwrap());
-        let eligible: Vec<&'static dyn Effect> = eligible.collect();
+        let eligible: Vec<&'static dyn Effect> =
+            eligible.iter().map(|id| effect::find(id).unwrap()).collect();
         let (hypothesis, runs) = (Hypothesis::of(model), linearised(model, &run));
         let mut linear = linearise(&hypothesis, &eligible, &runs, false).unwrap();
         change(&mut linear);

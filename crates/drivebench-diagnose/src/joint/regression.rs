@@ -279,8 +279,8 @@ impl Base {
         let own = DMatrix::from_fn(width, width, |r, c| {
             if r == c { products[m + 1][lane + r] + 1.0 } else { products[m + 2][lane] }
         });
-        let rest = DVector::from_fn(width, |r, _| products[m][lane + r]);
-        let rest = rest - solved.tr_mul(&self.right);
+        let right = DVector::from_fn(width, |r, _| products[m][lane + r]);
+        let rest = right - solved.tr_mul(&self.right);
         let Some(schur) = (own - cross.tr_mul(&solved)).cholesky() else {
             return f64::NEG_INFINITY;
         };

@@ -123,8 +123,8 @@ fn cluster_robust_ratio(
         for ((run, columns), explained) in runs.iter().zip(&linear.columns).zip(explained) {
             let column = columns * &weights;
             let rows = run.filtered.white.iter().flatten().enumerate();
-            let products = rows.map(|(row, white)| column[row] * (white - explained[row]));
-            let products: Vec<f64> = products.collect();
+            let products: Vec<f64> =
+                rows.map(|(row, white)| column[row] * (white - explained[row])).collect();
             let blocks = products.chunks(2 * length);
             let sums = blocks.map(|block| block.iter().sum::<f64>());
             scatter += sums.map(|sum| sum * sum).sum::<f64>();
@@ -143,16 +143,15 @@ pub(super) fn excess_of(reduced: &Reduced, set: &Set, runs: &[LinearisedRun<'_>]
     let Some(solution) = solution(reduced, set) else {
         return 1.0;
     };
-    let explained = &solution - &linear.present;
-    let explained: Vec<DVector<f64>> = linear.columns.iter().map(|w| w * &explained).collect();
+    let change = &solution - &linear.present;
+    let explained: Vec<DVector<f64>> = linear.columns.iter().map(|w| w * &change).collect();
     let by_blocks = if runs[0].scenario.input == Input::Voltage {
         1.0
     } else {
         cluster_robust_ratio(linear, set, runs, &explained)
     };
     let left = runs.iter().zip(&explained).map(|(run, explained)| {
-        let pairs = run.filtered.white.iter();
-        let pairs = pairs.zip(explained.as_slice().chunks(2));
+        let pairs = run.filtered.white.iter().zip(explained.as_slice().chunks(2));
         let left = pairs.map(|(white, explained)| [0, 1].map(|k| white[k] - explained[k]));
         (run, left.collect())
     });

@@ -28,9 +28,12 @@ pub(super) fn confusable(found: &SearchResult) -> Vec<Rival> {
         // Perturbations of the form of its onset would serve the rival too: leave them out of both.
         let mut columns = reduced.columns(best);
         if present.is_event() {
-            let bends = present.variants[own].columns.iter();
-            let bends = bends.filter(|column| column.parameter.is_none());
-            let bends: Vec<usize> = bends.map(|column| column.at).collect();
+            let bends: Vec<usize> = present.variants[own]
+                .columns
+                .iter()
+                .filter(|column| column.parameter.is_none())
+                .map(|column| column.at)
+                .collect();
             columns.retain(|column| !bends.contains(&(column + reduced.linear.nuisances.len())));
         }
         let most = reduced.log_likelihood(&columns);

@@ -56,8 +56,8 @@ pub(super) fn keep_likeliest(
         let forms = group.forms.iter();
         let sources = forms.flat_map(|form| &parts[group.part].sources[*form]);
         for (number, (run, base)) in runs.iter().zip(base).enumerate() {
-            let tangents = sources.clone().filter_map(|own| own.tangent(number));
-            let tangents: Vec<&Tangent> = tangents.collect();
+            let tangents: Vec<&Tangent> =
+                sources.clone().filter_map(|own| own.tangent(number)).collect();
             if !tangents.is_empty() {
                 let columns: Vec<&[f32]> = base.columns.iter().map(|own| &own[..]).collect();
                 let residual = &run.filtered.white;
@@ -151,8 +151,7 @@ pub(super) fn drop_refuted(
             part.keep(|form| !refuted(&looks[form]));
             return;
         }
-        let looks = looks.into_iter().enumerate();
-        let looks = looks.filter_map(|(form, look)| Some((form, look?)));
+        let looks = looks.into_iter().enumerate().filter_map(|(form, look)| Some((form, look?)));
         if let Some((nearest, (_, column))) = looks.max_by(|a, b| a.1.0.total_cmp(&b.1.0)) {
             part.sources[nearest] = vec![Source::Known(column)];
             part.keep(|form| form == nearest);
@@ -230,8 +229,7 @@ mod tests {
     /// Candidates beside `model` in a run of `truth`, by their names.
     fn candidates(model: &Model, truth: &Model) -> impl Fn(&str) -> Candidate + use<> {
         let levels_v = [30.0, -40.0, 60.0, -20.0, 50.0, -60.0, 25.0, -45.0, 80.0, -30.0];
-        let events = levels_v.iter().enumerate();
-        let events = events.map(|(k, level_v)| (0.25 * k as f64, *level_v));
+        let events = levels_v.iter().enumerate().map(|(k, level_v)| (0.25 * k as f64, *level_v));
         let scenario = record(truth, events.collect(), 1e-3, 2.5, 5);
         let runs = [LinearisedRun::new(model, &scenario, State::default(), DISTURBED).unwrap()];
         let linear = linearise(&Hypothesis::of(model), CATALOGUE, &runs, false).unwrap();

@@ -74,8 +74,9 @@ fn was_visited(visited: &[Names], set: &Names) -> bool {
 /// event is refined before the noise is estimated: on the coarse grid of times its residual would be taken for a disturbance.
 fn has_new_event(linear: &Linear, set: &Set) -> bool {
     let candidates = linear.candidates.iter().zip(set);
-    let new = candidates.filter(|(candidate, form)| form.is_some() && !candidate.in_model);
-    let mut new = new.map(|(candidate, _)| candidate);
+    let mut new = candidates
+        .filter(|(candidate, form)| form.is_some() && !candidate.in_model)
+        .map(|(candidate, _)| candidate);
     new.clone().any(Candidate::is_event) && !new.any(Candidate::has_fixed_size)
 }
 
@@ -376,9 +377,9 @@ fn noise_of_model(
     if squares(&runs) > 1.5 * rows as f64 {
         return Some((known, false));
     }
-    let own = |effect: &&&'static dyn Effect| hypothesis.model.has(effect.card().id);
-    let own: Vec<&'static dyn Effect> = eligible.iter().filter(own).copied().collect();
-    let linear = linearise(hypothesis, &own, &runs, false)?;
+    let is_present = |effect: &&&'static dyn Effect| hypothesis.model.has(effect.card().id);
+    let effects: Vec<&'static dyn Effect> = eligible.iter().filter(is_present).copied().collect();
+    let linear = linearise(hypothesis, &effects, &runs, false)?;
     let forms = vec![0; linear.candidates.len()];
     let reduced = Reduced::new(linear, 1.0, true)?;
     let noise = maximum_likelihood(&runs, &reduced, &forms, &floor, known);

@@ -239,8 +239,8 @@ impl Reduced {
             let columns = self.column_indices(variant);
             let base = self.base(&columns)?;
             let mean = base.factor.solve(&base.right);
-            let parts = columns.iter().zip(mean.iter());
-            let parts = parts.map(|(column, mean)| self.right[*column] * mean);
+            let parts =
+                columns.iter().zip(mean.iter()).map(|(column, mean)| self.right[*column] * mean);
             Some(parts.sum::<f64>())
         };
         let variants = self.linear.candidates[candidate].variants.iter();
@@ -439,8 +439,7 @@ pub(super) fn select(reduced: &Reduced, starts: &[Set]) -> Posterior {
     }
     let likeliest = |k: usize| {
         let logs = reduced.conditional(&reduced.columns(&reduced.cleared(&best, k)), k);
-        let top = (0..logs.len()).max_by(|a, b| logs[*a].total_cmp(&logs[*b]));
-        let top = top.unwrap_or(0);
+        let top = (0..logs.len()).max_by(|a, b| logs[*a].total_cmp(&logs[*b])).unwrap_or(0);
         (logs[top], top)
     };
     let (log_factor, forms) = (0..n).map(likeliest).unzip();

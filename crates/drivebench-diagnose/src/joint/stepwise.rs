@@ -154,10 +154,11 @@ fn best_delay(
             && !known.any(|id| hypothesis.has(id))
     };
     let effects: Vec<&'static dyn Effect> = eligible.iter().filter(is_a_time).copied().collect();
-    let steps = effects.into_par_iter().with_max_len(1);
-    let steps = steps.filter_map(|effect| scan_delay(hypothesis, effect, &beginning));
-    let best = steps.collect::<Vec<Step>>().into_iter();
-    let best = best.min_by(|a, b| a.1.total_cmp(&b.1))?;
+    let steps = effects
+        .into_par_iter()
+        .with_max_len(1)
+        .filter_map(|effect| scan_delay(hypothesis, effect, &beginning));
+    let best = steps.collect::<Vec<Step>>().into_iter().min_by(|a, b| a.1.total_cmp(&b.1))?;
     let whole = run.relinearised(&hypothesis.model, vec![], run.scenario)?;
     fit_as_followed(&best.0, &[whole])
 }

@@ -354,8 +354,8 @@ pub(super) fn propagate(
     tangents: &[&Tangent],
     mut output: impl FnMut(usize, &[Lane]),
 ) {
-    let forcing_states = tangents.iter().map(|tangent| ForcingState::new(tangent, run));
-    let mut forcing_states: Vec<_> = forcing_states.collect();
+    let mut forcing_states: Vec<_> =
+        tangents.iter().map(|tangent| ForcingState::new(tangent, run)).collect();
     let mut deviations = Deviations::default();
     let mut forcing = [[[0.0; LANES]; 2]; CHUNK];
     let mut white = [[0.0; LANES]; 2 * CHUNK];
@@ -652,8 +652,8 @@ mod tests {
             column.extend(white.iter().map(|row| row[0]));
         });
         let difference = run.difference(with, run.scenario, 1.0).into_iter();
-        let pairs = column.into_iter().zip(difference.map(f64::from));
-        let pairs = pairs.skip(rows.start).take(rows.len());
+        let pairs =
+            column.into_iter().zip(difference.map(f64::from)).skip(rows.start).take(rows.len());
         let squares =
             pairs.fold([0.0, 0.0], |[apart, own], (a, b)| [apart + (a - b).powi(2), own + b * b]);
         (squares[0] / squares[1]).sqrt()
@@ -684,8 +684,7 @@ mod tests {
             let tangent = if path.measures_directly() { Tangent::Terms(terms) } else { offset };
             (tangent, with)
         }));
-        let keys = MotorKey::ALL.into_iter();
-        let keys = keys.filter(|key| *key != MotorKey::TorqueConstant);
+        let keys = MotorKey::ALL.into_iter().filter(|key| *key != MotorKey::TorqueConstant);
         cases.extend(keys.map(|key| {
             let (mut with, value) = (model.clone(), model.motor.get(key).unwrap());
             with.motor.set(key, 1.002 * value);

@@ -35,8 +35,7 @@ impl Whitened {
     /// Products of another column with each of these, with itself, and with the residual.
     pub(super) fn products(&self, other: &[f32], residual: &[[f64; 2]]) -> DVector<f64> {
         let dot = |column: &[f32]| -> f64 {
-            let pairs = column.iter().zip(other);
-            pairs.map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
+            column.iter().zip(other).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
         };
         let pairs = residual.iter().flatten().zip(other);
         let rest: f64 = pairs.map(|(a, b)| a * f64::from(*b)).sum();
@@ -84,8 +83,8 @@ impl Whitened {
         };
         let parts = (0..self.rows.div_ceil(part)).into_par_iter().with_max_len(1);
         let sums: Vec<DMatrix<f64>> = parts.map(sum_of).collect();
-        let sums = sums.into_iter();
-        let mut gram = sums.fold(DMatrix::zeros(p, p), |sum, part| sum + part);
+        // In the order of the parts, so that the sum is the same to the bit on any number of threads.
+        let mut gram = sums.into_iter().fold(DMatrix::zeros(p, p), |sum, part| sum + part);
         gram.fill_lower_triangle_with_upper_triangle();
         gram
     }
