@@ -11,7 +11,7 @@ use drivebench_link::Protocol;
 /// The drive's address on a bus.
 pub const UNIT: u8 = 1;
 
-/// The bytes are of another protocol: the connection is to be closed.
+/// The bytes belong to another protocol: the connection must be closed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Unframeable;
 
@@ -117,7 +117,7 @@ impl Codec {
     }
 
     /// Takes one byte at the drive's present time and appends what it makes the drive answer. `may_command`: whether this
-    /// host's commands are taken now; asked with each of them.
+    /// host's commands are accepted now; evaluated for each of them.
     pub(super) fn push(
         &mut self,
         byte: u8,

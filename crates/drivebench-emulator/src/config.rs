@@ -183,7 +183,7 @@ const fn default_winding_limit_c() -> f64 {
     180.0
 }
 
-/// What the motor's terminals see while the output is off.
+/// State of the motor's terminals while the output is off.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum OutputOff {
@@ -194,7 +194,7 @@ pub enum OutputOff {
     Open,
 }
 
-/// The serial line that a pseudo-terminal stands for.
+/// The serial line that a pseudo-terminal emulates.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LineConfig {
@@ -202,7 +202,7 @@ pub struct LineConfig {
     pub baud: u32,
     /// 10 for 8N1, 11 for 8E1 and 8N2.
     pub bits_per_char: u8,
-    /// The drive thinks for so long before it answers.
+    /// Turnaround time of the drive before its answer.
     pub turnaround_ms: f64,
     /// Share of the answers over a wire that come late, and by how much; the drive in memory is never late.
     #[serde(skip_serializing_if = "is_zero")]

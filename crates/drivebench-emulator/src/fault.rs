@@ -213,7 +213,7 @@ impl FaultEntry {
 pub(super) struct TimedFault {
     pub(super) entry: FaultEntry,
     begun_s: Option<f64>,
-    /// When it does something by itself next, s.
+    /// Time of the next bytes without a request, s.
     pub(super) next_s: f64,
 }
 

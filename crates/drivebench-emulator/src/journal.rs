@@ -1,4 +1,4 @@
-//! The journal of a software drive: what its motor did, by the drive's own truth and not by a host's report.
+//! Journal of a software drive: true state of its motor over time, independent of any host.
 //!
 //! ```text
 //! requests, time --> Journaled --> the drive
@@ -14,8 +14,8 @@ use firmware_protocol::{State, stream};
 use super::SoftDrive;
 use super::codec::{Received, Responder};
 
-/// Columns of the file. `time_s` is `CLOCK_MONOTONIC` of this machine, so that other processes can tell what was when;
-/// `late_s`: how long after its instant the row was written, because a drive that is kept from running notes nothing.
+/// Columns of the file. `time_s` is `CLOCK_MONOTONIC` of this machine, for comparison with other processes; `late_s` is the delay
+/// with which the row was written, large if the process was not scheduled.
 const COLUMNS: &str =
     "time_s,set_point_v,output_on,voltage_v,current_a,speed_rad_s,state,fault,host,seq,late_s";
 
@@ -110,7 +110,7 @@ impl Responder for Journaled {
 
     fn advance_to(&mut self, time_s: f64) {
         loop {
-            // Changes are seen this far apart, s.
+            // Resolution of changes, s.
             let next_s = time_s.min(self.soft().time_s() + 0.001);
             self.drive.advance_to(next_s);
             self.note();

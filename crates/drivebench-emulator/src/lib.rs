@@ -1,13 +1,13 @@
-//! The software drive: what stands in for a real drive, behind the same protocols.
+//! Emulator of a drive with its motor, under the same protocols as a real drive.
 //!
 //! ```text
 //!          config.rs (TOML) --> drive/ SoftDrive (state machine, watchdog, limits) --> truth/ (the machine)
 //!                                   ^ pure function of drive time
-//!   fault.rs   what goes wrong: line_faults.rs does it to the bytes of a line, drive/ to the drive
-//!   mystery/   draws from a seed what a drive hides
-//!   foreign/   the same motor behind the registers of another make
-//!   memory.rs, line.rs  virtual time, without bytes and with them
-//!   journal.rs what the motor does, row by row, for whoever judges a host
+//!   fault.rs   fault injection: line_faults.rs on the bytes of a line, drive/ in the drive
+//!   mystery/   hidden effect drawn from a seed
+//!   foreign/   the same motor under the register map of another make
+//!   memory.rs, line.rs  virtual time, at the level of registers and of bytes
+//!   journal.rs true state of the motor, row by row
 //!   pty.rs, tcp.rs  real time ------+   (codec.rs: bytes <-> answers, pace.rs: a wire's timing, server.rs: the clock)
 //! ```
 

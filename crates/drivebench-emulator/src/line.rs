@@ -1,4 +1,4 @@
-//! The software drive at the far end of a Modbus RTU line in memory: its codec, its wire's timing, in virtual time.
+//! In-memory Modbus RTU line to the software drive: every byte through codec and line timing, in virtual time.
 
 use super::codec::{Codec, Responder, UNIT};
 use super::line_faults::LineFaults;
@@ -8,9 +8,6 @@ use super::{
 };
 use drivebench_link::virtual_line::{FarEnd, VirtualLink};
 use drivebench_link::{DriveLink, DriveProfile, Protocol, VirtualClock};
-
-/// What this line is called.
-const NAME: &str = "sim:rtu";
 
 /// Opens a link to the drive, under the profile of another where one is given, over a line in memory.
 pub fn open_line(
@@ -30,7 +27,7 @@ pub fn open_line(
     line.baud = profile.link.baud;
     let unit = guise.map_or(UNIT, |guise| guise.unit);
     let far = DriveOnLine::new(drive, protocol, unit, &line, &config.faulty, seed);
-    Ok(Box::new(VirtualLink::open(NAME, profile, clock, far)))
+    Ok(Box::new(VirtualLink::open("sim:rtu", profile, clock, far)))
 }
 
 struct DriveOnLine {
@@ -61,15 +58,15 @@ impl FarEnd for DriveOnLine {
             self.send(at_s, &mut answers, &mut sent);
         }
         self.silent_from_s = at_s + self.pace.gap_s();
-        // A request whose length nobody knows ends with the silence: a host writes it whole.
+        // A request whose length does not follow from its bytes ends with the silence; the host writes it in one piece.
         let mut drive = self.line_faults.before(self.drive.as_mut(), at_s);
         self.codec.idle(&mut drive, &mut answers);
         self.send(self.silent_from_s, &mut answers, &mut sent);
         self.line_faults.silence();
-        // What arrives without a request is computed so far ahead, s: until the host listens again.
+        // Bytes without a request are computed 0.25 s ahead, until the next call.
         let ahead_s = now_s + 0.25;
         let drive = self.drive.as_mut();
-        sent.extend(self.line_faults.unasked(now_s, ahead_s, drive));
+        sent.extend(self.line_faults.unrequested(now_s, ahead_s, drive));
         sent
     }
 }
@@ -126,8 +123,7 @@ mod tests {
             let at_s = begun_s + f64::from(cycle) * 0.02;
             clock.set_time_s(at_s);
             let demand = Demand::Voltage(30.0 * f64::from(cycle % 7));
-            let sample = link.exchange(Command { seq: cycle.into(), demand });
-            let sample = sample.unwrap();
+            let sample = link.exchange(Command { seq: cycle.into(), demand }).unwrap();
             let took_s = clock.time_s() - at_s;
             // 58 characters at 115200 baud, one silence, the turnaround.
             assert!((took_s - 0.007_285).abs() < 2e-5, "{took_s}");

@@ -1,6 +1,6 @@
-//! What a line does to the bytes between a drive and its host: the faults of replies, and what talks by itself.
+//! Fault injection on the line between drive and host: faults of replies, and senders without a request.
 //!
-//! It stands between codec and port, in virtual time and behind a pseudo-terminal or TCP alike.
+//! Works between codec and port, in virtual time as behind a pseudo-terminal or TCP.
 
 use std::collections::BTreeSet;
 
@@ -14,27 +14,15 @@ use super::codec::{Received, Responder};
 use super::fault::{FaultEntry, FaultKind, TimedFault};
 use drivebench_link::Protocol;
 
-/// Between two requests of somebody else, s, and from there to the reply.
-const FOREIGN_S: f64 = 0.05;
-const FOREIGN_REPLY_S: f64 = 0.005;
-/// The unit that somebody else talks to.
-const FOREIGN_UNIT: u8 = 7;
-/// Lengths of a burst of garbage, and how long after the reply its copy comes, s.
-const BURSTS: [usize; 4] = [3, 40, 1500, 1 << 16];
-const AGAIN_S: [f64; 4] = [0.0, 0.000_3, 0.002_5, 0.009];
-
 /// Bytes of a request that are kept: those of the longest frame of Modbus.
 const LONGEST_REQUEST: usize = 260;
-
-/// Keeps what happens on the line apart from the noise of the same seed.
-const OWN_DICE: u64 = 0x51B0_7A1F_95C3_E26D;
 
 /// The faults of one line.
 pub(super) struct LineFaults {
     protocol: Protocol,
     unit: u8,
     faults: Vec<TimedFault>,
-    dice: ChaCha8Rng,
+    rng: ChaCha8Rng,
     /// Bytes of the host since the last reply or silence: the request.
     request: Vec<u8>,
     held: Vec<Vec<u8>>,
@@ -52,14 +40,15 @@ impl LineFaults {
             protocol,
             unit,
             faults: of_line.copied().map(TimedFault::new).collect(),
-            dice: ChaCha8Rng::seed_from_u64(seed ^ OWN_DICE),
+            // A constant that separates it from the noise of the same seed.
+            rng: ChaCha8Rng::seed_from_u64(seed ^ 0x51B0_7A1F_95C3_E26D),
             request: Vec::new(),
             held: Vec::new(),
             late_until_s: 0.0,
         }
     }
 
-    /// The drive behind this line.
+    /// The drive, reached through this line.
     pub(super) fn before<'a>(
         &'a mut self,
         drive: &'a mut dyn Responder,
@@ -91,12 +80,12 @@ impl LineFaults {
         let refuses = |fault: &&mut TimedFault| fault.entry.kind == FaultKind::Exception;
         let mut refusing = self.faults.iter_mut().filter(refuses);
         refusing.find_map(|fault| {
-            let hits = fault.hits(now_s, ran_s, &mut self.dice);
+            let hits = fault.hits(now_s, ran_s, &mut self.rng);
             hits.then(|| fault.entry.code.unwrap_or(4))
         })
     }
 
-    /// What arrives in the place of an answer that would arrive at `due_s`; the request ended at `now_s`.
+    /// Bytes that arrive instead of an answer due at `due_s`; the request ended at `now_s`.
     pub(super) fn reply(
         &mut self,
         answer: Vec<u8>,
@@ -112,7 +101,7 @@ impl LineFaults {
         let mut out: Vec<Timed> = self.held.drain(..).map(|late| (due_s, late)).collect();
         let of_reply = |fault: &&mut TimedFault| is_of_reply(fault.entry.kind);
         let hit = self.faults.iter_mut().filter(of_reply).find_map(|fault| {
-            let hits = fault.hits(now_s, ran_s, &mut self.dice);
+            let hits = fault.hits(now_s, ran_s, &mut self.rng);
             hits.then_some(fault.entry)
         });
         match hit {
@@ -154,12 +143,14 @@ impl LineFaults {
                 answer = self.refit(&answer, |_, pdu| spoil(pdu, by_function));
             }
             FaultKind::DoubledReply => {
-                let again_s = due_s + AGAIN_S[self.below(AGAIN_S.len())];
+                let delays_s = [0.0, 0.000_3, 0.002_5, 0.009];
+                let again_s = due_s + delays_s[self.below(delays_s.len())];
                 out.push((again_s, answer.clone()));
             }
             FaultKind::Garbage => {
-                let burst = BURSTS[self.below(BURSTS.len())];
-                let burst = self.bytes(burst);
+                let lengths = [3, 40, 1500, 1 << 16];
+                let count = lengths[self.below(lengths.len())];
+                let burst = self.bytes(count);
                 if self.below(2) == 0 {
                     out.push((due_s, burst));
                 } else {
@@ -206,8 +197,8 @@ impl LineFaults {
         }
     }
 
-    /// What talks by itself until `ahead_s`. Another master speaks in its own time: not before `now_s`.
-    pub(super) fn unasked(
+    /// Bytes of senders without a request until `ahead_s`. The writes of a second master take effect in order of time: until `now_s`.
+    pub(super) fn unrequested(
         &mut self,
         now_s: f64,
         ahead_s: f64,
@@ -221,10 +212,9 @@ impl LineFaults {
         for fault in &mut faults {
             let kind = fault.entry.kind;
             let (until_s, period_s) = match kind {
-                // Between two pieces of what babbles, s, and their bytes.
                 FaultKind::Babble => (ahead_s, 0.002),
-                FaultKind::ForeignFrames => (ahead_s, FOREIGN_S),
-                FaultKind::SecondMaster => (now_s, FOREIGN_S),
+                FaultKind::ForeignFrames => (ahead_s, 0.05),
+                FaultKind::SecondMaster => (now_s, 0.05),
                 _ => continue,
             };
             if !fault.is_active(now_s, drive.ran_s()) {
@@ -233,21 +223,23 @@ impl LineFaults {
             fault.next_s = fault.next_s.max(now_s);
             while fault.next_s <= until_s {
                 let at_s = fault.next_s;
+                // Time of a reply to another master, s, and the unit that it addresses.
+                let (reply_s, foreign_unit) = (at_s + 0.005, 7);
                 fault.next_s += period_s;
                 match kind {
                     FaultKind::Babble => out.push((at_s, self.bytes(24))),
                     FaultKind::ForeignFrames => {
-                        let request = rtu::encode_frame(FOREIGN_UNIT, &[3, 0, 16, 0, 2]);
-                        let reply = rtu::encode_frame(FOREIGN_UNIT, &[3, 4, 0, 1, 0, 2]);
+                        let request = rtu::encode_frame(foreign_unit, &[3, 0, 16, 0, 2]);
+                        let reply = rtu::encode_frame(foreign_unit, &[3, 4, 0, 1, 0, 2]);
                         out.push((at_s, request.to_vec()));
-                        out.push((at_s + FOREIGN_REPLY_S, reply.to_vec()));
+                        out.push((reply_s, reply.to_vec()));
                     }
                     _ => {
                         let write = drive.foreign_write();
                         let reply = drive.modbus(&write);
                         out.push((at_s, rtu::encode_frame(self.unit, &write).to_vec()));
                         let reply = rtu::encode_frame(self.unit, &reply).to_vec();
-                        out.push((at_s + FOREIGN_REPLY_S, reply));
+                        out.push((reply_s, reply));
                     }
                 }
             }
@@ -257,17 +249,17 @@ impl LineFaults {
     }
 
     fn below(&mut self, bound: usize) -> usize {
-        self.dice.random_range(0..bound.max(1))
+        self.rng.random_range(0..bound.max(1))
     }
 
     fn bytes(&mut self, count: usize) -> Vec<u8> {
         let mut bytes = vec![0; count];
-        self.dice.fill_bytes(&mut bytes);
+        self.rng.fill_bytes(&mut bytes);
         bytes
     }
 }
 
-/// What is done to a reply; the others keep the request away from the drive, or talk by themselves.
+/// Whether a fault changes a reply; the others block the request or send without one.
 const fn is_of_reply(kind: FaultKind) -> bool {
     !matches!(
         kind,
@@ -280,7 +272,7 @@ const fn is_of_reply(kind: FaultKind) -> bool {
     )
 }
 
-/// Another function, or two registers more than were asked for.
+/// Changes the function code, or adds two registers to the requested ones.
 fn spoil(pdu: &mut Vec<u8>, by_function: bool) {
     match pdu.as_mut_slice() {
         [function, ..] if by_function => *function = if *function == 3 { 4 } else { 3 },
@@ -288,13 +280,13 @@ fn spoil(pdu: &mut Vec<u8>, by_function: bool) {
             *count = count.wrapping_add(2);
             pdu.extend([0, 0]);
         }
-        // What is echoed is another value then.
+        // The echoed value differs then.
         [_, .., last] => *last ^= 1,
         _ => {}
     }
 }
 
-/// The drive behind a line that may keep requests from it.
+/// The drive behind a line that may block requests.
 pub(super) struct FaultyLine<'a> {
     drive: &'a mut dyn Responder,
     faults: &'a mut LineFaults,
@@ -302,7 +294,7 @@ pub(super) struct FaultyLine<'a> {
 }
 
 impl FaultyLine<'_> {
-    fn is_deaf(&mut self) -> bool {
+    fn is_blocked(&mut self) -> bool {
         let ran_s = self.drive.ran_s();
         let hole = FaultKind::BlackHole;
         !self.drive.is_powered() || self.faults.is_active(hole, self.now_s, ran_s)
@@ -318,9 +310,9 @@ impl Responder for FaultyLine<'_> {
         self.drive.advance_to(time_s);
     }
 
-    /// Nothing where the request does not reach the drive.
+    /// Empty if the request does not reach the drive.
     fn modbus(&mut self, request: &[u8]) -> Vec<u8> {
-        if self.is_deaf() {
+        if self.is_blocked() {
             return Vec::new();
         }
         let ran_s = self.drive.ran_s();
@@ -331,7 +323,7 @@ impl Responder for FaultyLine<'_> {
     }
 
     fn stream(&mut self, received: &Received) -> Option<stream::Frame> {
-        if self.is_deaf() {
+        if self.is_blocked() {
             return None;
         }
         self.drive.stream(received)
@@ -352,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn an_echo_is_the_request_and_nothing_that_was_asked_before() {
+    fn an_echo_is_the_request_without_older_bytes() {
         let mut line = line("echo");
         (0..100_000).for_each(|_| line.host_byte(9));
         assert_eq!(line.request.len(), LONGEST_REQUEST);

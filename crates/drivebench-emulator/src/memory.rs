@@ -1,4 +1,5 @@
-//! The drive in memory: a [`DriveLink`] in virtual time, through the real register codec.
+//! In-memory link to the software drive at the level of registers, in virtual time. Unlike the line of `line.rs` (every byte)
+//! an exchange takes a constant latency.
 
 use drivebench_link::Result;
 use firmware_protocol::modbus::RegisterBank;
@@ -19,7 +20,7 @@ use drivebench_link::{
 };
 use drivebench_model::sample::{Command, Demand, Sample};
 
-/// How long request and reply are under way, s.
+/// Latency of request and reply, s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Latency {
     /// From the host's clock to the drive applying the command and taking the sample.
@@ -28,18 +29,16 @@ pub struct Latency {
     pub reply_s: f64,
 }
 
-const REPLY_BYTES: usize = 37;
-
 impl Latency {
     /// What one exchange takes over this line; `with_gaps`: silence separates frames, as Modbus RTU's are.
     pub fn of_line(line: &LineConfig, with_gaps: bool) -> Self {
         let mut pace = Pace::serial(line, with_gaps);
         let mut request_s = 0.0;
-        // Bytes of an exchange over Modbus RTU; the stream's are about as many.
+        // 21 bytes of a request over Modbus RTU and 37 of its reply; the stream's are about as many.
         for _ in 0..21 {
             request_s = pace.arrival_s(0.0);
         }
-        let delivered_s = pace.delivery_s(request_s, REPLY_BYTES);
+        let delivered_s = pace.delivery_s(request_s, 37);
         Self { request_s, reply_s: delivered_s - request_s }
     }
 }
@@ -51,7 +50,7 @@ impl Default for Latency {
     }
 }
 
-/// The software drive as a link, without a wire.
+/// The software drive as a link, without a line.
 pub struct MemoryLink {
     drive: SoftDrive,
     clock: VirtualClock,
@@ -76,7 +75,7 @@ impl MemoryLink {
         }
     }
 
-    /// The drive behind the link: its truth is for tests.
+    /// The drive of this link, for tests that compare with its true state.
     pub const fn drive(&self) -> &SoftDrive {
         &self.drive
     }
@@ -87,7 +86,7 @@ impl MemoryLink {
     }
 
     /// One exchange with the register bank, counted.
-    fn ask<const N: usize>(
+    fn exchange_registers<const N: usize>(
         &mut self,
         write: Option<(u16, &[u16])>,
         address: u16,
@@ -121,7 +120,8 @@ impl DriveLink for MemoryLink {
     }
 
     fn identify(&mut self) -> Result<Identity> {
-        let block: [u16; IDENTITY_WORDS] = self.ask(None, IDENTITY_ADDRESS, "read the identity")?;
+        let block: [u16; IDENTITY_WORDS] =
+            self.exchange_registers(None, IDENTITY_ADDRESS, "read the identity")?;
         let block = firmware_protocol::Identity::from_registers(&block)
             .map_err(|error| timeline::identity_error(&self.name().0, error))?;
         self.capture_period_s = f64::from(block.capture_period_us) * 1e-6;
@@ -138,7 +138,7 @@ impl DriveLink for MemoryLink {
         let sent_s = self.clock.time_s();
         let block = timeline::command(command).to_registers();
         self.last_seq = command.seq;
-        let reply: [u16; TELEMETRY_WORDS] = self.ask(
+        let reply: [u16; TELEMETRY_WORDS] = self.exchange_registers(
             Some((COMMAND_ADDRESS, &block)),
             TELEMETRY_ADDRESS,
             "write the command and read the telemetry",
@@ -170,17 +170,22 @@ impl DriveLink for MemoryLink {
 impl Burst for MemoryLink {
     fn arm(&mut self) -> Result<()> {
         let arm = [CaptureControl::Arm.code()];
-        self.ask(Some((CAPTURE_CONTROL.address, &arm)), CAPTURE_CONTROL.address, "arm the capture")
-            .map(|[_]: [u16; 1]| ())
+        self.exchange_registers(
+            Some((CAPTURE_CONTROL.address, &arm)),
+            CAPTURE_CONTROL.address,
+            "arm the capture",
+        )
+        .map(|[_]: [u16; 1]| ())
     }
 
     fn fetch(&mut self) -> Result<Option<Capture>> {
-        let head: [u16; 4] = self.ask(None, CAPTURE_STATE.address, "read the capture")?;
+        let head: [u16; 4] =
+            self.exchange_registers(None, CAPTURE_STATE.address, "read the capture")?;
         let [state, count, high, low] = head;
         if state != CaptureState::Complete.code() {
             return Ok(None);
         }
-        let block = self.ask(None, TELEMETRY_ADDRESS, "read the telemetry")?;
+        let block = self.exchange_registers(None, TELEMETRY_ADDRESS, "read the telemetry")?;
         let time_us = Telemetry::from_registers(&block).time_us;
         let now_s = self.clock.time_s();
         let time_s = self.timeline.note(time_us, Span::new(now_s, now_s));
@@ -189,7 +194,8 @@ impl Burst for MemoryLink {
         let period_s = self.capture_period_s;
         let capture = Capture::collect(first_s, period_s, count, |index| {
             let write = Some((WINDOW_ADDRESS, &[index][..]));
-            let words: [u16; WINDOW_WORDS] = self.ask(write, WINDOW_ADDRESS, "read a window")?;
+            let words: [u16; WINDOW_WORDS] =
+                self.exchange_registers(write, WINDOW_ADDRESS, "read a window")?;
             Ok(window_samples(index, &words))
         });
         capture.map(Some)

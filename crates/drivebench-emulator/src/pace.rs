@@ -1,4 +1,4 @@
-//! The timing of a serial line: without it a pseudo-terminal is a hundred times faster than any wire.
+//! Timing of a serial line: without it a pseudo-terminal would be a hundred times faster than a real line.
 //!
 //! ```text
 //! host writes   |rrrrrrrr|                      request, one character after the other

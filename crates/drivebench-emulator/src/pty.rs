@@ -4,13 +4,13 @@
 //! stable path --symlink--> /dev/pts/N (slave: the host opens it) <==> master (raw, non-blocking: the drive)
 //! ```
 //!
-//! A path has one drive: whoever serves it holds a socket without a file that is named after it, which goes with its
-//! process however that ends. A link that is left then is replaced.
+//! One drive per path: the serving process holds an abstract socket named after the path, which the kernel releases when the
+//! process ends for whatever reason. A symlink left behind is then replaced.
 //!
-//! Why fresh: after the last close of a slave its master reports the hang-up until somebody opens it, hands bytes written
-//! meanwhile to the next client, and keeps the exclusive mark of a killed client. A host that opened the path between the
-//! hang-up and the next pair stays on this one. Why no slave is kept open: the hang-up would never show. Linux only: there,
-//! raw mode can be set on the master.
+//! A new pair per session, because after the last close of a slave its master reports a hang-up until the next open, hands bytes
+//! written meanwhile to the next client, and keeps the exclusive flag of a killed client. A host that opened the path between the
+//! hang-up and the next pair stays on this one. The emulator holds no slave open, because a hang-up would not show then. Linux
+//! only: there raw mode can be set on the master.
 
 use std::fs;
 use std::io::{self, ErrorKind, Read, Write};
@@ -34,7 +34,7 @@ use drivebench_model::numerics::checksum::{EMPTY, fnv_1a};
 /// Where the kernel keeps the slaves.
 const SLAVES: &str = "/dev/pts";
 
-/// That this process, and no other, serves a path.
+/// Lock on a path: this process alone serves it.
 pub(super) struct Claim {
     _socket: UnixDatagram,
 }
@@ -89,7 +89,7 @@ pub(crate) struct PtyPort {
 }
 
 impl PtyPort {
-    /// A fresh pair, raw before anyone knows its name.
+    /// A new pair, in raw mode before its path is published.
     pub(crate) fn open() -> io::Result<Self> {
         let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_NONBLOCK | OFlag::O_CLOEXEC;
         let master = posix_openpt(flags)?;
@@ -103,7 +103,7 @@ impl PtyPort {
         Ok(Self { master, slave, hung_up })
     }
 
-    /// Whether another host is here since the last one went; from then on it is served like the first.
+    /// Whether a new host has opened the slave since the hang-up; it is then served like the first.
     pub(crate) fn taken_again(&mut self) -> bool {
         let mut fds = [PollFd::new(self.master.as_fd(), PollFlags::POLLIN)];
         let polled = ppoll(&mut fds, Some(TimeSpec::from_duration(Duration::ZERO)), None);

@@ -139,7 +139,7 @@ impl ServerHandle {
         self.counters.bytes_dropped.load(Ordering::Relaxed)
     }
 
-    /// Ends the service soon; the drive is gone then, as if it had lost its power.
+    /// Ends the service; for a host the drive has then lost its power.
     pub fn stop(&self) {
         self.stop.store(true, Ordering::Relaxed);
     }
@@ -156,7 +156,7 @@ impl Drop for ServerHandle {
     fn drop(&mut self) {
         self.stop();
         if let Some(thread) = self.thread.take() {
-            // Its result was for `join`; who drops the handle does not ask.
+            // The result is for `join`; a dropped handle discards it.
             let _ = thread.join();
         }
     }
@@ -363,14 +363,14 @@ impl<'a> Server<'a> {
             }
             let is_alone = hosts.len() == 1;
             hosts.retain_mut(|(port, session)| {
-                // A host on the network that says nothing for so long is let go, s.
+                // Idle time after which a network connection is closed, s.
                 if clock() - session.received_s > 60.0 {
                     session.let_go();
                 }
                 match session.turn(port, &mut far) {
                     Turn::Over(_) => false,
                     Turn::Until(next_s) => {
-                        // Several are asked in turn, none of them waited for.
+                        // Several connections are polled in turn without waiting.
                         let now_s = clock();
                         session.listen(port, &far, if is_alone { next_s } else { now_s });
                         true

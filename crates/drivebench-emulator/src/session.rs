@@ -11,8 +11,8 @@ use super::pace::Pace;
 
 /// The drive is brought up to date at least this often, s.
 const LONGEST_WAIT_S: f64 = 0.01;
-/// A host that has commanded nothing for so long is not in command any more, s: longer than the watchdog of the drives that
-/// matter, so that the motor stands when the command changes hands.
+/// Time without a command after which a host loses control, s: longer than the watchdog of the usual drives, so that the motor
+/// stands when another host takes control.
 pub(super) const HAND_OVER_S: f64 = 2.0;
 
 /// The host has gone; what it wrote before was read.
@@ -34,8 +34,7 @@ pub(super) struct Counters {
     pub(super) bytes_dropped: AtomicU64,
 }
 
-/// The host whose commands the drive takes: of several that are connected one, until it is gone or has commanded nothing for
-/// a while.
+/// The one of several connected hosts whose commands the drive accepts, until it disconnects or is silent for [`HAND_OVER_S`].
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Commander {
     /// Number of its session, and when it commanded last, s.
@@ -145,7 +144,7 @@ impl Session {
             self.send(now, far);
             far.line_faults.silence();
         }
-        for (due, bytes) in far.line_faults.unasked(now, now + LONGEST_WAIT_S, far.drive) {
+        for (due, bytes) in far.line_faults.unrequested(now, now + LONGEST_WAIT_S, far.drive) {
             self.under_way(due, bytes);
         }
         if self.gone {

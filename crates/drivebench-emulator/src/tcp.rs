@@ -17,7 +17,7 @@ impl TcpPorts {
         Ok(Self { listener })
     }
 
-    /// The address in use, also where port 0 was asked for.
+    /// The address in use; with port 0 the one that the system chose.
     pub(super) fn address(&self) -> io::Result<SocketAddr> {
         self.listener.local_addr()
     }

@@ -1,4 +1,4 @@
-//! Set-points that act later than the drive says: the drive's own delay and its late start.
+//! Dead time between set-point and output: the drive's command delay and its start delay.
 //!
 //! ```text
 //! set-point -> [ zero until the drive has started ] -> [ line of ticks ] -> output stage
@@ -11,7 +11,7 @@ use firmware_protocol::Control;
 use super::TICK_S;
 use crate::truth::Path;
 
-/// Holds set-points back. Switching off is never late.
+/// Delays set-points. Switching off is never delayed.
 pub(super) struct DelayLine {
     delay_ticks: u64,
     start_ticks: u64,
@@ -88,7 +88,7 @@ impl DelayLine {
     }
 }
 
-/// Whole ticks: the drive knows nothing finer.
+/// Whole ticks: the resolution of the drive.
 fn ticks(delay_s: f64) -> u64 {
     #[expect(
         clippy::cast_possible_truncation,

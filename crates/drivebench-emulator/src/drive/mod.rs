@@ -5,7 +5,7 @@
 //! watchdog, trips --^                                                                         |
 //! telemetry, capture <------------------------- sensors <-------------------------------------+
 //! supply_and_brake.rs: a supply that takes nothing back, a brake on the shaft
-//! encoder.rs breaks speed and angle where a fault says so
+//! encoder.rs applies encoder faults to speed and angle
 //! delay_line.rs holds set-points back where a hidden delay is at work
 //! drive_faults.rs: what goes wrong in the drive itself
 //! registers.rs and stream.rs: its registers and its stream
@@ -41,7 +41,7 @@ pub(super) use self::stream::answer as answer_stream;
 const TICK_US: u16 = 50;
 const TICK_S: f64 = TICK_US as f64 * 1e-6;
 const TICKS_PER_MS: u64 = 1000 / TICK_US as u64;
-/// Captured samples lie this far apart.
+/// Distance of captured samples, in ticks.
 const CAPTURE_TICKS: u16 = 2;
 
 /// The software drive. Time only moves in [`SoftDrive::advance_to`] and, by at most one tick, in
@@ -79,9 +79,6 @@ pub struct SoftDrive {
     window_index: u16,
 }
 
-/// Keeps the days of one seed apart from those of its neighbours.
-const ANOTHER_DAY: u64 = 0x9E37_79B9_7F4A_7C15;
-
 impl SoftDrive {
     /// A drive just powered up: disabled, motor cold and at rest, drive time 0. The seed fixes the specimen; with the day,
     /// noise and random loads.
@@ -94,7 +91,9 @@ impl SoftDrive {
                 effect.parameters().into_iter().map(|parameter| (effect.id(), parameter))
             })
             .collect();
-        let chance = seed.wrapping_add(config.day.wrapping_mul(ANOTHER_DAY));
+        // 2^64 / golden ratio (Knuth, *The Art of Computer Programming*, vol. 3, §6.4): separates the days of one seed from those
+        // of its neighbours.
+        let chance = seed.wrapping_add(config.day.wrapping_mul(0x9E37_79B9_7F4A_7C15));
         let site = Site { motor: specimen.clone(), bus_v: config.limits.bus_v, seed: chance };
         let plant = Plant::on_site(site, &config.hidden)
             .broken(config.faults.locked_rotor, config.faults.open_phase)

@@ -7,11 +7,6 @@ use super::delay_line::DelayLine;
 use crate::config::{LimitsConfig, OutputOff};
 use crate::truth::{MotorTruth, Path, Plant, Terminals};
 
-/// Bandwidth of the inner current loop, rad/s (200 Hz).
-const CURRENT_BANDWIDTH: f64 = 1257.0;
-/// Bandwidth of the inner speed loop, rad/s (5 Hz).
-const SPEED_BANDWIDTH: f64 = 31.4;
-
 /// What the inverter does now, and which limit holds it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Output {
@@ -56,7 +51,9 @@ pub(super) struct OutputStage {
 
 impl OutputStage {
     pub(super) fn new(limits: &LimitsConfig, nameplate: &MotorTruth, path: &Path) -> Self {
-        let speed_gain = SPEED_BANDWIDTH * nameplate.inertia_kg_m2 / nameplate.torque_constant();
+        // Bandwidths of the inner loops, rad/s: 200 Hz and 5 Hz.
+        let (current_bandwidth, speed_bandwidth) = (1257.0, 31.4);
+        let speed_gain = speed_bandwidth * nameplate.inertia_kg_m2 / nameplate.torque_constant();
         Self {
             current_limit_a: limits.current_limit_a,
             bus_v: limits.bus_v,
@@ -64,10 +61,10 @@ impl OutputStage {
             output_off: limits.output_off,
             late: DelayLine::new(path),
             offset_v: path.voltage_offset_v,
-            current_gain: CURRENT_BANDWIDTH * nameplate.inductance_h,
-            current_integral_gain: CURRENT_BANDWIDTH * nameplate.resistance_ohm,
+            current_gain: current_bandwidth * nameplate.inductance_h,
+            current_integral_gain: current_bandwidth * nameplate.resistance_ohm,
             speed_gain,
-            speed_integral_gain: speed_gain * SPEED_BANDWIDTH / 4.0,
+            speed_integral_gain: speed_gain * speed_bandwidth / 4.0,
             current_integral_v: 0.0,
             speed_integral_a: 0.0,
         }
@@ -116,7 +113,7 @@ impl OutputStage {
         }
     }
 
-    /// Supply first, then the chopping current limiter, which cannot ask for more than the supply either.
+    /// Supply limit first, then the chopping current limiter, which is bounded by the supply too.
     fn limited(&self, wanted_v: f64, plant: &Plant) -> Output {
         let supplied = wanted_v.clamp(-self.bus_v, self.bus_v);
         let lowest = plant.voltage_for_current(-self.current_limit_a, TICK_S);

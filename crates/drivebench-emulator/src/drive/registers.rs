@@ -1,4 +1,4 @@
-//! The drive behind its register map: access and ranges are those of the protocol's table.
+//! Register map of the drive: access and ranges are those of the protocol's table.
 
 use firmware_protocol::modbus::{Exception, RegisterBank};
 use firmware_protocol::registers::{
@@ -31,7 +31,7 @@ impl RegisterBank for SoftDrive {
         let identity = self.identity().to_registers();
         copy(IDENTITY_ADDRESS, &identity, address, out);
         if self.has(FaultKind::OtherVersion) {
-            // The version of a protocol that nobody has written yet.
+            // A protocol version that does not exist yet.
             copy(
                 r::IDENTITY_VERSION.address,
                 &[(firmware_protocol::PROTOCOL_VERSION + 8)],

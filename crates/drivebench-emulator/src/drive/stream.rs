@@ -1,4 +1,4 @@
-//! The drive behind its native stream: every question gets one answer with the question's number.
+//! Server of the native stream: one answer per request, with the number of the request.
 
 use firmware_protocol::stream::{
     CAPTURE_BLOCK_SAMPLES, CaptureBlock, CaptureStatus, ErrorCode, Frame, FrameError, Message,
@@ -11,7 +11,7 @@ use super::SoftDrive;
 pub(crate) fn answer(drive: &mut SoftDrive, received: &Result<Frame, FrameError>) -> Option<Frame> {
     let (seq, message) = match received {
         Ok(frame) => (frame.seq, respond(drive, frame)?),
-        // What bit 7 marks as said by a drive is not ours to answer: two drives would refuse each other for ever.
+        // Bit 7 marks the answer of a drive; a refusal of it would be refused in turn, without end.
         Err(FrameError::UnknownType { kind, seq }) if kind & 0x80 == 0 => {
             (*seq, refusal(*kind, ErrorCode::UnknownMessage))
         }

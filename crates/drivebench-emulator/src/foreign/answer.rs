@@ -74,13 +74,13 @@ impl RegisterBank for Bank<'_> {
         for (address, value) in words() {
             self.drive.written(address, *value);
         }
-        self.drive.obey(first, count(values));
+        self.drive.apply_write(first, count(values));
         Ok(())
     }
 
     fn identification(&self, object: u8) -> Option<&str> {
-        let mut plate = self.drive.plate_objects.iter();
-        let (_, text) = plate.find(|(known, _)| *known == object)?;
+        let mut objects = self.drive.identification_objects.iter();
+        let (_, text) = objects.find(|(known, _)| *known == object)?;
         Some(text)
     }
 }

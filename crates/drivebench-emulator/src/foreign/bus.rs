@@ -1,4 +1,4 @@
-//! The drive in memory as a bus of registers, in virtual time.
+//! In-memory register bus to a drive with a register map of its own, in virtual time.
 
 use drivebench_link::Result;
 use std::ops::Range;
@@ -11,27 +11,26 @@ use drivebench_link::{
     Span, exception_name,
 };
 
-/// Bytes of a frame beside its PDU.
+/// Bytes of an RTU frame without its PDU: unit and check sum.
 const FRAME_BYTES: usize = 3;
-/// Time that a reply is given, ms.
-const DEADLINE_MS: u64 = 100;
-const DEADLINE_S: f64 = 1e-3 * DEADLINE_MS as f64;
+/// Deadline of a reply, s.
+const DEADLINE_S: f64 = 0.1;
 
-/// A foreign drive without a wire, but with the wire's time.
+/// A foreign drive without a line, but with the time that a line takes.
 pub struct ForeignBus {
     drive: ForeignDrive,
     clock: VirtualClock,
     pace: Pace,
     functions: Vec<u8>,
-    /// Runs ahead of the clock by what the requests of one exchange take, s.
+    /// Time in the exchange, s, ahead of the clock by what its requests have taken.
     now_s: f64,
     statistics: LinkStatistics,
-    /// Numbers of the requests that are lost on the way, and how many from now on are heard and get no reply.
+    /// Numbers of the requests that are lost, and how many of the next ones are carried out without a reply.
     lost: Range<u64>,
-    mute: u32,
+    lost_replies: u32,
     /// Silence that is kept before each read, as on a line where old replies may come, s.
     silence_s: f64,
-    /// The last request got no reply: what must not wait for one does not wait for the next either.
+    /// The last request had no reply: an urgent write does not wait for one then.
     in_doubt: bool,
 }
 
@@ -45,7 +44,7 @@ impl ForeignBus {
             now_s: 0.0,
             statistics: LinkStatistics::default(),
             lost: 0..0,
-            mute: 0,
+            lost_replies: 0,
             silence_s: 0.0,
             in_doubt: false,
         }
@@ -65,25 +64,25 @@ impl ForeignBus {
 
     /// The next requests are carried out, and their replies are lost.
     pub const fn lose_replies(&mut self, replies: u32) {
-        self.mute = replies;
+        self.lost_replies = replies;
     }
 
     pub fn lose(&mut self, requests: u32) {
         self.lose_behind(0, requests);
     }
 
-    /// So many are still heard, and those behind them are lost.
+    /// The next `heard` requests arrive, and the `requests` after them are lost.
     pub fn lose_behind(&mut self, heard: u32, requests: u32) {
         let first = self.statistics.sent + 1 + u64::from(heard);
         self.lost = first..first + u64::from(requests);
     }
 
-    /// The answer, and between when it was asked for and when its first byte came. `patience_s`: how long a reply is waited
-    /// for beyond its usual time.
-    fn ask(
+    /// Answer of the drive, with the times of the request and of the first byte of the reply. `timeout_s`: time after the request at
+    /// which a missing reply is given up.
+    fn exchange(
         &mut self,
         request: &[u8],
-        patience_s: f64,
+        timeout_s: f64,
         what: impl Fn() -> String,
     ) -> Result<(Vec<u8>, Span)> {
         self.statistics.sent += 1;
@@ -96,15 +95,15 @@ impl ForeignBus {
         self.drive.advance_to(arrived_s);
         let is_lost = self.lost.contains(&self.statistics.sent);
         let answer = (!is_lost).then(|| self.drive.answer(request));
-        let is_mute = !is_lost && self.mute > 0;
-        self.mute -= u32::from(is_mute);
-        self.in_doubt = is_lost || is_mute;
-        let Some(answer) = answer.filter(|_| !is_mute) else {
+        let is_reply_lost = !is_lost && self.lost_replies > 0;
+        self.lost_replies -= u32::from(is_reply_lost);
+        self.in_doubt = is_lost || is_reply_lost;
+        let Some(answer) = answer.filter(|_| !is_reply_lost) else {
             self.statistics.timeout += 1;
-            self.now_s = self.pace.delivery_s(arrived_s, FRAME_BYTES) + patience_s;
+            self.now_s = self.pace.delivery_s(arrived_s, FRAME_BYTES) + timeout_s;
             return Err(LinkError::Timeout {
                 link: self.name().0,
-                deadline_ms: DEADLINE_MS,
+                deadline_ms: 100,
                 request: what(),
             });
         };
@@ -128,13 +127,13 @@ impl ForeignBus {
     }
 
     fn get(&mut self, request: &[u8], what: impl Fn() -> String) -> Result<RegistersRead> {
-        let (answer, span) = self.ask(request, DEADLINE_S, what)?;
+        let (answer, span) = self.exchange(request, DEADLINE_S, what)?;
         let pairs = answer.get(2..).unwrap_or_default().as_chunks().0;
         let words = pairs.iter().map(|pair| u16::from_be_bytes(*pair)).collect();
         Ok(RegistersRead { words, span })
     }
 
-    fn put(&mut self, function: u8, address: u16, values: &[u16], patience_s: f64) -> Result<Span> {
+    fn put(&mut self, function: u8, address: u16, values: &[u16], timeout_s: f64) -> Result<Span> {
         let mut request = vec![function];
         request.extend(address.to_be_bytes());
         if function != 6 {
@@ -142,7 +141,7 @@ impl ForeignBus {
         }
         request.extend(values.iter().flat_map(|value| value.to_be_bytes()));
         let what = || format!("write {values:04x?} at {address}");
-        self.ask(&request, patience_s, what).map(|(_, span)| span)
+        self.exchange(&request, timeout_s, what).map(|(_, span)| span)
     }
 }
 
@@ -186,8 +185,8 @@ impl RegisterBus for ForeignBus {
     }
 
     fn write_at_once(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Span> {
-        let patience_s = if self.in_doubt { 0.0 } else { DEADLINE_S };
-        self.put(function, address, values, patience_s)
+        let timeout_s = if self.in_doubt { 0.0 } else { DEADLINE_S };
+        self.put(function, address, values, timeout_s)
     }
 
     fn read_write(
@@ -210,8 +209,8 @@ impl RegisterBus for ForeignBus {
         if !self.functions.contains(&43) {
             return Ok(None);
         }
-        let answer =
-            self.ask(&[43, 14, 4, object], DEADLINE_S, || "the device identification".to_owned());
+        let answer = self
+            .exchange(&[43, 14, 4, object], DEADLINE_S, || "the device identification".to_owned());
         match answer {
             Ok((answer, _)) => Ok(answer
                 .get(9..)

@@ -1,15 +1,15 @@
-//! Identity registers that a profile asks for, shown as that drive would: else a profile with `[[identity]]` could not
-//! be tried without the drive.
+//! Identity registers with the values that the profile expects, so that a profile with `[[identity]]` can be tried without the
+//! drive.
 
 use super::ForeignDrive;
 use super::registers::{bits, number_of};
 use drivebench_link::register_map::{IdentityCheck, IdentityTest, Quantity, RegisterMap, Signal};
 
 impl ForeignDrive {
-    /// The bits of a signal, changed only where a check of the identity would not find what it asks for.
-    pub(super) fn as_asked(&self, signal: &Signal, natural: u32) -> u32 {
+    /// The bits of a signal, changed only where the check of the identity would fail.
+    pub(super) fn with_expected_identity(&self, signal: &Signal, natural: u32) -> u32 {
         let is_status = matches!(signal.keys.quantity, Quantity::Status | Quantity::FaultCode);
-        // A status is looked at while the drive is at rest; afterwards it has other things to tell.
+        // A status is checked only while the drive is at rest; running, it must show the state.
         if is_status && (self.fault.is_some() || !self.sequence.is_at_rest()) {
             return natural;
         }
@@ -38,22 +38,23 @@ impl ForeignDrive {
         })
     }
 
-    /// What the drive tells of a nameplate value, as a check of the identity wants it.
-    pub(super) fn factor_as_asked(&self, signal: &Signal, natural: f64) -> f64 {
-        let is_asked = |check: &IdentityCheck| matches!(check, IdentityCheck::Signal { signal: name, .. } if *name == signal.name);
+    /// Nameplate value in the registers of the drive, as the check of the identity expects it.
+    pub(super) fn factor_with_expected_identity(&self, signal: &Signal, natural: f64) -> f64 {
+        let is_checked = |check: &IdentityCheck| matches!(check, IdentityCheck::Signal { signal: name, .. } if *name == signal.name);
         let numbers = &signal.numbers;
         // A factor with factors of its own is left as it is.
-        if !numbers.scale_by.is_empty() || !self.map.identity.iter().any(is_asked) {
+        if !numbers.scale_by.is_empty() || !self.map.identity.iter().any(is_checked) {
             return natural;
         }
         let kind = signal.location.layout.kind;
-        let shown = self.as_asked(signal, bits(kind, (natural - numbers.offset) / numbers.scale));
+        let shown = self
+            .with_expected_identity(signal, bits(kind, (natural - numbers.offset) / numbers.scale));
         number_of(kind, shown) * numbers.scale + numbers.offset
     }
 }
 
-/// Objects of function code 43: the plate says that it is software, and holds what the profile asks for.
-pub(super) fn plate(map: &RegisterMap) -> Vec<(u8, String)> {
+/// Objects of function code 43: they identify the drive as an emulator and contain the texts that the profile expects.
+pub(super) fn identification_objects(map: &RegisterMap) -> Vec<(u8, String)> {
     let mut objects = vec![
         (0, "drivebench emulator".to_owned()),
         (1, map.device.name.clone()),

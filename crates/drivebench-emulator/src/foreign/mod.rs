@@ -1,4 +1,4 @@
-//! The software drive under the profile of another: the same motor, behind the registers of a drive profile.
+//! Emulation of another make of drive: the same motor under the register map of a drive profile.
 //!
 //! ```text
 //! request -> answer.rs (function codes, limits of length) -> registers.rs (truth -> registers) <- SoftDrive (the motor)
@@ -6,8 +6,8 @@
 //! bus.rs   in virtual time, as registers for the host
 //! ```
 //!
-//! Built from the profile and from no code of the host: two implementations check each other. An error of the profile is in
-//! both.
+//! Implemented from the profile without code of the host, so that two implementations check each other. An error in the profile
+//! itself is in both.
 
 mod answer;
 mod bus;
@@ -32,7 +32,7 @@ use drivebench_link::register_map::{
 use drivebench_link::{DriveProfile, KickedBy, RegisterTable};
 use drivebench_model::sample::Hindrance;
 
-/// The drive is looked after once in this time, s.
+/// Period of the drive's own control, s.
 const STEP_S: f64 = 0.005;
 /// Field current of a sound machine, A.
 const FIELD_A: f64 = 1.0;
@@ -69,13 +69,13 @@ impl Guise {
 pub struct ForeignDrive {
     map: Arc<RegisterMap>,
     soft: SoftDrive,
-    plate: MotorTruth,
+    nameplate: MotorTruth,
     /// Objects of its device identification.
-    plate_objects: Vec<(u8, String)>,
+    identification_objects: Vec<(u8, String)>,
     limits_a_v: (f64, f64),
     sequence: EnableSequence,
     written: BTreeMap<u16, u16>,
-    /// Bits that a signal shows whatever is true: a broken sensor.
+    /// Bits that a signal shows instead of its value: a broken sensor.
     forced: BTreeMap<String, u32>,
     ignored: Option<String>,
     watchdog_s: f64,
@@ -92,7 +92,7 @@ pub struct ForeignDrive {
     switched_on_s: f64,
     as_set_s: f64,
     seq: u16,
-    /// It has no power, and somebody commands it at its keypad, by its configuration.
+    /// Without power, and under control from its keypad, by the configuration.
     faults: (bool, bool),
     is_missing: bool,
 }
@@ -116,8 +116,8 @@ impl ForeignDrive {
             sequence: EnableSequence::new(&guise.map),
             map: Arc::clone(&guise.map),
             soft: SoftDrive::new(config, seed),
-            plate: config.motor.clone(),
-            plate_objects: identity::plate(&guise.map),
+            nameplate: config.motor.clone(),
+            identification_objects: identity::identification_objects(&guise.map),
             limits_a_v: (config.limits.current_limit_a, config.limits.bus_v),
             written: BTreeMap::new(),
             forced: BTreeMap::new(),
@@ -168,7 +168,7 @@ impl ForeignDrive {
         self.field_lost || self.field_lost_from_s.is_some_and(gone)
     }
 
-    /// Somebody stops it at its keypad and keeps the command, or gives it back.
+    /// Stop from the keypad, which takes control; or control given back to the bus.
     pub const fn take_local(&mut self, local: bool) {
         self.hindrance = if local {
             self.sequence.stop();
@@ -198,7 +198,7 @@ impl ForeignDrive {
         self.refusing_writes = code;
     }
 
-    /// Another master writes a set-point, raw: of this request the host knows nothing.
+    /// A second master writes a set-point, raw, which the host does not receive.
     pub fn overwrite(&mut self, set_point: &str, raw: u16) {
         if let Some(point) = self.map.set_point(set_point) {
             self.written.insert(point.location.address, raw);
@@ -262,7 +262,7 @@ impl ForeignDrive {
         }
     }
 
-    /// Lets measured signals show the code with which the drive says that they are not available.
+    /// Sets measured signals to the drive's code for "not available".
     fn withhold(&mut self, missing: bool) {
         let map = Arc::clone(&self.map);
         for signal in &map.signals {
@@ -296,7 +296,7 @@ impl ForeignDrive {
         }
     }
 
-    /// What the drive watches over by itself.
+    /// The drive's own supervision.
     fn supervise(&mut self) {
         if self.soft.fault() != Fault::None && self.fault.is_none() {
             self.fail(Cause::Trip);
@@ -329,7 +329,7 @@ impl ForeignDrive {
 
     fn drive_motor(&mut self) {
         // Share of the rated speed below which a shaft stands.
-        let rest = 0.02 * self.plate.rated_speed_rad_s;
+        let rest = 0.02 * self.nameplate.rated_speed_rad_s;
         let stands = self.soft.plant().speed_rad_s().abs() < rest;
         let control = match self.sequence.turn(stands) {
             _ if self.fault.is_some() => Control::Disable,
@@ -344,7 +344,7 @@ impl ForeignDrive {
 
     /// The command that follows from the references.
     fn reference(&self) -> Control {
-        let plate = &self.plate;
+        let nameplate = &self.nameplate;
         let references = self.map.set_points.iter().filter(|p| !p.is_word());
         let written = references.filter_map(|point| Some((point, self.value(point)?)));
         // Of several references the one that is not zero, as the drive's own selection would be.
@@ -352,15 +352,15 @@ impl ForeignDrive {
         let Some((point, value)) = chosen else {
             let has_reference = self.map.set_points.iter().any(|p| !p.is_word());
             // Share of the rated speed with which a drive jogs whose profile has no reference.
-            let jog = 0.1 * plate.rated_speed_rad_s;
+            let jog = 0.1 * nameplate.rated_speed_rad_s;
             return Control::Speed(if has_reference { 0.0 } else { jog });
         };
         match (point.keys.quantity, point.numbers.unit) {
             (Quantity::Voltage, _) => Control::Voltage(value),
             (Quantity::Duty, _) => Control::Voltage(0.01 * value * self.limits_a_v.1),
             (Quantity::Current, _) => Control::Current(value),
-            (Quantity::Torque, _) => Control::Current(0.01 * value * plate.rated_current_a),
-            (_, Unit::Percent) => Control::Speed(0.01 * value * plate.rated_speed_rad_s),
+            (Quantity::Torque, _) => Control::Current(0.01 * value * nameplate.rated_current_a),
+            (_, Unit::Percent) => Control::Speed(0.01 * value * nameplate.rated_speed_rad_s),
             (_, unit) => Control::Speed(registers::rad_s(value, unit, point.si)),
         }
     }
@@ -376,8 +376,10 @@ impl ForeignDrive {
         let factor = self.factor(&point.numbers.scale_by);
         let value = raw * point.numbers.scale * factor + point.numbers.offset;
         let negative = point.keys.sign.as_ref().is_some_and(|sign| {
-            let word = self.map.set_point(&sign.set_point);
-            let word = word.and_then(|word| self.written.get(&word.location.address));
+            let word = self
+                .map
+                .set_point(&sign.set_point)
+                .and_then(|word| self.written.get(&word.location.address));
             word.is_some_and(|word| word & sign.mask != 0)
         });
         Some(if negative { -value } else { value })
@@ -403,7 +405,7 @@ impl ForeignDrive {
     }
 
     /// A whole write is over: what it makes the drive do.
-    fn obey(&mut self, first: u16, count: u16) {
+    fn apply_write(&mut self, first: u16, count: u16) {
         let map = Arc::clone(&self.map);
         if let Some((location, unit_s)) = map.watchdog.time
             && (first..first.saturating_add(count)).contains(&location.address)

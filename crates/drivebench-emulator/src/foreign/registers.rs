@@ -8,7 +8,7 @@ use drivebench_link::register_map::{Byte, Condition, Kind, Layout, Order, Quanti
 use drivebench_model::sample::Hindrance;
 use drivebench_model::units::{rad_s_from_rpm, rpm_from_rad_s};
 
-/// A speed in the unit of a profile, rad/s. `si`: what the profile says that one unit is; else one pole pair.
+/// A speed in the unit of a profile, rad/s. `si`: one unit by the profile; otherwise one pole pair.
 pub(super) fn rad_s(value: f64, unit: Unit, si: Option<f64>) -> f64 {
     match unit {
         Unit::Rpm => rad_s_from_rpm(value),
@@ -188,7 +188,7 @@ impl ForeignDrive {
                 }
             }
         };
-        self.as_asked(signal, natural)
+        self.with_expected_identity(signal, natural)
     }
 
     /// Status bits: the stages of the enable command, and the states of the profile.
@@ -227,18 +227,20 @@ impl ForeignDrive {
 
     /// Product of nameplate values that others are scaled with.
     pub(super) fn factor(&self, scale_by: &[String]) -> f64 {
-        let plate = &self.plate;
+        let nameplate = &self.nameplate;
         let value = |name: &String| {
             let Some(signal) = self.map.signal(name) else {
                 return 1.0;
             };
             let natural = match signal.keys.quantity {
-                Quantity::RatedCurrent => plate.rated_current_a,
-                Quantity::RatedVoltage => plate.rated_voltage_v,
-                Quantity::RatedSpeed => in_unit(plate.rated_speed_rad_s, signal.numbers.unit, None),
+                Quantity::RatedCurrent => nameplate.rated_current_a,
+                Quantity::RatedVoltage => nameplate.rated_voltage_v,
+                Quantity::RatedSpeed => {
+                    in_unit(nameplate.rated_speed_rad_s, signal.numbers.unit, None)
+                }
                 _ => 1.0,
             };
-            self.factor_as_asked(signal, natural)
+            self.factor_with_expected_identity(signal, natural)
         };
         scale_by.iter().map(value).product()
     }
@@ -246,7 +248,7 @@ impl ForeignDrive {
     /// What is true, in the unit of the signal.
     fn truth(&mut self, signal: &Signal) -> f64 {
         let sensed = self.soft.telemetry();
-        let (plate, (limit_a, limit_v)) = (&self.plate, self.limits_a_v);
+        let (nameplate, (limit_a, limit_v)) = (&self.nameplate, self.limits_a_v);
         let unit = signal.numbers.unit;
         let si = signal.channel.map(|(_, si)| si);
         match signal.keys.quantity {
@@ -256,9 +258,9 @@ impl ForeignDrive {
             Quantity::LineVoltage => sensed.bus_v / SQRT_2,
             Quantity::ShaftSpeed | Quantity::OutputSpeed => in_unit(sensed.speed_rad_s, unit, si),
             Quantity::Torque if unit == Unit::Percent => {
-                100.0 * sensed.current_a / plate.rated_current_a
+                100.0 * sensed.current_a / nameplate.rated_current_a
             }
-            Quantity::Torque => plate.torque_constant() * sensed.current_a,
+            Quantity::Torque => nameplate.torque_constant() * sensed.current_a,
             Quantity::Power => 1e-3 * sensed.voltage_v * sensed.current_a,
             Quantity::Duty => 100.0 * sensed.voltage_cmd_v / limit_v,
             Quantity::FieldCurrent if self.has_no_field() => 0.0,
@@ -270,9 +272,9 @@ impl ForeignDrive {
                 _ => self.soft.time_s(),
             },
             Quantity::Temperature => 25.0,
-            Quantity::RatedCurrent => plate.rated_current_a,
-            Quantity::RatedVoltage => plate.rated_voltage_v,
-            Quantity::RatedSpeed => in_unit(plate.rated_speed_rad_s, unit, None),
+            Quantity::RatedCurrent => nameplate.rated_current_a,
+            Quantity::RatedVoltage => nameplate.rated_voltage_v,
+            Quantity::RatedSpeed => in_unit(nameplate.rated_speed_rad_s, unit, None),
             Quantity::CurrentLimit => limit_a,
             Quantity::VoltageLimit => limit_v,
             Quantity::Status

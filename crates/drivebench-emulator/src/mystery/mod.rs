@@ -17,11 +17,6 @@ use super::truth::MotorTruth;
 use super::truth::effect::{HiddenEffect, Site};
 use drivebench_model::text::number::{shortest, with_unit};
 
-/// Share of the seeds without a hidden effect.
-const NONE_SHARE: f64 = 0.1;
-/// Share of the seeds with an effect that no catalogue has.
-const FOREIGN_SHARE: f64 = 0.08;
-
 /// A software drive and what it hides.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mystery {
@@ -87,10 +82,11 @@ pub fn draw(seed: u64) -> Mystery {
 
 fn hidden(rng: &mut ChaCha8Rng, nameplate: &Site) -> Option<HiddenEffect> {
     let kind: f64 = rng.random();
-    if kind < NONE_SHARE {
+    // 10 % of the seeds have no hidden effect, 8 % one that no catalogue has.
+    if kind < 0.1 {
         return None;
     }
-    let ids = HiddenEffect::mysteries(kind < NONE_SHARE + FOREIGN_SHARE);
+    let ids = HiddenEffect::mysteries(kind < 0.1 + 0.08);
     let id = ids[rng.random_range(0..ids.len())];
     HiddenEffect::mystery(id, rng, nameplate)
 }

@@ -1,28 +1,31 @@
-//! Path between the command, the machine and the measurement: delays, filters, offsets.
+//! Path from command to machine and from machine to measurement: dead times, filters, offsets.
+//!
+//! The host's model has the same parameters in a type of its own (`drivebench-model`, `plant/effect/terms.rs`). They are not shared:
+//! the emulator's physics is an independent implementation, so that a diagnosis is never tested on its own formulas.
 
-/// Delays, filters and offsets; all zero is the direct way.
+/// Dead times, filters and offsets; all zero is no change.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Path {
-    /// The drive acts on every set-point this much later than it says.
+    /// Dead time from set-point to output.
     pub command_delay_s: f64,
-    /// The drive puts out nothing for this long after the first set-point that is not zero.
+    /// Time of zero output after the first set-point that is not zero.
     pub start_delay_s: f64,
     /// The same after every start from rest.
     pub restart_delay_s: f64,
     /// Added to every voltage that the drive puts out while it runs.
     pub voltage_offset_v: f64,
-    /// The measured speed is that of this much earlier.
+    /// Dead time of the measured speed.
     pub speed_delay_s: f64,
     /// Time constants of first-order filters in the measurement.
     pub speed_filter_s: f64,
     pub current_filter_s: f64,
-    /// What a sensor adds to the truth.
+    /// Offsets of the sensors.
     pub current_offset_a: f64,
     pub speed_offset_rad_s: f64,
 }
 
 impl Path {
-    /// Both ways one after the other. Time constants of filters in series add up only nearly; nobody chains them here.
+    /// Two paths in series. The time constants of filters add up only approximately; no configuration has two of one kind.
     #[must_use]
     pub fn plus(self, other: Self) -> Self {
         Self {

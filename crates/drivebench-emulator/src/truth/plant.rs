@@ -11,7 +11,7 @@ const EVENTS_PER_STEP: usize = 8;
 /// What the inverter does at the motor's terminals over one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Terminals {
-    /// Means to hold this voltage, V: the motor gets it where the supply does not give way.
+    /// Output voltage command, V: the motor gets it if the supply does not sag.
     Voltage(f64),
     /// Switches off: the diodes drive the current to zero against this bus voltage, V; then the circuit is open.
     Open { bus_v: f64 },
@@ -155,7 +155,7 @@ impl Plant {
         self.time_s
     }
 
-    /// What lies between the command, this machine and the measurement: for the drive around it.
+    /// Path from command to measurement, which the drive applies.
     pub const fn path(&self) -> &Path {
         &self.path
     }
@@ -264,7 +264,7 @@ impl Plant {
         }
     }
 
-    /// Torque that would turn a shaft at rest, N.m, and what holds it beside the breakaway extra.
+    /// Net torque on a shaft at rest, N.m, and the friction that holds it without the extra breakaway torque.
     fn torque_at_rest(&self, state: &State) -> (f64, f64) {
         let at = self.moment(state);
         let (load, friction) = self.loads(&at);
@@ -394,7 +394,7 @@ impl Plant {
         rate
     }
 
-    /// What effects see of a state.
+    /// Arguments of the effects at a state.
     #[inline]
     fn moment(&self, state: &State) -> Moment {
         let mut at = Moment {

@@ -236,7 +236,7 @@ fn counts_that_cannot_be_followed_are_refused() {
         (&[(FIRST, &none[..])][..], "unit \"counts\" needs counts_per_turn, here or in [device]"),
         (&[(FIRST, &zero)], "counts_per_turn 0 is not allowed"),
         (&[(rpm, &speed)], "counts_per_turn does not fit unit \"rpm\""),
-        (only_position, "which way cannot be told (expected less than 50 %"),
+        (only_position, "the direction is ambiguous (expected less than 50 %"),
     ] {
         assert_contains(&refused(changes), part);
     }

@@ -2,10 +2,6 @@
 
 use super::{Acts, Fraction, HiddenKind, NotNegative, Positive, Shaft, Share, named};
 
-/// Flanks that touch on a line are so much stiffer at rated torque than without load, as a share. More would move the
-/// instants at which they meet so far that the motion after them is another one, which no fit finds again.
-const STIFFENING: f64 = 0.01;
-
 /// As `elastic_coupling`, and over `gap_rad` the coupling carries no torque.
 pub(super) const KIND: HiddenKind = HiddenKind {
     id: "backlash",
@@ -27,6 +23,7 @@ pub(super) const KIND: HiddenKind = HiddenKind {
             dice.size(0.02, 0.1),
         ]
     }),
-    // See [`Shaft`]: it stiffens under torque, the host's does not.
-    acts: Acts::Behind(|values, site| Shaft::new(site, named(values), values[4], STIFFENING)),
+    // Flanks in line contact are 1 % stiffer at rated torque than without load ([`Shaft`]); the host's stiffness is constant. A
+    // larger change would move the impacts so far that no fit finds the motion after them.
+    acts: Acts::Behind(|values, site| Shaft::new(site, named(values), values[4], 0.01)),
 };

@@ -1,8 +1,8 @@
-//! A drive that takes its time between the set-point and the voltage.
+//! Dead time between set-point and voltage.
 
 use super::{Acts, Delay, HiddenKind};
 
-/// Every set-point acts this much later than the drive says; a line of the drive's ticks, to 50 us. A delay has no other form.
+/// Dead time of every set-point, in ticks of 50 us. A dead time has no other mathematical form than the host's.
 pub(super) const KIND: HiddenKind = HiddenKind {
     id: "command_delay",
     names: &["command_delay"],

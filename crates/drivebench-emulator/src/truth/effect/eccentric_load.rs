@@ -3,9 +3,6 @@
 use super::cogging::slots;
 use super::{Acts, HiddenKind, Wave};
 
-/// Crank radius as a share of the rod's length.
-const ROD_RATIO: f64 = 0.2;
-
 /// Torque `sin_n_m sin(th) + cos_n_m cos(th)`.
 pub(super) const KIND: HiddenKind = HiddenKind {
     id: "eccentric_load",
@@ -16,6 +13,6 @@ pub(super) const KIND: HiddenKind = HiddenKind {
     ],
     mystery: Some(|dice| dice.wave(dice.torque_n_m).to_vec()),
     // Slider and crank: the lift is r (1 - cos x) + r^2/(4 l) (1 - cos 2x), so the torque of a weight G on it is
-    // G r (sin x + (r/2l) sin 2x): a second harmonic of a tenth. The host's catalogue has the sine, a mass on the shaft.
-    acts: Acts::Inside(|values, _| slots([1.0, values[0], values[1]], 0.5 * ROD_RATIO)),
+    // G r (sin x + (r/2l) sin 2x): with r/l = 0.2 a second harmonic of a tenth. The host's catalogue has the sine, a mass on the shaft.
+    acts: Acts::Inside(|values, _| slots([1.0, values[0], values[1]], 0.1)),
 };

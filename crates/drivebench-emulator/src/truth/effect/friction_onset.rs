@@ -2,9 +2,6 @@
 
 use super::{Acts, HiddenKind, NotNegative, friction, named};
 
-/// Time constant with which the film breaks down, s.
-const DRY_S: f64 = 0.02;
-
 /// Drag in proportion to the speed from `time_s` after each start of the drive on.
 pub(super) const KIND: HiddenKind = HiddenKind {
     id: "friction_onset",
@@ -16,7 +13,7 @@ pub(super) const KIND: HiddenKind = HiddenKind {
     mystery: Some(|dice| vec![dice.torque_n_m / dice.speed_rad_s, dice.between(3.0, 9.0)]),
     acts: Acts::Inside(|values, _| {
         let [viscous, time_s] = named(values);
-        // B w (1 - exp(-(t - t1)/20 ms)). The host's catalogue has a logistic curve about t1.
-        friction(move |at| viscous * at.speed_rad_s.abs() * at.taken_hold(time_s, DRY_S))
+        // B w (1 - exp(-(t - t1)/20 ms)): the lubricating film breaks down. The host's catalogue has a logistic curve about t1.
+        friction(move |at| viscous * at.speed_rad_s.abs() * at.first_order_lag(time_s, 0.02))
     }),
 };

@@ -13,7 +13,7 @@ pub type TrueParameter = (&'static str, f64, &'static str);
 /// A value that a parameter cannot have: key, value, what is allowed.
 pub type Refused = (&'static str, f64, &'static str);
 
-/// A kind of hidden effect; its id and keys are those of the model file. The doc of each says what the keys mean.
+/// A kind of hidden effect; its id and keys are those of the model file. The doc of each explains its keys.
 #[derive(Debug)]
 pub(super) struct HiddenKind {
     pub(super) id: &'static str,
@@ -170,7 +170,7 @@ impl Allowed {
 
 /// Sizes of a mystery: torques are 3 to 15 % of the rated torque. Voltages are 1 to 4 % of the rated voltage (the resistance
 /// itself drops 6 %); offsets stay within what a host's checks at rest allow. Delays and filters are of a size that a
-/// sample every 10 ms can see.
+/// sample every 10 ms resolves.
 pub(super) struct Dice<'a> {
     rng: &'a mut ChaCha8Rng,
     pub(super) rated_torque_n_m: f64,

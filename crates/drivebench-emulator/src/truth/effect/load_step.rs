@@ -2,9 +2,6 @@
 
 use super::{Acts, HiddenKind, NotNegative, friction, named};
 
-/// Time constant with which the brake takes hold, s.
-const GRIP_S: f64 = 0.015;
-
 /// Friction of `step_n_m` from `time_s` after each start of the drive on.
 pub(super) const KIND: HiddenKind = HiddenKind {
     id: "load_step",
@@ -18,6 +15,6 @@ pub(super) const KIND: HiddenKind = HiddenKind {
         let [step_n_m, time_s] = named(values);
         // T (1 - exp(-(t - t1)/15 ms)), the current of the brake's coil. The host's catalogue has a logistic curve
         // about t1.
-        friction(move |at| step_n_m * at.taken_hold(time_s, GRIP_S))
+        friction(move |at| step_n_m * at.first_order_lag(time_s, 0.015))
     }),
 };

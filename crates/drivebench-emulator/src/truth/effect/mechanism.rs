@@ -23,7 +23,7 @@ impl Site {
     }
 }
 
-/// The state of the machine as effects see it.
+/// State of the machine: the arguments of the effects.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Moment {
     /// Since the drive was last started.
@@ -37,8 +37,8 @@ pub struct Moment {
 }
 
 impl Moment {
-    /// Share of what comes at `from_s` and takes hold with a time constant that is there already.
-    pub(super) fn taken_hold(&self, from_s: f64, time_constant_s: f64) -> f64 {
+    /// Step response of a first-order lag: `1 - exp(-(t - from_s)/time_constant_s)`, zero before `from_s`.
+    pub(super) fn first_order_lag(&self, from_s: f64, time_constant_s: f64) -> f64 {
         let since_s = self.time_s - from_s;
         if since_s > 0.0 { -(-since_s / time_constant_s).exp_m1() } else { 0.0 }
     }
@@ -46,7 +46,7 @@ impl Moment {
 
 /// One physical effect at work in the true machine. Every hook defaults to "no effect there".
 pub trait Mechanism: Send {
-    /// Torque against a shaft that turns, N.m; positive against positive speed. At rest it is not asked for.
+    /// Torque against a shaft that turns, N.m; positive against positive speed. Not called at rest.
     fn drag_torque_n_m(&self, _speed_rad_s: f64) -> f64 {
         0.0
     }
@@ -67,7 +67,7 @@ pub trait Mechanism: Send {
     }
 
     /// The shaft has rested and just broken away in `direction` (+1 or -1). One that passes zero speed on its way back has
-    /// not rested, and keeps what it remembers.
+    /// not rested, and keeps its state.
     fn broke_away(&mut self, _direction: f64) {}
 
     /// Inertia, as a multiple of the motor's.
@@ -90,8 +90,8 @@ pub trait Mechanism: Send {
         1.0
     }
 
-    /// Flux (that is: back-EMF and torque constant), as a multiple of the nameplate's. Flux and torque of the moment are
-    /// not known yet when it is asked.
+    /// Flux (that is: back-EMF and torque constant), as a multiple of the nameplate's. The flux and torque of `at` are not
+    /// computed yet.
     fn flux_factor(&self, _at: &Moment) -> f64 {
         1.0
     }
@@ -101,7 +101,7 @@ pub trait Mechanism: Send {
         1.0
     }
 
-    /// Rise of the winding over ambient, K, where the effect knows it.
+    /// Temperature rise of the winding over ambient, K, if the effect computes it.
     fn winding_rise_k(&self) -> Option<f64> {
         None
     }

@@ -7,8 +7,8 @@
 //!         flux -----------------------------------------------------------> both balances
 //!         drag (moving only), load (also at rest), friction (holds at rest) -> torque balance, stick-slip
 //!     Behind ---> Shaft: a second inertia
-//!     Between --> Path: what lies between command, machine and measurement (path.rs)
-//!     Together -> other effects, of which it is made
+//!     Between --> Path: dead times, filters and offsets of commands and measurements (path.rs)
+//!     Together -> several other effects
 //! ```
 //!
 //! Under `foreign/` are effects that no catalogue of the host has: for them the right answer is that nothing known
@@ -279,8 +279,10 @@ impl<'de> Deserialize<'de> for HiddenEffect {
         let table = toml::Table::deserialize(deserializer)?;
         let id = table.get("id").ok_or_else(|| D::Error::missing_field("id"))?;
         let id = id.as_str().unwrap_or_default();
-        let kind = CATALOGUE.iter().find(|kind| kind.id == id);
-        let kind = kind.ok_or_else(|| D::Error::custom(unknown("variant", id, Self::ids())))?;
+        let kind = CATALOGUE
+            .iter()
+            .find(|kind| kind.id == id)
+            .ok_or_else(|| D::Error::custom(unknown("variant", id, Self::ids())))?;
         let keys = kind.parameters.iter().map(|parameter| parameter.key);
         let is_unknown = |key: &&String| *key != "id" && !keys.clone().any(|known| known == *key);
         if let Some(key) = table.keys().find(is_unknown) {
@@ -295,7 +297,7 @@ impl<'de> Deserialize<'de> for HiddenEffect {
     }
 }
 
-/// As serde says it of an enum or a struct.
+/// In the words of serde's message for an enum or a struct.
 fn unknown(what: &str, given: &str, known: impl Iterator<Item = &'static str>) -> String {
     let known: Vec<String> = known.map(|name| format!("`{name}`")).collect();
     let expected = match &known[..] {

@@ -2,9 +2,6 @@
 
 use super::{Acts, HiddenKind, NotNegative, Signed, load, named};
 
-/// Time in which the rope comes under tension, s.
-const TIGHT_S: f64 = 0.03;
-
 /// Torque of `load_n_m` against positive motion from `time_s` after each start of the drive on.
 pub(super) const KIND: HiddenKind = HiddenKind {
     id: "one_sided_load",
@@ -16,7 +13,7 @@ pub(super) const KIND: HiddenKind = HiddenKind {
     mystery: Some(|dice| vec![dice.sign() * dice.torque_n_m, dice.between(3.0, 9.0)]),
     acts: Acts::Inside(|values, _| {
         let [load_n_m, time_s] = named(values);
-        // T (t - t1)/30 ms until it hangs freely. The host's catalogue has a logistic curve about t1.
-        load(move |at| load_n_m * ((at.time_s - time_s) / TIGHT_S).clamp(0.0, 1.0))
+        // T (t - t1)/30 ms while the rope comes under tension. The host's catalogue has a logistic curve about t1.
+        load(move |at| load_n_m * ((at.time_s - time_s) / 0.03).clamp(0.0, 1.0))
     }),
 };

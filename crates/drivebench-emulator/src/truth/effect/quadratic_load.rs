@@ -2,9 +2,6 @@
 
 use super::{Acts, HiddenKind, NotNegative, drag};
 
-/// Measured fans follow a power of the speed a little below two.
-const FAN_EXPONENT: f64 = 1.95;
-
 /// Load of `quadratic_n_m_s2_per_rad2` times rated speed squared at rated speed.
 pub(super) const KIND: HiddenKind = HiddenKind {
     id: "quadratic_load",
@@ -19,10 +16,10 @@ pub(super) const KIND: HiddenKind = HiddenKind {
     acts: Acts::Inside(|values, site| {
         let rated_speed_rad_s = site.motor.rated_speed_rad_s;
         let torque_at_rated_n_m = values[0] * rated_speed_rad_s.powi(2);
-        // T = Tn |w/wn|^1.95 sgn(w). The host's catalogue has k w |w|.
+        // T = Tn |w/wn|^1.95 sgn(w), as measured fans: a power a little below two. The host's catalogue has k w |w|.
         drag(move |speed_rad_s| {
             let ratio = (speed_rad_s / rated_speed_rad_s).abs();
-            (torque_at_rated_n_m * ratio.powf(FAN_EXPONENT)).copysign(speed_rad_s)
+            (torque_at_rated_n_m * ratio.powf(1.95)).copysign(speed_rad_s)
         })
     }),
 };

@@ -1,13 +1,13 @@
-//! A supply that gives way under load: source resistance and the capacitor of the intermediate circuit.
+//! A supply whose voltage sags under load: source resistance and the capacitor of the DC link.
 
 use super::{Acts, HiddenKind, Mechanism, Moment, NotNegative};
 use drivebench_model::plant::REFERENCE_SUPPLY_V;
 
-/// Time constant of source resistance and capacitor, s. It is a smoothing that samples at 1 kHz hardly see.
+/// Time constant of source resistance and capacitor, s: a lag that hardly shows in samples at 1 kHz.
 const BUS_TIME_CONSTANT_S: f64 = 2e-3;
 
-/// Resistance of the drive's supply; the motor sees it through the duty cycle, twice. As in the model file it is that
-/// of a supply of 110 V: on the drive's own bus the same loss of voltage takes `(bus/110 V)^2` of it.
+/// Resistance of the drive's supply; referred to the motor it is multiplied by the squared duty cycle. As in the model file it is
+/// that of a supply of 110 V: on the drive's own bus the same loss of voltage takes `(bus/110 V)^2` of it.
 pub(super) const KIND: HiddenKind = HiddenKind {
     id: "supply_sag",
     names: &["supply_sag"],

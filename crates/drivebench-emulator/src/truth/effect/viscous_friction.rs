@@ -2,9 +2,6 @@
 
 use super::{Acts, HiddenKind, NotNegative, drag};
 
-/// Speed scale of the thinning as a multiple of rated speed: 4 % less drag than linear at rated speed.
-const THINNING_SPEED_RATIO: f64 = 2.0;
-
 /// Drag with the slope `viscous_n_m_s_per_rad` at low speed.
 pub(super) const KIND: HiddenKind = HiddenKind {
     id: "viscous_friction",
@@ -13,7 +10,8 @@ pub(super) const KIND: HiddenKind = HiddenKind {
     mystery: Some(|dice| vec![dice.torque_n_m / dice.speed_rad_s]),
     acts: Acts::Inside(|values, site| {
         let viscous = values[0];
-        let w0 = THINNING_SPEED_RATIO * site.motor.rated_speed_rad_s;
+        // Scale of the thinning: 4 % less drag than linear at rated speed.
+        let w0 = 2.0 * site.motor.rated_speed_rad_s;
         // Eyring fluid: torque = B w0 asinh(w/w0) (Eyring 1936, shear-thinning lubricant). The host's catalogue has B w.
         drag(move |speed_rad_s| viscous * w0 * (speed_rad_s / w0).asinh())
     }),

@@ -2,9 +2,6 @@
 
 use super::{Acts, HiddenKind, NotNegative, voltage_loss};
 
-/// Current at which the contact film carries 71 % of its full drop, A.
-const FILM_CURRENT_A: f64 = 0.1;
-
 /// A drop that saturates at `drop_v`, with the sign of the current.
 pub(super) const KIND: HiddenKind = HiddenKind {
     id: "voltage_drop",
@@ -13,8 +10,8 @@ pub(super) const KIND: HiddenKind = HiddenKind {
     mystery: Some(|dice| vec![dice.size(0.01, 0.04) * dice.voltage_v]),
     acts: Acts::Inside(|values, _| {
         let drop_v = values[0];
-        // drop = V i/sqrt(i^2 + i0^2). The host's catalogue has a hyperbolic tangent.
-        voltage_loss(move |current_a| drop_v * current_a / current_a.hypot(FILM_CURRENT_A))
+        // drop = V i/sqrt(i^2 + i0^2): 71 % of it at i0 = 0.1 A. The host's catalogue has a hyperbolic tangent.
+        voltage_loss(move |current_a| drop_v * current_a / current_a.hypot(0.1))
     }),
 };
 

@@ -4,12 +4,8 @@ use super::{Acts, HiddenKind, Mechanism, Moment, NotNegative, Positive};
 
 /// Temperature coefficient of copper at 25 C, 1/K.
 const COPPER_PER_K: f64 = 0.00393;
-/// Heat capacity of the frame as a multiple of the winding's.
-const FRAME_CAPACITY_RATIO: f64 = 30.0;
-/// Thermal resistance frame to ambient as a share of winding to frame.
-const FRAME_RESISTANCE_RATIO: f64 = 0.1;
 
-/// Resistance that rises by `gain_per_a2_s` per A^2 s of load and forgets with `time_constant_s`.
+/// Resistance that rises by `gain_per_a2_s` per A^2 s and decays with `time_constant_s`.
 pub(super) const KIND: HiddenKind = HiddenKind {
     id: "winding_heating",
     names: &["winding_heating"],
@@ -51,8 +47,8 @@ impl Mechanism for CopperAndFrame {
     fn advance(&mut self, step_s: f64, at: &Moment, _put_out_v: f64) {
         let heat = self.rise_per_a2_s * self.resistance_factor() * at.current_a * at.current_a;
         let across = self.winding_k - self.frame_k;
-        let frame_rate = (across - self.frame_k / FRAME_RESISTANCE_RATIO)
-            / (FRAME_CAPACITY_RATIO * self.time_constant_s);
+        // The frame has 30 times the heat capacity of the winding and a tenth of the thermal resistance, to ambient.
+        let frame_rate = (across - self.frame_k / 0.1) / (30.0 * self.time_constant_s);
         self.winding_k += step_s * (heat - across / self.time_constant_s);
         self.frame_k += step_s * frame_rate;
     }

@@ -3,9 +3,6 @@
 use super::super::cogging::slots;
 use super::{Acts, HiddenKind, Parameter, Wave, named};
 
-/// Second harmonic as a share of the first.
-const SECOND_HARMONIC: f64 = 0.4;
-
 pub(in super::super) const KIND: HiddenKind = HiddenKind {
     id: "harmonic_cogging",
     names: &["cogging"],
@@ -15,5 +12,5 @@ pub(in super::super) const KIND: HiddenKind = HiddenKind {
         Wave.of("cos_n_m", "N.m", 0.0, 0.07..0.15),
     ],
     mystery: None,
-    acts: Acts::Inside(|values, _| slots(named(values), SECOND_HARMONIC)),
+    acts: Acts::Inside(|values, _| slots(named(values), 0.4)),
 };

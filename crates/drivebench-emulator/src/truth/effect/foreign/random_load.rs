@@ -1,4 +1,4 @@
-//! A torque that wanders at random: a process that is not even.
+//! A random load torque: an Ornstein-Uhlenbeck process.
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -6,16 +6,13 @@ use rand_distr::StandardNormal;
 
 use super::{Acts, HiddenKind, Mechanism, Moment, NotNegative, Positive};
 
-/// Stream of the generator: sensor noise and tolerances have their own.
-const LOAD_STREAM: u64 = 3;
-
 pub(in super::super) const KIND: HiddenKind = HiddenKind {
     id: "random_load",
     names: &[],
     parameters: &[
         // Standard deviation.
         NotNegative.of("std_n_m", "N.m", 0.06, 0.06..0.12),
-        // Time over which it forgets.
+        // Correlation time.
         Positive.of("correlation_s", "s", 0.05, 0.15..0.4),
     ],
     mystery: Some(|dice| {
@@ -23,29 +20,35 @@ pub(in super::super) const KIND: HiddenKind = HiddenKind {
     }),
     acts: Acts::Inside(|values, site| {
         let mut rng = ChaCha8Rng::seed_from_u64(site.seed);
-        rng.set_stream(LOAD_STREAM);
-        Box::new(Wander { std_n_m: values[0], correlation_s: values[1], torque_n_m: 0.0, rng })
+        // Stream of the generator; sensor noise and tolerances have their own.
+        rng.set_stream(3);
+        Box::new(OrnsteinUhlenbeck {
+            std_n_m: values[0],
+            correlation_s: values[1],
+            torque_n_m: 0.0,
+            rng,
+        })
     }),
 };
 
-/// Ornstein-Uhlenbeck process, exact from step to step.
-struct Wander {
+/// Ornstein-Uhlenbeck process by its exact discretisation (Gillespie, Phys. Rev. E 54, 1996).
+struct OrnsteinUhlenbeck {
     std_n_m: f64,
     correlation_s: f64,
     torque_n_m: f64,
     rng: ChaCha8Rng,
 }
 
-impl Mechanism for Wander {
+impl Mechanism for OrnsteinUhlenbeck {
     fn load_torque_n_m(&self, _at: &Moment) -> f64 {
         self.torque_n_m
     }
 
     fn advance(&mut self, step_s: f64, _at: &Moment, _put_out_v: f64) {
-        let kept = (-step_s / self.correlation_s).exp();
+        let decay = (-step_s / self.correlation_s).exp();
         let normal: f64 = self.rng.sample(StandardNormal);
         self.torque_n_m =
-            kept * self.torque_n_m + self.std_n_m * (1.0 - kept * kept).sqrt() * normal;
+            decay * self.torque_n_m + self.std_n_m * (1.0 - decay * decay).sqrt() * normal;
     }
 }
 

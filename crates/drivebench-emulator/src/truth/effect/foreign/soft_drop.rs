@@ -2,9 +2,6 @@
 
 use super::{Acts, HiddenKind, NotNegative, voltage_loss};
 
-/// Six times as wide as that of the host's contact drop, A.
-const WIDTH_A: f64 = 0.6;
-
 pub(in super::super) const KIND: HiddenKind = HiddenKind {
     id: "soft_drop",
     names: &["voltage_drop"],
@@ -12,6 +9,7 @@ pub(in super::super) const KIND: HiddenKind = HiddenKind {
     mystery: None,
     acts: Acts::Inside(|values, _| {
         let drop_v = values[0];
-        voltage_loss(move |current_a| drop_v * (current_a / WIDTH_A).tanh())
+        // 0.6 A: six times the width of the host's contact drop.
+        voltage_loss(move |current_a| drop_v * (current_a / 0.6).tanh())
     }),
 };
