@@ -1,4 +1,4 @@
-//! Times on a bus that is late once, or dead: true stamps, silences that end, exchanges that keep their bound.
+//! Tests of time-outs: time stamps, silences and bounded exchanges on a line with one late reply, or without replies.
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
@@ -33,12 +33,12 @@ type Script = Box<dyn FnMut(usize, &[u8]) -> Vec<Delayed> + Send>;
 struct Line {
     bus: ModbusBus,
     device: Arc<Mutex<Scripted<Script>>>,
-    /// Number of the first request that nothing answers.
+    /// Number of the first request without a reply.
     dead_from: Arc<AtomicUsize>,
     epoch: Instant,
 }
 
-/// Works on a line in virtual time that answers every request in order, but for one that is late, and none from one on.
+/// Runs on a line in virtual time that answers every request in order, one of them late, and none from a given number on.
 fn on_a_line(late: usize, dead_from: usize, work: impl FnOnce(Line)) {
     paused(|| {
         let mut profile = DriveProfile::named("epulse50-dc").unwrap();
@@ -64,11 +64,11 @@ fn on_a_line(late: usize, dead_from: usize, work: impl FnOnce(Line)) {
 }
 
 impl Line {
-    fn heard(&self) -> usize {
+    fn requests(&self) -> usize {
         self.device.lock().unwrap().requests.len()
     }
 
-    /// Two reads that look alike; how long they took, and whether they gave values with true stamps.
+    /// Two reads with equal replies; their duration, and whether their values have the right time stamps.
     fn cycle(&mut self) -> (Duration, bool) {
         let began = now();
         let mut all = true;
@@ -119,7 +119,7 @@ fn an_exchange_on_a_dead_line_keeps_its_bound() {
         for _ in 0..3 {
             line.cycle();
         }
-        let mut heard = line.heard();
+        let mut requests = line.requests();
         line.dead_from.store(0, Ordering::Relaxed);
         for _ in 0..10 {
             let began = now();
@@ -128,9 +128,9 @@ fn an_exchange_on_a_dead_line_keeps_its_bound() {
             assert!(error.is_transient(), "{error}");
             let took = now().duration_since(began);
             assert!(took <= Duration::from_millis(81), "{took:?}");
-            let now_heard = line.heard();
-            assert!(now_heard - heard <= 5, "a few probes an exchange");
-            heard = now_heard;
+            let requests_now = line.requests();
+            assert!(requests_now - requests <= 5, "a few probes an exchange");
+            requests = requests_now;
         }
         // It answers again, and the line is in step soon.
         line.dead_from.store(usize::MAX, Ordering::Relaxed);
@@ -145,7 +145,7 @@ fn an_exchange_on_a_dead_line_keeps_its_bound() {
 #[test]
 fn whoever_wants_a_stop_ends_a_resynchronisation_at_once() {
     on_a_line(usize::MAX, 0, |mut line| {
-        // Which the cut is to meet: the silence before the first probe, and the probes.
+        // Interrupted in the silence before the first probe, and in the probes.
         for after_ms in [5, 15, 40, 60] {
             let flag = Arc::new(AtomicBool::new(false));
             *line.bus.cut_in().unwrap() = CutIn::watching([Arc::clone(&flag)]);
@@ -156,11 +156,11 @@ fn whoever_wants_a_stop_ends_a_resynchronisation_at_once() {
             let after = now().saturating_duration_since(raised);
             assert!(flag.load(Ordering::Acquire), "{after_ms}: it ended by itself");
             assert!(after <= Duration::from_millis(5), "{after_ms}: {after:?}");
-            // The stop is next, and it does not wait for its reply for long, nor the one behind it for the first.
-            let (began, before) = (now(), line.heard());
+            // The stop follows, with a short deadline for its own reply, and the next request does not wait for it.
+            let (began, before) = (now(), line.requests());
             assert!(line.bus.write_at_once(6, 0x1026, &[0]).is_err());
             assert!(line.bus.write_at_once(6, 0x1000, &[0]).is_err());
-            assert_eq!(line.heard(), before + 2);
+            assert_eq!(line.requests(), before + 2);
             let last = line.device.lock().unwrap().requests[before + 1].0;
             let last = last.duration_since(began);
             assert!(last < Duration::from_millis(60), "{last:?}");

@@ -1,33 +1,30 @@
-//! Budget of a line, the exchanges that it carries, by arithmetic: before a port is opened, and beside what is measured.
+//! Timing budget of a line: the rate of exchanges that it carries, computed from the profile before a port is opened.
 
 use serde::Serialize;
 
 use super::modbus::{COMMAND_BYTES, TELEMETRY_BYTES};
 use super::profile::DriveProfile;
-use super::register_bus::{
-    READ_BYTES, READ_WRITE_BYTES, REPLY_BYTES, RegisterTable, WRITE_BYTES, WRITTEN_BYTES,
-};
+use super::register_bus::{RTU, RegisterTable};
 use super::register_map::{PollRate, ReadBlock, RegisterMap, SetPoint, plan_reads};
 use super::settings::{Framing, LinkSettings, Protocol};
 use super::stream;
 use super::timing::{LineTiming, char_s};
 
-/// What adapters add to each exchange, s: none, USB with its latency timer at 1 ms, and FTDI as it is delivered (measured
-/// on real adapters).
+/// Delay per exchange added by adapters, s, measured on real ones.
 const ADAPTERS: [(&str, f64); 3] = [
     ("no adapter", 0.0),
     ("USB adapter, latency timer 1 ms", 0.0012),
     ("USB adapter, latency timer 16 ms", 0.016),
 ];
 
-/// A line and who is at its ends.
+/// A line with the delays of drive, adapter and host.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeasuredLine {
     pub baud: u32,
     pub framing: Framing,
     /// Silence before a request and before a reply, s.
     pub gap_s: f64,
-    /// What drive, adapter and host add to one exchange, s.
+    /// Delay of drive, adapter and host per exchange, s.
     pub added_s: f64,
 }
 
@@ -47,20 +44,20 @@ impl MeasuredLine {
             + self.added_s
     }
 
-    /// Time of a read of so many registers, s: function code 3, 8 bytes asked and 5 + 2 n answered.
+    /// Duration of a read of `registers`, s: function code 3, a request of 8 bytes and a reply of 5 + 2 n.
     pub fn read_s(&self, registers: u16) -> f64 {
-        let reply = REPLY_BYTES as f64 + 2.0 * f64::from(registers);
-        self.exchange_s(READ_BYTES as f64, reply)
+        let reply = RTU.read_reply as f64 + 2.0 * f64::from(registers);
+        self.exchange_s(RTU.read as f64, reply)
     }
 
     pub fn rates(&self) -> LoopRates {
-        // Registers of the loops that are reckoned with: ten read, two written (what a drive's cycle needs).
-        let reply = REPLY_BYTES as f64 + 20.0;
-        let both = self.exchange_s(READ_WRITE_BYTES as f64 + 4.0, reply);
-        let write = self.exchange_s(WRITE_BYTES as f64 + 8.0, WRITTEN_BYTES as f64);
+        // A typical cycle of a loop: ten registers read, two written.
+        let reply = RTU.read_reply as f64 + 20.0;
+        let both = self.exchange_s(RTU.read_write as f64 + 4.0, reply);
+        let write = self.exchange_s(RTU.write as f64 + 8.0, RTU.written as f64);
         LoopRates {
             read_write_hz: both.recip(),
-            write_then_read_hz: (write + self.exchange_s(READ_BYTES as f64, reply)).recip(),
+            write_then_read_hz: (write + self.exchange_s(RTU.read as f64, reply)).recip(),
         }
     }
 }
@@ -75,9 +72,9 @@ pub struct LineBudget {
     pub reply_bytes: usize,
     /// Characters of both frames, ms.
     pub wire_ms: f64,
-    /// Silences that tell frames apart, ms.
+    /// Silences between frames, ms.
     pub gaps_ms: f64,
-    /// What the drive may take to answer, ms: the profile's `link.reply_ms` once for each request.
+    /// Longest reply times of the drive, ms: the profile's `link.reply_ms` once per request.
     pub reply_ms: f64,
     pub rates: Vec<AdapterRate>,
 }
@@ -136,11 +133,11 @@ impl LineBudget {
         }
     }
 
-    /// What `link.reply_ms` has to do with rate and deadline, and how to measure it; `None` where it hardly counts.
+    /// How `link.reply_ms` limits rate and deadline, and how to measure it; `None` if its share is small.
     pub fn reply_text(&self) -> Option<String> {
         let cycle_ms = self.wire_ms + self.gaps_ms + self.reply_ms;
         let share = 100.0 * self.reply_ms / cycle_ms;
-        // Share of a cycle from which on the time to answer is explained, %.
+        // Share of a cycle from which on the reply time is explained, %.
         if share < 15.0 {
             return None;
         }
@@ -164,7 +161,7 @@ impl LineBudget {
         usual.map_or_else(|| self.rate_hz(), |rate| rate.rate_hz)
     }
 
-    /// What the line itself carries, Hz.
+    /// Rate of the line alone, Hz.
     pub fn rate_hz(&self) -> f64 {
         1e3 / (self.wire_ms + self.gaps_ms + self.reply_ms)
     }
@@ -175,11 +172,11 @@ impl LineBudget {
 pub struct LostReply {
     /// The whole cycle without a loss.
     pub cycle_s: f64,
-    /// Until the reply is given up.
+    /// Until the deadline of the lost reply.
     pub deadline_s: f64,
-    /// Silence in which whatever is late may come.
+    /// Silence for late replies.
     pub silence_s: f64,
-    /// The probe behind it and the question again.
+    /// The probe and the repeated request.
     pub again_s: f64,
 }
 
@@ -216,7 +213,7 @@ impl LostReply {
     }
 }
 
-/// Bytes of the requests and replies of one cycle: every fast block, and one set-point; both in one where the drive knows
+/// Bytes of the requests and replies of one cycle: every fast block and one set-point, in one request if the drive supports
 /// function code 23.
 pub(super) fn cycle_frames(map: &RegisterMap) -> Vec<(usize, usize)> {
     let blocks = plan_reads(map, PollRate::Fast);
@@ -224,16 +221,16 @@ pub(super) fn cycle_frames(map: &RegisterMap) -> Vec<(usize, usize)> {
     let bytes = |point: &SetPoint| 2 * usize::from(point.location.layout.registers());
     let reads = blocks.iter().enumerate().map(|(at, block)| {
         let request = match joined {
-            Some((point, with)) if with == at => READ_WRITE_BYTES + bytes(point),
-            _ => READ_BYTES,
+            Some((point, with)) if with == at => RTU.read_write + bytes(point),
+            _ => RTU.read,
         };
         (request, block.read.reply_bytes())
     });
     let reference = map.set_points.iter().find(|point| !point.is_word());
     let alone = reference.filter(|_| joined.is_none());
     let write = alone.map(|point| match point.function {
-        6 => (WRITTEN_BYTES, WRITTEN_BYTES),
-        _ => (WRITE_BYTES + bytes(point), WRITTEN_BYTES),
+        6 => (RTU.written, RTU.written),
+        _ => (RTU.write + bytes(point), RTU.written),
     });
     reads.chain(write).collect()
 }
@@ -243,7 +240,7 @@ fn joint_point(map: &RegisterMap) -> Option<&SetPoint> {
     map.set_points.iter().find(|point| may_join(map, point))
 }
 
-/// Whether one transaction may write it beside what it reads.
+/// Whether function code 23 may write it together with the read.
 pub(super) fn may_join(map: &RegisterMap, point: &SetPoint) -> bool {
     // Function code 23 writes up to 121 registers (Modbus Application Protocol 1.1b3, 6.17).
     let fits = point.location.layout.registers() <= map.max_write.min(121);

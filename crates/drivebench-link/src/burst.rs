@@ -1,4 +1,4 @@
-//! Burst capture: what a drive records by itself, far faster than any link carries it, and hands over afterwards.
+//! Burst capture: samples that a drive records in its own memory, faster than any link carries them, read afterwards.
 
 use firmware_protocol::CaptureSample;
 use firmware_protocol::registers::WINDOW_INDEX;
@@ -10,8 +10,7 @@ pub trait Burst {
     /// Starts a burst with the next command that the drive applies; what an earlier one recorded is dropped.
     fn arm(&mut self) -> Result<()>;
 
-    /// Fetches the burst; `None` while the drive still waits or records. Takes seconds on a slow line: not for the
-    /// cycles of a run.
+    /// Reads the burst; `None` while the drive waits or records. Takes seconds on a slow line, so not during a run.
     fn fetch(&mut self) -> Result<Option<Capture>>;
 }
 
@@ -24,7 +23,7 @@ pub struct Capture {
 }
 
 impl Capture {
-    /// Puts a burst together from blocks of samples, each asked for by the index of its first.
+    /// Collects a burst from blocks of samples; `block` reads the one that begins at an index.
     pub fn collect(
         first_s: f64,
         period_s: f64,

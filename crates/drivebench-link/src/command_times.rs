@@ -2,10 +2,7 @@
 
 use super::register_map::{Commands, Step};
 
-/// What a command is given beyond the time of its steps, s: writes take time too, and the status is read after them.
-const MARGIN_S: f64 = 1.0;
-
-/// Longest time from a command until the drive reports that it has obeyed, s.
+/// Longest time from a command until the drive confirms it, s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CommandTimes {
     pub enable_s: f64,
@@ -14,24 +11,26 @@ pub struct CommandTimes {
 }
 
 impl Default for CommandTimes {
-    /// Of a drive that obeys at once.
+    /// For a drive without steps of its own.
     fn default() -> Self {
         Self { enable_s: 1.0, stop_s: 1.0, reset_s: 1.0 }
     }
 }
 
 impl CommandTimes {
-    /// What the commands of a profile allow.
+    /// By the steps of a profile's commands.
     pub fn of(commands: &Commands) -> Self {
+        // Beyond the time of the steps, s, for the writes and the status read after them.
+        let margin_s = 1.0;
         Self {
-            enable_s: longest_s(&commands.enable) + MARGIN_S,
-            // As above for a stop, s: many profiles only write it, and the shaft comes down by the drive's own ramp.
+            enable_s: longest_s(&commands.enable) + margin_s,
+            // Twice the margin, because many profiles only write a stop, and the drive decelerates by its own ramp.
             stop_s: longest_s(&commands.stop) + 2.0,
-            reset_s: longest_s(&commands.reset) + MARGIN_S,
+            reset_s: longest_s(&commands.reset) + margin_s,
         }
     }
 
-    /// For a drive that is asked once in `period_s`: nothing shows between two cycles.
+    /// For a drive that is polled with `period_s`, which delays every confirmation.
     #[must_use]
     pub fn asked_every(self, period_s: f64) -> Self {
         // Cycles that are allowed on top: steps go on in the cycle after the one that ends them, and a reply may be lost.

@@ -1,21 +1,21 @@
-//! Drives as the bench sees them: a profile, and a link that exchanges a command for a sample.
+//! Communication with drives: a profile, and a link that exchanges a command for a sample.
 //!
 //! ```text
 //! settings.rs <- register_map/ (facts of a profile) <- profile.rs (TOML) + PATH | tcp:HOST:PORT --open.rs--> Box<dyn DriveLink>
 //!
 //! Command -> [ DriveLink: modbus.rs | stream.rs | in memory ] -> Sample
 //!                  |            |
-//!                  |            |             burst.rs: what the drive records by itself
+//!                  |            |             burst.rs: samples recorded in the drive
 //!          reply_filter.rs  port.rs       bytes, silence, hang-up
 //!                  |
 //!              transaction.rs + reply.rs    which bytes answer this request; proof.rs: whether the line is in step
-//!                  +-- link_core.rs (books, time axis, stop), timing.rs (deadlines, gaps), waiting.rs (real or virtual)
+//!                  +-- link_core.rs (statistics, time axis, stop), timing.rs (deadlines, gaps), waiting.rs (real or virtual)
 //!                  +-- virtual_line.rs (a line in memory: the same bytes without the waiting)
 //!                  +-- tap.rs (capture file), serial_ports.rs (what is plugged in)
-//!                  +-- modbus/raw.rs (registers of any unit) <- probe/ (read-only: who is it, and is its profile right?)
+//!                  +-- modbus/raw.rs (registers of any unit) <- probe/ (read-only: identity, and check of the profile)
 //!                  +-- timeline.rs (drive time in seconds since connect)
-//!                  +-- command_times.rs (how long it may take to run, to stop, to be reset)
-//!                  +-- reopen.rs (a link that was lost: when again, under which name, who must be there)
+//!                  +-- command_times.rs (longest times of enable, stop and reset)
+//!                  +-- reopen.rs (reconnection: times, port name, check of the identity)
 //! ```
 //!
 //! A drive with a register map of its own: `register_map/` (facts) -> `profiled.rs` -> [`RegisterBus`].
@@ -32,7 +32,7 @@ mod link_error;
 mod modbus;
 pub mod offer;
 mod open;
-mod patience;
+mod polling_backoff;
 mod port;
 mod probe;
 mod profile;

@@ -1,4 +1,4 @@
-//! The one trait behind which every drive stands, and what became of every request: counts that balance, and round-trip times.
+//! The trait of every link to a drive, and its statistics: the outcome of every request, and round-trip times.
 
 use std::fmt;
 
@@ -19,11 +19,11 @@ pub struct Identity {
     pub serial_number: String,
     pub firmware: String,
     pub protocol_version: u16,
-    /// True only where the drive reports that it is software: everything else counts as hardware.
+    /// Whether the drive reports that it is software; everything else counts as hardware.
     pub is_emulator: bool,
     /// Command silence after which the drive itself stops the motor, s; `None`: no watchdog that we can read.
     pub watchdog_s: Option<f64>,
-    /// The drive's own limits as read back; they bound what is asked of it.
+    /// The drive's own limits as read back; they bound the commands.
     pub current_limit_a: Option<f64>,
     pub voltage_limit_v: Option<f64>,
 }
@@ -33,7 +33,7 @@ impl Identity {
     pub fn plate(&self) -> String {
         let told = |text: &str| {
             let text = text.trim();
-            if text.is_empty() { "not told" } else { text }.to_owned()
+            if text.is_empty() { "not reported" } else { text }.to_owned()
         };
         // Only our own drive has a protocol with a number.
         let protocol = match self.protocol_version {
@@ -75,9 +75,9 @@ pub struct LinkStatistics {
     pub timeout: u64,
     /// Bytes without a valid frame came.
     pub crc: u64,
-    /// Only replies to something asked before came, late or twice; or the answer could not be vouched for afterwards.
+    /// Only replies to earlier requests came, late or repeated; or the reply could not be attributed afterwards.
     pub stale: u64,
-    /// A reply to nothing that was asked: wrong unit, function or length.
+    /// A reply to no request of ours: wrong unit, function or length.
     pub mismatch: u64,
     pub exception: u64,
     /// The transport failed (unplugged, peer gone).
@@ -95,7 +95,7 @@ impl LinkStatistics {
         self.sent - self.ok
     }
 
-    /// Books one request that went out.
+    /// Counts one request that was sent.
     pub(super) const fn settle<T>(&mut self, result: &Result<T>) {
         self.sent += 1;
         *match result {
@@ -116,7 +116,7 @@ impl LinkStatistics {
         } += 1;
     }
 
-    /// An answer that was taken turns out to be doubtful.
+    /// An accepted reply has become doubtful.
     pub(super) const fn withdraw(&mut self) {
         self.ok -= 1;
         self.stale += 1;
@@ -163,7 +163,7 @@ impl RoundTrips {
         self.longest_s
     }
 
-    /// The time that this share of all round trips did not exceed, s, within 5 %; `None` without any.
+    /// Quantile of the round-trip times, s, within 5 %; `None` without any.
     pub fn quantile_s(&self, share: f64) -> Option<f64> {
         let rank = share.clamp(0.0, 1.0) * self.total as f64;
         let mut below = 0;
@@ -204,7 +204,7 @@ pub(super) struct Tally {
 }
 
 impl Tally {
-    /// Books one request that went out, under the one class that its end belongs to.
+    /// Counts one request that was sent, in the class of its outcome.
     pub(super) fn settle<T>(&mut self, result: &Result<T>, round_trip_s: f64) {
         self.statistics.settle(result);
         if result.is_ok() {
@@ -223,29 +223,29 @@ impl fmt::Display for LinkName {
     }
 }
 
-/// A drive at the far end of a wire: blocking, owned by one thread, every call bounded by an absolute deadline.
+/// Link to a drive: blocking, owned by one thread, every call bounded by an absolute deadline.
 pub trait DriveLink: Send {
     fn name(&self) -> LinkName;
 
-    /// Reads who the drive is and what it limits itself to; checks the protocol version.
+    /// Reads identity and limits of the drive; checks the protocol version.
     fn identify(&mut self) -> Result<Identity>;
 
     /// Sends one command and returns the sample that the drive took after applying it.
     fn exchange(&mut self, command: Command) -> Result<Sample>;
 
-    /// From now on every exchange, all that keeps the line in step included, ends within this time, s; infinite: as long as
-    /// it takes. A stop outside an exchange is not bound.
+    /// Bounds every further exchange, resynchronisation included, by this time, s; infinite: unbounded. A stop outside an exchange is
+    /// not bounded.
     fn bound(&mut self, _left_s: f64) {}
 
-    /// Where a stop is announced: silences, probes and retries of a bounded exchange are then given up at once.
+    /// Flags that announce a stop, on which silences, probes and retries of a bounded exchange are given up at once.
     fn cut_in(&mut self) -> Option<&mut CutIn> {
         None
     }
 
-    /// Asks for zero output and makes sure of it: repeated until confirmed or `attempts` are used up.
+    /// Commands zero output, repeated until confirmed or until the attempts are used up.
     fn stop(&mut self) -> Result<()>;
 
-    /// Who is there, by reading only: what `identify` sets up in the drive is left as it is.
+    /// Identity by reads only: settings that `identify` writes to the drive are not written.
     fn recognise(&mut self) -> Result<Identity> {
         self.identify()
     }
@@ -256,13 +256,13 @@ pub trait DriveLink: Send {
         None
     }
 
-    /// With the output off: writes zero to the set-points that can be read back and compares. The words for how that went;
-    /// `None`: there are none.
+    /// With the output off: writes zero to the set-points that can be read back and compares. Sentence on the result; `None`: there are
+    /// none.
     fn compare_set_points(&mut self) -> Result<Option<Result<String, String>>> {
         Ok(None)
     }
 
-    /// As `stop`, for a drive that somebody else may have left with a reference: that is set to zero first.
+    /// As `stop`, but first sets to zero a reference that another master may have left.
     fn bring_to_rest(&mut self) -> Result<()> {
         self.stop()
     }
@@ -277,12 +277,12 @@ pub trait DriveLink: Send {
         true
     }
 
-    /// How long it may take to follow a command.
+    /// Longest time to follow a command.
     fn command_times(&self) -> CommandTimes {
         CommandTimes::default()
     }
 
-    /// Lets go of the port, so that it can be opened again; every later call finds the link gone.
+    /// Closes the port so that it can be opened again; every later call fails with `Gone`.
     fn close(&mut self) {}
 
     fn statistics(&self) -> LinkStatistics;
@@ -295,12 +295,12 @@ pub trait DriveLink: Send {
         None
     }
 
-    /// What the line carried, byte for byte; `None` where no wire is involved.
+    /// Counts of bytes and frames on the line; `None` without a line.
     fn line(&self) -> Option<LineCounts> {
         None
     }
 
-    /// The drive's own recorder, where it has one; known once it is identified.
+    /// The drive's burst capture, if it has one; known after `identify`.
     fn burst(&mut self) -> Option<&mut dyn Burst> {
         None
     }
@@ -319,11 +319,11 @@ mod tests {
     fn missing_facts_of_a_drive_are_named() {
         let mut identity =
             Identity { product: "Acme 40".to_owned(), is_emulator: true, ..Identity::default() };
-        let sentence = "Acme 40, serial not told, firmware not told, emulator";
+        let sentence = "Acme 40, serial not reported, firmware not reported, emulator";
         assert_eq!(identity.sentence(), sentence);
         identity.serial_number = "17".to_owned();
         identity.protocol_version = 3;
-        let plate = "serial 17, firmware not told, protocol 3, emulator";
+        let plate = "serial 17, firmware not reported, protocol 3, emulator";
         assert_eq!(identity.plate(), plate);
         // The drive in memory is named with one colon.
         let error = LinkError::Refused("sim:".to_owned(), "no".to_owned());

@@ -1,5 +1,4 @@
-//! Core of the links of our own drive: their books, their time axis, the bound of an exchange, and how a stop is
-//! confirmed.
+//! Common part of the links to our own drive: statistics, time axis, time bound of an exchange, confirmation of a stop.
 
 use std::io;
 use std::time::Instant;
@@ -14,9 +13,8 @@ use super::transaction::Bound;
 use super::waiting::now;
 use drivebench_model::sample::{Command, Demand, DriveState, Sample};
 
-/// Times that a question without effect is asked before it counts as failed.
+/// Attempts of a request without side effects.
 pub(super) const READ_ATTEMPTS: usize = 3;
-const STOP_ATTEMPTS: usize = 5;
 
 pub(super) struct LinkCore {
     pub(super) name: String,
@@ -24,16 +22,16 @@ pub(super) struct LinkCore {
     pub(super) tally: Tally,
     pub(super) timeline: Timeline,
     pub(super) bound: Bound,
-    /// Distance of captured samples as the drive tells it, s; 0: it captures nothing.
+    /// Period of captured samples as reported by the drive, s; 0: no capture.
     pub(super) capture_period_s: f64,
     pub(super) gone: bool,
-    /// The last command has not left.
+    /// The last command has not been sent.
     pub(super) is_unsent: bool,
     pub(super) epoch: Instant,
     last_seq: u64,
 }
 
-/// What an exchange gave, with its host times, s since the epoch.
+/// Value of an exchange with its host times, s since the epoch.
 pub(super) struct Answer<T> {
     pub(super) value: T,
     pub(super) span: Span,
@@ -87,7 +85,7 @@ impl LinkCore {
         sample
     }
 
-    /// The command with which a stop is asked for; what it does takes as long as it takes.
+    /// The command that requests a stop.
     pub(super) fn stop_command(&mut self) -> Command {
         self.bound.set(f64::INFINITY, now());
         Command { seq: self.last_seq.wrapping_add(1), demand: Demand::Stop }
@@ -142,23 +140,24 @@ macro_rules! own_link {
 }
 pub(super) use own_link;
 
-/// Asks what has no effect on the drive until an answer comes, or what is no accident of the line.
-pub(super) fn answered<T>(mut ask: impl FnMut() -> Result<T>) -> Result<T> {
-    let again = (1..READ_ATTEMPTS)
-        .map(|_| ask())
+/// Repeats a request without side effects until it succeeds or fails otherwise than by a transient error.
+pub(super) fn retried<T>(mut request: impl FnMut() -> Result<T>) -> Result<T> {
+    let result = (1..READ_ATTEMPTS)
+        .map(|_| request())
         .find(|result| !matches!(result, Err(error) if error.is_transient()));
-    again.unwrap_or_else(ask)
+    result.unwrap_or_else(request)
 }
 
-/// Asks for a stop until the drive says in reply to that very command that it does not run.
-pub fn stop_confirmed(name: &str, mut ask: impl FnMut() -> Result<Sample>) -> Result<()> {
+/// Requests a stop up to five times, until the reply to that very command reports that the drive does not run.
+pub fn stop_confirmed(name: &str, mut request: impl FnMut() -> Result<Sample>) -> Result<()> {
+    let attempts = 5;
     let unstopped = |what: &str| {
-        let text = format!("the drive answers, and {what} after {STOP_ATTEMPTS} requests to stop");
+        let text = format!("the drive answers, and {what} after {attempts} requests to stop");
         LinkError::Unstopped(name.to_owned(), text)
     };
     let mut last = unstopped("has not confirmed anything");
-    for _ in 0..STOP_ATTEMPTS {
-        match ask() {
+    for _ in 0..attempts {
+        match request() {
             Ok(sample) if sample.applied.is_some() && sample.state != Some(DriveState::Running) => {
                 return Ok(());
             }

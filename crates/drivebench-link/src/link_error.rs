@@ -1,8 +1,8 @@
-//! Why an exchange gave no sample, with the next step for the person at the bench.
+//! Errors of an exchange, with the next step for the user.
 
 use thiserror::Error;
 
-/// Why an exchange gave no sample. Transient classes cost one cycle; `Gone` ends the session. A pair is link and reason.
+/// Error of an exchange. Transient classes cost one cycle; `Gone` ends the session. A pair is link and reason.
 #[derive(Clone, Debug, Error)]
 pub enum LinkError {
     #[error("{}: cannot open: {}", whom(.0), .1)]
@@ -13,8 +13,8 @@ pub enum LinkError {
     Corrupt(String, String),
     #[error("{}: the reply belongs to an earlier request: {}", whom(.0), .1)]
     Stale(String, String),
-    /// Nothing was asked: what comes next might have been the reply to something older.
-    #[error("{}: not asked: {}", whom(.0), .1)]
+    /// No request was sent, because the next reply might be that to an earlier one.
+    #[error("{}: no request sent: {}", whom(.0), .1)]
     Unproven(String, String),
     #[error("{}: the reply belongs to another request: {}", whom(.0), .1)]
     Mismatch(String, String),
@@ -23,7 +23,7 @@ pub enum LinkError {
     #[error("{}: the link is gone: {}", whom(.0), .1)]
     Gone(String, String),
     #[error(
-        "{}: drive protocol version {found} is not {expected}, which this program speaks",
+        "{}: drive protocol version {found} is not {expected}, that of this program",
         whom(link)
     )]
     Version { link: String, found: u16, expected: u16 },
@@ -32,15 +32,15 @@ pub enum LinkError {
     /// Nothing was sent: the profile or its limits forbid it.
     #[error("{}: not sent: {}", whom(.0), .1)]
     Refused(String, String),
-    /// The drive answers, and does not say that it has stopped.
+    /// The drive answers without reporting that it has stopped.
     #[error("{}: {}", whom(.0), .1)]
     Unstopped(String, String),
-    /// The drive did not do what a step of a command waits for.
+    /// A step of a command waited in vain for a status of the drive.
     #[error("{}: {command}, step {step} of {steps}: {reason}", whom(link))]
     Sequence { link: String, command: &'static str, step: usize, steps: usize, reason: String },
 }
 
-/// What an exchange gave, or why it gave nothing.
+/// Result of an exchange.
 pub type Result<T, E = LinkError> = std::result::Result<T, E>;
 
 /// A link's name before a colon: that of the drive in memory, `sim:`, ends with one.

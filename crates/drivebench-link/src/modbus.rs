@@ -30,11 +30,8 @@ use tokio_modbus::{Error, ProtocolError, Request, Response, Slave};
 use super::burst::{Burst, Capture, WINDOW_ADDRESS, WINDOW_WORDS, window_samples};
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, Result, RoundTrips};
 use super::link_core::{Answer, LinkCore, READ_ATTEMPTS, own_link, stop_confirmed};
-use super::proof::{End, Method, PATIENCE, Policy, Proof, Step};
-use super::register_bus::{
-    READ_BYTES, READ_WRITE_BYTES, REPLY_BYTES, ReadRequest, RegisterTable, WRITE_BYTES,
-    WRITTEN_BYTES, exception_name, registers,
-};
+use super::proof::{DEADLINE_SILENCES, End, Method, Policy, Proof, Step};
+use super::register_bus::{RTU, ReadRequest, RegisterTable, exception_name, registers};
 use super::reply::{Echo, FrameKind};
 use super::reply_filter::{Port, ReplyFilter};
 use super::timeline::{identity, identity_error, signed_difference};
@@ -46,15 +43,12 @@ use drivebench_model::sample::{Command, Sample};
 pub use bus::ModbusBus;
 pub use raw::{Batch, RawClient, RawCounters, RawSettings, Read, WriteFunction, read_batch};
 
-/// Where the sequence number stands in the PDU of the reply: behind function, length, and the registers before it; and the
-/// index of a window, which stands first.
-const ECHO_AT: usize = 2 + 2 * (SEQUENCE_ECHO.address - TELEMETRY_ADDRESS) as usize;
 /// Frames of the device identification, bytes: its request, and the longest reply.
 const NAMES_BYTES: (usize, usize) = (7, 256);
 const NAMES: &str = "the device identification";
 /// RTU frames of a command and of its reply.
-pub(super) const COMMAND_BYTES: usize = READ_WRITE_BYTES + 2 * COMMAND_WORDS;
-pub(super) const TELEMETRY_BYTES: usize = REPLY_BYTES + 2 * TELEMETRY_WORDS;
+pub(super) const COMMAND_BYTES: usize = RTU.read_write + 2 * COMMAND_WORDS;
+pub(super) const TELEMETRY_BYTES: usize = RTU.read_reply + 2 * TELEMETRY_WORDS;
 
 pub struct ModbusLink {
     core: LinkCore,
@@ -67,25 +61,25 @@ pub struct ModbusLink {
     proof: Proof,
     retries: u64,
     resync: Duration,
-    /// Questions that only proved that the line is in step, and how often something had been wrong before them.
+    /// Probes for resynchronisation, and the number of disturbances that caused them.
     probes: u64,
     resynchronisations: u64,
     /// Duration of the last exchange that got a reply.
     last_round_trip: Duration,
     /// Commands without a sample since the last one that had one.
     failed_in_a_row: u32,
-    /// What a question without a reply says of its unit: the settings of the line. `None`: it says nothing.
+    /// Settings of the line, for the error of a unit that never answers.
     at: Option<String>,
 }
 
-/// What goes out, as tokio-modbus and as the proof want it.
+/// A request in the form of tokio-modbus and as the PDU for the proof.
 #[derive(Clone)]
 struct Question<'a> {
     request: Request<'a>,
     pdu: [u8; 5],
     what: &'a str,
     allowed: Duration,
-    /// It can be given up at once where a stop is wanted.
+    /// Interrupted when a stop is requested.
     is_probe: bool,
     /// Its reply carries its own number.
     is_numbered: bool,
@@ -156,7 +150,7 @@ impl ModbusLink {
     }
 
     fn read_checked(&mut self, read: ReadRequest, what: &str) -> Result<Answer<Vec<u16>>> {
-        let allowed = self.core.timing.allowed(READ_BYTES, read.reply_bytes());
+        let allowed = self.core.timing.allowed(RTU.read, read.reply_bytes());
         self.read_with_retries(&Question::read(read, what, allowed), words(read.count.into()))
     }
 
@@ -164,8 +158,8 @@ impl ModbusLink {
     pub fn write_registers(&mut self, address: u16, values: &[u16]) -> Result<()> {
         let what = format!("write {} at {address}", registers(values.len()));
         let request = Request::WriteMultipleRegisters(address, Cow::Borrowed(values));
-        let bytes = WRITE_BYTES + 2 * values.len();
-        let allowed = self.core.timing.allowed(bytes, WRITTEN_BYTES);
+        let bytes = RTU.write + 2 * values.len();
+        let allowed = self.core.timing.allowed(bytes, RTU.written);
         let question = Question::plain(request, [16, 0, 0, 0, 0], &what, allowed);
         self.ask(question, acknowledged).map(|answer| answer.value)
     }
@@ -173,7 +167,9 @@ impl ModbusLink {
     /// One command on the wire. Only a reply that carries its number is its sample.
     fn command(&mut self, command: Command) -> Result<Sample> {
         let travels = self.core.command(command);
-        self.filter.expect(Echo { at: ECHO_AT, bytes: travels.seq.to_be_bytes() });
+        // Position in the PDU of the reply: after function code, byte count and the registers before it.
+        let at = 2 + 2 * usize::from(SEQUENCE_ECHO.address - TELEMETRY_ADDRESS);
+        self.filter.expect(Echo { at, bytes: travels.seq.to_be_bytes() });
         let sent: [u16; COMMAND_WORDS] = travels.to_registers();
         let read = telemetry_request();
         let request = Request::ReadWriteMultipleRegisters(
@@ -197,7 +193,7 @@ impl ModbusLink {
     /// Reads the drive's clock: raw, us, and on the time axis of the samples, s.
     fn note_clock(&mut self) -> Result<(u32, f64)> {
         let read = telemetry_request();
-        let allowed = self.core.timing.allowed(READ_BYTES, read.reply_bytes());
+        let allowed = self.core.timing.allowed(RTU.read, read.reply_bytes());
         let question = Question::read(read, "the telemetry", allowed);
         let answer = self.read_with_retries(&question, telemetry)?;
         let time_us = answer.value.time_us;
@@ -206,7 +202,7 @@ impl ModbusLink {
 
     fn window(&mut self, index: u16) -> Result<Vec<u16>> {
         let sent = [index];
-        let bytes = (READ_WRITE_BYTES + 2, REPLY_BYTES + 2 * WINDOW_WORDS);
+        let bytes = (RTU.read_write + 2, RTU.read_reply + 2 * WINDOW_WORDS);
         let allowed = self.core.timing.unhurried(bytes.0, bytes.1);
         let request = Request::ReadWriteMultipleRegisters(
             WINDOW_ADDRESS,
@@ -223,7 +219,7 @@ impl ModbusLink {
         })
     }
 
-    /// A question without effect on the drive may be repeated.
+    /// A request without side effects may be repeated.
     fn read_with_retries<T>(
         &mut self,
         question: &Question<'_>,
@@ -232,7 +228,7 @@ impl ModbusLink {
         self.with_retries(|link| link.ask(question.clone(), &check))
     }
 
-    /// One question on a line that is in step.
+    /// One request on a synchronised line.
     fn ask<T>(
         &mut self,
         question: Question<'_>,
@@ -262,7 +258,7 @@ impl ModbusLink {
         may
     }
 
-    /// Waits out the gap before a request and looks at what came meanwhile: it answers nothing.
+    /// Waits for the gap before a request; bytes received meanwhile answer nothing.
     fn listen(&mut self) -> Result<()> {
         self.core.live()?;
         let last = self.filter.inner().reception.last_activity;
@@ -271,7 +267,7 @@ impl ModbusLink {
         self.judge(strays.unwrap_or(Ok(0))).map(drop)
     }
 
-    /// What came while nothing was outstanding.
+    /// Handles bytes received while no request was outstanding.
     fn judge(&mut self, strays: std::io::Result<usize>) -> Result<usize> {
         let count = strays.map_err(|error| self.lost(&error))?;
         if count > 0 {
@@ -299,8 +295,8 @@ impl ModbusLink {
         }
     }
 
-    /// Carries out what has to be done before this request: whatever comes next is then no reply to something older. In a
-    /// bounded exchange a few probes are asked, and the next exchange goes on from there.
+    /// Synchronises the line before a request, so that the next reply cannot be that to an earlier one. A bounded exchange sends at
+    /// most a few probes, and the next exchange continues.
     fn in_step(&mut self, pdu: &[u8]) -> Result<()> {
         let begun = now();
         let result = self.carry_out(pdu);
@@ -314,7 +310,7 @@ impl ModbusLink {
         let mut failed = None;
         loop {
             let is_late = |bound: &super::transaction::Bound| {
-                // Probes of one bounded exchange, which has other things to do.
+                // Most probes of one bounded exchange.
                 bound.is_set() && (probes == 3 || bound.is_over(now()))
             };
             match self.proof.next(pdu, now()) {
@@ -352,8 +348,8 @@ impl ModbusLink {
             4 => (Request::ReadInputRegisters(address, count), count),
             _ => (Request::Custom(8, Cow::Owned(data.to_vec())), 2),
         };
-        let reply = REPLY_BYTES + 2 * usize::from(words);
-        let allowed = self.core.timing.hurried(READ_BYTES, reply);
+        let reply = RTU.read_reply + 2 * usize::from(words);
+        let allowed = self.core.timing.hurried(RTU.read, reply);
         let question =
             Question { is_probe: true, ..Question::plain(request, pdu, "the probe", allowed) };
         self.call(question, |_| Ok(())).map(drop)
@@ -464,7 +460,7 @@ impl ModbusLink {
         LinkError::Mismatch(self.core.name.clone(), reason)
     }
 
-    /// The time of the exchange is over, or a stop is wanted, before the line was in step.
+    /// Deadline of the exchange, or a stop request, before the line was synchronised.
     fn unproven(&self) -> LinkError {
         LinkError::Unproven(
             self.core.name.clone(),
@@ -481,7 +477,7 @@ impl ModbusLink {
         }
     }
 
-    /// Goes out at once even on a suspect line: the echo of its own sequence number proves that it was applied.
+    /// Sent at once even on a doubtful line: the echo of its sequence number proves that it was applied.
     fn stop_once(&mut self, stop: Command) -> Result<Sample> {
         self.core.is_unsent = true;
         self.listen()?;
@@ -502,7 +498,7 @@ impl DriveLink for ModbusLink {
         let block = firmware_protocol::Identity::from_registers(block)
             .map_err(|error| identity_error(&self.core.name, error))?;
         let mut identity = identity(&block);
-        // Names are a comfort that a drive need not offer.
+        // The device identification is optional.
         let allowed = self.core.timing.allowed(NAMES_BYTES.0, NAMES_BYTES.1);
         let question = identification(ReadCode::Regular, 0, NAMES, allowed);
         match self.read_with_retries(&question, objects) {
@@ -524,14 +520,14 @@ impl DriveLink for ModbusLink {
     fn exchange(&mut self, command: Command) -> Result<Sample> {
         self.core.is_unsent = true;
         self.listen()?;
-        // Commands that fail one after the other before the line is given time to fall silent: the first may have been bad luck.
+        // After two failed commands in a row the line is given time to become silent.
         let waits = self.failed_in_a_row >= 2 && self.kind == FrameKind::Rtu;
         // A stop goes out at once, also where the line is never silent.
         if waits && command.demand.energises() {
             let quiet = self.core.timing.quiet();
-            let patience = now() + PATIENCE * quiet;
+            let deadline = now() + DEADLINE_SILENCES * quiet;
             while !self.keep_silent(now() + quiet)? {
-                if now() >= patience {
+                if now() >= deadline {
                     return Err(never_silent(&self.core.name));
                 }
             }
@@ -613,8 +609,8 @@ fn telemetry_request() -> ReadRequest {
 }
 
 fn telemetry(response: Response) -> Result<Telemetry, String> {
-    let block = words(TELEMETRY_WORDS)(response)?.try_into();
-    let block = block.map_err(|values| format!("{values:?}"))?;
+    let block =
+        words(TELEMETRY_WORDS)(response)?.try_into().map_err(|values| format!("{values:?}"))?;
     Ok(Telemetry::from_registers(&block))
 }
 

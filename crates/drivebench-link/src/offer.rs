@@ -32,7 +32,7 @@ pub fn refusal(profile: &DriveProfile, purpose: Purpose) -> Option<String> {
     reason.map(|reason| format!("{}: {reason}", profile.name))
 }
 
-/// What each quantity that the drive gives stands for: origin, sign, side, basis, delays. Empty for our own map, whose
+/// Properties of each measured quantity: origin, sign, side, basis, delays. Empty for our own map, whose
 /// telemetry is instantaneous (firmware-protocol/SPEC.md).
 pub fn carried(profile: &DriveProfile) -> Vec<(Channel, String)> {
     let Some(map) = &profile.registers else {
@@ -40,14 +40,14 @@ pub fn carried(profile: &DriveProfile) -> Vec<(Channel, String)> {
     };
     let signals = map.signals.iter().filter_map(|signal| {
         let (channel, _) = signal.channel?;
-        Some((channel, stands_for(signal)))
+        Some((channel, properties(signal)))
     });
     let mut carried: Vec<_> = signals.collect();
     carried.sort_by_key(|(channel, _)| channel.index());
     carried
 }
 
-fn stands_for(signal: &Signal) -> String {
+fn properties(signal: &Signal) -> String {
     let keys = &signal.keys;
     let sign = if signal.is_signed() { "signed" } else { "no sign" };
     let origin = keys.origin.unwrap_or_default().name();
@@ -62,8 +62,8 @@ fn stands_for(signal: &Signal) -> String {
         parts.push(format!("by {pairs} pole pairs"));
     }
     for (what, time_ms) in [("filter", keys.filter_ms), ("update", keys.update_ms)] {
-        let not_told = || format!("{what} not told");
-        parts.push(time_ms.map_or_else(not_told, |ms| format!("{what} {ms} ms")));
+        let not_given = || format!("{what} not given");
+        parts.push(time_ms.map_or_else(not_given, |ms| format!("{what} {ms} ms")));
     }
     if keys.trust == Some(Trust::Unverified) {
         parts.push("unverified".to_owned());
@@ -71,7 +71,7 @@ fn stands_for(signal: &Signal) -> String {
     format!("{} ({})", parts.join(", "), signal.name)
 }
 
-/// What has to be known before this drive is used, beside what it cannot do.
+/// Remarks for the user of this drive, in addition to what it cannot do.
 pub fn remarks(profile: &DriveProfile) -> Vec<String> {
     let Some(map) = &profile.registers else {
         return Vec::new();
@@ -108,7 +108,7 @@ pub fn remarks(profile: &DriveProfile) -> Vec<String> {
                 format!("{} below {least} A is a trip: the field is lost", field.name)
             }
             (Some(field), None) => format!(
-                "{} is read, but limits.field_min_a is not given: a lost field is not watched over",
+                "{} is read, but limits.field_min_a is not given: a loss of the field is not detected",
                 field.name
             ),
             (None, _) => "the field current is not read".to_owned(),
@@ -278,9 +278,9 @@ mod tests {
         );
         let profile = DriveProfile::parse("epulse50-dc", &text).unwrap();
         let current = "measured, signed, terminal side, rms, filter 12 ms, update 2.5 ms (current)";
-        let speed = "measured, signed, filter not told, update not told (speed)";
-        let expected = [(Channel::Current, current), (Channel::Speed, speed)];
-        let expected = expected.map(|(channel, text)| (channel, text.to_owned()));
+        let speed = "measured, signed, filter not given, update not given (speed)";
+        let expected = [(Channel::Current, current), (Channel::Speed, speed)]
+            .map(|(channel, text)| (channel, text.to_owned()));
         assert_eq!(carried(&profile), expected);
         assert_eq!(carried(&DriveProfile::named("own").unwrap()), []);
     }
@@ -288,7 +288,7 @@ mod tests {
     #[test]
     fn remarks_name_dead_time_field_sign_and_watchdog() {
         let of = |name| remarks(&DriveProfile::named(name).unwrap()).join("\n");
-        for (name, said) in [
+        for (name, text) in [
             ("abb-dcs-gateway", "four quadrants"),
             ("abb-dcs-gateway", "3.3 ms"),
             ("abb-dcs-gateway", "field_current is read, but limits.field_min_a"),
@@ -297,7 +297,7 @@ mod tests {
             ("abb-efb", "blind for 30 s"),
             ("delta-ms300", "off as delivered"),
         ] {
-            assert!(of(name).contains(said), "{name}: {}", of(name));
+            assert!(of(name).contains(text), "{name}: {}", of(name));
         }
         assert_eq!(of("own"), "");
     }

@@ -92,7 +92,7 @@ impl fmt::Display for Target {
     }
 }
 
-/// Opens the link that the profile's protocol asks for. Host times of its samples are seconds since `epoch`.
+/// Opens the link of the profile's protocol. Host times of its samples are seconds since `epoch`.
 ///
 /// # Errors
 /// The port or peer cannot be opened. Nothing is sent yet.
@@ -113,7 +113,7 @@ pub fn open_tapped(
     Ok(dressed(open_modbus(target, profile, epoch, tap)?, profile))
 }
 
-/// A Modbus link as the profile speaks over it.
+/// Link over Modbus with the register map of the profile.
 pub(super) fn dressed(link: ModbusLink, profile: &DriveProfile) -> Box<dyn DriveLink> {
     match &profile.registers {
         Some(map) => {
@@ -124,7 +124,7 @@ pub(super) fn dressed(link: ModbusLink, profile: &DriveProfile) -> Box<dyn Drive
     }
 }
 
-/// Opens a Modbus link: RTU over a serial port, TCP over the network. The profile's protocol is not asked.
+/// Opens a Modbus link: RTU over a serial port, TCP over the network, whatever the profile's protocol.
 pub fn open_modbus(
     target: &Target,
     profile: &DriveProfile,
@@ -143,8 +143,7 @@ pub(super) fn open_line(
 ) -> Result<ModbusLink> {
     let name = target.to_string();
     let cannot = |error: io::Error| LinkError::Open(target.to_string(), error.to_string());
-    let runtime = Builder::new_current_thread().enable_all().build();
-    let runtime = runtime.map_err(cannot)?;
+    let runtime = Builder::new_current_thread().enable_all().build().map_err(cannot)?;
     let (port, kind, unit, timing, tap): (Box<dyn Port>, _, _, _, _) = {
         let _within = runtime.enter();
         match target {
@@ -185,7 +184,7 @@ pub(super) fn open_line(
     Ok(ModbusLink::new(name, waiting, port, kind, unit, timing, epoch))
 }
 
-/// Opens a stream link. The profile's protocol is not asked.
+/// Opens a stream link, whatever the profile's protocol.
 pub fn open_stream(
     target: &Target,
     profile: &DriveProfile,
@@ -197,8 +196,9 @@ pub fn open_stream(
     let (port, timing): (Box<dyn TimedPort>, _) = match target {
         Target::Serial { path, baud, .. } => {
             let baud = baud.unwrap_or(settings.baud);
-            let port = serial(path, baud, settings.framing).open();
-            let port = port.map_err(|error| serial_error(path, &error))?;
+            let port = serial(path, baud, settings.framing)
+                .open()
+                .map_err(|error| serial_error(path, &error))?;
             let timing = LineTiming::serial(settings, baud, false);
             (Box::new(port), timing)
         }

@@ -1,4 +1,4 @@
-//! A busy drive is polled less often until it answers again. Pure: host time goes in.
+//! Exponential backoff of the polling of a busy drive. Pure: its input is host time.
 
 use super::link::{LinkError, Result};
 use super::reopen::Backoff;
@@ -9,20 +9,20 @@ pub(super) const fn is_busy(code: u8) -> bool {
     matches!(code, 0x04..=0x06 | 0x0A | 0x0B)
 }
 
-/// The last refusal, and until when the drive is not polled.
+/// The pauses, the time until which the drive is not polled, s, and the last refusal.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Patience(Option<(Backoff, f64, LinkError)>);
+pub(super) struct PollingBackoff(Option<(Backoff, f64, LinkError)>);
 
-impl Patience {
+impl PollingBackoff {
     /// Whether it may be polled at `now_s`; else the last refusal.
     pub(super) fn check(&self, now_s: f64) -> Result<()> {
         match &self.0 {
-            Some((_, until_s, said)) if now_s < *until_s => Err(said.clone()),
+            Some((_, until_s, refusal)) if now_s < *until_s => Err(refusal.clone()),
             _ => Ok(()),
         }
     }
 
-    /// What came of a question that ended at `now_s`.
+    /// Takes the result of an exchange that ended at `now_s`.
     pub(super) fn note<T>(&mut self, now_s: f64, result: &Result<T>) {
         match result {
             Err(error @ LinkError::Exception { code, .. }) if is_busy(*code) => {
@@ -54,13 +54,13 @@ mod tests {
 
     #[test]
     fn a_busy_drive_is_asked_less_and_less_often_until_it_answers() {
-        let mut patience = Patience::default();
+        let mut polling_backoff = PollingBackoff::default();
         let mut now_s = 0.0;
         let mut asked = Vec::new();
         while now_s < 1.0 {
-            if patience.check(now_s).is_ok() {
+            if polling_backoff.check(now_s).is_ok() {
                 asked.push(now_s);
-                patience.note(now_s, &refused(6));
+                polling_backoff.note(now_s, &refused(6));
             }
             now_s += 0.001;
         }
@@ -68,8 +68,8 @@ mod tests {
         assert!(gaps[0] < 0.008, "{gaps:?}");
         assert!((0.06..0.102).contains(gaps.last().unwrap()), "{gaps:?}");
         assert!(asked.len() < 25, "{}", asked.len());
-        patience.note(now_s, &Ok(()));
-        patience.note(now_s, &refused(2));
-        assert!(patience.check(now_s).is_ok(), "02 is no busy drive");
+        polling_backoff.note(now_s, &Ok(()));
+        polling_backoff.note(now_s, &refused(2));
+        assert!(polling_backoff.check(now_s).is_ok(), "02 is no busy drive");
     }
 }

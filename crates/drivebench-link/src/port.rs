@@ -1,4 +1,4 @@
-//! Opening what carries the bytes, with errors that say what to do; and the blocking port of the stream link.
+//! Opening of serial ports and TCP connections, with errors that name the remedy; and the blocking port of the stream link.
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
@@ -12,7 +12,7 @@ use super::link::{LinkError, Result};
 use super::serial_ports::holder_names;
 use super::settings::Framing;
 
-/// Shorter waits are not asked of the system.
+/// Shortest time-out of the operating system; zero would be none.
 const SHORTEST_WAIT: Duration = Duration::from_micros(1);
 
 /// Settings of a serial port. Modem lines are left alone: pseudo-terminals and many adapters have none.
@@ -34,7 +34,7 @@ pub(super) fn connect(name: &str, host: &str, port: u16) -> Result<TcpStream> {
     let open = |error: io::Error| LinkError::Open(name.to_owned(), error.to_string());
     let mut last = io::Error::new(ErrorKind::NotFound, "the host has no address");
     for address in (host, port).to_socket_addrs().map_err(open)? {
-        // How long a peer on the network may take to accept.
+        // Time-out of a TCP connection.
         match TcpStream::connect_timeout(&address, Duration::from_secs(3)) {
             Ok(stream) => {
                 // A request is one small segment: it must not wait for the next.

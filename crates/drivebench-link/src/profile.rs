@@ -1,4 +1,4 @@
-//! Profile of a drive, known before it is asked: how it is wired, what it can do, what its signals are.
+//! Profile of a drive: wiring, commands, signals and limits, known before the first request.
 
 use std::sync::Arc;
 
@@ -48,7 +48,7 @@ pub struct DriveProfile {
     pub watchdog: Watchdog,
     #[serde(default)]
     pub limits: DriveLimits,
-    /// The registers of a drive that speaks another language than ours.
+    /// The register map of a drive of another make.
     #[serde(skip)]
     pub registers: Option<Arc<RegisterMap>>,
 }
@@ -93,7 +93,7 @@ impl SignalOrigins {
     }
 }
 
-/// On which side of the power stage voltage and current are taken; `None`: the profile does not say.
+/// Side of the power stage on which voltage and current are measured; `None`: not given in the profile.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct SignalSides {
@@ -157,7 +157,7 @@ impl DriveProfile {
         EMBEDDED.into_iter().map(|(name, _)| name)
     }
 
-    /// Reads a profile; `file` names it in errors. A file with a register map says so with `schema`.
+    /// Reads a profile; `file` names it in errors. The key `schema` marks a file with a register map.
     pub fn parse(file: &str, text: &str) -> Result<Self, ProfileError> {
         if has_register_map(text) {
             let (map, link, limits) = RegisterMap::with_settings(file, text)?;
@@ -169,7 +169,7 @@ impl DriveProfile {
         Ok(profile)
     }
 
-    /// What the bench sees of a drive with a register map of its own.
+    /// Commands and signals of a drive with a register map of its own.
     fn of(map: RegisterMap, link: LinkSettings, limits: DriveLimits) -> Self {
         let keys = |channel| map.of_channel(channel).map(|signal| &signal.keys);
         let origin = |channel| keys(channel).and_then(|keys| keys.origin);
@@ -209,7 +209,7 @@ impl DriveProfile {
         }
     }
 
-    /// One line for whoever uses it: which drive, and how far its numbers may be believed.
+    /// One line for the user: the drive, and how far its numbers are verified.
     pub fn provenance(&self) -> String {
         let (mut title, mut note) = (String::new(), String::new());
         if let Some(map) = &self.registers {

@@ -1,13 +1,13 @@
-//! A drive with a register map of its own as a link: what the profile says, carried out.
+//! Link to a drive with a register map of its own: executes the commands of its profile.
 //!
 //! ```text
 //! Demand -> decide: enable | set-point | stop | reset -> Sequence (steps with deadlines) -> writes -> [ RegisterBus ]
 //! Sample <- units, validity, state <- Readings <-------------------------------------------- reads <-'
 //! ```
 //!
-//! Enabling is never repeated by itself: after a fault, a stop or a failed step somebody has to ask for zero first.
+//! Enabling is never repeated automatically: after a fault, a stop or a failed step zero must be commanded first.
 
-/// Bus and readings beside the points.
+/// Bus and readings as a `FarEnd`, borrowed separately from the set-points.
 macro_rules! far_end {
     ($link:ident) => {
         crate::profiled::points::FarEnd { bus: &mut $link.bus, readings: &$link.readings }
@@ -27,7 +27,7 @@ use self::sequence::{Next, Sequence};
 use super::budget::cycle_frames;
 use super::command_times::CommandTimes;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, Result, RoundTrips};
-use super::patience::Patience;
+use super::polling_backoff::PollingBackoff;
 use super::register_bus::{RegisterBus, Span};
 use super::register_map::{IdentityCheck, Quantity, RegisterMap, Step, Write};
 use super::settings::KickedBy;
@@ -44,7 +44,7 @@ enum Mode {
     Resetting(Sequence),
 }
 
-/// What is wanted of one exchange.
+/// Action of one exchange.
 enum Wanted<'a> {
     Rest,
     Reset,
@@ -62,7 +62,7 @@ pub struct ProfiledLink<B> {
     readings: Readings,
     points: Points,
     mode: Mode,
-    /// Something ended the last run: zero has to be asked for before the next.
+    /// The last run was ended: zero must be commanded before the next.
     latched: bool,
     field_lost: bool,
     was_reset: bool,
@@ -70,14 +70,14 @@ pub struct ProfiledLink<B> {
     unseen_since_s: Option<f64>,
     watchdog_s: Option<f64>,
     last_exchange_s: Option<f64>,
-    /// When something went out that the drive's watchdog counts, s.
+    /// Time of the last write that restarts the drive's watchdog, s.
     kicked_s: f64,
     /// The set-point of the last command was not sent.
     is_unsent: bool,
-    patience: Patience,
-    /// The drive's own, where the profile maps it.
+    polling_backoff: PollingBackoff,
+    /// The drive's own clock, if the profile maps it.
     clock: Option<Clock>,
-    /// Since when its fault condition has been seen to hold, s.
+    /// Time since which the fault condition has held, s.
     in_fault_since_s: Option<f64>,
 }
 
@@ -99,11 +99,11 @@ impl<B: RegisterBus> ProfiledLink<B> {
             last_exchange_s: None,
             kicked_s: f64::NEG_INFINITY,
             is_unsent: false,
-            patience: Patience::default(),
+            polling_backoff: PollingBackoff::default(),
         }
     }
 
-    /// The bus: a test looks at the far end through it.
+    /// The bus, for tests that examine the drive.
     pub const fn bus(&self) -> &B {
         &self.bus
     }
@@ -142,7 +142,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         // A drive that does not run yet, or any more, holds zero and nothing else.
         self.is_unsent = matches!(wanted, Wanted::Run(Some((_, value))) if self.mode == Mode::On || *value != 0.0);
         if matches!(wanted, Wanted::Run(_)) {
-            self.patience.check(self.bus.now_s())?;
+            self.polling_backoff.check(self.bus.now_s())?;
         }
         self.points.has_written = false;
         let result = self.exchanges(wanted, seq);
@@ -150,7 +150,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
             // A drive at rest already gets no further write.
             self.is_unsent = !was_sent(&result) && !self.points.has_written;
         }
-        self.patience.note(self.bus.now_s(), &result);
+        self.polling_backoff.note(self.bus.now_s(), &result);
         result
     }
 
@@ -164,7 +164,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
             self.lapse(began_s)?;
         }
         self.decide(wanted, began_s);
-        // A drive that refuses a write is asked for its state all the same: a fault, or a keypad, may be why.
+        // After a refused write the state is read all the same: a fault or the keypad may be the reason.
         let mut refused = None;
         held_back(&mut refused, self.advance())?;
         let mut put_s = None;
@@ -216,7 +216,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         let request_s = (read_s - reading_s) / first.max(1.0);
         let due_s = self.points.next_due_s().filter(|_| self.mode == Mode::On);
         if due_s.is_none_or(|due_s| due_s - read_s > 2.0 * request_s) {
-            // What the time of this exchange does not suffice for is asked for later.
+            // Reads for which the exchange has no time left follow later.
             let read = self.readings.read_slow(&mut self.bus);
             if !matches!(read, Err(LinkError::Unproven { .. })) {
                 read?;
@@ -266,14 +266,14 @@ impl<B: RegisterBus> ProfiledLink<B> {
         clock.map_or(host_s, |clock| clock.of_host_s(host_s))
     }
 
-    /// Ends a run: the drive gets its stop, and zero has to be asked for before the next.
+    /// Ends a run: sends the stop, and zero must be commanded before the next run.
     fn give_up(&mut self) -> Result<()> {
         self.latched = true;
         self.begin_stop();
         self.advance()
     }
 
-    /// The same where the reason counts more than how the stop goes.
+    /// The same, reporting the reason rather than the result of the stop.
     fn ended(&mut self, reason: String) -> LinkError {
         let _ = self.give_up();
         self.broken_off("run", (1, 1), reason)
@@ -290,7 +290,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         LinkError::Sequence { link, command, step, steps, reason }
     }
 
-    /// Silence that was longer than the drive's watchdog: an old set-point must not come back with the next write.
+    /// Silence longer than the drive's watchdog: an old set-point must not act again with the next write.
     fn lapse(&mut self, now_s: f64) -> Result<()> {
         let silence_s = now_s - self.kicked_s;
         let Some(watchdog_s) = self.watchdog_s.filter(|limit_s| silence_s > *limit_s) else {
@@ -369,7 +369,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
             return Ok(());
         };
         match next {
-            // What was not acknowledged goes out again before the stop is over.
+            // Writes without acknowledgement are repeated before the stop is over.
             Next::Done if sequence.is_unacknowledged() => {}
             Next::Done => {
                 self.mode = match &self.mode {
@@ -446,7 +446,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
 
     /// A command that its drive does not follow: the way down is begun at once.
     fn failed(&mut self, sequence: &Sequence, step: usize, reason: String) -> LinkError {
-        // A fault is why it does not follow, and its code says which.
+        // A fault explains it, and its code is in the report.
         if self.reported("fault") == Some(true) {
             let _ = self.readings.read_now(&mut self.bus, Quantity::FaultCode);
         }
@@ -464,13 +464,12 @@ impl<B: RegisterBus> ProfiledLink<B> {
             Mode::Stopping(_) if self.reported("running") != Some(false) => self.begin_stop(),
             _ => self.mode = Mode::Off,
         }
-        // What it reports matters less than why.
+        // The reason is reported, not the result of the stop.
         let _ = self.advance();
         error
     }
 
-    /// What ends a run from the drive's side. The first cause is what the sample tells: what the way down meets, such as a
-    /// drive in fault that takes no write, is not.
+    /// End of a run by the drive. The sample reports the first cause, not a consequence such as refused writes of a drive in fault.
     fn supervise(&mut self) -> Result<()> {
         let now_s = self.bus.now_s();
         let in_fault = self.is_in_fault();
@@ -489,7 +488,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
                 return gone(self.give_up());
             }
         }
-        // Somebody else has it: no set-point goes out any more, and its last command is taken back.
+        // Another master has control: no more set-points, and the last command is withdrawn.
         if self.hindrance().is_some() && matches!(self.mode, Mode::On | Mode::Enabling(_)) {
             return gone(self.give_up());
         }
@@ -507,14 +506,13 @@ impl<B: RegisterBus> ProfiledLink<B> {
             self.unseen_since_s = None;
         }
         let in_fault = self.state() == DriveState::Fault;
-        // Perhaps it runs and the profile looks for it at the wrong place: it gets its stop command.
+        // It may run although the profile's status does not show it: send the stop.
         if self.unseen_since_s.is_some() && !in_fault && runs == Some(false) {
             let error = self.never_ran();
             let _ = self.give_up();
             return Err(error);
         }
-        // It stopped by itself: a fault, its watchdog, somebody at its keypad. It must not be found with a reference and the
-        // word to run when it comes back.
+        // It stopped by a fault, its watchdog or its keypad. Reference and run command must be cleared before it can run again.
         if in_fault || runs == Some(false) {
             self.latched = true;
             self.points.release();
@@ -525,10 +523,10 @@ impl<B: RegisterBus> ProfiledLink<B> {
         Ok(())
     }
 
-    /// Stops, and looks whether the drive says so; where it does not, coasts.
+    /// Stops and checks the status; coasts if the drive does not confirm.
     fn stop_or_coast(&mut self) -> Result<()> {
         self.bus.bound(f64::INFINITY);
-        // Where this fails the next exchange goes on with the stop, whatever it asks for.
+        // If this fails, the next exchange continues with the stop, whatever its command.
         self.latched = true;
         self.begin_stop();
         let (mut first, mut runs) = (None, false);
@@ -537,7 +535,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
                 continue;
             }
             let carried = self.carry_out(command);
-            // A drive that says that it does not run may have refused a word of its stop, as one in fault does.
+            // A drive that reports that it does not run may have refused a word of the stop, as one in fault does.
             let refused = matches!(carried, Err(LinkError::Exception { .. }));
             let result = match carried {
                 Err(error) if !(refused && self.confirms_stop()) => Err(error),
@@ -560,8 +558,8 @@ impl<B: RegisterBus> ProfiledLink<B> {
         match first {
             Some(error) if !runs => Err(error),
             first => {
-                let before = first.map(|error| format!("; before that {error}"));
-                let before = before.unwrap_or_default();
+                let before =
+                    first.map(|error| format!("; before that {error}")).unwrap_or_default();
                 let reason = format!("the drive still reports that it runs{before}");
                 Err(self.broken_off("stop", (1, 1), reason))
             }
@@ -595,8 +593,8 @@ impl<B: RegisterBus> ProfiledLink<B> {
         Ok(())
     }
 
-    /// The watchdog's time: written where the profile says so, and read back. The drive of somebody else, which runs, is
-    /// left as it is: with a watchdog that nobody refreshes it would stop once this host has gone.
+    /// Writes the time of the watchdog as in the profile and reads it back. A drive that runs under another master is not written: its
+    /// watchdog would stop it after this host has disconnected.
     fn supervision(&mut self) -> Result<Option<f64>> {
         let runs = self.state() == DriveState::Running;
         let watchdog = &self.map.watchdog;
@@ -607,8 +605,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         if let Some(set_s) = set_s {
             let has_single = self.map.functions.contains(&6);
             let function = if has_single { 6 } else { 16 };
-            let registers = location.layout.encode(set_s / unit_s);
-            let registers = registers.ok_or_else(|| {
+            let registers = location.layout.encode(set_s / unit_s).ok_or_else(|| {
                 self.refused(format!("watchdog time {set_s} s does not fit its register"))
             })?;
             self.bus.write(function, location.address, &registers)?;
@@ -632,7 +629,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
     }
 }
 
-/// Whether a request that ended so has left, as far as that is known.
+/// Whether a request with this result may have been sent.
 const fn was_sent<T>(result: &Result<T>) -> bool {
     !matches!(
         result,
@@ -640,7 +637,7 @@ const fn was_sent<T>(result: &Result<T>) -> bool {
     )
 }
 
-/// Keeps the first refusal until it is known what the drive says of itself.
+/// Keeps the first refusal until the state of the drive is read.
 fn held_back(first: &mut Option<LinkError>, result: Result<()>) -> Result<()> {
     match result {
         Err(error @ LinkError::Exception { .. }) => {
@@ -651,7 +648,7 @@ fn held_back(first: &mut Option<LinkError>, result: Result<()>) -> Result<()> {
     }
 }
 
-/// On the way down only a link that is gone matters: its cause is reported already.
+/// During a stop only a lost link is an error: the cause is reported already.
 fn gone(result: Result<()>) -> Result<()> {
     match result {
         Err(error @ LinkError::Gone { .. }) => Err(error),
@@ -664,7 +661,7 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
         self.bus.name()
     }
 
-    /// Reads first; only a drive that is what the profile says, and does not run, gets its watchdog written.
+    /// Reads first; the watchdog is written only if the identity matches the profile and the drive does not run.
     fn identify(&mut self) -> Result<Identity> {
         let mut identity = self.recognise()?;
         let time_s = self.supervision()?;
@@ -744,13 +741,13 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
         stopped
     }
 
-    /// A reference that somebody left in the drive must not come back with the next command (auto-resume).
+    /// A reference left in the drive must not act with the next command (auto-resume).
     fn bring_to_rest(&mut self) -> Result<()> {
         self.points.begin();
         self.points.is_urgent = true;
         let zeroed = self.points.zero(&mut far_end!(self));
         if !matches!(zeroed, Err(LinkError::Gone { .. })) {
-            // A drive that takes no reference now may well take a stop.
+            // A drive that refuses a reference may accept a stop.
             self.stop()?;
         }
         zeroed

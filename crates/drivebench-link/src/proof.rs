@@ -1,5 +1,5 @@
-//! Proof that requests and replies of a line are synchronised. RTU has no transaction number, so a reply that fits may be
-//! that to an earlier request: late, or a second time. Pure: requests, replies and times go in.
+//! Synchronisation of requests and replies. RTU has no transaction number, so a reply that fits may be that to an earlier
+//! request: late or repeated. Pure: its inputs are requests, replies and times.
 //!
 //! ```text
 //!         late reply or timeout                      ambiguous reply, or a policy that proves after every disturbance
@@ -11,8 +11,8 @@
 //! reply whose code (function and length) only one request since then could have got -> all before that one are over
 //! ```
 //!
-//! A unit answers in order. So a reply that only one request can have got is that request's, whatever lies around it, and
-//! nothing older comes behind it.
+//! A unit answers in order. Therefore a reply that fits only one request belongs to it, whatever else was received, and no older
+//! reply follows.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -22,26 +22,30 @@ use super::register_bus::{MOST_READ, ReadRequest, RegisterTable};
 use super::reply::Code;
 use super::transaction::{OldReply, Reception};
 
-/// Requests remembered since the last proof.
-const REMEMBERED: usize = 32;
-/// A line on which bytes come for so many times the silence that is waited for is given up.
-pub(super) const PATIENCE: u32 = 4;
-/// Clean reads after which a line counts as one without old replies.
-const CLEAN_READS: u32 = 32;
-/// A clean stretch so many times longer than the longest delay of an old reply ends the silences that are kept for it:
-/// where a delay comes back less often than once in a hundred of its own length, waiting for it costs more than a second
-/// request, and what comes beside a reply is noticed all the same.
-const STRETCH_IN_DELAYS: u32 = 100;
+/// Time without a silence, in silences, after which the line is given up.
+pub(super) const DEADLINE_SILENCES: u32 = 4;
 
-/// What makes a probe unmistakable. The order is that of trial: a read can harm nobody, but function code 08 makes some
-/// servers deaf (libmodbus 3.1 takes its data for the next request), so it comes last.
+struct Settings {
+    /// Requests that are kept since the last proof.
+    requests: usize,
+    /// Reads without an old reply after which none is expected any more.
+    clean_reads: u32,
+    /// Time without an old reply, in longest delays of one, after which no silence is kept for it any more: the silence would cost
+    /// more than the repeated request, and an old reply is detected all the same.
+    clean_delays: u32,
+}
+
+const SETTINGS: Settings = Settings { requests: 32, clean_reads: 32, clean_delays: 100 };
+
+/// How the reply to a probe is distinguished from all earlier ones. In the order of trial: a read has no side effect, but after
+/// function code 08 some servers do not answer the next request (libmodbus 3.1 takes its data for a request), so it is last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Method {
     /// A read of another number of registers than any request since the last proof.
     Length,
     /// A read of the other table: every reply carries the other function code.
     OtherTable,
-    /// Function code 08 with a number that comes back.
+    /// Function code 08 with a number that the unit echoes.
     Nonce,
     /// Nothing came for a while: weaker, for units that answer no probe.
     Silence,
@@ -49,24 +53,24 @@ pub(super) enum Method {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Policy {
-    /// Every reply carries the number of its request (TCP): there is nothing to prove.
+    /// Every reply carries the number of its request (TCP): no proof is needed.
     Numbered,
     /// As the drive's profile states. Every disturbance has to be followed by a proof.
     Fixed(Method),
-    /// By trial, with a silence of this length as the last means. Only what could be confused has to be proven.
+    /// By trial, with a silence of this length as the last means; only for replies that could be exchanged.
     Trial(Duration),
 }
 
-/// What has to be done before a request may go out.
+/// Step before a request may be sent.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Step {
     Go,
     /// Nothing may come before this instant.
     Silence(Instant),
-    /// This PDU goes out, and only its reply is waited for.
+    /// Send this PDU and wait for its reply only.
     Probe([u8; 5]),
     NeverSilent,
-    /// No probe came back alone; the next call begins anew.
+    /// No probe was answered alone; the next call starts again.
     GiveUp,
 }
 
@@ -119,7 +123,7 @@ struct Probing {
     place: Option<(ReadRequest, u16)>,
 }
 
-/// Silence between reads that look alike, on lines where old replies come.
+/// Silence between reads with equal replies, on lines with late replies.
 #[derive(Debug, Default)]
 struct Spacing {
     /// On every line: the reads are rare.
@@ -151,11 +155,11 @@ impl SentRequest {
     }
 }
 
-/// Whether the line is in step, and what shows it.
+/// State of the synchronisation.
 #[derive(Debug)]
 pub(super) struct Proof {
     policy: Policy,
-    /// Silence after which no old reply comes any more.
+    /// Silence after which no late reply can come.
     quiet: Duration,
     sync: Sync,
     wait: Wait,
@@ -170,7 +174,7 @@ pub(super) struct Proof {
     pub(super) has_answered: bool,
     /// The last reply can belong to no other request.
     pub(super) is_unambiguous: bool,
-    /// Late replies, frames of others and timeouts, so far; and when the last of them came.
+    /// Number of late replies, foreign frames and time-outs, and the time of the last.
     pub(super) anomalies: u64,
     disturbed_at: Instant,
 }
@@ -185,7 +189,7 @@ impl Proof {
         Self {
             policy,
             quiet,
-            // By trial the first replies are proven later; else one to the last user of the line may be under way.
+            // By trial the first replies are proved later; otherwise a reply to the previous master may still come.
             sync: if is_fixed { Sync::Doubtful(false) } else { Sync::InStep },
             wait: Wait::None,
             probing: Probing {
@@ -196,7 +200,7 @@ impl Proof {
                 place: None,
             },
             spacing: Spacing::default(),
-            requests: VecDeque::with_capacity(REMEMBERED),
+            requests: VecDeque::with_capacity(SETTINGS.requests),
             missing: None,
             is_proven: false,
             has_answered: is_fixed,
@@ -206,7 +210,7 @@ impl Proof {
         }
     }
 
-    /// For a link whose plain reads are rare: those that look alike are always kept apart.
+    /// For a link with rare reads: those with equal replies are always separated by a silence.
     pub(super) const fn always_apart(mut self) -> Self {
         self.spacing.always = true;
         self
@@ -263,7 +267,7 @@ impl Proof {
         self.policy != Policy::Numbered && requests.any(|other| other.looks_like(code, head))
     }
 
-    /// What has to be done before this request.
+    /// Step before this request.
     pub(super) fn next(&mut self, pdu: &[u8], now: Instant) -> Step {
         if self.policy == Policy::Numbered {
             return Step::Go;
@@ -288,7 +292,7 @@ impl Proof {
             return Step::Go;
         }
         if !self.has_answered {
-            // Nobody is known to be there; what may still come is found by the proof after the first reply.
+            // No reply yet from this unit; the proof after the first one finds late replies.
             self.sync = Sync::InStep;
             self.wait = Wait::None;
             return Step::Go;
@@ -329,11 +333,11 @@ impl Proof {
             Wait::Quiet(since) => since,
             Wait::None | Wait::Proof(_) => now,
         };
-        let patience = match self.policy {
-            Policy::Trial(longest) => longest.max(PATIENCE * self.quiet),
-            _ => PATIENCE * self.quiet,
+        let limit = match self.policy {
+            Policy::Trial(longest) => longest.max(DEADLINE_SILENCES * self.quiet),
+            _ => DEADLINE_SILENCES * self.quiet,
         };
-        if now.saturating_duration_since(since) > patience {
+        if now.saturating_duration_since(since) > limit {
             self.wait = Wait::None;
             return Step::NeverSilent;
         }
@@ -341,11 +345,11 @@ impl Proof {
         Step::Silence(until)
     }
 
-    /// Until when this read is kept apart from one before it that looks alike.
+    /// End of the silence that separates this read from an earlier one with an equal reply.
     fn apart_until(&mut self, code: Code, now: Instant) -> Option<Instant> {
         let (quiet, spacing) = (self.quiet, &mut self.spacing);
         spacing.delayed = spacing.delayed.filter(|(until, _)| now < *until);
-        let is_clean = spacing.clean_reads >= CLEAN_READS && spacing.delayed.is_none();
+        let is_clean = spacing.clean_reads >= SETTINGS.clean_reads && spacing.delayed.is_none();
         if matches!(self.policy, Policy::Trial(_)) || (is_clean && !spacing.always) {
             spacing.ended.clear();
             return None;
@@ -355,7 +359,7 @@ impl Proof {
         alike.next_back().map(|(_, ended)| *ended + quiet)
     }
 
-    /// Something came, or was found, while nothing was outstanding.
+    /// Bytes came while no request was outstanding.
     pub(super) fn disturbed(&mut self, old: &[OldReply], now: Instant) {
         if self.policy == Policy::Numbered {
             self.anomalies += 1;
@@ -379,9 +383,8 @@ impl Proof {
         let before = self.spacing.delayed.map(|(_, longest)| longest);
         let delays = old.iter().map(|old| self.delay(old.code, now));
         if let Some(longest) = delays.chain(before).max() {
-            let stretch = STRETCH_IN_DELAYS * longest;
-            // Shortest and longest of these stretches: one good second proves little, and a bus that was in order for half a minute
-            // is in order.
+            let stretch = SETTINGS.clean_delays * longest;
+            // At least 2 s, because one second proves little; at most 30 s.
             let until = now + stretch.clamp(Duration::from_secs(2), Duration::from_secs(30));
             self.spacing.delayed = Some((until, longest));
         }
@@ -393,7 +396,7 @@ impl Proof {
         }
     }
 
-    /// How long after its request this old reply came at the most.
+    /// Longest possible delay of this late reply after its request.
     fn delay(&self, code: Code, now: Instant) -> Duration {
         let alike = || self.requests.iter().filter(|request| request.code == code);
         let unanswered = alike().find(|request| !request.is_answered);
@@ -408,7 +411,7 @@ impl Proof {
         if self.policy == Policy::Numbered {
             return;
         }
-        if self.requests.len() >= REMEMBERED {
+        if self.requests.len() >= SETTINGS.requests {
             self.requests.pop_front();
         }
         self.requests.push_back(SentRequest {
@@ -420,7 +423,7 @@ impl Proof {
         });
     }
 
-    /// The exchange is over: judges what came beside the reply. `numbered`: the reply carries its own number.
+    /// End of an exchange: judges what else came. `numbered`: the reply carries its own number.
     pub(super) fn settle(
         &mut self,
         end: End,
@@ -432,7 +435,7 @@ impl Proof {
         self.ended(end, &reception.take_old_replies(), strays, numbered, now);
     }
 
-    /// The exchange is over. `strays`: something beside the reply came. `numbered`: the reply carries its own number.
+    /// End of an exchange. `strays`: more than the reply came. `numbered`: the reply carries its own number.
     fn ended(&mut self, end: End, old: &[OldReply], strays: bool, numbered: bool, now: Instant) {
         let was_proven = self.is_proven;
         self.has_answered |= end != End::Missing;
@@ -454,7 +457,7 @@ impl Proof {
         }
         if strays || end == End::Missing {
             self.anomaly(old, now);
-            // Where nothing came at all the wait for it was silence already, and a probe will show the rest.
+            // Without any byte the time-out itself was a silence; a probe shows the rest.
             let is_probed = matches!(self.policy, Policy::Fixed(Method::Nonce | Method::Length));
             if !strays && old.is_empty() && is_probed {
                 self.disturbed_at = last.at;
@@ -506,7 +509,7 @@ impl Proof {
         }
     }
 
-    /// A probe that is answered too late proves as well that all before it are over.
+    /// A late reply to a probe proves too that all earlier requests are over.
     fn late_probe(&mut self, old: &[OldReply]) {
         for code in old.iter().filter(|old| !old.behind).map(|old| old.code) {
             let mut alike = self.requests.iter().filter(|request| request.code == code);
@@ -567,7 +570,7 @@ impl Proof {
                 let shorter = (1..place.count).rev();
                 let counts = || shorter.clone().chain(place.count..=most);
                 let reads = || counts().map(|count| ReadRequest { count, ..place });
-                // As the profile has it a reply comes once: a request that was answered, and silence since, is over.
+                // By the profile a reply comes once: an answered request followed by silence is over.
                 let is_over = |read: &ReadRequest| alike(read).1.all(|request| request.is_answered);
                 let is_fixed = matches!(self.policy, Policy::Fixed(_));
                 let over = || reads().filter(|_| is_fixed).find(is_over);
@@ -612,7 +615,7 @@ impl Probing {
     }
 }
 
-/// What distinguishes requests: function, and the four bytes behind it where there are so many.
+/// Bytes that distinguish requests: function code and the next four.
 fn head(pdu: &[u8]) -> [u8; 5] {
     let mut head = [0; 5];
     for (to, from) in head.iter_mut().zip(pdu) {
@@ -709,7 +712,7 @@ mod tests {
         };
         clean(&mut proof, &nonce, true, at);
         let is_apart = |proof: &mut Proof, at| proof.next(&read(2, 1), at) != Step::Go;
-        for _ in 0..CLEAN_READS {
+        for _ in 0..SETTINGS.clean_reads {
             clean(&mut proof, &read(1, 1), false, at);
         }
         assert!(!is_apart(&mut proof, at), "nothing old ever came");

@@ -1,4 +1,4 @@
-//! Registers at the far end of something: how they are asked for, and all that a profiled drive needs of a link.
+//! Register bus: reads and writes of registers, the interface that a profiled drive needs of its link.
 
 use super::link::{LinkName, LinkStatistics, Result, RoundTrips};
 use super::transaction::{CutIn, LineCounts};
@@ -7,13 +7,20 @@ use super::transaction::{CutIn, LineCounts};
 pub const MOST_READ: u16 = 125;
 pub const MOST_WRITTEN: usize = 123;
 
-/// RTU frames beside the registers that they carry, bytes: a read and its reply, a write of several registers, a request of
-/// function code 23, and the acknowledgement of a write, which is also the write of one register.
-pub(super) const READ_BYTES: usize = 8;
-pub(super) const REPLY_BYTES: usize = 5;
-pub(super) const WRITE_BYTES: usize = 9;
-pub(super) const READ_WRITE_BYTES: usize = 13;
-pub(super) const WRITTEN_BYTES: usize = 8;
+/// Lengths of RTU frames without the registers that they carry, bytes.
+pub(super) struct FrameBytes {
+    pub(super) read: usize,
+    pub(super) read_reply: usize,
+    /// Write of several registers.
+    pub(super) write: usize,
+    /// Acknowledgement of a write; also the write of one register.
+    pub(super) written: usize,
+    /// Function code 23.
+    pub(super) read_write: usize,
+}
+
+pub(super) const RTU: FrameBytes =
+    FrameBytes { read: 8, read_reply: 5, write: 9, written: 8, read_write: 13 };
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RegisterTable {
@@ -41,7 +48,7 @@ impl ReadRequest {
     }
 
     pub(super) const fn reply_bytes(self) -> usize {
-        REPLY_BYTES + 2 * self.count as usize
+        RTU.read_reply + 2 * self.count as usize
     }
 
     pub(super) const fn pdu(self) -> [u8; 5] {
@@ -119,7 +126,7 @@ pub trait RegisterBus: Send {
     /// Lets host time pass; a time that has passed changes nothing.
     fn pause_until_s(&mut self, time_s: f64);
 
-    /// Reads registers; a question without effect, so it may be asked again within its deadline.
+    /// Reads registers. A read has no side effects, so it may be repeated within its deadline.
     fn read(&mut self, read: ReadRequest) -> Result<RegistersRead>;
 
     /// Writes with function code 6 (one register) or 16; never repeated by itself. When it was carried out.

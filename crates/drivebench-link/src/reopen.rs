@@ -1,8 +1,8 @@
-//! A link that was lost: when it is tried again, under which name, and who must be there. Pure: time and answers go in.
+//! Reconnection of a lost link: times of the attempts, port name, check of the identity. Pure: its inputs are times and results.
 //!
 //! ```text
-//! lost -> closed -> pause (50 ms .. 2 s, jitter) -> open by the name that stays -> who is there? -> the same: stop it
-//!                     ^------------------------------ no --'                                    -> another: leave it
+//! lost -> closed -> pause (50 ms .. 2 s, jitter) -> open by the stable name -> identity -> the same drive: stop it
+//!                     ^------------------------------ no --'                            -> another one: no command
 //! ```
 
 use std::path::Path;
@@ -27,12 +27,12 @@ impl Backoff {
     pub fn pause_s(&mut self) -> f64 {
         let base_s = self.next_s;
         self.next_s = (2.0 * base_s).min(self.longest_s);
-        // SplitMix64: one step is enough for a number that nobody must guess.
+        // One step of SplitMix64 (Steele, Lea and Flood, OOPSLA 2014) is enough for a jitter.
         self.dice = self.dice.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mixed = (self.dice ^ (self.dice >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
         let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
         let share = ((mixed ^ (mixed >> 31)) >> 11) as f64 / (1_u64 << 53) as f64;
-        // A pause is up to this share shorter or longer, so that two programs do not keep step.
+        // Relative jitter of a pause, so that two programs do not stay synchronised.
         base_s * (1.0 + 0.25 * (2.0 * share - 1.0))
     }
 }

@@ -21,7 +21,7 @@ pub(super) enum FrameKind {
 pub(super) struct Expected {
     /// The outstanding request as it went out; empty: nothing is outstanding.
     pub(super) request: Vec<u8>,
-    /// What the reply must carry beside: the number of its own command.
+    /// Bytes that the reply must echo as well: the number of its own command.
     pub(super) echo: Option<Echo>,
     /// Requests before it: what answers one of these is an old reply and not a stranger's.
     pub(super) earlier: VecDeque<Vec<u8>>,
@@ -62,7 +62,7 @@ impl Expected {
     }
 }
 
-/// What a reply shows of the request that it answers, where it carries no number.
+/// Properties of a reply that identify its request, if it carries no number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Code {
     /// With the mark of a refusal, if it is one.
@@ -92,22 +92,22 @@ impl Code {
     }
 }
 
-/// What the bytes received so far hold.
+/// Contents of the bytes received so far.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Search {
     /// Begin and end of the reply.
     pub(super) reply: Option<(usize, usize)>,
     /// Whole frames that answer an earlier request, or this one with another number.
     pub(super) old: Vec<Code>,
-    /// Whole frames that answer nothing that was asked; on a serial line also those that are requests of somebody else.
+    /// Complete frames that answer no request of ours; on a serial line also requests of other masters.
     pub(super) foreign: usize,
-    /// Those of them that write to the unit which is asked: another master commands it.
+    /// Those of them that write to our unit: another master commands it.
     pub(super) foreign_writes: usize,
     /// The line returned the request itself before the reply.
     pub(super) echo: bool,
 }
 
-/// The peer does not speak Modbus TCP: frames can no longer be separated.
+/// The peer does not use Modbus TCP: frames can no longer be separated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Unframeable;
 
@@ -206,13 +206,13 @@ pub(super) fn rtu_frame_len(bytes: &[u8], pdu_len: impl Fn(&[u8]) -> Length) -> 
 
 /// Whether a response PDU is one to this request PDU.
 fn answers(request: &[u8], response: &[u8]) -> bool {
-    let (Some(&asked), Some(&said)) = (request.first(), response.first()) else {
+    let (Some(&requested), Some(&answered)) = (request.first(), response.first()) else {
         return false;
     };
-    if said == asked | 0x80 {
+    if answered == requested | 0x80 {
         return response.len() == 2;
     }
-    let echoed = match asked {
+    let echoed = match requested {
         5 | 6 | 8 => request.len(),
         15 | 16 => 5,
         22 => 7,
@@ -244,7 +244,7 @@ fn search_tcp(expected: &Expected, received: &[u8]) -> Result<Search, Unframeabl
             found.reply = Some((at, at + length + 6));
             return Ok(found);
         }
-        // The transaction number says whose answer it is.
+        // The transaction number identifies the request.
         let is_old = |request: &Vec<u8>| request.get(..2) == frame.get(..2);
         if is_old(request) || expected.earlier.iter().any(is_old) {
             found.old.extend(Code::of(FrameKind::Tcp, frame));

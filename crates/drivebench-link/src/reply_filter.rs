@@ -37,7 +37,7 @@ impl ReplyFilter {
         Self(Arc::new(Mutex::new(Inner { port, reception: Reception::new(kind, now()), taken: 0 })))
     }
 
-    /// Reads away whatever lies on the line and ends the last exchange. Returns the bytes that nobody asked for.
+    /// Drops the bytes on the line and ends the last exchange. Returns the number of unrequested bytes.
     pub(super) async fn begin(&self) -> io::Result<usize> {
         // The reactor has to look at the port once, else bytes that came meanwhile do not show.
         tokio::task::yield_now().await;
@@ -50,14 +50,14 @@ impl ReplyFilter {
         .await
     }
 
-    /// What the reply to the next request must carry to be its own.
+    /// Sets the bytes that the reply to the next request must echo.
     pub(super) fn expect(&self, echo: Echo) {
         self.inner().reception.expected.echo = Some(echo);
     }
 
     /// Listens until something comes: how many bytes.
     pub(super) async fn listen(&self) -> io::Result<usize> {
-        // When the time is over this is looked at once more: nothing new must not count as something.
+        // Polled once more after the time-out: no new bytes must not count as some.
         poll_fn(|cx| match self.inner().discard(cx) {
             Ok(0) => Poll::Pending,
             result => Poll::Ready(result),
@@ -65,7 +65,7 @@ impl ReplyFilter {
         .await
     }
 
-    /// Lets go of the port: a device that was unplugged keeps its number for as long as somebody holds it.
+    /// Closes the port: the number of an unplugged device stays in use while it is open.
     pub(super) fn close(&self) {
         self.inner().port = Box::new(tokio::io::empty());
     }
@@ -80,7 +80,7 @@ impl Inner {
     /// Reads until nothing is there; drops it.
     fn discard(&mut self, cx: &mut Context<'_>) -> io::Result<usize> {
         let mut dropped = 0;
-        // A line that babbles faster than it is read must not hold us here.
+        // A line that sends faster than it is read must not block.
         while dropped < 1 << 16 {
             match self.read_port(cx) {
                 Poll::Ready(Ok(count)) => dropped += count,
@@ -91,7 +91,7 @@ impl Inner {
         Ok(self.reception.drop_strays())
     }
 
-    /// Reads from the port; an end of file is an error, so that nobody asks a port that is gone again and again.
+    /// Reads from the port; an end of file is an error, so that a lost port is not polled for ever.
     fn read_port(&mut self, cx: &mut Context<'_>) -> Poll<io::Result<usize>> {
         let mut bytes = [0; 512];
         let mut buffer = ReadBuf::new(&mut bytes);

@@ -12,7 +12,7 @@ use std::{fmt, fs};
 
 use serde::Serialize;
 
-/// What a USB adapter says about itself.
+/// USB descriptors of an adapter.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct UsbInfo {
     /// Four hexadecimal digits each.
@@ -92,7 +92,7 @@ pub fn stable_name(root: &Path, path: &Path) -> PathBuf {
     by_id.unwrap_or_else(|| path.to_owned())
 }
 
-/// What the USB adapter behind a port says about itself; `None`: it is none, or it is not there.
+/// USB descriptors of the adapter of a port; `None`: no USB adapter, or not present.
 pub fn adapter(root: &Path, path: &Path) -> Option<UsbInfo> {
     let device = device_file(root, path);
     usb(&root.join("sys/class/tty").join(device.file_name()?))
@@ -107,7 +107,7 @@ pub fn latency_file(root: &Path, path: &Path) -> Option<PathBuf> {
         .find(|file| file.exists())
 }
 
-/// Programs that have the port open, ourselves left out. Those of other users are seen by root only.
+/// Other programs that have the port open. Those of other users are visible to root only.
 pub fn holders(root: &Path, path: &Path) -> Vec<Holder> {
     let device = device_file(root, path);
     let mut found: Vec<Holder> = entries(&root.join("proc"))
@@ -128,7 +128,7 @@ pub fn holders(root: &Path, path: &Path) -> Vec<Holder> {
     found
 }
 
-/// The names of those programs; `None`: nobody, as far as we can see.
+/// The names of those programs; `None`: none visible.
 pub fn holder_names(path: &Path) -> Option<String> {
     let holders = holders(Path::new("/"), path);
     let names: Vec<String> = holders.iter().map(ToString::to_string).collect();

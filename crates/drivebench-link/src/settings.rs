@@ -1,4 +1,4 @@
-//! Settings of every profile, whatever its registers: wiring, how far the numbers may be believed, bounds.
+//! Settings of every profile, whatever its registers: wiring, trust in the numbers, bounds.
 
 use std::fmt;
 
@@ -92,7 +92,7 @@ pub struct LinkSettings {
     pub framing: Framing,
     /// Worst time from the end of a request to the start of its reply, ms.
     pub reply_ms: f64,
-    /// Silence before a Modbus RTU request, us; `None`: as the standard says.
+    /// Silence before a Modbus RTU request, us; `None`: that of the standard.
     pub gap_us: Option<f64>,
     /// Time for one exchange, ms; `None`: from wire and reply time.
     pub deadline_ms: Option<f64>,
@@ -111,7 +111,7 @@ pub enum KickedBy {
     Any,
 }
 
-/// Bounds beside those that the drive reports.
+/// Bounds in addition to those that the drive reports.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct DriveLimits {

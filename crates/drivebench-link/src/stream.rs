@@ -1,6 +1,6 @@
-//! The stream link: COBS frames whose number tells which answer belongs to which question, and the burst capture.
+//! The stream link: COBS frames with the number of their request, and the burst capture.
 //!
-//! A late answer carries the number of its own question, so a damaged line needs no probe: what does not fit is dropped.
+//! A late answer carries the number of its own request, so no resynchronisation is needed: answers that do not fit are dropped.
 //! This file owns the clock of its exchanges.
 
 use std::io;
@@ -13,7 +13,7 @@ use firmware_protocol::{CaptureControl, CaptureState, Telemetry};
 
 use super::burst::{Burst, Capture};
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, Result, RoundTrips};
-use super::link_core::{Answer, LinkCore, answered, own_link, stop_confirmed};
+use super::link_core::{Answer, LinkCore, own_link, retried, stop_confirmed};
 use super::port::{Closed, TimedPort};
 use super::timeline::{identity, signed_difference};
 use super::timing::LineTiming;
@@ -33,13 +33,13 @@ pub struct StreamLink {
     pending: u64,
     pending_since: Instant,
     line: LineCounts,
-    /// Number of the last question that is no command.
+    /// Number of the last request that is no command.
     question: u16,
-    /// What the drive sees next may be the rest of something broken: a delimiter goes first.
+    /// The decoder of the drive may hold the rest of a broken frame: a delimiter is sent first.
     suspect: bool,
 }
 
-/// What a message is of a question's answer, with the drive's time when it was formed, us.
+/// Value of an answer, with the drive time at which it was formed, us.
 type Timed<T> = (T, u32);
 
 /// What came that was no answer.
@@ -81,21 +81,21 @@ impl StreamLink {
         }
     }
 
-    /// How the drive is, without a command: nothing changes by it, and its watchdog is not kicked.
+    /// Telemetry without a command; does not restart the watchdog.
     pub(super) fn telemetry(&mut self) -> Result<Telemetry> {
         let question = Message::TelemetryRequest;
         let answer = self.read_with_retries(&question, "the telemetry", telemetry)?;
         Ok(answer.value.0)
     }
 
-    /// A question without effect on the drive may be repeated.
+    /// A request without side effects may be repeated.
     fn read_with_retries<T>(
         &mut self,
         message: &Message,
         what: &str,
         check: impl Fn(&Message) -> Option<T>,
     ) -> Result<Answer<Timed<T>>> {
-        answered(|| self.ask_numbered(message, what, &check))
+        retried(|| self.ask_numbered(message, what, &check))
     }
 
     fn ask_numbered<T>(
@@ -109,7 +109,7 @@ impl StreamLink {
         self.ask(&Frame::ask(self.question, *message), what, allowed, check)
     }
 
-    /// One question and its answer, booked in the statistics.
+    /// One request and its answer, counted in the statistics.
     fn ask<T>(
         &mut self,
         question: &Frame,
@@ -145,7 +145,7 @@ impl StreamLink {
     /// Drops what came too late. A frame whose delimiter was lost must not take the next one with it.
     fn drop_leftovers(&mut self) -> Result<()> {
         let mut bytes = [0; 512];
-        // A line that babbles faster than it is read must not hold us here.
+        // A line that sends faster than it is read must not block.
         for _ in 0..128 {
             match self.port.read_within(&mut bytes, Duration::ZERO) {
                 Ok(0) => break,

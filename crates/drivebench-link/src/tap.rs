@@ -1,12 +1,12 @@
-//! The wire tap: every frame of a link into a capture file that Wireshark opens.
+//! Wire tap: every frame of a link into a capture file for Wireshark.
 //!
 //! ```text
 //! link --TappedPort--> Tap (Received: where a frame ends; Conversation: how it is wrapped)
 //!                       '--bounded queue--> thread --> FILE (pcap, nanoseconds)
 //! ```
 //!
-//! The link never waits for the file: what the queue cannot take is counted and lost, and a file that fails is
-//! reported once at the end. Link types: Modbus RTU 147 (user 0), our own stream 148 (user 1), Modbus TCP as IP packets (101).
+//! The link never waits for the file: frames beyond the queue are dropped and counted, and a failed write is reported once at the
+//! end. Link types: Modbus RTU 147 (user 0), our own stream 148 (user 1), Modbus TCP as IP packets (101).
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -30,10 +30,6 @@ use super::waiting::now;
 
 /// Frames that wait for the disk; at 1 kHz some seconds.
 const QUEUE: usize = 8192;
-
-/// Link types of the file (the first two are Wireshark's for private use).
-const RTU: u32 = 147;
-const IP: u32 = 101;
 
 enum Message {
     Bytes(Vec<u8>),
@@ -75,7 +71,8 @@ impl TapFile {
     }
 
     pub(super) fn rtu(&self) -> Tap {
-        self.tap(RTU, Splitting::Rtu, None)
+        // LINKTYPE_USER0 of pcap, for private use; the stream has LINKTYPE_USER1.
+        self.tap(147, Splitting::Rtu, None)
     }
 
     pub(super) fn stream(&self) -> Tap {
@@ -83,7 +80,8 @@ impl TapFile {
     }
 
     pub(super) fn tcp(&self, ours: SocketAddr, peer: SocketAddr) -> Tap {
-        self.tap(IP, Splitting::None, Some(Conversation::new(ours, peer)))
+        // LINKTYPE_RAW: IP packets.
+        self.tap(101, Splitting::None, Some(Conversation::new(ours, peer)))
     }
 
     fn tap(&self, link_type: u32, splitting: Splitting, conversation: Option<Conversation>) -> Tap {
@@ -194,7 +192,7 @@ impl Drop for Tap {
     }
 }
 
-/// Writes until the end; flushed whenever nothing waits, so that a killed program leaves what it has seen.
+/// Writes until the end; flushes whenever the queue is empty, so that a killed program leaves its frames in the file.
 fn write(file: File, messages: &Receiver<Message>) -> io::Result<()> {
     let mut file = BufWriter::new(file);
     loop {
@@ -281,7 +279,7 @@ impl TimedPort for TappedPort<Box<dyn TimedPort>> {
     }
 }
 
-/// Bytes that make no frame are handed out at this length at the latest.
+/// Bytes that make no frame are written as a record of this length at the latest.
 const MOST: usize = 1024;
 
 /// What separates frames.
@@ -332,16 +330,14 @@ fn rtu_length(bytes: &[u8]) -> Option<usize> {
     rtu_frame_len(bytes, request_len).or_else(|| rtu_frame_len(bytes, response_len))
 }
 
-/// Stamps in nanoseconds, in the byte order of the machine that wrote them.
-const MAGIC: u32 = 0xA1B2_3C4D;
+/// Longest frame of the file, bytes.
 const LONGEST: u32 = 65_535;
-/// Protocol number of TCP, and the flags of a segment with data.
+/// Protocol number of TCP in IP (RFC 9293).
 const TCP: u8 = 6;
-const PUSH_ACK: u8 = 0x18;
 
 fn file_header(link_type: u32) -> Vec<u8> {
-    // Version 2.4, no correction of the time zone, longest frame, link type.
-    let words = [MAGIC, 2 | 4 << 16, 0, 0, LONGEST, link_type];
+    // Magic number of stamps in nanoseconds, version 2.4, no correction of the time zone, longest frame, link type.
+    let words = [0xA1B2_3C4D, 2 | 4 << 16, 0, 0, LONGEST, link_type];
     words.into_iter().flat_map(u32::to_le_bytes).collect()
 }
 
@@ -349,8 +345,7 @@ fn file_header(link_type: u32) -> Vec<u8> {
 fn record_bytes(at: Duration, bytes: &[u8]) -> Vec<u8> {
     let seconds = u32::try_from(at.as_secs()).unwrap_or(u32::MAX);
     let length = u32::try_from(bytes.len()).unwrap_or(LONGEST);
-    let head = [seconds, at.subsec_nanos(), length, length].into_iter();
-    let head = head.flat_map(u32::to_le_bytes);
+    let head = [seconds, at.subsec_nanos(), length, length].into_iter().flat_map(u32::to_le_bytes);
     head.chain(bytes.iter().copied()).collect()
 }
 
@@ -381,8 +376,8 @@ impl Conversation {
         segment.extend(to.port().to_be_bytes());
         segment.extend(first.to_be_bytes());
         segment.extend(acknowledged.to_be_bytes());
-        // Header of five words, window of 65535, checksum to come, nothing urgent.
-        segment.extend([5 << 4, PUSH_ACK, 0xFF, 0xFF, 0, 0, 0, 0]);
+        // Header of five words, flags PSH and ACK, window of 65535, checksum to come, nothing urgent.
+        segment.extend([5 << 4, 0x18, 0xFF, 0xFF, 0, 0, 0, 0]);
         segment.extend_from_slice(data);
         match (from.ip(), to.ip()) {
             (IpAddr::V4(from), IpAddr::V4(to)) => ip4(from.octets(), to.octets(), &mut segment),

@@ -12,9 +12,6 @@ use super::link::{Identity, LinkError};
 use super::register_bus::Span;
 use drivebench_model::sample::{Applied, Channel, Command, Demand, DriveState, Sample};
 
-/// Microseconds until the drive's counter comes round.
-const TURN_US: f64 = 4_294_967_296.0;
-
 /// The drive's microsecond counter as seconds since the link connected: the first counter seen is 0.
 #[derive(Clone, Debug, Default)]
 pub struct DriveClock {
@@ -29,14 +26,16 @@ struct Last {
 }
 
 impl DriveClock {
-    /// Drive time of a counter read at host time `host_s`. The host's clock tells how often the counter came round
-    /// since the last look, so that a pause may be longer than a turn of 71.6 minutes.
+    /// Drive time of a counter read at host time `host_s`. The number of wraps since the last reading follows from the host's clock,
+    /// so that a pause may be longer than one wrap of 71.6 minutes.
     pub fn follow(&mut self, raw_us: u32, host_s: f64) -> f64 {
         let since_connect_us = self.last.map_or(0.0, |last| {
             let step_us = f64::from(signed_difference(raw_us, last.raw_us));
             let passed_us = (host_s - last.host_s) * 1e6;
-            let turns = ((passed_us - step_us) / TURN_US).round();
-            last.since_connect_us + step_us + turns * TURN_US
+            // Microseconds of one wrap of the counter: 2^32.
+            let wrap_us = 4_294_967_296.0;
+            let wraps = ((passed_us - step_us) / wrap_us).round();
+            last.since_connect_us + step_us + wraps * wrap_us
         });
         self.last = Some(Last { raw_us, host_s, since_connect_us });
         since_connect_us * 1e-6
@@ -48,8 +47,8 @@ pub const fn signed_difference(later_us: u32, earlier_us: u32) -> i32 {
     later_us.wrapping_sub(earlier_us).cast_signed()
 }
 
-/// Where the drive's clock stands against the host's: a line through the exchanges with the smallest delay, since
-/// delay comes in by one direction only and a fast exchange cannot hide much of it.
+/// Offset and rate of the drive's clock against the host's: a line through the exchanges with the smallest round trip (the clock
+/// filter of NTP, RFC 5905 §10), since delays only ever add.
 ///
 /// Error: half of the smallest round trip, as the two directions need not take the same time. It carries host
 /// times over to the drive's clock; no sample is moved by it.
@@ -111,8 +110,8 @@ impl ClockMap {
     }
 }
 
-/// The time axis of one connection. Drive time 0 is the first drive time that was seen, at `identify` where that
-/// comes first: samples of one connection share one origin, and the drive's time since power-up says nothing.
+/// Time axis of one connection: drive time 0 is the first drive time read, at `identify` if that comes first. All samples of a
+/// connection share this origin; the time since power-up is not used.
 #[derive(Clone, Debug, Default)]
 pub struct Timeline {
     clock: DriveClock,
@@ -160,11 +159,11 @@ impl Timeline {
     }
 
     fn unwrap_angle(&mut self, raw: f64) -> f64 {
-        const SPAN: f64 = Telemetry::ANGLE_SPAN_RAD;
-        let (last, turns) = self.angle.unwrap_or((raw, 0.0));
-        let turns = turns - ((raw - last) / SPAN).round();
-        self.angle = Some((raw, turns));
-        raw + turns * SPAN
+        let span = Telemetry::ANGLE_SPAN_RAD;
+        let (last, wraps) = self.angle.unwrap_or((raw, 0.0));
+        let wraps = wraps - ((raw - last) / span).round();
+        self.angle = Some((raw, wraps));
+        raw + wraps * span
     }
 }
 
@@ -186,7 +185,7 @@ pub const fn command(command: Command) -> DriveCommand {
     DriveCommand::new(low_word(command.seq), control)
 }
 
-/// The identity as the rest of the program knows it; names come from elsewhere.
+/// Identity of the program from that of the protocol; the names come from the device identification.
 pub fn identity(block: &firmware_protocol::Identity) -> Identity {
     let known = |value: f64| value.is_finite().then_some(value);
     let [major, minor] = block.firmware_version.to_be_bytes();

@@ -1,18 +1,14 @@
-//! Times on the line, and waiting more exactly than a timer wheel can.
+//! Deadlines and silences of a line, and waits with an error below 0.1 ms.
 
 use std::time::{Duration, Instant};
 
 use super::settings::{Framing, LinkSettings};
 use super::waiting::{now, skip_to};
 
-/// An adapter hands over bytes this much later than they came (the latency timer of FTDI is 16 ms), until it is measured;
-/// and what a host that is busy may add to the least that was measured.
+/// Delay of an adapter until it is measured (the latency timer of FTDI is 16 ms); also the most that a busy host may add.
 const ADAPTER_DELAY: Duration = Duration::from_millis(16);
-/// A thread that sleeps may wake up this much late without anyone to blame; the rest of a wait is watched on the clock,
-/// because a gap that is 0.1 ms too long already costs one request in twenty.
-const SLEEP_SLACK: Duration = Duration::from_micros(300);
 
-/// Silence between frames that the standard asks for, s.
+/// Silence between frames by the standard, s.
 pub fn standard_gap_s(baud: u32, framing: Framing) -> f64 {
     // 3.5 characters, and a fixed time above 19200 baud (MODBUS over Serial Line V1.02, 2.5.1.1).
     if baud > 19_200 { 0.001_75 } else { 3.5 * char_s(baud, framing) }
@@ -60,8 +56,8 @@ impl LineTiming {
         Self { gap_s, ..self }
     }
 
-    /// Replies have come so long after their wire time at the most: what they are waited for, and how long silence has to
-    /// last, follows that instead of the slowest adapter there is.
+    /// Replaces the delay of the slowest adapter by the measured `longest_lag` of replies beyond their wire time, from which deadlines
+    /// and silences follow.
     pub(super) fn measured(&mut self, longest_lag: Duration) {
         self.adapter = longest_lag.clamp(Duration::from_millis(4), ADAPTER_DELAY);
     }
@@ -83,13 +79,12 @@ impl LineTiming {
         self.deadline.unwrap_or_else(|| self.unhurried(request_bytes, reply_bytes))
     }
 
-    /// Time that an exchange within a cycle of a run may take: after a lost reply the question is asked again before the
-    /// silence of the link would end the run.
+    /// Time of an exchange within a cycle of a run: after a lost reply the request is repeated before the silence would end the run.
     pub(super) fn hurried(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
         self.deadline.unwrap_or_else(|| self.brief(request_bytes, reply_bytes))
     }
 
-    /// Time for what must not wait: one turnaround, and what an adapter adds.
+    /// Time of an urgent request: one turnaround and the delay of an adapter.
     pub(super) fn brief(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
         let wire_s = (request_bytes + reply_bytes) as f64 * self.char_s + self.gap_s;
         seconds(wire_s) + self.reply + self.adapter
@@ -110,13 +105,14 @@ impl LineTiming {
     }
 }
 
-/// Waits until `at`: sleeps most of the time, and watches the clock for the rest.
+/// Waits until `at`: sleeps until 0.3 ms before, the usual delay of a wake-up, and polls the clock for the rest, because a gap that
+/// is 0.1 ms too long already costs one request in twenty.
 pub(super) fn wait_until(at: Instant) {
     if skip_to(at) {
         return;
     }
     let left = at.saturating_duration_since(now());
-    std::thread::sleep(left.saturating_sub(SLEEP_SLACK));
+    std::thread::sleep(left.saturating_sub(Duration::from_micros(300)));
     while now() < at {
         std::hint::spin_loop();
     }

@@ -1,15 +1,15 @@
 //! The transaction layer of the Modbus link, without a port and without a clock.
 //!
 //! ```text
-//! request --> proof.rs      may it go out? silence until .. | probe with .. | in step
-//!    |        Bound         how long may it take, and is a stop wanted meanwhile?
+//! request --> proof.rs      synchronisation: silence until .. | probe with .. | in step
+//!    |        Bound         deadline, and interruption by a stop
 //!    v
-//! bytes   --> Reception     which of them are the reply, and when did its first byte come?
+//! bytes   --> Reception     the reply and the time of its first byte
 //!                |          stale, foreign, damaged: counted
 //!                '--> proof.rs
 //! ```
 //!
-//! modbus.rs carries the steps out behind tokio-modbus. Pure: bytes and times go in.
+//! modbus.rs executes the steps with tokio-modbus. Pure: its inputs are bytes and times.
 
 use std::io::{self, ErrorKind};
 use std::sync::Arc;
@@ -21,7 +21,7 @@ use serde::Serialize;
 use super::link_error::LinkError;
 use super::reply::{Code, Expected, FrameKind, Search, search};
 
-/// A stop is wanted: any of its flags was raised since the last [`CutIn::lower`].
+/// Request to stop: one of its flags was raised since the last [`CutIn::lower`].
 ///
 /// Silences, probes and retries of a bounded exchange are given up then, so that the stop goes out next.
 #[derive(Clone, Debug, Default)]
@@ -33,16 +33,16 @@ impl CutIn {
         Self(flags.into_iter().map(|flag| (flag, false)).collect())
     }
 
-    /// What is raised by now is handled by its owner: it cuts in no more.
+    /// Flags raised by now are handled and no longer interrupt.
     pub fn lower(&mut self) {
-        for (flag, heard) in &mut self.0 {
-            *heard = flag.load(Ordering::Acquire);
+        for (flag, is_handled) in &mut self.0 {
+            *is_handled = flag.load(Ordering::Acquire);
         }
     }
 
     fn is_raised(&self) -> bool {
         let mut flags = self.0.iter();
-        flags.any(|(flag, heard)| !heard && flag.load(Ordering::Acquire))
+        flags.any(|(flag, is_handled)| !is_handled && flag.load(Ordering::Acquire))
     }
 }
 
@@ -54,7 +54,7 @@ pub(super) struct Bound {
 }
 
 impl Bound {
-    /// So much time is left from `now` on, s; not finite: as much as it takes.
+    /// Sets the time left from `now` on, s; not finite: unbounded.
     pub(super) fn set(&mut self, left_s: f64, now: Instant) {
         let left = Duration::try_from_secs_f64(left_s.max(0.0)).ok();
         self.until = left.and_then(|left| now.checked_add(left));
@@ -64,7 +64,7 @@ impl Bound {
         self.until.is_some()
     }
 
-    /// Nothing that can wait is begun or gone on with any more.
+    /// Whether everything that can wait is given up.
     pub(super) fn is_over(&self, now: Instant) -> bool {
         let wanted = self.cut_in.is_raised();
         self.until.is_some_and(|until| wanted || now >= until)
@@ -91,7 +91,7 @@ impl Bound {
     }
 }
 
-/// Bytes kept while a reply is awaited; a line that babbles beyond loses its oldest.
+/// Bytes kept while a reply is awaited; on a line that sends more the oldest are dropped.
 const LONGEST_WAIT_BYTES: usize = 1024;
 
 /// What the line carried: `bytes_received` are those of accepted replies and those dropped, nothing else.
@@ -102,15 +102,15 @@ pub struct LineCounts {
     pub bytes_accepted: u64,
     /// Bytes that belonged to no accepted reply.
     pub bytes_dropped: u64,
-    /// Whole frames among them that answer something asked before: late, or twice.
+    /// Complete frames among them that answer an earlier request: late or repeated.
     pub stale_frames: u64,
-    /// Whole frames among them, requests of others as well, that answer nothing that was asked.
+    /// Complete frames among them that answer no request of ours, also requests of other masters.
     pub foreign_frames: u64,
-    /// Those of the foreign ones that came while nothing was outstanding: replies to nobody.
+    /// Those of the foreign ones that came while no request was outstanding.
     pub unasked_frames: u64,
     /// Those of the foreign ones that write to the drive that we command.
     pub foreign_writes: u64,
-    /// Questions that were asked again.
+    /// Requests that were repeated.
     pub retries: u64,
     /// Time spent in silences and probes that kept old replies away, ms.
     pub resync_ms: u64,
@@ -118,20 +118,20 @@ pub struct LineCounts {
     pub echoes: bool,
 }
 
-/// What is there when the time is over.
+/// Content of the line at the deadline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Leftover {
     Nothing,
-    /// Whole frames that answer something asked before.
+    /// Complete frames that answer earlier requests.
     Stale,
-    /// Whole frames that answer nothing that was asked.
+    /// Complete frames that answer no request of ours.
     Foreign,
     /// This many bytes that make no frame.
     Damaged(usize),
 }
 
 impl Leftover {
-    /// Why there is no reply: what came instead tells the class.
+    /// Error of a missing reply, classified by what came instead.
     pub(super) fn error(
         self,
         link: &str,
@@ -159,7 +159,7 @@ impl Leftover {
     }
 }
 
-/// An old reply that came beside the one that was waited for, or instead of it.
+/// A reply to an earlier request, received in addition to the awaited one or instead of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct OldReply {
     pub(super) code: Code,
@@ -219,7 +219,7 @@ impl Reception {
 
     /// Ends the exchange: what is left of it answers nothing any more.
     pub(super) fn retire(&mut self) {
-        // Anomalies of an exchange are judged where it ends; what is dropped here was one of it.
+        // Anomalies of an exchange are judged at its end.
         let was_wrong = self.anomaly;
         self.drop_received(false);
         self.anomaly = was_wrong;
@@ -269,7 +269,7 @@ impl Reception {
         }
     }
 
-    /// The frames beside the reply.
+    /// The frames other than the reply.
     fn book(&mut self, search: Search, behind: bool) {
         self.line.stale_frames += search.old.len() as u64;
         self.line.foreign_frames += search.foreign as u64;
@@ -296,7 +296,7 @@ impl Reception {
     /// Moves the reply out of what was received, if it is there.
     pub(super) fn accept(&mut self) -> io::Result<bool> {
         let found = search(self.kind, &self.expected, &self.received).map_err(|_| {
-            io::Error::new(ErrorKind::ConnectionAborted, "the peer speaks no Modbus TCP")
+            io::Error::new(ErrorKind::ConnectionAborted, "the peer does not use Modbus TCP")
         })?;
         if let Some((begin, end)) = found.reply {
             let echo = usize::from(found.echo) * self.expected.request.len();

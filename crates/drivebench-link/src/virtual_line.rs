@@ -1,8 +1,8 @@
-//! A line in memory, in virtual time: every byte of a Modbus RTU link, and none of the waiting.
+//! In-memory line in virtual time: every byte of a Modbus RTU link without real waits.
 //!
 //! ```text
 //! VirtualLink [ ModbusLink (codec, proof, deadlines) ] --bytes--> VirtualPort --bytes--> FarEnd (drive and wire)
-//!      '-- VirtualClock: what the link waits for passes on it            '-- what comes back, and when
+//!      '-- VirtualClock: advanced by the waits of the link               '-- bytes with their times
 //! ```
 
 use std::collections::BTreeMap;
@@ -30,11 +30,11 @@ use super::waiting::{InVirtualTime, Waiting, expect_at, now, skip_to};
 use super::{CommandTimes, LinkSettings};
 use drivebench_model::sample::{Command, Demand, Sample};
 
-/// The time of a bench without a wall clock: set by whoever runs it, read by the link. Clones share it.
+/// Virtual time: set by the bench, read by the link. Clones share it.
 #[derive(Clone, Debug, Default)]
 pub struct VirtualClock {
     time: Arc<AtomicU64>,
-    /// Part of it in which the host was suspended and only the drive lived.
+    /// Part of it during which the host was suspended and only the drive went on.
     slept: Arc<AtomicU64>,
 }
 
@@ -214,7 +214,7 @@ impl<F: FarEnd + ?Sized> Device for Far<F> {
     }
 }
 
-/// A link over a line in memory. What it waits for passes on `clock`, which sets when each of its calls begins.
+/// Link over an in-memory line. Its waits advance `clock`, which also sets the start of each call.
 pub struct VirtualLink {
     link: Box<dyn DriveLink>,
     clock: VirtualClock,
@@ -222,7 +222,7 @@ pub struct VirtualLink {
 }
 
 impl VirtualLink {
-    /// Modbus RTU to what hangs at the far end, as the profile has it.
+    /// Modbus RTU to the far end, with the settings of the profile.
     pub fn open(
         name: &str,
         profile: &DriveProfile,

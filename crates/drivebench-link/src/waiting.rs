@@ -5,8 +5,7 @@
 //!                                 '-virtual-> poll, jump to the next arrival or to the instant, poll again
 //! ```
 //!
-//! Virtual time is that of a thread: it stands while anything is computed, and everything that reads the clock of this
-//! room reads it.
+//! Virtual time belongs to a thread: it does not advance during computations, and every clock of this crate reads it.
 
 use std::cell::Cell;
 use std::pin::pin;
@@ -120,7 +119,7 @@ fn jump<F: Future>(until: Instant, future: F) -> Option<F::Output> {
     }
 }
 
-/// A flag that is raised at an instant of virtual time, for tests of what somebody does meanwhile.
+/// A flag that is raised at an instant of virtual time, for tests of an interruption.
 #[cfg(test)]
 pub(super) mod alarm {
     use std::cell::RefCell;

@@ -21,23 +21,20 @@ use super::{
 };
 use crate::link::{DriveLink, LinkName, LinkStatistics, Result, RoundTrips};
 use crate::proof::Method;
-use crate::register_bus::{
-    READ_BYTES, READ_WRITE_BYTES, ReadRequest, RegisterBus, RegistersRead, Span, WRITE_BYTES,
-    WRITTEN_BYTES, registers,
-};
+use crate::register_bus::{RTU, ReadRequest, RegisterBus, RegistersRead, Span, registers};
 use crate::register_map::{PollRate, ReadBlock, RegisterMap, Resync, plan_reads};
 use crate::reply::FrameKind;
 use crate::timing::wait_until;
 use crate::transaction::{CutIn, LineCounts};
 
-/// Round trips that tell how long replies usually take, and how many of them a busy host may have made too long.
-const REMEMBERED: usize = 32;
+/// Round trips from which the usual time of a reply is estimated.
+const ROUND_TRIPS: usize = 32;
 
-/// A Modbus link that proves itself fresh in the way that the far end knows.
+/// A Modbus link that proves the match of request and reply by a method that the drive supports.
 pub struct ModbusBus {
     link: ModbusLink,
     emulated: bool,
-    /// The far end answers no probe.
+    /// The unit answers no probe.
     silence_proves: bool,
     /// Of the latest reads, and how much longer than their wire time they took.
     round_trips: VecDeque<(Duration, Duration)>,
@@ -51,8 +48,7 @@ impl ModbusBus {
         };
         // Registers that can be read in any number up to the whole, for the length code.
         let blocks = plan_reads(map, PollRate::Fast).into_iter();
-        let place = blocks.filter(|block| !is_exact(block));
-        let place = place.max_by_key(|block| block.read.count);
+        let place = blocks.filter(|block| !is_exact(block)).max_by_key(|block| block.read.count);
         let method = match map.resync {
             Resync::Fc08 => Method::Nonce,
             Resync::Length => Method::Length,
@@ -64,7 +60,7 @@ impl ModbusBus {
             link,
             silence_proves: method == Method::Silence,
             emulated: false,
-            round_trips: VecDeque::with_capacity(REMEMBERED),
+            round_trips: VecDeque::with_capacity(ROUND_TRIPS),
         }
     }
 
@@ -75,8 +71,7 @@ impl ModbusBus {
         self
     }
 
-    /// A question for so many registers whose answer is taken only where no other came within the time that one usually
-    /// takes.
+    /// A read whose reply is accepted only if no second one comes within the usual time of a reply.
     fn alone(
         &mut self,
         question: Question<'_>,
@@ -87,7 +82,7 @@ impl ModbusBus {
         let sent = now();
         let usual = self.longest(|(took, _)| *took);
         if self.link.core.bound.ends_before(sent + usual) {
-            // Its reply would come when nobody waits for it, and put the line in doubt.
+            // Its reply would arrive outside an exchange and put the line in doubt.
             return Err(self.link.unproven());
         }
         let answer = self.link.call(question, words(count.into()))?;
@@ -120,14 +115,14 @@ impl ModbusBus {
         }
     }
 
-    /// What replies have shown of how long they take; silence that alone has to prove the line stays as long as it was.
+    /// Updates the usual time of a reply; a silence that is the only proof keeps its length.
     fn remember(&mut self, took: Duration, wire: Duration) {
-        if self.round_trips.len() == REMEMBERED {
+        if self.round_trips.len() == ROUND_TRIPS {
             self.round_trips.pop_front();
         }
         let lag = took.saturating_sub(wire);
         self.round_trips.push_back((took, lag));
-        if self.round_trips.len() == REMEMBERED && !self.silence_proves {
+        if self.round_trips.len() == ROUND_TRIPS && !self.silence_proves {
             let lag = self.longest(|(_, lag)| *lag);
             let timing = &mut self.link.core.timing;
             timing.measured(lag);
@@ -135,7 +130,7 @@ impl ModbusBus {
         }
     }
 
-    /// Longest of the latest replies, a busy host left out.
+    /// Longest of the latest round trips except the two longest, which a busy host may have delayed.
     fn longest(&self, of: impl Fn(&(Duration, Duration)) -> Duration) -> Duration {
         let mut longest: Vec<Duration> = self.round_trips.iter().map(of).collect();
         longest.sort_unstable_by(|a, b| b.cmp(a));
@@ -180,8 +175,8 @@ impl RegisterBus for ModbusBus {
         let mut attempt = 1;
         loop {
             let result = self.link.in_step(&read.pdu()).and_then(|()| {
-                let question = Question::read(read, &what, self.allowed(READ_BYTES, reply));
-                let wire = self.link.core.timing.wire(READ_BYTES, reply);
+                let question = Question::read(read, &what, self.allowed(RTU.read, reply));
+                let wire = self.link.core.timing.wire(RTU.read, reply);
                 self.alone(question, read.count, wire)
             });
             match result {
@@ -193,18 +188,18 @@ impl RegisterBus for ModbusBus {
 
     fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Span> {
         self.link.in_step(&[function])?;
-        let allowed = self.allowed(WRITE_BYTES + 2 * values.len(), WRITTEN_BYTES);
+        let allowed = self.allowed(RTU.write + 2 * values.len(), RTU.written);
         self.put(function, address, values, allowed)
     }
 
     fn write_at_once(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Span> {
         self.link.listen()?;
-        let bytes = WRITE_BYTES + 2 * values.len();
+        let bytes = RTU.write + 2 * values.len();
         let timing = &self.link.core.timing;
-        let mut allowed = timing.allowed(bytes, WRITTEN_BYTES);
+        let mut allowed = timing.allowed(bytes, RTU.written);
         if self.link.proof.is_doubtful() {
-            // On a line in doubt nothing that is slower is waited for.
-            allowed = allowed.min(timing.brief(bytes, WRITTEN_BYTES));
+            // On a line in doubt the reply is awaited no longer than usual.
+            allowed = allowed.min(timing.brief(bytes, RTU.written));
         }
         // What stops a drive has its own short time, whatever is left of that for reading.
         let bound = std::mem::take(&mut self.link.core.bound);
@@ -222,7 +217,7 @@ impl RegisterBus for ModbusBus {
         let [_, a, b, c, d] = read.pdu();
         let pdu = [23, a, b, c, d];
         self.link.in_step(&pdu)?;
-        let (bytes, reply) = (READ_WRITE_BYTES + 2 * values.len(), read.reply_bytes());
+        let (bytes, reply) = (RTU.read_write + 2 * values.len(), read.reply_bytes());
         let read = registers(count.into());
         let what = format!("write {values:04x?} at {to} and read {read} at {from}");
         let request = Request::ReadWriteMultipleRegisters(from, count, to, Cow::Borrowed(values));

@@ -1,8 +1,8 @@
-//! The Modbus link as a client for raw registers of any unit: the everyday tool beside the drive links.
+//! Modbus client for raw registers of any unit, for the register commands of the program.
 //!
 //! ```text
 //! read_batch: reads, again and again -> values that are proven to be current
-//! RawClient:  what the unit answers -> a proof by trial (proof.rs), since nothing is known of it
+//! RawClient:  proof by trial (proof.rs), since no profile describes the unit
 //! ```
 
 #[cfg(test)]
@@ -59,7 +59,7 @@ pub struct RawSettings {
     pub unit: u8,
     /// Time for one exchange, from the request to the whole reply.
     pub timeout: Duration,
-    /// Silence before a request; `None`: as the standard says for the baud rate.
+    /// Silence before a request; `None`: that of the standard for the baud rate.
     pub gap: Option<Duration>,
 }
 
@@ -99,7 +99,7 @@ impl RawClient {
                 format!(" at {baud} {}", settings.framing.name())
             }
             (Target::Tcp { .. }, gap) => {
-                // A network has no silences; one that is asked for is kept.
+                // A network needs no silence; one that is set is kept.
                 let gap_s = gap.unwrap_or_default().as_secs_f64();
                 link.core.timing = link.core.timing.with_gap(gap_s);
                 String::new()
@@ -119,7 +119,7 @@ impl RawClient {
         Self { link }
     }
 
-    /// From here on another unit of the line is asked.
+    /// Selects another unit of the line.
     pub fn set_unit(&mut self, unit: u8) {
         self.link.unit = unit;
         self.link.attach();
@@ -144,8 +144,7 @@ impl RawClient {
         self.link.proof.has_answered
     }
 
-    /// Reads registers, once. Whether the reply is that to this very request and not to an equal one before it, only
-    /// [`RawClient::verify`] can say.
+    /// Reads registers, once. That the reply is not one to an equal earlier request is only proved by [`RawClient::verify`].
     pub fn read(&mut self, request: ReadRequest) -> Result<Vec<u16>> {
         let (what, count) = (request.text(), request.count.into());
         let question = Question::read(request, &what, self.allowed());
@@ -154,7 +153,7 @@ impl RawClient {
         Ok(values)
     }
 
-    /// Writes registers, once and never again by itself: after an error nobody knows whether it was applied.
+    /// Writes registers, once without repetition: after an error it is unknown whether the write was applied.
     pub fn write(&mut self, function: WriteFunction, address: u16, values: &[u16]) -> Result<()> {
         let what = format!("write {} at {address}", registers(values.len()));
         let (code, request) = if let (WriteFunction::Single, [value]) = (function, values) {
@@ -172,8 +171,8 @@ impl RawClient {
         self.link.core.timing.allowed(0, 0)
     }
 
-    /// Whether everything since the last proof was answered in step: true when a probe came back and nothing beside it.
-    /// After false the line is in step again.
+    /// Whether every reply since the last proof answered its own request: true if a probe returned alone. After `false` the line is
+    /// synchronised again.
     pub fn verify(&mut self) -> Result<bool> {
         if !self.has_answered() {
             return Ok(true);
@@ -184,7 +183,7 @@ impl RawClient {
         Ok(self.link.proof.anomalies == before)
     }
 
-    /// Proves the line so far that the reply to this request is unmistakable.
+    /// Synchronises the line so that the reply to this request is unambiguous.
     fn prove_for(&mut self, request: ReadRequest) -> Result<()> {
         let proof = &mut self.link.proof;
         if proof.could_confuse(&request.pdu()) || !proof.is_proven {
@@ -193,12 +192,12 @@ impl RawClient {
         self.link.in_step(&request.pdu())
     }
 
-    /// An answer that was taken turns out to be doubtful: it is counted as stale.
+    /// An accepted reply has become doubtful: it is counted as stale.
     const fn withdraw(&mut self) {
         self.link.core.tally.statistics.withdraw();
     }
 
-    /// Who the unit is, where it has our register map; `None`: it is something else, which must count as hardware.
+    /// Identity of a unit with our register map; `None`: another unit, which counts as hardware.
     pub fn identify(&mut self) -> Result<Option<Identity>> {
         let read = ReadRequest::holding(IDENTITY_ADDRESS, quantity(IDENTITY_WORDS));
         let mut block = self.read(read);
@@ -210,8 +209,11 @@ impl RawClient {
             Err(LinkError::Exception { .. }) => return Ok(None),
             block => block?,
         };
-        let block = block.as_slice().try_into().ok();
-        let block = block.and_then(|b| firmware_protocol::Identity::from_registers(b).ok());
+        let block = block
+            .as_slice()
+            .try_into()
+            .ok()
+            .and_then(|b| firmware_protocol::Identity::from_registers(b).ok());
         Ok(block.map(|block| identity(&block)))
     }
 
@@ -261,7 +263,7 @@ impl RawClient {
         Ok(Some(self.optional(question, |_| Ok(()))?.is_some()))
     }
 
-    /// The answer to a question that not every unit knows.
+    /// Reply to a request that not every unit supports.
     fn optional<T>(
         &mut self,
         question: Question<'_>,
@@ -275,8 +277,8 @@ impl RawClient {
             Err(error @ LinkError::Gone { .. }) => Err(error),
             Err(LinkError::Exception { .. }) => Ok(None),
             Err(_) => {
-                // Silence after which a server that took an unknown request for the start of another one listens again (libmodbus:
-                // one second).
+                // Silence after which a server that took an unknown request for the start of another frame accepts requests again
+                // (libmodbus: one second).
                 wait_until(now() + Duration::from_millis(1200));
                 Ok(None)
             }
@@ -292,7 +294,7 @@ pub struct Read {
 
 #[derive(Debug, Default)]
 pub struct Batch {
-    /// The last round, in the order asked.
+    /// The last round, in the order of the requests.
     pub reads: Vec<Read>,
     /// Reads that were answered, of all rounds; those that were repeated for safety are not among them.
     pub answered: u64,
@@ -310,7 +312,7 @@ impl Batch {
         (self.answered > 0 && self.elapsed_s > 0.0).then(|| self.answered as f64 / self.elapsed_s)
     }
 
-    /// The round trip that this share did not exceed, s.
+    /// Quantile of the round trips, s.
     pub fn quantile_s(&self, share: f64) -> Option<f64> {
         let last = self.round_trips.len().checked_sub(1)?;
         #[expect(
@@ -329,9 +331,9 @@ impl Batch {
 
 /// Reads each request once a round. A round ends early when `stop` is raised or the port is gone.
 ///
-/// RTU cannot tell a late or second reply to an equal request from the right one. So the last round has a proof between
-/// reads that could be confused and one at its end. What is not proven is read again, read by read, each behind
-/// a proof of its own that makes its reply unmistakable, whatever lies around it; or it ends as an error.
+/// RTU does not distinguish a late or repeated reply to an equal request from the right one. Therefore the last round has a proof
+/// between reads whose replies could be exchanged and one at its end. Values that are not proved are read again one by one, each
+/// after a proof of its own; or they end as errors.
 pub fn read_batch(
     client: &mut RawClient,
     requests: &[ReadRequest],
@@ -349,7 +351,7 @@ pub fn read_batch(
         for (index, request) in requests.iter().enumerate() {
             if is_last && client.link.proof.could_confuse(&request.pdu()) {
                 let before = now();
-                // A line that cannot be proven shows in the read itself and in the proof at the end.
+                // A line that cannot be synchronised fails in the read itself and in the proof at the end.
                 let _ = client.verify();
                 proving += now().duration_since(before);
             }
@@ -357,7 +359,7 @@ pub fn read_batch(
             unambiguous[index] = client.link.proof.is_unambiguous;
             batch.asked += 1;
             if let Err(gone @ LinkError::Gone { .. }) = &values {
-                // Nothing of this round is proven, and what was not asked any more is missing as well.
+                // No value of this round is proved, and the remaining requests are missing.
                 let none =
                     |request: &ReadRequest| Read { request: *request, values: Err(gone.clone()) };
                 batch.reads = requests.iter().map(none).collect();
@@ -397,7 +399,7 @@ fn sorted(mut round_trips: Vec<Duration>) -> Vec<Duration> {
     round_trips
 }
 
-/// Proves that the round was in step, or asks again for what it gave and for what only old replies came.
+/// Proves that the replies of the round belong to their requests, or repeats the doubtful ones.
 fn verify_round(client: &mut RawClient, batch: &mut Batch, unambiguous: &[bool], anomalies: u64) {
     let is_answer = |read: &Read| matches!(read.values, Ok(_) | Err(LinkError::Exception { .. }));
     let is_late = |read: &Read| matches!(read.values, Err(LinkError::Stale { .. }));

@@ -1,12 +1,12 @@
-//! A drive with a register map of its own: its signals once, those beside them where something does not fit, and its
-//! identity.
+//! Probe of a drive with a register map of its own: one reading of each signal, neighbouring registers where one is implausible,
+//! and the identity.
 
 use std::sync::atomic::AtomicBool;
 
 use super::ProbeDepth;
 use super::report::{ProbeReport, ProbedCheck, ProbedSignal, ProbedState};
 use crate::link::{LinkError, Result};
-use crate::link_core::answered;
+use crate::link_core::retried;
 use crate::modbus::{RawClient, read_batch};
 use crate::profile::DriveProfile;
 use crate::register_bus::{ReadRequest, RegisterTable};
@@ -79,7 +79,7 @@ pub(super) fn probe(
     Ok(report)
 }
 
-/// What may be wrong with the addresses of a profile of which the drive knows none.
+/// Likely error in the addresses of a profile if the drive has none of its registers.
 fn address_form(map: &RegisterMap) -> String {
     let Some(location) = map.signals.first().map(|signal| signal.location) else {
         return String::new();
@@ -88,19 +88,19 @@ fn address_form(map: &RegisterMap) -> String {
         RegisterTable::Holding => (RegisterTable::Input, "04"),
         RegisterTable::Input => (RegisterTable::Holding, "03"),
     };
-    let as_asked = format!(
-        "the drive knows none of these registers (exception 0x02), of which the first is {} {} on the wire",
+    let first_line = format!(
+        "the drive has none of these registers (exception 0x02), of which the first is {} {} on the wire",
         table_name(location.table),
         location.address
     );
     let elsewhere = format!("or they are {} registers (function code {code})", table_name(other));
     if (29_999..=49_999).contains(&location.address) {
         format!(
-            "{as_asked}: numbers of a manual such as 40014 or 30014 need address_base \"4x1\" (40014 is then holding register 13, 30014 input register 13); {elsewhere}"
+            "{first_line}: numbers of a manual such as 40014 or 30014 need address_base \"4x1\" (40014 is then holding register 13, 30014 input register 13); {elsewhere}"
         )
     } else {
         format!(
-            "{as_asked}: does the manual count from 0 or from 1 (address_base 0 or 1), or in 4xxxx and 3xxxx numbers (\"4x1\")? {elsewhere}"
+            "{first_line}: does the manual count from 0 or from 1 (address_base 0 or 1), or in 4xxxx and 3xxxx numbers (\"4x1\")? {elsewhere}"
         )
     }
 }
@@ -131,7 +131,7 @@ fn signal(
     let unit = signal.numbers.unit.name();
     let missing = match reading {
         Reading::Value(_) => None,
-        Reading::NotAvailable => Some("the drive says that it is not available".to_owned()),
+        Reading::NotAvailable => Some("the drive reports it as not available".to_owned()),
         Reading::Outside(value) => {
             let [low, high] = signal.keys.valid.unwrap_or_default();
             Some(format!(
@@ -174,7 +174,7 @@ const fn table_name(table: RegisterTable) -> &'static str {
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Refusal {
     text: String,
-    /// The drive says that it has no such register.
+    /// The drive has no such register (exception 0x02).
     is_unknown: bool,
 }
 
@@ -187,12 +187,12 @@ struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    /// Asks for the first block until the unit has said anything at all.
+    /// Reads the first block until the unit answers at all.
     fn wake(&mut self) -> Result<()> {
         let Some(block) = self.blocks().into_iter().next() else {
             return Ok(());
         };
-        match answered(|| self.client.read(block.read)) {
+        match retried(|| self.client.read(block.read)) {
             Ok(_) | Err(LinkError::Exception { .. }) => Ok(()),
             Err(error) => Err(error),
         }
@@ -244,7 +244,7 @@ impl Reader<'_> {
         }
     }
 
-    /// The same lengths one register lower and one higher. What the drive refuses is no way of reading it.
+    /// The same lengths one register lower and one higher. A refused read is no alternative.
     fn read_beside(&mut self) -> Result<()> {
         for shift in [-1, 1] {
             let asked: Vec<(usize, ReadRequest)> = (0..self.map.signals.len())
@@ -290,8 +290,7 @@ impl Reader<'_> {
         let Some((location, unit_s)) = self.map.watchdog.time else {
             return Ok(None);
         };
-        let registers = self.ask(&[location.request()])?.into_iter().next();
-        let registers = registers.and_then(Result::ok);
+        let registers = self.ask(&[location.request()])?.into_iter().next().and_then(Result::ok);
         let pattern = registers.and_then(|registers| location.layout.pattern(&registers));
         Ok(pattern.map(|pattern| location.layout.number(pattern) * unit_s))
     }
@@ -348,13 +347,13 @@ mod tests {
         let mut map = (*DriveProfile::named("delta-ms300").unwrap().registers.unwrap()).clone();
         let location = &mut map.signals[0].location;
         (location.table, location.address) = (RegisterTable::Holding, 40_013);
-        let said = address_form(&map);
-        assert!(said.contains("address_base \"4x1\""), "{said}");
-        assert!(said.contains("input registers (function code 04)"), "{said}");
+        let text = address_form(&map);
+        assert!(text.contains("address_base \"4x1\""), "{text}");
+        assert!(text.contains("input registers (function code 04)"), "{text}");
         let location = &mut map.signals[0].location;
         (location.table, location.address) = (RegisterTable::Input, 14);
-        let said = address_form(&map);
-        assert!(said.contains("from 0 or from 1"), "{said}");
-        assert!(said.contains("holding registers (function code 03)"), "{said}");
+        let text = address_form(&map);
+        assert!(text.contains("from 0 or from 1"), "{text}");
+        assert!(text.contains("holding registers (function code 03)"), "{text}");
     }
 }

@@ -1,5 +1,5 @@
-//! Read-only talk with a drive: who it is, what every mapped signal reads, whether that is a drive at rest, and how else
-//! the registers could be read. Nothing is written: function codes 03, 04, 08 and 43, and the questions of the stream.
+//! Read-only check of a profile on its drive: identity, reading of every mapped signal, plausibility for a drive at rest, and other
+//! decodings of the registers. Function codes 03, 04, 08 and 43, and requests of the stream without side effects.
 //!
 //! ```text
 //! RawClient -> mapped.rs (a profile's registers) --> register_map::Picture -> what fits, other decodings --.
@@ -20,9 +20,9 @@ use super::stream::StreamLink;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ProbeDepth {
-    /// What the profile maps, and no more: enough to tell whether the profile may be this drive's.
+    /// Only the signals of the profile, enough to check whether it is that of this drive.
     Readings,
-    /// Also what lies beside it where something does not fit, and what the unit says of itself.
+    /// Also the neighbouring registers of implausible signals, and the device identification.
     Whole,
 }
 

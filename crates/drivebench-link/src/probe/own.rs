@@ -7,7 +7,7 @@ use firmware_protocol::{State, Telemetry};
 
 use super::report::{ProbeReport, ProbedCheck, ProbedSignal, ProbedState};
 use crate::link::{DriveLink, Result};
-use crate::link_core::answered;
+use crate::link_core::retried;
 use crate::modbus::{RawClient, read_batch};
 use crate::profile::DriveProfile;
 use crate::register_bus::{MOST_READ, ReadRequest};
@@ -16,7 +16,7 @@ use crate::stream::StreamLink;
 
 pub(super) fn probe(client: &mut RawClient, profile: &DriveProfile) -> Result<ProbeReport> {
     let mut report = ProbeReport::of(profile);
-    let identity = answered(|| client.identify())?;
+    let identity = retried(|| client.identify())?;
     report.checks.push(ProbedCheck {
         what: "the identity block of drivebench's register map has to stand at register 64"
             .to_owned(),
@@ -76,7 +76,7 @@ fn take(
             address: row.address,
             raw: raw.filter(|_| has_raw).map(<[u16]>::to_vec),
             value: known,
-            missing: known.is_none().then(|| "the drive says that it is not available".to_owned()),
+            missing: known.is_none().then(|| "the drive reports it as not available".to_owned()),
             plausible: expected.filter(|_| known.is_some()).map(within),
             expected,
             confirms: expected.zip(known).is_some_and(|(range, value)| confirms(range, value)),

@@ -7,7 +7,7 @@ use crate::modbus::RawCounters;
 use crate::profile::DriveProfile;
 use crate::register_map::{Candidate, Hypothesis};
 
-/// What the readings say about the profile.
+/// Verdict of the readings on the profile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ProbeVerdict {
@@ -15,7 +15,7 @@ pub enum ProbeVerdict {
     Plausible,
     /// At least one is not, or is refused.
     Implausible,
-    /// None can be judged: nothing speaks for the profile.
+    /// None can be judged: no evidence for the profile.
     Unjudged,
     /// The drive is another one than the profile's: a check of its identity failed.
     WrongDrive,
@@ -32,7 +32,7 @@ pub struct ProbeReport {
     pub names: Vec<String>,
     /// Whether a number comes back (function code 08); null over the stream.
     pub answers_function_8: Option<bool>,
-    /// What our own map says of itself.
+    /// Identity block of our own map.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub identity: Option<Identity>,
     pub checks: Vec<ProbedCheck>,
@@ -82,12 +82,12 @@ pub struct ProbedSignal {
     pub confirms: bool,
     /// Other ways of reading it, where this one does not fit.
     pub candidates: Vec<Candidate>,
-    /// What it means to the bench; for whoever needs the drive's own limits.
+    /// Meaning for the bench, for code that needs the drive's own limits.
     #[serde(skip)]
     pub quantity: Option<crate::register_map::Quantity>,
 }
 
-/// A state of the drive as its status bits tell it.
+/// A state of the drive by its status bits.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct ProbedState {
     pub name: String,
@@ -132,8 +132,10 @@ impl ProbeReport {
             state.is_some_and(|state| state.holds == Some(true))
         };
         let signals = || self.signals.iter();
-        let wrong = signals().filter(|signal| signal.plausible == Some(false));
-        let wrong: Vec<&str> = wrong.map(|signal| signal.name.as_str()).collect();
+        let wrong: Vec<&str> = signals()
+            .filter(|signal| signal.plausible == Some(false))
+            .map(|signal| signal.name.as_str())
+            .collect();
         let judged = signals().filter(|s| s.plausible.is_some()).count();
         let confirmed = signals().filter(|s| s.confirms).count();
         let profile = &self.profile;

@@ -1,4 +1,4 @@
-//! Set-points on their way out: limits, slew, sign, refresh, read-back, and what a memory that wears out allows.
+//! Output of set-points: limits, slew rate, sign, refresh, read-back, and write cycles of a non-volatile memory.
 
 use std::sync::Arc;
 
@@ -8,13 +8,13 @@ use crate::link::{LinkError, Result};
 use crate::register_bus::{RegisterBus, Span};
 use crate::register_map::{Quantity, RegisterMap, SetPoint, Write};
 
-/// The far end of the line: its registers, and their last readings.
+/// The registers of the drive and their last readings.
 pub(super) struct FarEnd<'a> {
     pub(super) bus: &'a mut dyn RegisterBus,
     pub(super) readings: &'a Readings,
 }
 
-/// What went out last to one set-point.
+/// Last write of one set-point.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Sent {
     /// In units; `None` while it is not being held.
@@ -23,7 +23,7 @@ struct Sent {
     /// A write was not acknowledged, so that the drive may hold either: until one is, every value is written.
     in_doubt: bool,
     at_s: f64,
-    /// When it was asked for last; `None` while it is not being held.
+    /// Time of the last demand; `None` while no value is held.
     asked_s: Option<f64>,
     writes: u32,
     /// Times in a row that it read back otherwise, and as what; what the drive had confirmed before that.
@@ -46,13 +46,13 @@ enum Joint {
 pub(super) struct Points {
     map: Arc<RegisterMap>,
     sent: Vec<Sent>,
-    /// A limit or the slew held a value back in this exchange.
+    /// A limit or the slew rate has limited a value in this exchange.
     pub(super) limited: bool,
-    /// When something was written that a command watchdog counts, s.
+    /// Time of the last write that restarts a command watchdog, s.
     pub(super) kicked_s: f64,
-    /// What goes out brings the drive to rest: a line in doubt is not waited for. The next reference ends it.
+    /// Stopping: writes do not wait for a doubtful line. Ends with the next reference.
     pub(super) is_urgent: bool,
-    /// A write has gone out, as far as that is known.
+    /// A write has probably been sent.
     pub(super) has_written: bool,
     joint: Joint,
     /// When the last write of this exchange was carried out.
@@ -149,7 +149,7 @@ impl Points {
         self.write(far, name, value, None)
     }
 
-    /// Writes again what the drive wants to hear often enough.
+    /// Repeats the writes that the drive needs within its refresh time.
     pub(super) fn refresh(&mut self, bus: &mut dyn RegisterBus, period_s: f64) -> Result<()> {
         self.running = true;
         let map = Arc::clone(&self.map);
@@ -179,8 +179,7 @@ impl Points {
         due.reduce(f64::min)
     }
 
-    /// Every reference to zero, at once. One that the drive does not take keeps none of the others from it: the first
-    /// error is that of all.
+    /// Sets every reference to zero. A refused write does not prevent the others; the first error is returned.
     pub(super) fn zero(&mut self, far: &mut FarEnd<'_>) -> Result<()> {
         let map = Arc::clone(&self.map);
         let mut result = Ok(());
@@ -346,7 +345,7 @@ impl Points {
         if !self.may_be_written(bus, at, point, registers)? {
             return Ok(());
         }
-        // Counted and in doubt until it is acknowledged: the drive may have carried it out all the same.
+        // Counted and doubtful until acknowledged: the drive may have executed it.
         self.sent[at].in_doubt = true;
         self.sent[at].writes += 1;
         let (function, address) = (point.function, point.location.address);
@@ -389,8 +388,8 @@ impl Points {
         Ok(read.words)
     }
 
-    /// Looks now and then whether a set-point that the drive has confirmed is still what was written. One that is another,
-    /// twice in a row and without a write of ours between, was written by somebody else: the words for that.
+    /// Periodic check that a confirmed set-point still reads back as written. A deviation twice in a row without a write of ours is one by
+    /// another master: sentence on it.
     pub(super) fn watch(&mut self, bus: &mut dyn RegisterBus) -> Result<Option<String>> {
         let map = Arc::clone(&self.map);
         let pause_s = map.rates.slow_hz.recip();

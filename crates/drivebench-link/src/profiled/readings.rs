@@ -1,4 +1,4 @@
-//! Readings of a drive: which registers when, and what they say in units. What cannot be a value is none.
+//! Readings of a drive: schedule of the reads, and values in units; an impossible value is `None`.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -12,13 +12,13 @@ use crate::timeline::{ClockMap, DriveClock};
 /// One signal as it was last read.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Reading {
-    /// In the profile's unit; `None` for a code that says so, or a value that cannot be.
+    /// In the profile's unit; `None` for the code "not available" or an impossible value.
     pub(super) value: Option<f64>,
     pub(super) pattern: Option<u32>,
     pub(super) span: Span,
 }
 
-/// Where a counting position was last.
+/// Last reading of a position counter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Position {
     raw: f64,
@@ -71,7 +71,7 @@ impl Readings {
         self.last.get(self.map.index(name)?).copied()
     }
 
-    /// The bits of a signal, and when they were asked for, s.
+    /// The bits of a signal and the time of their request, s.
     pub(super) fn status(&self, name: &str) -> Option<(u32, f64)> {
         let reading = self.get(name)?;
         Some((reading.pattern?, reading.span.asked_s))
@@ -143,7 +143,7 @@ impl Readings {
         self.read(bus, &block)
     }
 
-    /// What is otherwise read now and then, now.
+    /// Reads all slow signals now.
     pub(super) fn read_now(&mut self, bus: &mut dyn RegisterBus, quantity: Quantity) -> Result<()> {
         let signals = &self.map.signals;
         let holds = |block: &&ReadBlock| {
@@ -238,7 +238,7 @@ impl Readings {
     }
 }
 
-/// An exception says what of the profile it is about.
+/// Adds the signals of the profile to an exception.
 pub(super) fn in_profile(
     error: LinkError,
     map: &RegisterMap,

@@ -1,21 +1,21 @@
-//! A command of the profile as it is carried out: write, wait for a status, let time pass; and bringing a drive to rest, where
-//! every write leaves at once, whatever becomes of the others. [`Sequence`] is pure: time and status go in.
+//! State machine of a command of the profile: write, wait for a status, delay; and of a stop, in which every write is sent at once
+//! whatever the result of the others. [`Sequence`] is pure: its inputs are time and status.
 //!
 //! ```text
 //! stop:     write -> write -> wait -> write   each write goes out although the one before was refused or not acknowledged;
 //!                                             what was not acknowledged goes out again with the next exchange
-//! in fault: write -> write -> write           nothing is waited for: the output is off, and the words have to be taken back
+//! in fault: write -> write -> write           no waits: the output is off, and the control words must be cleared
 //! ```
 
 use super::ProfiledLink;
 use crate::link::{DriveLink as _, LinkError, Result};
-use crate::patience::is_busy;
+use crate::polling_backoff::is_busy;
 use crate::register_bus::RegisterBus;
 use crate::register_map::{Step, Write};
 
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Next {
-    /// Write this and say so with [`Sequence::go_on`].
+    /// Write this and confirm it with [`Sequence::go_on`].
     Write(Write),
     Wait,
     Done,
@@ -67,8 +67,7 @@ impl Sequence {
         self.steps.len() - self.before
     }
 
-    /// `status` gives the bits of a signal and when they were read, s: what was read before a step began says nothing
-    /// about it.
+    /// `status` gives the bits of a signal and the time at which they were read, s: a reading from before the step is not used.
     pub(super) fn next(&mut self, now_s: f64, status: impl Fn(&str) -> Option<(u32, f64)>) -> Next {
         while let Some(step) = self.steps.get(self.at) {
             match step {
@@ -155,12 +154,12 @@ impl Sequence {
     }
 }
 
-/// What became of a write of a stop.
+/// Result of a write of a stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum WriteEnd {
     /// The drive has it, or will not take it: it does not go out again.
     Settled,
-    /// Nobody knows, or the drive was busy: it goes out again.
+    /// Unknown, or the drive was busy: it is sent again.
     Unacknowledged,
 }
 
@@ -237,10 +236,10 @@ impl<B: RegisterBus> ProfiledLink<B> {
         }
     }
 
-    /// Reads the status after a moment; a lost reply is not the end of a stop, and is handed back.
+    /// Reads the status after a pause; a lost reply does not end a stop and is returned.
     fn look(&mut self) -> Result<Option<LinkError>> {
         let now_s = self.bus.now_s();
-        // Between two looks at the status while a stop is waited for, s.
+        // Period of the status reads during a stop, s.
         self.bus.pause_until_s(now_s + 0.02);
         match self.readings.read_fast(&mut self.bus, None) {
             Err(error) if error.is_transient() => Ok(Some(error)),
@@ -248,8 +247,8 @@ impl<B: RegisterBus> ProfiledLink<B> {
         }
     }
 
-    /// Whether the drive reports within a while that it does not run; what it said before its stop went out is no such
-    /// report. Without a status the acknowledged writes are all there is.
+    /// Whether the drive reports within a few seconds that it does not run; only a status read after the stop counts. Without a status
+    /// signal the acknowledged writes count.
     pub(super) fn rests(&mut self) -> Result<bool> {
         let stopped_s = self.bus.now_s();
         if !self.confirms_stop() {

@@ -1,4 +1,4 @@
-//! From readings to the state and the sample that every drive has.
+//! State and sample of a drive from its readings.
 
 use std::fmt::Write as _;
 
@@ -47,7 +47,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         Some(low_word(pattern)).filter(|code| *code != 0)
     }
 
-    /// What its fault is, in words, where the profile knows.
+    /// Meaning of the fault code, if the profile has it.
     fn fault_words(&self) -> Option<String> {
         let text = self.fault_code().and_then(|code| self.map.fault_codes.get(&code));
         match (self.has_lost_host(), text) {
@@ -109,7 +109,7 @@ impl<B: RegisterBus> ProfiledLink<B> {
         format!("{} {found}", condition.signal)
     }
 
-    /// What else has command of the drive, as far as its profile maps it.
+    /// What else controls the drive, as far as its profile maps it.
     pub(super) fn hindrance(&self) -> Option<Hindrance> {
         if self.reported("sto") == Some(true) {
             Some(Hindrance::TorqueOff)

@@ -1,12 +1,11 @@
-//! Other ways of reading what a drive answered: address one beside, word order, byte order, sign. Pure.
+//! Alternative decodings of registers: address off by one, word order, byte order, sign. Pure.
 //!
 //! ```text
-//! registers at address - 1, 0, + 1 -> Change -> value in units -> does that fit a drive at rest? -> Candidate, Hypothesis
+//! registers at address - 1, 0, + 1 -> Change -> value in units -> plausible for a drive at rest? -> Candidate, Hypothesis
 //! ```
 //!
-//! A profile that is wrong about one of these gives numbers that look like numbers. At rest the true ones are known well
-//! enough to tell: a wrong address, word order or scale leaves their ranges at once, where the true value is not zero; what
-//! is zero confirms little.
+//! A profile with such an error still gives numbers. At rest the ranges of the true values are narrow enough to detect it: a wrong
+//! address, word order or scale leaves them, unless the true value is zero; a zero confirms little.
 
 use serde::Serialize;
 
@@ -16,11 +15,10 @@ use super::value::{Kind, Layout, Order};
 
 /// Current of a machine at rest, as a share of the rated one: offset and noise of a sensor.
 const CURRENT_SHARE: f64 = 0.1;
-/// From a small battery to the intermediate circuit of a 690 V converter, V.
+/// From a small battery to the DC link of a 690 V converter, V.
 const SUPPLY_V: [f64; 2] = [8.0, 1500.0];
 
-/// Where the value of a signal lies while the drive is powered and the shaft stands still, in the signal's unit; `None`:
-/// anything may be true.
+/// Range of a signal while the drive is powered and the shaft stands still, in the signal's unit; `None`: unknown.
 pub(crate) fn expected_at_rest(
     quantity: Quantity,
     unit: Unit,
@@ -65,7 +63,7 @@ pub(crate) fn confirms(range: [f64; 2], value: f64) -> bool {
 /// Factors of factors that are followed.
 const DEEPEST: usize = 3;
 
-/// What is read otherwise than the profile says.
+/// Difference of a decoding from that of the profile.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Change {
     /// Registers that the address is moved by: -1, 0 or 1.
@@ -97,7 +95,7 @@ impl Change {
         all
     }
 
-    /// Things that the profile would have wrong at once.
+    /// Number of errors that the profile would have.
     fn size(self) -> u8 {
         u8::from(self.shift != 0)
             + u8::from(self.words)
@@ -159,7 +157,7 @@ const fn other_sign(kind: Kind) -> Kind {
     }
 }
 
-/// Registers of one signal's length, at its address and one beside; `None`: not asked, or refused.
+/// Registers of one signal's length at its address, one below and one above; `None`: not read, or refused.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Window {
     pub below: Option<Vec<u16>>,
@@ -180,11 +178,11 @@ impl Window {
 /// Another way of reading one signal.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Candidate {
-    /// What the profile would have to say: `word_order = "low_first"`.
+    /// The change in the profile: `word_order = "low_first"`.
     pub change: String,
     /// In the profile's unit.
     pub value: f64,
-    /// Whether a drive at rest may read so.
+    /// Whether it is plausible for a drive at rest.
     pub plausible: bool,
 }
 
@@ -198,7 +196,7 @@ pub struct Hypothesis {
     pub as_written: usize,
 }
 
-/// Everything that was read of a drive, to be looked at in several ways.
+/// All registers read from a drive, for several decodings.
 pub struct Picture<'a> {
     pub map: &'a RegisterMap,
     /// By position in the map.
@@ -211,13 +209,13 @@ impl Picture<'_> {
         self.read_as(index, Change::NONE, Change::NONE, DEEPEST)
     }
 
-    /// Where the profile's own reading should lie at rest; `None`: it cannot be judged.
+    /// Range of a signal at rest; `None`: it cannot be judged.
     pub fn expected(&self, index: usize) -> Option<[f64; 2]> {
         let signal = &self.map.signals[index];
         expected_at_rest(signal.keys.quantity, signal.numbers.unit, self.rated_current_a)
     }
 
-    /// Whether a reading fits a drive at rest; `None` where that cannot be told.
+    /// Whether a reading is plausible for a drive at rest; `None` if it cannot be judged.
     pub fn fits(&self, index: usize, reading: Reading) -> Option<bool> {
         let range = self.expected(index);
         match reading {
@@ -228,7 +226,7 @@ impl Picture<'_> {
         }
     }
 
-    /// Whether a reading is one that no empty register would give.
+    /// Whether a missing register, which reads zero, could not give this reading.
     pub fn confirms(&self, index: usize) -> bool {
         let range = self.expected(index);
         let value = self.reading(index).value();
@@ -362,7 +360,7 @@ impl Picture<'_> {
         });
         let mut found: Vec<(Change, Hypothesis)> =
             found.filter(|(_, hypothesis)| hypothesis.plausible > as_written).collect();
-        // The second best explains less, and would only be noise beside the best.
+        // Only the best is reported.
         let best = found.iter().map(|(_, found)| found.plausible).max();
         found.retain(|(_, found)| Some(found.plausible) == best);
         found
@@ -436,7 +434,7 @@ mod tests {
         Picture { map, windows, rated_current_a: None }
     }
 
-    /// What a picture of these windows says of one signal: its candidates and the hypotheses.
+    /// Candidates of one signal and the hypotheses for these windows.
     fn judged(
         map: &RegisterMap,
         known: &[(&str, Window)],

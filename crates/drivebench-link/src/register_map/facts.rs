@@ -51,7 +51,7 @@ impl Numbers {
     }
 }
 
-/// One value that is read: what the profile says of it, and what follows.
+/// One value that is read: its keys in the profile and what follows from them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Signal {
     pub name: String,
@@ -73,7 +73,7 @@ impl Signal {
         (self.keys.quantity == Quantity::Clock).then_some(self.numbers.scale * unit_s)
     }
 
-    /// What bits that lie so say; `factor`: the product of the signals that they are scaled with, where it is known.
+    /// Value of raw bits; `factor`: the product of the signals in `scale_by`, if known.
     pub(crate) fn read(&self, layout: Layout, pattern: u32, factor: Option<f64>) -> Reading {
         if self.keys.invalid.contains(&pattern) {
             return Reading::NotAvailable;
@@ -89,7 +89,7 @@ impl Signal {
         }
     }
 
-    /// Whether its number tells which way.
+    /// Whether its sign is the direction.
     pub fn is_signed(&self) -> bool {
         let of_type = self.location.layout.kind.is_signed();
         self.keys.signed.unwrap_or(of_type)
@@ -120,7 +120,7 @@ impl Reading {
     }
 }
 
-/// One value that is written: what the profile says of it, and what follows.
+/// One value that is written: its keys in the profile and what follows from them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SetPoint {
     pub name: String,
@@ -172,7 +172,7 @@ impl Condition {
         (pattern & self.mask == self.pattern) != self.negated
     }
 
-    /// What is expected of the signal, and where the profile says so.
+    /// The expected value of the signal, and its line in the profile.
     pub fn expected(&self) -> String {
         let not = if self.negated { "other than " } else { "" };
         format!(

@@ -13,9 +13,10 @@ pub struct ReadBlock {
 
 /// The requests that read every signal of one rate.
 pub fn plan_reads(map: &RegisterMap, poll: PollRate) -> Vec<ReadBlock> {
-    let wanted = (0..map.signals.len()).filter(|index| map.signals[*index].keys.poll == poll);
-    let wanted = wanted.map(|index| (map.signals[index].location.request(), index));
-    let mut wanted: Vec<(ReadRequest, usize)> = wanted.collect();
+    let mut wanted: Vec<(ReadRequest, usize)> = (0..map.signals.len())
+        .filter(|index| map.signals[*index].keys.poll == poll)
+        .map(|index| (map.signals[index].location.request(), index))
+        .collect();
     wanted.sort_by_key(|(read, _)| (read.table == RegisterTable::Input, read.address));
     let mut blocks: Vec<ReadBlock> = Vec::new();
     for (mut read, index) in wanted {

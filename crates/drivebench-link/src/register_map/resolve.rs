@@ -27,12 +27,7 @@ use drivebench_model::sample::Channel;
 use drivebench_model::units::rad_s_from_rpm;
 
 const HELP: &str = "see docs/drives.md for every key, its unit and its default";
-/// The schema that this program reads.
-const SCHEMA: u32 = 1;
 const FUNCTIONS: [u8; 13] = [1, 2, 3, 4, 5, 6, 8, 11, 15, 16, 22, 23, 43];
-/// Shortest time in which a clock may come round, s: from one look to the next it must be known how often it did, also where
-/// a reply was lost.
-const SHORTEST_TURN_S: f64 = 2.0;
 
 impl RegisterMap {
     /// Reads a profile file of this kind; `file` names it in errors.
@@ -107,8 +102,11 @@ impl Reader<'_> {
         file: &ProfileFile,
     ) -> Result<(RegisterMap, LinkSettings, DriveLimits), ConfigError> {
         self.check_link(file)?;
-        let signals = file.signals.iter().map(|(name, keys)| self.signal(name, keys));
-        let signals = signals.collect::<Result<_, _>>()?;
+        let signals = file
+            .signals
+            .iter()
+            .map(|(name, keys)| self.signal(name, keys))
+            .collect::<Result<_, _>>()?;
         let points = file.setpoints.iter().map(|(name, keys)| self.set_point(name, keys));
         let set_points = points.collect::<Result<_, _>>()?;
         let link = self.link;
@@ -191,9 +189,9 @@ impl Reader<'_> {
     fn check_link(&mut self, file: &ProfileFile) -> Result<(), ConfigError> {
         let schema = *file.schema.get_ref();
         self.part(file.schema.span(), "").require(
-            schema == SCHEMA,
+            schema == 1,
             "",
-            format_args!("schema {schema} is not allowed (expected {SCHEMA})"),
+            format_args!("schema {schema} is not allowed (expected 1)"),
         )?;
         let link = self.link;
         let base = link.address_base.base();
@@ -498,8 +496,12 @@ impl Reader<'_> {
 
     /// Names that lead from one part to another, and lengths against the drive's limits.
     fn cross_check(&self, file: &ProfileFile, map: &RegisterMap) -> Result<(), ConfigError> {
-        let once = map.signals.iter().filter(|s| s.keys.poll == PollRate::Once);
-        let once: Vec<&str> = once.map(|signal| signal.name.as_str()).collect();
+        let once: Vec<&str> = map
+            .signals
+            .iter()
+            .filter(|s| s.keys.poll == PollRate::Once)
+            .map(|signal| signal.name.as_str())
+            .collect();
         let fits = |kind, name: &str, numbers: &Numbers, location: &Location, (key, most), span| {
             for factor in &numbers.scale_by {
                 let factors = once.iter().copied();
@@ -521,8 +523,12 @@ impl Reader<'_> {
             let most = ("max_write", map.max_write);
             fits("setpoint", name, numbers, location, most, span.clone())?;
             if let Some(sign) = &keys.sign {
-                let words = map.set_points.iter().filter(|p| p.is_word());
-                let words: Vec<&str> = words.map(|p| p.name.as_str()).collect();
+                let words: Vec<&str> = map
+                    .set_points
+                    .iter()
+                    .filter(|p| p.is_word())
+                    .map(|p| p.name.as_str())
+                    .collect();
                 let words = words.iter().copied();
                 self.known(&sign.set_point, words, "setpoint of quantity \"word\"", &span)?;
             }
@@ -557,7 +563,7 @@ impl Reader<'_> {
             let message =
                 format_args!("field_min_a {least_a} is not allowed (expected more than 0)");
             part.require(holds, "field_min_a", message)?;
-            let message = "field_min_a needs a signal of quantity \"field_current\": without one a lost field is not seen";
+            let message = "field_min_a needs a signal of quantity \"field_current\": without one a loss of the field is not detected";
             part.require(has_field, "field_min_a", message)?;
         }
         let rates = map.rates;
@@ -591,7 +597,7 @@ impl Reader<'_> {
             a_cycle_rad < half_way_rad,
             "unit",
             format_args!(
-                "signal {} begins again after {wraps_at} counts, and at limits.speed_rpm {most_rpm} the shaft turns by {:.0} % of that between two readings at {} Hz: which way cannot be told (expected less than 50 %, or a speed signal beside it)",
+                "signal {} begins again after {wraps_at} counts, and at limits.speed_rpm {most_rpm} the shaft turns by {:.0} % of that between two readings at {} Hz: the direction is ambiguous (expected less than 50 %, or a speed signal in addition)",
                 position.name,
                 50.0 * a_cycle_rad / half_way_rad,
                 map.rates.fast_hz
@@ -605,7 +611,7 @@ impl Reader<'_> {
             return Ok(());
         }
         Err(format!(
-            "the drive does not know function code {function} (link.functions has {known:?})"
+            "the drive does not support function code {function} (link.functions has {known:?})"
         ))
     }
 
@@ -700,11 +706,13 @@ fn clock_fits(keys: &SignalKeys, layout: Layout) -> Result<(), (&'static str, St
     }
     let count_s = keys.scale.unwrap_or(1.0) * keys.unit.seconds().unwrap_or(1.0);
     let turn_s = count_s * 2.0_f64.powi(i32::from(layout.width()));
-    if turn_s.is_nan() || turn_s < SHORTEST_TURN_S {
+    // Shorter than two readings with a lost reply between them, s: the number of wraps would be ambiguous.
+    let shortest_s = 2.0;
+    if turn_s.is_nan() || turn_s < shortest_s {
         return Err((
             "type",
             format!(
-                "a clock of {} bits that counts {count_s} s comes round every {turn_s:.3} s (expected {SHORTEST_TURN_S} s or more: how often it did so between two readings would not be known)",
+                "a clock of {} bits that counts {count_s} s comes round every {turn_s:.3} s (expected {shortest_s} s or more: how often it did so between two readings would not be known)",
                 layout.width()
             ),
         ));

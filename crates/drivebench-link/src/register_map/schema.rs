@@ -1,6 +1,7 @@
-//! The keys of a profile file as they are written; the types are strict, what they mean together is checked later.
+//! Keys of a profile file: strict types of single keys; `resolve.rs` checks how they combine.
 //!
-//! What serde flattens it cannot be strict about, so signals and set-points each list the keys that they share.
+//! Signals and set-points repeat the keys that they share, because serde cannot combine `flatten` with `deny_unknown_fields`: a
+//! misspelt key would pass unnoticed.
 
 use std::collections::BTreeMap;
 

@@ -47,7 +47,7 @@ pub struct Converter {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Resync {
-    /// Function code 08 returns a number of our own.
+    /// Function code 08 echoes a number.
     Fc08,
     /// A read of a length that no unanswered request had.
     Length,
@@ -249,7 +249,7 @@ pub enum StoppedOnly {
     Stopped,
 }
 
-/// What watches over the host.
+/// Supervision of the host by the drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SupervisionKind {

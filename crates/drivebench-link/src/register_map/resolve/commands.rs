@@ -172,8 +172,12 @@ fn condition(
     (mask, pattern): (u32, u32),
     negated: bool,
 ) -> Result<Condition, ConfigError> {
-    let fast = map.signals.iter().filter(|s| s.keys.poll == PollRate::Fast);
-    let fast: Vec<&str> = fast.map(|signal| signal.name.as_str()).collect();
+    let fast: Vec<&str> = map
+        .signals
+        .iter()
+        .filter(|s| s.keys.poll == PollRate::Fast)
+        .map(|signal| signal.name.as_str())
+        .collect();
     let what = "signal with poll = \"fast\"";
     part.reader.known(signal, fast.iter().copied(), what, &part.span)?;
     let holds = pattern & !mask == 0;
