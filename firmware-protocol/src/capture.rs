@@ -6,7 +6,7 @@ use crate::codes::coded;
 use crate::registers as r;
 
 coded! {
-    /// What the host asks of the capture.
+    /// Command to the capture.
     CaptureControl: u16 {
         /// Drop what is recorded or armed.
         Abort = 0,
@@ -18,7 +18,7 @@ coded! {
 }
 
 coded! {
-    /// Where the capture is.
+    /// State of the capture.
     #[derive(Default)]
     CaptureState: u16 {
         /// Nothing recorded.

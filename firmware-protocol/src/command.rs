@@ -1,9 +1,9 @@
-//! The command block: what the host asks of the drive.
+//! The command block: control word, set-point and sequence number.
 
 use crate::registers as r;
 use crate::registers::{COMMAND_ADDRESS, COMMAND_WORDS, WriteError, check_write};
 
-/// The output that is asked for. Everything but the three set-points means zero output.
+/// The commanded output. Everything but the three set-points means zero output.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Control {
     /// Output off, state `Disabled`.
@@ -57,12 +57,12 @@ pub enum CommandError {
 pub struct DriveCommand {
     /// Number that the drive echoes once the command is applied.
     pub seq: u16,
-    /// What is asked.
+    /// The commanded output.
     pub control: Control,
 }
 
 impl DriveCommand {
-    /// This, asked under this number.
+    /// A command with this number.
     pub const fn new(seq: u16, control: Control) -> Self {
         Self { seq, control }
     }

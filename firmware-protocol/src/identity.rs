@@ -24,7 +24,7 @@ impl DeviceKind {
     }
 }
 
-/// Why a block is not the identity of a drive that we can speak to.
+/// Reason why a block is not the identity of a supported drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum IdentityError {
     /// Another device, or another map: the first word is not [`MAGIC`].
@@ -94,7 +94,7 @@ impl Identity {
     /// Reads the block.
     ///
     /// # Errors
-    /// The device does not speak this map, or another version of it.
+    /// The device does not have this register map, or another version of it.
     pub fn from_registers(block: &[u16; IDENTITY_WORDS]) -> Result<Self, IdentityError> {
         let source = &mut Words { block, base: IDENTITY_ADDRESS };
         let magic = source.u16(&r::IDENTITY_MAGIC);

@@ -95,7 +95,7 @@ pub struct Register {
     pub repeat: u16,
     /// Distance between repeated values, registers.
     pub stride: u16,
-    /// What it tells.
+    /// Meaning.
     pub meaning: &'static str,
 }
 

@@ -182,7 +182,7 @@ pub struct Telemetry {
     pub temperature_c: f64,
     /// Voltage that the drive puts out now, V.
     pub voltage_cmd_v: f64,
-    /// Version that the drive speaks.
+    /// Protocol version of the drive.
     pub protocol_version: u16,
 }
 

@@ -1,13 +1,13 @@
-//! How long a PDU is, told from its first bytes.
+//! Length of a PDU from its first bytes.
 
 /// Bytes of a PDU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Length {
     /// So many bytes, function code included.
     Known(usize),
-    /// The bytes that tell it are not there yet.
+    /// The bytes that determine it have not been received yet.
     NeedMore,
-    /// The function code does not tell; only silence ends the frame.
+    /// Not determined by the function code; only silence ends the frame.
     Unknown,
 }
 
@@ -44,7 +44,7 @@ pub fn response_len(pdu: &[u8]) -> Length {
     }
 }
 
-/// Length of the response that a request gets when all is well; `None` where the request does not tell.
+/// Length of the normal response to a request; `None` if the request does not determine it.
 pub fn expected_response_len(request: &[u8]) -> Option<usize> {
     let quantity = || Some(usize::from(u16::from_be_bytes([*request.get(3)?, *request.get(4)?])));
     match request.first()? {

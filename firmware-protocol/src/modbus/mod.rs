@@ -1,4 +1,4 @@
-//! Modbus as a slave speaks it.
+//! Modbus server (slave).
 //!
 //! ```text
 //!   bytes -> rtu::RtuReceiver / tcp::TcpReceiver -> unit + PDU -> pdu::respond(bank, PDU) -> PDU -> framing -> bytes
@@ -7,7 +7,7 @@
 //! ```
 //!
 //! * [`pdu`] answers function codes 03, 04, 06, 08/0, 16, 23 and 43/14.
-//! * [`length`] tells how long requests and responses are: receivers frame by it, masters and emulators pace by it.
+//! * [`length`] gives the lengths of requests and responses, for framing by receivers and pacing by masters and emulators.
 
 pub mod length;
 pub mod pdu;

@@ -18,7 +18,7 @@ const DEVICE_IDENTIFICATION: u8 = 14;
 const MAX_READ: usize = 125;
 const MAX_WRITE: usize = 123;
 const MAX_READ_WRITE_WRITE: usize = 121;
-/// Regular objects, stream and individual access.
+/// Conformity level: regular objects, stream and individual access.
 const CONFORMITY: u8 = 0x82;
 const LAST_BASIC_OBJECT: u8 = 2;
 const LAST_REGULAR_OBJECT: u8 = 6;
@@ -62,8 +62,8 @@ pub trait RegisterBank {
     /// The exception to answer.
     fn write(&mut self, address: u16, values: &[u16]) -> Result<(), Exception>;
 
-    /// Whether [`RegisterBank::read`] would serve the range. Asked before the write of function code 23, so that a
-    /// request that is refused has no effect.
+    /// Whether [`RegisterBank::read`] would serve the range. Called before the write of function code 23, so that a refused request
+    /// has no effect.
     fn readable(&self, _address: u16, _quantity: usize) -> bool {
         true
     }

@@ -31,7 +31,7 @@ pub fn encode_frame(unit: u8, pdu: &[u8]) -> Bytes<MAX_FRAME> {
 /// A request whose checksum is right.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RtuFrame {
-    /// The unit that is meant.
+    /// The addressed unit.
     pub unit: u8,
     pdu: Bytes<MAX_PDU>,
 }
@@ -42,7 +42,7 @@ impl RtuFrame {
         &self.pdu
     }
 
-    /// Whether all slaves are meant.
+    /// Whether it is a broadcast to all slaves.
     pub const fn is_broadcast(&self) -> bool {
         self.unit == BROADCAST
     }
@@ -57,7 +57,7 @@ impl RtuFrame {
     }
 }
 
-/// What the receiver has seen.
+/// Counters of the receiver.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RtuStatistics {
     /// Requests handed out.
@@ -72,7 +72,7 @@ pub struct RtuStatistics {
 
 /// Finds requests in the bytes of a line.
 ///
-/// A frame ends where its function code says so and the checksum fits; where it does not, the search goes on at the
+/// A frame ends at the length by its function code if the checksum fits; if it does not, the search continues at the
 /// next byte. A frame of an unknown function code ends at a silent gap, which the caller reports with
 /// [`RtuReceiver::idle`]. Memory is bounded, and so is the work per byte (one checksum of at most 256 bytes).
 #[derive(Clone, Debug)]
@@ -101,8 +101,8 @@ impl RtuReceiver {
         }
     }
 
-    /// Takes one byte; ask [`RtuReceiver::take_frame`] afterwards, at the latest after [`MAX_FRAME`] bytes: what is
-    /// older may be dropped.
+    /// Takes one byte; call [`RtuReceiver::take_frame`] afterwards, at the latest after [`MAX_FRAME`] bytes: older bytes
+    /// may be dropped.
     pub fn push(&mut self, byte: u8) {
         if self.end == self.buffer.len() {
             // More than one longest frame unread: the caller never asked, the oldest goes.
@@ -120,7 +120,7 @@ impl RtuReceiver {
 
     /// The line was silent for 3.5 characters or more: what is there is all there will be, a begun frame is dropped.
     /// Behind an operating system's buffers (USB adapter, pty) silence is only certain after some 20 ms.
-    /// Ask [`RtuReceiver::take_frame`] until it gives `None`.
+    /// Call [`RtuReceiver::take_frame`] until it returns `None`.
     pub const fn idle(&mut self) {
         self.gap = true;
     }
@@ -147,7 +147,7 @@ impl RtuReceiver {
         None
     }
 
-    /// What was seen so far.
+    /// The counters so far.
     pub const fn statistics(&self) -> RtuStatistics {
         RtuStatistics { checked: self.checked.get(), ..self.statistics }
     }

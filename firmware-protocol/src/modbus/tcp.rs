@@ -13,7 +13,7 @@ pub const MAX_FRAME: usize = HEADER + MAX_PDU;
 pub struct TcpFrame {
     /// Number that the answer repeats.
     pub transaction: u16,
-    /// The unit that is meant.
+    /// The addressed unit.
     pub unit: u8,
     pdu: Bytes<MAX_PDU>,
 }
@@ -40,7 +40,7 @@ pub fn encode_frame(transaction: u16, unit: u8, pdu: &[u8]) -> Bytes<MAX_FRAME> 
     frame
 }
 
-/// The peer does not speak Modbus TCP; nothing after it can be framed, so the connection is to be closed.
+/// The peer does not use Modbus TCP; no further frame can be found, so the connection must be closed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TcpError {
     /// The protocol identifier is not 0.

@@ -12,7 +12,7 @@ pub(super) const HEADER: usize = 3;
 /// Bytes of one sample: three i32.
 pub(super) const SAMPLE: usize = 12;
 
-/// Where the capture is.
+/// State of the capture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CaptureStatus {
     /// State.

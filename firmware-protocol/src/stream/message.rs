@@ -9,15 +9,15 @@ use crate::identity::Identity;
 use crate::registers::{COMMAND_WORDS, IDENTITY_WORDS};
 use crate::telemetry::Telemetry;
 
-/// One message with what every message carries.
+/// One message with the fields of every frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frame {
-    /// The host counts its messages; an answer repeats the number of the question.
-    /// A command's number is also its sequence number that telemetry echoes once it is applied.
+    /// Number of the request, counted by the host; an answer repeats it. That of a command is also the sequence number that telemetry
+    /// echoes once the command is applied.
     pub seq: u16,
     /// Drive time at which an answer was formed, microseconds; 0 from the host.
     pub time_us: u32,
-    /// What is said.
+    /// Type and payload.
     pub message: Message,
 }
 
@@ -27,7 +27,7 @@ impl Frame {
         Self { seq, time_us, message }
     }
 
-    /// A question of the host.
+    /// A request of the host.
     pub const fn ask(seq: u16, message: Message) -> Self {
         Self::answer(seq, 0, message)
     }
@@ -37,48 +37,48 @@ impl Frame {
         Self::ask(command.seq, Message::Command(command))
     }
 
-    /// The answer to question `seq`: telemetry, stamped with its own time.
+    /// Telemetry as the answer to request `seq`, with the time of its sample.
     pub const fn telemetry(seq: u16, telemetry: Telemetry) -> Self {
         Self::answer(seq, telemetry.time_us, Message::Telemetry(telemetry))
     }
 }
 
-/// What is said.
+/// Type and payload of a message.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[expect(clippy::large_enum_variant, reason = "there is no allocator to box a capture block")]
 pub enum Message {
-    /// Host: who are you? Answer: `Identity`.
+    /// Host: request of the identity. Answer: `Identity`.
     Hello,
-    /// Host: apply this; kicks the watchdog. Answer: `Telemetry` of a sample taken after it was applied.
+    /// Host: a command, which restarts the watchdog. Answer: `Telemetry` of a sample taken after it was applied.
     Command(DriveCommand),
-    /// Host: how are you? Does not kick the watchdog. Answer: `Telemetry`.
+    /// Host: request of the telemetry, which does not restart the watchdog. Answer: `Telemetry`.
     TelemetryRequest,
-    /// Host: set the watchdog to so many milliseconds. Answer: `Identity`.
+    /// Host: time of the watchdog, ms. Answer: `Identity`.
     SetWatchdog(u16),
     /// Host: abort, arm or start a capture. Answer: `CaptureStatus`.
     CaptureArm(CaptureControl),
-    /// Host: how far is the capture? Answer: `CaptureStatus`.
+    /// Host: request of the state of the capture. Answer: `CaptureStatus`.
     CaptureStatusRequest,
-    /// Host: captured samples from this index on. Answer: `CaptureBlock`.
+    /// Host: request of the captured samples from this index on. Answer: `CaptureBlock`.
     CaptureRequest(u16),
-    /// Drive: who it is.
+    /// Drive: its identity.
     Identity(Identity),
     /// Drive: one measured instant.
     Telemetry(Telemetry),
-    /// Drive: where the capture is.
+    /// Drive: state of the capture.
     CaptureStatus(CaptureStatus),
     /// Drive: captured samples.
     CaptureBlock(CaptureBlock),
-    /// Drive: the question is refused and had no effect.
+    /// Drive: the request is refused and had no effect.
     Error(Refusal),
 }
 
-/// Which question is refused, and why.
+/// Refusal of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Refusal {
-    /// Type byte of the question.
+    /// Type byte of the request.
     pub kind: u8,
-    /// Why.
+    /// Reason.
     pub code: ErrorCode,
 }
 
@@ -113,7 +113,7 @@ coded! {
 }
 
 coded! {
-    /// Why a question is refused.
+    /// Reason of a refusal.
     ErrorCode: u8 {
         /// The type is not known to this drive.
         UnknownMessage = 1,

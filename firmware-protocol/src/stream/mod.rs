@@ -5,7 +5,7 @@
 //!   byte -> up to the next 0 -> COBS -> CRC-16 -> Frame                    Decoder::push()
 //! ```
 //!
-//! The host asks, the drive answers with the number of the question; a late answer is thereby known as such.
+//! An answer repeats the number of its request, so that a late one is recognised.
 
 mod capture;
 mod cobs;
@@ -64,9 +64,9 @@ pub enum FrameError {
     Cobs,
     /// The checksum does not fit.
     Crc,
-    /// The checksum fits, the peer speaks another version.
+    /// The checksum fits, the version differs.
     Version(u8),
-    /// The checksum fits, the type is not known; to be answered with [`ErrorCode::UnknownMessage`].
+    /// The checksum fits, the type does not exist; to be answered with [`ErrorCode::UnknownMessage`].
     UnknownType {
         /// Type byte.
         kind: u8,
