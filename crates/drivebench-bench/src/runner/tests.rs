@@ -557,8 +557,8 @@ fn keypad_and_torque_off_end_a_run_with_their_own_words() {
         assert!(trip.reason.starts_with(words), "{}", trip.reason);
         assert_eq!(summary.stop_error, None);
         let drive = link.bus().drive();
-        assert_eq!(drive.told_last("speed_ref"), Some(0));
-        assert_eq!(drive.told_last("enable_word"), Some(0));
+        assert_eq!(drive.last_written("speed_ref"), Some(0));
+        assert_eq!(drive.last_written("enable_word"), Some(0));
     }
 }
 
@@ -569,7 +569,7 @@ fn torque_off_before_the_start_is_refused() {
         panic!("{:?}", summary.outcome);
     };
     has(reason, "safe torque off (STO) is active");
-    assert_ne!(link.bus().drive().told_last("enable_word"), Some(1));
+    assert_ne!(link.bus().drive().last_written("enable_word"), Some(1));
 }
 
 #[test]

@@ -216,7 +216,7 @@ impl ForeignDrive {
     }
 
     /// What was written to a set-point last, raw; `None`: nothing since it was switched on.
-    pub fn told_last(&self, set_point: &str) -> Option<u16> {
+    pub fn last_written(&self, set_point: &str) -> Option<u16> {
         let point = self.map.set_point(set_point)?;
         self.written.get(&point.location.address).copied()
     }

@@ -162,7 +162,7 @@ impl Table {
     }
 
     fn written(&mut self, set_point: &str) -> Option<u16> {
-        self.far().told_last(set_point)
+        self.far().last_written(set_point)
     }
 
     /// The last words written to the servo amplifier are speed zero and disable.
