@@ -370,7 +370,7 @@ impl Checker<'_> {
 
     /// What the drive may take at the rate of these checks.
     fn times(&self) -> CommandTimes {
-        self.link.command_times().asked_every(self.period_s)
+        self.link.command_times().polled_every(self.period_s)
     }
 
     /// Time after which a drive has not done as `demand` says, s.

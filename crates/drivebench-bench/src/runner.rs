@@ -169,7 +169,7 @@ pub fn run(session: Session, bench: Bench<'_>, options: &RunOptions) -> RunSumma
         publisher: Publisher::new(bench.snapshots.clone(), first, options.motor.as_ref()),
         session: session
             .reporting_stop(bench.link.confirms_stop())
-            .with_command_times(times.asked_every(1.0 / options.rate_hz)),
+            .with_command_times(times.polled_every(1.0 / options.rate_hz)),
         link: StopOnDrop(bench.link),
         recorder: bench.recorder,
         estimator: bench.estimator,

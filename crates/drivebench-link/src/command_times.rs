@@ -32,7 +32,7 @@ impl CommandTimes {
 
     /// For a drive that is polled with `period_s`, which delays every confirmation.
     #[must_use]
-    pub fn asked_every(self, period_s: f64) -> Self {
+    pub fn polled_every(self, period_s: f64) -> Self {
         // Cycles that are allowed on top: steps go on in the cycle after the one that ends them, and a reply may be lost.
         let cycles_s = 10.0 * period_s;
         Self {
@@ -80,7 +80,7 @@ mod tests {
             assert!(reset_s.contains(&times.reset_s), "{name}: {times:?}");
         }
         // A slow cycle takes its time on top.
-        let slow = least.asked_every(0.25);
+        let slow = least.polled_every(0.25);
         for time_s in [slow.enable_s, slow.stop_s, slow.reset_s] {
             assert!((time_s - 3.5).abs() < 1e-9, "{slow:?}");
         }

@@ -472,7 +472,7 @@ fn a_drive_that_never_runs_is_given_up_in_time() {
         let mut drive = ScriptedDrive::new(1.0 / rate_hz).with(0, u64::MAX, Fault::NeverRuns);
         let report = patient(&mut drive, rate_hz);
         let times = CommandTimes { enable_s: 2.0, ..CommandTimes::default() };
-        let waited_s = times.asked_every(1.0 / rate_hz).enable_s;
+        let waited_s = times.polled_every(1.0 / rate_hz).enable_s;
         let words = format!("the drive does not run at zero within {waited_s:.2} s");
         assert_eq!(report.refusal().unwrap().text, words);
         let asked = drive.demands.iter().filter(|d| d.energises()).count() as f64;
