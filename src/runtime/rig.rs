@@ -31,7 +31,7 @@ use drivebench_emulator::{EmulatorConfig, Guise, ServerHandle, VirtualClock, mys
 use drivebench_identify::escalation::Stage;
 use drivebench_identify::online::OnlineConfig;
 use drivebench_link::offer::{self, Purpose};
-use drivebench_link::{CutIn, DriveLink, DriveProfile, Identity, open_tapped};
+use drivebench_link::{DriveLink, DriveProfile, Identity, StopRequest, open_tapped};
 use drivebench_model::numerics::count::whole;
 use drivebench_model::plant::{Model, Motor};
 use drivebench_model::sample::{Channel, Origin};
@@ -416,8 +416,8 @@ impl Rig {
         let mut online = RowEstimator::new(config);
         let sent_before = self.way.link.statistics().sent;
         self.energises(controls, session.guard().ramp_down_s());
-        if let Some(cut_in) = self.way.link.cut_in() {
-            *cut_in = CutIn::watching(controls.stop_flags());
+        if let Some(stop_request) = self.way.link.stop_request() {
+            *stop_request = StopRequest::watching(controls.stop_flags());
         }
         let mut summary = run(
             session,

@@ -251,9 +251,9 @@ impl Runner<'_> {
                 self.feed(clock, Input::Missed(missed));
             }
             self.punctuality.cycle(now_s, now_s - due_s);
-            if let Some(cut_in) = self.link.0.cut_in() {
+            if let Some(stop_request) = self.link.0.stop_request() {
                 // Whoever wants a stop is heard now.
-                cut_in.lower();
+                stop_request.lower();
             }
             if interrupted.swap(false, Ordering::AcqRel) {
                 self.feed(clock, Input::Intent(Intent::Quit));

@@ -9,7 +9,7 @@ use super::modbus::ModbusBus;
 use super::register_bus::{ReadRequest, RegisterBus};
 use super::reply::FrameKind;
 use super::scripted::{Delayed, Scripted, frame};
-use super::transaction::CutIn;
+use super::transaction::StopRequest;
 use super::virtual_line::{modbus_link, paused};
 use super::waiting::{alarm, now};
 
@@ -148,7 +148,7 @@ fn whoever_wants_a_stop_ends_a_resynchronisation_at_once() {
         // Interrupted in the silence before the first probe, and in the probes.
         for after_ms in [5, 15, 40, 60] {
             let flag = Arc::new(AtomicBool::new(false));
-            *line.bus.cut_in().unwrap() = CutIn::watching([Arc::clone(&flag)]);
+            *line.bus.stop_request().unwrap() = StopRequest::watching([Arc::clone(&flag)]);
             let raised = now() + Duration::from_millis(after_ms);
             line.bus.bound(10.0);
             alarm::set(raised, Arc::clone(&flag));

@@ -82,5 +82,5 @@ pub use stream::StreamLink;
 pub use tap::TapFile;
 pub use timeline::signed_difference;
 pub use timing::standard_gap_s;
-pub use transaction::{CutIn, LineCounts};
+pub use transaction::{LineCounts, StopRequest};
 pub use virtual_line::VirtualClock;

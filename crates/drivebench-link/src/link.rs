@@ -8,7 +8,7 @@ use super::burst::Burst;
 use super::command_times::CommandTimes;
 pub use super::link_error::LinkError;
 pub(crate) use super::link_error::Result;
-use super::transaction::{CutIn, LineCounts};
+use super::transaction::{LineCounts, StopRequest};
 use drivebench_model::sample::{Command, Demand, Sample};
 
 /// Identity of a drive, as it reports it.
@@ -238,7 +238,7 @@ pub trait DriveLink: Send {
     fn bound(&mut self, _left_s: f64) {}
 
     /// Flags that announce a stop, on which silences, probes and retries of a bounded exchange are given up at once.
-    fn cut_in(&mut self) -> Option<&mut CutIn> {
+    fn stop_request(&mut self) -> Option<&mut StopRequest> {
         None
     }
 

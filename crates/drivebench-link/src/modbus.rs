@@ -36,7 +36,7 @@ use super::reply::{Echo, FrameKind};
 use super::reply_filter::{Port, ReplyFilter};
 use super::timeline::{identity, identity_error, signed_difference};
 use super::timing::{LineTiming, wait_until};
-use super::transaction::{CutIn, LineCounts, never_silent, out_of_step};
+use super::transaction::{LineCounts, StopRequest, never_silent, out_of_step};
 use super::waiting::{Waiting, now};
 use drivebench_model::sample::{Command, Sample};
 
@@ -544,8 +544,8 @@ impl DriveLink for ModbusLink {
         Some(self.line_counts())
     }
 
-    fn cut_in(&mut self) -> Option<&mut CutIn> {
-        Some(&mut self.core.bound.cut_in)
+    fn stop_request(&mut self) -> Option<&mut StopRequest> {
+        Some(&mut self.core.bound.stop_request)
     }
 }
 

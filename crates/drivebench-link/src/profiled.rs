@@ -31,7 +31,7 @@ use super::polling_backoff::PollingBackoff;
 use super::register_bus::{RegisterBus, Span};
 use super::register_map::{IdentityCheck, Quantity, RegisterMap, Step, Write};
 use super::settings::KickedBy;
-use super::transaction::{CutIn, LineCounts};
+use super::transaction::{LineCounts, StopRequest};
 use drivebench_model::sample::{Applied, Command, Demand, DriveState, Sample};
 
 #[derive(Clone, Debug, PartialEq)]
@@ -781,8 +781,8 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
         self.bus.bound(left_s);
     }
 
-    fn cut_in(&mut self) -> Option<&mut CutIn> {
-        self.bus.cut_in()
+    fn stop_request(&mut self) -> Option<&mut StopRequest> {
+        self.bus.stop_request()
     }
 
     /// Fast signals and one set-point.

@@ -1,7 +1,7 @@
 //! Register bus: reads and writes of registers, the interface that a profiled drive needs of its link.
 
 use super::link::{LinkName, LinkStatistics, Result, RoundTrips};
-use super::transaction::{CutIn, LineCounts};
+use super::transaction::{LineCounts, StopRequest};
 
 /// Most registers of one request (MODBUS Application Protocol V1.1b3, 6.3 and 6.12).
 pub const MOST_READ: u16 = 125;
@@ -163,8 +163,8 @@ pub trait RegisterBus: Send {
     /// As [`DriveLink::bound`](super::DriveLink::bound); [`RegisterBus::write_at_once`] is not bound.
     fn bound(&mut self, _left_s: f64) {}
 
-    /// As [`DriveLink::cut_in`](super::DriveLink::cut_in).
-    fn cut_in(&mut self) -> Option<&mut CutIn> {
+    /// As [`DriveLink::stop_request`](super::DriveLink::stop_request).
+    fn stop_request(&mut self) -> Option<&mut StopRequest> {
         None
     }
 

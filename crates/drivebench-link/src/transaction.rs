@@ -21,13 +21,13 @@ use serde::Serialize;
 use super::link_error::LinkError;
 use super::reply::{Code, Expected, FrameKind, Search, search};
 
-/// Request to stop: one of its flags was raised since the last [`CutIn::lower`].
+/// Request to stop: one of its flags was raised since the last [`StopRequest::lower`].
 ///
 /// Silences, probes and retries of a bounded exchange are given up then, so that the stop goes out next.
 #[derive(Clone, Debug, Default)]
-pub struct CutIn(Vec<(Arc<AtomicBool>, bool)>);
+pub struct StopRequest(Vec<(Arc<AtomicBool>, bool)>);
 
-impl CutIn {
+impl StopRequest {
     /// Watches flags that others raise: those of the signals, that of the screen's stop keys.
     pub fn watching(flags: impl IntoIterator<Item = Arc<AtomicBool>>) -> Self {
         Self(flags.into_iter().map(|flag| (flag, false)).collect())
@@ -50,7 +50,7 @@ impl CutIn {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Bound {
     until: Option<Instant>,
-    pub(super) cut_in: CutIn,
+    pub(super) stop_request: StopRequest,
 }
 
 impl Bound {
@@ -66,7 +66,7 @@ impl Bound {
 
     /// Whether everything that can wait is given up.
     pub(super) fn is_over(&self, now: Instant) -> bool {
-        let wanted = self.cut_in.is_raised();
+        let wanted = self.stop_request.is_raised();
         self.until.is_some_and(|until| wanted || now >= until)
     }
 
@@ -82,7 +82,7 @@ impl Bound {
     /// Where a wait until `at` looks up next.
     pub(super) fn next_look(&self, now: Instant, at: Instant) -> Instant {
         let at = self.earlier(at);
-        if !self.is_set() || self.cut_in.0.is_empty() {
+        if !self.is_set() || self.stop_request.0.is_empty() {
             at
         } else {
             // A wait under way checks so often whether a stop is wanted.
@@ -371,16 +371,16 @@ mod tests {
     #[test]
     fn a_flag_cuts_in_once_for_each_raise() {
         let flag = Arc::new(AtomicBool::new(false));
-        let mut cut_in = CutIn::watching([Arc::clone(&flag)]);
-        assert!(!cut_in.is_raised());
+        let mut stop_request = StopRequest::watching([Arc::clone(&flag)]);
+        assert!(!stop_request.is_raised());
         flag.store(true, Ordering::Release);
-        assert!(cut_in.is_raised());
-        cut_in.lower();
-        assert!(!cut_in.is_raised());
+        assert!(stop_request.is_raised());
+        stop_request.lower();
+        assert!(!stop_request.is_raised());
         flag.store(false, Ordering::Release);
-        cut_in.lower();
+        stop_request.lower();
         flag.store(true, Ordering::Release);
-        assert!(cut_in.is_raised());
+        assert!(stop_request.is_raised());
     }
 
     #[test]

@@ -25,7 +25,7 @@ use super::reply::FrameKind;
 use super::settings::Protocol;
 use super::stream::StreamLink;
 use super::timing::LineTiming;
-use super::transaction::{CutIn, LineCounts};
+use super::transaction::{LineCounts, StopRequest};
 use super::waiting::{InVirtualTime, Waiting, expect_at, now, skip_to};
 use super::{CommandTimes, LinkSettings};
 use drivebench_model::sample::{Command, Demand, Sample};
@@ -290,8 +290,8 @@ impl DriveLink for VirtualLink {
         }
     }
 
-    fn cut_in(&mut self) -> Option<&mut CutIn> {
-        self.link.cut_in()
+    fn stop_request(&mut self) -> Option<&mut StopRequest> {
+        self.link.stop_request()
     }
 
     fn close(&mut self) {

@@ -25,7 +25,7 @@ use crate::register_bus::{RTU, ReadRequest, RegisterBus, RegistersRead, Span, re
 use crate::register_map::{PollRate, ReadBlock, RegisterMap, Resync, plan_reads};
 use crate::reply::FrameKind;
 use crate::timing::wait_until;
-use crate::transaction::{CutIn, LineCounts};
+use crate::transaction::{LineCounts, StopRequest};
 
 /// Round trips from which the usual time of a reply is estimated.
 const ROUND_TRIPS: usize = 32;
@@ -260,8 +260,8 @@ impl RegisterBus for ModbusBus {
         DriveLink::bound(&mut self.link, left_s);
     }
 
-    fn cut_in(&mut self) -> Option<&mut CutIn> {
-        self.link.cut_in()
+    fn stop_request(&mut self) -> Option<&mut StopRequest> {
+        self.link.stop_request()
     }
 
     fn wire_s(&self, request_bytes: usize, reply_bytes: usize) -> Option<f64> {
