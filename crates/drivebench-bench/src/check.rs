@@ -1,9 +1,8 @@
-//! Before the first energising: who is there, how fast the link is, how quiet the sensors are, whether the drive's own
-//! watchdog works, and whether a small pulse turns the shaft the way and as far as the nameplate says. Each with the
-//! figures that were measured, each a reason to refuse.
+//! The checks before a run: identity, rate of the link, noise of the sensors, the drive's own watchdog, and a small pulse that
+//! must turn the shaft in the direction and as far as the nameplate predicts. Each states its figures; each may refuse.
 //!
 //! ```text
-//! identity -> limits -> link, standstill, field -> watchdog -> direction -> plausibility       the first failure ends it
+//! identity -> limits -> link, standstill, field -> watchdog -> direction -> plausibility       the first failure ends them
 //!                       rest.rs                    rest.rs     first_move.rs, pulse.rs  -> judge.rs
 //! ```
 
@@ -26,19 +25,15 @@ use drivebench_link::offer::{self, Purpose};
 use drivebench_link::{CommandTimes, DriveLink, DriveProfile, Identity, LinkError};
 use drivebench_model::sample::{Channel, Command, Demand, DriveState, Sample};
 
-/// A request that moves nothing is sent again for so long, and so many cycles, where its reply is lost, s.
-const ASKS_S: f64 = 1.0;
-const ASKS_CYCLES: f64 = 3.0;
-
 /// Why the checks could not be carried out.
 #[derive(Debug, Error)]
 pub enum CheckError {
     #[error(transparent)]
     Link(#[from] LinkError),
-    /// A person wants to end; nothing is energised any more.
+    /// The user stops; nothing is energised any more.
     #[error("interrupted in the checks; nothing is energised")]
     Stopped,
-    /// The output was on and the stop is not confirmed; `before`: what had ended the checks, if anything had.
+    /// The output was on and the stop is not confirmed; `before`: what had ended the checks.
     #[error("{}stop NOT confirmed by the drive: {stop}", before.as_ref().map_or_else(String::new, |text| format!("{text}; ")))]
     Unstopped { stop: LinkError, before: Option<String> },
 }
@@ -46,7 +41,7 @@ pub enum CheckError {
 impl CheckError {
     pub const fn help(&self) -> &'static str {
         match self {
-            // It may have run at zero, or turned the shaft a little.
+            // The drive may have run at zero, or turned the shaft a little.
             Self::Link(LinkError::Gone { .. }) | Self::Unstopped { .. } => {
                 "see that the shaft stands still, then check the cable, the adapter and the drive's power"
             }
@@ -56,11 +51,11 @@ impl CheckError {
     }
 }
 
-/// Checks that the user goes on without; each is told and recorded.
+/// Checks that the user waives; each is reported and recorded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Waivers {
     pub watchdog: bool,
-    /// No pulse at all, so the nameplate is not held against anything either.
+    /// No pulse, so the nameplate is not checked either.
     pub direction: bool,
     pub plausibility: bool,
 }
@@ -68,29 +63,35 @@ pub struct Waivers {
 #[derive(Clone, Copy)]
 pub struct CheckOptions<'a> {
     pub rate_hz: f64,
-    /// This may be real hardware: the user has said so, or sits at the screen.
+    /// This may be real hardware: by the option, or because a screen is open.
     pub hardware_allowed: bool,
-    /// The user has said in so many words that real hardware may move.
+    /// Real hardware may move: by the option.
     pub hardware_said: bool,
     pub waivers: Waivers,
     /// `None`: the motor is not known, and what finds it begins with steps that are as small.
     pub first_move: Option<FirstMove<'a>>,
-    /// Whether somebody has asked to stop: from then on nothing is energised.
+    /// Stop requested: from then on nothing is energised.
     pub stopped: &'a (dyn Fn() -> bool + Send + Sync),
-    /// Clear a fault that the drive has latched, once it is known that this may be done and nobody runs it.
+    /// Clear a latched fault, of an identified drive that does not run.
     pub reset_fault: bool,
 }
 
-/// The check that the line can carry the rate at all: nothing is measured, the bench file asks for too much.
+/// The check of the rate by the arithmetic of the line.
 pub const RATE_CHECK: &str = "rate";
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CheckItem {
     pub name: &'static str,
     pub passed: bool,
-    /// What was measured or read, with units; for a failed check also what is allowed.
+    /// The figures with units; of a failed check also what is allowed.
     pub text: String,
     pub help: Option<&'static str>,
+}
+
+impl CheckItem {
+    fn sentence(&self) -> String {
+        format!("{}: {}", self.name, self.text)
+    }
 }
 
 /// Mean and standard deviation of a signal with the output disabled.
@@ -113,12 +114,12 @@ pub struct CheckReport {
     /// Silence after which the drive was found stopped, s.
     pub watchdog_proven_s: Option<f64>,
     pub noise: Vec<NoiseFloor>,
-    /// Checks that were not passed, or not made, because the user waived them.
+    /// Checks that were not passed, or not made, by a waiver.
     pub waived: Vec<&'static str>,
-    /// Signals that the drive gave.
+    /// Signals that the drive gives.
     #[serde(skip)]
     pub signals: Vec<Channel>,
-    /// What was read at rest with the output off.
+    /// Samples at rest with the output off.
     #[serde(skip)]
     pub rest: Vec<Sample>,
     /// Last sequence number that was used.
@@ -131,13 +132,13 @@ impl CheckReport {
         self.items.iter().all(|item| item.passed)
     }
 
-    /// The first check that failed: the root cause belongs in the headline.
+    /// The first check that failed.
     pub fn refusal(&self) -> Option<&CheckItem> {
         self.items.iter().find(|item| !item.passed)
     }
 }
 
-/// Whether the signals of a drive can carry what is to be done with it; asked before anything is sent.
+/// Whether the signals of a drive are enough for the purpose; before anything is sent.
 pub fn check_signals(profile: &DriveProfile, purpose: Purpose) -> CheckItem {
     let refusal = offer::refusal(profile, purpose);
     CheckItem {
@@ -146,12 +147,12 @@ pub fn check_signals(profile: &DriveProfile, purpose: Purpose) -> CheckItem {
         help: refusal.as_ref().map(
             |_| "the profile states what the drive has: docs/drives.md shows how to complete it",
         ),
-        text: refusal.unwrap_or_else(|| "they carry what is asked".to_owned()),
+        text: refusal.unwrap_or_else(|| "they are enough for the purpose".to_owned()),
     }
 }
 
 /// Carries out every check in order and stops at the first that fails. The output is off on return, unless the drive was
-/// found running: who commands it has to say.
+/// found running, under the command of another master.
 pub fn check(
     link: &mut dyn DriveLink,
     clock: &mut dyn Clock,
@@ -176,7 +177,7 @@ pub fn check(
     };
     let result = checker.all(limits, options);
     if !checker.touched {
-        // Nothing was asked of the drive, and it may be somebody else who has it.
+        // No command was sent, and another master may command the drive.
         result?;
         return Ok(checker.report.clone());
     }
@@ -186,9 +187,8 @@ pub fn check(
         (Err(error), Err(_)) if !checker.energised => Err(error),
         (Ok(()), Err(stop)) if !checker.energised => Err(stop.into()),
         (result, Err(stop)) => {
-            let refusal = checker.report.refusal();
-            let refusal = refusal.map(|item| format!("{}: {}", item.name, item.text));
-            let before = result.err().map(|error| error.to_string()).or(refusal);
+            let refusal = || Some(checker.report.refusal()?.sentence());
+            let before = result.err().map(|error| error.to_string()).or_else(refusal);
             let before = before.filter(|before| *before != stop.to_string());
             Err(CheckError::Unstopped { stop, before })
         }
@@ -199,16 +199,16 @@ struct Checker<'a> {
     link: &'a mut dyn DriveLink,
     clock: &'a mut dyn Clock,
     period_s: f64,
-    /// With this the drive runs and nothing moves: zero, or what holds the load.
+    /// The demand at which nothing moves: zero, or what holds the load.
     zero: Demand,
-    /// What holds a load: in the unit of the quantity that is commanded, and as current.
+    /// What holds a load, in the unit of the commanded quantity and as current.
     hold: (f64, f64),
-    /// Something was asked of the drive.
+    /// A command was sent.
     touched: bool,
-    /// Its output was asked to be on.
+    /// A command to switch the output on was sent.
     energised: bool,
     stopped: &'a (dyn Fn() -> bool + Send + Sync),
-    /// No exchange takes longer, repeats and all, s.
+    /// Longest exchange with its repetitions, s.
     silence_s: f64,
     report: CheckReport,
 }
@@ -216,13 +216,13 @@ struct Checker<'a> {
 impl Drop for Checker<'_> {
     fn drop(&mut self) {
         if self.touched && std::thread::panicking() {
-            // Nobody is left to tell, and the watchdog of this drive may be waived.
+            // The watchdog of this drive may be waived.
             let _ = self.link.stop();
         }
     }
 }
 
-/// What is commanded by the demand with which a drive runs at zero.
+/// The quantity that a drive with this zero demand is commanded by.
 const fn commanded(zero: Demand) -> Actuator {
     match zero {
         Demand::Current(_) => Actuator::Current,
@@ -241,7 +241,7 @@ fn floor(noise: &[NoiseFloor], channel: Channel) -> (f64, f64) {
 enum Reached {
     Yes,
     Never,
-    /// Something moves, in words.
+    /// What moves.
     Moved(String),
 }
 
@@ -250,7 +250,7 @@ impl Checker<'_> {
         let go_on = self.identity(options.hardware_allowed, options.hardware_said)
             && self.limits(limits)
             && self.rate(options.rate_hz)
-            && self.nobody_s()
+            && self.is_not_running()
             && self.reset(options.reset_fault)?
             && self.probe(limits, options.rate_hz)?
             && self.set_points()?
@@ -269,16 +269,12 @@ impl Checker<'_> {
         text: impl Into<String>,
         help: &'static str,
     ) -> bool {
-        self.report.items.push(CheckItem {
-            name,
-            passed,
-            text: text.into(),
-            help: (!passed).then_some(help),
-        });
+        let help = (!passed).then_some(help);
+        self.report.items.push(CheckItem { name, passed, text: text.into(), help });
         passed
     }
 
-    /// As [`Self::note`], for a check that may be waived: then it passes, and it is said and kept that it was waived.
+    /// As [`Self::note`]; a waived check passes, and is reported and recorded as waived.
     fn note_or_waive(
         &mut self,
         name: &'static str,
@@ -301,12 +297,11 @@ impl Checker<'_> {
         if !identity.is_emulator && hardware_said {
             self.report.waived.push("hardware");
         }
-        let help =
-            "this drive does not say that it is an emulator: pass --hardware if the motor may move";
+        let help = "this drive does not identify itself as an emulator: pass --hardware if the motor may move";
         self.note("identity", passed, who, help)
     }
 
-    /// What somebody left in the drive, reference and command, is taken back first: with the fault gone it may count again.
+    /// Reference and run command are cleared first: without the fault an earlier one could take effect again.
     fn reset(&mut self, wanted: bool) -> Result<bool, CheckError> {
         if !wanted {
             return Ok(true);
@@ -328,7 +323,6 @@ impl Checker<'_> {
         Ok(self.note("reset", passed, text, help))
     }
 
-    /// A load that falls is not even held without knowing how.
     fn load(&mut self, limits: &Limits) -> bool {
         let missing = limits.load.missing();
         let text = match (missing, limits.load.brake()) {
@@ -347,7 +341,7 @@ impl Checker<'_> {
 
     fn limits(&mut self, limits: &Limits) -> bool {
         let text = |value: Option<f64>, unit| {
-            value.map_or_else(|| "not told".to_owned(), |value| format!("{value} {unit}"))
+            value.map_or_else(|| "not reported".to_owned(), |value| format!("{value} {unit}"))
         };
         let identity = &self.report.identity;
         let mut read = format!(
@@ -361,29 +355,18 @@ impl Checker<'_> {
         if identity.current_limit_a.is_none() && identity.voltage_limit_v.is_none() {
             read.push_str("; only the bench's hold, the drive's own cannot be read back");
         }
-        let most_v = identity.voltage_limit_v;
-        let passed = most_v.is_none_or(|volts| volts >= limits.voltage_v);
+        let passed = identity.voltage_limit_v.is_none_or(|volts| volts >= limits.voltage_v);
         let help =
             "the drive cannot give the voltage that the bench may ask for: lower limits.voltage_v";
         self.note("limits", passed, read, help)
     }
 
-    /// What the drive may take at the rate of these checks.
+    /// Longest times of the drive's commands at the rate of these checks.
     fn times(&self) -> CommandTimes {
         self.link.command_times().polled_every(self.period_s)
     }
 
-    /// Time after which a drive has not done as `demand` says, s.
-    fn patience_s(&self, demand: Demand) -> f64 {
-        let times = self.times();
-        match demand {
-            Demand::Disable | Demand::Stop => times.stop_s,
-            Demand::ResetFault => times.reset_s,
-            Demand::Voltage(_) | Demand::Current(_) | Demand::Speed(_) => times.enable_s,
-        }
-    }
-
-    /// Sends `demand` once per period until the drive's state is as wanted, for as long as it may take.
+    /// Sends `demand` once per period until the drive's state is as wanted, for as long as the drive may take.
     fn until(
         &mut self,
         demand: Demand,
@@ -398,7 +381,13 @@ impl Checker<'_> {
         mut wanted: impl FnMut(&Sample) -> bool,
     ) -> Result<bool, CheckError> {
         let mut next_s = self.clock.now_s();
-        let until_s = next_s + self.patience_s(demand);
+        let times = self.times();
+        let longest_s = match demand {
+            Demand::Disable | Demand::Stop => times.stop_s,
+            Demand::ResetFault => times.reset_s,
+            Demand::Voltage(_) | Demand::Current(_) | Demand::Speed(_) => times.enable_s,
+        };
+        let until_s = next_s + longest_s;
         while self.clock.now_s() < until_s {
             next_s += self.period_s;
             self.clock.sleep_until_s(next_s);
@@ -409,7 +398,7 @@ impl Checker<'_> {
         Ok(false)
     }
 
-    /// As [`Self::until`], with an eye on the shaft: it ends with the first sample in which something moves.
+    /// As [`Self::until`]; ends with the first sample in which something moves.
     fn until_still(
         &mut self,
         demand: Demand,
@@ -428,15 +417,13 @@ impl Checker<'_> {
         })
     }
 
-    /// What may show at zero with the sensors as they are at rest.
     fn still(&self, limits: &Limits) -> Still {
-        let kind = commanded(self.zero);
-        Still::of(&self.report.noise, limits, kind, self.hold)
+        Still::of(&self.report.noise, limits, commanded(self.zero), self.hold)
     }
 
-    /// The reply to `demand`, which moves nothing and may therefore be sent again where a reply is lost.
+    /// The reply to `demand`, which moves nothing: where the reply is lost it is sent again, for 1 s and three cycles.
     fn answer(&mut self, demand: Demand) -> Result<Sample, CheckError> {
-        let until_s = self.clock.now_s() + ASKS_S.max(ASKS_CYCLES * self.period_s);
+        let until_s = self.clock.now_s() + (3.0 * self.period_s).max(1.0);
         loop {
             let reply = self.exchange(demand);
             let now_s = self.clock.now_s();
@@ -449,7 +436,7 @@ impl Checker<'_> {
         }
     }
 
-    /// As [`Self::exchange`]; `None`: the reply was lost, and the next cycle may try again.
+    /// As [`Self::exchange`]; `None`: the reply was lost.
     fn sample(&mut self, demand: Demand) -> Result<Option<Sample>, CheckError> {
         match self.exchange(demand) {
             Ok(sample) => Ok(Some(sample)),

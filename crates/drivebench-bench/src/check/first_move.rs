@@ -1,4 +1,4 @@
-//! The first move: a small pulse one way and back, under the guard, and what was seen in it.
+//! The first move: a small pulse one way and back, under the guard.
 
 use super::judge::{self, Known};
 use super::pulse::{Leg, Size};
@@ -12,47 +12,34 @@ use crate::plausibility::PLAUSIBILITY;
 use crate::trip::Trip;
 use drivebench_control::Actuator;
 use drivebench_link::DriveProfile;
-use drivebench_link::register_map::{Quantity, RegisterMap};
+use drivebench_link::register_map::{Quantity, RegisterMap, Signal};
 use drivebench_model::sample::{Channel, Demand, DriveState, Sample};
-
-/// Speed limit of the pulse, in rated speeds, and its current limit in rated currents.
-const SPEED_IN_RATED: f64 = 0.25;
-const CURRENT_IN_RATED: f64 = 1.5;
-/// Share of the bench's speed limit, and standard deviations at rest, within which the shaft counts as at rest afterwards.
-const REST_SHARE: f64 = 0.01;
-const REST_NOISE: f64 = 3.0;
-/// Samples in a row that have to show it.
-const REST_SAMPLES: u32 = 3;
-/// Longest wait for rest, s.
-const REST_S: f64 = 8.0;
-/// Longest that a current is waited for at rest, s: it may have an offset.
-const BRAKED_S: f64 = 2.0;
 
 const DIRECTION: &str = "direction";
 
-/// What the pulse is made for and judged by.
+/// Motor and drive of the pulse.
 #[derive(Clone, Copy)]
 pub struct FirstMove<'a> {
     pub plate: &'a Nameplate,
     pub profile: &'a DriveProfile,
-    /// It is not made: only the checks before it are asked for.
+    /// No pulse is made: only the checks before it are wanted.
     pub is_withheld: bool,
 }
 
-/// Why a pulse ended before its end.
-enum Cut {
+/// Why a pulse was aborted.
+enum Abort {
     Trip(Trip),
-    /// The drive took a speed for quite another.
-    Astray,
-    /// Something moved before anything was asked.
+    /// The speed is far from its set-point.
+    WrongSpeed,
+    /// The shaft moved at zero reference.
     Moved(String),
-    /// The drive does not answer, or a person wants to end.
-    Ended(CheckError),
+    /// The link fails, or the user stops.
+    Error(CheckError),
 }
 
-impl From<CheckError> for Cut {
+impl From<CheckError> for Abort {
     fn from(error: CheckError) -> Self {
-        Self::Ended(error)
+        Self::Error(error)
     }
 }
 
@@ -64,10 +51,10 @@ impl Checker<'_> {
     ) -> Result<bool, CheckError> {
         let Some(first) = options.first_move else {
             let text = "not tried: the motor is not known, and what finds it begins with steps that are as small";
-            return Ok(self.note(DIRECTION, true, text.to_owned(), ""));
+            return Ok(self.note(DIRECTION, true, text, ""));
         };
         if first.is_withheld {
-            let text = "not tried: only the checks before the first move were asked for";
+            let text = "not tried: only the checks before the first move are wanted";
             return Ok(self.note(DIRECTION, true, text, ""));
         }
         if options.waivers.direction {
@@ -77,13 +64,9 @@ impl Checker<'_> {
         }
         let identity = &self.report.identity;
         if !identity.is_emulator && !options.hardware_said {
-            let text = "a small pulse would turn the shaft of real hardware".to_owned();
-            return Ok(self.note(
-                DIRECTION,
-                false,
-                text,
-                "pass --hardware if the shaft may turn a little now, or --waive-direction",
-            ));
+            let text = "a small pulse would turn the shaft of real hardware";
+            let help = "pass --hardware if the shaft may turn a little now, or --waive-direction";
+            return Ok(self.note(DIRECTION, false, text, help));
         }
         self.pulse(limits, options, first)
     }
@@ -96,21 +79,21 @@ impl Checker<'_> {
     ) -> Result<bool, CheckError> {
         let noise = &self.report.noise;
         let speed = floor(noise, Channel::Speed);
-        let zero = self.link.zero();
+        let map = first.profile.registers.as_deref();
+        let current = map.and_then(|map| map.of_channel(Channel::Current));
         let known = Known {
             plate: first.plate,
-            size: Size::of(first.plate, limits, zero, speed.1, self.period_s),
+            size: Size::of(first.plate, limits, self.link.zero(), speed.1, self.period_s),
             current: floor(noise, Channel::Current),
             speed,
             noise_v: floor(noise, Channel::Voltage).1,
-            signed_current: has_signed_current(first.profile.registers.as_deref()),
-            set_point: set_point(first.profile.registers.as_deref(), self.zero),
+            signed_current: current.is_none_or(Signal::is_signed),
+            set_point: set_point(map, self.zero),
         };
         let still = self.still(limits);
         let one_way = limits.quadrants < 4;
-        let mut mover = Mover::new(self, limits, known, still);
-        let (legs, cut) = mover.whole(one_way);
-        if let Some(Cut::Ended(error)) = cut {
+        let (legs, abort) = Mover::new(self, limits, known, still).pulse(one_way);
+        if let Some(Abort::Error(error)) = abort {
             return Err(error);
         }
         let gives_speed = self.report.signals.contains(&Channel::Speed);
@@ -121,23 +104,24 @@ impl Checker<'_> {
         let way =
             if one_way { "one way, as the converter goes no other" } else { "one way and back" };
         let figures = format!("pulse {way}: {figures}");
-        let (text, help) = match (cut, refusal) {
-            (Some(Cut::Moved(text)), _) => {
+        let (text, help) = match (abort, refusal) {
+            (Some(Abort::Moved(text)), _) => {
                 (format!("the shaft moved at zero reference: {text}"), AT_ZERO_HELP)
             }
-            (Some(Cut::Astray), _) => {
-                let why = judge::astray(&known, &legs).unwrap_or_default();
+            (Some(Abort::WrongSpeed), _) => {
+                let last = legs.last();
+                let why = last.and_then(|leg| judge::wrong_speed(&known, leg)).unwrap_or_default();
                 let help = "the pulse was stopped at once: compare word_order, scale, unit and address of the set-point with the drive's manual";
                 (format!("{why} ({figures})"), help)
             }
-            (Some(Cut::Trip(trip)), _) => {
+            (Some(Abort::Trip(trip)), _) => {
                 let why = implausible.map_or_else(String::new, |(text, _)| format!("; {text}"));
                 let help =
                     "the pulse was stopped at once: check limits, load and the drive's profile";
                 (format!("{}{why} ({figures})", trip.reason), help)
             }
             (None, _) if lost_speed => (
-                format!("the drive told its speed at rest, and none while it ran ({figures})"),
+                format!("the drive reported a speed at rest, and none while it ran ({figures})"),
                 "look at `invalid` and `valid` of the speed in the drive's profile, and at the encoder",
             ),
             (_, Some((reason, help))) => (format!("{reason} ({figures})"), help),
@@ -153,13 +137,7 @@ impl Checker<'_> {
     }
 }
 
-/// Whether the drive's current tells driving from braking.
-fn has_signed_current(map: Option<&RegisterMap>) -> bool {
-    map.and_then(|map| map.of_channel(Channel::Current))
-        .is_none_or(drivebench_link::register_map::Signal::is_signed)
-}
-
-/// The set-point that carries what is commanded.
+/// Name of the set-point.
 fn set_point(map: Option<&RegisterMap>, zero: Demand) -> Option<&str> {
     let quantity = match commanded(zero) {
         Actuator::Voltage => Quantity::Voltage,
@@ -176,68 +154,68 @@ struct Mover<'c, 'a> {
     known: Known<'c>,
     still: Still,
     brake: Option<Brake>,
-    /// Mean of the speed at rest, and the most beside it, rad/s.
+    /// Mean of the speed at rest, and the largest deviation from it that counts as rest, rad/s.
     rest: (f64, f64),
     next_s: f64,
-    /// What left last.
+    /// The last demand.
     sent: Demand,
-    /// For how long the computer had been suspended before.
+    /// Time in suspension before the pulse, s.
     slept_s: f64,
 }
 
 impl<'c, 'a> Mover<'c, 'a> {
     fn new(checker: &'c mut Checker<'a>, limits: &Limits, known: Known<'c>, still: Still) -> Self {
         let Known { plate, size, .. } = known;
-        let own = Limits {
-            current_a: limits
-                .current_a
-                .min(CURRENT_IN_RATED * plate.rated_current_a + size.hold_a.abs()),
-            speed_rad_s: limits.speed_rad_s.min(SPEED_IN_RATED * plate.rated_speed_rad_s),
+        let of_pulse = Limits {
+            current_a: limits.current_a.min(1.5 * plate.rated_current_a + size.hold_a.abs()),
+            speed_rad_s: limits.speed_rad_s.min(0.25 * plate.rated_speed_rad_s),
             ..limits.clone()
         };
         let limit_a = checker.report.identity.current_limit_a;
         let (mean, std) = floor(&checker.report.noise, Channel::Speed);
-        let share = (REST_SHARE * limits.speed_rad_s).min(0.5 * size.goal_rad_s);
+        let share = (0.01 * limits.speed_rad_s).min(0.5 * size.goal_rad_s);
         Self {
-            guard: Guard::new(own, plate, limit_a)
+            guard: Guard::new(of_pulse, plate, limit_a)
                 .with_period(checker.period_s)
                 .with_enable_time(checker.times().enable_s),
             known,
             still,
             sent: checker.zero,
             brake: limits.load.brake(),
-            rest: (mean, share.max(REST_NOISE * std)),
+            rest: (mean, share.max(3.0 * std)),
             next_s: checker.clock.now_s(),
             slept_s: checker.clock.slept_s(),
             checker,
         }
     }
 
-    /// Each way of the pulse as far as it came, and why it was cut short.
-    fn whole(&mut self, one_way: bool) -> (Vec<Leg>, Option<Cut>) {
+    /// Each direction as far as it came, and why the pulse was aborted.
+    fn pulse(&mut self, one_way: bool) -> (Vec<Leg>, Option<Abort>) {
         let mut legs = Vec::new();
         let result = self.all(one_way, &mut legs);
         if result.is_err() {
-            // Whatever it was: zero output, and whoever asked for the checks makes sure of it.
+            // The caller of the checks confirms the stop.
             let _ = self.checker.exchange(Demand::Stop);
         }
         (legs, result.err())
     }
 
-    fn all(&mut self, one_way: bool, legs: &mut Vec<Leg>) -> Result<(), Cut> {
+    fn all(&mut self, one_way: bool, legs: &mut Vec<Leg>) -> Result<(), Abort> {
         let sample = self.checker.answer(Demand::Disable)?;
         self.next_s = self.checker.clock.now_s();
         self.guard.begin(self.next_s, &sample);
         self.enable()?;
         if let Some(brake) = self.brake {
-            self.hold_for(brake.release_s + self.rise_of_hold_s())?;
+            // The slew limit delays the holding torque.
+            let rise_s = self.known.size.hold.abs() / self.guard.limits().slew_v_per_s;
+            self.hold_for(brake.release_s + rise_s)?;
         }
-        // Up before down, where something pulls.
+        // A load is lifted before it is lowered.
         let up = if self.known.size.hold_a < 0.0 { -1.0 } else { 1.0 };
         let ways: &[f64] = if one_way { &[1.0] } else { &[up, -up] };
         self.there_and_back(ways, legs)?;
         let is_settled = |leg: &Leg| judge::is_settled(&self.known, leg);
-        // The other way brings the shaft back: only so does it stay within its travel.
+        // One way only, a repetition would leave the travel limits.
         let may_repeat = !one_way || self.known.size.goal_rad.is_none();
         if may_repeat && !legs.iter().all(is_settled) {
             legs.retain(is_settled);
@@ -249,45 +227,42 @@ impl<'c, 'a> Mover<'c, 'a> {
         if let Some(brake) = self.brake {
             self.hold_for(brake.apply_s)?;
         }
-        let mut is_heard = false;
+        let mut has_reported = false;
         let stands = |state| {
-            is_heard = true;
+            has_reported = true;
             state != DriveState::Running
         };
         if self.checker.until(Demand::Disable, stands)? {
             return Ok(());
         }
         let waited_s = self.checker.times().stop_s;
-        Err(Cut::Trip(Trip::unstopped(self.next_s, waited_s, is_heard)))
+        Err(Abort::Trip(Trip::unstopped(self.next_s, waited_s, has_reported)))
     }
 
     /// Output on with the torque that holds a load, under the guard from the first cycle on: the drive opens its brake
     /// when it runs.
-    fn enable(&mut self) -> Result<(), Cut> {
+    fn enable(&mut self) -> Result<(), Abort> {
         let enable_s = self.checker.times().enable_s;
         let until_s = self.next_s + enable_s;
         while self.next_s < until_s {
             let (sample, trip) = self.step(self.checker.zero)?;
             if let Some(text) = sample.as_ref().and_then(|sample| self.still.moved(sample)) {
-                return Err(Cut::Moved(text));
+                return Err(Abort::Moved(text));
             }
             if let Some(trip) = trip {
-                return Err(Cut::Trip(trip));
+                return Err(Abort::Trip(trip));
             }
             if sample.is_some_and(|sample| sample.state == Some(DriveState::Running)) {
                 return Ok(());
             }
         }
-        let state = DriveState::Disabled;
-        let trip = Trip::not_running(self.next_s, state, enable_s, enable_s);
-        Err(Cut::Trip(trip))
+        Err(Abort::Trip(Trip::not_running(self.next_s, DriveState::Disabled, enable_s, enable_s)))
     }
 
-    /// Each of these ways from rest. A leg that is there already stays.
-    fn there_and_back(&mut self, ways: &[f64], legs: &mut Vec<Leg>) -> Result<(), Cut> {
+    /// Each of these directions from rest; a leg that exists already is kept.
+    fn there_and_back(&mut self, ways: &[f64], legs: &mut Vec<Leg>) -> Result<(), Abort> {
         let there: Vec<f64> = legs.iter().map(|leg| leg.direction).collect();
         for &direction in ways {
-            // What is left of the way before must not pass for this one.
             self.come_to_rest()?;
             let mut leg = Leg::new(direction);
             let moved = self.one_way(&mut leg);
@@ -299,59 +274,61 @@ impl<'c, 'a> Mover<'c, 'a> {
         Ok(())
     }
 
-    fn one_way(&mut self, leg: &mut Leg) -> Result<(), Cut> {
+    fn one_way(&mut self, leg: &mut Leg) -> Result<(), Abort> {
+        let size = self.known.size;
         let begin_s = self.next_s;
-        while let Some(asked) = leg.asked(&self.known.size, self.next_s - begin_s) {
-            let demand = self.known.size.kind.demand(self.known.size.hold + asked);
-            let (sample, trip) = self.step(demand)?;
+        while let Some(demand) = leg.demand(&size, self.next_s - begin_s) {
+            let (sample, trip) = self.step(size.kind.demand(size.hold + demand))?;
             if let Some(sample) = &sample {
-                leg.push(&self.known.size, asked, self.sent, sample);
+                leg.push(&size, demand, self.sent, sample);
             }
             if let Some(trip) = trip {
-                return Err(Cut::Trip(trip));
+                return Err(Abort::Trip(trip));
             }
-            if leg.is_astray(&self.known.size) {
-                return Err(Cut::Astray);
+            if leg.misses_set_point(&size) {
+                return Err(Abort::WrongSpeed);
             }
         }
         Ok(())
     }
 
-    fn come_to_rest(&mut self) -> Result<(), Cut> {
+    /// Three samples in a row at rest, within 8 s.
+    fn come_to_rest(&mut self) -> Result<(), Abort> {
         let begin_s = self.next_s;
         let mut rests = 0;
-        while rests < REST_SAMPLES {
+        while rests < 3 {
             let sample = self.hold()?;
             let speed = sample.as_ref().and_then(|s| s.get(Channel::Speed));
             let waited_s = self.next_s - begin_s;
-            let brakes = waited_s < BRAKED_S && sample.as_ref().is_some_and(|s| self.brakes(s));
-            // A lost reply shows no rest. Of a drive without a speed there is nothing to wait for but the time.
+            // A current may have an offset, so it is waited for no longer than 2 s.
+            let brakes = waited_s < 2.0 && sample.as_ref().is_some_and(|s| self.brakes(s));
+            // A lost reply shows no rest. A drive without a speed is only given the time.
             rests = match (&sample, speed) {
                 (None, _) => 0,
                 (Some(_), Some(speed)) if (speed - self.rest.0).abs() > self.rest.1 => 0,
                 _ if brakes => 0,
                 _ => rests + 1,
             };
-            if waited_s > REST_S {
+            if waited_s > 8.0 {
                 let speed = speed.unwrap_or(0.0);
-                return Err(Cut::Trip(Trip::unrested(self.next_s, speed, waited_s)));
+                return Err(Abort::Trip(Trip::unrested(self.next_s, speed, waited_s)));
             }
         }
         Ok(())
     }
 
-    /// The voltage that holds a load still brakes what is left of the speed: that current goes the next way, and would pass
-    /// for the one of its pulse.
+    /// The holding voltage still brakes the shaft: that current flows in the direction of the next pulse, and would count as
+    /// its own.
     fn brakes(&self, sample: &Sample) -> bool {
         let Known { size, current, .. } = self.known;
         let flows = |amps: f64| (amps - current.0 - size.hold_a).abs() > self.known.flowed_a();
         let turns = |speed: f64| (speed - self.rest.0).abs() > self.known.moved_rad_s();
-        let is_left = sample.get(Channel::Current).is_some_and(flows)
-            || sample.get(Channel::Speed).is_some_and(turns);
-        size.kind == Actuator::Voltage && is_left
+        size.kind == Actuator::Voltage
+            && (sample.get(Channel::Current).is_some_and(flows)
+                || sample.get(Channel::Speed).is_some_and(turns))
     }
 
-    fn hold_for(&mut self, seconds: f64) -> Result<(), Cut> {
+    fn hold_for(&mut self, seconds: f64) -> Result<(), Abort> {
         let until_s = self.next_s + seconds;
         while self.next_s < until_s {
             self.hold()?;
@@ -359,41 +336,35 @@ impl<'c, 'a> Mover<'c, 'a> {
         Ok(())
     }
 
-    /// Time in which the slew limit lets the holding torque rise, s.
-    fn rise_of_hold_s(&self) -> f64 {
-        self.known.size.hold.abs() / self.guard.limits().slew_v_per_s
-    }
-
-    fn hold(&mut self) -> Result<Option<Sample>, Cut> {
+    fn hold(&mut self) -> Result<Option<Sample>, Abort> {
         match self.step(self.known.size.kind.demand(self.known.size.hold))? {
-            (_, Some(trip)) => Err(Cut::Trip(trip)),
+            (_, Some(trip)) => Err(Abort::Trip(trip)),
             (sample, None) => Ok(sample),
         }
     }
 
-    /// One cycle under the guard. A lost reply is nothing but that, until the guard says otherwise.
-    fn step(&mut self, wanted: Demand) -> Result<(Option<Sample>, Option<Trip>), Cut> {
+    /// One cycle under the guard, which limits the silence after lost replies.
+    fn step(&mut self, wanted: Demand) -> Result<(Option<Sample>, Option<Trip>), Abort> {
         let clock = &mut self.checker.clock;
         let slept_s = clock.slept_s() - self.slept_s;
         if slept_s > SUSPENDED_S
             && let Some(trip) = self.guard.slept(clock.now_s(), slept_s)
         {
-            return Err(Cut::Trip(trip.clone()));
+            return Err(Abort::Trip(trip.clone()));
         }
         self.next_s = (self.next_s + self.checker.period_s).max(clock.now_s());
         clock.sleep_until_s(self.next_s);
         let now_s = clock.now_s();
-        // After a late cycle comes a whole one.
+        // A late cycle is followed by a whole one.
         self.next_s = self.next_s.max(now_s);
         if let Some(trip) = self.guard.tick(now_s) {
-            return Err(Cut::Trip(trip.clone()));
+            return Err(Abort::Trip(trip.clone()));
         }
         self.sent = self.guard.shape(now_s, wanted).demand;
         let Some(sample) = self.checker.sample(self.sent)? else {
             return Ok((None, None));
         };
-        let now_s = self.checker.clock.now_s();
-        let trip = self.guard.watch(now_s, &sample, true).cloned();
+        let trip = self.guard.watch(self.checker.clock.now_s(), &sample, true).cloned();
         Ok((Some(sample), trip))
     }
 }
