@@ -1,26 +1,26 @@
-//! Plausibility of what is measured while the output is on, for every way of running: one watch that holds commands,
-//! voltage, current, speed and angle against each other.
+//! Fault detection of sensors and actuator by parity equations (Isermann, Fault-Diagnosis Systems, 2006, ch. 10), while the
+//! output is on: commands, voltage, current, speed and angle are compared with each other.
 //!
 //! ```text
 //! commands, samples --history.rs--> rows --+-- u = R i + L di/dt + Ke w, no factor of 0.5 to 2 makes it fit (balance.rs)
 //!                                          +-- measured voltage, current or speed against the set-points   (readings.rs)
-//!                                          +-- the same to the bit, while things change                   (repeats.rs)
-//!                                          +-- current by two balances                                    (balance.rs)
+//!                                          +-- readings equal to the bit, while others change             (repeats.rs)
+//!                                          +-- current by the balances of voltage and torque              (balance.rs)
 //!                                          +-- angle against speed; speed beyond its reference             (readings.rs)
 //! ```
 //!
-//! Every quantity is a range: what was in force, and what was read, over the last cycles. So a drive that answers some
-//! cycles late, or reads a sensor only every few cycles, is not taken for a broken one. Where the drive stamps its
-//! samples and reports which command it had applied, the ranges are narrow.
+//! Every quantity is a range over the last cycles, so that a drive which answers some cycles late, or reads a sensor only
+//! every few cycles, causes no false alarm. Where the drive stamps its samples and reports the applied command, the ranges
+//! are narrow.
 //!
-//! A fault is found within 200 ms or five cycles, whichever is later, after it becomes observable: after the broken
-//! signals leave the range of what is plausible. At rest without a voltage, or on a plateau, nothing is observable but a
-//! sensor that loses its noise. Causes that cannot be distinguished are named together, and end the run all the same.
+//! A fault is found within 200 ms or five cycles, whichever is later, after it becomes observable: after the signals leave
+//! their plausible range. At rest without a voltage, or on a plateau, only the lost noise of a sensor is observable. Causes
+//! that cannot be distinguished are named together, and end the run.
 //!
 //! ```text
 //! start -> Proven: nothing        gap in the samples -> Doubts: none
 //! plausible   -> Proven grows (sign, scale, direction), Doubts end
-//! implausible -> Doubts: windows in a row, or since when -> confirmed -> Trip
+//! implausible -> Doubts: consecutive windows, or a start time -> confirmed -> Trip
 //! ```
 
 mod balance;
@@ -40,7 +40,7 @@ use super::timing::whole;
 use super::trip::{Trip, TripKind};
 use drivebench_model::sample::{Channel, Command, Demand, DriveState, Sample};
 
-/// Its name among the checks that may be waived.
+/// Name of the waiver.
 pub(super) const PLAUSIBILITY: &str = "plausibility";
 
 const CHECK_ENCODER: &str =
@@ -49,23 +49,24 @@ const CHECK_CURRENT: &str =
     "check the current sensor's leads, and unit and scale of the current in the drive's profile";
 const CHECK_SET_POINT: &str = "check address, scale and word order of the set-point in the drive's profile, and that the bus has the command";
 
-/// The same reading again and again, and what voltage and current made of the speed when it began, V.
+/// Terms of the voltage balance at the first repetition of a speed, V.
 #[derive(Clone, Copy, Debug)]
-struct Held {
-    by_voltage: f64,
+struct RepetitionStart {
+    /// Back-EMF by voltage and current.
+    emf: f64,
     current: f64,
     /// Of the readings in the window.
     currents: Range,
 }
 
-/// A balance of voltages that does not hold.
+/// A residual of the voltage balance.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 enum BalanceDoubt {
     #[default]
     None,
-    /// Without a current, since then, s.
+    /// Without a current.
     Idle { since_s: f64 },
-    /// With a current, in so many windows in a row.
+    /// With a current, in consecutive windows.
     Misfit { windows: usize },
 }
 
@@ -76,12 +77,12 @@ struct Departure {
     distance: f64,
 }
 
-/// Set-point and measured voltage where they agreed last, V.
+/// The last set-point and measured voltage that agreed, V.
 #[derive(Clone, Copy, Debug)]
 struct Agreement {
     set_point_v: f64,
     measured_v: f64,
-    /// Since when the set-point has moved away from there and the voltage has not, s.
+    /// Since the set-point has moved away and the voltage has not.
     stuck_since_s: Option<f64>,
 }
 
@@ -92,30 +93,30 @@ struct Runaway {
     cycles: usize,
 }
 
-/// Contradictions between readings, as long as one sample follows another.
+/// Contradictions between readings, of samples without a gap.
 #[derive(Clone, Debug, Default)]
 struct Doubts {
     balance: BalanceDoubt,
-    /// Windows in a row with an angle that is not that of the speed.
+    /// Consecutive windows with an angle that contradicts the speed.
     angle_windows: usize,
-    /// Of the speed, since it repeats itself; and windows in a row in which it should have changed.
-    held: Option<Held>,
+    /// Of the speed; and consecutive windows in which it should have changed.
+    repetition: Option<RepetitionStart>,
     frozen_windows: usize,
-    /// Speed of the shaft, and whether it was at rest, when the current began to repeat itself.
+    /// Speed, and whether the shaft was at rest, at the first repetition of the current.
     current_onset: Option<(f64, bool)>,
-    /// Balance of the last window that fits: voltage, and the one by current and speed, V.
+    /// The last window that fits: voltage, and the sum of the terms of current and speed, V.
     last_fit: Option<(f64, f64)>,
     departure: Option<Departure>,
     agreement: Option<Agreement>,
-    /// Since when the shaft stands under a current, s.
+    /// Start of a standstill under a current.
     stands_since_s: Option<f64>,
     runaway: Option<Runaway>,
 }
 
-/// What the readings have proven since the start.
+/// Properties proven by the readings since the start.
 #[derive(Clone, Debug, Default)]
 struct Proven {
-    /// The current has a sign: a clearly negative one was read.
+    /// The current has a sign: a clearly negative one was measured.
     current_sign: bool,
     /// The measured voltage has the scale of its set-point.
     voltage_scale: bool,
@@ -132,11 +133,11 @@ struct Bounds {
     current_a: f64,
     /// Current from which the drive may limit by itself, A.
     limiting_a: f64,
-    /// Something pulls at the shaft: it may stand still under a current.
+    /// A load pulls at the shaft: it may stand still under a current.
     vertical: bool,
 }
 
-/// The watch of one session.
+/// The fault detection of one session.
 #[derive(Clone, Debug, Default)]
 pub struct Plausibility {
     /// Host time of the latest sample, s.
@@ -155,19 +156,12 @@ pub struct Plausibility {
 }
 
 impl Plausibility {
-    /// The watch of a motor with a nameplate. `drive_current_limit_a`: the drive's own limit, if it reports one.
+    /// For a motor with a nameplate. `drive_current_limit_a`: the drive's own limit, if it reports one.
     pub(super) fn of(
         limits: &Limits,
         motor: &Nameplate,
         drive_current_limit_a: Option<f64>,
     ) -> Self {
-        let plate = Plate {
-            resistance: motor.resistance_ohm,
-            inductance: motor.inductance_h,
-            back_emf: motor.back_emf_v_s_per_rad,
-            inertia: motor.inertia_kg_m2,
-            friction: motor.load_torque_n_m.abs(),
-        };
         let scale = Scale {
             volts: motor.rated_voltage_v,
             amps: motor.rated_current_a,
@@ -175,13 +169,19 @@ impl Plausibility {
         };
         let from_a = drive_current_limit_a.unwrap_or(motor.rated_current_a);
         let mut watch = Self::new(limits, scale);
-        watch.plate = Some(plate);
+        watch.plate = Some(Plate {
+            resistance: motor.resistance_ohm,
+            inductance: motor.inductance_h,
+            back_emf: motor.back_emf_v_s_per_rad,
+            inertia: motor.inertia_kg_m2,
+            friction: motor.load_torque_n_m.abs(),
+        });
         watch.bounds.limiting_a = SETTINGS.limiting_current * from_a.max(motor.rated_current_a);
         watch.proven.factor = Some(Factor::new(&scale));
         watch
     }
 
-    /// The watch of a motor that is not known.
+    /// For a motor that is not known.
     pub(super) fn of_unknown(limits: &Limits) -> Self {
         let scale =
             Scale { volts: limits.voltage_v, amps: limits.current_a, rad_s: limits.speed_rad_s };
@@ -201,13 +201,13 @@ impl Plausibility {
         }
     }
 
-    /// Gives up what needs a nameplate that fits.
+    /// Switches off the checks that need a nameplate which fits.
     pub(super) const fn waive(&mut self) {
         self.waived = true;
     }
 
-    /// How noisy the sensors are: readings at rest, before the output was on. A drive may read nothing at all while it is
-    /// off, so equal readings are no evidence.
+    /// Takes the noise of the sensors from readings at rest with the output off. A drive may read nothing while it is off, so
+    /// equal readings are no evidence.
     pub(super) fn learn(&mut self, rest: &[Sample]) {
         for (channel, sensor) in
             [(Channel::Speed, &mut self.speed), (Channel::Current, &mut self.current)]
@@ -227,12 +227,12 @@ impl Plausibility {
         self.history.sent(command);
     }
 
-    /// The speed that a loop follows, rad/s; `None`: there is none.
+    /// The reference of a speed loop, rad/s.
     pub(super) const fn follow(&mut self, reference_rad_s: Option<f64>) {
         self.reference_rad_s = reference_rad_s;
     }
 
-    /// A start: what was proven before may have been plugged in anew.
+    /// A start forgets all proofs: the wiring may have changed meanwhile.
     pub(super) fn begin(&mut self) {
         self.doubts = Doubts::default();
         self.speed.begin();
@@ -248,34 +248,34 @@ impl Plausibility {
         self.proven.direction
     }
 
-    /// No doubt of the measured speed.
+    /// No contradiction to the measured speed.
     pub(super) const fn believes_speed(&self) -> bool {
         !matches!(self.doubts.balance, BalanceDoubt::Misfit { .. })
             && self.doubts.angle_windows == 0
             && self.speed.run() < SETTINGS.frozen_readings
     }
 
-    /// What cannot be watched on this drive with this motor; `None`: everything is.
+    /// The checks that this drive and this motor do not allow.
     pub fn unwatched(&self) -> Option<&'static str> {
         let last = self.history.last()?;
         match last.demand? {
             _ if self.plate.is_none() => {
-                Some("without a nameplate speed and current are not held against the voltage")
+                Some("without a nameplate speed and current are not compared with the voltage")
             }
             Demand::Speed(_) => Some(
-                "behind the drive's own speed loop speed and current are not held against the voltage",
+                "behind the drive's own speed loop speed and current are not compared with the voltage",
             ),
             Demand::Current(_) if last.voltage_v.is_none() => {
-                Some("the drive tells no voltage, so speed and current are not held against it")
+                Some("the drive reports no voltage, so speed and current are not compared with it")
             }
             Demand::Voltage(_) if last.voltage_v.is_none() => Some(
-                "the drive tells no voltage, so its output is judged by current and speed only",
+                "the drive reports no voltage, so its output is checked by current and speed only",
             ),
             _ => None,
         }
     }
 
-    /// Checks one sample. With `armed` false it only learns how noisy the sensors are.
+    /// Checks one sample; not `armed`, it only takes the noise of the sensors.
     pub(super) fn check(&mut self, now_s: f64, sample: &Sample, armed: bool) -> Option<Trip> {
         self.now_s = now_s;
         let runs = matches!(sample.state, None | Some(DriveState::Running));
@@ -313,7 +313,7 @@ impl Plausibility {
         }
     }
 
-    /// Whether the set-points of the last cycles are zero.
+    /// The set-points of the last cycles are zero.
     fn commands_rest(&self) -> bool {
         self.history.demands().is_some_and(|mut demands| {
             demands.all(|demand| match demand {
@@ -326,14 +326,13 @@ impl Plausibility {
     }
 
     fn remember(&mut self, speed: Option<f64>, at_rest: bool) {
-        let idle_a = self.idle_a();
-        let signed = |row: &Row| row.current_a < -3.0 * idle_a;
-        self.proven.current_sign |= self.history.rows().back().is_some_and(signed);
+        let last = self.history.rows().back();
+        self.proven.current_sign |= last.is_some_and(|row| row.current_a < -3.0 * self.idle_a());
         if self.current.run() == 0 || at_rest {
             self.doubts.current_onset = speed.map(|speed| (speed, at_rest));
         }
         if self.speed.run() == 0 {
-            self.doubts.held = None;
+            self.doubts.repetition = None;
         }
     }
 
@@ -348,7 +347,7 @@ impl Plausibility {
         self.history.last().is_some_and(|last| last.exact)
     }
 
-    /// Repeats of a speed that count: more where a drive may read its sensors more seldom than once a cycle.
+    /// Repeats of a speed that count: more of a drive that may read its sensors less often than once a cycle.
     fn frozen_readings(&self) -> usize {
         if self.is_exact() {
             SETTINGS.frozen_readings
@@ -357,7 +356,7 @@ impl Plausibility {
         }
     }
 
-    /// The voltage balance over the last rows; `None` until there are enough of which the voltage is known.
+    /// The voltage balance over the last rows, where their voltage is known.
     fn window(&self, plate: &Plate, rows: usize) -> Option<Window> {
         let all = self.history.rows();
         if all.len() < rows || rows == 0 {
@@ -370,11 +369,10 @@ impl Plausibility {
         if last().any(unknown) {
             return None;
         }
-        let n = rows as f64;
-        let terms: Option<Vec<_>> = last().map(|row| plate.terms(row, n)).collect();
+        let terms: Option<Vec<_>> = last().map(|row| plate.terms(row, rows as f64)).collect();
         let mut window = terms?.into_iter().reduce(Window::and)?;
         if !self.proven.current_sign {
-            // A drive may report no more than the magnitude: it goes either way.
+            // A drive may report only the magnitude.
             let most = window.current.low.abs().max(window.current.high.abs());
             window.current = Range::new(-most, most);
             window.mean_current = window.mean_current.abs().copysign(window.mean_volts);
@@ -386,12 +384,12 @@ impl Plausibility {
         if self.is_exact() { SETTINGS.stamped_rows } else { self.cycles() - 2 }
     }
 
-    /// Whether the window is that of a motor with a warm winding and another specimen's flux.
+    /// The window fits a motor with a warm winding and the flux of another specimen.
     fn fits(&self, window: &Window) -> bool {
         window.gap(SETTINGS.winding_factor, SETTINGS.flux_factor, self.drop_v()) <= 0.0
     }
 
-    /// Whether no reading within its tolerance makes the window fit.
+    /// No reading within its tolerance makes the window fit.
     fn misfits(&self, window: &Window) -> bool {
         window.gap(SETTINGS.any_factor, SETTINGS.any_factor, self.drop_v()) > 0.0
     }
@@ -408,7 +406,7 @@ impl Plausibility {
         SETTINGS.rest_speed * self.scale.rad_s
     }
 
-    /// The same to the bit, by the noise that a sensor had at rest, or through a motion from rest.
+    /// Equal to the bit, by the noise of the sensor at rest, or through a motion from rest.
     fn stuck(&self) -> Option<Trip> {
         let last = self.history.last()?;
         let (speed, current) = (last.speed_rad_s?, last.current_a?);
@@ -469,12 +467,12 @@ impl Plausibility {
         })
     }
 
-    /// The trip for something measured that cannot be: the value, what it should be, and the sentence after the name.
+    /// `figures`: the value and the expected one.
     fn doubt(&self, kind: TripKind, figures: (f64, f64), what: &str) -> Trip {
         Trip::new(kind, self.now_s, figures, what)
     }
 
-    /// Everything that follows from the voltage balance.
+    /// Faults by the voltage balance.
     fn by_balance(&mut self) -> Option<Trip> {
         let plate = self.plate?;
         let row = *self.history.rows().back()?;
@@ -483,7 +481,7 @@ impl Plausibility {
             && let Some(balances) = self.proven.factor.as_mut()
             && let Some(factor) = balances.push(&row, self.proven.current_sign, &plate, &self.scale)
         {
-            // Both balances see no difference between the two signs, but for which of them goes against the voltage.
+            // Both balances fit either sign; only one of them goes against the voltage.
             let is_against = |window: &Window| window.mean_speed * window.mean_volts < 0.0;
             let window = self
                 .window(&plate, SETTINGS.stamped_rows)
@@ -515,21 +513,20 @@ impl Plausibility {
             let turns = window.mean_speed.abs() > SETTINGS.proven_voltage * self.scale.volts;
             self.proven.direction |= fits && turns && window.mean_speed * window.mean_volts > 0.0;
             if fits {
-                let answer = window.mean_current + window.mean_speed;
-                self.doubts.last_fit = Some((window.mean_volts, answer));
+                let response = window.mean_current + window.mean_speed;
+                self.doubts.last_fit = Some((window.mean_volts, response));
             }
             return None;
         }
-        let before = match self.doubts.balance {
-            BalanceDoubt::Misfit { windows } => windows,
-            _ => 0,
+        let windows = match self.doubts.balance {
+            BalanceDoubt::Misfit { windows } => windows + 1,
+            _ => 1,
         };
-        let windows = before + 1;
         self.doubts.balance = BalanceDoubt::Misfit { windows };
         if windows < SETTINGS.confirming_windows {
             return None;
         }
-        self.name(&plate, &window)
+        self.isolate(&plate, &window)
     }
 
     const fn end_misfit(&mut self) {
@@ -538,8 +535,7 @@ impl Plausibility {
         }
     }
 
-    /// Whether the shaft gains or loses speed against its current and speed, and they would fit with the opposite
-    /// sign.
+    /// The shaft gains or loses speed against its current and speed, and the opposite sign of one would fit.
     fn goes_against(&self, window: &Window) -> bool {
         let rows = self.history.rows().iter().rev().take(SETTINGS.stamped_rows);
         let gain: f64 = rows.map(|row| row.speed_change_rad_s).sum();
@@ -562,7 +558,7 @@ impl Plausibility {
         encoder || sensor
     }
 
-    /// Whether a reading of at least this share of the rated voltage fits with the opposite sign, and not with its own.
+    /// A reading of at least this share of the rated voltage fits only with the opposite sign.
     fn is_mirrored(&self, window: &Window, reading: f64, other: f64, least_share: f64) -> bool {
         let (rest, size) = (window.mean_volts - other, reading.abs());
         let slack = SETTINGS.rest_voltage * self.scale.volts;
@@ -573,13 +569,11 @@ impl Plausibility {
             && mirrored < 0.5 * size + slack
     }
 
-    /// Whether no current flows that would drive anything.
+    /// No current flows that would drive anything.
     fn is_idle(&self) -> bool {
-        let idle_a = self.idle_a();
         let rows = self.history.rows();
-        let last = rows.iter().rev().take(SETTINGS.stamped_rows);
-        rows.len() >= SETTINGS.stamped_rows
-            && last.into_iter().all(|row| row.current_a.abs() < idle_a)
+        let mut last = rows.iter().rev().take(SETTINGS.stamped_rows);
+        rows.len() >= SETTINGS.stamped_rows && last.all(|row| row.current_a.abs() < self.idle_a())
     }
 
     /// No current flows although the voltage is not that of the speed, or although the shaft is driven.
@@ -592,7 +586,7 @@ impl Plausibility {
         let window = self.window(plate, self.window_rows())?;
         let none = window.with(Range::new(0.0, 0.0), window.speed);
         let (volts, emf) = (window.mean_volts, window.mean_speed);
-        // What only coasts is not driven, and a converter may not be able to brake it.
+        // A coasting shaft is not driven, and a converter may not be able to brake it.
         let coasts = volts.abs() < emf.abs() && self.speed.run() < self.frozen_readings();
         if none.gap(SETTINGS.any_factor, SETTINGS.flux_factor, self.drop_v()) <= 0.0 || coasts {
             self.doubts.balance = BalanceDoubt::None;
@@ -634,15 +628,15 @@ impl Plausibility {
             self.doubt(TripKind::OpenCircuit, (current, expected_a), &what)
         } else {
             let what = format!(
-                "the drive does not follow, or its output is not on, or the armature circuit is open (it tells no voltage that would say which): {figures}; {CHECK_SET_POINT}; check the motor's leads"
+                "the drive does not follow, or its output is not on, or the armature circuit is open (it reports no voltage to distinguish them): {figures}; {CHECK_SET_POINT}; check the motor's leads"
             );
             self.doubt(TripKind::SetPointIgnored, (current, expected_a), &what)
         })
     }
 
-    /// A shaft that speeds up with the voltage, by nothing.
+    /// A shaft that speeds up with the voltage and without a current.
     fn driven_without_current(&self, current: f64, speed: f64) -> Option<Trip> {
-        let idle_a = self.idle_a();
+        let (idle_a, most) = (self.idle_a(), SETTINGS.driven_speed * self.scale.rad_s);
         let (mut seconds, mut gain) = (0.0, 0.0);
         for row in self.history.rows().iter().rev() {
             let volts = row.volts?.middle();
@@ -655,47 +649,45 @@ impl Plausibility {
             gain += row.speed_change_rad_s * speed.signum();
         }
         let what = format!(
-            "{current:.3} A are measured while the voltage speeds the shaft up by {gain:.1} rad/s to {speed:.1} rad/s; without a current {:.1} rad/s are allowed; {CHECK_CURRENT}",
-            SETTINGS.driven_speed * self.scale.rad_s
+            "{current:.3} A are measured while the voltage speeds the shaft up by {gain:.1} rad/s to {speed:.1} rad/s; without a current {most:.1} rad/s are allowed; {CHECK_CURRENT}"
         );
-        (gain > SETTINGS.driven_speed * self.scale.rad_s)
-            .then(|| self.doubt(TripKind::CurrentStuck, (current, idle_a), &what))
+        (gain > most).then(|| self.doubt(TripKind::CurrentStuck, (current, idle_a), &what))
     }
 
-    /// The same speed again and again, while the back-EMF has changed since it came first or cannot be that of this speed.
+    /// A speed that repeats itself, while the back-EMF has changed or cannot be that of this speed.
     fn frozen(&mut self, plate: &Plate, window: &Window) -> Option<Trip> {
-        // All of the window must lie in the time since the speed has been the same.
+        // The whole window must lie within the repetition.
         if self.speed.run() < self.window_rows() {
             self.doubts.frozen_windows = 0;
             return None;
         }
-        let by_voltage = window.mean_volts - window.mean_current;
+        let emf = window.mean_volts - window.mean_current;
         let rows = self.history.rows().iter().rev().take(self.window_rows());
         let readings = rows.map(|row| plate.resistance * row.ends().0);
         let currents = Range::of(readings).unwrap_or(window.current);
-        let held = *self.doubts.held.get_or_insert(Held {
-            by_voltage,
+        let start = *self.doubts.repetition.get_or_insert(RepetitionStart {
+            emf,
             current: window.mean_current,
             currents,
         });
         if self.speed.run() < self.frozen_readings() {
             return None;
         }
-        let by_current = (window.mean_current - held.current).abs();
+        let by_current = (window.mean_current - start.current).abs();
         let idle_v = self.idle_a() * plate.resistance;
-        // Brushes and bridge take their drop as soon as a current flows, and the other way when it turns.
-        // A window in which it does both has done either.
+        // The drop of brushes and bridge appears with the current and changes its sign with it. A window in which the
+        // current does both counts for either.
         let most = |range: Range, sign: f64| (sign * range.low).max(sign * range.high);
         let flows = |currents: Range, sign: f64| most(currents, sign) > idle_v;
-        let both = |sign: f64| flows(held.currents, sign) && flows(currents, -sign);
-        let turns = held.current.abs() < idle_v || both(1.0) || both(-1.0);
+        let both = |sign: f64| flows(start.currents, sign) && flows(currents, -sign);
+        let turns = start.current.abs() < idle_v || both(1.0) || both(-1.0);
         let drops_v =
             if turns { 2.0 * self.drop_v() } else { SETTINGS.rest_voltage * self.scale.volts };
         let doubt =
             drops_v + (1.0 - SETTINGS.winding_factor.low) * by_current + 0.5 * window.volts.width();
-        // From another speed than it was, and from the measured one: what was held may be of a winding in transit.
-        let beyond = |other_v: f64| SETTINGS.flux_factor.low * (by_voltage - other_v).abs() > doubt;
-        let moved = beyond(held.by_voltage) && beyond(window.mean_speed);
+        // From the first back-EMF and from that of the measured speed: the first may be of a current in transit.
+        let beyond = |other_v: f64| SETTINGS.flux_factor.low * (emf - other_v).abs() > doubt;
+        let moved = beyond(start.emf) && beyond(window.mean_speed);
         let cannot_be = !self.fits(window);
         if !(moved || cannot_be) {
             self.doubts.frozen_windows = 0;
@@ -708,20 +700,20 @@ impl Plausibility {
             .then(|| self.misread(TripKind::EncoderFrozen, plate, window))
     }
 
-    /// Which reading it is that does not fit.
-    fn name(&mut self, plate: &Plate, window: &Window) -> Option<Trip> {
+    /// Fault isolation: the reading that does not fit.
+    fn isolate(&mut self, plate: &Plate, window: &Window) -> Option<Trip> {
         let drop_v = self.drop_v();
-        let unheeded = self.doubts.last_fit.is_some_and(|(volts, answer)| {
+        let is_ignored = self.doubts.last_fit.is_some_and(|(volts, response)| {
             let step = (window.mean_volts - volts).abs();
-            let response = (window.mean_current + window.mean_speed - answer).abs();
-            step > 2.0 * drop_v && response < 0.25 * step
+            let change = (window.mean_current + window.mean_speed - response).abs();
+            step > 2.0 * drop_v && change < 0.25 * step
         });
         let last = *self.history.last()?;
         let misread = |plausibility: &Self, kind| Some(plausibility.misread(kind, plate, window));
         let mirrored = window.with(window.current, negative(window.speed));
         let drives_back = window.mean_speed * window.mean_volts < 0.0
             && window.mean_current * window.mean_volts.signum() >= -drop_v;
-        // A loop that saw its shaft turn about has reversed the voltage too.
+        // A speed loop may have reversed the voltage too.
         let opposite = window.mean_speed.abs() > 2.0 * drop_v
             && window.misfit(-1.0) < 0.3 * window.misfit(1.0);
         let turns = last.speed_rad_s?.abs() >= self.rest_rad_s();
@@ -740,14 +732,12 @@ impl Plausibility {
             misread(self, TripKind::CurrentReversed)
         } else if let Some(trip) = self.swapped() {
             Some(trip)
-        } else if unheeded && last.voltage_v.is_none() {
-            let answer = window.mean_current + window.mean_speed;
+        } else if is_ignored && last.voltage_v.is_none() {
+            let (volts, response) = (window.mean_volts, window.mean_current + window.mean_speed);
             let what = format!(
-                "the set-point went to {:.1} V, current and speed are those of {answer:.1} V as before; {CHECK_SET_POINT}",
-                window.mean_volts
+                "the set-point went to {volts:.1} V, current and speed are those of {response:.1} V as before; {CHECK_SET_POINT}"
             );
-            let figures = (answer, window.mean_volts);
-            Some(self.doubt(TripKind::SetPointIgnored, figures, &what))
+            Some(self.doubt(TripKind::SetPointIgnored, (response, volts), &what))
         } else if !turns {
             misread(self, TripKind::EncoderFrozen)
         } else if self.waived {
@@ -760,7 +750,7 @@ impl Plausibility {
         }
     }
 
-    /// The speed, or else the current, that the balance does not carry.
+    /// The speed, or else the current, that contradicts the balance.
     fn misread(&self, kind: TripKind, plate: &Plate, window: &Window) -> Trip {
         use TripKind::{CurrentReversed, EncoderFrozen, EncoderReversed, SpeedImplausible};
         let is_speed = matches!(kind, EncoderFrozen | EncoderReversed | SpeedImplausible);
@@ -784,7 +774,7 @@ impl Plausibility {
             EncoderReversed | CurrentReversed => "has the wrong sign:",
             _ => "is",
         };
-        let beside = if is_speed { "current" } else { "speed" };
+        let other = if is_speed { "current" } else { "speed" };
         let ratio = measured / by_voltage;
         let scale = match kind {
             SpeedImplausible if ratio.is_finite() => {
@@ -795,15 +785,14 @@ impl Plausibility {
             _ => String::new(),
         };
         let what = format!(
-            "the measured {name} {how} {measured:.digits$} {unit}, by voltage and {beside} it is {by_voltage:.digits$} {unit}, {low:.digits$} to {high:.digits$} {unit} would be believed{scale}; {check}"
+            "the measured {name} {how} {measured:.digits$} {unit}, by voltage and {other} it is {by_voltage:.digits$} {unit}, {low:.digits$} to {high:.digits$} {unit} is plausible{scale}; {check}"
         );
         self.doubt(kind, (measured, by_voltage), &what)
     }
 
-    /// A current that both balances want to be another.
+    /// A current that contradicts both balances.
     fn current_scaled(&self, factor: f64) -> Trip {
-        let last = self.history.last().and_then(|last| last.current_a);
-        let current = last.unwrap_or(0.0);
+        let current = self.history.last().and_then(|last| last.current_a).unwrap_or(0.0);
         let kind =
             if factor < 0.0 { TripKind::CurrentReversed } else { TripKind::CurrentImplausible };
         let what = format!(

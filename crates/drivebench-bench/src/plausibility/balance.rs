@@ -6,9 +6,9 @@
 //! torque    Kt i = j J dw/dt + m Mc sign(w)                    and j = s
 //! ```
 //!
-//! Each alone proves nothing: a warm winding, a soft supply and brushes look like `r`, another inertia looks like `j`. A
-//! current that is read wrong moves both, in opposite directions and by the same factor. Weighted least squares that
-//! forget, with what the nameplate leaves open as prior.
+//! Each alone proves nothing: a warm winding, a soft supply and brushes resemble `r`, another inertia resembles `j`. A current
+//! of a wrong scale moves both, in opposite directions and by the same factor. Recursive weighted least squares with
+//! exponential forgetting (Ljung, System Identification, 2nd ed. 1999, sec. 11.2) and the tolerances of the nameplate as prior.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -26,7 +26,7 @@ pub(super) struct Plate {
 }
 
 impl Plate {
-    /// What the current takes of the voltage in a row, V.
+    /// Voltage of the winding in a row, V.
     pub(super) fn current_v(&self, row: &Row) -> f64 {
         self.resistance * row.current_a + self.inductance * row.current_change_a / row.seconds
     }
@@ -45,8 +45,7 @@ impl Plate {
     pub(super) fn terms(&self, row: &Row, n: f64) -> Option<Window> {
         let volts = row.volts?;
         let (current_v, speed_v) = (self.current_v(row), self.back_emf * row.speed_rad_s);
-        let current_by = self.quickness(row.seconds) * self.resistance * row.current_change_a.abs();
-        let speed_by = self.slowness(row.seconds) * self.back_emf * row.speed_change_rad_s.abs();
+        let (current_by, speed_by) = self.uncertainty_v(row);
         Some(Window {
             volts,
             current: Range::around(current_v, current_by),
@@ -57,10 +56,12 @@ impl Plate {
         })
     }
 
-    /// What a row's balance is in doubt because nobody looked within the cycle, V.
-    pub(super) fn doubt_v(&self, row: &Row) -> f64 {
-        self.quickness(row.seconds) * self.resistance * row.current_change_a.abs()
-            + self.slowness(row.seconds) * self.back_emf * row.speed_change_rad_s.abs()
+    /// Uncertainty of both terms by the change within the cycle, V.
+    fn uncertainty_v(&self, row: &Row) -> (f64, f64) {
+        (
+            self.quickness(row.seconds) * self.resistance * row.current_change_a.abs(),
+            self.slowness(row.seconds) * self.back_emf * row.speed_change_rad_s.abs(),
+        )
     }
 }
 
@@ -77,13 +78,12 @@ pub(super) struct Window {
 }
 
 impl Window {
-    /// What lies between the voltage and the two others, where they may be off by these factors, V; 0: they fit.
+    /// Residual of the balance where current and speed may be off by these factors, V; 0: they fit.
     pub(super) fn gap(&self, current: Range, speed: Range, drop_v: f64) -> f64 {
-        let needed = self.current.times(current).plus(self.speed.times(speed));
-        self.volts.gap(needed.wider(drop_v))
+        self.volts.gap(self.current.times(current).plus(self.speed.times(speed)).wider(drop_v))
     }
 
-    /// What is left of the balance with the speed times this factor, V.
+    /// Residual of the balance with the speed times this factor, V.
     pub(super) fn misfit(&self, speed: f64) -> f64 {
         (self.mean_volts - self.mean_current - speed * self.mean_speed).abs()
     }
@@ -100,7 +100,7 @@ impl Window {
         }
     }
 
-    /// The same with another reading in the place of a measured one.
+    /// The same with other readings.
     pub(super) fn with(&self, current: Range, speed: Range) -> Self {
         Self { current, speed, ..*self }
     }
@@ -146,9 +146,8 @@ impl<const N: usize> Normal<N> {
         let inverse = matrix.try_inverse()?;
         let found = inverse * right;
         let misfit = self.square - 2.0 * found.dot(&self.right) + found.dot(&(self.matrix * found));
-        // Rows that fit worse than they should are worth less.
-        let inflated = (misfit / self.rows.max(1.0)).max(1.0);
-        Some((found[0], (inverse[(0, 0)] * inflated).max(0.0).sqrt()))
+        // A misfit beyond the noise of the rows inflates the variance.
+        Some((found[0], (inverse[(0, 0)] * (misfit / self.rows.max(1.0)).max(1.0)).max(0.0).sqrt()))
     }
 }
 
@@ -171,8 +170,8 @@ impl Factor {
         }
     }
 
-    /// Takes a row of which the voltage is known; the factor by which the current is read, once it is beyond doubt that
-    /// it lies outside 0.5 to 2. Of a current that may have no sign, only what drives the shaft counts.
+    /// Takes a row of known voltage; returns the factor of the measured current, once it lies significantly outside 0.5 to 2.
+    /// Of a current that may have no sign, only rows that drive the shaft count.
     pub(super) fn push(
         &mut self,
         row: &Row,
@@ -188,13 +187,12 @@ impl Factor {
         if !(is_signed || is_driven) {
             return None;
         }
-        let memory_s = SETTINGS.memory_s.max(SETTINGS.memory_rows * row.seconds);
-        let keep = (-row.seconds / memory_s).exp();
+        let keep = (-row.seconds / SETTINGS.memory_s.max(SETTINGS.memory_rows * row.seconds)).exp();
         let current_v = sign * plate.current_v(row);
         let speed_v = plate.back_emf * row.speed_rad_s;
-        let dynamic_v = plate.doubt_v(row);
+        let (current_by, speed_by) = plate.uncertainty_v(row);
         let floor_v = (SETTINGS.voltage_noise * scale.volts).hypot(0.5 * volts.width());
-        let noise = floor_v.hypot(dynamic_v);
+        let noise = floor_v.hypot(current_by + speed_by);
         let factors = [current_v, speed_v, sign * row.current_a.signum()];
         self.voltage.add(keep, factors, volts.middle(), noise);
         if row.speed_rad_s.abs() > SETTINGS.rest_speed * scale.rad_s {

@@ -1,5 +1,4 @@
-//! History of commands and samples, as rows between two samples: the voltage that may have been in force meanwhile, and
-//! the terms of the voltage balance.
+//! History of commands and samples as rows between two samples, with the voltage that may have been in force meanwhile.
 
 use std::collections::VecDeque;
 use std::ops::RangeInclusive;
@@ -7,14 +6,7 @@ use std::ops::RangeInclusive;
 use super::settings::SETTINGS;
 use drivebench_model::sample::{Channel, Command, Demand, Sample};
 
-/// Commands that may still be answered.
-const COMMANDS: usize = 128;
-/// Commands that a drive which does not stamp its samples may be late.
-const LATE_COMMANDS: u64 = SETTINGS.latency_cycles as u64;
-/// Samples kept, at most.
-const KEPT: usize = 64;
-
-/// What the quantities are measured by: rated values, or limits where nothing is rated.
+/// The units of the shares in the settings: rated values, or limits where nothing is rated.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Scale {
     pub(super) volts: f64,
@@ -93,9 +85,9 @@ impl Range {
     }
 }
 
-/// One sample with the command that was in force when it was taken.
+/// One sample with the command in force.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Seen {
+pub(super) struct Observation {
     pub(super) time_s: f64,
     key: Option<u64>,
     /// The drive stamps samples and commands itself.
@@ -138,7 +130,7 @@ impl Row {
 #[derive(Clone, Debug, Default)]
 pub(super) struct History {
     commands: VecDeque<(u64, Demand)>,
-    samples: VecDeque<Seen>,
+    samples: VecDeque<Observation>,
     rows: VecDeque<Row>,
 }
 
@@ -149,17 +141,14 @@ impl History {
     }
 
     pub(super) fn sent(&mut self, command: &Command) {
-        if self.commands.len() == COMMANDS {
-            self.commands.pop_front();
-        }
-        self.commands.push_back((command.seq, command.demand));
+        push_within(&mut self.commands, (command.seq, command.demand), SETTINGS.commands);
     }
 
     pub(super) fn has_sent(&self) -> bool {
         !self.commands.is_empty()
     }
 
-    pub(super) fn last(&self) -> Option<&Seen> {
+    pub(super) fn last(&self) -> Option<&Observation> {
         self.samples.back()
     }
 
@@ -175,26 +164,30 @@ impl History {
     }
 
     /// Demands that may have been in force from `lag` commands before the first sample's until the last one's.
-    fn in_force(&self, first: &Seen, last: &Seen, lag: u64) -> impl Iterator<Item = Demand> {
+    fn in_force(
+        &self,
+        first: &Observation,
+        last: &Observation,
+        lag: u64,
+    ) -> impl Iterator<Item = Demand> {
         let keys = first.key.zip(last.key);
         let (from, to) = keys.map_or((u64::MAX, 0), |(from, to)| (from.saturating_sub(lag), to));
         self.sent_in(from..=to)
     }
 
     fn sent_in(&self, seqs: RangeInclusive<u64>) -> impl Iterator<Item = Demand> {
-        let sent = self.commands.iter();
-        sent.filter_map(move |(seq, demand)| seqs.contains(seq).then_some(*demand))
+        self.commands.iter().filter_map(move |(seq, demand)| seqs.contains(seq).then_some(*demand))
     }
 
-    /// The demands that the newest sample may answer to; `None` where it answers to none.
+    /// The demands that may be in force in the newest sample.
     pub(super) fn demands(&self) -> Option<impl Iterator<Item = Demand>> {
         let last = self.samples.back()?;
         last.key?;
-        Some(self.in_force(last, last, if last.exact { 2 } else { LATE_COMMANDS }))
+        let late = SETTINGS.latency_cycles as u64;
+        Some(self.in_force(last, last, if last.exact { 2 } else { late }))
     }
 
-    /// The demands that the newest sample may answer to, as one range in their quantity; `None` where they are mixed.
-    /// `cycles`: how late a drive may be.
+    /// The same as one range in their quantity; `None` where they are mixed. `cycles`: latency of the drive.
     pub(super) fn set_points(&self, cycles: usize) -> Option<(Demand, Range)> {
         let last = self.samples.back()?;
         let lag = if last.exact { 2 } else { cycles as u64 };
@@ -208,7 +201,7 @@ impl History {
         Some((wanted, Range::of_known(values)?))
     }
 
-    fn volts(&self, last: &Seen, now: &Seen, scale: &Scale) -> Option<Range> {
+    fn volts(&self, last: &Observation, now: &Observation, scale: &Scale) -> Option<Range> {
         let measured = last.voltage_v.zip(now.voltage_v);
         let steady = |a: f64, b: f64| (b - a).abs() <= SETTINGS.steady_voltage * scale.volts;
         let demand = last.demand?;
@@ -233,13 +226,10 @@ impl History {
                 && set_point.width() <= SETTINGS.steady_command * scale.amps;
             return is_steady.then(|| Range::new(a.min(b), a.max(b)));
         }
-        // Cycles that an answer may be late: none that matters where the drive stamps itself.
-        let lag = if now.exact { 1 } else { 2 };
         let keys = last.key.zip(now.key)?;
-        // Where the drive stamps itself, what the newest sample came with is not in force before it.
-        let to = keys.1.saturating_sub(u64::from(now.exact));
-        let from = keys.0.saturating_sub(lag);
-        let sent = self.sent_in(from..=to);
+        // Without stamps an answer may be a cycle late; with them the newest command is in force only after its sample.
+        let from = keys.0.saturating_sub(if now.exact { 1 } else { 2 });
+        let sent = self.sent_in(from..=keys.1.saturating_sub(u64::from(now.exact)));
         let range = Range::of_known(sent.map(Demand::voltage_v))?;
         Some(match measured {
             Some((a, _)) if now.exact => range.with(a),
@@ -248,14 +238,12 @@ impl History {
         })
     }
 
-    /// Takes a sample; whether it continues the one before.
+    /// Takes a sample; false after a gap.
     pub(super) fn push(&mut self, sample: &Sample, scale: &Scale) -> bool {
         let key = sample.applied.map(|applied| applied.seq).or(sample.seq);
-        let demand = key.and_then(|key| {
-            let found = self.commands.iter().rev().find(|(seq, _)| *seq == key);
-            found.map(|(_, demand)| *demand)
-        });
-        let now = Seen {
+        let sent = |key| self.commands.iter().rev().find(|(seq, _)| *seq == key);
+        let demand = key.and_then(sent).map(|(_, demand)| *demand);
+        let now = Observation {
             time_s: sample.time_s,
             key: key.filter(|_| demand.is_some()),
             exact: sample.applied.is_some(),
@@ -271,21 +259,15 @@ impl History {
         if row.is_none() {
             self.clear();
         }
-        if self.samples.len() == KEPT {
-            self.samples.pop_front();
-        }
-        self.samples.push_back(now);
+        push_within(&mut self.samples, now, SETTINGS.samples);
         let Some(row) = row else {
             return false;
         };
-        if self.rows.len() == KEPT {
-            self.rows.pop_front();
-        }
-        self.rows.push_back(row);
+        push_within(&mut self.rows, row, SETTINGS.samples);
         true
     }
 
-    fn row(&self, last: &Seen, now: &Seen, scale: &Scale) -> Option<Row> {
+    fn row(&self, last: &Observation, now: &Observation, scale: &Scale) -> Option<Row> {
         let seconds = now.time_s - last.time_s;
         let (from_a, to_a) = last.current_a.zip(now.current_a)?;
         let (from_rad_s, to_rad_s) = last.speed_rad_s.zip(now.speed_rad_s)?;
@@ -302,4 +284,11 @@ impl History {
             limited: last.limited || now.limited,
         })
     }
+}
+
+fn push_within<T>(queue: &mut VecDeque<T>, item: T, most: usize) {
+    if queue.len() == most {
+        queue.pop_front();
+    }
+    queue.push_back(item);
 }

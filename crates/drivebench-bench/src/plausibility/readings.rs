@@ -1,5 +1,5 @@
-//! Plausibility without a balance: whether the drive follows its set-point, readings that stand in each other's place, the angle
-//! against the speed, and a speed that grows beyond its reference.
+//! Plausibility without a balance: set-point against measured value, exchanged readings, angle against speed, and a speed that
+//! grows beyond its reference.
 
 use super::balance::negative;
 use super::history::{Range, Row};
@@ -9,7 +9,7 @@ use crate::trip::{Trip, TripKind};
 use drivebench_model::sample::Demand;
 
 impl Plausibility {
-    /// Two readings that fit in each other's place and not in their own.
+    /// Two readings that fit only when exchanged.
     pub(crate) fn swapped(&self) -> Option<Trip> {
         let plate = self.plate.filter(|_| !self.waived)?;
         let last = self.history.last()?;
@@ -24,7 +24,7 @@ impl Plausibility {
             let far = set_point.middle().abs() > 0.05 * self.scale.volts;
             if near(current) && !near(volts) && far {
                 let what = format!(
-                    "the current reads {current:.2} A and the voltage {volts:.2} V, where {:.2} V were asked: exchanged, both would fit; check the addresses of voltage and current in the drive's profile",
+                    "the current reads {current:.2} A and the voltage {volts:.2} V, at a set-point of {:.2} V: exchanged, both would fit; check the addresses of voltage and current in the drive's profile",
                     set_point.middle()
                 );
                 return Some(self.doubt(
@@ -50,7 +50,7 @@ impl Plausibility {
         };
         let misfits: Vec<(f64, f64)> = last_rows.map_while(both_ways).collect();
         let (as_read, exchanged) = *misfits.first()?;
-        // Every row that does not fit as it was read has to fit when exchanged.
+        // Every row that does not fit as read has to fit when exchanged.
         let all = misfits
             .iter()
             .filter(|(as_read, _)| *as_read > floor)
@@ -62,14 +62,14 @@ impl Plausibility {
             .then(|| self.doubt(TripKind::SignalsSwapped, (current, speed), &what))
     }
 
-    /// A trip beyond a limit, with what contradicts the reading that broke it.
+    /// A trip beyond a limit, with the contradiction to the reading that exceeds it.
     pub(crate) fn explained(&mut self, mut beyond: Trip) -> Trip {
         if let Some(trip) = self.swapped() {
             return trip;
         }
         let doubt = self.plate.and_then(|plate| {
             let window = self.window(&plate, 1)?;
-            self.misfits(&window).then(|| self.name(&plate, &window))?
+            self.misfits(&window).then(|| self.isolate(&plate, &window))?
         });
         if let Some(doubt) = doubt {
             beyond.reason = format!("{}; or {}", beyond.reason, doubt.reason);
@@ -77,7 +77,7 @@ impl Plausibility {
         beyond
     }
 
-    /// Whether the drive follows its set-point.
+    /// A set-point that the drive does not follow.
     pub(super) fn follows(&mut self) -> Option<Trip> {
         let cycles = self.cycles();
         let last = *self.history.last()?;
@@ -131,7 +131,7 @@ impl Plausibility {
         let wanted = set_point.middle();
         let not_followed = |watch: &Self, region: Range, value: f64, for_s: f64| {
             let figures = format!(
-                "asked {wanted:.2} {unit}, measured {value:.2} {unit} for {for_s:.2} s, {:.2} to {:.2} {unit} would be believed",
+                "set-point {wanted:.2} {unit}, measured {value:.2} {unit} for {for_s:.2} s, {:.2} to {:.2} {unit} is plausible",
                 region.low, region.high
             );
             watch.not_followed(demand, (value, wanted), idle, &figures)
@@ -150,26 +150,25 @@ impl Plausibility {
         let departure = Departure { since_s: last.time_s, distance };
         let first = self.doubts.departure.get_or_insert(departure);
         if distance < first.distance - 0.01 * full {
-            // It is on its way.
+            // It approaches.
             *first = departure;
             return None;
         }
-        let since_s = first.since_s;
-        let for_s = last.time_s - since_s;
+        let for_s = last.time_s - first.since_s;
         if for_s < confirm_s {
             return None;
         }
         self.swapped().or_else(|| Some(not_followed(self, region, value, for_s)))
     }
 
-    /// For how long the measured voltage has stayed where it was although the set-point has moved, s. A reading whose scale
-    /// is wrong moves with it, so this needs none of the room that such a reading is given; a guard that holds the
-    /// set-point around the back-EMF leaves no more than this to see.
+    /// Time for which the measured voltage has not moved although the set-point has, s. A reading of a wrong scale would move
+    /// with it, so no tolerance of scale is needed; behind a guard that limits the set-point to the back-EMF nothing else is
+    /// observable.
     fn stays(&mut self, set_point: Range, value: f64) -> Option<f64> {
         let last = *self.history.last()?;
         let read = Range::at(value);
         if set_point.wider(self.drop_v()).gap(read) <= 0.0 {
-            // Of the set-points that it may answer to, the nearest; while it stays where it was also of those before.
+            // The nearest of the set-points that may be in force; while the voltage stays, also of the earlier ones.
             let nearest = value.clamp(set_point.low, set_point.high);
             let agrees = self.doubts.agreement.is_none_or(|last| {
                 let moves =
@@ -198,8 +197,7 @@ impl Plausibility {
             agreement.stuck_since_s = None;
             return None;
         }
-        let since_s = *agreement.stuck_since_s.get_or_insert(last.time_s);
-        Some(last.time_s - since_s)
+        Some(last.time_s - *agreement.stuck_since_s.get_or_insert(last.time_s))
     }
 
     fn not_followed(
@@ -212,13 +210,13 @@ impl Plausibility {
         if let (Demand::Voltage(_), Some(plate)) = (demand, &self.plate)
             && let Some(row) = self.history.rows().back().filter(|_| !idle)
         {
-            let answer = plate.current_v(row) + plate.back_emf * row.speed_rad_s;
-            let nearer = |volts: f64| (answer - volts).abs();
-            if 2.0 * nearer(wanted) < nearer(value)
-                && nearer(wanted) < self.drop_v() + 0.3 * wanted.abs()
+            let response = plate.current_v(row) + plate.back_emf * row.speed_rad_s;
+            let distance = |volts: f64| (response - volts).abs();
+            if 2.0 * distance(wanted) < distance(value)
+                && distance(wanted) < self.drop_v() + 0.3 * wanted.abs()
             {
                 let what = format!(
-                    "{figures}; current and speed are those of {answer:.1} V, so it is the measured voltage that is wrong; check its address, scale and sign in the drive's profile"
+                    "{figures}; current and speed are those of {response:.1} V, so the measured voltage is wrong; check its address, scale and sign in the drive's profile"
                 );
                 return self.doubt(TripKind::VoltageImplausible, (value, wanted), &what);
             }
@@ -229,7 +227,7 @@ impl Plausibility {
 
     /// The angle turned over the last cycles against the speed.
     pub(super) fn by_angle(&mut self) -> Option<Trip> {
-        // An angle that is read more seldom than once a cycle stays for some cycles; the confirmations come on top.
+        // An angle that is read less often than once a cycle stays for some cycles; the confirmations come on top.
         let times = if self.is_exact() { 1 } else { 2 };
         let rows = times * self.cycles() - SETTINGS.confirming_windows;
         let all = self.history.rows();
@@ -238,7 +236,7 @@ impl Plausibility {
         }
         let (mut seconds, mut turned, mut speeds) = (0.0, 0.0, None);
         let (mut by_speed, mut widest) = (0.0, 0.0_f64);
-        // A counter that was set anew is no motion: the one row that fits least does not count.
+        // A counter that was preset is no motion: the row with the largest misfit is left out.
         let mut worst = (0.0, 0.0, 0.0);
         for row in all.iter().skip(all.len() - rows) {
             let row_rad = row.turned_rad?;
@@ -250,12 +248,11 @@ impl Plausibility {
             by_speed += row.speed_rad_s * row.seconds;
             widest = widest.max(row.speed_change_rad_s.abs());
             seconds += row.seconds;
-            let half = 0.5 * row.speed_change_rad_s.abs();
-            let range = Range::around(row.speed_rad_s, half);
+            let range = Range::around(row.speed_rad_s, 0.5 * row.speed_change_rad_s.abs());
             speeds = Some(speeds.map_or(range, |speeds: Range| speeds.hull(range)));
         }
         let rate = (turned - worst.1) / (seconds - worst.2);
-        // Where each speed has its time the mean is narrower than their range.
+        // Of stamped speeds the mean is narrower than their range.
         let speeds =
             if self.is_exact() { Range::around(by_speed / seconds, widest) } else { speeds? };
         let plausible = speeds.times(SETTINGS.any_factor).wider(2.0 * self.rest_rad_s());
@@ -269,7 +266,7 @@ impl Plausibility {
         }
         let speed = speeds.middle();
         let what = format!(
-            "the angle turns by {rate:.1} rad/s, the measured speed is {speed:.1} rad/s, {:.1} to {:.1} rad/s would be believed; {CHECK_ENCODER}",
+            "the angle turns by {rate:.1} rad/s, the measured speed is {speed:.1} rad/s, {:.1} to {:.1} rad/s is plausible; {CHECK_ENCODER}",
             plausible.low, plausible.high
         );
         let kind = if self.speed.run() >= SETTINGS.frozen_readings {
@@ -303,7 +300,7 @@ impl Plausibility {
         if !(long && growth > SETTINGS.runaway_growth * self.bounds.speed_rad_s) {
             return None;
         }
-        // Seen by a reversed encoder the shaft runs away as soon as it moves.
+        // With a reversed encoder the shaft runs away as soon as it moves.
         if let Some(plate) = self.plate
             && let Some(window) = self.window(&plate, SETTINGS.stamped_rows)
             && window.misfit(-1.0) < window.misfit(1.0)

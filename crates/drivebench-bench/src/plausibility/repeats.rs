@@ -1,7 +1,7 @@
-//! Readings that are the same to the bit again and again, and how many of them a working sensor would give by chance.
+//! Runs of readings that are equal to the bit, and how many of them a working sensor gives by chance.
 //!
-//! At rest a sensor shows how often it repeats itself: by its noise and its resolution, and where a drive reads it more
-//! seldom than once a cycle. With the share `p` of repeats, `n` in a row come by chance once in `p^-n`.
+//! The share `p` of repeats is taken at rest: it follows from noise, resolution and the rate at which the drive reads the
+//! sensor. A run of `n` repeats has the probability `p^n`.
 
 use super::settings::SETTINGS;
 
@@ -9,34 +9,32 @@ use super::settings::SETTINGS;
 #[derive(Clone, Debug, Default)]
 pub(super) struct Repeats {
     last: Option<u64>,
-    /// In a row, so far.
+    /// Length of the present run.
     run: usize,
     since_s: f64,
-    /// Repeats in a row since the shaft was last at rest.
+    /// Of it the repeats since the shaft was last at rest.
     moving_run: usize,
-    /// Of the repeats in a row those at rest; they count once another reading shows that the sensor works.
+    /// Of it those at rest; they count once another reading shows that the sensor works.
     resting_run: usize,
-    /// At rest: readings, and those that repeated the one before; the longest row of them.
+    /// At rest: readings, repeats, and the longest run.
     rest: usize,
     rest_same: usize,
     rest_longest: usize,
 }
 
 impl Repeats {
-    /// A new start: what was learned at rest stays.
+    /// A new start keeps the share of repeats at rest.
     pub(super) const fn begin(&mut self) {
         (self.run, self.moving_run, self.resting_run) = (0, 0, 0);
     }
 
-    /// Takes a reading.
     pub(super) fn push(&mut self, time_s: f64, value: f64, at_rest: bool) {
         let bits = value.to_bits();
         let Some(before) = self.last.replace(bits) else {
             self.since_s = time_s;
             return;
         };
-        let same = before == bits;
-        if same {
+        if before == bits {
             self.run += 1;
             self.moving_run = if at_rest { 0 } else { self.moving_run + 1 };
             self.resting_run += usize::from(at_rest);
@@ -44,35 +42,34 @@ impl Repeats {
             self.rest += self.resting_run + usize::from(at_rest);
             self.rest_same += self.resting_run;
             self.rest_longest = self.rest_longest.max(self.resting_run);
-            (self.run, self.moving_run, self.resting_run) = (0, 0, 0);
+            self.begin();
             self.since_s = time_s;
         }
     }
 
-    /// Repeats in a row, so far.
     pub(super) const fn run(&self) -> usize {
         self.run
     }
 
-    /// Time of the first of them, s.
+    /// Start of the present run, s.
     pub(super) const fn since_s(&self) -> f64 {
         self.since_s
     }
 
-    /// Share of repeats at rest, with one more of each (Laplace's rule of succession); `None`: not known.
+    /// Share of repeats at rest by Laplace's rule of succession, once it is known.
     fn share(&self) -> Option<f64> {
         let known = self.rest >= SETTINGS.rest_readings && self.rest_same < self.rest;
         known.then(|| (self.rest_same + 1) as f64 / (self.rest + 2) as f64)
     }
 
-    /// Repeats in a row that chance does not give; `None`: it was not noisy at rest.
+    /// Length of a run that chance does not give; `None`: no noise at rest.
     pub(super) fn needed(&self) -> Option<f64> {
         let by_chance = SETTINGS.repeat_chance.ln() / self.share()?.ln();
         let fewest = SETTINGS.fewest_repeats.max(3 * self.rest_longest);
         Some(by_chance.max(fewest as f64))
     }
 
-    /// More of the same than chance gives a sensor that was noisy at rest.
+    /// A longer run than chance gives a sensor that was noisy at rest.
     pub(super) fn is_stuck(&self) -> bool {
         let enough = self.needed().is_some_and(|n| self.run as f64 >= n);
         enough && self.moving_run >= SETTINGS.fewest_repeats
@@ -103,8 +100,7 @@ mod tests {
 
     #[test]
     fn a_sensor_that_freezes_at_rest_does_not_pass_for_a_quiet_one() {
-        let noisy = [0.1, -0.2, 0.05, 0.3, -0.1];
-        let mut sensor = after(&noisy, 0);
+        let mut sensor = after(&[0.1, -0.2, 0.05, 0.3, -0.1], 0);
         for n in 0..40 {
             sensor.push(f64::from(n), 0.2, true);
         }

@@ -3,20 +3,23 @@
 use super::history::Range;
 
 pub(super) struct Settings {
+    /// Commands and samples kept, at most.
+    pub(super) commands: usize,
+    pub(super) samples: usize,
     /// Latency that is allowed: the later of the two; with it the drive's own filters and a late reply are no fault.
     pub(super) latency_s: f64,
     pub(super) latency_cycles: usize,
     /// Rows of a window where the drive stamps its samples, and at the most: a fault has to be found in time.
     pub(super) stamped_rows: usize,
     pub(super) most_rows: usize,
-    /// Windows in a row that have to disagree: one may hold a disturbance.
+    /// Consecutive windows that have to disagree: one may hold a disturbance.
     pub(super) confirming_windows: usize,
     /// Factors by which any reading, or any value of the nameplate, may be off.
     pub(super) any_factor: Range,
     /// The same for a warm winding and for the flux of another specimen.
     pub(super) winding_factor: Range,
     pub(super) flux_factor: Range,
-    /// Voltage that depends on nothing, share: brushes, bridge, offset.
+    /// Constant voltage drop, share: brushes, bridge, offset.
     pub(super) drop: f64,
     /// A current and a speed that count as none, shares; a voltage that counts as a change.
     pub(super) idle_current: f64,
@@ -27,35 +30,34 @@ pub(super) struct Settings {
     pub(super) moved_speed: f64,
     /// A back-EMF that proves the encoder's direction, share.
     pub(super) proven_voltage: f64,
-    /// Without current nothing drives the shaft, and a drive may only be slow to switch its output on: a contradiction has
-    /// to last so long then, s.
+    /// Duration of a contradiction without a current, s: a drive may be slow to switch its output on.
     pub(super) idle_s: f64,
-    /// Readings equal to the bit that count as frozen, where the back-EMF has changed meanwhile.
+    /// Readings equal to the bit that count as frozen while the back-EMF changes.
     pub(super) frozen_readings: usize,
     /// A current of zero while the shaft speeds up by this share within this time, s.
     pub(super) driven_speed: f64,
     pub(super) driven_s: f64,
     /// From this share of the rated current, or of its own limit, on a drive may limit without reporting it.
     pub(super) limiting_current: f64,
-    /// A shaft stands for so long, s, although the current exceeds that of the nameplate's friction by this factor.
+    /// Duration of a standstill, s, under a current that exceeds that of the nameplate's friction by this factor.
     pub(super) standing_s: f64,
     pub(super) standing_friction: f64,
-    /// A set-point is not followed for so long, s: of a current, and of a speed, of which the drive's ramp is not known.
+    /// Time within which a set-point is followed, s: of a current, and of a speed, with the unknown ramp of the drive.
     pub(super) current_follows_s: f64,
     pub(super) speed_follows_s: f64,
-    /// Deviation of current or speed that is no doubt, share.
+    /// Deviation of current or speed from the set-point that is allowed, share.
     pub(super) follows: f64,
-    /// A voltage is stuck where its set-point has moved by this share and it has moved by less than this part of that.
+    /// A voltage is stuck if its set-point has moved by this share, and the voltage by less than this part of that.
     pub(super) stuck_voltage: f64,
     pub(super) stuck_part: f64,
-    /// Factors by which a voltage may be off whose scale was right before.
+    /// Factors by which a voltage may be off whose scale is proven.
     pub(super) known_scale: Range,
-    /// A runaway: the speed grows against the torque for so many cycles, by this share of the speed limit and from this
-    /// share beyond the reference.
+    /// A runaway: cycles in which the speed grows against the torque, by this share of the speed limit and from this share
+    /// beyond the reference.
     pub(super) runaway_cycles: usize,
     pub(super) runaway_growth: f64,
     pub(super) runaway_beyond: f64,
-    /// Memory of the regression over both balances: a time constant, s, and at least so many rows.
+    /// Memory of the regression over both balances: time constant, s, and least rows.
     pub(super) memory_s: f64,
     pub(super) memory_rows: f64,
     /// Standard deviations of an estimate that do not count as chance.
@@ -63,30 +65,32 @@ pub(super) struct Settings {
     /// Noise of a row's voltage and torque, shares.
     pub(super) voltage_noise: f64,
     pub(super) torque_noise: f64,
-    /// Prior standard deviations: of the factor of the flux, of the drop (share), of the factor of friction, and of what
-    /// is not known.
+    /// Prior standard deviations: of the factor of the flux, of the drop (share), of the factor of friction, and of an unknown
+    /// factor.
     pub(super) flux_std: f64,
     pub(super) drop_std: f64,
     pub(super) friction_std: f64,
     pub(super) unknown_std: f64,
     /// Samples further apart do not belong together, s.
     pub(super) longest_row_s: f64,
-    /// Between two samples voltage, current and command may move by these shares, and the measured voltage still stands for
-    /// the one in force meanwhile behind a drive's own current loop: it gives a step of its command in a part of a cycle,
-    /// and answers it with several volts for each ampere.
+    /// Between two samples voltage, current and command may move by these shares, and the measured voltage still counts as
+    /// the one in force behind a drive's own current loop: such a loop follows a step within a part of a cycle, with several
+    /// volts for each ampere.
     pub(super) steady_voltage: f64,
     pub(super) steady_current: f64,
     pub(super) steady_command: f64,
-    /// Least probability of a row of equal readings, and readings in a row that are needed whatever the noise.
+    /// Least probability of a run of equal readings, and its least length.
     pub(super) repeat_chance: f64,
     pub(super) fewest_repeats: usize,
-    /// Readings at rest that show how often a sensor repeats itself.
+    /// Readings at rest needed for the share of repeats.
     pub(super) rest_readings: usize,
-    /// A sensor with fewer repeats than this share has noise of its own, and not only that of a shaft which trembles.
+    /// A sensor with fewer repeats than this share has noise of its own, not only that of a trembling shaft.
     pub(super) seldom_repeats: f64,
 }
 
 pub(super) const SETTINGS: Settings = Settings {
+    commands: 128,
+    samples: 64,
     latency_s: 0.2,
     latency_cycles: 5,
     stamped_rows: 3,

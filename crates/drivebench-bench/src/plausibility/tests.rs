@@ -1,4 +1,4 @@
-//! Broken signals through the session and the runner, in virtual time, and what must not be taken for broken.
+//! Sensor and actuator faults through session and runner, in virtual time, and healthy drives without a false alarm.
 
 use crate::bench_file::BenchFile;
 use crate::guard::Guard;
@@ -12,9 +12,8 @@ use drivebench_emulator::{EmulatorConfig, MemoryLink, VirtualClock, mystery};
 use drivebench_link::{DriveLink, LinkError};
 use drivebench_model::sample::{Channel, Command, Demand, Sample};
 
-/// What is wrong on the way.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-enum Wrong {
+enum SignalFault {
     #[default]
     Nothing,
     /// Speed and angle stay as they are.
@@ -25,9 +24,9 @@ enum Wrong {
     CurrentStays,
     CurrentZero,
     CurrentTimes(f64),
-    /// The drive goes on with the set-point of before, and tells it where it tells a voltage.
-    Deaf {
-        tells: bool,
+    /// The drive keeps its last set-point.
+    Ignores {
+        reports_voltage: bool,
     },
     SetPointTimes(f64),
     VoltageTimes(f64),
@@ -37,12 +36,12 @@ enum Wrong {
     AngleStays,
 }
 
-/// What is odd about a drive, each for itself.
+/// A drive and its fault.
 #[derive(Clone, Copy, Default)]
-struct Oddities {
-    wrong: Wrong,
+struct Traits {
+    fault: SignalFault,
     from_s: f64,
-    /// Sensors are read once in so many exchanges, the command acts so many later.
+    /// Exchanges between two readings of the sensors.
     stale: u64,
     coarse: bool,
     unsigned: bool,
@@ -50,12 +49,11 @@ struct Oddities {
     foreign: bool,
 }
 
-/// Something goes wrong from an instant on, and values may be coarse, late and without a sign.
 struct Broken {
-    odd: Oddities,
+    traits: Traits,
     clock: VirtualClock,
-    held: Option<Sample>,
-    deaf: Option<Demand>,
+    kept: Option<Sample>,
+    ignoring: Option<Demand>,
     exchanges: u64,
     /// Last demand that went to the drive.
     last: Demand,
@@ -64,51 +62,57 @@ struct Broken {
 impl Broken {
     fn spoil(&mut self, mut sample: Sample) -> Sample {
         let raw = |sample: &Sample, channel| sample.get(channel).unwrap();
-        if self.odd.stale > 1 {
-            if self.exchanges.is_multiple_of(self.odd.stale) || self.held.is_none() {
-                self.held = Some(sample.clone());
+        if self.traits.stale > 1 {
+            if self.exchanges.is_multiple_of(self.traits.stale) || self.kept.is_none() {
+                self.kept = Some(sample.clone());
             }
-            let held = self.held.as_ref().unwrap();
+            let kept = self.kept.as_ref().unwrap();
             for channel in [Channel::Speed, Channel::Current, Channel::Angle] {
-                sample.set(channel, raw(held, channel));
+                sample.set(channel, raw(kept, channel));
             }
         }
         let read = [Channel::Voltage, Channel::Current, Channel::Speed];
         let [volts, amps, speed] = read.map(|channel| raw(&sample, channel));
-        if self.clock.time_s() >= self.odd.from_s {
-            let still = self.held.get_or_insert_with(|| sample.clone()).clone();
-            match self.odd.wrong {
-                Wrong::Nothing | Wrong::Deaf { tells: true } | Wrong::SetPointTimes(_) => {}
-                Wrong::Frozen => {
+        if self.clock.time_s() >= self.traits.from_s {
+            let still = self.kept.get_or_insert_with(|| sample.clone()).clone();
+            match self.traits.fault {
+                SignalFault::Nothing
+                | SignalFault::Ignores { reports_voltage: true }
+                | SignalFault::SetPointTimes(_) => {}
+                SignalFault::Frozen => {
                     for channel in [Channel::Speed, Channel::Angle] {
                         sample.set(channel, raw(&still, channel));
                     }
                 }
-                Wrong::AngleStays => sample.set(Channel::Angle, raw(&still, Channel::Angle)),
-                Wrong::Reversed => {
+                SignalFault::AngleStays => sample.set(Channel::Angle, raw(&still, Channel::Angle)),
+                SignalFault::Reversed => {
                     sample.set(Channel::Speed, -speed);
                     sample.set(Channel::Angle, f64::NAN);
                 }
-                Wrong::SpeedTimes(factor) => {
+                SignalFault::SpeedTimes(factor) => {
                     sample.set(Channel::Speed, factor * speed);
                     sample.set(Channel::Angle, f64::NAN);
                 }
-                Wrong::CurrentStays => sample.set(Channel::Current, raw(&still, Channel::Current)),
-                Wrong::CurrentZero => sample.set(Channel::Current, 0.0),
-                Wrong::CurrentTimes(factor) => sample.set(Channel::Current, factor * amps),
-                Wrong::Deaf { tells: false } => sample.set(Channel::Voltage, f64::NAN),
-                Wrong::VoltageTimes(factor) => sample.set(Channel::Voltage, factor * volts),
-                Wrong::SwappedCurrentSpeed => {
+                SignalFault::CurrentStays => {
+                    sample.set(Channel::Current, raw(&still, Channel::Current))
+                }
+                SignalFault::CurrentZero => sample.set(Channel::Current, 0.0),
+                SignalFault::CurrentTimes(factor) => sample.set(Channel::Current, factor * amps),
+                SignalFault::Ignores { reports_voltage: false } => {
+                    sample.set(Channel::Voltage, f64::NAN)
+                }
+                SignalFault::VoltageTimes(factor) => sample.set(Channel::Voltage, factor * volts),
+                SignalFault::SwappedCurrentSpeed => {
                     sample.set(Channel::Current, speed);
                     sample.set(Channel::Speed, amps);
                 }
-                Wrong::SwappedVoltageCurrent => {
+                SignalFault::SwappedVoltageCurrent => {
                     sample.set(Channel::Voltage, amps);
                     sample.set(Channel::Current, volts);
                 }
             }
         }
-        if self.odd.coarse {
+        if self.traits.coarse {
             for (channel, step) in
                 [(Channel::Voltage, 0.1), (Channel::Current, 0.01), (Channel::Speed, 0.104_719_755)]
             {
@@ -117,12 +121,12 @@ impl Broken {
                 }
             }
         }
-        if self.odd.unsigned
+        if self.traits.unsigned
             && let Some(amps) = sample.get(Channel::Current)
         {
             sample.set(Channel::Current, amps.abs());
         }
-        if self.odd.foreign {
+        if self.traits.foreign {
             sample.applied = None;
             sample.set(Channel::Voltage, f64::NAN);
         }
@@ -134,26 +138,27 @@ impl Tamper<MemoryLink> for Broken {
     fn exchange(&mut self, link: &mut MemoryLink, command: Command) -> Result<Sample, LinkError> {
         self.exchanges += 1;
         let mut command = command;
-        let broken = self.clock.time_s() >= self.odd.from_s;
+        let broken = self.clock.time_s() >= self.traits.from_s;
         if let (true, Demand::Voltage(volts)) = (broken, command.demand) {
-            match self.odd.wrong {
-                Wrong::Deaf { .. } => {
+            match self.traits.fault {
+                SignalFault::Ignores { .. } => {
                     let before = Demand::Voltage(self.last.voltage_v().unwrap_or(0.0));
-                    command.demand = *self.deaf.get_or_insert(before);
+                    command.demand = *self.ignoring.get_or_insert(before);
                 }
-                Wrong::SetPointTimes(factor) => command.demand = Demand::Voltage(factor * volts),
+                SignalFault::SetPointTimes(factor) => {
+                    command.demand = Demand::Voltage(factor * volts);
+                }
                 _ => {}
             }
         }
         self.last = command.demand;
-        let sample = link.exchange(command)?;
-        Ok(self.spoil(sample))
+        Ok(self.spoil(link.exchange(command)?))
     }
 }
 
 /// One run.
 struct Trial {
-    odd: Oddities,
+    traits: Traits,
     rate_hz: f64,
     waived: bool,
     config: EmulatorConfig,
@@ -163,10 +168,10 @@ struct Trial {
 }
 
 impl Trial {
-    fn new(wrong: Wrong, from_s: f64, seed: u64) -> Self {
+    fn new(fault: SignalFault, from_s: f64, seed: u64) -> Self {
         let bench = BenchFile::embedded_default();
         Self {
-            odd: Oddities { wrong, from_s, stale: 1, ..Oddities::default() },
+            traits: Traits { fault, from_s, stale: 1, ..Traits::default() },
             rate_hz: 100.0,
             waived: false,
             config: EmulatorConfig::embedded("zk-22fc-plain").unwrap(),
@@ -177,10 +182,10 @@ impl Trial {
     }
 
     /// A drive at a slow line, with the watchdog and the silence that go with it.
-    fn slow(wrong: Wrong, from_s: f64, seed: u64, rate_hz: f64) -> Self {
-        let mut trial = Self::new(wrong, from_s, seed);
+    fn slow(fault: SignalFault, from_s: f64, seed: u64, rate_hz: f64) -> Self {
+        let mut trial = Self::new(fault, from_s, seed);
         trial.rate_hz = rate_hz;
-        trial.odd.coarse = true;
+        trial.traits.coarse = true;
         trial.config.watchdog_ms = 1000;
         trial.limits.link_silence_s = 0.6;
         trial
@@ -189,10 +194,10 @@ impl Trial {
     fn run(self, program: Box<dyn Program>) -> Outcome {
         let (link, mut clock) = in_memory(&self.config, self.seed);
         let by = Broken {
-            odd: self.odd,
+            traits: self.traits,
             clock: clock.clone(),
-            held: None,
-            deaf: None,
+            kept: None,
+            ignoring: None,
             exchanges: 0,
             last: Demand::Disable,
         };
@@ -210,12 +215,12 @@ impl Trial {
 
     /// On the embedded sequence.
     fn outcome(self) -> Outcome {
-        let program = BenchFile::embedded_default().program(self.seed).unwrap();
-        self.run(Box::new(program))
+        let program = embedded_program(self.seed);
+        self.run(program)
     }
 }
 
-/// Whether the watch has spoken.
+/// A trip of the fault detection, not of a limit.
 const fn is_doubt(kind: TripKind) -> bool {
     matches!(
         kind,
@@ -242,48 +247,43 @@ fn a_broken_signal_ends_a_run_in_time_and_with_its_own_name() {
         EncoderReversed, OverCurrent, OverSpeed, SetPointIgnored, SignalsSwapped, SpeedImplausible,
         VoltageImplausible,
     };
-    // From an instant on, and the host time at which it has to be found at the latest.
+    // Host time of the fault, and the latest at which it has to be found.
     const REST: (f64, f64) = (0.0, 0.75);
     const START: (f64, f64) = (0.0, 1.0);
     const FAST: (f64, f64) = (1.2, 1.4);
     const BACK: (f64, f64) = (2.0, 2.2);
-    const SCALED: &[TripKind] = &[SpeedImplausible, OverSpeed];
-    const LARGE: &[TripKind] = &[CurrentImplausible, OverCurrent, SignalsSwapped];
-    const DEAF: &[(f64, f64)] = &[START, (1.2, 1.85), (2.0, 2.5)];
-    const SMALL: &[TripKind] = &[CurrentImplausible];
-    const IGNORED: &[TripKind] = &[SetPointIgnored];
-    const AMPS: &[TripKind] = &[CurrentReversed];
-    const LATE: (f64, f64) = (1.2, 3.6);
-    const SWAPPED: &[TripKind] = &[SignalsSwapped];
-    const ANGLE: &[TripKind] = &[AngleImplausible];
-    type Case = (Wrong, &'static [(f64, f64)], &'static [TripKind]);
+    const IGNORES: &[(f64, f64)] = &[START, (1.2, 1.85), (2.0, 2.5)];
+    type Case = (SignalFault, &'static [(f64, f64)], &'static [TripKind]);
     let cases: [Case; 16] = [
-        (Wrong::Frozen, &[REST, FAST, BACK], &[EncoderFrozen]),
-        (Wrong::Reversed, &[REST, FAST, BACK], &[EncoderReversed]),
-        // From rest a third or three times the speed shows from some 60 rad/s on, that is from 0.8 s.
-        (Wrong::SpeedTimes(0.3), &[START, FAST], SCALED),
-        (Wrong::SpeedTimes(3.0), &[START, FAST], SCALED),
-        (Wrong::CurrentZero, &[REST, FAST, BACK], &[CurrentStuck]),
-        (Wrong::CurrentStays, &[REST, FAST, BACK], &[CurrentStuck]),
-        // At a steady 1.3 A nothing shows, and little while it is only braked; it shows at the latest when it accelerates
-        // again.
-        (Wrong::CurrentTimes(-1.0), &[REST, LATE, BACK], AMPS),
-        // Three times as much is beyond the current limit first; a third of it shows in no single row.
-        (Wrong::CurrentTimes(3.0), &[REST, BACK], LARGE),
-        (Wrong::CurrentTimes(0.3), &[(0.0, 4.0)], SMALL),
-        (Wrong::Deaf { tells: true }, DEAF, IGNORED),
-        (Wrong::Deaf { tells: false }, DEAF, IGNORED),
-        (Wrong::SetPointTimes(0.3), &[START], IGNORED),
-        (Wrong::VoltageTimes(0.3), &[START], &[VoltageImplausible]),
-        (Wrong::SwappedCurrentSpeed, &[REST], SWAPPED),
-        (Wrong::SwappedVoltageCurrent, &[REST, FAST], SWAPPED),
-        (Wrong::AngleStays, &[START, (1.2, 1.45)], ANGLE),
+        (SignalFault::Frozen, &[REST, FAST, BACK], &[EncoderFrozen]),
+        (SignalFault::Reversed, &[REST, FAST, BACK], &[EncoderReversed]),
+        // From rest a third or three times the speed is observable from some 60 rad/s on, after 0.8 s.
+        (SignalFault::SpeedTimes(0.3), &[START, FAST], &[SpeedImplausible, OverSpeed]),
+        (SignalFault::SpeedTimes(3.0), &[START, FAST], &[SpeedImplausible, OverSpeed]),
+        (SignalFault::CurrentZero, &[REST, FAST, BACK], &[CurrentStuck]),
+        (SignalFault::CurrentStays, &[REST, FAST, BACK], &[CurrentStuck]),
+        // At a steady 1.3 A nothing is observable, and little while braking; at the latest it is at the next acceleration.
+        (SignalFault::CurrentTimes(-1.0), &[REST, (1.2, 3.6), BACK], &[CurrentReversed]),
+        // Three times as much exceeds the current limit first; a third of it is observable only over many rows.
+        (
+            SignalFault::CurrentTimes(3.0),
+            &[REST, BACK],
+            &[CurrentImplausible, OverCurrent, SignalsSwapped],
+        ),
+        (SignalFault::CurrentTimes(0.3), &[(0.0, 4.0)], &[CurrentImplausible]),
+        (SignalFault::Ignores { reports_voltage: true }, IGNORES, &[SetPointIgnored]),
+        (SignalFault::Ignores { reports_voltage: false }, IGNORES, &[SetPointIgnored]),
+        (SignalFault::SetPointTimes(0.3), &[START], &[SetPointIgnored]),
+        (SignalFault::VoltageTimes(0.3), &[START], &[VoltageImplausible]),
+        (SignalFault::SwappedCurrentSpeed, &[REST], &[SignalsSwapped]),
+        (SignalFault::SwappedVoltageCurrent, &[REST, FAST], &[SignalsSwapped]),
+        (SignalFault::AngleStays, &[START, (1.2, 1.45)], &[AngleImplausible]),
     ];
-    for (wrong, times, kinds) in cases {
+    for (fault, times, kinds) in cases {
         for &(from_s, latest_s) in times {
             for seed in 1..=10 {
-                let about = format!("{wrong:?} from {from_s} s, seed {seed}");
-                let outcome = Trial::new(wrong, from_s, seed).outcome();
+                let about = format!("{fault:?} from {from_s} s, seed {seed}");
+                let outcome = Trial::new(fault, from_s, seed).outcome();
                 let Outcome::Tripped(trip) = &outcome else {
                     panic!("{about}: {outcome:?}");
                 };
@@ -296,27 +296,27 @@ fn a_broken_signal_ends_a_run_in_time_and_with_its_own_name() {
 }
 
 #[test]
-fn waived_a_scale_is_no_matter_and_a_broken_signal_still_is() {
-    for (wrong, expected) in [
-        (Wrong::SpeedTimes(0.3), None),
-        (Wrong::CurrentTimes(0.3), None),
-        (Wrong::Frozen, Some(TripKind::EncoderFrozen)),
-        (Wrong::Reversed, Some(TripKind::EncoderReversed)),
-        (Wrong::CurrentZero, Some(TripKind::CurrentStuck)),
-        (Wrong::Deaf { tells: true }, Some(TripKind::SetPointIgnored)),
+fn a_waiver_covers_a_scale_and_no_broken_signal() {
+    for (fault, expected) in [
+        (SignalFault::SpeedTimes(0.3), None),
+        (SignalFault::CurrentTimes(0.3), None),
+        (SignalFault::Frozen, Some(TripKind::EncoderFrozen)),
+        (SignalFault::Reversed, Some(TripKind::EncoderReversed)),
+        (SignalFault::CurrentZero, Some(TripKind::CurrentStuck)),
+        (SignalFault::Ignores { reports_voltage: true }, Some(TripKind::SetPointIgnored)),
     ] {
-        let mut trial = Trial::new(wrong, 0.0, 1);
+        let mut trial = Trial::new(fault, 0.0, 1);
         trial.waived = true;
         let found = match trial.outcome() {
             Outcome::Tripped(trip) => Some(trip.kind),
             _ => None,
         };
-        assert_eq!(found, expected, "{wrong:?}");
+        assert_eq!(found, expected, "{fault:?}");
     }
 }
 
-/// What the watch says of a healthy drive, if anything.
-fn doubted(trial: Trial, program: Box<dyn Program>, about: &str) -> Option<String> {
+/// A false alarm of a healthy drive.
+fn false_alarm(trial: Trial, program: Box<dyn Program>, about: &str) -> Option<String> {
     match trial.run(program) {
         Outcome::Tripped(trip) if is_doubt(trip.kind) => Some(format!("{about}: {}", trip.reason)),
         _ => None,
@@ -328,23 +328,23 @@ fn embedded_program(seed: u64) -> Box<dyn Program> {
 }
 
 #[test]
-fn a_healthy_motor_with_any_hidden_effect_is_believed() {
+fn a_motor_with_any_hidden_effect_causes_no_false_alarm() {
     let mut false_alarms = Vec::new();
     for name in ["hidden", "plain", "viscous", "fan", "brushes", "warming", "changing"] {
         for seed in 1..=3 {
-            let mut trial = Trial::new(Wrong::Nothing, 0.0, seed);
+            let mut trial = Trial::new(SignalFault::Nothing, 0.0, seed);
             trial.config = EmulatorConfig::embedded(&format!("zk-22fc-{name}")).unwrap();
             trial.config.tolerance = 0.1 * seed as f64;
             let about = format!("{name}, seed {seed}");
-            false_alarms.extend(doubted(trial, embedded_program(seed), &about));
+            false_alarms.extend(false_alarm(trial, embedded_program(seed), &about));
         }
     }
     for seed in 1..=40 {
-        let mut trial = Trial::new(Wrong::Nothing, 0.0, seed);
+        let mut trial = Trial::new(SignalFault::Nothing, 0.0, seed);
         trial.config = mystery::draw(seed).config;
         trial.config.tolerance = 0.3;
         let about = format!("mystery {seed}: {:?}", trial.config.hidden);
-        false_alarms.extend(doubted(trial, embedded_program(seed), &about));
+        false_alarms.extend(false_alarm(trial, embedded_program(seed), &about));
     }
     assert_eq!(false_alarms, Vec::<String>::new());
 }
@@ -355,27 +355,26 @@ fn slow_steps() -> Box<dyn Program> {
         duration_s: 12.0,
         demand: |time_s| {
             let levels = [0.0, 20.0, 60.0, 30.0, 0.0, -40.0, -80.0, 10.0];
-            let last = levels.len() - 1;
-            Demand::Voltage(levels[whole((time_s / 1.5).floor()).min(last)])
+            Demand::Voltage(levels[whole((time_s / 1.5).floor()).min(levels.len() - 1)])
         },
     })
 }
 
 #[test]
-fn a_slow_coarse_and_stale_drive_is_believed() {
+fn a_slow_coarse_and_stale_drive_causes_no_false_alarm() {
     let mut false_alarms = Vec::new();
     let slow = [(20.0, 2), (20.0, 3), (10.0, 1), (10.0, 2), (8.0, 1), (8.0, 3)];
     let fast = [(50.0, 1), (50.0, 4), (33.0, 3)];
     for (rate_hz, stale) in fast.into_iter().chain(slow) {
         for seed in 1..=3 {
             for foreign in [false, true] {
-                let mut trial = Trial::slow(Wrong::Nothing, 0.0, seed, rate_hz);
+                let mut trial = Trial::slow(SignalFault::Nothing, 0.0, seed, rate_hz);
                 trial.config.tolerance = 0.3;
-                // Its samples are not stamped where its values are older than they say.
-                trial.odd.stale = if foreign { stale } else { 1 };
-                (trial.odd.unsigned, trial.odd.foreign) = (seed == 2, foreign);
+                // Samples with stale values have no stamps.
+                trial.traits.stale = if foreign { stale } else { 1 };
+                (trial.traits.unsigned, trial.traits.foreign) = (seed == 2, foreign);
                 let about = format!("{rate_hz} Hz, stale {stale}, foreign {foreign}, seed {seed}");
-                false_alarms.extend(doubted(trial, slow_steps(), &about));
+                false_alarms.extend(false_alarm(trial, slow_steps(), &about));
             }
         }
     }
@@ -384,24 +383,24 @@ fn a_slow_coarse_and_stale_drive_is_believed() {
 
 #[test]
 fn a_slow_drives_encoder_fault_is_found_in_five_cycles() {
-    for (wrong, kind) in [
-        (Wrong::Frozen, TripKind::EncoderFrozen),
-        (Wrong::Reversed, TripKind::EncoderReversed),
-        (Wrong::SpeedTimes(0.3), TripKind::SpeedImplausible),
+    for (fault, kind) in [
+        (SignalFault::Frozen, TripKind::EncoderFrozen),
+        (SignalFault::Reversed, TripKind::EncoderReversed),
+        (SignalFault::SpeedTimes(0.3), TripKind::SpeedImplausible),
     ] {
         for rate_hz in [8.0, 20.0, 50.0] {
-            let mut trial = Trial::slow(wrong, 3.5, 1, rate_hz);
-            trial.odd.foreign = true;
+            let mut trial = Trial::slow(fault, 3.5, 1, rate_hz);
+            trial.traits.foreign = true;
             let outcome = trial.run(slow_steps());
             let Outcome::Tripped(trip) = &outcome else {
-                panic!("{wrong:?} {rate_hz} Hz: {outcome:?}");
+                panic!("{fault:?} {rate_hz} Hz: {outcome:?}");
             };
             assert_eq!(trip.kind, kind, "{rate_hz} Hz: {}", trip.reason);
             // A speed that froze on a plateau shows when the voltage leaves it, at 4.5 s.
             let frozen = kind == TripKind::EncoderFrozen;
             let from_s = if frozen { 4.6 } else { 3.5 };
             let latest_s = from_s + (7.0 / rate_hz).max(0.3) + 0.1;
-            assert!(trip.at_s <= latest_s, "{wrong:?} {rate_hz} Hz: {trip:?}");
+            assert!(trip.at_s <= latest_s, "{fault:?} {rate_hz} Hz: {trip:?}");
         }
     }
 }
