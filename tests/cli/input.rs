@@ -94,7 +94,7 @@ fn a_file_of_another_dialect_with_products_and_stamps_that_repeat_gives_the_same
     has(
         &done.stderr,
         &[
-            "';' parts the cells, numbers have a decimal comma, a sep= line names the separator",
+            "';' separates the cells, numbers have a decimal comma, a sep= line names the separator",
             "2 rows whose time is not after that of the row before were left out: 2 repeat it",
             "voltage_cmd_v serves as the voltage",
         ],

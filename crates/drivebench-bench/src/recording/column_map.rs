@@ -10,7 +10,7 @@ use drivebench_model::sample::Channel;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Factor {
     Column(String),
-    /// Only the sign of the column, as an unsigned speed takes it from its command.
+    /// Only the sign of the column, for an unsigned speed with the sign of its command.
     SignOf(String),
 }
 
@@ -19,12 +19,12 @@ pub enum Factor {
 pub struct Mapping {
     /// `None` is the time axis.
     pub target: Option<Channel>,
-    /// The columns as they are written; the name of one column where a file has it.
+    /// The product as written; one column where a file has that header.
     pub header: String,
     pub columns: Vec<Factor>,
     pub factor: f64,
     pub offset: f64,
-    /// A factor or an offset was written, if only `*1`: somebody thought of the unit.
+    /// A factor or an offset is given, even `*1`: the unit was considered.
     pub scaled: bool,
 }
 
@@ -39,7 +39,7 @@ impl ColumnMap {
         &self.items
     }
 
-    /// The names that may stand left of the `=`.
+    /// The names allowed before the `=`.
     pub fn targets() -> impl Iterator<Item = &'static str> + Clone {
         std::iter::once("time_s").chain(Channel::ALL.into_iter().map(Channel::key))
     }
@@ -69,7 +69,7 @@ impl FromStr for ColumnMap {
     }
 }
 
-/// The parts between separators outside of double quotes.
+/// Splits at separators outside of double quotes.
 fn split_unquoted(text: &str, separator: char) -> Vec<&str> {
     let mut is_quoted = false;
     text.split(|letter| {
@@ -92,18 +92,16 @@ fn parse_item(item: &str) -> Result<Mapping, RecordingError> {
     let source = source.trim();
     let parts = split_unquoted(source, '*');
     let (mut columns, mut factor, mut offset) = (Vec::new(), 1.0, 0.0);
-    // The header where it is one that holds stars.
-    let mut header = "";
-    let mut at = 0;
-    for (place, part) in parts.iter().copied().enumerate() {
-        let mut part = part;
+    // A header may contain stars.
+    let (mut header, mut at) = ("", 0);
+    for (place, mut part) in parts.iter().copied().enumerate() {
         if place + 1 == parts.len() {
             (part, offset) = split_offset(item, part)?;
         }
         at += source[at..].find(part).unwrap_or_default() + part.len();
         if let Some(value) = number(part).filter(|_| place > 0) {
             if value == 0.0 {
-                // It would make every cell the same and hide the mistake.
+                // All cells would be equal.
                 return Err(wrong(item, "the factor is 0 (allowed: any other number)"));
             }
             factor *= value;
@@ -120,8 +118,8 @@ fn parse_item(item: &str) -> Result<Mapping, RecordingError> {
     Ok(Mapping { target: channel, header, columns, factor, offset, scaled: !is_bare })
 }
 
-/// A header, in double quotes or not, or `sign(header)`; behind a star no text that looks like a number.
-fn parse_column(item: &str, part: &str, is_behind: bool) -> Result<Factor, RecordingError> {
+/// A header, in double quotes or not, or `sign(header)`; after a star it must not look like a number.
+fn parse_column(item: &str, part: &str, is_after_star: bool) -> Result<Factor, RecordingError> {
     if let Some(inner) = part.strip_prefix("sign(").and_then(|rest| rest.strip_suffix(')')) {
         return match parse_column(item, inner.trim(), false)? {
             Factor::Column(name) => Ok(Factor::SignOf(name)),
@@ -130,7 +128,7 @@ fn parse_column(item: &str, part: &str, is_behind: bool) -> Result<Factor, Recor
     }
     let looks_like_number = part.parse::<f64>().is_ok()
         || part.starts_with(|first: char| first.is_ascii_digit() || "+-.".contains(first));
-    if is_behind && (part.is_empty() || looks_like_number) {
+    if is_after_star && (part.is_empty() || looks_like_number) {
         let reason = format!("{part:?} after the last * is neither a factor nor factor+offset");
         return Err(wrong(item, reason));
     }
@@ -148,8 +146,8 @@ fn parse_column(item: &str, part: &str, is_behind: bool) -> Result<Factor, Recor
     Ok(Factor::Column(name))
 }
 
-/// The last part without its offset. A `+` begins the offset where a number follows it; it may also be part of an
-/// exponent, as in `1e+3`, or of a header.
+/// The last part and its offset. A `+` begins the offset if a number follows it; it may also belong to an exponent, as in
+/// `1e+3`, or to a header.
 fn split_offset<'a>(item: &str, part: &'a str) -> Result<(&'a str, f64), RecordingError> {
     if part.starts_with('"') {
         let Some(close) = part.rfind('"').filter(|close| *close > 0) else {
@@ -164,8 +162,7 @@ fn split_offset<'a>(item: &str, part: &'a str) -> Result<(&'a str, f64), Recordi
             return Err(wrong(item, reason));
         };
         let reason = || format!("the offset {offset:?} is not a finite number");
-        let value = number(offset).ok_or_else(|| wrong(item, reason()))?;
-        return Ok((&part[..=close], value));
+        return Ok((&part[..=close], number(offset).ok_or_else(|| wrong(item, reason()))?));
     }
     let is_factor = part.starts_with(|first: char| first.is_ascii_digit() || "+-.".contains(first));
     if number(part).is_none() {
@@ -180,15 +177,14 @@ fn split_offset<'a>(item: &str, part: &'a str) -> Result<(&'a str, f64), Recordi
 }
 
 fn number(text: &str) -> Option<f64> {
-    let value = text.trim().parse::<f64>().ok();
-    value.filter(|value| value.is_finite())
+    text.trim().parse::<f64>().ok().filter(|value| value.is_finite())
 }
 
 fn wrong(item: &str, reason: impl Into<String>) -> RecordingError {
     RecordingError::Map { item: item.to_owned(), reason: reason.into() }
 }
 
-/// The nearest target and all of them: a foreign name is seldom near to any.
+/// The nearest target and all of them: a foreign name is rarely near to any.
 fn unknown_target_help(target: &str) -> String {
     let all = ColumnMap::targets().collect::<Vec<_>>().join(", ");
     let help = help_for_unknown(target, ColumnMap::targets());
@@ -198,6 +194,7 @@ fn unknown_target_help(target: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing::{has, near};
     use proptest::prelude::*;
 
     fn one(source: &str) -> Result<(String, f64, f64), RecordingError> {
@@ -240,26 +237,23 @@ mod tests {
     fn a_factor_may_be_a_column_or_its_sign() {
         let column = |name: &str| Factor::Column(name.to_owned());
         let sign = |name: &str| Factor::SignOf(name.to_owned());
-        let power = [column("duty"), column("bus_v")];
-        let product = [column("a"), column("b, c")];
-        let first = [sign("u, V"), column("rpm")];
         for (source, columns, factor, offset) in [
-            ("duty*bus_v", power, 1.0, 0.0),
-            ("a*-2*\"b, c\"*0.5+3", product, -1.0, 3.0),
+            ("duty*bus_v", [column("duty"), column("bus_v")], 1.0, 0.0),
+            ("a*-2*\"b, c\"*0.5+3", [column("a"), column("b, c")], -1.0, 3.0),
             ("rpm*0.1*sign(u)", [column("rpm"), sign("u")], 0.1, 0.0),
-            ("sign( \"u, V\" )*rpm", first, 1.0, 0.0),
+            ("sign( \"u, V\" )*rpm", [sign("u, V"), column("rpm")], 1.0, 0.0),
         ] {
             let map: ColumnMap = format!("time_s=t,current_a={source}").parse().unwrap();
             let item = &map.items()[1];
             assert_eq!(item.columns, columns, "{source}");
-            assert!((item.factor - factor).abs() < 1e-15, "{source}: {item:?}");
-            assert!((item.offset - offset).abs() < 1e-15, "{source}: {item:?}");
+            near(item.factor, factor, 1e-15);
+            near(item.offset, offset, 1e-15);
             assert!(item.scaled, "{source}");
         }
     }
 
     #[test]
-    fn what_is_wrong_is_named() {
+    fn errors_name_their_cause() {
         for (source, part) in [
             ("i*2x", "after the last *"),
             ("i*", "after the last *"),
@@ -277,8 +271,8 @@ mod tests {
             ("i,1047", "no = between"),
         ] {
             let error = one(source).unwrap_err();
-            assert!(error.to_string().contains(part), "{source}: {error}");
             assert!(!error.help().is_empty());
+            has(error, part);
         }
     }
 
@@ -286,22 +280,20 @@ mod tests {
     fn an_unknown_target_has_a_nearest_one_and_time_is_required() {
         let error = "time_s=t,speed_rads=w".parse::<ColumnMap>().unwrap_err();
         assert!(error.help().starts_with("did you mean `speed_rad_s`?"));
-        let timeless = "speed_rad_s=w".parse::<ColumnMap>();
-        assert_eq!(timeless, Err(RecordingError::MapWithoutTime));
+        assert_eq!("speed_rad_s=w".parse::<ColumnMap>(), Err(RecordingError::MapWithoutTime));
         assert!("".parse::<ColumnMap>().is_err());
     }
 
     #[test]
-    fn the_example_of_the_contract() {
-        let map: ColumnMap =
-            "time_s=t,voltage_v=u,current_a=i,speed_rad_s=rpm*0.104719755".parse().unwrap();
-        assert_eq!(map.items().len(), 4);
-        assert_eq!(map.items()[3].factor.to_bits(), 0.104_719_755_f64.to_bits());
-        let scaled =
-            |map: &ColumnMap| map.items().iter().map(|item| item.scaled).collect::<Vec<_>>();
-        assert_eq!(scaled(&map), [false, false, false, true]);
-        let map = "time_s=t*1,current_a=\"i\"*1,voltage_v=\"u\"".parse().unwrap();
-        assert_eq!(scaled(&map), [true, true, false]);
+    fn a_written_factor_marks_the_column_as_scaled() {
+        for (text, expected) in [
+            ("time_s=t,voltage_v=u,speed_rad_s=rpm*0.104719755", [false, false, true]),
+            ("time_s=t*1,current_a=\"i\"*1,voltage_v=\"u\"", [true, true, false]),
+        ] {
+            let map: ColumnMap = text.parse().unwrap();
+            let scaled: Vec<bool> = map.items().iter().map(|item| item.scaled).collect();
+            assert_eq!(scaled, expected, "{text}");
+        }
     }
 
     proptest! {

@@ -1,12 +1,12 @@
-//! Any CSV, row by row, into rows and runs.
+//! Any CSV (RFC 4180, with dialects) row by row into rows and runs.
 //!
 //! ```text
-//! text -> head (byte order mark, sep= line, header row) -> Dialect, Wanted columns
+//! text -> head (byte order mark, sep= line, header row) -> Dialect, Columns
 //!      -> csv::Reader: cells of one line -> rules of a row -> Row -> Run
 //! ```
 //!
 //! The memory does not grow with the file. A quoted cell holds no line break, so that a torn line never swallows others:
-//! the reader takes quotes as they are, and only a line that has some is parted once more.
+//! the csv reader ignores quotes, and a line with quotes is split once more.
 
 use std::io::{self, BufRead, Read, Seek, SeekFrom};
 
@@ -20,7 +20,7 @@ use drivebench_model::sample::{Channel, LARGEST, Origin, Run};
 pub struct ReadOptions<'a> {
     /// Columns of a foreign file; without it the headers must be our own.
     pub map: Option<&'a ColumnMap>,
-    /// It stands in a run folder: the writer ended every row with a line feed and wrote no remarks.
+    /// Of a run folder: every row ends with a line feed, and there are no comments.
     pub in_run_folder: bool,
 }
 
@@ -31,12 +31,11 @@ pub fn read_csv(
     options: ReadOptions<'_>,
 ) -> Result<(Run, Vec<String>), RecordingError> {
     let mut rows = CsvRows::new(reader, file, options)?;
-    let run = collect(&mut rows, file, options.map.is_none())?;
-    Ok((run, rows.warnings()))
+    Ok((collect(&mut rows, file, options.map.is_none())?, rows.warnings()))
 }
 
-/// All rows as columns. A column without a single value is no column. Commands are commands in our own files; in a
-/// foreign one nobody has said where a signal comes from.
+/// All rows as columns, without those that have no value. In our own files commands are commands; in a foreign one the origin
+/// of a signal is unknown.
 pub(super) fn collect(
     rows: &mut CsvRows<impl BufRead>,
     file: &str,
@@ -77,8 +76,8 @@ pub(super) fn collect(
     Ok(run)
 }
 
-/// Looks at the end of a record first: the length of its whole rows, and whether a torn one follows. Its writer ends every
-/// row with a line feed, so a last row without one is torn even if it can be read: `1.2` may have been `1.25`.
+/// The length of the whole rows of a record, and whether a torn one follows. Every row ends with a line feed, so a last row
+/// without one is torn even if it can be read: `1.2` may have been `1.25`.
 pub(super) fn whole_rows(text: &mut (impl Read + Seek)) -> io::Result<(u64, bool)> {
     let end = text.seek(SeekFrom::End(0))?;
     let mut whole = end;
@@ -98,21 +97,15 @@ pub(super) fn whole_rows(text: &mut (impl Read + Seek)) -> io::Result<(u64, bool
     Ok((whole, whole < end))
 }
 
-/// Columns of ours that are no quantity; they are read past.
+/// Own columns that are no quantity.
 const BOOKKEEPING: [&str; 4] = ["host_time_s", "seq", "status", QUALITY];
-/// The one of them whose remarks are kept.
+/// The one of them that is kept.
 const QUALITY: &str = "quality";
-/// Between the cells of a file; the first with which the file has its time column.
-const SEPARATORS: [u8; 3] = [b',', b';', b'\t'];
-/// A line that is longer is no row, bytes: the memory stays small whatever a file holds.
+/// Longest row, bytes: it bounds the memory.
 const LONGEST_LINE: u64 = 1 << 20;
-/// Of the reader, bytes.
-const BUFFER: usize = 1 << 16;
-/// Share of the rows of a foreign file that may go back in time; beyond it the column is no time.
-const MOST_BACKWARDS_SHARE: f64 = 0.1;
 
-/// One column that is wanted: the product of some cells, `factor` and `offset`.
-struct Wanted {
+/// One column of the run: the product of some cells and `factor`, plus `offset`.
+struct Column {
     target: Option<Channel>,
     cells: Vec<Cell>,
     factor: f64,
@@ -121,11 +114,11 @@ struct Wanted {
 
 struct Cell {
     field: usize,
-    /// Only the sign counts: that of the last value that was not zero, until there is one +1.
+    /// Only the sign of the cell counts: that of its last value that was not zero, +1 before there is one.
     sign: Option<f64>,
 }
 
-/// The lines behind the header, one at a time, each parted into its cells.
+/// The lines after the header, each split into its cells.
 struct Cells<R> {
     reader: csv::Reader<Bounded<R>>,
     separator: u8,
@@ -134,7 +127,7 @@ struct Cells<R> {
     lines_before: u64,
 }
 
-/// Ends with an error where a file goes on without a line feed.
+/// Fails where a line is too long.
 struct Bounded<R> {
     inner: R,
     /// Bytes since the last line feed.
@@ -161,15 +154,15 @@ impl<R: Read> Read for Bounded<R> {
     }
 }
 
-/// Why a line has no cells.
-enum Unparted {
+/// A line that cannot be split into cells.
+enum LineError {
     Io(io::Error),
     TooLong,
     NotUtf8,
     Quote,
 }
 
-impl From<csv::Error> for Unparted {
+impl From<csv::Error> for LineError {
     fn from(error: csv::Error) -> Self {
         match error.into_kind() {
             csv::ErrorKind::Io(error) if error.kind() == io::ErrorKind::FileTooLarge => {
@@ -177,7 +170,7 @@ impl From<csv::Error> for Unparted {
             }
             csv::ErrorKind::Io(error) => Self::Io(error),
             csv::ErrorKind::Utf8 { .. } => Self::NotUtf8,
-            // A reader of rows of any length has no other.
+            // Rows of any length are allowed.
             _ => Self::Quote,
         }
     }
@@ -185,22 +178,19 @@ impl From<csv::Error> for Unparted {
 
 impl<R: BufRead> Cells<R> {
     fn behind_header(inner: R, separator: u8, lines_before: u64) -> Self {
-        let bounded = Bounded { inner, length: 0, is_over: false };
-        let mut builder = csv::ReaderBuilder::new();
-        builder.has_headers(false).flexible(true).quoting(false);
-        builder.delimiter(separator);
-        builder.terminator(csv::Terminator::Any(b'\n'));
-        builder.buffer_capacity(BUFFER);
-        Self {
-            reader: builder.from_reader(bounded),
-            separator,
-            record: csv::StringRecord::new(),
-            lines_before,
-        }
+        let reader = csv::ReaderBuilder::new()
+            .has_headers(false)
+            .flexible(true)
+            .quoting(false)
+            .delimiter(separator)
+            .terminator(csv::Terminator::Any(b'\n'))
+            .buffer_capacity(1 << 16)
+            .from_reader(Bounded { inner, length: 0, is_over: false });
+        Self { reader, separator, record: csv::StringRecord::new(), lines_before }
     }
 
-    /// Goes to the next line that is not blank; `false` at the end of the file.
-    fn next_line(&mut self) -> Result<bool, Unparted> {
+    /// Reads the next line that is not blank; `false` at the end of the file.
+    fn next_line(&mut self) -> Result<bool, LineError> {
         if !self.reader.read_record(&mut self.record)? {
             return Ok(false);
         }
@@ -209,41 +199,42 @@ impl<R: BufRead> Cells<R> {
             let line = self.record.iter().collect::<Vec<_>>().join(&separator);
             let (cells, is_joined) = quoted_cells(&line, self.separator)?;
             if is_joined {
-                return Err(Unparted::Quote);
+                return Err(LineError::Quote);
             }
             self.record = cells.into();
         }
         Ok(true)
     }
 
-    /// The line does not end with a line feed: the file ends with it.
+    /// The line is the last and has no line feed.
     fn is_open(&self) -> bool {
         self.reader.get_ref().is_over
     }
 
     /// Number of the line in the file; at its end of the one that would follow.
-    fn line(&self) -> u64 {
-        self.lines_before + self.reader.position().line() - u64::from(!self.is_open())
+    fn line(&self) -> usize {
+        let line = self.lines_before + self.reader.position().line() - u64::from(!self.is_open());
+        usize::try_from(line).unwrap_or(usize::MAX)
     }
 
-    /// A cell without the blanks around it.
+    /// A cell without blanks at its ends.
     fn get(&self, field: usize) -> &str {
         self.record[field].trim()
     }
 }
 
 /// The next line with its line end; 0 at the end of the file.
-fn read_line(reader: &mut impl BufRead, line: &mut Vec<u8>) -> Result<usize, Unparted> {
+fn read_line(reader: &mut impl BufRead, line: &mut Vec<u8>) -> Result<usize, LineError> {
     let mut limited = reader.take(LONGEST_LINE);
-    let count = limited.read_until(b'\n', line).map_err(Unparted::Io)?;
+    let count = limited.read_until(b'\n', line).map_err(LineError::Io)?;
     if limited.limit() == 0 && line.last() != Some(&b'\n') {
-        return Err(Unparted::TooLong);
+        return Err(LineError::TooLong);
     }
     Ok(count)
 }
 
 /// The cells of a line with quotes, and whether text follows a closed quote, which belongs to the cell then: `"1"2`.
-fn quoted_cells(line: &str, separator: u8) -> Result<(Vec<String>, bool), Unparted> {
+fn quoted_cells(line: &str, separator: u8) -> Result<(Vec<String>, bool), LineError> {
     let separator = char::from(separator);
     let (mut cells, mut is_joined) = (Vec::new(), false);
     let mut rest = line;
@@ -251,7 +242,7 @@ fn quoted_cells(line: &str, separator: u8) -> Result<(Vec<String>, bool), Unpart
         let mut cell = String::new();
         if let Some(mut quoted) = rest.strip_prefix('"') {
             loop {
-                let (part, behind) = quoted.split_once('"').ok_or(Unparted::Quote)?;
+                let (part, behind) = quoted.split_once('"').ok_or(LineError::Quote)?;
                 cell.push_str(part);
                 let Some(more) = behind.strip_prefix('"') else {
                     rest = behind;
@@ -272,10 +263,10 @@ fn quoted_cells(line: &str, separator: u8) -> Result<(Vec<String>, bool), Unpart
     }
 }
 
-/// How a file departs from comma and decimal point.
+/// Separator and decimal mark of a file.
 struct Dialect {
     separator: u8,
-    /// What stands before the decimals, once a number has shown it; always a point where the comma parts the cells.
+    /// The decimal mark, once a number has one; always a point where the comma is the separator.
     decimal: Option<u8>,
     has_mark: bool,
     has_sep_line: bool,
@@ -307,32 +298,32 @@ impl Dialect {
 struct Stamps {
     repeated: usize,
     backwards: usize,
-    /// What is wrong with the first that goes back.
+    /// Of the first row that goes back.
     first: Option<RecordingError>,
 }
 
 impl Stamps {
     fn sentence(&self, file: &str) -> Option<String> {
         let (repeated, backwards) = (self.repeated, self.backwards);
-        (repeated + backwards > 0).then(|| {
+        let all = repeated + backwards;
+        (all > 0).then(|| {
             format!(
-                "{file}: {} rows whose time is not after that of the row before were left out: {repeated} repeat it, {backwards} go back",
-                repeated + backwards
+                "{file}: {all} rows whose time is not after that of the row before were left out: {repeated} repeat it, {backwards} go back"
             )
         })
     }
 }
 
-/// The rows of a CSV in order. Empty and `NaN` cells are missing; in foreign files lines that begin with `#` are left out.
+/// The rows of a CSV in order. Empty and `NaN` cells are missing; in foreign files lines that begin with `#` are comments.
 ///
 /// A torn last row is left out, counted and warned of, and so are rows of a foreign file whose time is not after that of
-/// the row before; a row that cannot be read anywhere else is an error with its number.
+/// the row before; any other row that cannot be read is an error with its number.
 pub struct CsvRows<R> {
     cells: Cells<R>,
     file: String,
     headers: Vec<String>,
-    wanted: Vec<Wanted>,
-    /// Where our own remarks stand; a foreign column of that name is none of ours.
+    columns: Vec<Column>,
+    /// The `quality` column, of our own files only.
     quality_field: Option<usize>,
     is_mapped: bool,
     in_run_folder: bool,
@@ -360,9 +351,9 @@ impl<R: BufRead> CsvRows<R> {
         let time = time.map_or("time_s", |item| item.header.as_str());
         let (headers, dialect, lines_before) = head(&mut reader, file, time)?;
         let mut warnings = Vec::new();
-        let wanted = match options.map {
-            Some(map) => wanted_by_map(&headers, map, file)?,
-            None => wanted_of_our_own(&headers, file, &mut warnings)?,
+        let columns = match options.map {
+            Some(map) => columns_by_map(&headers, map, file)?,
+            None => columns_of_our_own(&headers, file, &mut warnings)?,
         };
         let quality_field = headers.iter().position(|header| header == QUALITY);
         Ok(Self {
@@ -370,7 +361,7 @@ impl<R: BufRead> CsvRows<R> {
             file: file.to_owned(),
             quality_field: quality_field.filter(|_| options.map.is_none()),
             headers,
-            wanted,
+            columns,
             is_mapped: options.map.is_some(),
             in_run_folder: options.in_run_folder,
             dialect,
@@ -390,13 +381,13 @@ impl<R: BufRead> CsvRows<R> {
         self.ends_torn = ends_torn;
     }
 
-    /// The next row, with its quantities and, in our own files, the remarks on them; `None` at the end of the file.
+    /// The next row, in our own files with its quality; `None` at the end of the file.
     pub fn next_row(&mut self) -> Result<Option<Row>, RecordingError> {
         loop {
             let taken = match self.cells.next_line() {
                 Ok(false) => break,
                 Ok(true) => self.take(),
-                Err(why) => Err(unparted(&why, &self.file, self.line())),
+                Err(error) => Err(at_line(&error, &self.file, self.cells.line())),
             };
             match taken {
                 Ok(None) => {}
@@ -408,23 +399,22 @@ impl<R: BufRead> CsvRows<R> {
                     if !self.cells.is_open() {
                         return Err(error);
                     }
-                    self.leave_out_torn(self.line());
+                    self.leave_out_torn();
                 }
             }
         }
         if std::mem::take(&mut self.ends_torn) {
-            self.leave_out_torn(self.line());
+            self.leave_out_torn();
         }
-        let comments = std::mem::take(&mut self.comments);
+        let (file, comments) = (&self.file, std::mem::take(&mut self.comments));
         if comments > 0 {
-            let file = &self.file;
-            let text = format!("{file}: {comments} lines that begin with # were left out");
-            self.warnings.push(text);
+            self.warnings.push(format!("{file}: {comments} lines that begin with # were left out"));
         }
         if self.rows == 0 {
             return Err(RecordingError::NoRows { file: self.file.clone() });
         }
-        let too_many = self.stamps.backwards as f64 > MOST_BACKWARDS_SHARE * self.rows as f64;
+        // Then the column is no time.
+        let too_many = self.stamps.backwards as f64 > 0.1 * self.rows as f64;
         match self.stamps.first.take() {
             Some(error) if too_many => Err(error),
             _ => Ok(None),
@@ -433,10 +423,10 @@ impl<R: BufRead> CsvRows<R> {
 
     /// The channels that the file has a column for; each cell of it may still be missing.
     pub fn channels(&self) -> impl Iterator<Item = Channel> + '_ {
-        self.wanted.iter().filter_map(|wanted| wanted.target)
+        self.columns.iter().filter_map(|column| column.target)
     }
 
-    /// Rows given out so far.
+    /// Rows read so far.
     pub fn rows(&self) -> usize {
         self.rows
     }
@@ -448,45 +438,37 @@ impl<R: BufRead> CsvRows<R> {
 
     /// Sentences for the reader; complete after the last row.
     pub fn warnings(&self) -> Vec<String> {
-        let stamps = self.stamps.sentence(&self.file);
-        self.warnings.iter().cloned().chain(stamps).collect()
+        self.warnings.iter().cloned().chain(self.stamps.sentence(&self.file)).collect()
     }
 
-    /// How the file departs from comma and decimal point, where it does; complete after the last row.
+    /// How the file differs from comma and decimal point; complete after the last row.
     pub fn dialect(&self) -> Option<String> {
         let Dialect { separator, decimal, .. } = self.dialect;
-        let name = if separator == b'\t' {
-            "a tab".to_owned()
-        } else {
-            format!("{:?}", char::from(separator))
+        let name = match separator {
+            b'\t' => "a tab".to_owned(),
+            other => format!("{:?}", char::from(other)),
         };
-        let departures = [
-            (separator != b',', &*format!("{name} parts the cells")),
+        let differences = [
+            (separator != b',', &*format!("{name} separates the cells")),
             (decimal == Some(b','), "numbers have a decimal comma"),
             (self.dialect.has_sep_line, "a sep= line names the separator"),
             (self.dialect.has_mark, "it begins with a byte order mark"),
         ];
-        let there = departures.iter().filter(|(is_there, _)| *is_there);
-        let texts: Vec<&str> = there.map(|(_, text)| *text).collect();
+        let texts: Vec<&str> =
+            differences.iter().filter(|(applies, _)| *applies).map(|(_, text)| *text).collect();
         (!texts.is_empty()).then(|| format!("{}: {}", self.file, texts.join(", ")))
     }
 
-    fn leave_out_torn(&mut self, line: usize) {
+    fn leave_out_torn(&mut self) {
         self.rows_dropped += 1;
-        let file = &self.file;
-        let text = format!("{file}: the last row (line {line}) is torn and was left out");
-        self.warnings.push(text);
+        let (file, line) = (&self.file, self.cells.line());
+        self.warnings.push(format!("{file}: the last row (line {line}) is torn and was left out"));
     }
 
-    /// Number of the line that was read last; at the end of the file of the one that would follow.
-    fn line(&self) -> usize {
-        usize::try_from(self.cells.line()).unwrap_or(usize::MAX)
-    }
-
-    /// The present line as a row; `None` for a blank line, a remark, a row of separators only, as spreadsheets leave them
-    /// behind, and one whose time is left out.
+    /// The present line as a row; `None` for a blank line, a comment, a row of separators only, as spreadsheets write them,
+    /// and one that is left out for its time.
     fn take(&mut self) -> Result<Option<Row>, RecordingError> {
-        let line = self.line();
+        let line = self.cells.line();
         let first = self.cells.get(0);
         // With its carriage return a blank line is one cell.
         if self.cells.record.len() == 1 && first.is_empty() {
@@ -508,9 +490,9 @@ impl<R: BufRead> CsvRows<R> {
         let mut out = Row::at(f64::NAN);
         let mut time_column = 0;
         let mut empty = true;
-        for wanted in &mut self.wanted {
-            let mut value = wanted.factor;
-            for Cell { field, sign } in &mut wanted.cells {
+        for column in &mut self.columns {
+            let mut value = column.factor;
+            for Cell { field, sign } in &mut column.cells {
                 let cell = self.cells.get(*field);
                 let Some(number) = self.dialect.number(cell) else {
                     return Err(wrong(RowProblem::NotANumber {
@@ -528,17 +510,17 @@ impl<R: BufRead> CsvRows<R> {
                     }
                 };
             }
-            value += wanted.offset;
+            value += column.offset;
             if value.abs() > LARGEST {
-                let column = headers[wanted.cells[0].field].clone();
+                let column = headers[column.cells[0].field].clone();
                 return Err(wrong(RowProblem::TooLarge { column, value }));
             }
-            if let Some(channel) = wanted.target {
+            if let Some(channel) = column.target {
                 empty &= value.is_nan();
                 out.set(channel, Some(value));
             } else {
                 out.time_s = value;
-                time_column = wanted.cells[0].field;
+                time_column = column.cells[0].field;
             }
         }
         if out.time_s.is_nan() {
@@ -571,22 +553,22 @@ impl<R: BufRead> CsvRows<R> {
     }
 }
 
-fn unparted(why: &Unparted, file: &str, line: usize) -> RecordingError {
+fn at_line(error: &LineError, file: &str, line: usize) -> RecordingError {
     let file = file.to_owned();
-    match why {
-        Unparted::Io(error) => {
+    match error {
+        LineError::Io(error) => {
             RecordingError::Io { path: file, doing: "read", reason: error.to_string() }
         }
         // It has not been counted.
-        Unparted::TooLong => {
+        LineError::TooLong => {
             RecordingError::LineTooLong { file, line: line + 1, most: LONGEST_LINE }
         }
-        Unparted::NotUtf8 => RecordingError::NotUtf8 { file, line },
-        Unparted::Quote => RecordingError::Quote { file, line },
+        LineError::NotUtf8 => RecordingError::NotUtf8 { file, line },
+        LineError::Quote => RecordingError::Quote { file, line },
     }
 }
 
-/// Headers, dialect, and number of the header row: the first line that is neither blank nor a remark. A line that begins with
+/// Headers, dialect, and number of the header row: the first line that is neither blank nor a comment. A line that begins with
 /// `#` but has the time column is a header, as some tools write it.
 fn head(
     reader: &mut impl BufRead,
@@ -595,13 +577,13 @@ fn head(
 ) -> Result<(Vec<String>, Dialect, u64), RecordingError> {
     let mut dialect =
         Dialect { separator: b',', decimal: None, has_mark: false, has_sep_line: false };
-    let mut separators = SEPARATORS.to_vec();
+    // The first with which the file has its time column.
+    let mut separators = vec![b',', b';', b'\t'];
     let mut bytes = Vec::new();
     for lines in 1.. {
         bytes.clear();
         let before = usize::try_from(lines - 1).unwrap_or(usize::MAX);
-        let count = read_line(reader, &mut bytes);
-        let count = count.map_err(|why| unparted(&why, file, before))?;
+        let count = read_line(reader, &mut bytes).map_err(|error| at_line(&error, file, before))?;
         if count == 0 {
             break;
         }
@@ -622,23 +604,21 @@ fn head(
             dialect.has_sep_line = true;
             continue;
         }
-        let is_remark = text[0] == b'#';
-        let of = |separator: &u8| headers(text, *separator, lines, file);
-        let found = match separators.iter().map(of).collect::<Result<Vec<_>, _>>() {
-            Err(_) if is_remark => continue,
+        let is_comment = text[0] == b'#';
+        let split = |separator: &u8| headers(text, *separator, lines, file);
+        let found = match separators.iter().map(split).collect::<Result<Vec<_>, _>>() {
+            Err(_) if is_comment => continue,
             found => found?,
         };
-        let has_time = |names: &Vec<String>| names.iter().any(|name| name == time);
-        let with_time = found.iter().position(has_time);
-        if is_remark && with_time.is_none() {
+        let with_time = found.iter().position(|names| names.iter().any(|name| name == time));
+        if is_comment && with_time.is_none() {
             continue;
         }
-        let most = found.iter().map(Vec::len).max();
-        let most = found.iter().position(|names| Some(names.len()) == most);
+        let longest = found.iter().map(Vec::len).max();
+        let most = found.iter().position(|names| Some(names.len()) == longest);
         let chosen = with_time.or(most).unwrap_or_default();
         dialect.separator = separators[chosen];
-        let headers = found.into_iter().nth(chosen).unwrap_or_default();
-        return Ok((headers, dialect, lines));
+        return Ok((found.into_iter().nth(chosen).unwrap_or_default(), dialect, lines));
     }
     Err(RecordingError::Empty { file: file.to_owned() })
 }
@@ -650,75 +630,64 @@ fn headers(
     file: &str,
 ) -> Result<Vec<String>, RecordingError> {
     let line = usize::try_from(line).unwrap_or(usize::MAX);
-    let text = std::str::from_utf8(text).map_err(|_| Unparted::NotUtf8);
-    // Under a separator that is none of the file's own, text may well follow a closed quote.
-    let cells = text.and_then(|text| quoted_cells(text, separator));
-    let (cells, _) = cells.map_err(|why| unparted(&why, file, line))?;
+    // With a separator that is not that of the file, text may follow a closed quote.
+    let (cells, _) = std::str::from_utf8(text)
+        .map_err(|_| LineError::NotUtf8)
+        .and_then(|text| quoted_cells(text, separator))
+        .map_err(|error| at_line(&error, file, line))?;
     Ok(cells.iter().map(|name| name.trim().to_owned()).collect())
 }
 
-fn wanted_by_map(
+fn columns_by_map(
     headers: &[String],
     map: &ColumnMap,
     file: &str,
-) -> Result<Vec<Wanted>, RecordingError> {
+) -> Result<Vec<Column>, RecordingError> {
     let cell = |name: &str, sign| -> Result<Cell, RecordingError> {
-        let field = field_of(headers, name, file)?;
-        Ok(Cell { field, sign })
+        Ok(Cell { field: field_of(headers, name, file)?, sign })
     };
-    let mut wanted = Vec::new();
-    for item in map.items() {
-        // A header may hold a star itself.
-        let is_one = headers.contains(&item.header);
-        let cells = item.columns.iter().map(|factor| match factor {
-            Factor::Column(name) => cell(name, None),
-            Factor::SignOf(name) => cell(name, Some(1.0)),
-        });
-        wanted.push(Wanted {
-            target: item.target,
-            cells: if is_one {
-                vec![cell(&item.header, None)?]
-            } else {
-                cells.collect::<Result<_, _>>()?
-            },
-            factor: item.factor,
-            offset: item.offset,
-        });
-    }
-    Ok(wanted)
+    let columns = map.items().iter().map(|item| {
+        // A header may contain a star itself.
+        let cells = if headers.contains(&item.header) {
+            vec![cell(&item.header, None)?]
+        } else {
+            let cells = item.columns.iter().map(|factor| match factor {
+                Factor::Column(name) => cell(name, None),
+                Factor::SignOf(name) => cell(name, Some(1.0)),
+            });
+            cells.collect::<Result<_, RecordingError>>()?
+        };
+        Ok(Column { target: item.target, cells, factor: item.factor, offset: item.offset })
+    });
+    columns.collect()
 }
 
-fn wanted_of_our_own(
+fn columns_of_our_own(
     headers: &[String],
     file: &str,
     warnings: &mut Vec<String>,
-) -> Result<Vec<Wanted>, RecordingError> {
+) -> Result<Vec<Column>, RecordingError> {
     let plain = |header, target| {
         let field = field_of(headers, header, file)?;
-        Ok(Wanted { target, cells: vec![Cell { field, sign: None }], factor: 1.0, offset: 0.0 })
+        Ok(Column { target, cells: vec![Cell { field, sign: None }], factor: 1.0, offset: 0.0 })
     };
-    let mut wanted = vec![plain("time_s", None)?];
+    let mut columns = vec![plain("time_s", None)?];
     let mut ignored = Vec::new();
     for header in headers {
         if let Some(channel) = Channel::from_key(header) {
-            wanted.push(plain(header, Some(channel))?);
+            columns.push(plain(header, Some(channel))?);
         } else if header != "time_s" && !BOOKKEEPING.contains(&header.as_str()) {
             ignored.push(format!("{header:?}"));
         }
     }
-    if wanted.len() == 1 {
-        return Err(RecordingError::NoKnownColumn {
-            file: file.to_owned(),
-            help: map_help(headers),
-        });
+    if columns.len() == 1 {
+        let (file, help) = (file.to_owned(), map_help(headers));
+        return Err(RecordingError::NoKnownColumn { file, help });
     }
     if !ignored.is_empty() {
-        warnings.push(format!(
-            "{file}: columns that drivebench does not know were ignored: {}",
-            ignored.join(", ")
-        ));
+        warnings.push(format!("{file}: unknown columns were ignored: {}", ignored.join(", ")));
     }
-    Ok(wanted)
+    Ok(columns)
 }
 
 fn field_of(headers: &[String], header: &str, file: &str) -> Result<usize, RecordingError> {
@@ -728,15 +697,14 @@ fn field_of(headers: &[String], header: &str, file: &str) -> Result<usize, Recor
         (Some(field), 1) => Ok(*field),
         (Some(_), count) => Err(RecordingError::AmbiguousHeader { file, header, count }),
         (None, _) => {
-            let names = headers.iter().map(String::as_str);
-            let near = nearest(&header, names.filter(|name| !name.is_empty()));
-            let near = near.map_or_else(String::new, |name| format!("did you mean {name:?}? "));
+            let names = headers.iter().map(String::as_str).filter(|name| !name.is_empty());
+            let near = nearest(&header, names)
+                .map_or_else(String::new, |name| format!("did you mean {name:?}? "));
             Err(RecordingError::HeaderNotFound { file, header, help: near + &map_help(headers) })
         }
     }
 }
 
-/// What is in the file, and how to say which column is which.
 fn map_help(headers: &[String]) -> String {
     let there: Vec<String> = headers.iter().map(|name| format!("{name:?}")).collect();
     format!("the file has {}; name them with --map 'time_s=HEADER,...'", there.join(", "))

@@ -2,6 +2,7 @@ use std::fmt::Write as _;
 
 use super::*;
 use crate::recording::number_text;
+use crate::testing::has;
 
 fn own(text: &[u8]) -> Result<(Run, Vec<String>), RecordingError> {
     read_csv(text, "run.csv", ReadOptions::default())
@@ -9,17 +10,11 @@ fn own(text: &[u8]) -> Result<(Run, Vec<String>), RecordingError> {
 
 fn mapped(text: &str, map: &str) -> Result<(Run, Vec<String>), RecordingError> {
     let map: ColumnMap = map.parse().unwrap();
-    let options = ReadOptions { map: Some(&map), in_run_folder: false };
-    read_csv(text.as_bytes(), "foreign.csv", options)
+    read_csv(text.as_bytes(), "foreign.csv", ReadOptions { map: Some(&map), in_run_folder: false })
 }
 
 fn points(run: &Run, channel: Channel) -> Vec<(f64, f64)> {
     run.points(channel).collect()
-}
-
-#[track_caller]
-fn says(error: &RecordingError, words: &str) {
-    assert!(error.to_string().contains(words), "{error}");
 }
 
 #[test]
@@ -36,6 +31,8 @@ fn our_own_columns_with_missing_cells_and_bookkeeping() {
     assert_eq!(run.points(Channel::VoltageCmd).count(), 2);
     assert_eq!(run.origin(Channel::VoltageCmd), Origin::Commanded);
     assert_eq!(run.origin(Channel::Current), Origin::Unknown);
+    let (run, _) = own(b"time_s,angle_rad\n0,1\n1,2\n").unwrap();
+    assert_eq!(run.notes.len(), 1, "speed has to be derived: {:?}", run.notes);
 }
 
 #[test]
@@ -88,7 +85,7 @@ fn errors_name_row_column_and_value() {
     let empty = "the file is empty (a header row and data rows are needed)";
     let stays = "row 2 (line 3): time 0 s is not after 0 s (time must be strictly increasing)";
     let timeless = "row 1 (line 2): no time in column \"time_s\"";
-    let unknown = "no column that drivebench knows beside time_s";
+    let unknown = "no known column beside time_s";
     let two = "2 columns are called \"current_a\", exactly one is needed";
     let row = |cells: &str| format!("time_s,current_a/{cells}/");
     let (short, long) = (row("0,1/1/2,3"), row("0,1/1,2,3"));
@@ -123,19 +120,16 @@ fn text_that_is_not_utf8_is_named_with_its_line() {
         (b"\xff\xfet\0\n\0", 1),
     ] {
         let error = own(text).unwrap_err();
-        let named = matches!(error, RecordingError::NotUtf8 { line, .. } if line == at);
-        assert!(named, "{error}");
+        assert!(matches!(error, RecordingError::NotUtf8 { line, .. } if line == at), "{error}");
     }
 }
 
 #[test]
 fn help_lists_the_headers_and_the_nearest() {
     let error = mapped("Zeit,Strom\n0,1\n", "time_s=Zeit,current_a=strom").unwrap_err();
-    let help = error.help();
-    assert!(help.starts_with("did you mean \"Strom\"?"), "{help}");
-    assert!(help.contains("\"Zeit\", \"Strom\""), "{help}");
-    let error = own(b"t;current_a\n0;1\n").unwrap_err();
-    assert!(error.help().contains("\"t\", \"current_a\""));
+    has(error.help(), "did you mean \"Strom\"?");
+    has(error.help(), "\"Zeit\", \"Strom\"");
+    has(own(b"t;current_a\n0;1\n").unwrap_err().help(), "\"t\", \"current_a\"");
 }
 
 #[test]
@@ -157,7 +151,7 @@ fn a_foreign_file_cut_at_any_byte_keeps_every_whole_row() {
 }
 
 #[test]
-fn a_row_torn_in_the_middle_is_an_error_and_a_tail_of_zero_bytes_is_not() {
+fn a_torn_row_is_an_error_unless_it_is_the_last() {
     assert!(matches!(
         own(b"time_s,current_a\n0,1\n0.1,\n0.2\n0.3,4\n").unwrap_err(),
         RecordingError::Row { row: 3, line: 4, problem: RowProblem::FieldCount { .. }, .. }
@@ -169,35 +163,26 @@ fn a_row_torn_in_the_middle_is_an_error_and_a_tail_of_zero_bytes_is_not() {
 
 #[test]
 fn a_line_without_an_end_fills_no_memory() {
-    let endless = io::BufReader::new(io::repeat(b'1'));
-    let text = b"time_s,current_a\n0,1\n".chain(endless);
+    let text = b"time_s,current_a\n0,1\n".chain(io::BufReader::new(io::repeat(b'1')));
     let error = read_csv(text, "run.csv", ReadOptions::default()).unwrap_err();
-    says(&error, "run.csv: line 3 is longer than 1048576 bytes");
+    has(error, "run.csv: line 3 is longer than 1048576 bytes");
     let error = read_csv(io::BufReader::new(io::repeat(b',')), "run.csv", ReadOptions::default());
-    says(&error.unwrap_err(), "run.csv: line 1 is longer than 1048576 bytes");
+    has(error.unwrap_err(), "run.csv: line 1 is longer than 1048576 bytes");
 }
 
 #[test]
-fn a_missing_speed_is_noted_where_there_is_an_angle() {
-    let (run, _) = own(b"time_s,angle_rad\n0,1\n1,2\n").unwrap();
-    assert_eq!(run.notes.len(), 1);
-    assert!(run.column(Channel::Speed).is_none());
-}
-
-#[test]
-fn remarks_in_foreign_files_are_left_out_and_counted() {
+fn comments_in_foreign_files_are_left_out_and_counted() {
     let text = "# made by hand, \"quick\nt,i\n0,1\n# half time\n1,2\n\n# a-> Type: rise, 0.008";
     let (run, warnings) = mapped(text, "time_s=t,current_a=i").unwrap();
     assert_eq!((run.rows(), run.rows_dropped), (2, 0));
-    let said = "foreign.csv: 2 lines that begin with # were left out";
-    assert_eq!(warnings, [said]);
-    // numpy writes its header as a remark
+    assert_eq!(warnings, ["foreign.csv: 2 lines that begin with # were left out"]);
+    // numpy writes its header as a comment.
     let (run, _) = mapped("# t,i\n0,1\n", "time_s=# t,current_a=i").unwrap();
     assert_eq!(run.rows(), 1);
 }
 
 #[test]
-fn cells_are_parted_at_commas_outside_of_quotes() {
+fn cells_are_split_at_commas_outside_of_quotes() {
     let cells = |line: &str| headers(format!("{line}\n").as_bytes(), b',', 1, "f");
     for (line, expected) in [
         ("a,b", vec!["a", "b"]),
@@ -211,8 +196,7 @@ fn cells_are_parted_at_commas_outside_of_quotes() {
         assert_eq!(cells(line).unwrap(), expected, "{line}");
     }
     for open in [r#"a,"b"#, r#""a"""#] {
-        let error = cells(open).unwrap_err();
-        assert!(matches!(error, RecordingError::Quote { .. }), "{open}");
+        assert!(matches!(cells(open).unwrap_err(), RecordingError::Quote { .. }), "{open}");
     }
 }
 
@@ -221,7 +205,7 @@ fn cells_are_parted_at_commas_outside_of_quotes() {
 fn every_dialect_is_found_and_named() {
     let comma = "numbers have a decimal comma";
     let sep = "a sep= line names the separator";
-    let semicolon = "';' parts the cells";
+    let semicolon = "';' separates the cells";
     let mark = "it begins with a byte order mark";
     let carriage_returns = "sep=;\r/t;u;i\r/0;1,5;-2\r/1;2;0,3";
     let tabs = "t\tu\ti/0\t1.5\t-2/1\t2\t0.3/";
@@ -231,10 +215,10 @@ fn every_dialect_is_found_and_named() {
         ("t,u,i/0,1.5,-2/1,2,3e-1/", vec![]),
         ("t;u;i/0;1.5;-2/1;2;0.3/", vec![semicolon]),
         ("t;u;i/0;1,5;-2/1;2;3e-1/", vec![semicolon, comma]),
-        (tabs, vec!["a tab parts the cells"]),
+        (tabs, vec!["a tab separates the cells"]),
         (carriage_returns, vec![semicolon, comma, sep]),
-        (bar, vec!["'|' parts the cells", sep, mark]),
-        // A comma within a name is none between cells.
+        (bar, vec!["'|' separates the cells", sep, mark]),
+        // The comma within a name is no separator.
         (commas, vec![semicolon]),
     ] {
         let text = text.replace('/', "\n");
@@ -248,13 +232,13 @@ fn every_dialect_is_found_and_named() {
     }
     // A file has one decimal mark: here the comma would part thousands.
     let error = mapped("t;i\n0,5;1\n1,5;1.234,5\n", "time_s=t,current_a=i").unwrap_err();
-    says(&error, "\"1.234,5\" is not a number");
+    has(&error, "\"1.234,5\" is not a number");
     let error = mapped("t;i\n0.5;1\n1.5;1,234\n", "time_s=t,current_a=i").unwrap_err();
-    says(&error, "\"1,234\" is not a number");
+    has(&error, "\"1,234\" is not a number");
 }
 
 #[test]
-fn repeated_and_unordered_stamps_of_foreign_files_are_left_out_and_counted() {
+fn foreign_rows_that_repeat_or_go_back_are_left_out_and_counted() {
     let mut text = String::from("t,i\n");
     for row in 0..100 {
         let stamp = match row {
@@ -266,29 +250,24 @@ fn repeated_and_unordered_stamps_of_foreign_files_are_left_out_and_counted() {
     }
     let (run, warnings) = mapped(&text, "time_s=t,current_a=i").unwrap();
     assert_eq!((run.rows(), run.rows_dropped), (97, 3));
-    let said = "foreign.csv: 3 rows whose time is not after that of the row before were left out: 2 repeat it, 1 go back";
-    assert_eq!(warnings, [said]);
-    assert_eq!(run.notes, [said]);
-    // What goes to and fro all the time is no time; the first such row is named.
-    let text = "t,i\n0,1\n1,2\n0.5,3\n1.5,1\n1.2,1\n";
-    let error = mapped(text, "time_s=t,current_a=i").unwrap_err();
-    says(&error, "row 3 (line 4): time 0.5 s is not after 1 s");
+    let text = "foreign.csv: 3 rows whose time is not after that of the row before were left out: 2 repeat it, 1 go back";
+    assert_eq!(warnings, [text]);
+    assert_eq!(run.notes, [text]);
+    // A column that often goes back is no time; the first such row is named.
+    let error = mapped("t,i\n0,1\n1,2\n0.5,3\n1.5,1\n1.2,1\n", "time_s=t,current_a=i").unwrap_err();
+    has(&error, "row 3 (line 4): time 0.5 s is not after 1 s");
 }
 
 #[test]
-fn a_quantity_may_be_a_product_of_columns_and_take_its_sign_from_a_command() {
+fn a_quantity_may_be_a_product_with_the_sign_of_a_command() {
     let text = "t,duty,bus_v,rpm,a*b\n\
                 0,0,100,2,1\n1,0.5,100,10,2\n2,0,100,8,3\n3,-0.5,90,10,4\n4,,90,20,5\n";
     let map = "time_s=t,voltage_v=duty*bus_v,speed_rad_s=rpm*0.5*sign(duty),current_a=a*b*2+1";
     let (run, _) = mapped(text, map).unwrap();
-    let volts = points(&run, Channel::Voltage);
-    assert_eq!(volts, [(0.0, 0.0), (1.0, 50.0), (2.0, 0.0), (3.0, -45.0)]);
+    assert_eq!(points(&run, Channel::Voltage), [(0.0, 0.0), (1.0, 50.0), (2.0, 0.0), (3.0, -45.0)]);
     // Where the command is zero or missing its last sign holds.
-    let speeds = run.column(Channel::Speed).unwrap();
-    assert_eq!(speeds, &[1.0, 5.0, 4.0, -5.0, -10.0]);
+    assert_eq!(run.column(Channel::Speed).unwrap(), &[1.0, 5.0, 4.0, -5.0, -10.0]);
     // A header that holds a star is one column.
-    let currents = run.column(Channel::Current).unwrap();
-    assert_eq!(currents, &[3.0, 5.0, 7.0, 9.0, 11.0]);
-    let error = mapped(text, "time_s=t,voltage_v=duty*bus").unwrap_err();
-    says(&error, "no column \"bus\"");
+    assert_eq!(run.column(Channel::Current).unwrap(), &[3.0, 5.0, 7.0, 9.0, 11.0]);
+    has(mapped(text, "time_s=t,voltage_v=duty*bus").unwrap_err(), "no column \"bus\"");
 }

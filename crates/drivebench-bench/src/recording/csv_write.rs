@@ -1,13 +1,14 @@
-//! Rows as CSV lines, with only the columns that the drive gives; numbers as the shortest digits by `ryu`.
+//! Rows as CSV lines, with only the columns that the drive gives; numbers as the shortest digits that round-trip (Ryu, Adams
+//! 2018).
 
 use std::fmt::Write as _;
 
 use drivebench_model::sample::{Channel, Run};
 
-/// Said of a command where a limit of the drive held the output, so that the motor had another voltage.
+/// Remark of a command that a limit of the drive changed.
 pub(super) const LIMITED: &str = "limited";
 
-/// What stands in a column of a table.
+/// Type of a column of a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ColumnKind {
     Quantity,
@@ -36,15 +37,14 @@ pub struct Row {
     pub host_time_s: Option<f64>,
     pub seq: Option<u64>,
     cells: [Option<f64>; Channel::COUNT],
-    /// The drive's status word, or the name of its state where it has no such word.
+    /// The drive's status word, or the name of its state.
     pub status: String,
-    /// Why cells are missing or stale: `key:reason` words with a blank between.
+    /// Why cells are missing or stale: `key:reason`, separated by blanks.
     pub quality: String,
 }
 
 impl Row {
-    /// Zero has no sign here, in the cells neither: the file has none either, and a row has to be the same again when
-    /// it is read.
+    /// Zero has no sign, here and in the cells, as in the file: a row is equal after it is read back.
     pub fn at(time_s: f64) -> Self {
         Self { time_s: time_s + 0.0, ..Self::default() }
     }
@@ -58,13 +58,13 @@ impl Row {
         self.cells[channel.index()] = finite.map(|value| value + 0.0);
     }
 
-    /// Adds one word about a channel.
+    /// Adds a remark to the quality.
     pub fn remark(&mut self, channel: Channel, reason: &str) {
         let gap = if self.quality.is_empty() { "" } else { " " };
         let _ = write!(self.quality, "{gap}{}:{reason}", channel.key());
     }
 
-    /// Whether a limit of the drive held the output.
+    /// A limit of the drive changed the output.
     pub fn is_limited(&self) -> bool {
         let mut remarks = self.quality.split(' ').filter_map(|remark| remark.split_once(':'));
         remarks.any(|remark| remark == (Channel::VoltageCmd.key(), LIMITED))
@@ -131,7 +131,7 @@ impl Layout {
         text_of(|writer| writer.write_record(self.names()))
     }
 
-    /// Puts the row with its line feed behind what is there.
+    /// Appends the row with its line feed.
     pub fn push_line(&self, row: &Row, text: &mut String) {
         let line = text_of(|writer| {
             write_number(writer, row.time_s)?;
@@ -139,8 +139,7 @@ impl Layout {
                 write_number(writer, row.host_time_s.unwrap_or(f64::NAN))?;
             }
             if self.exchange {
-                let seq = row.seq.map(|seq| seq.to_string());
-                writer.write_field(seq.unwrap_or_default())?;
+                writer.write_field(row.seq.map(|seq| seq.to_string()).unwrap_or_default())?;
             }
             for channel in &self.channels {
                 write_number(writer, row.get(*channel).unwrap_or(f64::NAN))?;
@@ -164,17 +163,16 @@ impl Layout {
 
 /// Ends a record whose cells were written one by one.
 const END: Option<&[u8]> = None;
-/// Of a line, bytes: most of ours are shorter.
-const LINE: usize = 256;
 
-/// The records that are written, as text.
+/// The written records as text.
 fn text_of(write: impl FnOnce(&mut csv::Writer<Vec<u8>>) -> csv::Result<()>) -> String {
-    let mut builder = csv::WriterBuilder::new();
-    let mut writer = builder.buffer_capacity(LINE).from_writer(Vec::new());
-    let written = write(&mut writer).ok();
-    let bytes = written.and_then(|()| writer.into_inner().ok());
-    let text = bytes.and_then(|bytes| String::from_utf8(bytes).ok());
-    text.expect("text is written to memory")
+    // Most lines are shorter.
+    let mut writer = csv::WriterBuilder::new().buffer_capacity(256).from_writer(Vec::new());
+    write(&mut writer)
+        .ok()
+        .and_then(|()| writer.into_inner().ok())
+        .and_then(|bytes| String::from_utf8(bytes).ok())
+        .expect("text is written to memory")
 }
 
 /// The shortest text that reads back to the same number; never `-0`; empty for what is not finite.
@@ -196,11 +194,11 @@ fn digits(value: f64, buffer: &mut ryu::Buffer) -> &str {
     digits.strip_suffix(".0").unwrap_or(digits)
 }
 
-/// A run as CSV text, for a simulated run or an export: time and the columns that are there.
+/// A run as CSV text, for a simulated run or an export: time and its columns.
 pub fn write_run(run: &Run) -> String {
-    let all = Channel::ALL.into_iter();
-    let there = all.filter_map(|channel| Some((channel, run.column(channel)?)));
-    let (channels, columns): (Vec<Channel>, Vec<&[f64]>) = there.unzip();
+    let present = |channel| Some((channel, run.column(channel)?));
+    let (channels, columns): (Vec<Channel>, Vec<&[f64]>) =
+        Channel::ALL.into_iter().filter_map(present).unzip();
     text_of(|writer| {
         writer.write_record(Layout::plain(&channels).names())?;
         for (row, time_s) in run.time_s().iter().enumerate() {
@@ -255,16 +253,12 @@ mod tests {
     }
 
     #[test]
-    fn words_that_would_be_more_than_one_cell_are_quoted() {
+    fn missing_cells_are_empty_and_separators_quoted() {
         let layout = Layout::of_drive(&[Channel::Speed]).without_host_time();
         let mut row = Row::at(0.0);
         row.status = "a,b".to_owned();
         row.quality = "say \"x\"".to_owned();
         assert_eq!(layout.line(&row), "0,,,\"a,b\",\"say \"\"x\"\"\"\n");
-    }
-
-    #[test]
-    fn a_row_leaves_missing_cells_empty() {
         let layout = Layout::of_drive(&[Channel::VoltageCmd, Channel::Speed]);
         let mut row = Row::at(0.5);
         row.seq = Some(7);

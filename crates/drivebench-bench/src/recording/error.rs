@@ -6,7 +6,7 @@ use thiserror::Error;
 
 use drivebench_model::sample::{LARGEST, RunError};
 
-/// What is wrong with a row of a CSV; the text goes on behind its number.
+/// Error of a row of a CSV; the text follows the row's number.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum RowProblem {
     #[error(": time {time_s} s is not after {before_s} s (time must be strictly increasing)")]
@@ -43,7 +43,7 @@ pub enum RecordingError {
     HeaderNotFound { file: String, header: String, help: String },
     #[error("{file}: {count} columns are called {header:?}, exactly one is needed")]
     AmbiguousHeader { file: String, header: String, count: usize },
-    #[error("{file}: no column that drivebench knows beside time_s")]
+    #[error("{file}: no known column beside time_s")]
     NoKnownColumn { file: String, help: String },
     #[error("{file}: row {row} (line {line}){problem}")]
     Row { file: String, row: usize, line: usize, problem: RowProblem },
@@ -73,7 +73,7 @@ impl RecordingError {
             | Self::HeaderNotFound { help, .. }
             | Self::NoKnownColumn { help, .. } => help.clone(),
             Self::Io { doing: "open", .. } => {
-                "check the path; `drivebench` without more tells of the runs in this folder".into()
+                "check the path; `drivebench` without arguments lists the runs in this folder".into()
             }
             Self::Io { .. } => "check the path, its permissions and the space on the disk".into(),
             Self::Map { .. } => {
@@ -99,10 +99,7 @@ impl RecordingError {
             Self::Empty { .. } | Self::NoRows { .. } => {
                 "nothing was recorded; give another run".into()
             }
-            Self::Run {
-                source: RunError::Absurd { .. },
-                ..
-            } => ABSURD.into(),
+            Self::Run { source: RunError::Absurd { .. }, .. } => ABSURD.into(),
             Self::Run { .. } => "time must grow from row to row, and every row needs a cell for every column".into(),
             Self::WriterGone { .. } => "the run is unfinished; its rows so far are on disk".into(),
         }

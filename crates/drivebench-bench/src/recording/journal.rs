@@ -1,5 +1,5 @@
-//! The journal of a run: rows and events as whole lines, kept in memory while they cannot be written; and the recorder of
-//! virtual time, which keeps them there for good.
+//! The journal of a run: rows and events as whole lines, buffered in memory while they cannot be written; and the recorder of
+//! virtual time, which keeps them in memory.
 
 use std::fs::File;
 use std::io::{self, BufRead as _, BufReader, BufWriter, IntoInnerError, Read, Write};
@@ -10,12 +10,12 @@ use serde_json::{Map, Value};
 use super::{CommandRow, Layout, ReadOptions, RecordingError, Row, RowOrder, read_csv};
 use drivebench_model::sample::{Run, Sample};
 
-/// Something that happened and is no sample: a key, a lost deadline, a trip. Replay needs every one.
+/// An event of a run: a key, a lost deadline, a trip. Replay needs every one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Event {
     /// On the samples' time axis, s.
     pub time_s: f64,
-    /// Sequence number of the exchange that it belongs to.
+    /// Sequence number of its exchange.
     pub seq: Option<u64>,
     /// Short name: `trip`, `key`, `deadline_lost`.
     pub event: String,
@@ -46,40 +46,38 @@ impl Event {
     }
 }
 
-/// Where a session puts what it sees. Nothing is ever refused: trouble shows in [`Record::status`].
+/// Sink of a session. It never fails: errors are in [`Record::status`].
 pub trait Record {
     fn command(&mut self, command: &CommandRow);
-    /// The rows that this sample completes: what is recorded, for whoever goes by it.
+    /// The rows completed by this sample, as recorded.
     fn row(&mut self, sample: &Sample) -> &[Row];
-    /// Nothing comes any more: the rows of the commands that still wait.
+    /// At the end, the rows of the commands that still wait.
     fn flush(&mut self) -> &[Row];
     fn event(&mut self, event: Event);
     fn status(&self) -> RecorderStatus;
 }
 
-/// How recording goes.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RecorderStatus {
     /// Rows handed to the file, written or waiting.
     pub rows: usize,
     pub events: usize,
-    /// Bytes that wait in memory because the file could not take them.
+    /// Bytes in memory because they could not be written.
     pub bytes_waiting: usize,
     /// Rows that neither the file nor the memory could keep.
     pub rows_lost: usize,
     pub events_lost: usize,
-    /// The first trouble with the disk; it is over when no bytes wait.
+    /// The first error of the disk; it is over when no bytes wait.
     pub error: Option<String>,
-    /// Sentences for the person at the bench, the newest last: what goes wrong with the record, and what was done about it.
+    /// Errors and recoveries of the record in sentences, the newest last.
     pub news: Vec<String>,
 }
 
-/// A byte sink that can be made durable, and read back.
+/// A byte sink that can be synced and read back.
 pub(super) trait Durable: Write {
     fn sync(&mut self) -> io::Result<()>;
 
-    /// What it has taken, from its byte `at` on; 0 bytes where there is no more. An open file can be read after it was
-    /// deleted or renamed.
+    /// Reads back from byte `at` on; 0 bytes at the end. An open file can be read after it was deleted or renamed.
     fn read_at(&self, at: u64, into: &mut [u8]) -> io::Result<usize>;
 }
 
@@ -93,7 +91,7 @@ impl Durable for File {
     }
 }
 
-/// Nowhere: what is kept in memory is all there is.
+/// Of a record in memory only.
 impl Durable for io::Sink {
     fn sync(&mut self) -> io::Result<()> {
         Ok(())
@@ -104,7 +102,7 @@ impl Durable for io::Sink {
     }
 }
 
-/// The first bytes of a sink, to be read from their begin.
+/// Reader of the first bytes of a sink.
 struct ReadBack<'a, S> {
     sink: &'a S,
     at: u64,
@@ -113,47 +111,42 @@ struct ReadBack<'a, S> {
 
 impl<S: Durable> Read for ReadBack<'_, S> {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
-        let left = usize::try_from(self.end - self.at).unwrap_or(usize::MAX);
-        let most = into.len().min(left);
+        let most = into.len().min(usize::try_from(self.end - self.at).unwrap_or(usize::MAX));
         let count = self.sink.read_at(self.at, &mut into[..most])?;
         self.at += count as u64;
         Ok(count)
     }
 }
 
-/// How much of a log stays in memory, bytes.
+/// Limits of a log in memory, bytes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Room {
-    /// Of what the sink has taken: the newest part, which a disk that fails may not have made durable.
-    pub(super) taken: usize,
-    /// Of all, with what the sink has not taken; lines beyond are lost.
+    /// Of the written lines, the newest: a failing disk may not have made them durable.
+    pub(super) written: usize,
+    /// Of all lines; those beyond are lost.
     pub(super) all: usize,
 }
 
 impl Room {
-    /// For samples on disk: the last seconds at 1 kHz of what is written, and without a disk hours at 50 Hz, half an hour at
-    /// 1 kHz.
-    pub(super) const SAMPLES: Self = Self { taken: 1 << 20, all: 256 << 20 };
-    pub(super) const EVENTS: Self = Self { taken: 1 << 18, all: 16 << 20 };
-    pub(super) const UNBOUNDED: Self = Self { taken: usize::MAX, all: usize::MAX };
+    /// The last seconds of written samples at 1 kHz, and without a disk hours at 50 Hz, half an hour at 1 kHz.
+    pub(super) const SAMPLES: Self = Self { written: 1 << 20, all: 256 << 20 };
+    pub(super) const EVENTS: Self = Self { written: 1 << 18, all: 16 << 20 };
+    pub(super) const UNBOUNDED: Self = Self { written: usize::MAX, all: usize::MAX };
 }
 
-/// Sentences that a run has for its reader; a disk that comes and goes has the same ones again and again.
-const MOST_NEWS: usize = 20;
-
-/// Lines into a sink: whole lines in each write call. What the sink does not take waits and goes first the next time. Of what it has
-/// taken the newest part is kept as well; the rest is read back from the sink where it is needed again.
+/// Write-ahead buffer: whole lines in each write call. Lines that the sink does not take are written first the next time. The
+/// newest written lines are kept too; older ones are read back from the sink where needed.
 #[derive(Debug)]
 pub(super) struct Lines<S> {
     pub(super) sink: S,
     text: Vec<u8>,
-    /// Bytes of `text` that the sink has taken.
+    /// Written bytes of `text`.
     written: usize,
-    /// Bytes before `text`, which only the sink has, and how many lines they are.
+    /// Bytes and lines before `text`, only in the sink.
     earlier_bytes: u64,
     earlier_count: usize,
     room: Room,
-    /// Lines that neither the sink nor the memory has.
+    /// Lines neither in the sink nor in memory.
     lost: usize,
 }
 
@@ -175,10 +168,10 @@ impl<S: Durable> Lines<S> {
         self.drain()
     }
 
-    /// Takes a line, to be written with the next `drain`.
+    /// Buffers a line for the next `drain`.
     fn keep(&mut self, line: &str) {
-        if self.text.len().saturating_add(line.len()) > self.room.taken {
-            self.leave_to_the_sink();
+        if self.text.len().saturating_add(line.len()) > self.room.written {
+            self.drop_older();
         }
         if self.text.len().saturating_add(line.len()) > self.room.all {
             self.lost += 1;
@@ -187,17 +180,16 @@ impl<S: Durable> Lines<S> {
         }
     }
 
-    /// Takes the older half of what is written out of memory, in whole lines.
-    fn leave_to_the_sink(&mut self) {
-        let older = &self.text[..self.written.saturating_sub(self.room.taken / 2)];
-        let end = older.iter().rposition(|byte| *byte == b'\n');
-        let end = end.map_or(0, |at| at + 1);
+    /// Drops the older half of the written lines from memory.
+    fn drop_older(&mut self) {
+        let older = &self.text[..self.written.saturating_sub(self.room.written / 2)];
+        let end = older.iter().rposition(|byte| *byte == b'\n').map_or(0, |at| at + 1);
         self.earlier_bytes += end as u64;
-        self.earlier_count += lines_in(&older[..end]);
+        self.earlier_count += older[..end].split(|byte| *byte == b'\n').count() - 1;
         self.text.drain(..end);
         self.written -= end;
-        if self.text.capacity() / 4 > self.room.taken.max(self.text.len()) {
-            self.text.shrink_to(self.room.taken);
+        if self.text.capacity() / 4 > self.room.written.max(self.text.len()) {
+            self.text.shrink_to(self.room.written);
         }
     }
 
@@ -209,7 +201,7 @@ impl<S: Durable> Lines<S> {
         BufReader::new(ReadBack { sink: &self.sink, at: 0, end: self.earlier_bytes })
     }
 
-    /// All lines so far; `None` where they are not to be had any more.
+    /// All lines so far; `None` where they are not complete.
     pub(super) fn whole(&self) -> Option<Vec<u8>> {
         let mut whole = Vec::new();
         self.before().read_to_end(&mut whole).ok()?;
@@ -218,12 +210,12 @@ impl<S: Durable> Lines<S> {
         is_whole.then_some(whole)
     }
 
-    /// A fresh sink with all that this one gives back, after `head` where that is not its first line.
+    /// A new sink with the lines of this one, after `head` where that is not the first.
     fn moved_to(&self, sink: S, head: &str) -> io::Result<Moved<S>> {
         let mut fresh = BufWriter::new(sink);
         let (mut back, mut line) = (self.before(), Vec::new());
         let (mut bytes, mut lines) = (0, 0);
-        // From a line on that cannot be read to its end, all is lost up to those in memory.
+        // From the first unreadable line on, all up to those in memory are lost.
         while back.read_until(b'\n', &mut line).is_ok() && line.ends_with(b"\n") {
             fresh.write_all(&line)?;
             bytes += line.len() as u64;
@@ -240,8 +232,8 @@ impl<S: Durable> Lines<S> {
         Ok(Moved { sink, bytes, lines, lost })
     }
 
-    /// Goes on where it was moved to, first with what is in memory.
-    fn go_on_in(&mut self, moved: Moved<S>) {
+    /// Continues in the new sink, first with the lines in memory.
+    fn continue_in(&mut self, moved: Moved<S>) {
         self.sink = moved.sink;
         (self.earlier_bytes, self.earlier_count) = (moved.bytes, moved.lines);
         self.lost += moved.lost;
@@ -261,7 +253,7 @@ impl<S: Durable> Lines<S> {
     }
 }
 
-/// A sink that begins with what another had, in bytes and lines, and the lines that other did not give back.
+/// A new sink with the bytes and lines of another, and the number of its unreadable lines.
 struct Moved<S> {
     sink: S,
     bytes: u64,
@@ -269,23 +261,18 @@ struct Moved<S> {
     lost: usize,
 }
 
-fn lines_in(text: &[u8]) -> usize {
-    text.split(|byte| *byte == b'\n').count() - 1
-}
-
-/// Makes lines of rows and writes them; the one path of the threaded and the in-memory recorder.
+/// Rows and events as lines in two sinks, for the threaded and the in-memory recorder.
 pub(super) struct Journal<S> {
     layout: Layout,
-    /// Room for the row that is made.
     line: String,
     samples: Lines<S>,
     events: Lines<S>,
     sync_every_rows: usize,
     unsynced_rows: usize,
-    /// A sync that has failed once cannot be made good: the system may have dropped what it was for.
-    unsynced: Option<String>,
-    /// The trouble with the disk that goes on.
-    trouble: Option<String>,
+    /// The first failed sync. It cannot be repeated: the system may have dropped the data.
+    sync_error: Option<String>,
+    /// The present error of the disk.
+    error: Option<String>,
     status: RecorderStatus,
 }
 
@@ -303,8 +290,8 @@ impl<S: Durable> Journal<S> {
             events,
             sync_every_rows: sync_every_rows.max(1),
             unsynced_rows: 0,
-            unsynced: None,
-            trouble: None,
+            sync_error: None,
+            error: None,
             status: RecorderStatus::default(),
             layout,
         };
@@ -319,19 +306,18 @@ impl<S: Durable> Journal<S> {
         let result = self.events.push(&event.line());
         self.note(result);
         if lost == 0 && self.events.lost > 0 {
-            self.tell_loss("events", self.events.room.all);
+            self.report_loss("events", self.events.room.all);
         }
-        let synced = self.events.sink.sync();
-        self.note_sync(synced);
+        let result = self.events.sink.sync();
+        self.note_sync(result);
     }
 
-    /// Tries once more what could not be written, and syncs.
     pub(super) fn finish(&mut self) {
         self.retry();
         self.sync();
     }
 
-    /// Tries once more what could not be written.
+    /// Writes the waiting lines again.
     pub(super) fn retry(&mut self) {
         if self.status().bytes_waiting > 0 {
             let result = self.samples.drain().and(self.events.drain());
@@ -339,14 +325,13 @@ impl<S: Durable> Journal<S> {
         }
     }
 
-    /// Goes on in fresh sinks, with all that the old ones and the memory have. Where they do not take it, nothing has
-    /// changed.
-    pub(super) fn go_on_in(&mut self, samples: S, events: S) -> io::Result<()> {
+    /// Continues in new sinks, with all lines of the old ones and of the memory. On an error nothing has changed.
+    pub(super) fn move_to(&mut self, samples: S, events: S) -> io::Result<()> {
         let samples = self.samples.moved_to(samples, &self.layout.header())?;
         let events = self.events.moved_to(events, "")?;
-        self.samples.go_on_in(samples);
-        self.events.go_on_in(events);
-        (self.unsynced, self.trouble) = (None, None);
+        self.samples.continue_in(samples);
+        self.events.continue_in(events);
+        (self.sync_error, self.error) = (None, None);
         let result = self.samples.drain().and(self.events.drain());
         self.note(result);
         self.sync();
@@ -366,27 +351,26 @@ impl<S: Durable> Journal<S> {
         &self.layout
     }
 
-    /// Why what was written is not certain to be on the disk, where that is so.
-    pub(super) fn doubt(&self) -> Option<&str> {
-        self.unsynced.as_deref()
+    pub(super) fn sync_error(&self) -> Option<&str> {
+        self.sync_error.as_deref()
     }
 
-    /// The whole of both logs; `None` where that is not to be had any more.
+    /// Both logs; `None` where one is not complete.
     pub(super) fn texts(&self) -> [Option<Vec<u8>>; 2] {
         [self.samples.whole(), self.events.whole()]
     }
 
-    /// A sentence for the person at the bench.
-    pub(super) fn tell(&mut self, text: String) {
+    /// Reports in the status; a disk with changing errors must not fill the memory.
+    pub(super) fn report(&mut self, text: String) {
         self.status.error.get_or_insert_with(|| text.clone());
-        if self.status.news.len() < MOST_NEWS {
+        if self.status.news.len() < 20 {
             self.status.news.push(text);
         }
     }
 
-    fn tell_loss(&mut self, of: &str, room: usize) {
+    fn report_loss(&mut self, of: &str, room: usize) {
         let most = room >> 20;
-        self.tell(format!(
+        self.report(format!(
             "{most} MiB of {of} wait in memory and there is no room for more: {of} are lost from here on"
         ));
     }
@@ -398,58 +382,58 @@ impl<S: Durable> Journal<S> {
             self.layout.push_line(row, &mut self.line);
             self.samples.keep(&self.line);
         }
-        // What came together is written together.
+        // Rows that come together are written together.
         let result = self.samples.drain();
         self.note(result);
         if lost == 0 && self.samples.lost > 0 {
-            self.tell_loss("rows", self.samples.room.all);
+            self.report_loss("rows", self.samples.room.all);
         }
         self.status.rows += rows.len();
         self.unsynced_rows += rows.len();
         if self.unsynced_rows >= self.sync_every_rows {
             self.unsynced_rows = 0;
-            let synced = self.samples.sink.sync();
-            self.note_sync(synced);
+            let result = self.samples.sink.sync();
+            self.note_sync(result);
         }
     }
 
     fn sync(&mut self) {
         let synced = self.samples.sink.sync();
         self.note_sync(synced);
-        let synced = self.events.sink.sync();
-        self.note_sync(synced);
+        let result = self.events.sink.sync();
+        self.note_sync(result);
     }
 
     fn note_sync(&mut self, result: io::Result<()>) {
         if let Err(error) = result
-            && self.unsynced.is_none()
+            && self.sync_error.is_none()
         {
-            self.unsynced = Some(error.to_string());
-            self.tell(format!(
+            self.sync_error = Some(error.to_string());
+            self.report(format!(
                 "the disk does not confirm what was written: {error}; the run goes on"
             ));
         }
     }
 
-    /// Tells when trouble begins and when it is over.
+    /// Reports the begin and the end of an error.
     fn note(&mut self, result: io::Result<()>) {
         match result {
             Err(error) => {
                 let reason = error.to_string();
-                if self.trouble.as_ref() != Some(&reason) {
-                    self.tell(format!(
+                if self.error.as_ref() != Some(&reason) {
+                    self.report(format!(
                         "the record cannot be written: {reason}; the run goes on, and what is not written waits in memory"
                     ));
-                    self.trouble = Some(reason);
+                    self.error = Some(reason);
                 }
             }
-            Ok(()) if self.trouble.is_some() && self.status().bytes_waiting == 0 => {
-                self.trouble = None;
+            Ok(()) if self.error.is_some() && self.status().bytes_waiting == 0 => {
+                self.error = None;
                 let lost = match (self.samples.lost, self.events.lost) {
                     (0, 0) => ", and is whole so far".to_owned(),
                     (rows, events) => format!("; {rows} rows and {events} events are lost"),
                 };
-                self.tell(format!("the record can be written again{lost}"));
+                self.report(format!("the record can be written again{lost}"));
             }
             Ok(()) => {}
         }
@@ -471,7 +455,7 @@ impl MemoryRecorder {
         }
     }
 
-    /// Writes the commands that still wait for their instant; to be called once at the end.
+    /// Writes the commands that still wait; to be called once at the end.
     pub fn finish(&mut self) {
         self.flush();
         self.journal.finish();
@@ -571,8 +555,8 @@ mod tests {
         }
     }
 
-    fn room(taken: usize, all: usize) -> Room {
-        Room { taken, all }
+    fn room(written: usize, all: usize) -> Room {
+        Room { written, all }
     }
 
     fn of(value: f64) -> Row {
@@ -588,8 +572,7 @@ mod tests {
         let mut journal = Journal::new(layout.clone(), lines(30), lines(1000), 10);
         let mut expected = layout.header();
         for row in 0..20_u32 {
-            let value = f64::from(row);
-            journal.rows(&[of(value)]);
+            journal.rows(&[of(f64::from(row))]);
             expected = format!("{expected}{row},{row}\n");
         }
         let status = journal.status();
@@ -610,7 +593,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fresh_sink_begins_with_all_that_the_old_one_gives_back() {
+    fn a_new_sink_begins_with_the_readable_lines_of_the_old() {
         let layout = Layout::plain(&[Channel::Current]);
         let header = layout.header();
         let rows = |range: std::ops::Range<u32>| -> String {
@@ -634,9 +617,9 @@ mod tests {
             journal.samples.sink.unreadable_from = unreadable_from;
             // A sink that does not take it changes nothing.
             let before = format!("{:?}", journal.samples);
-            assert!(journal.go_on_in(disk(5), disk(5)).is_err());
+            assert!(journal.move_to(disk(5), disk(5)).is_err());
             assert_eq!(format!("{:?}", journal.samples), before);
-            journal.go_on_in(disk(10_000), disk(10_000)).unwrap();
+            journal.move_to(disk(10_000), disk(10_000)).unwrap();
             let text = String::from_utf8(journal.samples.sink.bytes.clone()).unwrap();
             assert!(text.starts_with(&first), "{text}");
             assert!(all.ends_with(&text[first.len()..]), "{text}");
@@ -649,21 +632,18 @@ mod tests {
     }
 
     #[test]
-    fn what_neither_disk_nor_memory_holds_is_counted_and_told() {
+    fn rows_that_neither_disk_nor_memory_holds_are_counted() {
         let layout = Layout::plain(&[Channel::Current]);
         let lines = |space, all| Lines::new(disk(space), room(60, all));
-        let row = |journal: &mut Journal<Disk>, value: f64| {
-            journal.rows(&[of(value)]);
-        };
-        // The disk has room: the memory leaves to it what is written, and nothing is lost.
+        let row = |journal: &mut Journal<Disk>, value: f64| journal.rows(&[of(value)]);
+        // With room on the disk the memory drops older lines, and nothing is lost.
         let mut journal = Journal::new(layout.clone(), lines(10_000, 60), lines(0, 0), 10);
         (0..100_u32).for_each(|count| row(&mut journal, f64::from(count)));
         assert_eq!(journal.status().rows_lost, 0);
         assert!(journal.status().news.is_empty());
-        let whole = journal.samples.whole().unwrap();
-        assert_eq!(whole, journal.samples.sink.bytes);
+        assert_eq!(journal.samples.whole().unwrap(), journal.samples.sink.bytes);
         assert!(journal.samples.text.len() <= 60, "{:?}", journal.samples);
-        // The disk is full: what does not go into the memory is lost, and that is told once.
+        // On a full disk rows beyond the memory are lost, which is reported once.
         let mut journal = Journal::new(layout.clone(), lines(20, 60), lines(0, 0), 10);
         (0..100_u32).for_each(|count| row(&mut journal, f64::from(count)));
         let status = journal.status();
@@ -675,13 +655,13 @@ mod tests {
         let status = journal.status();
         assert_eq!(status.events_lost, 2);
         assert!(status.news[2].contains("events are lost"), "{status:?}");
-        // The disk is emptied: what is lost is not whole again.
+        // After the disk is emptied the lost rows stay lost.
         journal.samples.sink.room = 10_000;
         row(&mut journal, 0.5);
         let status = journal.status();
         assert!(status.news[3].contains("rows and 2 events are lost"), "{status:?}");
-        // Another disk: a header, the rows that are left, and the new ones.
-        journal.go_on_in(disk(10_000), disk(10_000)).unwrap();
+        // On another disk: a header, the remaining rows, and the new ones.
+        journal.move_to(disk(10_000), disk(10_000)).unwrap();
         row(&mut journal, 100.0);
         let text = String::from_utf8(journal.samples.sink.bytes.clone()).unwrap();
         assert!(text.starts_with(&layout.header()), "{text}");

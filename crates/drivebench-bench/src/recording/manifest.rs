@@ -1,4 +1,4 @@
-//! `manifest.json`: what a run is, how it was made and where each of its signals comes from.
+//! `manifest.json`: identity and origin of a run and of its signals.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use serde_json::Value;
 use drivebench_model::numerics::checksum::{EMPTY, fnv_1a};
 use drivebench_model::sample::{Channel, Origin, Side};
 
-/// Everything that is needed to judge or repeat a run. Keys that a newer program may have added are read past.
+/// Everything needed to evaluate or repeat a run. Unknown keys of a newer program are ignored.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Manifest {
@@ -24,15 +24,15 @@ pub struct Manifest {
     pub host: Value,
     /// Link name: `/dev/ttyUSB0`, `tcp:host:502`, `sim:`.
     pub link: String,
-    /// What the drive says it is.
+    /// Of the drive.
     pub identity: Value,
     pub link_statistics: Value,
-    /// Bytes and frames that the wire carried, and the histogram of round trips; null where there was none.
+    /// Bytes and frames of the wire, and the histogram of round trips; null where there was none.
     pub wire: Value,
     pub period_asked_s: Option<f64>,
     pub period_achieved_s: Option<f64>,
     pub missed_cycles: Option<u64>,
-    /// Median and 99th percentile of how late the cycles began, s.
+    /// Median and 99th percentile of the lateness of the cycles, s.
     pub lateness_p50_s: Option<f64>,
     pub lateness_p99_s: Option<f64>,
     /// Controller, delay and gains of a speed loop; null where there was none.
@@ -42,18 +42,18 @@ pub struct Manifest {
     pub signals: BTreeMap<String, Origin>,
     /// Column key to the side of the power stage on which it is taken: `"current_a": "terminal"`.
     pub sides: BTreeMap<String, Side>,
-    /// Column key to what its number stands for: sign, side, basis, filter and update time, as the drive's profile says.
+    /// Column key to sign, side, basis, filter and update time by the drive's profile.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub carried: BTreeMap<String, String>,
     /// `passed`, `interrupted`, `safety trip: ...`.
     pub outcome: Option<String>,
-    /// How soon the run was stopped: cause, times, requests; null where the output was never on.
+    /// Stop of the run: cause, times, requests; null where the output was never on.
     #[serde(skip_serializing_if = "Value::is_null")]
     pub stop: Value,
     /// The rows of `samples.csv` that hold the last seconds of a run that tripped or lost its drive; null for any other.
     #[serde(skip_serializing_if = "Value::is_null")]
     pub trip: Value,
-    /// How a drive that was lost was found again; null where none was.
+    /// Reconnection to a lost drive; null where none was.
     #[serde(skip_serializing_if = "Value::is_null")]
     pub reopened: Value,
     /// Rows of `samples.csv`; set by the recorder.
@@ -64,7 +64,7 @@ pub struct Manifest {
     pub waivers: Vec<String>,
 }
 
-/// Which drive and which motor a run is of; empty words where the run does not say.
+/// Drive and motor of a run; empty where unknown.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Machine {
     pub drive: String,
@@ -73,8 +73,7 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// Whether nothing that both say of themselves differs, and both say something. Without serial numbers they may be two
-    /// units of a kind.
+    /// Drive and motor are known and equal. Without serial numbers they may be two units of a kind.
     pub fn is_like(&self, other: &Self) -> bool {
         let is_known = |machine: &Self| !machine.drive.is_empty() && !machine.motor.is_empty();
         is_known(self) && self == other
@@ -95,35 +94,38 @@ impl std::fmt::Display for Machine {
 impl Manifest {
     /// Drive and motor; the motor is that of the bench file that was used.
     pub fn machine(&self) -> Machine {
-        let said = |key: &str| {
+        let text = |key: &str| {
             self.identity.get(key).and_then(Value::as_str).unwrap_or_default().to_owned()
         };
-        let bench = self.configs.get("bench").and_then(|text| text.parse::<toml::Table>().ok());
+        let bench = self.bench();
         let motor = bench.as_ref().and_then(|bench| bench.get("motor")?.get("name")?.as_str());
         Machine {
-            drive: said("product"),
-            drive_serial: said("serial_number"),
+            drive: text("product"),
+            drive_serial: text("serial_number"),
             motor: motor.unwrap_or_default().to_owned(),
         }
     }
 
-    /// The checksum of the excitation: two runs that were excited alike have the same. Empty where the manifest does not say.
+    fn bench(&self) -> Option<toml::Table> {
+        self.configs.get("bench")?.parse().ok()
+    }
+
+    /// The checksum of the excitation, equal for equal sequences; empty where it is unknown.
     pub fn excitation(&self) -> String {
-        let bench = self.configs.get("bench").and_then(|text| text.parse::<toml::Table>().ok());
+        let bench = self.bench();
         let sequence = bench.as_ref().and_then(|bench| bench.get("sequence"));
         sequence.map_or_else(String::new, |sequence| {
             format!("{:016x}", fnv_1a(EMPTY, sequence.to_string().bytes()))
         })
     }
 
-    /// When the run began, UTC as `2026-01-31T23:59:59Z`; none where the manifest does not say.
+    /// Start of the run, UTC as `2026-01-31T23:59:59Z`.
     pub fn began(&self) -> Option<String> {
         let parsed = jiff::fmt::strtime::parse("%Y%m%dT%H%M%SZ", &self.stamp).ok()?;
         let civil = parsed.to_datetime().ok()?;
         Some(format!("{civil}Z"))
     }
 
-    /// Says where a signal comes from.
     pub fn set_origin(&mut self, channel: Channel, origin: Origin) {
         self.signals.insert(channel.key().to_owned(), origin);
     }
@@ -132,7 +134,7 @@ impl Manifest {
         self.signals.get(channel.key()).copied()
     }
 
-    /// Says on which side of the power stage a voltage or current is taken.
+    /// Sets the side of the power stage of a voltage or current.
     pub fn set_side(&mut self, channel: Channel, side: Side) {
         self.sides.insert(channel.key().to_owned(), side);
     }
@@ -155,7 +157,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_manifest_comes_back_and_newer_keys_are_read_past() {
+    fn a_manifest_round_trips_and_unknown_keys_are_ignored() {
         let mut manifest = Manifest {
             name: "first".into(),
             seed: Some(7),

@@ -1,7 +1,7 @@
 //! Run folders and CSV: writing while it runs, reading whatever is there.
 //!
 //! ```text
-//! Sample, CommandRow -> RowOrder -> Row -+-> whoever goes by what is recorded
+//! Sample, CommandRow -> RowOrder -> Row -+-> on-line identification
 //!                           Event -------+-> Journal: Layout -> whole lines
 //!                                             of a Recorder (writer thread, run folder) or a MemoryRecorder (virtual time)
 //!
@@ -11,7 +11,7 @@
 //! * `samples.csv` has one strictly increasing time axis; a command stands at the drive time at which it was applied.
 //! * The rows of a cycle, a command and its sample, reach the file in one write, so that a killed program loses at most the rows
 //!   of the last cycle.
-//! * `manifest.json` says `"finished": false` until the run was closed; such a run is read to its last whole row.
+//! * `manifest.json` contains `"finished": false` until the run is closed; such a run is read to its last whole row.
 
 mod column_map;
 mod csv_read;

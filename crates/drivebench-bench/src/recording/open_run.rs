@@ -1,4 +1,4 @@
-//! Whatever a user calls a RUN: a run folder, its `samples.csv`, or any CSV with a map.
+//! Opens a run: a run folder, its `samples.csv`, or any CSV with a map.
 
 use std::fs::File;
 use std::io::{BufReader, Cursor, Read as _, Take};
@@ -11,27 +11,27 @@ use super::{
 };
 use drivebench_model::sample::{Channel, Origin, Run};
 
-/// A run with what is known about it.
+/// A run with its manifest.
 #[derive(Clone, Debug)]
 pub struct LoadedRun {
     pub run: Run,
     /// `None` for foreign files, and where the manifest is lost or cannot be read.
     pub manifest: Option<Manifest>,
-    /// The run folder, where the samples stand in one.
+    /// The run folder of the samples.
     pub folder: Option<PathBuf>,
-    /// Sentences for the reader: torn rows, an unfinished run, ignored columns.
+    /// Torn rows, an unfinished run, ignored columns, in sentences.
     pub warnings: Vec<String>,
-    /// How a foreign file departs from comma and decimal point, where it does.
+    /// How a foreign file differs from comma and decimal point.
     pub dialect: Option<String>,
 }
 
-/// A run that is read row by row: nothing of it is kept but the last line.
+/// A run that is read row by row, of which only the last line is in memory.
 pub struct RunRows {
     pub rows: CsvRows<BufReader<Take<File>>>,
     name: String,
     /// `None` for foreign files, and where the manifest is lost or cannot be read.
     pub manifest: Option<Manifest>,
-    /// The run folder, where the samples stand in one.
+    /// The run folder of the samples.
     pub folder: Option<PathBuf>,
     warnings: Vec<String>,
 }
@@ -43,8 +43,7 @@ impl RunRows {
         if is_folder && !path.join(SAMPLES).exists() {
             return Err(no_run(path));
         }
-        let inside = is_folder.then(|| path.join(SAMPLES));
-        let samples = inside.unwrap_or_else(|| path.to_owned());
+        let samples = if is_folder { path.join(SAMPLES) } else { path.to_owned() };
         let mut warnings = Vec::new();
         let (folder, manifest) = folder_of(&samples, is_folder, &mut warnings);
 
@@ -52,7 +51,7 @@ impl RunRows {
         let mut file = File::open(&samples).map_err(|error| io("open", error))?;
         let name = path.display().to_string();
         let options = ReadOptions { map, in_run_folder: folder.is_some() };
-        // Only the record of a run ends as we know; what else is read may be a pipe.
+        // Only a record ends every row with a line feed; another file may be a pipe.
         let (length, ends_torn) = match folder {
             Some(_) => whole_rows(&mut file).map_err(|error| io("read", error))?,
             None => (u64::MAX, false),
@@ -62,7 +61,7 @@ impl RunRows {
         Ok(Self { rows, name, manifest, folder, warnings })
     }
 
-    /// What the reader should know, once the last row has been read.
+    /// Complete after the last row.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = self.warnings.clone();
         warnings.extend(self.rows.warnings());
@@ -72,32 +71,29 @@ impl RunRows {
                 warnings.push(format!(
                     "{name}: the run was not finished; it was read to its last whole row ({rows} rows)"
                 ));
-            } else if let Some(said) = manifest.rows
-                && said != rows
+            } else if let Some(expected) = manifest.rows
+                && expected != rows
             {
-                warnings.push(format!("{name}: {rows} rows, the manifest says {said}"));
+                warnings.push(format!("{name}: {rows} rows, {expected} by the manifest"));
             }
         }
         warnings
     }
 }
 
-/// What a folder without samples is: that of many runs, most likely.
+/// The error of a folder without samples, most likely one of many runs.
 fn no_run(folder: &Path) -> RecordingError {
     let path = folder.display().to_string();
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let paths = entries.map(|entry| entry.path());
-    // A link beside them is one of them once more; stamps sort by time.
+    // A link names one of the folders once more; stamps sort by time.
     let is_run = |path: &PathBuf| !path.is_symlink() && path.join(SAMPLES).exists();
-    let mut runs: Vec<PathBuf> = paths.filter(is_run).collect();
-    runs.sort();
-    match runs.last() {
+    let runs: Vec<PathBuf> = entries.map(|entry| entry.path()).filter(is_run).collect();
+    match runs.iter().max() {
         None => RecordingError::NoRun { path },
-        Some(latest) => RecordingError::FolderOfRuns {
-            path,
-            runs: runs.len(),
-            latest: latest.display().to_string(),
-        },
+        Some(latest) => {
+            let latest = latest.display().to_string();
+            RecordingError::FolderOfRuns { path, runs: runs.len(), latest }
+        }
     }
 }
 
@@ -122,7 +118,7 @@ pub fn open_run(path: &Path, map: Option<&ColumnMap>) -> Result<LoadedRun, Recor
     })
 }
 
-/// The run that a recorder still holds: as [`open_run`] would read it from its folder, were that whole.
+/// The run of a record in memory, as [`open_run`] would read it from its folder.
 pub fn run_from_memory(
     folder: &Path,
     samples: &[u8],
@@ -145,7 +141,7 @@ pub fn run_from_memory(
     })
 }
 
-/// The folder and manifest that belong to a samples file; a CSV that only lies beside a manifest does not count.
+/// Folder and manifest of a samples file; a CSV of another name next to a manifest has none.
 fn folder_of(
     samples: &Path,
     is_folder: bool,
@@ -173,7 +169,7 @@ fn folder_of(
             parent.display()
         ),
         Err(_) => format!(
-            "{}: it stands outside of its run folder: where its signals come from is unknown, and its commands and voltages are taken as sampled, each held until the next row",
+            "{}: it is outside of its run folder: where its signals come from is unknown, and its commands and voltages are taken as sampled, each held until the next row",
             samples.display()
         ),
     };
@@ -230,8 +226,7 @@ mod tests {
     #[test]
     fn an_unfinished_run_is_read_to_its_last_whole_row() {
         let root = tempfile::tempdir().unwrap();
-        let torn = "time_s,current_a\n0,1\n1,2\n2,3.1";
-        let folder = folder(root.path(), &Manifest::default(), torn);
+        let folder = folder(root.path(), &Manifest::default(), "time_s,current_a\n0,1\n1,2\n2,3.1");
         let loaded = open_run(folder.path(), None).unwrap();
         assert_eq!(loaded.run.column(Channel::Current).unwrap(), &[1.0, 2.0]);
         assert_eq!(loaded.run.rows_dropped, 1);

@@ -1,5 +1,4 @@
-//! The table of a CSV as one Parquet file, for programs that read columns, as pandas, Polars and `DuckDB` do. Built with the
-//! feature `parquet` only.
+//! A CSV table as one Parquet file, for pandas, Polars and `DuckDB`; only with the feature `parquet`.
 
 use std::fmt::Write as _;
 use std::io::Read;
@@ -13,13 +12,9 @@ use ::parquet::schema::parser::parse_message_type;
 
 use super::ColumnKind;
 
-/// Rows that are in memory at a time.
-const ROWS_OF_A_GROUP: usize = 100_000;
-
-/// The cells of a column, none where one is empty or no number.
+/// The cells of a column; `None`: empty or no number.
 enum Column {
     Quantities(Vec<Option<f64>>),
-    /// What counts exchanges.
     Counts(Vec<Option<i64>>),
     Words(Vec<Option<ByteArray>>),
     /// Microseconds since 1970.
@@ -59,7 +54,7 @@ impl Column {
         }
     }
 
-    /// Writes the cells as the next column of a group, and forgets them.
+    /// Moves the cells into the next column of a group.
     fn write(&mut self, rows: &mut RowGroup<'_>) -> Result<(), ParquetError> {
         match self {
             Self::Quantities(cells) => write::<DoubleType>(cells, rows),
@@ -75,18 +70,16 @@ fn write<T: DataType>(
     cells: &mut Vec<Option<T::T>>,
     rows: &mut RowGroup<'_>,
 ) -> Result<(), ParquetError> {
-    let is_there = cells.iter().map(|cell| i16::from(cell.is_some()));
-    let is_there: Vec<i16> = is_there.collect();
-    let known: Vec<T::T> = cells.drain(..).flatten().collect();
+    let is_some: Vec<i16> = cells.iter().map(|cell| i16::from(cell.is_some())).collect();
+    let values: Vec<T::T> = cells.drain(..).flatten().collect();
     if let Some(mut column) = rows.next_column()? {
-        let typed = column.typed::<T>();
-        typed.write_batch(&known, Some(&is_there), None)?;
+        column.typed::<T>().write_batch(&values, Some(&is_some), None)?;
         column.close()?;
     }
     Ok(())
 }
 
-/// The bytes of the file: every column of the table by its name, of the kind that `kind` says it is.
+/// The bytes of the file: every column of the table by its name, of the type that `kind` returns.
 ///
 /// # Errors
 /// A text that is no table.
@@ -106,15 +99,16 @@ pub fn parquet(csv: impl Read, kind: impl Fn(&str) -> ColumnKind) -> Result<Vec<
     let schema = Arc::new(parse_message_type(&schema)?);
     let properties = Arc::new(WriterProperties::builder().build());
     let mut writer = SerializedFileWriter::new(Vec::new(), schema, properties)?;
+    // The rows of a group are in memory.
+    let most_rows = 100_000;
     let mut record = csv::StringRecord::new();
     let (mut is_more, mut has_group) = (true, false);
     while is_more {
         let mut rows = 0;
-        while rows < ROWS_OF_A_GROUP && is_more {
+        while rows < most_rows && is_more {
             is_more = reader.read_record(&mut record).map_err(unread)?;
             if is_more {
-                let cells = columns.iter_mut().zip(&record);
-                cells.for_each(|(column, cell)| column.push(cell));
+                columns.iter_mut().zip(&record).for_each(|(column, cell)| column.push(cell));
                 rows += 1;
             }
         }

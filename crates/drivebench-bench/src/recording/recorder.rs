@@ -1,4 +1,4 @@
-//! The recorder of a run on disk: a thread of its own, so that a slow disk never delays a cycle.
+//! The recorder of a run on disk: a separate thread, so that a slow disk never delays a cycle.
 
 use std::fs::{File, Permissions};
 use std::io::{self, Write};
@@ -16,22 +16,16 @@ use super::{
 };
 use drivebench_model::sample::Sample;
 
-/// Longest time between two looks at the folder while nothing comes.
-const LOOK: Duration = Duration::from_millis(500);
-
-/// Most looks between two trials to make a folder again: a minute while nothing comes.
-const MOST_LOOKS: u32 = 120;
-
 enum Message {
     Rows(Vec<Row>),
     Event(Event),
 }
 
-/// Writes a run folder. Rows travel over an unbounded channel: none is dropped, none waits for the disk.
+/// Writes a run folder. Rows go through an unbounded channel: none is dropped, none waits for the disk.
 ///
-/// Every write call is of whole lines, those of the rows that came together; events are synced one by one, samples every so many rows. At least once a
-/// second the folder is looked for: one that is gone is made again with all that the memory still has of the run. Dropped
-/// without [`Recorder::finish`], everything is still written, but the manifest goes on saying that the run is not finished.
+/// Each write call contains the whole lines of rows that came together; events are synced one by one, samples at intervals. At
+/// least once a second the folder is checked: one that is gone is created again with the whole record. Dropped without
+/// [`Recorder::finish`], everything is still written, but the manifest stays at `"finished": false`.
 pub struct Recorder {
     folder: RunFolder,
     order: RowOrder,
@@ -40,19 +34,18 @@ pub struct Recorder {
     status: Arc<Mutex<RecorderStatus>>,
 }
 
-/// The logs of a run that was recorded, wherever its folder is by now.
+/// The logs of a recorded run.
 pub struct KeptLogs(Option<Journal<Log>>);
 
 impl KeptLogs {
-    /// The text of `samples.csv`: read back from the file, which stays open, and what was still in memory. `None` where
-    /// that is not all of it.
+    /// The text of `samples.csv`, from the open file and the memory; `None` where it is not complete.
     pub fn samples(&self) -> Option<Vec<u8>> {
         let [samples, _] = self.0.as_ref()?.texts();
         samples
     }
 
-    /// Makes a run folder of samples, events and manifest in another place, for a disk that does not take them; `None` where
-    /// they are not whole. Who may read the folder of the run may read this one; where that is gone, its owner.
+    /// Creates the run folder in another place, for a disk that fails; `None` where the logs are not complete. It has the
+    /// permissions of the run's folder; where that is gone, those of its owner alone.
     pub fn rescue(
         &self,
         folder: &RunFolder,
@@ -61,20 +54,21 @@ impl KeptLogs {
     ) -> Option<Result<RunFolder, RecordingError>> {
         let [samples, events] = self.0.as_ref()?.texts();
         let (samples, events) = (samples?, events?);
-        let found = std::fs::metadata(folder.path()).ok();
-        let is_there = found.filter(std::fs::Metadata::is_dir);
-        let rights =
-            is_there.map_or_else(|| Permissions::from_mode(0o700), |dir| dir.permissions());
+        let found = std::fs::metadata(folder.path()).ok().filter(std::fs::Metadata::is_dir);
+        let permissions =
+            found.map_or_else(|| Permissions::from_mode(0o700), |found| found.permissions());
         let write = || {
             let folder = RunFolder::create(root, &manifest.stamp, &manifest.name)?;
-            std::fs::set_permissions(folder.path(), rights).map_err(|error| {
+            std::fs::set_permissions(folder.path(), permissions).map_err(|error| {
                 RecordingError::io(folder.path(), "set the permissions of", &error)
             })?;
             let (mut to_samples, mut to_events) = folder.create_logs()?;
-            let written = to_samples.write_all(&samples);
-            let written = written.and_then(|()| to_events.write_all(&events));
-            let written = written.and_then(|()| to_samples.sync()).and_then(|()| to_events.sync());
-            written.map_err(|error| RecordingError::io(folder.path(), "write", &error))?;
+            to_samples
+                .write_all(&samples)
+                .and_then(|()| to_events.write_all(&events))
+                .and_then(|()| to_samples.sync())
+                .and_then(|()| to_events.sync())
+                .map_err(|error| RecordingError::io(folder.path(), "write", &error))?;
             folder.write_manifest(manifest)?;
             Ok(folder)
         };
@@ -82,18 +76,18 @@ impl KeptLogs {
     }
 }
 
-/// What is left of a run that was recorded.
+/// A recorded run.
 pub struct Kept {
-    /// Where the record is: not where it began, where that is gone.
+    /// Another one than at the start, where that is gone.
     pub folder: RunFolder,
     pub status: RecorderStatus,
     pub logs: KeptLogs,
-    /// Why the record on the disk is not whole, where it is not: its manifest goes on saying that the run is not finished.
+    /// Why the record on the disk is not complete; its manifest stays at `"finished": false`.
     pub error: Option<RecordingError>,
 }
 
 impl Recorder {
-    /// Makes `samples.csv`, `events.jsonl` and a manifest that says `"finished": false`.
+    /// Creates `samples.csv`, `events.jsonl` and a manifest with `"finished": false`.
     ///
     /// `sync_every_rows`: rows between two syncs of the samples; the rows of about one second.
     pub fn create(
@@ -106,15 +100,14 @@ impl Recorder {
         let logs = [Log(Ok(samples)), Log(Ok(events))];
         let mut writer = Writer::new(folder, layout, manifest, sync_every_rows, logs);
         writer.folder.write_manifest(&writer.unfinished)?;
-        let place = Place::of(&writer.folder);
-        writer.place = Some(
-            place.map_err(|error| RecordingError::io(writer.folder.path(), "look at", &error))?,
-        );
+        let place = Place::of(&writer.folder)
+            .map_err(|error| RecordingError::io(writer.folder.path(), "look at", &error))?;
+        writer.place = Some(place);
         Self::start(writer)
     }
 
-    /// For a run that goes on with what was begun before, where `folder` cannot be made for now: all of it is kept in
-    /// memory, and the folder is made as soon as that is possible.
+    /// For the continuation of a run whose `folder` cannot be created for now: the record is kept in memory, and the folder is
+    /// created as soon as possible.
     pub fn without_disk(
         folder: RunFolder,
         layout: Layout,
@@ -144,13 +137,13 @@ impl Recorder {
         Ok(Self { folder, order, sender: Some(sender), writer: Some(writer), status })
     }
 
-    /// Where the record was begun.
+    /// The folder at the start.
     pub fn folder(&self) -> &RunFolder {
         &self.folder
     }
 
-    /// Waits until everything is on the disk, then writes the manifest with the number of rows and `finished`. An `error`
-    /// in the status of what is returned was got over; the error beside it was not.
+    /// Waits until everything is on the disk, then writes the manifest with the number of rows and `finished`. An `error` in the
+    /// returned status was recovered from; the error beside it was not.
     pub fn finish(mut self, manifest: &Manifest) -> Kept {
         let Some(Ok(mut writer)) = self.close() else {
             return Kept {
@@ -220,13 +213,13 @@ impl Record for Recorder {
 
 impl Drop for Recorder {
     fn drop(&mut self) {
-        // Nobody is left to tell; the manifest still says that the run is not finished.
+        // The manifest stays at `"finished": false`.
         let _ = self.close();
     }
 }
 
-/// Device and number of the folder and of its two logs: a folder that was deleted or renamed leaves them open, and what is
-/// written to them is nowhere to be found.
+/// Device and inode of the folder and of its two logs. A deleted or renamed folder leaves the logs open, and what is written to
+/// them is lost.
 #[derive(Debug, PartialEq, Eq)]
 struct Place([(u64, u64); 3]);
 
@@ -267,20 +260,20 @@ impl Durable for Log {
     }
 }
 
-/// The thread's own part of a recorder.
+/// The state of the writer thread.
 struct Writer {
     journal: Journal<Log>,
     folder: RunFolder,
     /// `None` before there was one.
     place: Option<Place>,
-    /// Why the folder, which is gone, cannot be made again.
+    /// Why the folder, which is gone, cannot be created again.
     gone: Option<String>,
-    /// Looks that pass before it is tried again, and how many passed before the last trial: each copies the whole log.
-    looks_to_pass: u32,
-    looks_passed: u32,
+    /// Checks to skip before the next trial, and those skipped before the last one: each trial copies the whole log.
+    checks_to_skip: u32,
+    checks_skipped: u32,
     unfinished: Manifest,
-    /// Rows and events between two looks at the folder.
-    look_every: usize,
+    /// Rows and events between two checks of the folder.
+    check_every: usize,
 }
 
 impl Writer {
@@ -301,57 +294,59 @@ impl Writer {
             folder,
             place: None,
             gone: None,
-            looks_to_pass: 0,
-            looks_passed: 0,
+            checks_to_skip: 0,
+            checks_skipped: 0,
             unfinished: Manifest { finished: false, rows: None, ..manifest.clone() },
-            look_every: sync_every_rows.max(1),
+            check_every: sync_every_rows.max(1),
         }
     }
 
     fn write_all(mut self, receiver: &Receiver<Message>, status: &Mutex<RecorderStatus>) -> Self {
-        let mut unlooked = 0;
+        let mut unchecked = 0;
         loop {
-            match receiver.recv_timeout(LOOK) {
+            match receiver.recv_timeout(Duration::from_millis(500)) {
                 Ok(Message::Rows(rows)) => {
                     self.journal.rows(&rows);
-                    unlooked += rows.len();
+                    unchecked += rows.len();
                 }
                 Ok(Message::Event(event)) => {
                     self.journal.event(&event);
-                    unlooked += 1;
+                    unchecked += 1;
                 }
-                Err(RecvTimeoutError::Timeout) => unlooked = self.look_every + 1,
+                Err(RecvTimeoutError::Timeout) => unchecked = self.check_every + 1,
                 Err(RecvTimeoutError::Disconnected) => break,
             }
-            if unlooked > self.look_every {
-                unlooked = 0;
-                self.look();
+            if unchecked > self.check_every {
+                unchecked = 0;
+                self.check_folder();
             }
             *lock(status) = self.journal.status();
         }
         self.journal.finish();
-        self.looks_to_pass = 0;
-        self.look();
+        self.checks_to_skip = 0;
+        self.check_folder();
         *lock(status) = self.journal.status();
         self
     }
 
-    /// Whether the folder is where it was; one that is gone is made again.
-    fn look(&mut self) {
-        match Place::of(&self.folder) {
-            Ok(place) if self.place.as_ref() == Some(&place) && self.gone.is_none() => {
-                self.journal.retry();
-            }
-            Ok(_) => self.make_again(),
-            Err(error) if is_gone(&error) || self.gone.is_some() => self.make_again(),
-            // It may be there all the same: what is written tells.
-            Err(_) => self.journal.retry(),
+    /// Creates the folder again if it is gone.
+    fn check_folder(&mut self) {
+        use io::ErrorKind::{NotADirectory, NotFound};
+        let is_same = match Place::of(&self.folder) {
+            Ok(place) => self.place.as_ref() == Some(&place),
+            // After another error it may still exist: a write shows it.
+            Err(error) => !matches!(error.kind(), NotFound | NotADirectory),
+        };
+        if is_same && self.gone.is_none() {
+            self.journal.retry();
+        } else {
+            self.create_again();
         }
     }
 
-    fn make_again(&mut self) {
-        if self.looks_to_pass > 0 {
-            self.looks_to_pass -= 1;
+    fn create_again(&mut self) {
+        if self.checks_to_skip > 0 {
+            self.checks_to_skip -= 1;
             return;
         }
         let old = self.folder.path().display().to_string();
@@ -364,20 +359,21 @@ impl Writer {
             Ok(()) => {
                 let new = self.folder.path().display();
                 let lost = self.journal.status().rows_lost - lost;
-                let rest = if lost == 0 {
-                    String::new()
-                } else {
-                    format!(", without {lost} rows, which the old file did not give back")
+                let rest = match lost {
+                    0 => String::new(),
+                    lost => format!(", without {lost} rows, which the old file did not give back"),
                 };
-                (self.gone, self.looks_passed) = (None, 0);
-                self.journal.tell(format!("{old} {what}; the record is made again in {new}{rest}"));
+                (self.gone, self.checks_skipped) = (None, 0);
+                self.journal
+                    .report(format!("{old} {what}; the record is made again in {new}{rest}"));
             }
             Err(error) => {
-                self.looks_passed = (2 * self.looks_passed).clamp(1, MOST_LOOKS);
-                self.looks_to_pass = self.looks_passed;
+                // Up to a minute while nothing comes.
+                self.checks_skipped = (2 * self.checks_skipped).clamp(1, 120);
+                self.checks_to_skip = self.checks_skipped;
                 let reason = error.to_string();
                 if self.gone.as_ref() != Some(&reason) {
-                    self.journal.tell(format!(
+                    self.journal.report(format!(
                         "{old} {what}, and the record cannot be made again: {reason}; the run goes on, and is kept in memory"
                     ));
                     self.gone = Some(reason);
@@ -394,7 +390,7 @@ impl Writer {
                 Ok(())
             }
             Err(error) => {
-                // Made here and of no use; where it cannot be removed either, a part of the record stays in it.
+                // An incomplete copy of the record.
                 let _ = std::fs::remove_dir_all(folder.path());
                 Err(error)
             }
@@ -407,7 +403,7 @@ impl Writer {
         let failed = |doing| move |error| RecordingError::io(folder.path(), doing, &error);
         let place = Place::of(folder).map_err(failed("look at"))?;
         self.journal
-            .go_on_in(Log(Ok(samples)), Log(Ok(events)))
+            .move_to(Log(Ok(samples)), Log(Ok(events)))
             .map_err(failed("move the record to"))?;
         Ok(place)
     }
@@ -429,21 +425,13 @@ impl Writer {
             let (rows, events) = (status.rows_lost, status.events_lost);
             return Err(failed(format!("{rows} rows and {events} events are lost")));
         }
-        if let Some(reason) = self.journal.doubt() {
+        if let Some(reason) = self.journal.sync_error() {
             return Err(failed(reason.to_owned()));
         }
-        self.folder.write_manifest(&Manifest {
-            finished: true,
-            rows: Some(status.rows),
-            ..manifest.clone()
-        })?;
+        let rows = Some(status.rows);
+        self.folder.write_manifest(&Manifest { finished: true, rows, ..manifest.clone() })?;
         Ok(())
     }
-}
-
-/// Whether a path leads nowhere any more.
-fn is_gone(error: &io::Error) -> bool {
-    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
 }
 
 /// A status is whole after every assignment, so a panic elsewhere cannot have broken it.

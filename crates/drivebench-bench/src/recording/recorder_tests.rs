@@ -10,7 +10,7 @@ fn layout() -> Layout {
     Layout::of_drive(&[Channel::VoltageCmd, Channel::Current, Channel::Speed])
 }
 
-/// A session: a command and its sample in each cycle, an event now and then at its begin.
+/// A session: a command and its sample in each cycle, and 20 events.
 fn drive(recorder: &mut dyn Record, cycles: u32) {
     for cycle in 0..cycles {
         let seq = u64::from(cycle) + 1;
@@ -55,6 +55,8 @@ fn disk_and_memory_hold_the_same_bytes() {
     let folder = disk.folder().clone();
     let kept = disk.finish(&manifest());
     assert_eq!((kept.status.rows, kept.error), (400, None));
+    let again = Recorder::create(folder.clone(), layout(), &manifest(), 50);
+    assert!(again.is_err(), "a folder with a run is not recorded into again");
     let mut memory = MemoryRecorder::new(layout());
     drive(&mut memory, 200);
     memory.finish();
@@ -77,8 +79,7 @@ fn a_run_that_is_dropped_keeps_its_rows_and_stays_unfinished() {
     let root = tempfile::tempdir().unwrap();
     let mut disk = recorder(root.path());
     let path = disk.folder().path().to_owned();
-    let text = read(path.join("manifest.json"));
-    assert!(text.contains("\"finished\": false"));
+    assert!(read(path.join("manifest.json")).contains("\"finished\": false"));
     drive(&mut disk, 10);
     drop(disk);
     let loaded = open_run(&path, None).unwrap();
@@ -86,7 +87,7 @@ fn a_run_that_is_dropped_keeps_its_rows_and_stays_unfinished() {
     assert!(loaded.warnings[0].contains("not finished"));
 }
 
-/// What the file holds at any moment is what a kill would leave: whole lines only.
+/// A kill leaves whole lines only.
 #[test]
 fn the_file_grows_by_whole_lines() {
     let root = tempfile::tempdir().unwrap();
@@ -104,16 +105,7 @@ fn the_file_grows_by_whole_lines() {
     }
 }
 
-#[test]
-fn a_folder_that_holds_a_run_is_not_recorded_into_again() {
-    let root = tempfile::tempdir().unwrap();
-    let first = recorder(root.path());
-    let folder = first.folder().clone();
-    assert_eq!(first.finish(&manifest()).error, None);
-    assert!(Recorder::create(folder, layout(), &manifest(), 50).is_err());
-}
-
-/// What a whole run of so many cycles leaves on the disk.
+/// The files of a whole run of so many cycles.
 fn expected(cycles: u32) -> (String, String) {
     let mut memory = MemoryRecorder::new(layout());
     drive(&mut memory, cycles);
@@ -132,21 +124,21 @@ fn wait_for_news(disk: &Recorder) -> String {
 }
 
 #[test]
-fn a_folder_that_is_deleted_or_renamed_is_told_of_and_made_again_whole() {
-    const CYCLES: u32 = 50_000;
+fn a_folder_that_is_deleted_or_renamed_is_made_again_whole() {
+    let cycles = 50_000;
     for renamed in [false, true] {
         let root = tempfile::tempdir().unwrap();
         let folder = RunFolder::create(root.path(), "20260131T000000Z", "test").unwrap();
         let mut disk = Recorder::create(folder, layout(), &manifest(), 10_000).unwrap();
         // More than what stays in memory of what is written.
-        drive(&mut disk, CYCLES);
+        drive(&mut disk, cycles);
         let path = disk.folder().path().to_owned();
         if renamed {
             fs::rename(&path, root.path().join("elsewhere")).unwrap();
         } else {
             fs::remove_dir_all(&path).unwrap();
         }
-        // While nothing comes: it is looked for all the same.
+        // It is checked while nothing comes.
         let news = wait_for_news(&disk);
         assert!(news.contains("was deleted or renamed"), "{news:?}");
         assert!(news.contains("made again in"), "{news:?}");
@@ -155,8 +147,8 @@ fn a_folder_that_is_deleted_or_renamed_is_told_of_and_made_again_whole() {
         assert!(kept.status.error.is_some());
         let loaded = open_run(kept.folder.path(), None).unwrap();
         assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
-        let (samples, events) = expected(CYCLES);
-        assert!(samples.len() > 2 * Room::SAMPLES.taken);
+        let (samples, events) = expected(cycles);
+        assert!(samples.len() > 2 * Room::SAMPLES.written);
         assert_eq!(read(kept.folder.samples()), samples);
         assert_eq!(read(kept.folder.events()), events);
         assert_eq!(kept.logs.samples(), Some(samples.into_bytes()));
@@ -177,7 +169,7 @@ fn a_folder_that_is_gone_when_the_run_ends_is_made_again_too() {
 }
 
 #[test]
-fn a_run_whose_folder_cannot_be_made_again_is_kept_in_memory_and_says_so() {
+fn a_run_whose_folder_cannot_be_made_again_is_kept_in_memory() {
     let root = tempfile::tempdir().unwrap();
     let runs = root.path().join("runs");
     let mut disk = recorder(&runs);
@@ -187,8 +179,7 @@ fn a_run_whose_folder_cannot_be_made_again_is_kept_in_memory_and_says_so() {
     let news = wait_for_news(&disk);
     assert!(news.contains("cannot be made again"), "{news:?}");
     let kept = disk.finish(&manifest());
-    let is_io = matches!(kept.error, Some(RecordingError::Io { .. }));
-    assert!(is_io, "{:?}", kept.error);
+    assert!(matches!(kept.error, Some(RecordingError::Io { .. })), "{:?}", kept.error);
     let samples = kept.logs.samples().unwrap();
     assert_eq!(String::from_utf8_lossy(&samples), expected(30).0);
     // Another place takes all of it.
@@ -203,7 +194,7 @@ fn a_run_whose_folder_cannot_be_made_again_is_kept_in_memory_and_says_so() {
     let (samples_csv, events_jsonl) = expected(30);
     assert_eq!(read(rescued.samples()), samples_csv);
     assert_eq!(read(rescued.events()), events_jsonl);
-    // And it is read by whoever may read the one that it stands for.
+    // It has the permissions of the folder that it replaces.
     fs::remove_file(&runs).unwrap();
     fs::create_dir_all(kept.folder.path()).unwrap();
     fs::set_permissions(kept.folder.path(), Permissions::from_mode(0o750)).unwrap();
@@ -213,11 +204,11 @@ fn a_run_whose_folder_cannot_be_made_again_is_kept_in_memory_and_says_so() {
     assert_eq!(run.run.origin(Channel::Current), Origin::Measured);
 }
 
-/// What a power cut may leave of a log of a thousand rows: all whole rows come to the bit, the torn one is told, and nothing
-/// is invented. Reading takes exactly the bytes that `whole_rows` tells, which is asked at every byte; what comes of so many
-/// bytes is looked at once for each of these lengths, and with a part of the next row behind them.
+/// After a power cut all whole rows of a log are read to the bit, the torn one is reported, and nothing else is read. Reading
+/// takes exactly the bytes of `whole_rows`, which is checked at every byte; the rows are compared once for each of these
+/// lengths, and with a part of the next row behind them.
 #[test]
-fn a_log_of_a_thousand_rows_that_is_cut_at_any_byte_gives_all_its_whole_rows() {
+fn a_log_cut_at_any_byte_gives_all_its_whole_rows() {
     let (samples, _) = expected(500);
     let bytes = samples.as_bytes();
     let ends: Vec<usize> = samples.match_indices('\n').map(|(at, _)| at + 1).collect();
@@ -238,7 +229,7 @@ fn a_log_of_a_thousand_rows_that_is_cut_at_any_byte_gives_all_its_whole_rows() {
         for cut in [pair[0], pair[0] + 1, pair[1] - 1] {
             let torn = usize::from(cut != pair[0]);
             let loaded = match read(cut) {
-                // The header alone is no run, and says so.
+                // The header alone is no run.
                 Err(RecordingError::NoRows { .. }) if rows == 0 => continue,
                 loaded => loaded.unwrap(),
             };
@@ -259,9 +250,9 @@ fn a_log_of_a_thousand_rows_that_is_cut_at_any_byte_gives_all_its_whole_rows() {
     assert!(read(ends[0] - 1).is_err(), "a header that is torn names no columns");
 }
 
-/// The manifest is replaced whole or not at all; of a disk that breaks this too the samples come all the same.
+/// The manifest is replaced atomically; a disk that breaks this still gives the samples.
 #[test]
-fn a_folder_whose_manifest_is_cut_at_any_byte_still_gives_its_rows() {
+fn a_manifest_cut_at_any_byte_loses_no_rows() {
     let root = tempfile::tempdir().unwrap();
     let mut disk = recorder(root.path());
     drive(&mut disk, 3);
@@ -280,7 +271,7 @@ fn a_folder_whose_manifest_is_cut_at_any_byte_still_gives_its_rows() {
 }
 
 #[test]
-fn a_folder_that_cannot_be_written_to_refuses_a_run_before_it_begins() {
+fn a_folder_that_cannot_be_written_refuses_the_run() {
     let root = tempfile::tempdir().unwrap();
     let file = root.path().join("file");
     fs::write(&file, "no folder").unwrap();
@@ -292,15 +283,15 @@ fn a_folder_that_cannot_be_written_to_refuses_a_run_before_it_begins() {
     assert_eq!(read(file), "no folder");
 }
 
-const VICTIM_ROOT: &str = "DRIVEBENCH_TEST_VICTIM_ROOT";
+const KILLED_ROOT: &str = "DRIVEBENCH_TEST_KILLED_ROOT";
 
-/// The file in which the victim says how many rows it has handed over.
+/// File with the number of rows that the killed program has recorded.
 const HANDED: &str = "handed";
 
 /// Writes until it is killed, at the pace of its disk.
-fn be_the_victim(root: &std::path::Path) {
+fn write_until_killed(root: &std::path::Path) {
     let mut recorder = recorder(root);
-    let told = fs::File::create(root.join(HANDED)).unwrap();
+    let count = fs::File::create(root.join(HANDED)).unwrap();
     let mut handed = 0;
     for seq in 1..1_000_000_u32 {
         let (time_s, seq) = (f64::from(seq), u64::from(seq));
@@ -313,25 +304,25 @@ fn be_the_victim(root: &std::path::Path) {
         sample.seq = Some(seq);
         sample.applied = Some(Applied { seq, time_s: time_s + 0.25 });
         handed += recorder.row(&sample).len();
-        told.write_all_at(&(handed as u64).to_le_bytes(), 0).unwrap();
+        count.write_all_at(&(handed as u64).to_le_bytes(), 0).unwrap();
         while recorder.status().rows < handed {
             std::thread::yield_now();
         }
     }
 }
 
-/// Starts itself once more, as the program that is killed.
+/// Starts itself as the program that is killed.
 #[test]
 fn a_killed_program_loses_no_whole_row() {
-    if let Some(root) = std::env::var_os(VICTIM_ROOT) {
-        be_the_victim(std::path::Path::new(&root));
+    if let Some(root) = std::env::var_os(KILLED_ROOT) {
+        write_until_killed(std::path::Path::new(&root));
         return;
     }
     let root = tempfile::tempdir().unwrap();
     let this = "recording::recorder::tests::a_killed_program_loses_no_whole_row";
     let mut child = std::process::Command::new(std::env::current_exe().unwrap())
         .args(["--exact", this])
-        .env(VICTIM_ROOT, root.path())
+        .env(KILLED_ROOT, root.path())
         .stdout(std::process::Stdio::null())
         .spawn()
         .unwrap();
@@ -339,7 +330,7 @@ fn a_killed_program_loses_no_whole_row() {
     let size = || fs::metadata(folder.samples()).map_or(0, |data| data.len());
     while size() < 20_000 {
         let ended = child.try_wait().unwrap();
-        assert_eq!(ended, None, "the victim ended by itself");
+        assert_eq!(ended, None, "the program ended by itself");
         std::thread::sleep(std::time::Duration::from_millis(1));
     }
     child.kill().unwrap();
@@ -350,7 +341,7 @@ fn a_killed_program_loses_no_whole_row() {
     assert!(loaded.run.rows_dropped <= 1);
     let handed = fs::read(root.path().join(HANDED)).unwrap();
     let handed = u64::from_le_bytes(handed.try_into().unwrap());
-    // The last cycle's: a command and its sample.
+    // Of the last cycle: a command and its sample.
     let lost = handed.saturating_sub(loaded.run.rows() as u64);
     assert!(lost <= 2, "{lost} of {handed} rows are lost");
     assert!(loaded.warnings.last().unwrap().contains("not finished"));

@@ -1,11 +1,11 @@
-//! Commands and samples onto one strictly increasing time axis.
+//! Commands and samples on one strictly increasing time axis.
 //!
 //! ```text
 //! command k sent -> (waits) -> sample k: "applied k at t" -> row t: command k -> row of the sample
 //! ```
 //!
-//! A command waits until a sample says when it was applied; that is never later than the sample, so a sample's row
-//! never waits.
+//! A command waits for the sample that reports when it was applied; that is never later than the sample, so a sample never
+//! waits.
 
 use std::collections::VecDeque;
 
@@ -17,23 +17,18 @@ use drivebench_model::sample::{Applied, Channel, Command, Demand, Quality, Sampl
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CommandRow {
     pub command: Command,
-    /// When it was sent, on the samples' time axis, s: the best guess until the drive says when it was applied, and all
-    /// there is where the drive never says.
+    /// When it was sent, on the samples' time axis, s; used where the drive does not report when it was applied.
     pub time_s: f64,
-    /// The speed reference that holds from then on; left out, a speed demand is its own.
+    /// The speed reference from then on; by default that of a speed demand.
     pub reference_rad_s: Option<f64>,
 }
 
-/// Commands that may wait at once; more only pile up when a drive does not echo sequence numbers as it should.
-const WAITING_MAX: usize = 64;
-
-/// Puts rows in order, once for all who take them; the state between calls is the waiting commands and the time of the last
-/// row.
+/// Orders the rows; its state is the waiting commands and the time of the last row.
 #[derive(Clone, Debug)]
 pub struct RowOrder {
     layout: Layout,
     waiting: VecDeque<CommandRow>,
-    /// Those that the last call has completed.
+    /// Completed by the last call.
     rows: Vec<Row>,
     last_s: f64,
     repeats: usize,
@@ -52,12 +47,12 @@ impl RowOrder {
         }
     }
 
-    /// Samples that were left out because their time was not after the last row: the drive had sampled nothing new.
+    /// Samples left out because their time is not after the last row.
     pub fn repeats(&self) -> usize {
         self.repeats
     }
 
-    /// Commands of which the drive never said when they were applied, although it said so of others.
+    /// Commands that the drive did not report as applied, although it reported others.
     pub fn unconfirmed(&self) -> usize {
         self.unconfirmed
     }
@@ -66,10 +61,10 @@ impl RowOrder {
         self.waiting.push_back(row);
     }
 
-    /// The rows that this sample completes, in order, its own last.
+    /// The rows completed by this sample, its own last.
     pub fn sample(&mut self, sample: &Sample) -> &[Row] {
         self.rows.clear();
-        // A comparison that is false for NaN as well.
+        // False for NaN too.
         let is_new = sample.time_s > self.last_s && sample.time_s.is_finite();
         if !is_new {
             self.repeats += 1;
@@ -79,12 +74,12 @@ impl RowOrder {
         if let Some(applied) = sample.applied {
             self.place_applied(applied, &mut own);
         } else {
-            let was_sent = |row: &CommandRow, own: &Row| row.time_s <= own.time_s;
-            while self.waiting.front().is_some_and(|row| was_sent(row, &own)) {
+            while self.waiting.front().is_some_and(|row| row.time_s <= own.time_s) {
                 self.place_front(None, &mut own);
             }
         }
-        while self.waiting.len() > WAITING_MAX {
+        // A drive that does not echo sequence numbers must not fill the memory.
+        while self.waiting.len() > 64 {
             self.unconfirmed += 1;
             self.place_front(Some("unconfirmed"), &mut own);
         }
@@ -93,12 +88,12 @@ impl RowOrder {
         &self.rows
     }
 
-    /// Those that the last call has completed.
+    /// Completed by the last call.
     pub(super) fn rows(&self) -> &[Row] {
         &self.rows
     }
 
-    /// The commands that still wait, at the time when they were sent: the drive said nothing any more.
+    /// The commands that still wait, at the time when they were sent.
     pub fn finish(&mut self) -> &[Row] {
         self.rows.clear();
         while let Some(waiting) = self.waiting.pop_front() {
@@ -125,12 +120,11 @@ impl RowOrder {
                 front.time_s = front.time_s.min(applied.time_s);
                 self.unconfirmed += 1;
             }
-            let remark = (!confirmed).then_some("unconfirmed");
-            self.place_front(remark, own);
+            self.place_front((!confirmed).then_some("unconfirmed"), own);
         }
     }
 
-    /// The first waiting command on a row of its own, or on the sample's where their times are equal.
+    /// The first waiting command on a row of its own, or on that of the sample at the same time.
     fn place_front(&mut self, remark: Option<&str>, own: &mut Row) {
         let Some(waiting) = self.waiting.pop_front() else {
             return;
@@ -149,7 +143,7 @@ impl RowOrder {
         }
     }
 
-    /// `time_s`, or the next number after the last row where clocks disagree by a hair.
+    /// `time_s`, or the next number after the last row: clocks differ slightly.
     fn after_last(&self, time_s: f64) -> f64 {
         if time_s > self.last_s { time_s } else { self.last_s.next_up() }
     }
@@ -181,7 +175,7 @@ impl RowOrder {
         channels.any(|channel| row.get(*channel).is_some())
     }
 
-    /// Stale values are left out and said to be stale: the value would be a repeat of an older instant.
+    /// Stale values are left out with a remark: they belong to an older instant.
     fn sample_row(&self, sample: &Sample) -> Row {
         let mut row = Row::at(sample.time_s);
         row.host_time_s = sample.host_time_s;
@@ -232,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn a_half_width_has_its_column_where_the_link_gives_it_and_reads_back_to_the_bit() {
+    fn a_half_width_of_the_link_reads_back_to_the_bit() {
         use crate::recording::{CsvRows, ReadOptions};
         let layout = Layout::of_drive(&[Channel::Current, Channel::TimeHalfWidth]);
         let mut order = RowOrder::new(layout.clone());
@@ -253,13 +247,10 @@ mod tests {
             assert_eq!(width(&read), width(row));
             assert_eq!(read.quality, row.quality);
         }
-        let why = "the drive's own stamp is not missing anything";
-        assert_eq!(rows[1].quality, "", "{why}");
-        let plain = Layout::of_drive(&[Channel::Current]).header();
-        assert!(!plain.contains("half_width"));
+        assert_eq!(rows[1].quality, "", "a stamp of the drive has no half-width");
     }
 
-    /// What happens: command `k` is sent at a time with so many volts, a sample comes that says which was applied when.
+    /// A command with its number, time and voltage; a sample with its time, and the number and time of the applied command.
     enum Step {
         Send(u64, f64, f64),
         Take(f64, Option<(u64, f64)>),
@@ -267,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn commands_stand_where_the_drive_applied_them_and_samples_where_they_are_new() {
+    fn commands_have_the_time_at_which_they_were_applied() {
         use Step::{Finish, Send, Take};
         for (name, steps, expected, repeats, unconfirmed) in [
             (
@@ -332,8 +323,7 @@ mod tests {
                 text.extend(rows.iter().map(|row| layout.line(row)));
             }
             assert_eq!(text, expected, "{name}");
-            let counts = (order.repeats(), order.unconfirmed());
-            assert_eq!(counts, (repeats, unconfirmed), "{name}");
+            assert_eq!((order.repeats(), order.unconfirmed()), (repeats, unconfirmed), "{name}");
         }
     }
 
@@ -352,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn stale_and_missing_cells_are_empty_and_say_why() {
+    fn stale_and_missing_cells_are_empty_with_a_remark() {
         let layout = Layout::of_drive(&[Channel::VoltageCmd, Channel::Current, Channel::Speed]);
         let mut order = RowOrder::new(layout);
         let mut stale = Sample::at(1.0).with(Channel::Current, 3.0);

@@ -1,4 +1,4 @@
-//! The folder of a run: made once, never overwritten, its small files replaced whole or not at all.
+//! The folder of a run: created once, never overwritten; its small files are replaced atomically.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, ErrorKind, Read as _, Write};
@@ -13,9 +13,9 @@ pub enum RunFile {
     Model,
     Result,
     Report,
-    /// The run that would tell more, as a bench file.
+    /// The recommended next run, as a bench file.
     NextBench,
-    /// The samples once more, as columns.
+    /// The samples by columns.
     Parquet,
     /// What a controller followed, and its gains, over time.
     Adaptation,
@@ -35,34 +35,29 @@ impl RunFile {
     }
 }
 
-/// Most bytes of a file that is read whole: configurations and results are far shorter, and a stranger's must not fill the
-/// memory.
-const MOST_BYTES: u64 = 8 << 20;
-
-/// Reads a text that is taken into memory whole.
+/// Reads a whole text. Configurations and results are far shorter than 8 MiB; a longer file must not fill the memory.
 ///
 /// # Errors
-/// What stands in the way, or that it is longer than anything that is read so.
+/// It cannot be read, or is longer.
 pub fn read_text(path: &Path) -> io::Result<String> {
+    let most_bytes = 8 << 20;
     let mut text = String::new();
-    File::open(path)?.take(MOST_BYTES + 1).read_to_string(&mut text)?;
-    if text.len() as u64 > MOST_BYTES {
-        let what = format!("it is longer than {} MiB", MOST_BYTES >> 20);
-        return Err(io::Error::new(ErrorKind::FileTooLarge, what));
+    File::open(path)?.take(most_bytes + 1).read_to_string(&mut text)?;
+    if text.len() as u64 > most_bytes {
+        return Err(io::Error::new(ErrorKind::FileTooLarge, "it is longer than 8 MiB"));
     }
     Ok(text)
 }
 
 pub(super) const SAMPLES: &str = "samples.csv";
 const EVENTS: &str = "events.jsonl";
-/// A burst that the drive recorded within the run, the first of them.
+/// The first burst captured by the drive within the run.
 pub const FIRST_CAPTURE: &str = "capture-01.csv";
 
 /// The link to the newest run, beside the folders.
 pub const LATEST: &str = "latest";
 
-/// `path` with every link called `latest` in it replaced by the folder that it names now, so that what is written down of
-/// a run stays true when the next one is recorded.
+/// `path` with every link `latest` resolved, so that it names the same run after the next one is recorded.
 pub fn resolved(path: &Path) -> PathBuf {
     let mut out = PathBuf::new();
     for part in path.components() {
@@ -92,7 +87,7 @@ impl RunFolder {
         Self::make(root, &format!("{}-{}", file_safe(stamp), file_safe(name)))
     }
 
-    /// Makes a folder that is gone once more, under its own name or, where that is taken, with `-2`, `-3`, ...
+    /// Creates a folder that is gone again, under its own name or, where that is taken, with `-2`, `-3`, ...
     pub(super) fn again(&self) -> Result<Self, RecordingError> {
         let root = self.path.parent().unwrap_or(Path::new("."));
         let base = self.path.file_name().unwrap_or_default();
@@ -109,12 +104,11 @@ impl RunFolder {
         Ok(Self { path })
     }
 
-    /// A folder that cannot be made for now, under the name that it would have.
+    /// A folder that cannot be created for now, under its name.
     pub fn unmade(root: &Path, stamp: &str, name: &str) -> Self {
         Self { path: root.join(format!("{}-{}", file_safe(stamp), file_safe(name))) }
     }
 
-    /// A folder that is there already.
     pub fn existing(path: impl Into<PathBuf>) -> Self {
         Self { path: path.into() }
     }
@@ -135,14 +129,13 @@ impl RunFolder {
         self.path.join(EVENTS)
     }
 
-    /// Points the link `latest` beside the folder at it: the old link or the new one is there at any time. Anything else
-    /// of that name is left alone, which is an error.
-    pub fn link_latest(&self) -> std::io::Result<()> {
+    /// Points the link `latest` beside the folder at it, atomically. Anything else of that name is kept, which is an error.
+    pub fn link_latest(&self) -> io::Result<()> {
         let root = self.path.parent().unwrap_or(Path::new("."));
         let link = root.join(LATEST);
         if link.symlink_metadata().is_ok_and(|found| !found.is_symlink()) {
-            let reason = "something else has this name, and is left as it is";
-            return Err(std::io::Error::new(ErrorKind::AlreadyExists, reason));
+            let reason = "something else has this name, and is kept";
+            return Err(io::Error::new(ErrorKind::AlreadyExists, reason));
         }
         let name = self.path.file_name().unwrap_or_default();
         let beside = root.join(format!(".{LATEST}.{}", std::process::id()));
@@ -150,7 +143,7 @@ impl RunFolder {
         fs::rename(&beside, &link).inspect_err(|_| drop(fs::remove_file(&beside)))
     }
 
-    /// Writes a file whole: beside it, synced, then renamed over it. A crash leaves the old file or the new one.
+    /// Writes a file atomically: to a temporary name, synced, then renamed. A crash leaves the old file or the new one.
     pub fn write(
         &self,
         file: RunFile,
@@ -158,7 +151,7 @@ impl RunFolder {
     ) -> Result<PathBuf, RecordingError> {
         let path = self.file(file);
         let beside = self.path.join(format!(".{}.part", file.name()));
-        let write = || -> std::io::Result<()> {
+        let write = || -> io::Result<()> {
             let mut part = File::create(&beside)?;
             part.write_all(content.as_ref())?;
             part.sync_all()?;
@@ -166,7 +159,7 @@ impl RunFolder {
             File::open(&self.path)?.sync_all()
         };
         write().map_err(|error| {
-            // Of no use, and on a full disk in the way.
+            // It would take space on a full disk.
             let _ = fs::remove_file(&beside);
             RecordingError::io(&path, "write", &error)
         })?;
@@ -181,9 +174,9 @@ impl RunFolder {
     pub fn write_capture(&self, text: &str) -> Result<PathBuf, RecordingError> {
         let name = |count| self.path.join(format!("capture-{count:02}.csv"));
         let (mut file, path) = first_free(name, create_new)?;
-        let written = file.write_all(text.as_bytes());
-        let written = written.and_then(|()| file.sync_data());
-        written.map_err(|error| RecordingError::io(&path, "write", &error))?;
+        file.write_all(text.as_bytes())
+            .and_then(|()| file.sync_data())
+            .map_err(|error| RecordingError::io(&path, "write", &error))?;
         Ok(path)
     }
 
@@ -196,10 +189,10 @@ impl RunFolder {
     }
 }
 
-/// What is made under the first name, counted from 1, that is not taken.
+/// Creates under the first name, counted from 1, that is not taken.
 fn first_free<T>(
     name: impl Fn(u32) -> PathBuf,
-    make: impl Fn(&Path) -> std::io::Result<T>,
+    make: impl Fn(&Path) -> io::Result<T>,
 ) -> Result<(T, PathBuf), RecordingError> {
     let mut count = 1;
     loop {
@@ -212,17 +205,19 @@ fn first_free<T>(
     }
 }
 
-/// Can be read back as well.
-fn create_new(path: &Path) -> std::io::Result<File> {
-    let mut options = OpenOptions::new();
-    options.read(true).append(true).create_new(true).open(path)
+fn create_new(path: &Path) -> io::Result<File> {
+    OpenOptions::new().read(true).append(true).create_new(true).open(path)
 }
 
 /// Letters, digits, `-`, `_` and inner dots stay; everything else becomes `-`.
 fn file_safe(name: &str) -> String {
     let is_safe = |letter: char| letter.is_alphanumeric() || "-_.".contains(letter);
-    let safe = name.trim().replace(|letter: char| !is_safe(letter), "-");
-    let safe: String = safe.chars().take(100).collect();
+    let safe: String = name
+        .trim()
+        .chars()
+        .map(|letter| if is_safe(letter) { letter } else { '-' })
+        .take(100)
+        .collect();
     match safe.trim_matches('.') {
         "" => "run".to_owned(),
         safe => safe.to_owned(),
@@ -234,18 +229,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_folder_is_never_taken_twice() {
+    fn a_folder_is_never_taken_twice_and_stays_in_its_root() {
         let root = tempfile::tempdir().unwrap();
         let runs = root.path().join("deep/runs");
+        let stamp = utc_stamp("2026-01-31T23:59:59.9Z".parse().unwrap());
         for number in ["", "-2", "-3"] {
-            let folder = RunFolder::create(&runs, "20260131T235959Z", "my run/1").unwrap();
+            let folder = RunFolder::create(&runs, &stamp, "my run/1").unwrap();
             let name = format!("20260131T235959Z-my-run-1{number}");
             assert_eq!(folder.path, runs.join(name));
+        }
+        for name in ["../../etc", "..", "", "a\0b", "/abs"] {
+            let folder = RunFolder::create(&runs, "s", name).unwrap();
+            assert_eq!(folder.path().parent().unwrap(), runs, "{name:?}");
         }
     }
 
     #[test]
-    fn latest_is_the_newest_and_nothing_of_that_name_is_replaced_but_a_link() {
+    fn latest_names_the_newest_run_and_replaces_only_a_link() {
         let root = tempfile::tempdir().unwrap();
         for name in ["first", "second"] {
             let folder = RunFolder::create(root.path(), "s", name).unwrap();
@@ -257,45 +257,21 @@ mod tests {
         assert_eq!(resolved(Path::new("runs/latest")), Path::new("runs/latest"));
         let other = tempfile::tempdir().unwrap();
         fs::create_dir(other.path().join(LATEST)).unwrap();
-        let folder = RunFolder::create(other.path(), "s", "n").unwrap();
-        assert!(folder.link_latest().is_err());
+        assert!(RunFolder::create(other.path(), "s", "n").unwrap().link_latest().is_err());
         assert!(other.path().join(LATEST).is_dir());
     }
 
     #[test]
-    fn a_name_cannot_leave_the_root() {
-        let root = tempfile::tempdir().unwrap();
-        for name in ["../../etc", "..", "", "a\0b", "/abs"] {
-            let folder = RunFolder::create(root.path(), "s", name).unwrap();
-            assert_eq!(folder.path().parent().unwrap(), root.path(), "{name:?}");
-        }
-    }
-
-    #[test]
-    fn small_files_are_replaced_whole_and_leave_no_part_behind() {
+    fn small_files_are_replaced_and_records_never() {
         let root = tempfile::tempdir().unwrap();
         let folder = RunFolder::create(root.path(), "s", "n").unwrap();
         folder.write(RunFile::Result, "{\"long\": 1}").unwrap();
         folder.write(RunFile::Result, "{}").unwrap();
-        let text = fs::read_to_string(folder.file(RunFile::Result)).unwrap();
-        assert_eq!(text, "{}");
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
-    }
-
-    #[test]
-    fn captures_and_logs_are_numbered_and_not_overwritten() {
-        let root = tempfile::tempdir().unwrap();
-        let folder = RunFolder::create(root.path(), "s", "n").unwrap();
+        assert_eq!(fs::read_to_string(folder.file(RunFile::Result)).unwrap(), "{}");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "no temporary file is left");
         folder.write_capture("a\n").unwrap();
-        let second = folder.write_capture("b\n").unwrap();
-        assert!(second.ends_with("capture-02.csv"));
+        assert!(folder.write_capture("b\n").unwrap().ends_with("capture-02.csv"));
         folder.create_logs().unwrap();
         assert!(folder.create_logs().is_err());
-    }
-
-    #[test]
-    fn the_stamp_sorts_by_time() {
-        let timestamp: jiff::Timestamp = "2026-01-31T23:59:59.9Z".parse().unwrap();
-        assert_eq!(utc_stamp(timestamp), "20260131T235959Z");
     }
 }
