@@ -151,7 +151,7 @@ fn bench(arguments: &Arguments, drive: &str, port: &str, motor: &Path) -> Result
         },
         motor: &motor,
         motor_file: &motor_file,
-        told,
+        readback: told,
     };
     let made = init_file(&request)?;
     if let Some(path) = out {
@@ -163,7 +163,7 @@ fn bench(arguments: &Arguments, drive: &str, port: &str, motor: &Path) -> Result
         let result = InitResult {
             file: name.clone(),
             bench: &made.text,
-            read_back: !request.told.is_offline,
+            read_back: !request.readback.is_offline,
             values: &made.reasons,
             remarks: &made.remarks,
             next,

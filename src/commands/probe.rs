@@ -19,7 +19,7 @@ use crate::runtime::failure::{Failure, LINK, REFUSED};
 use crate::runtime::opening::{Tap, address, serve};
 use crate::runtime::output::lines;
 use crate::runtime::{opening, output};
-use drivebench_bench::{MonotonicClock, Port, Told};
+use drivebench_bench::{MonotonicClock, Port, Readback};
 use drivebench_emulator::{EmulatorConfig, Guise, ServerHandle};
 use drivebench_link as drive;
 use drivebench_link::register_map::Quantity;
@@ -344,9 +344,9 @@ pub(crate) fn told(
     drive: &str,
     offline: bool,
     profile: &DriveProfile,
-) -> Result<Told, Failure> {
+) -> Result<Readback, Failure> {
     if offline {
-        return Ok(Told { is_offline: true, ..Told::default() });
+        return Ok(Readback { is_offline: true, ..Readback::default() });
     }
     if Port::parse(port).is_some_and(|port| port.is_virtual()) {
         return Ok(told_in_memory(profile));
@@ -369,7 +369,7 @@ pub(crate) fn told(
     ))
 }
 
-fn of_report(report: &ProbeReport) -> Told {
+fn of_report(report: &ProbeReport) -> Readback {
     let identity = report.identity.as_ref();
     let who = match (identity, report.names.is_empty()) {
         (_, false) => report.names.join(", "),
@@ -378,7 +378,7 @@ fn of_report(report: &ProbeReport) -> Told {
     };
     let current_a = identity.and_then(|found| found.current_limit_a);
     let voltage_v = identity.and_then(|found| found.voltage_limit_v);
-    Told {
+    Readback {
         is_offline: false,
         who: format!("{who}; {}", report.sentence),
         current_limit_a: current_a.or(report.value_of(Quantity::CurrentLimit)),
@@ -389,11 +389,11 @@ fn of_report(report: &ProbeReport) -> Told {
 }
 
 /// The software drive in memory is what its file says.
-fn told_in_memory(profile: &DriveProfile) -> Told {
+fn told_in_memory(profile: &DriveProfile) -> Readback {
     let config = EmulatorConfig::embedded_default();
     let is_ours = profile.registers.is_none();
     let watchdog_s = 1e-3 * f64::from(config.watchdog_ms);
-    Told {
+    Readback {
         is_offline: false,
         who: "the software drive in memory".to_owned(),
         current_limit_a: is_ours.then_some(config.limits.current_limit_a),

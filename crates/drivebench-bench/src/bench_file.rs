@@ -94,9 +94,6 @@ pub struct LinkSection {
     pub deadline_ms: Option<f64>,
 }
 
-/// Baud rate where neither the bench file nor a profile gives one: that of our own drive.
-const DEFAULT_BAUD: u32 = 115_200;
-
 const fn default_unit() -> u8 {
     1
 }
@@ -244,7 +241,6 @@ impl BenchFile {
     }
 
     pub fn port(&self) -> Port {
-        // Not of a special form: a path, which opening will judge.
         Port::parse(&self.link.port).unwrap_or_else(|| Port::Serial(self.link.port.clone()))
     }
 
@@ -252,14 +248,13 @@ impl BenchFile {
         1.0 / self.link.rate_hz
     }
 
-    /// Baud rate of the line; the profile's stands in the link once the profile is known.
+    /// Baud rate of the line, that of the own drive by default; the link holds that of the profile once it is known.
     pub fn baud(&self) -> u32 {
-        self.link.baud.unwrap_or(DEFAULT_BAUD)
+        self.link.baud.unwrap_or(115_200)
     }
 
     pub fn deadline_s(&self) -> f64 {
-        let given_s = self.link.deadline_ms.map(|ms| ms * 1e-3);
-        given_s.unwrap_or(0.9 * self.period_s())
+        self.link.deadline_ms.map_or(0.9 * self.period_s(), |ms| ms * 1e-3)
     }
 
     /// Limits with every default filled in.
@@ -271,7 +266,7 @@ impl BenchFile {
         };
         let (given, bounds) = (&self.limits, &self.drive_facts.bounds);
         let converter = self.drive_facts.converter;
-        // A default gives way to what the drive's profile allows; a value that is given is held against it.
+        // The drive's profile bounds a default; a given value beyond it is refused elsewhere.
         let bounded = |given: Option<f64>, default: f64, bound: Option<f64>| {
             given.unwrap_or_else(|| bound.map_or(default, |bound| default.min(bound)))
         };
@@ -286,8 +281,7 @@ impl BenchFile {
             time_s: given.time_s.unwrap_or(defaults.time_s),
             link_silence_s: given.link_silence_s.unwrap_or_else(|| {
                 // One lost reply is no lost link.
-                let lost_s = self.drive_facts.lost_reply_s.unwrap_or(0.0);
-                defaults.link_silence_s.max(lost_s)
+                defaults.link_silence_s.max(self.drive_facts.lost_reply_s.unwrap_or(0.0))
             }),
             braking_w: self.supply.braking_w(),
             quadrants: converter.map_or(defaults.quadrants, |converter| converter.quadrants),
@@ -305,8 +299,7 @@ impl BenchFile {
     /// The sequence of one run, its random parts seeded with `run_seed` besides their own seed.
     pub fn program(&self, run_seed: u64) -> Result<excitation::Program, ExcitationError> {
         let mut segments = self.sequence.clone();
-        let parts = segments.iter_mut();
-        for seed in parts.filter_map(|segment| cells(segment).seed) {
+        for seed in segments.iter_mut().filter_map(|segment| cells(segment).seed) {
             // Far apart, so that run 2 is not run 1 with its parts exchanged.
             *seed = seed.wrapping_add(run_seed.wrapping_mul(1000));
         }
@@ -317,8 +310,8 @@ impl BenchFile {
         if let Some((key, value, allowed)) = self.refused() {
             return Err(refusal(file, &key, value, allowed));
         }
-        let program = self.program(self.runs.fit).map(drop);
-        program.map_err(|error| BenchFileError::Sequence { file: file.to_owned(), error })
+        let error = |error| BenchFileError::Sequence { file: file.to_owned(), error };
+        self.program(self.runs.fit).map(drop).map_err(error)
     }
 
     /// The first value that is not allowed: key, value and what is.
@@ -363,16 +356,14 @@ impl BenchFile {
             let allowed = "the number of a part of the sequence, from 1";
             return no("runs.burst_at", part.to_string(), allowed);
         }
-        // A single reply that is waited for to its deadline must not look like a host that stood still.
+        // The wait for one reply must not count as silence.
         if limits.link_silence_s < self.period_s() + self.deadline_s() {
             let silence = limits.link_silence_s.to_string();
             let allowed = "at least one period of link.rate_hz and link.deadline_ms together";
             return no("limits.link_silence_s", silence, allowed);
         }
-        let bus = limits.bus_min_v.zip(limits.bus_max_v);
-        let (low, _) = bus.filter(|(low, high)| low >= high)?;
-        let allowed = "less than limits.bus_max_v";
-        no("limits.bus_min_v", low.to_string(), allowed)
+        let (low, _) = limits.bus_min_v.zip(limits.bus_max_v).filter(|(low, high)| low >= high)?;
+        no("limits.bus_min_v", low.to_string(), "less than limits.bus_max_v")
     }
 
     /// A limit of this bench beyond what the profile of its drive allows: key, value and the most that is allowed.
@@ -383,10 +374,10 @@ impl BenchFile {
             ("limits.speed_rad_s", given.speed_rad_s, bounds.speed_rad_s),
             ("limits.voltage_v", given.voltage_v, bounds.voltage_v),
         ];
-        let known =
-            |(key, given, bound): (_, Option<f64>, Option<f64>)| Some((key, given?, bound?));
-        let mut found = pairs.into_iter().filter_map(known);
-        found.find(|(_, given, bound)| given > bound)
+        pairs
+            .into_iter()
+            .filter_map(|(key, given, bound)| Some((key, given?, bound?)))
+            .find(|(_, given, bound)| given > bound)
     }
 
     /// `[speed]` against the limits: a reference beyond them is refused with its line in `text`, before anything moves.
@@ -404,8 +395,7 @@ impl BenchFile {
         if let Some((key, value, allowed)) = speed.refused(&limits) {
             return refuse(key, value, allowed);
         }
-        let reference = self.reference(speed);
-        let reference = reference.map_err(|error| at_its_line(file, text, &error))?;
+        let reference = self.reference(speed).map_err(|error| at_its_line(file, text, &error))?;
         let needed_s = reference.duration_s() + SPEED_ENDS_S;
         if needed_s > limits.time_s {
             let allowed = format!("at least {needed_s} s, which the reference takes with its ends");
@@ -420,7 +410,7 @@ impl BenchFile {
     }
 }
 
-/// What may be scaled, rounded and seeded anew in a part of a sequence.
+/// The values of a part of a sequence that may be scaled, rounded and seeded.
 #[derive(Default)]
 pub(super) struct Cells<'a> {
     pub(super) volts: Vec<&'a mut f64>,
@@ -473,15 +463,14 @@ pub(super) fn cells(segment: &mut Segment) -> Cells<'_> {
     cells
 }
 
-/// What a speed run takes beside its reference: to enable the drive, and to come to rest.
-const SPEED_ENDS_S: f64 = 4.0;
+/// Time of a speed run beyond its reference, s: to enable the drive, and to come to rest.
+pub(super) const SPEED_ENDS_S: f64 = 4.0;
 
 /// The error of a reference at the line that names the value.
 fn at_its_line(file: &str, text: &str, error: &ReferenceError) -> BenchFileError {
-    let headers = text.match_indices("[[speed.reference]]");
-    let part = headers.map(|(offset, _)| offset).nth(error.number.saturating_sub(1));
+    let mut headers = text.match_indices("[[speed.reference]]").map(|(offset, _)| offset);
+    let from = headers.nth(error.number.saturating_sub(1)).unwrap_or(0);
     let key = error.key.rsplit(' ').next().unwrap_or(error.key);
-    let from = part.unwrap_or(0);
     let offset = text[from..].find(key).map_or(from, |found| from + found);
     let help = "see [speed] in bench-configs/benches/zk-22fc-emulated.toml";
     ConfigError::at(file, text, offset, error.to_string(), help).into()

@@ -1,8 +1,8 @@
-//! A bench file made from a drive profile, a nameplate and what the drive told: every limit with its reason. Pure.
+//! A bench file from a drive profile, a nameplate and the values read back from the drive: every limit with its reason. Pure.
 //!
 //! ```text
-//! profile, nameplate, Told -> can the drive carry it? -> limits.rs -> sequence.rs (fitted, planned)
-//!                                                          page.rs -> text -> BenchFile::parse (what is handed out is valid)
+//! profile, nameplate, Readback -> purpose of the drive -> limits.rs -> sequence.rs (fitted, planned)
+//!                                                         page.rs -> text -> BenchFile::parse (the text is valid)
 //! ```
 
 mod limits;
@@ -24,12 +24,12 @@ use drivebench_link::DriveProfile;
 use drivebench_link::offer::{self, Purpose};
 use drivebench_model::excitation::ExcitationError;
 
-/// What the drive told of itself; read, never written.
+/// Values that the drive reported; nothing is written to it.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Told {
-    /// Nobody asked it.
+pub struct Readback {
+    /// Nothing was read.
     pub is_offline: bool,
-    /// Who answered.
+    /// Identity of the drive.
     pub who: String,
     pub current_limit_a: Option<f64>,
     pub voltage_limit_v: Option<f64>,
@@ -39,7 +39,6 @@ pub struct Told {
     pub watchdog_s: Option<f64>,
 }
 
-/// What a bench file is made from.
 #[derive(Clone, Debug)]
 pub struct InitRequest<'a> {
     /// As it will be wired: with the baud rate and the unit of this line.
@@ -52,10 +51,10 @@ pub struct InitRequest<'a> {
     pub motor: &'a MotorSection,
     /// File of the nameplate.
     pub motor_file: &'a str,
-    pub told: Told,
+    pub readback: Readback,
 }
 
-/// A value of the file and why it is what it is.
+/// A value of the file with its reason.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Reasoned {
     /// As in the bench file: `limits.current_a`.
@@ -65,7 +64,7 @@ pub struct Reasoned {
     pub reason: String,
 }
 
-/// What the drive is for.
+/// Purpose of the drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum InitUse {
@@ -82,13 +81,11 @@ pub struct InitFile {
     pub text: String,
     pub purpose: InitUse,
     pub reasons: Vec<Reasoned>,
-    /// What has to be known before it is used.
     pub remarks: Vec<String>,
     /// The plan of the sequence; none while the motor is not known.
     pub plan: Option<Plan>,
 }
 
-/// Why there is none.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("{reason}")]
 pub struct InitError {
@@ -145,12 +142,11 @@ impl InitFile {
 /// Makes the file.
 ///
 /// # Errors
-/// The drive's signals carry nothing that the bench could do with it, a nameplate value is not allowed, or even the
-/// smallest sequence would be too much.
+/// The drive's signals are enough for no purpose, a nameplate value is not allowed, or even the smallest sequence exceeds a
+/// limit.
 pub fn init_file(request: &InitRequest<'_>) -> Result<InitFile, InitError> {
     let (profile, motor) = (request.profile, request.motor);
     if let Some((key, value)) = motor.refused() {
-        // Before anything is worked out from it.
         let file = request.motor_file;
         return Err(InitError::new(
             format!("{file}: {key} = {value} is not allowed (expected {POSITIVE})"),
@@ -223,12 +219,12 @@ pub fn init_file(request: &InitRequest<'_>) -> Result<InitFile, InitError> {
     Ok(InitFile { bench: read, text, purpose, reasons, remarks, plan })
 }
 
-/// What is to be expected of the proof of the watchdog.
+/// A remark where the proof of the watchdog will fail.
 fn unproven_watchdog(request: &InitRequest<'_>) -> Option<String> {
     let map = request.profile.registers.as_ref();
     let set_s = map.and_then(|map| map.watchdog.set_s());
     let delivered_s = request.profile.watchdog.default_ms.map(|ms| 1e-3 * ms);
-    let time_s = set_s.or(request.told.watchdog_s).or(delivered_s);
+    let time_s = set_s.or(request.readback.watchdog_s).or(delivered_s);
     let found = match time_s {
         Some(time_s) if time_s > 0.0 && time_s <= LONGEST_WATCHDOG_S => return None,
         Some(time_s) if time_s > 0.0 => format!("is {time_s} s, more than {LONGEST_WATCHDOG_S} s"),
@@ -251,15 +247,14 @@ fn protocol(profile: &DriveProfile, port: &str) -> Protocol {
     }
 }
 
-/// Stands in the names of run folders.
+/// Begins the names of run folders.
 fn name(motor: &str, drive: &str) -> String {
-    let text = format!("{motor}-{drive}");
-    let parts = text.split(|c: char| !c.is_ascii_alphanumeric());
-    let parts: Vec<&str> = parts.filter(|part| !part.is_empty()).collect();
-    parts.join("-").to_ascii_lowercase()
+    let text = format!("{motor}-{drive}").to_ascii_lowercase();
+    let parts = text.split(|c: char| !c.is_ascii_alphanumeric()).filter(|part| !part.is_empty());
+    parts.collect::<Vec<_>>().join("-")
 }
 
-/// Rounded down to four digits: a limit that is rounded up would not be one.
+/// Rounded down to four digits: a limit must not grow.
 fn short(value: f64) -> f64 {
     if !(value.is_finite() && value > 0.0) {
         return value;

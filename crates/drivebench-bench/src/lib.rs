@@ -53,7 +53,7 @@ pub use difference::{Difference, first_difference};
 pub use drivebench_emulator::VirtualClock;
 pub use escalate::{Foresight, Scaled, bounds, foresee, scale, stage_session};
 pub use guard::{Causes, Guard, RestError, Shaped};
-pub use init_file::{InitError, InitFile, InitRequest, InitUse, Reasoned, Told, init_file};
+pub use init_file::{InitError, InitFile, InitRequest, InitUse, Readback, Reasoned, init_file};
 pub use limits::{Limits, MotorSection, Nameplate};
 pub use live_online::{
     Excitation, LiveEstimator, OnlineResult, OnlineSettings, RowEstimator, replay,

@@ -6,17 +6,10 @@ use super::mechanics::LoadSection;
 use drivebench_model::plant::{Motor, MotorKey};
 use drivebench_model::units::rad_s_from_rpm;
 
-/// Largest current that an excitation may draw when the bench file does not say, in rated currents: a direct-current
-/// motor commutates four times its rated current for seconds without harm.
-const CURRENT_LIMIT_IN_RATED: f64 = 4.0;
-/// Over-speed limit without a given one: rated speed and a quarter, below the usual mechanical test speed.
-const SPEED_LIMIT_IN_RATED: f64 = 1.25;
+/// Default over-speed limit, in rated speeds: below the usual mechanical test speed.
+pub(super) const OVER_SPEED_IN_RATED: f64 = 1.25;
 
-/// Back-EMF at rated speed beyond which a plate is doubted, in rated voltages: a true one stays below one.
-const MOST_EMF_IN_RATED: f64 = 1.5;
-
-/// A whole nameplate, on the motor's own shaft; a direct-current machine, so no phase or line basis and no peak or
-/// effective value has to be told apart.
+/// A complete nameplate of a direct-current motor, on its own shaft.
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct Nameplate {
     pub name: String,
@@ -31,19 +24,16 @@ pub struct Nameplate {
     pub load_torque_n_m: f64,
 }
 
-/// What a number of the plate may be.
+/// The allowed values of a nameplate.
 pub(super) const POSITIVE: &str = "a positive number; load_torque_n_m may be 0";
 
-/// Time to rated voltage of a motor that is not known yet, s.
-const UNKNOWN_SLEW_S: f64 = 1.0;
-
-/// `[motor]` as it stands in a bench file: the rated values, from which the limits follow, are required; what makes a
-/// model of the motor may be left out.
+/// `[motor]` of a bench file: the rated values, from which the limits follow, are required; the parameters of the motor may be
+/// left out.
 #[derive(Clone, Debug, Deserialize, Serialize, PartialEq)]
 #[serde(deny_unknown_fields)]
 pub struct MotorSection {
     pub name: String,
-    /// Nothing but the rated values is believed: the motor is found from small steps first.
+    /// Only the rated values are used: the motor is found from small steps first.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub unknown: bool,
     pub rated_voltage_v: f64,
@@ -57,7 +47,7 @@ pub struct MotorSection {
 }
 
 impl MotorSection {
-    /// Every number that is given, with its key.
+    /// Every given number with its key.
     pub fn values(&self) -> Vec<(&'static str, f64)> {
         let mut values = vec![
             ("rated_voltage_v", self.rated_voltage_v),
@@ -80,7 +70,7 @@ impl MotorSection {
         }
     }
 
-    /// What the plate says, complete or not.
+    /// The given parameters, complete or not.
     pub fn motor(&self) -> Motor {
         let mut motor = Motor::new(self.name.clone());
         for key in MODEL_KEYS {
@@ -101,7 +91,7 @@ impl MotorSection {
         self.with_found(&self.motor())
     }
 
-    /// The first number that no motor has, with its key; [`POSITIVE`] says what is allowed.
+    /// The first number that is not allowed, with its key.
     pub(super) fn refused(&self) -> Option<(&'static str, f64)> {
         self.values().into_iter().find(|(key, value)| {
             let zero_too = *key == "load_torque_n_m" && *value == 0.0;
@@ -109,14 +99,14 @@ impl MotorSection {
         })
     }
 
-    /// What no motor's plate says, in sentences: values that were most likely given in another unit. The values are used
-    /// all the same.
+    /// Contradictions in the nameplate, most likely by another unit, in sentences. The values are used all the same.
     pub fn doubts(&self) -> Vec<String> {
         let rated_v = self.rated_voltage_v;
         let mut doubts = Vec::new();
         if let Some(back_emf) = self.back_emf_v_s_per_rad {
             let emf_v = back_emf * self.rated_speed_rad_s;
-            if emf_v > MOST_EMF_IN_RATED * rated_v {
+            // A correct one is below the rated voltage.
+            if emf_v > 1.5 * rated_v {
                 doubts.push(format!(
                     "the nameplate contradicts itself: back_emf_v_s_per_rad x rated_speed_rad_s is {emf_v:.0} V at a rated voltage of {rated_v} V. Was the speed given in r/min? {} r/min would be {:.1} rad/s",
                     self.rated_speed_rad_s,
@@ -135,21 +125,20 @@ impl MotorSection {
         doubts
     }
 
-    /// The plate with no friction where only `load_torque_n_m` is left out: enough to foresee what a sequence does; `None`
-    /// where it is whole, or more is missing.
+    /// The nameplate without friction where only `load_torque_n_m` is left out: enough to predict a sequence.
     pub fn without_friction(&self) -> Option<Nameplate> {
-        let is_left_out = self.load_torque_n_m.is_none();
-        let assumed = self.motor().with(MotorKey::LoadTorque, 0.0);
-        is_left_out.then(|| self.with_found(&assumed)).flatten()
+        match self.load_torque_n_m {
+            None => self.with_found(&self.motor().with(MotorKey::LoadTorque, 0.0)),
+            Some(_) => None,
+        }
     }
 
     /// The first key that is left out.
     pub fn missing(&self) -> Option<&'static str> {
-        let missing = MODEL_KEYS.into_iter().find(|key| self.get(*key).is_none());
-        missing.map(MotorKey::key)
+        MODEL_KEYS.into_iter().find(|key| self.get(*key).is_none()).map(MotorKey::key)
     }
 
-    /// The rated values with the values of a motor that was found; `None` where the motor is not complete.
+    /// The rated values with the parameters of `motor`, where it is complete.
     pub fn with_found(&self, motor: &Motor) -> Option<Nameplate> {
         let value = |key| motor.get(key);
         Some(Nameplate {
@@ -183,7 +172,7 @@ impl From<&Nameplate> for MotorSection {
     }
 }
 
-/// What makes the model of a motor.
+/// The parameters of the baseline motor.
 const MODEL_KEYS: [MotorKey; 5] = [
     MotorKey::Resistance,
     MotorKey::Inductance,
@@ -195,12 +184,7 @@ const MODEL_KEYS: [MotorKey; 5] = [
 impl Nameplate {
     /// The baseline motor with the values of the nameplate.
     pub fn motor(&self) -> Motor {
-        Motor::new(self.name.clone())
-            .with(MotorKey::Resistance, self.resistance_ohm)
-            .with(MotorKey::Inductance, self.inductance_h)
-            .with(MotorKey::BackEmf, self.back_emf_v_s_per_rad)
-            .with(MotorKey::Inertia, self.inertia_kg_m2)
-            .with(MotorKey::LoadTorque, self.load_torque_n_m)
+        MotorSection::from(self).motor()
     }
 }
 
@@ -223,7 +207,7 @@ pub struct Limits {
     pub time_s: f64,
     /// Longest time without a valid reply before the run ends at zero output, s.
     pub link_silence_s: f64,
-    /// Most that braking may give back to the supply, W; `None`: as much as it likes.
+    /// Largest braking power into the supply, W.
     pub braking_w: Option<f64>,
     /// Of the converter. 1: one direction and no braking; 2: one direction of current; 4: all.
     pub quadrants: u8,
@@ -247,10 +231,12 @@ impl Limits {
     /// The defaults where only the rated values are known: the slew is a placeholder until the motor is found.
     pub fn for_rated(motor: &MotorSection, rate_hz: f64) -> Self {
         Self {
-            current_a: CURRENT_LIMIT_IN_RATED * motor.rated_current_a,
-            speed_rad_s: SPEED_LIMIT_IN_RATED * motor.rated_speed_rad_s,
+            // A direct-current motor commutates four times its rated current for seconds without harm.
+            current_a: 4.0 * motor.rated_current_a,
+            speed_rad_s: OVER_SPEED_IN_RATED * motor.rated_speed_rad_s,
             voltage_v: motor.rated_voltage_v,
-            slew_v_per_s: motor.rated_voltage_v / UNKNOWN_SLEW_S,
+            // Rated voltage within 1 s.
+            slew_v_per_s: motor.rated_voltage_v,
             travel_rad: None,
             bus_min_v: None,
             bus_max_v: None,
@@ -266,8 +252,8 @@ impl Limits {
     }
 }
 
-/// The slew at which a ramp of voltage draws the rated current for acceleration twice over: while the voltage rises at
-/// `s`, the back-EMF lags by `s` times the mechanical time constant, and that lag over R is the current.
+/// The slew at which a ramp of voltage draws twice the rated current for acceleration: while the voltage rises at `s`, the
+/// back-EMF lags by `s` times the mechanical time constant, and that lag over R is the current.
 fn default_slew_v_per_s(motor: &Nameplate) -> f64 {
     let mechanical_s = motor.resistance_ohm * motor.inertia_kg_m2
         / (motor.back_emf_v_s_per_rad * motor.back_emf_v_s_per_rad);
@@ -278,18 +264,16 @@ fn default_slew_v_per_s(motor: &Nameplate) -> f64 {
 mod tests {
     use super::*;
     use crate::bench_file::BenchFile;
-    use crate::testing::{has, within};
+    use crate::testing::{has, near, within};
 
     #[test]
-    fn a_plate_in_other_units_is_doubted_and_a_true_one_is_not() {
-        let plate: MotorSection = BenchFile::embedded_default().motor;
+    fn a_nameplate_in_other_units_is_doubted() {
+        let plate = BenchFile::embedded_default().motor;
         assert_eq!(plate.doubts(), Vec::<String>::new());
-        let mut in_rpm = plate.clone();
-        in_rpm.rated_speed_rad_s = 2800.0;
+        let in_rpm = MotorSection { rated_speed_rad_s: 2800.0, ..plate.clone() };
         has(in_rpm.doubts().join(" "), "2800 r/min would be 293.2 rad/s");
-        let mut in_milliampere = plate;
-        in_milliampere.rated_current_a = 5700.0;
-        assert!(in_milliampere.doubts()[0].contains("given in mA"));
+        let in_milliampere = MotorSection { rated_current_a: 5700.0, ..plate };
+        has(&in_milliampere.doubts()[0], "given in mA");
     }
 
     #[test]
@@ -298,7 +282,7 @@ mod tests {
         let limits = Limits::for_motor(&motor, 100.0);
         // 300 to 500 V/s are advisable for 0.0045 kg.m2.
         within(limits.slew_v_per_s, 250.0..500.0);
-        assert!((limits.link_silence_s - 0.1).abs() < 1e-12);
-        assert!((Limits::for_motor(&motor, 10.0).link_silence_s - 0.3).abs() < 1e-12);
+        near(limits.link_silence_s, 0.1, 1e-12);
+        near(Limits::for_motor(&motor, 10.0).link_silence_s, 0.3, 1e-12);
     }
 }

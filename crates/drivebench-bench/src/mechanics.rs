@@ -1,13 +1,10 @@
-//! `[load]` and `[supply]`: what pulls at the shaft, and where braking energy can go.
+//! `[load]` and `[supply]`: load of the shaft, and sink of the braking energy.
 
 use serde::{Deserialize, Serialize};
 
 use drivebench_link::DriveLimits;
 use drivebench_link::register_map::Converter;
 use drivebench_link::{DriveProfile, LostReply};
-
-/// Longest that a brake may take, s.
-const SLOWEST_BRAKE_S: f64 = 10.0;
 
 /// A value that a section cannot have: key, value, what is allowed.
 pub(super) type Refused = (&'static str, String, &'static str);
@@ -29,8 +26,7 @@ pub struct LoadSection {
     pub brake_apply_s: Option<f64>,
 }
 
-/// A brake that holds a load while the output is off. The drive or somebody else works it: no register of ours does, so
-/// the bench keeps its order and its times.
+/// A brake that holds a load while the output is off. The drive operates it, so the bench keeps order and times.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Brake {
     pub hold_current_a: f64,
@@ -39,7 +35,6 @@ pub struct Brake {
 }
 
 impl LoadSection {
-    /// The brake of a vertical load, where it is described.
     pub fn brake(&self) -> Option<Brake> {
         self.vertical.then_some(Brake {
             hold_current_a: self.hold_current_a?,
@@ -63,8 +58,8 @@ impl LoadSection {
 
     /// The first key of the brake that a vertical load lacks.
     pub fn missing(&self) -> Option<&'static str> {
-        let lacking = self.keys().into_iter().find(|(_, value)| value.is_none());
-        lacking.filter(|_| self.vertical).map(|(key, _)| key)
+        let (key, _) = self.keys().into_iter().find(|(_, value)| value.is_none())?;
+        self.vertical.then_some(key)
     }
 
     pub(super) fn is_default(&self) -> bool {
@@ -80,7 +75,7 @@ impl LoadSection {
                     value != 0.0 && value.abs() < current_limit_a,
                     "less than limits.current_a, not 0; its sign is that of lifting",
                 ),
-                _ => ((0.0..=SLOWEST_BRAKE_S).contains(&value), "0 to 10 s"),
+                _ => ((0.0..=10.0).contains(&value), "0 to 10 s"),
             };
             if !good {
                 return Some((key, value.to_string(), allowed));
@@ -96,7 +91,7 @@ impl LoadSection {
 pub struct SupplySection {
     /// The supply takes braking energy back, or stores it.
     pub regenerates: bool,
-    /// What a brake resistor burns, W; beside it only the motor's own winding does.
+    /// Power of the brake resistor, W; beside it only the motor's own winding takes braking energy.
     pub brake_power_w: Option<f64>,
 }
 
@@ -107,7 +102,7 @@ impl Default for SupplySection {
 }
 
 impl SupplySection {
-    /// Most that may come back out of the motor's terminals, W; `None`: as much as it likes.
+    /// Largest braking power out of the motor's terminals, W.
     pub fn braking_w(&self) -> Option<f64> {
         (!self.regenerates).then_some(self.brake_power_w.unwrap_or(0.0))
     }
@@ -120,23 +115,21 @@ impl SupplySection {
         let watts = self.brake_power_w?;
         let key = "supply.brake_power_w";
         if self.regenerates {
-            let allowed = "nothing without supply.regenerates = false";
-            return Some((key, watts.to_string(), allowed));
+            return Some((key, watts.to_string(), "nothing without supply.regenerates = false"));
         }
-        let good = watts.is_finite() && watts >= 0.0;
-        (!good).then_some((key, watts.to_string(), "0 or more"))
+        (!(watts.is_finite() && watts >= 0.0)).then_some((key, watts.to_string(), "0 or more"))
     }
 }
 
-/// What the drive's profile adds to the limits of a bench; it does not stand in the bench file.
+/// The part of the limits that comes from the drive's profile.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DriveFacts {
-    /// What the profile allows to be asked of the drive.
+    /// Limits of the profile.
     pub bounds: DriveLimits,
     pub converter: Option<Converter>,
     /// Field current below which the motor would run away, A.
     pub field_min_a: Option<f64>,
-    /// What a cycle takes in which one reply is lost, s, where that is more than the cycle's own time.
+    /// Duration of a cycle with one lost reply, s, where that is more than the period.
     pub lost_reply_s: Option<f64>,
 }
 

@@ -13,7 +13,7 @@ fn changed(from: &str, to: &str) -> Result<BenchFile, BenchFileError> {
     BenchFile::parse("b.toml", &changed_text(from, to))
 }
 
-/// The same as `speed` reads it.
+/// The same with the checks of `speed`.
 fn changed_for_speed(from: &str, to: &str) -> Result<BenchFile, BenchFileError> {
     let text = changed_text(from, to);
     let bench = BenchFile::parse("b.toml", &text)?;
@@ -79,30 +79,19 @@ fn an_unknown_key_is_named_with_its_line_and_the_nearest_key() {
 
 #[test]
 fn an_impossible_value_is_named_with_key_and_allowed_range() {
-    let plate = ("inertia_kg_m2 = 0.0045", "inertia_kg_m2 = -1.0");
-    let silence = ("link_silence_s = 0.45", "link_silence_s = 0.015");
-    let port = ("port = \"emulator\"", "port = \"tcp:nowhere\"");
-    let slew = ("slew_v_per_s = ", "slew_v_per_s = 0.0 # ");
-    for ((from, to), key) in [
-        (("rate_hz = 100.0", "rate_hz = 0.0"), "link.rate_hz = 0"),
-        (plate, "motor.inertia_kg_m2 = -1"),
-        (slew, "limits.slew_v_per_s = 0"),
-        (silence, "limits.link_silence_s = 0.015"),
-        (port, "link.port = \"tcp:nowhere\""),
-        (("time_s = ", "time_s = inf # "), "limits.time_s = inf"),
+    for (from, to, key) in [
+        ("rate_hz = 100.0", "rate_hz = 0.0", "link.rate_hz = 0"),
+        ("inertia_kg_m2 = 0.0045", "inertia_kg_m2 = -1.0", "motor.inertia_kg_m2 = -1"),
+        ("slew_v_per_s = ", "slew_v_per_s = 0.0 # ", "limits.slew_v_per_s = 0"),
+        ("link_silence_s = 0.45", "link_silence_s = 0.015", "limits.link_silence_s = 0.015"),
+        ("port = \"emulator\"", "port = \"tcp:nowhere\"", "link.port = \"tcp:nowhere\""),
+        ("time_s = ", "time_s = inf # ", "limits.time_s = inf"),
     ] {
         let error = changed(from, to).unwrap_err();
         has(&error, key);
         has(&error, "expected");
     }
-    let error = changed("seconds = 0.25", "seconds = -0.25").unwrap_err();
-    has(error, "sequence part 1 (standstill)");
-}
-
-#[test]
-fn limits_that_are_left_out_follow_from_the_nameplate() {
-    let bench = changed("\ncurrent_a = ", "\n# current_a = ").unwrap();
-    near(bench.limits().current_a, 4.0 * 5.7, 1e-12);
+    has(changed("seconds = 0.25", "seconds = -0.25").unwrap_err(), "sequence part 1 (standstill)");
 }
 
 #[test]
@@ -118,7 +107,6 @@ fn another_run_seed_is_another_run_and_the_same_one_the_same() {
 #[test]
 fn ports_have_one_text_form_each() {
     let tcp = |address: &str| Some(Port::Tcp(address.to_owned()));
-    let serial = Some(Port::Serial("/dev/ttyUSB0".to_owned()));
     for (text, port) in [
         ("sim:", Some(Port::Sim)),
         ("sim:rtu", Some(Port::SimRtu)),
@@ -126,23 +114,24 @@ fn ports_have_one_text_form_each() {
         ("tcp:[::1]:502", tcp("[::1]:502")),
         ("tcp:502", None),
         ("", None),
-        ("/dev/ttyUSB0", serial),
+        ("/dev/ttyUSB0", Some(Port::Serial("/dev/ttyUSB0".to_owned()))),
     ] {
         assert_eq!(Port::parse(text), port, "{text}");
     }
 }
 
 #[test]
-fn a_motor_may_be_left_out_but_for_its_rated_values() {
+fn all_but_the_rated_values_may_be_left_out() {
+    let bench = changed("\ncurrent_a = ", "\n# current_a = ").unwrap();
+    near(bench.limits().current_a, 4.0 * 5.7, 1e-12);
     let bench = changed("inertia_kg_m2 = 0.0045 ", "# ").unwrap();
     assert!(bench.motor.is_unknown() && bench.nameplate().is_none());
     assert_eq!(bench.motor.missing(), Some("inertia_kg_m2"));
     is_read_back(bench);
-    let told = changed("name = \"ZK-22FC\"", "name = \"ZK-22FC\"\nunknown = true").unwrap();
-    assert!(told.motor.is_unknown() && told.nameplate().is_some());
+    let unknown = changed("name = \"ZK-22FC\"", "name = \"ZK-22FC\"\nunknown = true").unwrap();
+    assert!(unknown.motor.is_unknown() && unknown.nameplate().is_some());
     assert!(!BenchFile::embedded_default().motor.is_unknown());
-    let error = changed("rated_current_a = 5.7 ", "# ").unwrap_err();
-    has(error, "rated_current_a");
+    has(changed("rated_current_a = 5.7 ", "# ").unwrap_err(), "rated_current_a");
 }
 
 #[test]
@@ -162,19 +151,15 @@ fn a_reference_beyond_a_limit_is_refused_with_line_and_value() {
 
 #[test]
 fn a_speed_section_is_strict() {
-    let controller = ("controller = \"addc\"", "controller = \"pid\"");
-    let current = ("current_limit_a = 10.0", "current_limit_a = 14.0");
     let beyond =
         "speed.current_limit_a = 14 is not allowed (expected up to limits.current_a = 13 A)";
-    let bandwidth = ("# bandwidth_rad_s = 20.0", "bandwidth_rad_s = -1.0");
-    let long = ("half_period_s = 2.0", "half_period_s = 5.0");
-    for ((from, to), expected) in [
-        (controller, "pid"),
-        (("rule = \"modulus", "rule = \"modulo"), "modulo-optimum"),
-        (current, beyond),
-        (bandwidth, "speed.bandwidth_rad_s = -1"),
-        (long, "limits.time_s = 30"),
-        (("periods = 3", "period = 3"), "period"),
+    for (from, to, expected) in [
+        ("controller = \"addc\"", "controller = \"pid\"", "pid"),
+        ("rule = \"modulus", "rule = \"modulo", "modulo-optimum"),
+        ("current_limit_a = 10.0", "current_limit_a = 14.0", beyond),
+        ("# bandwidth_rad_s = 20.0", "bandwidth_rad_s = -1.0", "speed.bandwidth_rad_s = -1"),
+        ("half_period_s = 2.0", "half_period_s = 5.0", "limits.time_s = 30"),
+        ("periods = 3", "period = 3", "period"),
     ] {
         has(changed_for_speed(from, to).unwrap_err(), expected);
     }
@@ -192,22 +177,17 @@ fn load_and_supply_become_limits_or_are_refused() {
     assert_eq!(limits.braking_w, Some(40.0));
     assert_eq!(limits.load.brake().map(|brake| brake.release_s), Some(0.3));
     is_read_back(bench);
-    let heavy = "load]\nvertical = true\nhold_current_a = 40.0";
-    let early = "load]\nvertical = true\nbrake_apply_s = -1.0";
-    let free = "supply]\nbrake_power_w = 4.0";
-    let none = "supply]\nregenerates = false\nbrake_power_w = nan";
     for (section, words) in [
         (&*format!("load]\n{brake}"), "nothing without load.vertical"),
-        (heavy, "less than limits.current_a"),
-        (early, "0 to 10 s"),
+        ("load]\nvertical = true\nhold_current_a = 40.0", "less than limits.current_a"),
+        ("load]\nvertical = true\nbrake_apply_s = -1.0", "0 to 10 s"),
         ("load]\nvertikal = true", "vertikal"),
-        (free, "nothing without supply.regenerates"),
-        (none, "0 or more"),
+        ("supply]\nbrake_power_w = 4.0", "nothing without supply.regenerates"),
+        ("supply]\nregenerates = false\nbrake_power_w = nan", "0 or more"),
     ] {
         has(with(&format!("[{section}")).unwrap_err(), words);
     }
     let unknown = changed_text("# unknown = false", "unknown = true");
     let unknown = unknown.replacen("[runs]", "[load]\nvertical = true\n[runs]", 1);
-    let error = BenchFile::parse("b.toml", &unknown).unwrap_err();
-    has(error, "a known motor");
+    has(BenchFile::parse("b.toml", &unknown).unwrap_err(), "a known motor");
 }

@@ -9,7 +9,7 @@ use drivebench_link::KickedBy;
 use drivebench_model::excitation::Segment;
 use drivebench_model::text::lines::{capitalised, wrapped};
 
-/// Longest line.
+/// Longest line, characters.
 const WIDTH: usize = 118;
 
 /// Lines of a bench file.
@@ -91,11 +91,11 @@ fn drive(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile) {
     page.line("");
     page.line("[drive]");
     page.comment(&profile.provenance());
-    let told = &request.told;
-    if told.is_offline {
-        page.comment("The drive was not asked (--offline): none of its own limits is known here.");
+    let readback = &request.readback;
+    if readback.is_offline {
+        page.comment("The drive was not read (--offline): none of its own limits is known here.");
     } else {
-        page.comment(&format!("Asked, read-only: {}", told.who));
+        page.comment(&format!("Read back, nothing written: {}", readback.who));
     }
     let kick = match profile.watchdog.kicked_by {
         KickedBy::Command => "only commands count",
@@ -104,7 +104,7 @@ fn drive(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile) {
     };
     let map = profile.registers.as_deref();
     let set_s = map.and_then(|map| map.watchdog.set_s());
-    let time = match (set_s, told.watchdog_s, profile.watchdog.default_ms) {
+    let time = match (set_s, readback.watchdog_s, profile.watchdog.default_ms) {
         (Some(set_s), ..) => format!("{set_s} s (set at connect by the profile)"),
         (_, Some(time_s), _) if time_s > 0.0 => format!("{time_s} s (read back)"),
         (_, Some(_), _) => "off (read back)".to_owned(),
@@ -136,8 +136,7 @@ fn link(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile, reasons: 
     let why = "the profile's, unless --unit was given";
     page.value("unit", &bench.link.unit.to_string(), why);
     if let Some(rate) = reason_of(reasons, "link.rate_hz") {
-        let why = format!("Hz: {}", rate.reason);
-        page.value("rate_hz", &number(bench.link.rate_hz), &why);
+        page.value("rate_hz", &number(bench.link.rate_hz), &format!("Hz: {}", rate.reason));
     }
     page.left_out(
         "deadline_ms",
@@ -156,7 +155,7 @@ fn motor(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile) {
         page.value(
             "unknown",
             "true",
-            "only the rated values are believed: `run` finds the motor from small steps first",
+            "only the rated values are used: `run` finds the motor from small steps first",
         );
     }
     let given = motor.values();
@@ -247,10 +246,8 @@ fn sequence(page: &mut Page, bench: &BenchFile, purpose: InitUse, plan: Option<&
 /// The one key of a part with its table on one line.
 fn inline<T: serde::Serialize>(part: &T) -> String {
     let value = toml::Value::try_from(part).ok();
-    let table = value.as_ref().and_then(toml::Value::as_table);
-    let entries = table.into_iter().flatten();
-    let lines = entries.map(|(key, value)| format!("{key} = {value}"));
-    lines.collect::<Vec<_>>().join("\n")
+    let entries = value.as_ref().and_then(toml::Value::as_table).into_iter().flatten();
+    entries.map(|(key, value)| format!("{key} = {value}")).collect::<Vec<_>>().join("\n")
 }
 
 /// A number as TOML wants a float.

@@ -2,7 +2,7 @@
 
 use super::limits::set_point;
 use super::{InitError, InitRequest, InitUse, Reasoned, short};
-use crate::bench_file::{BenchFile, Cells, cells};
+use crate::bench_file::{BenchFile, Cells, SPEED_ENDS_S, cells};
 use crate::escalate::scale;
 use crate::limits::Nameplate;
 use crate::plan::{Plan, plan};
@@ -10,34 +10,11 @@ use crate::speed::{ControllerKind, ReferencePart, SpeedSection};
 use drivebench_link::register_map::Quantity;
 use drivebench_model::excitation::{self, Dither, Prbs, Ramp, Segment, Standstill, Steps};
 
-/// Share of the voltage limit that the sequence uses.
-const OF_VOLTAGE: f64 = 0.85;
-/// Share of the current limit that acceleration and load together may draw: a motor 15 % off its plate stays below.
-const OF_CURRENT: f64 = 0.7;
-/// The same of a motor whose load alone comes near that.
-const LEAST_OF_CURRENT: f64 = 0.2;
-/// Periods that a level, a random level and a dither level last at least: less is not seen by the host.
+/// Least periods of a level: a shorter one is not sampled well enough.
 const LEVEL_PERIODS: f64 = 10.0;
-const RANDOM_PERIODS: f64 = 3.0;
-const RANDOM_LEVELS: f64 = 15.0;
-/// The first level: its share of the voltage, which breaks few shafts away, and how long it lasts, s.
-const OF_FIRST_LEVEL: f64 = 0.01;
-const FIRST_LEVEL_S: f64 = 0.5;
-/// Slow enough for every link, s.
-const LEVEL_S: f64 = 2.0;
-/// Levels of the reference, of what can be reached.
+/// Levels of the reference, as shares of the reachable speed.
 const LEVELS: [f64; 4] = [0.3, 0.6, 0.3, 0.0];
-/// Share of the voltage limit that the back-EMF of the highest level takes.
-const OF_BACK_EMF: f64 = 0.7;
-/// Lag of a drive's own loop that nobody has measured yet, s.
-const UNKNOWN_LAG_S: f64 = 0.1;
-/// What a run takes beside its sequence or reference, s, and the share of room.
-const ENDS_S: f64 = 4.0;
-const ROOM: f64 = 1.25;
-/// While the sequence is fitted its length does not matter, s.
-const NO_END_S: f64 = 3600.0;
 
-/// What the sequence brought.
 pub(super) struct Fitted {
     pub(super) reasons: Vec<Reasoned>,
     pub(super) remarks: Vec<String>,
@@ -62,7 +39,7 @@ pub(super) fn fit(
         let speed = speed_section(bench, request, plate, purpose);
         let hold_s = match speed.reference.first() {
             Some(ReferencePart::Steps { hold_s, .. }) => *hold_s,
-            _ => LEVEL_S,
+            _ => 2.0,
         };
         let why = format!("{LEVELS:?} of what the limits reach; a level lasts {hold_s} s");
         fitted.reasons.push(Reasoned::new("speed.reference", None, why));
@@ -77,8 +54,8 @@ pub(super) fn fit(
     let reference_s = bench
         .speed
         .as_ref()
-        .map_or(0.0, |speed| speed.reference.iter().map(length_s).sum::<f64>() + ENDS_S);
-    let time_s = (sequence_s.max(reference_s) * ROOM / 5.0).ceil() * 5.0;
+        .map_or(0.0, |speed| speed.reference.iter().map(length_s).sum::<f64>() + SPEED_ENDS_S);
+    let time_s = (sequence_s.max(reference_s) * 1.25 / 5.0).ceil() * 5.0;
     bench.limits.time_s = Some(time_s);
     fitted.reasons.push(Reasoned::new("limits.time_s", Some(time_s), format!(
             "the longer of sequence ({sequence_s:.1} s) and reference with its ends ({reference_s:.1} s), and a quarter of it as room"
@@ -101,7 +78,7 @@ fn voltages(
     fitted: &mut Fitted,
 ) -> Result<(), InitError> {
     let limits = bench.limits();
-    let voltage_v = OF_VOLTAGE * limits.voltage_v;
+    let voltage_v = 0.85 * limits.voltage_v;
     let period_s = bench.period_s();
     let one_way = set_point(request, Quantity::Voltage).is_some_and(|(low, _)| low >= 0.0);
     let Some(plate) = plate else {
@@ -110,13 +87,15 @@ fn voltages(
         return Ok(());
     };
     let load_a = plate.load_torque_n_m / plate.back_emf_v_s_per_rad;
-    let spare_a = (OF_CURRENT * limits.current_a - load_a).max(LEAST_OF_CURRENT * limits.current_a);
+    // Acceleration and load together draw 70 % of the limit: a motor 15 % off its nameplate stays below.
+    let spare_a = (0.7 * limits.current_a - load_a).max(0.2 * limits.current_a);
     let back_emf = plate.back_emf_v_s_per_rad;
     let slew_v_per_s = short(spare_a * back_emf * back_emf / plate.inertia_kg_m2);
     bench.sequence = paced(sequence(voltage_v, slew_v_per_s, one_way), period_s);
     bench.limits.slew_v_per_s = Some(slew_v_per_s);
-    bench.limits.time_s = Some(NO_END_S);
-    let own_limit_a = request.told.current_limit_a;
+    // While the sequence is fitted its length does not matter.
+    bench.limits.time_s = Some(3600.0);
+    let own_limit_a = request.readback.current_limit_a;
     let broken = |text: String| InitError::new(text, "correct the nameplate");
     let scaled = scale(bench, plate, own_limit_a)
         .map_err(|error| broken(error.to_string()))?
@@ -129,9 +108,8 @@ fn voltages(
     bench.sequence = scaled.bench.sequence.into_iter().map(rounded).collect();
     bench.limits.slew_v_per_s = Some(short(scaled.slew_v_per_s));
     let program = bench.program(bench.runs.fit)?;
-    let (limits_now, rate_hz) = (bench.limits(), bench.link.rate_hz);
-    let planned = plan(&program, plate, &limits_now, rate_hz, own_limit_a);
-    let planned = planned.map_err(|error| broken(error.to_string()))?;
+    let planned = plan(&program, plate, &bench.limits(), bench.link.rate_hz, own_limit_a)
+        .map_err(|error| broken(error.to_string()))?;
     fitted.reasons.push(Reasoned::new("limits.slew_v_per_s", bench.limits.slew_v_per_s, format!(
             "while the voltage rises at s, the back-EMF lags by s R J/Ke^2: with the load of {load_a:.2} A that draws {:.1} A, {:.0} % of limits.current_a",
             load_a + spare_a,
@@ -149,23 +127,18 @@ fn voltages(
     Ok(())
 }
 
-/// The rich sequence, or one that never asks for less than 0 V where the drive takes no such voltage. Behind the standstill
-/// comes a small level, so that a drive which starts late does so in it: behind a fast step it would run into its own current
-/// limit, and what that cut off would pass for an effect of the motor.
+/// The rich sequence, or one without negative voltages. After the standstill comes a small level, which breaks few shafts away:
+/// a drive that starts late starts in it, and not in a fast step, where its own current limit would cut off a part of the
+/// voltage that would then count as an effect of the motor.
 fn sequence(voltage_v: f64, slew_v_per_s: f64, one_way: bool) -> Vec<Segment> {
     let mut sequence = if one_way {
         from_zero_up(voltage_v, slew_v_per_s)
     } else {
         excitation::rich(voltage_v, slew_v_per_s, 1)
     };
-    let level_v = OF_FIRST_LEVEL * voltage_v;
-    let first_level = Segment::Ramp(Ramp {
-        from_v: level_v,
-        to_v: level_v,
-        seconds: FIRST_LEVEL_S,
-        dither: None,
-    });
-    sequence.insert(1, first_level);
+    let level_v = 0.01 * voltage_v;
+    let level = Ramp { from_v: level_v, to_v: level_v, seconds: 0.5, dither: None };
+    sequence.insert(1, Segment::Ramp(level));
     sequence
 }
 
@@ -191,19 +164,20 @@ fn from_zero_up(voltage_v: f64, slew_v_per_s: f64) -> Vec<Segment> {
     ]
 }
 
-/// As slow as the link needs it, every number short.
+/// Slowed down to the rate of the link, every number short.
 fn paced(sequence: Vec<Segment>, period_s: f64) -> Vec<Segment> {
+    let random_level_s = 3.0 * period_s;
     let pace = |mut segment: Segment| {
         match &mut segment {
             Segment::Steps(steps) => {
                 steps.hold_s = steps.hold_s.max(LEVEL_PERIODS * period_s);
                 if let Some(dither) = &mut steps.dither {
-                    dither.clock_s = dither.clock_s.max(RANDOM_PERIODS * period_s);
+                    dither.clock_s = dither.clock_s.max(random_level_s);
                 }
             }
             Segment::Prbs(prbs) => {
-                prbs.clock_s = prbs.clock_s.max(RANDOM_PERIODS * period_s);
-                prbs.seconds = prbs.seconds.max(RANDOM_LEVELS * prbs.clock_s);
+                prbs.clock_s = prbs.clock_s.max(random_level_s);
+                prbs.seconds = prbs.seconds.max(15.0 * prbs.clock_s);
             }
             Segment::Ramp(ramp) => ramp.seconds = ramp.seconds.max(2.0 * LEVEL_PERIODS * period_s),
             Segment::Sine(sine) => {
@@ -243,16 +217,17 @@ fn speed_section(
     let limits = bench.limits();
     let mut top = plate.rated_speed_rad_s.min(0.8 * limits.speed_rad_s);
     if purpose == InitUse::Voltages {
-        top = top.min(OF_BACK_EMF * limits.voltage_v / plate.back_emf_v_s_per_rad);
+        top = top.min(0.7 * limits.voltage_v / plate.back_emf_v_s_per_rad);
     }
     let takes = &request.profile.capabilities;
     let is_outer = !takes.voltage_command && !takes.current_command;
     SpeedSection {
         controller: if takes.voltage_command { ControllerKind::Addc } else { ControllerKind::Pi },
-        drive_lag_s: is_outer.then_some(UNKNOWN_LAG_S),
+        // Not measured yet.
+        drive_lag_s: is_outer.then_some(0.1),
         reference: vec![ReferencePart::Steps {
             levels_rad_s: LEVELS.map(|share| short(share * top)).to_vec(),
-            hold_s: (2.0 * LEVEL_PERIODS * bench.period_s()).max(LEVEL_S),
+            hold_s: (2.0 * LEVEL_PERIODS * bench.period_s()).max(2.0),
         }],
         ..SpeedSection::default()
     }

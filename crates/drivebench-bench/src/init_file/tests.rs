@@ -6,8 +6,8 @@ fn plate() -> MotorSection {
     BenchFile::embedded_default().motor
 }
 
-fn told() -> Told {
-    Told {
+fn readback() -> Readback {
+    Readback {
         is_offline: false,
         who: "a test".to_owned(),
         current_limit_a: Some(9.0),
@@ -17,13 +17,11 @@ fn told() -> Told {
     }
 }
 
-fn told_but(change: impl FnOnce(&mut Told)) -> Told {
-    let mut told = told();
-    change(&mut told);
-    told
-}
-
-fn request<'a>(profile: &'a DriveProfile, motor: &'a MotorSection, told: Told) -> InitRequest<'a> {
+fn request<'a>(
+    profile: &'a DriveProfile,
+    motor: &'a MotorSection,
+    readback: Readback,
+) -> InitRequest<'a> {
     InitRequest {
         profile,
         drive: &profile.name,
@@ -31,13 +29,12 @@ fn request<'a>(profile: &'a DriveProfile, motor: &'a MotorSection, told: Told) -
         port_reason: "",
         motor,
         motor_file: "motor.toml",
-        told,
+        readback,
     }
 }
 
-fn made(profile: &str, motor: &MotorSection, told: Told) -> Result<InitFile, InitError> {
-    let profile = DriveProfile::named(profile).unwrap();
-    init_file(&request(&profile, motor, told))
+fn made(profile: &str, motor: &MotorSection, readback: Readback) -> Result<InitFile, InitError> {
+    init_file(&request(&DriveProfile::named(profile).unwrap(), motor, readback))
 }
 
 fn reason<'a>(file: &'a InitFile, key: &str) -> &'a Reasoned {
@@ -47,7 +44,7 @@ fn reason<'a>(file: &'a InitFile, key: &str) -> &'a Reasoned {
 
 #[test]
 fn every_limit_stands_with_its_value_and_its_reason() {
-    let file = made("own", &plate(), told()).unwrap();
+    let file = made("own", &plate(), readback()).unwrap();
     let current = reason(&file, "limits.current_a");
     assert_eq!(current.value, Some(9.0));
     assert_eq!(
@@ -57,24 +54,16 @@ fn every_limit_stands_with_its_value_and_its_reason() {
     let limits = file.bench.limits();
     near(limits.speed_rad_s, 366.5, 1e-9);
     near(limits.voltage_v, 110.0, 1e-9);
-    let bus = (limits.bus_min_v, limits.bus_max_v);
-    assert_eq!(bus, (Some(96.0), Some(150.0)));
+    assert_eq!((limits.bus_min_v, limits.bus_max_v), (Some(96.0), Some(150.0)));
     near(limits.link_silence_s, 0.45, 1e-9);
     for key in ["current_a", "speed_rad_s", "voltage_v", "slew_v_per_s", "time_s", "link_silence_s"]
     {
         let reason = reason(&file, &format!("limits.{key}"));
-        let is_told = reason.value.is_some() && reason.reason.len() > 20;
-        assert!(is_told, "{reason:?}");
+        assert!(reason.value.is_some() && reason.reason.len() > 20, "{reason:?}");
         has(&file.text, &format!("\n{key} = "));
     }
-    let mut lines = file.text.lines();
-    let fits = lines.all(|line| !line.starts_with('#') || line.len() <= 118);
-    assert!(fits, "{}", file.text);
-}
-
-#[test]
-fn the_planned_sequence_stays_below_the_drives_limit() {
-    let file = made("own", &plate(), told()).unwrap();
+    let mut comments = file.text.lines().filter(|line| line.starts_with('#'));
+    assert!(comments.all(|line| line.len() <= 118), "{}", file.text);
     let plan = file.plan.as_ref().unwrap();
     assert!(!plan.is_refused());
     within(plan.peak_current_a, 3.0..9.0);
@@ -92,7 +81,7 @@ fn the_planned_sequence_stays_below_the_drives_limit() {
 
 #[test]
 fn a_drive_that_starts_late_does_so_before_the_first_step() {
-    let made = made("own", &plate(), told()).unwrap().bench;
+    let made = made("own", &plate(), readback()).unwrap().bench;
     let embedded = BenchFile::embedded_default();
     for (bench, times_s) in [(made, [0.55, 0.75, 0.95]), (embedded, [0.3, 0.4, 0.49])] {
         let program = bench.program(1).unwrap();
@@ -106,40 +95,33 @@ fn a_drive_that_starts_late_does_so_before_the_first_step() {
 }
 
 #[test]
-fn what_was_not_read_back_is_said() {
-    let offline = Told { is_offline: true, ..Told::default() };
+fn a_value_that_was_not_read_back_is_stated() {
+    let offline = Readback { is_offline: true, ..Readback::default() };
     let file = made("own", &plate(), offline).unwrap();
     let current = reason(&file, "limits.current_a");
     assert_eq!(current.value, Some(11.4));
-    let unread = "its own current limit was not read back (--offline)";
-    assert!(current.reason.ends_with(unread));
+    assert!(current.reason.ends_with("its own current limit was not read back (--offline)"));
     assert!(file.bench.limits().bus_max_v.is_none());
     has(&file.text, "none of its own limits is known here");
     has(&file.text, "# bus_min_v: none. ");
-    let mute = told_but(|told| told.current_limit_a = None);
-    let file = made("own", &plate(), mute).unwrap();
-    let current = &reason(&file, "limits.current_a").reason;
-    has(current, "does not tell its own current limit");
+    let file = made("own", &plate(), Readback { current_limit_a: None, ..readback() }).unwrap();
+    has(&reason(&file, "limits.current_a").reason, "does not report its own current limit");
 }
 
 #[test]
 fn an_unknown_motor_is_left_to_be_found() {
-    let mut motor = plate();
-    motor.resistance_ohm = None;
-    let file = made("own", &motor, told()).unwrap();
+    let motor = MotorSection { resistance_ohm: None, ..plate() };
+    let file = made("own", &motor, readback()).unwrap();
     assert!(file.bench.motor.is_unknown() && file.plan.is_none());
     assert!(file.bench.speed.is_none() && file.bench.limits.slew_v_per_s.is_none());
     has(&file.text, "# resistance_ohm: none. ");
     let run = "drivebench run b.toml --hardware --headless";
     assert_eq!(file.next("b.toml"), [run]);
-    // A drive that takes no voltage has no small steps.
-    let error = made("epulse50-dc", &motor, told()).unwrap_err();
-    has(&error.reason, "resistance_ohm is left out");
 }
 
 #[test]
 fn a_drive_without_voltage_gets_a_speed_loop_or_a_reason() {
-    let file = made("epulse50-dc", &plate(), told()).unwrap();
+    let file = made("epulse50-dc", &plate(), readback()).unwrap();
     assert_eq!(file.purpose, InitUse::SpeedLoop);
     has(&file.remarks[0], "takes no voltage command");
     let speed = file.bench.speed.as_ref().unwrap();
@@ -147,15 +129,25 @@ fn a_drive_without_voltage_gets_a_speed_loop_or_a_reason() {
     assert!(speed.drive_lag_s.is_some());
     let speed = "drivebench speed b.toml --hardware --headless";
     assert_eq!(file.next("b.toml"), [speed]);
-    let unknown = told_but(|told| told.watchdog_s = None);
-    let remarks = made("epulse50-dc", &plate(), unknown).unwrap().remarks;
-    has(remarks.join("\n"), "--waive-watchdog");
+    let unknown = Readback { watchdog_s: None, ..readback() };
+    has(made("epulse50-dc", &plate(), unknown).unwrap().remarks.join("\n"), "--waive-watchdog");
     // Its reference takes 3000 rpm.
-    let speed = &reason(&file, "limits.speed_rad_s").reason;
-    has(speed, "314.2 rad/s (profile)");
-    let error = made("siemens-v20", &plate(), told()).unwrap_err();
-    has(&error.reason, "takes no armature voltage");
-    has(&error.reason, "no speed loop");
+    has(&reason(&file, "limits.speed_rad_s").reason, "314.2 rad/s (profile)");
+}
+
+#[test]
+fn a_request_that_no_drive_or_motor_fits_is_refused() {
+    let without_resistance = MotorSection { resistance_ohm: None, ..plate() };
+    let negative = MotorSection { rated_current_a: -1.0, ..plate() };
+    for (profile, motor, words) in [
+        ("own", negative, "motor.toml: rated_current_a = -1 is not allowed"),
+        // A drive without a voltage command cannot find the motor from small steps.
+        ("epulse50-dc", without_resistance, "resistance_ohm is left out"),
+        ("siemens-v20", plate(), "takes no armature voltage"),
+        ("siemens-v20", plate(), "no speed loop"),
+    ] {
+        has(made(profile, &motor, readback()).unwrap_err(), words);
+    }
 }
 
 #[test]
@@ -163,15 +155,14 @@ fn every_line_gets_a_rate_that_it_carries() {
     for (profile, least, most) in
         [("own", 60.0, 100.0), ("own-stream", 200.0, 500.0), ("epulse50-dc", 10.0, 29.0)]
     {
-        let file = made(profile, &plate(), told()).unwrap();
+        let file = made(profile, &plate(), readback()).unwrap();
         let rate_hz = file.bench.link.rate_hz;
         assert!((least..=most).contains(&rate_hz), "{profile}: {rate_hz} Hz");
     }
     let mut slow = DriveProfile::named("own").unwrap();
     slow.link.baud = 9600;
     let motor = plate();
-    let file = init_file(&request(&slow, &motor, told())).unwrap();
-    within(file.bench.link.rate_hz, ..20.0);
+    within(init_file(&request(&slow, &motor, readback())).unwrap().bench.link.rate_hz, ..20.0);
 }
 
 #[test]
@@ -192,22 +183,13 @@ fn motors_of_other_sizes_get_a_sequence_of_their_own() {
             inertia_kg_m2: Some(j),
             load_torque_n_m: Some(mc),
         };
-        let free = Told { current_limit_a: None, voltage_limit_v: None, bus_v: None, ..told() };
-        let file = made("own", &motor, free).unwrap();
-        let plan = file.plan.as_ref().unwrap();
+        let free =
+            Readback { current_limit_a: None, voltage_limit_v: None, bus_v: None, ..readback() };
+        let plan = made("own", &motor, free).unwrap().plan.unwrap();
         assert!(!plan.is_refused(), "{name}: {:?}", plan.refusals);
         let ratio = plan.peak_current_ratio;
         assert!(ratio > 0.5, "{name}: {ratio}");
     }
-}
-
-#[test]
-fn a_plate_that_no_motor_has_is_refused_with_its_file() {
-    let mut motor = plate();
-    motor.rated_current_a = -1.0;
-    let error = made("own", &motor, told()).unwrap_err();
-    let words = "motor.toml: rated_current_a = -1 is not allowed";
-    assert!(error.reason.starts_with(words), "{error}");
 }
 
 #[test]
@@ -225,7 +207,7 @@ fn the_silence_is_compared_with_the_profiles_watchdog() {
     let mut map = (*profile.registers.clone().unwrap()).clone();
     map.watchdog.keys.set_ms = Some(800.0);
     profile.registers = Some(map.into());
-    let silent = told_but(|told| told.watchdog_s = Some(0.0));
+    let silent = Readback { watchdog_s: Some(0.0), ..readback() };
     let motor = plate();
     let file = init_file(&request(&profile, &motor, silent)).unwrap();
     let silence = reason(&file, "limits.link_silence_s");
@@ -235,9 +217,8 @@ fn the_silence_is_compared_with_the_profiles_watchdog() {
 
 #[test]
 fn a_nameplate_in_rpm_is_remarked_first() {
-    let mut motor = plate();
-    motor.rated_speed_rad_s = 2800.0;
-    let file = made("own", &motor, told()).unwrap();
+    let motor = MotorSection { rated_speed_rad_s: 2800.0, ..plate() };
+    let file = made("own", &motor, readback()).unwrap();
     has(&file.remarks[0], "given in r/min");
     has(&file.text, "contradicts itself");
 }
