@@ -1,11 +1,11 @@
-//! When a burst pays, and where in the sequence.
+//! Start of a burst capture within the sequence.
 
 use super::bench_file::BenchFile;
 use super::limits::Nameplate;
 use drivebench_model::excitation::Segment;
 
 /// The part of the sequence, from 1, whose first command should start a burst capture: the first in which the voltage
-/// jumps. `None` where the loop itself sees the transient, its period being no longer than L/R, or where nothing jumps.
+/// jumps. `None` where nothing jumps, or where the loop samples the transient itself, with a period no longer than L/R.
 pub fn burst_part(bench: &BenchFile, motor: &Nameplate) -> Option<usize> {
     use Segment::{Prbs, Staircase, Steps};
     let period_s = bench.period_s();

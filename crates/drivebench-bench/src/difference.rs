@@ -84,8 +84,7 @@ mod tests {
             let value = f64::from_bits((bits >> 12) | 0x3ff0_0000_0000_0000) * 1e-3;
             let text = serde_json::to_string(&json!({ "v": value })).unwrap();
             let back: Value = serde_json::from_str(&text).unwrap();
-            let found = first_difference(&json!({ "v": value }), &back);
-            assert_eq!(found, None, "{text}");
+            assert_eq!(first_difference(&json!({ "v": value }), &back), None, "{text}");
         }
     }
 }

@@ -18,13 +18,11 @@ use drivebench_model::excitation::{self, ExcitationError};
 use drivebench_model::plant::ModelError;
 use drivebench_model::sample::Channel;
 
-/// Factors that are tried for the voltages of the sequence, each so much smaller than the one before, down to the least.
-const SHRINK: f64 = 0.9;
-const LEAST: f64 = 0.03;
-/// Margins in which the plan has to hold as well: the motor that was found is not known to the last per cent.
+/// Factors of inertia, resistance and back-EMF constant within which the plan has to hold: the parameters of the found motor
+/// have an uncertainty.
 const MARGINS: [(f64, f64, f64); 3] = [(1.0, 1.0, 1.0), (1.05, 0.95, 0.95), (0.95, 0.95, 0.95)];
 
-/// What a bench file takes as certain.
+/// The bounds of the escalation by a bench file.
 pub fn bounds(bench: &BenchFile) -> Bounds {
     let limits = bench.limits();
     Bounds {
@@ -37,10 +35,10 @@ pub fn bounds(bench: &BenchFile) -> Bounds {
     }
 }
 
-/// What is known before the first small step of what will be done to an unknown motor.
+/// The identification of an unknown motor, as far as it is settled before the first small step.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Foresight {
-    /// The first stage as it will be run; every later one follows from what was seen.
+    /// The first stage; every later one follows from the measurements.
     pub first: Stage,
     pub duration_s: f64,
     /// Limits that hold in every stage.
@@ -52,7 +50,7 @@ pub struct Foresight {
     pub next: Vec<String>,
 }
 
-/// The escalation as far as it is settled before the motor has been seen.
+/// The escalation before its first step.
 pub fn foresee(bench: &BenchFile) -> Result<Option<Foresight>, ExcitationError> {
     let escalation = Escalation::new(bounds(bench));
     let Some(first) = escalation.stage() else {
@@ -73,9 +71,8 @@ pub fn foresee(bench: &BenchFile) -> Result<Option<Foresight>, ExcitationError> 
 
 /// A session over one stage: every limit of the bench in force, and the goals that end the stage early.
 pub fn stage_session(bench: &BenchFile, stage: &Stage) -> Result<Session, ExcitationError> {
-    // The stage's own slew serves the experiment; a limit that the bench file gives stands above it.
-    let given = bench.limits.slew_v_per_s.unwrap_or(f64::INFINITY);
-    let slew_v_per_s = given.min(stage.slew_v_per_s);
+    // A slew limit of the bench file bounds that of the stage.
+    let slew_v_per_s = stage.slew_v_per_s.min(bench.limits.slew_v_per_s.unwrap_or(f64::INFINITY));
     let limits = Limits { slew_v_per_s, ..bench.limits() };
     let program = excitation::Program::new(&stage.segments, slew_v_per_s)?;
     let guard = Guard::for_unknown_motor(limits, stage.winding_v, stage.back_emf_v_s_per_rad)
@@ -86,7 +83,7 @@ pub fn stage_session(bench: &BenchFile, stage: &Stage) -> Result<Session, Excita
     ]))
 }
 
-/// The bench with a motor that was found, and what had to be changed for it.
+/// The bench with a found motor, and its changes.
 #[derive(Clone, Debug, Serialize)]
 pub struct Scaled {
     #[serde(skip)]
@@ -95,11 +92,11 @@ pub struct Scaled {
     pub factor: f64,
     pub slew_v_per_s: f64,
     pub plan: Plan,
-    /// What the sequence would have done unchanged, where that was too much.
+    /// The limit that the unchanged sequence exceeds.
     pub refusal: Option<Refusal>,
 }
 
-/// Fits the bench's sequence to the motor that was found. `Ok(Err(refusal))`: even the smallest is too much.
+/// Fits the bench's sequence to the found motor. `Ok(Err(refusal))`: even the smallest exceeds a limit.
 pub fn scale(
     bench: &BenchFile,
     found: &Nameplate,
@@ -128,7 +125,6 @@ pub fn scale(
             motor.back_emf_v_s_per_rad *= back_emf;
             let plan = plan(&program, &motor, &limits, rate_hz, drive_current_limit_a)?;
             if plan.is_refused() {
-                // The plan that is shown is the refused one.
                 first = Some(plan);
                 break;
             }
@@ -143,10 +139,10 @@ pub fn scale(
         return Ok(Ok(whole));
     }
     let unchanged = refusal.clone();
-    let mut factor = 1.0;
-    while factor >= LEAST {
-        // The plate's slew belongs to another motor; the one of the motor that was found draws two rated currents. Where
-        // that is too much, smaller voltages are reached in the same time.
+    let mut factor: f64 = 1.0;
+    while factor >= 0.03 {
+        // The given slew belongs to another motor; that of the found motor draws two rated currents. Where that exceeds a
+        // limit, smaller voltages are reached in the same time.
         let slew = given_slew.min(own_slew);
         for slew_v_per_s in [slew, slew * factor.max(0.3)] {
             if let Some(mut scaled) = tried(factor, slew_v_per_s)? {
@@ -157,7 +153,7 @@ pub fn scale(
                 }
             }
         }
-        factor *= SHRINK;
+        factor *= 0.9;
     }
     Ok(Err(refusal.unwrap_or(Refusal {
         segment: "sequence".to_owned(),

@@ -1,29 +1,18 @@
-//! Watch over the line's counters: late replies, frames of others, replies to nobody, a rate that was lost. Pure: counts and
-//! times go in. Each is told when it begins, when it gets ten times worse, and when it ends.
+//! Alarms of the line: late replies, foreign frames, unexpected frames, a lost rate. Pure: counts and times go in. Each alarm is
+//! reported at its begin, at each tenfold increase, and at its end.
 
 use std::collections::VecDeque;
 
 use super::session::{Level, Notice};
 use drivebench_link::LineCounts;
 
-/// Whole frames of others: from so many on somebody else is there, and not a damaged line.
-const STRANGERS: u64 = 3;
-/// Frames that write to the drive and are not ours: a request and its acknowledgement. One alone may be the
-/// acknowledgement of a write of ours that was held back for very long.
-const STRANGE_WRITES: u64 = 2;
 pub(super) const FOREIGN_WRITES: &str = "foreign_writes";
-/// A matter that grows by this factor is told again.
+/// An alarm that grows by this factor is reported again.
 const WORSE: u64 = 10;
-/// A matter that is not seen for so long is over, s.
+/// An alarm ends after this time without a new frame, s.
 const OVER_S: f64 = 10.0;
-/// The achieved rate is that of so long, s, and of so many cycles at least.
-const WINDOW_S: f64 = 1.0;
-const WINDOW_CYCLES: f64 = 10.0;
-/// Below this share of the asked rate it counts as lost, above that as regained.
-const LOST_SHARE: f64 = 0.9;
-const REGAINED_SHARE: f64 = 0.95;
 
-/// Something to be told, with the event for the record.
+/// A notice with its event.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct News {
     pub(super) event: &'static str,
@@ -32,18 +21,21 @@ pub(super) struct News {
     pub(super) notice: Notice,
 }
 
-/// Frames of one kind.
+/// The alarm of one kind of frames.
 #[derive(Clone, Copy, Debug, Default)]
-struct Matter {
+struct Alarm {
     events: [&'static str; 2],
+    /// Frames from which on it begins.
     least: u64,
     text: &'static str,
     ended: &'static str,
-    /// Counted before it began.
+    /// Frames before its begin.
     before: u64,
-    told: u64,
-    seen: u64,
-    seen_s: f64,
+    /// Frames at the last report; 0: no alarm.
+    reported: u64,
+    count: u64,
+    /// Time of the last frame, s.
+    count_s: f64,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -54,45 +46,47 @@ struct Exchange {
     line: LineCounts,
 }
 
-/// What has been told of a line, and the last exchanges.
+/// The alarms of a line, and the last exchanges.
 #[derive(Debug)]
 pub(super) struct LineWatch {
     rate_hz: f64,
-    matters: [Matter; 4],
+    alarms: [Alarm; 4],
     window: VecDeque<Exchange>,
     since_s: Option<f64>,
-    /// The rate that was told as lost, Hz.
+    /// The rate reported as lost, Hz.
     lost_hz: Option<f64>,
 }
 
 impl LineWatch {
     pub(super) fn new(rate_hz: f64) -> Self {
-        let matter =
-            |events, least, text, ended| Matter { events, least, text, ended, ..Matter::default() };
+        let alarm =
+            |events, least, text, ended| Alarm { events, least, text, ended, ..Alarm::default() };
         Self {
             rate_hz,
-            matters: [
-                matter(
+            alarms: [
+                alarm(
                     ["stale_frames", "stale_frames_end"],
                     1,
                     "on the line came late or twice (stale): the drive or an adapter holds them back; none was taken for another",
                     "late or second replies",
                 ),
-                matter(
+                // Fewer may come from a damaged line.
+                alarm(
                     ["foreign_frames", "foreign_frames_end"],
-                    STRANGERS,
-                    "on the line answer nothing that was asked: two devices share the address, or a second master is on the bus?",
-                    "frames of others",
+                    3,
+                    "on the line answer no request of this host: two devices share the address, or a second master is on the bus?",
+                    "foreign frames",
                 ),
-                matter(
+                alarm(
                     ["unasked_frames", "unasked_frames_end"],
-                    STRANGERS,
-                    "on the line are replies to nobody, while nothing was asked: is a second master on the bus?",
-                    "replies to nobody",
+                    3,
+                    "on the line came without a request: is a second master on the bus?",
+                    "frames without a request",
                 ),
-                matter(
+                // A request and its acknowledgement. One alone may be the late acknowledgement of a write of this host.
+                alarm(
                     [FOREIGN_WRITES, "foreign_writes_end"],
-                    STRANGE_WRITES,
+                    2,
                     "on the line write to this drive and are not ours: another master commands it",
                     "writes of another master",
                 ),
@@ -107,9 +101,8 @@ impl LineWatch {
     pub(super) fn frames(&mut self, now_s: f64, line: LineCounts) -> Vec<News> {
         let counts =
             [line.stale_frames, line.foreign_frames, line.unasked_frames, line.foreign_writes];
-        let matters = self.matters.iter_mut().zip(counts);
-        let news = matters.filter_map(|(matter, count)| matter.look(now_s, count));
-        news.collect()
+        let alarms = self.alarms.iter_mut().zip(counts);
+        alarms.filter_map(|(alarm, count)| alarm.update(now_s, count)).collect()
     }
 
     /// An exchange of a run that ended at `now_s`.
@@ -120,7 +113,8 @@ impl LineWatch {
         answered: bool,
         line: LineCounts,
     ) -> Option<News> {
-        let window_s = WINDOW_S.max(WINDOW_CYCLES / self.rate_hz);
+        // The achieved rate is that of 1 s and of ten cycles at least.
+        let window_s = (10.0 / self.rate_hz).max(1.0);
         let begun_s = *self.since_s.get_or_insert(now_s);
         self.window.push_back(Exchange { at_s: now_s, took_s, answered, line });
         while (self.window.front()).is_some_and(|first| now_s - first.at_s >= window_s) {
@@ -132,13 +126,13 @@ impl LineWatch {
         let answered = self.window.iter().filter(|exchange| exchange.answered);
         let achieved_hz = answered.count() as f64 / window_s;
         let (level, event, text) = match self.lost_hz {
-            Some(_) if achieved_hz >= REGAINED_SHARE * self.rate_hz => {
+            Some(_) if achieved_hz >= 0.95 * self.rate_hz => {
                 self.lost_hz = None;
                 let text = format!("the rate is back at {achieved_hz:.1} Hz");
                 (Level::Info, "rate_regained", text)
             }
             Some(lost_hz) if achieved_hz * WORSE as f64 > lost_hz => return None,
-            None if achieved_hz >= LOST_SHARE * self.rate_hz => return None,
+            None if achieved_hz >= 0.9 * self.rate_hz => return None,
             _ => {
                 self.lost_hz = Some(achieved_hz.max(f64::MIN_POSITIVE));
                 let text = format!(
@@ -152,20 +146,20 @@ impl LineWatch {
         Some(News { event, figure: achieved_hz, notice: Notice { level, text } })
     }
 
-    /// No run is on: its rate is measured anew.
+    /// Between two runs.
     pub(super) fn rest(&mut self) {
         self.window.clear();
         self.since_s = None;
         self.lost_hz = None;
     }
 
-    /// Where the time of the window went.
+    /// Losses of time in the window.
     fn reason(&self, window_s: f64) -> String {
         let (Some(first), Some(last)) = (self.window.front(), self.window.back()) else {
             return format!("no exchange in {window_s:.1} s");
         };
         let count = self.window.len();
-        let silent = self.window.iter().filter(|exchange| !exchange.answered);
+        let silent = self.window.iter().filter(|exchange| !exchange.answered).count();
         let taken_s: f64 = self.window.iter().map(|exchange| exchange.took_s).sum();
         let resync_ms = last.line.resync_ms - first.line.resync_ms;
         let retries = last.line.retries - first.line.retries;
@@ -176,9 +170,8 @@ impl LineWatch {
             ));
         }
         if retries > 0 {
-            parts.push(format!("{retries} questions were asked again"));
+            parts.push(format!("{retries} requests were repeated"));
         }
-        let silent = silent.count();
         if silent > 0 {
             parts.push(format!("{silent} of {count} exchanges gave no sample"));
         }
@@ -188,30 +181,27 @@ impl LineWatch {
     }
 }
 
-impl Matter {
-    fn look(&mut self, now_s: f64, count: u64) -> Option<News> {
-        if count != self.seen {
-            self.seen = count;
-            self.seen_s = now_s;
+impl Alarm {
+    fn update(&mut self, now_s: f64, count: u64) -> Option<News> {
+        if count != self.count {
+            (self.count, self.count_s) = (count, now_s);
         }
-        let here = count - self.before;
-        let begins = self.told == 0 && here >= self.least;
-        let worse = self.told > 0 && here >= WORSE * self.told;
-        let ends = self.told > 0 && now_s - self.seen_s > OVER_S;
+        let frames = count - self.before;
+        let begins = self.reported == 0 && frames >= self.least;
+        let grows = self.reported > 0 && frames >= WORSE * self.reported;
+        let ends = self.reported > 0 && now_s - self.count_s > OVER_S;
         let (event, level, text) = if ends {
-            self.before = count;
-            self.told = 0;
-            let text = format!("no more {} for {OVER_S} s; {here} in all", self.ended);
+            (self.before, self.reported) = (count, 0);
+            let text = format!("no more {} for {OVER_S} s; {frames} in all", self.ended);
             (self.events[1], Level::Info, text)
-        } else if begins || worse {
-            self.told = here;
-            let frames = if here == 1 { "frame" } else { "frames" };
-            let text = format!("{here} {frames} {}", self.text);
-            (self.events[0], Level::Warning, text)
+        } else if begins || grows {
+            self.reported = frames;
+            let noun = if frames == 1 { "frame" } else { "frames" };
+            (self.events[0], Level::Warning, format!("{frames} {noun} {}", self.text))
         } else {
             return None;
         };
-        Some(News { event, figure: here as f64, notice: Notice { level, text } })
+        Some(News { event, figure: frames as f64, notice: Notice { level, text } })
     }
 }
 
@@ -227,36 +217,36 @@ mod tests {
     #[test]
     fn a_line_problem_is_reported_at_begin_growth_and_end() {
         let mut watch = LineWatch::new(50.0);
-        let mut told = Vec::new();
+        let mut reports = Vec::new();
         for k in 0..3000_u32 {
             let now_s = f64::from(k) * 0.02;
             let stale = u64::from(k.clamp(100, 250) - 100);
             for news in watch.frames(now_s, line(stale, 0)) {
-                told.push((k, news.event, news.figure));
+                reports.push((k, news.event, news.figure));
             }
         }
-        let events: Vec<_> = told.iter().map(|(k, event, _)| (*k, *event)).collect();
+        let events: Vec<_> = reports.iter().map(|(k, event, _)| (*k, *event)).collect();
         let (stale, end) = ("stale_frames", "stale_frames_end");
         let expected = [(101, stale), (110, stale), (200, stale), (751, end)];
-        assert_eq!(events, expected, "{told:?}");
+        assert_eq!(events, expected, "{reports:?}");
     }
 
     #[test]
     fn a_lost_rate_is_reported_once_and_its_return() {
         let mut watch = LineWatch::new(50.0);
-        let mut told = Vec::new();
+        let mut reports = Vec::new();
         let (mut now_s, mut resync_ms) = (0.0, 0);
         while now_s < 9.0 {
             let slow = (3.0..6.0).contains(&now_s);
             now_s += if slow { 0.025 } else { 0.02 };
             resync_ms += if slow { 10 } else { 0 };
-            told.extend(watch.exchange(now_s, 0.012, true, line(1, resync_ms)));
+            reports.extend(watch.exchange(now_s, 0.012, true, line(1, resync_ms)));
         }
-        let events: Vec<_> = told.iter().map(|news| news.event).collect();
-        assert_eq!(events, ["rate_lost", "rate_regained"], "{told:?}");
-        let text = &told[0].notice.text;
+        let events: Vec<_> = reports.iter().map(|news| news.event).collect();
+        assert_eq!(events, ["rate_lost", "rate_regained"], "{reports:?}");
+        let text = &reports[0].notice.text;
         has(text, "of 50 Hz");
         has(text, "silences and probes");
-        assert!((40.0..45.1).contains(&told[0].figure), "{told:?}");
+        assert!((40.0..45.1).contains(&reports[0].figure), "{reports:?}");
     }
 }

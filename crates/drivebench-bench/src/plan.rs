@@ -1,6 +1,7 @@
-//! The plan: what a sequence will do to the motor, predicted from the nameplate before anything is energised.
+//! The plan: the response of the motor to a sequence, predicted from the nameplate before anything is energised.
 
 use serde::Serialize;
+use thiserror::Error;
 
 use super::guard::Guard;
 use super::limits::{Limits, Nameplate};
@@ -13,24 +14,15 @@ use drivebench_model::plant::{
 use drivebench_model::sample::{Channel, Demand, DriveState, Sample};
 
 /// A limit that the prediction crosses.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Error, PartialEq, Serialize)]
+#[error("segment {segment:?}: predicted {quantity} {predicted:.4} {unit}, limit {limit:.4} {unit}")]
 pub struct Refusal {
     pub segment: String,
-    /// What would be too much: `peak current`.
+    /// As `peak current`.
     pub quantity: &'static str,
     pub predicted: f64,
     pub limit: f64,
     pub unit: &'static str,
-}
-
-impl std::fmt::Display for Refusal {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(
-            f,
-            "segment {:?}: predicted {} {:.4} {}, limit {:.4} {}",
-            self.segment, self.quantity, self.predicted, self.unit, self.limit, self.unit
-        )
-    }
 }
 
 impl Refusal {
@@ -63,7 +55,7 @@ pub struct SegmentPlan {
     pub peak_speed_rad_s: f64,
     /// Farthest from the angle at the start of the run, rad.
     pub travel_rad: f64,
-    /// Most that braking gives back to the supply, W.
+    /// Largest braking power into the supply, W.
     pub peak_returned_w: f64,
 }
 
@@ -96,9 +88,9 @@ pub struct Plan {
     pub i2t_a2_s: f64,
     /// Heat in the winding at its nameplate resistance, J.
     pub copper_loss_j: f64,
-    /// Electrical energy drawn, J; what is fed back when braking is not subtracted.
+    /// Electrical energy drawn, J; the returned energy is not subtracted.
     pub energy_j: f64,
-    /// Electrical energy that braking gives back, J, and the most of it at once, W.
+    /// Braking energy into the supply, J, and its largest power, W.
     pub returned_j: f64,
     pub peak_returned_w: f64,
     pub segments: Vec<SegmentPlan>,
@@ -114,8 +106,8 @@ impl Plan {
     }
 }
 
-/// Predicts `program` at `rate_hz` under the slew and voltage limits. The winding limit is left out on purpose: a plan
-/// that needs it is one that draws too much.
+/// Predicts `program` at `rate_hz` under the slew and voltage limits, without the winding limit: a plan that needs it draws too
+/// much.
 pub fn plan(
     program: &dyn Program,
     motor: &Nameplate,
@@ -128,8 +120,8 @@ pub fn plan(
     let peak = |of: fn(&SegmentPlan) -> f64| segments.iter().map(of).fold(0.0, f64::max);
     let duration_s = program.duration_s();
     let peak_current_a = peak(|segment| segment.peak_current_a);
-    let i2t = predicted.i2t_a2_s;
-    let rms_current_a = (i2t / duration_s.max(predicted.step_s)).sqrt();
+    let i2t_a2_s = predicted.i2t_a2_s;
+    let rms_current_a = (i2t_a2_s / duration_s.max(predicted.step_s)).sqrt();
     let mut plan = Plan {
         duration_s,
         rows: whole((duration_s * rate_hz).ceil()) as u64,
@@ -139,8 +131,8 @@ pub fn plan(
         peak_speed_rad_s: peak(|segment| segment.peak_speed_rad_s),
         travel_rad: peak(|segment| segment.travel_rad),
         rms_current_a,
-        i2t_a2_s: i2t,
-        copper_loss_j: motor.resistance_ohm * i2t,
+        i2t_a2_s,
+        copper_loss_j: motor.resistance_ohm * i2t_a2_s,
         energy_j: predicted.energy_j,
         returned_j: predicted.returned_j,
         peak_returned_w: peak(|segment| segment.peak_returned_w),
@@ -162,14 +154,14 @@ pub fn plan(
     Ok(plan)
 }
 
-/// `ramp_s`: in which the output goes down after the last segment.
+/// `ramp_s`: of the output to zero after the last segment.
 fn beyond_limits(
     plan: &Plan,
     limits: &Limits,
     drive_current_limit_a: Option<f64>,
     ramp_s: f64,
 ) -> Vec<Refusal> {
-    // Where the drive would clip the voltage to hold its own limit, the run would not be the one that was planned.
+    // At its own limit the drive would clip the voltage, and the run would not be the planned one.
     let current_a =
         drive_current_limit_a.map_or(limits.current_a, |amps| amps.min(limits.current_a));
     let (volts, amps) = (Some(limits.voltage_v), Some(current_a));
@@ -197,7 +189,7 @@ fn grow(peak: &mut f64, value: f64) {
     *peak = peak.max(value.abs());
 }
 
-/// What a motor does at these instants from one begin on, under voltages that are put in: zero first.
+/// The response at these instants, from the start on, to voltages that the caller sets: zero first.
 pub(super) fn under_voltage(name: &str, sample_time_s: Vec<f64>) -> Scenario {
     let count = sample_time_s.len();
     Scenario {
@@ -216,7 +208,7 @@ pub(super) fn under_voltage(name: &str, sample_time_s: Vec<f64>) -> Scenario {
     }
 }
 
-/// Points per control period at which the prediction is looked at: peaks lie between the host's samples.
+/// Points of the prediction per control period: peaks lie between the host's samples.
 const POINTS_PER_PERIOD: usize = 10;
 
 /// One predicted instant.
@@ -224,19 +216,19 @@ const POINTS_PER_PERIOD: usize = 10;
 struct Point {
     time_s: f64,
     segment: usize,
-    /// At the terminals: what was asked for, before the voltage limit; the back-EMF where the output is off.
+    /// At the terminals: the demand before the voltage limit; the back-EMF where the output is off.
     voltage_v: f64,
     current_a: f64,
     speed_rad_s: f64,
     angle_rad: f64,
     coasts: bool,
-    /// What the sequence asks for, what holds a load included.
+    /// Of the sequence, with the hold of a load.
     wanted_v: f64,
-    /// The voltage is another one because the supply takes nothing back.
+    /// The voltage is limited because the supply takes no braking energy.
     supply: bool,
 }
 
-/// What is kept of the predicted instants of one segment.
+/// Summary of one segment.
 #[derive(Clone, Debug, Default)]
 struct Part {
     segment: SegmentPlan,
@@ -249,11 +241,10 @@ struct Part {
 #[derive(Default)]
 struct Prediction {
     step_s: f64,
-    /// Magnitude above which a reverse current is more than ripple.
+    /// Bound of the ripple: 5 % of the rated current.
     reverse_a: f64,
     parts: Vec<Part>,
     points: usize,
-    /// The motor stands before the first of them.
     last: Point,
     i2t_a2_s: f64,
     energy_j: f64,
@@ -330,18 +321,17 @@ impl Prediction {
         let mut model = Model::baseline(motor.motor());
         if limits.load.vertical {
             let weight_n_m = motor.back_emf_v_s_per_rad * hold_a;
-            let weight = ActiveEffect::with(TermKind::TorqueOffset.effect(), &[weight_n_m]);
-            model.effects.push(weight);
+            model.effects.push(ActiveEffect::with(TermKind::TorqueOffset.effect(), &[weight_n_m]));
         }
         let mut driven = Plant::new(&model, Input::Voltage)?;
         let mut coasting = Plant::new(&Model::baseline(motor.motor()), Input::Current)?;
-        // A drive current limit of zero stands for "limits itself": it switches the winding limit off.
+        // A drive current limit of zero means that the drive limits itself: it switches the winding limit off.
         let mut guard = Guard::new(limits.clone(), motor, Some(0.0));
         let points_s = (1..=POINTS_PER_PERIOD).map(|point| point as f64 * step_s);
         let mut one_period = under_voltage("plan", points_s.collect());
         let periods = whole((program.duration_s() * rate_hz).ceil()).max(1);
         let mut predicted =
-            Self { step_s, reverse_a: REVERSE_SHARE * motor.rated_current_a, ..Self::default() };
+            Self { step_s, reverse_a: 0.05 * motor.rated_current_a, ..Self::default() };
         let (mut current_a, mut speed_rad_s, mut angle_rad) = (hold_a, 0.0, 0.0);
         let mut out = Trajectory::default();
         for period in 0..periods {
@@ -379,7 +369,7 @@ impl Prediction {
             }
             let mut sample = Sample::at(begin_s + period_s).with(Channel::Speed, speed_rad_s);
             sample.state = Some(DriveState::Running);
-            // Only to tell the shaper the speed: the prediction itself is judged afterwards.
+            // The shaper needs the speed; limits are checked afterwards.
             guard.watch(begin_s + period_s, &sample, false);
         }
         Ok(predicted)
@@ -391,10 +381,7 @@ const UNHELD: &str = "vertical load without a described brake";
 const REVERSE_V: &str = "reverse voltage";
 const REVERSE_A: &str = "reverse current";
 
-/// Share of the rated current below which a reverse current is one of the ripple.
-const REVERSE_SHARE: f64 = 0.05;
-
-/// Refusals beside those of the limits, one of a kind for each segment.
+/// Refusals by load and converter, one of a kind for each segment.
 fn impossible(predicted: &Prediction, limits: &Limits) -> Vec<Refusal> {
     let mut refusals = Vec::new();
     if let (Some(first), Some(last)) = (predicted.parts.first(), predicted.parts.last())
@@ -418,7 +405,6 @@ fn impossible(predicted: &Prediction, limits: &Limits) -> Vec<Refusal> {
     refusals
 }
 
-/// What the person at the bench has to know.
 fn warnings(predicted: &Prediction, plan: &Plan, limits: &Limits, rate_hz: f64) -> Vec<String> {
     let mut warnings = Vec::new();
     if let Some(watts) = limits.braking_w {
@@ -435,15 +421,14 @@ fn warnings(predicted: &Prediction, plan: &Plan, limits: &Limits, rate_hz: f64) 
         }
     }
     if limits.dead_time_s > 0.0 {
-        let dead_ms = 1e3 * limits.dead_time_s;
-        let most_hz = 1.0 / limits.dead_time_s;
-        warnings.push(if rate_hz > most_hz {
-            format!(
-                "the thyristor bridge takes a command up to {dead_ms} ms late: of {rate_hz} Hz it follows {most_hz:.0} Hz"
-            )
+        let (dead_ms, most_hz) = (1e3 * limits.dead_time_s, 1.0 / limits.dead_time_s);
+        let rate = if rate_hz > most_hz {
+            format!(": of {rate_hz} Hz it follows {most_hz:.0} Hz")
         } else {
-            format!("the thyristor bridge takes a command up to {dead_ms} ms late")
-        });
+            String::new()
+        };
+        warnings
+            .push(format!("the thyristor bridge takes a command up to {dead_ms} ms late{rate}"));
     }
     if limits.quadrants < 4 && predicted.least_current_a < 0.0 {
         warnings.push(
@@ -453,7 +438,7 @@ fn warnings(predicted: &Prediction, plan: &Plan, limits: &Limits, rate_hz: f64) 
     warnings
 }
 
-/// How well a parameter will be seen.
+/// How well a parameter is observable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Prospect {
@@ -470,14 +455,6 @@ pub struct Observability {
     pub reason: String,
 }
 
-/// Samples per electrical time constant below which the difference quotient of the current is biased (paper A: the
-/// period is to be half of L/R or less).
-const GOOD_SAMPLES: f64 = 2.0;
-/// Periods per electrical time constant beyond which nothing of the transient is left between two samples: exp(-3).
-const MOST_PERIODS: f64 = 3.0;
-/// Share of the rated value that an excitation has to reach to count.
-const ENOUGH: f64 = 0.2;
-
 fn parameters(predicted: &Prediction, motor: &Nameplate, rate_hz: f64) -> Vec<Observability> {
     let current_share = predicted.peak_current_a / motor.rated_current_a;
     let speed_share = predicted.peak_speed_rad_s / motor.rated_speed_rad_s;
@@ -492,9 +469,9 @@ fn parameters(predicted: &Prediction, motor: &Nameplate, rate_hz: f64) -> Vec<Ob
         prospect,
         reason,
     };
+    // Below 20 % of the rated value nothing is excited.
     let where_enough = |share: f64, prospect: Prospect| {
-        let is_enough = share >= ENOUGH;
-        if is_enough { prospect } else { Prospect::NotObservable }
+        if share >= 0.2 { prospect } else { Prospect::NotObservable }
     };
     let by_share = |key: MotorKey, share: f64, what: &str| {
         let reason = format!("{what} reaches {:.0} % of rated", 100.0 * share);
@@ -502,20 +479,19 @@ fn parameters(predicted: &Prediction, motor: &Nameplate, rate_hz: f64) -> Vec<Ob
     };
     let electrical_s = motor.inductance_h / motor.resistance_ohm;
     let periods = 1.0 / (rate_hz * electrical_s);
-    let exact = "only exact discretisation or output error sees it";
-    let over = "the transient is over between two samples: use burst capture";
-    let (prospect, verdict) = if periods <= 1.0 / GOOD_SAMPLES {
+    // With a period above half of L/R the difference quotient of the current is biased (paper A); beyond 3 L/R exp(-3) is left
+    // of a transient at the next sample.
+    let (prospect, verdict) = if periods <= 0.5 {
         (Prospect::Good, "the transient is sampled")
-    } else if periods <= MOST_PERIODS {
-        (Prospect::Weak, exact)
+    } else if periods <= 3.0 {
+        (Prospect::Weak, "only exact discretisation or output error identifies it")
     } else {
-        (Prospect::NotObservable, over)
+        (Prospect::NotObservable, "the transient is over between two samples: use burst capture")
     };
-    let one_way = "one direction only: it cannot be parted from a constant load";
     let load = match (forward, backward) {
-        (true, true) => (Prospect::Good, "both directions part it from an offset"),
+        (true, true) => (Prospect::Good, "both directions separate it from an offset"),
         (false, false) => (Prospect::NotObservable, "the shaft does not move"),
-        _ => (Prospect::Weak, one_way),
+        _ => (Prospect::Weak, "one direction only: it is not separable from a constant load"),
     };
     vec![
         by_share(MotorKey::Resistance, current_share, "the current"),
@@ -541,46 +517,37 @@ mod tests {
         Limits::for_motor(&Nameplate::zk_22fc(), 100.0)
     }
 
-    fn planned(bench: &BenchFile, program: &dyn Program, rate_hz: f64) -> Plan {
-        let plate = bench.nameplate().unwrap();
-        plan(program, &plate, &bench.limits(), rate_hz, None).unwrap()
+    fn planned(duration_s: f64, limits: &Limits, demand: impl Fn(f64) -> Demand + Send) -> Plan {
+        plan(&Wave { duration_s, demand }, &Nameplate::zk_22fc(), limits, 100.0, None).unwrap()
     }
 
-    fn step(volts: f64, slew_v_per_s: f64) -> Plan {
-        step_within(volts, &Limits { slew_v_per_s, ..limits() })
-    }
-
-    fn step_within(volts: f64, limits: &Limits) -> Plan {
-        let program = Wave {
-            duration_s: 1.0,
-            demand: move |time_s: f64| Demand::Voltage(if time_s < 0.1 { 0.0 } else { volts }),
-        };
-        plan(&program, &Nameplate::zk_22fc(), limits, 100.0, None).unwrap()
+    fn step(volts: f64, limits: &Limits) -> Plan {
+        planned(1.0, limits, |time_s| Demand::Voltage(if time_s < 0.1 { 0.0 } else { volts }))
     }
 
     #[test]
     fn a_full_voltage_step_is_refused() {
-        // Voltage over resistance, but for what the inductance takes: 75 A, 13 times rated; 30 V still 21 A.
-        let plan = step(110.0, 1e6);
+        // Voltage over resistance, less the drop of the inductance: 75 A, 13 times rated; 30 V still 21 A.
+        let limits = Limits { slew_v_per_s: 1e6, ..limits() };
+        let plan = step(110.0, &limits);
         within(plan.peak_current_a, 70.0..80.0);
-        assert!((plan.peak_current_ratio - 13.0).abs() < 0.5);
-        let refusal = plan.refusals[0].to_string();
-        has(&refusal, " half\"");
-        has(&refusal, "peak current");
-        has(&refusal, "22.8");
-        within(step(30.0, 1e6).peak_current_a, 20.0..22.0);
+        near(plan.peak_current_ratio, 13.0, 0.5);
+        for words in [" half\"", "peak current", "22.8"] {
+            has(&plan.refusals[0], words);
+        }
+        within(step(30.0, &limits).peak_current_a, 20.0..22.0);
     }
 
     #[test]
     fn the_slew_limit_is_part_of_the_prediction() {
-        let plan = step(100.0, 300.0);
+        let slow = |time_s| Limits { slew_v_per_s: 300.0, time_s, ..limits() };
+        let plan = step(100.0, &slow(60.0));
         assert!(!plan.is_refused(), "{:?}", plan.refusals);
         // s R J/Ke^2 / R + Mc/Ke = 10.8 + 1.3 A
         near(plan.peak_current_a, 12.1, 0.6);
-        // The way down is time with the output on: 1 s and a third.
+        // The ramp down counts as time with the output on: 1 s and a third.
         for (time_s, refused) in [(1.3, true), (1.4, false)] {
-            let limits = Limits { slew_v_per_s: 300.0, time_s, ..limits() };
-            assert_eq!(step_within(100.0, &limits).is_refused(), refused, "{time_s}");
+            assert_eq!(step(100.0, &slow(time_s)).is_refused(), refused, "{time_s}");
         }
     }
 
@@ -620,39 +587,31 @@ mod tests {
 
     #[test]
     fn a_coasting_motor_draws_no_current() {
-        let program = Wave {
-            duration_s: 2.0,
-            demand: |time_s: f64| {
-                if time_s < 1.0 { Demand::Voltage(50.0) } else { Demand::Disable }
-            },
-        };
-        let plan = plan(&program, &Nameplate::zk_22fc(), &limits(), 100.0, None).unwrap();
+        let plan = planned(2.0, &limits(), |time_s| {
+            if time_s < 1.0 { Demand::Voltage(50.0) } else { Demand::Disable }
+        });
         assert!(plan.segments[1].peak_current_a < 1e-9);
         assert!(plan.segments[1].peak_speed_rad_s > 100.0);
     }
 
-    fn prospects(rate_hz: f64) -> Vec<Prospect> {
-        let bench = BenchFile::embedded_default();
-        let program = bench.program(1).unwrap();
-        let parameters = planned(&bench, &program, rate_hz).parameters;
-        parameters.iter().map(|parameter| parameter.prospect).collect()
-    }
-
     #[test]
-    fn inductance_depends_on_rate_the_rest_on_excitation() {
+    fn prospects_follow_from_rate_and_excitation() {
         use Prospect::{Good, NotObservable, Weak};
-        assert_eq!(prospects(1000.0), [Good, Good, Good, Good, Good]);
-        assert_eq!(prospects(100.0), [Good, Weak, Good, Good, Good]);
-        assert_eq!(prospects(20.0)[1], NotObservable);
-    }
-
-    #[test]
-    fn a_voltage_below_breakaway_shows_no_mechanics() {
         let bench = BenchFile::embedded_default();
-        let program = Wave { duration_s: 1.0, demand: |_| Demand::Voltage(1.0) };
-        let plan = planned(&bench, &program, 100.0);
-        for parameter in &plan.parameters[2..] {
-            assert_eq!(parameter.prospect, Prospect::NotObservable, "{parameter:?}");
+        let rich = bench.program(1).unwrap();
+        // Below breakaway.
+        let small = Wave { duration_s: 1.0, demand: |_| Demand::Voltage(1.0) };
+        let cases: [(&dyn Program, _, _); 4] = [
+            (&rich, 1000.0, [Good, Good, Good, Good, Good]),
+            (&rich, 100.0, [Good, Weak, Good, Good, Good]),
+            (&rich, 20.0, [Good, NotObservable, Good, Good, Good]),
+            (&small, 100.0, [NotObservable; 5]),
+        ];
+        for (program, rate_hz, expected) in cases {
+            let plate = bench.nameplate().unwrap();
+            let plan = plan(program, &plate, &bench.limits(), rate_hz, None).unwrap();
+            let found: Vec<_> = plan.parameters.iter().map(|found| found.prospect).collect();
+            assert_eq!(found, expected, "{rate_hz} Hz");
         }
     }
 }

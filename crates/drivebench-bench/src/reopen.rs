@@ -1,11 +1,12 @@
-//! After a run that lost its drive: get it back, see that it is the same one, and bring it to rest. Nothing re-arms.
+//! Reconnection after a run that lost its drive: open the link, compare the identity, and bring the drive to rest. Nothing
+//! re-arms.
 //!
 //! ```text
-//! run -> link lost -> [ pause -> open -> who is there? -> zero reference, stop -> does it say so? ] -> safe
+//! run -> link lost -> [ pause -> open -> same identity? -> zero reference, stop -> confirmed? ] -> safe
 //!                          ^--- no answer --------'             '-- another drive: nothing is written
 //! ```
 //!
-//! The run stays what it was, lost; what is found here are events behind its last row.
+//! The run stays lost; the results here are events after its last row.
 
 use std::sync::mpsc::Receiver;
 
@@ -18,21 +19,18 @@ use crate::recording::{Event, Record};
 use drivebench_link::{DriveLink, Identity, LinkError, Reopening, another_drive};
 use drivebench_model::sample::{Command, Demand, DriveState};
 
-/// Somebody who wants to leave is not kept waiting for longer, s.
-const LOOK_S: f64 = 0.05;
-
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ReopenEnding {
-    /// The same drive is back, and it says that its output is off.
+    /// The same drive is back, and reports its output off.
     Stopped,
-    /// The same drive is back and took the stop; it has no word that tells whether its output is off.
+    /// The same drive is back and took the stop; it does not report whether its output is off.
     StopUnconfirmed,
-    /// Somebody else answers: nothing was written.
+    /// Another drive answers: nothing was written.
     AnotherDrive,
     /// The time was over.
     GivenUp,
-    /// Somebody did not want to wait any longer.
+    /// The user ended the search.
     Interrupted,
 }
 
@@ -42,9 +40,9 @@ pub struct Reopened {
     pub attempts: u32,
     /// From the last valid reply of the run to the end of the search, s.
     pub downtime_s: f64,
-    /// Who was there, as far as anybody was.
+    /// The last identity found.
     pub identity: Option<Identity>,
-    /// What the drive said of itself after it was stopped.
+    /// The reported state after the stop.
     pub state: Option<&'static str>,
     pub text: String,
 }
@@ -56,12 +54,11 @@ impl Reopened {
     }
 }
 
-/// What it is done with.
 pub struct ReopenBench<'a> {
     pub clock: &'a mut dyn Clock,
     /// The run's, still open.
     pub recorder: &'a mut dyn Record,
-    /// Whether somebody wants to end. Only looked at: whoever comes after must see it as well.
+    /// Stop requested; the request is not consumed.
     pub stopped: &'a dyn Fn() -> bool,
     pub intents: &'a Receiver<Intent>,
     pub snapshots: &'a SnapshotCell,
@@ -76,21 +73,21 @@ pub struct RunEnd {
     pub last_reply_s: f64,
 }
 
-/// What is known of the drive that was lost, and how long it is looked for.
+/// The lost drive, and the limits of the search.
 pub struct ReopenOptions<'a> {
     pub link: &'a str,
     pub before: &'a Identity,
     pub end: RunEnd,
     /// Number of the last exchange.
     pub seq: u64,
-    /// `None`: until somebody ends it.
+    /// `None`: until the user ends it.
     pub limit_s: Option<f64>,
     /// Draws the jitter of the pauses.
     pub seed: u64,
 }
 
-/// Looks for the drive until it is found, the time is over or somebody ends it; `open` opens the link anew. Returns the
-/// link only where the drive behind it is the one from before.
+/// Searches until the drive is found, the time is over or the user ends it; `open` opens the link anew. Returns the link only
+/// of the same drive.
 pub fn reopen<'a>(
     bench: ReopenBench<'a>,
     options: &'a ReopenOptions<'a>,
@@ -107,19 +104,19 @@ pub fn reopen<'a>(
     search.go(open)
 }
 
-/// What an attempt came to.
-enum Found {
-    /// Nobody, or no answer: it is tried again.
-    Nothing(String),
-    Stranger(String),
-    Same(Box<dyn DriveLink>, Option<DriveState>),
+/// Result of an attempt.
+enum Attempt {
+    /// Tried again.
+    Failed(String),
+    AnotherDrive(String),
+    SameDrive(Box<dyn DriveLink>, Option<DriveState>),
 }
 
 struct Search<'a> {
     bench: ReopenBench<'a>,
     options: &'a ReopenOptions<'a>,
     reopening: Reopening,
-    /// A reason that stays the same is told once.
+    /// A repeated reason is reported once.
     last_reason: String,
     identity: Option<Identity>,
 }
@@ -129,15 +126,19 @@ impl Search<'_> {
         &mut self,
         open: &mut dyn FnMut() -> Result<Box<dyn DriveLink>, LinkError>,
     ) -> (Reopened, Option<Box<dyn DriveLink>>) {
-        let watchdog_s = self.options.before.watchdog_s;
-        let lost = self.event("link_lost");
-        let lost = lost.with("link", self.options.link);
-        let lost = lost.with("watchdog_s", watchdog_s);
-        let lost = lost.with("reopens_for_s", self.options.limit_s);
+        let lost = self
+            .event("link_lost")
+            .with("link", self.options.link)
+            .with("watchdog_s", self.options.before.watchdog_s)
+            .with("reopens_for_s", self.options.limit_s);
         self.bench.recorder.event(lost);
         loop {
             let Some(due_s) = self.reopening.due_s() else {
-                let text = format!("given up: {}", self.reason());
+                let reason = match self.last_reason.as_str() {
+                    "" => "there was no time for an attempt",
+                    reason => reason,
+                };
+                let text = format!("given up: {reason}");
                 return (self.end(ReopenEnding::GivenUp, None, &text), None);
             };
             if !self.wait_until(due_s) {
@@ -145,30 +146,31 @@ impl Search<'_> {
                 return (self.end(ReopenEnding::Interrupted, None, text), None);
             }
             let attempt = self.reopening.attempt();
-            let text = format!("link lost, reopening (attempt {attempt})…");
-            self.show(text, None, None);
+            self.show(format!("link lost, reopening (attempt {attempt})…"), None, None);
             match self.attempt(open) {
-                Found::Nothing(reason) => {
+                Attempt::Failed(reason) => {
                     if reason != self.last_reason {
-                        let event = self.event("reopen_failed").with("attempt", attempt);
-                        let event = event.with("reason", reason.as_str());
+                        let event = self
+                            .event("reopen_failed")
+                            .with("attempt", attempt)
+                            .with("reason", reason.as_str());
                         self.bench.recorder.event(event);
                         self.last_reason = reason;
                     }
                     self.reopening.failed(self.bench.clock.now_s());
                 }
-                Found::Stranger(reason) => {
+                Attempt::AnotherDrive(reason) => {
                     let text = format!("identity mismatch: {reason}; nothing was written to it");
                     return (self.end(ReopenEnding::AnotherDrive, None, &text), None);
                 }
-                Found::Same(link, state) => {
+                Attempt::SameDrive(link, state) => {
                     let confirms = link.confirms_stop();
                     let (ending, how) = if confirms {
                         (ReopenEnding::Stopped, "stop confirmed")
                     } else {
                         (
                             ReopenEnding::StopUnconfirmed,
-                            "stop taken but not confirmed: this drive does not tell whether its output is off, see that the shaft stands still",
+                            "stop taken but not confirmed: this drive does not report whether its output is off, see that the shaft stands still",
                         )
                     };
                     let fault =
@@ -186,39 +188,40 @@ impl Search<'_> {
     fn attempt(
         &mut self,
         open: &mut dyn FnMut() -> Result<Box<dyn DriveLink>, LinkError>,
-    ) -> Found {
+    ) -> Attempt {
         let mut link = match open() {
             Ok(link) => link,
-            Err(error @ LinkError::Identity { .. }) => return Found::Stranger(error.to_string()),
-            Err(error) => return Found::Nothing(error.to_string()),
+            Err(error @ LinkError::Identity { .. }) => {
+                return Attempt::AnotherDrive(error.to_string());
+            }
+            Err(error) => return Attempt::Failed(error.to_string()),
         };
         let identity = match link.recognise() {
             Ok(identity) => identity,
             Err(error @ (LinkError::Identity { .. } | LinkError::Version { .. })) => {
-                return Found::Stranger(error.to_string());
+                return Attempt::AnotherDrive(error.to_string());
             }
-            Err(error) => return Found::Nothing(error.to_string()),
+            Err(error) => return Attempt::Failed(error.to_string()),
         };
-        let stranger = another_drive(self.options.before, &identity);
+        let difference = another_drive(self.options.before, &identity);
         self.identity = Some(identity);
-        if let Some(reason) = stranger {
-            return Found::Stranger(reason);
+        if let Some(reason) = difference {
+            return Attempt::AnotherDrive(reason);
         }
         if let Err(error) = link.bring_to_rest() {
-            return Found::Nothing(format!("it is back, and was not brought to rest: {error}"));
+            return Attempt::Failed(format!("it is back, and was not brought to rest: {error}"));
         }
         let seq = self.options.seq.wrapping_add(1);
-        let demand = Demand::Disable;
-        match link.exchange(Command { seq, demand }) {
+        match link.exchange(Command { seq, demand: Demand::Disable }) {
             Ok(sample) if sample.state == Some(DriveState::Running) => {
-                Found::Nothing("it is back, and says that it runs".to_owned())
+                Attempt::Failed("it is back, and reports that it runs".to_owned())
             }
-            Ok(sample) => Found::Same(link, sample.state),
-            Err(error) => Found::Nothing(error.to_string()),
+            Ok(sample) => Attempt::SameDrive(link, sample.state),
+            Err(error) => Attempt::Failed(error.to_string()),
         }
     }
 
-    /// False: somebody wants to leave.
+    /// False: the user ends the search, which is noticed within 50 ms.
     fn wait_until(&mut self, due_s: f64) -> bool {
         loop {
             let leaves = |intent| matches!(intent, Intent::Stop | Intent::Quit);
@@ -229,27 +232,23 @@ impl Search<'_> {
             if now_s >= due_s {
                 return true;
             }
-            self.bench.clock.sleep_until_s(due_s.min(now_s + LOOK_S));
+            self.bench.clock.sleep_until_s(due_s.min(now_s + 0.05));
         }
     }
 
     fn end(&mut self, ending: ReopenEnding, state: Option<DriveState>, text: &str) -> Reopened {
         let downtime_s = (self.bench.clock.now_s() - self.options.end.last_reply_s).max(0.0);
+        let (link, attempts) = (self.options.link, self.reopening.attempts());
         let reopened = Reopened {
             ending,
-            attempts: self.reopening.attempts(),
+            attempts,
             downtime_s,
             identity: self.identity.take(),
             state: state.map(DriveState::name),
-            text: format!(
-                "{}: {text} ({} attempts in {downtime_s:.1} s)",
-                self.options.link,
-                self.reopening.attempts()
-            ),
+            text: format!("{link}: {text} ({attempts} attempts in {downtime_s:.1} s)"),
         };
-        let details = serde_json::to_value(&reopened).unwrap_or_default();
         let mut event = self.event("reopened");
-        if let serde_json::Value::Object(details) = details {
+        if let Ok(serde_json::Value::Object(details)) = serde_json::to_value(&reopened) {
             event.details.extend(details);
         }
         self.bench.recorder.event(event);
@@ -259,21 +258,13 @@ impl Search<'_> {
         reopened
     }
 
-    fn reason(&self) -> &str {
-        if self.last_reason.is_empty() {
-            "there was no time for an attempt"
-        } else {
-            &self.last_reason
-        }
-    }
-
     fn event(&self, kind: &str) -> Event {
         let now_s = self.bench.clock.now_s();
         let time_s = now_s + self.options.end.drive_minus_host_s;
         Event::new(time_s, Some(self.options.seq), kind).with("host_time_s", now_s)
     }
 
-    /// What was known of the drive before it was lost is not shown as its state any more.
+    /// The state before the loss is not shown any more.
     fn show(&self, text: String, phase: Option<Phase>, state: Option<DriveState>) {
         let mut snapshot = (*self.bench.snapshots.latest()).clone();
         snapshot.reopening = Some(text);

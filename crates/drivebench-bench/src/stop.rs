@@ -144,7 +144,7 @@ impl StopWatch {
         match answer {
             Ok(_) => self.last_refusal = None,
             Err(LinkError::Exception { request, code, name, .. }) => {
-                self.last_refusal = Some(format!("exception {code:#04x} {name} to {request}"))
+                self.last_refusal = Some(format!("exception {code:#04x} {name} to {request}"));
             }
             Err(_) => {}
         }

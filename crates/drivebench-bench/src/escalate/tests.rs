@@ -12,7 +12,7 @@ use drivebench_link::{DriveLink, LinkError};
 use drivebench_model::plant::MotorKey;
 use drivebench_model::sample::{Command, Sample, Verdict};
 
-/// Looks at the true current and speed ten thousand times a second, as no host could.
+/// Samples the true current and speed at 10 kHz.
 struct Watched {
     clock: VirtualClock,
     peak_a: f64,
@@ -21,7 +21,7 @@ struct Watched {
 
 impl Tamper<MemoryLink> for Watched {
     fn exchange(&mut self, link: &mut MemoryLink, command: Command) -> Result<Sample, LinkError> {
-        // The time since the last exchange, in tenths of a millisecond: the drive holds the last command meanwhile.
+        // The drive holds the last command since the last exchange.
         let until_s = self.clock.time_s();
         let mut at_s = link.drive().time_s();
         while at_s < until_s {
@@ -35,7 +35,7 @@ impl Tamper<MemoryLink> for Watched {
     }
 }
 
-/// What one escalation did.
+/// One escalation.
 struct Done {
     escalation: Escalation,
     outcomes: Vec<RunOutcome>,
@@ -68,11 +68,10 @@ fn escalated(bench: &BenchFile, config: &EmulatorConfig, seed: u64) -> Done {
 }
 
 fn named(emulator: &str) -> Done {
-    let bench = unknown_bench();
-    escalated(&bench, &EmulatorConfig::embedded(emulator).unwrap(), 3)
+    escalated(&unknown_bench(), &EmulatorConfig::embedded(emulator).unwrap(), 3)
 }
 
-/// The embedded bench without a word about the motor but its rated values.
+/// The embedded bench with only the rated values of the motor.
 fn unknown_bench() -> BenchFile {
     let mut bench = BenchFile::embedded_default();
     bench.motor = MotorSection {
@@ -100,7 +99,7 @@ fn report(done: &Done) -> String {
     lines.collect::<String>() + &format!("outcomes {last:?}\n") + &peaks
 }
 
-/// What of a motor has to be found within five per cent.
+/// The parameters that have to be found within five per cent.
 const FOUND: [MotorKey; 3] = [MotorKey::Resistance, MotorKey::BackEmf, MotorKey::Inertia];
 
 #[test]
@@ -126,8 +125,7 @@ fn a_locked_rotor_and_an_open_phase_are_named() {
     };
     within(*voltage_v, 27.4..27.6);
     within(*below_a, ..0.2);
-    let mut outcomes = done.outcomes.iter();
-    assert!(outcomes.all(|outcome| *outcome == RunOutcome::Done));
+    assert!(done.outcomes.iter().all(|outcome| *outcome == RunOutcome::Done));
 }
 
 #[test]
@@ -147,13 +145,11 @@ fn the_motor_behind_the_plate_is_found_whatever_the_plate_says() {
                 assert!((ratio - 1.0).abs() < 0.05, "{name} {key} {ratio}\n{report}");
             }
             // The limits of the bench: 13 A and 340 rad/s.
-            let is_below = done.peak_a < 13.0 && done.peak_rad_s < 340.0;
-            assert!(is_below, "{report}");
+            assert!(done.peak_a < 13.0 && done.peak_rad_s < 340.0, "{report}");
         }
     }
 }
 
-/// The nameplate of a software drive's motor.
 #[test]
 fn the_sequence_is_scaled_until_every_limit_holds() {
     let bench = BenchFile::embedded_default();
@@ -196,7 +192,7 @@ fn random_bench(seed: u64) -> (BenchFile, EmulatorConfig) {
     (bench, config)
 }
 
-/// What went wrong with one random motor, if anything.
+/// The failure with one random motor.
 fn fault_of(seed: u64) -> Option<String> {
     let (bench, config) = random_bench(seed);
     let done = escalated(&bench, &config, seed);
@@ -217,8 +213,7 @@ fn fault_of(seed: u64) -> Option<String> {
             report(&done)
         ))
     };
-    let mut outcomes = done.outcomes.iter();
-    if outcomes.any(|outcome| *outcome != RunOutcome::Done) {
+    if done.outcomes.iter().any(|outcome| *outcome != RunOutcome::Done) {
         return about("a trip".to_owned());
     }
     if done.peak_a > limits.current_a || done.peak_rad_s > limits.speed_rad_s {
@@ -244,8 +239,7 @@ fn fault_of(seed: u64) -> Option<String> {
 fn random_motors_are_found_without_a_trip_and_below_every_limit() {
     use rayon::prelude::*;
     // Forty in every run of the tests; COUNT=3000 takes a minute with optimisation.
-    let asked = std::env::var("COUNT").ok().and_then(|n| n.parse().ok());
-    let count: u64 = asked.unwrap_or(40);
+    let count: u64 = std::env::var("COUNT").ok().and_then(|n| n.parse().ok()).unwrap_or(40);
     let faults: Vec<String> = (0..count).into_par_iter().filter_map(fault_of).collect();
     let (failed, all) = (faults.len(), faults.join("\n"));
     assert!(faults.is_empty(), "{failed} of {count} random motors:\n{all}");

@@ -40,7 +40,7 @@ struct Outcome {
     shown: Arc<crate::Snapshot>,
 }
 
-/// What came of the usual case but for one thing.
+/// The result of the usual case with a change.
 fn done(change: impl FnOnce(&mut Case)) -> Outcome {
     let mut case = Case::default();
     change(&mut case);
@@ -87,8 +87,7 @@ impl Case {
             &mut || {
                 tries += 1;
                 if tries < self.there_at {
-                    let reason = "it does not exist".to_owned();
-                    return Err(LinkError::Open("x".to_owned(), reason));
+                    return Err(LinkError::Open("x".to_owned(), "it does not exist".to_owned()));
                 }
                 let mut drive = ScriptedDrive::new(0.01);
                 drive.faults.extend(self.faults.iter().cloned());
@@ -118,7 +117,7 @@ fn the_same_drive_is_stopped_and_nothing_else() {
     assert!(done.has_link && done.reopened.is_safe());
     assert_eq!(done.reopened.attempts, 4);
     assert_eq!(done.asked, ["identify", "stop", "Disable"]);
-    // Not as it was before it was lost.
+    // Not the state before the loss.
     assert_eq!(done.shown.drive_state, Some(DriveState::Disabled));
     // 50, 100, 200 and 400 ms, each up to a quarter off, after the reply 0.1 s before.
     within(done.reopened.downtime_s, 0.6..1.2);
@@ -132,8 +131,7 @@ fn the_same_drive_is_stopped_and_nothing_else() {
     assert_eq!(last["ending"], "stopped");
     assert_eq!(last["identity"]["serial_number"], "7");
     assert_eq!(done.shown.phase, Some(Phase::Safe));
-    let shown = done.shown.reopening.as_deref().unwrap();
-    has(shown, "stop confirmed; nothing is armed");
+    has(done.shown.reopening.as_deref().unwrap(), "stop confirmed; nothing is armed");
 }
 
 #[test]
@@ -148,46 +146,43 @@ fn another_drive_is_only_read() {
 }
 
 #[test]
-fn a_drive_without_state_does_not_count_as_stopped() {
-    let done = done(|case| case.confirms = false);
-    assert_eq!(done.reopened.ending, ReopenEnding::StopUnconfirmed);
-    assert!(!done.reopened.is_safe() && done.reopened.state.is_none());
-    has(&done.reopened.text, "not confirmed");
+fn a_drive_that_is_absent_in_fault_or_without_state_is_not_safe() {
+    type Change = fn(&mut Case);
+    let cases: [(Change, ReopenEnding, &str); 5] = [
+        (|case| case.confirms = false, ReopenEnding::StopUnconfirmed, "not confirmed"),
+        (
+            |case| case.faults = vec![(0, u64::MAX, Fault::TripWith(7))],
+            ReopenEnding::Stopped,
+            "it is in fault",
+        ),
+        (
+            |case| case.faults = vec![(0, u64::MAX, Fault::Timeout)],
+            ReopenEnding::GivenUp,
+            "given up",
+        ),
+        (|case| case.there_at = u32::MAX, ReopenEnding::GivenUp, "it does not exist"),
+        (|case| case.limit_s = Some(0.0), ReopenEnding::GivenUp, "no time for an attempt"),
+    ];
+    for (change, ending, words) in cases {
+        let done = done(change);
+        assert_eq!(done.reopened.ending, ending, "{words}");
+        has(&done.reopened.text, words);
+        assert_ne!(done.shown.phase, Some(Phase::Safe), "{words}");
+        assert_eq!(done.has_link, ending != ReopenEnding::GivenUp, "{words}");
+        assert_eq!(done.reopened.is_safe(), ending == ReopenEnding::Stopped, "{words}");
+        // The search for 10 s ends in time.
+        within(done.reopened.downtime_s, ..=10.2);
+    }
 }
 
 #[test]
-fn an_absent_or_mute_drive_is_given_up_in_time() {
-    let absent = done(|case| (case.there_at, case.limit_s) = (u32::MAX, Some(3.0)));
-    assert_eq!(absent.reopened.ending, ReopenEnding::GivenUp);
-    within(absent.reopened.downtime_s, 1.5..=3.2);
-    has(&absent.reopened.text, "it does not exist");
-    let mute = done(|case| case.faults = vec![(0, u64::MAX, Fault::Timeout)]);
-    assert_eq!(mute.reopened.ending, ReopenEnding::GivenUp);
-    assert!(!mute.has_link);
-    let off = done(|case| case.limit_s = Some(0.0));
-    assert_eq!((off.reopened.attempts, off.asked.len()), (0, 0));
-}
-
-#[test]
-fn a_drive_that_is_back_in_fault_is_not_shown_as_safe() {
-    let done = done(|case| case.faults = vec![(0, u64::MAX, Fault::TripWith(7))]);
-    assert_eq!(done.reopened.ending, ReopenEnding::Stopped);
-    has(&done.reopened.text, "it is in fault");
-    assert_ne!(done.shown.phase, Some(Phase::Safe));
-}
-
-#[test]
-fn whoever_wants_to_leave_does_not_wait() {
+fn a_stop_or_quit_ends_the_search_at_once() {
     for intent in [Some(Intent::Stop), Some(Intent::Quit), None] {
-        let done = Case {
-            there_at: u32::MAX,
-            limit_s: None,
-            stopped: intent.is_none(),
-            intent,
-            ..Case::default()
-        }
-        .go();
+        let done = done(|case| {
+            (case.there_at, case.limit_s) = (u32::MAX, None);
+            (case.stopped, case.intent) = (intent.is_none(), intent);
+        });
         assert_eq!(done.reopened.ending, ReopenEnding::Interrupted);
-        assert!(done.reopened.downtime_s < 0.2);
+        within(done.reopened.downtime_s, ..0.2);
     }
 }

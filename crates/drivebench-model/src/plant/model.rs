@@ -200,7 +200,7 @@ impl Model {
         match *slot {
             Slot::Motor(key) => self.motor.set(key, value),
             Slot::Effect { index, parameter, .. } => {
-                self.effects[index].values[parameter] = Some(value)
+                self.effects[index].values[parameter] = Some(value);
             }
         }
     }
