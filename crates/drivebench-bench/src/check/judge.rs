@@ -66,7 +66,6 @@ impl Extremes {
         let speeds: Vec<f64> =
             points().rev().filter_map(|point| point.speed_rad_s).take(2).collect();
         let mean = speeds.iter().sum::<f64>() / speeds.len().max(1) as f64 - known.speed.0;
-        // A sensor the wrong way round shows a change the wrong way round too.
         let with_current =
             || points().filter_map(|point| Some((point.demand.abs(), point.current_a?)));
         let least = with_current().min_by(|a, b| a.0.total_cmp(&b.0));
@@ -127,6 +126,7 @@ fn fault(known: &Known<'_>, direction: f64, found: &Extremes) -> Option<(String,
         && let Some(amps) = current
         && amps * direction < 0.0
     {
+        // Of a reversed sensor the change is reversed too.
         if let Some(rise_a) = found.rise_a.filter(|rise| rise * direction > known.flowed_a()) {
             return Some((
                 format!(
