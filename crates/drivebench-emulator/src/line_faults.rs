@@ -158,7 +158,7 @@ impl LineFaults {
                 }
             }
             FaultKind::SplitReply => {
-                let rest = answer.split_off(self.below(length));
+                let rest = answer.split_off(1 + self.below(length - 1));
                 out.push((due_s, answer));
                 // Time between the two parts, s.
                 self.late_until_s = due_s + 0.016;

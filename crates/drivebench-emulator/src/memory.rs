@@ -192,7 +192,8 @@ impl Burst for MemoryLink {
         let age_us = signed_difference(time_us, u32::from(high) << 16 | u32::from(low));
         let first_s = time_s - f64::from(age_us) * 1e-6;
         let period_s = self.capture_period_s;
-        let capture = Capture::collect(first_s, period_s, count, |index| {
+        let name = self.name().0;
+        let capture = Capture::collect(&name, first_s, period_s, count, |index| {
             let write = Some((WINDOW_ADDRESS, &[index][..]));
             let words: [u16; WINDOW_WORDS] =
                 self.exchange_registers(write, WINDOW_ADDRESS, "read a window")?;

@@ -3,7 +3,7 @@
 use firmware_protocol::CaptureSample;
 use firmware_protocol::registers::WINDOW_INDEX;
 
-use super::link_error::Result;
+use super::link_error::{LinkError, Result};
 use drivebench_model::sample::{Channel, Origin, Run, RunError};
 
 pub trait Burst {
@@ -23,8 +23,10 @@ pub struct Capture {
 }
 
 impl Capture {
-    /// Collects a burst from blocks of samples; `block` reads the one that begins at an index.
+    /// Collects a burst from blocks of samples; `block` reads the one that begins at an index. A block without samples is an
+    /// error of `link`.
     pub fn collect(
+        link: &str,
         first_s: f64,
         period_s: f64,
         count: u16,
@@ -33,7 +35,12 @@ impl Capture {
         let mut samples = Vec::with_capacity(count.into());
         while samples.len() < usize::from(count) {
             let index = u16::try_from(samples.len()).unwrap_or(u16::MAX);
-            samples.extend(block(index)?);
+            let block = block(index)?;
+            if block.is_empty() {
+                let reason = format!("no captured samples from {index} on");
+                return Err(LinkError::Mismatch(link.to_owned(), reason));
+            }
+            samples.extend(block);
         }
         Ok(Self { first_s, period_s, samples })
     }
@@ -102,6 +109,15 @@ mod tests {
         // The voltage between samples 3 and 4 is that of sample 4.
         assert!((run.column(Channel::Voltage).unwrap()[3] - 14.0).abs() < 1e-12);
         assert!(run.column(Channel::Speed).is_none());
+    }
+
+    #[test]
+    fn a_block_without_samples_is_an_error() {
+        let found = Capture::collect("sim:", 0.0, 1e-4, 1, |_| Ok(Vec::new()));
+        assert_eq!(
+            found.unwrap_err().to_string(),
+            "sim: the reply belongs to another request: no captured samples from 0 on"
+        );
     }
 
     #[test]

@@ -569,14 +569,9 @@ impl Burst for ModbusLink {
         let age_us = signed_difference(time_us, u32::from(high) << 16 | u32::from(low));
         let first_s = now_s - f64::from(age_us) * 1e-6;
         let period_s = self.core.capture_period_s;
-        let capture = Capture::collect(first_s, period_s, count, |index| {
-            let samples = window_samples(index, &self.window(index)?);
-            if samples.is_empty() {
-                return Err(self.mismatch(format!("no captured samples from {index} on")));
-            }
-            Ok(samples)
-        });
-        capture.map(Some)
+        let name = self.core.name.clone();
+        let block = |index| Ok(window_samples(index, &self.window(index)?));
+        Capture::collect(&name, first_s, period_s, count, block).map(Some)
     }
 }
 

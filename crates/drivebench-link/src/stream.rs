@@ -346,7 +346,8 @@ impl Burst for StreamLink {
         let age_us = signed_difference(drive_us, status.first_time_us);
         let first_s = now_s - f64::from(age_us) * 1e-6;
         let period_s = self.core.capture_period_s;
-        let capture = Capture::collect(first_s, period_s, status.count, |index| {
+        let name = self.core.name.clone();
+        let capture = Capture::collect(&name, first_s, period_s, status.count, |index| {
             let question = Message::CaptureRequest(index);
             let block =
                 self.read_with_retries(&question, "captured samples", |message| match message {

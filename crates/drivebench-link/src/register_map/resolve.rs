@@ -264,8 +264,9 @@ impl Reader<'_> {
         };
         part.of("function", self.knows(function))?;
         let bits = keys.bits.as_deref().map(|text| {
-            bit_range(text, 16 * keys.kind.registers()).ok_or_else(|| {
-                format!("bits {text:?} is not allowed (expected \"FIRST..LAST\" within the type)")
+            let width = if keys.byte.is_some() { 8 } else { 16 * keys.kind.registers() };
+            bit_range(text, width).ok_or_else(|| {
+                format!("bits {text:?} is not allowed (expected \"FIRST..LAST\" within the type or the byte)")
             })
         });
         let bits = part.of("bits", bits.transpose())?;

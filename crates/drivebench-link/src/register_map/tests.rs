@@ -178,7 +178,7 @@ fn defects_are_named_with_place_and_nearest_key() {
     let text = include_str!("defects.toml");
     let mut defects: BTreeMap<String, Vec<Defect>> = toml::from_str(text).unwrap();
     let defects = defects.remove("defect").unwrap();
-    assert_eq!(defects.len(), 34);
+    assert_eq!(defects.len(), 35);
     let mut surprises = Vec::new();
     for defect in defects {
         let (error, at) = wrong(&defect.profile, &defect.from, &defect.to);
