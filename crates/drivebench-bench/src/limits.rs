@@ -272,8 +272,7 @@ mod tests {
         assert_eq!(plate.doubts(), Vec::<String>::new());
         let in_rpm = MotorSection { rated_speed_rad_s: 2800.0, ..plate.clone() };
         has(in_rpm.doubts().join(" "), "2800 r/min would be 293.2 rad/s");
-        let in_milliampere = MotorSection { rated_current_a: 5700.0, ..plate };
-        has(&in_milliampere.doubts()[0], "given in mA");
+        has(&MotorSection { rated_current_a: 5700.0, ..plate }.doubts()[0], "given in mA");
     }
 
     #[test]

@@ -227,8 +227,7 @@ mod tests {
         }
         let events: Vec<_> = reports.iter().map(|(k, event, _)| (*k, *event)).collect();
         let (stale, end) = ("stale_frames", "stale_frames_end");
-        let expected = [(101, stale), (110, stale), (200, stale), (751, end)];
-        assert_eq!(events, expected, "{reports:?}");
+        assert_eq!(events, [(101, stale), (110, stale), (200, stale), (751, end)], "{reports:?}");
     }
 
     #[test]

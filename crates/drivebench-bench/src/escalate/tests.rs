@@ -198,21 +198,7 @@ fn fault_of(seed: u64) -> Option<String> {
     let done = escalated(&bench, &config, seed);
     let limits = bench.limits();
     let truth = &config.motor;
-    let about = |what: String| {
-        Some(format!(
-            "seed {seed}: {what}\n R {} L/R {:.2} ms Ke {} J {} TM {:.1} ms Mc {} rated {:.1} V {:.2} A {:.0} rad/s\n{}",
-            truth.resistance_ohm,
-            1e3 * truth.inductance_h / truth.resistance_ohm,
-            truth.back_emf_v_s_per_rad,
-            truth.inertia_kg_m2,
-            1e3 * truth.resistance_ohm * truth.inertia_kg_m2 / truth.back_emf_v_s_per_rad.powi(2),
-            truth.load_torque_n_m,
-            truth.rated_voltage_v,
-            truth.rated_current_a,
-            truth.rated_speed_rad_s,
-            report(&done)
-        ))
-    };
+    let about = |what: String| Some(format!("seed {seed}: {what}\n{truth:?}\n{}", report(&done)));
     if done.outcomes.iter().any(|outcome| *outcome != RunOutcome::Done) {
         return about("a trip".to_owned());
     }

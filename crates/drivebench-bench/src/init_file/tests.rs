@@ -161,8 +161,7 @@ fn every_line_gets_a_rate_that_it_carries() {
     }
     let mut slow = DriveProfile::named("own").unwrap();
     slow.link.baud = 9600;
-    let motor = plate();
-    within(init_file(&request(&slow, &motor, readback())).unwrap().bench.link.rate_hz, ..20.0);
+    within(init_file(&request(&slow, &plate(), readback())).unwrap().bench.link.rate_hz, ..20.0);
 }
 
 #[test]

@@ -38,8 +38,7 @@ impl Range {
 
     pub(super) fn of(values: impl Iterator<Item = f64>) -> Option<Self> {
         values.fold(None, |range: Option<Self>, value| {
-            let range = range.unwrap_or(Self::at(value));
-            Some(range.with(value))
+            Some(range.unwrap_or(Self::at(value)).with(value))
         })
     }
 

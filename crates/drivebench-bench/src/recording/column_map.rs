@@ -228,8 +228,7 @@ mod tests {
             ("Torque (N\u{b7}m)*-1", "Torque (N\u{b7}m)", -1.0, 0.0),
             ("Motor = a", "Motor = a", 1.0, 0.0),
         ] {
-            let expected = (header.to_owned(), factor, offset);
-            assert_eq!(one(source).unwrap(), expected, "{source}");
+            assert_eq!(one(source).unwrap(), (header.to_owned(), factor, offset), "{source}");
         }
     }
 
