@@ -36,7 +36,6 @@ impl Status {
     pub const COMMAND_APPLIED: u16 = 1 << 7;
     /// The drive is software.
     pub const EMULATOR: u16 = 1 << 8;
-    const STATE_MASK: u16 = 0b111;
 
     /// A state without flags.
     pub const fn new(state: State) -> Self {
@@ -45,7 +44,7 @@ impl Status {
 
     /// The state; `None` for a reserved code, to be treated as a fault.
     pub const fn state(self) -> Option<State> {
-        State::from_code(self.0 & Self::STATE_MASK)
+        State::from_code(self.0 & 0b111)
     }
 
     /// Sets a flag if `on`.

@@ -1,12 +1,9 @@
 //! Where typed values are written to and read from: a block of registers, or the bytes of a stream message.
 //!
-//! A scaled one-word register travels on the stream as i32 with [`STREAM_FINER`] times finer steps;
+//! A scaled one-word register travels on the stream as i32 with 1000 times finer steps;
 //! everything else travels as it stands in the register. The numbers are big-endian, as the words are.
 
 use crate::registers::{Kind, Register};
-
-/// Steps of the stream per step of a scaled one-word register.
-pub(crate) const STREAM_FINER: f64 = 1000.0;
 
 pub(crate) trait Sink {
     fn raw(&mut self, register: &Register, raw: i64);
@@ -63,7 +60,7 @@ pub(crate) fn on_stream(register: &Register) -> Register {
     if register.words == 1 && register.steps_per_unit() > 1.0 {
         Register {
             words: 2,
-            scale: register.scale / STREAM_FINER,
+            scale: register.scale / 1000.0,
             kind: Kind::I32,
             min: Kind::I32.lowest() + 1,
             max: Kind::I32.highest(),

@@ -6,22 +6,11 @@ use crate::codes::coded;
 /// Longest PDU, bytes.
 pub const MAX_PDU: usize = 253;
 
-const READ_HOLDING: u8 = 3;
-const READ_INPUT: u8 = 4;
-const WRITE_SINGLE: u8 = 6;
-const DIAGNOSTICS: u8 = 8;
-const WRITE_MULTIPLE: u8 = 16;
-const READ_WRITE: u8 = 23;
-const ENCAPSULATED: u8 = 43;
-const DEVICE_IDENTIFICATION: u8 = 14;
-
+/// Most registers of a read and of a write.
 const MAX_READ: usize = 125;
 const MAX_WRITE: usize = 123;
-const MAX_READ_WRITE_WRITE: usize = 121;
-/// Conformity level: regular objects, stream and individual access.
-const CONFORMITY: u8 = 0x82;
-const LAST_BASIC_OBJECT: u8 = 2;
-const LAST_REGULAR_OBJECT: u8 = 6;
+/// MEI type of the device identification.
+const DEVICE_IDENTIFICATION: u8 = 14;
 
 coded! {
     /// Why a request is refused.
@@ -79,12 +68,12 @@ pub fn respond(bank: &mut impl RegisterBank, request_pdu: &[u8]) -> Bytes<MAX_PD
     };
     let mut response = Bytes::of(&[function]);
     let answer = match function {
-        READ_HOLDING | READ_INPUT => read(bank, data, &mut response),
-        WRITE_SINGLE => write_single(bank, data, &mut response),
-        DIAGNOSTICS => echo(data, &mut response),
-        WRITE_MULTIPLE => write_multiple(bank, data, &mut response),
-        READ_WRITE => read_write(bank, data, &mut response),
-        ENCAPSULATED => identify(bank, data, &mut response),
+        3 | 4 => read(bank, data, &mut response),
+        6 => write_single(bank, data, &mut response),
+        8 => echo(data, &mut response),
+        16 => write_multiple(bank, data, &mut response),
+        23 => read_write(bank, data, &mut response),
+        43 => identify(bank, data, &mut response),
         _ => Err(Exception::IllegalFunction),
     };
     let refusal = |exception: Exception| Bytes::of(&[function | 0x80, exception.code()]);
@@ -195,7 +184,8 @@ fn read_write(bank: &mut impl RegisterBank, data: &[u8], response: &mut Bytes<MA
     if !(1..=MAX_READ).contains(&read_quantity) {
         return Err(Exception::IllegalValue);
     }
-    let registers = parse_write(address, quantity, MAX_READ_WRITE_WRITE, *count, values)?;
+    // Two registers fewer than of a plain write: the request holds the range to read, too.
+    let registers = parse_write(address, quantity, 121, *count, values)?;
     check_range(read_address, read_quantity)?;
     if !bank.readable(read_address, read_quantity) {
         return Err(Exception::IllegalAddress);
@@ -216,9 +206,9 @@ fn identify(bank: &impl RegisterBank, data: &[u8], response: &mut Bytes<MAX_PDU>
         return Err(Exception::IllegalValue);
     };
     let (first, last) = match code {
-        1 => (object, LAST_BASIC_OBJECT),
+        1 => (object, 2),
         // Extended is answered at the drive's own level, regular.
-        2 | 3 => (object, LAST_REGULAR_OBJECT),
+        2 | 3 => (object, 6),
         4 if bank.identification(object).is_some() => (object, object),
         4 => return Err(Exception::IllegalAddress),
         _ => return Err(Exception::IllegalValue),
@@ -226,8 +216,9 @@ fn identify(bank: &impl RegisterBank, data: &[u8], response: &mut Bytes<MAX_PDU>
     // A stream that asks for an object that does not exist begins again at object 0.
     let known = first <= last && bank.identification(first).is_some();
     let first = if known { first } else { 0 };
-    // Whether more follows, where it begins, and how many there are: known behind the last of them.
-    response.extend(&[DEVICE_IDENTIFICATION, code, CONFORMITY, 0, 0, 0]);
+    // Conformity: regular objects, stream and individual access. Whether more follows, where it begins, and how many there are
+    // is known behind the last of them.
+    response.extend(&[DEVICE_IDENTIFICATION, code, 0x82, 0, 0, 0]);
     for object in first..=last {
         let Some(text) = bank.identification(object) else {
             continue;

@@ -7,10 +7,6 @@ use crate::wire::{Sink, Source};
 
 /// Samples in one block at most.
 pub const CAPTURE_BLOCK_SAMPLES: usize = 32;
-/// Bytes of a block before its samples.
-pub(super) const HEADER: usize = 3;
-/// Bytes of one sample: three i32.
-pub(super) const SAMPLE: usize = 12;
 
 /// State of the capture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -23,8 +23,8 @@ use payload::{Plain, Reader};
 
 /// Type, version, sequence number, drive time.
 pub const HEADER: usize = 8;
-/// Longest payload, bytes: a full capture block.
-pub const MAX_PAYLOAD: usize = capture::HEADER + CAPTURE_BLOCK_SAMPLES * capture::SAMPLE;
+/// Longest payload, bytes: a full capture block of 12 bytes (three i32) a sample, behind index and count.
+pub const MAX_PAYLOAD: usize = 3 + CAPTURE_BLOCK_SAMPLES * 12;
 /// Longest frame before COBS, checksum included.
 const MAX_PLAIN: usize = HEADER + MAX_PAYLOAD + 2;
 /// Longest frame on the wire, delimiter included.
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_that_never_ends_its_frame_is_one_damage_and_the_next_frame_is_whole() {
+    fn an_endless_frame_is_one_damage() {
         let mut decoder = Decoder::new();
         for _ in 0..10_000 {
             assert_eq!(decoder.push(1), None);

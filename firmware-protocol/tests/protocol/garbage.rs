@@ -8,8 +8,11 @@ use crate::properties::config;
 use crate::support::{UNIT, noise, rtu_frame};
 
 const LONG: usize = 65_536;
+
 /// Three checksums of a longest frame for each byte: as request, as answer of another, and once more while it waits.
-const MOST_WORK_PER_BYTE: u64 = 3 * rtu::MAX_FRAME as u64;
+const fn most_work(bytes: usize) -> u64 {
+    (3 * rtu::MAX_FRAME * bytes) as u64
+}
 
 /// A pattern repeated, where garbage is worst: beginnings of long frames everywhere.
 fn pattern() -> impl Strategy<Value = Vec<u8>> {
@@ -49,16 +52,16 @@ proptest! {
     fn the_work_of_the_rtu_receiver_is_linear(pattern in pattern(), asks_late in any::<bool>()) {
         let work = |length| rtu_work(repeated(&pattern, length), asks_late);
         let (quarter, whole) = (work(LONG / 4), work(LONG));
-        prop_assert!(whole <= MOST_WORK_PER_BYTE * LONG as u64, "{whole}");
+        prop_assert!(whole <= most_work(LONG), "{whole}");
         // One longest frame more or less at the ends.
-        let edge = MOST_WORK_PER_BYTE * 2 * rtu::MAX_FRAME as u64;
+        let edge = most_work(2 * rtu::MAX_FRAME);
         prop_assert!(whole <= 4 * quarter + 4 * edge, "{quarter} {whole}");
     }
 
     #[test]
     fn random_garbage_costs_the_rtu_receiver_no_more(seed in any::<u32>()) {
         let bytes = noise(seed).take(LONG);
-        prop_assert!(rtu_work(bytes, false) <= MOST_WORK_PER_BYTE * LONG as u64);
+        prop_assert!(rtu_work(bytes, false) <= most_work(LONG));
     }
 
     #[test]
@@ -103,7 +106,7 @@ proptest! {
 }
 
 #[test]
-fn receivers_are_as_large_as_their_buffers_and_hold_no_other_memory() {
+fn receivers_are_as_large_as_their_buffers() {
     // The crate has no allocator, so this is all there is.
     assert!(size_of::<RtuReceiver>() <= 2 * rtu::MAX_FRAME + 80);
     assert!(size_of::<TcpReceiver>() <= tcp::HEADER + MAX_PDU + 40);

@@ -37,7 +37,7 @@ impl RegisterBank for Memory {
 }
 
 #[test]
-fn the_examples_of_the_modbus_specification_are_answered_as_printed_there() {
+fn examples_of_the_modbus_specification_are_answered() {
     let mut memory = Memory(vec![0; 0x1_0000]);
     memory.0[107..110].copy_from_slice(&[0x022B, 0x0000, 0x0064]);
     memory.0[8] = 10;
@@ -178,7 +178,7 @@ fn frame(unit: u8, pdu: &str) -> Vec<u8> {
 }
 
 #[test]
-fn silent_on_wrong_checksum_other_unit_and_broadcast_which_is_executed() {
+fn silent_on_wrong_checksum_other_unit_and_broadcast() {
     let (mut receiver, mut bank) = (RtuReceiver::new(UNIT), Bank::new());
     let mut damaged = frame(UNIT, "06 00 49 00 64");
     damaged[3] ^= 1;
@@ -211,7 +211,7 @@ fn two_requests_back_to_back_get_two_answers() {
 }
 
 #[test]
-fn a_frame_is_found_behind_garbage_half_frames_and_the_answers_of_others() {
+fn a_frame_is_found_behind_garbage_and_others_answers() {
     let good = frame(UNIT, "03 00 40 00 01");
     for before in [
         unhex("ff 00 55"),
@@ -235,7 +235,7 @@ fn a_frame_is_found_behind_garbage_half_frames_and_the_answers_of_others() {
 }
 
 #[test]
-fn a_receiver_that_is_never_asked_stays_bounded_and_finds_the_newest() {
+fn an_unread_receiver_stays_bounded_and_finds_the_newest() {
     let (mut receiver, mut bank) = (RtuReceiver::new(UNIT), Bank::new());
     for _ in 0..5000 {
         receiver.push(UNIT);
@@ -292,7 +292,7 @@ fn lengths_for_pacing_are_those_of_real_answers() {
 }
 
 #[test]
-fn tcp_repeats_transaction_and_unit_and_refuses_another_protocol() {
+fn tcp_repeats_transaction_and_unit() {
     let mut receiver = TcpReceiver::new();
     let request = unhex("ca fe 00 00 00 06 11 03 00 40 00 01");
     let (last, first) = request.split_last().unwrap();

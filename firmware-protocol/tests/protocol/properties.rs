@@ -155,7 +155,7 @@ proptest! {
     }
 
     #[test]
-    fn rtu_requests_are_found_whole_behind_any_garbage_that_a_gap_ends(
+    fn rtu_requests_are_found_behind_any_garbage_and_a_gap(
         garbage in line(),
         requests in vec(pdu(), 1..5),
         late in any::<bool>(),
@@ -217,7 +217,7 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_leave_the_tcp_receiver_and_the_stream_decoder_standing(bytes in line()) {
+    fn any_bytes_are_safe_for_tcp_receiver_and_stream_decoder(bytes in line()) {
         let (mut receiver, mut decoder) = (TcpReceiver::new(), Decoder::new());
         for byte in &bytes {
             if let Ok(Some(frame)) = receiver.push(*byte) {

@@ -10,7 +10,7 @@ use firmware_protocol::{
 };
 
 #[test]
-fn rows_rise_do_not_overlap_and_are_found_at_each_of_their_words() {
+fn rows_rise_without_overlap_and_are_found_at_each_word() {
     let mut owners = std::collections::HashMap::new();
     for register in REGISTERS {
         assert_eq!(register.words, register.kind.words(), "{}", register.name);
@@ -34,7 +34,7 @@ fn rows_rise_do_not_overlap_and_are_found_at_each_of_their_words() {
 }
 
 #[test]
-fn the_first_sixteen_are_the_telemetry_block_at_its_agreed_places() {
+fn the_first_sixteen_are_the_telemetry_block() {
     let block = telemetry().to_registers();
     let wanted = [
         0x0182, 0, 0x1234, 0x0102, 0x0304, 0x0102, 0x0000, 2400, 0xFF83, 3025, 0xFF43, 0x9EB2, 482,
@@ -102,7 +102,7 @@ fn every_command_survives_the_block() {
 }
 
 #[test]
-fn an_old_set_point_does_not_come_back_with_a_control_word_alone() {
+fn a_control_word_alone_brings_no_old_set_point_back() {
     use Control::{Disable, Speed, Stop, Voltage};
     let command = |seq, control| Ok(DriveCommand { seq, control });
     let mut block = CommandBlock::default();

@@ -178,7 +178,7 @@ fn telemetry_fields() -> Vec<(&'static str, &'static str, String, &'static str)>
 }
 
 #[test]
-fn the_telemetry_payload_in_spec_md_has_the_length_of_the_real_one() {
+fn the_telemetry_payload_in_spec_md_has_its_real_length() {
     let described: usize = telemetry_fields()
         .iter()
         .map(|(_, kind, ..)| if kind.ends_with("32") { 4 } else { 2 })
