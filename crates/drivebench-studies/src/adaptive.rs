@@ -17,16 +17,13 @@ use drivebench::plant::Model;
 
 /// Mechanical time constants of Figure 6, s; the regulators are made for the first.
 pub const MECHANICAL_S: [f64; 3] = [0.2, 0.05, 1.0];
-/// Sampling period and delay: a host at 100 Hz behind a link that takes two cycles.
-const PERIOD_S: f64 = 0.01;
-const DELAY_CYCLES: f64 = 2.0;
-/// Steps of the square wave, rad/s, each level held for so long, s.
-const LEVELS_RAD_S: [f64; 2] = [90.0, 110.0];
-const HALF_S: f64 = 4.0;
 /// Forgetting factor of Figure 6.
 pub const FORGETTING: f64 = 0.96;
+/// Sampling period, s, and delay: a host at 100 Hz behind a link that takes two cycles.
+const PERIOD_S: f64 = 0.01;
+const DELAY_CYCLES: f64 = 2.0;
 const SIZES: Sizes =
-    Sizes { levels_rad_s: LEVELS_RAD_S, half_s: HALF_S, start_rad_s: 250.0, load_n_m: 1.0 };
+    Sizes { levels_rad_s: [90.0, 110.0], half_s: 4.0, start_rad_s: 250.0, load_n_m: 1.0 };
 
 /// Figures 5 to 7 of paper A.
 #[derive(Clone, Debug, Serialize)]
@@ -76,7 +73,7 @@ fn bench() -> Bench {
         current_noise_a: 0.03,
         scale_rad_s: 120.0,
         forgetting: FORGETTING,
-        // Paper B's design knows no delay: behind two cycles of it only a slow one holds.
+        // Paper B's design has no delay: behind two cycles of it only a slow one holds.
         paper_b: PaperBSettings {
             voltage_cost: 2.0,
             filter_share: 0.3,
@@ -86,10 +83,6 @@ fn bench() -> Bench {
         observer: LoadObservingSettings::default(),
     }
 }
-
-/// Steps of the reference before the adaptation joins, and in all.
-const FIXED_STEPS: usize = 4;
-const ALL_STEPS: usize = 8;
 
 /// A PI regulator tuned for another inertia; in the middle the adaptation joins.
 #[derive(Clone, Debug, Serialize)]
@@ -109,12 +102,12 @@ pub struct Figure5 {
 }
 
 pub(super) fn figure_5(bench: &Bench) -> Figure5 {
-    let joins_at_s = FIXED_STEPS as f64 * HALF_S;
+    // Four steps of the reference before the adaptation joins, and four after it.
+    let joins_at_s = 4.0 * SIZES.half_s;
     let joins_at = cycles(joins_at_s, PERIOD_S);
-    let length_s = ALL_STEPS as f64 * HALF_S;
-    let (trace, controller) = joined(bench, joins_at, length_s, &|_| MECHANICAL_S[1]);
+    let (trace, controller) = joined(bench, joins_at, 2.0 * joins_at_s, &|_| MECHANICAL_S[1]);
     let mut before = steps(&trace);
-    let after = before.split_off(FIXED_STEPS);
+    let after = before.split_off(4);
     Figure5 {
         tuned_for_s: MECHANICAL_S[0],
         mechanical_s: MECHANICAL_S[1],
@@ -136,8 +129,8 @@ fn joined(
     mechanical_s: &dyn Fn(f64) -> f64,
 ) -> (Vec<TrialPoint>, Joining) {
     let mut controller = Joining::new(bench.pi(), bench.addc(), joins_at);
-    let [low, high] = LEVELS_RAD_S;
-    let trace = Trial::of(bench, square(HALF_S, high, low))
+    let [low, high] = SIZES.levels_rad_s;
+    let trace = Trial::of(bench, square(SIZES.half_s, high, low))
         .with_inertia_ratio(bench, |t| mechanical_s(t) / MECHANICAL_S[0])
         .run(&mut controller, length_s);
     (trace, controller)
@@ -148,12 +141,6 @@ fn estimates_s(controller: &Joining) -> Vec<f64> {
     let ratios = controller.ratios.iter();
     ratios.map(|ratio| ratio * MECHANICAL_S[0]).collect()
 }
-
-/// Steps of the reference with each TM.
-const STEPS_EACH: usize = 6;
-/// What an adapted step may take: this much of the acceleration at the current limit, and so many small time constants.
-const ACCELERATION_SHARE: f64 = 1.3;
-const SMALL_TIMES: f64 = 5.0;
 
 /// One step of the reference with both regulators.
 #[derive(Clone, Debug, Serialize)]
@@ -198,7 +185,9 @@ impl Figure6 {
 }
 
 pub(super) fn figure_6(bench: &Bench) -> Figure6 {
-    let each_s = HALF_S * STEPS_EACH as f64;
+    // Steps of the reference with each TM.
+    let steps_each: u32 = 6;
+    let each_s = SIZES.half_s * f64::from(steps_each);
     let mechanical = |t: f64| {
         let section = MECHANICAL_S.len().min(1 + whole(t / each_s + 1e-9)) - 1;
         MECHANICAL_S[section]
@@ -207,13 +196,13 @@ pub(super) fn figure_6(bench: &Bench) -> Figure6 {
     let (fixed, fixed_pi) = run(usize::MAX);
     let (adaptive, adapted) = run(0);
     let estimate_s = estimates_s(&adapted);
-    let rows = cycles(HALF_S, PERIOD_S);
+    let rows = cycles(SIZES.half_s, PERIOD_S);
     let pairs = steps(&fixed).into_iter().zip(steps(&adaptive));
     let stepped = pairs.enumerate().map(|(n, (fixed, adaptive))| {
         let mechanical_s = mechanical(adaptive.at_s);
         SteppedBy {
             mechanical_s,
-            step: n % STEPS_EACH + 1,
+            step: n % steps_each as usize + 1,
             allowed_settling_s: allowed_s(bench, mechanical_s, &adaptive),
             estimate_s: estimate_s[(n + 1) * rows - 1],
             fixed,
@@ -234,32 +223,47 @@ pub(super) fn figure_6(bench: &Bench) -> Figure6 {
     }
 }
 
-/// By the current that is left for the acceleration; friction helps to brake, the worse way counts.
+/// 1.3 times the acceleration by the current that friction leaves for it (it helps to brake: the worse way counts), and five
+/// small time constants.
 fn allowed_s(bench: &Bench, mechanical_s: f64, step: &Step) -> f64 {
     let ratio = mechanical_s / MECHANICAL_S[0];
     let machine = bench.machine();
     let torque = machine.torque_n_m_per_a * bench.current_limit_a - machine.friction_n_m;
     let change = (step.to_rad_s - step.from_rad_s).abs();
     let acceleration_s = change * ratio * bench.inertia() / torque;
-    ACCELERATION_SHARE * acceleration_s + SMALL_TIMES * bench.tuning(ratio).small_time_s
+    1.3 * acceleration_s + 5.0 * bench.tuning(ratio).small_time_s
 }
 
-/// Start and brake: standstill to full speed and back, each for so long, s.
-const FULL_RAD_S: f64 = 250.0;
-const FULL_HALF_S: f64 = 5.0;
-const FULL_STEPS: usize = 12;
-/// End of each step over which its error counts, s.
-const COUNTED_S: f64 = 2.0;
+/// Start and brake to full speed, and the jumps of TM.
+struct Figure7Settings {
+    /// Start and brake: standstill to full speed and back, each step for `full_half_s`.
+    full_rad_s: f64,
+    full_half_s: f64,
+    full_steps: f64,
+    /// End of each of these steps over which its error counts.
+    counted_s: f64,
+    /// Heights of the steps with which the adaptation is compared, about the middle.
+    heights_rad_s: [f64; 4],
+    middle_rad_s: f64,
+    small_half_s: f64,
+    steps_before: usize,
+    steps_after: usize,
+    /// A shaft is where an adapted regulator would have it within this share of the step's height.
+    adapted_share: f64,
+}
 
-/// Heights of the steps with which the adaptation is compared, rad/s about this speed.
-const HEIGHTS_RAD_S: [f64; 4] = [1.0, 4.0, 10.0, 20.0];
-const MIDDLE_RAD_S: f64 = 100.0;
-const SMALL_HALF_S: f64 = 4.0;
-/// Steps before the jump and after it.
-const STEPS_BEFORE: usize = 6;
-const STEPS_AFTER: usize = 12;
-/// A shaft is where an adapted regulator would have it within this share of the step's height.
-const ADAPTED_SHARE: f64 = 0.1;
+const JUMPS: Figure7Settings = Figure7Settings {
+    full_rad_s: 250.0,
+    full_half_s: 5.0,
+    full_steps: 12.0,
+    counted_s: 2.0,
+    heights_rad_s: [1.0, 4.0, 10.0, 20.0],
+    middle_rad_s: 100.0,
+    small_half_s: 4.0,
+    steps_before: 6,
+    steps_after: 12,
+    adapted_share: 0.1,
+};
 
 /// One start or brake.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -372,7 +376,7 @@ pub(super) fn figure_7(bench: &Bench) -> Figure7 {
     let mut shown = (0.0, Vec::new());
     for noise in [false, true] {
         for mechanical_s in [MECHANICAL_S[1], MECHANICAL_S[2]] {
-            for height_rad_s in HEIGHTS_RAD_S {
+            for height_rad_s in JUMPS.heights_rad_s {
                 let found = RIVALS.map(|kind| jump(bench, kind, mechanical_s, height_rad_s, noise));
                 let is_fair = found.iter().all(|(found, _)| found.limited_percent == 0.0);
                 if is_fair && !noise && mechanical_s < MECHANICAL_S[0] {
@@ -386,7 +390,7 @@ pub(super) fn figure_7(bench: &Bench) -> Figure7 {
         }
     }
     let mut figure = Figure7 {
-        full_rad_s: FULL_RAD_S,
+        full_rad_s: JUMPS.full_rad_s,
         saturated: kinds.map(|kind| start_and_brake(bench, kind)).into(),
         adaptation,
         addc_slower: [Slower::default(); 2],
@@ -398,11 +402,11 @@ pub(super) fn figure_7(bench: &Bench) -> Figure7 {
 }
 
 fn start_and_brake(bench: &Bench, kind: Kind) -> Saturated {
-    let seconds = FULL_HALF_S * FULL_STEPS as f64;
-    let trial = Trial::of(bench, square(FULL_HALF_S, 0.0, FULL_RAD_S));
+    let seconds = JUMPS.full_half_s * JUMPS.full_steps;
+    let trial = Trial::of(bench, square(JUMPS.full_half_s, 0.0, JUMPS.full_rad_s));
     let trace = trial.run(&mut *bench.controller(kind), seconds);
-    let rows = cycles(FULL_HALF_S, PERIOD_S);
-    let counted = cycles(COUNTED_S, PERIOD_S);
+    let rows = cycles(JUMPS.full_half_s, PERIOD_S);
+    let counted = cycles(JUMPS.counted_s, PERIOD_S);
     let cycle = |chunk: &[TrialPoint]| Cycle {
         to_rad_s: chunk[0].reference_rad_s,
         error_rad_s: rms(chunk[rows - counted..].iter().map(error)),
@@ -420,30 +424,31 @@ fn jump(
     noise: bool,
 ) -> (Adaptation, Vec<TrialPoint>) {
     let half = 0.5 * height_rad_s;
-    let jump_s = STEPS_BEFORE as f64 * SMALL_HALF_S;
+    let jump_s = JUMPS.steps_before as f64 * JUMPS.small_half_s;
     let ratio = mechanical_s / MECHANICAL_S[0];
-    let run = |bench_told: &Bench, ratio: &dyn Fn(f64) -> f64| {
-        let reference = square(SMALL_HALF_S, MIDDLE_RAD_S + half, MIDDLE_RAD_S - half);
+    let run = |regulators: &Bench, ratio: &dyn Fn(f64) -> f64| {
+        let reference =
+            square(JUMPS.small_half_s, JUMPS.middle_rad_s + half, JUMPS.middle_rad_s - half);
         let mut trial = Trial::of(bench, reference).with_inertia_ratio(bench, ratio);
         if !noise {
             trial.machine.speed_noise_rad_s = 0.0;
             trial.machine.current_noise_a = 0.0;
         }
-        let seconds = (STEPS_BEFORE + STEPS_AFTER) as f64 * SMALL_HALF_S;
-        trial.run(&mut *bench_told.controller(kind), seconds)
+        let seconds = (JUMPS.steps_before + JUMPS.steps_after) as f64 * JUMPS.small_half_s;
+        trial.run(&mut *regulators.controller(kind), seconds)
     };
     let trace = run(bench, &|t| if t >= jump_s - 1e-9 { ratio } else { 1.0 });
     // The same regulator made for the new TM, on a shaft that always had it.
     let adapted = run(&bench.with_inertia_ratio(ratio), &|_| ratio);
-    let rows = cycles(SMALL_HALF_S, PERIOD_S);
-    let after = STEPS_BEFORE * rows..;
+    let rows = cycles(JUMPS.small_half_s, PERIOD_S);
+    let after = JUMPS.steps_before * rows..;
     let pairs = trace[after.clone()].iter().zip(&adapted[after]);
     let away: Vec<f64> =
         pairs.map(|(now, adapted)| (now.speed_rad_s - adapted.speed_rad_s).abs()).collect();
     let over_height = |sum: f64| PERIOD_S * sum / height_rad_s;
-    let outside = |away: &f64| *away > ADAPTED_SHARE * height_rad_s;
+    let outside = |away: &f64| *away > JUMPS.adapted_share * height_rad_s;
     let back = away.iter().rposition(outside).map_or(0, |last| last + 1);
-    let step = |trace: &[TrialPoint]| steps(trace).swap_remove(STEPS_BEFORE);
+    let step = |trace: &[TrialPoint]| steps(trace).swap_remove(JUMPS.steps_before);
     let (first, adapted_first) = (step(&trace), step(&adapted));
     let cost = |step: &Step| step.response.absolute_error_rad / height_rad_s;
     let adaptation = Adaptation {
@@ -458,7 +463,7 @@ fn jump(
         adapted_after_s: (back < away.len() - rows).then_some(PERIOD_S * back as f64),
         limited_percent: first.limited_percent,
     };
-    let from_s = jump_s - 2.0 * SMALL_HALF_S;
+    let from_s = jump_s - 2.0 * JUMPS.small_half_s;
     let shown = trace.into_iter().filter(|point| point.time_s >= from_s);
     (adaptation, shown.collect())
 }

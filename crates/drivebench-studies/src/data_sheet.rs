@@ -4,31 +4,66 @@
 use serde::Serialize;
 
 use super::machine::{COMPLETE, driven, made_of, stamps};
-use drivebench::plant::{Input, Model, Plant, State};
+use drivebench::plant::{Input, Model, Motor, Plant, State};
 use drivebench::sample::Channel;
 use drivebench::units::rad_s_from_rpm;
 
-pub(super) const RESISTANCE_OHM: f64 = 3.25;
-const INDUCTANCE_H: f64 = 11.1e-3;
-const MUTUAL_H: f64 = 4.56e-3;
-pub(super) const ELECTRICAL_S: f64 = 0.0034;
-pub(super) const MECHANICAL_S: f64 = 0.076;
-pub(super) const BACK_EMF_V_PER_RPM: f64 = 0.097;
-const POWER_W: f64 = 1570.0;
-pub(super) const RATED_N_M: f64 = 10.0;
-pub(super) const RATED_A: f64 = 4.5;
-const RATED_RPM: f64 = 1500.0;
-const INERTIA_KG_M2: f64 = 16e-4;
-pub(super) const POLE_PAIRS: f64 = 2.0;
-const LINE_V: f64 = 380.0;
-/// `T_a = 0.827 T_M`.
-const MEAN_FACTOR: f64 = 0.827;
+/// What the paper prints of its motor.
+pub(super) struct Sheet {
+    pub resistance_ohm: f64,
+    inductance_h: f64,
+    mutual_h: f64,
+    /// T1 and Tm.
+    pub time_constants_s: [f64; 2],
+    pub back_emf_v_per_rpm: f64,
+    power_w: f64,
+    pub rated_n_m: f64,
+    pub rated_a: f64,
+    rated_rpm: f64,
+    inertia_kg_m2: f64,
+    pub pole_pairs: f64,
+    line_v: f64,
+}
+
+pub(super) const SHEET: Sheet = Sheet {
+    resistance_ohm: 3.25,
+    inductance_h: 11.1e-3,
+    mutual_h: 4.56e-3,
+    time_constants_s: [0.0034, 0.076],
+    back_emf_v_per_rpm: 0.097,
+    power_w: 1570.0,
+    rated_n_m: 10.0,
+    rated_a: 4.5,
+    rated_rpm: 1500.0,
+    inertia_kg_m2: 16e-4,
+    pole_pairs: 2.0,
+    line_v: 380.0,
+};
+
+impl Sheet {
+    /// ke in V.s/rad.
+    fn back_emf(&self) -> f64 {
+        self.back_emf_v_per_rpm / rad_s_from_rpm(1.0)
+    }
+
+    /// With T1, Tm and ke as printed; the torque constant is that of ke.
+    pub(super) fn motor(&self, load_torque_n_m: f64) -> Motor {
+        let (name, ke) = ("brushless motor of paper B", self.back_emf());
+        made_of(name, self.resistance_ohm, ke, self.time_constants_s, load_torque_n_m)
+    }
+
+    /// Mean of the rectified three-phase supply, V.
+    pub(super) fn rectified_v(&self) -> f64 {
+        self.line_v * std::f64::consts::SQRT_2 * 3.0 / std::f64::consts::PI
+    }
+}
+
 /// Chosen, for the paper gives none: what two switches in the current's way drop.
 const SWITCHES_V: f64 = 2.0;
 /// Steps of the commutation per electrical turn.
-const STEPS: f64 = 6.0;
+pub(super) const STEPS: f64 = 6.0;
 
-/// A value of the sheet beside what its other values say.
+/// A value of the sheet beside the same from its other values.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Check {
     pub what: &'static str,
@@ -51,7 +86,7 @@ pub struct Switched {
 #[derive(Clone, Debug, Serialize)]
 pub struct DataSheet {
     pub checks: Vec<Check>,
-    /// Mean of the rectified three-phase supply, and what the motor asks for at its rated speed and current, V: with ke and
+    /// Mean of the rectified three-phase supply, and what the motor needs at its rated speed and current, V: with ke and
     /// R as printed, and with two phases in series.
     pub rectified_v: f64,
     pub rated_v: [f64; 2],
@@ -64,45 +99,37 @@ pub struct DataSheet {
     pub switched: Vec<Switched>,
 }
 
-/// Mean of the rectified supply, V.
-pub(super) fn rectified_v() -> f64 {
-    LINE_V * std::f64::consts::SQRT_2 * 3.0 / std::f64::consts::PI
-}
-
 pub(super) fn data_sheet() -> DataSheet {
-    let rated_rad_s = rad_s_from_rpm(RATED_RPM);
-    let ke = BACK_EMF_V_PER_RPM / rad_s_from_rpm(1.0);
-    let kt = RATED_N_M / RATED_A;
-    let mechanical_s = |kt: f64| RESISTANCE_OHM * INERTIA_KG_M2 / (ke * kt);
+    let Sheet { resistance_ohm: r, inductance_h, power_w, rated_n_m, rated_a, .. } = SHEET;
+    let [electrical_ms, mechanical_ms] = SHEET.time_constants_s.map(|time_s| 1e3 * time_s);
+    let (rated_rad_s, ke) = (rad_s_from_rpm(SHEET.rated_rpm), SHEET.back_emf());
+    let kt = rated_n_m / rated_a;
+    let from_inertia_ms = |kt: f64| 1e3 * (r * SHEET.inertia_kg_m2 / (ke * kt));
     let check = |what, unit, printed, computed| Check { what, unit, printed, computed };
-    let rated_v = BACK_EMF_V_PER_RPM * RATED_RPM + RESISTANCE_OHM * RATED_A;
+    let rated_v = SHEET.back_emf_v_per_rpm * SHEET.rated_rpm + r * rated_a;
     // Two of three phases conduct for a sixth of an electrical turn about their common crest.
     let half_step = std::f64::consts::PI / STEPS;
     let crest = 3.0_f64.sqrt();
     let mean = crest * half_step.sin() / half_step;
     DataSheet {
         checks: vec![
-            check("T1 = L/R", "ms", 1e3 * ELECTRICAL_S, 1e3 * INDUCTANCE_H / RESISTANCE_OHM),
-            check(
-                "T1 = (L - M)/R",
-                "ms",
-                1e3 * ELECTRICAL_S,
-                1e3 * (INDUCTANCE_H - MUTUAL_H) / RESISTANCE_OHM,
-            ),
-            check("P = T n", "W", POWER_W, RATED_N_M * rated_rad_s),
-            check("P = ke n I", "W", POWER_W, ke * rated_rad_s * RATED_A),
-            check("P = 2 ke n I", "W", POWER_W, 2.0 * ke * rated_rad_s * RATED_A),
+            check("T1 = L/R", "ms", electrical_ms, 1e3 * inductance_h / r),
+            check("T1 = (L - M)/R", "ms", electrical_ms, 1e3 * (inductance_h - SHEET.mutual_h) / r),
+            check("P = T n", "W", power_w, rated_n_m * rated_rad_s),
+            check("P = ke n I", "W", power_w, ke * rated_rad_s * rated_a),
+            check("P = 2 ke n I", "W", power_w, 2.0 * ke * rated_rad_s * rated_a),
             check("ke (SI) = T/I", "V.s/rad", ke, kt),
-            check("Tm = R J/ke^2", "ms", 1e3 * MECHANICAL_S, 1e3 * mechanical_s(ke)),
-            check("Tm = R J I/(ke T)", "ms", 1e3 * MECHANICAL_S, 1e3 * mechanical_s(kt)),
-            check("0.827 = 3 sqrt(3)/(2 pi)", "-", MEAN_FACTOR, 0.5 * mean),
+            check("Tm = R J/ke^2", "ms", mechanical_ms, from_inertia_ms(ke)),
+            check("Tm = R J I/(ke T)", "ms", mechanical_ms, from_inertia_ms(kt)),
+            // The paper's T_a = 0.827 T_M.
+            check("0.827 = 3 sqrt(3)/(2 pi)", "-", 0.827, 0.5 * mean),
         ],
-        rectified_v: rectified_v(),
+        rectified_v: SHEET.rectified_v(),
         rated_v: [rated_v, 2.0 * rated_v],
         ripple_peak_to_peak: (crest - crest * half_step.cos()) / mean,
         ripple_ratio: ripple_ratio(),
         switches_v: SWITCHES_V,
-        drop_as_friction_n_m: ke * SWITCHES_V / RESISTANCE_OHM,
+        drop_as_friction_n_m: ke * SWITCHES_V / r,
         switched: [rated_rad_s, 10.0].into_iter().flat_map(switched).collect(),
     }
 }
@@ -114,15 +141,9 @@ fn ripple_ratio() -> f64 {
 
 /// At the voltage that holds a speed under the rated current by the average model.
 fn switched(speed_rad_s: f64) -> [Switched; 3] {
-    let ke = BACK_EMF_V_PER_RPM / rad_s_from_rpm(1.0);
-    let motor = made_of(
-        "brushless motor of paper B",
-        RESISTANCE_OHM,
-        ke,
-        [ELECTRICAL_S, MECHANICAL_S],
-        ke * RATED_A,
-    );
-    let voltage_v = ke * speed_rad_s + RESISTANCE_OHM * RATED_A;
+    let (ke, rated_a) = (SHEET.back_emf(), SHEET.rated_a);
+    let motor = SHEET.motor(ke * rated_a);
+    let voltage_v = ke * speed_rad_s + SHEET.resistance_ohm * rated_a;
     let of = |name: &'static str, effects: &[(&str, &[f64])]| {
         let mut model = Model::baseline(motor.clone());
         for (id, values) in effects {
@@ -130,24 +151,25 @@ fn switched(speed_rad_s: f64) -> [Switched; 3] {
             let added = model.effects.last_mut().expect("it was added");
             added.values = values.iter().copied().map(Some).collect();
         }
-        let times = stamps(STAMP_S, SAMPLES);
+        let times = stamps(2e-4, 10_000);
         let scenario = driven(String::new(), Channel::Voltage, vec![(0.0, voltage_v)], times);
         let mut plant = Plant::new(&model, Input::Voltage).expect(COMPLETE);
-        let found = plant.simulate(&scenario, State::at(RATED_A, speed_rad_s));
-        let settled = &found.speed_rad_s[SETTLED..];
-        let (low, high) = settled
+        let found = plant.simulate(&scenario, State::at(rated_a, speed_rad_s));
+        // Steady motion from one second on.
+        let [speed, current] = [&found.speed_rad_s, &found.current_a].map(|all| &all[5_000..]);
+        let (low, high) = speed
             .iter()
             .fold((f64::MAX, f64::MIN), |(low, high), speed| (speed.min(low), speed.max(high)));
         let mean_of = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
         Switched {
             model: name,
             voltage_v,
-            speed_rad_s: mean_of(settled),
+            speed_rad_s: mean_of(speed),
             ripple_rad_s: high - low,
-            current_a: mean_of(&found.current_a[SETTLED..]),
+            current_a: mean_of(current),
         }
     };
-    let order = STEPS * POLE_PAIRS;
+    let order = STEPS * SHEET.pole_pairs;
     let drop: (&str, &[f64]) = ("voltage_drop", &[SWITCHES_V]);
     let ripple = [0.0, ripple_ratio(), order];
     [
@@ -156,8 +178,3 @@ fn switched(speed_rad_s: f64) -> [Switched; 3] {
         of("with drop and ripple", &[drop, ("torque_ripple", &ripple)]),
     ]
 }
-
-/// Stamps of the steady motion, and the first that counts.
-const STAMP_S: f64 = 2e-4;
-const SAMPLES: usize = 10_000;
-const SETTLED: usize = 5_000;

@@ -2,7 +2,7 @@
 //!
 //! The paper says neither where the noise enters nor what S/N is a ratio of. As an equation error, the figure can be met;
 //! with the same ratio on the speed sensor it cannot, whatever the form: least squares is then biased. The instrumental
-//! variables are not, but they need hundreds of samples, and are told here when the motor has changed.
+//! variables are not, but they need hundreds of samples, and get the sample of the jump here.
 
 use std::array::from_fn;
 use std::ops::Index;
@@ -12,26 +12,39 @@ use serde::{Serialize, Serializer};
 
 use super::machine::{COMPLETE, ZeroOrderHold, figures, forward, motor, value};
 use super::machine::{RatioOf, SignalToNoise, Spread, random, random_binary, white, with_noise};
-use super::{HOLD, LEVELS_V, NoiseModel, PERIOD_S, SEEDS, SHOWN_SEED, TA_S, TM_S, Trace};
+use super::{CHOSEN, NoiseModel, Trace};
 use drivebench::identification::scheme_1::{
     Form, Scheme1, Scheme1Values, Series, instrumental_variables,
 };
 use drivebench::numerics::statistics::{median, variance};
 use drivebench::plant::{Motor, MotorKey};
 
-/// Paper A, Figure 2.
-const FORGETTING: f64 = 0.97;
-const RATIO: f64 = 10.0;
-const JUMP_AT: usize = 900;
-const JUMP: f64 = 2.0;
-const SAMPLES: usize = 1800;
-/// Samples after the start and after the jump in which the memory of 33 samples fills; the spread is told after them.
-const FILLING: usize = 300;
-/// Samples between two batches of the instrumental variables in the picture, and in the first of them.
-const BATCH_STRIDE: usize = 25;
+/// The figure's own values, and what its schemes need.
+struct Settings {
+    /// The paper's.
+    forgetting: f64,
+    signal_to_noise: f64,
+    jump_at: usize,
+    jump: f64,
+    samples: usize,
+    /// Samples after the start and after the jump in which the memory of 33 samples fills; the spread counts after them.
+    filling: usize,
+    /// Samples between two batches of the instrumental variables in the picture, and in the first of them.
+    batch_stride: usize,
+    /// Samples in which the auxiliary model of the instrumental variables runs up: many times TM.
+    run_up: usize,
+}
 
-/// Samples in which the auxiliary model of the instrumental variables runs up: many times TM.
-const RUN_UP: usize = 150;
+const FIGURE: Settings = Settings {
+    forgetting: 0.97,
+    signal_to_noise: 10.0,
+    jump_at: 900,
+    jump: 2.0,
+    samples: 1800,
+    filling: 300,
+    batch_stride: 25,
+    run_up: 150,
+};
 
 /// How the samples become an estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -102,7 +115,7 @@ pub struct Case {
     pub before: ByParameter<Spread>,
     pub after: ByParameter<Spread>,
     /// Samples after the jump until the median over the seeds has made nine tenths of the step of TM; `None`: it never
-    /// does, or the method is told of the jump.
+    /// does, or the method gets the sample of the jump.
     pub samples_to_follow: Option<usize>,
     /// Estimates of the first seed.
     pub trace: ByParameter<Trace>,
@@ -134,13 +147,16 @@ impl Figure2 {
 
 /// TM, Ta and the rest in the order of [`ByParameter`].
 type Five = [f64; 5];
-type Ask = (NoiseModel, SignalToNoise, Method);
+type Setup = (NoiseModel, SignalToNoise, Method);
 
 pub(super) fn figure_2() -> Figure2 {
     use Method::{Exact, InstrumentalVariables, Printed, PrintedBatch};
     use NoiseModel::{EquationError, Sensor};
-    let (power, amplitude) = (SignalToNoise::power(RATIO), SignalToNoise::amplitude(RATIO));
-    let asked: [Ask; 8] = [
+    let (power, amplitude) = (
+        SignalToNoise::power(FIGURE.signal_to_noise),
+        SignalToNoise::amplitude(FIGURE.signal_to_noise),
+    );
+    let setups: [Setup; 8] = [
         (EquationError, amplitude, Printed),
         (EquationError, power, Printed),
         (EquationError, power, Exact),
@@ -152,23 +168,23 @@ pub(super) fn figure_2() -> Figure2 {
     ];
     let set: Vec<Five> = motors().iter().map(truth).collect();
     let held = |which: usize| {
-        let of = |k: usize| set[usize::from(k >= JUMP_AT)][which];
-        (0..SAMPLES).map(of).collect()
+        let of = |k: usize| set[usize::from(k >= FIGURE.jump_at)][which];
+        (0..FIGURE.samples).map(of).collect()
     };
     Figure2 {
-        forgetting: FORGETTING,
-        period_s: PERIOD_S,
-        samples: SAMPLES,
-        jump_at: JUMP_AT,
-        settled_after: FILLING,
-        seeds: SEEDS,
-        cases: asked.map(case).into(),
+        forgetting: FIGURE.forgetting,
+        period_s: CHOSEN.period_s,
+        samples: FIGURE.samples,
+        jump_at: FIGURE.jump_at,
+        settled_after: FIGURE.filling,
+        seeds: CHOSEN.seeds,
+        cases: setups.map(case).into(),
         set: ByParameter(from_fn(held)),
     }
 }
 
 fn motors() -> [Motor; 2] {
-    [motor(TA_S, TM_S), motor(TA_S, JUMP * TM_S)]
+    [motor(CHOSEN.ta_s, CHOSEN.tm_s), motor(CHOSEN.ta_s, FIGURE.jump * CHOSEN.tm_s)]
 }
 
 fn truth(motor: &Motor) -> Five {
@@ -176,18 +192,18 @@ fn truth(motor: &Motor) -> Five {
     [tm, ta, ke, inertia, load].map(|value| value.expect(COMPLETE))
 }
 
-fn case(ask: Ask) -> Case {
-    let (noise, signal_to_noise, method) = ask;
-    let every: Vec<Vec<Five>> = (0..SEEDS)
+fn case(setup: Setup) -> Case {
+    let (noise, signal_to_noise, method) = setup;
+    let every: Vec<Vec<Five>> = (0..CHOSEN.seeds)
         .into_par_iter()
-        .map(|seed| estimates(ask, SHOWN_SEED + seed, seed == 0))
+        .map(|seed| estimates(setup, 1 + seed, seed == 0))
         .collect();
     let spread = |motor: &Motor, from: usize, to: usize| {
         let truth = truth(motor);
-        let first = if method.is_batch() { to - 1 } else { from + FILLING };
+        let first = if method.is_batch() { to - 1 } else { from + FIGURE.filling };
         ByParameter(from_fn(|which| {
-            let told = every.iter().flat_map(|seed| &seed[first..to]);
-            Spread::of(truth[which], told.map(|five| five[which]))
+            let estimates = every.iter().flat_map(|seed| &seed[first..to]);
+            Spread::of(truth[which], estimates.map(|five| five[which]))
         }))
     };
     let [before, after] = motors();
@@ -195,8 +211,8 @@ fn case(ask: Ask) -> Case {
         noise,
         signal_to_noise,
         method,
-        before: spread(&before, 0, JUMP_AT),
-        after: spread(&after, JUMP_AT, SAMPLES),
+        before: spread(&before, 0, FIGURE.jump_at),
+        after: spread(&after, FIGURE.jump_at, FIGURE.samples),
         samples_to_follow: (!method.is_batch()).then(|| follows(&every)).flatten(),
         trace: ByParameter(from_fn(|which| {
             Trace(every[0].iter().map(|five| five[which]).collect())
@@ -206,30 +222,33 @@ fn case(ask: Ask) -> Case {
 
 /// Samples after the jump until the median over the seeds has gone nine tenths of the way to the new TM.
 fn follows(every: &[Vec<Five>]) -> Option<usize> {
-    let goal = TM_S * (1.0 + 0.9 * (JUMP - 1.0));
+    let goal = CHOSEN.tm_s * (1.0 + 0.9 * (FIGURE.jump - 1.0));
     let middle = |k: usize| median(&every.iter().map(|seed| seed[k][0]).collect::<Vec<_>>());
     // A scheme that lies there all the time follows nothing.
-    let lies_there = middle(JUMP_AT - 1) >= goal;
-    (JUMP_AT..SAMPLES).find(|k| middle(*k) >= goal).filter(|_| !lies_there).map(|k| k - JUMP_AT)
+    let lies_there = middle(FIGURE.jump_at - 1) >= goal;
+    (FIGURE.jump_at..FIGURE.samples)
+        .find(|k| middle(*k) >= goal)
+        .filter(|_| !lies_there)
+        .map(|k| k - FIGURE.jump_at)
 }
 
-/// Voltage held from each sample to the next, and the speed that the scheme sees.
+/// Voltage held from each sample to the next, and the measured speed.
 fn record(noise: NoiseModel, ratio: SignalToNoise, seed: u64) -> (Vec<f64>, Vec<f64>) {
-    let volts = random_binary(&mut random(seed, 1), LEVELS_V, HOLD, SAMPLES);
+    let volts = random_binary(&mut random(seed, 1), CHOSEN.levels_v, CHOSEN.hold, FIGURE.samples);
     let [before, after] = motors();
-    let pieces = [(&before, JUMP_AT), (&after, SAMPLES - JUMP_AT)];
+    let pieces = [(&before, FIGURE.jump_at), (&after, FIGURE.samples - FIGURE.jump_at)];
     let clean: Vec<f64> =
-        forward(&pieces, PERIOD_S, &volts, None).iter().map(|at| at.speed_rad_s).collect();
-    let mut errors = white(&mut random(seed, 2), SAMPLES);
+        forward(&pieces, CHOSEN.period_s, &volts, None).iter().map(|at| at.speed_rad_s).collect();
+    let mut errors = white(&mut random(seed, 2), FIGURE.samples);
     let deviation = match noise {
         NoiseModel::Sensor => ratio.noise_beside(&clean),
         NoiseModel::EquationError => {
             // What the equation error does to the speed: eq. (13) is linear, so it adds to the clean one. The ratio is
             // that of the speed to this part of it.
             let [early, late] = [&before, &after]
-                .map(|motor| ZeroOrderHold::new(motor, PERIOD_S).difference_equation());
-            for k in 0..SAMPLES {
-                let [a1, a2, ..] = if k < JUMP_AT { early } else { late };
+                .map(|motor| ZeroOrderHold::new(motor, CHOSEN.period_s).difference_equation());
+            for k in 0..FIGURE.samples {
+                let [a1, a2, ..] = if k < FIGURE.jump_at { early } else { late };
                 let back = |by: usize| k.checked_sub(by).map_or(0.0, |at| errors[at]);
                 errors[k] += a1 * back(1) + a2 * back(2);
             }
@@ -241,26 +260,26 @@ fn record(noise: NoiseModel, ratio: SignalToNoise, seed: u64) -> (Vec<f64>, Vec<
 }
 
 /// Estimates after each sample, NaN where there is none.
-fn estimates((noise, ratio, method): Ask, seed: u64, whole_trace: bool) -> Vec<Five> {
+fn estimates((noise, ratio, method): Setup, seed: u64, whole_trace: bool) -> Vec<Five> {
     let (volts, speed) = record(noise, ratio, seed);
     // Scheme 1 takes with each sample the voltage of the interval that ends there.
-    let ending = [&volts[..1], &volts[..SAMPLES - 1]].concat();
+    let ending = [&volts[..1], &volts[..FIGURE.samples - 1]].concat();
     let resistance = value(&motors()[0], MotorKey::Resistance);
     match method {
         Method::Printed | Method::Exact | Method::PrintedBatch => {
             let exact = method == Method::Exact;
             let form = if exact { Form::Exact } else { Form::Printed };
-            let forgetting = if method.is_batch() { 1.0 } else { FORGETTING };
-            let fresh = || Scheme1::new(form, PERIOD_S, forgetting);
+            let forgetting = if method.is_batch() { 1.0 } else { FIGURE.forgetting };
+            let fresh = || Scheme1::new(form, CHOSEN.period_s, forgetting);
             let mut scheme = fresh();
             let estimate = |k: usize| {
-                if method.is_batch() && k == JUMP_AT {
+                if method.is_batch() && k == FIGURE.jump_at {
                     scheme = fresh();
                 }
                 scheme.push(ending[k], speed[k], FORWARD);
                 five(scheme.parameters(resistance, None).ok())
             };
-            (0..SAMPLES).map(estimate).collect()
+            (0..FIGURE.samples).map(estimate).collect()
         }
         Method::InstrumentalVariables => by_instruments(&ending, &speed, resistance, whole_trace),
     }
@@ -269,27 +288,27 @@ fn estimates((noise, ratio, method): Ask, seed: u64, whole_trace: bool) -> Vec<F
 /// Instrumental variables over all samples since the start or the jump, now and then and at the end of each.
 fn by_instruments(ending: &[f64], speed: &[f64], resistance: f64, whole_trace: bool) -> Vec<Five> {
     // The auxiliary model starts from rest: it is given the voltage of before, under which it runs up, but no speed.
-    let voltage = [&[ending[0]; RUN_UP], ending].concat();
-    let mut out: Vec<Five> = Vec::with_capacity(SAMPLES);
+    let voltage = [&[ending[0]; FIGURE.run_up], ending].concat();
+    let mut out: Vec<Five> = Vec::with_capacity(FIGURE.samples);
     let mut before = None;
-    for k in 0..SAMPLES {
-        let begin = if k < JUMP_AT { 0 } else { JUMP_AT };
+    for k in 0..FIGURE.samples {
+        let begin = if k < FIGURE.jump_at { 0 } else { FIGURE.jump_at };
         let length = k + 1 - begin;
-        let at_end = k + 1 == JUMP_AT || k + 1 == SAMPLES;
-        let due = at_end || (whole_trace && length.is_multiple_of(BATCH_STRIDE));
+        let at_end = k + 1 == FIGURE.jump_at || k + 1 == FIGURE.samples;
+        let due = at_end || (whole_trace && length.is_multiple_of(FIGURE.batch_stride));
         let held = if length > 1 { out[k - 1] } else { five(None) };
         out.push(if due {
-            let seen = [&vec![f64::NAN; RUN_UP + begin], &speed[begin..=k]].concat();
+            let measured = [&vec![f64::NAN; FIGURE.run_up + begin], &speed[begin..=k]].concat();
             let forward = |w: &f64| if w.is_nan() { 0 } else { FORWARD };
-            let direction: Vec<i8> = seen.iter().map(forward).collect();
+            let direction: Vec<i8> = measured.iter().map(forward).collect();
             let series = Series {
-                period_s: PERIOD_S,
-                voltage_v: &voltage[..seen.len()],
-                speed_rad_s: &seen,
+                period_s: CHOSEN.period_s,
+                voltage_v: &voltage[..measured.len()],
+                speed_rad_s: &measured,
             };
             let found = instrumental_variables(&series, &direction, before);
             let dynamics = found.ok().map(|found| found.dynamics);
-            if k + 1 == JUMP_AT {
+            if k + 1 == FIGURE.jump_at {
                 // The motor before the jump is the first guess of the one after it.
                 before = dynamics;
             }
@@ -318,8 +337,9 @@ mod tests {
     #[test]
     fn the_shaft_turns_forward_throughout() {
         for noise in [NoiseModel::EquationError, NoiseModel::Sensor] {
-            for seed in 0..SEEDS {
-                let (_, speed) = record(noise, SignalToNoise::power(RATIO), SHOWN_SEED + seed);
+            for seed in 0..CHOSEN.seeds {
+                let (_, speed) =
+                    record(noise, SignalToNoise::power(FIGURE.signal_to_noise), 1 + seed);
                 assert!(speed.iter().all(|w| *w > 0.0), "{noise:?} {seed}");
             }
         }

@@ -7,16 +7,22 @@ use serde::Serialize;
 
 use super::machine::{SignalToNoise, Spread, random, random_binary, white, with_noise};
 use super::machine::{Turning, forward, motor, value};
-use super::{HOLD, LEVELS_V, NoiseModel, PERIOD_S, SEEDS, SHOWN_SEED, TA_S, TM_S, Trace};
+use super::{CHOSEN, NoiseModel, Trace};
 use drivebench::identification::recursive::{CurrentIntegral, Scheme2};
 use drivebench::plant::{Motor, MotorKey};
 
-/// Paper A, Figure 3.
-const FORGETTING: f64 = 0.98;
-const RATIO: f64 = 15.0;
-const SAMPLES: usize = 900;
-/// Spread is told over the samples from here on: the memory of 50 samples has filled several times.
-const SETTLED_FROM: usize = 300;
+/// The figure's own values.
+pub(super) struct Settings {
+    /// The paper's.
+    pub forgetting: f64,
+    signal_to_noise: f64,
+    samples: usize,
+    /// The spread counts from here on: the memory of 50 samples has filled several times.
+    settled_from: usize,
+}
+
+pub(super) const SETTINGS: Settings =
+    Settings { forgetting: 0.98, signal_to_noise: 15.0, samples: 900, settled_from: 300 };
 
 /// One way of making the noise and of integrating the current.
 #[derive(Clone, Debug, Serialize)]
@@ -47,13 +53,16 @@ pub struct Figure3 {
 }
 
 /// What a case is made of: noise model, ratio, whether the current is noisy too, integral.
-type Ask = (NoiseModel, SignalToNoise, bool, CurrentIntegral);
+type Setup = (NoiseModel, SignalToNoise, bool, CurrentIntegral);
 
 pub(super) fn figure_3() -> Figure3 {
     use CurrentIntegral::{Rectangle, Trapezoid};
     use NoiseModel::{EquationError, Sensor};
-    let (power, amplitude) = (SignalToNoise::power(RATIO), SignalToNoise::amplitude(RATIO));
-    let asked: [Ask; 6] = [
+    let (power, amplitude) = (
+        SignalToNoise::power(SETTINGS.signal_to_noise),
+        SignalToNoise::amplitude(SETTINGS.signal_to_noise),
+    );
+    let setups: [Setup; 6] = [
         (EquationError, amplitude, false, Rectangle),
         (EquationError, power, false, Rectangle),
         (EquationError, power, false, Trapezoid),
@@ -61,28 +70,27 @@ pub(super) fn figure_3() -> Figure3 {
         (Sensor, power, false, Trapezoid),
         (Sensor, power, true, Trapezoid),
     ];
-    let motor = motor(TA_S, TM_S);
+    let motor = motor(CHOSEN.ta_s, CHOSEN.tm_s);
     Figure3 {
-        forgetting: FORGETTING,
-        period_s: PERIOD_S,
-        samples: SAMPLES,
-        settled_from: SETTLED_FROM,
-        seeds: SEEDS,
+        forgetting: SETTINGS.forgetting,
+        period_s: CHOSEN.period_s,
+        samples: SETTINGS.samples,
+        settled_from: SETTINGS.settled_from,
+        seeds: CHOSEN.seeds,
         inertia_kg_m2: value(&motor, MotorKey::Inertia),
         load_torque_n_m: value(&motor, MotorKey::LoadTorque),
-        cases: asked.map(|ask| case(&motor, ask)).into(),
+        cases: setups.map(|setup| case(&motor, setup)).into(),
     }
 }
 
-fn case(motor: &Motor, ask: Ask) -> Case {
-    let seeds = (0..SEEDS).into_par_iter();
-    let traces: Vec<[Vec<f64>; 2]> =
-        seeds.map(|seed| estimates(motor, ask, SHOWN_SEED + seed)).collect();
+fn case(motor: &Motor, setup: Setup) -> Case {
+    let seeds = (0..CHOSEN.seeds).into_par_iter();
+    let traces: Vec<[Vec<f64>; 2]> = seeds.map(|seed| estimates(motor, setup, 1 + seed)).collect();
     let spread = |key: MotorKey, which: usize| {
-        let settled = traces.iter().flat_map(|trace| &trace[which][SETTLED_FROM..]);
+        let settled = traces.iter().flat_map(|trace| &trace[which][SETTINGS.settled_from..]);
         Spread::of(value(motor, key), settled.copied())
     };
-    let (noise, signal_to_noise, current_noise, integral) = ask;
+    let (noise, signal_to_noise, current_noise, integral) = setup;
     let [inertia_trace, load_torque_trace] = traces[0].clone().map(Trace);
     Case {
         noise,
@@ -104,39 +112,40 @@ fn case(motor: &Motor, ask: Ask) -> Case {
 }
 
 /// J and Mc over the samples of one seed.
-fn estimates(motor: &Motor, ask: Ask, seed: u64) -> [Vec<f64>; 2] {
-    let (noise, ratio, current_noise, integral) = ask;
-    let volts = random_binary(&mut random(seed, 1), LEVELS_V, HOLD, SAMPLES);
-    let clean = forward(&[(motor, SAMPLES)], PERIOD_S, &volts, None);
+fn estimates(motor: &Motor, setup: Setup, seed: u64) -> [Vec<f64>; 2] {
+    let (noise, ratio, current_noise, integral) = setup;
+    let volts = random_binary(&mut random(seed, 1), CHOSEN.levels_v, CHOSEN.hold, SETTINGS.samples);
+    let clean = forward(&[(motor, SETTINGS.samples)], CHOSEN.period_s, &volts, None);
     let columns = |turning: &[Turning]| -> (Vec<f64>, Vec<f64>) {
         turning.iter().map(|at| (at.speed_rad_s, at.current_a)).unzip()
     };
     let (mut speed, mut current) = columns(&clean);
-    let errors = white(&mut random(seed, 2), SAMPLES);
+    let errors = white(&mut random(seed, 2), SETTINGS.samples);
     match noise {
         NoiseModel::EquationError => {
             let steps: Vec<f64> = speed.windows(2).map(|pair| pair[1] - pair[0]).collect();
             let deviation = ratio.noise_beside(&steps);
             let strikes: Vec<f64> = errors.iter().map(|error| deviation * error).collect();
-            let struck = forward(&[(motor, SAMPLES)], PERIOD_S, &volts, Some(&strikes));
+            let struck =
+                forward(&[(motor, SETTINGS.samples)], CHOSEN.period_s, &volts, Some(&strikes));
             (speed, current) = columns(&struck);
         }
         NoiseModel::Sensor => {
             if current_noise {
-                let errors = white(&mut random(seed, 3), SAMPLES);
+                let errors = white(&mut random(seed, 3), SETTINGS.samples);
                 current = with_noise(&current, &errors, ratio.noise_beside(&current));
             }
             speed = with_noise(&speed, &errors, ratio.noise_beside(&speed));
         }
     }
-    let mut scheme = Scheme2::new(integral, FORGETTING, 0.0);
+    let mut scheme = Scheme2::new(integral, SETTINGS.forgetting, 0.0);
     let torque = Some((value(motor, MotorKey::BackEmf), 0.0));
     let estimate = |k: usize| {
-        scheme.push(PERIOD_S * k as f64, current[k], speed[k]);
+        scheme.push(CHOSEN.period_s * k as f64, current[k], speed[k]);
         let found = scheme.estimates(torque);
         let [inertia, load] = [0, 1].map(|which: usize| found[which].value.unwrap_or(f64::NAN));
         (inertia, load)
     };
-    let (inertia, load) = (0..SAMPLES).map(estimate).unzip();
+    let (inertia, load) = (0..SETTINGS.samples).map(estimate).unzip();
     [inertia, load]
 }

@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn under_acceleration_it_is_late_by_half_an_interval_and_the_time_since_the_edge() {
+    fn under_acceleration_it_is_late_by_one_interval() {
         let rate = 100.0;
         let found = readings(|t| 50.0 * t + 0.5 * rate * t * t);
         let lag: Vec<f64> =

@@ -41,18 +41,29 @@ pub use paper_b::{PaperB, paper_b};
 pub use schemes::{AtTa, Curve, Errors, NAMES, NoiseSweep, Sampling, Sweep};
 pub use transient::{Figure4, Table1};
 
-/// Motor of Figures 2 and 3, s: the text gives none. It asks for Ta, TM > 0.1 s at T = 15 to 20 ms, so this is the
-/// fastest motor that it admits, at the slower of its periods; TM is that of its Figure 6 before the jump.
-const TA_S: f64 = 0.1;
-const TM_S: f64 = 0.2;
-const PERIOD_S: f64 = 0.02;
-/// Excitation of Figures 2 and 3, which the text does not give either: two voltages in turn, each held 2 to 15 periods.
-/// Both keep the shaft turning forward, so that the sign of the speed is no question.
-const LEVELS_V: [f64; 2] = [30.0, 90.0];
-const HOLD: std::ops::RangeInclusive<usize> = 2..=15;
-/// Seeds over which the spread of Figures 2 and 3 is told, and the one that is drawn.
-const SEEDS: u64 = 60;
-const SHOWN_SEED: u64 = 1;
+/// What Figures 2 and 3 are made of; the text gives none of it.
+struct Figures2And3 {
+    /// It asks for Ta, TM > 0.1 s at T = 15 to 20 ms, so this is the fastest motor that it admits, at the slower of its
+    /// periods; TM is that of its Figure 6 before the jump.
+    ta_s: f64,
+    tm_s: f64,
+    period_s: f64,
+    /// Two voltages in turn, each held so many periods. Both keep the shaft turning forward, so that the sign of the speed
+    /// is no question.
+    levels_v: [f64; 2],
+    hold: std::ops::RangeInclusive<usize>,
+    /// Seeds of the spread, from 1 on; the first is drawn.
+    seeds: u64,
+}
+
+const CHOSEN: Figures2And3 = Figures2And3 {
+    ta_s: 0.1,
+    tm_s: 0.2,
+    period_s: 0.02,
+    levels_v: [30.0, 90.0],
+    hold: 2..=15,
+    seeds: 60,
+};
 
 /// Where the noise enters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -78,9 +89,6 @@ impl NoiseModel {
 #[derive(Clone, Debug, Default)]
 pub struct Trace(pub Vec<f64>);
 
-/// In JSON every so many samples of a trace are given.
-const TRACE_STRIDE: usize = 20;
-
 impl Serialize for Trace {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         #[derive(Serialize)]
@@ -88,13 +96,13 @@ impl Serialize for Trace {
             every: usize,
             values: Vec<f64>,
         }
-        let values = self.0.iter().step_by(TRACE_STRIDE).copied().collect();
-        let every = TRACE_STRIDE;
+        let every = 20;
+        let values = self.0.iter().step_by(every).copied().collect();
         Thinned { every, values }.serialize(serializer)
     }
 }
 
-/// What the paper says of its own computer: its figures only. Ours are measured by `cargo bench` (benches/).
+/// What the paper prints of its own computer: its figures only. Ours are measured by `cargo bench` (benches/).
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct IterationTime {
     pub computer: &'static str,
@@ -119,7 +127,7 @@ pub struct PaperA {
     pub paper_iteration_time: IterationTime,
 }
 
-/// Computes everything; `begins` hears the name of each part before it begins.
+/// Computes everything; `begins` is called with the name of each part before it begins.
 pub fn paper_a(mut begins: impl FnMut(&str)) -> PaperA {
     let mut part = |name: &str| begins(name);
     part("Figure 2");
@@ -155,23 +163,25 @@ pub fn paper_a(mut begins: impl FnMut(&str)) -> PaperA {
 fn chosen() -> Vec<String> {
     vec![
         format!(
-            "Motor of Figures 2 and 3: the text gives none. Ta = {TA_S} s and TM = {TM_S} s at T = {:.0} ms: the fastest motor that the paper admits for its scheme 1 (Ta, TM above 0.1 s at T = 15 to 20 ms), with the TM of its Figure 6. Resistance and Ke are those of the ZK-22FC (1.1 ohm, 0.3538 V.s/rad), the load torque is 2 N.m, about rated.",
-            1e3 * PERIOD_S
+            "Motor of Figures 2 and 3: the text gives none. Ta = {} s and TM = {} s at T = {:.0} ms: the fastest motor that the paper admits for its scheme 1 (Ta, TM above 0.1 s at T = 15 to 20 ms), with the TM of its Figure 6. Resistance and Ke are those of the ZK-22FC (1.1 ohm, 0.3538 V.s/rad), the load torque is 2 N.m, about rated.",
+            CHOSEN.ta_s,
+            CHOSEN.tm_s,
+            1e3 * CHOSEN.period_s
         ),
         format!(
             "Excitation of Figures 2 and 3: the text gives none. {:.0} V and {:.0} V in turn, each held for {} to {} periods at random; the shaft always turns forward.",
-            LEVELS_V[0],
-            LEVELS_V[1],
-            HOLD.start(),
-            HOLD.end()
+            CHOSEN.levels_v[0],
+            CHOSEN.levels_v[1],
+            CHOSEN.hold.start(),
+            CHOSEN.hold.end()
         ),
         "Noise: the text gives S/N without saying of what, or where the noise enters. Both readings of the ratio (power: of variances; amplitude: of standard deviations; the mean of the signal never counts) and both places (equation error, sensor) are computed.".to_owned(),
         format!(
             "Transient of Table 1: the paper shows it as a curve only. An emulated ZK-22FC (1.1 ohm, 9.9 mH, 0.0045 kg.m2, 0.455 N.m) starts from rest at {:.0} V, T = {:.0} ms; N counts the steps from one sample to the next since the voltage was switched on.",
-            transient::VOLTAGE_V,
-            1e3 * transient::PERIOD_S
+            transient::START.voltage_v,
+            1e3 * transient::START.period_s
         ),
         adaptive::chosen(),
-        format!("Seeds are fixed: the same program gives the same figures. Spreads are over {SEEDS} seeds, one of which is drawn."),
+        format!("Seeds are fixed: the same program gives the same figures. Spreads are over {} seeds, one of which is drawn.", CHOSEN.seeds),
     ]
 }

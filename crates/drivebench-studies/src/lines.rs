@@ -94,8 +94,8 @@ pub struct LineStudy {
 /// Kinds of records in the study.
 pub const KINDS: usize = 25;
 
-/// `runs` records of each kind; `tell` hears how many kinds are done.
-pub fn line_study(runs: usize, seed: u64, tell: impl Fn(usize)) -> LineStudy {
+/// `runs` records of each kind; `report` is called with the number of kinds that are done.
+pub fn line_study(runs: usize, seed: u64, report: impl Fn(usize)) -> LineStudy {
     let pace = |rate_hz, request_s, reply_s, drive_cycle_s| Pace {
         rate_hz,
         request_s,
@@ -128,34 +128,34 @@ pub fn line_study(runs: usize, seed: u64, tell: impl Fn(usize)) -> LineStudy {
             let share = 0.01 * percent;
             let errors = Errors { late: share, lost: share, doubled: share, ..errors };
             let name = format!("{name}; {percent:.0} %");
-            lines.push(row(name, pace, errors, runs, seed, Told::All));
-            tell(lines.len());
+            lines.push(row(name, pace, errors, runs, seed, StampWidths::Used));
+            report(lines.len());
         }
     }
-    let believed = Told::StampsBelieved;
+    let ignored = StampWidths::Ignored;
     let causes = [
-        ("all causes, stamps believed", all, believed),
-        ("all causes", all, Told::All),
-        ("no error of stamps", clocked, Told::All),
-        ("no jitter, stamps believed", prompt, believed),
-        ("no quantisation, stamps believed", fine, believed),
-        ("voltage sampled only, stamps believed", sampled, believed),
-        ("voltage sampled only", sampled, Told::All),
+        ("all causes, stamps believed", all, ignored),
+        ("all causes", all, StampWidths::Used),
+        ("no error of stamps", clocked, StampWidths::Used),
+        ("no jitter, stamps believed", prompt, ignored),
+        ("no quantisation, stamps believed", fine, ignored),
+        ("voltage sampled only, stamps believed", sampled, ignored),
+        ("voltage sampled only", sampled, StampWidths::Used),
     ];
     let mut found = LineStudy { runs, seed, lines, causes: Vec::new() };
-    for (name, errors, told) in causes {
-        let row = row(name.to_owned(), HOST_STAMPED, errors, runs, seed, told);
+    for (name, errors, widths) in causes {
+        let row = row(name.to_owned(), HOST_STAMPED, errors, runs, seed, widths);
         found.causes.push(row);
-        tell(found.lines.len() + found.causes.len());
+        report(found.lines.len() + found.causes.len());
     }
     found
 }
 
-/// Whether the fit is told how vague the stamps are.
+/// Whether the fit uses the half-widths of the stamps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Told {
-    All,
-    StampsBelieved,
+pub enum StampWidths {
+    Used,
+    Ignored,
 }
 
 /// One kind of record, `runs` times.
@@ -165,13 +165,13 @@ pub fn row(
     errors: Errors,
     runs: usize,
     seed: u64,
-    told: Told,
+    widths: StampWidths,
 ) -> LineRow {
     let identified = |seed| {
         let recorded = record(seed, pace, errors);
-        let estimates = match told {
-            Told::All => identify(&recorded.run),
-            Told::StampsBelieved => identify(&recorded.run.without(Channel::TimeHalfWidth)),
+        let estimates = match widths {
+            StampWidths::Used => identify(&recorded.run),
+            StampWidths::Ignored => identify(&recorded.run.without(Channel::TimeHalfWidth)),
         };
         (recorded, estimates)
     };
@@ -235,17 +235,6 @@ fn parameter_row(j: usize, found: &[(Recorded, Vec<ParameterEstimate>)]) -> Para
     row
 }
 
-/// Step of the truth, s.
-const TRUTH_STEP_S: f64 = 1e-4;
-/// Time at rest before the first step, and of the whole record, s.
-const REST_S: f64 = 1.0;
-const LENGTH_S: f64 = 7.0;
-/// Longest delay of a late reply, and the silence after which a lost one is given up, s.
-const LATE_S: f64 = 0.06;
-const DEADLINE_S: f64 = 0.08;
-/// What a doubled reply costs before the line is clean again, s.
-const CLEAN_S: f64 = 0.005;
-
 /// What the record has of the voltage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VoltageKnown {
@@ -301,8 +290,10 @@ pub fn record(seed: u64, pace: Pace, errors: Errors) -> Recorded {
     let mut plant = Plant::new(motor(truth), &[]);
     let mut far = FarEnd { plant: &mut plant, now_s: 0.0, volts: 0.0 };
     let (mut rows, mut commands): (Vec<Row>, Vec<(f64, f64)>) = (Vec::new(), vec![(0.0, 0.0)]);
-    let (mut cycle_s, mut wanted, mut held_until_s) = (1e-3, 0.0, REST_S);
-    while cycle_s < LENGTH_S {
+    // At rest before the first step.
+    let (mut cycle_s, mut wanted, mut held_until_s) = (1e-3, 0.0, 1.0);
+    let length_s = 7.0;
+    while cycle_s < length_s {
         if cycle_s >= held_until_s {
             let size: f64 = rng.random_range(10.0..70.0);
             let forward = rng.random::<f64>() < 0.6;
@@ -313,8 +304,8 @@ pub fn record(seed: u64, pace: Pace, errors: Errors) -> Recorded {
             if errors.jitter { rng.random_range(0.0..span_s) } else { 0.5 * span_s }
         };
         let applied_s = cycle_s + pace.request_s + within(pace.drive_cycle_s);
-        let asked_s = applied_s + pace.reply_s + within(1e-3);
-        let sampled_s = asked_s + pace.request_s + within(pace.drive_cycle_s);
+        let requested_s = applied_s + pace.reply_s + within(1e-3);
+        let sampled_s = requested_s + pace.request_s + within(pace.drive_cycle_s);
         let mut first_byte_s = sampled_s + within(pace.drive_cycle_s) + 2e-4;
         far.advance_to(applied_s);
         if (far.volts - wanted).abs() > 0.0 {
@@ -324,30 +315,33 @@ pub fn record(seed: u64, pace: Pace, errors: Errors) -> Recorded {
         far.volts = wanted;
         far.advance_to(sampled_s);
         let luck: f64 = rng.random();
-        let mut heard = true;
+        let mut received = true;
         let mut free_s = first_byte_s + pace.reply_s;
         if luck < errors.late {
-            first_byte_s += rng.random_range(0.2..1.0) * LATE_S;
+            // At most 60 ms late.
+            first_byte_s += rng.random_range(0.2..1.0) * 0.06;
             free_s = first_byte_s + pace.reply_s;
         } else if luck < errors.late + errors.lost {
-            heard = false;
-            free_s = asked_s + DEADLINE_S;
+            received = false;
+            // The silence after which it is given up.
+            free_s = requested_s + 0.08;
         } else if luck < errors.late + errors.lost + errors.doubled {
-            free_s += CLEAN_S;
+            // What a second reply costs before the line is clean again.
+            free_s += 0.005;
         }
         let mut read = |value: f64, noise: f64, step: f64| {
             let noisy = value + noise * rng.sample::<f64, _>(StandardNormal);
             if errors.quantised { (noisy / step).round() * step } else { noisy }
         };
-        if heard {
+        if received {
             let values = [
                 read(far.volts, 0.0, 0.1),
                 read(far.plant.current_a(), 0.01, 0.01),
                 read(far.plant.speed_rad_s(), 0.03, std::f64::consts::TAU / 60.0),
             ];
-            let half_width_s = 0.5 * (first_byte_s - asked_s);
+            let half_width_s = 0.5 * (first_byte_s - requested_s);
             let (time_s, half_width_s) = if errors.stamps {
-                (0.5 * (asked_s + first_byte_s), half_width_s)
+                (0.5 * (requested_s + first_byte_s), half_width_s)
             } else {
                 (sampled_s, f64::NAN)
             };
@@ -356,7 +350,7 @@ pub fn record(seed: u64, pace: Pace, errors: Errors) -> Recorded {
         cycle_s = free_s.max(cycle_s + 1.0 / pace.rate_hz);
     }
     let samples = rows.len();
-    Recorded { run: run_of(&rows, &commands, errors), truth, samples, length_s: LENGTH_S }
+    Recorded { run: run_of(&rows, &commands, errors), truth, samples, length_s }
 }
 
 fn motor(truth: [f64; 5]) -> MotorTruth {
@@ -382,11 +376,12 @@ struct FarEnd<'a> {
 
 impl FarEnd<'_> {
     fn advance_to(&mut self, time_s: f64) {
+        let longest_s = 1e-4_f64;
         while self.now_s < time_s {
-            let step_s = TRUTH_STEP_S.min(time_s - self.now_s);
+            let step_s = longest_s.min(time_s - self.now_s);
             self.plant.advance(Terminals::Voltage(self.volts), step_s);
             // The last step ends at the instant itself, whatever the sum has lost.
-            self.now_s = if step_s < TRUTH_STEP_S { time_s } else { self.now_s + step_s };
+            self.now_s = if step_s < longest_s { time_s } else { self.now_s + step_s };
         }
     }
 }
@@ -430,7 +425,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_a_host_stamps_carries_its_half_width_and_what_a_drive_stamps_carries_none() {
+    fn stamps_of_a_host_have_a_half_width() {
         let host = record(1, HOST_STAMPED, ALL_ERRORS).run;
         let widths: Vec<f64> = host.points(Channel::TimeHalfWidth).map(|p| p.1).collect();
         assert!(widths.len() > 200 && widths.iter().all(|s| (0.5e-3..5e-3).contains(s)));

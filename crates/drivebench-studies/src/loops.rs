@@ -59,11 +59,11 @@ impl Kind {
     }
 }
 
-/// A motor behind a voltage command, what its loop takes in time, and what its regulators are told.
+/// A motor behind a voltage command, what its loop takes in time, and the model of its regulators.
 #[derive(Clone, Debug)]
 pub(super) struct Bench {
     pub name: &'static str,
-    /// What the regulators know; the truth of a trial may have another inertia.
+    /// The model of the regulators; the truth of a trial may have another inertia.
     pub model: Model,
     pub timing: LoopTiming,
     pub current_limit_a: f64,
@@ -87,7 +87,7 @@ impl Bench {
         self.value(MotorKey::Inertia)
     }
 
-    /// The same with regulators that know of an inertia `ratio` times as large.
+    /// The same with regulators for an inertia `ratio` times as large.
     pub(super) fn with_inertia_ratio(&self, ratio: f64) -> Self {
         let mut bench = self.clone();
         let inertia = ratio * self.inertia();
@@ -208,7 +208,7 @@ pub(super) struct Trial<'a> {
 }
 
 impl<'a> Trial<'a> {
-    /// On the machine of a bench as its regulators know it, on the true speed and the sensors' noise, without a load.
+    /// On the machine of a bench as its regulators have it, on the true speed and the sensors' noise, without a load.
     pub(super) fn of(bench: &Bench, reference_rad_s: impl Fn(f64) -> f64 + 'a) -> Self {
         let inertia = bench.inertia();
         Self {
@@ -367,12 +367,12 @@ impl SpeedController for WithBackEmf {
     }
 
     fn explain(&self) -> Vec<String> {
-        let mut said = self.inner.explain();
-        said.push(format!(
+        let mut lines = self.inner.explain();
+        lines.push(format!(
             "the back-EMF of the reference is fed forward: {:.1} V",
             self.fed_forward_v
         ));
-        said
+        lines
     }
 }
 
@@ -426,9 +426,6 @@ pub(super) fn square(half_s: f64, high: f64, low: f64) -> impl Fn(f64) -> f64 {
         if ((t / half_s + 1e-9).floor() % 2.0).abs() < 0.5 { high } else { low }
     }
 }
-
-/// A load is recovered from when the speed stays within this share of the reference.
-pub(super) const RECOVERED_SHARE: f64 = 0.005;
 
 /// One step of the reference.
 #[derive(Clone, Debug, Serialize)]
@@ -485,17 +482,17 @@ pub(super) fn steps(trace: &[TrialPoint]) -> Vec<Step> {
 
 /// What a change of the load at `at_s` did until `until_s`.
 pub(super) fn load_change(trace: &[TrialPoint], at_s: f64, until_s: f64) -> LoadChange {
-    let seen = within(trace, at_s, until_s);
-    let outside = |p: &TrialPoint| error(p).abs() > RECOVERED_SHARE * p.reference_rad_s.abs();
-    let recovered = match seen.iter().rposition(outside) {
-        None => seen.first(),
-        Some(last) => seen.get(last + 1),
+    let interval = within(trace, at_s, until_s);
+    let outside = |p: &TrialPoint| error(p).abs() > 0.005 * p.reference_rad_s.abs();
+    let recovered = match interval.iter().rposition(outside) {
+        None => interval.first(),
+        Some(last) => interval.get(last + 1),
     };
     LoadChange {
         at_s,
-        dip_rad_s: seen.iter().map(|p| error(p).abs()).fold(0.0, f64::max),
+        dip_rad_s: interval.iter().map(|p| error(p).abs()).fold(0.0, f64::max),
         recovery_s: recovered.map(|point| point.time_s - at_s),
-        lasting_rad_s: lasting_rad_s(&seen),
+        lasting_rad_s: lasting_rad_s(&interval),
     }
 }
 
@@ -628,11 +625,8 @@ pub(super) fn comparison(bench: &Bench, sizes: &Sizes) -> Comparison {
     }
 }
 
-/// Steps before the jump of the inertia, and in all; those from the second one after the jump on count.
-const JUMP: usize = 2;
-const STEPS: usize = 8;
-const COUNTED_FROM: usize = JUMP + 1;
-
+/// Eight steps of the reference, or a load that comes and goes; the inertia jumps after two steps, and those from the second
+/// one after the jump on count.
 fn row(bench: &Bench, sizes: &Sizes, kind: Kind, case: Case) -> CaseRow {
     let half_s = sizes.half_s;
     let [low, high] = sizes.levels_rad_s;
@@ -641,18 +635,18 @@ fn row(bench: &Bench, sizes: &Sizes, kind: Kind, case: Case) -> CaseRow {
         Case::Load => Box::new(move |_| 0.5 * (low + high)),
         _ => Box::new(square(half_s, high, low)),
     };
-    let jump_s = half_s * JUMP as f64;
+    let jump_s = 2.0 * half_s;
     let [on_s, off_s, end_s] = [2.0, 3.0, 4.0].map(|halves| halves * half_s);
     let loaded = move |t: f64| case == Case::Load && t >= on_s && t < off_s;
     let load = |t| if loaded(t) { sizes.load_n_m } else { 0.0 };
     let trace = Trial::of(bench, reference)
         .with_inertia_ratio(bench, |t| if t >= jump_s { case.ratio() } else { 1.0 })
         .with_load(load)
-        .run(&mut *bench.controller(kind), half_s * STEPS as f64);
+        .run(&mut *bench.controller(kind), 8.0 * half_s);
     let found = if case == Case::Load {
         of_load(&trace, [on_s, off_s, end_s])
     } else {
-        of_steps(&steps(&trace)[COUNTED_FROM..])
+        of_steps(&steps(&trace)[3..])
     };
     CaseRow { controller: kind, case, ..found }
 }
@@ -679,14 +673,14 @@ fn of_steps(counted: &[Step]) -> CaseRow {
 
 fn of_load(trace: &[TrialPoint], [on_s, off_s, end_s]: [f64; 3]) -> CaseRow {
     let changes = [load_change(trace, on_s, off_s), load_change(trace, off_s, end_s)];
-    let seen = within(trace, on_s, end_s);
+    let interval = within(trace, on_s, end_s);
     let period_s = trace[1].time_s - trace[0].time_s;
-    let errors = seen.iter().map(|point| error(point).abs());
+    let errors = interval.iter().map(|point| error(point).abs());
     CaseRow {
         absolute_error_rad: period_s * errors.sum::<f64>(),
         dip_rad_s: Some(changes[0].dip_rad_s.max(changes[1].dip_rad_s)),
         recovery_s: Some(longest(changes.map(|change| change.recovery_s))),
-        effort_v: effort_v(&seen),
+        effort_v: effort_v(&interval),
         ..CaseRow::default()
     }
 }

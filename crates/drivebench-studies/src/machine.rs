@@ -12,17 +12,11 @@ use drivebench::numerics::statistics::variance;
 use drivebench::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State, Trajectory};
 use drivebench::sample::Channel;
 
-/// Resistance, ohm, and back-EMF constant, V.s/rad, of paper A's motor ZK-22FC; the figures' motors differ from it only
-/// in their time constants.
-const RESISTANCE_OHM: f64 = 1.1;
-const BACK_EMF: f64 = 0.3538;
-/// Torque at rated current, N.m: large enough to be told beside 60 V at the terminals.
-const LOAD_TORQUE_N_M: f64 = 2.0;
-
-/// A motor with the resistance and back-EMF constant of the ZK-22FC and these time constants, s.
+/// A motor with the resistance and back-EMF constant of paper A's ZK-22FC and these time constants, s. The load torque is that
+/// of rated current: large enough to be identified beside 60 V at the terminals.
 pub(super) fn motor(ta_s: f64, tm_s: f64) -> Motor {
     let name = format!("Ta {ta_s} s, TM {tm_s} s");
-    made_of(&name, RESISTANCE_OHM, BACK_EMF, [ta_s, tm_s], LOAD_TORQUE_N_M)
+    made_of(&name, 1.1, 0.3538, [ta_s, tm_s], 2.0)
 }
 
 /// A motor with these time constants: electrical and mechanical, s.
@@ -283,11 +277,11 @@ impl Spread {
     /// Of values that may be NaN where the scheme gave none.
     pub(super) fn of(set_value: f64, estimates: impl IntoIterator<Item = f64>) -> Self {
         let all: Vec<f64> = estimates.into_iter().collect();
-        let mut told: Vec<f64> = all.iter().copied().filter(|v| v.is_finite()).collect();
-        told.sort_by(f64::total_cmp);
+        let mut finite: Vec<f64> = all.iter().copied().filter(|v| v.is_finite()).collect();
+        finite.sort_by(f64::total_cmp);
         let quantile = |share: f64| {
-            let last = told.len().checked_sub(1)?;
-            told.get(whole((share * last as f64).round())).copied()
+            let last = finite.len().checked_sub(1)?;
+            finite.get(whole((share * last as f64).round())).copied()
         };
         let [low, median, high] =
             [0.05, 0.5, 0.95].map(|share| quantile(share).unwrap_or(f64::NAN));
@@ -297,7 +291,7 @@ impl Spread {
             median,
             high,
             error_percent: 100.0 * (median / set_value - 1.0),
-            told_percent: 100.0 * told.len() as f64 / all.len().max(1) as f64,
+            told_percent: 100.0 * finite.len() as f64 / all.len().max(1) as f64,
         }
     }
 }

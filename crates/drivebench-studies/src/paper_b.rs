@@ -6,37 +6,28 @@
 //!     hall: speed from edges     back_emf: what the paper leaves out     comparison: every regulator on the same cases
 //! ```
 //!
-//! T, Q, R, V, W and mu are not in the paper: what was chosen is said on the page.
+//! T, Q, R, V, W and mu are not in the paper: the page lists what was chosen.
 
 use serde::Serialize;
 
 use super::adaptive::FORGETTING;
-use super::data_sheet::{
-    BACK_EMF_V_PER_RPM, DataSheet, ELECTRICAL_S, MECHANICAL_S, POLE_PAIRS, RATED_A, RATED_N_M,
-    RESISTANCE_OHM, data_sheet, rectified_v,
-};
+use super::data_sheet::{DataSheet, SHEET, STEPS, data_sheet};
 use super::hall_sensor::HallSensor;
 use super::loops::{
     Bench, Comparison, Held, LoadChange, Named, Sizes, Trial, WithBackEmf, comparison, cycles,
     effort_v, error, lasting_rad_s, load_change, mean_and_std, rms, steps, within,
 };
-use super::machine::made_of;
 use super::machine::{random, white};
 use drivebench::control::{
     self, LoadObservingSettings, LoopTiming, PaperBError, PaperBSettings, TrialPoint,
 };
 use drivebench::plant::{Model, MotorKey};
-use drivebench::units::rad_s_from_rpm;
 
-/// Chosen: period, friction of what the motor drives, load of Figure 5, speed at which loads are tried.
+/// Chosen: period, s; friction of what the motor drives, N.m; load of Figure 5, N.m; speed at which loads are tried, rad/s.
 const PERIOD_S: f64 = 0.001;
 const FRICTION_N_M: f64 = 2.0;
 const LOAD_N_M: f64 = 5.0;
 const SPEED_RAD_S: f64 = 100.0;
-const SEED: u64 = 1;
-/// Streams of a seed's random numbers.
-const INPUT_PURPOSE: u64 = 31;
-const LOAD_PURPOSE: u64 = 32;
 
 /// Settings of the regulator, chosen by us; `compensation` as share of the paper's K3.
 const SETTINGS: PaperBSettings = PaperBSettings {
@@ -70,7 +61,7 @@ pub struct PaperB {
     pub comparison: Comparison,
 }
 
-/// Computes everything; `begins` hears the name of each part before it begins.
+/// Computes everything; `begins` is called with the name of each part before it begins.
 pub fn paper_b(mut begins: impl FnMut(&str)) -> PaperB {
     let bench = bench();
     begins("Figures 4 and 5");
@@ -101,19 +92,12 @@ pub fn paper_b(mut begins: impl FnMut(&str)) -> PaperB {
 
 /// The paper's motor with its stated T1, Tm and ke; the full motor of every comparison.
 fn bench() -> Bench {
-    let ke = BACK_EMF_V_PER_RPM / rad_s_from_rpm(1.0);
     Bench {
         name: "paper B's motor with its back-EMF, regulated inside the drive",
-        model: Model::baseline(made_of(
-            "brushless motor of paper B",
-            RESISTANCE_OHM,
-            ke,
-            [ELECTRICAL_S, MECHANICAL_S],
-            FRICTION_N_M,
-        )),
+        model: Model::baseline(SHEET.motor(FRICTION_N_M)),
         timing: LoopTiming { period_s: PERIOD_S, delay_s: 0.0, filter_s: 0.0 },
-        current_limit_a: 3.0 * RATED_A,
-        voltage_limit_v: rectified_v(),
+        current_limit_a: 3.0 * SHEET.rated_a,
+        voltage_limit_v: SHEET.rectified_v(),
         speed_noise_rad_s: SETTINGS.measurement_noise.sqrt(),
         current_noise_a: 0.05,
         scale_rad_s: 157.0,
@@ -129,8 +113,8 @@ fn bench() -> Bench {
     }
 }
 
-/// A trial on the machine of the paper's own figures, eq. (6) to (9): the back-EMF does not feed back, so that the winding
-/// sees the whole voltage. Friction is its only load but what the course brings.
+/// A trial on the machine of the paper's own figures, eq. (6) to (9): the back-EMF does not feed back, so that the whole voltage is
+/// at the winding. Friction is its only load but what the course brings.
 fn on_paper<'a>(bench: &Bench, reference_rad_s: impl Fn(f64) -> f64 + 'a) -> Trial<'a> {
     let mut trial = Trial::of(bench, reference_rad_s);
     trial.machine.back_emf_v_s_per_rad = 0.0;
@@ -142,12 +126,12 @@ fn on_paper<'a>(bench: &Bench, reference_rad_s: impl Fn(f64) -> f64 + 'a) -> Tri
 
 /// White noise on the input with the variance Q, as the load torque that does the same; held over each period.
 fn input_noise(bench: &Bench, seed: u64, length_s: f64) -> impl Fn(f64) -> f64 {
-    let per_volt = bench.value(MotorKey::BackEmf) / RESISTANCE_OHM;
+    let per_volt = bench.value(MotorKey::BackEmf) / SHEET.resistance_ohm;
     let size = per_volt * SETTINGS.process_noise.sqrt();
-    held(seed, INPUT_PURPOSE, length_s, move |draw| size * draw)
+    held(seed, 31, length_s, move |draw| size * draw)
 }
 
-/// White noise through a filter, a value for each period.
+/// White noise through a filter, a value for each period; every `purpose` is an independent stream of the seed.
 fn held(
     seed: u64,
     purpose: u64,
@@ -160,36 +144,29 @@ fn held(
     move |t| values[cycles(t, PERIOD_S).min(values.len() - 1)]
 }
 
-/// The regulator without its compensation.
-fn without(settings: PaperBSettings) -> PaperBSettings {
-    with_share(0.0, settings)
-}
-
-/// The regulator with so much of K3.
-fn with_share(compensation: f64, settings: PaperBSettings) -> PaperBSettings {
-    PaperBSettings { compensation, ..settings }
+/// The regulator with this share of K3.
+fn with_share(compensation: f64) -> PaperBSettings {
+    PaperBSettings { compensation, ..SETTINGS }
 }
 
 /// Without compensation, with as much of K3 as is usable, and with the K3 that is printed.
 fn courses<T>(course: impl Fn(PaperBSettings) -> T) -> [T; 3] {
-    [0.0, SETTINGS.compensation, 1.0].map(|share| course(with_share(share, SETTINGS)))
+    [0.0, SETTINGS.compensation, 1.0].map(|share| course(with_share(share)))
 }
 
 fn chosen() -> Vec<String> {
-    let PaperBSettings {
-        process_noise,
-        measurement_noise,
-        error_cost,
-        voltage_cost,
-        filter_share,
-        compensation,
-        tolerance,
-    } = SETTINGS;
+    let PaperBSettings { process_noise, measurement_noise, error_cost, voltage_cost, .. } =
+        SETTINGS;
+    let PaperBSettings { filter_share, compensation, tolerance, .. } = SETTINGS;
+    let [electrical_ms, mechanical_ms] = SHEET.time_constants_s.map(|time_s| 1e3 * time_s);
     vec![
         format!(
-            "Data of the paper: R = {RESISTANCE_OHM} ohm, T1 = {:.1} ms, Tm = {:.0} ms, ke = {BACK_EMF_V_PER_RPM} V/(r/min), {RATED_N_M:.0} N.m, {RATED_A} A, 1500 r/min, p = {POLE_PAIRS:.0}. They are used as stated, although they do not fit each other: R J/(ke KT) with the stated J gives 2.5 to 6.1 ms, not 76 ms, which belongs to a 12-fold inertia (a coupled load). Torque constant here: that of ke in SI units.",
-            1e3 * ELECTRICAL_S,
-            1e3 * MECHANICAL_S
+            "Data of the paper: R = {} ohm, T1 = {electrical_ms:.1} ms, Tm = {mechanical_ms:.0} ms, ke = {} V/(r/min), {:.0} N.m, {} A, 1500 r/min, p = {:.0}. They are used as stated, although they do not fit each other: R J/(ke KT) with the stated J gives 2.5 to 6.1 ms, not 76 ms, which belongs to a 12-fold inertia (a coupled load). Torque constant here: that of ke in SI units.",
+            SHEET.resistance_ohm,
+            SHEET.back_emf_v_per_rpm,
+            SHEET.rated_n_m,
+            SHEET.rated_a,
+            SHEET.pole_pairs
         ),
         format!(
             "Not in the paper, chosen by us: T = {:.0} ms; Q = {process_noise} V^2 (noise on the input), R = {measurement_noise} (rad/s)^2, V = {error_cost}, W = {voltage_cost}; mu = {filter_share}; the iterations stop at a relative change of {tolerance:.0e}; P(0) is the identity.",
@@ -201,7 +178,7 @@ fn chosen() -> Vec<String> {
         "Corrections to the scan: u* = -gamma G (x - [r, r]); n_p follows eq. (9) on measured speeds, and the predictor is fed u*, not u* + u0 (else u0 ramps for ever under a constant load).".to_owned(),
         format!(
             "Plant of Figures 4 and 5: the paper's own, in which the back-EMF does not feed back; {FRICTION_N_M} N.m of friction, noise on the speed with the variance R and on the input with the variance Q; current limit {:.1} A (three times rated). Polyline of Figure 4 and load of Figure 5 ({LOAD_N_M} N.m, half rated): chosen, the text gives no values.",
-            3.0 * RATED_A
+            3.0 * SHEET.rated_a
         ),
         "Seeds are fixed: the same program gives the same figures.".to_owned(),
     ]
@@ -211,8 +188,6 @@ fn chosen() -> Vec<String> {
 const POLYLINE: [(f64, f64); 7] =
     [(0.0, 0.0), (0.3, 100.0), (0.8, 100.0), (1.0, 150.0), (1.5, 150.0), (1.9, 50.0), (2.5, 50.0)];
 const POLYLINE_S: f64 = POLYLINE[POLYLINE.len() - 1].0;
-/// After a corner the flat parts are given this time, s.
-const FLAT_AFTER_S: f64 = 0.2;
 
 /// One of the regulators.
 #[derive(Clone, Debug, Serialize)]
@@ -251,7 +226,7 @@ fn polyline(time_s: f64) -> f64 {
 }
 
 fn figure_4(bench: &Bench) -> Figure4 {
-    let noise = input_noise(bench, SEED, POLYLINE_S);
+    let noise = input_noise(bench, 1, POLYLINE_S);
     let course = |settings: PaperBSettings| {
         let trial = on_paper(bench, polyline).with_load(&noise);
         let trace = trial.run(&mut bench.paper_b(settings), POLYLINE_S);
@@ -261,23 +236,19 @@ fn figure_4(bench: &Bench) -> Figure4 {
 }
 
 fn measured(share_of_k3: f64, trace: Vec<TrialPoint>) -> Followed {
+    // The reference so long before: after a corner the flat parts are given this time.
+    let reference_before = |point: &TrialPoint| polyline((point.time_s - 0.2).max(0.0));
     let slope = |point: &&TrialPoint| {
         (polyline(point.time_s + PERIOD_S) - polyline(point.time_s)).abs() > 1e-9
     };
     let flat = |point: &&TrialPoint| {
-        let since = polyline(point.time_s - FLAT_AFTER_S.min(point.time_s));
-        !slope(point) && (since - point.reference_rad_s).abs() < 1e-9
+        !slope(point) && (reference_before(point) - point.reference_rad_s).abs() < 1e-9
     };
     let flat_errors: Vec<f64> = trace.iter().filter(flat).map(error).collect();
     let beyond = |point: &TrialPoint| {
         // Only at the end of a slope: the reference has stopped, the shaft has not.
-        let since = polyline((point.time_s - FLAT_AFTER_S).max(0.0));
-        let way = (point.reference_rad_s - since).signum();
-        if (point.reference_rad_s - since).abs() > 1e-9 && !slope(&point) {
-            -way * error(point)
-        } else {
-            0.0
-        }
+        let way = point.reference_rad_s - reference_before(point);
+        if way.abs() > 1e-9 && !slope(&point) { -way.signum() * error(point) } else { 0.0 }
     };
     Followed {
         share_of_k3,
@@ -291,10 +262,6 @@ fn measured(share_of_k3: f64, trace: Vec<TrialPoint>) -> Followed {
         trace,
     }
 }
-
-const ON_S: f64 = 0.8;
-const OFF_S: f64 = 1.4;
-const END_S: f64 = 2.0;
 
 #[derive(Clone, Debug, Serialize)]
 pub struct Loaded {
@@ -315,19 +282,20 @@ pub struct Figure5 {
 }
 
 fn figure_5(bench: &Bench) -> Figure5 {
-    let noise = input_noise(bench, SEED, END_S);
+    let [on_s, off_s, end_s] = [0.8, 1.4, 2.0];
+    let noise = input_noise(bench, 1, end_s);
     let load = |t: f64| {
-        let is_on = (ON_S..OFF_S).contains(&t);
+        let is_on = (on_s..off_s).contains(&t);
         noise(t) + if is_on { LOAD_N_M } else { 0.0 }
     };
     let course = |settings: PaperBSettings| {
         let trial = on_paper(bench, |_| SPEED_RAD_S).with_load(load);
-        let trace = trial.run(&mut bench.paper_b(settings), END_S);
+        let trace = trial.run(&mut bench.paper_b(settings), end_s);
         Loaded {
             share_of_k3: settings.compensation,
-            applied: load_change(&trace, ON_S, OFF_S),
-            removed: load_change(&trace, OFF_S, END_S),
-            effort_v: effort_v(&within(&trace, ON_S, f64::INFINITY)),
+            applied: load_change(&trace, on_s, off_s),
+            removed: load_change(&trace, off_s, end_s),
+            effort_v: effort_v(&within(&trace, on_s, f64::INFINITY)),
             trace,
         }
     };
@@ -338,11 +306,6 @@ const TOLERANCES: [f64; 3] = [1e-3, 1e-6, 1e-9];
 const RATIOS: [f64; 7] = [1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0];
 const SHARES: [f64; 5] = [1.0, 0.3, 0.1, 0.05, 0.02];
 const FILTERS: [f64; 5] = [0.02, 0.05, 0.1, 0.2, 1.0];
-const DESIGN_S: f64 = 3.0;
-/// From here on the speed has settled, s.
-const STEP_AT_S: f64 = 0.5;
-/// With a slow filter the speed takes its time to come to rest, s.
-const AT_REST_S: f64 = 2.0;
 
 /// Iterations until the relative change falls below a tolerance.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -420,23 +383,22 @@ fn design(bench: &Bench) -> Design {
 }
 
 fn with_ratio(bench: &Bench, factor: f64) -> WithRatio {
+    let (length_s, step_at_s) = (3.0, 0.5);
     let settings =
-        PaperBSettings { process_noise: factor * SETTINGS.process_noise, ..without(SETTINGS) };
+        PaperBSettings { process_noise: factor * SETTINGS.process_noise, ..with_share(0.0) };
     let made = bench.paper_b(settings);
     let gain = made.gains().0;
-    let noise = input_noise(bench, SEED, DESIGN_S);
+    let noise = input_noise(bench, 1, length_s);
     let trace = on_paper(bench, |_| SPEED_RAD_S)
         .with_load(noise)
-        .run(&mut bench.paper_b(settings), DESIGN_S);
-    let mut quiet = on_paper(bench, |t| {
-        let stepped = t >= STEP_AT_S - 0.5 * PERIOD_S;
-        if stepped { 51.0 } else { 50.0 }
-    });
+        .run(&mut bench.paper_b(settings), length_s);
+    let mut quiet = on_paper(bench, |t| if t >= step_at_s - 0.5 * PERIOD_S { 51.0 } else { 50.0 });
     quiet.machine.speed_noise_rad_s = 0.0;
     quiet.machine.friction_n_m = 0.0;
-    let step = steps(&quiet.run(&mut bench.paper_b(settings), 2.0 * STEP_AT_S));
+    let step = steps(&quiet.run(&mut bench.paper_b(settings), 2.0 * step_at_s));
     let last = &step[step.len() - 1].response;
-    let is_settled = |point: &TrialPoint| point.time_s > AT_REST_S;
+    // With a slow filter the speed takes its time to come to rest.
+    let is_settled = |point: &TrialPoint| point.time_s > 2.0;
     let settled: Vec<TrialPoint> = trace.into_iter().filter(is_settled).collect();
     let (mean, std) = mean_and_std(&settled);
     WithRatio {
@@ -488,13 +450,6 @@ fn damping(share: f64, filter: f64, split: f64) -> f64 {
     decay / decay.hypot(angle)
 }
 
-const NOISE_S: f64 = 4.0;
-const NOISE_SETTLED_S: f64 = 0.5;
-const SEEDS: u64 = 4;
-/// A load that wanders: standard deviation and correlation time.
-const WANDER_N_M: f64 = 1.0;
-const WANDER_S: f64 = 0.2;
-
 /// What disturbs the loop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -535,18 +490,19 @@ impl Noise {
 }
 
 fn noise(bench: &Bench) -> Noise {
+    let seeds = 4;
     let of = |disturbance| {
         let (mut speed_variance, mut effort_v) = ([0.0; 2], [0.0; 2]);
-        for seed in 1..=SEEDS {
-            for (which, settings) in [without(SETTINGS), SETTINGS].into_iter().enumerate() {
+        for seed in 1..=seeds {
+            for (which, settings) in [with_share(0.0), SETTINGS].into_iter().enumerate() {
                 let (variance, volts) = disturbed(bench, disturbance, settings, seed);
-                speed_variance[which] += variance / SEEDS as f64;
-                effort_v[which] += volts / SEEDS as f64;
+                speed_variance[which] += variance / seeds as f64;
+                effort_v[which] += volts / seeds as f64;
             }
         }
         Variance { disturbance, speed_variance, effort_v }
     };
-    Noise { seeds: SEEDS, variances: Disturbance::ALL.map(of).into() }
+    Noise { seeds, variances: Disturbance::ALL.map(of).into() }
 }
 
 fn disturbed(
@@ -556,10 +512,11 @@ fn disturbed(
     seed: u64,
 ) -> (f64, f64) {
     let has = |one: Disturbance| disturbance == one || disturbance == Disturbance::All;
-    let input = input_noise(bench, seed, NOISE_S);
-    let wander = wandering(seed, NOISE_S);
+    let length_s = 4.0;
+    let input = input_noise(bench, seed, length_s);
+    let coloured = coloured_load(seed, length_s);
     let part = |of, value: f64| if has(of) { value } else { 0.0 };
-    let load = |t| part(Disturbance::Input, input(t)) + part(Disturbance::Load, wander(t));
+    let load = |t| part(Disturbance::Input, input(t)) + part(Disturbance::Load, coloured(t));
     let mut trial = on_paper(bench, |_| SPEED_RAD_S).with_load(load);
     trial.seed = seed;
     trial.limiter.current = None;
@@ -567,31 +524,24 @@ fn disturbed(
     if !has(Disturbance::Sensor) {
         trial.machine.speed_noise_rad_s = 0.0;
     }
-    let trace = trial.run(&mut bench.paper_b(settings), NOISE_S);
-    let settled = &trace[cycles(NOISE_SETTLED_S, PERIOD_S)..];
+    let trace = trial.run(&mut bench.paper_b(settings), length_s);
+    let settled = &trace[cycles(0.5, PERIOD_S)..];
     (mean_and_std(settled).1.powi(2), effort_v(settled))
 }
 
-/// A load torque of first order, N.m, held over each period.
-fn wandering(seed: u64, length_s: f64) -> impl Fn(f64) -> f64 {
-    let decay = (-PERIOD_S / WANDER_S).exp();
-    let push = WANDER_N_M * (1.0 - decay * decay).sqrt();
+/// A load torque of first order, N.m, held over each period: standard deviation and correlation time are chosen.
+fn coloured_load(seed: u64, length_s: f64) -> impl Fn(f64) -> f64 {
+    let (std_n_m, correlation_s) = (1.0, 0.2);
+    let decay = (-PERIOD_S / correlation_s).exp();
+    let push = std_n_m * (1.0 - decay * decay).sqrt();
     let mut now = 0.0;
-    held(seed, LOAD_PURPOSE, length_s, move |draw| {
+    held(seed, 32, length_s, move |draw| {
         now = decay * now + push * draw;
         now
     })
 }
 
-/// Edges per electrical turn.
-const STATES: f64 = 6.0;
-const SPEEDS_RAD_S: [f64; 5] = [10.0, 30.0, 60.0, 100.0, 157.0];
-const HALL_S: f64 = 3.0;
-const HALL_SETTLED_S: f64 = 1.5;
-/// A slower design beside the chosen one: its voltage costs this much more.
-const SLOWER: f64 = 100.0;
-
-/// A constant speed, regulated on what is seen.
+/// A constant speed, regulated on the measured one.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct AtSpeed {
     pub speed_rad_s: f64,
@@ -614,9 +564,10 @@ pub struct Hall {
 }
 
 fn hall(bench: &Bench) -> Hall {
-    let edges_per_turn = STATES * POLE_PAIRS;
-    let slower = PaperBSettings { voltage_cost: SLOWER * SETTINGS.voltage_cost, ..SETTINGS };
-    // On the paper's plant, with friction and without other noise: what is seen is then the edges' doing alone.
+    let edges_per_turn = STEPS * SHEET.pole_pairs;
+    // A slower design beside the chosen one: its voltage costs more.
+    let slower = PaperBSettings { voltage_cost: 100.0 * SETTINGS.voltage_cost, ..SETTINGS };
+    // On the paper's plant, with friction and without other noise: the measurement then differs by the edges alone.
     let run = |sees_edges: bool, settings, reference: &dyn Fn(f64) -> f64, seconds| {
         let mut trial = on_paper(bench, reference);
         trial.machine.speed_noise_rad_s = 0.0;
@@ -628,8 +579,8 @@ fn hall(bench: &Bench) -> Hall {
     let ways = [(false, SETTINGS), (true, SETTINGS), (true, slower)];
     let at = |speed_rad_s: f64| {
         let found = ways.map(|(edges, settings)| {
-            let trace = run(edges, settings, &|_| speed_rad_s, HALL_S).into_iter();
-            let settled = trace.filter(|point| point.time_s > HALL_SETTLED_S);
+            let trace = run(edges, settings, &|_| speed_rad_s, 3.0).into_iter();
+            let settled = trace.filter(|point| point.time_s > 1.5);
             let settled: Vec<TrialPoint> = settled.collect();
             let (mean, std) = mean_and_std(&settled);
             (std, speed_rad_s - mean, effort_v(&settled))
@@ -648,18 +599,11 @@ fn hall(bench: &Bench) -> Hall {
     Hall {
         edges_per_turn,
         slower_voltage_cost: slower.voltage_cost,
-        speeds: SPEEDS_RAD_S.map(at).into(),
+        speeds: [10.0, 30.0, 60.0, 100.0, 157.0].map(at).into(),
         polyline_error_rad_s: traces.each_ref().map(|trace| rms(trace.iter().map(error))),
         shown: Named::all(names, traces),
     }
 }
-
-/// Voltage of the open loop, V.
-const OPEN_V: f64 = 20.0;
-const OPEN_S: f64 = 0.3;
-const CLOSED_S: f64 = 1.5;
-/// Difference of the speeds that is asked for, as share of the full motor's.
-const APART_SHARE: f64 = 0.05;
 
 /// A regulator on one of the plants, from standstill to 100 rad/s.
 #[derive(Clone, Debug, Serialize)]
@@ -687,6 +631,7 @@ pub struct BackEmf {
 }
 
 fn back_emf(bench: &Bench) -> BackEmf {
+    let open_voltage_v = 20.0;
     // The paper's plant or the full motor, without friction and noise.
     let trial = |full_motor: bool, reference_rad_s: f64| {
         let mut trial = if full_motor {
@@ -698,10 +643,9 @@ fn back_emf(bench: &Bench) -> BackEmf {
         trial.machine.speed_noise_rad_s = 0.0;
         trial
     };
-    let open = [false, true].map(|full| trial(full, 0.0).run(&mut Held(OPEN_V), OPEN_S));
+    let open = [false, true].map(|full| trial(full, 0.0).run(&mut Held(open_voltage_v), 0.3));
     let apart = open[0].iter().zip(&open[1]).find(|(paper, full)| {
-        full.speed_rad_s > 0.0
-            && paper.speed_rad_s - full.speed_rad_s > APART_SHARE * full.speed_rad_s
+        full.speed_rad_s > 0.0 && paper.speed_rad_s - full.speed_rad_s > 0.05 * full.speed_rad_s
     });
     let end = |trace: &[TrialPoint]| trace[trace.len() - 1].speed_rad_s;
     let cases = [
@@ -714,10 +658,10 @@ fn back_emf(bench: &Bench) -> BackEmf {
     ];
     let ke = bench.value(MotorKey::BackEmf);
     let closed = cases.map(|(full_motor, compensated, fed_forward)| {
-        let bare = without(SETTINGS);
-        let made = bench.paper_b(if compensated { SETTINGS } else { bare });
+        let share = if compensated { SETTINGS.compensation } else { 0.0 };
+        let made = bench.paper_b(with_share(share));
         let mut controller = WithBackEmf::new(made, if fed_forward { ke } else { 0.0 });
-        let trace = trial(full_motor, SPEED_RAD_S).run(&mut controller, CLOSED_S);
+        let trace = trial(full_motor, SPEED_RAD_S).run(&mut controller, 1.5);
         let response = steps(&trace)[0].response;
         Closed {
             full_motor,
@@ -731,7 +675,7 @@ fn back_emf(bench: &Bench) -> BackEmf {
     });
     let names = ["paper B's plant", "motor with back-EMF"];
     BackEmf {
-        open_voltage_v: OPEN_V,
+        open_voltage_v,
         apart_after_s: apart.map(|(paper, _)| paper.time_s),
         open_end_rad_s: [end(&open[0]), end(&open[1])],
         open: Named::all(names, open),

@@ -7,9 +7,9 @@
 use rayon::prelude::*;
 use serde::{Serialize, Serializer};
 
+use super::CHOSEN;
 use super::machine::{COMPLETE, driven, figures, forward, motor, simulated, stamps, value};
 use super::machine::{SignalToNoise, random, random_binary, white, with_noise};
-use super::{HOLD, LEVELS_V, PERIOD_S, TA_S, TM_S};
 use drivebench::identification::scheme::{CATALOGUE, Data, Scheme};
 use drivebench::identification::scheme_1::{Form, Scheme1};
 use drivebench::numerics::count::whole;
@@ -32,11 +32,11 @@ impl Errors {
         Self(std::array::from_fn(error))
     }
 
-    /// Median of each error; none where fewer than half of the records tell it.
+    /// Median of each error; none where fewer than half of the records give it.
     fn medians(all: &[Self]) -> Self {
         Self(std::array::from_fn(|which| {
-            let told: Vec<f64> = all.iter().filter_map(|errors| errors.0[which]).collect();
-            (2 * told.len() > all.len()).then(|| median(&told))
+            let given: Vec<f64> = all.iter().filter_map(|errors| errors.0[which]).collect();
+            (2 * given.len() > all.len()).then(|| median(&given))
         }))
     }
 }
@@ -61,9 +61,6 @@ struct Record {
     scenario: Scenario,
 }
 
-/// Samples at rest before the first step: enough to tell the noise.
-const REST_SAMPLES: usize = 30;
-
 /// From rest under two voltages in turn, each held between Ta and 3 TM; noise on current and speed where `noise` says.
 fn record(
     motor: &Motor,
@@ -76,9 +73,11 @@ fn record(
     // Between the time constants, but never the same length again and again: that would excite one frequency only.
     let shortest = whole(ta_s / period_s).max(1);
     let longest = whole(3.0 * tm_s / period_s).max(shortest + 3);
-    let (rng, turning) = (&mut random(seed, 1), samples - REST_SAMPLES);
-    let mut volts = vec![0.0; REST_SAMPLES];
-    volts.extend(random_binary(rng, LEVELS_V, shortest..=longest, turning));
+    // Samples at rest before the first step: enough to measure the noise.
+    let rest = 30;
+    let (rng, turning) = (&mut random(seed, 1), samples - rest);
+    let mut volts = vec![0.0; rest];
+    volts.extend(random_binary(rng, CHOSEN.levels_v, shortest..=longest, turning));
     let times = stamps(period_s, samples);
     let events = times.iter().copied().zip(volts.iter().copied()).collect();
     let name = format!("period {period_s} s, seed {seed}");
@@ -87,7 +86,7 @@ fn record(
     let sensor = |clean: Vec<f64>, purpose: u64| match noise {
         None => clean,
         Some(ratio) => {
-            let deviation = ratio.noise_beside(&clean[REST_SAMPLES..]);
+            let deviation = ratio.noise_beside(&clean[rest..]);
             let noise = white(&mut random(seed, purpose), samples);
             with_noise(&clean, &noise, deviation)
         }
@@ -114,7 +113,7 @@ fn taking_part() -> impl Iterator<Item = &'static Scheme> {
     all.filter(move |scheme| !apart.contains(&scheme.id()))
 }
 
-/// What the paper lets a scheme know.
+/// What the paper gives to a scheme.
 fn known(scheme: &Scheme, truth: &Motor) -> Model {
     let mut motor = Motor::new("sought");
     let mut fixed = Vec::new();
@@ -157,8 +156,8 @@ pub struct Curve {
     pub errors: Vec<Errors>,
 }
 
-/// For each scheme asked for, the medians over the records of each ratio.
-fn curves(records: &[Vec<Record>], asked: impl Fn(&str) -> bool) -> Vec<Curve> {
+/// For each scheme of these, the medians over the records of each ratio.
+fn curves(records: &[Vec<Record>], taken: impl Fn(&str) -> bool) -> Vec<Curve> {
     let curve = |scheme: &'static Scheme| {
         let median = |records: &Vec<Record>| {
             let found = records.par_iter().map(|record| errors(scheme, record));
@@ -166,22 +165,15 @@ fn curves(records: &[Vec<Record>], asked: impl Fn(&str) -> bool) -> Vec<Curve> {
         };
         Curve { scheme: scheme.id(), errors: records.par_iter().map(median).collect() }
     };
-    let asked = taking_part().filter(|scheme| asked(scheme.id()));
-    asked.map(curve).collect()
+    let taken = taking_part().filter(|scheme| taken(scheme.id()));
+    taken.map(curve).collect()
 }
 
 /// T/Ta and T/TM: two to a factor of three and a half.
 const PERIOD_RATIOS: [f64; 11] = [0.01, 0.02, 0.03, 0.06, 0.1, 0.2, 0.3, 0.6, 1.0, 2.0, 3.0];
-/// TM/Ta of the motor that is swept over T/Ta: both poles real and well apart.
-const WELL_DAMPED: f64 = 5.0;
-/// TM/Ta of the motor that is swept over T/TM: with the same T/Ta, so that it is its armature circuit that oscillates.
-const OSCILLATING: f64 = 1.0;
-/// Ta of the first motor is that of the ZK-22FC; the second has its TM and a choke before the armature.
+/// Ta of the ZK-22FC, s.
 const ZK_22FC_TA_S: f64 = 0.009;
-const TA_WITH_CHOKE_S: f64 = 0.03;
 const FEWEST_SAMPLES: usize = 400;
-/// Mechanical time constants that a record lasts at least.
-const LEAST_LENGTH: f64 = 40.0;
 const SEED: u64 = 1;
 /// TM/Ta of the motors that are sampled at T = Ta.
 const AT_TA: [f64; 5] = [1.0, 2.0, 5.0, 10.0, 30.0];
@@ -214,8 +206,10 @@ pub struct Sampling {
 pub(super) fn sampling() -> Sampling {
     Sampling {
         sweeps: vec![
-            sweep("T/Ta", ZK_22FC_TA_S, WELL_DAMPED),
-            sweep("T/TM", TA_WITH_CHOKE_S, OSCILLATING),
+            // Both poles real and well apart.
+            sweep("T/Ta", ZK_22FC_TA_S, 5.0),
+            // A choke before the armature, so that it is its armature circuit that oscillates.
+            sweep("T/TM", 0.03, 1.0),
         ],
         at_ta: AT_TA.map(at_ta).into(),
     }
@@ -227,7 +221,8 @@ fn sweep(against: &'static str, ta_s: f64, tm_over_ta: f64) -> Sweep {
     let unit_s = if against == "T/TM" { tm_s } else { ta_s };
     let sampled = |ratio: f64| {
         let period_s = ratio * unit_s;
-        let samples = whole(LEAST_LENGTH * tm_s / period_s).max(FEWEST_SAMPLES);
+        // A record lasts at least 40 mechanical time constants.
+        let samples = whole(40.0 * tm_s / period_s).max(FEWEST_SAMPLES);
         vec![record(&motor, period_s, samples, SEED, None)]
     };
     let records: Vec<_> = PERIOD_RATIOS.into_par_iter().map(sampled).collect();
@@ -242,7 +237,7 @@ fn sweep(against: &'static str, ta_s: f64, tm_over_ta: f64) -> Sweep {
 
 fn at_ta(tm_over_ta: f64) -> AtTa {
     let motor = motor(ZK_22FC_TA_S, tm_over_ta * ZK_22FC_TA_S);
-    let volts = random_binary(&mut random(SEED, 1), LEVELS_V, HOLD, FEWEST_SAMPLES);
+    let volts = random_binary(&mut random(SEED, 1), CHOSEN.levels_v, CHOSEN.hold, FEWEST_SAMPLES);
     let turning = forward(&[(&motor, FEWEST_SAMPLES)], ZK_22FC_TA_S, &volts, None);
     let of = |form: Form| {
         let mut scheme = Scheme1::new(form, ZK_22FC_TA_S, 1.0);
@@ -265,10 +260,6 @@ fn at_ta(tm_over_ta: f64) -> AtTa {
 
 /// Ratios of power.
 const NOISE_RATIOS: [f64; 6] = [10.0, 100.0, 1e3, 1e4, 1e5, 1e6];
-const SAMPLES: usize = 3000;
-const SEEDS: u64 = 5;
-const LONG_SAMPLES: usize = 20_000;
-const LONG_SEEDS: u64 = 7;
 
 /// Medians over the seeds against signal-to-noise, the noise on the sensors.
 #[derive(Clone, Debug, Serialize)]
@@ -294,28 +285,30 @@ pub struct Long {
 }
 
 pub(super) fn noise() -> NoiseSweep {
-    let motor = motor(TA_S, TM_S);
+    let motor = motor(CHOSEN.ta_s, CHOSEN.tm_s);
+    let (samples, seeds) = (3000, 5);
+    let (long_samples, long_seeds) = (20_000, 7);
     let records = |ratios: &[f64], samples: usize, seeds: u64| -> Vec<Vec<Record>> {
         let of = |ratio: &f64| {
             let noise = Some(SignalToNoise::power(*ratio));
-            let record = |seed| record(&motor, PERIOD_S, samples, seed, noise);
+            let record = |seed| record(&motor, CHOSEN.period_s, samples, seed, noise);
             (0..seeds).map(record).collect()
         };
         ratios.par_iter().map(of).collect()
     };
-    let long = records(&NOISE_RATIOS[..1], LONG_SAMPLES, LONG_SEEDS);
+    let long = records(&NOISE_RATIOS[..1], long_samples, long_seeds);
     NoiseSweep {
-        electrical_time_constant_s: TA_S,
-        mechanical_time_constant_s: TM_S,
-        period_s: PERIOD_S,
-        samples: SAMPLES,
-        seeds: SEEDS,
+        electrical_time_constant_s: CHOSEN.ta_s,
+        mechanical_time_constant_s: CHOSEN.tm_s,
+        period_s: CHOSEN.period_s,
+        samples,
+        seeds,
         signal_to_noise: NOISE_RATIOS.into(),
-        curves: curves(&records(&NOISE_RATIOS, SAMPLES, SEEDS), |_| true),
+        curves: curves(&records(&NOISE_RATIOS, samples, seeds), |_| true),
         long: Long {
             signal_to_noise: NOISE_RATIOS[0],
-            samples: LONG_SAMPLES,
-            seeds: LONG_SEEDS,
+            samples: long_samples,
+            seeds: long_seeds,
             curves: curves(&long, |id| id.starts_with('1')),
         },
     }

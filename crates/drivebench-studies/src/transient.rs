@@ -4,24 +4,35 @@
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::machine::{driven, simulated, stamps, value};
-use super::machine::{random, white, with_noise};
+use super::figure_3;
+use super::machine::{driven, random, simulated, stamps, value, white, with_noise};
 use drivebench::identification::recursive::{CurrentIntegral, Scheme2};
 use drivebench::numerics::statistics::{mean, variance};
 use drivebench::plant::{Motor, MotorKey, State, Trajectory};
 use drivebench::sample::Channel;
 
-/// Voltage of the start: the full 110 V would draw 75 A on a motor of 5.7 A; 25 V draws some three times rated.
-pub(super) const VOLTAGE_V: f64 = 25.0;
-/// A third of L/R = 9 ms; fifty samples cover the transient of a motor with TM = 40 ms.
-pub(super) const PERIOD_S: f64 = 0.003;
-const SAMPLES: usize = 51;
-/// Standard deviations of the emulated sensors.
-const SPEED_NOISE_RAD_S: f64 = 0.15;
-const CURRENT_NOISE_A: f64 = 0.03;
-const SHOWN_SEED: u64 = 1;
-/// Points of the curve between two samples.
-const FINE: usize = 10;
+/// The start and its record.
+pub(super) struct Start {
+    /// The full 110 V would draw 75 A on a motor of 5.7 A; 25 V draws some three times rated.
+    pub voltage_v: f64,
+    /// A third of L/R = 9 ms; fifty samples cover the transient of a motor with TM = 40 ms.
+    pub period_s: f64,
+    samples: usize,
+    /// Standard deviations of the emulated sensors.
+    speed_noise_rad_s: f64,
+    current_noise_a: f64,
+    /// Points of the curve between two samples.
+    fine: usize,
+}
+
+pub(super) const START: Start = Start {
+    voltage_v: 25.0,
+    period_s: 0.003,
+    samples: 51,
+    speed_noise_rad_s: 0.15,
+    current_noise_a: 0.03,
+    fine: 10,
+};
 
 /// A start under a constant voltage.
 #[derive(Clone, Debug, Serialize)]
@@ -48,17 +59,17 @@ pub struct Fine {
 
 pub(super) fn figure_4() -> Figure4 {
     let motor = Motor::zk_22fc();
-    let record = noisy(&start(&motor, PERIOD_S, SAMPLES), SHOWN_SEED);
-    let fine_period_s = PERIOD_S / FINE as f64;
-    let points = (SAMPLES - 1) * FINE + 1;
+    let record = noisy(&start(&motor, START.period_s, START.samples), 1);
+    let fine_period_s = START.period_s / START.fine as f64;
+    let points = (START.samples - 1) * START.fine + 1;
     let fine = start(&motor, fine_period_s, points);
     Figure4 {
         motor: motor.name.clone(),
-        voltage_v: VOLTAGE_V,
-        period_s: PERIOD_S,
-        speed_noise_rad_s: SPEED_NOISE_RAD_S,
-        current_noise_a: CURRENT_NOISE_A,
-        time_s: stamps(PERIOD_S, SAMPLES),
+        voltage_v: START.voltage_v,
+        period_s: START.period_s,
+        speed_noise_rad_s: START.speed_noise_rad_s,
+        current_noise_a: START.current_noise_a,
+        time_s: stamps(START.period_s, START.samples),
         current_a: record.current_a,
         speed_rad_s: record.speed_rad_s,
         fine: Fine {
@@ -71,7 +82,7 @@ pub(super) fn figure_4() -> Figure4 {
 
 /// The start from rest without noise, true stiction at its beginning.
 fn start(motor: &Motor, period_s: f64, samples: usize) -> Trajectory {
-    let events = vec![(0.0, VOLTAGE_V)];
+    let events = vec![(0.0, START.voltage_v)];
     let times = stamps(period_s, samples);
     let scenario = driven("start".to_owned(), Channel::Voltage, events, times);
     simulated(motor, &scenario, State::default())
@@ -82,8 +93,8 @@ fn noisy(clean: &Trajectory, seed: u64) -> Trajectory {
     let samples = clean.speed_rad_s.len();
     let noise = |purpose| white(&mut random(seed, purpose), samples);
     Trajectory {
-        current_a: with_noise(&clean.current_a, &noise(1), CURRENT_NOISE_A),
-        speed_rad_s: with_noise(&clean.speed_rad_s, &noise(2), SPEED_NOISE_RAD_S),
+        current_a: with_noise(&clean.current_a, &noise(1), START.current_noise_a),
+        speed_rad_s: with_noise(&clean.speed_rad_s, &noise(2), START.speed_noise_rad_s),
     }
 }
 
@@ -96,15 +107,9 @@ const PRINTED: [(usize, f64, f64); 6] = [
     (40, 4508.0, 0.4552),
     (50, 4536.0, 0.4149),
 ];
-/// The paper's catalogue value, kg.m2.
-const CATALOGUE_KG_M2: f64 = 0.004_25;
-/// The paper's for scheme 2 (Figure 3); beside Table 1 it gives none.
-const FORGETTING: f64 = 0.98;
 /// Periods beside that of the table, s; the last is half of L/R.
 const PERIODS_S: [f64; 5] = [0.001, 0.002, 0.003, 0.004, 0.004_5];
 const SEEDS: u64 = 200;
-/// Half width of a 95 % interval in standard deviations.
-const INTERVAL_SIGMAS: f64 = 1.96;
 
 /// J and Mc.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -146,9 +151,11 @@ pub struct Row {
 pub struct Table1 {
     /// What the emulated motor really has.
     pub truth: Values,
+    /// The paper's.
     pub catalogue_inertia_kg_m2: f64,
     pub period_s: f64,
     pub electrical_time_constant_s: f64,
+    /// That of Figure 3: beside Table 1 the paper gives none.
     pub forgetting: f64,
     pub seeds: u64,
     pub rows: Vec<Row>,
@@ -161,12 +168,12 @@ pub(super) fn table_1() -> Table1 {
     let truth = truth(&motor);
     Table1 {
         truth,
-        catalogue_inertia_kg_m2: CATALOGUE_KG_M2,
-        period_s: PERIOD_S,
+        catalogue_inertia_kg_m2: 0.004_25,
+        period_s: START.period_s,
         electrical_time_constant_s: motor.electrical_time_constant_s().unwrap_or(f64::NAN),
-        forgetting: FORGETTING,
+        forgetting: figure_3::SETTINGS.forgetting,
         seeds: SEEDS,
-        rows: rows(&motor, PERIOD_S),
+        rows: rows(&motor, START.period_s),
         by_period: (PERIODS_S.iter().flat_map(|period_s| rows(&motor, *period_s)))
             .filter(|row| row.n == 20 || row.n == 50)
             .collect(),
@@ -181,7 +188,7 @@ fn truth(motor: &Motor) -> Values {
 }
 
 fn rows(motor: &Motor, period_s: f64) -> Vec<Row> {
-    let clean = start(motor, period_s, SAMPLES);
+    let clean = start(motor, period_s, START.samples);
     let truth = truth(motor);
     let silent = |integral| at_each_n(motor, period_s, &clean, integral);
     let rectangle = silent(CurrentIntegral::Rectangle);
@@ -219,11 +226,11 @@ fn at_each_n(
     record: &Trajectory,
     integral: CurrentIntegral,
 ) -> Vec<Estimates> {
-    let mut scheme = Scheme2::new(integral, FORGETTING, 0.0);
-    scheme.set_speed_noise(SPEED_NOISE_RAD_S);
+    let mut scheme = Scheme2::new(integral, figure_3::SETTINGS.forgetting, 0.0);
+    scheme.set_speed_noise(START.speed_noise_rad_s);
     let torque = Some((value(motor, MotorKey::BackEmf), 0.0));
     let mut found = Vec::new();
-    for (k, time_s) in stamps(period_s, SAMPLES).into_iter().enumerate() {
+    for (k, time_s) in stamps(period_s, START.samples).into_iter().enumerate() {
         scheme.push(time_s, record.current_a[k], record.speed_rad_s[k]);
         if PRINTED.iter().any(|printed| printed.0 == k) {
             let estimates = scheme.estimates(torque);
@@ -240,17 +247,17 @@ fn at_each_n(
 impl OverSeeds {
     fn of(truth: f64, estimates: impl Iterator<Item = (f64, f64)>) -> Self {
         let all: Vec<(f64, f64)> = estimates.collect();
-        let told: Vec<f64> = all.iter().map(|e| e.0).filter(|v| v.is_finite()).collect();
-        let holds = |(value, std): &&(f64, f64)| (value - truth).abs() <= INTERVAL_SIGMAS * std;
+        let finite: Vec<f64> = all.iter().map(|e| e.0).filter(|v| v.is_finite()).collect();
+        let holds = |(value, std): &&(f64, f64)| (value - truth).abs() <= 1.96 * std;
         let covered = all.iter().filter(holds).count();
-        let centre = mean(&told);
+        let centre = mean(&finite);
         let percent = |count: usize| 100.0 * count as f64 / all.len().max(1) as f64;
         Self {
             mean: centre,
-            std: variance(&told).sqrt(),
+            std: variance(&finite).sqrt(),
             error_percent: 100.0 * (centre / truth - 1.0),
             coverage_percent: percent(covered),
-            told_percent: percent(told.len()),
+            told_percent: percent(finite.len()),
         }
     }
 }
@@ -266,13 +273,13 @@ mod tests {
         assert!((10.0..25.0).contains(&peak), "{peak}");
         let motor = Motor::zk_22fc();
         let ke = value(&motor, MotorKey::BackEmf);
-        let settled = (VOLTAGE_V - 1.1 * 0.455 / ke) / ke;
-        let last = figure.speed_rad_s[SAMPLES - 1];
+        let settled = (START.voltage_v - 1.1 * 0.455 / ke) / ke;
+        let last = figure.speed_rad_s[START.samples - 1];
         assert!((last / settled - 1.0).abs() < 0.04, "{last} {settled}");
         // Sampled curve and fine curve are one motor.
-        let clean = start(&motor, PERIOD_S, SAMPLES);
+        let clean = start(&motor, START.period_s, START.samples);
         for (k, speed) in clean.speed_rad_s.iter().enumerate() {
-            assert!((speed - figure.fine.speed_rad_s[FINE * k]).abs() < 1e-9);
+            assert!((speed - figure.fine.speed_rad_s[START.fine * k]).abs() < 1e-9);
         }
     }
 }

@@ -1,4 +1,4 @@
-//! What the studies show: the figures, grids and values that the layouts ask for beside the studies' own JSON.
+//! What the studies show: the figures, grids and values that the layouts need beside the studies' own JSON.
 //!
 //! ```text
 //! PaperA, PaperB (both: every regulator on the same cases), Study, LineStudy -> Findings --(layouts/*.md)--> FiguresAndTables

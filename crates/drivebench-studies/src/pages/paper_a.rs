@@ -31,14 +31,38 @@ impl PaperA {
         let (saturated, shown) = (&self.adaptive.figure_7.saturated, &self.adaptive.figure_7.shown);
         let saturated = saturated.iter().map(|run| (run.controller.name(), &run.trace[..]));
         let shown = shown.iter().map(|run| (&run.name[..], &run.trace[..]));
-        let mut findings = Findings::new(&identification, adaptation)
-            .figure("figure-2", "estimates of scheme 1 over the samples, TM doubled at k = 900", &figure_2_series(&self.figure_2))
-            .figure("figure-3", "estimates of scheme 2 over the samples", &figure_3_series(&self.figure_3))
-            .figure("figure-4", "current and speed of the start", &figure_4_series(&self.figure_4))
-            .figure("figure-5", "speed and gain; the adaptation joins in the middle", &figure_5_series(&self.adaptive.figure_5))
-            .figure("figure-6", "speed with fixed and with adaptive gains while TM jumps", &figure_6_series(&self.adaptive.figure_6))
-            .figure("figure-7-saturation", "start and brake with ADDC, with MRAC disconnected in saturation and with MRAC always connected", &trials(saturated, 110.0, &SPEEDS))
-            .figure("figure-7-adaptation", "ADDC, ADDC by forgetting alone and MRAC over a jump of TM, unsaturated", &trials(shown, 150.0, &SPEEDS));
+        let mut findings = Findings::new(&identification, adaptation);
+        for (name, description, figure) in [
+            (
+                "figure-2",
+                "estimates of scheme 1 over the samples, TM doubled at k = 900",
+                figure_2_series(&self.figure_2),
+            ),
+            ("figure-3", "estimates of scheme 2 over the samples", figure_3_series(&self.figure_3)),
+            ("figure-4", "current and speed of the start", figure_4_series(&self.figure_4)),
+            (
+                "figure-5",
+                "speed and gain; the adaptation joins in the middle",
+                figure_5_series(&self.adaptive.figure_5),
+            ),
+            (
+                "figure-6",
+                "speed with fixed and with adaptive gains while TM jumps",
+                figure_6_series(&self.adaptive.figure_6),
+            ),
+            (
+                "figure-7-saturation",
+                "start and brake with ADDC, with MRAC disconnected in saturation and with MRAC always connected",
+                trials(saturated, 110.0, &SPEEDS),
+            ),
+            (
+                "figure-7-adaptation",
+                "ADDC, ADDC by forgetting alone and MRAC over a jump of TM, unsaturated",
+                trials(shown, 150.0, &SPEEDS),
+            ),
+        ] {
+            findings = findings.figure(name, description, &figure);
+        }
         for (sweep, name) in self.sampling.sweeps.iter().zip(["sampling-ta", "sampling-tm"]) {
             let drawn = chart(sweep.against, &sweep.ratios, &sweep.curves, (-4, 3));
             let ratios: Vec<String> = sweep.ratios.iter().map(f64::to_string).collect();

@@ -270,11 +270,11 @@ fn commissioned(findings: Findings, answers: &[MysteryAnswer]) -> Findings {
     let parameters: Vec<_> = answers.iter().flat_map(|answer| &answer.parameters).collect();
     let others = answers.iter().filter(|answer| answer.outcome != Outcome::Right);
     let others = others.map(|answer| {
-        let said = match answer.outcome {
+        let shown = match answer.outcome {
             Outcome::Failed => without_paths(&answer.reason),
             _ => answer.column(),
         };
-        with(answer, json!({"answer": said}))
+        with(answer, json!({"answer": shown}))
     });
     findings
         .and(json!({
@@ -368,7 +368,7 @@ fn missed(all: &Calibration) -> String {
         (instead.not_excited, "called not excited"),
         (instead.other_order, "named with another number of waves"),
     ];
-    let said: Vec<String> = (parts.iter())
+    let shown: Vec<String> = (parts.iter())
         .filter(|(count, _)| *count > 0)
         .map(|(count, what)| format!("{what} {count}"))
         .collect();
@@ -377,7 +377,7 @@ fn missed(all: &Calibration) -> String {
         0 => format!("All {there} effects that are there were named."),
         unnamed => format!(
             "Of {there} effects that are there {unnamed} went unnamed: {}.",
-            said.join(", ")
+            shown.join(", ")
         ),
     }
 }

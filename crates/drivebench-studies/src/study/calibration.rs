@@ -205,11 +205,11 @@ fn verdicts(
     verdict: DiagnosisVerdict,
     is_false_there: impl Fn(&Answer) -> bool,
 ) -> Bounded {
-    let asked: Vec<_> = (answers.iter().filter(|answer| is_false_there(answer)))
+    let judged: Vec<_> = (answers.iter().filter(|answer| is_false_there(answer)))
         .filter_map(|answer| answer.verdict)
         .collect();
-    let given = asked.iter().filter(|given| **given == verdict);
-    Bounded::new(given.count(), asked.len())
+    let given = judged.iter().filter(|given| **given == verdict);
+    Bounded::new(given.count(), judged.len())
 }
 
 fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
@@ -470,13 +470,13 @@ impl Bounded {
 
 /// What there is, once each, in the order in which it comes.
 pub fn distinct<T: PartialEq>(all: impl IntoIterator<Item = T>) -> Vec<T> {
-    let mut seen = Vec::new();
+    let mut found = Vec::new();
     for one in all {
-        if !seen.contains(&one) {
-            seen.push(one);
+        if !found.contains(&one) {
+            found.push(one);
         }
     }
-    seen
+    found
 }
 
 /// Counts of every group and excitation, in the order in which they come.
@@ -589,7 +589,7 @@ mod tests {
     }
 
     #[test]
-    fn names_of_what_is_not_there_are_false_and_twins_among_them_counted() {
+    fn false_names_and_twins_among_them_are_counted() {
         let falsely = || absent("quadratic_load", 0.8).with(|own| own.named = true);
         let all = of(vec![
             falsely(),

@@ -49,9 +49,9 @@ pub fn study(
         size.machines()
     ));
     progress::stage("excites and diagnoses machines", size.machines());
-    let mut found = run(size, &interrupted, tell).ok_or_else(ended)?;
+    let mut found = run(size, &interrupted, report_answer).ok_or_else(ended)?;
     if size.sets > 0 {
-        progress::stage("asks what lines do to a measurement", KINDS);
+        progress::stage("identifies over every kind of line", KINDS);
         found.lines = Some(line_study(LINE_RUNS, size.seed, progress::at));
     }
     if mysteries > 0 {
@@ -75,7 +75,7 @@ fn real_records(folder: &Path) -> Result<Vec<RecordAnswer>, Failure> {
 }
 
 /// How far it is, and every wrong name at once.
-fn tell(done: usize, _of: usize, answer: &Answer) {
+fn report_answer(done: usize, _of: usize, answer: &Answer) {
     if matches!(answer.outcome, Outcome::Wrong | Outcome::Failed) {
         let (group, excitation) = (answer.group.name(), &answer.excitation);
         let (hidden, sentence) = (&answer.class, &answer.sentence);
@@ -117,7 +117,7 @@ fn commission(
         seeds.into_par_iter().with_max_len(1).map(one).collect();
     // What stays of it is the system's to clear.
     let _ = std::fs::remove_dir_all(&place);
-    // A signal ends the programs that were started, too: what they said of that is no answer.
+    // A signal ends the programs that were started, too: their output is no answer.
     let is_whole = !interrupted.load(Ordering::Acquire);
     Ok(answers.filter(|_| is_whole))
 }

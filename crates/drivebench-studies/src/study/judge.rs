@@ -78,16 +78,16 @@ impl Answer {
         motor: &MotorTruth,
         diagnosis: &Diagnosis,
     ) -> Self {
-        let said = Claims::of(diagnosis);
+        let claims = Claims::of(diagnosis);
         let orders: Vec<Option<f64>> = truths.iter().map(|truth| truth.order).collect();
         Self {
-            outcome: outcome(case.group, &case.right, &orders, &said),
+            outcome: outcome(case.group, &case.right, &orders, &claims),
             verdict: Some(diagnosis.verdict),
             effects: diagnosis.effects.clone(),
             sufficient: diagnosis.sufficient,
             holdout_before: Some(diagnosis.holdout_before),
             holdout_after: Some(diagnosis.holdout_after),
-            findings: findings(truths, &said.orders, diagnosis),
+            findings: findings(truths, &claims.orders, diagnosis),
             parameters: parameters_of(motor, diagnosis),
             ..Self::failed(case, diagnosis.sentence.clone())
         }
@@ -189,43 +189,49 @@ pub(super) fn outcome(
     group: Group,
     right: &[Vec<&str>],
     orders: &[Option<f64>],
-    said: &Claims<'_>,
+    claims: &Claims<'_>,
 ) -> Outcome {
     let nothing_known = right.is_empty();
-    match said.verdict {
+    match claims.verdict {
         DiagnosisVerdict::None | DiagnosisVerdict::Unexplained if nothing_known => {
             let expected = match group {
                 Group::Unknown => DiagnosisVerdict::Unexplained,
                 _ => DiagnosisVerdict::None,
             };
-            if said.verdict == expected { Outcome::Right } else { Outcome::Abstained }
+            if claims.verdict == expected { Outcome::Right } else { Outcome::Abstained }
         }
         DiagnosisVerdict::Unexplained | DiagnosisVerdict::NotFitted => Outcome::Abstained,
         DiagnosisVerdict::None => {
-            let excused = |names: &Vec<&str>| names.iter().all(|id| said.not_excited.contains(id));
+            let excused =
+                |names: &Vec<&str>| names.iter().all(|id| claims.not_excited.contains(id));
             if right.iter().all(excused) { Outcome::NotExcited } else { Outcome::Abstained }
         }
         DiagnosisVerdict::Ambiguous => {
-            let inside = |names: &&Vec<&str>| names.iter().any(|id| said.pool.contains(id));
+            let inside = |names: &&Vec<&str>| names.iter().any(|id| claims.pool.contains(id));
             match right.iter().filter(inside).count() {
                 0 => Outcome::Wrong,
                 all if all == right.len() => Outcome::Ambiguous,
                 _ => Outcome::Partial,
             }
         }
-        DiagnosisVerdict::Effect => named(group, right, orders, said),
+        DiagnosisVerdict::Effect => named(group, right, orders, claims),
     }
 }
 
-fn named(group: Group, right: &[Vec<&str>], orders: &[Option<f64>], said: &Claims<'_>) -> Outcome {
-    let effects = &said.effects;
+fn named(
+    group: Group,
+    right: &[Vec<&str>],
+    orders: &[Option<f64>],
+    claims: &Claims<'_>,
+) -> Outcome {
+    let effects = &claims.effects;
     let all = right.len();
     // A wave of another number of cogs is another effect under the same name.
     let orders = orders.iter().copied().chain(std::iter::repeat(None));
     let right: Vec<Vec<&str>> = (right.iter().zip(orders))
         .map(|(names, order)| {
             let names = names.iter().copied();
-            names.filter(|id| said.is_of_order(id, order)).collect()
+            names.filter(|id| claims.is_of_order(id, order)).collect()
         })
         .collect();
     let has_background = group.background().is_some();
@@ -452,11 +458,11 @@ mod tests {
         }
     }
 
-    fn mark(case: &Case, orders: &[Option<f64>], said: &Claims<'_>) -> Outcome {
-        outcome(case.group, &case.right, orders, said)
+    fn mark(case: &Case, orders: &[Option<f64>], claims: &Claims<'_>) -> Outcome {
+        outcome(case.group, &case.right, orders, claims)
     }
 
-    fn said(verdict: DiagnosisVerdict, effects: &[&'static str]) -> Claims<'static> {
+    fn claims(verdict: DiagnosisVerdict, effects: &[&'static str]) -> Claims<'static> {
         Claims {
             verdict,
             effects: effects.to_vec(),
@@ -469,7 +475,7 @@ mod tests {
     #[track_caller]
     fn check(case: &Case, rows: &[(&[&'static str], Outcome)]) {
         for (effects, expected) in rows {
-            let verdict = said(DiagnosisVerdict::Effect, effects);
+            let verdict = claims(DiagnosisVerdict::Effect, effects);
             assert_eq!(mark(case, &[], &verdict), *expected, "{effects:?}");
         }
     }
@@ -487,8 +493,8 @@ mod tests {
             (&pair, &[None, Some(6.0)], both, Outcome::Right),
             (&pair, &[None, Some(8.0)], both, Outcome::Wrong),
         ] {
-            let said = said(DiagnosisVerdict::Effect, effects);
-            assert_eq!(mark(case, orders, &said), expected, "{orders:?}");
+            let claims = claims(DiagnosisVerdict::Effect, effects);
+            assert_eq!(mark(case, orders, &claims), expected, "{orders:?}");
         }
     }
 
@@ -501,7 +507,7 @@ mod tests {
             (&["supply_sag", "voltage_drop"], Outcome::Wrong),
         ];
         for (effects, expected) in rows {
-            let tie = said(DiagnosisVerdict::Ambiguous, effects);
+            let tie = claims(DiagnosisVerdict::Ambiguous, effects);
             assert_eq!(mark(&pair, &[], &tie), expected, "{effects:?}");
         }
     }
@@ -530,7 +536,7 @@ mod tests {
     }
 
     #[test]
-    fn on_a_messy_bench_the_background_may_be_named_but_is_not_the_answer() {
+    fn the_background_may_be_named_but_is_not_the_answer() {
         check(
             &case(Group::Background { level: 1.0 }, &[&["voltage_drop"]]),
             &[
@@ -555,10 +561,10 @@ mod tests {
             (&hidden, none, Outcome::Abstained),
             (&invisible, none, Outcome::NotExcited),
         ] {
-            let found = mark(case, &[], &said(verdict, &[]));
+            let found = mark(case, &[], &claims(verdict, &[]));
             assert_eq!(found, expected, "{:?} {verdict:?}", case.group);
         }
-        let tie = said(DiagnosisVerdict::Ambiguous, &["cogging", "backlash"]);
+        let tie = claims(DiagnosisVerdict::Ambiguous, &["cogging", "backlash"]);
         assert_eq!(mark(&hidden, &[], &tie), Outcome::Ambiguous);
         assert_eq!(mark(&invisible, &[], &tie), Outcome::Wrong);
     }

@@ -86,7 +86,7 @@ pub struct GroupCount {
     pub tally: Tally,
 }
 
-/// Runs the study on all cores; `after` hears of each set when it is done, in no order. `None` where it was
+/// Runs the study on all cores; `after` is called with each set when it is done, in no order. `None` where it was
 /// interrupted: a part of a study would not be the study.
 pub fn run(
     size: Size,

@@ -46,19 +46,19 @@ impl MysteryAnswer {
     /// Marks what `commission --json` said against what the seed hides.
     pub fn of(seed: u64, commissioned: &Value) -> Self {
         let truth = draw(seed).truth;
-        let Some(said) = Reported::from_json(commissioned) else {
+        let Some(reported) = Reported::from_json(commissioned) else {
             return Self::failed(seed, "the answer has no verdict".to_owned());
         };
-        let outcome = outcome(&truth, &said);
+        let outcome = outcome(&truth, &reported);
         let named = truth.effects.iter();
-        let named = named.filter(|effect| said.effects.contains(&effect.id));
-        let sizes = sizes(named, |id, key| said.value(id, key));
+        let named = named.filter(|effect| reported.effects.contains(&effect.id));
+        let sizes = sizes(named, |id, key| reported.value(id, key));
         let diagnosis = &commissioned["diagnosis"];
         Self {
             outcome,
-            reason: said.reason(truth.effect()),
-            verdict: said.verdict,
-            effects: said.effects,
+            reason: reported.reason(truth.effect()),
+            verdict: reported.verdict,
+            effects: reported.effects,
             holdout_before: diagnosis["holdout_before"].as_f64(),
             holdout_after: diagnosis["holdout_after"].as_f64(),
             size_error_percent: (sizes.iter())
@@ -120,7 +120,7 @@ fn hidden(truth: &Truth) -> String {
     truth.effect().map_or_else(|| NOTHING.to_owned(), |effect| effect.id.clone())
 }
 
-fn outcome(truth: &Truth, said: &Reported) -> Outcome {
+fn outcome(truth: &Truth, reported: &Reported) -> Outcome {
     let (group, right) = match truth.effect() {
         None => (Group::Null, vec![]),
         Some(own) if own.is_foreign => (Group::Unknown, vec![]),
@@ -128,7 +128,7 @@ fn outcome(truth: &Truth, said: &Reported) -> Outcome {
     };
     let mut parameters = truth.effects.iter().flat_map(|own| &own.parameters);
     let order = parameters.find(|one| one.key == ORDER).map(|one| one.value);
-    let claims = Claims::of_answer(said);
+    let claims = Claims::of_answer(reported);
     claims.map_or(Outcome::Abstained, |claims| judge::outcome(group, &right, &[order], &claims))
 }
 
@@ -254,23 +254,23 @@ mod tests {
                 .iter()
                 .map(|id| json!({"effect": id, "status": "not_excited"}))
                 .collect();
-            let said = json!({
+            let reported = json!({
                 "diagnosis": {"verdict": verdict, "effects": effects, "candidates": candidates}
             });
-            let found = MysteryAnswer::of(seed_of(id), &said).outcome;
+            let found = MysteryAnswer::of(seed_of(id), &reported).outcome;
             assert_eq!(found, expected, "{id}: {verdict} {effects:?}");
         }
     }
 
     #[test]
     fn a_set_is_all_that_the_answer_leaves_open() {
-        let said = json!({
+        let reported = json!({
             "diagnosis": {
                 "verdict": "ambiguous", "effects": ["speed_filter"], "candidates": [],
                 "confusable": [["speed_filter", "speed_delay"]]
             }
         });
-        let answer = MysteryAnswer::of(seed_of("speed_delay"), &said);
+        let answer = MysteryAnswer::of(seed_of("speed_delay"), &reported);
         assert_eq!(answer.outcome, Outcome::Ambiguous);
     }
 
@@ -278,7 +278,7 @@ mod tests {
     fn parameters_are_held_against_the_specimen() {
         let seed = seed_of("cogging");
         let truth = draw(seed).truth.motor.resistance_ohm;
-        let said = json!({
+        let reported = json!({
             "diagnosis": {"verdict": "effect", "effects": ["cogging"], "candidates": [],
                 "holdout_before": 5.0, "holdout_after": 1.02},
             "parameters": [
@@ -286,7 +286,7 @@ mod tests {
                 {"key": "inertia_kg_m2", "value": null, "std": null, "verdict": "not_observable"}
             ]
         });
-        let answer = MysteryAnswer::of(seed, &said);
+        let answer = MysteryAnswer::of(seed, &reported);
         let [own] = answer.parameters.as_slice() else { panic!("{:?}", answer.parameters) };
         assert_eq!(own.verdict, Verdict::Settled);
         assert!((own.value / own.truth - 1.01).abs() < 1e-12);
@@ -302,7 +302,7 @@ mod tests {
     }
 
     #[test]
-    fn a_record_that_is_broken_is_said_to_be_and_one_that_is_away_is_left_out() {
+    fn a_broken_record_is_reported_and_an_absent_one_left_out() {
         let folder = tempfile::tempdir().unwrap();
         assert!(records(folder.path()).is_empty());
         let file = folder.path().join(RECORDS[0].file);

@@ -25,28 +25,46 @@ use drivebench::excitation::{
 use drivebench::plant::{Instant, Scenario, ScenarioError, effect};
 use drivebench::sample::{Channel, Command, Demand, Origin, Run, RunError, Sample};
 
-/// Spread of the specimens' R, L, Ke, J and Mc about the nameplate.
-const TOLERANCE: f64 = 0.15;
-/// Sensors of a common servo drive: 1 r/min and 10 mA steps, noise of about the same size.
-const SPEED_NOISE_RAD_S: f64 = 0.15;
-const SPEED_STEP_RAD_S: f64 = 0.104_72;
-const CURRENT_NOISE_A: f64 = 0.03;
-const CURRENT_STEP_A: f64 = 0.01;
-/// So much noisier are the sensors where they are bad, and so much smaller the hidden effect on a harsh background.
-const BAD_SENSORS_RATIO: f64 = 3.0;
-const HARSH_SIZE_RATIO: f64 = 0.5;
-/// Share of the rows that a bad line loses at random, and how long it is away altogether.
-const LOST_SHARE: f64 = 0.1;
-const AWAY_S: f64 = 0.4;
-/// Stream of the generator that draws them: the run itself is that of a line that loses nothing.
-const LOSS_STREAM: u64 = 1;
-const FULL_V: f64 = 105.0;
-const SLEW_V_PER_S: f64 = 350.0;
-const PRBS_SLEW_V_PER_S: f64 = 500.0;
-/// At rest first: the noise floor and the offsets come from here.
-const STANDSTILL_S: f64 = 0.5;
-/// A slow link samples for longer, and its polls lie up to this much late: the stamps say when.
-const LATE_S: f64 = 0.003;
+/// The specimens, their sensors, their lines and how they are moved.
+struct Settings {
+    /// Spread of R, L, Ke, J and Mc about the nameplate.
+    tolerance: f64,
+    /// Sensors of a common servo drive: 1 r/min and 10 mA steps, noise of about the same size.
+    speed_noise_rad_s: f64,
+    speed_step_rad_s: f64,
+    current_noise_a: f64,
+    current_step_a: f64,
+    /// So much noisier are the sensors where they are bad, and so much smaller the hidden effect on a harsh background.
+    bad_sensors_ratio: f64,
+    harsh_size_ratio: f64,
+    /// Share of the rows that a bad line loses at random, and how long it is away altogether.
+    lost_share: f64,
+    away_s: f64,
+    /// A slow link samples for longer, and its polls lie up to this much late: the stamps have the true times.
+    late_s: f64,
+    full_v: f64,
+    slew_v_per_s: f64,
+    prbs_slew_v_per_s: f64,
+    /// At rest first: the noise floor and the offsets come from here.
+    standstill_s: f64,
+}
+
+const SETTINGS: Settings = Settings {
+    tolerance: 0.15,
+    speed_noise_rad_s: 0.15,
+    speed_step_rad_s: 0.104_72,
+    current_noise_a: 0.03,
+    current_step_a: 0.01,
+    bad_sensors_ratio: 3.0,
+    harsh_size_ratio: 0.5,
+    lost_share: 0.1,
+    away_s: 0.4,
+    late_s: 0.003,
+    full_v: 105.0,
+    slew_v_per_s: 350.0,
+    prbs_slew_v_per_s: 500.0,
+    standstill_s: 0.5,
+};
 
 impl Excitation {
     const fn period_s(self) -> f64 {
@@ -57,37 +75,38 @@ impl Excitation {
     }
 
     fn program(self, rng: &mut ChaCha8Rng, seconds: f64) -> Result<Program, ExcitationError> {
-        let still = Segment::Standstill(Standstill { seconds: STANDSTILL_S });
+        let Settings { full_v, slew_v_per_s, standstill_s, .. } = SETTINGS;
+        let still = Segment::Standstill(Standstill { seconds: standstill_s });
         let hold_s = 0.45;
         let mut levels = |low: f64, high: f64| {
             let mut levels_v = Vec::new();
-            while (levels_v.len() as f64) * hold_s < seconds - STANDSTILL_S {
+            while (levels_v.len() as f64) * hold_s < seconds - standstill_s {
                 levels_v.push(rng.random_range(low..high));
             }
             Segment::Steps(Steps { levels_v, hold_s, dither: None })
         };
         match self {
             Self::Rich | Self::Rich100Hz => {
-                Program::new(&rich(FULL_V, SLEW_V_PER_S, rng.random()), SLEW_V_PER_S)
+                Program::new(&rich(full_v, slew_v_per_s, rng.random()), slew_v_per_s)
             }
-            Self::Steps => Program::new(&[still, levels(-FULL_V, FULL_V)], SLEW_V_PER_S),
-            Self::Unipolar => Program::new(&[still, levels(12.0, FULL_V)], SLEW_V_PER_S),
+            Self::Steps => Program::new(&[still, levels(-full_v, full_v)], slew_v_per_s),
+            Self::Unipolar => Program::new(&[still, levels(12.0, full_v)], slew_v_per_s),
             Self::Prbs => {
                 let prbs = Prbs {
                     amplitude_v: 85.0,
                     clock_s: 0.08,
-                    seconds: seconds - STANDSTILL_S,
+                    seconds: seconds - standstill_s,
                     seed: rng.random(),
                     offset_v: 0.0,
                     levels: 9,
                 };
-                Program::new(&[still, Segment::Prbs(prbs)], PRBS_SLEW_V_PER_S)
+                Program::new(&[still, Segment::Prbs(prbs)], SETTINGS.prbs_slew_v_per_s)
             }
             Self::Ramp => {
                 let sign = if rng.random() { 1.0 } else { -1.0 };
-                let mut level = |sign: f64| sign * rng.random_range(0.8 * FULL_V..FULL_V);
+                let mut level = |sign: f64| sign * rng.random_range(0.8 * full_v..full_v);
                 let (first_v, second_v) = (level(sign), level(-sign));
-                let quarter_s = 0.25 * (seconds - STANDSTILL_S);
+                let quarter_s = 0.25 * (seconds - standstill_s);
                 let ramp = |from_v, to_v, seconds| {
                     Segment::Ramp(Ramp { from_v, to_v, seconds, dither: None })
                 };
@@ -97,7 +116,7 @@ impl Excitation {
                     ramp(first_v, second_v, 2.0 * quarter_s),
                     ramp(second_v, 0.0, quarter_s),
                 ];
-                Program::new(&parts, SLEW_V_PER_S)
+                Program::new(&parts, slew_v_per_s)
             }
         }
     }
@@ -134,7 +153,8 @@ pub(super) struct Runs {
 pub(super) fn runs(case: &Case) -> Result<Runs, StudyError> {
     let mut rng = ChaCha8Rng::seed_from_u64(case.seed);
     let mut losses = ChaCha8Rng::seed_from_u64(case.seed);
-    losses.set_stream(LOSS_STREAM);
+    // The run itself is that of a line that loses nothing.
+    losses.set_stream(1);
     let config = config(case, &mut rng)?;
     let mut run = |name: &str| {
         let program = case.excitation.program(&mut rng, case.seconds)?;
@@ -155,24 +175,24 @@ pub(super) fn runs(case: &Case) -> Result<Runs, StudyError> {
 /// The specimen: drawn here and not by the drive, whose seed is left for noise and for what is random in an effect.
 fn config(case: &Case, rng: &mut ChaCha8Rng) -> Result<EmulatorConfig, StudyError> {
     let mut config = EmulatorConfig::embedded("zk-22fc-plain")?;
-    config.motor = config.motor.specimen(TOLERANCE, rng.random());
+    config.motor = config.motor.specimen(SETTINGS.tolerance, rng.random());
     config.tolerance = 0.0;
-    // The study asks about the diagnosis: neither the drive's limiter nor its switches are to take part.
+    // The study tests the diagnosis: neither the drive's limiter nor its switches are to take part.
     config.limits.current_limit_a = 100.0;
     config.limits.bus_v = 120.0;
     config.limits.speed_limit_rad_s = 1000.0;
     config.limits.winding_limit_c = 1000.0;
     let noise = match case.group {
-        Group::Harsh | Group::Noisy => BAD_SENSORS_RATIO,
+        Group::Harsh | Group::Noisy => SETTINGS.bad_sensors_ratio,
         _ => 1.0,
     };
-    config.noise.current_a = noise * CURRENT_NOISE_A;
-    config.noise.speed_rad_s = noise * SPEED_NOISE_RAD_S;
-    config.quantisation.current_a = CURRENT_STEP_A;
-    config.quantisation.speed_rad_s = SPEED_STEP_RAD_S;
+    config.noise.current_a = noise * SETTINGS.current_noise_a;
+    config.noise.speed_rad_s = noise * SETTINGS.speed_noise_rad_s;
+    config.quantisation.current_a = SETTINGS.current_step_a;
+    config.quantisation.speed_rad_s = SETTINGS.speed_step_rad_s;
     config.hidden.clear();
     let is_harsh = case.group == Group::Harsh;
-    let share = if is_harsh { HARSH_SIZE_RATIO } else { 1.0 };
+    let share = if is_harsh { SETTINGS.harsh_size_ratio } else { 1.0 };
     let known = |id: &str, hidden: Option<HiddenEffect>| {
         hidden.ok_or_else(|| StudyError::Effect(id.to_owned()))
     };
@@ -202,7 +222,7 @@ fn exchanged(
     let drive = SoftDrive::new(config, rng.random());
     let mut link = MemoryLink::new(drive, clock.clone(), no_wire);
     let mut rows: Vec<Row> = Vec::new();
-    let late_s = if period_s > 0.005 { LATE_S } else { 0.0 };
+    let late_s = if period_s > 0.005 { SETTINGS.late_s } else { 0.0 };
     let mut seq = 0;
     loop {
         let due_s = seq as f64 * period_s;
@@ -229,10 +249,10 @@ fn exchanged(
 /// its commands all the same.
 fn lose(rows: &mut Vec<Row>, rng: &mut ChaCha8Rng) {
     let end_s = rows.last().map_or(0.0, |(_, sample)| sample.time_s);
-    let away_s = rng.random_range(STANDSTILL_S..end_s - AWAY_S);
-    let away_s = away_s..away_s + AWAY_S;
+    let away_s = rng.random_range(SETTINGS.standstill_s..end_s - SETTINGS.away_s);
+    let away_s = away_s..away_s + SETTINGS.away_s;
     rows.retain(|(_, sample)| {
-        let is_lost = rng.random::<f64>() < LOST_SHARE;
+        let is_lost = rng.random::<f64>() < SETTINGS.lost_share;
         !is_lost && !away_s.contains(&sample.time_s)
     });
 }
@@ -250,12 +270,6 @@ fn recorded(name: &str, rows: &[Row]) -> Result<Scenario, StudyError> {
     }
     Ok(Scenario::from_run(&run)?)
 }
-
-/// The speed at which drags are compared, as a share of rated speed, and friction near standstill, as one of its own:
-/// half of what the excitations reach, half of where it has fallen.
-const SPEED_SHARE: f64 = 0.5;
-/// The instant at which drifts are compared, s: half of a run.
-const TIME_S: f64 = 6.0;
 
 /// One effect that is there, and that the catalogue has a name for.
 #[derive(Clone, Debug, PartialEq)]
@@ -297,14 +311,16 @@ fn size(hidden: &HiddenEffect, id: &str, site: &Site) -> Option<f64> {
         // A frequency is no size.
         "elastic_coupling" => None,
         "viscous_friction" | "quadratic_load" | "asymmetric_viscous" => {
-            let speed_rad_s = SPEED_SHARE * site.motor.rated_speed_rad_s;
+            // Half of what the excitations reach.
+            let speed_rad_s = 0.5 * site.motor.rated_speed_rad_s;
             let torque_n_m = hidden.mechanism(site)?.drag_torque_n_m(speed_rad_s);
             let of_size_one = of_catalogue.terms(&[1.0]).torque_n_m(&at_speed(speed_rad_s), &[]);
             Some(torque_n_m / of_size_one)
         }
         "stribeck_friction" => {
             let own_rad_s = hidden.value("stribeck_speed_rad_s")?;
-            let speed_rad_s = SPEED_SHARE * own_rad_s;
+            // Half of where it has fallen.
+            let speed_rad_s = 0.5 * own_rad_s;
             let at = Moment { speed_rad_s, ..Moment::default() };
             let terms = of_catalogue.terms(&[1.0, own_rad_s]);
             let of_size_one = terms.friction_n_m(&at_speed(speed_rad_s));
@@ -317,8 +333,10 @@ fn size(hidden: &HiddenEffect, id: &str, site: &Site) -> Option<f64> {
             }
         }
         "field_change" => {
-            let at = Moment { time_s: TIME_S, ..Moment::default() };
-            Some((hidden.mechanism(site)?.flux_factor(&at) - 1.0) / TIME_S)
+            // Half of a run.
+            let time_s = 6.0;
+            let at = Moment { time_s, ..Moment::default() };
+            Some((hidden.mechanism(site)?.flux_factor(&at) - 1.0) / time_s)
         }
         _ => match main.strip_prefix("sin_") {
             Some(unit) => {
@@ -366,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn a_size_is_what_the_catalogue_would_need_at_the_reference_condition() {
+    fn a_size_is_that_of_the_catalogue_at_the_reference() {
         // Eyring's fluid: asinh(x)/x at a quarter of its speed.
         let drag = 4e-4 * 0.25_f64.asinh() / 0.25;
         let fan = 2e-6 * 0.5_f64.powf(-0.05);
@@ -401,7 +419,7 @@ mod tests {
     }
 
     #[test]
-    fn a_background_is_taken_apart_and_what_no_catalogue_has_is_left_out() {
+    fn a_background_is_taken_apart() {
         let motor = motor();
         let both = [
             hidden("id = \"messy\"\nscale = 2.0"),

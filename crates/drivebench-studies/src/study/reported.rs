@@ -142,7 +142,7 @@ mod tests {
 
     #[test]
     fn a_reason_says_what_was_claimed() {
-        let said = |verdict: &str, effects: &[&str], not_excited: &str| {
+        let answer_of = |verdict: &str, effects: &[&str], not_excited: &str| {
             let json = json!({
                 "verdict": verdict, "effects": effects,
                 "candidates": [{ "effect": not_excited, "status": "not_excited" }],
@@ -163,13 +163,13 @@ mod tests {
             (Some(&shaker), "unexplained", &[], "", "nothing known explains"),
             (Some(&shaker), "effect", &["cogging"], "", "cannot be it"),
         ] {
-            let reason = said(verdict, effects, not_excited).reason(hidden);
+            let reason = answer_of(verdict, effects, not_excited).reason(hidden);
             assert!(reason.contains(expected), "{verdict} {effects:?}: {reason}");
         }
     }
 
     #[test]
-    fn what_the_most_probable_cannot_be_told_from_is_left_open_with_it() {
+    fn rivals_of_the_most_probable_are_left_open() {
         let diagnosis = json!({
             "verdict": "ambiguous", "effect": "speed_filter", "effects": ["speed_filter"],
             "confusable": [["speed_filter", "speed_delay"], ["cogging", "backlash"]], "candidates": [],
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn values_of_a_commissioning_count_more_than_those_of_its_diagnosis() {
+    fn values_of_a_commissioning_take_precedence() {
         let document = json!({
             "diagnosis": {
                 "verdict": "effect", "effects": ["cogging"],
