@@ -19,11 +19,11 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use record::{Sampling, Trajectory};
 
+use crate::everything;
+
 const SECONDS: f64 = 5.0;
-/// Motors (each with an excitation of its own) and noise seeds per motor: 400 runs per condition, fewer without
-/// optimisation.
-const MOTORS: u64 = if cfg!(debug_assertions) { 40 } else { 80 };
-const SEEDS: u64 = if cfg!(debug_assertions) { 3 } else { 5 };
+/// Motors, each with an excitation of its own.
+const MOTORS: u64 = 80;
 /// Not the numbers that the methods were developed with.
 const FIRST_MOTOR: u64 = 500_000;
 
@@ -39,6 +39,11 @@ const KEYS: [MotorKey; 5] = [
     MotorKey::Inertia,
     MotorKey::LoadTorque,
 ];
+
+/// Noise seeds of each motor.
+fn seeds() -> u64 {
+    if everything() { 5 } else { 2 }
+}
 
 type Scheme = fn(&Run, &Trajectory) -> Vec<ParameterEstimate>;
 
@@ -122,10 +127,11 @@ fn counts(name: &str, scheme: Scheme, sampling: Sampling) -> [Count; 5] {
         .into_par_iter()
         .map(|motor| Trajectory::random(FIRST_MOTOR + motor, sampling, SECONDS))
         .collect();
-    let found: Vec<(usize, Vec<ParameterEstimate>)> = (0..MOTORS * SEEDS)
+    let seeds = seeds();
+    let found: Vec<(usize, Vec<ParameterEstimate>)> = (0..MOTORS * seeds)
         .into_par_iter()
         .map(|seed| {
-            let index = usize::try_from(seed / SEEDS).unwrap();
+            let index = usize::try_from(seed / seeds).unwrap();
             let trajectory = &trajectories[index];
             (index, scheme(&trajectory.run(seed), trajectory))
         })
@@ -172,7 +178,7 @@ fn check(name: &str, scheme: Scheme, most: f64, asked: std::ops::Range<usize>) {
             }
             // A scheme must not pass by saying nothing: L/R below the period may hide the inductance, nothing else.
             let least = if j == 1 { 0.4 } else { 0.9 };
-            if f64::from(count.valued) < least * (MOTORS * SEEDS) as f64 && most < 1.0 {
+            if f64::from(count.valued) < least * (MOTORS * seeds()) as f64 && most < 1.0 {
                 wrong.push(format!("{sampling:?} {} valued {}", KEYS[j].key(), count.valued));
             }
         }

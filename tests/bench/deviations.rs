@@ -22,12 +22,8 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use crate::diagnosis_on_emulator::record;
+use crate::everything;
 
-/// With `DRIVEBENCH_EVERYTHING` so many as docs/method.md tells of.
-const EVERY_MACHINE: u64 = 50;
-const MACHINES: u64 = if cfg!(debug_assertions) { 10 } else { 20 };
-const FIRST_MACHINE: u64 = 1000;
-const TOLERANCE: f64 = 0.15;
 /// Least shares that may hold the truth, of one parameter and of all together, and the most.
 const LEAST_OF_ONE: f64 = 0.85;
 const OF_ALL_WITHIN_ONE: [f64; 2] = [0.60, 0.80];
@@ -54,7 +50,7 @@ type Machine = Vec<(String, [Told; 3])>;
 
 fn machine(id: &str, seed: u64) -> Machine {
     let mut config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
-    config.motor = config.motor.specimen(TOLERANCE, seed);
+    config.motor = config.motor.specimen(0.15, seed);
     config.tolerance = 0.0;
     let hidden = HiddenEffect::study(id, |_| 1.0, &mut ChaCha8Rng::seed_from_u64(seed)).unwrap();
     let motor = &config.motor;
@@ -105,10 +101,9 @@ fn tolerance(share: f64, of: usize) -> f64 {
 
 /// Shares of the 95 % intervals of the free run that hold the truth, by key, after those of `add` have been judged.
 fn judged(id: &str) -> Vec<(String, f64)> {
-    let everything = std::env::var_os("DRIVEBENCH_EVERYTHING").is_some();
-    let count = if everything { EVERY_MACHINE } else { MACHINES };
-    let machines: Vec<Machine> =
-        (0..count).into_par_iter().map(|number| machine(id, FIRST_MACHINE + number)).collect();
+    let count = if everything() { 50 } else { 10 };
+    let seeds = 1000..1000 + count;
+    let machines: Vec<Machine> = seeds.into_par_iter().map(|seed| machine(id, seed)).collect();
     let (mut of_all, mut of_free_run) = (Vec::new(), Vec::new());
     for place in 0..machines[0].len() {
         let key = &machines[0][place].0;

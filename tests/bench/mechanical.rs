@@ -25,6 +25,7 @@ use drivebench::plant::{
 use drivebench::recording::{ColumnMap, open_run};
 use drivebench::sample::{Channel, Origin, Run};
 
+use crate::everything;
 use crate::placebo::{OF_THE_SPEED, placebos};
 use crate::swapped;
 
@@ -206,8 +207,13 @@ mod simulated {
         ("stribeck_friction", &[0.25, 12.0]),
     ];
 
+    /// Those that the longest tests take: each needs many fits.
+    fn tested() -> &'static [(&'static str, &'static [f64])] {
+        if everything() { &KNOWN } else { &KNOWN[2..4] }
+    }
+
     #[test]
-    fn a_single_effect_is_named_in_a_messy_record_and_nothing_where_nothing_is_missing() {
+    fn a_single_effect_is_named_in_a_messy_record() {
         for (id, values) in KNOWN {
             let found = diagnose(&nameplate(), &evidence(&truth(id, values), 1)).unwrap();
             let said = &found.sentence;
@@ -227,7 +233,7 @@ mod simulated {
     #[test]
     fn doses_are_found_within_their_interval_and_in_their_order() {
         let base = evidence(&axis(), 3);
-        for (id, values) in KNOWN {
+        for &(id, values) in tested() {
             doses_are_found(&nameplate(), &base, id, values);
             for dose in [1.0, 2.0] {
                 let mut values = values.to_vec();
@@ -240,7 +246,7 @@ mod simulated {
 
     #[test]
     fn halves_do_not_change_the_name() {
-        for (id, values) in KNOWN {
+        for &(id, values) in tested() {
             let data = evidence(&truth(id, values), 5);
             let sizes = [&data, &swapped(&data)].map(|data| {
                 let named = diagnose(&nameplate(), data).unwrap();
@@ -288,7 +294,7 @@ mod simulated {
     }
 
     #[test]
-    fn add_and_remove_tell_both_processings_and_refuse_what_does_not_pay() {
+    fn add_and_remove_refuse_what_does_not_pay() {
         let (id, values) = KNOWN[1];
         let data = runs(&truth(id, values), [70, 71], 0.0);
         let with_offset = with_unset(nameplate(), &["constant_load"]);
@@ -316,7 +322,7 @@ mod simulated {
     }
 
     #[test]
-    fn a_run_in_one_direction_does_not_name_what_only_two_would_show() {
+    fn one_direction_does_not_excite_direction_dependence() {
         let mut data = evidence(&truth("constant_load", &[0.08]), 9);
         for run in [&mut data.training, &mut data.holdout] {
             // What lies below zero is cut out of the record.
@@ -331,7 +337,7 @@ mod simulated {
     }
 
     #[test]
-    fn a_run_without_motion_or_torque_constant_is_refused_with_the_reason() {
+    fn a_run_without_motion_or_torque_constant_is_refused() {
         let refused = |spoil: fn(&mut Scenario)| {
             let mut data = evidence(&axis(), 1);
             spoil(&mut data.training);
@@ -346,10 +352,11 @@ mod simulated {
     #[test]
     fn placebos_are_refused() {
         let (mut judged, mut passed) = (0, 0);
-        for seed in 0..6 {
+        let records = if everything() { 6 } else { 2 };
+        for seed in 0..records {
             let (id, values) = KNOWN[seed % KNOWN.len()];
             // Half of the records miss an effect: a model that is wrong must not make placebos right.
-            let machine = if seed < 3 { truth(id, values) } else { axis() };
+            let machine = if 2 * seed < records { truth(id, values) } else { axis() };
             let data = evidence(&machine, 20 + seed as u64);
             for one in placebos(&data.training, OF_THE_SPEED, 6, seed as u64) {
                 let added = add(one, &nameplate(), &data);
@@ -361,7 +368,7 @@ mod simulated {
             }
         }
         eprintln!("placebos added: {passed} of {judged}");
-        assert!(passed < 2, "{passed} of {judged}");
+        assert!(20 * passed < judged, "{passed} of {judged}");
     }
 }
 
@@ -516,7 +523,7 @@ mod driven {
     }
 
     #[test]
-    fn two_effects_at_once_are_named_where_only_the_angle_is_measured() {
+    fn two_effects_are_named_where_only_the_angle_is_measured() {
         finds_both(BY_ANGLE, 6..9);
     }
 
@@ -534,7 +541,7 @@ mod driven {
     }
 
     #[test]
-    fn what_acts_in_the_armature_is_not_asked_of_a_run_without_a_voltage() {
+    fn armature_effects_are_not_excited_without_a_voltage() {
         let found = named(&PAIRS[0], BY_TORQUE, 0);
         for id in ["voltage_drop", "command_delay", "winding_heating", "flux_saturation"] {
             let candidate = candidate(&found, id);
@@ -654,7 +661,7 @@ mod real {
 
     #[test]
     #[ignore = "needs DRIVEBENCH_DATA, a folder with hidden-effects"]
-    fn on_the_data_at_hand_the_axis_of_the_hidden_effect_comes_first() {
+    fn the_axis_of_the_hidden_effect_comes_first() {
         let folder = std::env::var("DRIVEBENCH_DATA").expect("DRIVEBENCH_DATA is set");
         let maps = |run: &Scenario| -> Vec<AxisMap> {
             let noise = NoiseFloor::from_standstill(run).unwrap();

@@ -79,7 +79,7 @@ fn followed(file: &BenchFile, hidden: &str, adds: bool, seed: u64) -> Kept {
 }
 
 #[test]
-fn what_a_recommended_run_promises_shows_and_nothing_is_promised_twice() {
+fn a_recommended_run_shows_what_it_promises_once() {
     let default = BenchFile::embedded_default();
     let text = default.to_toml();
     let (head, _) = text.split_once("[[sequence]]").unwrap();

@@ -27,13 +27,9 @@ use drivebench::recording::open_run;
 use rayon::prelude::*;
 use record::{DURATION_S, nameplate, record};
 
+use crate::everything;
 use crate::placebo::{OF_MOTION_AND_CURRENT, placebos};
 use crate::swapped;
-
-/// Whether only a few cases are done.
-fn is_quick() -> bool {
-    std::env::var_os("DRIVEBENCH_EVERYTHING").is_none()
-}
 
 /// A known effect, its usual size (in the middle of what the study hides), and the key of its size in the emulator.
 struct Dose(&'static str, f64, &'static str);
@@ -72,7 +68,7 @@ const INTERVAL: f64 = 3.0;
 const LINEAR: f64 = 0.1;
 
 fn doses_done() -> &'static [Dose] {
-    &DOSES[..if is_quick() { 1 } else { DOSES.len() }]
+    &DOSES[..if everything() { DOSES.len() } else { 1 }]
 }
 
 fn evidence(hidden: &[HiddenEffect], machine: u64) -> Evidence {
@@ -113,12 +109,12 @@ struct Row {
 }
 
 #[test]
-fn doses_are_found_within_their_interval_and_named_from_some_size_on() {
+fn doses_are_found_and_named_from_some_size_on() {
     let machine = 0;
     let plain = evidence(&[], machine);
     let without = diagnose(&nameplate(), plain.clone()).unwrap();
     println!("no dose: {} {:?}", without.sentence, without.confusable);
-    let multiples: &[f64] = if is_quick() { &FEW_MULTIPLES } else { &MULTIPLES };
+    let multiples: &[f64] = if everything() { &MULTIPLES } else { &FEW_MULTIPLES };
     let mut failures = Vec::new();
     for dose in doses_done() {
         let mut candidates = without.candidates.iter();
@@ -194,7 +190,7 @@ fn doses_are_found_within_their_interval_and_named_from_some_size_on() {
 
 #[test]
 fn halves_and_a_fifth_of_the_floor_do_not_change_the_name() {
-    let turned: &[f64] = if is_quick() { &[1.2] } else { &[0.8, 1.2] };
+    let turned: &[f64] = if everything() { &[0.8, 1.2] } else { &[1.2] };
     let failures: Vec<String> = doses_done()
         .par_iter()
         .enumerate()
@@ -243,7 +239,7 @@ fn halves_and_a_fifth_of_the_floor_do_not_change_the_name() {
 
 #[test]
 fn placebos_are_refused() {
-    let (records, each) = if is_quick() { (1, 7) } else { (6, 40) };
+    let (records, each) = if everything() { (6, 40) } else { (1, 7) };
     let cases: Vec<(usize, u64)> = (0..records).zip(20..).collect();
     let counts: Vec<(usize, usize)> = cases
         .par_iter()
@@ -294,7 +290,7 @@ fn doses_in_the_runs_of_another_simulator_are_found() {
         ("speed_offset", 0.8),
         ("command_delay", 1e-3),
     ];
-    let few = if is_quick() { 2 } else { units.len() };
+    let few = if everything() { units.len() } else { 2 };
     let failures: Vec<String> = units[..few]
         .par_iter()
         .flat_map_iter(|(id, unit)| {

@@ -51,7 +51,7 @@ fn table(desk: &Desk, runs: &Path, name: &str, options: &str) -> String {
 }
 
 #[test]
-fn the_table_is_the_same_whatever_the_threads_the_parts_and_the_kills() {
+fn threads_parts_and_kills_do_not_change_the_table() {
     let desk = Desk::new();
     let runs = fleet(&desk);
     let whole = table(&desk, &runs, "whole.csv", "--jobs 1");
@@ -205,7 +205,7 @@ fn blocks(page: &str, tool: &str) -> Vec<(String, String)> {
 }
 
 #[test]
-fn the_queries_of_the_page_find_the_dry_bearing_and_the_hidden_effect() {
+fn queries_of_the_page_find_bearing_and_hidden_effect() {
     let page = include_str!("../../docs/suites.md");
     let desk = Desk::new();
     let runs = fleet(&desk);
@@ -303,7 +303,7 @@ impl Yearly {
 }
 
 #[test]
-fn a_suite_names_what_has_drifted_since_an_earlier_run_of_the_same_machine() {
+fn a_suite_names_what_has_drifted_since_an_earlier_run() {
     let yearly = Yearly::new();
     let passed = yearly.test("plain.toml", &yearly.spring, "").expect(0);
     let found: Value = serde_json::from_str(&passed.stdout).unwrap();
@@ -331,7 +331,7 @@ fn a_suite_names_what_has_drifted_since_an_earlier_run_of_the_same_machine() {
 }
 
 #[test]
-fn an_earlier_result_serves_as_a_baseline_once_and_as_far_as_it_goes() {
+fn an_earlier_result_is_a_baseline_and_counts_once() {
     let yearly = Yearly::new();
     let test =
         |emulator: &str, baseline: &Path, options: &str| yearly.test(emulator, baseline, options);
@@ -397,7 +397,7 @@ fn an_earlier_result_serves_as_a_baseline_once_and_as_far_as_it_goes() {
 }
 
 #[test]
-fn another_machine_is_no_baseline_and_without_one_nothing_is_judged() {
+fn another_machine_is_no_baseline() {
     let yearly = Yearly::new();
     let (desk, other) = (&yearly.desk, &yearly.other);
     let refused = yearly.test("plain.toml", other, "").expect(1);

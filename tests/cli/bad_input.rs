@@ -81,7 +81,7 @@ fn the_record_itself_is_good() {
 }
 
 #[test]
-fn a_record_without_excitation_is_refused_with_the_operating_point() {
+fn a_record_without_excitation_is_refused() {
     let mut noise = noise(11);
     let mut level = |u: f64, i: f64, w: f64| {
         let mut text = format!("{COLUMNS}\n");
@@ -316,7 +316,7 @@ fn the_origin_travels_from_the_drives_profile_to_the_answer() {
 }
 
 #[test]
-fn a_signal_with_holes_is_named_before_anything_is_concluded_from_the_rest() {
+fn a_signal_with_holes_is_named() {
     let desk = Desk::new();
     let nameplate = desk.nameplate();
     let rows = std::cell::Cell::new(0);

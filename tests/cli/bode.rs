@@ -23,7 +23,7 @@ fn modes(found: &Value, pathway: &str) -> Vec<(String, f64, f64)> {
 }
 
 #[test]
-fn a_chirp_finds_the_coupling_and_the_model_without_it_is_told_off() {
+fn a_chirp_finds_the_coupling_and_the_model_that_lacks_it() {
     let run = chirp("zk-22fc-elastic");
     let desk = Desk::new();
     let (csv, svg) = (desk.path("bode.csv"), desk.path("bode.svg"));

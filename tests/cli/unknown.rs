@@ -17,7 +17,7 @@ fn ratio(parameters: &Value, key: &str, truth: f64) -> f64 {
 }
 
 #[test]
-fn a_locked_rotor_and_an_open_phase_end_with_their_names_and_numbers() {
+fn a_locked_rotor_and_an_open_phase_are_named() {
     for (emulator, name, sentence) in [
         ("zk-22fc-locked", "locked rotor", "locked rotor, or a load beyond the rated torque"),
         ("zk-22fc-open", "open phase", "open phase, or the motor is not connected: 27.50 V"),
@@ -73,7 +73,7 @@ fn the_slew_limit_of_the_bench_holds_in_every_stage() {
 }
 
 #[test]
-fn a_motor_of_which_only_the_rated_values_are_given_is_found_and_the_sequence_is_made_to_fit() {
+fn a_motor_is_found_from_its_rated_values_alone() {
     let out = Desk::new();
     let keys = "resistance_ohm inductance_h back_emf inertia_kg load_torque";
     let bench = out.put("bench.toml", &bench_without(keys));
@@ -103,7 +103,7 @@ fn a_motor_of_which_only_the_rated_values_are_given_is_found_and_the_sequence_is
 }
 
 #[test]
-fn a_plate_without_its_load_torque_is_planned_without_friction_and_says_so() {
+fn a_plan_without_load_torque_assumes_no_friction() {
     let out = Desk::new();
     let bench = out.put("bench.toml", &bench_without("load_torque_n_m"));
     let plan = json_of("plan {} --json", &[&bench]);
@@ -122,7 +122,7 @@ fn a_plate_without_its_load_torque_is_planned_without_friction_and_says_so() {
 }
 
 #[test]
-fn a_claimed_nameplate_that_would_endanger_is_refused_and_told_as_unknown_it_is_not() {
+fn a_dangerous_nameplate_is_refused_unless_called_unknown() {
     let out = Desk::new();
     let servo = "--escalate --emulator small-servo-behind-zk-22fc";
     let refused = out.simulate("run", servo, &[]).expect(2);

@@ -33,8 +33,7 @@ fn tracking(found: &Value) -> f64 {
 }
 
 #[test]
-fn a_machine_with_several_effects_and_late_replies_comes_to_its_floor_and_its_loop_is_better_for_it()
- {
+fn several_effects_and_late_replies_still_reach_the_floor() {
     let desk = Desk::new();
     let machine = desk.put("machine.toml", &format!("{PLAIN}{MACHINE}"));
     let bench = BENCH
@@ -98,7 +97,7 @@ cos_n_m = 0.0
 ";
 
 #[test]
-fn maps_that_were_measured_are_given_forward_and_take_a_third_of_what_the_model_alone_leaves() {
+fn measured_maps_fed_forward_take_a_third_of_the_error() {
     let desk = Desk::new();
     let machine = desk.put("machine.toml", &format!("{PLAIN}{COGS}"));
     let (head, _) = BENCH.split_once("[[sequence]]").unwrap();

@@ -376,7 +376,7 @@ mod tests {
     }
 
     #[test]
-    fn a_true_name_is_right_a_false_one_wrong_and_an_open_answer_honest() {
+    fn answers_are_right_wrong_or_honest() {
         use Judgement::{Honest, Right, Wrong};
         const BOTH: &[&str] = &["viscous_friction", "quadratic_load"];
         let of = |verdict, name, p| answer(verdict, &[(name, p)], &[], "");

@@ -115,7 +115,7 @@ fn cases(suite: &str, number: usize) -> Vec<&str> {
 }
 
 #[test]
-fn every_kind_of_fault_has_its_row_its_case_and_its_line_in_the_example() {
+fn every_kind_of_fault_has_its_row_case_and_example() {
     let rows = injected(&page());
     let suite = read("bench-configs/suites/faults-line.toml");
     let example = read("bench-configs/emulators/example.toml");

@@ -2,24 +2,17 @@
 
 use super::prelude::*;
 
-/// The motor of paper A, as the benches of real time and the drives behind them have it.
-const MOTOR: &str = "[motor]
-name = \"ZK-22FC\"
-rated_voltage_v = 110.0
-rated_current_a = 5.7
-rated_speed_rad_s = 293.2
-resistance_ohm = 1.1
-inductance_h = 0.0099
-back_emf_v_s_per_rad = 0.3538
-inertia_kg_m2 = 0.0045
-load_torque_n_m = 0.455
-";
+/// The motor of paper A with its nameplate, as the benches of real time and the drives behind them have it.
+fn motor() -> String {
+    format!("{MODEL}rated_voltage_v = 110.0\nrated_current_a = 5.7\nrated_speed_rad_s = 293.2\n")
+}
 
 /// A plain motor behind a drive with a long watchdog.
 fn emulator() -> String {
     format!(
-        "watchdog_ms = 1000\n{MOTOR}[limits]\ncurrent_limit_a = 11.4\nbus_v = 120.0\nspeed_limit_rad_s = 350.0\n\
-         [noise]\nvoltage_v = 0.02\ncurrent_a = 0.03\nspeed_rad_s = 0.15\n"
+        "watchdog_ms = 1000\n{}[limits]\ncurrent_limit_a = 11.4\nbus_v = 120.0\nspeed_limit_rad_s = 350.0\n\
+         [noise]\nvoltage_v = 0.02\ncurrent_a = 0.03\nspeed_rad_s = 0.15\n",
+        motor()
     )
 }
 
@@ -62,7 +55,7 @@ impl BenchFile<'_> {
 
     pub(crate) fn text(&self) -> String {
         let constant = format!("back_emf_v_s_per_rad = {:?}", self.back_emf_v_s_per_rad);
-        let motor = MOTOR.replace("back_emf_v_s_per_rad = 0.3538", &constant);
+        let motor = motor().replace("back_emf_v_s_per_rad = 0.3538", &constant);
         let sequence = self.sequence.replace('\n', "\n[[sequence]]\n");
         format!(
             "name = \"lab\"\n[drive]\nprofile = {:?}\n[link]\nport = \"sim:\"\n{}\n{motor}[limits]\n{}\n{}\n\

@@ -28,7 +28,7 @@ pub(crate) mod prelude {
     };
     pub(crate) use super::terminal::Session;
     pub(crate) use super::{
-        BENCH, BINARY, Desk, Done, HIDDEN, PLAIN, Recorded, Runs, call, capture, column,
+        BENCH, BINARY, Desk, Done, HIDDEN, MODEL, PLAIN, Recorded, Runs, call, capture, column,
         drivebench, expect_near, has, json_of, lacks, line, number, only_folder, parameter, points,
         read_json, recorded, refusal, refusals, word,
     };
@@ -46,6 +46,16 @@ use tempfile::TempDir;
 pub(crate) const BENCH: &str = include_str!("../../bench-configs/benches/zk-22fc-emulated.toml");
 pub(crate) const HIDDEN: &str = include_str!("../../bench-configs/emulators/zk-22fc-hidden.toml");
 pub(crate) const PLAIN: &str = include_str!("../../bench-configs/emulators/zk-22fc-plain.toml");
+
+/// Model file of the motor of paper A.
+pub(crate) const MODEL: &str = "[motor]
+name = \"ZK-22FC\"
+resistance_ohm = 1.1
+inductance_h = 0.0099
+back_emf_v_s_per_rad = 0.3538
+inertia_kg_m2 = 0.0045
+load_torque_n_m = 0.455
+";
 
 /// A folder for the files of one test, gone with them when it is dropped.
 pub(crate) struct Desk(TempDir);
@@ -71,7 +81,13 @@ impl Desk {
 
     /// Model file of the motor that `motor_log` records.
     pub(crate) fn nameplate(&self) -> PathBuf {
-        self.put("nameplate.toml", &motor_log::nameplate())
+        self.put("nameplate.toml", MODEL)
+    }
+
+    /// Runs the program to its end in this folder, as a person does: paths are relative.
+    pub(crate) fn call(&self, text: &str) -> Done {
+        let mut command = command(text.split_whitespace());
+        Done::of(&command.current_dir(self.folder()).output().expect("the program can be started"))
     }
 
     /// The folder of the runs.

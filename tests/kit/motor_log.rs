@@ -106,12 +106,3 @@ pub(crate) fn csv(header: &str, rows: &[Row], change: impl Fn(&mut Row)) -> Stri
     }
     text
 }
-
-/// Model file of the motor that is named on the plate.
-pub(crate) fn nameplate() -> String {
-    let Bench { resistance_ohm, ke, .. } = Bench::PAPER_A;
-    format!(
-        "[motor]\nname = \"n\"\nresistance_ohm = {resistance_ohm}\ninductance_h = {L_H}\n\
-         back_emf_v_s_per_rad = {ke}\ninertia_kg_m2 = {J}\nload_torque_n_m = {MC}\n"
-    )
-}

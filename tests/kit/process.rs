@@ -204,7 +204,7 @@ pub(crate) fn unless_it_stood_still<T>(
 }
 
 /// So many wait for time to pass beside each other: hosts and drives that a busy machine still carries.
-const AT_ONCE: usize = 3;
+const AT_ONCE: usize = 4;
 
 /// The same for each, [`AT_ONCE`] beside each other: what waits for time to pass need not wait for its neighbours too.
 #[track_caller]

@@ -32,7 +32,7 @@ fn armed_at_s(run: &Path) -> f64 {
 }
 
 #[test]
-fn resistance_and_inductance_come_from_a_burst_that_a_slow_loop_could_not_see() {
+fn a_burst_gives_the_winding_of_a_slow_loop() {
     let desk = Desk::new();
     let bench = desk.put("bench.toml", &bench("modbus-rtu", 3));
     let done = desk.simulate("run --headless", "{} --seed 3", &[&bench]);
@@ -89,7 +89,7 @@ fn a_part_that_is_not_there_is_refused() {
 }
 
 #[test]
-fn a_commissioning_takes_a_burst_by_itself_where_the_loop_is_slower_than_the_current() {
+fn a_commissioning_at_a_low_rate_takes_a_burst() {
     let desk = Desk::new();
     // 25 Hz against an L/R of 9 ms: the transient is over between two samples.
     let text = BENCH

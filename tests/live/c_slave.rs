@@ -56,8 +56,6 @@ fn done(command: &str, link: &str) -> (Done, Desk) {
     (done.expect(0), desk)
 }
 
-const WIRES: [&str; 2] = ["modbus-rtu", "stream"];
-
 #[track_caller]
 fn is_identified(link: &str) {
     let (done, desk) = done("run --headless", link);
@@ -80,11 +78,6 @@ fn is_identified(link: &str) {
     }
 }
 
-#[test]
-fn the_c_drive_is_identified_over_both_its_wires() {
-    at_once(WIRES, is_identified);
-}
-
 #[track_caller]
 fn keeps_its_speed(link: &str) {
     let (done, _desk) = done("speed", link);
@@ -98,8 +91,14 @@ fn keeps_its_speed(link: &str) {
 }
 
 #[test]
-fn the_c_drive_keeps_its_speed_over_both_its_wires() {
-    at_once(WIRES, keeps_its_speed);
+fn the_c_drive_is_identified_and_keeps_its_speed_on_each_link() {
+    let tests: [fn(&str); 2] = [is_identified, keeps_its_speed];
+    at_once(
+        tests.iter().flat_map(|test| ["modbus-rtu", "stream"].map(|link| (test, link))),
+        |(test, link)| {
+            test(link);
+        },
+    );
 }
 
 #[test]

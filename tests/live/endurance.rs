@@ -25,7 +25,7 @@ fn resources(id: u32) -> Option<(u64, usize)> {
 
 #[test]
 #[ignore = "an hour in real time; DRIVEBENCH_ENDURANCE_S for another length"]
-fn an_hour_over_a_pseudo_terminal_loses_nothing_and_takes_no_memory() {
+fn an_hour_loses_nothing_and_takes_no_memory() {
     let seconds = std::env::var("DRIVEBENCH_ENDURANCE_S");
     let seconds: f64 = seconds.map_or(3600.0, |text| text.parse().unwrap());
     let desk = Desk::new();

@@ -109,7 +109,7 @@ fn limits_are_read_from_the_drive_and_only_offline_does_without() {
 }
 
 #[test]
-fn a_wrong_drive_is_not_believed_and_a_frequency_converter_refused_with_its_reason() {
+fn a_wrong_drive_and_a_frequency_converter_are_refused() {
     let desk = Desk::new();
     let pty = desk.path("v20.pty");
     let _emulator = Emulator::start("emulate --profile siemens-v20 --pty {}", &[&pty]);
@@ -120,7 +120,7 @@ fn a_wrong_drive_is_not_believed_and_a_frequency_converter_refused_with_its_reas
 }
 
 #[test]
-fn a_motor_of_which_only_the_rated_values_are_given_is_found_by_the_run() {
+fn a_run_finds_a_motor_from_its_rated_values_alone() {
     let desk = Desk::new();
     let plate = desk.put(
         "motor.toml",
@@ -137,7 +137,7 @@ fn a_motor_of_which_only_the_rated_values_are_given_is_found_by_the_run() {
 }
 
 #[test]
-fn a_plate_or_an_argument_that_is_wrong_is_named_and_nothing_is_written() {
+fn a_wrong_plate_or_argument_is_named_and_nothing_written() {
     let desk = Desk::new();
     let file = desk.path("bench.toml");
     let zero = desk.put(
@@ -159,7 +159,7 @@ fn a_plate_or_an_argument_that_is_wrong_is_named_and_nothing_is_written() {
 }
 
 #[test]
-fn without_a_screen_hardware_wants_the_word_even_where_init_made_the_file() {
+fn without_a_screen_hardware_needs_its_option() {
     let desk = Desk::new();
     let (pty, runs) = (desk.path("epulse.pty"), desk.path("runs"));
     let _emulator = Emulator::start("emulate --profile epulse50-dc --pty {}", &[&pty]);

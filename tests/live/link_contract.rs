@@ -88,33 +88,19 @@ fn in_memory() {
 }
 
 #[test]
-fn modbus_rtu_over_a_pseudo_terminal() {
-    let (_server, mut link) = served(Protocol::ModbusRtu, Endpoint::temporary_pty(), 0);
-    contract(&mut *link, || ());
-}
-
-#[test]
-fn modbus_rtu_at_the_pace_of_a_line() {
-    let (_server, mut link) = served(Protocol::ModbusRtu, Endpoint::temporary_pty(), 115_200);
-    contract(&mut *link, || ());
-}
-
-#[test]
-fn stream_over_a_pseudo_terminal() {
-    let (_server, mut link) = served(Protocol::Stream, Endpoint::temporary_pty(), 0);
-    contract(&mut *link, || ());
-}
-
-#[test]
-fn modbus_over_tcp() {
-    let (_server, mut link) = served(Protocol::ModbusTcp, any_port(), 0);
-    contract(&mut *link, || ());
-}
-
-#[test]
-fn stream_over_tcp() {
-    let (_server, mut link) = served(Protocol::Stream, any_port(), 0);
-    contract(&mut *link, || ());
+fn over_pseudo_terminals_and_tcp() {
+    for (kind, endpoint, baud) in [
+        (Protocol::ModbusRtu, Endpoint::temporary_pty(), 0),
+        (Protocol::ModbusRtu, Endpoint::temporary_pty(), 115_200),
+        (Protocol::Stream, Endpoint::temporary_pty(), 0),
+        (Protocol::ModbusTcp, any_port(), 0),
+        (Protocol::Stream, any_port(), 0),
+    ] {
+        // Shown where the case fails.
+        println!("{kind:?} over {endpoint:?}, {baud} baud");
+        let (_server, mut link) = served(kind, endpoint, baud);
+        contract(&mut *link, || ());
+    }
 }
 
 #[test]

@@ -34,7 +34,7 @@ fn the_ready_line_names_the_drive_with_its_unit_and_baud_rate() {
 }
 
 #[test]
-fn a_frequency_converter_is_refused_what_it_cannot_carry_before_anything_is_sent() {
+fn a_frequency_converter_is_refused_before_anything_is_sent() {
     let desk = Desk::new();
     let pty = desk.path("v20.pty");
     let runs = desk.path("runs");
@@ -44,14 +44,13 @@ fn a_frequency_converter_is_refused_what_it_cannot_carry_before_anything_is_sent
         .fails(2, &["takes no armature voltage", "docs/drives.md"]);
 }
 
-#[test]
-fn a_servo_amplifier_is_driven_by_a_speed_loop_over_a_pseudo_terminal() {
+fn a_servo_amplifier_is_driven_by_a_speed_loop() {
     let desk = Desk::new();
     let pty = desk.path("epulse.pty");
     let runs = desk.path("runs");
     let _emulator =
         Emulator::start("emulate zk-22fc-plain --profile epulse50-dc --pty {}", &[&pty]);
-    let bench = bench(&desk, "epulse50-dc", 10, SPEED);
+    let bench = bench(&desk, "epulse50-dc", 20, SPEED);
     let done = call(
         "speed {} --port {} --headless --hardware --waive-watchdog --out {}",
         &[&bench, &pty, &runs],
@@ -66,11 +65,10 @@ fn a_servo_amplifier_is_driven_by_a_speed_loop_over_a_pseudo_terminal() {
     assert_eq!(manifest["signals"]["speed_rad_s"], "measured");
 }
 
-#[test]
-fn our_own_emulator_counts_as_one_in_the_guise_of_another_drive_too() {
+fn our_emulator_with_another_profile_counts_as_emulator() {
     let desk = Desk::new();
     let runs = desk.path("runs");
-    let bench = bench(&desk, "epulse50-dc", 10, SPEED);
+    let bench = bench(&desk, "epulse50-dc", 20, SPEED);
     call(
         "speed {} --port emulator --emulator zk-22fc-plain --headless --waive-watchdog --out {}",
         &[&bench, &runs],
@@ -79,10 +77,21 @@ fn our_own_emulator_counts_as_one_in_the_guise_of_another_drive_too() {
     assert_eq!(desk.manifest()["identity"]["is_emulator"], true);
 }
 
+/// Beside each other, for they wait most of the time.
 #[test]
-fn a_command_that_the_drive_does_not_take_leads_to_its_setpoints() {
+fn drives_of_other_makes_run_in_real_time() {
+    let tests: [fn(); 3] = [
+        a_servo_amplifier_is_driven_by_a_speed_loop,
+        our_emulator_with_another_profile_counts_as_emulator,
+        a_profile_from_a_file_takes_voltages,
+    ];
+    at_once(tests, |test| test());
+}
+
+#[test]
+fn an_unknown_command_of_a_drive_leads_to_its_setpoints() {
     let desk = Desk::new();
-    let bench = bench(&desk, "epulse50-dc", 10, SPEED);
+    let bench = bench(&desk, "epulse50-dc", 20, SPEED);
     call("speed {} --actuator voltage --headless", &[&bench])
         .fails(2, &["takes no voltage command", "[setpoints]"]);
 }
@@ -95,15 +104,14 @@ fn example(desk: &Desk) -> PathBuf {
 }
 
 #[test]
-fn the_example_with_its_identity_is_plausible_at_its_own_emulator() {
+fn the_example_is_plausible_at_its_own_emulator() {
     let desk = Desk::new();
     let profile = example(&desk);
     let done = call("probe --port emulator --drive {}", &[&profile]).expect(0);
     lacks(&done.stdout, &["FAILED"]);
 }
 
-#[test]
-fn a_profile_from_a_file_whose_supply_is_known_takes_voltages_over_a_pseudo_terminal() {
+fn a_profile_from_a_file_takes_voltages() {
     let desk = Desk::new();
     let pty = desk.path("roboteq.pty");
     let runs = desk.path("runs");
@@ -116,7 +124,7 @@ fn a_profile_from_a_file_whose_supply_is_known_takes_voltages_over_a_pseudo_term
     let profile = desk.put("roboteq-120v.toml", &text.replace(from, to));
     let _emulator =
         Emulator::start("emulate zk-22fc-plain --profile {} --pty {}", &[&profile, &pty]);
-    let bench = bench(&desk, profile.to_str().unwrap(), 10, "");
+    let bench = bench(&desk, profile.to_str().unwrap(), 20, "");
     call(
         "run {} --port {} --headless --hardware --waive-watchdog --json --out {}",
         &[&bench, &pty, &runs],
@@ -130,7 +138,7 @@ fn a_profile_from_a_file_whose_supply_is_known_takes_voltages_over_a_pseudo_term
 }
 
 #[test]
-fn a_bench_that_asks_for_more_than_its_drive_s_profile_allows_is_refused() {
+fn a_bench_beyond_its_profile_is_refused() {
     let desk = Desk::new();
     let text = include_str!("../../bench-configs/drives/own.toml");
     let profile = desk.put("small.toml", &text.replace("# current_a = 11.4", "current_a = 6.0"));

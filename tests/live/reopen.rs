@@ -128,7 +128,7 @@ const fn energises(control: u16) -> bool {
 }
 
 #[test]
-fn a_drive_that_comes_back_under_another_number_is_brought_to_rest_and_not_started() {
+fn a_drive_back_under_another_number_is_stopped_not_started() {
     for link in ["modbus-rtu", "stream"] {
         let (lab, drive, run, tap) = Lab::turning_tapped(link);
         let before = fs::read_link(&drive.address).expect("a symlink");
@@ -189,7 +189,7 @@ fn a_drive_that_falls_silent_and_comes_back_is_stopped() {
 }
 
 #[test]
-fn a_search_ends_with_ctrl_c_with_its_time_and_where_it_is_switched_off() {
+fn a_search_ends_with_ctrl_c_or_its_time_or_at_once() {
     let (lab, drive, run) = Lab::turning("modbus-rtu", "");
     drop(drive);
     lab.event("link_lost");
@@ -299,7 +299,7 @@ fn a_connection_that_is_cut_is_noticed_at_once_and_made_again() {
 }
 
 #[test]
-fn a_connection_that_carries_nothing_is_lost_after_the_silence_that_is_allowed() {
+fn a_dead_connection_is_lost_after_the_allowed_silence() {
     let (lab, _drive, proxy, run) = Lab::turning_behind_a_proxy();
     proxy.set(NOWHERE);
     let trip = lab.event("trip");

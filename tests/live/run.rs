@@ -117,7 +117,7 @@ fn a_unit_that_is_not_there_is_status_3_soon() {
 }
 
 #[test]
-fn a_second_host_on_the_same_port_is_status_3_and_the_first_goes_on() {
+fn a_second_host_is_status_3_and_the_first_goes_on() {
     at_once(["modbus-rtu", "stream"], |protocol| {
         let lab = Lab::new(protocol);
         let mut first = lab.until_turning(protocol);
@@ -219,7 +219,7 @@ fn the_drive_stops_itself_when_its_host_is_killed() {
 }
 
 #[test]
-fn a_motor_that_turns_faster_than_its_nameplate_says_is_a_safety_trip() {
+fn a_motor_faster_than_its_nameplate_is_a_safety_trip() {
     let lab = Lab::new("modbus-rtu");
     // The nameplate lets the plan expect 65 rad/s; the motor goes to more than 100.
     let done = lab.run(&BenchFile {

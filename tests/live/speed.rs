@@ -26,7 +26,7 @@ fn acceleration_s(inertia: f64, from: f64, to: f64) -> f64 {
 }
 
 #[test]
-fn the_adaptive_loop_keeps_its_response_while_the_inertia_jumps_and_the_fixed_one_does_not() {
+fn the_adaptive_loop_keeps_its_response_over_inertia_jumps() {
     let desk = Desk::new();
     // Of seed 1 one sample of noise lies at 5.5 % of a step, beyond the band of settling, shortly before the next step.
     let done = desk.speed(BENCH, "--seed 2", &[]).expect(0);
@@ -115,7 +115,7 @@ fn patient_emulator() -> String {
 }
 
 #[test]
-fn the_loop_runs_over_a_pseudo_terminal_and_states_the_delay_of_its_link() {
+fn the_loop_over_a_pseudo_terminal_states_its_delay() {
     let (done, _) = in_real_time(|| {
         let desk = Desk::new();
         let emulator = desk.put("emulator.toml", &patient_emulator());
@@ -252,7 +252,7 @@ fn a_current_or_a_speed_is_commanded_where_the_drive_takes_it() {
 }
 
 #[test]
-fn what_cannot_be_regulated_is_refused_before_anything_is_opened() {
+fn what_cannot_be_regulated_is_refused_before_opening() {
     let refused = |bench: &str, options: &str, model: &[&Path], expected: &str| {
         let desk = Desk::new();
         desk.speed(bench, options, model).fails(2, &[expected]);

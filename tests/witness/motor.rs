@@ -103,7 +103,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_settles_where_both_balances_do_and_coasts_down_by_friction() {
+    fn it_settles_by_both_balances_and_coasts_down() {
         let mut motor = Motor::default();
         motor.advance(Some(60.0), 3.0);
         let current = COULOMB_N_M / BACK_EMF_V_S_PER_RAD;
