@@ -143,12 +143,7 @@ fn a_supply_without_regeneration_limits_the_deceleration() {
 
 /// A controller that takes voltages, made a thyristor bridge of one quadrant with a field that is watched.
 fn thyristor(desk: &Desk) -> PathBuf {
-    let text = include_str!("../../bench-configs/drives/roboteq-dc.toml");
     let changes = [
-        (
-            "scale = 0.1\nunit = \"%\"\nquantity = \"duty\"\nlimits = [-100, 100]",
-            "scale = 0.12\nunit = \"V\"\nquantity = \"voltage\"\nlimits = [-120, 120]",
-        ),
         ("kind = \"dc\"", "kind = \"thyristor_dc\""),
         (
             "[missing]",
@@ -160,7 +155,7 @@ fn thyristor(desk: &Desk) -> PathBuf {
             "[converter]\ndead_time_ms = 10.0\nquadrants = 1\n\n[limits]\nfield_min_a = 0.3\n\n[rates]",
         ),
     ];
-    let changed = changes.iter().fold(text.to_owned(), |text, (from, to)| {
+    let changed = changes.iter().fold(roboteq_of_120_v(), |text, (from, to)| {
         assert!(text.contains(from), "{from}");
         text.replacen(from, to, 1)
     });

@@ -31,7 +31,7 @@ fn a_commissioning_of_a_mystery_ends_with_the_truth() {
     let card = call(&text, &[&runs]).expect(0).stdout;
     let sentence = "the emulator carries voltage_drop: the answer is right; drop_v: true ";
     has(&card, &[sentence]);
-    let result = read_json(only_folder(&runs).join("result.json"));
+    let result = read_json(runs.join("latest/result.json"));
     let size = &result["truth"]["sizes"][0];
     let drop_v = draw(seed).truth.effects[0].parameters[0].value;
     assert_eq!((&size["key"], &size["true"]), (&"drop_v".into(), &drop_v.into()));

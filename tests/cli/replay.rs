@@ -1,5 +1,6 @@
 //! `replay` through the real binary: the live run again, to the bit and in constant memory.
 
+use crate::kit::motor_log::push;
 use crate::kit::prelude::*;
 use std::process::Command;
 use std::sync::LazyLock;
@@ -158,13 +159,8 @@ fn three_hundred_thousand_rows_stream_in_little_memory() {
     for row in 0..ROWS {
         let time_s = f64::from(row) * 1e-3;
         let (wave, level) = ((time_s * 7.0).sin(), f64::from(row / 300 % 5));
-        let _ = writeln!(
-            text,
-            "{time_s},{},{},{},1,2,3",
-            level * 4.0,
-            level + 0.1 * wave,
-            level * 10.0 + wave
-        );
+        let cells = [time_s, level * 4.0, level + 0.1 * wave, level * 10.0 + wave, 1.0, 2.0, 3.0];
+        push(&mut text, &cells);
     }
     fs::write(&path, &text).expect("a temporary file can be written");
     let limited = |arguments: &str| {

@@ -30,7 +30,7 @@ pub(crate) mod prelude {
     pub(crate) use super::{
         BENCH, BINARY, Desk, Done, HIDDEN, MODEL, PLAIN, Recorded, Runs, call, capture, column,
         drivebench, expect_near, has, json_of, lacks, line, number, only_folder, parameter, points,
-        read_json, recorded, refusal, refusals, word,
+        read_json, recorded, refusal, refusals, roboteq_of_120_v, word,
     };
 }
 
@@ -56,6 +56,15 @@ back_emf_v_s_per_rad = 0.3538
 inertia_kg_m2 = 0.0045
 load_torque_n_m = 0.455
 ";
+
+/// Profile of a controller whose supply is known: one raw unit, a thousandth of 120 V, is 0.12 V, so that it takes voltages.
+pub(crate) fn roboteq_of_120_v() -> String {
+    let text = include_str!("../../bench-configs/drives/roboteq-dc.toml");
+    let from = "scale = 0.1\nunit = \"%\"\nquantity = \"duty\"\nlimits = [-100, 100]";
+    let to = "scale = 0.12\nunit = \"V\"\nquantity = \"voltage\"\nlimits = [-120, 120]";
+    has(text, &[from]);
+    text.replace(from, to)
+}
 
 /// A folder for the files of one test, gone with them when it is dropped.
 pub(crate) struct Desk(TempDir);

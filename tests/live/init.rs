@@ -61,11 +61,7 @@ fn a_drive_of_another_make_that_takes_a_speed_is_set_up_and_run() {
 #[test]
 fn a_profile_from_a_file_that_takes_voltages_is_set_up_and_run() {
     let desk = Desk::new();
-    let text = drivebench::drive::DriveProfile::text("roboteq-dc").unwrap();
-    let from = "scale = 0.1\nunit = \"%\"\nquantity = \"duty\"\nlimits = [-100, 100]";
-    let to = "scale = 0.12\nunit = \"V\"\nquantity = \"voltage\"\nlimits = [-120, 120]";
-    has(text, &[from]);
-    let profile = desk.put("roboteq-120v.toml", &text.replace(from, to));
+    let profile = desk.put("roboteq-120v.toml", &roboteq_of_120_v());
     let (file, runs) = (desk.path("bench.toml"), desk.path("runs"));
     let options = "init --drive {} --port sim: --motor {} --out {}";
     call(options, &[&profile, &plate(), &file]).expect(0);

@@ -115,13 +115,7 @@ fn a_profile_from_a_file_takes_voltages() {
     let desk = Desk::new();
     let pty = desk.path("roboteq.pty");
     let runs = desk.path("runs");
-    // With a supply of 120 V one raw unit, a thousandth of it, is 0.12 V.
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-configs/drives/roboteq-dc.toml");
-    let text = fs::read_to_string(folder).unwrap();
-    let from = "scale = 0.1\nunit = \"%\"\nquantity = \"duty\"\nlimits = [-100, 100]";
-    has(&text, &[from]);
-    let to = "scale = 0.12\nunit = \"V\"\nquantity = \"voltage\"\nlimits = [-120, 120]";
-    let profile = desk.put("roboteq-120v.toml", &text.replace(from, to));
+    let profile = desk.put("roboteq-120v.toml", &roboteq_of_120_v());
     let _emulator =
         Emulator::start("emulate zk-22fc-plain --profile {} --pty {}", &[&profile, &pty]);
     let bench = bench(&desk, profile.to_str().unwrap(), 20, "");
