@@ -186,7 +186,7 @@ fn a_model_is_exported_with_its_own_gains_only() {
         .output();
     match compiled {
         Ok(output) => {
-            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr))
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         }
         Err(error) => eprintln!("SKIPPED: no C compiler: {error}"),
     }

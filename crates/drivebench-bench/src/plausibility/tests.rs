@@ -94,12 +94,12 @@ impl Broken {
                     sample.set(Channel::Angle, f64::NAN);
                 }
                 SignalFault::CurrentStays => {
-                    sample.set(Channel::Current, raw(&still, Channel::Current))
+                    sample.set(Channel::Current, raw(&still, Channel::Current));
                 }
                 SignalFault::CurrentZero => sample.set(Channel::Current, 0.0),
                 SignalFault::CurrentTimes(factor) => sample.set(Channel::Current, factor * amps),
                 SignalFault::Ignores { reports_voltage: false } => {
-                    sample.set(Channel::Voltage, f64::NAN)
+                    sample.set(Channel::Voltage, f64::NAN);
                 }
                 SignalFault::VoltageTimes(factor) => sample.set(Channel::Voltage, factor * volts),
                 SignalFault::SwappedCurrentSpeed => {
