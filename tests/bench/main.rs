@@ -12,7 +12,7 @@ mod rule6;
 
 use drivebench::diagnosis::Evidence;
 
-/// `DRIVEBENCH_EVERYTHING` makes every count as large as docs/method.md has it; else each claim is tested on fewer machines.
+/// With `DRIVEBENCH_EVERYTHING` the counts are over all machines and effects; else each claim is tested on fewer of them.
 pub(crate) fn everything() -> bool {
     std::env::var_os("DRIVEBENCH_EVERYTHING").is_some()
 }
