@@ -1,12 +1,10 @@
-//! The actuator of a speed controller: armature voltage, armature current or the drive's own speed loop.
+//! The actuator of a speed controller.
 
 use drivebench_model::sample::Demand;
 
-/// The quantity that the drive takes as command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Actuator {
-    /// Armature voltage, V.
     Voltage,
     /// Armature current or torque reference, A.
     Current,
@@ -37,7 +35,7 @@ impl Actuator {
         }
     }
 
-    /// The output that a demand asks of it; `None`: of another.
+    /// The output of a demand on it; `None`: on another.
     pub const fn of(self, demand: Demand) -> Option<f64> {
         match (self, demand) {
             (Self::Voltage, Demand::Voltage(output))

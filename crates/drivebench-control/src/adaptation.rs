@@ -1,46 +1,52 @@
-//! Inertia and load while the loop runs: scheme 2 of paper A from sample to sample, with a watch for jumps.
+//! Inertia and load while the loop runs: recursive least squares (scheme 2 of paper A) with change detection.
 //!
-//! `w_k - w_{k-1} = (Kt/J) int i - (Mc/J) sgn(w) T`, the current as a trapezoid. Rows in which the shaft does not move one
-//! way are left out, nothing is forgotten while nothing moves, and when the prediction misses row after row the memory is
-//! dropped: the load was changed.
+//! `w_k - w_{k-1} = (Kt/J) int i - (Mc/J) sgn(w) T`, the current as a trapezoid. Rows without a clear direction of rotation
+//! are left out, and the covariance is reset when the prediction errors of successive rows add up: the load has changed.
 //!
 //! Behind a coupling the motor's speed is not that of the whole inertia: there both sides of the equation are means over
-//! periods of the swing, in which it cancels. A torque that comes suddenly twists the shaft, which the watch would take for
-//! another load: it is off there, and a changed load is forgotten row by row.
+//! periods of the torsional oscillation, in which it cancels. A torque step twists the shaft, which the detector would take
+//! for another load: it is off there, and only the forgetting factor follows a changed load.
 
 use drivebench_model::numerics::change_watch::ChangeWatch;
 use drivebench_model::numerics::recursive_least_squares::{RecursiveLeastSquares, RowNoise};
 
-/// Below this speed the direction is noise, rad/s.
-const LEAST_SPEED_RAD_S: f64 = 2.0;
-/// Rows that must have spoken before anything is believed.
-const FEWEST_ROWS: u64 = 8;
-/// Relative standard deviation of Kt/J at which it is believed.
-const SETTLED: f64 = 0.05;
-/// Share of the moves of the last rows that their misses add up to at a jump.
-const SURPRISE_SHARE: f64 = 0.25;
-/// Periods of a coupling's swing that a row is the mean of: the more, the less the twist of the shaft counts beside what the
-/// whole has moved.
-const SWINGS: f64 = 2.0;
-/// Prior variance of the parameters over their size, in noise variances.
-const PRIOR: f64 = 1e8;
-
-/// What is known of the load now.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Load {
-    /// Kt/J, rad/s^2 per A.
-    pub acceleration_per_a: f64,
-    /// Its standard deviation.
-    pub std: f64,
-    /// Coulomb torque over the inertia, rad/s^2.
-    pub friction_rad_s2: f64,
-    /// Whether the data carry it.
-    pub settled: bool,
+struct Settings {
+    /// Below this speed the direction is noise, rad/s.
+    least_speed_rad_s: f64,
+    /// Rows and relative standard deviation of Kt/J from which on it is settled.
+    fewest_rows: u64,
+    settled: f64,
+    /// Sum of the prediction errors of the last rows over that of their speed changes at a jump.
+    jump_share: f64,
+    /// Periods of the torsional oscillation that a row is the mean of: the more, the less the twist counts beside the change
+    /// of the mean speed.
+    torsion_periods: f64,
+    /// Prior variance of the parameters over their size, in noise variances.
+    prior: f64,
 }
 
-/// What has been gathered for a row since the mean that the last one ended with: charge and time go on from there.
+const SETTINGS: Settings = Settings {
+    least_speed_rad_s: 2.0,
+    fewest_rows: 8,
+    settled: 0.05,
+    jump_share: 0.25,
+    torsion_periods: 2.0,
+    prior: 1e8,
+};
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Load {
+    /// Kt/J, rad/s^2 per A.
+    pub(super) acceleration_per_a: f64,
+    pub(super) std: f64,
+    /// Coulomb torque over the inertia, rad/s^2.
+    pub(super) friction_rad_s2: f64,
+    pub(super) settled: bool,
+}
+
+/// Accumulates a row: charge and time since the mean at which the last one ended.
 #[derive(Clone, Copy, Debug, Default)]
-struct Gathered {
+struct RowMean {
     charge: f64,
     time_s: f64,
     /// Integrals of charge, time and speed, and their length.
@@ -50,15 +56,15 @@ struct Gathered {
     from_rad_s: Option<f64>,
 }
 
-/// From one mean to the next: charge, time, and by how much the speed has moved.
+/// From one mean to the next: charge, time and change of speed.
 struct Row {
     charge: f64,
     time_s: f64,
-    moved: f64,
+    speed_change: f64,
 }
 
-impl Gathered {
-    fn take(&mut self, speed_rad_s: f64, period_s: f64, span_s: f64) -> Option<Row> {
+impl RowMean {
+    fn push(&mut self, speed_rad_s: f64, period_s: f64, span_s: f64) -> Option<Row> {
         let now = [self.charge, self.time_s, speed_rad_s];
         for (sum, now) in self.sums.iter_mut().zip(now) {
             *sum += period_s * now;
@@ -76,30 +82,29 @@ impl Gathered {
         self.charge -= charge;
         self.time_s -= time_s;
         (self.sums, self.length_s) = ([0.0; 3], 0.0);
-        from.map(|from| Row { charge, time_s, moved: speed - from })
+        from.map(|from| Row { charge, time_s, speed_change: speed - from })
     }
 }
 
-/// The estimator.
 #[derive(Clone, Debug)]
-pub struct LoadEstimator {
+pub(super) struct LoadEstimator {
     estimator: RecursiveLeastSquares<2>,
     scale: [f64; 2],
     forgetting: f64,
     /// Over which rows are means; 0: a row from each sample to the next.
     span_s: f64,
-    gathered: Gathered,
+    row: RowMean,
     last: Option<(f64, f64)>,
     continues: bool,
-    watch: ChangeWatch,
+    change: ChangeWatch,
+    detects_change: bool,
     jumps: u32,
-    watches: bool,
 }
 
 impl LoadEstimator {
     /// Starts from the model: `acceleration_per_a` is Kt/J, `friction_rad_s2` Mc/J, `noise_rad_s` the standard deviation
     /// of a speed sample.
-    pub fn new(
+    pub(super) fn new(
         acceleration_per_a: f64,
         friction_rad_s2: f64,
         forgetting: f64,
@@ -108,40 +113,40 @@ impl LoadEstimator {
         let start = [acceleration_per_a, friction_rad_s2];
         let scale = [acceleration_per_a, friction_rad_s2.max(acceleration_per_a)];
         Self {
-            estimator: RecursiveLeastSquares::new(start, scale, PRIOR, forgetting),
+            estimator: RecursiveLeastSquares::new(start, scale, SETTINGS.prior, forgetting),
             scale,
             forgetting,
             span_s: 0.0,
-            gathered: Gathered::default(),
+            row: RowMean::default(),
             last: None,
             continues: false,
-            watch: ChangeWatch::new(SURPRISE_SHARE, 2.0 * noise_rad_s * noise_rad_s),
+            change: ChangeWatch::new(SETTINGS.jump_share, 2.0 * noise_rad_s * noise_rad_s),
+            detects_change: true,
             jumps: 0,
-            watches: true,
         }
     }
 
-    /// Without the watch for jumps: a changed load is forgotten row by row, as paper A does it.
+    /// Without change detection: the forgetting factor follows a changed load, as in paper A.
     #[must_use]
-    pub const fn by_forgetting_alone(mut self) -> Self {
-        self.watches = false;
+    pub(super) const fn by_forgetting_alone(mut self) -> Self {
+        self.detects_change = false;
         self
     }
 
-    /// Behind a coupling whose swing has this period: rows are means over some of them, and nothing is taken for a jump.
+    /// Behind a coupling with this period of its oscillation.
     #[must_use]
-    pub const fn behind(mut self, swing_s: f64) -> Self {
-        self.span_s = SWINGS * swing_s;
+    pub(super) const fn behind(mut self, period_s: f64) -> Self {
+        self.span_s = SETTINGS.torsion_periods * period_s;
         self.by_forgetting_alone()
     }
 
-    /// How often the memory was dropped because the load had changed.
-    pub const fn jumps(&self) -> u32 {
+    /// Changes of the load so far.
+    pub(super) const fn jumps(&self) -> u32 {
         self.jumps
     }
 
-    /// One sample; `None` where the current is missing. Returns whether the row told something.
-    pub fn push(&mut self, current_a: Option<f64>, speed_rad_s: f64, period_s: f64) -> bool {
+    /// One sample; `None` where the current is missing. Returns whether the estimate was updated.
+    pub(super) fn push(&mut self, current_a: Option<f64>, speed_rad_s: f64, period_s: f64) -> bool {
         let now = current_a.filter(|amps| amps.is_finite());
         let now = now.map(|current| (current, speed_rad_s));
         let (Some((current, speed)), Some((last_current, last_speed))) = (now, self.last) else {
@@ -150,62 +155,63 @@ impl LoadEstimator {
             return false;
         };
         self.last = now;
-        let moving = last_speed.abs() > LEAST_SPEED_RAD_S
-            && speed.abs() > LEAST_SPEED_RAD_S
+        let moving = last_speed.abs() > SETTINGS.least_speed_rad_s
+            && speed.abs() > SETTINGS.least_speed_rad_s
             && last_speed * speed > 0.0;
         if !moving {
             self.begin(speed, period_s);
             return false;
         }
-        self.gathered.charge += 0.5 * (current + last_current) * period_s;
-        self.gathered.time_s += period_s;
-        let Some(row) = self.gathered.take(speed, period_s, self.span_s) else {
+        self.row.charge += 0.5 * (current + last_current) * period_s;
+        self.row.time_s += period_s;
+        let Some(row) = self.row.push(speed, period_s, self.span_s) else {
             return false;
         };
         let regressor = [row.charge, -speed.signum() * row.time_s];
-        let moved = row.moved;
         let noise = RowNoise { carry: 1.0, continues: self.continues };
         self.continues = true;
-        if self.watches {
-            self.watch(&regressor, moved);
+        if self.detects_change {
+            self.detect_change(&regressor, row.speed_change);
         }
-        self.estimator.update_row(&regressor, moved, noise).is_some()
+        self.estimator.update_row(&regressor, row.speed_change, noise).is_some()
     }
 
-    /// Nothing is known of what was before this sample.
+    /// This sample has no predecessor.
     fn begin(&mut self, speed_rad_s: f64, period_s: f64) {
-        self.gathered = Gathered::default();
-        let row = self.gathered.take(speed_rad_s, period_s, self.span_s);
+        self.row = RowMean::default();
+        let row = self.row.push(speed_rad_s, period_s, self.span_s);
         debug_assert!(row.is_none(), "a row needs two means");
         self.interrupt();
     }
 
     const fn interrupt(&mut self) {
         self.continues = false;
-        self.watch.interrupt();
+        self.change.interrupt();
     }
 
-    /// Drops the memory when the rows say together that the load is another.
-    fn watch(&mut self, regressor: &[f64; 2], moved: f64) {
+    /// Resets the covariance when the rows agree that the load is another.
+    fn detect_change(&mut self, regressor: &[f64; 2], speed_change: f64) {
         let known = self.estimator.parameters();
-        let foreseen = known[0] * regressor[0] + known[1] * regressor[1];
-        // An estimate that has not settled misses whatever the load does.
-        let believed = self.load().settled;
-        if self.watch.take(foreseen, moved, believed) {
-            self.estimator = RecursiveLeastSquares::new(known, self.scale, PRIOR, self.forgetting);
+        let predicted = known[0] * regressor[0] + known[1] * regressor[1];
+        // An estimate that has not settled mispredicts under any load.
+        if self.change.take(predicted, speed_change, self.load().settled) {
+            self.estimator =
+                RecursiveLeastSquares::new(known, self.scale, SETTINGS.prior, self.forgetting);
             self.interrupt();
             self.jumps += 1;
         }
     }
 
-    pub fn load(&self) -> Load {
+    pub(super) fn load(&self) -> Load {
         let [value, friction] = self.estimator.parameters();
         let std = self.estimator.standard_deviations().map_or(f64::INFINITY, |stds| stds[0]);
         Load {
             acceleration_per_a: value,
             std,
             friction_rad_s2: friction.max(0.0),
-            settled: self.estimator.rows() >= FEWEST_ROWS && value > 0.0 && std < SETTLED * value,
+            settled: self.estimator.rows() >= SETTINGS.fewest_rows
+                && value > 0.0
+                && std < SETTINGS.settled * value,
         }
     }
 }
@@ -213,7 +219,8 @@ impl LoadEstimator {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::assert_close;
+    use crate::LinearPlant;
+    use crate::testing::{assert_close, elastic};
     use drivebench_model::numerics::count::whole;
     use rand::{Rng as _, SeedableRng as _};
     use rand_chacha::ChaCha8Rng;
@@ -226,7 +233,7 @@ mod tests {
         seconds: f64,
     ) -> Vec<(f64, Load)> {
         let (period_s, friction) = (0.01, 20.0);
-        // The shaft begins anew: what came before is no neighbour.
+        // A new record: its first sample has no predecessor.
         estimator.push(None, 100.0, period_s);
         let mut speed = 100.0;
         let mut random = ChaCha8Rng::seed_from_u64(1);
@@ -243,23 +250,23 @@ mod tests {
             .collect()
     }
 
-    fn swinging(t: f64) -> f64 {
+    fn square(t: f64) -> f64 {
         if (t / 0.4).floor() % 2.0 == 0.0 { 4.0 } else { -3.0 }
     }
 
     #[test]
-    fn finds_inertia_and_friction_and_follows_a_jump_of_both_kinds() {
+    fn inertia_is_found_and_followed_over_a_jump_either_way() {
         for ratio in [0.25, 4.0] {
             let mut estimator = LoadEstimator::new(20.0, 20.0, 0.96, 0.15);
             let gain = |t| if t < 4.0 { 15.0 } else { 15.0 / ratio };
-            let found = follow(&mut estimator, gain, swinging, 6.0);
+            let found = follow(&mut estimator, gain, square, 6.0);
             let before = found[395].1;
             assert!(before.settled);
             assert_close(before.acceleration_per_a / 15.0, 1.0, 0.05);
             let after = found.last().unwrap().1;
             assert!(after.settled);
             assert_close(after.acceleration_per_a * ratio / 15.0, 1.0, 0.05);
-            // Noticed as a jump, not forgotten row by row.
+            // Detected as a jump, not followed by forgetting.
             assert!(estimator.jumps() >= 1);
             let soon = found.iter().find(|(t, _)| *t >= 4.8).unwrap().1;
             assert_close(soon.acceleration_per_a * ratio / 15.0, 1.0, 0.2);
@@ -267,9 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn behind_a_coupling_means_over_its_swing_show_the_whole_inertia() {
-        use crate::LinearPlant;
-        use crate::testing::elastic;
+    fn behind_a_coupling_the_whole_inertia_is_found() {
         // Kt/J of motor and load together is half of the motor's alone.
         let whole = 0.3538 / 0.0045;
         let plant = LinearPlant::current(&elastic(0.5, 0.02), 0.0, 0.002).unwrap();
@@ -278,7 +283,7 @@ mod tests {
         let mut x = nalgebra::Vector4::new(0.0, 100.0, 100.0, 0.0);
         for n in 0..1500 {
             estimator.push(Some(x[0]), x[1], 0.002);
-            // Steps of the current, of the length of some swings.
+            // Steps of the current over some periods of the oscillation.
             let amps = if (n / 150) % 2 == 0 { 1.5 } else { -1.5 };
             x = phi * x + gamma * amps;
         }
@@ -290,17 +295,16 @@ mod tests {
     #[test]
     fn a_minute_at_constant_speed_changes_nothing() {
         let mut estimator = LoadEstimator::new(20.0, 20.0, 0.96, 0.15);
-        follow(&mut estimator, |_| 15.0, swinging, 4.0);
+        follow(&mut estimator, |_| 15.0, square, 4.0);
         let before = estimator.load();
         follow(&mut estimator, |_| 15.0, |_| 20.0 / 15.0, 60.0);
-        let after = estimator.load();
-        let drift = after.acceleration_per_a / before.acceleration_per_a - 1.0;
+        let drift = estimator.load().acceleration_per_a / before.acceleration_per_a - 1.0;
         assert!(drift.abs() < 0.05, "{drift}");
         assert_eq!(estimator.jumps(), 0);
     }
 
     #[test]
-    fn missing_currents_and_standstill_say_nothing() {
+    fn missing_currents_and_standstill_update_nothing() {
         let mut estimator = LoadEstimator::new(20.0, 20.0, 0.96, 0.15);
         for n in 0..100 {
             assert!(!estimator.push(None, 50.0 + f64::from(n), 0.01));

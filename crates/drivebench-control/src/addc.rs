@@ -1,42 +1,52 @@
-//! ADDC of paper A: a PI regulator whose gains follow the inertia that is identified on line.
+//! ADDC of paper A: a self-tuning PI regulator (Åström and Wittenmark, Adaptive Control, 1995, chapter 3), scheduled by the
+//! inertia that is identified on line.
 //!
 //! The paper prints no tuning rule: here it is one of [`tuning`](super::tuning), worked out for every inertia beforehand.
 //! Where the winding's time constant is identified as well, its share of Kp follows ([`super::electrical`]).
-//! Gains change at a bounded rate, within bounds from the estimate's uncertainty, and stand still while the estimate is
-//! not settled or the output is limited.
+//! Gains change at a bounded rate, within bounds from the estimate's uncertainty (cautious control), and stand still while
+//! the estimate is not settled or the output is limited.
 
 use super::adaptation::LoadEstimator;
 use super::electrical::Electrical;
 use super::tuning::{NotchUse, Request, TuningError};
 use super::{
-    Adapted, AntiWindup, Holding, LinearPlant, LoopTiming, Measured, Pi, Schedule, SpeedController,
+    Adapted, AntiWindup, Holding, LinearPlant, LoopTiming, Measured, Pi, PiGains, Schedule,
+    SpeedController,
 };
 use drivebench_model::plant::{Model, MotorKey};
 
-/// Time in which a gain may change by a factor of e, s.
-const GAIN_TIME_S: f64 = 0.1;
-/// Relative change of the proportional gain below which it stays, at least and in standard deviations of the estimate: no
-/// hunting for noise.
-const DEAD_BAND: f64 = 0.05;
-const DEAD_STDS: f64 = 3.0;
-/// Relative change that is worth a line of the log, once the gains have come to rest.
-const NEWS: f64 = 0.01;
-/// Standard deviations of the estimate that the bounds allow for.
-const DOUBT: f64 = 2.0;
-/// Forgetting factor of paper A's Figure 6.
-const FORGETTING: f64 = 0.96;
+struct Following {
+    /// Time in which a gain may change by a factor of e, s.
+    gain_time_s: f64,
+    /// Relative change of the proportional gain below which it stays, at least and in standard deviations of the estimate:
+    /// noise moves no gain.
+    dead_band: f64,
+    dead_band_stds: f64,
+    /// Standard deviations of the estimate within which the gain has its margin.
+    bound_stds: f64,
+    /// Relative change that is logged, once the gains have come to rest.
+    logged: f64,
+}
+
+const FOLLOWING: Following = Following {
+    gain_time_s: 0.1,
+    dead_band: 0.05,
+    dead_band_stds: 3.0,
+    bound_stds: 2.0,
+    logged: 0.01,
+};
 
 const NOT_SETTLED: &str = "the estimate is not settled";
 
-/// What the regulator is made of.
 #[derive(Clone, Debug)]
 pub struct AddcSettings {
     pub request: Request,
+    /// Forgetting factor; that of paper A's Figure 6 by default.
     pub forgetting: f64,
     /// Standard deviation of a speed sample, rad/s.
     pub noise_rad_s: f64,
     pub holding: Holding,
-    /// Draws of what is not known of the plant.
+    /// Draws over the uncertainty of the plant.
     pub draws: Vec<LinearPlant>,
 }
 
@@ -44,7 +54,7 @@ impl AddcSettings {
     pub fn new(holding: Holding, noise_rad_s: f64) -> Self {
         Self {
             request: Request::default(),
-            forgetting: FORGETTING,
+            forgetting: 0.96,
             noise_rad_s,
             holding,
             draws: Vec::new(),
@@ -52,29 +62,25 @@ impl AddcSettings {
     }
 }
 
-/// The self-tuning regulator.
 #[derive(Clone, Debug)]
 pub struct Addc {
     pi: Pi,
     schedule: Schedule,
     estimator: LoadEstimator,
     electrical: Option<Electrical>,
-    /// What is given beside its output: the winding has both.
-    beside: f64,
+    /// Part of the winding's voltage.
+    fed_forward_v: f64,
     request: Request,
     draws: Vec<LinearPlant>,
     torque_n_m_per_a: f64,
     /// Kt/J of the model: the ratio of the schedule refers to it.
     model_acceleration_per_a: f64,
-    /// Mechanical time constant of the model, s.
     model_mechanical_s: f64,
     /// Why the gains do not move in this cycle.
     still: Option<&'static str>,
-    /// The gains moved in this cycle.
     moved: bool,
-    told_proportional: f64,
-    told_ratio: f64,
-    told_jumps: u32,
+    /// Gain, inertia ratio and jumps of the last line of the log.
+    logged: (f64, f64, u32),
 }
 
 impl Addc {
@@ -109,7 +115,7 @@ impl Addc {
             schedule,
             estimator,
             electrical: None,
-            beside: 0.0,
+            fed_forward_v: 0.0,
             request: Request {
                 notch: gains.notch.map_or(NotchUse::Off, NotchUse::Like),
                 ..settings.request
@@ -120,13 +126,11 @@ impl Addc {
             model_mechanical_s: model.motor.mechanical_time_constant_s().unwrap_or(0.0),
             still: Some(NOT_SETTLED),
             moved: false,
-            told_proportional: gains.proportional,
-            told_ratio: 1.0,
-            told_jumps: 0,
+            logged: (gains.proportional, 1.0, 0),
         })
     }
 
-    /// The same with gains that follow the time constant of the winding too; over a voltage only.
+    /// With gains that follow the time constant of the winding too; over a voltage only.
     ///
     /// # Errors
     /// What the tuning refuses at a bound of that time constant.
@@ -141,7 +145,7 @@ impl Addc {
         Ok(self)
     }
 
-    /// The same with an estimate that forgets and does not look for jumps, as paper A's.
+    /// With an estimate that forgets and does not detect jumps, as paper A's.
     #[must_use]
     pub fn by_forgetting_alone(mut self) -> Self {
         self.estimator = self.estimator.by_forgetting_alone();
@@ -153,7 +157,7 @@ impl Addc {
         self.estimator.load().settled
     }
 
-    /// Inertia over the model's, as the gains take it.
+    /// Inertia over the model's.
     pub fn inertia_ratio(&self) -> f64 {
         self.model_acceleration_per_a / self.estimator.load().acceleration_per_a
     }
@@ -162,7 +166,6 @@ impl Addc {
         &self.pi
     }
 
-    /// The mechanical time constant that is known now. One that is being searched for is no number to show.
     fn mechanical_text(&self) -> String {
         let ratio = self.inertia_ratio();
         if self.is_settled() {
@@ -176,8 +179,7 @@ impl Addc {
     }
 
     fn electrical_text(&self) -> String {
-        let electrical = self.electrical.as_ref();
-        electrical.map_or_else(String::new, |one| format!("; {}", one.text()))
+        self.electrical.as_ref().map_or_else(String::new, |one| format!("; {}", one.text()))
     }
 
     fn adapt(&mut self, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) {
@@ -189,29 +191,29 @@ impl Addc {
             return;
         }
         let ratio = |acceleration: f64| self.model_acceleration_per_a / acceleration;
-        let quickest = load.acceleration_per_a + DOUBT * load.std;
-        let (low, middle) = (ratio(quickest), ratio(load.acceleration_per_a));
-        let wanted = self.schedule.within(low, middle);
-        let electrical = self.electrical.as_ref();
-        let wanted = electrical.map_or(wanted, |one| one.at(wanted, low, middle));
-        let share = self.pi.share();
+        let lightest = ratio(load.acceleration_per_a + FOLLOWING.bound_stds * load.std);
+        let middle = ratio(load.acceleration_per_a);
+        let mut wanted = self.schedule.within(lightest, middle);
+        if let Some(electrical) = &self.electrical {
+            wanted = electrical.at(wanted, lightest, middle);
+        }
         let now = *self.pi.gains();
-        let proportional = share * wanted.gains.proportional;
-        let integral_time_s = wanted.gains.integral_time_s;
+        let proportional = self.pi.share() * wanted.gains.proportional;
         let change = proportional / now.proportional;
         let outside = now.proportional > wanted.most_proportional;
-        let band = DEAD_BAND.max(DEAD_STDS * load.std / load.acceleration_per_a);
+        let band =
+            FOLLOWING.dead_band.max(FOLLOWING.dead_band_stds * load.std / load.acceleration_per_a);
         if (change - 1.0).abs() < band && !outside {
             return;
         }
-        let most = (period_s / GAIN_TIME_S).exp();
+        let most = (period_s / FOLLOWING.gain_time_s).exp();
         let moved = |from: f64, to: f64| to.clamp(from / most, from * most);
-        let mut gains = now;
-        gains.proportional = moved(now.proportional, proportional);
-        gains.integral_time_s = moved(now.integral_time_s, integral_time_s);
-        gains.reference_filter_s = wanted.gains.reference_filter_s;
-        gains.notch = wanted.gains.notch;
-        (self.pi).set_gains(gains, reference_rad_s, speed_rad_s, period_s);
+        let gains = PiGains {
+            proportional: moved(now.proportional, proportional),
+            integral_time_s: moved(now.integral_time_s, wanted.gains.integral_time_s),
+            ..wanted.gains
+        };
+        self.pi.set_gains(gains, reference_rad_s, speed_rad_s, period_s);
         self.moved = true;
     }
 }
@@ -226,7 +228,7 @@ impl SpeedController for Addc {
     }
 
     fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64 {
-        (self.estimator).push(now.current_a, now.speed_rad_s, period_s);
+        self.estimator.push(now.current_a, now.speed_rad_s, period_s);
         if let Some(electrical) = &mut self.electrical {
             electrical.push(now, period_s);
         }
@@ -234,14 +236,14 @@ impl SpeedController for Addc {
         self.pi.step(reference_rad_s, now, period_s)
     }
 
-    fn beside(&mut self, output: f64) {
-        self.beside = output;
+    fn fed_forward(&mut self, output: f64) {
+        self.fed_forward_v = output;
     }
 
     fn applied(&mut self, output: f64) {
         self.pi.applied(output);
         if let Some(electrical) = &mut self.electrical {
-            electrical.applied(output + self.beside);
+            electrical.applied(output + self.fed_forward_v);
         }
     }
 
@@ -250,42 +252,39 @@ impl SpeedController for Addc {
     }
 
     fn explain(&self) -> Vec<String> {
-        let gains = self.pi.gains();
         let still = self.still.map(|why| format!("stand still: {why}"));
         let state = still.unwrap_or_else(|| "follow the estimate".to_owned());
         vec![
-            format!("{}; {}", gains.text(&self.pi.softened_text()), self.mechanical_text()),
+            format!("{}; {}", self.pi.gains().text(&self.pi.share_text()), self.mechanical_text()),
             format!("gains {state}{}", self.electrical_text()),
         ]
     }
 
     fn news(&mut self) -> Option<String> {
         let gains = self.pi.gains();
-        let change = gains.proportional / self.told_proportional;
-        let jumped = self.estimator.jumps() > self.told_jumps;
+        let (logged_proportional, logged_ratio, logged_jumps) = self.logged;
+        let jumps = self.estimator.jumps();
         // One line for a change that takes some cycles, at its end.
-        let arrived = !self.moved && (change - 1.0).abs() > NEWS;
-        if !arrived && !jumped {
+        let arrived = !self.moved
+            && (gains.proportional / logged_proportional - 1.0).abs() > FOLLOWING.logged;
+        if !arrived && jumps <= logged_jumps {
             return None;
         }
         let ratio = self.inertia_ratio();
-        let because = if jumped {
+        let because = if jumps > logged_jumps {
             "the load changed: the memory of the estimate was dropped"
-        } else if (ratio / self.told_ratio - 1.0).abs() > NEWS {
+        } else if (ratio / logged_ratio - 1.0).abs() > FOLLOWING.logged {
             "the estimate moved"
         } else {
             "the gains have come to the estimate"
         };
         let line = format!(
-            "Kp {:.4} -> {:.4}, Tn {:.4} s: {because}; {}",
-            self.told_proportional,
+            "Kp {logged_proportional:.4} -> {:.4}, Tn {:.4} s: {because}; {}",
             gains.proportional,
             gains.integral_time_s,
             self.mechanical_text()
         );
-        self.told_proportional = gains.proportional;
-        self.told_ratio = ratio;
-        self.told_jumps = self.estimator.jumps();
+        self.logged = (gains.proportional, ratio, jumps);
         Some(line)
     }
 
@@ -303,13 +302,19 @@ impl SpeedController for Addc {
         })
     }
 
-    fn softens(&self) -> bool {
+    fn can_reduce_gain(&self) -> bool {
         true
     }
 
-    fn soften(&mut self, share: f64, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) {
-        (self.pi).soften(share, reference_rad_s, speed_rad_s, period_s);
-        // Told of by who asked for it.
-        self.told_proportional = self.pi.gains().proportional;
+    fn set_gain_share(
+        &mut self,
+        share: f64,
+        reference_rad_s: f64,
+        speed_rad_s: f64,
+        period_s: f64,
+    ) {
+        self.pi.set_gain_share(share, reference_rad_s, speed_rad_s, period_s);
+        // The caller logs this change.
+        self.logged.0 = self.pi.gains().proportional;
     }
 }

@@ -1,8 +1,8 @@
-//! Electrical time constant Ta = L/R while the loop runs: scheme 3 over what is measured and what left, and what it makes
-//! of the gains of a schedule.
+//! Electrical time constant Ta = L/R while the loop runs: recursive identification by scheme 3 over measurements and applied
+//! voltages, and a second scheduling variable of the gains.
 //!
-//! Ta is part of the small time constant of the loop, and so of Kp. The gains are worked out beforehand for half and for
-//! twice the model's Ta; between them lies what is found. Without settled R and L the model's is kept.
+//! Ta is part of the small time constant of the loop, and so of Kp. The gains are tuned beforehand for half and for twice the
+//! model's Ta and interpolated between. Without settled R and L the model's is kept.
 
 use super::schedule::{Schedule, Scheduled};
 use super::tuning::{Request, TuningError};
@@ -13,20 +13,16 @@ use drivebench_model::sample::{ParameterEstimate, Verdict};
 
 /// Bounds of Ta, as a factor of the model's either way.
 const REACH: f64 = 2.0;
-/// Relative standard deviation from which on it is believed, and the deviations that the gains leave room for.
-const KNOWN: f64 = 0.1;
-const DOUBT: f64 = 2.0;
-/// Cycles between two looks at the estimates: a winding warms up in minutes.
-const LOOK_CYCLES: u32 = 10;
+/// Cycles between two evaluations of the estimates: a winding warms up in minutes.
+const CYCLES: u32 = 10;
 
-/// The estimator, with the gains at the bounds.
 #[derive(Clone, Debug)]
 pub(super) struct Electrical {
     scheme: Scheme3,
     delay_s: f64,
     model_s: f64,
     time_s: f64,
-    until_look: u32,
+    until_evaluation: u32,
     /// Ta over the model's, and its standard deviation.
     found: Option<(f64, f64)>,
     shortest: Schedule,
@@ -46,8 +42,9 @@ impl Electrical {
         request: &Request,
     ) -> Result<Option<Self>, TuningError> {
         let motor = &model.motor;
-        let known = motor.electrical_time_constant_s();
-        let (Some(model_s), Some(l)) = (known, motor.get(MotorKey::Inductance)) else {
+        let (Some(model_s), Some(l)) =
+            (motor.electrical_time_constant_s(), motor.get(MotorKey::Inductance))
+        else {
             return Ok(None);
         };
         let plant = |factor: f64| {
@@ -71,7 +68,7 @@ impl Electrical {
             delay_s: timing.delay_s,
             model_s,
             time_s: 0.0,
-            until_look: LOOK_CYCLES,
+            until_evaluation: CYCLES,
             found: None,
             shortest: schedule(&short, 1.0 / REACH)?,
             longest: schedule(&long, REACH)?,
@@ -83,7 +80,6 @@ impl Electrical {
         self.found.map(|(ratio, _)| ratio * self.model_s)
     }
 
-    /// In words.
     pub(super) fn text(&self) -> String {
         match self.found {
             Some((ratio, _)) => {
@@ -93,7 +89,6 @@ impl Electrical {
         }
     }
 
-    /// One sample.
     pub(super) fn push(&mut self, now: &Measured, period_s: f64) {
         self.time_s += period_s;
         let Some(current) = now.current_a else {
@@ -101,19 +96,20 @@ impl Electrical {
         };
         self.scheme.set_limited(now.limited);
         self.scheme.push(self.time_s, current, now.speed_rad_s);
-        self.until_look = self.until_look.saturating_sub(1);
-        if self.until_look == 0 {
-            self.until_look = LOOK_CYCLES;
-            self.found = self.look().or(self.found);
+        self.until_evaluation = self.until_evaluation.saturating_sub(1);
+        if self.until_evaluation == 0 {
+            self.until_evaluation = CYCLES;
+            self.found = self.evaluate().or(self.found);
         }
     }
 
-    /// What left on the last sample.
+    /// The voltage computed from the last sample.
     pub(super) fn applied(&mut self, voltage_v: f64) {
-        (self.scheme).voltage_applied(self.time_s + self.delay_s, voltage_v);
+        self.scheme.voltage_applied(self.time_s + self.delay_s, voltage_v);
     }
 
-    fn look(&self) -> Option<(f64, f64)> {
+    /// Settled estimates with a relative standard deviation below a tenth.
+    fn evaluate(&self) -> Option<(f64, f64)> {
         let estimates = self.scheme.estimates();
         let of = |key: MotorKey| {
             let found = ParameterEstimate::find(&estimates, key.key())?;
@@ -124,10 +120,11 @@ impl Electrical {
         let (r, l) = (of(MotorKey::Resistance)?, of(MotorKey::Inductance)?);
         let ratio = l.0 / r.0 / self.model_s;
         let relative = r.1.hypot(l.1);
-        (relative < KNOWN).then_some((ratio, ratio * relative))
+        (relative < 0.1).then_some((ratio, ratio * relative))
     }
 
-    /// Gains for an inertia within two ratios to the model's, `base` at the model's Ta, at the Ta that was found.
+    /// Gains for an inertia within two ratios to the model's, `base` at the model's Ta, at the Ta that was found; they keep
+    /// their margin over two standard deviations of it.
     pub(super) fn at(&self, base: Scheduled, low: f64, ratio: f64) -> Scheduled {
         let Some((found, std)) = self.found else {
             return base;
@@ -138,7 +135,7 @@ impl Electrical {
             base.towards(&bound.within(low, ratio), place.abs())
         };
         let mut scheduled = at(found);
-        for end in [found - DOUBT * std, found + DOUBT * std] {
+        for end in [found - 2.0 * std, found + 2.0 * std] {
             let most = at(end).most_proportional;
             scheduled.most_proportional = scheduled.most_proportional.min(most);
         }
@@ -151,14 +148,14 @@ impl Electrical {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{assert_close, inertia, model, plant, timing};
+    use crate::testing::{assert_close, inertia, machine, model, plant, timing};
     use crate::{
         Actuator, Addc, AddcSettings, Compensated, Course, FeedForward, Holding, Limiter,
         SpeedController, TrialMachine, trial,
     };
 
     #[test]
-    fn the_gains_at_a_ta_that_was_found_are_those_of_tuning_for_it() {
+    fn the_gains_at_an_identified_ta_are_those_of_tuning_for_it() {
         let (model, timing, request) = (model(inertia(0.2)), timing(1.0), Request::default());
         let base = Schedule::new(&plant(inertia(0.2)), &[], &timing, &request).unwrap();
         let mut electrical = Electrical::new(&model, 0.0, &[], &timing, &request).unwrap().unwrap();
@@ -171,8 +168,8 @@ mod tests {
             let mut other = model.clone();
             other.motor.set(MotorKey::Inductance, 0.0099 * ta);
             other.motor.set(MotorKey::Inertia, inertia(0.2) * ratio);
-            let exact = LinearPlant::voltage(&other, 0.0).unwrap();
-            let exact = crate::tuning::tune(&exact, &timing, &request).unwrap();
+            let plant = LinearPlant::voltage(&other, 0.0).unwrap();
+            let exact = crate::tuning::tune(&plant, &timing, &request).unwrap();
             let found = at(&electrical, ratio);
             assert_close(found.proportional / exact.gains.proportional, 1.0, 0.06);
             assert_close(found.integral_time_s / exact.gains.integral_time_s, 1.0, 0.06);
@@ -180,25 +177,19 @@ mod tests {
     }
 
     #[test]
-    fn a_winding_with_half_the_inductance_is_found_in_the_loop_and_raises_the_gain() {
+    fn half_the_inductance_is_found_and_raises_the_gain() {
         let (model, timing) = (model(inertia(0.2)), timing(1.0));
         let plant = plant(inertia(0.2));
         let settings = AddcSettings::new(Holding::of(&model, Actuator::Voltage, 0.0), 0.15);
         let addc = Addc::new(&model, &plant, &timing, &settings).unwrap();
         let mut addc = addc.adapting_to_the_winding(&model, 0.0, &timing).unwrap();
         let machine = TrialMachine {
-            resistance_ohm: 1.1,
             inductance_h: 0.0055,
-            back_emf_v_s_per_rad: 0.3538,
-            torque_n_m_per_a: 0.3538,
-            friction_n_m: 0.455,
-            viscous_n_m_s_per_rad: 0.0,
-            coupling: None,
             drive_current_limit_a: 1e3,
-            period_s: 0.01,
             delay_periods: 1,
             speed_noise_rad_s: 0.05,
             current_noise_a: 0.01,
+            ..machine(1.0)
         };
         let course = Course {
             reference_rad_s: &|t| {
@@ -208,11 +199,10 @@ mod tests {
             load_n_m: &|_| 0.0,
         };
         let limiter = Limiter { output: 110.0, current: None };
-        // What is given forward is part of the voltage that the winding has.
+        // The feed-forward is part of the winding's voltage.
         let forward = FeedForward::new(&model, &[], Actuator::Voltage, &timing, 1e3).unwrap();
         let mut compensated = Compensated::new(Box::new(addc.clone()), forward);
-        let both: [&mut dyn SpeedController; 2] = [&mut addc, &mut compensated];
-        for controller in both {
+        for controller in [&mut addc as &mut dyn SpeedController, &mut compensated] {
             trial(&machine, &course, controller, &limiter, 2000, 1);
             let found = controller.adapted().and_then(|now| now.electrical_s);
             assert_close(found.unwrap() / 0.005, 1.0, 0.1);

@@ -1,16 +1,17 @@
-//! Feed-forward of what the model knows: the output that a planned motion costs at the instant at which the output acts.
+//! Inverse-dynamics feed-forward with preview (computed torque; Tomizuka 1975 for the preview): the output of a planned
+//! motion at the instant at which the output acts.
 //!
 //! ```text
-//! reference, known in advance --> plan (what the current limit carries) --> i* = (J dw/dt + T(w, theta) + T_f sgn(w))/Kt
-//!                                   |                                        --> R (i + lead (i* - i)) + Ke w + du(i*)
-//!                                   \--> the speed that this sample should show --> controller
+//! reference, previewed --> plan (within the current limit) --> i* = (J dw/dt + T(w, theta) + T_f sgn(w))/Kt
+//!                                   |                          --> R (i + lead (i* - i)) + Ke w + du(i*)
+//!                                   \--> the planned speed at the age of this sample --> controller
 //! ```
 //!
-//! An output acts a dead time after its sample, and the winding's current follows later still: the reference is read so far
-//! ahead, and the angle is predicted as far. The effects' terms stand at planned speeds, so that no noise comes in. Behind
-//! a current command it is the torque over Kt. A measured map takes the place of the model's friction or cogging wherever it
-//! has a value. Any controller can be wrapped in it; one with a model of its own that would
-//! take the planned acceleration for a load is given friction and effects only.
+//! An output acts a dead time after its sample, and the winding's current follows later still: the reference is previewed and
+//! the angle predicted so far. The effects' terms are evaluated at planned speeds, which carry no noise. Behind a current
+//! command the output is the torque over Kt. A measured map replaces the model's friction or cogging wherever it has a value.
+//! Any controller can be wrapped; for one with a model of its own, which would take the planned acceleration for a load, only
+//! friction and effects are fed forward.
 
 use std::collections::VecDeque;
 
@@ -20,95 +21,83 @@ use drivebench_model::plant::{
     Balance, Instant, MappedTorque, Model, MotorKey, ShaftAngle, Terms, TorqueMap,
 };
 
-/// Least half width of the speeds about zero over which friction changes its sign, rad/s.
-const SIGN_SPEED_RAD_S: f64 = 0.1;
-/// Share of the current limit that the plan may take; the rest is the controller's.
-const PLANNED_SHARE: f64 = 0.95;
-/// Planned speeds that are kept, in periods.
-const KEPT: usize = 160;
-
 /// Effects of a model in the actuator's unit.
 pub struct FeedForward {
     effects: Vec<Known>,
     maps: Vec<TorqueMap>,
     motor: Instant,
-    /// Coulomb torque that is given forward, N.m.
     friction_n_m: f64,
     inertia_kg_m2: f64,
     amperes_per_torque: f64,
     actuator: Actuator,
     winding: Winding,
-    /// Torque that may be planned, N.m.
+    /// Of the plan, N.m: 95 % of the current limit; the rest is the controller's.
     torque_limit_n_m: f64,
     period_s: f64,
     /// From the sample to the instant at which its output begins to act, s.
     acts_after_s: f64,
-    /// Age of the speed that a sample shows, s.
-    shown_late_s: f64,
+    /// Age of the speed of a sample, s.
+    measurement_age_s: f64,
 }
 
-/// An effect of which the model gives every value, and which the instant alone decides.
+/// A memoryless effect of which the model has every value.
 struct Known {
     id: &'static str,
     terms: Box<dyn Terms>,
     needs_angle: bool,
-    /// The map that takes its place where that has a value.
+    /// The map that replaces it where that has a value.
     mapped: Option<MappedTorque>,
 }
 
-/// How the current follows an output, from one period to the next.
+/// First-order lag of the current behind an output, sampled, and its inverse.
 #[derive(Clone, Copy)]
 struct Winding {
-    /// Share of a difference that is left after a period.
-    left: f64,
-    /// What is given of a difference so that the current comes over it in time.
+    /// Share of a difference that remains after a period.
+    decay: f64,
+    /// Factor on a difference with which the current covers it in time.
     lead: f64,
-    /// From the begin of an output to the instant at which its current is the one that was asked for, s.
+    /// From the begin of an output to the instant at which its current is the planned one, s.
     ahead_s: f64,
 }
 
 impl Winding {
-    /// A voltage that is held for a period drives the current to its goal at the end of it, and where the winding is slower
-    /// than that, within its time constant.
+    /// A voltage that is held for a period drives the current to its goal at the end of it, or within the winding's time
+    /// constant where that is longer.
     fn behind_voltage(time_constant_s: f64, period_s: f64) -> Self {
-        let left_after = |time_s: f64| (-time_s / time_constant_s).exp();
-        let left = left_after(period_s);
-        let reached = 1.0 - left_after(period_s.max(time_constant_s));
-        Self {
-            left,
-            lead: 1.0 / reached,
-            // With it a current that rises evenly is followed without a lag.
-            ahead_s: period_s * reached / (1.0 - left),
-        }
+        let decay_over = |time_s: f64| (-time_s / time_constant_s).exp();
+        let decay = decay_over(period_s);
+        let reached = 1.0 - decay_over(period_s.max(time_constant_s));
+        // A ramp of the current is followed without a lag.
+        Self { decay, lead: 1.0 / reached, ahead_s: period_s * reached / (1.0 - decay) }
     }
 
     /// The drive's own loop holds it: the mean over the period is the command.
     const fn behind_current(period_s: f64) -> Self {
-        Self { left: 0.0, lead: 1.0, ahead_s: 0.5 * period_s }
+        Self { decay: 0.0, lead: 1.0, ahead_s: 0.5 * period_s }
     }
 }
 
 /// A planned motion at the instant at which an output has its effect.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Motion {
-    pub speed_rad_s: f64,
-    pub acceleration_rad_s2: f64,
+struct Motion {
+    speed_rad_s: f64,
+    acceleration_rad_s2: f64,
     /// Where it is measured.
-    pub angle_rad: Option<f64>,
+    angle_rad: Option<f64>,
 }
 
 impl Motion {
     /// Without acceleration.
-    pub const fn steady(speed_rad_s: f64, angle_rad: Option<f64>) -> Self {
+    const fn steady(speed_rad_s: f64, angle_rad: Option<f64>) -> Self {
         Self { speed_rad_s, acceleration_rad_s2: 0.0, angle_rad }
     }
 }
 
 impl FeedForward {
-    /// Friction of the motor and those effects of the model that are known at every instant, an effect of the angle while
-    /// one is measured. `None` where the model lacks a value of the motor, and behind a speed command: there the drive's
-    /// own loop holds the speed. What has states of its own, depends on the time of a run or on its supply, lies on the
-    /// path of the signals, or has no value yet, cannot be given forward and is left out. Of `maps` one of each torque.
+    /// Friction of the motor and the memoryless effects of the model, an effect of the angle while one is measured. `None`
+    /// where the model lacks a value of the motor, and behind a speed command: there the drive's own loop holds the speed.
+    /// An effect with states, with the time of a run or its supply as input, on the path of the signals, or without a value
+    /// is left out. Of `maps` one of each torque.
     pub fn new(
         model: &Model,
         maps: &[TorqueMap],
@@ -137,7 +126,7 @@ impl FeedForward {
                 mapped: (maps.iter().map(|map| map.torque)).find(|torque| torque.holds(active)),
             })
         });
-        let shown_late_s = model.known_path().speed_delay_s;
+        let speed_delay_s = model.known_path().speed_delay_s;
         Some(Self {
             effects: effects.collect(),
             maps: maps.to_vec(),
@@ -147,14 +136,13 @@ impl FeedForward {
             amperes_per_torque: 1.0 / kt,
             actuator,
             winding,
-            torque_limit_n_m: PLANNED_SHARE * current_limit_a * kt,
+            torque_limit_n_m: 0.95 * current_limit_a * kt,
             period_s: timing.period_s,
-            acts_after_s: (timing.delay_s - shown_late_s).max(0.0),
-            shown_late_s: shown_late_s + timing.filter_s,
+            acts_after_s: (timing.delay_s - speed_delay_s).max(0.0),
+            measurement_age_s: speed_delay_s + timing.filter_s,
         })
     }
 
-    /// What is given forward, in a sentence.
     fn sentence(&self, is_planned: bool) -> String {
         let while_measured =
             |needs_angle| ["", " while the drive gives its angle"][usize::from(needs_angle)];
@@ -176,21 +164,21 @@ impl FeedForward {
         let verb = if names.is_empty() && motion.is_empty() { "is" } else { "are" };
         let ahead_ms = 1e3 * self.ahead_s();
         format!(
-            "Coulomb friction{names}{motion} {verb} given forward, {ahead_ms:.1} ms ahead of the sample"
+            "Coulomb friction{names}{motion} {verb} fed forward, {ahead_ms:.1} ms ahead of the sample"
         )
     }
 
-    /// From a sample to the instant at which the current of its output is there, s.
+    /// From a sample to the instant at which the current of its output has come, s.
     fn ahead_s(&self) -> f64 {
         self.acts_after_s + self.winding.ahead_s
     }
 
-    /// The current that a motion takes, A, and the voltage that effects drop there.
+    /// Current of a motion, A, and the voltage that effects drop there.
     fn cost(&self, motion: &Motion) -> (f64, f64) {
         let Motion { speed_rad_s, acceleration_rad_s2, angle_rad } = *motion;
         // The mean over a period in which the speed passes zero.
         let turn_rad_s = 0.5 * self.period_s * acceleration_rad_s2.abs();
-        let sign = (speed_rad_s / turn_rad_s.max(SIGN_SPEED_RAD_S)).clamp(-1.0, 1.0);
+        let sign = (speed_rad_s / turn_rad_s.max(0.1)).clamp(-1.0, 1.0);
         let at = |current_a: f64| Instant {
             voltage_v: self.motor.resistance_ohm * current_a
                 + self.motor.back_emf_v_s_per_rad * speed_rad_s,
@@ -208,9 +196,8 @@ impl FeedForward {
         };
         let friction_n_m = mapped(MappedTorque::Friction);
         let cogging_n_m = mapped(MappedTorque::Cogging);
-        let given = || {
-            let effects = self.effects.iter();
-            effects.filter(|effect| {
+        let active = || {
+            self.effects.iter().filter(|effect| {
                 let is_in_a_map = match effect.mapped {
                     Some(MappedTorque::Friction) => friction_n_m.is_some(),
                     Some(MappedTorque::Cogging) => cogging_n_m.is_some(),
@@ -223,25 +210,17 @@ impl FeedForward {
             + cogging_n_m.unwrap_or(0.0)
             + self.inertia_kg_m2 * acceleration_rad_s2;
         let here = at(motion_n_m * self.amperes_per_torque);
-        let sums = given().map(|effect| effect.terms.sums(&here, &[]));
-        let torque_n_m = sums
+        let torque_n_m = active()
+            .map(|effect| effect.terms.sums(&here, &[]))
             .fold(motion_n_m, |torque, sums| torque + sums.torque_n_m + sums.friction_n_m * sign);
         let current_a = torque_n_m * self.amperes_per_torque;
-        // The current that this torque takes is the one at which a voltage drop is counted.
         let here = at(current_a);
-        let drops = given().map(|effect| effect.terms.voltage_v(&here, &[]));
         let drop_v: f64 = match self.actuator {
-            Actuator::Voltage => drops.sum(),
+            Actuator::Voltage => active().map(|effect| effect.terms.voltage_v(&here, &[])).sum(),
             _ => 0.0,
         };
         let finite = |value: f64| if value.is_finite() { value } else { 0.0 };
         (finite(current_a), finite(drop_v))
-    }
-
-    /// The output that holds a motion, without what the back-EMF takes.
-    pub fn output(&self, motion: &Motion) -> f64 {
-        let (current_a, drop_v) = self.cost(motion);
-        self.in_unit(current_a) + drop_v
     }
 
     /// Output per current through the winding.
@@ -252,32 +231,30 @@ impl FeedForward {
         }
     }
 
-    /// The speed a period after `from`, on the way to `to`, as the current limit carries it.
+    /// The speed a period after `from` on the way to `to`, within the current limit.
     fn towards(&self, from: f64, to: f64) -> f64 {
         let (resisting_a, _) = self.cost(&Motion::steady(from, None));
         let resisting_n_m = resisting_a / self.amperes_per_torque;
         let gain = |torque_n_m: f64| self.period_s * torque_n_m / self.inertia_kg_m2;
         let up = gain(self.torque_limit_n_m - resisting_n_m).max(0.0);
-        let down = gain(-self.torque_limit_n_m - resisting_n_m).min(0.0);
-        from + (to - from).clamp(down, up)
+        from + (to - from).clamp(gain(-self.torque_limit_n_m - resisting_n_m).min(0.0), up)
     }
 }
 
-/// A controller with feed-forward beside it. What is given forward is not for the controller to hold.
 pub struct Compensated {
     inner: Box<dyn SpeedController>,
     forward: FeedForward,
-    /// The controller regulates about the plan, of which everything is given forward.
+    /// The controller regulates about the plan, all of which is fed forward.
     is_planned: bool,
-    /// The reference where the plan ends next, if it was foreseen.
-    foreseen_rad_s: Option<f64>,
-    /// Planned speeds, one a period, the furthest first; that one lies half a period beyond the current of this output.
+    /// The reference at the next end of the plan, where it is previewed.
+    previewed_rad_s: Option<f64>,
+    /// Planned speeds, one a period, the latest first, half a period after the current of this output.
     plan: VecDeque<f64>,
-    given: f64,
-    /// Share of it that accelerates.
-    pushes: f64,
+    forward_output: f64,
+    /// Its part that accelerates.
+    accelerating: f64,
     wanted: f64,
-    /// Current that what was given has driven when the next output begins, A.
+    /// Current by the feed-forward when the next output begins, A.
     current_a: f64,
 }
 
@@ -288,16 +265,16 @@ impl Compensated {
             inner,
             forward,
             is_planned,
-            foreseen_rad_s: None,
+            previewed_rad_s: None,
             plan: VecDeque::from(vec![0.0]),
-            given: 0.0,
-            pushes: 0.0,
+            forward_output: 0.0,
+            accelerating: 0.0,
             wanted: 0.0,
             current_a: 0.0,
         }
     }
 
-    /// The planned speed so long before the end of the plan.
+    /// The planned speed so long before the latest.
     fn planned(&self, before_s: f64) -> f64 {
         let periods = before_s / self.forward.period_s;
         let last = self.plan.len() - 1;
@@ -306,49 +283,46 @@ impl Compensated {
         at(index) + periods.fract() * (at(index + 1) - at(index))
     }
 
-    /// From the end of the plan back to what a sample shows, s.
-    fn shown_before_s(&self) -> f64 {
+    /// From the speed of a sample to the latest planned one, s.
+    fn plan_ahead_s(&self) -> f64 {
         let forward = &self.forward;
-        forward.ahead_s() + 0.5 * forward.period_s + forward.shown_late_s
+        forward.ahead_s() + 0.5 * forward.period_s + forward.measurement_age_s
     }
 
     fn extend_plan(&mut self, reference_rad_s: f64) {
-        let target = self.foreseen_rad_s.take().unwrap_or(reference_rad_s);
+        let target = self.previewed_rad_s.take().unwrap_or(reference_rad_s);
         let next =
             if self.is_planned { self.forward.towards(self.plan[0], target) } else { target };
-        self.plan.truncate(KEPT);
+        self.plan.truncate(160);
         self.plan.push_front(next);
     }
 
-    /// What is given forward in this cycle.
-    fn give(&mut self, now: &Measured) {
+    fn evaluate(&mut self, now: &Measured) {
         let forward = &self.forward;
         let speed_rad_s = 0.5 * (self.plan[0] + self.planned(forward.period_s));
-        let gained = self.plan[0] - self.planned(forward.period_s);
-        let ahead_s = forward.ahead_s() + forward.shown_late_s;
-        let angle_rad = now.angle_rad.map(|angle| {
-            // The measured speed at its begin, the planned one at its end.
-            angle + 0.5 * ahead_s * (now.speed_rad_s + speed_rad_s)
-        });
+        let speed_change = self.plan[0] - self.planned(forward.period_s);
+        let ahead_s = forward.ahead_s() + forward.measurement_age_s;
+        // From the measured speed to the planned one.
+        let angle_rad =
+            now.angle_rad.map(|angle| angle + 0.5 * ahead_s * (now.speed_rad_s + speed_rad_s));
         let mut motion = Motion::steady(speed_rad_s, angle_rad);
-        let mut back_emf_v = 0.0;
-        let mut pushing_a = 0.0;
+        let (mut back_emf_v, mut accelerating_a) = (0.0, 0.0);
         if self.is_planned {
-            motion.acceleration_rad_s2 = gained / forward.period_s;
+            motion.acceleration_rad_s2 = speed_change / forward.period_s;
             let torque_n_m = forward.inertia_kg_m2 * motion.acceleration_rad_s2;
-            pushing_a = torque_n_m * forward.amperes_per_torque;
+            accelerating_a = torque_n_m * forward.amperes_per_torque;
             if forward.actuator == Actuator::Voltage {
-                // Half way through the period for which the output holds.
+                // In the middle of the period for which the output holds.
                 let middle = self.planned(forward.winding.ahead_s);
                 back_emf_v = forward.motor.back_emf_v_s_per_rad * middle;
             }
         }
         let (goal_a, drop_v) = forward.cost(&motion);
-        let Winding { left, lead, .. } = forward.winding;
+        let Winding { decay, lead, .. } = forward.winding;
         let driving_a = self.current_a + lead * (goal_a - self.current_a);
-        self.current_a = left * self.current_a + (1.0 - left) * driving_a;
-        self.given = forward.in_unit(driving_a) + drop_v + back_emf_v;
-        self.pushes = forward.in_unit(pushing_a);
+        self.current_a = decay * self.current_a + (1.0 - decay) * driving_a;
+        self.forward_output = forward.in_unit(driving_a) + drop_v + back_emf_v;
+        self.accelerating = forward.in_unit(accelerating_a);
     }
 }
 
@@ -357,41 +331,40 @@ impl SpeedController for Compensated {
         self.inner.id()
     }
 
-    fn foresee(&mut self, reference_rad_s: &dyn Fn(f64) -> f64) {
-        self.foreseen_rad_s = Some(reference_rad_s(self.leads_s()));
+    fn preview(&mut self, reference_rad_s: &dyn Fn(f64) -> f64) {
+        self.previewed_rad_s = Some(reference_rad_s(self.preview_s()));
     }
 
-    fn leads_s(&self) -> f64 {
+    fn preview_s(&self) -> f64 {
         self.forward.ahead_s() + 0.5 * self.forward.period_s
     }
 
     fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64 {
         self.extend_plan(reference_rad_s);
-        self.give(now);
+        self.evaluate(now);
         let reference =
-            if self.is_planned { self.planned(self.shown_before_s()) } else { reference_rad_s };
-        self.wanted = self.given + self.inner.step(reference, now, period_s);
+            if self.is_planned { self.planned(self.plan_ahead_s()) } else { reference_rad_s };
+        self.wanted = self.forward_output + self.inner.step(reference, now, period_s);
         self.wanted
     }
 
     fn applied(&mut self, output: f64) {
         let short = self.wanted - output;
-        if self.plan.len() > 1 && self.is_planned && short * self.pushes > 0.0 {
-            // A limit took of the push: the plan goes on from where what is left of it leads.
-            let kept = (1.0 - short / self.pushes).max(0.0);
+        if self.plan.len() > 1 && self.is_planned && short * self.accelerating > 0.0 {
+            // A limit reduced the acceleration: the plan goes on from the speed that is reached.
+            let kept = (1.0 - short / self.accelerating).max(0.0);
             self.plan[0] = self.plan[1] + kept * (self.plan[0] - self.plan[1]);
         }
-        self.inner.beside(self.given);
-        self.inner.applied(output - self.given);
+        self.inner.fed_forward(self.forward_output);
+        self.inner.applied(output - self.forward_output);
     }
 
     fn reset(&mut self, now: &Measured, output: f64) {
         self.plan = VecDeque::from(vec![now.speed_rad_s]);
-        self.foreseen_rad_s = None;
-        let still = Motion::steady(now.speed_rad_s, now.angle_rad);
-        self.current_a = self.forward.cost(&still).0;
-        self.give(now);
-        self.inner.reset(now, output - self.given);
+        self.previewed_rad_s = None;
+        self.current_a = self.forward.cost(&Motion::steady(now.speed_rad_s, now.angle_rad)).0;
+        self.evaluate(now);
+        self.inner.reset(now, output - self.forward_output);
     }
 
     fn explain(&self) -> Vec<String> {
@@ -408,96 +381,99 @@ impl SpeedController for Compensated {
         self.inner.adapted()
     }
 
-    fn softens(&self) -> bool {
-        self.inner.softens()
+    fn can_reduce_gain(&self) -> bool {
+        self.inner.can_reduce_gain()
     }
 
-    fn soften(&mut self, share: f64, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) {
+    fn set_gain_share(
+        &mut self,
+        share: f64,
+        reference_rad_s: f64,
+        speed_rad_s: f64,
+        period_s: f64,
+    ) {
         let reference = if self.is_planned {
-            // The plan goes on by a period before the step that this is for.
-            self.planned((self.shown_before_s() - self.forward.period_s).max(0.0))
+            // The plan is extended by a period before that step.
+            self.planned((self.plan_ahead_s() - self.forward.period_s).max(0.0))
         } else {
             reference_rad_s
         };
-        (self.inner).soften(share, reference, speed_rad_s, period_s);
+        self.inner.set_gain_share(share, reference, speed_rad_s, period_s);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::assert_close;
-    use crate::{
-        AntiWindup, Course, CurrentLimit, Holding, Limiter, Pi, PiGains, TrialMachine, TrialPoint,
-        trial,
-    };
+    use crate::testing::{Fixed, assert_close, limiter, machine, pi_gains};
+    use crate::{AntiWindup, Course, Holding, Pi, TrialPoint, trial};
     use drivebench_model::plant::{MapBin, MappedValue, Motor};
 
     const TIMING: LoopTiming = LoopTiming { period_s: 0.01, delay_s: 0.02, filter_s: 0.0 };
-    const LIMIT_A: f64 = 10.0;
+
+    fn plain() -> Model {
+        Model::baseline(Motor::zk_22fc())
+    }
 
     fn model(id: &str, values: &[f64]) -> Model {
-        let mut model = Model::baseline(Motor::zk_22fc()).with_effect(id).unwrap();
+        let mut model = plain().with_effect(id).unwrap();
         model.effects[0].values = values.iter().copied().map(Some).collect();
         model
     }
 
     fn forward(model: &Model, actuator: Actuator) -> FeedForward {
-        FeedForward::new(model, &[], actuator, &TIMING, LIMIT_A).unwrap()
+        FeedForward::new(model, &[], actuator, &TIMING, 10.0).unwrap()
     }
 
     fn voltage(id: &str, values: &[f64]) -> FeedForward {
         forward(&model(id, values), Actuator::Voltage)
     }
 
+    fn output(forward: &FeedForward, motion: &Motion) -> f64 {
+        let (current_a, drop_v) = forward.cost(motion);
+        forward.in_unit(current_a) + drop_v
+    }
+
     fn at(forward: &FeedForward, speed_rad_s: f64, angle_rad: Option<f64>) -> f64 {
-        forward.output(&Motion::steady(speed_rad_s, angle_rad))
+        output(forward, &Motion::steady(speed_rad_s, angle_rad))
     }
 
     #[test]
-    fn friction_fan_and_drop_cost_what_their_equations_say() {
+    fn effects_cost_the_output_of_their_equations() {
+        use Actuator::{Current, Voltage};
         let ohm_per_torque = 1.1 / 0.3538;
-        let fan = voltage("quadratic_load", &[2e-6]);
-        let expected = ohm_per_torque * (0.455 + 2e-6 * 200.0 * 200.0);
-        assert_close(at(&fan, 200.0, None), expected, 1e-9);
-        assert_close(at(&fan, -200.0, None), -expected, 1e-9);
-        let drop = voltage("voltage_drop", &[1.5]);
-        assert_close(at(&drop, 200.0, None), ohm_per_torque * 0.455 + 1.5, 0.02);
+        let fan_n_m = 0.455 + 2e-6 * 200.0 * 200.0;
+        let fan = ("quadratic_load", 2e-6);
+        let drop = ("voltage_drop", 1.5);
+        for ((id, value), actuator, speed, expected, tolerance) in [
+            (fan, Voltage, 200.0, ohm_per_torque * fan_n_m, 1e-9),
+            (fan, Voltage, -200.0, -ohm_per_torque * fan_n_m, 1e-9),
+            (fan, Voltage, 0.0, 0.0, 1e-12),
+            (drop, Voltage, 200.0, ohm_per_torque * 0.455 + 1.5, 0.02),
+            // Behind a current command the torque over Kt, and no voltage.
+            (fan, Current, 200.0, fan_n_m / 0.3538, 1e-9),
+            (drop, Current, 200.0, 0.455 / 0.3538, 1e-9),
+        ] {
+            let forward = forward(&model(id, &[value]), actuator);
+            assert_close(at(&forward, speed, None), expected, tolerance);
+        }
+        let behind_speed =
+            FeedForward::new(&model(fan.0, &[fan.1]), &[], Actuator::Speed, &TIMING, 10.0);
+        assert!(behind_speed.is_none());
     }
 
     #[test]
-    fn an_acceleration_costs_the_torque_of_the_inertia_and_friction_turns_over_with_the_speed() {
-        let plain = forward(&Model::baseline(Motor::zk_22fc()), Actuator::Current);
-        let current_a = |speed_rad_s| {
-            plain.output(&Motion { speed_rad_s, acceleration_rad_s2: 100.0, angle_rad: None })
-        };
-        assert_close(current_a(20.0), (0.455 + 0.45) / 0.3538, 1e-9);
-        assert_close(current_a(-20.0), (0.45 - 0.455) / 0.3538, 1e-9);
+    fn acceleration_costs_the_inertia_and_friction_reverses() {
+        let plain = forward(&plain(), Actuator::Current);
         // Zero is passed in the middle of the period: as long one way as the other.
-        assert_close(current_a(0.0), 0.45 / 0.3538, 1e-9);
-        assert_close(current_a(0.25), (0.45 + 0.5 * 0.455) / 0.3538, 1e-9);
+        for (speed_rad_s, friction) in [(20.0, 1.0), (-20.0, -1.0), (0.0, 0.0), (0.25, 0.5)] {
+            let motion = Motion { speed_rad_s, acceleration_rad_s2: 100.0, angle_rad: None };
+            assert_close(output(&plain, &motion), (0.45 + friction * 0.455) / 0.3538, 1e-9);
+        }
     }
 
     #[test]
-    fn behind_a_current_it_is_the_torque_and_behind_a_speed_nothing() {
-        let fan = model("quadratic_load", &[2e-6]);
-        let amperes = forward(&fan, Actuator::Current);
-        let expected = (0.455 + 2e-6 * 200.0 * 200.0) / 0.3538;
-        assert_close(at(&amperes, 200.0, None), expected, 1e-9);
-        let drop = model("voltage_drop", &[1.5]);
-        let amperes = forward(&drop, Actuator::Current);
-        assert_close(at(&amperes, 200.0, None), 0.455 / 0.3538, 1e-9);
-        assert!(FeedForward::new(&fan, &[], Actuator::Speed, &TIMING, LIMIT_A).is_none());
-    }
-
-    #[test]
-    fn at_rest_nothing_is_given() {
-        let fan = voltage("quadratic_load", &[2e-6]);
-        assert_close(at(&fan, 0.0, None), 0.0, 1e-12);
-    }
-
-    #[test]
-    fn what_is_not_known_at_every_instant_is_neither_given_nor_said_to_be() {
+    fn effects_with_states_or_without_values_are_left_out() {
         let friction = 1.1 / 0.3538 * 0.455;
         for (id, values) in [
             ("load_step", &[0.3, 1.0][..]),
@@ -509,19 +485,17 @@ mod tests {
             ("speed_delay", &[0.002]),
         ] {
             let left_out = voltage(id, values);
-            let said = left_out.sentence(false);
-            assert!(said.starts_with("Coulomb friction is given forward, "), "{said}");
+            let sentence = left_out.sentence(false);
+            assert!(sentence.starts_with("Coulomb friction is fed forward, "), "{sentence}");
             assert_close(at(&left_out, 200.0, Some(1.0)), friction, 1e-9);
         }
         let mut unknown = model("quadratic_load", &[2e-6]);
         unknown.effects[0].values = vec![None];
-        let left_out = forward(&unknown, Actuator::Voltage);
-        assert_close(at(&left_out, 200.0, None), friction, 1e-9);
+        assert_close(at(&forward(&unknown, Actuator::Voltage), 200.0, None), friction, 1e-9);
         let cogging = voltage("cogging", &[0.0, 0.1, 7.0]);
         assert!(cogging.sentence(false).contains("cogging while"));
         assert_close(at(&cogging, 200.0, None), friction, 1e-9);
-        let wave = at(&cogging, 200.0, Some(0.0)) - friction;
-        assert_close(wave.abs(), 1.1 / 0.3538 * 0.1, 1e-9);
+        assert_close((at(&cogging, 200.0, Some(0.0)) - friction).abs(), 1.1 / 0.3538 * 0.1, 1e-9);
     }
 
     /// 40 bins to 100 rad/s either way, or 72 of a turn, with these torques at their middles.
@@ -548,124 +522,43 @@ mod tests {
     }
 
     #[test]
-    fn a_map_takes_the_place_of_what_it_measured_and_leaves_the_rest_to_the_model() {
+    fn a_map_replaces_the_model_where_it_has_a_value() {
         // Beyond 50 rad/s nothing was measured.
         let friction =
             |speed: f64| (speed.abs() < 50.0).then(|| 0.3 * speed.signum() + 0.002 * speed);
         let cogging = |angle: f64| Some(0.1 * (7.0 * angle).cos());
         let maps = [map(MappedTorque::Friction, friction), map(MappedTorque::Cogging, cogging)];
-        let mut given = model("quadratic_load", &[2e-6]);
-        let other = Model::baseline(Motor::zk_22fc()).with_effect("cogging").unwrap();
-        given.effects.extend(other.effects);
-        given.effects[1].values = vec![Some(0.0), Some(0.5), Some(3.0)];
-        let forward = FeedForward::new(&given, &maps, Actuator::Current, &TIMING, LIMIT_A).unwrap();
+        let mut mapped = model("quadratic_load", &[2e-6]);
+        mapped.effects.extend(plain().with_effect("cogging").unwrap().effects);
+        mapped.effects[1].values = vec![Some(0.0), Some(0.5), Some(3.0)];
+        let forward = FeedForward::new(&mapped, &maps, Actuator::Current, &TIMING, 10.0).unwrap();
         let torque = |speed, angle| 0.3538 * at(&forward, speed, angle);
-        let own = |speed: f64| 0.3 * speed.signum() + 0.002 * speed;
+        let measured = |speed: f64| 0.3 * speed.signum() + 0.002 * speed;
         for speed in [-42.5, -7.5, 20.0, 33.0] {
-            assert_close(torque(speed, None), own(speed), 1e-9);
+            assert_close(torque(speed, None), measured(speed), 1e-9);
         }
-        let model_n_m = 0.455 + 2e-6 * 80.0 * 80.0;
-        assert_close(torque(80.0, None), model_n_m, 1e-9);
+        assert_close(torque(80.0, None), 0.455 + 2e-6 * 80.0 * 80.0, 1e-9);
         let middle = std::f64::consts::TAU * 10.5 / 72.0;
         let wave = cogging(middle).unwrap();
-        assert_close(torque(20.0, Some(middle)), own(20.0) + wave, 1e-9);
+        assert_close(torque(20.0, Some(middle)), measured(20.0) + wave, 1e-9);
         assert_close(torque(0.0, Some(middle)), wave, 1e-9);
         // Half way up the change of sign: half the friction of the slowest bin.
-        assert_close(torque(0.05, None), 0.5 * own(2.5), 1e-9);
-        let said = forward.sentence(false);
-        assert!(said.contains("the measured friction in 20 of 40 bins"), "{said}");
-    }
-
-    /// Records what it is asked and gives nothing: what is fed forward is all that moves the motor.
-    struct Still {
-        plans: bool,
-        asked: std::sync::Arc<std::sync::Mutex<Vec<f64>>>,
-    }
-
-    impl SpeedController for Still {
-        fn id(&self) -> &'static str {
-            "still"
-        }
-        fn follow_plan(&mut self) -> bool {
-            self.plans
-        }
-        fn step(&mut self, reference_rad_s: f64, _: &Measured, _: f64) -> f64 {
-            self.asked.lock().unwrap().push(reference_rad_s);
-            0.0
-        }
-        fn applied(&mut self, _: f64) {}
-        fn reset(&mut self, _: &Measured, _: f64) {}
-        fn explain(&self) -> Vec<String> {
-            Vec::new()
-        }
-    }
-
-    /// The controller with its feed-forward in the loop of a trial, which foresees the reference.
-    struct Foreseeing<'a> {
-        inner: Compensated,
-        reference_rad_s: &'a (dyn Fn(f64) -> f64 + Sync),
-        time_s: f64,
-    }
-
-    impl SpeedController for Foreseeing<'_> {
-        fn id(&self) -> &'static str {
-            self.inner.id()
-        }
-        fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64 {
-            let (reference, time_s) = (self.reference_rad_s, self.time_s);
-            self.inner.foresee(&|ahead_s| reference(time_s + ahead_s));
-            self.time_s += period_s;
-            self.inner.step(reference_rad_s, now, period_s)
-        }
-        fn applied(&mut self, output: f64) {
-            self.inner.applied(output);
-        }
-        fn reset(&mut self, now: &Measured, output: f64) {
-            self.inner.reset(now, output);
-        }
-        fn explain(&self) -> Vec<String> {
-            self.inner.explain()
-        }
+        assert_close(torque(0.05, None), 0.5 * measured(2.5), 1e-9);
+        let sentence = forward.sentence(false);
+        assert!(sentence.contains("the measured friction in 20 of 40 bins"), "{sentence}");
     }
 
     /// The motor of the model behind a line whose delay is that of the timing.
     fn followed(
         inner: impl SpeedController + 'static,
-        reference: &(dyn Fn(f64) -> f64 + Sync),
+        reference: &dyn Fn(f64) -> f64,
         cycles: usize,
     ) -> Vec<TrialPoint> {
-        let machine = TrialMachine {
-            resistance_ohm: 1.1,
-            inductance_h: 0.0099,
-            back_emf_v_s_per_rad: 0.3538,
-            torque_n_m_per_a: 0.3538,
-            friction_n_m: 0.455,
-            viscous_n_m_s_per_rad: 0.0,
-            coupling: None,
-            drive_current_limit_a: 11.4,
-            period_s: TIMING.period_s,
-            delay_periods: 2,
-            speed_noise_rad_s: 0.0,
-            current_noise_a: 0.0,
-        };
         let course =
             Course { reference_rad_s: reference, inertia_kg_m2: &|_| 0.0045, load_n_m: &|_| 0.0 };
-        let limiter = Limiter {
-            output: 110.0,
-            current: Some(CurrentLimit {
-                current_a: LIMIT_A,
-                resistance_ohm: 1.1,
-                back_emf_v_s_per_rad: 0.3538,
-                ahead_s: TIMING.dead_time_s(),
-            }),
-        };
-        let plain = forward(&Model::baseline(Motor::zk_22fc()), Actuator::Voltage);
-        let mut controller = Foreseeing {
-            inner: Compensated::new(Box::new(inner), plain),
-            reference_rad_s: reference,
-            time_s: 0.0,
-        };
-        trial(&machine, &course, &mut controller, &limiter, cycles, 1)
+        let mut controller =
+            Compensated::new(Box::new(inner), forward(&plain(), Actuator::Voltage));
+        trial(&machine(0.0), &course, &mut controller, &limiter(&TIMING), cycles, 1)
     }
 
     /// Up to 20 rad/s, back and forth between 20 and -20 in 0.4 s.
@@ -680,51 +573,42 @@ mod tests {
     }
 
     #[test]
-    fn what_is_given_forward_alone_reverses_a_known_motor_without_lag_over_a_line_with_delay() {
-        let asked = std::sync::Arc::new(std::sync::Mutex::new(Vec::new()));
-        let still = Still { plans: true, asked: asked.clone() };
-        let trace = followed(still, &reversals, 200);
+    fn feed_forward_alone_reverses_a_known_motor_without_lag() {
+        let alone = Fixed { follows_plan: true, ..Fixed::default() };
+        let references = alone.references.clone();
+        let trace = followed(alone, &reversals, 200);
         // A speed that is 10 ms late would be 1 rad/s off.
         assert!(rms(&trace[40..]) < 0.6, "{}", rms(&trace[40..]));
-        let asked = asked.lock().unwrap();
-        let apart = trace[40..].iter().zip(&asked[40..]);
-        let apart = apart.map(|(point, asked)| (point.speed_rad_s - asked).abs());
+        let references = references.lock().unwrap();
+        let apart = trace[40..].iter().zip(&references[40..]);
+        let apart = apart.map(|(point, planned)| (point.speed_rad_s - planned).abs());
         assert!(apart.fold(0.0, f64::max) < 1.5);
     }
 
     #[test]
-    fn a_step_beyond_the_current_limit_is_planned_within_it_and_does_not_overshoot() {
-        let gains = PiGains {
-            proportional: 0.4,
-            integral_time_s: 0.05,
-            reference_filter_s: 0.0,
-            notch: None,
-        };
-        let pi = Pi::new(gains, AntiWindup::Hold, Holding::default());
-        let step = |time_s: f64| if time_s < 0.5 { 0.0 } else { 100.0 };
-        let trace = followed(pi, &step, 120);
+    fn a_step_beyond_the_current_limit_is_planned_within_it() {
+        let pi = Pi::new(pi_gains(0.4, 0.05), AntiWindup::Hold, Holding::default());
+        let trace = followed(pi, &|time_s| if time_s < 0.5 { 0.0 } else { 100.0 }, 120);
         let most = trace.iter().map(|point| point.speed_rad_s).fold(0.0, f64::max);
         assert!(most < 104.0, "{most}");
-        let settled = &trace[100..];
-        assert!(rms(settled) < 0.5, "{}", rms(settled));
+        assert!(rms(&trace[100..]) < 0.5, "{}", rms(&trace[100..]));
         assert!(trace.iter().all(|point| point.current_a.abs() < 11.0));
     }
 
     #[test]
-    fn a_controller_with_a_model_of_its_own_keeps_its_reference_and_is_given_friction_only() {
-        let asked = std::sync::Arc::new(std::sync::Mutex::new(Vec::new()));
-        let still = Still { plans: false, asked: asked.clone() };
-        let plain = forward(&Model::baseline(Motor::zk_22fc()), Actuator::Voltage);
-        let mut compensated = Compensated::new(Box::new(still), plain);
-        let friction_v = 1.1 / 0.3538 * 0.455;
-        let now = Measured::at(0.0);
+    fn a_controller_that_follows_no_plan_keeps_its_reference() {
+        let alone = Fixed::default();
+        let references = alone.references.clone();
+        let mut compensated =
+            Compensated::new(Box::new(alone), forward(&plain(), Actuator::Voltage));
         let mut output = 0.0;
         for n in 0..50_u32 {
             let reference = 20.0 + 0.1 * f64::from(n);
-            output = compensated.step(reference, &now, 0.01);
+            output = compensated.step(reference, &Measured::at(0.0), 0.01);
             compensated.applied(output);
-            assert_close(*asked.lock().unwrap().last().unwrap(), reference, 1e-12);
+            assert_close(*references.lock().unwrap().last().unwrap(), reference, 1e-12);
         }
-        assert_close(output, friction_v, 1e-6);
+        // Friction only, no acceleration and no back-EMF.
+        assert_close(output, 1.1 / 0.3538 * 0.455, 1e-6);
     }
 }

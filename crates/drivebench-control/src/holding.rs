@@ -1,12 +1,9 @@
-//! Holding output of a speed: that at which nothing accelerates, by the model.
+//! Steady-state output of a speed, by the model.
 
 use serde::Serialize;
 
 use super::Actuator;
 use drivebench_model::plant::{Model, MotorKey};
-
-/// Speed at which the friction's full size is counted, rad/s: below it the sign is noise.
-const SIGN_SPEED_RAD_S: f64 = 2.0;
 
 /// `output = per_speed w + against sgn(w)`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -26,20 +23,20 @@ impl Holding {
             (Actuator::Current, Some(kt)) => 1.0 / kt,
             _ => 0.0,
         };
-        let own = match actuator {
+        let without_friction = match actuator {
             Actuator::Voltage => value(MotorKey::BackEmf),
             Actuator::Current => 0.0,
             Actuator::Speed => 1.0,
         };
         Self {
-            per_speed: own + per_torque * viscous_n_m_s_per_rad,
+            per_speed: without_friction + per_torque * viscous_n_m_s_per_rad,
             against: per_torque * value(MotorKey::LoadTorque),
         }
     }
 
+    /// Below 2 rad/s the sign of the speed is noise: friction rises to its full size there.
     pub fn output(&self, speed_rad_s: f64) -> f64 {
-        self.per_speed * speed_rad_s
-            + self.against * (speed_rad_s / SIGN_SPEED_RAD_S).clamp(-1.0, 1.0)
+        self.per_speed * speed_rad_s + self.against * (speed_rad_s / 2.0).clamp(-1.0, 1.0)
     }
 }
 

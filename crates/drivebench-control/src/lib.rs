@@ -8,11 +8,10 @@
 //!       on-line TM, Ta -------/                                 \-- current, voltage, slew
 //! ```
 //!
-//! Whatever the controller, a [`LoopWatch`] looks for swings and for limits that get nowhere, and has the gains lowered
-//! where they can be.
+//! A [`LoopWatch`] detects oscillation and saturation of any of them, and has the gains reduced where that is possible.
 //!
-//! A controller is a function of what is measured; it never sees a link, a file or a clock. A new one is one file here and
-//! one arm where the `[speed]` of a bench file becomes a controller.
+//! A controller is a function of what is measured; it has no link, file or clock. A new one is one file here and one arm
+//! where the `[speed]` of a bench file becomes a controller.
 
 mod actuator;
 mod adaptation;
@@ -29,7 +28,6 @@ mod optimal;
 mod pi;
 mod response;
 mod schedule;
-mod sensor;
 mod spread;
 #[cfg(test)]
 pub(crate) mod testing;
@@ -39,12 +37,11 @@ pub mod tuning;
 mod watch;
 
 pub use actuator::Actuator;
-pub use adaptation::{Load, LoadEstimator};
 pub use addc::{Addc, AddcSettings};
-pub use feed_forward::{Compensated, FeedForward, Motion};
+pub use feed_forward::{Compensated, FeedForward};
 pub use holding::Holding;
 pub use limiter::{CurrentLimit, Limiter};
-pub use linear_plant::{Dominant, LinearPlant, PlantError, viscous_n_m_s_per_rad};
+pub use linear_plant::{LinearPlant, PlantError, viscous_n_m_s_per_rad};
 pub use loop_shape::{LoopShape, Margins, PiGains, StepPoint};
 pub use mrac::{Mrac, MracScales};
 pub use notch::Notch;
@@ -54,16 +51,14 @@ pub use optimal::{
 pub use pi::{AntiWindup, Pi};
 pub use response::{Response, SETTLED_SHARE, response};
 pub use schedule::{Schedule, Scheduled};
-pub use sensor::{Direct, SpeedSensor};
 pub use spread::drawn;
 pub use timing::LoopTiming;
-pub use trial::{Course, TrialMachine, TrialPoint, trial, trial_seen_by};
+pub use trial::{Course, Direct, SpeedSensor, TrialMachine, TrialPoint, trial, trial_with_sensor};
 pub use watch::{Finding, LoopWatch};
 
 #[cfg(test)]
 mod loop_tests;
 
-/// What a controller is given in each cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measured {
     pub speed_rad_s: f64,
@@ -71,7 +66,7 @@ pub struct Measured {
     pub current_a: Option<f64>,
     /// Unwrapped, where the drive gives it.
     pub angle_rad: Option<f64>,
-    /// A limit of the drive held its output: the motor had less than was asked for.
+    /// A limit of the drive held its output below the command.
     pub limited: bool,
 }
 
@@ -81,7 +76,7 @@ impl Measured {
     }
 }
 
-/// What a controller follows, and where its gains are. `None`: not known, or not settled.
+/// Gains, and the estimates that they follow. `None`: not known, or not settled.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Adapted {
     /// Kp, in the actuator's unit per rad/s, and Tn.
@@ -95,21 +90,20 @@ pub struct Adapted {
     pub load_torque_n_m: Option<f64>,
 }
 
-/// A regulator of the shaft's speed.
 pub trait SpeedController: Send {
     /// Key in bench files and on the command line.
     fn id(&self) -> &'static str;
 
-    /// The reference of the cycle that comes and of what follows: a function of the time since its sample, s.
-    fn foresee(&mut self, _reference_rad_s: &dyn Fn(f64) -> f64) {}
+    /// The reference of the next cycle and after it: a function of the time since its sample, s.
+    fn preview(&mut self, _reference_rad_s: &dyn Fn(f64) -> f64) {}
 
-    /// So long before a change of the reference that it foresees its output begins to change, s.
-    fn leads_s(&self) -> f64 {
+    /// Time before a previewed change of the reference at which its output begins to change, s.
+    fn preview_s(&self) -> f64 {
         0.0
     }
 
-    /// From now on the reference is a planned motion, and what it costs is given beside this controller, which regulates
-    /// the error about it. False where it has a model of its own, to which that would be a load.
+    /// From now on the reference is a planned motion whose output is fed forward: the controller regulates the error about
+    /// it. False where it has a model of its own, to which that output would be a load.
     fn follow_plan(&mut self) -> bool {
         false
     }
@@ -117,14 +111,13 @@ pub trait SpeedController: Send {
     /// One cycle of `period_s`: the output that is wanted, in the unit of the actuator.
     fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64;
 
-    /// What another gives beside this controller's own output in this cycle, before [`Self::applied`] of it; zero where it
-    /// is never told.
-    fn beside(&mut self, _output: f64) {}
+    /// Feed-forward that is added to this controller's output in this cycle; before [`Self::applied`].
+    fn fed_forward(&mut self, _output: f64) {}
 
-    /// What really leaves of its output after all limits; once after each [`Self::step`].
+    /// Its own output after all limits; once after each [`Self::step`].
     fn applied(&mut self, output: f64);
 
-    /// Bumpless start: the shaft turns as measured, and `output` is what holds it there. No memory of before remains.
+    /// Bumpless start: the shaft turns as measured, and `output` holds it there. All states begin anew.
     fn reset(&mut self, now: &Measured, output: f64);
 
     /// Why the gains are what they are, one sentence each.
@@ -135,17 +128,22 @@ pub trait SpeedController: Send {
         None
     }
 
-    /// Its gains, and what it knows of the machine, as far as they follow what is identified on line.
+    /// `None` where nothing is identified on line.
     fn adapted(&self) -> Option<Adapted> {
         None
     }
 
-    /// Whether its gains can fall.
-    fn softens(&self) -> bool {
+    fn can_reduce_gain(&self) -> bool {
         false
     }
 
-    /// Gains at this share of what its tuning says, before the step of the cycle that comes, which has this reference and
-    /// this speed.
-    fn soften(&mut self, _share: f64, _reference_rad_s: f64, _speed_rad_s: f64, _period_s: f64) {}
+    /// Gains at this share of the tuned ones from the next step on, which has this reference and this speed.
+    fn set_gain_share(
+        &mut self,
+        _share: f64,
+        _reference_rad_s: f64,
+        _speed_rad_s: f64,
+        _period_s: f64,
+    ) {
+    }
 }

@@ -1,11 +1,10 @@
-//! The speed's answer to the actuator near a working point: on a rigid shaft two states, behind a coupling four.
+//! State-space model from actuator to speed near a working point: two states on a rigid shaft, four behind a coupling.
 //!
 //! ```text
 //! u -> current or lag -> motor's speed <--[ coupling: twist ]--> load's speed
 //! ```
 //!
-//! Rules tune on the rigid plant, which has all of the inertia on the motor's shaft; what a loop does is worked out on the
-//! whole of it.
+//! Rules tune on the rigid plant, which has all of the inertia on the motor's shaft; margins are those of all states.
 
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 use thiserror::Error;
@@ -16,9 +15,6 @@ use drivebench_model::plant::{Coupling, Model, MotorKey};
 
 /// Most states of a plant.
 pub(super) const STATES: usize = 4;
-/// Least share of the inertia that stays behind a coupling, whatever the load loses: that of the catalogue.
-const LEAST_SHARE: f64 = 0.02;
-
 /// `dx/dt = A x + b u`, speed = `x[1]`.
 ///
 /// Voltage drive: `x` is current and speed. Current drive: the drive's current loop is a lag.
@@ -33,15 +29,14 @@ pub struct LinearPlant {
 
 /// Two real time constants: `gain / ((1 + large s)(1 + small s))`, or an integrator where nothing brakes the shaft.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Dominant {
-    /// Slope of the speed's answer to a unit step after the small time constant, rad/s^2 per unit.
-    pub rate: f64,
+pub(super) struct Dominant {
+    /// Slope of the unit step response after the small time constant, rad/s^2 per unit.
+    pub(super) rate: f64,
     /// Large time constant, s; `None`: an integrator.
-    pub large_s: Option<f64>,
-    pub small_s: f64,
+    pub(super) large_s: Option<f64>,
+    pub(super) small_s: f64,
 }
 
-/// Why a model makes no plant to control.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum PlantError {
     #[error("{key} is missing in the model (needed for a speed loop over {actuator})")]
@@ -73,8 +68,8 @@ impl PlantError {
 /// # Errors
 /// Viscous friction without a value, or one that is not finite or below 0.
 pub fn viscous_n_m_s_per_rad(model: &Model, actuator: Actuator) -> Result<f64, PlantError> {
-    let mut effects = model.effects.iter();
-    let Some(effect) = effects.find(|effect| effect.id() == TermKind::Drag.id()) else {
+    let Some(effect) = model.effects.iter().find(|effect| effect.id() == TermKind::Drag.id())
+    else {
         return Ok(0.0);
     };
     let missing = PlantError::Missing { key: VISCOUS, actuator: actuator.name() };
@@ -141,8 +136,8 @@ impl LinearPlant {
         })
     }
 
-    /// The plant behind a speed command: the drive's speed loop as two equal lags, s together. What hangs on the shaft is
-    /// for that loop to hold.
+    /// The plant behind a speed command: the drive's speed loop, which includes the shaft's load, as two equal lags of `lag_s`
+    /// together.
     ///
     /// # Errors
     /// A lag that is not finite or not positive.
@@ -166,7 +161,8 @@ impl LinearPlant {
         }
         if let Some(coupling) = &mut plant.coupling {
             let before = coupling.inertia_ratio;
-            let share = (1.0 - (1.0 - before) / ratio).max(LEAST_SHARE);
+            // The least share of the catalogue remains behind the coupling.
+            let share = (1.0 - (1.0 - before) / ratio).max(0.02);
             // Stiffness (2 pi f)^2 J r (1 - r) and damping 2 zeta 2 pi f J r (1 - r) are those of the coupling.
             let reduced = ratio * share * (1.0 - share) / (before * (1.0 - before));
             coupling.inertia_ratio = share;
@@ -192,14 +188,13 @@ impl LinearPlant {
         self.coupling.as_ref()
     }
 
-    /// The motor alone, within the play of its coupling; `None` where nothing lets go.
+    /// The motor alone, within the backlash of its coupling; `None` without backlash.
     #[must_use]
-    pub fn let_go(&self) -> Option<Self> {
+    pub(super) fn uncoupled(&self) -> Option<Self> {
         let coupling = self.coupling.filter(|coupling| coupling.gap_rad > 0.0)?;
-        Some((self.rigid()).with_inertia_ratio(1.0 - coupling.inertia_ratio))
+        Some(self.rigid().with_inertia_ratio(1.0 - coupling.inertia_ratio))
     }
 
-    /// The same on a rigid shaft.
     #[must_use]
     pub const fn rigid(&self) -> Self {
         Self { coupling: None, ..*self }
@@ -237,7 +232,7 @@ impl LinearPlant {
         (a, b)
     }
 
-    /// Speed per unit at standstill of all change; `None`: an integrator.
+    /// Static gain, speed per unit; `None`: an integrator.
     pub fn gain(&self) -> Option<f64> {
         let determinant = self.a.determinant();
         (determinant.abs() > 1e-12 * self.a.norm_squared())
@@ -245,14 +240,13 @@ impl LinearPlant {
     }
 
     /// As two real time constants; `None` where the poles are a complex pair.
-    pub fn dominant(&self) -> Option<Dominant> {
+    pub(super) fn dominant(&self) -> Option<Dominant> {
         let (trace, determinant) = (self.a.trace(), self.a.determinant());
         let square = 0.25 * trace * trace - determinant;
         if square < -1e-9 * trace * trace {
             return None;
         }
-        let root = square.max(0.0).sqrt();
-        let fast = -0.5 * trace + root;
+        let fast = -0.5 * trace + square.max(0.0).sqrt();
         // From the product: no cancellation of nearly equal numbers.
         let slow = determinant / fast;
         let rate = self.a[(1, 0)] * self.b[0] / fast;
@@ -264,7 +258,7 @@ impl LinearPlant {
     }
 
     /// Sum of the time constants of the denominator and their product: `1 + sum s + product s^2` over the gain.
-    pub fn denominator(&self) -> Option<(f64, f64)> {
+    pub(super) fn denominator(&self) -> Option<(f64, f64)> {
         let determinant = self.a.determinant();
         self.gain().map(|_| (-self.a.trace() / determinant, 1.0 / determinant))
     }
@@ -284,7 +278,7 @@ impl LinearPlant {
     }
 }
 
-/// The second inertia of a model, all of its values known.
+/// The coupling of a model, all of its values known.
 fn coupling(model: &Model, actuator: Actuator) -> Result<Option<Coupling>, PlantError> {
     for active in &model.effects {
         let guessed = active.effect.terms(&active.values_or_guess()).coupling();
@@ -308,8 +302,7 @@ fn coupling(model: &Model, actuator: Actuator) -> Result<Option<Coupling>, Plant
 }
 
 fn torque_constant(model: &Model, actuator: Actuator) -> Result<f64, PlantError> {
-    let value = model.motor.torque_constant();
-    given(MotorKey::TorqueConstant, value, actuator)
+    given(MotorKey::TorqueConstant, model.motor.torque_constant(), actuator)
 }
 
 fn positive(model: &Model, key: MotorKey, actuator: Actuator) -> Result<f64, PlantError> {
@@ -318,8 +311,7 @@ fn positive(model: &Model, key: MotorKey, actuator: Actuator) -> Result<f64, Pla
 
 fn given(key: MotorKey, value: Option<f64>, actuator: Actuator) -> Result<f64, PlantError> {
     let key = key.key();
-    let missing = PlantError::Missing { key, actuator: actuator.name() };
-    checked(key, value.ok_or(missing)?)
+    checked(key, value.ok_or(PlantError::Missing { key, actuator: actuator.name() })?)
 }
 
 fn checked(key: &'static str, value: f64) -> Result<f64, PlantError> {
@@ -335,7 +327,7 @@ mod tests {
     use drivebench_model::sample::Channel;
 
     #[test]
-    fn time_constants_of_a_slow_machine_are_those_of_the_textbook() {
+    fn time_constants_are_those_of_the_textbook() {
         let motor = Motor::zk_22fc().with(MotorKey::Inertia, 0.0228);
         let plant = LinearPlant::voltage(&Model::baseline(motor.clone()), 0.0).unwrap();
         let found = plant.dominant().unwrap();
@@ -346,12 +338,8 @@ mod tests {
         assert_close(large_s + found.small_s, tm, 1e-12);
         assert_close(plant.gain().unwrap(), 1.0 / 0.3538, 1e-12);
         assert_close(found.rate * large_s, 1.0 / 0.3538, 1e-12);
-    }
-
-    #[test]
-    fn a_light_machine_swings_and_a_current_drive_integrates() {
-        let motor = Motor::zk_22fc().with(MotorKey::Inertia, 0.001);
-        let model = Model::baseline(motor);
+        // A light machine has complex poles, and a current drive integrates.
+        let model = testing::model(0.001);
         assert_eq!(LinearPlant::voltage(&model, 0.0).unwrap().dominant(), None);
         let current = LinearPlant::current(&model, 0.0, 0.002).unwrap();
         assert_eq!(current.gain(), None);
@@ -394,14 +382,14 @@ mod tests {
 
     #[test]
     fn the_whole_plant_moves_as_the_models_own_simulation() {
-        // Other mathematics: the equations of a free run, with their events of friction, of which there is none here.
+        // An independent solution: the free run with its friction events, of which there is none here.
         let mut model = testing::elastic(0.5, 0.02);
         model.motor.set(MotorKey::LoadTorque, 0.0);
         let plant = LinearPlant::voltage(&model, 0.0).unwrap();
         let times: Vec<f64> = (0..300).map(|n| 0.002 * f64::from(n)).collect();
-        let channel = Channel::VoltageCmd;
         let steps = vec![(0.0, 10.0)];
-        let scenario = Scenario::planned("steps", Input::Voltage, channel, steps, times);
+        let scenario =
+            Scenario::planned("steps", Input::Voltage, Channel::VoltageCmd, steps, times);
         let mut free = Plant::new(&model, Input::Voltage).unwrap();
         let free = free.simulate(&scenario, State::default());
         let (phi, gamma) = plant.held_over(0.002);
@@ -415,7 +403,7 @@ mod tests {
     }
 
     #[test]
-    fn a_load_that_grows_leaves_the_motor_and_the_coupling_as_they_are() {
+    fn a_heavier_load_changes_neither_motor_nor_coupling() {
         let plant = LinearPlant::voltage(&testing::elastic(0.5, 0.02), 0.0).unwrap();
         let grown = plant.with_inertia_ratio(3.0);
         let [(before, _), (after, _)] = [plant, grown].map(|plant| plant.whole());
@@ -433,24 +421,22 @@ mod tests {
     }
 
     #[test]
-    fn a_coupling_needs_its_values_and_play_lets_the_motor_go() {
-        let mut model = testing::elastic(0.5, 0.02);
-        model.effects[0].values[2] = None;
-        let error = LinearPlant::voltage(&model, 0.0).unwrap_err();
-        assert!(error.to_string().starts_with("damping_ratio is missing"));
-        model.effects[0].values[2] = Some(-0.1);
-        let error = LinearPlant::voltage(&model, 0.0).unwrap_err();
-        assert_eq!(
-            error.to_string(),
-            "elastic_coupling.damping_ratio = -0.1 is not physical (allowed: 0 to 1)"
-        );
+    fn a_coupling_needs_its_values_and_backlash_frees_the_motor() {
+        for (damping, message) in [
+            (None, "damping_ratio is missing"),
+            (Some(-0.1), "elastic_coupling.damping_ratio = -0.1 is not physical (allowed: 0 to 1)"),
+        ] {
+            let mut model = testing::elastic(0.5, 0.02);
+            model.effects[0].values[2] = damping;
+            let error = LinearPlant::voltage(&model, 0.0).unwrap_err();
+            assert!(error.to_string().starts_with(message), "{error}");
+        }
         let elastic = LinearPlant::voltage(&testing::elastic(0.4, 0.02), 0.0).unwrap();
-        assert_eq!(elastic.let_go(), None);
+        assert_eq!(elastic.uncoupled(), None);
         let mut loose = testing::model(0.0045).with_effect("backlash").unwrap();
         loose.effects[0].values = [0.02, 40.0, 0.4, 0.05, 0.5].map(Some).to_vec();
-        let alone = LinearPlant::voltage(&loose, 0.0).unwrap().let_go().unwrap();
-        let motor = testing::plant(0.6 * 0.0045);
-        assert_close(alone.a[(1, 0)], motor.a[(1, 0)], 1e-12);
+        let alone = LinearPlant::voltage(&loose, 0.0).unwrap().uncoupled().unwrap();
+        assert_close(alone.a[(1, 0)], testing::plant(0.6 * 0.0045).a[(1, 0)], 1e-12);
         assert_eq!(alone.states(), 2);
     }
 

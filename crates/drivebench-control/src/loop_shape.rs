@@ -1,7 +1,8 @@
-//! A sampled speed loop seen before the motor moves: margins, bandwidth, spectral radius, step response.
+//! Analysis of a sampled speed loop: stability margins, bandwidth, spectral radius, step response (Franklin, Powell and
+//! Workman, Digital Control of Dynamic Systems, 1998).
 //!
-//! Exact for the linear plant, whatever states it has: the output holds between samples and arrives late by any delay,
-//! whole periods or not. A filter of the measurement is taken as sampled with the loop.
+//! Exact for the linear plant with a zero-order hold and a delay of any fraction of a period. A filter of the measurement is
+//! taken as sampled with the loop.
 
 use std::sync::{Arc, OnceLock};
 
@@ -13,19 +14,6 @@ use super::notch::{Notch, NotchMemory};
 use super::{LinearPlant, LoopTiming};
 use drivebench_model::numerics::{count, linear_map, root};
 
-/// Steps between the frequencies on which crossings are looked for: relative, and at most this share of what turns the
-/// delay by half a turn.
-const STEP: f64 = 0.03;
-const TURN: f64 = 0.1;
-/// Lowest frequency, as share of Nyquist's.
-const LOWEST: f64 = 1e-5;
-/// Nearest frequency beside that of a swing, relative, and how the others follow away from it.
-const BESIDE: f64 = 5e-4;
-const AWAY: f64 = 1.35;
-const AWAY_STEPS: i32 = 18;
-/// Halvings of a bracket around a crossing.
-const HALVINGS: usize = 40;
-
 /// Gains of a PI regulator `u = Kp (e + (1/Tn) integral of e)`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PiGains {
@@ -35,24 +23,24 @@ pub struct PiGains {
     pub integral_time_s: f64,
     /// First-order filter of the reference, s; 0 without.
     pub reference_filter_s: f64,
-    /// What the error passes before it is regulated.
+    /// Before the regulator.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub notch: Option<Notch>,
 }
 
 impl PiGains {
-    /// Kp, what has become of it, Tn and the notch, as a person reads them.
-    pub(super) fn text(&self, softened: &str) -> String {
+    /// `share`: of the tuned gain, as text.
+    pub(super) fn text(&self, share: &str) -> String {
         let (kp, tn_s) = (self.proportional, self.integral_time_s);
         let notch = self.notch.map_or_else(String::new, |notch| format!(", {}", notch.text()));
-        format!("Kp = {kp:.4} per rad/s{softened}, Tn = {tn_s:.4} s{notch}")
+        format!("Kp = {kp:.4} per rad/s{share}, Tn = {tn_s:.4} s{notch}")
     }
 }
 
-/// How far a loop is from swinging, at the worst of all crossings; infinite where a crossing does not exist.
+/// Stability margins at the worst of all crossings; infinite where a crossing does not exist.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Margins {
-    /// By which the phase may turn where the gain is one; negative for a loop that is not stable.
+    /// At a gain of one; negative for a loop that is not stable.
     pub phase_margin_deg: f64,
     /// Factor by which the gain may grow, or fall where that is nearer.
     pub gain_margin: f64,
@@ -64,7 +52,6 @@ pub struct Margins {
     pub radius: f64,
 }
 
-/// One point of a predicted step response.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct StepPoint {
     pub time_s: f64,
@@ -91,28 +78,27 @@ pub struct LoopShape {
     /// Effect of the older and of the newer of the two outputs that act within a period.
     older: SVector<f64, STATES>,
     newer: SVector<f64, STATES>,
-    /// Share of the way that the measurement's filter goes in a period.
+    /// Of the measurement's filter, see [`lag_share`].
     filter_share: f64,
-    /// Frequencies at which the plant swings by itself, or hardly moves, rad/s.
-    swings_rad_s: Vec<f64>,
-    /// The plant over the frequencies: the same for all gains.
-    seen: Arc<OnceLock<Vec<Seen>>>,
+    /// Resonance and anti-resonance of the plant, rad/s.
+    resonances_rad_s: Vec<f64>,
+    /// Frequency response of the plant, the same for all gains.
+    responses: Arc<OnceLock<Vec<PlantResponse>>>,
 }
 
-/// What the regulator sees at a frequency: plant, delay and filter.
+/// Plant, delay and filter at a frequency.
 #[derive(Clone, Copy, Debug)]
-struct Seen {
+struct PlantResponse {
     frequency_rad_s: f64,
     /// One period back, 1/z.
     back: Complex<f64>,
     plant: Complex<f64>,
 }
 
-/// What the sampled loop remembers.
 #[derive(Clone, Debug)]
 struct Memory {
     x: SVector<f64, STATES>,
-    /// Outputs that are on their way, the newest first.
+    /// Outputs within the delay, the newest first.
     pipe: Vec<f64>,
     integral: f64,
     filtered: f64,
@@ -131,8 +117,8 @@ impl LoopShape {
         }
         let (first, pushed) = plant.held_over(rest_s);
         let (second, newer) = plant.held_over(timing.period_s - rest_s);
-        let swings = plant.coupling().map(|coupling| {
-            // Free against each other, and the load alone on a motor that is held.
+        let resonances = plant.coupling().map(|coupling| {
+            // Both masses free, and the load on a motor that is held.
             let free = std::f64::consts::TAU * coupling.frequency_hz;
             [free, free * (1.0 - coupling.inertia_ratio).sqrt()]
         });
@@ -145,12 +131,12 @@ impl LoopShape {
             older: second * pushed,
             newer,
             filter_share: lag_share(timing.period_s, timing.filter_s),
-            swings_rad_s: swings.into_iter().flatten().collect(),
-            seen: Arc::default(),
+            resonances_rad_s: resonances.into_iter().flatten().collect(),
+            responses: Arc::default(),
         }
     }
 
-    /// The same plant under other gains: what is known of it stays known.
+    /// The same plant under other gains; its frequency response is shared.
     #[must_use]
     pub fn with_gains(&self, gains: &PiGains) -> Self {
         Self { gains: *gains, ..self.clone() }
@@ -167,24 +153,26 @@ impl LoopShape {
         }
     }
 
-    /// One period: `reference` as the regulator sees it, after its filter.
+    /// One period; `reference` behind its filter.
     fn step(&self, memory: &mut Memory, reference: f64) -> f64 {
         memory.filtered += self.filter_share * (memory.x[1] - memory.filtered);
-        let notch = self.gains.notch.as_ref();
-        let error = reference - memory.filtered;
-        let error = memory.notch.pass(notch, error, self.timing.period_s);
+        let error = memory.notch.pass(
+            self.gains.notch.as_ref(),
+            reference - memory.filtered,
+            self.timing.period_s,
+        );
         let gain = self.gains.proportional;
         memory.integral += gain * self.timing.period_s / self.gains.integral_time_s * error;
         let output = gain * error + memory.integral;
         memory.pipe.rotate_right(1);
         let oldest = std::mem::replace(&mut memory.pipe[0], output);
-        // With the new output at the front the one `whole` periods old stands at that place; the one before it just left.
+        // With the new output at the front, that place has the one `whole` periods old, and `oldest` the one before it.
         let newer = memory.pipe[self.whole];
         memory.x = self.phi * memory.x + self.older * oldest + self.newer * newer;
         output
     }
 
-    /// Largest eigenvalue of the closed loop; infinite where the timing is none that can be looked at.
+    /// Largest eigenvalue of the closed loop; infinite for an invalid timing.
     pub fn radius(&self) -> f64 {
         if !self.timing.is_valid() {
             return f64::INFINITY;
@@ -219,7 +207,7 @@ impl LoopShape {
         })
     }
 
-    /// Speed that comes out for an input of one, `(z - Phi)^-1` of what it does within a period.
+    /// Speed of `(z - Phi)^-1 push`, by Gaussian elimination with partial pivoting.
     fn speed(&self, z: Complex<f64>, push: &SVector<Complex<f64>, STATES>) -> Complex<f64> {
         let size = self.states;
         let mut rows = [[Complex::new(0.0, 0.0); STATES + 1]; STATES];
@@ -230,7 +218,7 @@ impl LoopShape {
             row[n] += z;
             row[STATES] = push[n];
         }
-        // The speed's column last: elimination alone leaves it.
+        // The speed's column last: elimination alone solves for it.
         let order = [0, 2, 3];
         for (step, column) in order.into_iter().filter(|n| *n < size).enumerate() {
             let of = |row: &[Complex<f64>; STATES + 1]| row[column].norm_sqr();
@@ -249,44 +237,46 @@ impl LoopShape {
         rows[size - 1][STATES] / rows[size - 1][1]
     }
 
-    fn seen_at(&self, frequency_rad_s: f64) -> Seen {
+    fn response_at(&self, frequency_rad_s: f64) -> PlantResponse {
         let z = Complex::new(0.0, frequency_rad_s * self.timing.period_s).exp();
         let back = z.inv();
         let push = std::array::from_fn(|n| back * self.older[n] + self.newer[n]);
         let late = back.powu(u32::try_from(self.whole).unwrap_or(u32::MAX));
         let filter = self.filter_share / (1.0 - (1.0 - self.filter_share) * back);
-        Seen { frequency_rad_s, back, plant: late * self.speed(z, &SVector::from(push)) * filter }
+        let plant = late * self.speed(z, &SVector::from(push)) * filter;
+        PlantResponse { frequency_rad_s, back, plant }
     }
 
-    /// Open loop, regulator included, of what is seen at a frequency.
-    fn opened(&self, seen: &Seen) -> Complex<f64> {
-        let integral = self.timing.period_s / self.gains.integral_time_s / (1.0 - seen.back);
-        let regulator = self.gains.proportional * (1.0 + integral) * seen.plant;
+    /// Open loop of a plant's response.
+    fn with_regulator(&self, response: &PlantResponse) -> Complex<f64> {
+        let PlantResponse { back, plant, .. } = *response;
+        let integral = self.timing.period_s / self.gains.integral_time_s / (1.0 - back);
+        let regulator = self.gains.proportional * (1.0 + integral) * plant;
         match &self.gains.notch {
-            Some(notch) => regulator * notch.response(seen.back, self.timing.period_s),
+            Some(notch) => regulator * notch.response(back, self.timing.period_s),
             None => regulator,
         }
     }
 
-    /// Open loop, regulator included, at a frequency, rad/s.
-    pub fn open(&self, frequency_rad_s: f64) -> Complex<f64> {
-        self.opened(&self.seen_at(frequency_rad_s))
+    fn open(&self, frequency_rad_s: f64) -> Complex<f64> {
+        self.with_regulator(&self.response_at(frequency_rad_s))
     }
 
-    /// Frequencies between which nothing is missed: close where the delay turns quickly, and about a swing.
+    /// Frequencies between which no crossing is missed: steps of 3 %, of at most a tenth of what turns the delay by half a
+    /// turn, and a geometric refinement about each resonance.
     fn frequencies(&self) -> Vec<f64> {
         let nyquist = std::f64::consts::PI / self.timing.period_s;
-        let longest = TURN * nyquist / (1.0 + self.whole as f64);
+        let longest = 0.1 * nyquist / (1.0 + self.whole as f64);
         let mut found = Vec::new();
-        let mut next = LOWEST * nyquist;
+        let mut next = 1e-5 * nyquist;
         while next < nyquist {
             found.push(next);
-            next += (STEP * next).min(longest);
+            next += (0.03 * next).min(longest);
         }
-        for swing in &self.swings_rad_s {
-            found.push(*swing);
-            for beside in (0..AWAY_STEPS).map(|n| BESIDE * AWAY.powi(n)) {
-                found.extend([swing * (1.0 - beside), swing * (1.0 + beside)]);
+        for resonance in &self.resonances_rad_s {
+            found.push(*resonance);
+            for away in (0..18).map(|n| 5e-4 * 1.35_f64.powi(n)) {
+                found.extend([resonance * (1.0 - away), resonance * (1.0 + away)]);
             }
         }
         found.retain(|frequency| *frequency < nyquist);
@@ -296,10 +286,9 @@ impl LoopShape {
     }
 
     pub fn margins(&self) -> Margins {
-        let seen = self.seen.get_or_init(|| {
-            let frequencies = self.frequencies();
-            frequencies.iter().map(|w| self.seen_at(*w)).collect()
-        });
+        let responses = self
+            .responses
+            .get_or_init(|| self.frequencies().into_iter().map(|w| self.response_at(w)).collect());
         let radius = self.radius();
         let is_stable = radius < 1.0;
         let mut margins = Margins {
@@ -318,12 +307,12 @@ impl LoopShape {
         };
         let mut before = Complex::new(f64::NAN, f64::NAN);
         let mut low = f64::NAN;
-        for seen in seen {
-            let (high, after) = (seen.frequency_rad_s, self.opened(seen));
-            // Where a quantity that changes its sign in between is zero.
+        for response in responses {
+            let (high, after) = (response.frequency_rad_s, self.with_regulator(response));
+            // Zero of a quantity that changes its sign in between.
             let at = |quantity: &dyn Fn(Complex<f64>) -> f64| {
                 let sign = quantity(before).signum();
-                crossing(low, high, |w| sign * quantity(self.open(w)))
+                root::halved(low, high, 40, |w| sign * quantity(self.open(w)) > 0.0)
             };
             let falls = |quantity: &dyn Fn(Complex<f64>) -> f64| {
                 quantity(before) > 0.0 && quantity(after) <= 0.0
@@ -345,7 +334,7 @@ impl LoopShape {
             }
             (low, before) = (high, after);
         }
-        // What crosses nowhere is above at every frequency, or below. The last is Nyquist's, where the open loop is real.
+        // Without a crossing it is above at every frequency, or below. At the last, Nyquist's, the open loop is real.
         let last = before;
         let nowhere = |at_end: f64| if at_end > 0.0 { f64::INFINITY } else { 0.0 };
         if margins.crossover_rad_s.is_nan() {
@@ -386,7 +375,7 @@ impl LoopShape {
     }
 }
 
-/// Share of the way that a first-order lag goes in a period; all of it without one.
+/// Share of a step that a first-order lag covers in a period; all of it without one.
 pub(super) fn lag_share(period_s: f64, lag_s: f64) -> f64 {
     if lag_s > 0.0 { -(-period_s / lag_s).exp_m1() } else { 1.0 }
 }
@@ -396,21 +385,14 @@ fn wrapped(degrees: f64) -> f64 {
     (degrees + 180.0).rem_euclid(360.0) - 180.0
 }
 
-/// Where a quantity that is positive at `low` and not at `high` goes through zero.
-fn crossing(low: f64, high: f64, quantity: impl Fn(f64) -> f64) -> f64 {
-    root::halved(low, high, HALVINGS, |middle| quantity(middle) > 0.0)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::Actuator;
-    use crate::testing::{assert_close, elastic, slow_machine, timing};
+    use crate::testing::{assert_close, elastic, pi_gains, slow_machine, timing};
 
     fn shape(cycles: f64, proportional: f64) -> LoopShape {
-        let gains =
-            PiGains { proportional, integral_time_s: 0.19, reference_filter_s: 0.0, notch: None };
-        LoopShape::new(&slow_machine(), &timing(cycles), &gains)
+        LoopShape::new(&slow_machine(), &timing(cycles), &pi_gains(proportional, 0.19))
     }
 
     #[track_caller]
@@ -420,18 +402,10 @@ mod tests {
         let at = |factor: f64| {
             let proportional = factor * shape.gains.proportional;
             // Kp alone: what the integral does stays the same share of it.
-            let gains = PiGains { proportional, ..shape.gains };
-            shape.with_gains(&gains).radius()
+            shape.with_gains(&PiGains { proportional, ..shape.gains }).radius()
         };
         assert!(at(0.999 * margins.gain_margin) < 1.0, "{margins:?}");
         assert!(at(1.001 * margins.gain_margin) > 1.0, "{margins:?}");
-    }
-
-    #[test]
-    fn the_gain_margin_is_the_factor_at_which_an_eigenvalue_leaves_the_unit_circle() {
-        for cycles in [0.0, 0.3, 1.0, 2.0, 2.5] {
-            gain_margin_is_where_the_radius_is_one(&shape(cycles, 0.8));
-        }
     }
 
     /// A loop of 2 ms around a motor with half of its inertia behind a coupling of 22 Hz.
@@ -442,18 +416,15 @@ mod tests {
             _ => LinearPlant::voltage(&model, 0.0),
         };
         let quick = LoopTiming { period_s: 0.002, delay_s: 0.002 * cycles, filter_s: 0.0 };
-        let gains = PiGains {
-            proportional: gains[0],
-            integral_time_s: gains[1],
-            reference_filter_s: 0.0,
-            notch: None,
-        };
-        LoopShape::new(&plant.unwrap(), &quick, &gains)
+        LoopShape::new(&plant.unwrap(), &quick, &pi_gains(gains[0], gains[1]))
     }
 
     #[test]
-    fn behind_a_coupling_and_with_a_notch_too() {
+    fn at_the_gain_margin_an_eigenvalue_leaves_the_unit_circle() {
         use Actuator::{Current, Voltage};
+        for cycles in [0.0, 0.3, 1.0, 2.0, 2.5] {
+            gain_margin_is_where_the_radius_is_one(&shape(cycles, 0.8));
+        }
         for damping_ratio in [0.001, 0.02, 0.1] {
             for cycles in [0.0, 0.4, 1.0, 2.0] {
                 for (actuator, gains) in [(Voltage, [0.2, 0.026]), (Current, [0.3, 0.06])] {
@@ -469,13 +440,13 @@ mod tests {
 
     #[test]
     fn a_coupling_costs_margins_that_a_rigid_plant_does_not_show() {
-        // Reckoned apart from this program, from the matrix exponential of the four states on 8000 frequencies.
+        // Computed independently, from the matrix exponential of the four states on 8000 frequencies.
         let gains = [0.269_689_950_5, 0.025_692_268_5];
         let margins = coupled(0.02, Actuator::Voltage, gains, 1.0).margins();
         assert_close(margins.gain_margin, 4.358, 1e-3);
         assert_close(margins.phase_margin_deg, 64.05, 1e-3);
         assert_close(margins.bandwidth_rad_s / std::f64::consts::TAU, 6.88, 3e-3);
-        // Lightly damped it rises above one where it swings: that crossing counts.
+        // Lightly damped it rises above one at the resonance: that crossing counts.
         let margins = coupled(0.005, Actuator::Voltage, gains, 1.0).margins();
         assert_close(margins.phase_margin_deg, 51.95, 2e-3);
         let rigid = LinearPlant::voltage(&elastic(0.5, 0.02), 0.0).unwrap().rigid();
@@ -485,8 +456,8 @@ mod tests {
     }
 
     #[test]
-    fn the_phase_margin_is_the_least_turn_at_which_an_eigenvalue_leaves_the_unit_circle() {
-        // Turned by a delay, whose turn grows with the frequency: by all crossings at once.
+    fn at_the_phase_margin_an_eigenvalue_leaves_the_unit_circle() {
+        // By a delay, whose phase grows with the frequency: at all crossings at once.
         let plant = LinearPlant::current(&elastic(0.5, 0.02), 0.0, 0.002).unwrap();
         let shape = coupled(0.02, Actuator::Current, [0.5, 0.06], 1.0);
         let late = |delay_s: f64| {
@@ -498,16 +469,13 @@ mod tests {
             .map(|n| 0.01 * f64::from(n))
             .filter(|w| (shape.open(*w).norm() > 1.0) != (shape.open(w + 0.01).norm() > 1.0))
             .collect();
-        // The swing rises above one and falls again.
+        // The resonance rises above one and falls again.
         assert_eq!(crossings.len(), 3, "{crossings:?}");
-        let turns =
-            crossings.iter().map(|w| (w, wrapped(180.0 + shape.open(*w).arg().to_degrees())));
-        let turns: Vec<_> = turns.collect();
+        let phase = |w: &f64| wrapped(180.0 + shape.open(*w).arg().to_degrees());
         // A delay turns one way only, and further than half a turn if need be.
-        let delays = (turns.iter()).map(|(w, turn)| turn.rem_euclid(360.0).to_radians() / **w);
+        let delays = crossings.iter().map(|w| phase(w).rem_euclid(360.0).to_radians() / w);
         assert_close(delays.fold(f64::MAX, f64::min), limit_s, 1e-5);
-        let sizes = turns.iter().map(|turn| turn.1.abs());
-        let least = sizes.fold(f64::MAX, f64::min);
+        let least = crossings.iter().map(|w| phase(w).abs()).fold(f64::MAX, f64::min);
         assert_close(shape.margins().phase_margin_deg, least, 1e-3);
     }
 
@@ -524,22 +492,16 @@ mod tests {
         let w = 5.0;
         let phase = |cycles| shape(cycles, 0.8).open(w).arg();
         for cycles in [0.5, 1.0, 1.7] {
-            // Holding after a part of a period is exact at the samples: to second order in what happens in a period.
+            // A hold after a part of a period is exact at the samples: to second order in the change within a period.
             assert_close(phase(0.0) - phase(cycles), w * 0.01 * cycles, 2e-5);
         }
     }
 
     #[test]
     fn a_loop_that_never_falls_has_no_end_of_its_bandwidth() {
-        // Slow sampling without a delay: at Nyquist's frequency the closed loop still gives more than it gets.
-        let gains = PiGains {
-            proportional: 0.6,
-            integral_time_s: 0.2,
-            reference_filter_s: 0.0,
-            notch: None,
-        };
+        // Slow sampling without a delay: at Nyquist's frequency the closed loop's gain is still above one.
         let slow = LoopTiming { period_s: 0.1, ..timing(0.0) };
-        let margins = LoopShape::new(&slow_machine(), &slow, &gains).margins();
+        let margins = LoopShape::new(&slow_machine(), &slow, &pi_gains(0.6, 0.2)).margins();
         assert!(margins.bandwidth_rad_s.is_infinite(), "{margins:?}");
         assert!(timing(64.0).is_valid() && !timing(65.0).is_valid());
         assert!(shape(65.0, 0.01).radius().is_infinite());

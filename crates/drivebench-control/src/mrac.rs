@@ -1,10 +1,10 @@
-//! Model-reference adaptive control, paper A's rival: no identification, the gains are driven by the error to a model.
+//! Model-reference adaptive control (MRAC), paper A's rival: no identification, the gains are driven by the error to a model.
 //!
 //! The paper only cites it. The law here, stated in full: `u = kr r - kw w - ki i + k1`, reference model of second order
 //! `wm / r = 1 / ((1 + s Tm)(1 + s Te))` behind the loop's dead time, `v = e + Td de/dt` with `e = wm - w`, and
 //! proportional-integral adaptation `k = integral of g v x / n + p v x / n` with `x = (r, -w, -i, 1)` and `n = 1 + |x|^2`
-//! (Landau 1979, hyperstability; normalised). In saturation the model's error is not the gains' fault: there the
-//! adaptation is disconnected and the model put on the shaft's speed, unless that is switched off to see what happens.
+//! (Landau 1979, hyperstability; normalised). In saturation the model's error does not come from the gains: there the
+//! adaptation is disconnected and the model's state set to the shaft's speed, unless that is switched off for comparison.
 
 use std::collections::VecDeque;
 
@@ -13,16 +13,18 @@ use serde::{Deserialize, Serialize};
 use super::limiter::limited;
 use super::{LinearPlant, LoopTiming, Measured, SpeedController};
 
-/// Time constant of the reference model, in small time constants.
-const MODEL_SMALL_TIMES: f64 = 3.0;
-/// Weight of the error's rate, in small time constants.
-const RATE_SMALL_TIMES: f64 = 1.0;
-/// Integral adaptation, 1/s for a unit error on a unit signal.
-const INTEGRAL: f64 = 6.0;
-/// Proportional adaptation for the same.
-const PROPORTIONAL: f64 = 0.3;
-/// Largest gain, in those of the start: without identification there is no other bound.
-const LARGEST: f64 = 40.0;
+struct Settings {
+    /// Slow time constant of the reference model, in small time constants; one of them weights the error's rate.
+    model_small_times: f64,
+    /// Integral adaptation, 1/s, and proportional adaptation, for a unit error on a unit signal.
+    integral: f64,
+    proportional: f64,
+    /// Largest gain over the initial one: without identification there is no other bound.
+    largest: f64,
+}
+
+const SETTINGS: Settings =
+    Settings { model_small_times: 3.0, integral: 6.0, proportional: 0.3, largest: 40.0 };
 
 /// Sizes that make speed, current and voltage comparable.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -42,7 +44,8 @@ pub struct Mrac {
     model_s: [f64; 2],
     rate_s: f64,
     model: [f64; 2],
-    late: VecDeque<f64>,
+    /// References within the dead time.
+    delayed: VecDeque<f64>,
     begun: bool,
     last_error: f64,
     disconnects: bool,
@@ -63,9 +66,9 @@ impl Mrac {
     ) -> Option<Self> {
         let gain = plant.gain()?;
         let (a, b) = plant.matrices();
-        // The quick pole stays where the circuit has it; the slow one is asked of the loop.
+        // The quick pole stays where the circuit has it; the slow one is placed.
         let small_s = -1.0 / a[(0, 0)] + timing.small_time_s();
-        let model_s = [MODEL_SMALL_TIMES * small_s, -1.0 / a[(0, 0)]];
+        let model_s = [SETTINGS.model_small_times * small_s, -1.0 / a[(0, 0)]];
         // (s + 1/Tm)(s + 1/Te) = s^2 + (R + ki)/L s + (Ke + kw) Kt/(L J).
         let to_rate = a[(1, 0)] * b[0];
         let current = (1.0 / model_s[0] + 1.0 / model_s[1] + a[(0, 0)]) / b[0];
@@ -79,12 +82,12 @@ impl Mrac {
         Some(Self {
             integral: gains,
             now: gains,
-            largest_v: LARGEST * gains[0].abs(),
+            largest_v: SETTINGS.largest * gains[0].abs(),
             scales,
             model_s,
-            rate_s: RATE_SMALL_TIMES * small_s,
+            rate_s: small_s,
             model: [0.0; 2],
-            late: vec![0.0; timing.whole_cycles()].into(),
+            delayed: vec![0.0; timing.whole_cycles()].into(),
             begun: false,
             last_error: 0.0,
             disconnects,
@@ -94,16 +97,21 @@ impl Mrac {
     }
 
     /// Gains of reference, speed and current, V per rad/s and V per A, and the constant part, V.
-    pub fn gains(&self) -> [f64; 4] {
+    fn gains(&self) -> [f64; 4] {
         let ([reference, speed, current, constant], scales) = (self.now, &self.scales);
         let per_speed = [reference, speed].map(|gain| gain / scales.speed_rad_s);
         [per_speed[0], per_speed[1], current / scales.current_a, constant]
     }
 
+    fn reset_model(&mut self, speed_rad_s: f64) {
+        self.model = [speed_rad_s; 2];
+        self.delayed.iter_mut().for_each(|reference| *reference = speed_rad_s);
+    }
+
     /// One period of the reference model: two lags in series, each exact for a held input.
     fn advance_model(&mut self, reference_rad_s: f64, period_s: f64) {
-        self.late.push_back(reference_rad_s);
-        let input = self.late.pop_front().unwrap_or(reference_rad_s);
+        self.delayed.push_back(reference_rad_s);
+        let input = self.delayed.pop_front().unwrap_or(reference_rad_s);
         let [slow, quick] = self.model_s.map(|time_s| -(-period_s / time_s).exp_m1());
         self.model[0] += quick * (input - self.model[0]);
         self.model[1] += slow * (self.model[0] - self.model[1]);
@@ -115,11 +123,12 @@ impl Mrac {
         self.last_error = error;
         let filtered = error + self.rate_s * rate;
         let size = 1.0 + signals.iter().map(|x| x * x).sum::<f64>();
-        let unit_v = self.largest_v / LARGEST;
+        let unit_v = self.largest_v / SETTINGS.largest;
         for ((gain, now), signal) in self.integral.iter_mut().zip(&mut self.now).zip(signals) {
             let push = unit_v * filtered * signal / size;
-            *gain = (*gain + INTEGRAL * period_s * push).clamp(-self.largest_v, self.largest_v);
-            *now = (*gain + PROPORTIONAL * push).clamp(-self.largest_v, self.largest_v);
+            let bounded = |gain: f64| gain.clamp(-self.largest_v, self.largest_v);
+            *gain = bounded(*gain + SETTINGS.integral * period_s * push);
+            *now = bounded(*gain + SETTINGS.proportional * push);
         }
     }
 }
@@ -138,8 +147,7 @@ impl SpeedController for Mrac {
             1.0,
         ];
         if !std::mem::replace(&mut self.begun, true) {
-            self.model = [speed; 2];
-            self.late.iter_mut().for_each(|late| *late = speed);
+            self.reset_model(speed);
         }
         self.advance_model(reference_rad_s, period_s);
         if self.disconnects && (self.limited || now.limited) {
@@ -149,8 +157,7 @@ impl SpeedController for Mrac {
         } else {
             self.adapt(&signals, speed, period_s);
         }
-        let parts = self.now.iter().zip(&signals).map(|(gain, x)| gain * x);
-        self.wanted = parts.sum();
+        self.wanted = self.now.iter().zip(&signals).map(|(gain, x)| gain * x).sum();
         self.wanted
     }
 
@@ -160,12 +167,11 @@ impl SpeedController for Mrac {
 
     fn reset(&mut self, now: &Measured, output: f64) {
         let speed = now.speed_rad_s;
-        self.model = [speed; 2];
-        self.late.iter_mut().for_each(|late| *late = speed);
+        self.reset_model(speed);
         self.begun = true;
         self.last_error = 0.0;
         self.limited = false;
-        // The constant part takes what the others do not give at this speed.
+        // The constant part is the output less the other parts at this speed.
         let scaled = speed / self.scales.speed_rad_s;
         let current = now.current_a.unwrap_or(0.0) / self.scales.current_a;
         self.integral[3] =

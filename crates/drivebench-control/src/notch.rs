@@ -1,22 +1,18 @@
-//! Notch filter: a second-order filter that takes out one frequency and passes all others.
+//! Notch filter of second order.
 //!
 //! `H(s) = (s^2 + 2 d z w s + w^2) / (s^2 + 2 z w s + w^2)`; sampled by the bilinear transform with its warping taken back at
-//! `w` (Bristow-Johnson, Cookbook formulae for audio equalizer biquad filter coefficients, 1998): what it leaves at `w` is
-//! `d` at every sampling rate.
+//! `w` (Bristow-Johnson, Cookbook formulae for audio equalizer biquad filter coefficients, 1998): its gain at `w`
+//! is `d` at every sampling rate.
 
 use nalgebra::Complex;
 use serde::{Deserialize, Serialize};
 
-/// Share of the sampling rate up to which a frequency can be taken out.
-const MOST_OF_RATE: f64 = 0.4;
-
-/// What is taken out of the loop.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Notch {
     pub frequency_hz: f64,
     /// Of its poles, z: half of the relative width.
     pub damping_ratio: f64,
-    /// What it leaves at its frequency, d.
+    /// Gain at its frequency, d.
     pub depth: f64,
 }
 
@@ -28,23 +24,26 @@ struct Coefficients {
 }
 
 impl Notch {
+    /// Up to 0.4 of the sampling rate.
     pub fn reaches(frequency_hz: f64, period_s: f64) -> bool {
-        frequency_hz > 0.0 && frequency_hz * period_s <= MOST_OF_RATE
+        frequency_hz > 0.0 && frequency_hz * period_s <= 0.4
     }
 
-    /// As a person reads it.
     pub fn text(&self) -> String {
-        let (hertz, left) = (self.frequency_hz, 100.0 * self.depth);
-        let damping = self.damping_ratio;
-        format!("notch at {hertz:.1} Hz (damping {damping:.2}, leaves {left:.0} %)")
+        format!(
+            "notch at {:.1} Hz (damping {:.2}, leaves {:.0} %)",
+            self.frequency_hz,
+            self.damping_ratio,
+            100.0 * self.depth
+        )
     }
 
-    /// Time by which slow signals come later, s: the slope of its phase at standstill.
+    /// Group delay at zero frequency, s.
     pub fn lag_s(&self) -> f64 {
         2.0 * self.damping_ratio * (1.0 - self.depth) / (std::f64::consts::TAU * self.frequency_hz)
     }
 
-    /// `None` where the sampling is too slow: then it passes everything.
+    /// `None` where the sampling is too slow: then it is a gain of one.
     fn coefficients(&self, period_s: f64) -> Option<Coefficients> {
         if !Self::reaches(self.frequency_hz, period_s) {
             return None;
@@ -59,7 +58,7 @@ impl Notch {
         })
     }
 
-    /// `H` at `1/z`.
+    /// Frequency response at `1/z`.
     pub(super) fn response(&self, back: Complex<f64>, period_s: f64) -> Complex<f64> {
         let Some(Coefficients { b, a }) = self.coefficients(period_s) else {
             return Complex::new(1.0, 0.0);
@@ -70,8 +69,8 @@ impl Notch {
     }
 }
 
-/// What a notch remembers: its last two inputs and outputs, the newest first. A signal that stands still passes unchanged
-/// whatever the coefficients become.
+/// State of a notch: its last two inputs and outputs, the newest first. A constant signal passes unchanged whatever the
+/// coefficients become.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct NotchMemory {
     pub(super) inputs: [f64; 2],
@@ -83,8 +82,8 @@ impl NotchMemory {
         Self { inputs: [0.0; 2], outputs: [0.0; 2] }
     }
 
-    /// What comes out for this input, nothing remembered.
-    pub(super) fn answer(&self, notch: Option<&Notch>, input: f64, period_s: f64) -> f64 {
+    /// The output for this input; the state stays.
+    pub(super) fn output(&self, notch: Option<&Notch>, input: f64, period_s: f64) -> f64 {
         let Some(Coefficients { b, a }) = notch.and_then(|notch| notch.coefficients(period_s))
         else {
             return input;
@@ -94,9 +93,8 @@ impl NotchMemory {
         b[0] * input + b[1] * x1 + b[2] * x2 - a[0] * y1 - a[1] * y2
     }
 
-    /// The same, and remembered.
     pub(super) fn pass(&mut self, notch: Option<&Notch>, input: f64, period_s: f64) -> f64 {
-        let output = self.answer(notch, input, period_s);
+        let output = self.output(notch, input, period_s);
         self.inputs = [input, self.inputs[0]];
         self.outputs = [output, self.outputs[0]];
         output
@@ -110,48 +108,41 @@ mod tests {
 
     const NOTCH: Notch = Notch { frequency_hz: 22.0, damping_ratio: 0.3, depth: 0.1 };
 
-    /// Amplitude of what is left of a sine.
-    fn left_of(frequency_hz: f64, period_s: f64) -> f64 {
+    /// Amplitude of a sine behind the notch.
+    fn amplitude(frequency_hz: f64, period_s: f64) -> f64 {
         let mut memory = NotchMemory::at_rest();
         let sine = |n: u32| (std::f64::consts::TAU * frequency_hz * f64::from(n) * period_s).sin();
         let outputs = (0..40_000).map(|n| memory.pass(Some(&NOTCH), sine(n), period_s));
-        let late: Vec<f64> = outputs.skip(20_000).collect();
-        let square = late.iter().map(|output| output * output).sum::<f64>();
-        (2.0 * square / late.len() as f64).sqrt()
+        let square = outputs.skip(20_000).map(|output| output * output).sum::<f64>();
+        (2.0 * square / 20_000.0).sqrt()
     }
 
     #[test]
-    fn it_leaves_its_depth_at_its_frequency_and_what_its_formula_says_elsewhere() {
+    fn its_gain_is_that_of_its_formula_at_every_rate() {
         for period_s in [0.01, 0.002, 1e-4] {
-            assert_close(left_of(22.0, period_s), 0.1, 1e-4);
+            assert_close(amplitude(22.0, period_s), 0.1, 1e-4);
             let back = Complex::new(0.0, -std::f64::consts::TAU * 9.0 * period_s).exp();
-            let formula = NOTCH.response(back, period_s).norm();
-            assert_close(left_of(9.0, period_s), formula, 1e-3);
+            assert_close(amplitude(9.0, period_s), NOTCH.response(back, period_s).norm(), 1e-3);
         }
         // Far from warping it is the formula in s.
         let s = Complex::new(0.0, 9.0 / 22.0);
         let continuous: Complex<f64> = (s * s + s * 0.06 + 1.0) / (s * s + s * 0.6 + 1.0);
-        assert_close(left_of(9.0, 1e-4), continuous.norm(), 1e-3);
+        assert_close(amplitude(9.0, 1e-4), continuous.norm(), 1e-3);
+        // The slope of the phase at zero frequency is its lag.
+        let phase = NOTCH.response(Complex::new(0.0, -0.5 * 1e-4).exp(), 1e-4).arg();
+        assert_close(-phase / 0.5, NOTCH.lag_s(), 1e-6);
     }
 
     #[test]
-    fn what_stands_still_passes_whatever_the_notch_becomes() {
+    fn a_constant_passes_whatever_the_notch_becomes() {
         let mut memory = NotchMemory::at_rest();
         for _ in 0..3000 {
             memory.pass(Some(&NOTCH), 3.0, 0.002);
         }
         let wider = Notch { frequency_hz: 40.0, damping_ratio: 0.7, ..NOTCH };
         for (notch, period_s) in [(&wider, 0.002), (&NOTCH, 0.004), (&NOTCH, 0.1)] {
-            assert_close(memory.answer(Some(notch), 3.0, period_s), 3.0, 1e-9);
+            assert_close(memory.output(Some(notch), 3.0, period_s), 3.0, 1e-9);
         }
-        assert_close(memory.answer(None, 7.0, 0.002), 7.0, 1e-12);
-    }
-
-    #[test]
-    fn a_slow_signal_comes_later_by_its_lag() {
-        let w = 0.5;
-        let back = Complex::new(0.0, -w * 1e-4).exp();
-        let phase = NOTCH.response(back, 1e-4).arg();
-        assert_close(-phase / w, NOTCH.lag_s(), 1e-6);
+        assert_close(memory.output(None, 7.0, 0.002), 7.0, 1e-12);
     }
 }

@@ -5,7 +5,7 @@ use serde::Serialize;
 /// Share of the step within which a response has settled.
 pub const SETTLED_SHARE: f64 = 0.05;
 
-/// What a step response shows; times from the step on.
+/// Times from the step on.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Response {
     /// Beyond the new speed, per cent of the step.
@@ -25,14 +25,12 @@ pub fn response(trace: &[(f64, f64)], from: f64, to: f64) -> Response {
     // Progress is 0 before and 1 after, whichever way it goes.
     let progress = |speed: f64| (speed - from) / step;
     let peak = trace.iter().map(|point| progress(point.1)).fold(0.0, f64::max);
-    let first_at = |share: f64| {
-        let point = trace.iter().find(|point| progress(point.1) >= share)?;
-        Some(point.0 - begin_s)
-    };
-    // A speed that is no number is not there.
-    let is_there = |point: &(f64, f64)| (progress(point.1) - 1.0).abs() <= SETTLED_SHARE;
-    let outside = |point: &(f64, f64)| !is_there(point);
-    let settled = trace.get(trace.iter().rposition(outside).map_or(0, |last| last + 1));
+    let first_at =
+        |share: f64| Some(trace.iter().find(|point| progress(point.1) >= share)?.0 - begin_s);
+    // NaN is outside.
+    let within = |point: &(f64, f64)| (progress(point.1) - 1.0).abs() <= SETTLED_SHARE;
+    let outside = trace.iter().rposition(|point| !within(point));
+    let settled = trace.get(outside.map_or(0, |last| last + 1));
     let absolute_error_rad =
         trace.windows(2).map(|pair| (to - pair[0].1).abs() * (pair[1].0 - pair[0].0)).sum();
     Response {
@@ -67,16 +65,17 @@ mod tests {
     fn a_damping_of_one_over_root_two_overshoots_by_4_3_percent() {
         let speed = |t: f64| 1.0 - (-5.0 * t).exp() * ((5.0 * t).cos() + (5.0 * t).sin());
         let found = response(&trace(speed), 0.0, 1.0);
-        let expected = 100.0 * (-std::f64::consts::PI).exp();
-        assert_close(found.overshoot_percent, expected, 1e-3);
+        assert_close(found.overshoot_percent, 100.0 * (-std::f64::consts::PI).exp(), 1e-3);
     }
 
     #[test]
     fn what_never_comes_near_has_no_settling_time() {
         let found = response(&trace(|t| 0.5 * t.min(1.0)), 0.0, 1.0);
         assert_eq!((found.settling_s, found.rise_s), (None, None));
-        assert_eq!(response(&[], 0.0, 1.0).settling_s, None);
-        assert_eq!(response(&[(0.0, f64::NAN)], 0.0, 1.0).settling_s, None);
-        assert_eq!(response(&[(0.0, 2.0)], 2.0, 2.0).settling_s, None);
+        for (trace, from, to) in
+            [(&[][..], 0.0, 1.0), (&[(0.0, f64::NAN)], 0.0, 1.0), (&[(0.0, 2.0)], 2.0, 2.0)]
+        {
+            assert_eq!(response(trace, from, to).settling_s, None, "{trace:?}");
+        }
     }
 }

@@ -1,30 +1,25 @@
-//! Gains and their bounds over the inertia, worked out before the motor moves.
-//!
-//! On line nothing is tuned: an estimate finds its place between two grid points. Each point holds the gains of the rule
-//! and the largest proportional gain at which the sampled loop keeps half of its gain margin.
+//! Gain scheduling over the inertia: gains and their bounds on a logarithmic grid, tuned before the motor moves and
+//! interpolated on line. Each point holds the gains of the rule and the largest proportional gain with a gain margin.
 
 use super::tuning::{NotchUse, Request, Tuning, TuningError, tune_over};
 use super::{LinearPlant, LoopTiming, Notch, PiGains};
 use drivebench_model::numerics::count::whole;
 
-/// Points of the grid, and how far it reaches either way from the model's inertia.
+/// Points of the grid, and its reach either way from the model's inertia.
 const POINTS: usize = 41;
 const REACH: f64 = 32.0;
-/// Gain margin that is left at the largest gain.
-const LEAST_GAIN_MARGIN: f64 = 1.6;
 
 /// Gains over the ratio of the inertia to the model's.
 #[derive(Clone, Debug)]
 pub struct Schedule {
     points: Vec<Scheduled>,
-    /// What the rule refuses below the first and above the last of them; none where the grid's reach ends.
+    /// Why the rule ends it below and above; none where the grid's reach ends it.
     refused: [Option<TuningError>; 2],
     /// Logarithm of the lowest ratio and of the step.
     lowest: f64,
     step: f64,
 }
 
-/// What the schedule says of a ratio.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scheduled {
     pub gains: PiGains,
@@ -34,12 +29,11 @@ pub struct Scheduled {
 }
 
 impl Scheduled {
-    /// On the way to another: that share of it.
     pub(super) fn towards(&self, other: &Self, share: f64) -> Self {
         let between = |of: fn(&Self) -> f64| of(self) + share * (of(other) - of(self));
-        // Where a load is so light that its frequency is out of reach, that of the other serves.
-        let [own, others] = [self, other].map(|point| point.gains.notch);
-        let notch = own.or(others).zip(others.or(own)).map(|(low, high)| Notch {
+        // Where a load is so light that its frequency is out of reach, the other's notch is taken.
+        let [low, high] = [self, other].map(|point| point.gains.notch);
+        let notch = low.or(high).zip(high.or(low)).map(|(low, high)| Notch {
             frequency_hz: low.frequency_hz + share * (high.frequency_hz - low.frequency_hz),
             ..low
         });
@@ -57,8 +51,8 @@ impl Scheduled {
 }
 
 impl Schedule {
-    /// The grid around the model's plant; it ends where the rule refuses. Beside the model's own inertia only those of the
-    /// draws are looked at that leave the loop least there, and a notch is where it was found to help there.
+    /// The grid around the model's plant; it ends where the rule refuses. Away from the model's own inertia only the draws
+    /// with the least margins there are checked, and a notch is used where it was found to help there.
     ///
     /// # Errors
     /// What [`tune_over`] refuses at the model's own inertia.
@@ -80,29 +74,24 @@ impl Schedule {
             let draws: Vec<LinearPlant> = hardest.unwrap_or_default().iter().map(scaled).collect();
             tune_over(&scaled(plant), &draws, timing, &request).map(|tuning| point(&tuning))
         };
-        let mut points = vec![point(&own)];
-        let mut refused = [None, None];
-        let mut first = middle;
-        for index in (0..middle).rev() {
-            match at(index) {
-                Ok(point) => points.insert(0, point),
-                Err(error) => {
-                    refused[0] = Some(error);
-                    break;
+        // Away from the middle up to the first that the rule refuses.
+        let from = |indices: &mut dyn Iterator<Item = usize>| {
+            let mut points = Vec::new();
+            for index in indices {
+                match at(index) {
+                    Ok(point) => points.push(point),
+                    Err(error) => return (points, Some(error)),
                 }
             }
-            first = index;
-        }
-        for index in middle + 1..POINTS {
-            match at(index) {
-                Ok(point) => points.push(point),
-                Err(error) => {
-                    refused[1] = Some(error);
-                    break;
-                }
-            }
-        }
-        Ok(Self { points, refused, lowest: first as f64 * step - REACH.ln(), step })
+            (points, None)
+        };
+        let (mut points, below) = from(&mut (0..middle).rev());
+        let first = middle - points.len();
+        points.reverse();
+        points.push(point(&own));
+        let (heavier, above) = from(&mut (middle + 1..POINTS));
+        points.extend(heavier);
+        Ok(Self { points, refused: [below, above], lowest: first as f64 * step - REACH.ln(), step })
     }
 
     /// Smallest and largest ratio of the grid.
@@ -111,7 +100,7 @@ impl Schedule {
         (self.lowest.exp(), highest.exp())
     }
 
-    /// What the rule refuses below and above that range, where it is not the reach of the grid that ends it.
+    /// Why the rule ends that range below and above.
     pub const fn refused(&self) -> &[Option<TuningError>; 2] {
         &self.refused
     }
@@ -137,11 +126,12 @@ impl Schedule {
     }
 }
 
+/// The largest gain leaves a gain margin of 1.6.
 fn point(tuning: &Tuning) -> Scheduled {
-    let margin = tuning.least_gain_margin();
+    let growth = (tuning.least_gain_margin() / 1.6).max(1.0);
     Scheduled {
         gains: tuning.gains,
-        most_proportional: tuning.gains.proportional * (margin / LEAST_GAIN_MARGIN).max(1.0),
+        most_proportional: tuning.gains.proportional * growth,
         small_time_s: tuning.small_time_s,
     }
 }
@@ -162,8 +152,7 @@ mod tests {
         let schedule = schedule();
         for ratio in [0.26, 0.5, 1.0, 1.7, 5.0] {
             let plant = slow_machine().with_inertia_ratio(ratio);
-            let exact = tune(&plant, &timing(2.0), &Request::default());
-            let exact = exact.unwrap().gains;
+            let exact = tune(&plant, &timing(2.0), &Request::default()).unwrap().gains;
             let found = schedule.at(ratio).gains;
             assert_close(found.proportional / exact.proportional, 1.0, 0.02);
             assert_close(found.integral_time_s / exact.integral_time_s, 1.0, 0.02);
@@ -171,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn no_gain_of_the_bounds_is_unstable_for_any_inertia_within_them() {
+    fn no_gain_within_the_bounds_is_unstable() {
         let schedule = schedule();
         for (low, ratio) in [(0.2, 1.0), (0.8, 1.0), (1.0, 4.0), (0.5, 0.6)] {
             let gains = schedule.within(low, ratio).gains;
@@ -184,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn behind_a_coupling_every_point_has_the_notch_of_its_own_frequency_and_holds() {
+    fn behind_a_coupling_every_point_has_its_notch_and_margins() {
         let plant = LinearPlant::current(&elastic(0.5, 0.02), 0.0, 0.002).unwrap();
         let quick = LoopTiming { period_s: 0.002, delay_s: 0.004, filter_s: 0.0 };
         let request = Request { rule: Rule::SymmetricalOptimum, ..Request::default() };
@@ -202,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn beyond_the_grid_stand_its_ends() {
+    fn beyond_the_grid_its_ends_hold() {
         let schedule = schedule();
         let (low, high) = schedule.range();
         assert_eq!(schedule.at(1e-9), schedule.at(low));

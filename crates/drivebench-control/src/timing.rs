@@ -1,4 +1,4 @@
-//! Dead time of the loop, between a speed and the voltage that answers it.
+//! Dead time of the loop, from a speed to the output that is computed from it.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,7 +7,6 @@ use drivebench_model::numerics::count::whole;
 /// Delays of a sampled loop, s. They are measured on the link, not assumed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LoopTiming {
-    /// Sampling period.
     pub period_s: f64,
     /// From the instant at which the speed was sampled to the instant at which the output computed from it is applied:
     /// computing, link and drive.
@@ -17,26 +16,23 @@ pub struct LoopTiming {
 }
 
 impl LoopTiming {
-    /// Longest delay that is looked at, periods.
+    /// Longest delay that is analysed, periods.
     pub const MOST_CYCLES: f64 = 64.0;
 
-    /// The delay in sampling periods.
     pub fn delay_cycles(&self) -> f64 {
         self.delay_s / self.period_s
     }
 
-    /// The delay in whole periods.
     pub fn whole_cycles(&self) -> usize {
         whole(self.delay_cycles().round().clamp(0.0, Self::MOST_CYCLES))
     }
 
-    /// Mean age of what the motor gets, s: an output holds for a period, so it is half a period old on top of its delay.
+    /// With the zero-order hold, s: on average half a period on top of the delay.
     pub fn dead_time_s(&self) -> f64 {
         0.5 * self.period_s + self.delay_s
     }
 
-    /// From a sample to the end of the period for which its output holds, s: until then a loop that leaves its limit goes on
-    /// as it does within it.
+    /// From a sample to the end of the period for which its output holds, s: as long a limited output acts on.
     pub fn leaving_s(&self) -> f64 {
         self.delay_s + self.period_s
     }

@@ -1,4 +1,4 @@
-//! A speed loop on paper: motor, friction, limits, delay, noise, in virtual time; for predictions and comparisons.
+//! Simulation of a speed loop in virtual time: motor, friction, limits, delay, noise; for predictions and comparisons.
 //!
 //! ```text
 //! reference(t) -> controller -> limiter -> delay -> drive's current limit -> motor(t): inertia, load -> sensor, noise
@@ -8,16 +8,14 @@
 //! A machine without a back-EMF (`back_emf_v_s_per_rad` zero) is paper B's plant: an integrator behind a lag.
 
 use super::limiter::limited as limited_by;
-use super::sensor::{Direct, SpeedSensor};
 use super::{Limiter, Measured, SpeedController};
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::propagator::LinearPart;
 use drivebench_model::plant::Coupling;
 
-/// Parts of a period in which the motor is integrated.
-const PARTS: usize = 20;
-/// Turn of a coupling's swing in a part, rad, at most: it is integrated step by step.
-const MOST_TURN: f64 = 0.03;
+/// Integration steps of a period, at least; with a coupling, which is integrated by semi-implicit Euler steps, none of them
+/// turns its oscillation by more than 0.03 rad.
+const STEPS: usize = 20;
 
 /// The machine and its line.
 #[derive(Clone, Copy, Debug)]
@@ -29,7 +27,7 @@ pub struct TrialMachine {
     /// Against the motion, N.m.
     pub friction_n_m: f64,
     pub viscous_n_m_s_per_rad: f64,
-    /// What the load hangs on; a course's inertia is that of both, its load acts behind.
+    /// Between motor and load; a course's inertia is that of both, its load acts on the far side.
     pub coupling: Option<Coupling>,
     /// The drive lowers its voltage to hold this current, A.
     pub drive_current_limit_a: f64,
@@ -55,15 +53,33 @@ pub struct TrialPoint {
     pub reference_rad_s: f64,
     pub speed_rad_s: f64,
     pub current_a: f64,
-    /// What the controller was told of the speed.
-    pub seen_rad_s: f64,
-    /// What the controller asked for after its limiter.
+    /// Of the sensor, with noise.
+    pub measured_rad_s: f64,
+    /// After the controller's limiter.
     pub output_v: f64,
-    /// The limiter or the drive's current limit gave less than was asked for.
+    /// The limiter or the drive's current limit held it.
     pub limited: bool,
 }
 
-/// Noise of one sensor: a small generator of its own keeps trials the same on every machine.
+/// A speed sensor that may be driven by the shaft's angle.
+pub trait SpeedSensor {
+    /// The shaft has reached an angle, rad; called many times per period, time and angle without gaps.
+    fn turned(&mut self, _time_s: f64, _angle_rad: f64) {}
+
+    /// The reading of this instant; `speed_rad_s` is the true speed.
+    fn read(&mut self, time_s: f64, speed_rad_s: f64) -> f64;
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Direct;
+
+impl SpeedSensor for Direct {
+    fn read(&mut self, _time_s: f64, speed_rad_s: f64) -> f64 {
+        speed_rad_s
+    }
+}
+
+/// White noise; a generator without a dependency keeps the published trials to the bit.
 #[derive(Clone, Copy, Debug)]
 struct Noise(u64);
 
@@ -93,12 +109,11 @@ pub fn trial(
     cycles: usize,
     seed: u64,
 ) -> Vec<TrialPoint> {
-    let sensor = &mut Direct;
-    trial_seen_by(sensor, machine, course, controller, limiter, cycles, seed)
+    trial_with_sensor(&mut Direct, machine, course, controller, limiter, cycles, seed)
 }
 
 /// The same with another sensor of the speed; the machine's noise comes on top of what it reads.
-pub fn trial_seen_by(
+pub fn trial_with_sensor(
     sensor: &mut dyn SpeedSensor,
     machine: &TrialMachine,
     course: &Course<'_>,
@@ -109,7 +124,7 @@ pub fn trial_seen_by(
 ) -> Vec<TrialPoint> {
     let mut noise = Noise(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
     let mut x = [0.0, 0.0];
-    let mut behind = Behind::default();
+    let mut load = Load::default();
     let mut angle_rad = 0.0;
     let mut pipe = std::collections::VecDeque::from(vec![0.0; machine.delay_periods]);
     let mut limited = false;
@@ -124,6 +139,7 @@ pub fn trial_seen_by(
             limited,
         };
         let reference_rad_s = (course.reference_rad_s)(time_s);
+        controller.preview(&|ahead_s| (course.reference_rad_s)(time_s + ahead_s));
         let wanted = controller.step(reference_rad_s, &now, machine.period_s);
         let torque = machine.torque_n_m_per_a * x[0] - machine.friction_n_m * x[1].signum();
         let output = limiter.limit(wanted, now.speed_rad_s, torque / inertia);
@@ -133,20 +149,19 @@ pub fn trial_seen_by(
             reference_rad_s,
             speed_rad_s: x[1],
             current_a: x[0],
-            seen_rad_s: now.speed_rad_s,
+            measured_rad_s: now.speed_rad_s,
             output_v: output,
             limited: limited_by(wanted, output) != 0.0,
         };
         pipe.push_back(output);
         let applied_v = pipe.pop_front().unwrap_or(output);
         let load_n_m = (course.load_n_m)(time_s);
-        let part_s = machine.part_s();
-        let mut part = 0;
-        let outside = (applied_v, inertia, load_n_m);
-        limited = machine.advance(&mut x, &mut behind, outside, |from, to| {
-            part += 1;
-            angle_rad += 0.5 * part_s * (from + to);
-            sensor.turned(time_s + f64::from(part) * part_s, angle_rad);
+        let step_s = machine.step_s();
+        let mut step = 0;
+        limited = machine.advance(&mut x, &mut load, (applied_v, inertia, load_n_m), |from, to| {
+            step += 1;
+            angle_rad += 0.5 * step_s * (from + to);
+            sensor.turned(time_s + f64::from(step) * step_s, angle_rad);
         });
         point.limited |= limited;
         trace.push(point);
@@ -156,47 +171,46 @@ pub fn trial_seen_by(
 
 /// The load behind a coupling: its speed, and the angle by which the motor is ahead.
 #[derive(Clone, Copy, Debug, Default)]
-struct Behind {
+struct Load {
     speed_rad_s: f64,
     twist_rad: f64,
 }
 
-/// Speed after a part of a period under dry friction: a shaft that it would turn round stops, and one at rest stays where
-/// the torque does not break it loose. `next` says where it comes to for a resisting torque.
-fn rubbed(
+/// Friction torque and speed after a step under Coulomb friction with sticking: a shaft that it would reverse stops, and one
+/// at rest stays where the torque does not exceed it. `next`: the speed under a resisting torque.
+fn with_friction(
     speed_rad_s: f64,
     drive_n_m: f64,
     friction_n_m: f64,
     next: impl Fn(f64) -> f64,
 ) -> (f64, f64) {
     // Without friction nothing holds a shaft that passes zero.
-    let rubs = friction_n_m > 0.0;
-    let sticks = rubs && speed_rad_s == 0.0 && drive_n_m.abs() <= friction_n_m;
-    let towards = if speed_rad_s == 0.0 { drive_n_m } else { speed_rad_s };
-    let direction = towards.signum();
+    let has_friction = friction_n_m > 0.0;
+    let sticks = has_friction && speed_rad_s == 0.0 && drive_n_m.abs() <= friction_n_m;
+    let direction = if speed_rad_s == 0.0 { drive_n_m } else { speed_rad_s }.signum();
     let resisting_n_m = friction_n_m * direction;
     let moved = next(resisting_n_m);
-    let stops = rubs && moved * direction < 0.0;
+    let stops = has_friction && moved * direction < 0.0;
     (resisting_n_m, if sticks || stops { 0.0 } else { moved })
 }
 
 impl TrialMachine {
-    fn parts(&self) -> usize {
+    fn steps(&self) -> usize {
         let natural = self.coupling.map_or(0.0, |coupling| coupling.frequency_hz);
         let turn = std::f64::consts::TAU * natural * self.period_s;
-        PARTS.max(whole((turn / MOST_TURN).min(1e5).ceil()))
+        STEPS.max(whole((turn / 0.03).min(1e5).ceil()))
     }
 
-    fn part_s(&self) -> f64 {
-        self.period_s / self.parts() as f64
+    fn step_s(&self) -> f64 {
+        self.period_s / self.steps() as f64
     }
 
     /// One period under a held voltage, an inertia and a load; returns whether the drive's current limit held it. `moved`
-    /// hears the speed before and after each part of the period.
+    /// receives the speed before and after each step.
     fn advance(
         &self,
         x: &mut [f64; 2],
-        behind: &mut Behind,
+        load: &mut Load,
         (voltage_v, inertia, load_n_m): (f64, f64, f64),
         mut moved: impl FnMut(f64, f64),
     ) -> bool {
@@ -206,47 +220,48 @@ impl TrialMachine {
             .coupling
             .map_or((0.0, 0.0), |coupling| (coupling.inertia_ratio, coupling.friction_split));
         let motor_inertia = (1.0 - share) * inertia;
-        let motor_friction_n_m = (1.0 - split) * self.friction_n_m;
-        let part = LinearPart::new(&[
+        let step_s = self.step_s();
+        let propagator = LinearPart::new(&[
             [-r / l, -ke / l],
             [kt / motor_inertia, -self.viscous_n_m_s_per_rad / motor_inertia],
-        ]);
-        let part_s = self.part_s();
-        let propagator = part.over(part_s);
+        ])
+        .over(step_s);
         let limit_a = self.drive_current_limit_a;
         let mut limited = false;
-        for _ in 0..self.parts() {
+        for _ in 0..self.steps() {
             let [current, speed] = *x;
-            // What would carry the current beyond the limit within the part is not given.
-            let hold_v = |amps: f64| r * amps + ke * speed + l * (amps - current) / part_s;
+            // The drive cuts what would carry the current beyond its limit within the step.
+            let hold_v = |amps: f64| r * amps + ke * speed + l * (amps - current) / step_s;
             let given_v = voltage_v.clamp(hold_v(-limit_a), hold_v(limit_a));
             limited |= (given_v - voltage_v).abs() > 1e-9;
             let taken_n_m = match &self.coupling {
                 Some(coupling) => {
-                    let shaft_n_m = shaft_torque(coupling, inertia, speed, behind);
-                    let load_inertia = share * inertia;
+                    let shaft_n_m = shaft_torque(coupling, inertia, speed, load);
                     let drive_n_m = shaft_n_m - load_n_m;
                     let next = |friction_n_m: f64| {
-                        behind.speed_rad_s + part_s * (drive_n_m - friction_n_m) / load_inertia
+                        load.speed_rad_s + step_s * (drive_n_m - friction_n_m) / (share * inertia)
                     };
                     let friction_n_m = split * self.friction_n_m;
-                    behind.speed_rad_s =
-                        rubbed(behind.speed_rad_s, drive_n_m, friction_n_m, next).1;
+                    load.speed_rad_s =
+                        with_friction(load.speed_rad_s, drive_n_m, friction_n_m, next).1;
                     shaft_n_m
                 }
                 None => load_n_m,
             };
-            let go = |friction_n_m: f64| {
+            let after = |friction_n_m: f64| {
                 let resisting_n_m = taken_n_m + friction_n_m;
                 propagator.apply(*x, [given_v / l, -resisting_n_m / motor_inertia])
             };
-            let drive_n_m = kt * current - taken_n_m;
-            let next = |friction_n_m: f64| go(friction_n_m)[1];
-            let (friction_n_m, after) = rubbed(speed, drive_n_m, motor_friction_n_m, next);
-            *x = [go(friction_n_m)[0], after];
-            // With the speeds of afterwards: a swing neither gains nor loses by the steps.
-            behind.twist_rad += part_s * (after - behind.speed_rad_s);
-            moved(speed, after);
+            let (friction_n_m, speed_after) = with_friction(
+                speed,
+                kt * current - taken_n_m,
+                (1.0 - split) * self.friction_n_m,
+                |friction_n_m| after(friction_n_m)[1],
+            );
+            *x = [after(friction_n_m)[0], speed_after];
+            // With the speeds at the end of the step (semi-implicit): the oscillation neither gains nor loses energy.
+            load.twist_rad += step_s * (speed_after - load.speed_rad_s);
+            moved(speed, speed_after);
         }
         limited
     }
@@ -254,36 +269,36 @@ impl TrialMachine {
 
 /// Torque from the motor to the load, N.m. f, r, zeta as in [`Coupling`]: `k = (2 pi f)^2 J r (1 - r)`, `d = 2 zeta 2 pi f J r
 /// (1 - r)`.
-fn shaft_torque(coupling: &Coupling, inertia: f64, speed_rad_s: f64, behind: &Behind) -> f64 {
+fn shaft_torque(coupling: &Coupling, inertia: f64, speed_rad_s: f64, load: &Load) -> f64 {
     let w0 = std::f64::consts::TAU * coupling.frequency_hz;
     let reduced = inertia * coupling.inertia_ratio * (1.0 - coupling.inertia_ratio);
     let half_rad = 0.5 * coupling.gap_rad;
-    let beyond_rad = behind.twist_rad - behind.twist_rad.clamp(-half_rad, half_rad);
+    let beyond_rad = load.twist_rad - load.twist_rad.clamp(-half_rad, half_rad);
     let spring = w0 * w0 * beyond_rad;
-    reduced * (spring + 2.0 * coupling.damping_ratio * w0 * (speed_rad_s - behind.speed_rad_s))
+    reduced * (spring + 2.0 * coupling.damping_ratio * w0 * (speed_rad_s - load.speed_rad_s))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::assert_close;
-    use crate::{PaperBPlant, SpeedController};
+    use crate::testing::{Fixed, assert_close, elastic, machine};
+    use crate::{LinearPlant, PaperBPlant};
 
-    /// A voltage that does not depend on anything measured.
-    struct Given(f64);
-
-    impl SpeedController for Given {
-        fn id(&self) -> &'static str {
-            "given"
-        }
-        fn step(&mut self, _: f64, _: &Measured, _: f64) -> f64 {
-            self.0
-        }
-        fn applied(&mut self, _: f64) {}
-        fn reset(&mut self, _: &Measured, _: f64) {}
-        fn explain(&self) -> Vec<String> {
-            Vec::new()
-        }
+    /// Speeds under 12 V from standstill, without noise, delay, friction and limits.
+    fn under_12_v(machine: TrialMachine, inertia_kg_m2: f64, cycles: usize) -> Vec<TrialPoint> {
+        let machine = TrialMachine {
+            friction_n_m: 0.0,
+            drive_current_limit_a: 1e6,
+            delay_periods: 0,
+            ..machine
+        };
+        let course = Course {
+            reference_rad_s: &|_| 0.0,
+            inertia_kg_m2: &|_| inertia_kg_m2,
+            load_n_m: &|_| 0.0,
+        };
+        let limiter = Limiter { output: 1e3, current: None };
+        trial(&machine, &course, &mut Fixed::new(12.0), &limiter, cycles, 1)
     }
 
     #[test]
@@ -294,22 +309,10 @@ mod tests {
             inductance_h: 3.25 * electrical_s,
             back_emf_v_s_per_rad: 0.0,
             torque_n_m_per_a: ke,
-            friction_n_m: 0.0,
-            viscous_n_m_s_per_rad: 0.0,
-            coupling: None,
-            drive_current_limit_a: 1e6,
             period_s: 0.001,
-            delay_periods: 0,
-            speed_noise_rad_s: 0.0,
-            current_noise_a: 0.0,
+            ..machine(0.0)
         };
-        let course = Course {
-            reference_rad_s: &|_| 0.0,
-            inertia_kg_m2: &|_| mechanical_s * ke * ke / 3.25,
-            load_n_m: &|_| 0.0,
-        };
-        let limiter = Limiter { output: 1e3, current: None };
-        let trace = trial(&machine, &course, &mut Given(12.0), &limiter, 400, 1);
+        let trace = under_12_v(machine, mechanical_s * ke * ke / 3.25, 400);
         let (g, h) = PaperBPlant::new(0.001, electrical_s, mechanical_s, ke).state_space();
         let mut x = nalgebra::Vector2::zeros();
         for point in &trace {
@@ -321,35 +324,17 @@ mod tests {
 
     #[test]
     fn behind_a_coupling_it_moves_as_the_linear_plant_does() {
-        use crate::LinearPlant;
-        use crate::testing::elastic;
-        let model = elastic(0.4, 0.02);
-        let plant = LinearPlant::voltage(&model, 0.0).unwrap();
-        let machine = TrialMachine {
-            resistance_ohm: 1.1,
-            inductance_h: 0.0099,
-            back_emf_v_s_per_rad: 0.3538,
-            torque_n_m_per_a: 0.3538,
-            friction_n_m: 0.0,
-            viscous_n_m_s_per_rad: 0.0,
-            coupling: plant.coupling().copied(),
-            drive_current_limit_a: 1e6,
-            period_s: 0.002,
-            delay_periods: 0,
-            speed_noise_rad_s: 0.0,
-            current_noise_a: 0.0,
-        };
-        let course =
-            Course { reference_rad_s: &|_| 0.0, inertia_kg_m2: &|_| 0.0045, load_n_m: &|_| 0.0 };
-        let limiter = Limiter { output: 1e3, current: None };
-        let trace = trial(&machine, &course, &mut Given(12.0), &limiter, 300, 1);
+        let plant = LinearPlant::voltage(&elastic(0.4, 0.02), 0.0).unwrap();
+        let coupling = plant.coupling().copied();
+        let machine = TrialMachine { coupling, period_s: 0.002, ..machine(0.0) };
+        let trace = under_12_v(machine, 0.0045, 300);
         let (phi, gamma) = plant.held_over(0.002);
         let mut x = nalgebra::Vector4::<f64>::zeros();
         for point in &trace {
             assert!((point.speed_rad_s - x[1]).abs() < 0.05, "{point:?} {x:?}");
             x = phi * x + gamma * 12.0;
         }
-        // It rings on the way: the motor alone turns back.
+        // It oscillates on the way: the motor alone turns back.
         assert!(trace.windows(2).any(|pair| pair[1].speed_rad_s < pair[0].speed_rad_s - 0.05));
     }
 }

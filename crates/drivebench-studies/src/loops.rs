@@ -12,7 +12,7 @@ use drivebench::control::{
     Actuator, Addc, AddcSettings, AntiWindup, Course, CurrentLimit, Direct, Holding, Limiter,
     LinearPlant, LoadObserving, LoadObservingSettings, LoopTiming, Measured, Mrac, MracScales,
     PaperB, PaperBPlant, PaperBSettings, Pi, Response, SpeedController, SpeedSensor, TrialMachine,
-    TrialPoint, response, trial_seen_by,
+    TrialPoint, response, trial_with_sensor,
 };
 use drivebench::numerics::count::whole;
 use drivebench::plant::{Model, MotorKey};
@@ -244,7 +244,7 @@ impl<'a> Trial<'a> {
             inertia_kg_m2: &self.inertia_kg_m2,
             load_n_m: &self.load_n_m,
         };
-        trial_seen_by(
+        trial_with_sensor(
             &mut *self.sensor,
             &self.machine,
             &course,

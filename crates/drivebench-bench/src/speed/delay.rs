@@ -1,8 +1,8 @@
-//! The delay of the loop, measured: from the instant at which a sample was taken to the instant at which the command that
-//! was computed from it was applied.
+//! Measurement of the loop's delay: from the instant of a sample to the instant at which the command that was computed from it
+//! was applied, both by the drive's clock.
 //!
-//! Both instants are the drive's own, so the host's clock does not come in. What the command asks does not matter: it is
-//! measured at rest with the output off before the loop is tuned, and goes on being measured while it runs.
+//! It does not depend on the demand: it is measured at rest with the output off before the loop is tuned, and on while the
+//! loop runs.
 
 use std::collections::VecDeque;
 
@@ -13,23 +13,17 @@ use crate::timing::quantile;
 use drivebench_link::{DriveLink, LinkError};
 use drivebench_model::sample::{Command, Demand, Sample};
 
-/// Cycles over which it is measured at rest.
-const CYCLES: u32 = 50;
-/// Fewest answers that make a measurement.
-const FEWEST: usize = 10;
-/// Commands that may be on their way.
+/// Commands without an answer that are kept.
 const WAITING_MAX: usize = 64;
-/// Delays that are kept for the quantiles: at 100 Hz an hour.
-const KEPT_MAX: usize = 360_000;
 
-/// What was measured; cycles are those that were asked for.
+/// Cycles are those of the requested rate.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LoopDelay {
     pub median_s: f64,
     pub p99_s: f64,
     pub median_cycles: f64,
     pub p99_cycles: f64,
-    /// Commands of which the drive said when they were applied.
+    /// Commands with the time of their application.
     pub measured: usize,
 }
 
@@ -42,7 +36,7 @@ pub(super) struct DelayMeter {
 }
 
 impl DelayMeter {
-    /// The command with this number was computed from a sample of this time.
+    /// The command with this number is computed from a sample of this time.
     pub(super) fn sent(&mut self, seq: u64, sample_time_s: f64) {
         if self.waiting.len() == WAITING_MAX {
             self.waiting.pop_front();
@@ -60,15 +54,16 @@ impl DelayMeter {
             }
             self.waiting.pop_front();
             let delay_s = applied.time_s - sample_time_s;
-            if seq == applied.seq && delay_s >= 0.0 && self.delays_s.len() < KEPT_MAX {
+            // For the quantiles an hour at 100 Hz is enough.
+            if seq == applied.seq && delay_s >= 0.0 && self.delays_s.len() < 360_000 {
                 self.delays_s.push(delay_s);
             }
         }
     }
 
-    /// `None` where the drive said too seldom when a command was applied.
+    /// `None` with fewer than ten measurements.
     pub(super) fn delay(&self, period_s: f64) -> Option<LoopDelay> {
-        if self.delays_s.len() < FEWEST {
+        if self.delays_s.len() < 10 {
             return None;
         }
         let mut sorted = self.delays_s.clone();
@@ -83,11 +78,11 @@ impl DelayMeter {
     }
 }
 
-/// Measures the delay at the pace of the run, with the output off; `first_seq` goes on from what was sent before.
-/// Returns the last number that was used, too.
+/// Measures the delay over 50 cycles at the rate of the run, with the output off; `first_seq` is the last number that was used
+/// before. Returns the last number too.
 ///
 /// # Errors
-/// A link that is gone; a lost reply is only not counted.
+/// A link that is gone; lost replies are left out.
 pub fn measure_delay(
     link: &mut dyn DriveLink,
     clock: &mut dyn Clock,
@@ -99,14 +94,13 @@ pub fn measure_delay(
     let mut meter = DelayMeter::default();
     let mut last: Option<Sample> = None;
     let mut seq = first_seq;
-    for cycle in 0..CYCLES {
+    for cycle in 0..50 {
         clock.sleep_until_s(begin_s + f64::from(cycle) * period_s);
         seq += 1;
         if let Some(sample) = last.take() {
             meter.sent(seq, sample.time_s);
         }
-        let demand = Demand::Disable;
-        match link.exchange(Command { seq, demand }) {
+        match link.exchange(Command { seq, demand: Demand::Disable }) {
             Ok(sample) => {
                 meter.sample(&sample);
                 last = Some(sample);
@@ -121,18 +115,15 @@ pub fn measure_delay(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use drivebench_emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive, VirtualClock};
+    use crate::testing::{exact, in_memory};
     use drivebench_model::sample::Applied;
 
     #[test]
     fn an_exchange_of_one_cycle_has_the_delay_of_one_cycle() {
-        let config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
-        let mut clock = VirtualClock::new();
-        let drive = SoftDrive::new(&config, 1);
-        let mut link = MemoryLink::new(drive, clock.clone(), Latency::default());
+        let (mut link, mut clock) = in_memory(&exact("zk-22fc-plain"), 1);
         let (delay, last) = measure_delay(&mut link, &mut clock, 100.0, 7).unwrap();
         let delay = delay.unwrap();
-        // What is computed from a reply leaves with the next request: a cycle, on the drive's ticks of 50 us.
+        // A command leaves with the request after its sample: a cycle, on the drive's ticks of 50 us.
         assert!((delay.median_cycles - 1.0).abs() < 0.01, "{delay:?}");
         assert_eq!((delay.measured, last), (49, 57));
     }
@@ -144,19 +135,19 @@ mod tests {
             let time_s = f64::from(n) * 0.01;
             meter.sent(n.into(), time_s);
             let mut sample = Sample::at(time_s + 0.01);
-            // The reply tells of the command before.
+            // A reply reports the application of the command before.
             sample.applied =
                 n.checked_sub(1).map(|seq| Applied { seq: seq.into(), time_s: time_s + 0.0095 });
             meter.sample(&sample);
         }
         let delay = meter.delay(0.01).unwrap();
         assert!((delay.median_cycles - 1.95).abs() < 1e-9, "{delay:?}");
-        let mut deaf = DelayMeter::default();
+        let mut silent = DelayMeter::default();
         for n in 0..100 {
-            deaf.sent(n, 0.0);
-            deaf.sample(&Sample::at(0.0));
+            silent.sent(n, 0.0);
+            silent.sample(&Sample::at(0.0));
         }
-        assert_eq!(deaf.delay(0.01), None);
-        assert_eq!(deaf.waiting.len(), WAITING_MAX);
+        assert_eq!(silent.delay(0.01), None);
+        assert_eq!(silent.waiting.len(), WAITING_MAX);
     }
 }

@@ -4,9 +4,9 @@
 //! [speed] section --> Reference (refused beyond the limits) ---------------------------\
 //! model + measured delay (delay.rs) --> Design --> Regulator (controller, limiter) -----+-> SpeedPilot --> session
 //!                                          \--> refused: not physical, another motor,  /        |
-//!                                               a loop that would swing                 report: figures of each step
+//!                                               a loop that would oscillate             report: figures of each step
 //!
-//! speed, limits --> LoopWatch --> softer gains, or a trip
+//! speed, limits --> LoopWatch --> smaller gains, or a trip
 //! ```
 
 mod delay;

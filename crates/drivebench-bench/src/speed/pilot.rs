@@ -1,4 +1,4 @@
-//! The speed loop as a pilot: reference, controller and limiter, answering to samples.
+//! The speed loop as a pilot: reference, controller and limiter, one step for each sample.
 
 use super::delay::DelayMeter;
 use super::reference::Reference;
@@ -11,45 +11,36 @@ use drivebench_model::sample::{Channel, Command, Demand, Sample};
 
 /// Cycles that are kept for the figures: at 100 Hz nearly three hours.
 const RECORD_MAX: usize = 1_000_000;
-/// Changes of the gains, and findings of the watch, that are kept for the result; the events hold all of them.
+/// Changes of the gains, and findings of the detector, that are kept for the result; the events hold all of them.
 const CHANGES_MAX: usize = 10_000;
-/// Sampling times that a controller is told, in periods: after a gap it must not believe in a jump.
-const SHORTEST_PERIODS: f64 = 0.2;
-const LONGEST_PERIODS: f64 = 20.0;
-/// Until the encoder has been seen to turn in the right direction the controller has this share of its current, but no
-/// longer than so many seconds: a shaft that needs more to break away has to get it.
-const FIRST_MOVE: f64 = 0.4;
-const FIRST_MOVE_S: f64 = 0.3;
 
-/// The loop's settings beside the regulator.
 pub struct PilotSettings {
     pub slew_v_per_s: f64,
     /// Longest time for which the last output is held without a speed, s.
     pub silence_s: f64,
-    /// What holds a load at rest, in the unit of the command.
+    /// Output that holds a load at rest, in the unit of the command.
     pub hold: f64,
 }
 
 /// A speed loop over a voltage, current or speed command.
 pub struct SpeedPilot {
     regulator: Regulator,
-    /// The pass over the reference, whose controller is at work.
+    /// The present pass over the reference, with its controller.
     pass: usize,
     reference: Reference,
     settings: PilotSettings,
-    /// The encoder has been seen to turn in the right direction.
     encoder_proven: bool,
     meter: DelayMeter,
     reference_rad_s: Option<f64>,
-    /// The sample that the next output answers to, and when it came.
+    /// The sample for the next step, and when it came.
     fresh: Option<Sample>,
     came_s: f64,
-    /// Time stamp and speed of the sample that was answered last.
-    answered: Option<(f64, f64)>,
+    /// Time stamp and speed of the sample of the last step.
+    stepped: Option<(f64, f64)>,
     /// Host time of the last sample with a speed.
-    heard_s: f64,
-    /// Whether the controller waits to be told what left.
-    stepped: bool,
+    speed_at_s: f64,
+    /// The controller has not got the output after all limits.
+    is_output_due: bool,
     wanted: f64,
     output: f64,
     elapsed_s: f64,
@@ -57,9 +48,9 @@ pub struct SpeedPilot {
     changes: Vec<GainChange>,
     watch: LoopWatch,
     found: Vec<Watched>,
-    /// What the watch found and nobody was told of.
-    untold: Option<String>,
-    /// Drive time, and what the controller followed then.
+    /// A finding that is not in the log yet.
+    unlogged: Option<String>,
+    /// Drive time, gains and estimates.
     adaptation: Vec<(f64, Adapted)>,
     record: Vec<Cycle>,
 }
@@ -77,54 +68,51 @@ impl SpeedPilot {
             reference_rad_s: None,
             fresh: None,
             came_s: 0.0,
-            answered: None,
-            heard_s: 0.0,
-            stepped: false,
+            stepped: None,
+            speed_at_s: 0.0,
+            is_output_due: false,
             wanted: 0.0,
             output: 0.0,
             elapsed_s: 0.0,
             held_cycles: 0,
             changes: Vec::new(),
             found: Vec::new(),
-            untold: None,
+            unlogged: None,
             adaptation: Vec::new(),
             record: Vec::new(),
         }
     }
 
     /// One step of the controller on a sample with a speed.
-    fn answer(
+    fn step(
         &mut self,
         now_s: f64,
         sample: &Sample,
         speed_rad_s: f64,
         elapsed_s: f64,
     ) -> Result<(), Trip> {
-        let timing = &self.regulator.timing;
-        let shortest_s = SHORTEST_PERIODS * timing.period_s;
-        let longest_s = LONGEST_PERIODS * timing.period_s;
-        let period_s = match self.answered {
-            Some((before_s, _)) => (sample.time_s - before_s).clamp(shortest_s, longest_s),
-            None => timing.period_s,
+        let period_s = self.regulator.timing.period_s;
+        let (period_s, reference, acceleration) = match self.stepped {
+            Some((before_s, before_rad_s)) => {
+                // After a gap the controller must not take the change of speed for a jump.
+                let since_s = sample.time_s - before_s;
+                let since_s = since_s.clamp(0.2 * period_s, 20.0 * period_s);
+                let acceleration = (speed_rad_s - before_rad_s) / since_s;
+                (since_s, self.reference.value_at(elapsed_s), acceleration)
+            }
+            // A start is bumpless: its first reference is the measured speed.
+            None => (period_s, speed_rad_s, 0.0),
         };
-        // The first reference after a start is the speed that is there.
-        let reference = match self.answered {
-            Some(_) => self.reference.value_at(elapsed_s),
-            None => speed_rad_s,
-        };
-        let gained_rad_s = self.answered.map(|(_, before)| speed_rad_s - before);
-        let acceleration = gained_rad_s.map_or(0.0, |gained| gained / period_s);
         let now = Measured {
             speed_rad_s,
             current_a: sample.get(Channel::Current),
             angle_rad: sample.get(Channel::Angle),
             limited: sample.limited,
         };
-        self.turn_to_pass(elapsed_s, &now);
-        self.look(now_s, reference, &now, period_s)?;
-        let (whole, came_s) = (&self.reference, self.came_s);
-        let ahead = |ahead_s: f64| whole.value_at(came_s + ahead_s);
-        self.regulator.passes[self.pass].1.foresee(&ahead);
+        self.switch_pass(elapsed_s, &now);
+        self.supervise(now_s, reference, &now, period_s)?;
+        let (all, came_s) = (&self.reference, self.came_s);
+        self.regulator.passes[self.pass].1.preview(&|ahead_s: f64| all.value_at(came_s + ahead_s));
         self.wanted = self.controller().step(reference, &now, period_s);
         if let Some(adapted) = self.controller().adapted()
             && self.adaptation.len() < RECORD_MAX
@@ -132,35 +120,36 @@ impl SpeedPilot {
             self.adaptation.push((sample.time_s, adapted));
         }
         let mut limiter = self.regulator.limiter;
-        let unproven = !self.encoder_proven && elapsed_s < FIRST_MOVE_S;
-        if let Some(current) = limiter.current.as_mut().filter(|_| unproven) {
-            current.current_a *= FIRST_MOVE;
+        // Less current until the encoder has turned in the right direction, but not for long: a shaft that needs more to
+        // break away has to get it.
+        let is_unproven = !self.encoder_proven && elapsed_s < 0.3;
+        if let Some(current) = limiter.current.as_mut().filter(|_| is_unproven) {
+            current.current_a *= 0.4;
         }
         self.output = limiter.limit(self.wanted, speed_rad_s, acceleration);
         self.reference_rad_s = Some(reference);
-        self.answered = Some((sample.time_s, speed_rad_s));
-        self.stepped = true;
+        self.stepped = Some((sample.time_s, speed_rad_s));
+        self.is_output_due = true;
         Ok(())
     }
 
-    /// What the watch says of the last cycle, and what comes of it.
-    fn look(
+    /// The oscillation detector, and the reaction to its finding.
+    fn supervise(
         &mut self,
         now_s: f64,
         reference_rad_s: f64,
         now: &Measured,
         period_s: f64,
     ) -> Result<(), Trip> {
-        let limited = now.limited || self.is_cut();
-        let speed_rad_s = now.speed_rad_s;
+        let (limited, speed_rad_s) = (now.limited || self.is_cut(), now.speed_rad_s);
         let Some(finding) = self.watch.push(reference_rad_s, speed_rad_s, limited) else {
             return Ok(());
         };
         let share = self.watch.share();
-        if let Finding::Soften { .. } | Finding::GiveBack { .. } = finding {
-            (self.controller()).soften(share, reference_rad_s, speed_rad_s, period_s);
+        if let Finding::ReduceGain { .. } | Finding::RestoreGain { .. } = finding {
+            self.controller().set_gain_share(share, reference_rad_s, speed_rad_s, period_s);
         }
-        let (found, error_rad_s, reason) = self.words(reference_rad_s, &finding);
+        let (found, error_rad_s, reason) = self.describe(reference_rad_s, &finding);
         if self.found.len() < CHANGES_MAX {
             self.found.push(Watched {
                 time_s: self.elapsed_s,
@@ -171,52 +160,53 @@ impl SpeedPilot {
             });
         }
         match finding {
-            Finding::SwingsOn { swing_rad_s, most_rad_s } => {
-                let figures = (swing_rad_s, most_rad_s);
-                Err(Trip::new(TripKind::LoopSwings, now_s, figures, reason))
+            Finding::Persists { amplitude_rad_s, most_rad_s } => {
+                Err(Trip::new(TripKind::LoopSwings, now_s, (amplitude_rad_s, most_rad_s), reason))
             }
             Finding::Saturated { error_rad_s, .. } => {
-                let figures = (error_rad_s, 0.0);
-                Err(Trip::new(TripKind::LoopSaturated, now_s, figures, reason))
+                Err(Trip::new(TripKind::LoopSaturated, now_s, (error_rad_s, 0.0), reason))
             }
             _ => {
-                self.untold = Some(reason);
+                self.unlogged = Some(reason);
                 Ok(())
             }
         }
     }
 
-    /// Name, size and sentence of what the watch found.
-    fn words(&self, reference_rad_s: f64, finding: &Finding) -> (&'static str, f64, String) {
-        let about = |swing_rad_s: f64| {
-            format!("the speed swings by {swing_rad_s:.1} rad/s about {reference_rad_s:.1} rad/s")
-        };
-        let (_, controller) = &self.regulator.passes[self.pass];
-        let why = if controller.softens() {
-            "softer gains do not help"
-        } else {
-            "and this controller has no gains that could fall"
+    /// Name, amplitude or error, and sentence of a finding.
+    fn describe(&self, reference_rad_s: f64, finding: &Finding) -> (&'static str, f64, String) {
+        let about = |amplitude_rad_s: f64| {
+            format!(
+                "the speed oscillates by {amplitude_rad_s:.1} rad/s about {reference_rad_s:.1} rad/s"
+            )
         };
         match *finding {
-            Finding::Soften { swing_rad_s, share } => {
-                let to = 100.0 * share;
-                let reason = format!("{}: {to:.0} % of the tuned gain", about(swing_rad_s));
-                ("softened", swing_rad_s, reason)
+            Finding::ReduceGain { amplitude_rad_s, share } => {
+                let about = about(amplitude_rad_s);
+                let reason = format!("{about}: {:.0} % of the tuned gain", 100.0 * share);
+                ("softened", amplitude_rad_s, reason)
             }
-            Finding::GiveBack { swing_rad_s } => {
+            Finding::RestoreGain { amplitude_rad_s } => {
                 let reason = format!(
-                    "{} with the softest gains too: it is not the loop's own, the tuned gain is given back",
-                    about(swing_rad_s)
+                    "{} with the smallest gains too: it is not the loop's own oscillation, the tuned gain is restored",
+                    about(amplitude_rad_s)
                 );
-                ("given_back", swing_rad_s, reason)
+                ("given_back", amplitude_rad_s, reason)
             }
-            Finding::Swings { swing_rad_s } => ("swings", swing_rad_s, about(swing_rad_s)),
-            Finding::SwingsOn { swing_rad_s, most_rad_s } => {
+            Finding::Oscillates { amplitude_rad_s } => {
+                ("swings", amplitude_rad_s, about(amplitude_rad_s))
+            }
+            Finding::Persists { amplitude_rad_s, most_rad_s } => {
+                let why = if self.regulator.passes[self.pass].1.can_reduce_gain() {
+                    "smaller gains do not help"
+                } else {
+                    "and this controller has no gains that could fall"
+                };
                 let reason = format!(
-                    "{} and goes on, {why}; {most_rad_s:.1} rad/s are allowed; take addc or pi, tuned on a model that was identified on this machine (a coupling or play belongs into it; addc follows an inertia that changed), or a faster link",
-                    about(swing_rad_s)
+                    "{} and does not stop, {why}; {most_rad_s:.1} rad/s are allowed; take addc or pi, tuned on a model that was identified on this machine (a coupling or backlash belongs into it; addc follows an inertia that changed), or a faster link",
+                    about(amplitude_rad_s)
                 );
-                ("swings_on", swing_rad_s, reason)
+                ("swings_on", amplitude_rad_s, reason)
             }
             Finding::Saturated { limited_share, error_rad_s } => {
                 let reason = format!(
@@ -237,8 +227,8 @@ impl SpeedPilot {
         self.regulator.passes[self.pass].1.as_mut()
     }
 
-    /// Each pass over the reference has its own controller, which begins with what is asked now.
-    fn turn_to_pass(&mut self, elapsed_s: f64, now: &Measured) {
+    /// Each pass over the reference has its own controller, which begins with the present output.
+    fn switch_pass(&mut self, elapsed_s: f64, now: &Measured) {
         let pass = self.reference.pass_at(elapsed_s);
         let pass = pass.min(self.regulator.passes.len().saturating_sub(1));
         if pass != self.pass {
@@ -250,10 +240,9 @@ impl SpeedPilot {
     }
 }
 
-/// The watch of the controller of a pass.
 fn watch_of(regulator: &Regulator, pass: usize) -> LoopWatch {
-    let softens = regulator.passes.get(pass).is_some_and(|(_, one)| one.softens());
-    LoopWatch::new(regulator.noise_rad_s, regulator.timing.period_s, softens)
+    let can_reduce_gain = regulator.passes.get(pass).is_some_and(|(_, one)| one.can_reduce_gain());
+    LoopWatch::new(regulator.noise_rad_s, regulator.timing.period_s, can_reduce_gain)
 }
 
 impl Pilot for SpeedPilot {
@@ -288,10 +277,10 @@ impl Pilot for SpeedPilot {
         self.watch = watch_of(&self.regulator, self.pass);
         self.fresh = sample.cloned();
         self.came_s = 0.0;
-        self.answered = None;
-        self.heard_s = now_s;
+        self.stepped = None;
+        self.speed_at_s = now_s;
         (self.output, self.wanted) = (output, output);
-        self.stepped = false;
+        self.is_output_due = false;
         self.reference_rad_s = Some(speed_rad_s);
         self.record.clear();
         self.adaptation.clear();
@@ -302,16 +291,14 @@ impl Pilot for SpeedPilot {
         let fresh = self.fresh.take();
         let speed = fresh.as_ref().and_then(|sample| sample.get(Channel::Speed));
         if let (Some(sample), Some(speed)) = (&fresh, speed) {
-            self.answer(now_s, sample, speed, elapsed_s)?;
+            self.step(now_s, sample, speed, elapsed_s)?;
         } else {
-            // Nothing to answer to: what was asked last goes on, for as long as may be.
+            // Without a speed the last output is held, within the allowed silence.
             self.held_cycles += 1;
             self.reference_rad_s = Some(self.reference.value_at(elapsed_s));
-            let silent_s = now_s - self.heard_s;
-            if silent_s > self.settings.silence_s {
-                let (kind, times_s) =
-                    (TripKind::SignalMissing, (silent_s, self.settings.silence_s));
-                return Err(Trip::after(kind, now_s, times_s, "no speed"));
+            let times_s = (now_s - self.speed_at_s, self.settings.silence_s);
+            if times_s.0 > times_s.1 {
+                return Err(Trip::after(TripKind::SignalMissing, now_s, times_s, "no speed"));
             }
         }
         Ok(self.regulator.actuator.demand(self.output))
@@ -321,11 +308,11 @@ impl Pilot for SpeedPilot {
         let Some(output) = self.regulator.actuator.of(command.demand) else {
             return;
         };
-        // What the guard let through.
+        // As shaped by the guard.
         self.output = output;
-        if std::mem::take(&mut self.stepped) {
+        if std::mem::take(&mut self.is_output_due) {
             self.controller().applied(output);
-            if let Some((time_s, _)) = self.answered {
+            if let Some((time_s, _)) = self.stepped {
                 self.meter.sent(command.seq, time_s);
             }
         }
@@ -337,7 +324,7 @@ impl Pilot for SpeedPilot {
         let Some(speed_rad_s) = sample.get(Channel::Speed) else {
             return;
         };
-        self.heard_s = now_s;
+        self.speed_at_s = now_s;
         self.fresh = Some(sample.clone());
         self.came_s = elapsed_s;
         if self.record.len() < RECORD_MAX {
@@ -356,7 +343,7 @@ impl Pilot for SpeedPilot {
     }
 
     fn news(&mut self) -> Option<PilotNews> {
-        if let Some(found) = self.untold.take() {
+        if let Some(found) = self.unlogged.take() {
             return Some(PilotNews::Watch(found));
         }
         let reason = self.controller().news()?;
@@ -387,9 +374,8 @@ impl Pilot for SpeedPilot {
                 &self.record,
                 &self.reference.steps(),
                 &|time_s| {
-                    let pass = self.reference.pass_at(time_s);
-                    let controller = self.regulator.passes.get(pass);
-                    controller.map_or(0.0, |(_, controller)| controller.leads_s())
+                    let controller = self.regulator.passes.get(self.reference.pass_at(time_s));
+                    controller.map_or(0.0, |(_, controller)| controller.preview_s())
                 },
                 self.regulator.noise_rad_s,
             ),

@@ -1,4 +1,4 @@
-//! The speed reference of a closed-loop run: straight lines over time, pure and seekable.
+//! The speed reference of a closed-loop run: a piecewise linear function of time.
 //!
 //! ```text
 //! [[speed.reference]] parts --check--> Reference: value_at(t), steps(): the jumps to a level that then holds
@@ -9,7 +9,6 @@ use thiserror::Error;
 
 /// The longest run, s: a day.
 const LONGEST_S: f64 = 86_400.0;
-const MOST_LEVELS: usize = 10_000;
 
 /// One part of a reference, as it stands in a bench file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -42,7 +41,6 @@ pub enum ReferencePart {
     },
 }
 
-/// A part that makes no reference.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error(
     "speed.reference part {number} ({kind}): {key} = {value} is not allowed (expected {allowed})"
@@ -68,7 +66,6 @@ struct Line {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ReferenceStep {
     pub at_s: f64,
-    /// When the level ends.
     pub until_s: f64,
     pub from_rad_s: f64,
     pub to_rad_s: f64,
@@ -94,13 +91,12 @@ impl ReferencePart {
         }
     }
 
-    /// Every speed that it names, with its key.
+    /// Its speeds, with their keys.
     fn speeds(&self) -> Vec<(&'static str, f64)> {
         match self {
             Self::Constant { speed_rad_s, .. } => vec![("speed_rad_s", *speed_rad_s)],
             Self::Steps { levels_rad_s, .. } => {
-                let levels = levels_rad_s.iter();
-                levels.map(|level| ("levels_rad_s", *level)).collect()
+                levels_rad_s.iter().map(|level| ("levels_rad_s", *level)).collect()
             }
             Self::Square { low_rad_s, high_rad_s, .. } => {
                 vec![("low_rad_s", *low_rad_s), ("high_rad_s", *high_rad_s)]
@@ -119,7 +115,7 @@ impl ReferencePart {
             (!good).then_some((key, value, "more than 0 s, up to 86400 s"))
         };
         let count = |key, number: usize, least: usize| {
-            let good = (least..=MOST_LEVELS).contains(&number);
+            let good = (least..=10_000).contains(&number);
             (!good).then_some((key, number as f64, "enough of them, at most 10000"))
         };
         let mut speeds = self.speeds().into_iter();
@@ -203,8 +199,7 @@ impl Reference {
                 reference.lines.push(Line { end_s, from, to });
             }
             let earlier = parts[..index].iter();
-            let alike = earlier.filter(|other| other.kind() == part.kind());
-            let name = match alike.count() {
+            let name = match earlier.filter(|other| other.kind() == part.kind()).count() {
                 0 => part.kind().to_owned(),
                 n => format!("{} {}", part.kind(), n + 1),
             };
@@ -223,7 +218,7 @@ impl Reference {
         Ok(reference)
     }
 
-    /// The same so many times, each from its first level, which is held for `lead_in_s` before.
+    /// `times` passes, each after `lead_in_s` at the first level.
     #[must_use]
     pub fn repeated(&self, times: usize, lead_in_s: f64) -> Self {
         let mut all = Self::default();

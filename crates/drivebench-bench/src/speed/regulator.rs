@@ -12,39 +12,50 @@ use drivebench_control::{
     Mrac, MracScales, PaperB, PaperBError, PaperBPlant, PaperBSettings, Pi, PiGains, PlantError,
     SpeedController, TrialMachine, drawn, trial, viscous_n_m_s_per_rad,
 };
+use drivebench_model::numerics::statistics::extent;
 use drivebench_model::plant::{FittedValue, Model, MotorKey, TorqueMap};
 
-/// Gain margin that gains given by hand have to leave.
-const LEAST_GAIN_MARGIN: f64 = 1.6;
-/// How far a model may be from the nameplate and still be of this motor: factors either way. A winding that is 100 K
-/// warmer has 1.39 times its resistance; the flux of a specimen differs by some 15 %.
-const RESISTANCE_FACTOR: f64 = 1.6;
-const BACK_EMF_FACTOR: f64 = 1.3;
-/// Cycles of the rehearsal, and the step that it takes, as a share of the peak reference.
-const REHEARSAL_CYCLES: usize = 600;
-const REHEARSAL_STEP: f64 = 0.2;
-/// Swing that is left at its end, as a share of the step, with which a loop counts as stable.
-const STILL_SWINGS: f64 = 0.25;
-/// The same behind a coupling, which rings for long once it is struck.
-const STILL_RINGS: f64 = 0.05;
-/// Lag of a drive's current loop where the bench file does not say, s: what drives of some kilowatts reach.
-const CURRENT_LAG_S: f64 = 0.002;
+struct Settings {
+    /// Least gain margin of gains given by hand.
+    gain_margin: f64,
+    /// Factors either way within which a model is of the nameplate's motor. A winding that is 100 K warmer has 1.39 times its
+    /// resistance; the flux of a specimen differs by some 15 %.
+    resistance_factor: f64,
+    back_emf_factor: f64,
+    /// Lag of a drive's current loop without `speed.drive_lag_s`, s: that of drives of some kilowatts.
+    current_lag_s: f64,
+    /// Cycles of the simulation, and its step as a share of the peak reference.
+    simulated_cycles: usize,
+    simulated_step: f64,
+    /// Peak to peak at its end, as a share of the step, up to which a loop is stable; behind a coupling, which is excited by
+    /// the step and damped by little, the loop's own part is less.
+    oscillation: f64,
+    coupled_oscillation: f64,
+}
 
-/// What closes a loop.
+const SETTINGS: Settings = Settings {
+    gain_margin: 1.6,
+    resistance_factor: 1.6,
+    back_emf_factor: 1.3,
+    current_lag_s: 0.002,
+    simulated_cycles: 600,
+    simulated_step: 0.2,
+    oscillation: 0.25,
+    coupled_oscillation: 0.05,
+};
+
 pub struct Regulator {
     pub actuator: Actuator,
-    /// One for each pass over the reference, and whether it gives the model's effects forward.
+    /// One for each pass over the reference, and whether it has feed-forward.
     pub passes: Vec<(bool, Box<dyn SpeedController>)>,
     pub limiter: Limiter,
     pub holding: Holding,
     pub timing: LoopTiming,
     /// Standard deviation of a speed sample, rad/s.
     pub noise_rad_s: f64,
-    /// Why the gains are what they are, before the motor moves.
     pub reasons: Vec<String>,
 }
 
-/// What a regulator is made from.
 pub struct Design<'a> {
     pub model: &'a Model,
     /// Standard deviations of what was fitted of it.
@@ -52,7 +63,7 @@ pub struct Design<'a> {
     pub motor: &'a Nameplate,
     pub limits: &'a Limits,
     pub section: &'a SpeedSection,
-    /// Torques that are given forward as they were measured.
+    /// Measured torques for the feed-forward.
     pub maps: &'a [TorqueMap],
     pub actuator: Actuator,
     pub timing: LoopTiming,
@@ -61,7 +72,6 @@ pub struct Design<'a> {
     pub peak_reference_rad_s: f64,
 }
 
-/// Why no loop is closed.
 #[derive(Debug, Error)]
 pub enum RegulatorError {
     #[error(transparent)]
@@ -91,7 +101,7 @@ pub enum RegulatorError {
     )]
     IntegralTime { value: f64, radius: f64 },
     #[error(
-        "speed.gains is for the controller \"pi\" over a voltage only, and {controller:?} over a {actuator} is asked for"
+        "speed.gains is for the controller \"pi\" over a voltage only, and {controller:?} over a {actuator} is requested"
     )]
     GainsOf { controller: &'static str, actuator: &'static str },
     #[error(
@@ -102,14 +112,14 @@ pub enum RegulatorError {
         "speed.drive_lag_s is missing (needed for a speed command: the time in which the drive's own loop follows)"
     )]
     NoLag,
-    #[error("speed.feed_forward: nothing can be given forward {why}")]
+    #[error("speed.feed_forward: nothing can be fed forward {why}")]
     NothingForward { why: &'static str },
     #[error(
         "the {name} map asks for {value:.3} N.m (expected up to the {most:.3} N.m of the loop's current limit)"
     )]
     Map { name: &'static str, value: f64, most: f64 },
     #[error(
-        "{controller}: with {cycles:.2} cycles of delay{} the loop goes on swinging by {swing:.1} rad/s after a step of {step:.1} rad/s (expected below {most:.1})", behind(*coupling_hz)
+        "{controller}: with {cycles:.2} cycles of delay{} the loop still oscillates by {swing:.1} rad/s after a step of {step:.1} rad/s (expected below {most:.1})", behind(*coupling_hz)
     )]
     Swings {
         controller: &'static str,
@@ -138,7 +148,7 @@ impl RegulatorError {
                 "give another --controller, or another speed.actuator where the drive takes one"
             }
             Self::NoLag => {
-                "the manual's speed loop response time, or a step of the set-point seen on the drive's own scope"
+                "the manual's speed loop response time, or a step of the set-point on the drive's own scope"
             }
             Self::NothingForward { .. } => "leave --feed-forward out",
             Self::Map { .. } => "take the map of this motor, in N.m",
@@ -152,7 +162,6 @@ impl RegulatorError {
     }
 }
 
-/// Where the load hangs on a coupling, says so.
 fn behind(coupling_hz: Option<f64>) -> String {
     coupling_hz.map_or_else(String::new, |hertz| format!(" and the coupling at {hertz:.1} Hz"))
 }
@@ -165,11 +174,11 @@ pub fn check_kinship(model: &Model, motor: &Nameplate) -> Result<(), RegulatorEr
     }
     let (resistance, back_emf) = (motor.resistance_ohm, motor.back_emf_v_s_per_rad);
     for (key, plate, factor) in [
-        (MotorKey::Resistance, resistance, RESISTANCE_FACTOR),
-        (MotorKey::BackEmf, back_emf, BACK_EMF_FACTOR),
+        (MotorKey::Resistance, resistance, SETTINGS.resistance_factor),
+        (MotorKey::BackEmf, back_emf, SETTINGS.back_emf_factor),
     ] {
         let (low, high) = (plate / factor, plate * factor);
-        // What is missing or not physical is for the plant to say.
+        // Missing or unphysical values are refused with the plant.
         let value = model.motor.get(key).filter(|value| *value > 0.0);
         if let Some(value) = value.filter(|value| !(low..=high).contains(value)) {
             return Err(RegulatorError::OtherMotor { key: key.key(), value, low, high });
@@ -178,7 +187,7 @@ pub fn check_kinship(model: &Model, motor: &Nameplate) -> Result<(), RegulatorEr
     Ok(())
 }
 
-/// The loop's timing: what was measured on the link, and what the model knows to lie behind it.
+/// The loop's timing: the measured delay of the link, and the delays and filters of the model.
 pub fn timing(model: &Model, period_s: f64, link_delay_s: f64) -> LoopTiming {
     let path = model.known_path();
     let behind_s = path.command_delay_s + path.speed_delay_s;
@@ -189,9 +198,9 @@ pub fn timing(model: &Model, period_s: f64, link_delay_s: f64) -> LoopTiming {
     }
 }
 
-/// What a design is tuned on: the plant, and draws of what is not known of it.
+/// The plant, and draws over the uncertainty of its parameters.
 struct Plants {
-    own: LinearPlant,
+    nominal: LinearPlant,
     draws: Vec<LinearPlant>,
 }
 
@@ -215,10 +224,10 @@ impl Design<'_> {
                 self.section.controller,
                 ControllerKind::PaperB | ControllerKind::LoadObserver | ControllerKind::Mrac
             );
-            // Beside margins, which are those of a linear loop: what limits and play do behind a coupling.
-            let is_coupled = plants.own.coupling().is_some();
+            // Behind a coupling limits and backlash act, which are not in the margins of a linear loop.
+            let is_coupled = plants.nominal.coupling().is_some();
             if has_no_margins || (is_coupled && self.actuator == Actuator::Voltage) {
-                self.rehearse(&plants.own, controller.as_mut(), &limiter, viscous)?;
+                self.simulate(&plants.nominal, controller.as_mut(), &limiter, viscous)?;
                 controller = self.controller(&plants, holding)?.0;
             }
             if is_compensated {
@@ -240,13 +249,13 @@ impl Design<'_> {
         })
     }
 
-    /// The plant with its draws, and what is taken for granted of it.
+    /// The plant with its draws, and the assumptions about it.
     fn plants(&self) -> Result<(Plants, Vec<String>), RegulatorError> {
         let lag_s = self.section.drive_lag_s;
         let (taken_s, reason) = match self.actuator {
             Actuator::Voltage => (0.0, None),
             Actuator::Current => {
-                let taken_s = lag_s.unwrap_or(CURRENT_LAG_S);
+                let taken_s = lag_s.unwrap_or(SETTINGS.current_lag_s);
                 let reason = format!(
                     "the drive's current loop is taken for a lag of {:.1} ms ({})",
                     1e3 * taken_s,
@@ -257,13 +266,13 @@ impl Design<'_> {
             Actuator::Speed => (lag_s.ok_or(RegulatorError::NoLag)?, None),
         };
         let of = |model: &Model| LinearPlant::of(model, self.actuator, taken_s);
-        let own = of(self.model)?;
+        let nominal = of(self.model)?;
         let draws = match self.actuator {
-            // The drive's own loop is all that is seen, and none of it was fitted.
+            // The plant is the drive's own loop, of which nothing was fitted.
             Actuator::Speed => Vec::new(),
             Actuator::Voltage | Actuator::Current => drawn(self.model, self.fitted, of),
         };
-        Ok((Plants { own, draws }, reason.into_iter().collect()))
+        Ok((Plants { nominal, draws }, reason.into_iter().collect()))
     }
 
     fn check_kind(&self) -> Result<(), RegulatorError> {
@@ -287,14 +296,13 @@ impl Design<'_> {
         Ok(())
     }
 
-    /// The controller with the model's effects beside it. What is given forward is not for it to hold.
+    /// The controller with feed-forward, whose friction is not in its holding output.
     fn compensated(&self, plants: &Plants) -> Result<Box<dyn SpeedController>, RegulatorError> {
         let limit_a = self.current_limit_a();
         let (model, timing) = (self.model, &self.timing);
         if let Some(kt) = model.motor.torque_constant() {
             let most = limit_a * kt;
-            let mut maps = self.maps.iter();
-            if let Some(map) = maps.find(|map| map.largest_n_m() > most) {
+            if let Some(map) = self.maps.iter().find(|map| map.largest_n_m() > most) {
                 return Err(RegulatorError::Map {
                     name: map.torque.name(),
                     value: map.largest_n_m(),
@@ -309,8 +317,7 @@ impl Design<'_> {
         };
         let forward = forward.ok_or(RegulatorError::NothingForward { why })?;
         let rest = Holding { against: 0.0, ..Holding::of(self.model, self.actuator, 0.0) };
-        let inner = self.controller(plants, rest)?.0;
-        Ok(Box::new(Compensated::new(inner, forward)))
+        Ok(Box::new(Compensated::new(self.controller(plants, rest)?.0, forward)))
     }
 
     fn controller(
@@ -325,8 +332,8 @@ impl Design<'_> {
         };
         let refused = |error| RegulatorError::Tuning { rule: request.rule.id(), error };
         let tuned = || -> Result<Tuning, RegulatorError> {
-            let tuning = tune_over(&plants.own, &plants.draws, &self.timing, &request);
-            let mut tuning = tuning.map_err(refused)?;
+            let mut tuning = tune_over(&plants.nominal, &plants.draws, &self.timing, &request)
+                .map_err(refused)?;
             if let Some(draws) = &tuning.draws {
                 let (count, worst) = (draws.count, &draws.worst);
                 tuning.reasons.push(format!(
@@ -336,7 +343,7 @@ impl Design<'_> {
             }
             Ok(tuning)
         };
-        let plant = &plants.own;
+        let plant = &plants.nominal;
         let value = |key| self.model.motor.get(key).unwrap_or(f64::NAN);
         Ok(match self.section.controller {
             ControllerKind::Pi => {
@@ -360,10 +367,11 @@ impl Design<'_> {
                     Addc::new(self.model, plant, &self.timing, &settings).map_err(refused)?;
                 if self.actuator == Actuator::Voltage {
                     let viscous = viscous_n_m_s_per_rad(self.model, self.actuator)?;
-                    let adapting =
-                        addc.clone().adapting_to_the_winding(self.model, viscous, &self.timing);
                     // A rule that refuses a bound of the winding's time constant leaves it at the model's.
-                    addc = adapting.unwrap_or(addc);
+                    let fixed = addc.clone();
+                    addc = addc
+                        .adapting_to_the_winding(self.model, viscous, &self.timing)
+                        .unwrap_or(fixed);
                 }
                 (Box::new(addc), tuning.reasons)
             }
@@ -381,22 +389,24 @@ impl Design<'_> {
             }
             ControllerKind::PaperB => {
                 let motor = &self.model.motor;
-                let electrical_s = motor.electrical_time_constant_s();
-                let times = electrical_s.zip(motor.mechanical_time_constant_s());
-                let (electrical_s, mechanical_s) = times.unwrap_or((f64::NAN, f64::NAN));
+                let (electrical_s, mechanical_s) = motor
+                    .electrical_time_constant_s()
+                    .zip(motor.mechanical_time_constant_s())
+                    .unwrap_or((f64::NAN, f64::NAN));
                 let ke = value(MotorKey::BackEmf);
                 let plant = PaperBPlant::new(self.timing.period_s, electrical_s, mechanical_s, ke);
-                let made = PaperB::new(plant, PaperBSettings::default());
-                (Box::new(made.map_err(RegulatorError::PaperB)?), Vec::new())
+                let paper_b = PaperB::new(plant, PaperBSettings::default())
+                    .map_err(RegulatorError::PaperB)?;
+                (Box::new(paper_b), Vec::new())
             }
             ControllerKind::LoadObserver => {
                 let settings = LoadObservingSettings {
                     speed_noise_rad_s: self.noise_rad_s,
                     ..LoadObservingSettings::default()
                 };
-                let made = LoadObserving::new(self.model, plant, &self.timing, &settings);
-                let made = made.map_err(RegulatorError::LoadObserver)?;
-                (Box::new(made), Vec::new())
+                let observer = LoadObserving::new(self.model, plant, &self.timing, &settings)
+                    .map_err(RegulatorError::LoadObserver)?;
+                (Box::new(observer), Vec::new())
             }
         })
     }
@@ -414,10 +424,10 @@ impl Design<'_> {
             notch: None,
         };
         let margins = LoopShape::new(plant, &self.timing, &gains).margins();
-        if margins.gain_margin < LEAST_GAIN_MARGIN {
+        if margins.gain_margin < SETTINGS.gain_margin {
             return Err(RegulatorError::Gain {
                 value: gains.proportional,
-                most: gains.proportional * margins.gain_margin / LEAST_GAIN_MARGIN,
+                most: gains.proportional * margins.gain_margin / SETTINGS.gain_margin,
                 cycles: self.timing.delay_cycles(),
                 coupling_hz: plant.coupling().map(|coupling| coupling.frequency_hz),
             });
@@ -451,9 +461,8 @@ impl Design<'_> {
         Limiter { output, current }
     }
 
-    /// Two steps on the model in virtual time, the delay rounded up to whole cycles: what swings there is not let at the
-    /// motor.
-    fn rehearse(
+    /// Simulates two steps, the delay rounded up to whole cycles: what oscillates there does not get to the motor.
+    fn simulate(
         &self,
         plant: &LinearPlant,
         controller: &mut dyn SpeedController,
@@ -478,26 +487,31 @@ impl Design<'_> {
             current_noise_a: 0.0,
         };
         let high = self.peak_reference_rad_s.max(1.0);
-        let step = REHEARSAL_STEP * high;
-        let half_s = 0.5 * REHEARSAL_CYCLES as f64 * self.timing.period_s;
+        let step = SETTINGS.simulated_step * high;
+        let cycles = SETTINGS.simulated_cycles;
+        let half_s = 0.5 * cycles as f64 * self.timing.period_s;
         let course = Course {
             reference_rad_s: &|t| if t < half_s { high } else { high - step },
             inertia_kg_m2: &|_| inertia,
             load_n_m: &|_| 0.0,
         };
-        let trace = trial(&machine, &course, controller, limiter, REHEARSAL_CYCLES, 1);
-        let end = &trace[REHEARSAL_CYCLES * 9 / 10..];
-        let speeds = end.iter().map(|point| point.speed_rad_s);
-        // A loop with margins may be slow; of the others nothing is known but this.
+        let trace = trial(&machine, &course, controller, limiter, cycles, 1);
+        let speeds = trace[cycles * 9 / 10..].iter().map(|point| point.speed_rad_s);
+        // A loop with margins may drift: it is slow. Without margins this is all that is known of the loop.
         let swing = match self.section.controller {
-            ControllerKind::Pi | ControllerKind::Addc => swing(speeds),
+            ControllerKind::Pi | ControllerKind::Addc => oscillation(speeds),
             ControllerKind::Mrac | ControllerKind::PaperB | ControllerKind::LoadObserver => {
-                extent(speeds)
+                let (low, high) = extent(speeds);
+                high - low
             }
         };
-        let share = plant.coupling().map_or(STILL_SWINGS, |_| STILL_RINGS);
+        let share = if plant.coupling().is_some() {
+            SETTINGS.coupled_oscillation
+        } else {
+            SETTINGS.oscillation
+        };
         let most = share * step;
-        // Also false for what is no number any more.
+        // False for NaN.
         if swing <= most {
             return Ok(());
         }
@@ -512,16 +526,8 @@ impl Design<'_> {
     }
 }
 
-/// From the least to the largest. No number, or below zero, where one of them is none.
-fn extent(values: impl Iterator<Item = f64>) -> f64 {
-    let (low, top) =
-        values.fold((f64::MAX, f64::MIN), |(low, top), value| (low.min(value), top.max(value)));
-    top - low
-}
-
-/// By how much a quantity goes back and forth: the largest way up or the largest way down, whichever is less, so that what
-/// only drifts does not swing. No number where one of them is none.
-fn swing(values: impl Iterator<Item = f64>) -> f64 {
+/// The largest rise or the largest fall, whichever is less: a drift is no oscillation. NaN where a value is not finite.
+fn oscillation(values: impl Iterator<Item = f64>) -> f64 {
     let (mut low, mut top) = (f64::MAX, f64::MIN);
     let (mut up, mut down) = (0.0_f64, 0.0_f64);
     for value in values {

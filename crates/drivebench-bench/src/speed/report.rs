@@ -6,7 +6,6 @@ use super::delay::LoopDelay;
 use super::reference::ReferenceStep;
 use drivebench_control::{Actuator, Adapted, LoopTiming, Response, SETTLED_SHARE, response};
 
-/// A change of the gains while the loop ran.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct GainChange {
     /// Since the begin of the reference, s.
@@ -14,32 +13,29 @@ pub struct GainChange {
     pub reason: String,
 }
 
-/// What the watch of the loop found while it ran.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Watched {
     /// Since the begin of the reference, s.
     pub time_s: f64,
     pub found: &'static str,
-    /// Mean of the half-swings, rad/s; of a loop at its limit the error that does not fall.
+    /// Amplitude, rad/s; of a loop at its limit the error that does not fall.
     pub error_rad_s: f64,
-    /// What is left of the tuned gain.
     pub gain_share: f64,
     pub reason: String,
 }
 
-/// The response to one step of the reference.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct StepFigures {
     #[serde(flatten)]
     pub step: ReferenceStep,
-    /// What was measured when the output began to change, rad/s: the response is counted from there, its times from the
-    /// instant of the step on, its error against the reference of each instant.
+    /// When the output began to change, rad/s: the response counts from there, its times from the instant of the step on, its
+    /// error against the reference of each instant.
     pub speed_rad_s: f64,
     #[serde(flatten)]
     pub response: Response,
-    /// The band of settling is narrower than the noise of a sample: its time is not told.
+    /// The settling band is narrower than 2.5 standard deviations of a sample: there is no settling time.
     pub settles_in_noise: bool,
-    /// Largest size of what left, actuator's unit, and share of the cycles in which a limit held it.
+    /// Largest output, actuator's unit, and share of the cycles in which a limit held it.
     pub peak_output: f64,
     pub limited_share: f64,
 }
@@ -47,7 +43,6 @@ pub struct StepFigures {
 /// How the reference was followed in one pass over it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Tracking {
-    /// Whether the model's effects were given forward.
     pub feed_forward: bool,
     pub from_s: f64,
     pub until_s: f64,
@@ -69,7 +64,6 @@ pub(super) struct Cycle {
     pub(super) limited: bool,
 }
 
-/// How the loop went.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SpeedReport {
     pub controller: &'static str,
@@ -82,9 +76,8 @@ pub struct SpeedReport {
     /// At the end.
     pub gains: Vec<String>,
     pub gain_changes: Vec<GainChange>,
-    /// Swings and limits that the watch found; empty: none.
     pub watch: Vec<Watched>,
-    /// The gains and what they follow, cycle by cycle, as CSV; `None`: they follow nothing.
+    /// Gains and estimates, cycle by cycle, as CSV; `None`: fixed gains.
     #[serde(skip)]
     pub adaptation: Option<String>,
     /// Cycles without a speed, in which the last output was held.
@@ -94,8 +87,8 @@ pub struct SpeedReport {
     pub steps: Vec<StepFigures>,
 }
 
-/// Gains and what they follow over the drive's time: one row for each sample that was answered; an empty cell is not
-/// known, or not settled.
+/// Gains and estimates over the drive's time: one row for each sample of the controller; an empty cell is not known, or not
+/// settled.
 pub(super) fn adaptation_csv(actuator: Actuator, rows: &[(f64, Adapted)]) -> Option<String> {
     let unit = match actuator {
         Actuator::Voltage => "v_s_per_rad",
@@ -131,10 +124,7 @@ fn cycles(record: &[Cycle], from_s: f64, until_s: f64) -> Option<&[Cycle]> {
     (until_s <= end_s + 2.0 * period_s && !cycles.is_empty()).then_some(cycles)
 }
 
-/// To either side of an instant at which the reference passes zero, s.
-const REVERSAL_S: f64 = 0.1;
-
-/// The cycles around those between which the reference changes its direction.
+/// Within 0.1 s of the instants at which the reference changes its direction.
 fn around_reversals(cycles: &[Cycle]) -> impl Iterator<Item = &Cycle> {
     let turning = cycles.iter().filter(|cycle| cycle.reference_rad_s != 0.0);
     let mut turning = turning.peekable();
@@ -145,8 +135,8 @@ fn around_reversals(cycles: &[Cycle]) -> impl Iterator<Item = &Cycle> {
         }
     }
     let near = move |cycle: &&Cycle| {
-        let next = at_s.partition_point(|at| *at < cycle.time_s - REVERSAL_S);
-        at_s.get(next).is_some_and(|at| *at <= cycle.time_s + REVERSAL_S)
+        let next = at_s.partition_point(|at| *at < cycle.time_s - 0.1);
+        at_s.get(next).is_some_and(|at| *at <= cycle.time_s + 0.1)
     };
     cycles.iter().filter(near)
 }
@@ -156,31 +146,26 @@ pub(super) fn tracking(record: &[Cycle], passes: &[(bool, (f64, f64))]) -> Vec<T
     let track = |&(feed_forward, (from_s, until_s)): &(bool, (f64, f64))| {
         let cycles = cycles(record, from_s, until_s)?;
         let error = |cycle: &Cycle| (cycle.reference_rad_s - cycle.speed_rad_s).abs();
-        let errors = || cycles.iter().map(error);
-        let count = cycles.len() as f64;
-        let reversing: Vec<f64> = around_reversals(cycles).map(error).collect();
-        let mean_square = |errors: &[f64]| {
-            let squares = errors.iter().map(|error| error * error);
-            squares.sum::<f64>() / errors.len() as f64
+        let rms = |errors: &[f64]| {
+            (errors.iter().map(|error| error * error).sum::<f64>() / errors.len() as f64).sqrt()
         };
+        let errors: Vec<f64> = cycles.iter().map(error).collect();
+        let reversing: Vec<f64> = around_reversals(cycles).map(error).collect();
         Some(Tracking {
             feed_forward,
             from_s,
             until_s,
-            rms_rad_s: (errors().map(|error| error * error).sum::<f64>() / count).sqrt(),
-            peak_rad_s: errors().fold(0.0, f64::max),
-            mean_abs_rad_s: errors().sum::<f64>() / count,
-            reversal_rms_rad_s: (!reversing.is_empty()).then(|| mean_square(&reversing).sqrt()),
+            rms_rad_s: rms(&errors),
+            peak_rad_s: errors.iter().copied().fold(0.0, f64::max),
+            mean_abs_rad_s: errors.iter().sum::<f64>() / errors.len() as f64,
+            reversal_rms_rad_s: (!reversing.is_empty()).then(|| rms(&reversing)),
         })
     };
     passes.iter().filter_map(track).collect()
 }
 
-/// Standard deviations of a sample that a band has to hold.
-const NOISE_SIGMAS: f64 = 2.5;
-
-/// Figures of the steps that the record reaches; a step that a stop cut short has none. `leads_s` says how long before a
-/// change of the reference at an instant the output begins to change: what happens then belongs to that change.
+/// Figures of the steps that the record reaches; a step that a stop cut short has none. `leads_s`: the time before a change of
+/// the reference at an instant at which its output begins to change.
 pub(super) fn figures(
     record: &[Cycle],
     steps: &[ReferenceStep],
@@ -191,8 +176,8 @@ pub(super) fn figures(
         let until_s = step.until_s - leads_s(step.until_s);
         let cycles = cycles(record, step.at_s - leads_s(step.at_s), until_s)?;
         let Cycle { time_s: begin_s, speed_rad_s, .. } = *cycles.first()?;
-        let trace = cycles.iter().map(|cycle| (cycle.time_s, cycle.speed_rad_s));
-        let trace: Vec<(f64, f64)> = trace.collect();
+        let trace: Vec<(f64, f64)> =
+            cycles.iter().map(|cycle| (cycle.time_s, cycle.speed_rad_s)).collect();
         let early_s = (step.at_s - begin_s).max(0.0);
         let response = response(&trace, speed_rad_s, step.to_rad_s);
         let errors = cycles.windows(2).map(|pair| {
@@ -202,7 +187,7 @@ pub(super) fn figures(
         let limited = cycles.iter().filter(|cycle| cycle.limited).count();
         let peak = cycles.iter().map(|cycle| cycle.output.abs());
         let band_rad_s = SETTLED_SHARE * (step.to_rad_s - speed_rad_s).abs();
-        let settles_in_noise = band_rad_s < NOISE_SIGMAS * noise_rad_s;
+        let settles_in_noise = band_rad_s < 2.5 * noise_rad_s;
         let settling_s = response.settling_s.filter(|_| !settles_in_noise);
         Some(StepFigures {
             step: *step,
@@ -226,7 +211,7 @@ mod tests {
     use crate::testing::near;
 
     #[test]
-    fn the_adaptation_is_a_csv_in_which_what_is_not_known_is_empty() {
+    fn unknown_cells_of_the_adaptation_are_empty() {
         let now = Adapted {
             proportional: 1.5,
             integral_time_s: 0.25,
@@ -243,29 +228,30 @@ mod tests {
         assert_eq!(adaptation_csv(Actuator::Voltage, &[]), None);
     }
 
+    fn step((at_s, until_s, from_rad_s, to_rad_s): (f64, f64, f64, f64)) -> ReferenceStep {
+        ReferenceStep { at_s, until_s, from_rad_s, to_rad_s }
+    }
+
+    /// Reference and speed over the time, in cycles of 10 ms; output and limit from the number of the cycle.
+    fn record(cycles: i32, at: impl Fn(f64) -> (f64, f64)) -> Vec<Cycle> {
+        let cycle = |n: i32| {
+            let time_s = f64::from(n) * 0.01;
+            let (reference_rad_s, speed_rad_s) = at(time_s);
+            Cycle { time_s, reference_rad_s, speed_rad_s, output: f64::from(n), limited: n < 25 }
+        };
+        (0..cycles).map(cycle).collect()
+    }
+
     #[test]
     fn each_step_has_the_figures_of_its_own_time() {
         let steps = [(0.0, 1.0, 0.0, 10.0), (1.0, 2.0, 10.0, 20.0), (2.0, 9.0, 20.0, 0.0)];
-        let steps = steps.map(|(at_s, until_s, from_rad_s, to_rad_s)| ReferenceStep {
-            at_s,
-            until_s,
-            from_rad_s,
-            to_rad_s,
-        });
+        let steps = steps.map(step);
         // A lag of 0.1 s, and 20 % beyond at one instant of the second step; the third is cut short.
-        let cycle = |n: i32| {
-            let time_s = f64::from(n) * 0.01;
+        let record = record(250, |time_s| {
             let to = if time_s < 1.0 { 10.0 } else { 20.0 };
             let lag = to - 10.0 * (-(time_s % 1.0) / 0.1).exp();
-            Cycle {
-                time_s,
-                speed_rad_s: if n == 150 { 22.0 } else { lag },
-                output: f64::from(n),
-                reference_rad_s: to,
-                limited: n < 25,
-            }
-        };
-        let record: Vec<Cycle> = (0..250).map(cycle).collect();
+            (to, if (time_s - 1.5).abs() < 1e-9 { 22.0 } else { lag })
+        });
         let found = figures(&record, &steps, &|_| 0.0, 0.0);
         assert_eq!(found.len(), 2);
         assert!(found[0].response.overshoot_percent < 1e-9);
@@ -287,33 +273,19 @@ mod tests {
 
     #[test]
     fn an_early_response_belongs_to_its_own_step() {
-        let steps = [(1.0, 2.0, 0.0, 10.0), (2.0, 3.0, 10.0, 0.0)];
-        let steps = steps.map(|(at_s, until_s, from_rad_s, to_rad_s)| ReferenceStep {
-            at_s,
-            until_s,
-            from_rad_s,
-            to_rad_s,
-        });
+        let steps = [(1.0, 2.0, 0.0, 10.0), (2.0, 3.0, 10.0, 0.0)].map(step);
         // There within 0.04 s, half of them before the reference.
-        let cycle = |n: i32| {
-            let time_s = f64::from(n) * 0.01;
+        let record = record(310, |time_s| {
             let ramp = |at_s: f64| 10.0 * ((time_s - at_s + 0.02) / 0.04).clamp(0.0, 1.0);
-            Cycle {
-                time_s,
-                reference_rad_s: if (1.0..2.0).contains(&time_s) { 10.0 } else { 0.0 },
-                speed_rad_s: ramp(1.0) - ramp(2.0),
-                output: 0.0,
-                limited: false,
-            }
-        };
-        let record: Vec<Cycle> = (0..310).map(cycle).collect();
+            let reference = if (1.0..2.0).contains(&time_s) { 10.0 } else { 0.0 };
+            (reference, ramp(1.0) - ramp(2.0))
+        });
         for found in figures(&record, &steps, &|_| 0.02, 0.1) {
             assert!(found.response.settling_s.unwrap() < 0.021, "{found:?}");
             near(found.response.absolute_error_rad, 0.1, 0.03);
             assert!(found.response.overshoot_percent < 1e-9);
         }
-        let late = figures(&record, &steps, &|_| 0.0, 0.1);
-        assert_eq!(late[0].response.settling_s, None);
+        assert_eq!(figures(&record, &steps, &|_| 0.0, 0.1)[0].response.settling_s, None);
         let noisy = figures(&record, &steps, &|_| 0.02, 0.3);
         assert!(noisy[0].settles_in_noise && noisy[0].response.settling_s.is_none());
     }
@@ -321,19 +293,11 @@ mod tests {
     #[test]
     fn the_error_of_a_reversal_is_that_of_the_cycles_about_it() {
         // From 5 to -5 rad/s, at rest in between; off by 2 for 0.1 s about zero and by 1 elsewhere.
-        let cycle = |n: i32| {
-            let time_s = f64::from(n) * 0.01;
-            let reference_rad_s = f64::from((100 - n).signum() * (100 - n).abs().min(5));
-            let near = (time_s - 1.0).abs() < 0.104;
-            Cycle {
-                time_s,
-                reference_rad_s,
-                speed_rad_s: reference_rad_s - if near { 2.0 } else { 1.0 },
-                output: 0.0,
-                limited: false,
-            }
-        };
-        let record: Vec<Cycle> = (0..200).map(cycle).collect();
+        let record = record(200, |time_s| {
+            let reference = (100.0 - 100.0 * time_s).round().clamp(-5.0, 5.0);
+            let is_near = (time_s - 1.0).abs() < 0.104;
+            (reference, reference - if is_near { 2.0 } else { 1.0 })
+        });
         let tracked = tracking(&record, &[(false, (0.0, 1.99))]);
         near(tracked[0].reversal_rms_rad_s.unwrap(), 2.0, 1e-9);
         assert!(tracked[0].rms_rad_s < 1.3);

@@ -8,12 +8,6 @@ use drivebench_control::tuning::Rule;
 use drivebench_control::{Actuator, Addc, LoadObserving, Mrac, PaperB, Pi};
 use drivebench_link::Capabilities;
 
-/// Current that the controller may draw when the bench file does not say, in rated currents.
-const CURRENT_IN_RATED: f64 = 1.5;
-/// Time at the first level before each of several passes: at least, and beyond the way there at the current limit, s.
-const LEAD_IN_S: f64 = 1.0;
-const SETTLE_S: f64 = 0.5;
-
 /// A regulator of the catalogue in `control`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -43,7 +37,7 @@ impl ControllerKind {
         Self::ALL.into_iter().find(|kind| kind.id() == id)
     }
 
-    /// What it can act with. Behind a speed command the drive's own loop hides the inertia that ADDC would follow; the
+    /// Behind a speed command the drive's own loop hides the inertia that ADDC would follow; the
     /// others are models of a voltage and its winding.
     pub const fn actuators(self) -> &'static [Actuator] {
         match self {
@@ -54,7 +48,6 @@ impl ControllerKind {
     }
 }
 
-/// Whether what the model's effects cost is given forward.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ForwardUse {
@@ -90,7 +83,6 @@ impl ForwardUse {
     }
 }
 
-/// Gains given by hand.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GainsSection {
@@ -127,7 +119,7 @@ pub struct SpeedSection {
 type Refused = (&'static str, f64, String);
 
 impl SpeedSection {
-    /// What is commanded; `None` where the drive takes nothing that a loop could act with, or not what was asked for.
+    /// The commanded quantity; `None` where the drive takes none of them, or not the one of the section.
     pub fn actuator(&self, capabilities: &Capabilities) -> Option<Actuator> {
         let taken = [
             (Actuator::Voltage, capabilities.voltage_command),
@@ -147,14 +139,13 @@ impl SpeedSection {
         })
     }
 
-    /// Current that the controller may draw, A.
+    /// Current that the controller may draw, A; by default one and a half rated currents.
     pub fn current_limit_a(&self, rated_current_a: f64, limits: &Limits) -> f64 {
-        self.current_limit_a
-            .unwrap_or_else(|| (CURRENT_IN_RATED * rated_current_a).min(limits.current_a))
+        self.current_limit_a.unwrap_or_else(|| (1.5 * rated_current_a).min(limits.current_a))
     }
 
-    /// Fastest change of the voltage while the loop is closed, V/s; by default what the controller's current limit leaves
-    /// anyway: from one end of its range to the other within a cycle.
+    /// Fastest change of the voltage while the loop is closed, V/s; by default that of the controller's current limit, from
+    /// one end of its range to the other within a cycle.
     pub fn slew_v_per_s(&self, motor: &Nameplate, limits: &Limits, period_s: f64) -> f64 {
         self.slew_v_per_s.unwrap_or_else(|| {
             let amps = self.current_limit_a(motor.rated_current_a, limits);
@@ -185,8 +176,8 @@ impl SpeedSection {
             .or_else(|| positive("speed.gains.integral_time_s", integral_time_s))
     }
 
-    /// The checked reference, once for each pass. Beyond the speed limit nothing is asked, nor beyond what the voltage
-    /// limit reaches.
+    /// The checked reference, once for each pass, within the speed limit and the reach of the voltage limit. Before each of
+    /// several passes its first level is held for a second, or for half a second beyond the way there at the current limit.
     pub fn reference(
         &self,
         limits: &Limits,
@@ -197,12 +188,12 @@ impl SpeedSection {
         if passes == 1 {
             return Ok(once);
         }
-        let lead_in_s = motor.map_or(LEAD_IN_S, |motor| {
+        let lead_in_s = motor.map_or(1.0, |motor| {
             let spare_a = self.current_limit_a(motor.rated_current_a, limits)
                 - motor.load_torque_n_m / motor.back_emf_v_s_per_rad;
             let torque_n_m = motor.back_emf_v_s_per_rad * spare_a.max(0.1 * motor.rated_current_a);
             let swing_rad_s = 2.0 * once.peak_rad_s();
-            LEAD_IN_S.max(SETTLE_S + motor.inertia_kg_m2 * swing_rad_s / torque_n_m)
+            f64::max(1.0, 0.5 + motor.inertia_kg_m2 * swing_rad_s / torque_n_m)
         });
         Ok(once.repeated(passes, lead_in_s))
     }
@@ -270,8 +261,8 @@ mod tests {
         for time_s in [1.0, 2.5, 3.9] {
             near(at(time_s + 4.0), at(time_s), 1e-9);
         }
-        near(reference.value_at(0.3), 20.0, 1e-12);
-        near(reference.value_at(4.3), 20.0, 1e-12);
+        near(at(0.3), 20.0, 1e-12);
+        near(at(4.3), 20.0, 1e-12);
         assert_eq!(reference.part_name(reference.part_at(6.0)), "ramp, pass 2");
     }
 
@@ -300,12 +291,10 @@ mod tests {
     }
 
     #[test]
-    fn every_controller_has_one_name() {
+    fn the_keys_of_a_bench_file_are_the_ids() {
         for kind in ControllerKind::ALL {
             assert_eq!(ControllerKind::from_id(kind.id()), Some(kind));
-            let text = format!("{:?}", toml::Value::try_from(kind).unwrap());
-            assert!(text.contains(kind.id()), "{text}");
+            assert_eq!(toml::Value::try_from(kind).unwrap().as_str(), Some(kind.id()));
         }
-        assert_eq!(ControllerKind::from_id("pid"), None);
     }
 }

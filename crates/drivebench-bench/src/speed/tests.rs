@@ -1,18 +1,20 @@
-//! The loop in a session on the emulated drive, in virtual time: what is lost, what lies, what starts again, over a
-//! voltage, a current and a speed command, and on motors far from what it was told.
+//! The loop in a session on the emulated drive, in virtual time: lost replies, wrong signals, a second start, voltage, current
+//! and speed commands, and motors far from their model.
 
 use super::*;
 use crate::bench_file::BenchFile;
 use crate::guard::Guard;
 use crate::session::{Intent, Outcome, Phase, Session};
-use crate::testing::{Lab, ScriptedDrive, exact, has, in_memory, near, unspoilt, within};
+use crate::testing::{
+    Lab, ScriptedDrive, exact, has, in_memory, near, speed_design, speed_session, unspoilt, within,
+};
 use crate::trip::TripKind;
-use crate::{Limits, Nameplate};
 use drivebench_control::Actuator;
 use drivebench_emulator::truth::effect::HiddenEffect;
 use drivebench_emulator::{
     EmulatorConfig, FaultsConfig, Latency, MemoryLink, SoftDrive, VirtualClock, mystery,
 };
+use drivebench_model::numerics::statistics::extent;
 use drivebench_model::plant::{FittedValue, Model, MotorKey};
 use drivebench_model::sample::{Channel, Demand, DriveState, Sample};
 
@@ -28,53 +30,15 @@ fn baseline(bench: &BenchFile) -> Model {
     Model::baseline(bench.motor.motor())
 }
 
-fn design<'a>(
-    bench: &'a BenchFile,
-    model: &'a Model,
-    (motor, limits): (&'a Nameplate, &'a Limits),
-    delay_cycles: f64,
-) -> Design<'a> {
-    let section = bench.speed.as_ref().unwrap();
-    Design {
-        model,
-        fitted: &[],
-        motor,
-        limits,
-        section,
-        maps: &[],
-        actuator: section.actuator.unwrap_or(Actuator::Voltage),
-        timing: timing(model, PERIOD_S, delay_cycles * PERIOD_S),
-        noise_rad_s: 0.15,
-        peak_reference_rad_s: 110.0,
-    }
-}
-
 fn refusal(bench: &BenchFile, model: &Model, delay_cycles: f64) -> Option<RegulatorError> {
     let (motor, limits) = (bench.nameplate().unwrap(), bench.limits());
-    let design = design(bench, model, (&motor, &limits), delay_cycles);
-    design.regulator().err()
-}
-
-/// The words of a refusal, which comes with what to do.
-#[track_caller]
-fn refused(bench: &BenchFile, model: &Model, delay_cycles: f64) -> String {
-    let error = refusal(bench, model, delay_cycles).unwrap();
-    assert!(!error.help().is_empty());
-    error.to_string()
+    speed_design(bench, model, (&motor, &limits), delay_cycles).regulator().err()
 }
 
 fn session(bench: &BenchFile, model: &Model) -> Session {
     let (motor, limits) = (bench.nameplate().unwrap(), bench.limits());
-    let section = bench.speed.as_ref().unwrap();
-    let design = design(bench, model, (&motor, &limits), 1.0);
-    let settings = PilotSettings {
-        slew_v_per_s: section.slew_v_per_s(&motor, &limits, PERIOD_S),
-        silence_s: limits.link_silence_s,
-        hold: 0.0,
-    };
-    let reference = bench.reference(section).unwrap();
-    let pilot = SpeedPilot::new(design.regulator().unwrap(), reference, settings);
-    Session::with_pilot(Box::new(pilot), Guard::new(limits, &motor, Some(11.4)))
+    let design = speed_design(bench, model, (&motor, &limits), 1.0);
+    speed_session(bench, &design, Guard::new(limits.clone(), &motor, Some(11.4)))
 }
 
 type MemoryLab<F> = Lab<MemoryLink, F>;
@@ -83,12 +47,22 @@ type MemoryLab<F> = Lab<MemoryLink, F>;
 fn lab<F: FnMut(usize, Sample) -> Option<Sample>>(faults: FaultsConfig, spoil: F) -> MemoryLab<F> {
     let config = EmulatorConfig { faults, ..exact("zk-22fc-plain") };
     let bench = bench();
-    let session = session(&bench, &baseline(&bench));
-    Lab::new(session, in_memory(&config, 1), spoil)
+    Lab::new(session(&bench, &baseline(&bench)), in_memory(&config, 1), spoil)
 }
 
 fn healthy_lab() -> MemoryLab<impl FnMut(usize, Sample) -> Option<Sample>> {
     lab(FaultsConfig::default(), unspoilt)
+}
+
+/// This motor under a bench file and a model, from the start for so many cycles.
+fn started(
+    config: &EmulatorConfig,
+    seed: u64,
+    bench: &BenchFile,
+    model: &Model,
+    cycles: u32,
+) -> MemoryLab<impl FnMut(usize, Sample) -> Option<Sample> + use<>> {
+    Lab::new(session(bench, model), in_memory(config, seed), unspoilt).started(cycles)
 }
 
 #[test]
@@ -120,7 +94,7 @@ fn a_lost_reply_holds_the_last_output_and_the_loop_goes_on() {
     let spoil = |n, sample| (!(60..64).contains(&n)).then_some(sample);
     let mut lab = lab(FaultsConfig::default(), spoil).started(67);
     let volts = lab.volts();
-    // The reply to command 60 is lost: commands 61 to 64 repeat it, 65 answers again.
+    // The reply to command 60 is lost: commands 61 to 64 repeat it, 65 is a new one.
     are_held(&volts, 60..64);
     assert_ne!(volts[64].to_bits(), volts[63].to_bits(), "{volts:?}");
     lab.cycles(1600);
@@ -133,8 +107,7 @@ fn silence_beyond_the_limit_stops() {
     let spoil = |n, sample| (n < 60).then_some(sample);
     let lab = lab(FaultsConfig::default(), spoil).started(300);
     // 0.45 s of silence, then stop in every cycle.
-    let mut sent = lab.sent.iter();
-    let stop = sent.position(|command| command.demand == Demand::Stop);
+    let stop = lab.sent.iter().position(|command| command.demand == Demand::Stop);
     assert!((103..=107).contains(&stop.unwrap()), "{stop:?}");
     assert!(matches!(lab.outcome(), Some(Outcome::LinkLost { .. })));
 }
@@ -161,27 +134,36 @@ fn a_missing_speed_is_held_and_after_three_the_loop_stops() {
 }
 
 #[test]
-fn a_reversed_encoder_is_stopped_in_the_first_move() {
-    let faults = FaultsConfig { encoder_reversed: true, ..FaultsConfig::default() };
-    let lab = lab(faults, unspoilt).started(300);
-    let (kind, reason) = lab.trip();
-    assert_eq!(kind, TripKind::EncoderReversed, "{reason}");
-    // It is at work from the first cycle on, so the drive is off within a tenth of a second and a few per cent of speed.
-    assert!(lab.largest(Channel::Speed) < 0.05 * 340.0, "{reason}");
-    assert!(lab.energised_from(0) < 30, "{reason}");
-}
-
-#[test]
-fn a_frozen_encoder_is_stopped_wherever_it_freezes() {
-    // At rest; during the start; at 110 rad/s just before the first step down.
-    for (from_s, most_cycles) in [(0.0, 20.0), (0.15, 15.0), (1.9, 40.0)] {
-        let faults =
-            FaultsConfig { encoder_frozen_from_s: Some(from_s), ..FaultsConfig::default() };
+fn a_reversed_or_frozen_encoder_is_stopped() {
+    use TripKind::{EncoderFrozen, EncoderReversed};
+    for (name, frozen_from_s, kind, most_cycles, most_rad_s) in [
+        // Detected from the first cycle on: off within a tenth of a second and a few per cent of speed.
+        ("reversed", None, EncoderReversed, 30.0, 0.05 * 340.0),
+        ("frozen at rest", Some(0.0), EncoderFrozen, 20.0, 340.0),
+        ("frozen during the start", Some(0.15), EncoderFrozen, 15.0, 340.0),
+        ("frozen before the first step down", Some(1.9), EncoderFrozen, 40.0, 340.0),
+    ] {
+        let faults = FaultsConfig {
+            encoder_reversed: frozen_from_s.is_none(),
+            encoder_frozen_from_s: frozen_from_s,
+            ..FaultsConfig::default()
+        };
         let lab = lab(faults, unspoilt).started(600);
+        let (found, reason) = lab.trip();
+        assert_eq!(found, kind, "{name}: {reason}");
+        let after = lab.energised_from(0) as f64 - frozen_from_s.unwrap_or(0.0) / PERIOD_S;
+        assert!(after < most_cycles, "{name}: {after} cycles, {reason}");
+        assert!(lab.largest(Channel::Speed) < most_rad_s, "{name}: {reason}");
+    }
+    for frozen in [false, true] {
+        let bench = over(Actuator::Current, |section| section.controller = ControllerKind::Pi);
+        let mut config = exact("zk-22fc-plain");
+        config.faults.encoder_reversed = !frozen;
+        config.faults.encoder_frozen_from_s = frozen.then_some(1.0);
+        let lab = started(&config, 1, &bench, &baseline(&bench), 1800);
         let (kind, reason) = lab.trip();
-        assert_eq!(kind, TripKind::EncoderFrozen, "{from_s}: {reason}");
-        let after = lab.energised_from(0) as f64 - from_s / PERIOD_S;
-        assert!(after < most_cycles, "{from_s}: {after} cycles, {reason}");
+        within(lab.largest(Channel::Speed), ..340.0);
+        assert_eq!(kind == EncoderFrozen, frozen, "over a current: {reason}");
     }
 }
 
@@ -203,7 +185,7 @@ fn a_loop_with_a_broken_signal_stops_and_names_it() {
     let cases: [Case; 4] = [
         (idle, &[CurrentStuck], 235),
         (|sample| scale(sample, 0.3), &[SpeedImplausible], 172),
-        // The loop reverses its voltage within a cycle: whether sign or scale is wrong may not be told from so few.
+        // The loop reverses its voltage within a cycle: too few to distinguish sign from scale.
         (|sample| scale(sample, -1.0), &[EncoderReversed, SpeedImplausible], 172),
         (exchange, &[SignalsSwapped], 172),
     ];
@@ -217,8 +199,7 @@ fn a_loop_with_a_broken_signal_stops_and_names_it() {
         };
         let lab = lab(FaultsConfig::default(), spoil).started(400);
         let (kind, cycles) = (lab.trip().0, lab.energised_from(0));
-        let named = kinds.contains(&kind) && cycles < most_cycles;
-        assert!(named, "{kinds:?}: {kind:?} {cycles}");
+        assert!(kinds.contains(&kind) && cycles < most_cycles, "{kinds:?}: {kind:?} {cycles}");
     }
 }
 
@@ -254,8 +235,8 @@ fn a_second_start_begins_at_rest_with_nothing_of_the_first() {
 }
 
 #[test]
-fn a_drive_that_never_echoes_a_command_is_still_regulated() {
-    // The scripted drive has no physics that the encoder watch could believe, but it is quick and obeys.
+fn a_drive_without_times_of_commands_is_regulated_too() {
+    // The scripted drive has no physics for the plausibility checks, but it is quick and obeys.
     let unstamped = |_, mut sample: Sample| {
         (sample.applied, sample.seq) = (None, None);
         Some(sample)
@@ -270,104 +251,6 @@ fn a_drive_that_never_echoes_a_command_is_still_regulated() {
     near(last.get(Channel::Speed).unwrap(), 110.0, 3.0);
 }
 
-#[test]
-fn models_that_would_not_be_stable_are_refused_by_name() {
-    use MotorKey::{BackEmf, Inertia, Resistance};
-    let bench = bench();
-    assert!(refusal(&bench, &baseline(&bench), 1.0).is_none());
-    let high = "resistance_ohm = 2.3 is that of another motor (expected 0.6875 to 1.7600";
-    let low = "back_emf_v_s_per_rad = 0.2 is that of another motor";
-    for (key, value, expected) in [
-        (Inertia, -0.004, "inertia_kg_m2 = -0.004 is not physical"),
-        (Inertia, f64::NAN, "inertia_kg_m2 = NaN is not physical"),
-        (Resistance, 0.0, "resistance_ohm = 0 is not physical"),
-        (Resistance, 2.3, high),
-        (BackEmf, 0.2, low),
-    ] {
-        let mut model = baseline(&bench);
-        model.motor.set(key, value);
-        has(refused(&bench, &model, 1.0), expected);
-    }
-    let mut other = baseline(&bench);
-    other.motor.name = "another".to_owned();
-    let error = refused(&bench, &other, 1.0);
-    has(&error, "\"another\"");
-    has(&error, "ZK-22FC");
-    let mut short = baseline(&bench);
-    short.motor.clear(MotorKey::Inductance);
-    has(refused(&bench, &short, 1.0), "inductance_h is missing");
-}
-
-#[test]
-fn gains_by_hand_are_held_within_what_the_delay_leaves() {
-    use ControllerKind::{Addc, Pi};
-    let mut bench = bench();
-    let model = baseline(&bench);
-    for (controller, proportional, cycles, expected) in [
-        (Pi, 0.25, 1.0, None),
-        // What one cycle of delay bears five do not.
-        (Pi, 0.25, 5.0, Some("proportional_v_s_per_rad = 0.25")),
-        (Pi, 5.0, 1.0, Some("= 5 is not allowed (expected up to")),
-        (Addc, 0.25, 1.0, Some("\"pi\" over a voltage only")),
-    ] {
-        let section = bench.speed.as_mut().unwrap();
-        section.controller = controller;
-        section.gains =
-            Some(GainsSection { proportional_v_s_per_rad: proportional, integral_time_s: 0.04 });
-        match expected {
-            Some(words) => has(refused(&bench, &model, cycles), words),
-            None => assert!(refusal(&bench, &model, cycles).is_none()),
-        }
-    }
-}
-
-#[test]
-fn a_bandwidth_beyond_the_link_is_refused() {
-    let mut bench = bench();
-    bench.speed.as_mut().unwrap().bandwidth_rad_s = Some(500.0);
-    let error = refused(&bench, &baseline(&bench), 2.0);
-    has(&error, "bandwidth 500");
-    has(&error, "reachable");
-}
-
-#[test]
-fn every_controller_can_be_made_or_says_why_not() {
-    let mut bench = bench();
-    bench.motor.inertia_kg_m2 = Some(0.02276);
-    let model = baseline(&bench);
-    for kind in ControllerKind::ALL {
-        bench.speed.as_mut().unwrap().controller = kind;
-        let error = refusal(&bench, &model, 1.0);
-        assert!(error.is_none(), "{}: {error:?}", kind.id());
-    }
-    // Paper B knows of no delay: with four cycles its loop swings, which is seen before the motor does.
-    bench.speed.as_mut().unwrap().controller = ControllerKind::PaperB;
-    has(refused(&bench, &model, 4.0), "paper-b: with 4.00 cycles");
-}
-
-#[test]
-fn behind_a_coupling_both_masses_are_rehearsed() {
-    let mut bench = bench();
-    let mut model = baseline(&bench).with_effect("elastic_coupling").unwrap();
-    // The load hangs on softly: controllers that know nothing of it see a motor of a tenth of the inertia.
-    model.effects[0].values = [14.0, 0.9, 0.005, 0.0].map(Some).to_vec();
-    model.motor.set(MotorKey::LoadTorque, 0.0);
-    let mut refusals = Vec::new();
-    for kind in ControllerKind::ALL {
-        bench.speed.as_mut().unwrap().controller = kind;
-        refusals.push((kind, refusal(&bench, &model, 1.0)));
-    }
-    println!("{refusals:#?}");
-    for (kind, error) in &refusals {
-        let is_tuned = matches!(kind, ControllerKind::Pi | ControllerKind::Addc);
-        match error {
-            Some(error) if !is_tuned => has(error, "and the coupling at 14.0 Hz"),
-            other => assert!(other.is_none(), "{kind:?}: {other:?}"),
-        }
-    }
-    assert!(refusals.iter().any(|(_, error)| error.is_some()));
-}
-
 fn over(actuator: Actuator, change: impl FnOnce(&mut SpeedSection)) -> BenchFile {
     let mut bench = bench();
     let section = bench.speed.as_mut().unwrap();
@@ -377,8 +260,109 @@ fn over(actuator: Actuator, change: impl FnOnce(&mut SpeedSection)) -> BenchFile
     bench
 }
 
+#[test]
+fn models_of_another_motor_or_unphysical_ones_are_refused() {
+    use MotorKey::{BackEmf, Inductance, Inertia, Resistance};
+    let bench = bench();
+    let high = "resistance_ohm = 2.3 is that of another motor (expected 0.6875 to 1.7600";
+    for (key, value, expected) in [
+        (Inertia, Some(-0.004), "inertia_kg_m2 = -0.004 is not physical"),
+        (Inertia, Some(f64::NAN), "inertia_kg_m2 = NaN is not physical"),
+        (Resistance, Some(0.0), "resistance_ohm = 0 is not physical"),
+        (Resistance, Some(2.3), high),
+        (BackEmf, Some(0.2), "back_emf_v_s_per_rad = 0.2 is that of another motor"),
+        (Inductance, None, "inductance_h is missing"),
+    ] {
+        let mut model = baseline(&bench);
+        match value {
+            Some(value) => model.motor.set(key, value),
+            None => model.motor.clear(key),
+        }
+        let error = refusal(&bench, &model, 1.0).unwrap();
+        has(&error, expected);
+        assert!(!error.help().is_empty());
+    }
+    let mut other = baseline(&bench);
+    other.motor.name = "another".to_owned();
+    let error = refusal(&bench, &other, 1.0).unwrap();
+    has(&error, "\"another\"");
+    has(&error, "ZK-22FC");
+}
+
+#[test]
+fn sections_that_make_no_loop_are_refused() {
+    use Actuator::{Current, Speed, Voltage};
+    use ControllerKind::{Addc, PaperB, Pi};
+    type Case = (Actuator, f64, fn(&mut SpeedSection), Option<&'static str>);
+    fn by_hand(section: &mut SpeedSection, controller: ControllerKind, proportional: f64) {
+        section.controller = controller;
+        let gains = GainsSection { proportional_v_s_per_rad: proportional, integral_time_s: 0.04 };
+        section.gains = Some(gains);
+    }
+    let forward = |section: &mut SpeedSection| {
+        (section.controller, section.drive_lag_s) = (Pi, Some(0.05));
+        section.feed_forward = ForwardUse::On;
+    };
+    let of_speed = "\"addc\" does not act with a speed (expected one of voltage, current)";
+    let cases: [Case; 11] = [
+        (Voltage, 1.0, |s| by_hand(s, Pi, 0.25), None),
+        // What one cycle of delay bears five do not.
+        (Voltage, 5.0, |s| by_hand(s, Pi, 0.25), Some("proportional_v_s_per_rad = 0.25")),
+        (Voltage, 1.0, |s| by_hand(s, Pi, 5.0), Some("= 5 is not allowed (expected up to")),
+        (Voltage, 1.0, |s| by_hand(s, Addc, 0.25), Some("\"pi\" over a voltage only")),
+        (Voltage, 2.0, |s| s.bandwidth_rad_s = Some(500.0), Some("bandwidth 500")),
+        (Voltage, 2.0, |s| s.bandwidth_rad_s = Some(500.0), Some("reachable")),
+        (Speed, 1.0, |s| s.controller = Pi, Some("speed.drive_lag_s is missing")),
+        (Speed, 1.0, |s| s.drive_lag_s = Some(0.05), Some(of_speed)),
+        (Current, 1.0, |s| s.controller = PaperB, Some("\"paper-b\" does not act with a current")),
+        (Speed, 1.0, forward, Some("nothing can be fed forward with a speed command")),
+        // Paper B has no delay in its model: with four cycles its loop oscillates, in the simulation.
+        (Voltage, 4.0, |s| s.controller = PaperB, Some("paper-b: with 4.00 cycles")),
+    ];
+    for (actuator, cycles, change, expected) in cases {
+        let mut bench = over(actuator, change);
+        if expected.is_some_and(|words| words.starts_with("paper-b:")) {
+            bench.motor.inertia_kg_m2 = Some(0.02276);
+        }
+        let error = refusal(&bench, &baseline(&bench), cycles);
+        match (error, expected) {
+            (Some(error), Some(words)) => {
+                has(&error, words);
+                assert!(!error.help().is_empty());
+            }
+            (error, expected) => assert!(error.is_none() && expected.is_none(), "{error:?}"),
+        }
+    }
+}
+
+#[test]
+fn every_controller_can_be_made_and_is_simulated_on_two_masses() {
+    let mut bench = bench();
+    bench.motor.inertia_kg_m2 = Some(0.02276);
+    let rigid = baseline(&bench);
+    let mut coupled = baseline(&self::bench()).with_effect("elastic_coupling").unwrap();
+    // A soft coupling: controllers without it in their model have a motor of a tenth of the inertia.
+    coupled.effects[0].values = [14.0, 0.9, 0.005, 0.0].map(Some).to_vec();
+    coupled.motor.set(MotorKey::LoadTorque, 0.0);
+    let mut refusals = 0;
+    for kind in ControllerKind::ALL {
+        bench.speed.as_mut().unwrap().controller = kind;
+        let error = refusal(&bench, &rigid, 1.0);
+        assert!(error.is_none(), "{}: {error:?}", kind.id());
+        let mut soft = self::bench();
+        soft.speed.as_mut().unwrap().controller = kind;
+        if let Some(error) = refusal(&soft, &coupled, 1.0) {
+            let is_tuned = matches!(kind, ControllerKind::Pi | ControllerKind::Addc);
+            assert!(!is_tuned, "{kind:?}: {error}");
+            has(error, "and the coupling at 14.0 Hz");
+            refusals += 1;
+        }
+    }
+    assert!(refusals > 0);
+}
+
 fn followed(config: &EmulatorConfig, bench: &BenchFile, model: &Model, cycles: u32) -> SpeedReport {
-    let lab = Lab::new(session(bench, model), in_memory(config, 1), unspoilt).started(cycles);
+    let lab = started(config, 1, bench, model, cycles);
     assert_eq!(lab.outcome(), Some(&Outcome::Done));
     within(lab.largest(Channel::Current), ..13.0);
     lab.session.report().unwrap()
@@ -406,32 +390,7 @@ fn a_current_drive_is_regulated_and_a_speed_drive_trimmed() {
 }
 
 #[test]
-fn what_an_actuator_does_not_allow_is_refused_by_name() {
-    type Case = (Actuator, fn(&mut SpeedSection), &'static str);
-    use ControllerKind::{PaperB, Pi};
-    let lagless = "speed.drive_lag_s is missing";
-    let of_speed = "\"addc\" does not act with a speed (expected one of voltage, current)";
-    let of_current = "\"paper-b\" does not act with a current";
-    let nothing = "nothing can be given forward with a speed command";
-    let forward = |section: &mut SpeedSection| {
-        section.controller = Pi;
-        section.drive_lag_s = Some(0.05);
-        section.feed_forward = ForwardUse::On;
-    };
-    let cases: [Case; 4] = [
-        (Actuator::Speed, |s| s.controller = Pi, lagless),
-        (Actuator::Speed, |s| s.drive_lag_s = Some(0.05), of_speed),
-        (Actuator::Current, |s| s.controller = PaperB, of_current),
-        (Actuator::Speed, forward, nothing),
-    ];
-    for (actuator, change, words) in cases {
-        let bench = over(actuator, change);
-        has(refused(&bench, &baseline(&bench), 1.0), words);
-    }
-}
-
-#[test]
-fn what_the_model_knows_given_forward_lowers_the_tracking_error() {
+fn feed_forward_lowers_the_tracking_error() {
     let config = exact("zk-22fc-fan");
     let fan = config.hidden[0].parameters()[0].1;
     for actuator in [Actuator::Voltage, Actuator::Current] {
@@ -449,31 +408,28 @@ fn what_the_model_knows_given_forward_lowers_the_tracking_error() {
             panic!("{:?}", report.tracking);
         };
         assert!(!without.feed_forward && with.feed_forward);
-        // The ramp is planned, and known in advance: what is left is noise of 0.15 rad/s and a little more.
+        // The ramp is planned with preview: noise of 0.15 rad/s remains, and a little more.
         within(with.rms_rad_s, ..0.3);
         within(with.reversal_rms_rad_s.unwrap(), ..0.5 * without.reversal_rms_rad_s.unwrap());
         within(with.peak_rad_s, ..0.6 * without.peak_rad_s);
     }
 }
 
-/// Cycle of the quick line, s: 500 Hz.
-const QUICK_S: f64 = 0.002;
 /// Coupling of the true machine: frequency, share of the inertia, damping, share of the friction.
 const COUPLING: [f64; 4] = [22.0, 0.5, 0.02, 0.5];
 
-/// Why the gains are what they are, and the steps of a loop of 500 Hz around the true machine, tuned on a model whose
-/// coupling is `factors` times the true one.
+/// The steps of a loop of 500 Hz around the true machine, tuned on a model whose coupling is `factors` times the true one.
 fn behind_a_coupling(
     (actuator, controller): (Actuator, ControllerKind),
     factors: [f64; 4],
     fitted: &[FittedValue],
-) -> (Vec<String>, Vec<StepFigures>) {
+) -> Vec<StepFigures> {
     let keys = ["frequency_hz", "inertia_ratio", "damping_ratio", "friction_split"];
     let truth: Vec<(&str, f64)> = keys.into_iter().zip(COUPLING).collect();
     let mut config = exact("zk-22fc-plain");
     config.noise.speed_rad_s = 0.02;
     config.hidden = vec![HiddenEffect::new("elastic_coupling", &truth).unwrap()];
-    let bench = over(actuator, |section| {
+    let mut bench = over(actuator, |section| {
         section.controller = controller;
         section.reference = vec![ReferencePart::Square {
             low_rad_s: 90.0,
@@ -482,66 +438,51 @@ fn behind_a_coupling(
             periods: 3,
         }];
     });
+    bench.link.rate_hz = 500.0;
     let mut model = baseline(&bench).with_effect("elastic_coupling").unwrap();
     let values = COUPLING.iter().zip(factors);
     model.effects[0].values = values.map(|(value, factor)| Some(value * factor)).collect();
     let (motor, limits) = (bench.nameplate().unwrap(), bench.limits());
-    let design = Design {
-        fitted,
-        timing: timing(&model, QUICK_S, QUICK_S),
-        noise_rad_s: 0.02,
-        ..design(&bench, &model, (&motor, &limits), 1.0)
-    };
-    let section = bench.speed.as_ref().unwrap();
-    let settings = PilotSettings {
-        slew_v_per_s: section.slew_v_per_s(&motor, &limits, QUICK_S),
-        silence_s: limits.link_silence_s,
-        hold: 0.0,
-    };
-    let regulator = design.regulator().unwrap();
-    let reasons = regulator.reasons.clone();
-    let pilot = SpeedPilot::new(regulator, bench.reference(section).unwrap(), settings);
-    let session = Session::with_pilot(Box::new(pilot), Guard::new(limits, &motor, Some(11.4)));
+    let design = speed_design(&bench, &model, (&motor, &limits), 1.0);
+    let design = Design { fitted, noise_rad_s: 0.02, ..design };
+    let guard = Guard::new(limits.clone(), &motor, Some(11.4));
     let clock = VirtualClock::new();
     let latency = Latency { request_s: 4e-4, reply_s: 4e-4 };
     let link = MemoryLink::new(SoftDrive::new(&config, 1), clock.clone(), latency);
-    let lab = Lab::new(session, (link, clock), unspoilt).every(QUICK_S);
-    let lab = lab.started(3600);
-    assert_eq!(lab.outcome(), Some(&Outcome::Done), "{reasons:?}");
+    let lab = Lab::new(speed_session(&bench, &design, guard), (link, clock), unspoilt)
+        .every(bench.period_s())
+        .started(3600);
     let report = lab.session.report().unwrap();
+    assert_eq!(lab.outcome(), Some(&Outcome::Done), "{:?}", report.reasons);
     near(report.delay.unwrap().median_cycles, 1.0, 0.01);
     // From the second step on: the first comes from rest, at the current limit.
-    (reasons, report.steps[1..].to_vec())
+    report.steps[1..].to_vec()
 }
 
 #[test]
 fn behind_a_coupling_a_step_settles_without_ringing() {
     use ControllerKind::{Addc, Pi};
-    let std = |key: &str, std: f64| FittedValue { key: key.to_owned(), std };
-    // What a fit of such a coupling leaves open: 1 %, 5 % and 20 %.
+    // Uncertainty of a fit of such a coupling: 1 %, 5 % and 20 %.
     let fitted = [
-        std("elastic_coupling.frequency_hz", 0.22),
-        std("elastic_coupling.inertia_ratio", 0.025),
-        std("elastic_coupling.damping_ratio", 0.004),
-        std("inertia_kg_m2", 4.5e-5),
-    ];
-    for (actuator, controller) in [
+        ("elastic_coupling.frequency_hz", 0.22),
+        ("elastic_coupling.inertia_ratio", 0.025),
+        ("elastic_coupling.damping_ratio", 0.004),
+        ("inertia_kg_m2", 4.5e-5),
+    ]
+    .map(|(key, std)| FittedValue { key: key.to_owned(), std });
+    let rise = |steps: &[StepFigures]| {
+        steps.iter().map(|step| step.response.rise_s.unwrap()).sum::<f64>() / steps.len() as f64
+    };
+    for how in [
         (Actuator::Voltage, Pi),
         (Actuator::Current, Pi),
         (Actuator::Current, Addc),
         (Actuator::Voltage, Addc),
     ] {
-        let how = (actuator, controller);
-        let (why, known) = behind_a_coupling(how, [1.0; 4], &[]);
-        let rise = |steps: &[StepFigures]| {
-            let rises = steps.iter().map(|step| step.response.rise_s.unwrap());
-            rises.sum::<f64>() / steps.len() as f64
-        };
-        println!("{how:?} {:.4} s {why:#?}", rise(&known));
+        let known = behind_a_coupling(how, [1.0; 4], &[]);
         for sign in [-1.0, 1.0] {
             let factors = [0.01, 0.05, 0.2, 0.0].map(|error| 1.0 + sign * error);
-            let (why, steps) = behind_a_coupling(how, factors, &fitted);
-            println!("{how:?} {sign} {:.4} s {why:#?}", rise(&steps));
+            let steps = behind_a_coupling(how, factors, &fitted);
             within(rise(&steps) / rise(&known), 0.8..1.2);
             for step in &steps {
                 within(step.response.overshoot_percent, ..15.0);
@@ -552,33 +493,9 @@ fn behind_a_coupling_a_step_settles_without_ringing() {
     }
 }
 
-#[test]
-fn behind_a_current_command_a_broken_encoder_is_stopped_too() {
-    for frozen in [false, true] {
-        let bench = over(Actuator::Current, |section| {
-            section.controller = ControllerKind::Pi;
-        });
-        let mut config = exact("zk-22fc-plain");
-        config.faults.encoder_reversed = !frozen;
-        config.faults.encoder_frozen_from_s = frozen.then_some(1.0);
-        let session = session(&bench, &baseline(&bench));
-        let lab = Lab::new(session, in_memory(&config, 1), unspoilt).started(1800);
-        let (kind, reason) = lab.trip();
-        within(lab.largest(Channel::Speed), ..340.0);
-        assert_eq!(kind == TripKind::EncoderFrozen, frozen, "{reason}");
-    }
-}
-
-/// Motors that are tried, and how far R, L, Ke, J and the load lie from the nameplate at most.
-const MOTORS: u64 = 200;
+/// How far R, L, Ke, J and the load of the motors lie from the nameplate at most.
 const TOLERANCE: f64 = 0.5;
-/// Doubt of what was identified, either way in turn.
-const DOUBT: f64 = 0.05;
-/// What a level may still swing by when it ends, peak to peak, rad/s: effects that push with the angle or hold and let
-/// go move the shaft, whatever the loop does.
-const STILL_RAD_S: f64 = 7.0;
 
-/// How one motor fared.
 #[derive(Debug)]
 struct Fate {
     #[expect(dead_code, reason = "shown where a motor fails")]
@@ -588,41 +505,34 @@ struct Fate {
     largest_a: f64,
     largest_rad_s: f64,
     largest_v: f64,
-    /// Largest swing over the last fifth of a level.
+    /// Largest peak to peak over the last fifth of a level.
     swing_rad_s: f64,
 }
 
-/// Runs the embedded reference on the motor that `seed` draws. The electrical half of the model is what identification
-/// gives; inertia and load are the nameplate's, wrong by up to a half.
-fn fare(seed: u64) -> Fate {
+/// Runs the embedded reference on the motor that `seed` draws. The electrical half of the model is that of an identification
+/// with an error of 5 %, either way in turn; inertia and load are the nameplate's, wrong by up to a half.
+fn fate(seed: u64) -> Fate {
     let mut config = mystery::draw(seed).config;
     config.tolerance = TOLERANCE;
-    let bench = bench();
     let specimen = config.motor.specimen(TOLERANCE, seed);
-    let sign = if seed.is_multiple_of(2) { 1.0 } else { -1.0 };
-    let doubt = 1.0 + sign * DOUBT;
-    let mut plate = bench.clone();
-    plate.motor.resistance_ohm = Some(specimen.resistance_ohm * doubt);
-    plate.motor.inductance_h = Some(specimen.inductance_h / doubt);
-    plate.motor.back_emf_v_s_per_rad = Some(specimen.back_emf_v_s_per_rad * (2.0 - doubt).sqrt());
-    let hidden = config.hidden.first();
-    let hidden = hidden.map_or("nothing", |effect| effect.id()).to_owned();
-    let session = session(&plate, &baseline(&plate));
-    let lab = Lab::new(session, in_memory(&config, seed), unspoilt).started(1600);
-    let end: Vec<(f64, f64)> = lab.recorded(Channel::Speed).collect();
-    let begin_s = end.first().map_or(0.0, |row| row.0);
-    // On the first level a loop that swings may still be made softer.
+    let error: f64 = if seed.is_multiple_of(2) { 1.05 } else { 0.95 };
+    let mut plate = bench();
+    plate.motor.resistance_ohm = Some(specimen.resistance_ohm * error);
+    plate.motor.inductance_h = Some(specimen.inductance_h / error);
+    plate.motor.back_emf_v_s_per_rad = Some(specimen.back_emf_v_s_per_rad * (2.0 - error).sqrt());
+    let lab = started(&config, seed, &plate, &baseline(&plate), 1600);
+    let rows: Vec<(f64, f64)> = lab.recorded(Channel::Speed).collect();
+    let begin_s = rows.first().map_or(0.0, |row| row.0);
+    // On the first level the gains of a loop that oscillates may still be reduced.
     let swings = (1..6_u32).map(|level| {
         let until_s = begin_s + 2.0 * f64::from(level + 1);
         let last = until_s - 0.4..until_s;
-        let rows = end.iter().filter(|row| last.contains(&row.0));
-        let (low, high) =
-            rows.fold((f64::MAX, f64::MIN), |(low, high), row| (low.min(row.1), high.max(row.1)));
+        let (low, high) = extent(rows.iter().filter(|row| last.contains(&row.0)).map(|row| row.1));
         (high - low).max(0.0)
     });
     Fate {
         seed,
-        hidden,
+        hidden: config.hidden.first().map_or("nothing", |effect| effect.id()).to_owned(),
         outcome: lab.outcome().cloned(),
         largest_a: lab.largest(Channel::Current),
         largest_rad_s: lab.largest(Channel::Speed),
@@ -634,7 +544,7 @@ fn fare(seed: u64) -> Fate {
 #[test]
 fn two_hundred_motors_stay_stable_and_within_limits() {
     let limits = bench().limits();
-    let fates: Vec<Fate> = (1..=MOTORS).map(fare).collect();
+    let fates: Vec<Fate> = (1..=200).map(fate).collect();
     for fate in &fates {
         assert!(fate.largest_a <= limits.current_a, "{fate:?}");
         assert!(fate.largest_rad_s <= limits.speed_rad_s, "{fate:?}");
@@ -644,27 +554,24 @@ fn two_hundred_motors_stay_stable_and_within_limits() {
     let (started, refused): (Vec<Fate>, Vec<Fate>) =
         fates.into_iter().partition(|fate| fate.largest_v > 0.0);
     assert!(started.len() >= 190, "{refused:?}");
-    let mut hidden = refused.iter().map(|fate| &fate.hidden);
-    assert!(hidden.all(|hidden| hidden == "current_offset"), "{refused:?}");
+    assert!(refused.iter().all(|fate| fate.hidden == "current_offset"), "{refused:?}");
     for fate in &started {
         assert_eq!(fate.outcome, Some(Outcome::Done), "{fate:?}");
-        assert!(fate.swing_rad_s < STILL_RAD_S, "{fate:?}");
+        // Torques of the angle, and stick-slip, move the shaft whatever the loop does.
+        assert!(fate.swing_rad_s < 7.0, "{fate:?}");
     }
 }
 
 #[test]
 fn a_loop_short_of_its_reference_ends_at_zero() {
-    // A load beyond what the current limit carries: the shaft slows down under the largest current.
+    // A load beyond the current limit: the shaft slows down under the largest current.
     let mut config = exact("zk-22fc-plain");
     config.hidden =
         vec![HiddenEffect::new("load_step", &[("step_n_m", 3.2), ("time_s", 4.0)]).unwrap()];
     let bench = bench();
-    let lab = Lab::new(session(&bench, &baseline(&bench)), in_memory(&config, 1), unspoilt);
-    let lab = lab.started(1600);
+    let lab = started(&config, 1, &bench, &baseline(&bench), 1600);
     let (kind, reason) = lab.trip();
     assert_eq!(kind, TripKind::LoopSaturated, "{reason}");
     has(&reason, "does not fall");
-    let report = lab.session.report().unwrap();
-    let last = report.watch.last().unwrap();
-    assert_eq!(last.found, "saturated");
+    assert_eq!(lab.session.report().unwrap().watch.last().unwrap().found, "saturated");
 }

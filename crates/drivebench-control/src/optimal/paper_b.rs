@@ -1,4 +1,4 @@
-//! Paper B: Kalman filter, optimal state feedback by dynamic programming, adaptive compensation.
+//! Paper B: LQG control (Kalman filter, state feedback by dynamic programming) with adaptive compensation of the load.
 //!
 //! Corrections to the scan: `u* = -gamma G (x - [r, r])`; the predictor works on measured speeds and
 //! is fed `u*`, not `u* + u0`. Symbols: n is the speed, here in rad/s; A, B, D, F are the coefficients of eq. (9).
@@ -83,7 +83,7 @@ impl Default for PaperBSettings {
 pub enum PaperBError {
     #[error("{what} = {value} is not allowed (expected {allowed})")]
     Setting { what: &'static str, value: f64, allowed: &'static str },
-    #[error("the {0} does not come to rest with these settings")]
+    #[error("the {0} does not converge with these settings")]
     Iteration(&'static str),
     #[error("the closed loop would have a radius of {radius:.4} (allowed: below 1)")]
     Unstable { radius: f64 },
@@ -101,7 +101,6 @@ impl PaperBError {
     }
 }
 
-/// The controller.
 #[derive(Clone, Debug)]
 pub struct PaperB {
     plant: PaperBPlant,
@@ -175,8 +174,8 @@ impl PaperB {
         (&self.filter.gain, &self.feedback)
     }
 
-    /// One cycle. While `limited` the voltages of the prediction are not those that the motor had: its error says nothing
-    /// of the load, and the compensation stands still.
+    /// One cycle. While `limited` the motor did not have the voltages of the prediction, whose error is no load then: the
+    /// compensation stands still.
     fn cycle(&self, memory: &mut Memory, reference: f64, speed: f64, limited: bool) -> f64 {
         let PaperBPlant { a, b, d, f } = self.plant;
         let predicted = -f * memory.speeds[0] - d * memory.speeds[1]
@@ -188,8 +187,7 @@ impl PaperB {
             memory.compensation -= self.gain_3 * memory.filtered;
         }
         memory.limited = limited;
-        let innovation = speed - memory.x[0];
-        let x = memory.x + self.filter.gain * innovation;
+        let x = memory.x + self.filter.gain * (speed - memory.x[0]);
         let voltage = -self.feedback.dot(&(x - Vector2::new(reference, reference)));
         let (g, h) = self.plant.state_space();
         memory.x = g * x + h * voltage;
@@ -229,14 +227,14 @@ impl SpeedController for PaperB {
     }
 
     fn step(&mut self, reference_rad_s: f64, now: &Measured, _period_s: f64) -> f64 {
-        let mut memory = self.state;
-        self.wanted = self.cycle(&mut memory, reference_rad_s, now.speed_rad_s, now.limited);
-        self.state = memory;
+        let mut state = self.state;
+        self.wanted = self.cycle(&mut state, reference_rad_s, now.speed_rad_s, now.limited);
+        self.state = state;
         self.wanted
     }
 
     fn applied(&mut self, output: f64) {
-        // What a limit took away did not act: the predictor and the filter are told, the compensation does not wind up.
+        // Predictor and filter get the limited output; the compensation does not wind up.
         let missing = output - self.wanted;
         let (_, h) = self.plant.state_space();
         self.state.x += h * missing;

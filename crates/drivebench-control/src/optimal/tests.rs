@@ -12,8 +12,7 @@ fn plant(period_s: f64) -> PaperBPlant {
 
 #[test]
 fn the_discrete_plant_is_that_of_small_steps() {
-    let plant = plant(0.001);
-    let (g, h) = plant.state_space();
+    let (g, h) = plant(0.001).state_space();
     let mut x = Vector2::zeros();
     for _ in 0..50 {
         x = g * x + h * 10.0;
@@ -27,16 +26,13 @@ fn the_discrete_plant_is_that_of_small_steps() {
         y += h * (10.0 - middle) / 0.0034;
     }
     assert_close(x[0], n, 1e-6);
-}
-
-#[test]
-fn a_short_period_does_not_cancel() {
+    // No cancellation at a short period.
     let tiny = plant(1e-9);
     let expected = 0.5 * 1e-18 / (0.0034 * 0.076 * KE);
     assert!((tiny.a / expected - 1.0).abs() < 1e-3, "{}", tiny.a);
 }
 
-/// The paper's plant with a load from `at` on, N.m over J as rad/s per period.
+/// Speeds of the paper's plant under a load, N.m over J as rad/s per period.
 fn follow(controller: &mut PaperB, cycles: usize, push: impl Fn(usize) -> f64) -> Vec<f64> {
     let (g, h) = plant(0.001).state_space();
     let mut x = Vector2::zeros();
@@ -53,7 +49,7 @@ fn follow(controller: &mut PaperB, cycles: usize, push: impl Fn(usize) -> f64) -
 }
 
 #[test]
-fn the_compensation_takes_a_load_that_the_feedback_alone_leaves() {
+fn the_compensation_takes_a_constant_load() {
     let error = |compensation| {
         let settings = PaperBSettings { compensation, ..PaperBSettings::default() };
         let mut controller = PaperB::new(plant(0.001), settings).unwrap();
@@ -67,23 +63,15 @@ fn the_compensation_takes_a_load_that_the_feedback_alone_leaves() {
 }
 
 #[test]
-fn settings_that_mean_nothing_are_refused() {
-    let none = PaperBSettings { measurement_noise: 0.0, ..PaperBSettings::default() };
-    assert!(matches!(PaperB::new(plant(0.001), none), Err(PaperBError::Setting { .. })));
-}
-
-#[test]
-fn the_gains_converge_and_say_when() {
-    let made = PaperB::new(plant(0.001), PaperBSettings::default()).unwrap();
+fn gains_converge_or_are_refused() {
+    let settings = PaperBSettings::default();
+    let made = PaperB::new(plant(0.001), settings).unwrap();
     let (filter, feedback) = made.convergence();
     assert!(filter.len() > 3 && feedback.len() > 3);
     assert!(filter.last().unwrap() < &1e-6 && feedback.last().unwrap() < &1e-6);
-}
-
-#[test]
-fn a_filter_that_does_not_come_to_rest_is_refused() {
-    let settings =
-        PaperBSettings { process_noise: 1e-4, measurement_noise: 1e5, ..PaperBSettings::default() };
-    let refused = PaperB::new(plant(0.0005), settings).err();
-    assert_eq!(refused, Some(PaperBError::Iteration("filter's gain")));
+    let refused = |settings| PaperB::new(plant(0.0005), settings).err().unwrap();
+    let slow = PaperBSettings { process_noise: 1e-4, measurement_noise: 1e5, ..settings };
+    assert_eq!(refused(slow), PaperBError::Iteration("filter's gain"));
+    let none = PaperBSettings { measurement_noise: 0.0, ..settings };
+    assert!(matches!(refused(none), PaperBError::Setting { .. }));
 }

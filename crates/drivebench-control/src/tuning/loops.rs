@@ -1,22 +1,22 @@
-//! The loops that one set of gains closes: around the plant, and around each of its draws.
+//! Robust margins: the closed loops of one set of gains around the plant and each of its draws.
 
 use std::cell::RefCell;
 
 use super::{Draws, is_safe};
 use crate::{LinearPlant, LoopShape, LoopTiming, Margins, PiGains};
 
-/// Draws that are kept as those which leave the loop least.
+/// Draws with the least margins that are kept.
 const HARDEST: usize = 8;
 
-/// A loop and, where its coupling has play, that of the motor alone within it: it only has to be stable.
-struct Looped {
-    held: LoopShape,
-    let_go: Option<LoopShape>,
+/// A loop and, where its coupling has backlash, that of the motor alone within it, which only has to be stable.
+struct ClosedLoop {
+    coupled: LoopShape,
+    uncoupled: Option<LoopShape>,
 }
 
-impl Looped {
+impl ClosedLoop {
     fn new(plant: &LinearPlant, timing: &LoopTiming) -> Self {
-        // Any gains: they come with the question.
+        // Any gains: each request brings its own.
         let gains = PiGains {
             proportional: 0.0,
             integral_time_s: 1.0,
@@ -24,30 +24,30 @@ impl Looped {
             notch: None,
         };
         let shape = |plant: &LinearPlant| LoopShape::new(plant, timing, &gains);
-        Self { held: shape(plant), let_go: plant.let_go().as_ref().map(shape) }
+        Self { coupled: shape(plant), uncoupled: plant.uncoupled().as_ref().map(shape) }
     }
 
     fn margins(&self, gains: &PiGains) -> Margins {
-        let mut margins = self.held.with_gains(gains).margins();
-        if let Some(let_go) = &self.let_go {
-            margins.radius = margins.radius.max(let_go.with_gains(gains).radius());
+        let mut margins = self.coupled.with_gains(gains).margins();
+        if let Some(uncoupled) = &self.uncoupled {
+            margins.radius = margins.radius.max(uncoupled.with_gains(gains).radius());
         }
         margins
     }
 }
 
 pub(super) struct Loops {
-    own: Looped,
-    draws: Vec<Looped>,
-    /// Draws in the order in which they are looked at: what did not hold last is the first to be asked again.
+    nominal: ClosedLoop,
+    draws: Vec<ClosedLoop>,
+    /// Order in which draws are checked: the one that failed last comes first.
     order: RefCell<Vec<usize>>,
 }
 
 impl Loops {
     pub(super) fn new(plant: &LinearPlant, draws: &[LinearPlant], timing: &LoopTiming) -> Self {
         Self {
-            own: Looped::new(plant, timing),
-            draws: draws.iter().map(|plant| Looped::new(plant, timing)).collect(),
+            nominal: ClosedLoop::new(plant, timing),
+            draws: draws.iter().map(|plant| ClosedLoop::new(plant, timing)).collect(),
             order: RefCell::new((0..draws.len()).collect()),
         }
     }
@@ -56,18 +56,18 @@ impl Loops {
         self.draws.len()
     }
 
-    pub(super) fn own(&self, gains: &PiGains) -> LoopShape {
-        self.own.held.with_gains(gains)
+    pub(super) fn nominal(&self, gains: &PiGains) -> LoopShape {
+        self.nominal.coupled.with_gains(gains)
     }
 
     pub(super) fn margins(&self, gains: &PiGains) -> Margins {
-        self.own.margins(gains)
+        self.nominal.margins(gains)
     }
 
     /// Whether the plant and every draw of it have their margins.
     pub(super) fn hold(&self, gains: &PiGains) -> bool {
-        let holds = |looped: &Looped| is_safe(&looped.margins(gains));
-        if !holds(&self.own) {
+        let holds = |one: &ClosedLoop| is_safe(&one.margins(gains));
+        if !holds(&self.nominal) {
             return false;
         }
         let mut order = self.order.borrow_mut();
@@ -78,7 +78,7 @@ impl Loops {
         fails.is_none()
     }
 
-    /// What the gains leave over the draws, whose plants these are; `None` without any.
+    /// Margins over the draws, whose plants these are; `None` without any.
     pub(super) fn draws(&self, gains: &PiGains, plants: &[LinearPlant]) -> Option<Draws> {
         let all: Vec<Margins> = self.draws.iter().map(|draw| draw.margins(gains)).collect();
         let worst = all.iter().copied().reduce(|one, other| Margins {
@@ -90,7 +90,7 @@ impl Loops {
         })?;
         let stable = all.iter().filter(|margins| margins.radius < 1.0).count();
         let mut hardest: Vec<usize> = (0..all.len()).collect();
-        // By turns the least phase and the least gain.
+        // Half of them with the least phase margin, half with the least gain margin.
         let least = |of: fn(&Margins) -> f64, order: &mut [usize]| {
             order.sort_by(|one, other| of(&all[*one]).total_cmp(&of(&all[*other])));
         };

@@ -1,12 +1,13 @@
-//! From a plant and its delays to the gains of a PI regulator, with reasons.
+//! Tuning of a PI regulator by rules: modulus optimum (Kessler 1955), symmetrical optimum (Kessler 1958), pole placement;
+//! with robust margins over the uncertainty of the plant.
 //!
 //! ```text
 //! LinearPlant + LoopTiming + Request --(rule)--> PiGains --> loops of the plant and of each draw: margins, predicted step
 //!                                        ^                        |
-//!                     slower, or a notch '--- where they do not hold, and refused with what is reachable
+//!                     slower, or a notch '--- where margins are missing; else refused, with the reachable bandwidth
 //! ```
 //!
-//! A rule sees the rigid plant. Margins are those of the whole plant, at the worst of its draws.
+//! A rule tunes on the rigid plant. Margins are those of the whole plant, at the worst of its draws.
 
 mod loops;
 
@@ -19,32 +20,51 @@ use super::response::{Response, response};
 use super::{LinearPlant, LoopShape, LoopTiming, Margins, Notch, PiGains, StepPoint};
 use drivebench_model::numerics::count;
 
-/// Least phase and gain margin with which a loop is handed out.
-const LEAST_PHASE_MARGIN_DEG: f64 = 40.0;
-const LEAST_GAIN_MARGIN: f64 = 1.8;
-/// Length of the predicted step response, in small time constants.
-const PREDICTED_SMALL_TIMES: f64 = 60.0;
-/// Steps in which a rule without enough margin is slowed down, and where that ends.
-const SLOWER_BY: f64 = 1.1;
-const SLOWEST: f64 = 30.0;
-/// Bisection steps for the reachable bandwidth.
-const HALVINGS: usize = 24;
-/// Notches that are tried: damping of their poles, and what they leave.
-const NOTCH_DAMPINGS: [f64; 5] = [0.1, 0.2, 0.35, 0.6, 1.0];
-const NOTCH_DEPTHS: [f64; 2] = [0.1, 0.3];
-/// By how much quicker a loop has to be with a notch for it to be worth one.
-const WORTH_A_NOTCH: f64 = 1.05;
-/// Share of the draws on either side of the band of the predicted step.
-const BAND: f64 = 0.05;
+struct Settings {
+    /// Least margins of a loop.
+    phase_margin_deg: f64,
+    gain_margin: f64,
+    /// Factor by which the small time constant of a rule without these margins grows step by step, and its end.
+    slower_by: f64,
+    slowest: f64,
+    /// Notches that are tried: damping of their poles, and depth.
+    notch_dampings: [f64; 5],
+    notch_depths: [f64; 2],
+    /// Bandwidth with a notch over that without from which on it is used.
+    worth_a_notch: f64,
+    /// Least Kp of a motor with complex poles, as Tn in dead times: the regulator keeps its form.
+    least_proportional: f64,
+    /// Pole placement: damping, and natural frequency times small time constant, at which the neglected small time constant
+    /// leaves that damping.
+    damping: f64,
+    frequency_times_small: f64,
+    /// Symmetrical optimum: square root of Tn over the small time constant. Kessler's 2 has a phase margin of 37 degrees on a
+    /// pure integrator; the reference's filter takes the overshoot that comes from the zero.
+    a: f64,
+}
+
+const SETTINGS: Settings = Settings {
+    phase_margin_deg: 40.0,
+    gain_margin: 1.8,
+    slower_by: 1.1,
+    slowest: 30.0,
+    notch_dampings: [0.1, 0.2, 0.35, 0.6, 1.0],
+    notch_depths: [0.1, 0.3],
+    worth_a_notch: 1.05,
+    least_proportional: 0.5,
+    damping: 0.9,
+    frequency_times_small: 0.35,
+    a: 2.4,
+};
 
 /// How gains follow from a plant.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Rule {
-    /// Betragsoptimum, Kessler 1955: the closed loop's gain stays one as far up as possible.
+    /// Betragsoptimum, Kessler 1955: the closed loop's gain stays one up to as high a frequency as possible.
     #[default]
     ModulusOptimum,
-    /// Symmetrisches Optimum, Kessler 1958: the most phase margin for a plant that integrates.
+    /// Symmetrisches Optimum, Kessler 1958: the largest phase margin for a plant that integrates.
     SymmetricalOptimum,
     /// The two slow poles are placed by natural frequency and damping.
     PolePlacement,
@@ -71,16 +91,15 @@ impl Rule {
     }
 }
 
-/// What is asked of the tuning.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Request {
     pub rule: Rule,
-    /// Closed-loop bandwidth, rad/s; without it the rule's own, which is what the small time constant carries.
+    /// Closed-loop bandwidth, rad/s; without it the rule's own.
     pub bandwidth_rad_s: Option<f64>,
     pub notch: NotchUse,
 }
 
-/// Whether the frequency of a coupling is taken out of the loop.
+/// Whether a notch attenuates the frequency of a coupling.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum NotchUse {
     /// Where the loop is quicker with it.
@@ -97,7 +116,6 @@ impl NotchUse {
     }
 }
 
-/// Gains with their reasons.
 #[derive(Clone, Debug, Serialize)]
 pub struct Tuning {
     pub rule: Rule,
@@ -115,14 +133,14 @@ pub struct Tuning {
     pub reasons: Vec<String>,
 }
 
-/// The same gains on plants that the fit of the parameters leaves possible.
+/// The same gains over the uncertainty of the fitted parameters.
 #[derive(Clone, Debug, Serialize)]
 pub struct Draws {
     pub count: usize,
     /// The worst of each over the draws.
     pub worst: Margins,
     pub stable_share: f64,
-    /// Those that leave the loop least.
+    /// Those with the least margins.
     #[serde(skip)]
     pub hardest: Vec<LinearPlant>,
 }
@@ -131,22 +149,21 @@ impl Tuning {
     /// Over the draws, or the plant's own without any.
     pub fn least_gain_margin(&self) -> f64 {
         let draws = self.draws.as_ref();
-        let worst = draws.map_or(f64::INFINITY, |draws| draws.worst.gain_margin);
-        worst.min(self.margins.gain_margin)
+        draws.map_or(f64::INFINITY, |draws| draws.worst.gain_margin).min(self.margins.gain_margin)
     }
 
-    /// Puts the band of the draws about the predicted step.
+    /// Puts the 5 and 95 % quantiles of the draws about the predicted step.
     pub fn put_band(&mut self, draws: &[LinearPlant]) {
+        if draws.is_empty() {
+            return;
+        }
         let end_s = self.step.last().map_or(0.0, |point| point.time_s);
         let one = |plant| LoopShape::new(plant, &self.timing, &self.gains).step_response(end_s);
         let drawn: Vec<Vec<StepPoint>> = draws.iter().map(one).collect();
-        if drawn.is_empty() {
-            return;
-        }
-        let aside = count::whole(BAND * drawn.len() as f64);
+        let aside = count::whole(0.05 * drawn.len() as f64);
         for (n, point) in self.step.iter_mut().enumerate() {
-            let speeds = drawn.iter().filter_map(|step| Some(step.get(n)?.speed));
-            let mut speeds: Vec<f64> = speeds.collect();
+            let mut speeds: Vec<f64> =
+                drawn.iter().filter_map(|step| Some(step.get(n)?.speed)).collect();
             speeds.sort_by(f64::total_cmp);
             point.low = speeds.get(aside).copied();
             point.high = speeds.iter().rev().nth(aside).copied();
@@ -163,12 +180,12 @@ pub enum TuningError {
     Timing { period_s: f64, delay_s: f64, filter_s: f64 },
     #[error("{rule} needs a plant that comes to rest at a speed, this one integrates without end")]
     Integrates { rule: &'static str },
-    #[error("bandwidth {asked:.4} rad/s ({:.3} Hz) is beyond what a loop of {period_ms:.3} ms with {cycles:.2} cycles of delay can carry (reachable: {reachable:.4} rad/s, {:.3} Hz)", asked / std::f64::consts::TAU, reachable / std::f64::consts::TAU)]
-    Bandwidth { asked: f64, reachable: f64, period_ms: f64, cycles: f64 },
+    #[error("bandwidth {requested:.4} rad/s ({:.3} Hz) is beyond what a loop of {period_ms:.3} ms with {cycles:.2} cycles of delay can carry (reachable: {reachable:.4} rad/s, {:.3} Hz)", requested / std::f64::consts::TAU, reachable / std::f64::consts::TAU)]
+    Bandwidth { requested: f64, reachable: f64, period_ms: f64, cycles: f64 },
     #[error("bandwidth {0} rad/s is not a positive number")]
     NoBandwidth(f64),
     #[error(
-        "{rule}: the loop would have {phase_margin_deg:.0} degrees of phase and a gain margin of {gain_margin:.2}{} (needed: {LEAST_PHASE_MARGIN_DEG} degrees and {LEAST_GAIN_MARGIN})", of_draws(*draws)
+        "{rule}: the loop would have {phase_margin_deg:.0} degrees of phase and a gain margin of {gain_margin:.2}{} (needed: {} degrees and {})", of_draws(*draws), SETTINGS.phase_margin_deg, SETTINGS.gain_margin
     )]
     Margins {
         rule: &'static str,
@@ -180,7 +197,7 @@ pub enum TuningError {
 }
 
 impl TuningError {
-    /// Bandwidth that the loop can carry instead of the one that was asked; 0 where that is not the matter.
+    /// Bandwidth that the loop can carry instead of the requested one; 0 for another error.
     const fn reachable(&self) -> f64 {
         match self {
             Self::Bandwidth { reachable, .. } => *reachable,
@@ -200,13 +217,12 @@ impl TuningError {
                 "use pole-placement with a lower bandwidth, or a faster link"
             }
             Self::Margins { .. } => {
-                "identify the motor more narrowly (`drivebench plan` says from which run), or use pole-placement with a lower bandwidth"
+                "identify the motor more narrowly (`drivebench plan` shows from which run), or use pole-placement with a lower bandwidth"
             }
         }
     }
 }
 
-/// What a rule has found.
 struct Found {
     /// Not slowed down.
     is_the_rules_own: bool,
@@ -227,7 +243,6 @@ impl Found {
     }
 }
 
-/// Where margins are the worst of draws, says so.
 fn of_draws(draws: usize) -> String {
     match draws {
         0 => String::new(),
@@ -238,7 +253,7 @@ fn of_draws(draws: usize) -> String {
 /// Gains by a rule, checked on the sampled loop with its delay.
 ///
 /// # Errors
-/// A plant or timing for which the rule makes no sense, a bandwidth that the loop cannot carry, too little margin.
+/// A plant or timing to which the rule does not apply, a bandwidth that the loop cannot carry, too little margin.
 pub fn tune(
     plant: &LinearPlant,
     timing: &LoopTiming,
@@ -247,7 +262,7 @@ pub fn tune(
     tune_over(plant, &[], timing, request)
 }
 
-/// The same, checked on `draws` of the plant too: the worst of them has to hold.
+/// The same, with the margins at the worst of `draws` too.
 ///
 /// # Errors
 /// As [`tune`].
@@ -267,7 +282,7 @@ pub fn tune_over(
     let loops = Loops::new(plant, draws, timing);
     let task = Task { plant, loops: &loops, timing, rule: request.rule, notch: None };
     let found = task.found(request)?;
-    let shape = loops.own(&found.gains);
+    let shape = loops.nominal(&found.gains);
     let margins = loops.margins(&found.gains);
     let drawn = loops.draws(&found.gains, draws);
     let worst = drawn.as_ref().map(|drawn| drawn.worst);
@@ -281,13 +296,13 @@ pub fn tune_over(
             });
         }
     }
-    let length_s = PREDICTED_SMALL_TIMES * found.small_time_s + 4.0 * found.gains.integral_time_s;
+    let length_s = 60.0 * found.small_time_s + 4.0 * found.gains.integral_time_s;
     let step = shape.step_response(length_s.max(20.0 * timing.period_s));
     let trace: Vec<(f64, f64)> = step.iter().map(|point| (point.time_s, point.speed)).collect();
     let mut reasons = found.reasons;
-    if let Some(coupling) = plant.coupling().filter(|_| plant.let_go().is_some()) {
+    if let Some(coupling) = plant.coupling().filter(|_| plant.uncoupled().is_some()) {
         reasons.push(format!(
-            "within its play of {} rad the motor alone is stable too; what the play itself does is not in the margins",
+            "within its backlash of {} rad the motor alone is stable too; a limit cycle of the backlash is not in the margins",
             coupling.gap_rad
         ));
     }
@@ -311,18 +326,6 @@ pub fn tune_over(
     })
 }
 
-/// Least Tn of a motor that swings, in dead times.
-const LEAST_PROPORTIONAL: f64 = 0.5;
-
-const DAMPING: f64 = 0.9;
-
-/// Natural frequency times small time constant: what the neglected small time constant leaves of the damping.
-const FREQUENCY_TIMES_SMALL: f64 = 0.35;
-
-/// Kessler's choice: Tn over the small time constant is its square; a phase margin of 37 degrees at `a` = 2 on a pure
-/// integrator. The overshoot of the reference comes from the zero, and the filter takes it.
-const A: f64 = 2.4;
-
 /// Where a loop is to be closed, by which rule, and with which notch.
 #[derive(Clone, Copy)]
 struct Task<'a> {
@@ -336,14 +339,14 @@ struct Task<'a> {
 impl Task<'_> {
     fn found(&self, request: &Request) -> Result<Found, TuningError> {
         let by = |task: &Self| match request.bandwidth_rad_s {
-            Some(asked) => task.for_bandwidth(asked),
+            Some(requested) => task.for_bandwidth(requested),
             None => task.with_margins(),
         };
         match request.notch {
             NotchUse::Off => by(self),
-            NotchUse::Like(notch) => {
-                let like = self.notches().next();
-                let notch = like.map(|own| Notch { frequency_hz: own.frequency_hz, ..notch });
+            NotchUse::Like(like) => {
+                let notch = (self.notches().next())
+                    .map(|notch| Notch { frequency_hz: notch.frequency_hz, ..like });
                 by(&Self { notch, ..*self })
             }
             NotchUse::Auto => match by(self) {
@@ -354,18 +357,16 @@ impl Task<'_> {
         }
     }
 
-    /// Notches for the frequency of the coupling; none where there is none to take out.
     fn notches(&self) -> impl Iterator<Item = Notch> {
         let frequency_hz = self.plant.coupling().map(|coupling| coupling.frequency_hz);
         let reached = frequency_hz.filter(|hertz| Notch::reaches(*hertz, self.timing.period_s));
         reached.into_iter().flat_map(|frequency_hz| {
-            NOTCH_DAMPINGS.into_iter().flat_map(move |damping_ratio| {
-                NOTCH_DEPTHS.map(|depth| Notch { frequency_hz, damping_ratio, depth })
+            SETTINGS.notch_dampings.into_iter().flat_map(move |damping_ratio| {
+                SETTINGS.notch_depths.map(|depth| Notch { frequency_hz, damping_ratio, depth })
             })
         })
     }
 
-    /// What holds its margins behind a coupling without a notch says so.
     fn plain(&self, mut found: Found) -> Found {
         if let Some(coupling) = self.plant.coupling() {
             found.reasons.push(format!(
@@ -383,14 +384,12 @@ impl Task<'_> {
         by: impl Fn(&Self) -> Result<Found, TuningError>,
     ) -> Result<Found, TuningError> {
         let hertz = |found: &Found| {
-            let margins = self.loops.own(&found.gains).margins();
-            margins.bandwidth_rad_s / std::f64::consts::TAU
+            self.loops.nominal(&found.gains).margins().bandwidth_rad_s / std::f64::consts::TAU
         };
         let Some(coupling) = self.plant.coupling() else {
             return without;
         };
-        let holding = without.as_ref().ok().filter(|found| self.holds(found));
-        let before_hz = holding.map_or(0.0, hertz);
+        let before_hz = without.as_ref().ok().filter(|found| self.holds(found)).map_or(0.0, hertz);
         let mut best: Option<(f64, Notch, Found)> = None;
         let mut refused = without;
         for notch in self.notches() {
@@ -403,7 +402,7 @@ impl Task<'_> {
                     }
                 }
                 Ok(_) => {}
-                // Of what cannot be reached either way the higher bandwidth is told.
+                // The error with the higher reachable bandwidth remains.
                 Err(error) => {
                     if let Err(other) = &refused
                         && error.reachable() > other.reachable()
@@ -414,7 +413,7 @@ impl Task<'_> {
             }
         }
         match best {
-            Some((reached_hz, notch, mut found)) if reached_hz > WORTH_A_NOTCH * before_hz => {
+            Some((reached_hz, notch, mut found)) if reached_hz > SETTINGS.worth_a_notch * before_hz => {
                 let without = if before_hz > 0.0 {
                     format!("without it {before_hz:.1} Hz")
                 } else {
@@ -432,7 +431,7 @@ impl Task<'_> {
                 let with = best.map_or_else(
                     || "no notch there helps".to_owned(),
                     |(reached_hz, ..)| {
-                        let least = 100.0 * (WORTH_A_NOTCH - 1.0);
+                        let least = 100.0 * (SETTINGS.worth_a_notch - 1.0);
                         format!(
                             "a notch there would give {reached_hz:.1} Hz, and below {least:.0} % more it is not worth one"
                         )
@@ -458,7 +457,7 @@ impl Task<'_> {
         Ok(found)
     }
 
-    /// Dead time, filter and notch: the share of the small time constant that is not the motor's, s.
+    /// Dead time, filter and notch: the part of the small time constant that is not the motor's, s.
     fn late_s(&self) -> f64 {
         self.timing.small_time_s() + self.notch.map_or(0.0, |notch| notch.lag_s())
     }
@@ -467,39 +466,40 @@ impl Task<'_> {
         self.loops.hold(&found.gains)
     }
 
-    /// The rule as it is or, where its approximations leave too little margin, slowed down until there is enough.
+    /// The rule or, where its approximations leave too little margin, the rule slowed down.
     fn with_margins(&self) -> Result<Found, TuningError> {
         let mut slower = 1.0;
         loop {
             let mut found = self.by_rule(slower)?;
-            if self.holds(&found) || slower > SLOWEST {
+            if self.holds(&found) || slower > SETTINGS.slowest {
                 found.is_the_rules_own = slower <= 1.0;
                 if slower > 1.0 {
                     let behind = self.plant.coupling().map_or_else(String::new, |coupling| {
                         format!(" behind the coupling at {:.1} Hz", coupling.frequency_hz)
                     });
                     found.reasons.push(format!(
-                        "the rule alone left less than {LEAST_PHASE_MARGIN_DEG} degrees or a gain margin below {LEAST_GAIN_MARGIN}{behind}{}: its small time constant is taken {slower:.2} times as large",
+                        "the rule alone left less than {} degrees or a gain margin below {}{behind}{}: its small time constant is taken {slower:.2} times as large",
+                        SETTINGS.phase_margin_deg,
+                        SETTINGS.gain_margin,
                         of_draws(self.loops.count())
                     ));
                 }
                 return Ok(found);
             }
-            slower *= SLOWER_BY;
+            slower *= SETTINGS.slower_by;
         }
     }
 
-    /// The rule, slowed down until the closed loop has the bandwidth that is asked.
-    fn for_bandwidth(&self, asked: f64) -> Result<Found, TuningError> {
-        if !(asked.is_finite() && asked > 0.0) {
-            return Err(TuningError::NoBandwidth(asked));
+    /// The rule, slowed down to the requested bandwidth of the closed loop.
+    fn for_bandwidth(&self, requested: f64) -> Result<Found, TuningError> {
+        if !(requested.is_finite() && requested > 0.0) {
+            return Err(TuningError::NoBandwidth(requested));
         }
         let bandwidth = |slower: f64| {
-            let margins = self.loops.own(&self.by_rule(slower)?.gains).margins();
-            Ok(margins.bandwidth_rad_s)
+            Ok(self.loops.nominal(&self.by_rule(slower)?.gains).margins().bandwidth_rad_s)
         };
         let safe = |slower: f64| Ok(self.holds(&self.by_rule(slower)?));
-        let faster = |slower: f64| bandwidth(slower).map(|reached| reached > asked);
+        let faster = |slower: f64| bandwidth(slower).map(|reached| reached > requested);
         // The quickest that still has its margins.
         let (mut quick, mut slow) = (1.0, 1.0);
         while !safe(slow)? && slow < 1e6 {
@@ -510,9 +510,9 @@ impl Task<'_> {
         }
         let slow = narrowed(quick, slow, |slower| safe(slower).map(|safe| !safe))?.1;
         let reachable = bandwidth(slow)?;
-        if asked > reachable {
+        if requested > reachable {
             return Err(TuningError::Bandwidth {
-                asked,
+                requested,
                 reachable,
                 period_ms: 1e3 * self.timing.period_s,
                 cycles: self.timing.delay_cycles(),
@@ -530,7 +530,7 @@ impl Task<'_> {
         let rule = "modulus optimum";
         let integrates = TuningError::Integrates { rule };
         let Some(dominant) = self.plant.dominant() else {
-            return self.swinging(slower).ok_or(integrates);
+            return self.complex_poles(slower).ok_or(integrates);
         };
         let large_s = dominant.large_s.ok_or(integrates)?;
         let small_time_s = slower * (dominant.small_s + self.late_s());
@@ -542,9 +542,9 @@ impl Task<'_> {
         Ok(Found::new([proportional, large_s, 0.0], small_time_s, reason))
     }
 
-    /// The plant's own poles swing: nothing can be cancelled by a real zero. The same condition, gain one up to the fourth
-    /// power of the frequency, solved for the series of the whole plant with its dead time.
-    fn swinging(&self, slower: f64) -> Option<Found> {
+    /// Complex poles, which no real zero cancels: the same condition, a gain of one up to the fourth power of the frequency,
+    /// solved for the series of the whole plant with its dead time.
+    fn complex_poles(&self, slower: f64) -> Option<Found> {
         let (sum, product) = self.plant.denominator()?;
         let gain = self.plant.gain()?;
         let late = self.late_s();
@@ -555,20 +555,20 @@ impl Task<'_> {
         let c3 = (product * late + sum * late * late / 2.0 + late.powi(3) / 6.0) / gain;
         let integral = (c1 * c1 - c0 * c2) / (2.0 * (c1 * c2 / c0 - c3)) / slower;
         let best = integral * c1 / c0 - 0.5 * c0;
-        // A plant that swings hard wants an integrator alone; a little proportional part keeps the form of the regulator.
-        let proportional = best.max(LEAST_PROPORTIONAL * integral * late);
+        let proportional = best.max(SETTINGS.least_proportional * integral * late);
         let integral_time_s = proportional / integral;
         let reason = format!(
-            "modulus optimum for a motor that swings by itself (TM below four times Ta): Kp = {proportional:.4}, Tn = {integral_time_s:.4} s from the series of the whole plant"
+            "modulus optimum for a motor with complex poles (TM below four times Ta): Kp = {proportional:.4}, Tn = {integral_time_s:.4} s from the series of the whole plant"
         );
         let small_time_s = slower * (late + product / sum);
         let gains = [proportional, integral_time_s, 0.0];
         (integral > 0.0).then(|| Found::new(gains, small_time_s, reason))
     }
 
-    /// Pole placement: the two slow poles of the loop by natural frequency and damping; the reference's filter takes the zero.
+    /// Pole placement: the two slow poles of the loop by natural frequency and damping; the reference's filter cancels the
+    /// zero.
     fn pole_placement(&self, slower: f64) -> Found {
-        // The slow part as one time constant (none: an integrator), whatever is quicker as the small one.
+        // The slow part as one time constant (none: an integrator), the rest as the small one.
         let (rate, decay, small_s) = if let Some(dominant) = self.plant.dominant() {
             (dominant.rate, dominant.large_s.map_or(0.0, |large_s| 1.0 / large_s), dominant.small_s)
         } else {
@@ -576,15 +576,16 @@ impl Task<'_> {
             (self.plant.gain().unwrap_or(1.0) / sum, 1.0 / sum, product / sum)
         };
         let small_time_s = slower * (small_s + self.late_s());
-        let natural = FREQUENCY_TIMES_SMALL / small_time_s;
-        if decay > DAMPING * natural {
+        let Settings { damping, frequency_times_small, .. } = SETTINGS;
+        let natural = frequency_times_small / small_time_s;
+        if decay > damping * natural {
             return quick_motor(rate, decay, natural, small_time_s);
         }
         let integral = natural * natural / rate;
-        let proportional = (2.0 * DAMPING * natural - decay) / rate;
+        let proportional = (2.0 * damping * natural - decay) / rate;
         let integral_time_s = proportional / integral;
         let reason = format!(
-            "pole placement: natural frequency {natural:.3} rad/s ({FREQUENCY_TIMES_SMALL} over the small time constant of {:.2} ms), damping {DAMPING}: Kp = {proportional:.4}, Tn = {integral_time_s:.4} s; the reference passes a filter of Tn",
+            "pole placement: natural frequency {natural:.3} rad/s ({frequency_times_small} over the small time constant of {:.2} ms), damping {damping}: Kp = {proportional:.4}, Tn = {integral_time_s:.4} s; the reference passes a filter of Tn",
             1e3 * small_time_s
         );
         let gains = [proportional, integral_time_s, integral_time_s];
@@ -593,23 +594,24 @@ impl Task<'_> {
 
     /// Symmetrical optimum (Kessler 1958): the phase margin is largest where the gain is one, for a plant that integrates.
     fn symmetrical_optimum(&self, slower: f64) -> Result<Found, TuningError> {
+        let a = SETTINGS.a;
         let integrating = self.plant.dominant().filter(|dominant| {
-            let integral_time_s = A * A * (dominant.small_s + self.late_s());
+            let integral_time_s = a * a * (dominant.small_s + self.late_s());
             dominant.large_s.is_none_or(|large_s| large_s > integral_time_s)
         });
         let Some(dominant) = integrating else {
             let mut found = self.modulus_optimum(slower)?;
             found.reasons.insert(
             0,
-            "the motor is quicker than the Tn of the symmetrical optimum: to the loop it is no integrator, and the modulus optimum serves".to_owned(),
+            "the motor is quicker than the Tn of the symmetrical optimum: it is no integrator to the loop, and the modulus optimum is used".to_owned(),
         );
             return Ok(found);
         };
         let small_time_s = slower * (dominant.small_s + self.late_s());
-        let proportional = 1.0 / (A * dominant.rate * small_time_s);
-        let integral_time_s = A * A * small_time_s;
+        let proportional = 1.0 / (a * dominant.rate * small_time_s);
+        let integral_time_s = a * a * small_time_s;
         let reason = format!(
-            "symmetrical optimum with a = {A}: Kp = 1 / (a k Ts) = {proportional:.4}, Tn = a^2 Ts = {integral_time_s:.4} s with the small time constant Ts = {:.2} ms; the reference passes a filter of Tn",
+            "symmetrical optimum with a = {a}: Kp = 1 / (a k Ts) = {proportional:.4}, Tn = a^2 Ts = {integral_time_s:.4} s with the small time constant Ts = {:.2} ms; the reference passes a filter of Tn",
             1e3 * small_time_s
         );
         let gains = [proportional, integral_time_s, integral_time_s];
@@ -617,24 +619,24 @@ impl Task<'_> {
     }
 }
 
-/// A motor that is quicker than the loop would have to be slowed down by a negative gain: its own pole is left to it, and
-/// one pole is placed.
+/// A motor that is quicker than the loop would need a negative gain: Tn cancels its pole, and one pole is placed.
 fn quick_motor(rate: f64, decay: f64, natural: f64, small_time_s: f64) -> Found {
     let (proportional, integral_time_s) = (natural / rate, 1.0 / decay);
     let reason = format!(
-        "pole placement for a motor that is quicker than the loop: Tn = {integral_time_s:.4} s leaves it its own pole, Kp = {proportional:.4} places one at {natural:.3} rad/s ({FREQUENCY_TIMES_SMALL} over the small time constant of {:.2} ms)",
+        "pole placement for a motor that is quicker than the loop: Tn = {integral_time_s:.4} s cancels its pole, Kp = {proportional:.4} places one at {natural:.3} rad/s ({} over the small time constant of {:.2} ms)",
+        SETTINGS.frequency_times_small,
         1e3 * small_time_s
     );
     Found::new([proportional, integral_time_s, 0.0], small_time_s, reason)
 }
 
-/// Nearer limits of a slowing: `low` as long as it is still below, by halves of the ratio.
+/// Bisection of a factor on a logarithmic scale.
 fn narrowed(
     mut low: f64,
     mut high: f64,
     is_below: impl Fn(f64) -> Result<bool, TuningError>,
 ) -> Result<(f64, f64), TuningError> {
-    for _ in 0..HALVINGS {
+    for _ in 0..24 {
         let middle = (low * high).sqrt();
         if is_below(middle)? {
             low = middle;
@@ -645,11 +647,10 @@ fn narrowed(
     Ok((low, high))
 }
 
-/// Whether a loop has the margins with which it is handed out.
 fn is_safe(margins: &Margins) -> bool {
     margins.radius < 1.0
-        && margins.phase_margin_deg >= LEAST_PHASE_MARGIN_DEG
-        && margins.gain_margin >= LEAST_GAIN_MARGIN
+        && margins.phase_margin_deg >= SETTINGS.phase_margin_deg
+        && margins.gain_margin >= SETTINGS.gain_margin
 }
 
 #[cfg(test)]

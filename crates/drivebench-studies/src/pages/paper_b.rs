@@ -18,7 +18,7 @@ impl PaperB {
         let shown = self.hall.shown.iter().map(|run| (&run.name[..], &run.trace[..]));
         let lines: [(&str, Style, Quantity); 3] = [
             ("reference", Style::Command, REFERENCE),
-            ("seen", Style::Before, |point| point.seen_rad_s),
+            ("seen", Style::Before, |point| point.measured_rad_s),
             ("true", Style::After, SPEED),
         ];
         let [open, closed] = back_emf_series(&self.back_emf);

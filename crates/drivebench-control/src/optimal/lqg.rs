@@ -1,8 +1,8 @@
-//! The practitioner's counterpart: a Kalman filter that also estimates the load torque, feedback with integral action.
+//! LQG control with a disturbance observer and integral action.
 //!
-//! State i, w and the load torque, which wanders. What the filter knows is carried over the loop's delay with the outputs
-//! that are on their way; the feedback acts on that. The load is fed forward, and an integral of the error takes what the
-//! model has wrong.
+//! The Kalman filter has the load torque as a third state, a random walk. Its estimate is predicted over the loop's delay with
+//! the outputs within it; the feedback acts on the prediction. The load is fed forward, and an integral of the error takes
+//! the errors of the model.
 
 use std::collections::VecDeque;
 
@@ -15,20 +15,17 @@ use crate::{LinearPlant, LoopTiming, Measured, SpeedController};
 use drivebench_model::numerics::riccati;
 use drivebench_model::plant::{Model, MotorKey};
 
-/// Change of a gain at which its iteration ends.
-const TOLERANCE: f64 = 1e-10;
-
-/// What the regulator weighs; the noises are standard deviations.
+/// Weights; the noises are standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LoadObservingSettings {
     pub speed_noise_rad_s: f64,
-    /// By which the load torque wanders within a second, N.m.
+    /// Of the load torque's random walk after a second, N.m.
     pub load_wander_n_m: f64,
     /// Error that costs as much as `voltage_v`, rad/s.
     pub error_rad_s: f64,
     pub voltage_v: f64,
-    /// Time in which the integral part mends an error that the rest leaves, s.
+    /// Time constant of the integral part, s.
     pub integral_s: f64,
 }
 
@@ -59,7 +56,8 @@ pub struct LoadObserving {
     delay_periods: usize,
     x: Vector3<f64>,
     integral: f64,
-    on_their_way: VecDeque<f64>,
+    /// Outputs within the delay, the oldest first.
+    delayed: VecDeque<f64>,
     wanted: f64,
     limited: f64,
 }
@@ -84,14 +82,15 @@ impl LoadObserving {
         };
         let inertia = value(MotorKey::Inertia)?;
         let (phi_2, gamma_2) = plant.rigid().held_over(timing.period_s);
-        // The load's push over a period: the integral of the speed's answer, by the same held step on the torque.
         let (phi, gamma) = with_load(plant, timing.period_s, inertia);
         let c = Vector3::new(0.0, 1.0, 0.0);
         let wander = settings.load_wander_n_m.powi(2) * timing.period_s;
         let process = gamma * gamma.transpose() * settings.voltage_v.powi(2) * 1e-4
             + Matrix3::from_diagonal(&Vector3::new(1e-6, 1e-6, wander));
         let noise = settings.speed_noise_rad_s.powi(2).max(1e-9);
-        let filter = riccati::filter(&phi, &process, &c, noise, TOLERANCE)
+        // Of the steady gains.
+        let tolerance = 1e-10;
+        let filter = riccati::filter(&phi, &process, &c, noise, tolerance)
             .ok_or(PaperBError::Iteration("filter's gain"))?;
         let mut with_integral = Matrix3::identity();
         (with_integral.fixed_view_mut::<2, 2>(0, 0)).copy_from(&phi_2.fixed_view::<2, 2>(0, 0));
@@ -101,7 +100,7 @@ impl LoadObserving {
         let integral_cost = error_cost / settings.integral_s.powi(2);
         let weight = Matrix3::from_diagonal(&Vector3::new(0.0, error_cost, integral_cost));
         let voltage_cost = settings.voltage_v.powi(-2);
-        let feedback = riccati::feedback(&with_integral, &input, &weight, voltage_cost, TOLERANCE)
+        let feedback = riccati::feedback(&with_integral, &input, &weight, voltage_cost, tolerance)
             .ok_or(PaperBError::Iteration("feedback's gain"))?;
         let delay_periods = timing.whole_cycles();
         Ok(Self {
@@ -116,19 +115,19 @@ impl LoadObserving {
             delay_periods,
             x: Vector3::zeros(),
             integral: 0.0,
-            on_their_way: vec![0.0; delay_periods].into(),
+            delayed: vec![0.0; delay_periods].into(),
             wanted: 0.0,
             limited: 0.0,
         })
     }
 
-    /// Load torque as the filter has it, N.m, against positive motion.
+    /// Estimated load torque, N.m, against positive motion.
     pub fn load_n_m(&self) -> f64 {
         self.x[2]
     }
 }
 
-/// Current, speed and a load torque that stays, over one period.
+/// Current, speed and a constant load torque, over one period (Van Loan 1978).
 fn with_load(plant: &LinearPlant, period_s: f64, inertia: f64) -> (Matrix3<f64>, Vector3<f64>) {
     let (a, b) = plant.matrices();
     let mut joint = nalgebra::Matrix4::<f64>::zeros();
@@ -147,18 +146,18 @@ impl SpeedController for LoadObserving {
     fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64 {
         let mut correction = self.filter * (now.speed_rad_s - self.x[1]);
         if now.limited {
-            // The motor had less than was asked for: what its speed lacks is no load.
+            // The output was cut: the missing speed is no load.
             correction[2] = 0.0;
             self.x[0] = now.current_a.unwrap_or(self.x[0]);
         }
         self.x += correction;
         let mut ahead = self.x;
-        for &voltage in &self.on_their_way {
+        for &voltage in &self.delayed {
             ahead = self.phi * ahead + self.gamma * voltage;
         }
         let error = ahead[1] - reference_rad_s;
         if now.limited && self.limited == 0.0 {
-            // A limit of the drive that this side does not see: what it gives less lies on the side of the error.
+            // A limit within the drive: it cuts on the side of the error.
             self.limited = -error.signum();
         }
         if error * self.limited >= 0.0 {
@@ -173,8 +172,8 @@ impl SpeedController for LoadObserving {
 
     fn applied(&mut self, output: f64) {
         self.limited = limited(self.wanted, output);
-        self.on_their_way.push_back(output);
-        let acting = self.on_their_way.pop_front().unwrap_or(output);
+        self.delayed.push_back(output);
+        let acting = self.delayed.pop_front().unwrap_or(output);
         self.x = self.phi * self.x + self.gamma * acting;
     }
 
@@ -184,8 +183,8 @@ impl SpeedController for LoadObserving {
         self.integral = 0.0;
         self.limited = 0.0;
         self.wanted = output;
-        self.on_their_way.clear();
-        self.on_their_way.resize(self.delay_periods, output);
+        self.delayed.clear();
+        self.delayed.resize(self.delay_periods, output);
     }
 
     fn explain(&self) -> Vec<String> {
@@ -202,7 +201,7 @@ impl SpeedController for LoadObserving {
                 self.iterations[1]
             ),
             format!(
-                "acts on the state predicted over {} cycles; the load that its observer sees, {:.3} N.m now, is fed forward",
+                "acts on the state predicted over {} cycles; the observed load, {:.3} N.m now, is fed forward",
                 self.delay_periods, self.x[2]
             ),
         ]
