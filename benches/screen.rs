@@ -42,7 +42,7 @@ fn frame(criterion: &mut Criterion) {
     };
     let snapshots = SnapshotCell::default();
     let mut screen = LiveScreen::new(LiveSources {
-        snapshots: snapshots.unheard(),
+        snapshots: snapshots.reader(),
         leaning: LeaningCell::default(),
         workflow: None,
         leads: None,

@@ -163,7 +163,7 @@ impl Lab {
 
 fn headless<T>(work: impl FnOnce(&Controls) -> Result<T, Failure>) -> Result<T, Failure> {
     let (listener, notices) = channel();
-    let (controls, _ends) = Controls::new(SnapshotCell::heard_by(listener));
+    let (controls, _ends) = Controls::new(SnapshotCell::with_notices(listener));
     alone(controls, notices, work)
 }
 

@@ -31,7 +31,7 @@ impl Controls {
         };
         let ends = Ends {
             // Whoever hears the notices hears that the work is over when the worker's controls are gone.
-            snapshots: controls.snapshots.unheard(),
+            snapshots: controls.snapshots.reader(),
             interrupted: Arc::clone(&controls.interrupted),
             stop_requested: Arc::clone(&controls.stop_requested),
             drive: controls.drive.clone(),

@@ -93,7 +93,7 @@ pub fn conduct<T: Send + 'static>(
     match audience {
         Audience::Headless => {
             let (listener, notices) = channel();
-            let (controls, ends) = Controls::new(SnapshotCell::heard_by(listener));
+            let (controls, ends) = Controls::new(SnapshotCell::with_notices(listener));
             signals::pull(ends)?;
             let work = alone(controls, notices, work)?;
             Ok(Ended { work, left: Left::Headless })
@@ -151,7 +151,7 @@ pub fn beside_screen<T: Send + 'static>(
 ) -> Result<Ended<T>, Failure> {
     let worker = WorkerCell::default();
     let leaning = LeaningCell::default();
-    lean_beside(ends.snapshots.unheard(), leaning.clone(), worker.clone())?;
+    lean_beside(ends.snapshots.reader(), leaning.clone(), worker.clone())?;
     let sources = LiveSources {
         snapshots: ends.snapshots.clone(),
         leaning,

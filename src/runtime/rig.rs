@@ -552,7 +552,7 @@ impl Rig {
         let mut shown = (*controls.snapshots.latest()).clone();
         shown.notices.push(notice.clone());
         controls.snapshots.publish(shown);
-        controls.snapshots.tell(&notice);
+        controls.snapshots.send(&notice);
         summary.notices.push(notice);
     }
 

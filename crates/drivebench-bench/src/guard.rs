@@ -1,4 +1,4 @@
-//! The guard: no command leaves and no sample passes without it. Pure; time comes in.
+//! The guard: every command and every sample passes through it. Pure; time comes in.
 //!
 //! ```text
 //! wanted demand -> shape (slew, voltage, winding) -> demand to the drive      every change of a demand is reported
@@ -6,9 +6,9 @@
 //!                                                                             latched for good
 //! ```
 //!
-//! After a trip `shape` returns zero output for whatever it is asked. It is a second line behind the drive's own limits
-//! and watchdog, not a safety function: a host at 100 Hz sees a current of 9 ms time constant too late. So the voltage
-//! across the winding is bounded before it is applied: `abs(u - Ke w) <= limit R`, unless the drive limits the current.
+//! After a trip `shape` returns zero output for every demand. It is a second line behind the drive's own limits and watchdog,
+//! not a safety function: a host at 100 Hz measures a current of 9 ms time constant too late. So the voltage across the
+//! winding is bounded before it is applied: `abs(u - Ke w) <= limit R`, unless the drive limits the current.
 
 mod shape;
 
@@ -23,24 +23,36 @@ use super::trip::{Trip, TripKind};
 use drivebench_link::CommandTimes;
 use drivebench_model::sample::{Channel, Command, Demand, DriveState, Hindrance, Sample};
 
-/// By more than this, or than the silence that is allowed, the clock of a drive that was on all the time and that of this
-/// host do not part between two samples, s.
-const RESTARTED_S: f64 = 0.1;
-/// An exchange that was given all that is left of the silence ends within this of its end, s.
-const TO_THE_END_S: f64 = 1e-6;
-/// Samples in a row that may lack a watched signal, or bring the same drive time, before the run ends.
-const ALLOWED_IN_A_ROW: u32 = 3;
-/// A drive that ran and left that state by itself is given this long (one late status word), s.
-const LEFT_RUNNING_S: f64 = 0.05;
-/// Measured voltage may exceed the commanded limit by this share: ripple, noise and calibration of the drive.
-const VOLTAGE_MARGIN: f64 = 1.1;
-/// A shaft that has not come to rest after so long is not waited for, s.
-const LONGEST_COAST_S: f64 = 60.0;
-/// Shares of the speed and of the current limit below which a motor counts as at rest.
-const REST_SPEED_SHARE: f64 = 0.01;
-const REST_CURRENT_SHARE: f64 = 0.02;
+struct Thresholds {
+    /// Difference between drive's and host's time over two samples above which the drive was off in between, s; the allowed
+    /// silence where that is longer.
+    restart_s: f64,
+    /// An exchange that was given all of the remaining silence ends within this of its end, s.
+    silence_end_s: f64,
+    /// Successive samples without a watched signal, or with the same drive time, that end the run.
+    successive: u32,
+    /// A drive that left the state of running by itself is given this long (one late status word), s.
+    left_running_s: f64,
+    /// Measured voltage over the commanded limit: ripple, noise and calibration of the drive.
+    voltage_margin: f64,
+    /// Longest wait for a shaft to come to rest, s.
+    longest_coast_s: f64,
+    /// Shares of the speed and of the current limit below which a motor counts as at rest.
+    rest_speed: f64,
+    rest_current: f64,
+}
 
-/// Why a motor is not known to be at rest.
+const THRESHOLDS: Thresholds = Thresholds {
+    restart_s: 0.1,
+    silence_end_s: 1e-6,
+    successive: 3,
+    left_running_s: 0.05,
+    voltage_margin: 1.1,
+    longest_coast_s: 60.0,
+    rest_speed: 0.01,
+    rest_current: 0.02,
+};
+
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum RestError {
     #[error("not at rest: {name} {value:.3} {unit}, at most {limit:.3} {unit} is allowed")]
@@ -52,7 +64,7 @@ pub enum RestError {
 }
 
 impl RestError {
-    /// Whether it may be over with the next sample.
+    /// Whether the next sample may be at rest.
     pub const fn may_change(&self) -> bool {
         matches!(self, Self::Moving { .. } | Self::Unread { .. })
     }
@@ -67,10 +79,11 @@ pub struct Guard {
     limits: Limits,
     shaper: Shaper,
     trip: Option<Trip>,
-    seen: [bool; WATCHED.len()],
-    last_sample: Option<Seen>,
+    /// Which of the watched signals a sample ever had.
+    given: [bool; WATCHED.len()],
+    last_sample: Option<Stamps>,
     last_valid_s: Option<f64>,
-    /// What the drive said last instead of a valid reply, since the last of those.
+    /// Message of the last exception since the last valid reply.
     refusal: Option<String>,
     last_step_s: Option<f64>,
     counts: Counts,
@@ -81,14 +94,13 @@ pub struct Guard {
     braking_s: f64,
 }
 
-/// When a sample came, by the host's time and by its own, s.
 #[derive(Clone, Copy, Debug)]
-struct Seen {
+struct Stamps {
     host_s: f64,
     sample_s: f64,
 }
 
-/// What is counted from the begin of a run on.
+/// Counted from the begin of a run on.
 #[derive(Clone, Debug, Default)]
 struct Counts {
     /// Samples in a row without each of the watched signals, and without a newer drive time.
@@ -115,14 +127,13 @@ impl Guard {
         let plausibility = Plausibility::of(&limits, motor, drive_current_limit_a);
         let torque = motor.back_emf_v_s_per_rad * limits.current_a;
         let braking_s = winding_v.map_or(0.0, |_| {
-            (motor.inertia_kg_m2 * limits.speed_rad_s / torque).min(LONGEST_COAST_S)
+            (motor.inertia_kg_m2 * limits.speed_rad_s / torque).min(THRESHOLDS.longest_coast_s)
         });
         Self { braking_s, ..Self::with_shaper(limits, shaper, plausibility) }
     }
 
-    /// A guard for a motor that is not known: `winding_v` bounds the voltage across the winding, as far as the resistance
-    /// is known at all, around a back-EMF of which the constant may be 0; without it the program itself has to feel its
-    /// way.
+    /// A guard for an unknown motor: `winding_v` bounds the voltage across the winding, as far as the resistance is known at
+    /// all, around a back-EMF of which the constant may be 0; without it the program itself has to approach the limit.
     pub fn for_unknown_motor(
         limits: Limits,
         winding_v: Option<f64>,
@@ -133,8 +144,8 @@ impl Guard {
         Self::with_shaper(limits, shaper, plausibility)
     }
 
-    /// Asked for an output once in `period_s`: of a shaft that was not seen for longer it is only known that it followed
-    /// the voltage, and the winding's bound holds wherever it has come to.
+    /// For one output in `period_s`: a shaft without a measured speed for longer may have followed the voltage, and the
+    /// winding's bound holds over all speeds that it may have reached.
     #[must_use]
     pub fn with_period(mut self, period_s: f64) -> Self {
         self.shaper.set_period(period_s);
@@ -155,7 +166,7 @@ impl Guard {
             shaper,
             limits,
             trip: None,
-            seen: [false; WATCHED.len()],
+            given: [false; WATCHED.len()],
             last_sample: None,
             last_valid_s: None,
             refusal: None,
@@ -165,11 +176,12 @@ impl Guard {
         }
     }
 
-    /// Longest time in which a ramp down from full speed brings the output to zero, s: the slew limit's, and on top of it
-    /// what the supply takes back or the current limit brakes, whichever is longer. The shaft's own time comes on top.
+    /// Longest time in which a ramp down from full speed brings the output to zero, s: that of the slew limit plus that of
+    /// braking by the supply or the current limit, whichever is longer. The shaft may turn for longer.
     pub fn ramp_down_s(&self) -> f64 {
         let coast_s = self.shaper.coast_s(self.limits.speed_rad_s);
-        self.shaper.ramp_s(self.limits.voltage_v) + coast_s.min(LONGEST_COAST_S).max(self.braking_s)
+        self.shaper.ramp_s(self.limits.voltage_v)
+            + coast_s.min(THRESHOLDS.longest_coast_s).max(self.braking_s)
     }
 
     /// Whether the last command left the output off: the motor stands or coasts.
@@ -183,17 +195,16 @@ impl Guard {
         self.shaper.stop_by(now_s + self.ramp_down_s());
     }
 
-    /// What is watched for plausibility, and what is not.
     pub const fn plausibility(&self) -> &Plausibility {
         &self.plausibility
     }
 
-    /// Gives up what needs a nameplate that fits: the user has waived it.
+    /// Without the checks that need the nameplate's motor: the user has waived them.
     pub const fn waive_plausibility(&mut self) {
         self.plausibility.waive();
     }
 
-    /// A command that left, so that what comes back can be held against it.
+    /// A command that left; the plausibility checks compare the reply with it.
     pub fn sent(&mut self, command: &Command) {
         self.plausibility.sent(command);
     }
@@ -216,10 +227,10 @@ impl Guard {
         self.trip.as_ref()
     }
 
-    /// Whether samples ever carried `channel`: a limit on a signal that the drive does not give cannot be watched.
-    pub fn has_seen(&self, channel: Channel) -> bool {
-        let mut all = WATCHED.into_iter().zip(self.seen);
-        all.any(|(watched, seen)| watched == channel && seen)
+    /// Whether samples ever had `channel`: a limit on a signal that the drive does not give cannot be watched.
+    pub fn is_given(&self, channel: Channel) -> bool {
+        let mut all = WATCHED.into_iter().zip(self.given);
+        all.any(|(watched, is_given)| watched == channel && is_given)
     }
 
     /// Begins a run: counts time and travel from here. Call it when the output is about to be switched on.
@@ -236,13 +247,11 @@ impl Guard {
         if let Some(last_s) = self.last_step_s {
             let gap_s = now_s - last_s;
             if !gap_s.is_finite() || gap_s < 0.0 {
-                let times_s = (gap_s, 0.0);
-                return self.late(TripKind::ClockStuck, last_s, times_s, "host time ran back");
+                return self.late(TripKind::ClockStuck, last_s, (gap_s, 0.0), "host time ran back");
             }
             if gap_s > limit_s {
                 self.last_step_s = Some(now_s);
-                let times_s = (gap_s, limit_s);
-                return self.late(TripKind::HostGap, now_s, times_s, "no step was taken");
+                return self.late(TripKind::HostGap, now_s, (gap_s, limit_s), "no step was taken");
             }
         }
         self.last_step_s = Some(now_s);
@@ -250,23 +259,21 @@ impl Guard {
             return None;
         }
         let silent_s = self.last_valid_s.map_or(0.0, |last_s| now_s - last_s);
-        if silent_s > limit_s - TO_THE_END_S {
+        if silent_s > limit_s - THRESHOLDS.silence_end_s {
             let times_s = (silent_s, limit_s);
             return match self.refusal.take() {
-                Some(said) => self.latch(Trip::refused(now_s, times_s, &said)),
+                Some(message) => self.latch(Trip::refused(now_s, times_s, &message)),
                 None => self.late(TripKind::LinkSilence, now_s, times_s, "no valid reply"),
             };
         }
         let since_s = self.counts.on_since_s;
         let on_s = self.counts.on_total_s + since_s.map_or(0.0, |since_s| now_s - since_s);
         if on_s > self.limits.time_s {
-            let times_s = (on_s, self.limits.time_s);
-            return self.late(TripKind::TimeLimit, now_s, times_s, "output on");
+            return self.late(TripKind::TimeLimit, now_s, (on_s, self.limits.time_s), "output on");
         }
         None
     }
 
-    /// A span of time was too long: what it was and what is allowed.
     fn late(
         &mut self,
         kind: TripKind,
@@ -277,28 +284,28 @@ impl Guard {
         self.latch(Trip::after(kind, at_s, times_s, what))
     }
 
-    /// The computer was suspended for so long: ends the run, and nothing is said of silence that only the sleep has made.
+    /// The computer was suspended for so long: ends the run; the time is no silence of link or host.
     pub fn slept(&mut self, now_s: f64, slept_s: f64) -> Option<&Trip> {
         self.last_step_s = Some(now_s);
         self.last_valid_s = self.last_valid_s.map(|_| now_s);
         let reason = format!(
-            "this computer was suspended for {slept_s:.1} s, and nobody watched the motor meanwhile"
+            "this computer was suspended for {slept_s:.1} s, and the motor ran unsupervised meanwhile"
         );
         self.latch(Trip { reason, ..Trip::new(TripKind::Suspended, now_s, (slept_s, 0.0), "") })
     }
 
-    /// The drive answers, and says that it cannot do now what it is asked: should this go on for too long, that is why.
-    pub fn refused(&mut self, said: &str) {
-        self.refusal = Some(said.to_owned());
+    /// The drive answers with an exception: the reason of a trip, should no valid reply follow in time.
+    pub fn refused(&mut self, message: &str) {
+        self.refusal = Some(message.to_owned());
     }
 
-    /// Of the time since the last step so much was spent waiting for the link: no stall of the host.
+    /// Time since the last step that was spent waiting for the link: no stall of the host.
     pub fn waited_for_link(&mut self, now_s: f64, waited_s: f64) {
         let last_s = self.last_step_s.map(|last_s| last_s + waited_s.max(0.0));
         self.last_step_s = last_s.map(|last_s| last_s.min(now_s));
     }
 
-    /// How long the link may be silent from now on, s: all of it where nothing is awaited of it any more.
+    /// Remaining silence that is allowed to the link, s: all of it after a trip.
     pub fn silence_left_s(&self, now_s: f64) -> f64 {
         let limit_s = self.limits.link_silence_s;
         match self.last_valid_s {
@@ -307,19 +314,18 @@ impl Guard {
         }
     }
 
-    /// Looks at one valid reply. With `armed` false (drive disabled, nobody meant to move it) it only learns which
-    /// signals there are and that the link lives.
+    /// One valid reply. With `armed` false (output off) it only registers the signals and the life of the link.
     pub fn watch(&mut self, now_s: f64, sample: &Sample, armed: bool) -> Option<&Trip> {
         self.last_valid_s = Some(now_s);
         self.refusal = None;
-        self.shaper.hear(now_s);
+        self.shaper.reply(now_s);
         let is_newer = (self.last_sample).is_none_or(|last| sample.time_s > last.sample_s);
-        for (seen, channel) in self.seen.iter_mut().zip(WATCHED) {
-            *seen |= sample.get(channel).is_some();
+        for (given, channel) in self.given.iter_mut().zip(WATCHED) {
+            *given |= sample.get(channel).is_some();
         }
-        // A reading that is handed out once more tells nothing of where the shaft has come to meanwhile.
+        // A repeated reading has no information on the present speed.
         if let Some(speed) = sample.get(Channel::Speed).filter(|_| is_newer) {
-            self.shaper.see_speed(now_s, speed);
+            self.shaper.measured(now_s, speed);
         }
         // From the first angle on: the sample with which a run began may have lacked it.
         if armed && self.counts.angle_origin_rad.is_none() {
@@ -327,12 +333,12 @@ impl Guard {
         }
         let doubt = self.plausibility.check(now_s, sample, armed);
         let found = if armed && self.trip.is_none() {
-            // The field first: a drive that sees its loss too reports no more than a fault.
+            // The field first: a drive that detects its loss too reports no more than a fault.
             self.field(now_s, sample)
                 .or_else(|| self.drive_state(now_s, sample))
                 .or_else(|| {
                     let beyond = self.beyond_limit(now_s, sample)?;
-                    // What is read wrong is often beyond a limit before it is anything else.
+                    // A wrong signal is often beyond a limit before it is implausible.
                     Some(self.plausibility.explained(beyond))
                 })
                 .or_else(|| self.lost_signal(now_s, sample))
@@ -343,26 +349,25 @@ impl Guard {
             None
         };
         if sample.time_s.is_finite() {
-            self.last_sample = Some(Seen { host_s: now_s, sample_s: sample.time_s });
+            self.last_sample = Some(Stamps { host_s: now_s, sample_s: sample.time_s });
         }
         found.and_then(|trip| self.latch(trip))
     }
 
-    /// Learns from readings at rest how noisy the sensors are.
+    /// Estimates the noise of the sensors from readings at rest.
     pub fn learn(&mut self, rest: &[Sample]) {
         self.plausibility.learn(rest);
     }
 
-    /// Frames on the line write to the drive and are not ours: what it does is no longer what was commanded.
+    /// Frames of another master write to the drive, which no longer follows these commands.
     pub fn other_master(&mut self, now_s: f64, frames: u64) -> Option<&Trip> {
         let what = format!(
             "{frames} frames on the line write to this drive and are not ours; its set-points are no longer the commanded ones; disconnect the other master, or take its write access"
         );
-        let figures = (frames as f64, 0.0);
-        self.latch(Trip::new(TripKind::OtherMaster, now_s, figures, what))
+        self.latch(Trip::new(TripKind::OtherMaster, now_s, (frames as f64, 0.0), what))
     }
 
-    /// Latches a trip from outside, unless one is latched already: the first cause is the one to report.
+    /// Latches a trip, unless one is latched already: the first cause is reported.
     pub fn latch(&mut self, trip: Trip) -> Option<&Trip> {
         if self.trip.is_some() {
             return None;
@@ -390,7 +395,7 @@ impl Guard {
         }
         for (channel, limit) in [
             (Channel::Speed, self.rest_rad_s()),
-            (Channel::Current, REST_CURRENT_SHARE * self.limits.current_a),
+            (Channel::Current, THRESHOLDS.rest_current * self.limits.current_a),
         ] {
             let (name, unit) = (channel.name(), channel.unit());
             match sample.get(channel) {
@@ -398,7 +403,7 @@ impl Guard {
                 Some(value) => {
                     return Err(RestError::Moving { name, value, limit, unit });
                 }
-                None if self.has_seen(channel) => return Err(RestError::Unread { name }),
+                None if self.is_given(channel) => return Err(RestError::Unread { name }),
                 None => {}
             }
         }
@@ -407,7 +412,7 @@ impl Guard {
 
     /// Speed below which the shaft counts as at rest, rad/s.
     pub fn rest_rad_s(&self) -> f64 {
-        REST_SPEED_SHARE * self.limits.speed_rad_s
+        THRESHOLDS.rest_speed * self.limits.speed_rad_s
     }
 
     /// Keeps the time for which the output was on, and since when the drive should run.
@@ -428,13 +433,13 @@ impl Guard {
         let read = |channel| sample.get(channel);
         let angle = read(Channel::Angle).zip(self.counts.angle_origin_rad);
         let travel = angle.map(|(angle, origin)| angle - origin);
-        let voltage_v = VOLTAGE_MARGIN * limits.voltage_v;
+        let voltage_v = THRESHOLDS.voltage_margin * limits.voltage_v;
         let above = |value: f64, limit: f64| value > limit;
         let below = |value: f64, limit: f64| value < limit;
         let beyond = |value: f64, limit: f64| value.abs() > limit;
         let window = limits.travel_rad;
         let (amps, speed) = (Some(limits.current_a), Some(limits.speed_rad_s));
-        // Value and limit, and what of the value counts against it.
+        // A value instead of the channel's, the limit, and the comparison.
         let rows: [(_, _, _, _, Breaks); 6] = [
             (OverCurrent, Channel::Current, None, amps, beyond),
             (OverSpeed, Channel::Speed, None, speed, beyond),
@@ -454,7 +459,7 @@ impl Guard {
 
     fn field(&self, now_s: f64, sample: &Sample) -> Option<Trip> {
         let least_a = self.limits.field_min_a?;
-        // Without a reading the drive's word decides: its link counts a field that cannot be read as lost.
+        // Without a reading the drive's state decides: its link counts a field that cannot be read as lost.
         let unread = sample.field_a.is_none() && sample.state == Some(DriveState::Fault);
         let weak = sample.field_a.is_some_and(|amperes| amperes < least_a);
         let found = sample.field_a.map(|amperes| format!("{amperes:.3} A"));
@@ -468,8 +473,7 @@ impl Guard {
 
     fn drive_state(&mut self, now_s: f64, sample: &Sample) -> Option<Trip> {
         if sample.state == Some(DriveState::Fault) || sample.fault.is_some_and(|code| code != 0) {
-            let text = sample.fault_text.as_deref();
-            return Some(Trip::drive_fault(now_s, sample.fault, text));
+            return Some(Trip::drive_fault(now_s, sample.fault, sample.fault_text.as_deref()));
         }
         if let Some(hindrance) = sample.hindrance {
             let kind = match hindrance {
@@ -487,8 +491,8 @@ impl Guard {
         let wanted_since_s = self.counts.on_since_s?;
         let (since_s, limit_s) = if self.counts.has_run {
             let since_s = *self.counts.not_running_since_s.get_or_insert(now_s);
-            // The first reply that says so may be a status word of before; the second is not.
-            (since_s, LEFT_RUNNING_S)
+            // The first reply with another state may be a status word of before; the second is not.
+            (since_s, THRESHOLDS.left_running_s)
         } else {
             (wanted_since_s, self.enable_time_s)
         };
@@ -498,7 +502,7 @@ impl Guard {
 
     fn lost_signal(&mut self, now_s: f64, sample: &Sample) -> Option<Trip> {
         for (index, channel) in WATCHED.into_iter().enumerate() {
-            if !self.seen[index] || !self.is_limited(channel) {
+            if !self.given[index] || !self.is_limited(channel) {
                 continue;
             }
             let missing = &mut self.counts.missing[index];
@@ -520,32 +524,31 @@ impl Guard {
         }
     }
 
-    /// By how much the drive's clock went on since the last sample, by how much the host's, and how far they may part, s,
-    /// where they part by more.
+    /// Increments of the drive's and of the host's time since the last sample, and their allowed difference, s, where they
+    /// differ by more.
     fn restart(&self, now_s: f64, sample: &Sample) -> Option<(f64, f64, f64)> {
         let last = self.last_sample?;
         let (drive_s, host_s) = (sample.time_s - last.sample_s, now_s - last.host_s);
-        // No clock that was on all the time runs back at all.
+        // A clock that was on all the time never runs back.
+        let restart_s = THRESHOLDS.restart_s;
         let most_s =
-            if drive_s < 0.0 { RESTARTED_S } else { self.limits.link_silence_s.max(RESTARTED_S) };
+            if drive_s < 0.0 { restart_s } else { self.limits.link_silence_s.max(restart_s) };
         ((drive_s - host_s).abs() > most_s).then_some((drive_s, host_s, most_s))
     }
 
-    /// Whether this sample is of a drive that began its time anew: nothing is to be read off its clock.
+    /// Whether the drive's time began anew with this sample, or before: its clock is not to be used.
     pub fn is_of_a_restart(&self, now_s: f64, sample: &Sample) -> bool {
         let tripped = self.tripped().map(|trip| trip.kind);
         tripped == Some(TripKind::Restarted) || self.restart(now_s, sample).is_some()
     }
 
-    /// A drive whose time jumps was off in between, and what it was told before is over. After a power-up its counter is
-    /// anywhere against where it was: back, or ahead.
+    /// A drive whose time jumps was off in between, and lost its commands. After a power-up its counter may be back or ahead.
     fn switched_on_again(&self, now_s: f64, sample: &Sample) -> Option<Trip> {
         let (drive_s, host_s, most_s) = self.restart(now_s, sample)?;
         let what = format!(
             "the drive's time went by {drive_s:.3} s while {host_s:.3} s passed here: it was switched off and on again"
         );
-        let figures = ((drive_s - host_s).abs(), most_s);
-        Some(Trip::new(TripKind::Restarted, now_s, figures, what))
+        Some(Trip::new(TripKind::Restarted, now_s, ((drive_s - host_s).abs(), most_s), what))
     }
 
     fn stuck_clock(&mut self, now_s: f64, drive_s: f64, advanced: bool) -> Option<Trip> {
@@ -555,9 +558,9 @@ impl Guard {
         Self::too_often(TripKind::ClockStuck, now_s, *stuck, &what)
     }
 
-    /// Something that was seen more often in a row than is allowed; `None`: not yet.
+    /// A condition in too many successive samples; `None`: not yet.
     fn too_often(kind: TripKind, now_s: f64, times: u32, what: &str) -> Option<Trip> {
-        let most = ALLOWED_IN_A_ROW - 1;
+        let most = THRESHOLDS.successive - 1;
         let what = format!("{what} in {times} samples running, {most} allowed");
         (times > most).then(|| Trip::new(kind, now_s, (times.into(), most.into()), what))
     }

@@ -19,29 +19,28 @@ use drivebench_identify::recursive::{Memory, StartValues};
 use drivebench_model::plant::MotorKey;
 use drivebench_model::sample::{Channel, ParameterEstimate, Sample};
 
-/// What estimates parameters while the run goes on; it is given every row of the record.
+/// Parameter estimation during the run, from every row of the record.
 pub trait LiveEstimator {
     fn push(&mut self, row: &Row);
 
     fn estimates(&self) -> Vec<ParameterEstimate>;
 
-    /// What the newest rows added to their prediction: current, A, and speed, rad/s; `None` where there is none.
+    /// Innovation of the newest rows: current, A, and speed, rad/s; `None` without a prediction.
     fn innovation(&self) -> Option<(f64, f64)> {
         None
     }
 
-    /// For how long a limit of the drive has kept it from learning.
+    /// Time in which a limit of the drive froze it.
     fn frozen(&self) -> Frozen {
         Frozen::default()
     }
 
-    /// How far the data carry each parameter, 0 to 1; empty where the estimator does not tell.
     fn excitation(&self) -> Excitation {
         Excitation::new()
     }
 }
 
-/// Share of each parameter that the data have taught, by key: 0 nothing, 1 all of it.
+/// Persistence of excitation of each parameter by key, 0 to 1: share of its prior variance that the data have removed.
 pub type Excitation = BTreeMap<&'static str, f64>;
 
 /// The on-line estimators, fed with rows of the record: the one wiring of live run and replay.
@@ -71,10 +70,8 @@ impl RowEstimator {
     }
 }
 
-/// What the estimators say after the last row.
 #[derive(Clone, Debug, Serialize)]
 pub struct OnlineResult {
-    /// Rows of the record that they were given.
     pub rows: u64,
     /// Scheme 3, by key.
     pub parameters: Map<String, Value>,
@@ -82,20 +79,15 @@ pub struct OnlineResult {
     pub scheme_2: Map<String, Value>,
     /// Of the last block: current, A, and speed, rad/s.
     pub innovation: Option<(f64, f64)>,
-    /// How far the data carry R, L, Ke, Kt/J, Mc/J.
+    /// Persistence of excitation of R, L, Ke, Kt/J, Mc/J.
     pub excitation: [f64; 5],
-    /// Rows of which nothing was learnt, because the drive limited.
+    /// Rows that were left out because the drive limited.
     pub frozen: Frozen,
 }
 
 fn keyed(estimates: &[ParameterEstimate]) -> Map<String, Value> {
-    estimates
-        .iter()
-        .map(|estimate| {
-            let value = serde_json::to_value(estimate).unwrap_or_default();
-            (estimate.key.clone(), value)
-        })
-        .collect()
+    let value = |estimate| serde_json::to_value(estimate).unwrap_or_default();
+    estimates.iter().map(|estimate| (estimate.key.clone(), value(estimate))).collect()
 }
 
 /// The estimators' configuration as the manifest keeps it.
@@ -174,7 +166,7 @@ impl LiveEstimator for RowEstimator {
     }
 
     fn excitation(&self) -> Excitation {
-        // The mechanical line is linear in Kt/J and Mc/J: what carries them carries J and Mc.
+        // Mechanics are linear in Kt/J and Mc/J: their excitation is that of J and Mc.
         const KEYS: [MotorKey; 5] = [
             MotorKey::Resistance,
             MotorKey::Inductance,
@@ -182,8 +174,7 @@ impl LiveEstimator for RowEstimator {
             MotorKey::Inertia,
             MotorKey::LoadTorque,
         ];
-        let shares = self.online().excitation();
-        KEYS.map(MotorKey::key).into_iter().zip(shares).collect()
+        KEYS.map(MotorKey::key).into_iter().zip(self.online().excitation()).collect()
     }
 }
 

@@ -1,4 +1,4 @@
-//! Demands of a run: a program that knows time only, or a pilot that answers to samples.
+//! Demands of a run: a program, which is a function of time, or a pilot with feedback.
 
 use super::speed::SpeedReport;
 use super::trip::Trip;
@@ -36,18 +36,16 @@ impl Program for excitation::Program {
     }
 }
 
-/// What a pilot has to say in a cycle.
 #[derive(Clone, Debug, PartialEq)]
 pub enum PilotNews {
     Gains(String),
-    /// The watch of the loop has found something.
     Watch(String),
 }
 
 /// One run's source of demands, driven by the session; time comes in.
 ///
-/// In each cycle `demand` is asked for first, then `sent` tells what really left after the guard; `sample` comes where
-/// the exchange brought one. A cycle without a `sample` after it has lost its reply.
+/// In each cycle `demand` is called first, then `sent` with the command as shaped by the guard, then `sample`, unless the reply
+/// was lost.
 pub trait Pilot: Send {
     fn duration_s(&self) -> f64;
 
@@ -63,7 +61,7 @@ pub trait Pilot: Send {
         None
     }
 
-    /// The run begins, the first time or again; nothing of before is to be remembered. The last sample is given.
+    /// The run begins, the first time or again; all states begin anew from the last sample.
     fn begin(&mut self, _now_s: f64, _sample: Option<&Sample>) {}
 
     /// The demand for this cycle, or why the run has to end.
@@ -71,30 +69,28 @@ pub trait Pilot: Send {
 
     fn sent(&mut self, _command: &Command) {}
 
-    /// A sample that came while it runs, and nothing speaks against it; `encoder_proven`: the encoder has been seen to turn
-    /// in the right direction.
+    /// A sample of the run without a trip; `encoder_proven`: the encoder turned in the right direction.
     fn sample(&mut self, _now_s: f64, _elapsed_s: f64, _sample: &Sample, _encoder_proven: bool) {}
 
-    /// The speed reference in force, rad/s.
     fn reference_rad_s(&self) -> Option<f64> {
         None
     }
 
-    /// The next thing that changed or was found since the last cycle and why, as a line of the log.
+    /// The next line of the log since the last cycle.
     fn news(&mut self) -> Option<PilotNews> {
         None
     }
 
-    /// How the loop went; `None` for a program.
+    /// `None` for a program.
     fn report(&self) -> Option<SpeedReport> {
         None
     }
 }
 
-/// A program as the simplest pilot: what is measured changes nothing.
+/// A program as a pilot without feedback.
 pub(super) struct OpenLoop {
     pub(super) program: Box<dyn Program>,
-    /// What holds a load at rest, in the quantity that is commanded; the program comes on top.
+    /// Demand that holds a load at rest, in the commanded quantity; the program is added.
     pub(super) hold: f64,
 }
 

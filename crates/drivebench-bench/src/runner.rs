@@ -16,7 +16,6 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::clock::{Clock, SUSPENDED_S};
-use super::guard::RestError;
 use super::limits::Nameplate;
 use super::line_watch::{FOREIGN_WRITES, LineWatch, News};
 use super::live_online::{Excitation, LiveEstimator};
@@ -31,13 +30,9 @@ use drivebench_identify::online::Frozen;
 use drivebench_link::{Burst, Capture, DriveLink, LineCounts, LinkError, LinkStatistics};
 use drivebench_model::sample::{Command, Demand, DriveState, ParameterEstimate};
 
-/// A drive that is not safe after this time is not going to be by itself, s.
+/// Longest wait for a drive to become safe by itself, s.
 const CONNECT_TIME_S: f64 = 5.0;
-/// Times that a burst is asked for, and the pause between, s: one may still be recording.
-const FETCH_ATTEMPTS: u32 = 20;
-const FETCH_PAUSE_S: f64 = 0.1;
-
-/// What a run is made with; all of it belongs to the calling thread.
+/// Parts of a run, all of the calling thread.
 pub struct Bench<'a> {
     pub link: &'a mut dyn DriveLink,
     pub clock: &'a mut dyn Clock,
@@ -55,7 +50,7 @@ pub struct RunOptions {
     pub name: String,
     pub target: Target,
     pub rate_hz: f64,
-    /// The motor of which the model runs beside the measurement; `None`: none is known yet.
+    /// The motor of the model that is simulated beside the measurement; `None`: none is known yet.
     pub motor: Option<Nameplate>,
     /// Starts the program as soon as the session is safe, as a headless run does; else `Intent::Start` does.
     pub auto_start: bool,
@@ -68,37 +63,33 @@ pub struct RunSummary {
     pub duration_s: f64,
     pub timing: Timing,
     pub link: LinkStatistics,
-    /// What the drive itself recorded in a burst, if that was asked for.
+    /// Burst capture of the drive, if it was requested.
     #[serde(skip)]
     pub capture: Option<Capture>,
-    /// What the line carried, and how long round trips took; `None` where no wire is involved.
+    /// `None` without a wire.
     pub wire: Option<Wire>,
     pub estimates: Vec<ParameterEstimate>,
-    /// How far the data carried each of them at the end.
+    /// Persistence of excitation of each at the end, 0 to 1.
     pub excitation: Excitation,
-    /// For how long a limit of the drive kept the estimators from learning.
+    /// Time in which a limit of the drive froze the estimators.
     pub frozen: Frozen,
-    /// How the speed loop went, if there was one.
     #[serde(rename = "loop", skip_serializing_if = "Option::is_none")]
     pub speed: Option<SpeedReport>,
     pub notices: Vec<Notice>,
     /// Why zero output could not be confirmed at the very end, if it could not.
     pub stop_error: Option<String>,
-    /// How soon it stopped, where its output was on.
+    /// Where its output was on.
     pub stop: Option<Stop>,
-    /// Where in the record the last seconds before a trip are, and what came after it.
+    /// Of a trip.
     #[serde(rename = "trip", skip_serializing_if = "Option::is_none")]
     pub last_seconds: Option<LastSeconds>,
-    /// What the recorder could not write, if anything.
     pub recorder_error: Option<String>,
-    /// How the drive was got back, where it was lost.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reopened: Option<Reopened>,
     #[serde(skip)]
     pub end: RunEnd,
 }
 
-/// Bytes and times of a wire.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Wire {
     #[serde(flatten)]
@@ -124,13 +115,12 @@ impl Wire {
 }
 
 impl RunSummary {
-    /// Whether the drive was left without the certainty that it has stopped: nobody gave up on it by hand.
+    /// Whether the stop of the drive is not confirmed, in a run that no person ended.
     pub const fn lost_its_drive(&self) -> bool {
         self.stop_error.is_some()
             && !matches!(self.outcome, Outcome::Stopped | Outcome::Interrupted)
     }
 
-    /// Fills in what a manifest says about how the run went.
     pub fn describe(&self, manifest: &mut Manifest) {
         manifest.outcome = Some(match &self.outcome {
             Outcome::Done => "passed".to_owned(),
@@ -156,7 +146,7 @@ impl RunSummary {
     }
 }
 
-/// Runs a session to its end. On return, and when something panics on the way, the drive has been told to stop.
+/// Runs a session to its end. On return, and after a panic, the drive has got a request to stop.
 pub fn run(session: Session, bench: Bench<'_>, options: &RunOptions) -> RunSummary {
     let first = Snapshot {
         name: options.name.clone(),
@@ -196,7 +186,7 @@ struct StopOnDrop<'a>(&'a mut dyn DriveLink);
 impl Drop for StopOnDrop<'_> {
     fn drop(&mut self) {
         if std::thread::panicking() {
-            // Nobody is left to tell; the drive's watchdog is behind this.
+            // No error can be reported; the drive's watchdog is behind this.
             let _ = self.0.stop();
         }
     }
@@ -219,9 +209,8 @@ struct Runner<'a> {
     /// Why an automatic start was given up.
     not_started: Option<String>,
     burst_armed: bool,
-    /// For how long the computer had been suspended when that was looked at last.
+    /// Time in suspension so far, s.
     slept_s: f64,
-    /// News of the record that were told.
     record_news: usize,
     watch: LineWatch,
     stop: StopWatch,
@@ -252,7 +241,7 @@ impl Runner<'_> {
             }
             self.punctuality.cycle(now_s, now_s - due_s);
             if let Some(stop_request) = self.link.0.stop_request() {
-                // Whoever wants a stop is heard now.
+                // Requests to stop are read now.
                 stop_request.lower();
             }
             if interrupted.swap(false, Ordering::AcqRel) {
@@ -266,15 +255,15 @@ impl Runner<'_> {
             }
             self.feed(clock, Input::Cycle);
             if self.publisher.is_due(now_s) {
-                self.tell_record(now_s);
+                self.report_record(now_s);
                 self.publish(now_s, options.rate_hz, None);
             }
             cycle += 1;
         }
-        // Whatever the session knows: the last word to the drive is zero output.
-        let told_s = clock.now_s();
+        // Whatever the state of the session: the last command to the drive is zero output.
+        let sent_s = clock.now_s();
         let stopped = self.link.0.stop();
-        self.note_last_stop(told_s, clock.now_s(), &stopped);
+        self.note_last_stop(sent_s, clock.now_s(), &stopped);
         if let Some(notice) = self.session.stop_notice(stopped.as_ref().err()) {
             self.act_on_notice(notice);
         }
@@ -287,24 +276,19 @@ impl Runner<'_> {
             }
         }
         let now_s = clock.now_s();
-        // A drive that did not confirm its stop is not asked for records.
-        let capture = match stop_error {
-            None => self.fetch_burst(clock),
-            Some(_) => None,
-        };
+        // A drive that did not confirm its stop gets no request for records.
+        let capture = if stop_error.is_none() { self.fetch_burst(clock) } else { None };
         let outcome = match (self.outcome.take(), self.not_started.take()) {
             (Some(Outcome::Stopped) | None, Some(reason)) => Outcome::NotStarted { reason },
             (outcome, _) => outcome.unwrap_or(Outcome::Stopped),
         };
-        self.tell_record(now_s);
+        self.report_record(now_s);
         let stop = self.stop.stop(self.session.watchdog_s());
-        self.tell_stop(now_s, &outcome, stop.as_ref());
-        self.publish(
-            now_s,
-            options.rate_hz,
-            Some((outcome.name(), stop_error.clone(), stop.clone())),
-        );
+        self.report_stop(now_s, &outcome, stop.as_ref());
+        let end = (outcome.name(), stop_error.clone(), stop.clone());
+        self.publish(now_s, options.rate_hz, Some(end));
         let recorder = self.recorder.status();
+        let (estimates, excitation, frozen) = self.estimated();
         RunSummary {
             rows: recorder.rows as u64,
             duration_s: now_s - begin_s,
@@ -312,9 +296,9 @@ impl Runner<'_> {
             link: self.link.0.statistics(),
             capture,
             wire: Wire::of(self.link.0),
-            estimates: self.estimates(),
-            excitation: self.excitation(),
-            frozen: self.frozen(),
+            estimates,
+            excitation,
+            frozen,
             speed: self.session.report(),
             notices: std::mem::take(&mut self.notices),
             stop_error,
@@ -330,31 +314,30 @@ impl Runner<'_> {
         }
     }
 
-    /// The stop with which every run ends: a routine where the drive has said before that its output is off.
-    fn note_last_stop(&mut self, told_s: f64, now_s: f64, stopped: &Result<(), LinkError>) {
-        self.stop.asked(told_s, self.link.0.has_sent_command());
+    fn note_last_stop(&mut self, sent_s: f64, now_s: f64, stopped: &Result<(), LinkError>) {
+        self.stop.requested(sent_s, self.link.0.has_sent_command());
         self.stop.answered(stopped);
         match stopped {
-            // Who does not tell whether the output is off has not confirmed that it is.
+            // A drive that does not report its output has not confirmed that it is off.
             Ok(()) if self.link.0.confirms_stop() => self.stop.confirmed(now_s),
             Ok(()) => {}
             Err(_) => self.stop.withdraw(),
         }
     }
 
-    /// How the stop went: in the record, and for whoever wants to know because the run did not simply go to its end.
-    fn tell_stop(&mut self, now_s: f64, outcome: &Outcome, stop: Option<&Stop>) {
+    /// In the record, and as a notice where the run did not go to its end.
+    fn report_stop(&mut self, now_s: f64, outcome: &Outcome, stop: Option<&Stop>) {
         let Some(stop) = stop else { return };
         let event = Event::new(now_s + self.end.drive_minus_host_s, None, "stop");
         let detail = serde_json::to_value(stop).unwrap_or(Value::Null);
         self.recorder.event(event.with("host_time_s", now_s).with("stop", detail));
-        // One that was not confirmed has been told of with the link's last word.
+        // The notice of an unconfirmed one came with the link's last error.
         if *outcome != Outcome::Done && stop.confirmed_after_ms.is_some() {
             self.act_on_notice(Notice { level: Level::Info, text: stop.sentence() });
         }
     }
 
-    /// Waits until the next cycle is due; the end of the silence that is allowed is not waited out until then.
+    /// Waits until the next cycle is due, or acts at the end of the allowed silence before.
     fn await_cycle(&mut self, clock: &mut dyn Clock, due_s: f64) {
         if self.session.phase().is_energised() {
             let now_s = clock.now_s();
@@ -367,8 +350,8 @@ impl Runner<'_> {
         clock.sleep_until_s(due_s);
     }
 
-    /// Starts as soon as the session is safe; gives up with the reason where that is refused or takes too long, because
-    /// nobody is there to try again. Returns whether the matter is settled.
+    /// Starts as soon as the session is safe; ends the run where that is refused or takes too long. Returns whether it is
+    /// decided.
     fn try_start(&mut self, clock: &dyn Clock, waited_s: f64) -> bool {
         if self.session.phase() == Phase::Safe {
             if waited_s <= CONNECT_TIME_S && self.still_moves() {
@@ -392,19 +375,17 @@ impl Runner<'_> {
         true
     }
 
-    /// Whether the shaft, or the current that brakes it, has not come to rest after what was before this run.
+    /// Whether shaft or current have not come to rest after a motion before this run.
     fn still_moves(&self) -> bool {
-        let guard = self.session.guard();
-        let rest = self.session.last_sample().map(|sample| guard.check_rest(sample));
-        let may_change = RestError::may_change;
-        rest.is_some_and(|rest| rest.is_err_and(|error| may_change(&error)))
+        let rest = self.session.last_sample().map(|sample| self.session.guard().check_rest(sample));
+        matches!(rest, Some(Err(error)) if error.may_change())
     }
 
     /// One input and everything that follows from it.
     fn feed(&mut self, clock: &dyn Clock, input: Input) {
         self.inputs.push_back(input);
         loop {
-            // Whatever waits, and whatever an exchange has brought: a sleep is told first.
+            // A suspension comes before all other inputs.
             let slept_s = clock.slept_s() - self.slept_s;
             if slept_s > SUSPENDED_S {
                 self.slept_s += slept_s;
@@ -442,8 +423,7 @@ impl Runner<'_> {
                         estimator.push(row);
                     }
                 }
-                let reference_rad_s = self.session.reference_rad_s();
-                self.publisher.sample(&sample, self.demand, reference_rad_s);
+                self.publisher.sample(&sample, self.demand, self.session.reference_rad_s());
             }
             Action::Event(mut event) => {
                 event.time_s += self.end.drive_minus_host_s;
@@ -459,7 +439,7 @@ impl Runner<'_> {
         self.demand = command.demand;
         let is_recorded = self.session.phase().is_recorded();
         let reference_rad_s = self.session.reference_rad_s();
-        // What stops a motor is not held to the time that is left of an old silence.
+        // A stop is not bounded by the remaining silence.
         let left_s = if command.demand.energises() {
             self.session.guard().silence_left_s(sent_s)
         } else {
@@ -469,8 +449,8 @@ impl Runner<'_> {
         let answer = self.link.0.exchange(command);
         let now_s = clock.now_s();
         if command.demand == Demand::Stop {
-            // What stops a motor waits for no silence of the line: it goes out as soon as it is handed over.
-            self.stop.asked(sent_s, self.link.0.has_sent_command());
+            // A stop waits for no silence of the line: it goes out as soon as it is handed over.
+            self.stop.requested(sent_s, self.link.0.has_sent_command());
             self.stop.answered(&answer);
         }
         if is_recorded && self.link.0.has_sent_command() {
@@ -485,16 +465,15 @@ impl Runner<'_> {
             self.recorder.command(&row);
         }
         let took_s = now_s - sent_s;
-        // So long the link may have held us; what goes beyond that was the host's.
+        // Time of the link; the excess is a stall of the host.
         self.session.waited_for_link(now_s, took_s.min(left_s));
         let answered = answer.is_ok();
         self.inputs.push_back(match answer {
             Ok(sample) => {
-                // A host that stamps samples has one clock for both: how long this exchange took is no part of it.
+                // A host that stamps samples has one clock for both: the time of this exchange is no part of the offset.
                 let host_s = (sample.time_half_width_s.and(sample.host_time_s)).map(|s| s - now_s);
                 let offset_s = host_s.unwrap_or(sample.time_s - sent_s);
-                let is_of_a_restart = self.session.guard().is_of_a_restart(now_s, &sample);
-                if offset_s.is_finite() && !is_of_a_restart {
+                if offset_s.is_finite() && !self.session.guard().is_of_a_restart(now_s, &sample) {
                     self.end.drive_minus_host_s = offset_s;
                 }
                 self.end.last_reply_s = now_s;
@@ -505,7 +484,7 @@ impl Runner<'_> {
         self.watch_line(now_s, took_s, answered);
     }
 
-    /// What the line leaves behind is told at once, and stands in the record.
+    /// News of the line go to notices and record at once.
     fn watch_line(&mut self, now_s: f64, took_s: f64, answered: bool) {
         let line = self.link.0.line().unwrap_or_default();
         let mut news = self.watch.frames(now_s, line);
@@ -515,11 +494,9 @@ impl Runner<'_> {
             self.watch.rest();
         }
         for News { event, figure, notice } in news {
-            let is_rate = event.starts_with("rate");
-            let key = if is_rate { "achieved_hz" } else { "frames" };
+            let key = if event.starts_with("rate") { "achieved_hz" } else { "frames" };
             if event == FOREIGN_WRITES {
-                let master = Input::OtherMaster(line.foreign_writes);
-                self.inputs.push_back(master);
+                self.inputs.push_back(Input::OtherMaster(line.foreign_writes));
             }
             let event = Event::new(now_s + self.end.drive_minus_host_s, None, event);
             self.recorder.event(event.with("host_time_s", now_s).with(key, figure));
@@ -527,8 +504,8 @@ impl Runner<'_> {
         }
     }
 
-    /// What goes wrong with the record is told while it does, and stops nothing.
-    fn tell_record(&mut self, now_s: f64) {
+    /// Errors of the record become notices at once, and stop nothing.
+    fn report_record(&mut self, now_s: f64) {
         let status = self.recorder.status();
         for text in status.news.into_iter().skip(self.record_news) {
             self.record_news += 1;
@@ -539,7 +516,7 @@ impl Runner<'_> {
         }
     }
 
-    /// A burst is an extra: a run goes on without it, and says so.
+    /// A run goes on without its burst, with a warning.
     fn arm_burst(&mut self) {
         let armed = match self.link.0.burst() {
             Some(burst) => burst.arm().map_err(|error| error.to_string()),
@@ -551,13 +528,13 @@ impl Runner<'_> {
         }
     }
 
-    /// Fetches what the drive recorded, with the output off.
+    /// Fetches the capture with the output off; the drive may still be recording.
     fn fetch_burst(&mut self, clock: &mut dyn Clock) -> Option<Capture> {
         if !self.burst_armed {
             return None;
         }
         let mut reason = "the drive does not finish it".to_owned();
-        for _ in 0..FETCH_ATTEMPTS {
+        for _ in 0..20 {
             match self.link.0.burst().map(Burst::fetch) {
                 Some(Ok(Some(capture))) => return Some(capture),
                 Some(Err(error)) if !error.is_transient() => {
@@ -567,7 +544,7 @@ impl Runner<'_> {
                 Some(Err(error)) => reason = error.to_string(),
                 Some(Ok(None)) | None => {}
             }
-            clock.sleep_until_s(clock.now_s() + FETCH_PAUSE_S);
+            clock.sleep_until_s(clock.now_s() + 0.1);
         }
         self.warn(format!("the burst capture is lost: {reason}"));
         None
@@ -582,36 +559,24 @@ impl Runner<'_> {
         self.notices.push(notice);
     }
 
-    fn estimates(&self) -> Vec<ParameterEstimate> {
+    /// Of the estimators, or nothing without them.
+    fn estimated(&self) -> (Vec<ParameterEstimate>, Excitation, Frozen) {
         let estimator = self.estimator.as_ref();
-        estimator.map_or_else(Vec::new, |estimator| estimator.estimates())
+        estimator.map(|one| (one.estimates(), one.excitation(), one.frozen())).unwrap_or_default()
     }
 
-    fn excitation(&self) -> Excitation {
-        let estimator = self.estimator.as_ref();
-        estimator.map_or_else(Excitation::new, |estimator| estimator.excitation())
-    }
-
-    fn frozen(&self) -> Frozen {
-        let estimator = self.estimator.as_ref();
-        estimator.map_or_else(Frozen::default, |estimator| estimator.frozen())
-    }
-
-    /// `end`: the outcome of a run that is over, why its stop could not be confirmed, if it could not, and how it stopped.
+    /// `end`: of a run that is over.
     fn publish(
         &mut self,
         now_s: f64,
         rate_hz: f64,
         end: Option<(&'static str, Option<String>, Option<Stop>)>,
     ) {
-        let (estimates, excitation) = (self.estimates(), self.excitation());
-        let frozen = self.frozen();
-        let estimator = self.estimator.as_ref();
-        let innovation = estimator.and_then(|estimator| estimator.innovation());
+        let (estimates, excitation, frozen) = self.estimated();
+        let innovation = self.estimator.as_ref().and_then(|one| one.innovation());
         self.publisher.innovation(innovation);
         let recorder = self.recorder.status();
-        let session = &self.session;
-        self.publisher.publish(now_s, session, estimates, |shown| {
+        self.publisher.publish(now_s, &self.session, estimates, |shown| {
             shown.excitation = Arc::new(excitation);
             shown.frozen = frozen;
             shown.link_statistics = self.link.0.statistics();
@@ -626,7 +591,6 @@ impl Runner<'_> {
     }
 }
 
-/// What the output has to go off for, as it is decided.
 fn cause(session: &Session) -> &'static str {
     match (session.ending(), session.guard().tripped()) {
         (Some(Outcome::Done), _) => "the end of the sequence",

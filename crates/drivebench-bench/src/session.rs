@@ -6,15 +6,15 @@
 //!                         +---------+-----------+-- trip ---+-----> tripped | link_lost
 //! ```
 //!
-//! A session ends for good: whoever wants to go on begins a new one, at `connecting` with zero output. So nothing re-arms,
-//! and no set-point survives a reconnect. Every input that is not a sample or a cycle becomes an event with its number.
+//! A session ends for good: the next one begins at `connecting` with zero output. So nothing re-arms, and no set-point survives
+//! a reconnect. Every input that is not a sample or a cycle becomes an event with its number.
 
 mod actions;
 mod state;
 
 pub use actions::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase};
 
-use self::state::{BrakeMotion, BrakeOrder, Drive, Shaping, State, Watchdog};
+use self::state::{BrakeMotion, BrakeOrder, Drive, Shaping, State, TIMES, Watchdog};
 use serde_json::{Value, json};
 
 use super::check::WATCHDOG;
@@ -28,14 +28,7 @@ use crate::recording::Event;
 use drivebench_link::{CommandTimes, LinkError};
 use drivebench_model::sample::{Channel, Command, Demand, DriveState, Sample};
 
-/// A drive that is to stop and gives no reply at all is given up after this, s.
-const STOP_SILENCE_S: f64 = 1.0;
-/// After the output has reached zero the shaft is given this long to come to rest under braking, s.
-const COME_TO_REST_S: f64 = 2.0;
-/// Longest wait for the first valid reply, s.
-const FIRST_REPLY_S: f64 = 3.0;
-
-const UNREPORTED: &str = "stop unconfirmed: the drive took it, and does not tell whether its output is off; see that the shaft stands still";
+const UNREPORTED: &str = "stop unconfirmed: the drive took it, and does not report whether its output is off; see that the shaft stands still";
 
 /// One bench session over one program, or one closed loop.
 pub struct Session {
@@ -47,14 +40,14 @@ pub struct Session {
     ran_s: f64,
     segment: Option<usize>,
     shaping: Shaping,
-    /// Magnitudes at which the program has reached what it was for.
+    /// Magnitudes at which the program has reached its purpose.
     goals: Vec<(Channel, f64)>,
     /// Segment with whose first command a burst capture is to start, once.
     burst_at: Option<usize>,
     /// Order and times of a load's brake, where there is one.
     brake: Option<BrakeOrder>,
     reset_wanted: bool,
-    /// Checks that the user waived and that no notice names yet.
+    /// Checks that the user waived, before their notice.
     waived: Vec<String>,
     unwatched_reported: bool,
     seq: u64,
@@ -69,12 +62,11 @@ impl Session {
         Self::holding(program, guard, 0.0)
     }
 
-    /// A session whose program comes on top of what holds a load at rest, in the quantity that it commands.
+    /// A session whose program is added to the demand that holds a load at rest.
     pub fn holding(program: Box<dyn Program>, guard: Guard, hold: f64) -> Self {
         Self::with_pilot(Box::new(OpenLoop { program, hold }), guard)
     }
 
-    /// A session whose demands answer to samples.
     pub fn with_pilot(pilot: Box<dyn Pilot>, guard: Guard) -> Self {
         Self {
             pilot,
@@ -97,14 +89,13 @@ impl Session {
         }
     }
 
-    /// Keeps the order of a load's brake: torque, then release; rest, then the brake, then the output off.
     #[must_use]
     pub fn with_brake(mut self, brake: Option<Brake>) -> Self {
         self.brake = brake.map(|brake| BrakeOrder { brake, motion: None });
         self
     }
 
-    /// Names in log and notices the checks that the user waived, and goes on without them.
+    /// Without the checks that the user waived; log and notices name them.
     #[must_use]
     pub fn with_waivers(mut self, waived: Vec<String>) -> Self {
         if waived.iter().any(|check| check == PLAUSIBILITY) {
@@ -117,7 +108,7 @@ impl Session {
         self
     }
 
-    /// The guard learns from the readings of the checks how noisy the sensors are.
+    /// Readings at rest, from which the guard estimates the noise of the sensors.
     #[must_use]
     pub fn with_rest(mut self, rest: &[Sample]) -> Self {
         self.guard.learn(rest);
@@ -145,7 +136,7 @@ impl Session {
         self.drive.watchdog_s()
     }
 
-    /// What it ends with, or has ended with: of a stop that the drive did not confirm, what it was stopped for.
+    /// Its outcome, present or to come; of a stop that the drive did not confirm, the cause of the stop.
     pub const fn ending(&self) -> Option<&Outcome> {
         self.state.ending()
     }
@@ -170,15 +161,15 @@ impl Session {
         self
     }
 
-    /// Ends the program, as done and by the usual ramp down, with the first sample in which one of these quantities
-    /// reaches its magnitude: an exploration needs no more than that.
+    /// Ends the program, as done and by the usual ramp down, with the first sample in which one of these quantities reaches its
+    /// magnitude.
     #[must_use]
     pub fn until(mut self, goals: Vec<(Channel, f64)>) -> Self {
         self.goals = goals;
         self
     }
 
-    /// Continues the sequence numbers of what was exchanged before, so that no late reply can be taken for a new one.
+    /// Continues the sequence numbers of earlier exchanges, so that no late reply can be taken for a new one.
     #[must_use]
     pub const fn after_seq(mut self, seq: u64) -> Self {
         self.seq = seq;
@@ -193,7 +184,7 @@ impl Session {
         &self.guard
     }
 
-    /// Of the time since the last step so much was spent waiting for the link.
+    /// Time since the last step that was spent waiting for the link.
     pub fn waited_for_link(&mut self, now_s: f64, waited_s: f64) {
         self.guard.waited_for_link(now_s, waited_s);
     }
@@ -205,15 +196,14 @@ impl Session {
     /// Time within the program and its whole length, s.
     pub fn progress_s(&self, now_s: f64) -> (f64, f64) {
         let total_s = self.pilot.duration_s();
-        let elapsed_s = self.elapsed_s(now_s);
-        (elapsed_s.clamp(0.0, total_s), total_s)
+        (self.elapsed_s(now_s).clamp(0.0, total_s), total_s)
     }
 
     pub fn segment_name(&self) -> Option<&str> {
         self.segment.map(|index| self.pilot.segment_name(index))
     }
 
-    /// The speed reference that holds now, rad/s: none without a loop, zero once the loop is open.
+    /// The present speed reference, rad/s: none without a loop, zero once the loop is open.
     pub fn reference_rad_s(&self) -> Option<f64> {
         let reference = self.pilot.reference_rad_s();
         match self.state {
@@ -223,13 +213,12 @@ impl Session {
         }
     }
 
-    /// How the loop went, if there is one.
     pub fn report(&self) -> Option<SpeedReport> {
         self.pilot.report()
     }
 
-    /// Takes one input and appends what is to be done. Each `Cycle` sends one command, unless it only waits for a drive that
-    /// has to stop and gives no sample.
+    /// One input; appends its actions. Each `Cycle` sends one command, unless it only waits for a drive that has to stop and
+    /// gives no sample.
     pub fn step(&mut self, now_s: f64, input: Input, actions: &mut Vec<Action>) {
         self.now_s = now_s;
         self.inputs += 1;
@@ -241,7 +230,7 @@ impl Session {
         if let Input::Lost(Lost::Busy(message)) = &input {
             self.guard.refused(message);
         }
-        // Before the guard's clock goes on: the time of a sleep is no silence of link or program.
+        // Before the guard's clock advances: a suspension is no silence of link or program.
         let trip = match input {
             Input::Suspended(slept_s) => self.guard.slept(now_s, slept_s),
             Input::OtherMaster(frames) => self.guard.other_master(now_s, frames),
@@ -255,7 +244,7 @@ impl Session {
             Input::Sample(sample) => self.sample(*sample),
             Input::Lost(lost) => {
                 self.lost(&lost);
-                // An exchange is given no more than what is left of the silence.
+                // An exchange gets no more than the remaining silence.
                 self.stop_at_once(was);
             }
             Input::Silence => self.stop_at_once(was),
@@ -272,7 +261,7 @@ impl Session {
         actions.append(&mut self.actions);
     }
 
-    /// Where the output was on until now: a stop goes out with what has brought it about, not in the next cycle.
+    /// Where the output was on until now, a stop goes out with its cause, not in the next cycle.
     fn stop_at_once(&mut self, was: Phase) {
         if was.is_energised() && self.phase() == Phase::Stopping {
             self.send(Demand::Stop);
@@ -291,14 +280,15 @@ impl Session {
             }
             State::Connecting(since_s) => {
                 let waited_s = self.now_s - *since_s.get_or_insert(self.now_s);
-                if self.drive.sample.is_none() && waited_s > FIRST_REPLY_S {
-                    self.lose(&format!("no valid reply within {FIRST_REPLY_S} s"));
+                if self.drive.sample.is_none() && waited_s > TIMES.first_reply_s {
+                    let limit_s = TIMES.first_reply_s;
+                    self.lose(&format!("no valid reply within {limit_s} s"));
                 }
             }
             State::Stopping { since_s, .. } => {
                 let waited_s = self.now_s - *since_s;
                 let silent_s = waited_s.min(self.now_s - self.drive.replied_s);
-                if waited_s > self.drive.stop_time_s || silent_s > STOP_SILENCE_S {
+                if waited_s > self.drive.stop_time_s || silent_s > TIMES.stop_silence_s {
                     self.finish(false);
                 }
             }
@@ -332,7 +322,7 @@ impl Session {
             return;
         };
         if !self.is_ramped_down(since_s) {
-            // A shaft that rested and moves again has to rest anew before its brake counts as shut.
+            // A shaft that moves again has to rest anew before its brake counts as applied.
             if let Some(order) = self.brake.as_mut() {
                 order.motion = None;
             }
@@ -342,16 +332,15 @@ impl Session {
                     || "is not known to stand still".to_owned(),
                     |speed| format!("still turns at {speed:.1} rad/s"),
                 );
-                let text = format!(
+                self.notice(Level::Warning, format!(
                     "the shaft {shaft} and the ramp down is over: the output goes off all the same; see that it comes to rest"
-                );
-                self.notice(Level::Warning, text);
+                ));
             }
             self.stop_now(None);
         }
     }
 
-    /// What the drive should do now, before the guard shapes it.
+    /// The demand before the guard shapes it.
     fn wanted(&mut self) -> Result<Demand, Trip> {
         Ok(match self.state {
             State::Connecting(_) | State::Safe | State::Over { .. } => {
@@ -375,7 +364,7 @@ impl Session {
 
     fn send(&mut self, wanted: Demand) -> Command {
         let shaped = self.guard.shape(self.now_s, wanted);
-        // The guard answers `Stop` to everything after a trip; in the final phases reading is all that is left to do.
+        // After a trip the guard returns `Stop`; in the final phases only samples are read.
         let demand =
             if self.phase().is_final() && !wanted.energises() { wanted } else { shaped.demand };
         self.note_shaping(wanted, demand, shaped.causes);
@@ -395,8 +384,7 @@ impl Session {
         let trip = self.guard.watch(self.now_s, &sample, armed).cloned();
         if let (None, State::Running(since_s)) = (&trip, &self.state) {
             let proven = self.guard.plausibility().has_proven_direction();
-            let elapsed_s = self.now_s - since_s;
-            self.pilot.sample(self.now_s, elapsed_s, &sample, proven);
+            self.pilot.sample(self.now_s, self.now_s - since_s, &sample, proven);
             self.report_unwatched();
         }
         if self.phase().is_recorded() {
@@ -437,7 +425,6 @@ impl Session {
         }
     }
 
-    /// Reports once which signals are not watched on this drive.
     fn report_unwatched(&mut self) {
         if std::mem::replace(&mut self.unwatched_reported, true) {
             return;
@@ -469,8 +456,7 @@ impl Session {
     }
 
     fn may_run(&self) -> bool {
-        let runs = matches!(self.drive.state(), None | Some(DriveState::Running));
-        runs && self.is_at_rest()
+        matches!(self.drive.state(), None | Some(DriveState::Running)) && self.is_at_rest()
     }
 
     fn speed_rad_s(&self) -> Option<f64> {
@@ -478,16 +464,14 @@ impl Session {
     }
 
     fn is_at_rest(&self) -> bool {
-        let rest_rad_s = self.guard.rest_rad_s();
-        self.speed_rad_s().is_some_and(|speed| speed.abs() <= rest_rad_s)
+        self.speed_rad_s().is_some_and(|speed| speed.abs() <= self.guard.rest_rad_s())
     }
 
     fn is_ramped_down(&self, since_s: f64) -> bool {
-        let longest_s = self.guard.ramp_down_s() + COME_TO_REST_S;
+        let longest_s = self.guard.ramp_down_s() + TIMES.come_to_rest_s;
         self.now_s - since_s > longest_s || (self.shaping.is_none() && self.is_at_rest())
     }
 
-    /// Time within the program, s.
     fn elapsed_s(&self, now_s: f64) -> f64 {
         match self.state {
             State::Running(since_s) => now_s - since_s,
@@ -521,13 +505,12 @@ impl Session {
             Intent::Mark(_) => Ok(()),
         };
         if let Err(reason) = refused {
-            let detail = json!({ "intent": intent.name(), "reason": reason });
-            self.event("refused", detail);
+            self.event("refused", json!({ "intent": intent.name(), "reason": reason }));
             self.notice(Level::Warning, reason);
         }
     }
 
-    /// Output on at zero, if motor and drive are at rest and what is limited can be watched.
+    /// Output on at zero, if motor and drive are at rest and every limited quantity can be watched.
     fn arm(&mut self) -> Result<(), String> {
         let phase = self.phase();
         if phase != Phase::Safe {
@@ -538,13 +521,12 @@ impl Session {
         if let Some(hindrance) = sample.hindrance {
             return Err(format!("cannot start: {}", hindrance.sentence()));
         }
-        let rest = self.guard.check_rest(sample);
-        rest.map_err(|error| format!("cannot start: {error}"))?;
+        self.guard.check_rest(sample).map_err(|error| format!("cannot start: {error}"))?;
         let needs_angle = self.guard.limits().travel_rad.is_some();
         for (channel, needed) in
             [(Channel::Current, true), (Channel::Speed, true), (Channel::Angle, needs_angle)]
         {
-            if needed && !self.guard.has_seen(channel) {
+            if needed && !self.guard.is_given(channel) {
                 return Err(format!(
                     "cannot start: the drive gives no {}, so its limit cannot be watched",
                     channel.name()
@@ -563,16 +545,16 @@ impl Session {
                 self.stop_now(Some(outcome));
             }
             State::Armed | State::Running(_) => self.end(outcome),
-            // The program is over and the output going to zero: this request must keep a next run from its begin.
+            // The program is over and the output going to zero: this request must prevent a next run.
             State::Stopping { ending, .. } if *ending == Outcome::Done => *ending = outcome,
             State::Stopping { .. } | State::Over { .. } => {}
         }
     }
 
-    /// Whether the load may move: the drive has held it for as long as the brake takes to open.
+    /// Whether the load may move: the drive has held it while the brake opened.
     fn is_brake_open(&mut self) -> bool {
         if self.drive.state() == Some(DriveState::Disabled) || self.shaping.is_some() {
-            // It opens anew once the drive holds the load.
+            // It opens again once the drive holds the load.
             if let Some(order) = self.brake.as_mut() {
                 order.motion = None;
             }
@@ -599,7 +581,7 @@ impl Session {
     }
 
     fn end(&mut self, ending: Outcome) {
-        // A motor that coasts has no output to ramp down: zero volts switched on would short its winding at full back-EMF.
+        // A coasting motor has no output to ramp down: zero volts would short its winding at full back-EMF.
         if self.guard.is_output_off() && !self.is_at_rest() {
             self.stop_now(Some(ending));
             return;
@@ -609,19 +591,18 @@ impl Session {
     }
 
     fn trip(&mut self, trip: &Trip) {
-        let detail = json!({ "trip": trip });
-        self.event("trip", detail);
+        self.event("trip", json!({ "trip": trip }));
         if self.phase().is_final() {
             return;
         }
         self.notice(Level::Error, trip.reason.clone());
         let new = match &self.state {
             _ if trip.kind.is_link() => self.ending_by_loss(&trip.reason),
-            // The first cause of the stop stays its reason, whatever is found while it stops.
+            // The first cause of the stop remains its reason.
             State::Stopping { ending: ending @ Outcome::LinkLost { .. }, .. } => ending.clone(),
             _ => Outcome::Tripped(trip.clone()),
         };
-        // A drive that gives no sample while it has to stop gets no more time for it.
+        // A drive without samples gets no more time to stop.
         let is_silent = matches!(trip.kind, TripKind::LinkSilence | TripKind::Refused);
         match &mut self.state {
             State::Stopping { ending, .. } if is_silent => *ending = new,
@@ -629,7 +610,7 @@ impl Session {
         }
     }
 
-    /// A lost link is how the session ends, unless a trip or a person had ended it before.
+    /// A lost link ends the session, unless a trip or a person had ended it before.
     fn ending_by_loss(&self, reason: &str) -> Outcome {
         match self.ending() {
             None | Some(Outcome::Done) => Outcome::LinkLost { reason: reason.to_owned() },
@@ -637,13 +618,12 @@ impl Session {
         }
     }
 
-    /// The link does not come back: over at once, without the drive's report.
+    /// Over at once, without the drive's report.
     fn lose(&mut self, reason: &str) {
-        let ending = self.ending_by_loss(reason);
-        self.finish_with(ending, false);
+        self.finish_with(self.ending_by_loss(reason), false);
     }
 
-    /// Output off. `None`: for the reason of the ramp down.
+    /// Output off; `None`: with the outcome of the ramp down.
     fn stop_now(&mut self, ending: Option<Outcome>) {
         let ending = ending.or_else(|| self.ending().cloned());
         self.enter(State::Stopping {
@@ -654,8 +634,7 @@ impl Session {
     }
 
     fn finish(&mut self, is_confirmed: bool) {
-        let ending = self.ending().cloned().unwrap_or(Outcome::Stopped);
-        self.finish_with(ending, is_confirmed);
+        self.finish_with(self.ending().cloned().unwrap_or(Outcome::Stopped), is_confirmed);
     }
 
     fn finish_with(&mut self, ending: Outcome, is_confirmed: bool) {
@@ -683,32 +662,32 @@ impl Session {
         const REST: &str = "see that the shaft stands still";
         let Some(error) = failed else {
             let text = if self.drive.reports_stop {
-                "the drive confirmed its stop only when it was told once more, after the run"
+                "the drive confirmed its stop only at the last request, after the run"
             } else {
                 UNREPORTED
             };
             return (self.state.confirmed() == Some(false))
                 .then(|| Notice { level: Level::Warning, text: text.to_owned() });
         };
-        // A drive that had reported its stop may have been switched on by what was under way.
+        // A drive that had reported its stop may have been switched on by a delayed command.
         let answer = match error {
             LinkError::Exception { .. } => format!(" (it answers: {error})"),
             _ => String::new(),
         };
         let why = match (error, self.drive.watchdog) {
-            // It answers, or never reported that it runs: no watchdog has acted.
+            // It answers: no watchdog has acted.
             (
                 LinkError::Refused { .. }
                 | LinkError::Sequence { .. }
                 | LinkError::Unstopped { .. },
                 _,
             ) => format!(": {error}; {REST}"),
-            _ if !self.drive.has_run => format!(", which was not seen to run; {REST}"),
+            _ if !self.drive.has_run => format!(", which never reported that it runs; {REST}"),
             (_, Watchdog::Waived) => {
                 ", whose watchdog was waived: the motor may still turn".to_owned()
             }
             (_, Watchdog::After(time_s)) if time_s > 0.0 => {
-                format!("; its watchdog stops the motor {time_s} s after the last word from here")
+                format!("; its watchdog stops the motor {time_s} s after the last command")
             }
             _ => format!("; no watchdog is known to stop it: {REST}"),
         };
@@ -747,7 +726,7 @@ impl Session {
         }
     }
 
-    /// One event when shaping begins or changes its cause, one when it ends: nothing silent, and no flood.
+    /// One event when shaping begins or changes its cause, one when it ends.
     fn note_shaping(&mut self, wanted: Demand, sent: Demand, causes: Causes) {
         let before = self.shaping;
         let cycles = before.map_or(0, |(_, cycles)| cycles);
@@ -757,8 +736,7 @@ impl Session {
         }
         if causes.any() {
             let (wanted, sent) = (demand_json(wanted), demand_json(sent));
-            let detail = json!({ "causes": causes, "wanted": wanted, "sent": sent });
-            self.event("shaped", detail);
+            self.event("shaped", json!({ "causes": causes, "wanted": wanted, "sent": sent }));
         } else {
             self.event("shaped_end", json!({ "cycles": cycles }));
         }

@@ -1,4 +1,4 @@
-//! Snapshot of a run for a screen, published some twenty times a second; it never reaches back into the run.
+//! Snapshot of a run for a screen, published twenty times a second of the run; read-only.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::Sender;
@@ -16,11 +16,11 @@ use drivebench_link::{Identity, LinkStatistics};
 use drivebench_model::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State, Trajectory};
 use drivebench_model::sample::{Channel, Demand, DriveState, ParameterEstimate, Sample, Verdict};
 
-/// Software or copper: shown on every screen.
+/// Emulator or hardware: shown on every screen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Target {
-    /// The drive itself says that it is software.
+    /// By the identity of the drive.
     Sim,
     #[default]
     Hardware,
@@ -49,17 +49,17 @@ pub struct TracePoint {
     pub speed_rad_s: f64,
     /// Free run of the model under the same voltage.
     pub model_speed_rad_s: f64,
-    /// What a speed loop follows; NaN without one.
+    /// Of a speed loop; NaN without one.
     pub reference_rad_s: f64,
-    /// Voltage that was commanded, and when it reached the motor, on the same clock; NaN where nothing tells.
+    /// Voltage command, and when it reached the motor, on the same clock; NaN where it is not known.
     pub command_v: f64,
     pub applied_s: f64,
 }
 
-/// What the on-line estimators added to their prediction at one instant.
+/// Innovation of the on-line estimators at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InnovationPoint {
-    /// As that of the trace.
+    /// On the time axis of the trace.
     pub time_s: f64,
     pub current_a: f64,
     pub speed_rad_s: f64,
@@ -81,27 +81,25 @@ pub struct Snapshot {
     /// Of the on-line estimators over the same seconds, one for each snapshot.
     pub innovations: Arc<Vec<InnovationPoint>>,
     pub estimates: Arc<Vec<ParameterEstimate>>,
-    /// How far the data carry each parameter so far.
+    /// Persistence of excitation of each parameter so far.
     pub excitation: Arc<Excitation>,
-    /// For how long a limit of the drive has kept the estimators from learning.
+    /// Time in which a limit of the drive froze the estimators.
     pub frozen: Frozen,
     /// Whether the model of the trace is the nameplate's or the identified one.
     pub model_is_identified: bool,
     pub link_statistics: LinkStatistics,
     pub timing: Timing,
     pub rows: u64,
-    /// What the recorder could not write, if anything.
     pub recorder_error: Option<String>,
     /// The newest last.
     pub notices: Vec<Notice>,
     pub trip: Option<Trip>,
-    /// The search for a drive that was lost: how it goes, and what came of it.
     pub reopening: Option<String>,
     /// Set once, when the run is over.
     pub outcome: Option<&'static str>,
     /// Why zero output could not be confirmed then, if it could not.
     pub stop_error: Option<String>,
-    /// How soon it stopped, where its output was on.
+    /// Where its output was on.
     pub stop: Option<Stop>,
 }
 
@@ -109,27 +107,26 @@ pub struct Snapshot {
 #[derive(Clone, Debug, Default)]
 pub struct SnapshotCell {
     latest: Arc<Mutex<Arc<Snapshot>>>,
-    /// Hears every notice as it comes, where nobody looks at snapshots.
-    listener: Option<Sender<Notice>>,
+    /// Receives every notice at once, where no screen reads snapshots.
+    notices: Option<Sender<Notice>>,
 }
 
 impl SnapshotCell {
-    /// A cell that passes on every notice as well.
-    pub fn heard_by(listener: Sender<Notice>) -> Self {
-        Self { listener: Some(listener), ..Self::default() }
+    /// A cell that sends every notice as well.
+    pub fn with_notices(notices: Sender<Notice>) -> Self {
+        Self { notices: Some(notices), ..Self::default() }
     }
 
-    /// The same cell for somebody who only looks.
+    /// The same cell for a reader.
     #[must_use]
-    pub fn unheard(&self) -> Self {
-        Self { latest: Arc::clone(&self.latest), listener: None }
+    pub fn reader(&self) -> Self {
+        Self { latest: Arc::clone(&self.latest), notices: None }
     }
 
-    /// Whoever listens hears it.
-    pub fn tell(&self, notice: &Notice) {
-        if let Some(listener) = &self.listener {
-            // Nobody listens any more: the notice is in the summary all the same.
-            let _ = listener.send(notice.clone());
+    pub fn send(&self, notice: &Notice) {
+        if let Some(notices) = &self.notices {
+            // Without a receiver the notice is in the summary all the same.
+            let _ = notices.send(notice.clone());
         }
     }
 
@@ -144,10 +141,6 @@ impl SnapshotCell {
 
 /// Points kept for the scope: the widest screen has fewer columns.
 const POINTS: usize = 1200;
-/// Notices kept.
-const NOTICES: usize = 50;
-/// Snapshots per second of the run.
-const SNAPSHOT_RATE_HZ: f64 = 20.0;
 
 pub(super) struct Publisher {
     cell: SnapshotCell,
@@ -195,7 +188,7 @@ impl Publisher {
         });
     }
 
-    /// What the estimators added to their prediction of the newest sample; not a number where they predict nothing.
+    /// Innovation of the newest sample; NaN without a prediction.
     pub(super) fn innovation(&mut self, innovation: Option<(f64, f64)>) {
         let Some(newest) = self.points.back() else {
             return;
@@ -204,16 +197,13 @@ impl Publisher {
         if self.innovations.len() == POINTS {
             self.innovations.pop_front();
         }
-        self.innovations.push_back(InnovationPoint {
-            time_s: newest.time_s,
-            current_a,
-            speed_rad_s,
-        });
+        let time_s = newest.time_s;
+        self.innovations.push_back(InnovationPoint { time_s, current_a, speed_rad_s });
     }
 
     pub(super) fn notice(&mut self, notice: Notice) {
-        self.cell.tell(&notice);
-        if self.snapshot.notices.len() == NOTICES {
+        self.cell.send(&notice);
+        if self.snapshot.notices.len() == 50 {
             self.snapshot.notices.remove(0);
         }
         self.snapshot.notices.push(notice);
@@ -223,7 +213,7 @@ impl Publisher {
         now_s >= self.next_s
     }
 
-    /// Shows the run as it stands: what the session knows, and what the runner puts in with `rest`.
+    /// Publishes the state of the session, and what the runner puts in with `rest`.
     pub(super) fn publish(
         &mut self,
         now_s: f64,
@@ -231,9 +221,9 @@ impl Publisher {
         estimates: Vec<ParameterEstimate>,
         rest: impl FnOnce(&mut Snapshot),
     ) {
-        self.next_s = now_s + 1.0 / SNAPSHOT_RATE_HZ;
+        self.next_s = now_s + 1.0 / 20.0;
         if !self.model.is_identified {
-            self.model.learn(&estimates);
+            self.model.adopt(&estimates);
         }
         let snapshot = &mut self.snapshot;
         snapshot.phase = Some(session.phase());
@@ -250,16 +240,13 @@ impl Publisher {
     }
 }
 
-/// Gaps longer than this begin a new free run from the measurement, s.
-const LONGEST_GAP_S: f64 = 0.5;
-
 /// Free run of the nameplate's model, then of the identified one as soon as all of its values are settled.
 struct ModelTrace {
     plant: Option<Plant>,
     motor: Motor,
     state: State,
     last_s: Option<f64>,
-    /// `None`: the output was off, or nobody knows.
+    /// `None`: the output was off, or not known.
     voltage_v: Option<f64>,
     is_identified: bool,
     scenario: Scenario,
@@ -283,18 +270,15 @@ impl ModelTrace {
     }
 
     /// Takes over estimates once every one of the five is settled.
-    fn learn(&mut self, estimates: &[ParameterEstimate]) {
+    fn adopt(&mut self, estimates: &[ParameterEstimate]) {
         let mut motor = self.motor.clone();
-        for key in MotorKey::ALL {
-            if key == MotorKey::TorqueConstant {
-                continue;
+        for key in MotorKey::ALL.into_iter().filter(|key| *key != MotorKey::TorqueConstant) {
+            match ParameterEstimate::find(estimates, key.key()) {
+                Some(ParameterEstimate {
+                    verdict: Verdict::Settled, value: Some(value), ..
+                }) => motor.set(key, *value),
+                _ => return,
             }
-            let found = ParameterEstimate::find(estimates, key.key());
-            let settled = found.filter(|estimate| estimate.verdict == Verdict::Settled);
-            let Some(value) = settled.and_then(|estimate| estimate.value) else {
-                return;
-            };
-            motor.set(key, value);
         }
         let model = Model::baseline(motor);
         if model.validate().is_ok()
@@ -316,12 +300,12 @@ impl ModelTrace {
         };
         let before_v = std::mem::replace(&mut self.voltage_v, now_v);
         let last_s = self.last_s.replace(now_s);
-        let is_next = |last_s: &f64| (0.0..LONGEST_GAP_S).contains(&(now_s - last_s));
+        // After a longer gap a new free run begins at the measurement.
+        let is_next = |last_s: &f64| (0.0..0.5).contains(&(now_s - last_s));
         let (Some(plant), Some(now_v)) = (self.plant.as_mut(), now_v) else {
             return f64::NAN;
         };
-        let before = last_s.filter(is_next).zip(before_v);
-        let Some((begin_s, before_v)) = before else {
+        let Some((begin_s, before_v)) = last_s.filter(is_next).zip(before_v) else {
             let read = |channel| sample.get(channel).unwrap_or(0.0);
             self.state = State::at(read(Channel::Current), read(Channel::Speed));
             return self.state.speed_rad_s;
@@ -348,10 +332,8 @@ mod tests {
     #[test]
     fn the_model_is_not_shorted_while_the_output_is_off() {
         let mut model = ModelTrace::new(Some(&Nameplate::zk_22fc()));
-        let at = |time_s| {
-            let turning = Sample::at(time_s).with(Channel::Speed, 100.0);
-            turning.with(Channel::Voltage, 0.0)
-        };
+        let at =
+            |time_s| Sample::at(time_s).with(Channel::Speed, 100.0).with(Channel::Voltage, 0.0);
         for time_s in [0.0, 0.1] {
             assert!(model.follow(&at(time_s), Demand::Stop).is_nan());
         }

@@ -1,5 +1,5 @@
-//! How a run was stopped: how soon after the decision the request was on the line, how soon the drive said that its output is
-//! off, and which rows of the record hold the last seconds before. Pure: times come in.
+//! Times of a stop: from the decision to the request on the line and to the drive's confirmation; and the rows of the record
+//! before it. Pure: times come in.
 
 use std::collections::VecDeque;
 
@@ -8,34 +8,29 @@ use serde::{Deserialize, Serialize};
 use super::session::Phase;
 use drivebench_link::LinkError;
 
-/// So much of the record before a trip is pointed out, s.
-const BEFORE_S: f64 = 2.0;
-
-/// The stop of a run whose output was on. Times count from the decision that the output has to be zero: of a value that is
-/// beyond its limit that is when the reply with it was complete, of a silent link the end of the silence that is allowed.
+/// The stop of a run whose output was on. Times count from the decision that the output has to be zero: for a value beyond its
+/// limit the end of the reply with it, for a silent link the end of the allowed silence.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Stop {
-    /// What the output had to go off for.
     pub cause: String,
-    /// When that was decided, from the start of the run, s.
+    /// The decision, from the start of the run, s.
     #[serde(default)]
     pub at_s: Option<f64>,
-    /// From the wish to end until the output had come down, ms; null where it was cut at once.
+    /// Duration of the ramp down, ms; null where the output was cut at once.
     pub ramp_ms: Option<f64>,
     /// Until the first request to stop was handed to the line, ms; null: none got out.
     pub sent_after_ms: Option<f64>,
-    /// Until the drive said that its output is off, ms; null: it never did.
+    /// Until the drive reported that its output is off, ms; null: it never did.
     pub confirmed_after_ms: Option<f64>,
-    /// Attempts to stop until then: those of the cycles, and the last one, in which the link itself asks several times.
+    /// Attempts to stop until then: those of the cycles, and the last one, in which the link itself repeats its request.
     pub attempts: u64,
-    /// What the drive answered last instead of confirming it: it hears, and refuses; null: nothing, or it was confirmed.
+    /// Last exception of the drive instead of its confirmation; null: none, or it was confirmed.
     pub last_refusal: Option<String>,
-    /// Command silence after which the drive stops the motor by itself, s; null: none is known of, or it was waived.
+    /// Command silence after which the drive stops the motor by itself, s; null: not known, or waived.
     pub watchdog_s: Option<f64>,
 }
 
 impl Stop {
-    /// In a few words: what for, when, and how soon the drive said that its output is zero.
     pub fn short(&self) -> String {
         let at = self.at_s.map_or_else(String::new, |at_s| format!(" at {at_s:.2} s"));
         let cause = &self.cause;
@@ -45,7 +40,6 @@ impl Stop {
         }
     }
 
-    /// One line: for a card, a screen and a page.
     pub fn sentence(&self) -> String {
         let after_ramp =
             self.ramp_ms.map_or_else(String::new, |ms| format!(" and a ramp of {ms:.0} ms"));
@@ -57,7 +51,7 @@ impl Stop {
         let answer = self
             .last_refusal
             .as_ref()
-            .map_or_else(String::new, |said| format!("; last answer: {said}"));
+            .map_or_else(String::new, |answer| format!("; last answer: {answer}"));
         let sent = self.sent_after_ms.map_or_else(
             || format!("after {cause} no request to stop got out"),
             |ms| format!("sent {ms:.1} ms after {cause}"),
@@ -65,7 +59,7 @@ impl Stop {
         match (self.confirmed_after_ms, self.watchdog_s) {
             (Some(ms), _) => format!("stop {sent}, confirmed after {ms:.1} ms ({attempts})"),
             (None, Some(watchdog_s)) => format!(
-                "stop NOT confirmed by the drive: {sent}, {attempts}; without a word from here its watchdog stops the motor after {watchdog_s} s{answer}"
+                "stop NOT confirmed by the drive: {sent}, {attempts}; without commands its watchdog stops the motor after {watchdog_s} s{answer}"
             ),
             (None, None) => format!(
                 "stop NOT confirmed by the drive: {sent}, {attempts}; no watchdog is known to stop it: see that the shaft stands still{answer}"
@@ -74,8 +68,8 @@ impl Stop {
     }
 }
 
-/// The last seconds of a run that tripped, as rows of its `samples.csv`, which holds every sample at full rate: the first is
-/// row 1. On the samples' time axis.
+/// The last two seconds of a run that tripped, and the rows after, as rows of its `samples.csv`: the first is row 1. On the
+/// samples' time axis.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LastSeconds {
     /// Of the decision, s.
@@ -88,7 +82,7 @@ pub struct LastSeconds {
 pub(super) struct StopWatch {
     was_on: bool,
     began_s: Option<f64>,
-    asked_s: Option<f64>,
+    ramp_s: Option<f64>,
     decided_s: Option<f64>,
     cause: &'static str,
     sent_s: Option<f64>,
@@ -103,8 +97,8 @@ pub(super) struct StopWatch {
 }
 
 impl StopWatch {
-    /// A step of the session came to this phase, if it was a decision for this cause; `drive_minus_host_s` leads to the
-    /// samples' time axis.
+    /// The phase after a step of the session; `cause` of a decision to stop. `drive_minus_host_s`: offset of the samples' time
+    /// axis.
     pub(super) fn phase(
         &mut self,
         now_s: f64,
@@ -120,7 +114,7 @@ impl StopWatch {
             self.began_s.get_or_insert(now_s);
         }
         if phase == Phase::RampDown {
-            self.asked_s.get_or_insert(now_s);
+            self.ramp_s.get_or_insert(now_s);
         }
         if (phase == Phase::Stopping || phase.is_final()) && self.decided_s.is_none() {
             self.decided_s = Some(now_s);
@@ -130,7 +124,7 @@ impl StopWatch {
     }
 
     /// A request to stop, and whether it got out.
-    pub(super) fn asked(&mut self, at_s: f64, is_sent: bool) {
+    pub(super) fn requested(&mut self, at_s: f64, is_sent: bool) {
         if self.decided_s.is_some() && self.confirmed_s.is_none() {
             self.attempts += 1;
             if is_sent {
@@ -139,7 +133,7 @@ impl StopWatch {
         }
     }
 
-    /// What came in answer to a request to stop: a refusal is kept until something else is answered.
+    /// Answer to a request to stop: an exception is kept until another answer.
     pub(super) fn answered<T>(&mut self, answer: &Result<T, LinkError>) {
         match answer {
             Ok(_) => self.last_refusal = None,
@@ -156,7 +150,6 @@ impl StopWatch {
         }
     }
 
-    /// What counted as confirmed does so no more.
     pub(super) const fn withdraw(&mut self) {
         self.confirmed_s = None;
     }
@@ -169,7 +162,7 @@ impl StopWatch {
                 continue;
             }
             self.row_times_s.push_back(time_s);
-            while (self.row_times_s.front()).is_some_and(|first_s| time_s - first_s > BEFORE_S) {
+            while (self.row_times_s.front()).is_some_and(|first_s| time_s - first_s > 2.0) {
                 self.row_times_s.pop_front();
             }
         }
@@ -182,7 +175,7 @@ impl StopWatch {
         Some(Stop {
             cause: self.cause.to_owned(),
             at_s: self.began_s.map(|began_s| decided_s - began_s),
-            ramp_ms: self.asked_s.map(|asked_s| 1e3 * (decided_s - asked_s)),
+            ramp_ms: self.ramp_s.map(|ramp_s| 1e3 * (decided_s - ramp_s)),
             sent_after_ms: self.sent_s.map(after_ms),
             confirmed_after_ms: self.confirmed_s.map(after_ms),
             attempts: self.attempts,
@@ -217,13 +210,13 @@ mod tests {
             watch.rows(std::iter::once(5.0 + 0.01 * f64::from(k)));
         }
         watch.phase(4.995, Phase::Stopping, 5.0, || "over-current");
-        // What is found out later was not what it had to stop for.
+        // A later finding is not the cause.
         watch.phase(5.0, Phase::LinkLost, 5.0, || "the loss of the link");
-        watch.asked(4.996, false);
-        watch.asked(5.005, true);
+        watch.requested(4.996, false);
+        watch.requested(5.005, true);
         watch.rows([10.01, 10.02].into_iter());
         watch.confirmed(5.020);
-        watch.asked(5.1, true);
+        watch.requested(5.1, true);
         let stop = watch.stop(Some(0.2)).unwrap();
         assert_eq!(stop.attempts, 2);
         assert_eq!(stop.short(), "stopped: over-current at 5.00 s, zero confirmed after 25 ms");
@@ -244,17 +237,16 @@ mod tests {
         watch.withdraw();
         let stop = watch.stop(Some(0.2)).unwrap();
         has(stop.sentence(), "NOT confirmed");
-        let words = "0.2 s; last answer: exception 0x06 device busy to the command";
-        has(stop.sentence(), words);
+        has(stop.sentence(), "0.2 s; last answer: exception 0x06 device busy to the command");
         has(stop.sentence(), "its watchdog stops the motor after 0.2 s");
     }
 
     #[test]
-    fn a_ramp_counts_apart_and_a_request_that_never_got_out_is_said() {
+    fn the_ramp_counts_apart_and_an_unsent_request_is_named() {
         let mut watch = StopWatch::default();
         watch.phase(1.0, Phase::RampDown, 0.0, || "nothing");
         watch.phase(1.5, Phase::Stopping, 0.0, || "the end");
-        watch.asked(1.5, false);
+        watch.requested(1.5, false);
         let stop = watch.stop(None).unwrap();
         assert_eq!((stop.ramp_ms, stop.sent_after_ms), (Some(500.0), None));
         has(stop.sentence(), "after the end and a ramp of 500 ms no request");

@@ -1,5 +1,5 @@
-//! Test kit of the bench: the paper's motor, drives and links that do what a test tells them, one way to carry a session
-//! out, and assertions that show what they found.
+//! Test fixtures of the bench: the paper's motor, scripted drives and links, one way to run a session, and assertions that
+//! show their values.
 
 use std::collections::VecDeque;
 use std::fmt::{Debug, Display};
@@ -15,39 +15,39 @@ use rand_chacha::rand_core::RngCore;
 use super::bench_file::BenchFile;
 use super::clock::Clock;
 use super::describe::layout;
-use super::limits::Nameplate;
+use super::guard::Guard;
+use super::limits::{Limits, Nameplate};
 use super::live_online::LiveEstimator;
 use super::pilot::Program;
 use super::runner::{Bench, RunOptions, RunSummary, run};
 use super::session::{Action, Input, Intent, Lost, Outcome, Session};
 use super::snapshot::{SnapshotCell, Target};
+use super::speed::{Design, PilotSettings, SpeedPilot, timing};
 use super::trip::TripKind;
 use crate::recording::{Layout, MemoryRecorder};
+use drivebench_control::Actuator;
 use drivebench_emulator::truth::MotorTruth;
 use drivebench_emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive, VirtualClock};
 use drivebench_link::{
     CommandTimes, DriveLink, Identity, LinkError, LinkName, LinkStatistics, exception_name,
 };
+use drivebench_model::plant::Model;
 use drivebench_model::sample::{Applied, Channel, Command, Demand, DriveState, Sample};
 
 /// Signals that a drive with the usual sensors gives.
 pub(super) const SIGNALS: [Channel; 3] = [Channel::Voltage, Channel::Current, Channel::Speed];
 
-/// Fails with the whole text where it lacks these words.
 #[track_caller]
 pub(super) fn has(text: impl Display, words: &str) {
     let text = text.to_string();
     assert!(text.contains(words), "{words:?} is not in: {text}");
 }
 
-/// Fails with both values where they lie further apart than this.
 #[track_caller]
 pub(super) fn near(value: f64, expected: f64, most: f64) {
-    let apart = (value - expected).abs();
-    assert!(apart < most, "{value}, expected {expected} +- {most}");
+    assert!((value - expected).abs() < most, "{value}, expected {expected} +- {most}");
 }
 
-/// Fails with the value where it lies outside.
 #[track_caller]
 pub(super) fn within(value: f64, range: impl RangeBounds<f64> + Debug) {
     assert!(range.contains(&value), "{value} is not in {range:?}");
@@ -60,7 +60,6 @@ impl Nameplate {
     }
 }
 
-/// Voltage as a function of time.
 pub(super) struct Wave<F: Fn(f64) -> Demand + Send> {
     pub(super) duration_s: f64,
     pub(super) demand: F,
@@ -84,13 +83,44 @@ impl<F: Fn(f64) -> Demand + Send> Program for Wave<F> {
     }
 }
 
-/// The same demand for so long.
 pub(super) fn constant(duration_s: f64, demand: Demand) -> Box<dyn Program> {
-    let demand = move |_| demand;
-    Box::new(Wave { duration_s, demand })
+    Box::new(Wave { duration_s, demand: move |_| demand })
 }
 
-/// What the scripted drive does wrong, and from which exchange on.
+/// The loop of a bench file on a model, with so many cycles of delay.
+pub(super) fn speed_design<'a>(
+    bench: &'a BenchFile,
+    model: &'a Model,
+    (motor, limits): (&'a Nameplate, &'a Limits),
+    delay_cycles: f64,
+) -> Design<'a> {
+    let section = bench.speed.as_ref().unwrap();
+    let period_s = bench.period_s();
+    Design {
+        model,
+        fitted: &[],
+        motor,
+        limits,
+        section,
+        maps: &[],
+        actuator: section.actuator.unwrap_or(Actuator::Voltage),
+        timing: timing(model, period_s, delay_cycles * period_s),
+        noise_rad_s: 0.15,
+        peak_reference_rad_s: bench.reference(section).unwrap().peak_rad_s(),
+    }
+}
+
+pub(super) fn speed_session(bench: &BenchFile, design: &Design<'_>, guard: Guard) -> Session {
+    let settings = PilotSettings {
+        slew_v_per_s: design.section.slew_v_per_s(design.motor, design.limits, bench.period_s()),
+        silence_s: design.limits.link_silence_s,
+        hold: 0.0,
+    };
+    let reference = bench.reference(design.section).unwrap();
+    let pilot = SpeedPilot::new(design.regulator().unwrap(), reference, settings);
+    Session::with_pilot(Box::new(pilot), guard)
+}
+
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Fault {
     Timeout,
@@ -117,13 +147,12 @@ pub(super) struct ScriptedDrive {
     pub(super) is_emulator: bool,
     pub(super) serial_number: &'static str,
     pub(super) confirms_stop: bool,
-    /// Everything that it was asked, for whoever keeps a copy.
     pub(super) asked: Arc<Mutex<Vec<String>>>,
     pub(super) shortest_cycle_s: Option<f64>,
     pub(super) times: CommandTimes,
-    /// What a stop outside a run ends with; `None`: it is confirmed.
+    /// Error of a stop outside a run; `None`: it is confirmed.
     pub(super) stop_fails: Option<fn(String) -> LinkError>,
-    /// Longest that an exchange may take, as it was told last, s.
+    /// Last bound of the time of an exchange, s.
     pub(super) bound_s: f64,
     state: DriveState,
     time_s: f64,
@@ -152,12 +181,13 @@ impl ScriptedDrive {
         self
     }
 
-    /// The faults that hold for the exchange that is under way.
+    /// Of the present exchange.
     fn faults_now(&self) -> Vec<Fault> {
         let now = self.statistics.sent;
-        let faults = self.faults.iter();
-        let holding = faults.filter(|(from, to, _)| (*from..*to).contains(&now));
-        holding.map(|(_, _, fault)| fault.clone()).collect()
+        (self.faults.iter())
+            .filter(|(from, to, _)| (*from..*to).contains(&now))
+            .map(|(_, _, fault)| fault.clone())
+            .collect()
     }
 
     fn note(&self, what: &str) {
@@ -300,14 +330,12 @@ pub(super) fn timeout(link: LinkName, request: &str) -> LinkError {
     LinkError::Timeout { link: link.0, deadline_ms: 5, request: request.to_owned() }
 }
 
-/// What happens to exchanges on their way.
 pub(super) trait Tamper<L: DriveLink>: Send {
     fn exchange(&mut self, link: &mut L, command: Command) -> Result<Sample, LinkError>;
 
     fn bound(&mut self, _left_s: f64) {}
 }
 
-/// A link with somebody in between.
 pub(super) struct Tampered<L, T> {
     pub(super) link: L,
     pub(super) by: T,
@@ -351,7 +379,6 @@ impl<L: DriveLink, T: Tamper<L>> DriveLink for Tampered<L, T> {
     }
 }
 
-/// How often something stands still, and for how long, by dice.
 #[derive(Clone, Copy)]
 pub(super) struct Stalls {
     /// Part of the cycles that are followed by one.
@@ -360,48 +387,47 @@ pub(super) struct Stalls {
 }
 
 impl Stalls {
-    /// None most of the time.
     fn length_s(self, dice: &mut ChaCha8Rng) -> f64 {
         let mut uniform = || f64::from(dice.next_u32()) / f64::from(u32::MAX);
         if uniform() < self.share { self.longest_s * uniform() } else { 0.0 }
     }
 
-    /// A laptop that stands still now and then, with a drive in memory that for a while answers nothing.
+    /// A host with stalls, and a drive in memory that does not answer during stalls of its own.
     pub(super) fn at(self, config: &EmulatorConfig, seed: u64) -> (impl DriveLink, impl Clock) {
         let (link, clock) = in_memory(config, seed);
-        let dozing = Dozing {
+        let stalled = StalledDrive {
             clock: clock.clone(),
             stalls: self,
             dice: ChaCha8Rng::seed_from_u64(seed),
-            wakes_s: 0.0,
+            until_s: 0.0,
         };
         let mut dice = ChaCha8Rng::seed_from_u64(seed + 1_000_000);
         let late_s = move |_| self.length_s(&mut dice);
-        (Tampered { link, by: dozing }, LateClock { clock, late_s })
+        (Tampered { link, by: stalled }, LateClock { clock, late_s })
     }
 }
 
-/// The drive's side: while it dozes, requests are lost and the output stays as it is.
-struct Dozing {
+/// During a stall requests are lost and the output stays as it is.
+struct StalledDrive {
     clock: VirtualClock,
     stalls: Stalls,
     dice: ChaCha8Rng,
-    wakes_s: f64,
+    until_s: f64,
 }
 
-impl Tamper<MemoryLink> for Dozing {
+impl Tamper<MemoryLink> for StalledDrive {
     fn exchange(&mut self, link: &mut MemoryLink, command: Command) -> Result<Sample, LinkError> {
         let now_s = self.clock.time_s();
-        if now_s < self.wakes_s {
-            return Err(timeout(link.name(), "a dozing drive"));
+        if now_s < self.until_s {
+            return Err(timeout(link.name(), "a stalled drive"));
         }
         let sample = link.exchange(command);
-        self.wakes_s = now_s + self.stalls.length_s(&mut self.dice);
+        self.until_s = now_s + self.stalls.length_s(&mut self.dice);
         sample
     }
 }
 
-/// A host's clock of which some waits end late: by what is said of the instant, s.
+/// A host's clock whose waits end late by a function of the instant, s.
 pub(super) struct LateClock<F> {
     pub(super) clock: VirtualClock,
     pub(super) late_s: F,
@@ -427,7 +453,7 @@ pub(super) fn exact(name: &str) -> EmulatorConfig {
     EmulatorConfig { tolerance: 0.0, ..EmulatorConfig::embedded(name).unwrap() }
 }
 
-/// A motor that somebody could have put on the bench: R and L/R over the whole range, the rest so that it is a motor.
+/// A random motor: R and L/R over the whole range, the rest consistent with them.
 pub(super) fn random_motor(seed: u64) -> EmulatorConfig {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut log = |from: f64, to: f64| from * (to / from).powf(rng.random::<f64>());
@@ -485,13 +511,13 @@ pub(super) fn in_memory(config: &EmulatorConfig, seed: u64) -> (MemoryLink, Virt
     (link, clock)
 }
 
-/// One run of a session to its end, without a user and as fast as it goes, where a test does not say otherwise.
+/// One run of a session to its end, by default without a user and in virtual time.
 pub(super) struct Course<'a> {
     pub(super) rate_hz: f64,
     pub(super) layout: Layout,
     pub(super) motor: Option<Nameplate>,
     pub(super) estimator: Option<&'a mut dyn LiveEstimator>,
-    /// What is asked for before it begins.
+    /// Before it begins.
     pub(super) intents: Vec<Intent>,
     pub(super) interrupted: bool,
     pub(super) snapshots: SnapshotCell,
@@ -564,7 +590,6 @@ pub(super) struct Lab<L, F> {
     pub(super) log: Vec<Action>,
 }
 
-/// Replies as they come.
 #[expect(clippy::unnecessary_wraps, reason = "as the others, which lose some")]
 pub(super) fn unspoilt(_: usize, sample: Sample) -> Option<Sample> {
     Some(sample)
@@ -585,7 +610,6 @@ impl<L: DriveLink, F: FnMut(usize, Sample) -> Option<Sample>> Lab<L, F> {
         }
     }
 
-    /// In cycles of another length.
     pub(super) fn every(self, period_s: f64) -> Self {
         Self { period_s, ..self }
     }
@@ -621,7 +645,7 @@ impl<L: DriveLink, F: FnMut(usize, Sample) -> Option<Sample>> Lab<L, F> {
         }
     }
 
-    /// Starts as soon as the drive has answered, and goes on for so many cycles.
+    /// Starts after three cycles, and runs for so many.
     pub(super) fn started(mut self, cycles: u32) -> Self {
         self.cycles(3);
         self.ask(Intent::Start);
@@ -645,20 +669,19 @@ impl<L: DriveLink, F: FnMut(usize, Sample) -> Option<Sample>> Lab<L, F> {
     }
 
     pub(super) fn volts(&self) -> Vec<f64> {
-        let volts = self.sent.iter().map(|command| match command.demand {
+        let volts = |command: &Command| match command.demand {
             Demand::Voltage(volts) => volts,
             _ => f64::NAN,
-        });
-        volts.collect()
+        };
+        self.sent.iter().map(volts).collect()
     }
 
     /// Commands with the output on among those from here on.
     pub(super) fn energised_from(&self, from: usize) -> usize {
-        let on = self.sent[from..].iter();
-        on.filter(|command| command.demand.energises()).count()
+        self.sent[from..].iter().filter(|command| command.demand.energises()).count()
     }
 
-    /// What was recorded of a quantity, with its time.
+    /// Recorded values of a channel, with their times.
     pub(super) fn recorded(&self, channel: Channel) -> impl Iterator<Item = (f64, f64)> {
         self.log.iter().filter_map(move |action| match action {
             Action::Row(sample) => Some((sample.time_s, sample.get(channel)?)),
@@ -667,7 +690,6 @@ impl<L: DriveLink, F: FnMut(usize, Sample) -> Option<Sample>> Lab<L, F> {
     }
 
     pub(super) fn largest(&self, channel: Channel) -> f64 {
-        let values = self.recorded(channel).map(|(_, value)| value.abs());
-        values.fold(0.0, f64::max)
+        self.recorded(channel).map(|(_, value)| value.abs()).fold(0.0, f64::max)
     }
 }

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use drivebench_model::sample::DriveState;
 
-/// What was found; the name in events and reports is the snake-case form.
+/// The name in events and reports is the snake-case form.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TripKind {
@@ -16,15 +16,14 @@ pub enum TripKind {
     Travel,
     BusLow,
     BusHigh,
-    /// The output was on for longer than the limit.
     TimeLimit,
     /// No valid reply for longer than the limit.
     LinkSilence,
-    /// The same of a drive, or a gateway, that answers: with exceptions.
+    /// No valid reply for longer than the limit, but exceptions of a drive or a gateway.
     Refused,
-    /// The computer was suspended, as a laptop whose lid is closed: nobody watched the motor meanwhile.
+    /// The computer was suspended, as a laptop whose lid is closed: the motor ran unsupervised.
     Suspended,
-    /// The host itself stood still (stopped process): nobody watched the motor meanwhile.
+    /// The process was stopped: the motor ran unsupervised.
     HostGap,
     /// A limited quantity that the drive used to give is missing.
     SignalMissing,
@@ -32,47 +31,40 @@ pub enum TripKind {
     ClockStuck,
     /// The drive's time jumps: it was switched off and on again.
     Restarted,
-    /// The drive reports a fault of its own.
     DriveFault,
     /// The drive does not run although it is commanded to: its watchdog, its keypad or its enable input.
     NotRunning,
-    /// Somebody else has taken the command of the drive: its keypad, its terminals, another master.
     LocalControl,
-    /// Frames on the line write to the drive, and none of them is ours.
     OtherMaster,
     /// Safe torque off, or another enable input, has switched the output off.
     TorqueOff,
-    /// The measured speed stays where it is while voltage and current say that it changes.
+    /// The measured speed is constant while by voltage and current it changes.
     EncoderFrozen,
-    /// The measured speed has the opposite sign of what voltage and current say.
+    /// The measured speed has the opposite sign of that by voltage and current.
     EncoderReversed,
-    /// The measured speed is far from what voltage and current say.
+    /// The measured speed is far from that by voltage and current.
     SpeedImplausible,
-    /// The shaft stands under a current that should turn it: it is held, or the encoder stands still.
+    /// The shaft does not turn under a current that should turn it: it is held, or the encoder is frozen.
     ShaftHeld,
-    /// The measured angle does not go with the measured speed.
+    /// The measured angle is not the integral of the measured speed.
     AngleImplausible,
-    /// The measured current stays where it is while voltage and speed say that it changes.
+    /// The measured current is constant while by voltage and speed it changes.
     CurrentStuck,
-    /// The measured current has the opposite sign of what voltage and speed say.
+    /// The measured current has the opposite sign of that by voltage and speed.
     CurrentReversed,
-    /// The measured current is far from what voltage and speed say.
+    /// The measured current is far from that by voltage and speed.
     CurrentImplausible,
-    /// No current flows although there is a voltage.
     OpenCircuit,
-    /// The drive does not do what it is asked.
     SetPointIgnored,
-    /// The measured voltage is not the one that the motor answers to.
+    /// The measured voltage is not that by current and speed.
     VoltageImplausible,
-    /// Two measured quantities stand in each other's place.
     SignalsSwapped,
     /// The field current is below the least: a motor without a field runs away.
     FieldLost,
     /// The speed grows beyond its reference although the torque is against it.
     Runaway,
-    /// A speed loop swings by itself, and its gains cannot fall.
+    /// A speed loop oscillates, and its gains cannot fall.
     LoopSwings,
-    /// A speed loop stands at a limit and does not get to its reference.
     LoopSaturated,
 }
 
@@ -146,7 +138,6 @@ impl Trip {
         Self { kind, at_s, value, limit, reason: format!("{}: {what}", kind.name()) }
     }
 
-    /// A span of time that was too long.
     pub(super) fn after(
         kind: TripKind,
         at_s: f64,
@@ -157,11 +148,11 @@ impl Trip {
         Self::new(kind, at_s, (value_s, limit_s), what)
     }
 
-    /// No valid reply for too long from somebody who answers; `said` is the refusal that came last.
-    pub(super) fn refused(at_s: f64, times_s: (f64, f64), said: &str) -> Self {
+    /// Exceptions instead of a valid reply for too long; `message` is the last one.
+    pub(super) fn refused(at_s: f64, times_s: (f64, f64), message: &str) -> Self {
         let mut trip = Self::after(TripKind::Refused, at_s, times_s, "no valid reply");
         trip.reason.push_str("; the drive answers: ");
-        trip.reason.push_str(said);
+        trip.reason.push_str(message);
         trip
     }
 
@@ -175,8 +166,7 @@ impl Trip {
             (None, None) => "no code".to_owned(),
         };
         let what = format!("the drive reports a fault, {code_text}");
-        let figures = (code.map_or(0.0, f64::from), 0.0);
-        Self::new(TripKind::DriveFault, at_s, figures, what)
+        Self::new(TripKind::DriveFault, at_s, (code.map_or(0.0, f64::from), 0.0), what)
     }
 
     pub(super) fn not_running(at_s: f64, state: DriveState, value_s: f64, limit_s: f64) -> Self {
@@ -195,12 +185,12 @@ impl Trip {
         Self { reason, ..Self::new(TripKind::OverSpeed, at_s, (speed_rad_s, 0.0), "") }
     }
 
-    /// A drive that goes on running although its output is to be off, or of which nothing is heard meanwhile.
-    pub(super) fn unstopped(at_s: f64, waited_s: f64, is_heard: bool) -> Self {
-        let what = if is_heard {
+    /// A drive that still runs although its output is to be off, or does not reply.
+    pub(super) fn unstopped(at_s: f64, waited_s: f64, replies: bool) -> Self {
+        let what = if replies {
             "it still runs although its output is to be off"
         } else {
-            "no reply says that its output is off"
+            "no reply confirms that its output is off"
         };
         Self::after(TripKind::NotRunning, at_s, (waited_s, waited_s), what)
     }

@@ -1,25 +1,20 @@
 //! Command shaping: slew, voltage, winding and supply limits, and the way down to zero.
 //!
-//! While stopping the output goes towards what is wanted and never away from it. The bound of the winding and the one of
-//! the supply may slow it, as long as they rest on a speed that is fresh, believed and falling, and a silent link holds it;
-//! both until the planned time of the ramp is over: neither a broken encoder nor a lost reply keeps the motor on.
+//! While stopping the output only approaches the wanted one. The bounds of the winding and of the supply may slow it while the
+//! measured speed is fresh, plausible and falling, and a silent link holds it; both until the planned time of the ramp is over:
+//! neither a broken encoder nor a lost reply keeps the motor on.
 
 use std::collections::VecDeque;
 
 use serde::Serialize;
 
-use super::{Limits, Nameplate, REST_SPEED_SHARE};
+use super::{Limits, Nameplate, THRESHOLDS};
 use drivebench_model::sample::Demand;
 
 /// Longest time over which a slew limit is counted, s: after a longer pause the output does not jump further.
 const LONGEST_SLEW_TIME_S: f64 = 0.05;
-/// Periods for which a measured speed stands for the shaft. On a link that answers it is one period old at most.
+/// Periods for which a measured speed is valid. Without lost replies it is one period old at most.
 const FRESH_PERIODS: f64 = 1.5;
-
-/// While stopping, a speed that is older than this is not believed whatever the period, s.
-const FRESH_STOP_S: f64 = 0.3;
-/// Readings over which a speed has to have fallen to be believed while stopping.
-const FALLING: usize = 6;
 
 /// Why a demand was changed; more than one may hold.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -30,9 +25,9 @@ pub struct Causes {
     /// The voltage across the winding would drive a current beyond the limit.
     pub winding: bool,
     pub slew: bool,
-    /// Braking would return more than the supply takes.
+    /// Braking would return more power than the supply takes.
     pub supply: bool,
-    /// The converter cannot: it drives or conducts one way only.
+    /// The converter drives or conducts one way only.
     pub quadrant: bool,
     /// Not a finite number: zero was sent.
     pub not_finite: bool,
@@ -44,7 +39,7 @@ impl Causes {
     }
 }
 
-/// A demand that may leave, and why it is not the one that was wanted.
+/// A demand that may leave, and why it differs from the wanted one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shaped {
     pub demand: Demand,
@@ -57,14 +52,13 @@ impl Shaped {
     }
 }
 
-/// The memory that shaping needs.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Shaper {
     slew_v_per_s: f64,
     back_emf_v_s_per_rad: f64,
     /// Largest voltage across the winding, current limit times R; `None`: the drive limits the current itself.
     winding_v: Option<f64>,
-    /// Last speed that was measured: a missing one must not make the back-EMF vanish at full speed.
+    /// Last measured speed: a missing one must not make the back-EMF vanish at full speed.
     speed_rad_s: f64,
     /// Speed below which the shaft counts as at rest, and its back-EMF as the sensor's noise.
     rest_rad_s: f64,
@@ -72,21 +66,20 @@ pub(super) struct Shaper {
     speed_at_s: Option<f64>,
     /// The last of them, the newest at the end.
     speeds: VecDeque<f64>,
-    /// Time for which it stands for the shaft, s.
+    /// Time for which it is valid, s.
     fresh_s: f64,
     /// Host time of the last valid reply, with a speed or without.
-    heard_s: f64,
-    /// Host time at which a ramp down has reached what is wanted, whatever is measured; `None`: not stopping.
+    replied_s: f64,
+    /// Host time at which a ramp down has reached the wanted output, whatever is measured; `None`: not stopping.
     stop_by_s: Option<f64>,
-    /// What the load's torque takes of the voltage in rest and motion alike, V.
+    /// Voltage of the load's torque, V.
     pub(super) load_v: f64,
-    /// Lowest and highest back-EMF that the voltages sent while the speed was older lead to, V.
-    unseen_v: Option<(f64, f64)>,
+    /// Lowest and highest back-EMF that the voltages since the last valid speed may have led to, V.
+    stale_back_emf_v: Option<(f64, f64)>,
     /// `None`: the supply takes back what braking returns.
     pub(super) braking: Option<Braking>,
     output_v: f64,
-    /// Last speed that was asked for, rad/s.
-    asked_rad_s: f64,
+    demand_rad_s: f64,
     last_s: f64,
     was_off: bool,
 }
@@ -97,7 +90,7 @@ impl Shaper {
             slew_v_per_s: limits.slew_v_per_s,
             back_emf_v_s_per_rad,
             winding_v,
-            rest_rad_s: REST_SPEED_SHARE * limits.speed_rad_s,
+            rest_rad_s: THRESHOLDS.rest_speed * limits.speed_rad_s,
             fresh_s: f64::INFINITY,
             was_off: true,
             ..Self::default()
@@ -110,12 +103,12 @@ impl Shaper {
 
     /// Time in which the slew limit takes a voltage back, s.
     pub(super) fn ramp_s(&self, volts: f64) -> f64 {
-        // Of a longer period only a part is counted in each cycle.
+        // Of a longer period only a part counts in each cycle.
         let period_s = if self.fresh_s.is_finite() { self.fresh_s / FRESH_PERIODS } else { 0.0 };
         volts / self.slew_v_per_s * (period_s / LONGEST_SLEW_TIME_S).max(1.0)
     }
 
-    /// From here on the output only goes towards what is wanted, and is there at this time.
+    /// From here on the output only approaches the wanted one, and has reached it at this time.
     pub(super) const fn stop_by(&mut self, at_s: f64) {
         self.stop_by_s = Some(at_s);
     }
@@ -131,7 +124,7 @@ impl Shaper {
 
     pub(super) fn rest(&mut self, now_s: f64) {
         self.output_v = 0.0;
-        self.asked_rad_s = 0.0;
+        self.demand_rad_s = 0.0;
         self.last_s = now_s;
         self.was_off = true;
         self.stop_by_s = None;
@@ -141,27 +134,26 @@ impl Shaper {
         self.slew_v_per_s = v_per_s;
     }
 
-    pub(super) const fn hear(&mut self, now_s: f64) {
-        self.heard_s = now_s;
+    pub(super) const fn reply(&mut self, now_s: f64) {
+        self.replied_s = now_s;
     }
 
-    pub(super) fn see_speed(&mut self, now_s: f64, speed_rad_s: f64) {
+    pub(super) fn measured(&mut self, now_s: f64, speed_rad_s: f64) {
         self.speed_rad_s = speed_rad_s;
         self.speed_at_s = Some(now_s);
-        self.unseen_v = None;
-        if self.speeds.len() == FALLING {
+        self.stale_back_emf_v = None;
+        if self.speeds.len() == 6 {
             self.speeds.pop_front();
         }
         self.speeds.push_back(speed_rad_s);
     }
 
-    /// Whether the measured speed may slow a ramp down: it is fresh, nothing speaks against it, and it falls.
-    fn may_slow(&self, now_s: f64, is_believed: bool) -> bool {
-        let fresh_s = self.fresh_s.min(FRESH_STOP_S);
-        let is_fresh = self.speed_at_s.is_some_and(|at_s| now_s - at_s <= fresh_s);
+    /// Whether the measured speed may slow a ramp down: it is fresh (whatever the period 0.3 s at most), plausible, and falls
+    /// over the last readings.
+    fn may_slow(&self, now_s: f64, is_plausible: bool) -> bool {
+        let is_fresh = self.speed_at_s.is_some_and(|at_s| now_s - at_s <= self.fresh_s.min(0.3));
         let falls = |(old, new): (&f64, &f64)| new.abs() < old.abs() && new * old > 0.0;
-        let ends = self.speeds.front().zip(self.speeds.back());
-        is_believed && is_fresh && ends.is_some_and(falls)
+        is_plausible && is_fresh && self.speeds.front().zip(self.speeds.back()).is_some_and(falls)
     }
 
     /// The next output while stopping: between the one before and the wanted one, and there in time.
@@ -173,25 +165,24 @@ impl Shaper {
         next.clamp(wanted - left, wanted + left).clamp(before.min(wanted), before.max(wanted))
     }
 
-    /// Where the back-EMF may be, lowest and highest. Unseen for some periods it has moved from where it was towards
-    /// what the drive was sent since, up to what the load takes of it.
+    /// Lowest and highest back-EMF that is possible. Without a fresh speed it has moved towards the voltages since, by up to
+    /// the voltage of the load's torque beyond.
     fn back_emf_range_v(&mut self, now_s: f64, back_emf_v: f64) -> (f64, f64) {
-        let age_s = self.speed_at_s.map_or(0.0, |at_s| now_s - at_s);
-        if age_s > self.fresh_s {
-            let (low, high) = self.unseen_v.unwrap_or((back_emf_v, back_emf_v));
-            self.unseen_v =
+        if self.speed_at_s.map_or(0.0, |at_s| now_s - at_s) > self.fresh_s {
+            let (low, high) = self.stale_back_emf_v.unwrap_or((back_emf_v, back_emf_v));
+            self.stale_back_emf_v =
                 Some((low.min(self.output_v - self.load_v), high.max(self.output_v + self.load_v)));
         }
-        self.unseen_v.unwrap_or((back_emf_v, back_emf_v))
+        self.stale_back_emf_v.unwrap_or((back_emf_v, back_emf_v))
     }
 
-    /// `is_believed`: nothing speaks against the measured speed.
+    /// `is_plausible`: the measured speed.
     pub(super) fn shape(
         &mut self,
         now_s: f64,
         wanted: Demand,
         limits: &Limits,
-        is_believed: bool,
+        is_plausible: bool,
     ) -> Shaped {
         // With one quadrant nothing is negative, with two no current is.
         let bounded = |value: f64, limit: f64, quadrants: u8| {
@@ -206,7 +197,7 @@ impl Shaper {
         let (demand, causes) = match wanted {
             Demand::Voltage(volts) => {
                 let (volts, mut causes) = bounded(volts, limits.voltage_v, 2);
-                let bound = self.stop_by_s.is_none() || self.may_slow(now_s, is_believed);
+                let bound = self.stop_by_s.is_none() || self.may_slow(now_s, is_plausible);
                 let volts = self.voltage(now_s, volts, limits.voltage_v, bound, &mut causes);
                 (Demand::Voltage(volts), causes)
             }
@@ -232,7 +223,7 @@ impl Shaper {
         Shaped { demand, causes }
     }
 
-    /// `bound`: winding and supply have a say.
+    /// `bound`: by winding and supply.
     fn voltage(
         &mut self,
         now_s: f64,
@@ -243,24 +234,23 @@ impl Shaper {
     ) -> f64 {
         let back_emf_v = (self.back_emf_v_s_per_rad * self.speed_rad_s).clamp(-limit_v, limit_v);
         if self.was_off {
-            // The terminals of a coasting motor stand at its back-EMF: from there no current flows. At rest they stand at
-            // zero, and what the sensor's noise makes of it would be a first command that nobody gave. Nothing is switched
-            // on to stop.
+            // The terminals of a coasting motor are at its back-EMF, at which no current flows. At rest they are at zero, and
+            // the sensor's noise must not become a first command. Nothing is switched on to stop.
             let coasts = self.speed_rad_s.abs() > self.rest_rad_s;
             self.output_v = if coasts && self.stop_by_s.is_none() { back_emf_v } else { 0.0 };
             self.was_off = false;
         }
         let mut target_v = wanted_v;
-        let is_unheard = now_s - self.heard_s > self.fresh_s;
-        if self.stop_by_s.is_some() && self.winding_v.is_some() && is_unheard {
-            // What was sent since may not have arrived: the drive would see the whole way down as one step.
+        let is_silent = now_s - self.replied_s > self.fresh_s;
+        if self.stop_by_s.is_some() && self.winding_v.is_some() && is_silent {
+            // The commands since may not have arrived: the whole way down would come to the drive as one step.
             target_v = self.output_v;
             causes.winding = true;
         }
         if let Some(winding_v) = self.winding_v.filter(|_| bound) {
             let (low_v, high_v) = self.back_emf_range_v(now_s, back_emf_v);
             let (least_v, most_v) = (high_v - winding_v, low_v + winding_v);
-            // Still within the voltage limit: the back-EMF is, and so was the target.
+            // Within the voltage limit, as the back-EMF and the target.
             let inside = if least_v <= most_v {
                 target_v.clamp(least_v, most_v)
             } else {
@@ -288,34 +278,31 @@ impl Shaper {
     fn speed(&mut self, now_s: f64, wanted: f64, limit: f64, causes: &mut Causes) -> f64 {
         let step_s = (now_s - self.last_s).clamp(0.0, LONGEST_SLEW_TIME_S);
         let mut next = wanted;
-        let asked = self.asked_rad_s;
-        if let Some(fall) = self.braking.and_then(|braking| braking.deceleration(asked)) {
-            // Towards the speed that is asked, and not through zero in one step.
-            let least = (self.asked_rad_s.abs() - fall * step_s).max(0.0);
-            if next * self.asked_rad_s.signum() < least {
-                next = least.copysign(self.asked_rad_s);
+        let before = self.demand_rad_s;
+        if let Some(fall) = self.braking.and_then(|braking| braking.deceleration(before)) {
+            // Towards the wanted speed, and not through zero in one step.
+            let least = (before.abs() - fall * step_s).max(0.0);
+            if next * before.signum() < least {
+                next = least.copysign(before);
             }
-            next = self.towards(now_s, next, self.asked_rad_s, wanted, fall);
+            next = self.towards(now_s, next, before, wanted, fall);
         }
         causes.supply = (next - wanted).abs() > 1e-9 * limit;
-        self.asked_rad_s = next;
+        self.demand_rad_s = next;
         self.last_s = now_s;
         self.was_off = false;
         next
     }
 }
 
-/// Share of the rated power that any converter consumes by itself: without it noise at rest would look like braking.
-const OWN_CONSUMPTION: f64 = 1e-3;
-
-/// Braking on a supply that takes nothing back: what comes out of the motor's terminals has to be burnt.
+/// Braking on a supply that takes no power back: the power of the motor's terminals has to be dissipated.
 ///
-/// With the back-EMF `e` the terminals carry `p = u i`, and braking returns `-p`; the winding has burnt its `R i^2` by
-/// then. Without the inductance `i = (u - e)/R`, so `p >= -P` holds for `u^2 - e u + R P >= 0`. Between the two roots lies
-/// what is not allowed; the shaper stays on the side of the gentle one, and with it the current `i = (u - e)/R`.
+/// With the back-EMF `e` the terminals have `p = u i`, and braking returns `-p`, after the loss `R i^2` of the winding.
+/// Without the inductance `i = (u - e)/R`, so `p >= -P` holds for `u^2 - e u + R P >= 0`. The voltages between the two roots
+/// are not allowed; the shaper stays above the upper one.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Braking {
-    /// What may be burnt outside of the motor, W.
+    /// Power that may be dissipated outside of the motor, W.
     power_w: f64,
     resistance_ohm: f64,
     back_emf_v_s_per_rad: f64,
@@ -326,7 +313,8 @@ pub(super) struct Braking {
 impl Braking {
     pub(super) fn new(power_w: f64, motor: &Nameplate) -> Self {
         Self {
-            power_w: power_w.max(OWN_CONSUMPTION * motor.rated_voltage_v * motor.rated_current_a),
+            // Any converter consumes some power itself: without it noise at rest would count as braking.
+            power_w: power_w.max(1e-3 * motor.rated_voltage_v * motor.rated_current_a),
             resistance_ohm: motor.resistance_ohm,
             back_emf_v_s_per_rad: motor.back_emf_v_s_per_rad,
             inertia_kg_m2: motor.inertia_kg_m2,

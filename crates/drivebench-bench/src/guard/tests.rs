@@ -29,10 +29,8 @@ fn guard() -> Guard {
 }
 
 impl Guard {
-    /// The voltage that leaves, V.
     fn volts(&mut self, now_s: f64, wanted_v: f64) -> f64 {
-        let shaped = self.shape(now_s, Demand::Voltage(wanted_v));
-        shaped.demand.voltage_v().unwrap()
+        self.shape(now_s, Demand::Voltage(wanted_v)).demand.voltage_v().unwrap()
     }
 
     /// One cycle with a wanted voltage and its reply; the voltage that left, V.
@@ -89,60 +87,45 @@ fn trip_within(cycles: u32, change: impl Fn(&mut Sample)) -> Option<(u32, Trip)>
 }
 
 #[test]
-fn a_limit_is_enforced_in_the_cycle_that_sees_it_broken() {
-    use TripKind::{BusHigh, BusLow, OverCurrent, OverSpeed, OverVoltage, Travel};
-    for (channel, value, kind) in [
-        (Channel::Current, 22.9, OverCurrent),
-        (Channel::Current, -22.9, OverCurrent),
-        (Channel::Speed, -367.0, OverSpeed),
-        (Channel::Voltage, 122.0, OverVoltage),
-        (Channel::Angle, 50.1, Travel),
-        (Channel::Bus, 99.0, BusLow),
-        (Channel::Bus, 161.0, BusHigh),
-    ] {
-        let (cycle, trip) = trip_within(5, |sample| sample.set(channel, value)).unwrap();
-        assert_eq!((cycle, trip.kind), (1, kind), "{trip:?}");
-        has(&trip.reason, channel.unit());
-        has(&trip.reason, "limit");
-    }
-    let below = trip_within(50, |sample| sample.set(Channel::Current, 22.7));
-    assert_eq!(below, None);
-}
-
-/// The trip of a drive that reports a fault, in the first cycle.
-fn drive_fault(code: u16, text: Option<&str>) -> String {
-    let fault = trip_within(3, |sample| {
+fn every_fault_ends_the_run_in_time_with_its_reason() {
+    use Channel::{Angle, Bus, Current, Speed, Voltage};
+    use TripKind::{
+        BusHigh, BusLow, ClockStuck, DriveFault, NotRunning, OverCurrent, OverSpeed, OverVoltage,
+        SignalMissing, Travel,
+    };
+    type Case = (fn(&mut Sample), u32, u32, TripKind, &'static str);
+    fn fault(sample: &mut Sample, code: u16, text: Option<&str>) {
         sample.state = Some(DriveState::Fault);
         sample.fault = Some(code);
         sample.fault_text = text.map(Into::into);
-    });
-    let (cycle, trip) = fault.unwrap();
-    assert_eq!((cycle, trip.kind), (1, TripKind::DriveFault));
-    trip.reason
-}
-
-#[test]
-fn the_drive_s_own_fault_ends_the_run_at_once_with_its_code() {
-    has(drive_fault(0x12, None), "0x0012");
-}
-
-#[test]
-fn a_fault_code_of_zero_is_no_code() {
-    let lost = "communication loss (comm_loss): the drive's own watchdog has expired";
-    let reason = format!("drive fault: the drive reports a fault, {lost}");
-    assert_eq!(drive_fault(0, Some(lost)), reason);
-    assert!(drive_fault(0, None).ends_with("no code"));
-    assert!(drive_fault(0x81, Some(lost)).ends_with(&format!("code 0x0081: {lost}")));
-}
-
-#[test]
-fn missing_signals_and_a_stuck_clock_end_the_run_after_three() {
-    let (cycle, trip) = trip_within(9, |sample| sample.set(Channel::Current, f64::NAN)).unwrap();
-    assert_eq!((cycle, trip.kind), (3, TripKind::SignalMissing));
-    for time_s in [0.2, f64::NAN] {
-        let (cycle, trip) = trip_within(9, |sample| sample.time_s = time_s).unwrap();
-        assert_eq!((cycle, trip.kind), (3, TripKind::ClockStuck), "{time_s}");
     }
+    const LOST: &str = "communication loss (comm_loss): the drive's own watchdog has expired";
+    let cases: [Case; 16] = [
+        (|s| s.set(Current, 22.9), 1, 1, OverCurrent, "A, limit 22.8000 A"),
+        (|s| s.set(Current, -22.9), 1, 1, OverCurrent, "A, limit 22.8000 A"),
+        (|s| s.set(Speed, -367.0), 1, 1, OverSpeed, "rad/s, limit 366"),
+        (|s| s.set(Voltage, 122.0), 1, 1, OverVoltage, "V, limit 121.0000 V"),
+        (|s| s.set(Angle, 50.1), 1, 1, Travel, "rad, limit 50.0000 rad"),
+        (|s| s.set(Bus, 99.0), 1, 1, BusLow, "V, limit 100.0000 V"),
+        (|s| s.set(Bus, 161.0), 1, 1, BusHigh, "V, limit 160.0000 V"),
+        (|s| fault(s, 0x12, None), 1, 1, DriveFault, "0x0012"),
+        // 0 is no code.
+        (|s| fault(s, 0, Some(LOST)), 1, 1, DriveFault, "reports a fault, communication loss"),
+        (|s| fault(s, 0, None), 1, 1, DriveFault, "no code"),
+        (|s| fault(s, 0x81, Some(LOST)), 1, 1, DriveFault, "code 0x0081: communication loss"),
+        (|s| s.set(Current, f64::NAN), 3, 3, SignalMissing, "no current"),
+        (|s| s.time_s = 0.2, 3, 3, ClockStuck, "drive time stays at 0.200 s"),
+        (|s| s.time_s = f64::NAN, 3, 3, ClockStuck, "drive time stays"),
+        (|s| s.state = Some(DriveState::Ready), 1, 7, NotRunning, "\"ready\""),
+        (|s| s.state = Some(DriveState::Disabled), 1, 7, NotRunning, "\"disabled\""),
+    ];
+    for (change, least, most, kind, words) in cases {
+        let (cycle, trip) = trip_within(20, change).unwrap_or_else(|| panic!("{words}: no trip"));
+        assert_eq!(trip.kind, kind, "{trip:?}");
+        assert!((least..=most).contains(&cycle), "{cycle}: {trip:?}");
+        has(&trip.reason, words);
+    }
+    assert_eq!(trip_within(50, |sample| sample.set(Current, 22.7)), None);
 }
 
 #[test]
@@ -166,13 +149,6 @@ fn a_jump_of_the_drives_clock_is_a_restart() {
 }
 
 #[test]
-fn a_drive_that_stops_running_by_itself_ends_the_run() {
-    let (cycle, trip) = trip_within(20, |sample| sample.state = Some(DriveState::Ready)).unwrap();
-    assert_eq!(trip.kind, TripKind::NotRunning);
-    assert!(cycle <= 7, "{cycle}");
-}
-
-#[test]
 fn a_drive_is_given_the_time_that_it_may_take_to_run() {
     let mut guard = guard().with_enable_time(4.0);
     guard.begin(0.0, &sample(0.0));
@@ -188,18 +164,19 @@ fn a_drive_is_given_the_time_that_it_may_take_to_run() {
 }
 
 #[test]
-fn silence_of_the_link_and_of_the_host_are_told_apart() {
-    let (mut guard, mut now_s) = running();
-    for _ in 0..9 {
-        now_s += PERIOD_S;
-        assert_eq!(guard.tick(now_s), None);
+fn silence_of_the_link_and_a_stall_of_the_host_are_distinct() {
+    for (cycles, after_s, kind) in [
+        (9, 0.02, TripKind::LinkSilence),
+        (0, 5.0, TripKind::HostGap),
+        (0, -1.0, TripKind::ClockStuck),
+    ] {
+        let (mut guard, mut now_s) = running();
+        for _ in 0..cycles {
+            now_s += PERIOD_S;
+            assert_eq!(guard.tick(now_s), None);
+        }
+        assert_eq!(guard.tick(now_s + after_s).unwrap().kind, kind);
     }
-    let kind = |trip: Option<&Trip>| trip.map(|trip| trip.kind);
-    assert_eq!(kind(guard.tick(now_s + 0.02)), Some(TripKind::LinkSilence));
-    let (mut guard, now_s) = running();
-    assert_eq!(kind(guard.tick(now_s + 5.0)), Some(TripKind::HostGap));
-    let (mut guard, now_s) = running();
-    assert_eq!(kind(guard.tick(now_s - 1.0)), Some(TripKind::ClockStuck));
 }
 
 #[test]
@@ -213,10 +190,9 @@ fn the_time_limit_counts_the_time_with_the_output_on_only() {
             break;
         }
         // On for half of the time.
-        let on = cycle % 2 == 0;
-        on_cycles += u32::from(on);
-        let volts = Demand::Voltage(1.0);
-        guard.shape(now_s, if on { volts } else { Demand::Disable });
+        let is_on = cycle % 2 == 0;
+        on_cycles += u32::from(is_on);
+        guard.shape(now_s, if is_on { Demand::Voltage(1.0) } else { Demand::Disable });
         guard.watch(now_s, &sample(now_s), true);
     }
     assert_eq!(guard.tripped().unwrap().kind, TripKind::TimeLimit);
@@ -237,31 +213,28 @@ fn a_voltage_step_is_capped_unless_the_drive_limits() {
     }
 }
 
-/// Voltages in V that leave when 60 V are taken back to -60 V with a slew limit that allows it at once, while the last
-/// reply told a shaft at 10 rad/s and none comes any more.
-fn unseen(mut guard: Guard) -> Vec<f64> {
+/// Voltages, V, when 60 V are reversed within a slew limit that allows it at once, and no reply comes after one with 10 rad/s.
+fn unobserved(mut guard: Guard) -> Vec<f64> {
     guard.begin(0.0, &sample(0.0));
     guard.set_slew(Some(1e6));
     guard.shape(0.0, Demand::Voltage(60.0));
     guard.watch(0.001, &sample(0.0), true);
     let wanted_v = |cycle| if cycle < 4 { 60.0 } else { -60.0 };
-    let volts = |cycle| guard.volts(f64::from(cycle) * PERIOD_S, wanted_v(cycle));
-    (1..12).map(volts).collect()
+    (1..12).map(|cycle| guard.volts(f64::from(cycle) * PERIOD_S, wanted_v(cycle))).collect()
 }
 
 #[test]
 fn an_unobserved_shaft_is_braked_within_the_limit() {
     let winding_v = limits().current_a * 1.1;
-    let seen_v = 0.3538 * 10.0;
-    let known = unseen(guard().with_period(PERIOD_S));
-    near(known[2], seen_v + winding_v, 1e-9);
-    // By now it may turn at what those 28 V make of it, or at as much more as a load pulls: from there down to no more
-    // than the limit allows.
+    let measured_v = 0.3538 * 10.0;
+    let known = unobserved(guard().with_period(PERIOD_S));
+    near(known[2], measured_v + winding_v, 1e-9);
+    // By now its back-EMF may be those 28 V, or more under a pulling load: the limit holds from there.
     let load_v = 1.1 * 0.455 / 0.3538;
     for volts in &known[3..] {
-        near(*volts, seen_v + load_v, 1e-9);
+        near(*volts, measured_v + load_v, 1e-9);
     }
-    // The same reading once more, with the same stamp, tells nothing new of the shaft.
+    // A repeated reading, with the same stamp, has no information on the present speed.
     let mut repeated = guard().with_period(PERIOD_S);
     repeated.watch(-PERIOD_S, &sample(-PERIOD_S), false);
     let repeats = |guard: &mut Guard, now_s| {
@@ -274,9 +247,8 @@ fn an_unobserved_shaft_is_braked_within_the_limit() {
         repeats(&mut repeated, f64::from(cycle) * PERIOD_S);
     }
     near(repeated.volts(3.0 * PERIOD_S, -60.0), known[3], 1e-9);
-    // Without the period the old speed counts for ever, and twice the limit would flow.
-    let trusting = unseen(guard());
-    near(trusting[3], seen_v - winding_v, 1e-9);
+    // Without the period an old speed remains valid, and twice the limit would flow.
+    near(unobserved(guard())[3], measured_v - winding_v, 1e-9);
 }
 
 #[test]
@@ -316,25 +288,21 @@ fn travel_counts_from_the_first_angle() {
 fn a_trip_stays_and_an_unknown_speed_is_no_rest() {
     let (mut guard, now_s) = running();
     guard.watch(now_s, &sample(now_s).with(Channel::Current, 30.0), true);
-    let after = guard.shape(now_s, Demand::Voltage(5.0)).demand;
-    assert_eq!(after, Demand::Stop);
+    assert_eq!(guard.shape(now_s, Demand::Voltage(5.0)).demand, Demand::Stop);
     // A second cause does not replace the first.
     guard.watch(now_s, &at_rad_s(now_s, 900.0), true);
     assert_eq!(guard.tripped().unwrap().kind, TripKind::OverCurrent);
     assert_eq!(guard.shape(now_s, Demand::Voltage(5.0)).demand, Demand::Stop);
-    let running = RestError::State { state: "running" };
-    assert_eq!(guard.check_rest(&sample(now_s)), Err(running));
+    assert_eq!(guard.check_rest(&sample(now_s)), Err(RestError::State { state: "running" }));
     let mut rest = at_rad_s(now_s, 100.0);
     rest.state = Some(DriveState::Disabled);
-    let moving = guard.check_rest(&rest);
-    assert!(matches!(moving, Err(RestError::Moving { .. })));
+    assert!(matches!(guard.check_rest(&rest), Err(RestError::Moving { .. })));
     rest.set(Channel::Speed, 0.1);
     rest.set(Channel::Current, 0.1);
-    // What it gave before and does not give now may be anything.
+    // A missing signal may have any value.
     for channel in [Channel::Speed, Channel::Current] {
         let unread = guard.check_rest(&rest.clone().with(channel, f64::NAN));
-        let name = channel.name();
-        assert_eq!(unread, Err(RestError::Unread { name }));
+        assert_eq!(unread, Err(RestError::Unread { name: channel.name() }));
     }
     assert_eq!(guard.check_rest(&rest), Ok(()));
 }
@@ -393,7 +361,7 @@ proptest! {
                 Demand::Voltage(volts) => {
                     prop_assert!(volts.abs() <= limits.voltage_v);
                     let jump = (volts - output_v).abs();
-                    // From off the output begins at the back-EMF: that is no jump of the terminals.
+                    // From off the output begins at the back-EMF, without a jump of the terminals.
                     let from_off = 0.3538 * 500.0;
                     let was_on = output_v.to_bits() != 0;
                     prop_assert!(
@@ -429,7 +397,7 @@ proptest! {
 }
 
 proptest! {
-    /// Whatever speed is told while stopping, old, absurd or none: the output only falls, and is zero when its time is over.
+    /// Whatever speed is measured while stopping, old, absurd or none: the output only falls, and is zero when its time is over.
     #[test]
     fn no_speed_holds_the_output_up_while_stopping(
         volts in -100.0..100.0f64,
@@ -456,7 +424,7 @@ proptest! {
         }
         guard.begin_stop(now_s);
         let by_s = now_s + guard.ramp_down_s();
-        let mut told = speeds.iter().cycle();
+        let mut measured = speeds.iter().cycle();
         let mut fall = 300.0_f64;
         while now_s < by_s {
             now_s += PERIOD_S;
@@ -465,10 +433,10 @@ proptest! {
             prop_assert!(next_v.abs() <= output_v.abs() + 1e-12 && next_v * output_v >= 0.0, "{output_v} {next_v}");
             output_v = next_v;
             fall -= 0.1;
-            let speed = if falls { Some(fall) } else { *told.next().unwrap() };
+            let speed = if falls { Some(fall) } else { *measured.next().unwrap() };
             guard.watch(now_s, &at_rad_s(now_s, speed.unwrap_or(f64::NAN)), false);
         }
-        prop_assert!(output_v.abs() < 1e-9, "{output_v} V are left");
+        prop_assert!(output_v.abs() < 1e-9, "{output_v} V remain");
     }
 }
 
@@ -533,8 +501,7 @@ fn a_supply_without_sink_holds_the_back_emf() {
 fn a_bridge_gets_no_demand_outside_its_quadrants() {
     use Demand::{Current, Speed, Voltage};
     let of = |quadrants, demand| {
-        let few = with(|limits| limits.quadrants = quadrants);
-        let shaped = at_speed(few, 0.0).shape(0.04, demand);
+        let shaped = at_speed(with(|limits| limits.quadrants = quadrants), 0.0).shape(0.04, demand);
         (shaped.demand, shaped.causes.quadrant)
     };
     for (quadrants, wanted, sent) in [
@@ -551,12 +518,6 @@ fn a_bridge_gets_no_demand_outside_its_quadrants() {
 #[test]
 fn a_lost_field_is_a_trip_of_its_own() {
     let watched = with(|limits| limits.field_min_a = Some(0.3));
-    let found = |field_a, state| {
-        let mut sample = sample(0.01);
-        (sample.field_a, sample.state) = (field_a, Some(state));
-        let mut guard = at_speed(watched.clone(), 10.0);
-        guard.watch(0.01, &sample, true).map(|trip| trip.kind)
-    };
     let lost = Some(TripKind::FieldLost);
     for (field_a, state, trip) in [
         (Some(1.0), DriveState::Running, None),
@@ -566,6 +527,10 @@ fn a_lost_field_is_a_trip_of_its_own() {
         // A slow reading that is to come.
         (None, DriveState::Running, None),
     ] {
-        assert_eq!(found(field_a, state), trip, "{field_a:?} {state:?}");
+        let mut sample = sample(0.01);
+        (sample.field_a, sample.state) = (field_a, Some(state));
+        let mut guard = at_speed(watched.clone(), 10.0);
+        let found = guard.watch(0.01, &sample, true).map(|trip| trip.kind);
+        assert_eq!(found, trip, "{field_a:?} {state:?}");
     }
 }

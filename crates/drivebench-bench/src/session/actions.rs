@@ -7,11 +7,6 @@ use crate::trip::Trip;
 use drivebench_link::LinkError;
 use drivebench_model::sample::{Command, Sample};
 
-/// Exceptions for a request that is itself wrong: function, address, value (Modbus Application Protocol 1.1b3, 7).
-const ILLEGAL_FIRST: u8 = 1;
-const ILLEGAL_LAST: u8 = 3;
-
-/// One input of `Session::step`.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Input {
     /// The deadline of a cycle: time to send.
@@ -22,7 +17,7 @@ pub enum Input {
     Silence,
     /// The computer was suspended for so long, s.
     Suspended(f64),
-    /// So many frames on the line write to the drive and are not ours.
+    /// So many frames of another master write to the drive.
     OtherMaster(u64),
     /// So many deadlines passed before this cycle began.
     Missed(u64),
@@ -34,7 +29,7 @@ pub enum Input {
 pub enum Lost {
     /// The next cycle may try again.
     Transient(String),
-    /// The drive, or a gateway, answers that it cannot do so now: the next cycle may try again.
+    /// An exception of a busy drive or gateway: the next cycle may try again.
     Busy(String),
     /// The drive does not have what was requested: no retry can help.
     Refused(String),
@@ -45,9 +40,8 @@ pub enum Lost {
 impl From<&LinkError> for Lost {
     fn from(error: &LinkError) -> Self {
         match error {
-            LinkError::Exception { code: ILLEGAL_FIRST..=ILLEGAL_LAST, .. } => {
-                Self::Refused(error.to_string())
-            }
+            // Illegal function, address or value (Modbus Application Protocol 1.1b3, section 7).
+            LinkError::Exception { code: 1..=3, .. } => Self::Refused(error.to_string()),
             // A busy drive (04 to 06) or a gateway: the limit of link silence decides.
             LinkError::Exception { .. } => Self::Busy(error.to_string()),
             error if error.is_transient() => Self::Transient(error.to_string()),
@@ -96,7 +90,6 @@ pub struct Notice {
     pub text: String,
 }
 
-/// How a session ended.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
@@ -125,7 +118,6 @@ impl Outcome {
         }
     }
 
-    /// Where a session stands after it.
     pub(super) const fn phase(&self) -> Phase {
         match self {
             Self::Done => Phase::Done,
@@ -145,7 +137,7 @@ impl Outcome {
     }
 }
 
-/// What is to be done, in this order.
+/// In the order in which they are to be done.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Action {
     Send(Command),
@@ -158,7 +150,6 @@ pub enum Action {
     Finished(Outcome),
 }
 
-/// Where a session stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Phase {

@@ -6,13 +6,28 @@ use crate::mechanics::Brake;
 use drivebench_link::CommandTimes;
 use drivebench_model::sample::{DriveState, Sample};
 
-/// A drive that is to stop and gives no sample gets a stop in every cycle for as long as its watchdog takes, or for this
-/// where no watchdog is known, s; then once in so many times that. Each request may keep its watchdog from acting: the
-/// pauses are longer.
-const STOP_REPEAT_S: f64 = 1.0;
-const STOP_PAUSE: f64 = 1.5;
+pub(super) struct Times {
+    /// Longest wait for the first valid reply, s.
+    pub(super) first_reply_s: f64,
+    /// Time for the shaft to come to rest under braking after the output has reached zero, s.
+    pub(super) come_to_rest_s: f64,
+    /// Longest wait for any reply of a drive that has to stop, s.
+    pub(super) stop_silence_s: f64,
+    /// A drive that has to stop and gives no sample gets a stop in every cycle for the time of its watchdog, or for this where
+    /// no watchdog is known, s; then once in `stop_pause` of that time. Each request may reset its watchdog: the pauses are
+    /// longer.
+    stop_repeat_s: f64,
+    stop_pause: f64,
+}
 
-/// Where the session stands, with what holds only there.
+pub(super) const TIMES: Times = Times {
+    first_reply_s: 3.0,
+    come_to_rest_s: 2.0,
+    stop_silence_s: 1.0,
+    stop_repeat_s: 1.0,
+    stop_pause: 1.5,
+};
+
 pub(super) enum State {
     /// Since the first cycle, s.
     Connecting(Option<f64>),
@@ -26,7 +41,7 @@ pub(super) enum State {
     },
     Stopping {
         since_s: f64,
-        /// When the last stop went out, s; `None`: none has, and the drive's state does not answer one yet.
+        /// When the last stop went out, s; `None`: none has, and the drive's state confirms none.
         requested_s: Option<f64>,
         ending: Outcome,
     },
@@ -78,7 +93,6 @@ pub(super) enum Watchdog {
     Waived,
 }
 
-/// What is known of the drive.
 pub(super) struct Drive {
     /// It reports whether its output is off.
     pub(super) reports_stop: bool,
@@ -119,12 +133,11 @@ impl Drive {
         self.sample.as_ref().and_then(|sample| sample.state)
     }
 
-    /// Whether a drive that has to stop since then gets a stop in this cycle too. One that gives samples does: they show
-    /// when it has stopped.
+    /// Whether a drive that has to stop since then gets a stop in this cycle too. One with samples does: they confirm it.
     pub(super) fn repeats_stop(&self, now_s: f64, since_s: f64, requested_s: Option<f64>) -> bool {
-        let repeat_s = self.watchdog_s().unwrap_or(STOP_REPEAT_S);
+        let repeat_s = self.watchdog_s().unwrap_or(TIMES.stop_repeat_s);
         now_s - since_s.max(self.sampled_s) <= repeat_s
-            || requested_s.is_none_or(|last_s| now_s - last_s >= STOP_PAUSE * repeat_s)
+            || requested_s.is_none_or(|last_s| now_s - last_s >= TIMES.stop_pause * repeat_s)
     }
 }
 
@@ -136,9 +149,8 @@ pub(super) enum BrakeMotion {
 
 /// The order of a brake that holds a load: torque, then release; rest, then the brake, then the output off.
 ///
-/// The drive works the brake (or a relay on its "running" output): no register of ours does. What the session can keep is
-/// the order and the times: it holds the load by torque while the brake opens, and again until it has closed. After a trip
-/// the drive's own stop acts, and with it its brake.
+/// The drive, or a relay on its "running" output, works the brake; the session keeps the order and the times: it holds the load
+/// by torque while the brake opens, and again until it has closed. After a trip the drive's own stop acts, with its brake.
 pub(super) struct BrakeOrder {
     pub(super) brake: Brake,
     /// What it does, and since when, s.

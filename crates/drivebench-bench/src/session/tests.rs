@@ -6,20 +6,19 @@ use crate::mechanics::Brake;
 use crate::testing::{Fault, Lab, ScriptedDrive, Wave, gone, has, refusal, unspoilt, within};
 use crate::timing::whole;
 use drivebench_emulator::VirtualClock;
-use drivebench_link::LinkError;
 
 type Bench = Lab<ScriptedDrive, fn(usize, Sample) -> Option<Sample>>;
 
 const EVER: u64 = u64::MAX;
 
-fn session() -> Session {
+fn session_of(duration_s: f64, demand: fn(f64) -> Demand) -> Session {
     let motor = Nameplate::zk_22fc();
     let guard = Guard::new(Limits::for_motor(&motor, 100.0), &motor, None);
-    let program = Wave {
-        duration_s: 1.0,
-        demand: |time_s: f64| Demand::Voltage(if time_s < 0.2 { 0.0 } else { 20.0 }),
-    };
-    Session::new(Box::new(program), guard)
+    Session::new(Box::new(Wave { duration_s, demand }), guard)
+}
+
+fn session() -> Session {
+    session_of(1.0, |time_s| Demand::Voltage(if time_s < 0.2 { 0.0 } else { 20.0 }))
 }
 
 fn bench(session: Session, drive: ScriptedDrive) -> Bench {
@@ -32,8 +31,7 @@ fn idle() -> Bench {
 
 /// So many cycles after the start, on a drive with a fault from one exchange to another.
 fn run_for(cycles: u32, from: u64, to: u64, fault: Fault) -> Bench {
-    let drive = ScriptedDrive::new(0.01).with(from, to, fault);
-    bench(session(), drive).started(cycles)
+    bench(session(), ScriptedDrive::new(0.01).with(from, to, fault)).started(cycles)
 }
 
 fn run_with(from: u64, to: u64, fault: Fault) -> Bench {
@@ -50,16 +48,19 @@ fn lost(bench: &Bench) -> &str {
 }
 
 fn stops(bench: &Bench) -> usize {
-    let demands = bench.link.demands.iter();
-    demands.filter(|demand| **demand == Demand::Stop).count()
+    bench.link.demands.iter().filter(|demand| **demand == Demand::Stop).count()
+}
+
+fn is_stop(action: &Action) -> bool {
+    matches!(action, Action::Send(command) if command.demand == Demand::Stop)
 }
 
 fn events<'a>(bench: &'a Bench, kind: &str) -> Vec<&'a Event> {
-    let events = bench.log.iter().filter_map(|action| match action {
+    let event = |action: &'a Action| match action {
         Action::Event(event) if event.event == kind => Some(event),
         _ => None,
-    });
-    events.collect()
+    };
+    bench.log.iter().filter_map(event).collect()
 }
 
 #[test]
@@ -68,13 +69,10 @@ fn a_healthy_run_passes_every_phase_and_ends_done() {
     assert_eq!(bench.outcome(), Some(&Outcome::Done));
     let phases = events(&bench, "phase");
     let phases: Vec<&Value> = phases.iter().map(|e| &e.details["to"]).collect();
-    let all = ["safe", "armed", "running", "ramp_down", "stopping", "done"];
-    assert_eq!(phases, all);
+    assert_eq!(phases, ["safe", "armed", "running", "ramp_down", "stopping", "done"]);
     assert_eq!(events(&bench, "segment").len(), 2);
-    let shaped = events(&bench, "shaped").len();
-    assert!(shaped >= 2, "the two steps are slew-limited");
-    let peak_v = bench.volts().into_iter().fold(0.0, f64::max);
-    assert!((peak_v - 20.0).abs() < 1e-9);
+    assert!(events(&bench, "shaped").len() >= 2, "the two steps are slew-limited");
+    assert!((bench.volts().into_iter().fold(0.0, f64::max) - 20.0).abs() < 1e-9);
     assert_eq!(bench.link.demands.last(), Some(&Demand::Disable));
 }
 
@@ -109,7 +107,6 @@ fn a_silence_is_answered_before_the_next_cycle() {
         let mut actions = Vec::new();
         let lost = Lost::Transient("no reply".to_owned());
         session.step(begun_s + after_s, Input::Lost(lost), &mut actions);
-        let is_stop = |action: &Action| matches!(action, Action::Send(command) if command.demand == Demand::Stop);
         assert_eq!(actions.iter().any(is_stop), is_over, "{after_s} s");
     }
     assert_eq!(session.phase(), Phase::Stopping);
@@ -124,7 +121,7 @@ fn one_lost_reply_costs_nothing_and_a_silent_link_ends_the_run() {
     lost(&silent);
     // Link silence is 100 ms: ten cycles, and one to find out.
     assert_eq!(silent.energised_from(72), 0);
-    // The script stays aborted although the link comes back.
+    // The run stays aborted although the link comes back.
     let back = run_with(60, 80, Fault::Timeout);
     lost(&back);
     assert_eq!(back.energised_from(75), 0);
@@ -163,20 +160,17 @@ fn the_first_stop_ramps_down_and_the_second_is_immediate() {
 
 #[test]
 fn a_stop_while_the_motor_coasts_switches_nothing_on() {
-    let coasts = Wave {
-        duration_s: 5.0,
-        demand: |time_s: f64| {
-            if time_s < 1.0 { Demand::Voltage(20.0) } else { Demand::Disable }
-        },
-    };
-    let motor = Nameplate::zk_22fc();
-    let guard = Guard::new(Limits::for_motor(&motor, 100.0), &motor, None);
-    let session = Session::new(Box::new(coasts), guard);
-    let mut bench = bench(session, ScriptedDrive::new(0.01)).started(105);
+    let coasts =
+        session_of(
+            5.0,
+            |time_s| {
+                if time_s < 1.0 { Demand::Voltage(20.0) } else { Demand::Disable }
+            },
+        );
+    let mut bench = bench(coasts, ScriptedDrive::new(0.01)).started(105);
     let before = bench.link.demands.len();
     assert_eq!(bench.link.demands.last(), Some(&Demand::Disable));
-    let turns = |bench: &Bench| bench.recorded(Channel::Speed).last().unwrap().1;
-    assert!(turns(&bench) > 10.0, "{}", turns(&bench));
+    within(bench.recorded(Channel::Speed).last().unwrap().1, 10.0..);
     bench.ask(Intent::Stop);
     bench.cycles(5);
     assert_eq!(bench.energised_from(before), 0);
@@ -188,16 +182,11 @@ fn a_stop_ramps_any_output_to_zero_before_it_goes_off() {
     let demands: [fn(f64) -> Demand; 3] =
         [|_| Demand::Voltage(20.0), |_| Demand::Current(3.0), |_| Demand::Speed(50.0)];
     for demand in demands {
-        let motor = Nameplate::zk_22fc();
-        let guard = Guard::new(Limits::for_motor(&motor, 100.0), &motor, None);
-        let program = Wave { duration_s: 5.0, demand };
-        let session = Session::new(Box::new(program), guard);
-        let spins: fn(usize, Sample) -> Option<Sample> = |sent, sample| {
-            // It turns from shortly before the stop on.
-            Some(if sent < 61 { sample } else { sample.with(Channel::Speed, 20.0) })
-        };
+        // The shaft turns from shortly before the stop on.
+        let spins: fn(usize, Sample) -> Option<Sample> =
+            |sent, sample| Some(if sent < 61 { sample } else { sample.with(Channel::Speed, 20.0) });
         let link = (ScriptedDrive::new(0.01), VirtualClock::new());
-        let mut bench = Lab::new(session, link, spins).started(60);
+        let mut bench = Lab::new(session_of(5.0, demand), link, spins).started(60);
         let asked = bench.link.demands.last().copied().unwrap();
         assert_eq!(bench.session.phase(), Phase::Running, "{asked:?}");
         bench.ask(Intent::Stop);
@@ -209,19 +198,17 @@ fn a_stop_ramps_any_output_to_zero_before_it_goes_off() {
 }
 
 #[test]
-fn what_the_drive_said_before_it_was_told_confirms_no_stop() {
-    // Armed, and not seen to run yet.
+fn a_state_before_the_request_confirms_no_stop() {
+    // Armed, and not running yet.
     let drive = ScriptedDrive::new(0.01).with(0, EVER, Fault::NeverRuns);
     let mut bench = bench(session(), drive).started(2);
     bench.ask(Intent::Stop);
     bench.cycles(300);
     assert_eq!(bench.outcome(), Some(&Outcome::Stopped));
-    let is_stop =
-        |action: &Action| matches!(action, Action::Send(command) if command.demand == Demand::Stop);
     let is_end = |action: &Action| matches!(action, Action::Finished(_));
-    let told = bench.log.iter().position(is_stop);
+    let requested = bench.log.iter().position(is_stop);
     let ended = bench.log.iter().position(is_end);
-    assert!(told.is_some_and(|told| told < ended.unwrap()), "{told:?} {ended:?}");
+    assert!(requested.is_some() && requested < ended, "{requested:?} {ended:?}");
 }
 
 #[test]
@@ -231,8 +218,8 @@ fn a_link_lost_after_a_stop_ends_as_requested() {
         bench.ask(Intent::Quit);
         bench.cycles(400);
         assert_eq!(bench.outcome(), Some(&Outcome::Interrupted), "{fault:?}");
-        let said = bench.session.stop_notice(None).unwrap();
-        assert_eq!(said.level, Level::Warning, "{fault:?}: {}", said.text);
+        let notice = bench.session.stop_notice(None).unwrap();
+        assert_eq!(notice.level, Level::Warning, "{fault:?}: {}", notice.text);
     }
 }
 
@@ -240,7 +227,7 @@ fn a_link_lost_after_a_stop_ends_as_requested() {
 fn a_waived_watchdog_is_not_named_as_the_stop() {
     for (watchdog_s, waived, words) in [
         (None, None, "no watchdog is known"),
-        (Some(0.5), None, "stops the motor 0.5 s after the last word"),
+        (Some(0.5), None, "stops the motor 0.5 s after the last command"),
         (Some(0.5), Some("watchdog"), "may still"),
     ] {
         let waived = waived.map(str::to_owned).into_iter().collect();
@@ -254,9 +241,10 @@ fn a_waived_watchdog_is_not_named_as_the_stop() {
 #[test]
 fn a_shaft_that_moves_again_rests_anew_before_its_brake() {
     let applies = |bench: &Bench| -> Vec<f64> {
-        let brakes = events(bench, "brake").into_iter();
-        let applies = brakes.filter(|event| event.details["brake"] == "applies");
-        applies.map(|event| event.time_s).collect()
+        (events(bench, "brake").into_iter())
+            .filter(|event| event.details["brake"] == "applies")
+            .map(|event| event.time_s)
+            .collect()
     };
     let run = |moves_at| {
         let brake = Brake { hold_current_a: 0.0, release_s: 0.05, apply_s: 0.2 };
@@ -279,14 +267,13 @@ fn a_shaft_that_moves_again_rests_anew_before_its_brake() {
 }
 
 #[test]
-fn a_stop_that_the_drive_does_not_confirm_is_repeated_and_said() {
+fn an_unconfirmed_stop_is_repeated_and_reported() {
     let bench = run_for(400, 60, EVER, Fault::IgnoresStop);
     assert!(stops(&bench) >= 99, "{}", stops(&bench));
-    let silent: LinkError = gone("script:".to_owned());
-    let said = bench.session.stop_notice(Some(&silent)).unwrap();
-    assert_eq!(said.level, Level::Error);
-    has(said.text, "NOT confirmed");
-    // The program was over, but nobody knows that the output is off: no success.
+    let notice = bench.session.stop_notice(Some(&gone("script:".to_owned()))).unwrap();
+    assert_eq!(notice.level, Level::Error);
+    has(notice.text, "NOT confirmed");
+    // The program was over, but the output is not known to be off: no success.
     lost(&bench);
 }
 
@@ -298,48 +285,43 @@ fn patient(from: u64, to: u64, fault: Fault) -> Bench {
 }
 
 #[test]
-fn a_slow_ramp_of_the_drive_is_waited_for() {
-    let bench = patient(60, 500, Fault::IgnoresStop);
-    assert_eq!(bench.outcome(), Some(&Outcome::Done));
-    assert_eq!(bench.session.stop_notice(None), None);
-}
-
-#[test]
-fn a_silent_drive_is_not_waited_for() {
-    let bench = patient(60, EVER, Fault::Timeout);
-    lost(&bench);
-    within(stops(&bench) as f64, 99.0..110.0);
+fn a_slow_ramp_is_waited_for_and_a_silent_drive_is_not() {
+    let slow = patient(60, 500, Fault::IgnoresStop);
+    assert_eq!(slow.outcome(), Some(&Outcome::Done));
+    assert_eq!(slow.session.stop_notice(None), None);
+    let silent = patient(60, EVER, Fault::Timeout);
+    lost(&silent);
+    within(stops(&silent) as f64, 99.0..110.0);
 }
 
 #[test]
 fn a_busy_drive_gets_its_stop_often_and_then_seldom() {
-    let times = CommandTimes { stop_s: 2.0, ..CommandTimes::default() };
-    let watched = session().with_command_times(times).with_watchdog(Some(0.2));
-    let busy = ScriptedDrive::new(0.01).with(60, EVER, Fault::Refuses(6));
-    let busy = bench(watched, busy).started(600);
+    let refused = |code| {
+        let times = CommandTimes { stop_s: 2.0, ..CommandTimes::default() };
+        let watched = session().with_command_times(times).with_watchdog(Some(0.2));
+        bench(watched, ScriptedDrive::new(0.01).with(60, EVER, Fault::Refuses(code))).started(600)
+    };
+    let busy = refused(6);
     has(lost(&busy), "requests refused: no valid reply for 0.1");
     has(lost(&busy), "the command: exception 0x06 device busy");
     assert_eq!(events(&busy, "refused_for_now").len(), busy.link.demands.len() - 60);
     // 0.2 s of cycles, and then in 1.8 s once in 0.3 s.
     within(stops(&busy) as f64, 20.0..28.0);
-    let failed = refusal("script:".to_owned(), 6);
-    let said = busy.session.stop_notice(Some(&failed)).unwrap();
-    has(&said.text, "it answers: script: the drive refused");
-    has(&said.text, "its watchdog stops the motor 0.2 s after");
-    // Refused for good it is told no more often, although the silence is over meanwhile.
-    let watched = session().with_command_times(times).with_watchdog(Some(0.2));
-    let refused = ScriptedDrive::new(0.01).with(60, EVER, Fault::Refuses(2));
-    let refused = bench(watched, refused).started(600);
-    has(lost(&refused), "illegal data address");
-    within(stops(&refused) as f64, 20.0..28.0);
-    // A refusal that was followed by a reply is not why the link falls silent later.
+    let notice = busy.session.stop_notice(Some(&refusal("script:".to_owned(), 6))).unwrap();
+    has(&notice.text, "it answers: script: the drive refused");
+    has(&notice.text, "its watchdog stops the motor 0.2 s after");
+    // After an illegal request it gets as few, although the allowed silence is over by then.
+    let illegal = refused(2);
+    has(lost(&illegal), "illegal data address");
+    within(stops(&illegal) as f64, 20.0..28.0);
+    // An exception that was followed by a reply is not the cause of a later silence.
     let drive = ScriptedDrive::new(0.01).with(50, 55, Fault::Refuses(6));
     let silent = drive.with(60, EVER, Fault::Timeout);
     has(lost(&bench(session(), silent).started(600)), "link silent");
 }
 
 #[test]
-fn a_stop_asked_for_while_the_output_goes_off_is_not_forgotten() {
+fn a_request_while_the_output_goes_off_is_not_lost() {
     let mut bench = run_for(0, 60, EVER, Fault::IgnoresStop);
     while bench.session.phase() != Phase::Stopping {
         assert!(bench.outcome().is_none(), "it ended before it stopped");
@@ -354,8 +336,7 @@ fn a_stop_asked_for_while_the_output_goes_off_is_not_forgotten() {
 fn a_drive_that_never_runs_is_named_after_the_enable_time() {
     let bench = run_with(0, EVER, Fault::NeverRuns);
     assert_eq!(bench.trip().0, TripKind::NotRunning);
-    let mut demands = bench.link.demands.iter();
-    assert!(demands.all(|demand| demand.voltage_v() == Some(0.0)));
+    assert!(bench.link.demands.iter().all(|demand| demand.voltage_v() == Some(0.0)));
 }
 
 #[test]
@@ -377,8 +358,8 @@ fn nothing_starts_by_itself_or_after_a_trip() {
 fn a_limit_that_cannot_be_watched_refuses_to_arm() {
     let bench = run_with(0, EVER, Fault::Missing(Channel::Speed));
     assert_eq!(bench.session.phase(), Phase::Safe);
-    let says = |action: &Action| matches!(action, Action::Notice(n) if n.text.contains("speed"));
-    assert!(bench.log.iter().any(says));
+    let names = |action: &Action| matches!(action, Action::Notice(n) if n.text.contains("speed"));
+    assert!(bench.log.iter().any(names));
 }
 
 #[test]
@@ -442,15 +423,15 @@ fn any_input() -> impl Strategy<Value = Input> {
 }
 
 proptest! {
-    /// In any order of any inputs: no set-point leaves before a start was asked for, and none after an end or a trip,
-    /// because nothing here re-arms.
+    /// In any order of any inputs: no set-point leaves before a start was requested, and none after an end or a trip, because
+    /// nothing re-arms.
     #[test]
     fn no_set_point_before_a_start_and_none_after_an_end(
         inputs in prop::collection::vec((any_input(), 0.0..0.02f64), 1..400),
     ) {
         let mut session = session();
         let (mut now_s, mut time_s) = (0.0, 0.0);
-        let (mut asked, mut over) = (false, false);
+        let (mut requested, mut over) = (false, false);
         for (input, step_s) in inputs {
             now_s += step_s;
             let input = match input {
@@ -461,13 +442,13 @@ proptest! {
                 }
                 other => other,
             };
-            asked |= matches!(&input, Input::Intent(Intent::Start));
+            requested |= matches!(&input, Input::Intent(Intent::Start));
             let mut actions = Vec::new();
             session.step(now_s, input, &mut actions);
             for action in actions {
                 match action {
                     Action::Send(command) if command.demand.energises() => {
-                        prop_assert!(asked && !over, "{command:?}");
+                        prop_assert!(requested && !over, "{command:?}");
                     }
                     Action::Finished(_) => over = true,
                     Action::Event(event) if event.event == "trip" => over = true,
