@@ -74,8 +74,7 @@ impl CommissionReport<'_> {
             document.paragraph(
                 "Known only because the drive is software. The diagnosis did not see it.",
             );
-            let truth = self.truth.iter().map(String::as_str);
-            document.say("truth", truth, 1);
+            document.say("truth", self.truth.iter().map(String::as_str), 1);
         }
         tables::conditions(&mut document, self.context);
         document
@@ -96,10 +95,8 @@ impl CommissionReport<'_> {
     /// What a rung adds to the one above it.
     fn step_name(&self, place: usize, rung: &Rung) -> String {
         let above = place.checked_sub(1).and_then(|above| self.ladder.get(above));
-        let added = above.and_then(|above| {
-            let mut effects = rung.effects.iter();
-            effects.find(|effect| !above.effects.contains(effect))
-        });
+        let added = above
+            .and_then(|above| rung.effects.iter().find(|effect| !above.effects.contains(effect)));
         added.map_or_else(|| rung_name(rung), |effect| format!("+ {effect}"))
     }
 

@@ -140,8 +140,7 @@ impl Document {
     }
 
     fn drop_empty_heading(&mut self) {
-        let last = self.blocks.last().map(|block| &block.content);
-        if let Some(Content::Heading(_)) = last {
+        if let Some(Content::Heading(_)) = self.blocks.last().map(|block| &block.content) {
             self.blocks.pop();
         }
     }

@@ -36,8 +36,7 @@ fn fact((label, value): &(String, String)) -> String {
 }
 
 fn items(items: impl Iterator<Item = String>) -> String {
-    let item = |item| format!("- {item}\n");
-    format!("\n{}", items.map(item).collect::<String>())
+    format!("\n{}", items.map(|item| format!("- {item}\n")).collect::<String>())
 }
 
 fn markdown(block: &Block) -> String {
@@ -56,14 +55,13 @@ fn markdown(block: &Block) -> String {
 fn table_text(table: &Table) -> String {
     let plain = |text: &str| text.replace('|', "/").replace('\n', " ");
     let head = table.head.iter().map(|head| (*head).to_owned()).collect();
-    let rows = table.rows.iter().map(|row| {
-        let cells = padded(row, table.head.len());
-        cells.map(|cell| plain(&cell.text)).collect()
-    });
+    let rows = table
+        .rows
+        .iter()
+        .map(|row| padded(row, table.head.len()).map(|cell| plain(&cell.text)).collect());
     let mut rows: Vec<Vec<String>> = std::iter::once(head).chain(rows).collect();
     let widths = columns::widths(&rows, 3);
-    let rules = widths.iter().map(|width| "-".repeat(*width)).collect();
-    rows.insert(1, rules);
+    rows.insert(1, widths.iter().map(|width| "-".repeat(*width)).collect());
     let line = |row: &Vec<String>| {
         let cells = columns::padded(row, &widths).join(" | ");
         format!("| {cells} |\n")

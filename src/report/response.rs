@@ -32,8 +32,7 @@ pub fn response_chart(compared: &Compared, pathway: Pathway) -> AxisChart {
     let bands = own.bands_hz();
     let first_hz = bands.first().map_or(f64::INFINITY, |band| band.0);
     let last_hz = bands.last().map_or(0.0, |band| band.1);
-    let beside = compared.model.as_ref();
-    let beside = beside.and_then(|model| model.of(pathway));
+    let beside = compared.model.as_ref().and_then(|model| model.of(pathway));
     let set = |of: &PathwayResponse, label: &str, style, drawn, place: Of| {
         let is_shown = |point: &ResponsePoint| match (style, drawn) {
             (_, Drawn::Faint) => !point.is_carried,
@@ -56,8 +55,7 @@ pub fn response_chart(compared: &Compared, pathway: Pathway) -> AxisChart {
             set(own, "", Style::Measured, Drawn::Faint, place),
             set(own, "measured", Style::Measured, Drawn::Curve, place),
         ];
-        let model = beside.map(|model| set(model, "model", Style::Before, Drawn::Curve, place));
-        sets.extend(model);
+        sets.extend(beside.map(|model| set(model, "model", Style::Before, Drawn::Curve, place)));
         AxisPanel { title, height, holds: holds.to_vec(), sets, line: (String::new(), Vec::new()) }
     };
     let magnitude = format!("magnitude, dB of 1 {}", own.unit);

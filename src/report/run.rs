@@ -106,8 +106,7 @@ impl RunReport<'_> {
 
 /// Range and completeness of every recorded channel.
 fn signals(run: &Run) -> Table {
-    let recorded = Channel::ALL.into_iter();
-    let recorded = recorded.filter(|channel| run.column(*channel).is_some());
+    let recorded = Channel::ALL.into_iter().filter(|channel| run.column(*channel).is_some());
     let of = |channel: &Channel| run.points(*channel).map(|point| point.1);
     let range = |channel: &Channel, value: f64| {
         let cell = Cell::text(significant(value, 4));
@@ -164,8 +163,7 @@ fn last_seconds(document: &mut Document, run: &Run, last: &LastSeconds) {
     facts.extend(last.stop.clone());
     document.list(facts);
     let extreme = |channel: Channel| {
-        let values = part.points(channel).map(|(_, value)| value.abs());
-        values.fold(f64::NAN, f64::max)
+        part.points(channel).map(|(_, value)| value.abs()).fold(f64::NAN, f64::max)
     };
     document.table(
         Table::of(last.limits.iter().filter(|(channel, _)| !extreme(*channel).is_nan()))
@@ -184,8 +182,7 @@ fn part(run: &Run, rows: Range<usize>) -> Option<Run> {
     let mut part = Run::new(run.name.clone(), run.time_s().get(rows.clone())?.to_vec()).ok()?;
     for channel in Channel::ALL {
         if let Some(column) = run.column(channel) {
-            let values = column[rows.clone()].to_vec();
-            part.set_column(channel, values, run.origin(channel)).ok()?;
+            part.set_column(channel, column[rows.clone()].to_vec(), run.origin(channel)).ok()?;
         }
     }
     Some(part)

@@ -58,10 +58,10 @@ impl Table {
         const GAP: &str = "  ";
         let mut columns: Vec<usize> = (0..self.head.len()).collect();
         let head = self.head.iter().map(|head| (*head).to_owned()).collect();
-        let rows = self.rows.iter().map(|row| {
-            let cells = padded(row, self.head.len());
-            cells.map(|cell| cell.text).collect()
-        });
+        let rows = self
+            .rows
+            .iter()
+            .map(|row| padded(row, self.head.len()).map(|cell| cell.text).collect());
         let rows: Vec<Vec<String>> = std::iter::once(head).chain(rows).collect();
         let widths = columns::widths(&rows, 1);
         let total = |columns: &[usize], widths: &[usize]| {
@@ -83,8 +83,7 @@ impl Table {
         }
         let is_of_numbers = |column: &usize| {
             let cells = rows[1..].iter().map(|row| row[*column].as_str());
-            let mut cells = cells.filter(|cell| !matches!(*cell, "" | "-" | number::MISSING));
-            cells.all(is_number)
+            cells.filter(|cell| !matches!(*cell, "" | "-" | number::MISSING)).all(is_number)
         };
         let right: Vec<bool> = (0..self.head.len()).map(|c| is_of_numbers(&c)).collect();
         let line = |row: &Vec<String>| {
@@ -122,8 +121,7 @@ impl Table {
         };
         let head = self.head.iter().map(|cell| quoted(cell)).collect();
         let rows = self.rows.iter().map(|row| {
-            let cells = padded(row, self.head.len());
-            cells.map(|cell| quoted(&cell.text)).collect::<Vec<_>>()
+            padded(row, self.head.len()).map(|cell| quoted(&cell.text)).collect::<Vec<_>>()
         });
         let mut out = String::new();
         for line in std::iter::once(head).chain(rows) {

@@ -32,8 +32,7 @@ fn parameters(
         }
     }
     let shown = |key: &str| {
-        let same = keys.iter().filter(|other| short_key(other) == short_key(key));
-        let is_alone = same.count() == 1;
+        let is_alone = keys.iter().filter(|other| short_key(other) == short_key(key)).count() == 1;
         Cell::code(if is_alone { short_key(key) } else { key })
     };
     let found = |all: &[ParameterEstimate], key: &str| {
@@ -99,8 +98,7 @@ pub(crate) fn parameter_section(
     least: usize,
 ) {
     document.section("Parameters");
-    let table = parameters(nameplate, before, after);
-    document.table_on_card(label, table, SPARE, least);
+    document.table_on_card(label, parameters(nameplate, before, after), SPARE, least);
     let two = !before.is_empty();
     let reason = |when: &str, parameter: &ParameterEstimate| {
         let when = if two { when } else { "" };
@@ -108,8 +106,7 @@ pub(crate) fn parameter_section(
         Some(format!("{}{when}: {reason}", parameter.key))
     };
     let old = before.iter().filter_map(|p| reason(" (before)", p));
-    let new = after.iter().filter_map(|p| reason(" (after)", p));
-    document.say("", old.chain(new), 0);
+    document.say("", old.chain(after.iter().filter_map(|p| reason(" (after)", p))), 0);
 }
 
 /// Whether the nameplate fits, what differs and why; the values that fit are not on the card.
@@ -117,8 +114,7 @@ pub(crate) fn plate(document: &mut Document, plate: Option<&Comparison>) {
     let Some(plate) = plate else { return };
     let differences = plate.differences().map(str::to_owned);
     let causes = plate.causes.iter().map(|cause| format!("likely: {cause}"));
-    let verdict = std::iter::once(plate.verdict());
-    document.say("plate", verdict.chain(differences).chain(causes), 1);
+    document.say("plate", std::iter::once(plate.verdict()).chain(differences).chain(causes), 1);
     let others = plate.rows.iter().filter(|row| row.fits != Fits::No);
     document.labelled("", others.map(|row| row.sentence.as_str()));
 }
@@ -126,8 +122,7 @@ pub(crate) fn plate(document: &mut Document, plate: Option<&Comparison>) {
 /// Date, drive, serial number and motor, at the start of every report; what is not told is said to be so.
 pub(super) fn about(document: &mut Document, context: &Context) {
     let identity = |key: &str| {
-        let mut facts = context.identity.iter();
-        let fact = facts.find(|(label, _)| label == key);
+        let fact = context.identity.iter().find(|(label, _)| label == key);
         fact.map(|(_, value)| value.trim()).unwrap_or_default()
     };
     let drive = drive_name(identity("vendor"), identity("product"));

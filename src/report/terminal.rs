@@ -68,8 +68,7 @@ fn labelled(label: &str, texts: Vec<String>, width: usize) -> Vec<Row> {
 
 /// Columns that are left beside a label.
 const fn room(width: usize) -> usize {
-    let indent = if width >= WIDE { LABEL } else { INDENT };
-    let room = width.saturating_sub(indent);
+    let room = width.saturating_sub(if width >= WIDE { LABEL } else { INDENT });
     if room > 0 { room } else { 1 }
 }
 
@@ -123,8 +122,7 @@ impl Block {
             Content::Table { table, .. } => {
                 let label = self.label.as_str();
                 let label = (!label.is_empty()).then(|| Row::of(label));
-                let rows = table.with_notes(width);
-                label.into_iter().chain(rows.into_iter().map(Row::of)).collect()
+                label.into_iter().chain(table.with_notes(width).into_iter().map(Row::of)).collect()
             }
             _ => self.on_card(self.content.entries(), width, usize::MAX),
         }
@@ -135,8 +133,7 @@ impl Document {
     /// Everything but the pictures, in rows of this width.
     pub fn full(&self, width: usize) -> Vec<Row> {
         let mut rows = self.headline(width, usize::MAX);
-        let blocks = self.shown().iter();
-        rows.extend(blocks.flat_map(|block| block.in_full(width)));
+        rows.extend(self.shown().iter().flat_map(|block| block.in_full(width)));
         rows.extend(self.end(width));
         rows
     }
@@ -184,14 +181,12 @@ impl Document {
             sentence if verdict.is_empty() => sentence.to_owned(),
             sentence => format!("{verdict}: {sentence}"),
         };
-        let rows = shortened(&headline, width, most).into_iter();
-        rows.map(Row::of).collect()
+        shortened(&headline, width, most).into_iter().map(Row::of).collect()
     }
 
     /// The commands that follow, and the page.
     fn end(&self, width: usize) -> Vec<Row> {
-        let commands = self.commands.iter();
-        let commands = commands.flat_map(|text| command(text, room(width))).collect();
+        let commands = self.commands.iter().flat_map(|text| command(text, room(width))).collect();
         let mut rows = labelled("next", commands, width);
         // To be copied: it is not broken.
         rows.extend(self.page.clone().map(Row::of));
@@ -263,8 +258,7 @@ fn bars_in_cells(all: &Bars, shown: usize, width: usize) -> Vec<String> {
         let row = format!("{name:<name_width$}  {figure:>FIGURE$}  {}", "█".repeat(cells));
         cut(row.trim_end(), width)
     };
-    let rows = all.bars.iter().take(shown).map(row);
-    rows.chain(wrapped(&all.unit, width)).collect()
+    all.bars.iter().take(shown).map(row).chain(wrapped(&all.unit, width)).collect()
 }
 
 #[cfg(test)]
@@ -325,8 +319,7 @@ mod tests {
             for (rows, has_all) in [(document().rows(width), false), (document().full(width), true)]
             {
                 let rows: Vec<String> = rows.iter().map(Row::to_string).collect();
-                let mut of_table = rows.iter();
-                let last = of_table.find(|row| row.contains("parameter_39_")).unwrap();
+                let last = rows.iter().find(|row| row.contains("parameter_39_")).unwrap();
                 assert!(last.ends_with("settled"), "{last}");
                 assert!(last.contains("39.00000 ± 0.00001"), "{last}");
                 let has = |part: &str| rows.iter().any(|row| row == part);

@@ -152,8 +152,7 @@ static SIGNALS: LazyLock<Signals> = LazyLock::new(|| {
     let events = vec![(0.0, 0.0), (0.3, 40.0), (0.9, -40.0)];
     let run = |seed| testing::record(&model, events.clone(), 0.01, 1.5, seed);
     let evidence = Evidence::new(run(1), Some(run(2)), None);
-    let compared = compare(&model, &evidence, ErrorOf::Structure).unwrap();
-    compared.signals
+    compare(&model, &evidence, ErrorOf::Structure).unwrap().signals
 });
 
 /// A model that fails below 12 rad/s, with this held-out error of the speed in rad/s.

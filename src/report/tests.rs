@@ -19,11 +19,9 @@ fn assert_balanced(html: &str) {
     let mut rest = html;
     while let Some(start) = rest.find('<') {
         rest = &rest[start + 1..];
-        let end = rest.find('>').expect("a tag ends");
-        let (tag, after) = rest.split_at(end);
+        let (tag, after) = rest.split_at(rest.find('>').expect("a tag ends"));
         rest = &after[1..];
-        let mut words = tag.trim_start_matches('/').split([' ', '/']);
-        let name = words.next().unwrap();
+        let name = tag.trim_start_matches('/').split([' ', '/']).next().unwrap();
         if tag.starts_with('!') || tag.ends_with('/') || ["meta", "br", "wbr"].contains(&name) {
             continue;
         }
@@ -72,8 +70,7 @@ fn context() -> Context {
 fn the_text_says_the_verdict_first_and_everything_with_its_uncertainty() {
     let mut diagnosis = diagnosis();
     let own = |key: &str, unit, value, std| {
-        let key = format!("stribeck_friction.{key}");
-        ParameterEstimate::found(key, unit, value, std, None)
+        ParameterEstimate::found(format!("stribeck_friction.{key}"), unit, value, std, None)
     };
     diagnosis.candidates[0].parameters = vec![
         own("stribeck_n_m", "N.m", 0.1204, 0.0011),
@@ -90,8 +87,7 @@ fn the_text_says_the_verdict_first_and_everything_with_its_uncertainty() {
             found("inertia_kg_m2", "kg.m2", inertia, doubt),
         ]
     };
-    let doubt = Some("relative uncertainty 4.1 %");
-    let before = motor((1.1432, 0.0041), (0.004_61, 0.000_19), doubt);
+    let before = motor((1.1432, 0.0041), (0.004_61, 0.000_19), Some("relative uncertainty 4.1 %"));
     let mut after = motor((1.1003, 0.0007), (0.004_501, 0.000_003), None);
     after.extend(diagnosis.candidates[0].parameters.clone());
     let (old, new) = (comparison(0.76), comparison(0.155));
@@ -220,8 +216,7 @@ fn the_page_of_a_run_is_whole() {
     let mut run = Run::new("first <run>", scenario.sample_time_s.clone()).unwrap();
     let mut command = vec![f64::NAN; run.rows()];
     for (time_s, value) in &scenario.events {
-        let row = run.time_s().partition_point(|t| *t < time_s - 1e-9);
-        command[row] = *value;
+        command[run.time_s().partition_point(|t| *t < time_s - 1e-9)] = *value;
     }
     for (channel, cells, origin) in [
         (Channel::VoltageCmd, command, Origin::Commanded),

@@ -215,8 +215,7 @@ const fn pointed(mouse: MouseEvent) -> Option<Press> {
 pub fn is_gone(longest: Duration) -> io::Result<bool> {
     let stdout = io::stdout();
     let mut terminal = [PollFd::new(stdout.as_fd(), PollFlags::POLLIN)];
-    let timeout = PollTimeout::try_from(longest).unwrap_or(PollTimeout::ZERO);
-    match poll(&mut terminal, timeout) {
+    match poll(&mut terminal, PollTimeout::try_from(longest).unwrap_or(PollTimeout::ZERO)) {
         // A signal, as that of a change of size, ends the wait.
         Ok(_) | Err(Errno::EINTR) => {}
         Err(error) => return Err(error.into()),
@@ -397,8 +396,7 @@ mod tests {
                     let presses = input.heard(events, now).into_iter();
                     stops += presses.filter(|press| *press == Press::Stop).count();
                 }
-                let expected = if is_held { 1 } else { 2 };
-                assert_eq!(stops, expected, "the mouse {name}, held: {is_held}");
+                assert_eq!(stops, if is_held { 1 } else { 2 }, "the mouse {name}, held: {is_held}");
             }
         }
     }
@@ -410,8 +408,7 @@ mod tests {
         let click = mouse(MouseEventKind::Down(MouseButton::Left));
         let released = mouse(MouseEventKind::Up(MouseButton::Left));
         let events = vec![key(KeyCode::Down), click, released, key(KeyCode::Enter)];
-        let clicked = Press::Click(Position::new(7, 3));
-        let expected = [Press::Move(1), clicked, Press::Open];
+        let expected = [Press::Move(1), Press::Click(Position::new(7, 3)), Press::Open];
         assert_eq!(input.heard(events, start), expected);
     }
 }

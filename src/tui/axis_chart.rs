@@ -36,8 +36,7 @@ pub(super) fn axis_chart(chart: &AxisChart, cursor: Option<f64>, area: Rect, buf
         };
         let title = title(chart, panel, cursor, place == 0);
         let bounds = Bounds { x: across, y: values.rounded() };
-        let inner = framed(&title, bounds.y, *area, buffer);
-        draw(chart, panel, bounds, cursor, inner, buffer);
+        draw(chart, panel, bounds, cursor, framed(&title, bounds.y, *area, buffer), buffer);
     }
     if let Some(last) = areas.last() {
         axis(chart, across, *last, buffer);
@@ -59,8 +58,7 @@ pub(super) fn point_at(chart: &AxisChart, column: u16, area: Rect) -> Option<usi
     let bounds = Bounds { x: spanned(chart)?, y: UNUSED };
     let points = chart.panels.first()?.sets.first()?.points.iter().enumerate();
     let columns = points.filter_map(|(index, point)| {
-        let drawn = bounds.column(point.at, beside_labels(area))?;
-        Some((drawn.abs_diff(column), index))
+        Some((bounds.column(point.at, beside_labels(area))?.abs_diff(column), index))
     });
     columns.min().map(|(_, index)| index)
 }
@@ -114,8 +112,7 @@ fn unit(chart: &AxisChart) -> &str {
 
 /// The value at a place, with a space before it; a gap is carried by no data.
 fn reading_at(set: &PointSet, at: f64) -> String {
-    let mut points = set.points.iter();
-    let point = points.find(|point| point.at >= at);
+    let point = set.points.iter().find(|point| point.at >= at);
     let value = point.filter(|point| point.is_known());
     value.map_or_else(
         || " not carried".to_owned(),
@@ -155,10 +152,10 @@ fn draw(
 /// The lines of a set: of what was measured the ends of its interval first.
 fn curves(set: &PointSet, place: impl Fn(f64) -> f64, bounds: Bounds) -> Vec<Trace> {
     let line = |value: &dyn Fn(&Place) -> f64, stroke, style| {
-        let points = set.points.iter().map(|point| {
-            let value = if point.is_known() { value(point) } else { f64::NAN };
-            (place(point.at), value)
-        });
+        let points = set
+            .points
+            .iter()
+            .map(|point| (place(point.at), if point.is_known() { value(point) } else { f64::NAN }));
         Trace::new(points.collect(), stroke, style)
     };
     let (.., stroke, style) = look(set);
@@ -206,8 +203,7 @@ fn axis(chart: &AxisChart, spanned: Domain, area: Rect, buffer: &mut Buffer) {
     }
     let inner = beside_labels(area);
     let bounds = Bounds { x: spanned, y: UNUSED };
-    let unit = format!(" {unit}");
-    buffer.set_stringn(area.x, area.y, unit, usize::from(LABELS), theme::DIM);
+    buffer.set_stringn(area.x, area.y, format!(" {unit}"), usize::from(LABELS), theme::DIM);
     let mut free = inner.x;
     for value in powers(spanned) {
         let label = plain(value);

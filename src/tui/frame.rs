@@ -62,8 +62,7 @@ pub(super) fn text(lines: Vec<Line<'static>>, area: Rect, buffer: &mut Buffer) {
         // What follows keeps the indentation of the first row.
         [only] => {
             let style = line.style.patch(only.style);
-            let rows = wrapped(&only.content, width).into_iter();
-            rows.map(|row| Line::styled(row, style)).collect()
+            wrapped(&only.content, width).into_iter().map(|row| Line::styled(row, style)).collect()
         }
         _ => vec![line],
     });
@@ -74,8 +73,7 @@ pub(super) fn text(lines: Vec<Line<'static>>, area: Rect, buffer: &mut Buffer) {
     if is_cut {
         let y = area.bottom() - 1;
         let last = (area.x..area.right()).rfind(|x| buffer[(*x, y)].symbol() != " ");
-        let end = last.map_or(area.x, |x| (x + 1).min(area.right() - 1));
-        buffer[(end, y)].set_char('…');
+        buffer[(last.map_or(area.x, |x| (x + 1).min(area.right() - 1)), y)].set_char('…');
     }
 }
 
@@ -230,8 +228,7 @@ pub(super) fn scrolled(first: usize, by: i32, hidden: usize) -> usize {
 /// Rows of a document, their labels in bold.
 pub(super) fn document_lines(rows: Vec<Row>) -> impl Iterator<Item = Line<'static>> {
     rows.into_iter().map(|row| {
-        let label = Span::styled(format!(" {}", row.label), theme::BOLD);
-        Line::from(vec![label, Span::raw(row.text)])
+        Line::from(vec![Span::styled(format!(" {}", row.label), theme::BOLD), Span::raw(row.text)])
     })
 }
 

@@ -147,8 +147,7 @@ const HELP: [(On, &str, &str); 34] = [
 
 /// The rows of the help for one kind of screen.
 pub(super) fn help(on: On) -> impl Iterator<Item = (&'static str, &'static str)> {
-    let rows = HELP.iter();
-    rows.filter(move |row| row.0 == On::Every || row.0 == on).map(|row| (row.1, row.2))
+    HELP.iter().filter(move |row| row.0 == On::Every || row.0 == on).map(|row| (row.1, row.2))
 }
 
 /// Rows that a page key moves.
@@ -285,8 +284,7 @@ mod tests {
             [KeyModifiers::NONE, KeyModifiers::SHIFT, KeyModifiers::CONTROL, KeyModifiers::ALT];
         for modifiers in held {
             for code in [KeyCode::Char(' '), KeyCode::Esc] {
-                let found = pressed(code, modifiers);
-                assert_eq!(found, Press::Stop, "{code:?} {modifiers:?}");
+                assert_eq!(pressed(code, modifiers), Press::Stop, "{code:?} {modifiers:?}");
             }
         }
         let q = KeyCode::Char('q');
@@ -294,8 +292,7 @@ mod tests {
         assert_eq!(pressed(q, KeyModifiers::NONE), Press::Quit);
         assert_eq!(pressed(q, KeyModifiers::CONTROL), Press::Other);
         for code in [KeyCode::Char(' '), KeyCode::Esc, q] {
-            let release = KeyEventKind::Release;
-            let event = KeyEvent::new_with_kind(code, KeyModifiers::NONE, release);
+            let event = KeyEvent::new_with_kind(code, KeyModifiers::NONE, KeyEventKind::Release);
             assert_eq!(press(event), None, "{code:?}");
         }
     }

@@ -49,8 +49,7 @@ fn value_axis(values: Domain, plot_area: Rect, buffer: &mut Buffer) {
         let width = usize::from(LABELS - 1);
         let label: String = label.chars().take(width).collect();
         let y = plot_area.y + row;
-        let label = format!("{label:>width$}{mark}");
-        buffer.set_string(plot_area.x - LABELS, y, label, theme::DIM);
+        buffer.set_string(plot_area.x - LABELS, y, format!("{label:>width$}{mark}"), theme::DIM);
         if row == zero && low < 0.0 {
             for x in plot_area.x..plot_area.right() {
                 buffer[(x, y)].set_char('·').set_style(theme::DIM);
@@ -78,8 +77,7 @@ pub(super) fn across(
         free_left = free / 2,
         free_right = free - free / 2,
     );
-    let x = area.x + LABELS.min(area.width);
-    buffer.set_stringn(x, area.y, line, width, style);
+    buffer.set_stringn(area.x + LABELS.min(area.width), area.y, line, width, style);
 }
 
 /// A round number in the width of the axis.
@@ -272,8 +270,7 @@ const LOOKS: usize = 2000;
 /// Step of time from which on there is a gap: so many times the median one of up to [`LOOKS`]; infinite where there are not
 /// two points. `at` gives the time of each of `count` points.
 pub(super) fn longest_step_s(count: usize, at: impl Fn(usize) -> f64) -> f64 {
-    let stride = count.div_ceil(LOOKS).max(1);
-    let steps = (1..count).step_by(stride).map(|k| at(k) - at(k - 1));
+    let steps = (1..count).step_by(count.div_ceil(LOOKS).max(1)).map(|k| at(k) - at(k - 1));
     let mut steps: Vec<f64> = steps.filter(|step| step.is_finite()).collect();
     if steps.is_empty() {
         return f64::INFINITY;

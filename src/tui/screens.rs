@@ -14,19 +14,16 @@ const SIZES: [(u16, u16); 4] = [(40, 10), (80, 24), (120, 40), (200, 50)];
 pub(super) type Page = (&'static str, Box<dyn Fn(&mut Frame<'_>)>);
 
 fn pages() -> impl Iterator<Item = (String, Page)> {
-    let live = live::tests::pages().into_iter();
-    let live = live.map(|page| (format!("live_{}", page.0), page));
+    let live = live::tests::pages().into_iter().map(|page| (format!("live_{}", page.0), page));
     let diagnosis = diagnosis::tests::pages().into_iter();
     let diagnosis = diagnosis.map(|page| (format!("diagnosis_{}", page.0), page));
     let response = response::tests::pages().into_iter();
-    let response = response.map(|page| (format!("response_{}", page.0), page));
-    live.chain(diagnosis).chain(response)
+    live.chain(diagnosis).chain(response.map(|page| (format!("response_{}", page.0), page)))
 }
 
 /// The rows of a page without the blanks at their ends.
 fn text(buffer: &Buffer) -> String {
-    let rows = buffer.content.chunks(usize::from(buffer.area.width));
-    let rows = rows.map(|row| {
+    let rows = buffer.content.chunks(usize::from(buffer.area.width)).map(|row| {
         let row: String = row.iter().map(ratatui::buffer::Cell::symbol).collect();
         format!("|{}\n", row.trim_end())
     });

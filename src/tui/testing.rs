@@ -42,8 +42,7 @@ pub(super) fn number() -> impl Strategy<Value = f64> {
 pub(super) fn fan_model(has_fan: bool) -> Model {
     let mut model = Model::baseline(Motor::zk_22fc());
     if has_fan {
-        let fan = effect::find("quadratic_load").unwrap();
-        model.effects.push(ActiveEffect::with(fan, &[4e-6]));
+        model.effects.push(ActiveEffect::with(effect::find("quadratic_load").unwrap(), &[4e-6]));
     }
     model
 }

@@ -44,15 +44,13 @@ impl BurstResult {
     }
 
     pub fn value(&self, key: MotorKey) -> Option<f64> {
-        let mut parameters = self.parameters.iter();
-        parameters.find(|own| own.key == key.key())?.value
+        self.parameters.iter().find(|own| own.key == key.key())?.value
     }
 
     /// The model from which the loop's own runs are fitted: what they cannot tell stays as the burst has it.
     /// No motor has a negative one.
     pub fn improve(&self, mut model: Model) -> Model {
-        let found = self.value(MotorKey::Inductance);
-        if let Some(inductance_h) = found.filter(|value| *value > 0.0) {
+        if let Some(inductance_h) = self.value(MotorKey::Inductance).filter(|value| *value > 0.0) {
             model.motor.set(MotorKey::Inductance, inductance_h);
         }
         model
@@ -133,8 +131,7 @@ fn circuit(nameplate: &Model, burst: &Scenario) -> Result<BurstResult, FitError>
     confusable.retain(|pair| found.contains(&pair[0]));
     let either = |id: &&'static str| {
         let rivals = confusable.iter().filter(|pair| pair[0] == *id);
-        let all = std::iter::once(*id).chain(rivals.map(|pair| pair[1]));
-        all.collect::<Vec<&str>>().join(" or ")
+        std::iter::once(*id).chain(rivals.map(|pair| pair[1])).collect::<Vec<&str>>().join(" or ")
     };
     let names = found.iter().map(either).collect::<Vec<_>>().join(" and ");
     let sentence = format!("{leaves}, and with {names} {}", better.level());
@@ -169,8 +166,7 @@ impl VoltageBalance {
     /// Why it has no resistance.
     fn why_nothing(&self) -> Option<String> {
         let resistance = self.parameters.first()?;
-        let reason = resistance.reason.clone();
-        reason.filter(|_| resistance.value.is_none())
+        resistance.reason.clone().filter(|_| resistance.value.is_none())
     }
 
     fn level(&self) -> String {
@@ -184,11 +180,9 @@ impl VoltageBalance {
     fn bears_out(&self, id: &str) -> bool {
         let prefix = format!("{id}.");
         let is_told = |p: &ParameterEstimate| {
-            let size = p.value.zip(p.std);
-            size.is_some_and(|(value, std)| value.abs() > CERTAIN_SIGMAS * std)
+            p.value.zip(p.std).is_some_and(|(value, std)| value.abs() > CERTAIN_SIGMAS * std)
         };
-        let mut own = self.parameters.iter().filter(|p| p.key.starts_with(&prefix));
-        own.any(is_told)
+        self.parameters.iter().filter(|p| p.key.starts_with(&prefix)).any(is_told)
     }
 
     /// Resistance and inductance; not settled where the equation misses something, or holds only with effects: in what
@@ -266,8 +260,7 @@ mod tests {
         let inductance_h = result.value(MotorKey::Inductance).unwrap();
         assert!((inductance_h / 0.0099 - 1.0).abs() < 0.01, "{result:?}");
         assert!((result.rate_hz - RATE_HZ).abs() < 1.0);
-        let improved = result.improve(plate());
-        assert_eq!(improved.motor.get(MotorKey::Inductance), Some(inductance_h));
+        assert_eq!(result.improve(plate()).motor.get(MotorKey::Inductance), Some(inductance_h));
         assert!(result.text().starts_with("1000 samples at 10000 Hz"));
     }
 
@@ -277,8 +270,7 @@ mod tests {
         for own in &mut result.parameters {
             own.value = Some(-0.001);
         }
-        let improved = result.improve(plate());
-        assert_eq!(improved.motor, plate().motor);
+        assert_eq!(result.improve(plate()).motor, plate().motor);
     }
 
     #[test]
@@ -309,8 +301,7 @@ mod tests {
     fn what_rests_on_the_form_of_an_effect_is_not_settled() {
         let balance = || VoltageBalance::of(&plate(), &burst(0.0099));
         let settled = |told: BurstResult| {
-            let is_settled = |p: &ParameterEstimate| p.verdict == Verdict::Settled;
-            told.parameters.iter().any(is_settled)
+            told.parameters.iter().any(|p: &ParameterEstimate| p.verdict == Verdict::Settled)
         };
         assert!(settled(balance().result(None, String::new())));
         assert!(!settled(balance().result(Some("voltage_drop"), String::new())));

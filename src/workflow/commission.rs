@@ -157,8 +157,7 @@ impl Commission {
         let passed = report.items.len() - report.waived.len();
         let line = format!("{passed} of {} passed, {watchdog}{waived}", report.items.len());
         let is_unknown = self.steps.iter().any(|step| step.step == Step::Find);
-        let next = if is_unknown { Task::Escalate } else { Task::Plan };
-        self.step_done(Step::Safety, &line, next);
+        self.step_done(Step::Safety, &line, if is_unknown { Task::Escalate } else { Task::Plan });
     }
 
     /// What the escalation is doing.
@@ -312,13 +311,10 @@ impl Commission {
 
     /// Gains of the bench's speed loop for the model that was found, with one cycle of delay: why they are what they are.
     fn tuned(&self, diagnosis: &Diagnosis) -> Result<Vec<String>, String> {
-        let section = self.bench.speed.as_ref();
-        let section = section.ok_or("the bench file has no [speed]")?;
-        let reference = self.bench.reference(section);
-        let reference = reference.map_err(|error| error.to_string())?;
+        let section = self.bench.speed.as_ref().ok_or("the bench file has no [speed]")?;
+        let reference = self.bench.reference(section).map_err(|error| error.to_string())?;
         let model = &diagnosis.model.model;
-        let plate = self.bench.motor.with_found(&model.motor);
-        let motor = plate.ok_or("the model lacks a value")?;
+        let motor = self.bench.motor.with_found(&model.motor).ok_or("the model lacks a value")?;
         let period_s = self.bench.period_s();
         let limits = self.bench.limits();
         let fitted = FittedValue::all(&diagnosis.model.parameters);
@@ -336,15 +332,13 @@ impl Commission {
                 .unwrap_or_default(),
             peak_reference_rad_s: reference.peak_rad_s(),
         };
-        let regulator = design.regulator();
-        regulator.map_or_else(|error| Err(error.to_string()), |found| Ok(found.reasons))
+        design.regulator().map_or_else(|error| Err(error.to_string()), |found| Ok(found.reasons))
     }
 
     /// Everything is written. What can follow on request is offered.
     pub fn saved(&mut self, line: &str) {
         self.step_done(Step::Report, line, Task::Finished);
-        let next = self.result.as_ref();
-        let next = next.and_then(|result| result.diagnosis.next_experiment.clone());
+        let next = self.result.as_ref().and_then(|result| result.diagnosis.next_experiment.clone());
         let offer = match &next {
             Some(next) if next.bench.is_some() => Ok(next.sentence.as_str()),
             Some(next) => Err(next.sentence.as_str()),
@@ -373,8 +367,7 @@ impl Commission {
 
     /// The active step failed; nothing follows.
     pub fn failed(&mut self, reason: &str) {
-        let mut steps = self.steps.iter_mut();
-        if let Some(step) = steps.find(|step| step.state == StepState::Active) {
+        if let Some(step) = self.steps.iter_mut().find(|step| step.state == StepState::Active) {
             step.state = StepState::Failed;
             reason.clone_into(&mut step.line);
         }
@@ -653,8 +646,7 @@ impl EscalationResult {
     /// Puts what was found under a label, and its stages, which are not on the card.
     pub fn put(&self, label: &str, document: &mut Document) {
         document.say(label, [self.sentence.as_str()], 1);
-        let stages = self.stages.iter().enumerate();
-        let stages = stages.map(|(index, StageRecord { stage, .. })| {
+        let stages = self.stages.iter().enumerate().map(|(index, StageRecord { stage, .. })| {
             format!("{}. {}: {}", index + 1, stage.kind.name(), stage.line)
         });
         document.labelled("stages", stages);
@@ -678,7 +670,5 @@ pub fn scaled_sentence(scaled: &Scaled) -> String {
 /// The comparison with the plate, where the plate says anything.
 pub fn compared(plate: &Motor, found: &[ParameterEstimate]) -> Option<Comparison> {
     let comparison = nameplate::compare(plate, found);
-    let mut rows = comparison.rows.iter();
-    let says_anything = rows.any(|row| row.nameplate.is_some());
-    says_anything.then_some(comparison)
+    comparison.rows.iter().any(|row| row.nameplate.is_some()).then_some(comparison)
 }

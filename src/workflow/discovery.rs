@@ -208,8 +208,7 @@ impl Discovery {
             // Where the model fails is known long before its cause is.
             let (evidence, _) = self.evidence.fitted_with(&self.model.effect_ids());
             let (evidence, fit) = evidence.into_owned().with_baseline(&self.model)?;
-            let compared = compare(&fit.model, &evidence, ErrorOf::Structure)?;
-            tell(News::Compared(Box::new(compared)));
+            tell(News::Compared(Box::new(compare(&fit.model, &evidence, ErrorOf::Structure)?)));
             self.trace(&fit.model, &evidence, tell);
             let curve = error_curve(&fit.model, &evidence.holdout, &evidence.noise);
             tell(News::Curves(curve.ok().flatten().into_iter().collect()));
@@ -225,8 +224,7 @@ impl Discovery {
             found
         };
         if !is_electrical {
-            let model = &diagnosis.baseline.model;
-            let compared = compare(model, &self.evidence, ErrorOf::Structure)?;
+            let compared = compare(&diagnosis.baseline.model, &self.evidence, ErrorOf::Structure)?;
             tell(News::Compared(Box::new(compared)));
             self.trace(&diagnosis.baseline.model, &self.evidence.clone(), tell);
         }
@@ -239,8 +237,7 @@ impl Discovery {
         }
         // Of a model that was changed by hand the sizes stay that were told with the change.
         let ids = diagnosis.baseline.model.effect_ids();
-        let is_told = |fitted: &Fitted| fitted.model.effect_ids() == ids;
-        if !self.fitted.as_ref().is_some_and(is_told) {
+        if !self.fitted.as_ref().is_some_and(|fitted: &Fitted| fitted.model.effect_ids() == ids) {
             self.fitted = Some(diagnosis.baseline.clone());
         }
         self.curves.clone_from(&diagnosis.axis_map);
@@ -273,11 +270,9 @@ impl Discovery {
         self.is_traced = false;
         self.trace(&model, &evidence, tell);
         let mut curves = Vec::new();
-        let error = error_curve(&model, &evidence.holdout, &noise);
-        curves.extend(error.ok().flatten());
+        curves.extend(error_curve(&model, &evidence.holdout, &noise).ok().flatten());
         for id in model.effect_ids() {
-            let curve = effect_curve(&model, id, &evidence.holdout, &noise);
-            curves.extend(curve.ok().flatten());
+            curves.extend(effect_curve(&model, id, &evidence.holdout, &noise).ok().flatten());
         }
         tell(News::Curves(curves));
         Ok(())
@@ -316,12 +311,10 @@ impl Discovery {
             // What happened once, happened in the fit run.
             let effect = id.and_then(effect::find);
             let happens_once = effect.is_some_and(|effect| {
-                let mut specs = effect.parameters().iter();
-                specs.any(|spec| spec.role == ParameterRole::EventTime)
+                effect.parameters().iter().any(|spec| spec.role == ParameterRole::EventTime)
             });
             let run = if happens_once { &evidence.training } else { &evidence.holdout };
-            let curve = diagnosis.curve_of(id, run, &diagnosis.baseline.noise);
-            curves.extend(curve.ok().flatten());
+            curves.extend(diagnosis.curve_of(id, run, &diagnosis.baseline.noise).ok().flatten());
         }
         curves
     }
@@ -344,8 +337,7 @@ impl Discovery {
 
     fn undo(&mut self, tell: Tell<'_>) -> Result<(), FitError> {
         let Some(past) = self.past.pop() else {
-            let reason = "nothing was changed by hand that could be taken back";
-            tell(News::Failed(reason.to_owned()));
+            tell(News::Failed("nothing was changed by hand that could be taken back".to_owned()));
             return Ok(());
         };
         (self.model, self.fitted) = (past.model, past.fitted);
@@ -356,12 +348,9 @@ impl Discovery {
     }
 
     fn change(&mut self, id: &'static str, change: Change, tell: Tell<'_>) -> Result<(), FitError> {
-        let mut present = self.model.effects.iter();
-        let present = present.find(|active| active.id() == id);
-        let known = present.map(|active| active.effect);
-        let Some(effect) = known.or_else(|| effect::find(id)) else {
-            let reason = format!("effect {id:?} is not in the catalogue");
-            tell(News::Failed(reason));
+        let present = self.model.effects.iter().find(|active| active.id() == id);
+        let Some(effect) = present.map(|active| active.effect).or_else(|| effect::find(id)) else {
+            tell(News::Failed(format!("effect {id:?} is not in the catalogue")));
             return Ok(());
         };
         let evidence = self.evidence.clone();
@@ -382,8 +371,7 @@ impl Discovery {
     fn add_curve(&mut self, place: usize, tell: Tell<'_>) -> Result<(), FitError> {
         let map = self.curves.get(place);
         let Some((map, axis)) = map.and_then(|map| Some((map, Axis::from_key(map.axis)?))) else {
-            let reason = "the error follows no axis that a table could run over";
-            tell(News::Failed(reason.to_owned()));
+            tell(News::Failed("the error follows no axis that a table could run over".to_owned()));
             return Ok(());
         };
         let axis_name = axis.key().split('_').next().unwrap_or_default();
@@ -406,8 +394,7 @@ impl Discovery {
         if let Some(fitted) = &self.fitted {
             hold_what_the_curve_holds(&mut model, &fitted.model, &id, map.equation, axis);
         }
-        let result = diagnosis::add(effect, &model, self.evidence.clone())?;
-        self.changed(result, true, tell)
+        self.changed(diagnosis::add(effect, &model, self.evidence.clone())?, true, tell)
     }
 
     /// Keeps how things stand before a change, and what the changed effect is not told from.
@@ -479,8 +466,7 @@ pub fn curve_table(
         ("axis", axis.key().into()),
         ("knots", toml::Value::Array(knots)),
     ];
-    let settings = settings.map(|(key, value)| (key.to_owned(), value));
-    let settings = toml::Table::from_iter(settings);
+    let settings = toml::Table::from_iter(settings.map(|(key, value)| (key.to_owned(), value)));
     effect::define(id, &settings).map(|(effect, _)| effect)
 }
 
@@ -547,13 +533,11 @@ mod tests {
     }
 
     fn errors(discovery: &Discovery) -> Vec<f64> {
-        let ladder = discovery.ladder().iter();
-        ladder.map(|rung| rung.holdout_rmse).collect()
+        discovery.ladder().iter().map(|rung| rung.holdout_rmse).collect()
     }
 
     fn of_a_fan() -> (Model, Evidence) {
-        let evidence = Evidence::new(with_a_fan(0), Some(with_a_fan(1)), None);
-        (Model::baseline(Motor::zk_22fc()), evidence)
+        (Model::baseline(Motor::zk_22fc()), Evidence::new(with_a_fan(0), Some(with_a_fan(1)), None))
     }
 
     #[test]
@@ -575,8 +559,7 @@ mod tests {
             testing::record(&truth, events.collect(), 0.002, 6.0, shift as u64 + 1)
         };
         let evidence = Evidence::new(record(0), Some(record(3)), None);
-        let model = Model::baseline(Motor::zk_22fc());
-        let mut discovery = Discovery::new(model, evidence);
+        let mut discovery = Discovery::new(Model::baseline(Motor::zk_22fc()), evidence);
         let nothing = told(&mut discovery, Order::AddCurve(0));
         assert!(matches!(&nothing[..], [News::Failed(_)]), "{nothing:?}");
         let news = told(&mut discovery, Order::Diagnose);
@@ -586,8 +569,7 @@ mod tests {
         let mut statuses = diagnosis.candidates.iter().map(|found| found.status);
         assert!(statuses.all(|status| status != diagnosis::Status::Supported));
         assert_eq!(diagnosis.axis_map[0].axis, "speed_rad_s");
-        let news = told(&mut discovery, Order::AddCurve(0));
-        let first = &news[0];
+        let first = &told(&mut discovery, Order::AddCurve(0))[0];
         assert!(matches!(first, News::Added(result) if result.accepted), "{first:?}");
         let errors = errors(&discovery);
         assert!(errors.len() == 2 && errors[1] < 0.6 * errors[0], "{errors:?}");
@@ -622,8 +604,7 @@ mod tests {
         assert!(matches!(&again[..], [News::Failed(_)]), "{again:?}");
         let needed = told(&mut discovery, Order::Remove("quadratic_load"));
         assert!(is_refused(&needed), "{needed:?}");
-        let fitted = discovery.fitted().unwrap();
-        assert_eq!(fitted.model.effect_ids(), ["quadratic_load"]);
+        assert_eq!(discovery.fitted().unwrap().model.effect_ids(), ["quadratic_load"]);
 
         // What was taken back is missing again, and nothing has to be searched for that.
         let news = told(&mut discovery, Order::Undo);
@@ -715,8 +696,7 @@ mod tests {
         assert_eq!(next.sentence, "turn it backward");
         // Of a changed model there is none yet.
         let news = told(&mut discovery, Order::Add("quadratic_load"));
-        let searched = |item: &News| matches!(item, News::Progress(_));
-        assert!(news.iter().any(searched), "{news:?}");
+        assert!(news.iter().any(|item: &News| matches!(item, News::Progress(_))), "{news:?}");
     }
 
     #[test]

@@ -217,8 +217,7 @@ impl Called {
     }
 
     fn run(&self, role: Role) -> String {
-        let known = self.runs.get(role as usize).cloned();
-        known.unwrap_or_else(|| role.name().to_uppercase())
+        self.runs.get(role as usize).cloned().unwrap_or_else(|| role.name().to_uppercase())
     }
 }
 
@@ -228,8 +227,7 @@ mod tests {
 
     fn called() -> Called {
         let bench = BenchFile::embedded_default();
-        let words = " bench.toml --port /dev/ttyUSB0".to_owned();
-        Called::new(&bench, Some("bench.toml"), words)
+        Called::new(&bench, Some("bench.toml"), " bench.toml --port /dev/ttyUSB0".to_owned())
     }
 
     #[test]

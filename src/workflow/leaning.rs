@@ -233,8 +233,7 @@ mod tests {
         watch.take(&snapshot(&run, 600, 600));
         assert!(watch.look().is_some());
         let mut changed = snapshot(&run, 700, 200);
-        let estimates = Arc::make_mut(&mut changed.estimates);
-        let mut all = estimates.iter_mut();
+        let mut all = Arc::make_mut(&mut changed.estimates).iter_mut();
         let inertia = all.find(|own| own.key == MotorKey::Inertia.key()).unwrap();
         inertia.unsettle(format!("{INERTIA_HAS_CHANGED}: begun again"));
         watch.take(&changed);

@@ -89,8 +89,7 @@ pub fn bench_for(model: &Model, limits: &ExperimentLimits, rate_hz: f64) -> Benc
 }
 
 fn comment(sentence: &str) -> String {
-    let rows = wrapped(sentence, COMMENT_WIDTH - 2);
-    format!("# {}\n", rows.join("\n# "))
+    format!("# {}\n", wrapped(sentence, COMMENT_WIDTH - 2).join("\n# "))
 }
 
 #[cfg(test)]

@@ -106,8 +106,7 @@ pub fn sizes<'a>(
     let mut sizes = Vec::new();
     for effect in hidden {
         let value = |prefix: &str| {
-            let mut parameters = effect.parameters.iter();
-            Some(parameters.find(|own| own.key.starts_with(prefix))?.value)
+            Some(effect.parameters.iter().find(|own| own.key.starts_with(prefix))?.value)
         };
         let wave = value("sin_").zip(value("cos_"));
         for own in &effect.parameters {
@@ -142,8 +141,7 @@ mod tests {
     fn an_error_is_of_the_true_value_and_of_the_whole_wave() {
         let cogging = hidden("cogging");
         let value = |key: &str| {
-            let own = |one: &&TrueValue| one.key == key;
-            cogging.parameters.iter().find(own).unwrap().value
+            cogging.parameters.iter().find(|one: &&TrueValue| one.key == key).unwrap().value
         };
         let amplitude = value("sin_n_m").hypot(value("cos_n_m"));
         let found = |id: &str, key: &str| {
@@ -156,11 +154,9 @@ mod tests {
         };
         let sizes = sizes([&cogging], found);
         let percent = |key: &str| {
-            let size = sizes.iter().find(|size| size.key == key).unwrap();
-            size.error_percent.map(f64::round)
+            sizes.iter().find(|size| size.key == key).unwrap().error_percent.map(f64::round)
         };
-        let found = ["order", "cos_n_m", "sin_n_m"].map(percent);
-        assert_eq!(found, [Some(100.0), Some(10.0), None]);
+        assert_eq!(["order", "cos_n_m", "sin_n_m"].map(percent), [Some(100.0), Some(10.0), None]);
         assert!(sizes.iter().any(Size::is_of_another_order));
     }
 

@@ -332,10 +332,8 @@ impl Export {
 /// The terms of an effect as text in the symbols of the equations and its own parameters, each with what it adds to; `None`
 /// where it has no formula.
 pub fn formulas(active: &ActiveEffect) -> Option<Vec<(&'static str, String)>> {
-    let specs = active.effect.parameters().iter();
-    let keys: Vec<&str> = specs.map(|spec| spec.key).collect();
-    let terms = active.effect.formula()?.into_iter();
-    let written = terms.map(|term| {
+    let keys: Vec<&str> = active.effect.parameters().iter().map(|spec| spec.key).collect();
+    let written = active.effect.formula()?.into_iter().map(|term| {
         let text = notation::plain(&term.tree, &keys);
         let place = match term.place {
             Place::Voltage => "voltage drop, V",

@@ -57,8 +57,7 @@ fn active(effect: &'static dyn Effect) -> ActiveEffect {
 
 fn model(effects: Vec<ActiveEffect>) -> Model {
     // Light, so that it turns within the time of the test.
-    let motor = Motor::zk_22fc().with(MotorKey::Inertia, 0.0008);
-    Model { effects, ..Model::baseline(motor) }
+    Model { effects, ..Model::baseline(Motor::zk_22fc().with(MotorKey::Inertia, 0.0008)) }
 }
 
 fn of_the_catalogue(ids: &[&str]) -> Model {
@@ -101,8 +100,7 @@ fn few() -> Vec<(String, Model)> {
 
 /// Every effect that has a formula, alone, after the few.
 fn all() -> Vec<(String, Model)> {
-    let written = CATALOGUE.iter().filter(|effect| effect.formula().is_some());
-    let alone = written.map(|effect| {
+    let alone = CATALOGUE.iter().filter(|effect| effect.formula().is_some()).map(|effect| {
         let id = effect.card().id;
         (format!("only_{id}"), of_the_catalogue(&[id]))
     });
@@ -148,8 +146,7 @@ const CLOSE: f64 = 1e-3;
 /// A reference and a measured speed for the regulator, which drive it into its limit and back.
 fn loop_input(cycle: usize) -> (f64, f64) {
     let time = cycle as f64;
-    let reference = if (cycle / 60).is_multiple_of(2) { 40.0 } else { -10.0 };
-    (reference, 30.0 * (0.11 * time).sin())
+    (if (cycle / 60).is_multiple_of(2) { 40.0 } else { -10.0 }, 30.0 * (0.11 * time).sin())
 }
 
 const CYCLES: usize = 240;
@@ -174,8 +171,7 @@ fn regulated() -> Vec<f64> {
     let mut pi = Pi::new(gains, AntiWindup::Hold, holding).leaving_after(leaving_s);
     let cycles = (0..CYCLES).map(|cycle| {
         let (reference, speed) = loop_input(cycle);
-        let wanted = pi.step(reference, &Measured::at(speed), period_s);
-        let output = wanted.clamp(-limit_v, limit_v);
+        let output = pi.step(reference, &Measured::at(speed), period_s).clamp(-limit_v, limit_v);
         pi.applied(output);
         output
     });

@@ -43,8 +43,7 @@ impl Domain {
     pub fn rounded(self) -> Self {
         let rough = (self.to - self.from) / 8.0;
         let power = 10_f64.powf(rough.log10().floor());
-        let mut factors = [1.0, 2.0, 2.5, 5.0].into_iter();
-        let factor = factors.find(|factor| factor * power >= rough);
+        let factor = [1.0, 2.0, 2.5, 5.0].into_iter().find(|factor| factor * power >= rough);
         let step = factor.unwrap_or(10.0) * power;
         Self { from: (self.from / step).floor() * step, to: (self.to / step).ceil() * step }
     }
@@ -92,8 +91,7 @@ pub fn ticks(domain: Domain, most: usize) -> Vec<f64> {
                 return Vec::new();
             }
             let whole = std::iter::successors(Some(first), |k| Some(k + 1.0));
-            let inside = whole.take_while(|k| *k <= last);
-            return inside.map(|k| multiple(k) + 0.0).collect();
+            return whole.take_while(|k| *k <= last).map(|k| multiple(k) + 0.0).collect();
         }
     }
     Vec::new()
@@ -107,8 +105,7 @@ pub fn labels(ticks: &[f64]) -> Vec<String> {
     let last = exponent_of(step, SAFE_DIGITS);
     if last < -4 || size >= 1e6 {
         // Enough digits that the last one is that of the step.
-        let first = exponent_of(size.max(step), SAFE_DIGITS);
-        let digits = places(first - last);
+        let digits = places(exponent_of(size.max(step), SAFE_DIGITS) - last);
         let label = |tick: &f64| match *tick {
             0.0 => "0".to_owned(),
             tick => format!("{tick:.digits$e}"),
@@ -116,8 +113,7 @@ pub fn labels(ticks: &[f64]) -> Vec<String> {
         return ticks.iter().map(label).collect();
     }
     let decimals = places(-last);
-    let label = |tick: &f64| format!("{tick:.decimals$}");
-    ticks.iter().map(label).collect()
+    ticks.iter().map(|tick: &f64| format!("{tick:.decimals$}")).collect()
 }
 
 /// Powers of ten inside a domain of exponents, and 2 and 5 times them where there are few.
@@ -182,8 +178,7 @@ mod tests {
             // No tick is forgotten at either end.
             prop_assert!(found[0] - step < range.from + rounding);
             prop_assert!(found[found.len() - 1] + step > range.to - rounding);
-            let labels = labels(&found);
-            for (label, tick) in labels.iter().zip(&found) {
+            for (label, tick) in labels(&found).iter().zip(&found) {
                 prop_assert!((label.parse::<f64>().unwrap() - tick).abs() <= 0.01 * step, "{label} {tick}");
             }
         }

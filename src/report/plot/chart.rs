@@ -124,8 +124,7 @@ impl Svg {
     }
 
     pub(super) fn frame(&mut self, x: &Scale, upper: f64, lower: f64) {
-        let width = x.to_px - x.from_px;
-        self.rectangle("frame", x.from_px, upper, width, lower - upper);
+        self.rectangle("frame", x.from_px, upper, x.to_px - x.from_px, lower - upper);
     }
 
     /// What is drawn until the closing `</svg>` is cut off at the frame; its coordinates stay those of the picture.

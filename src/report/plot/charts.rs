@@ -43,8 +43,7 @@ pub fn bars(
         let at = x.px(value);
         svg.line("goal", (at, HEAD - 6.0), (at, base));
         // Beside the line, on the side where there is room.
-        let left = (at - 4.0).min(WIDTH - width(label)).max(LEFT);
-        svg.text("goal-label", left, HEAD - 11.0, label);
+        svg.text("goal-label", (at - 4.0).min(WIDTH - width(label)).max(LEFT), HEAD - 11.0, label);
     }
     svg.close("plot", base + FOOT, description, "")
 }
@@ -113,8 +112,7 @@ impl Place {
     }
 
     pub fn is_known(&self) -> bool {
-        let all = [self.at, self.value, self.low, self.high];
-        all.into_iter().all(f64::is_finite)
+        [self.at, self.value, self.low, self.high].into_iter().all(f64::is_finite)
     }
 }
 
@@ -132,8 +130,7 @@ impl AxisPanel {
         let known = sets.flat_map(PointSet::known);
         let ends = known.clone().flat_map(|point| [point.low, point.high]);
         let line = self.line.1.iter().map(|point| point.1);
-        let values = Domain::of(ends.chain(line).chain(self.holds.iter().copied()));
-        values.filter(|_| known.count() > 1)
+        Domain::of(ends.chain(line).chain(self.holds.iter().copied())).filter(|_| known.count() > 1)
     }
 }
 
@@ -142,8 +139,7 @@ const WIDEST_GAP: f64 = 0.1;
 
 impl AxisChart {
     fn shown(&self) -> impl Iterator<Item = (&AxisPanel, Domain)> {
-        let panels = self.panels.iter();
-        panels.filter_map(|panel| Some((panel, panel.values()?)))
+        self.panels.iter().filter_map(|panel| Some((panel, panel.values()?)))
     }
 
     /// What all panels span, exponents where the axis is logarithmic.
@@ -151,8 +147,7 @@ impl AxisChart {
         let sets = || self.shown().flat_map(|(panel, _)| &panel.sets);
         let points = sets().flat_map(PointSet::known).map(|point| point.at);
         let lines = self.shown().flat_map(|(panel, _)| &panel.line.1);
-        let places = points.chain(lines.map(|point| point.0));
-        Domain::of(places.map(|at| self.along().place(at)))
+        Domain::of(points.chain(lines.map(|point| point.0)).map(|at| self.along().place(at)))
     }
 
     const fn along(&self) -> Along {
@@ -302,8 +297,7 @@ impl MapChart<'_> {
     /// Empty where there is no cell with a value.
     pub fn svg(&self, description: &str) -> String {
         let ((across, columns), (upwards, rows)) = (self.across, self.upwards);
-        let known = self.values.iter().flatten().flatten().copied();
-        let largest = known.fold(0.0, f64::max);
+        let largest = self.values.iter().flatten().flatten().copied().fold(0.0, f64::max);
         let domain = |edges: &[f64]| Domain::of(edges.iter().copied());
         let (Some(x), Some(y), true) = (domain(columns), domain(rows), largest > 0.0) else {
             return String::new();

@@ -136,8 +136,7 @@ mod tests {
     #[test]
     fn gaps_wider_than_a_column_stay() {
         let line = vec![vec![(0.0, 0.0), (1.0, 0.0)], vec![(1.01, 1.0)], vec![(9.0, 1.0)]];
-        let out = decimate(&line, 0.0, 10.0, 10);
-        assert_eq!(out.len(), 2);
+        assert_eq!(decimate(&line, 0.0, 10.0, 10).len(), 2);
     }
 
     proptest! {

@@ -30,8 +30,7 @@ pub(super) fn encode(
                 clippy::cast_possible_truncation,
                 reason = "seven digits are more than a picture shows"
             )]
-            let pair = [place as f32, value as f32];
-            for number in pair {
+            for number in [place as f32, value as f32] {
                 bytes.extend_from_slice(&number.to_le_bytes());
             }
         };

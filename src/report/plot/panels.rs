@@ -127,8 +127,7 @@ impl Panel {
     /// A band about zero; left out where its half-width is not finite.
     #[must_use]
     pub fn with_band(mut self, label: &str, half_width: f64) -> Self {
-        let band = (label.to_owned(), -half_width, half_width);
-        self.band = half_width.is_finite().then_some(band);
+        self.band = half_width.is_finite().then_some((label.to_owned(), -half_width, half_width));
         self
     }
 
@@ -145,8 +144,7 @@ impl Panel {
 
     fn values(&self) -> Option<Domain> {
         let band = self.band.iter().flat_map(|(_, from, to)| [*from, *to]);
-        let points = self.series.iter().flat_map(Series::points);
-        Domain::of(points.map(|point| point.1).chain(band))
+        Domain::of(self.series.iter().flat_map(Series::points).map(|point| point.1).chain(band))
     }
 
     fn draw(&self, svg: &mut Svg, x: &Scale, time_ticks: &[f64], top: f64) {

@@ -49,8 +49,7 @@ pub(super) fn curve(
         let rest = said.split_off(most.saturating_sub(1)).join(" ");
         said.push(rest);
     }
-    let said = said.into_iter();
-    let said = said.map(|row| Line::styled(format!(" {row}"), theme::BOLD));
+    let said = said.into_iter().map(|row| Line::styled(format!(" {row}"), theme::BOLD));
     let mut lines: Vec<Line<'static>> = said.collect();
     let cursor = cursor.and_then(|at| Some((at, curve.points.get(at)?)));
     lines.extend(cursor.map(|point| at_cursor(curve, point)));
@@ -61,8 +60,7 @@ pub(super) fn curve(
         height: inner.height.saturating_sub(head),
         ..inner
     };
-    let at = cursor.map(|(_, point)| point.at);
-    axis_chart::axis_chart(&curve_chart(curve), at, below, buffer);
+    axis_chart::axis_chart(&curve_chart(curve), cursor.map(|(_, point)| point.at), below, buffer);
 }
 
 fn words(curve: &Arc<EffectCurve>) -> Vec<String> {
@@ -85,9 +83,7 @@ fn at_cursor(curve: &EffectCurve, (at, point): (usize, &CurvePoint)) -> Line<'st
 
 /// The point of a curve that is drawn nearest to this column of the page.
 pub(super) fn point_at(state: &State, index: usize, column: u16, area: Rect) -> Option<usize> {
-    let drawn = state.drawn();
-    let (curve, _) = drawn.get(index)?;
-    axis_chart::point_at(&curve_chart(curve), column, area)
+    axis_chart::point_at(&curve_chart(&state.drawn().get(index)?.0), column, area)
 }
 
 /// The signed error of one equation over speed x current: digits, letters and shades that need no colour. `index` 0 is
@@ -137,8 +133,7 @@ pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) 
         let [from, to] = [from, to].map(|edge| format!("{} A", shortest(*edge, 3)));
         let gap = (columns * cell_width).saturating_sub(from.chars().count());
         let left_out = if step > 1 { format!("1 row of {step}") } else { String::new() };
-        let axis = format!(" {left_out:<12}{from}{to:>gap$}");
-        lines.push(Line::styled(axis, theme::DIM));
+        lines.push(Line::styled(format!(" {left_out:<12}{from}{to:>gap$}"), theme::DIM));
     }
     rows(&lines, inner, buffer);
 }

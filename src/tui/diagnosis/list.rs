@@ -67,12 +67,9 @@ impl State {
     /// The place of the selected row: before the person has moved, the first that is not in the model.
     fn selected(&self, rows: &[Row<'_>]) -> Option<usize> {
         let chosen = |key| rows.iter().position(|row| row.key() == key);
-        let first = || {
-            let absent = |row: &Row<'_>| !matches!(row, Row::Present(_));
-            rows.iter().position(absent).or(Some(0))
-        };
-        let selected = self.selected.and_then(chosen).or_else(first);
-        selected.filter(|_| !rows.is_empty())
+        let first =
+            || rows.iter().position(|row: &Row<'_>| !matches!(row, Row::Present(_))).or(Some(0));
+        self.selected.and_then(chosen).or_else(first).filter(|_| !rows.is_empty())
     }
 
     /// The selected row.
@@ -90,8 +87,7 @@ impl State {
             None if by < 0 => last,
             None => 0,
         };
-        let key = rows.get(next).map(Row::key);
-        self.selected = key;
+        self.selected = rows.get(next).map(Row::key);
     }
 
     /// Selects the row that is drawn so many rows below the top of its area; whether there is one.
@@ -147,8 +143,7 @@ pub(super) fn candidates(state: &State, area: Rect, buffer: &mut Buffer) {
         render_row(&Line::styled(" none yet", theme::DIM), inner, buffer);
         return;
     }
-    let shown = rows.iter().enumerate().skip(first).take(room);
-    let lines = shown.map(|(index, row)| {
+    let lines = rows.iter().enumerate().skip(first).take(room).map(|(index, row)| {
         let is_selected = Some(index) == selected;
         let mut line = Line::raw(if is_selected { "▶ " } else { "  " });
         line.extend(spans(row, usize::from(inner.width), state.is_floor_known()));
@@ -188,8 +183,7 @@ fn spans(row: &Row<'_>, width: usize, floor: bool) -> Vec<Span<'static>> {
                 NARROW.. => NARROW_BAR,
                 _ => 0,
             };
-            let probability = Some(candidate.probability).filter(|_| is_seen);
-            spans.extend(share(probability, bar_length));
+            spans.extend(share(Some(candidate.probability).filter(|_| is_seen), bar_length));
             let is_named = !candidate.parameters.is_empty();
             let text = if is_named {
                 size(candidate, width >= WIDE)

@@ -125,8 +125,7 @@ impl Screen for DiagnosisScreen {
             // A frame asks for nothing.
             let _ = self.state.update(Event::Frame);
         }
-        let hangs_up = self.sources.hang_up.load(Ordering::Acquire);
-        (is_told, hangs_up.then_some(Exit::Interrupted))
+        (is_told, self.sources.hang_up.load(Ordering::Acquire).then_some(Exit::Interrupted))
     }
 
     fn press(&mut self, press: Press) -> Option<Exit> {

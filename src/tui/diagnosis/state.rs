@@ -172,8 +172,7 @@ impl State {
     /// What the curve page goes through: the curve of the selected effect, where it has one, else the error alone; then what
     /// an unexplained error follows, each with its place in the diagnosis.
     pub(super) fn drawn(&self) -> Vec<(Arc<EffectCurve>, Option<usize>)> {
-        let selected = self.row().and_then(|row| row.effect());
-        let selected = selected.map(|effect| effect.card().id);
+        let selected = self.row().and_then(|row| row.effect()).map(|effect| effect.card().id);
         let of = |id: Option<&str>| self.curves.iter().find(|curve| curve.effect == id);
         let own = selected.and_then(|id| of(Some(id))).or_else(|| of(None));
         let mut drawn: Vec<_> = own.map(|own| (Arc::clone(own), None)).into_iter().collect();
@@ -200,8 +199,7 @@ impl State {
 
     /// The candidate of this effect in the answer.
     pub(super) fn candidate(&self, id: &str) -> Option<&Candidate> {
-        let mut candidates = self.diagnosis.as_ref()?.candidates.iter();
-        candidates.find(|candidate| candidate.effect == id)
+        self.diagnosis.as_ref()?.candidates.iter().find(|candidate| candidate.effect == id)
     }
 
     pub(super) fn update(&mut self, event: Event) -> Option<Effect> {
@@ -484,8 +482,7 @@ impl State {
 
     /// Why nothing can be ordered while the worker is at work.
     fn busy(&self) -> Result<(), String> {
-        let working = self.working.as_ref();
-        working.map_or(Ok(()), |work| Err(format!("not yet: {work}")))
+        self.working.as_ref().map_or(Ok(()), |work| Err(format!("not yet: {work}")))
     }
 
     /// The effect that `a` and `r` are about, with whether it is in the model; the reason where there is none.
@@ -531,8 +528,7 @@ impl State {
 
     /// The comparison that is shown: before the last change, or of the model as it stands.
     pub(super) fn compared(&self) -> Option<&Comparison> {
-        let change = self.change.as_ref().filter(|_| self.before);
-        let before = change.map(|(_, result)| &result.before);
+        let before = self.change.as_ref().filter(|_| self.before).map(|(_, result)| &result.before);
         before.or(self.comparison.as_deref())
     }
 
@@ -639,12 +635,10 @@ impl State {
             self.say(why_nothing(Press::Cursor(way)));
             return;
         };
-        let drawn = self.drawn();
-        let points = drawn.get(index).map_or(0, |(curve, _)| curve.points.len());
+        let points = self.drawn().get(index).map_or(0, |(curve, _)| curve.points.len());
         let first = if way > 0 { 0 } else { points.saturating_sub(1) };
         let next = at.map_or(first, |at| at.saturating_add_signed(way as isize));
-        let next = (points > 0).then(|| next.min(points - 1));
-        self.over = Over::Curve(index, next);
+        self.over = Over::Curve(index, (points > 0).then(|| next.min(points - 1)));
     }
 
     /// Goes through the curves: of the selected effect, then those that an unexplained error follows.
@@ -686,12 +680,8 @@ impl State {
             }
             _ => None,
         };
-        let curves = self.curves();
-        let mut wanted = curves.iter();
-        let map = match in_sight {
-            Some(in_sight) => wanted.find(|(place, _)| *place == in_sight),
-            None => wanted.next(),
-        };
+        let wanted = |(place, _): &(usize, &AxisMap)| in_sight.is_none_or(|own| own == *place);
+        let map = self.curves().into_iter().find(wanted);
         let Some((place, map)) = map else {
             if self.diagnosis.is_some() {
                 self.say("there is no curve to add: the error is explained, or follows no axis");
@@ -700,7 +690,7 @@ impl State {
             }
             return None;
         };
-        let (place, equation, axis) = (*place, map.equation, map.axis);
+        let (equation, axis) = (map.equation, map.axis);
         self.order(format!("fitting the curve of the {equation} error over {axis}"));
         Some(Effect::Order(Order::AddCurve(place)))
     }

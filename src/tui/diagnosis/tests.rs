@@ -82,11 +82,9 @@ fn searching() -> State {
         ("cogging", 0.4),
         ("voltage_drop", 0.02),
     ] {
-        let screened = Found::Screened { effect, share };
-        hear(&mut state, News::Progress(screened));
+        hear(&mut state, News::Progress(Found::Screened { effect, share }));
     }
-    let refitted = Found::Refitted { effect: "stribeck_friction", error: 1.01 };
-    hear(&mut state, News::Progress(refitted));
+    hear(&mut state, News::Progress(Found::Refitted { effect: "stribeck_friction", error: 1.01 }));
     state
 }
 
@@ -320,8 +318,7 @@ fn answer(state: &mut State, answer: Diagnosis) {
 fn a_adds_the_selected_effect_and_the_ladder_shows_the_fall() {
     let mut state = answered();
     assert_eq!(selected(&state), "stribeck_friction");
-    let effect = press(&mut state, Press::Add);
-    assert_eq!(effect, Some(Effect::Order(Order::Add("stribeck_friction"))));
+    assert_eq!(press(&mut state, Press::Add), Some(Effect::Order(Order::Add("stribeck_friction"))));
     assert_eq!(press(&mut state, Press::Add), None, "not twice");
     hear(&mut state, added("stribeck_friction", true));
     assert_eq!(state.present, ["stribeck_friction"]);
@@ -336,8 +333,7 @@ fn a_adds_the_selected_effect_and_the_ladder_shows_the_fall() {
 fn a_refused_effect_leaves_the_model_and_says_why() {
     let mut state = answered();
     press(&mut state, DOWN);
-    let effect = press(&mut state, Press::Add);
-    assert_eq!(effect, Some(Effect::Order(Order::Add("cogging"))));
+    assert_eq!(press(&mut state, Press::Add), Some(Effect::Order(Order::Add("cogging"))));
     hear(&mut state, added("cogging", false));
     assert!(state.present.is_empty() && state.ladder.len() == 1);
     assert!(state.diagnosis.is_some() && state.working.is_none());
@@ -352,8 +348,7 @@ fn r_removes_what_is_in_the_model_and_nothing_else() {
     let mut state = at_the_floor();
     assert_eq!(selected(&state), "stribeck_friction", "the cursor stays on what was added");
     press(&mut state, DOWN);
-    let effect = press(&mut state, Press::Remove);
-    assert_eq!(effect, None, "a candidate is selected");
+    assert_eq!(press(&mut state, Press::Remove), None, "a candidate is selected");
     press(&mut state, UP);
     assert_eq!(press(&mut state, Press::Add), None);
     let removes = Effect::Order(Order::Remove("stribeck_friction"));
@@ -377,8 +372,7 @@ fn u_takes_the_last_change_back_and_b_looks_before_it() {
     assert!((shown(&state).holdout.rmse - after).abs() < 1e-12);
     let effect = press(&mut state, Press::Undo);
     assert_eq!(effect, Some(Effect::Order(Order::Undo)));
-    let undone = News::Undone { effect: "stribeck_friction", present: Vec::new() };
-    hear(&mut state, undone);
+    hear(&mut state, News::Undone { effect: "stribeck_friction", present: Vec::new() });
     assert!(state.present.is_empty() && state.ladder.len() == 1);
     answer(&mut state, diagnosis());
     assert_eq!(selected(&state), "stribeck_friction");
@@ -392,8 +386,7 @@ fn a_again_forces_what_was_refused_and_a_refused_removal_says_the_way() {
     press(&mut state, Press::Add);
     hear(&mut state, added("cogging", false));
     shows(&state, &["refused: a again adds cogging all the same"]);
-    let effect = press(&mut state, Press::Add);
-    assert_eq!(effect, Some(Effect::Order(Order::Force("cogging"))));
+    assert_eq!(press(&mut state, Press::Add), Some(Effect::Order(Order::Force("cogging"))));
     let mut state = at_the_floor();
     press(&mut state, Press::Remove);
     let News::Added(refused) = added("stribeck_friction", false) else {
@@ -476,13 +469,11 @@ fn orders_wait_for_the_worker_and_q_always_leaves() {
     for state in every_state() {
         let busy = state.working.is_some();
         for key in [Press::Add, Press::Remove, Press::Write] {
-            let effect = press(&mut state.clone(), key);
-            assert!(effect.is_none() || !busy, "{key:?} {state:?}");
+            assert!(press(&mut state.clone(), key).is_none() || !busy, "{key:?} {state:?}");
         }
         let mut quits = state.clone();
         // A first q closes what lies over the screen.
-        let first = press(&mut quits, Press::Quit);
-        let effect = first.or_else(|| press(&mut quits, Press::Quit));
+        let effect = press(&mut quits, Press::Quit).or_else(|| press(&mut quits, Press::Quit));
         let exit = if busy { Exit::Quit } else { Exit::Finished };
         assert_eq!(effect, Some(Effect::Leave(exit)), "{state:?}");
         let effect = press(&mut state.clone(), Press::Interrupt);
@@ -509,8 +500,7 @@ fn without_a_floor_nothing_is_said_in_multiples_of_it() {
     change.after.noise_floor_from = FloorSource::None;
     hear(&mut state, News::Added(change));
     let shown = text(&state, 160, 40);
-    let part = "0.40 times the baseline's residual";
-    assert!(shown.contains(part), "{shown}");
+    assert!(shown.contains("0.40 times the baseline's residual"), "{shown}");
     assert!(!shown.contains("times the noise"), "{shown}");
 }
 
@@ -519,8 +509,7 @@ fn the_selection_stays_on_its_effect_while_the_order_changes() {
     let mut state = searching();
     press(&mut state, DOWN);
     assert_eq!(selected(&state), "cogging");
-    let screened = Found::Screened { effect: "quadratic_load", share: 0.99 };
-    hear(&mut state, News::Progress(screened));
+    hear(&mut state, News::Progress(Found::Screened { effect: "quadratic_load", share: 0.99 }));
     assert_eq!(selected(&state), "cogging");
     for _ in 0..99 {
         press(&mut state, Press::Move(10));
@@ -546,8 +535,7 @@ fn c_draws_the_selected_effect_else_the_error_and_then_what_is_unexplained() {
     let mut state = of_a_fan();
     press(&mut state, Press::Curve);
     shows(&state, &["without the effect", "with it", "over speed, rad/s"]);
-    let after_it = press(&mut state, Press::Curve);
-    assert_eq!((after_it, state.over), (None, Over::Nothing));
+    assert_eq!((press(&mut state, Press::Curve), state.over), (None, Over::Nothing));
     // The next row has no size: the error alone.
     press(&mut state, DOWN);
     press(&mut state, Press::Curve);
@@ -569,8 +557,7 @@ fn c_draws_the_selected_effect_else_the_error_and_then_what_is_unexplained() {
     press(&mut state, Press::Curve);
     assert_eq!(state.over, Over::Curve(1, None));
     shows(&state, &["80 % of the torque error follows the speed"]);
-    let effect = press(&mut state, Press::Table);
-    assert_eq!(effect, Some(Effect::Order(Order::AddCurve(0))));
+    assert_eq!(press(&mut state, Press::Table), Some(Effect::Order(Order::AddCurve(0))));
 }
 
 #[test]
@@ -601,16 +588,13 @@ fn a_change_is_drawn_frame_by_frame_towards_the_floor_and_ends_by_itself() {
 #[test]
 fn g_asks_for_the_frequency_response_and_shows_it_or_says_why_there_is_none() {
     let mut state = compared_alone();
-    let effect = press(&mut state, Press::Response);
-    assert_eq!(effect, Some(Effect::Order(Order::Respond)));
+    assert_eq!(press(&mut state, Press::Response), Some(Effect::Order(Order::Respond)));
     assert_eq!(press(&mut state, Press::Response), None, "not twice");
     let mut refused = state.clone();
-    let reason = "the run holds its voltage all the time".to_owned();
-    hear(&mut refused, News::Responded(Err(reason)));
+    hear(&mut refused, News::Responded(Err("the run holds its voltage all the time".to_owned())));
     assert!(told(&refused).contains("holds its voltage"));
     assert_eq!(refused.over, Over::Nothing);
-    let found = crate::tui::response::tests::compared();
-    hear(&mut state, News::Responded(Ok(Box::new(found))));
+    hear(&mut state, News::Responded(Ok(Box::new(crate::tui::response::tests::compared()))));
     assert_eq!(state.over, Over::Response);
     shows(&state, &["current to speed", "resonance at 22.01"]);
     press(&mut state, Press::NextScreen);
@@ -652,8 +636,7 @@ fn n_tells_what_is_not_told_apart_and_the_run_that_would() {
     // The dither is above the constant, below what that run needs.
     let tried = ["from which on that run tells", "612  tells", "612  does not"];
     shows(&state, &tried);
-    let pair = "viscous_friction and quadratic_load cannot be told apart";
-    shows(&state, &[pair, "run a slow ramp"]);
+    shows(&state, &["viscous_friction and quadratic_load cannot be told apart", "run a slow ramp"]);
     press(&mut state, Press::Next);
     assert_eq!(state.over, Over::Nothing);
 }
@@ -661,8 +644,7 @@ fn n_tells_what_is_not_told_apart_and_the_run_that_would() {
 #[test]
 fn none_is_asked_for_only_once_the_next_run_has_been_looked_for() {
     let mut state = searching();
-    let without_limits = Diagnosis { limits: Vec::new(), ..diagnosis() };
-    answer(&mut state, without_limits);
+    answer(&mut state, Diagnosis { limits: Vec::new(), ..diagnosis() });
     press(&mut state, Press::Next);
     shows(&state, &["being looked for"]);
     let reveals = NextExperiment { pair: None, ..next_experiment() };
@@ -676,8 +658,7 @@ fn none_is_asked_for_only_once_the_next_run_has_been_looked_for() {
 #[test]
 fn q_waits_for_a_model_that_is_being_written() {
     let mut state = answered();
-    let effect = press(&mut state, Press::Write);
-    assert_eq!(effect, Some(Effect::Order(Order::Write)));
+    assert_eq!(press(&mut state, Press::Write), Some(Effect::Order(Order::Write)));
     shows(&state, &["… writing the model"]);
     assert_eq!(press(&mut state, Press::Write), None, "not twice");
     assert_eq!(press(&mut state, Press::Quit), None);
@@ -691,8 +672,7 @@ fn q_waits_for_a_model_that_is_being_written() {
     shows(&stays, &["model written to m.toml", "ready"]);
     assert_eq!(press(&mut stays, Press::Quit), FINISHED);
     // Ctrl-C does not wait.
-    let effect = press(&mut state, Press::Interrupt);
-    assert_eq!(effect, Some(Effect::Leave(Exit::Interrupted)));
+    assert_eq!(press(&mut state, Press::Interrupt), Some(Effect::Leave(Exit::Interrupted)));
 }
 
 #[test]

@@ -78,8 +78,7 @@ fn places(state: &State, area: Rect) -> Places {
         14..=19 => 2 + change_rows.min(1),
         _ => 1 + rungs + change_rows,
     };
-    let most_said = if tall { 4 } else { 2 };
-    let bottom_rows = hint_rows(state.message.as_deref(), area.width, most_said);
+    let bottom_rows = hint_rows(state.message.as_deref(), area.width, if tall { 4 } else { 2 });
     let [top, verdict, failing, strip, list, ladder, bottom] = Layout::vertical([
         Constraint::Length(1),
         Constraint::Length(verdict_rows.clamp(1, most_rows) as u16),
@@ -111,8 +110,7 @@ pub(super) fn click(state: &mut State, at: Position, area: Rect) {
         }
         Over::Nothing if places.strip.contains(at) => state.traces.click(at.x, places.strip),
         Over::Nothing => {
-            let is_in = places.list.contains(at);
-            is_in && state.select_drawn(at.y - places.list.y, places.list)
+            places.list.contains(at) && state.select_drawn(at.y - places.list.y, places.list)
         }
         _ => false,
     };
@@ -154,8 +152,7 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
             height: area.height.saturating_sub(1 + places.bottom.height),
             ..area
         };
-        let hidden = help(On::Diagnosis, &MEANING, row, under_top, buffer);
-        state.hidden.set(hidden);
+        state.hidden.set(help(On::Diagnosis, &MEANING, row, under_top, buffer));
     }
     let (keys, always) = keys(state);
     hints(state.message.as_deref(), &keys, always, places.bottom, buffer);
@@ -188,14 +185,12 @@ fn top_bar(state: &State, area: Rect, buffer: &mut Buffer) {
         Span::styled(cut(&state.title, room), theme::DIM),
     ]);
     row(&title, area, buffer);
-    let right = Rect { x: area.right() - width, width, ..area };
-    row(&Line::from(work), right, buffer);
+    row(&Line::from(work), Rect { x: area.right() - width, width, ..area }, buffer);
 }
 
 /// How the run was stopped, where it did not go to its end, and the verdict.
 fn verdict_lines(state: &State) -> Vec<Line<'static>> {
-    let stopped = state.stopped.iter();
-    let stopped = stopped.map(|text| Line::styled(text.clone(), theme::BAD));
+    let stopped = state.stopped.iter().map(|text| Line::styled(text.clone(), theme::BAD));
     stopped.chain([verdict_line(state)]).collect()
 }
 
@@ -354,14 +349,14 @@ fn ladder(state: &State, area: Rect, buffer: &mut Buffer) {
     let hidden = state.ladder.len().saturating_sub(room);
     let width = usize::from(inner.width);
     let before = std::iter::once(None).chain(state.ladder.iter().map(Some));
-    let steps = before.zip(&state.ladder).enumerate().skip(hidden);
-    lines.extend(steps.map(|(index, (before, step))| {
-        // The bar of the last change falls, or rises, from the one above it; the figure is the true one at once.
-        let is_last = index + 1 == state.ladder.len();
-        let from = before.filter(|_| is_last).map_or(step.error, |before| before.error);
-        let bar = from + state.fallen_share() * (step.error - from);
-        rung(step, bar, largest, floor, width)
-    }));
+    lines.extend(before.zip(&state.ladder).enumerate().skip(hidden).map(
+        |(index, (before, step))| {
+            // The bar of the last change falls, or rises, from the one above it; the figure is the true one at once.
+            let is_last = index + 1 == state.ladder.len();
+            let from = before.filter(|_| is_last).map_or(step.error, |before| before.error);
+            rung(step, from + state.fallen_share() * (step.error - from), largest, floor, width)
+        },
+    ));
     rows(&lines, inner, buffer);
 }
 

@@ -170,8 +170,7 @@ impl Model {
     /// The page so many places after the one that is shown.
     pub(super) fn neighbour(&self, by: usize) -> Page {
         let pages = self.pages();
-        let here = pages.iter().position(|page| *page == self.page);
-        pages[(here.unwrap_or(0) + by) % pages.len()]
+        pages[(pages.iter().position(|page| *page == self.page).unwrap_or(0) + by) % pages.len()]
     }
 
     pub(super) const fn window_s(&self) -> f64 {

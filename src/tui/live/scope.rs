@@ -95,8 +95,7 @@ pub(super) fn scope(
 
 /// The time axis grows from the first point and then runs along. What is no longer kept is not shown as empty.
 fn window(points: &[TracePoint], wanted_s: f64) -> (f64, f64) {
-    let times = points.iter().map(|point| point.time_s);
-    let times = times.filter(|time_s| time_s.is_finite());
+    let times = points.iter().map(|point| point.time_s).filter(|time_s| time_s.is_finite());
     let (first, last) = times.fold((f64::NAN, f64::NAN), |(first, last): (f64, f64), time_s| {
         (first.min(time_s), last.max(time_s))
     });
@@ -121,8 +120,7 @@ fn draw(
         return;
     }
     let trace = |value: &dyn Fn(&TracePoint) -> f64| -> Vec<(f64, f64)> {
-        let pairs = points.iter().map(|point| (point.time_s, value(point)));
-        pairs.collect()
+        points.iter().map(|point| (point.time_s, value(point))).collect()
     };
     let innovations = snapshot.innovations.iter();
     let measured = match chart {
@@ -147,8 +145,7 @@ fn draw(
     let traces =
         [line(model, Stroke::Dashed, theme::MODEL), line(measured, Stroke::Solid, chart.look().1)];
     let (from, to) = (from_s, to_s);
-    let bounds = Bounds { x: Domain { from, to }, y: values };
-    plot::plot(&traces, bounds, plot_area, buffer);
+    plot::plot(&traces, Bounds { x: Domain { from, to }, y: values }, plot_area, buffer);
 }
 
 fn title(
@@ -164,8 +161,7 @@ fn title(
         Chart::Innovation => "innovation: speed less its prediction,",
         _ => channel.name(),
     };
-    let head = format!("{name} {} ", channel.unit());
-    let mut line = Line::from(Span::styled(head, theme::BOLD));
+    let mut line = Line::from(Span::styled(format!("{name} {} ", channel.unit()), theme::BOLD));
     line.push_span(Span::styled(reading(newest), style));
     if chart == Chart::Speed {
         let rpm = rpm_from_rad_s(newest);

@@ -222,8 +222,7 @@ fn workflow(finished: bool) -> Progress {
             (Step::Diagnose, Done, found),
             (confirm, Failed, "the third run was stopped"),
         ];
-        let document = crate::report::testing::document();
-        (steps, Some(Arc::new(document)))
+        (steps, Some(Arc::new(crate::report::testing::document())))
     } else {
         let steps = [
             checked,
@@ -448,20 +447,16 @@ fn the_report_is_shown_when_it_comes() {
 
 #[test]
 fn hardware_is_reversed_and_a_trip_is_white_on_red() {
-    let terminal_of = |snapshot| terminal(&model(snapshot), 80, 24);
-    let real = terminal_of(hardware());
-    let cell = &real.backend().buffer()[(2, 0)];
-    assert_eq!((cell.symbol(), cell.fg), ("A", Color::Red));
-    assert!(cell.modifier.contains(Modifier::REVERSED));
-
-    let soft = terminal_of(running());
-    let cell = &soft.backend().buffer()[(2, 0)];
-    assert_eq!((cell.symbol(), cell.fg), ("I", Color::Green));
-    assert!(!cell.modifier.contains(Modifier::REVERSED));
-
-    let trip = terminal_of(tripped());
-    let cell = &trip.backend().buffer()[(4, 3)];
-    assert_eq!((cell.symbol(), cell.fg, cell.bg), ("e", Color::White, Color::Red));
+    for (name, snapshot, at, symbol, fg, bg, is_reversed) in [
+        ("hardware", hardware(), (2, 0), "A", Color::Red, Color::Reset, true),
+        ("software", running(), (2, 0), "I", Color::Green, Color::Reset, false),
+        ("trip", tripped(), (4, 3), "e", Color::White, Color::Red, false),
+    ] {
+        let shown = terminal(&model(snapshot), 80, 24);
+        let cell = &shown.backend().buffer()[at];
+        assert_eq!((cell.symbol(), cell.fg, cell.bg), (symbol, fg, bg), "{name}");
+        assert_eq!(cell.modifier.contains(Modifier::REVERSED), is_reversed, "{name}");
+    }
 }
 
 #[test]
@@ -488,8 +483,7 @@ fn phases() -> impl Iterator<Item = Option<Phase>> {
 fn others() -> impl Iterator<Item = Press> {
     use Press::{Move, NextScreen, Open, Other, PreviousScreen};
     let more = [NextScreen, PreviousScreen, Move(-1), Move(1), Move(10), Open, Other];
-    let keys = CHARACTERS.into_iter().map(|(_, press)| press);
-    keys.filter(|press| *press != Press::Stop).chain(more)
+    CHARACTERS.into_iter().map(|(_, press)| press).filter(|press| *press != Press::Stop).chain(more)
 }
 
 const STOP: [Effect; 2] = [Effect::Send(Intent::Stop), Effect::RequestStop];
@@ -549,11 +543,9 @@ fn no_key_but_the_confirmed_start_starts_and_none_leaves_while_energised() {
             if effects.contains(&START[0]) {
                 let is_asked = key == Press::Start && !model.is_hardware();
                 let is_confirmed = key == Press::Yes && model.confirm_start;
-                let may_start = model.waits_for_start() && (is_asked || is_confirmed);
-                assert!(may_start, "{key:?} {model:?}");
+                assert!(model.waits_for_start() && (is_asked || is_confirmed), "{key:?} {model:?}");
             }
-            let mut effects = effects.iter();
-            let leaves = effects.any(|effect| matches!(effect, Effect::Leave(_)));
+            let leaves = effects.iter().any(|effect| matches!(effect, Effect::Leave(_)));
             assert!(!(leaves && model.is_energised()), "{key:?} {model:?}");
         }
     }
@@ -581,8 +573,7 @@ fn q_says_stop_first_exactly_where_the_output_may_be_on() {
 
 #[test]
 fn a_screen_on_which_no_run_ever_began_leaves_by_itself_so_that_the_reason_is_told() {
-    let left = finish(&mut Model::new(None));
-    assert_eq!(left, [Effect::Leave(Exit::Finished)]);
+    assert_eq!(finish(&mut Model::new(None)), [Effect::Leave(Exit::Finished)]);
 }
 
 #[test]
@@ -590,8 +581,7 @@ fn q_leaves_when_the_work_is_over() {
     for snapshot in [running(), tripped(), done(), hardware()] {
         let mut model = model(snapshot);
         assert_eq!(finish(&mut model), []);
-        let left = press(&mut model, Press::Quit);
-        assert_eq!(left, [Effect::Leave(Exit::Finished)]);
+        assert_eq!(press(&mut model, Press::Quit), [Effect::Leave(Exit::Finished)]);
     }
 }
 
@@ -601,8 +591,7 @@ fn d_goes_on_by_hand_exactly_where_the_report_is_there_and_the_work_over() {
     report(&mut model, true);
     assert_eq!(press(&mut model, Press::Diagnose), []);
     finish(&mut model);
-    let left = press(&mut model, Press::Diagnose);
-    assert_eq!(left, [Effect::Leave(Exit::Diagnosis)]);
+    assert_eq!(press(&mut model, Press::Diagnose), [Effect::Leave(Exit::Diagnosis)]);
     report(&mut model, false);
     assert_eq!(press(&mut model, Press::Diagnose), []);
 }
@@ -612,8 +601,7 @@ fn d_goes_on_from_a_run_that_went_to_its_end_and_from_no_other() {
     let mut whole = model(done());
     assert_eq!(press(&mut whole, Press::Diagnose), [], "the work is not over");
     finish(&mut whole);
-    let left = press(&mut whole, Press::Diagnose);
-    assert_eq!(left, [Effect::Leave(Exit::Diagnosis)]);
+    assert_eq!(press(&mut whole, Press::Diagnose), [Effect::Leave(Exit::Diagnosis)]);
     let shown = terminal(&whole, 80, 24).backend().to_string();
     assert!(shown.contains("d = diagnosis by hand, q = quit"), "{shown}");
     assert!(shown.contains("output off") && !shown.contains("Space = STOP"), "{shown}");
@@ -688,8 +676,7 @@ fn ctrl_c_stops_then_quits_and_the_third_leaves_a_worker_that_hangs() {
         for _ in 0..2 {
             assert_eq!(press(&mut hanging, Press::Interrupt), STOP_AND_QUIT);
         }
-        let third = press(&mut hanging, Press::Interrupt);
-        assert!(third.contains(&Effect::Leave(Exit::Forced)));
+        assert!(press(&mut hanging, Press::Interrupt).contains(&Effect::Leave(Exit::Forced)));
     }
 }
 
@@ -722,8 +709,7 @@ fn faults_are_reset_only_where_there_is_one_and_nothing_is_energised() {
     ] {
         let mut model = in_phase(Some(phase), Target::Sim);
         Arc::make_mut(&mut model.snapshot).drive_state = Some(state);
-        let effects = press(&mut model, Press::ResetFault);
-        assert_eq!(effects, expected, "{phase:?} {state:?}");
+        assert_eq!(press(&mut model, Press::ResetFault), expected, "{phase:?} {state:?}");
     }
 }
 
@@ -742,8 +728,7 @@ fn view_keys_change_the_view_and_send_nothing() {
     assert_eq!(model.help, Some(3));
     assert_eq!(press(&mut model, Press::Quit), []);
     assert!(model.help.is_none() && model.message.is_none());
-    let marked = Intent::Mark("mark 1".to_owned());
-    assert_eq!(press(&mut model, Press::Mark), [Effect::Send(marked)]);
+    assert_eq!(press(&mut model, Press::Mark), [Effect::Send(Intent::Mark("mark 1".to_owned()))]);
 }
 
 #[test]

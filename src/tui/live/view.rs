@@ -41,8 +41,7 @@ const MEANING: [&str; 5] = [
 pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
     let area = frame.area();
     let buffer = frame.buffer_mut();
-    let tripped = model.snapshot.trip.is_some();
-    let word = if tripped { "TRIP! too small" } else { "too small" };
+    let word = if model.snapshot.trip.is_some() { "TRIP! too small" } else { "too small" };
     let (stop, style) = stop_word(model);
     if is_too_small(word, stop.trim(), style, area, buffer) {
         return;
@@ -75,8 +74,7 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
         Page::Steps => steps_page(model, body, buffer),
     }
     let quit = format!("? help  q {}", model.quits());
-    let next = format!("Tab {}", model.neighbour(1).name());
-    let next = next.as_str();
+    let next = &format!("Tab {}", model.neighbour(1).name())[..];
     let offers = offers(model, next);
     let is_faulted = model.snapshot.drive_state == Some(DriveState::Fault);
     let keys: &[&str] = if is_faulted && !model.is_finished() {
@@ -93,8 +91,7 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
     hints(model.message.as_deref(), keys, &quit, bottom, buffer);
     if let Some(row) = model.help {
         let under_top = Rect { y: area.y + 1, height: area.height - 1, ..area };
-        let hidden = help(On::Live, &MEANING, row, under_top, buffer);
-        model.hidden.set(hidden);
+        model.hidden.set(help(On::Live, &MEANING, row, under_top, buffer));
     }
 }
 
@@ -233,8 +230,7 @@ fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
         _ => 4,
     };
     // What is provisional while the run goes on is no result when it is over.
-    let phase = model.snapshot.phase;
-    let goes_on = !model.is_finished() && phase.is_some_and(Phase::is_recorded);
+    let goes_on = !model.is_finished() && model.snapshot.phase.is_some_and(Phase::is_recorded);
     let lean_rows = u16::from(goes_on && area.height >= WITH_LEANING);
     let [body, lean, bottom] = Layout::vertical([
         Constraint::Fill(1),
@@ -243,8 +239,7 @@ fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     ])
     .areas(area);
     if model.leaning.seconds > 0.0 {
-        let text = format!(" {}", model.leaning.line());
-        row(&Line::styled(text, theme::CAREFUL), lean, buffer);
+        row(&Line::styled(format!(" {}", model.leaning.line()), theme::CAREFUL), lean, buffer);
     }
     notices(&model.snapshot.notices, bottom, buffer);
     if area.width < WIDTH_FOR_TWO || body.height < HEIGHT_FOR_TWO {
@@ -305,8 +300,7 @@ fn explained(step: &StepView, indent: usize, width: usize) -> Vec<Line<'static>>
     let facts = facts.into_iter().filter(|(_, text)| !text.is_empty());
     let room = width.saturating_sub(indent + 9).max(10);
     let lines = facts.flat_map(|(label, text)| {
-        let rows = wrapped(text, room).into_iter().enumerate();
-        rows.map(move |(row, text)| {
+        wrapped(text, room).into_iter().enumerate().map(move |(row, text)| {
             let label = if row == 0 { label } else { "" };
             Line::styled(format!("{:indent$}{label:<8} {text}", ""), theme::DIM)
         })
@@ -357,8 +351,7 @@ fn step_lines(model: &Model, workflow: &Progress, width: usize) -> Vec<Line<'sta
         let indent = if is_narrow { INDENT } else { beside };
         let room = width.saturating_sub(indent).max(10);
         let said = Some(&step.line).filter(|text| !text.is_empty());
-        let lines = said.map_or_else(Vec::new, |text| wrapped(text, room));
-        let mut lines = lines.into_iter();
+        let mut lines = said.map_or_else(Vec::new, |text| wrapped(text, room)).into_iter();
         if !is_narrow {
             head.extend(lines.next().map(Span::raw));
         }
@@ -419,13 +412,11 @@ impl Banner {
             let end = if is_over { format!(" q = {quit}.") } else { String::new() };
             let is_safe = snapshot.phase == Some(Phase::Safe);
             let title = if is_safe { "SAFE" } else { "LINK LOST" };
-            let style = if is_safe { theme::CAREFUL } else { theme::ALARM };
-            (title, format!("{text}.{end}"), style)
+            (title, format!("{text}.{end}"), if is_safe { theme::CAREFUL } else { theme::ALARM })
         } else if let Some(trip) = &snapshot.trip {
             ("SAFETY TRIP", stopped(&trip.reason), theme::ALARM)
         } else if is_lost {
-            let mut last = snapshot.notices.iter().rev();
-            let error = last.find(|notice| notice.level == Level::Error);
+            let error = snapshot.notices.iter().rev().find(|notice| notice.level == Level::Error);
             let reason = error.map(|notice| notice.text.as_str());
             let reason = reason.unwrap_or("the drive does not answer any more");
             ("LINK LOST", stopped(reason), theme::ALARM)
@@ -443,8 +434,7 @@ impl Banner {
                 Some("stopped" | "interrupted") => format!("{at}{confirmed}"),
                 _ => String::new(),
             };
-            let is_sure = snapshot.stop_error.is_none();
-            let style = if is_sure { style } else { theme::ALARM };
+            let style = if snapshot.stop_error.is_none() { style } else { theme::ALARM };
             (title, format!("{text}{how}.{end}"), style)
         };
         let title = format!(" {title} ");
@@ -646,8 +636,7 @@ fn verdict_line(estimate: &ParameterEstimate, width: u16) -> Line<'static> {
         line.push_span(Span::styled(cut(reason, room), theme::DIM));
     } else if let Some(share) = relative_std(estimate) {
         let length = room.saturating_sub(PERCENT).min(BAR);
-        let style = theme::verdict(estimate.verdict);
-        line.extend(bar_spans(uncertainty(share), length, style));
+        line.extend(bar_spans(uncertainty(share), length, theme::verdict(estimate.verdict)));
         line.push_span(format!(" {}", percent(share)));
     }
     line
@@ -683,8 +672,7 @@ pub(crate) fn name(key: &str) -> (&str, String) {
         "load_torque_n_m" => ("Tl", "load torque"),
         _ => {
             let own = key.rsplit('.').next().unwrap_or(key);
-            let first = own.split('_').next().unwrap_or(own);
-            return (first, own.replace('_', " "));
+            return (own.split('_').next().unwrap_or(own), own.replace('_', " "));
         }
     };
     (known.0, known.1.to_owned())
@@ -758,7 +746,6 @@ mod tests {
     #[test]
     fn a_parameter_has_a_symbol_and_a_name() {
         assert_eq!(name("inertia_kg_m2").0, "J");
-        let effect = name("stribeck_friction.stribeck_n_m");
-        assert_eq!(effect, ("stribeck", "stribeck n m".to_owned()));
+        assert_eq!(name("stribeck_friction.stribeck_n_m"), ("stribeck", "stribeck n m".to_owned()));
     }
 }

@@ -46,8 +46,7 @@ impl ResponsePage {
         let compared = self.compared.as_deref()?;
         let measured = &compared.measured;
         let chosen = self.chosen.filter(|own| measured.of(*own).is_some());
-        let own = measured.of(chosen.or_else(|| measured.telling())?)?;
-        Some((compared, own))
+        Some((compared, measured.of(chosen.or_else(|| measured.telling())?)?))
     }
 
     /// Whether the key was one of the page's.
@@ -103,8 +102,7 @@ impl ResponseScreen {
 
 impl Screen for ResponseScreen {
     fn look(&mut self) -> (bool, Option<Exit>) {
-        let hangs_up = self.hang_up.load(Ordering::Acquire);
-        (false, hangs_up.then_some(Exit::Interrupted))
+        (false, self.hang_up.load(Ordering::Acquire).then_some(Exit::Interrupted))
     }
 
     fn press(&mut self, press: Press) -> Option<Exit> {

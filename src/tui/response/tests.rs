@@ -97,8 +97,7 @@ fn pressed(mut screen: ResponseScreen, presses: &[Press]) -> ResponseScreen {
 }
 
 fn text(screen: &ResponseScreen, size: (u16, u16)) -> String {
-    let terminal = testing::terminal(size, |frame| screen.draw(frame));
-    terminal.backend().to_string()
+    testing::terminal(size, |frame| screen.draw(frame)).backend().to_string()
 }
 
 /// Measurement alone, with nothing carried in it.

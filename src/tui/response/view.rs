@@ -35,12 +35,10 @@ pub(super) fn screen(screen: &ResponseScreen, frame: &mut Frame<'_>) {
     let [top, body, bottom] =
         Layout::vertical([Constraint::Length(1), Constraint::Fill(1), Constraint::Length(bottom)])
             .areas(area);
-    let title = format!(" frequency response: {}", screen.title);
-    row(&Line::styled(title, theme::BOLD), top, buffer);
+    row(&Line::styled(format!(" frequency response: {}", screen.title), theme::BOLD), top, buffer);
     view(&screen.page, body, buffer);
     if let Some(first) = screen.help {
-        let hidden = help(On::Response, &MEANING, first, body, buffer);
-        screen.hidden.set(hidden);
+        screen.hidden.set(help(On::Response, &MEANING, first, body, buffer));
     }
     let (keys, always) = if screen.help.is_some() {
         ("Up Down scroll", "any other key closes the help")
@@ -77,8 +75,7 @@ pub(in crate::tui) fn view(page: &ResponsePage, area: Rect, buffer: &mut Buffer)
     let said: Vec<Line<'static>> =
         said.map(|(told, style)| Line::styled(format!(" {told}"), style)).collect();
     text(said, above, buffer);
-    let cursor = page.cursor.and_then(|at| own.points.get(at));
-    let cursor = cursor.map(|point| point.frequency_hz);
+    let cursor = page.cursor.and_then(|at| own.points.get(at)).map(|point| point.frequency_hz);
     let chart = response_chart(compared, own.pathway);
     axis_chart::axis_chart(&chart, cursor, below, buffer);
 }
@@ -97,11 +94,9 @@ fn said(compared: &Compared, own: &PathwayResponse) -> Vec<(String, Style)> {
         said.push(("no resonance is named where it is carried".to_owned(), theme::PLAIN));
     }
     said.extend(modes.iter().map(|mode| (mode.text(), theme::BOLD)));
-    let bands = compared.departures.iter();
-    let bands = bands.filter(|band| band.pathway == own.pathway);
+    let bands = compared.departures.iter().filter(|band| band.pathway == own.pathway);
     said.extend(bands.map(|band: &Departure| (band.sentence(), theme::BAD)));
-    let cautions = measured.cautions.iter().cloned();
-    said.extend(cautions.map(|caution| (caution, theme::CAREFUL)));
+    said.extend(measured.cautions.iter().cloned().map(|caution| (caution, theme::CAREFUL)));
     said.push((measured.rate_sentence(), theme::DIM));
     said
 }

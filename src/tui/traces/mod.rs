@@ -113,8 +113,7 @@ impl TracesPage {
                 let quantity = traces.runs[run].signals[*place].quantity;
                 stop.shows.is_some_and(|channel| quantity == Quantity::Channel(channel))
             };
-            let rest = first_panels(&panels);
-            let rest = rest.into_iter().filter(|panel| !is_first(panel));
+            let rest = first_panels(&panels).into_iter().filter(|panel| !is_first(panel));
             let first: Vec<Panel> =
                 panels.iter().filter(|panel| is_first(panel)).copied().collect();
             if !first.is_empty() {
@@ -159,10 +158,8 @@ impl TracesPage {
 
     /// The same signal of the model before the last change.
     fn signal_before(&self, signal: &SignalTrace) -> Option<&SignalTrace> {
-        let run = self.before.as_ref()?.runs.get(self.run)?;
-        let mut signals = run.signals.iter();
-        let same = |own: &&SignalTrace| own.quantity == signal.quantity && own.has_model();
-        signals.find(same)
+        let mut signals = self.before.as_ref()?.runs.get(self.run)?.signals.iter();
+        signals.find(|own: &&SignalTrace| own.quantity == signal.quantity && own.has_model())
     }
 
     /// Everything that can be shown of the run, in the order in which it is.
@@ -177,8 +174,7 @@ impl TracesPage {
 
     /// What is seen of the run, s.
     fn window_s(&self) -> (f64, f64) {
-        let whole = || self.run().map_or((0.0, 1.0), RunTraces::span_s);
-        self.window_s.unwrap_or_else(whole)
+        self.window_s.unwrap_or_else(|| self.run().map_or((0.0, 1.0), RunTraces::span_s))
     }
 
     /// Answers a key; whether it was one of the page's.
@@ -266,8 +262,7 @@ impl TracesPage {
 
     fn pan(&mut self, share: f64) {
         let (from_s, to_s) = self.window_s();
-        let middle_s = f64::midpoint(from_s, to_s) + share * (to_s - from_s);
-        self.see(middle_s, to_s - from_s);
+        self.see(f64::midpoint(from_s, to_s) + share * (to_s - from_s), to_s - from_s);
         // The cursor stays in sight.
         let (from_s, to_s) = self.window_s();
         self.cursor_s = self.cursor_s.map(|at_s| at_s.clamp(from_s, to_s));
@@ -288,9 +283,7 @@ impl TracesPage {
     /// Goes to the next of the places where the first signal with a model is met worst.
     fn worst(&mut self) {
         let places = self.run().and_then(|run| {
-            let mut signals = run.signals.iter();
-            let first = signals.find(|signal| signal.has_model())?;
-            Some(first.worst_places(STRETCHES))
+            Some(run.signals.iter().find(|signal| signal.has_model())?.worst_places(STRETCHES))
         });
         let places = places.unwrap_or_default();
         let known = places.len().min(WORST_PLACES);

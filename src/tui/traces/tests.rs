@@ -23,8 +23,7 @@ fn length_s(page: &TracesPage) -> f64 {
 
 fn terminal(page: &TracesPage, width: u16, height: u16) -> Terminal<TestBackend> {
     testing::terminal((width, height), |frame| {
-        let area = frame.area();
-        view(page, area, frame.buffer_mut());
+        view(page, frame.area(), frame.buffer_mut());
     })
 }
 
@@ -52,8 +51,7 @@ fn a_run_that_was_stopped_opens_there_and_only_once() {
     page.take(fan_traces(true));
     assert_eq!(page.window_s(), moved);
     let page = opened(StoppedAt { shows: Some(Channel::Current), ..stop("run-b") });
-    let seen = page.chosen.as_deref().unwrap()[0];
-    let quantity = page.run().unwrap().signals[seen.0].quantity;
+    let quantity = page.run().unwrap().signals[page.chosen.as_deref().unwrap()[0].0].quantity;
     assert_eq!(quantity, Quantity::Channel(Channel::Current));
     // Of another run, which is not shown, nothing is known here.
     let page = opened(stop("run-c"));
@@ -121,8 +119,7 @@ fn the_cursor_goes_on_into_what_is_not_in_sight() {
         let at_s = page.cursor_s.unwrap();
         assert!(from_s <= at_s && at_s <= to_s, "{from_s} {at_s} {to_s}");
     }
-    let end_s = page.run().unwrap().span_s().1;
-    assert_eq!(page.cursor_s, Some(end_s));
+    assert_eq!(page.cursor_s, Some(page.run().unwrap().span_s().1));
 }
 
 #[test]
@@ -178,8 +175,7 @@ fn a_residual_within_the_noise_is_told_so_and_a_larger_one_is_not() {
     let rms = |page: &TracesPage| {
         let shown = text(page, 120, 12);
         let after = shown.split(" = ").nth(1).unwrap_or_else(|| panic!("{shown}"));
-        let figure = after.split(' ').next().unwrap();
-        figure.parse::<f64>().unwrap()
+        after.split(' ').next().unwrap().parse::<f64>().unwrap()
     };
     assert!(rms(&page) > 5.0);
     page.take(fan_traces(true));

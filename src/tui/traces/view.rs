@@ -35,8 +35,7 @@ const WIDE: u16 = 76;
 pub(in crate::tui) fn view(page: &TracesPage, area: Rect, buffer: &mut Buffer) {
     let area = area.intersection(buffer.area);
     let Some(run) = page.run() else {
-        let text = " no traces yet: the model is being fitted";
-        row(&Line::styled(text, theme::DIM), area, buffer);
+        row(&Line::styled(" no traces yet: the model is being fitted", theme::DIM), area, buffer);
         return;
     };
     let runs = page.traces.as_ref().map_or(1, |traces| traces.runs.len());
@@ -54,8 +53,7 @@ pub(in crate::tui) fn strip(page: &TracesPage, area: Rect, buffer: &mut Buffer) 
     let area = area.intersection(buffer.area);
     if let Some(run) = page.run() {
         let title = format!("{}: {}", run.part.name(), run.run);
-        let inner = titled_with(&title, "v traces", area, buffer);
-        panels(page, run, inner, buffer);
+        panels(page, run, titled_with(&title, "v traces", area, buffer), buffer);
     }
 }
 
@@ -63,8 +61,7 @@ pub(in crate::tui) fn strip(page: &TracesPage, area: Rect, buffer: &mut Buffer) 
 fn fitting(page: &TracesPage, height: u16) -> Vec<Panel> {
     let all = page.panels();
     let mut shown = page.chosen.clone().unwrap_or_else(|| first_panels(&all));
-    let smallest = if height < LOW { SMALLEST_OF_ALL } else { SMALLEST };
-    let room = usize::from((height / smallest).max(1));
+    let room = usize::from((height / if height < LOW { SMALLEST_OF_ALL } else { SMALLEST }).max(1));
     shown.truncate(room);
     if page.chosen.is_none()
         && shown.len() > 1
@@ -124,10 +121,8 @@ fn seen(
 ) -> Vec<(f64, f64)> {
     let times = &signal.time_s;
     let first = times.partition_point(|t| *t < from_s).saturating_sub(1);
-    let end = (times.partition_point(|t| *t <= to_s) + 1).min(times.len());
-    let count = end.saturating_sub(first);
-    let own = times.iter().skip(first).copied();
-    let points = own.zip(values.skip(first)).take(count);
+    let count = (times.partition_point(|t| *t <= to_s) + 1).min(times.len()).saturating_sub(first);
+    let points = times.iter().skip(first).copied().zip(values.skip(first)).take(count);
     if !signal.is_held {
         return points.collect();
     }
@@ -241,8 +236,7 @@ fn both(page: &TracesPage, signal: &SignalTrace, is_wide: bool) -> Drawn {
         model.retain(|point| point.0 <= border_s(page));
     }
     let edge = |sigmas: f64| {
-        let pairs = signal.measured.iter().zip(&signal.std);
-        seen(&mut pairs.map(|(value, std)| value + sigmas * std))
+        seen(&mut signal.measured.iter().zip(&signal.std).map(|(value, std)| value + sigmas * std))
     };
     let values = [&measured, &model, &before].into_iter().flatten();
     let values = range(values.map(|point| point.1)).unwrap_or(NOTHING);
@@ -304,8 +298,7 @@ fn residual(page: &TracesPage, signal: &SignalTrace, is_wide: bool) -> Drawn {
     }
     let band = signal.noise.map(|noise| BAND_SIGMAS * noise);
     // Of both models, so that the axis stands still while a change is drawn.
-    let old = before.filter(|_| page.is_moving());
-    let old = old.into_iter().flat_map(SignalTrace::residual);
+    let old = before.filter(|_| page.is_moving()).into_iter().flat_map(SignalTrace::residual);
     let values = points.iter().map(|point| point.1).chain(old);
     let ends = values.flat_map(|value| [value, -value]);
     let least = band.into_iter().flat_map(|band| [-1.5 * band, 1.5 * band]);
@@ -367,8 +360,7 @@ fn chooser(page: &TracesPage, run: &RunTraces, at: usize, area: Rect, buffer: &m
         height,
     };
     let room = usize::from(height.saturating_sub(2)).max(1);
-    let first = (at + 1).saturating_sub(room);
-    let rows = all.iter().enumerate().skip(first).take(room);
+    let rows = all.iter().enumerate().skip((at + 1).saturating_sub(room)).take(room);
     let rows = rows.map(|(index, panel)| {
         let mark = if shown.contains(panel) { "✓" } else { " " };
         let arrow = if index == at { "▶" } else { " " };

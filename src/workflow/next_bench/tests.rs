@@ -30,8 +30,7 @@ fn every_recipe_is_a_bench_file_within_the_limits() {
         assert!(!plan.is_refused(), "{}: {:?}", recipe.id, plan.refusals);
         // A bench made from a recommended run has one name, not a chain of them.
         let again = next_bench(&read, recipe, &model, "again");
-        let again = BenchFile::parse("again.toml", &again).unwrap();
-        assert_eq!(again.name, read.name);
+        assert_eq!(BenchFile::parse("again.toml", &again).unwrap().name, read.name);
     }
 }
 

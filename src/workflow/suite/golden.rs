@@ -199,8 +199,7 @@ fn commission_limits(runs: &[&GoldenRun]) -> Result<Vec<GoldenLimit>, Refused> {
             }
             // Which effect a run just shows differs from run to run: one without reserve is no promise for the next.
             let open = of("not_shown").unwrap_or_default();
-            let counts = open.iter().filter_map(Value::as_array).map(Vec::len);
-            if let Some(most) = counts.max() {
+            if let Some(most) = open.iter().filter_map(Value::as_array).map(Vec::len).max() {
                 let reason = format!(
                     "{most} effects at most were neither named nor ruled out; which of them a run just shows is chance, so {NOT_SHOWN_MORE} more may be"
                 );
@@ -544,8 +543,7 @@ mod tests {
     #[test]
     fn what_runs_agree_on_is_held_to_whatever_they_could_rule_out() {
         let texts = |all: &[(&str, &str)]| -> Vec<(String, String)> {
-            let own = all.iter().map(|(key, limit)| ((*key).to_owned(), (*limit).to_owned()));
-            own.collect()
+            all.iter().map(|(key, limit)| ((*key).to_owned(), (*limit).to_owned())).collect()
         };
         let nothing = |not_shown| {
             texts(&[
@@ -564,8 +562,7 @@ mod tests {
             |effects: &[&str]| held_to(&[diagnosed("effect", effects, 0)]).unwrap()[0].clone();
         assert_eq!(named(&["cogging"]).1, "\"cogging\"");
         assert_eq!(named(&["b", "a"]).1, "[\"a\", \"b\"]");
-        let unknown = held_to(&[diagnosed("unexplained", &[], 0)]).unwrap();
-        assert_eq!(unknown[0].1, "\"unexplained\"");
+        assert_eq!(held_to(&[diagnosed("unexplained", &[], 0)]).unwrap()[0].1, "\"unexplained\"");
         // What one of them does not say of itself is no limit.
         let mut silent = of(0);
         silent.result["diagnosis"].as_object_mut().unwrap().remove("sufficient");

@@ -145,8 +145,7 @@ impl Limit {
             (Self::Word(word), Some(Value::String(found))) => word == found,
             (Self::Has(part), Some(Value::String(found))) => found.to_lowercase().contains(part),
             (Self::Has(part), Some(Value::Array(list))) => {
-                let mut words = list.iter().filter_map(Value::as_str);
-                words.any(|word| word.to_lowercase().contains(part))
+                list.iter().filter_map(Value::as_str).any(|word| word.to_lowercase().contains(part))
             }
             (Self::Word(word), Some(Value::Array(list))) => {
                 matches!(&list[..], [Value::String(only)] if only == word)
@@ -307,8 +306,7 @@ fn not_shown(candidates: &Value) -> Vec<String> {
         Some("ruled_out") => own.get("as_good_as").is_some_and(|other| !other.is_null()),
         _ => true,
     });
-    let names = open.filter_map(|own| own["effect"].as_str());
-    names.map(str::to_owned).collect()
+    open.filter_map(|own| own["effect"].as_str()).map(str::to_owned).collect()
 }
 
 /// The row of a parameter in a table of parameters, in either of its two forms.

@@ -140,8 +140,7 @@ impl SignalLimit {
     /// What is wrong with it, and what is allowed.
     fn refusal(&self) -> Option<(String, String)> {
         let wrong = |key: &str, value: f64, allowed: &str| {
-            let what = format!("signal: {key} = {value} is not allowed");
-            Some((what, format!("allowed: {allowed}")))
+            Some((format!("signal: {key} = {value} is not allowed"), format!("allowed: {allowed}")))
         };
         for (key, value) in [("at_s", self.at_s), ("value", self.value)] {
             if !value.is_finite() {
@@ -205,8 +204,7 @@ impl Verb {
     ];
 
     pub fn command(self) -> &'static str {
-        let row = Self::ALL.iter().find(|(verb, ..)| *verb == self);
-        row.map_or("", |(.., command)| command)
+        Self::ALL.iter().find(|(verb, ..)| *verb == self).map_or("", |(.., command)| command)
     }
 
     /// Whether it opens a link, and may move the motor.
@@ -472,8 +470,7 @@ fn read_step(
     for (verb, word, _) in Verb::ALL {
         if let Some(table) = keys.options(verb) {
             let options = read_options(verb, word, table, before, options_of)?;
-            let action = Action::Command { verb, options, statuses: statuses.clone() };
-            found.push((word, action));
+            found.push((word, Action::Command { verb, options, statuses: statuses.clone() }));
         }
     }
     if let Some(fault) = keys.fault {
@@ -489,8 +486,7 @@ fn read_step(
         found.push(("file", Action::File(file)));
     }
     if keys.assert.is_some() || !keys.signal.is_empty() {
-        let action = read_assert(at, keys.assert, keys.signal, keys.of, before)?;
-        found.push(("assert", action));
+        found.push(("assert", read_assert(at, keys.assert, keys.signal, keys.of, before)?));
     }
     let [(word, action)] = <[_; 1]>::try_from(found).map_err(|found| {
         let names: Vec<&str> = found.iter().map(|(word, _)| *word).collect();
@@ -505,8 +501,7 @@ fn read_step(
     let is_command = matches!(action, Action::Command { .. });
     if has_status && !is_command {
         let what = "status stands without a command".to_owned();
-        let help = "give it to the step whose exit status it is".to_owned();
-        return Err((at, what, help));
+        return Err((at, what, "give it to the step whose exit status it is".to_owned()));
     }
     Ok(Step {
         name: keys.name.unwrap_or_else(|| word.to_owned()),
@@ -531,11 +526,9 @@ fn read_options(
         if !is_positional && !known.iter().any(|name| *name == key.replace('_', "-")) {
             let what = format!("unknown option `{key}` of {word}");
             let names: Vec<String> = known.iter().map(|name| name.replace('-', "_")).collect();
-            let help = help_for_unknown(key, names.iter().map(String::as_str));
-            return Err((at, what, help));
+            return Err((at, what, help_for_unknown(key, names.iter().map(String::as_str))));
         }
-        let option = key.replace('_', "-");
-        if GIVEN.contains(&option.as_str()) {
+        if GIVEN.contains(&key.replace('_', "-").as_str()) {
             let what = format!("{word} does not take `{key}`");
             let help =
                 "the case says port, emulator and seed; the rest the command line of the suite"
@@ -574,8 +567,7 @@ fn read_assert(
             return Err((key.span().start, what, help.to_owned()));
         }
         let limit = Limit::parse(value.get_ref()).map_err(|(what, help)| {
-            let what = format!("{}: {what}", key.get_ref());
-            (value.span().start, what, help)
+            (value.span().start, format!("{}: {what}", key.get_ref()), help)
         })?;
         limits.push((key.into_inner(), limit));
     }
@@ -633,8 +625,7 @@ pub fn references(value: &toml::Value) -> Vec<&str> {
 /// The step that `"@fit/model.toml"` names, and what follows it.
 pub fn reference(text: &str) -> Option<(&str, &str)> {
     let text = text.strip_prefix('@')?;
-    let end = text.find('/').unwrap_or(text.len());
-    Some(text.split_at(end))
+    Some(text.split_at(text.find('/').unwrap_or(text.len())))
 }
 
 #[cfg(test)]
@@ -766,8 +757,7 @@ timeout_s = 9.0
             })
         };
         assert_eq!(limit.fails(ramp(1.05)), None);
-        let said = limit.fails(ramp(1.2)).unwrap();
-        assert_eq!(said, "0, has to be 90 ± 2 at 1 ± 0.1 s");
+        assert_eq!(limit.fails(ramp(1.2)).unwrap(), "0, has to be 90 ± 2 at 1 ± 0.1 s");
         assert!(limit.fails(std::iter::empty()).unwrap().contains("no sample"));
     }
 }
