@@ -412,19 +412,22 @@ fn map(document: &mut Document, comparison: &Comparison) {
     let Some((map, worst)) = comparison.map.as_ref().zip(comparison.failing()) else {
         return;
     };
-    let chart = MapChart {
-        title: format!("{} error, {}", worst.equation, worst.unit),
-        across: ("current, A", &map.current_edges_a),
-        upwards: ("speed, rad/s", &map.speed_edges_rad_s),
-        values: map.cells(worst.equation),
-        counts: &map.count,
-    };
+    let (map, worst, equation) = (map.clone(), worst.clone(), worst.equation);
     document.figure_with_text(
-        chart.svg("error of the model over speed and current"),
+        move || {
+            let chart = MapChart {
+                title: format!("{equation} error, {}", worst.unit),
+                across: ("current, A", &map.current_edges_a),
+                upwards: ("speed, rad/s", &map.speed_edges_rad_s),
+                values: map.cells(equation),
+                counts: &map.count,
+            };
+            chart.svg("error of the model over speed and current")
+        },
         format!(
             "Root mean square of what the {} equation lacks, over speed and current, on the held-out run. Where there is no \
              cell the run never was.",
-            worst.equation
+            equation
         ),
         map_in_digits(comparison),
     );

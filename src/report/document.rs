@@ -1,7 +1,7 @@
 //! A result as one document: its headline, labelled sentences and facts, tables, charts and lists, and the commands that
 //! follow. A command builds it once; `html`, `markdown`, `terminal` and the screens print it.
 
-use std::fmt::Write;
+use std::sync::{Arc, LazyLock};
 
 use super::Facts;
 use super::plot::Plot;
@@ -42,6 +42,22 @@ impl Bars {
     }
 }
 
+/// A picture that is drawn by the first page that shows it: a card needs none.
+#[derive(Clone, Debug)]
+pub(super) struct Picture(Arc<LazyLock<Plot, Box<dyn FnOnce() -> Plot + Send>>>);
+
+impl Picture {
+    pub(super) fn plot(&self) -> &Plot {
+        &self.0
+    }
+}
+
+impl PartialEq for Picture {
+    fn eq(&self, other: &Self) -> bool {
+        self.plot() == other.plot()
+    }
+}
+
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Content {
     Heading(String),
@@ -55,8 +71,7 @@ pub(super) enum Content {
     },
     Bars(Bars),
     Figure {
-        /// SVG from this room, already escaped.
-        plot: Plot,
+        picture: Picture,
         caption: String,
         /// The picture in rows of characters; empty where a terminal shows nothing of it.
         text: Vec<String>,
@@ -216,29 +231,24 @@ impl Document {
         self.put(label.into(), Some(2), Content::Bars(bars));
     }
 
-    /// A picture made by [`super::plot`]; nothing where it is empty.
-    pub fn figure(&mut self, plot: impl Into<Plot>, caption: impl Into<String>) {
-        self.figure_with_text(plot, caption, Vec::new());
+    /// A picture made by [`super::plot`], drawn where a page shows it.
+    pub fn figure<P: Into<Plot>>(
+        &mut self,
+        draw: impl FnOnce() -> P + Send + 'static,
+        caption: impl Into<String>,
+    ) {
+        self.figure_with_text(draw, caption, Vec::new());
     }
 
     /// The same with the rows of characters that a terminal shows in its place.
-    pub(super) fn figure_with_text(
+    pub(super) fn figure_with_text<P: Into<Plot>>(
         &mut self,
-        plot: impl Into<Plot>,
+        draw: impl FnOnce() -> P + Send + 'static,
         caption: impl Into<String>,
         text: Vec<String>,
     ) {
-        let (plot, mut caption) = (plot.into(), caption.into());
-        if plot.svg.is_empty() {
-            return;
-        }
-        if let Some(column) = &plot.thinned {
-            let _ = write!(
-                caption,
-                " Looked at closely, each {column} has its first, lowest, highest and last value."
-            );
-        }
-        self.push(Content::Figure { plot, caption, text });
+        let picture = Picture(Arc::new(LazyLock::new(Box::new(|| draw().into()))));
+        self.push(Content::Figure { picture, caption: caption.into(), text });
     }
 
     /// The blocks of another one behind its own.

@@ -163,8 +163,9 @@ fn listed(names: impl Iterator<Item = String>) -> Option<String> {
 pub(super) fn effect_curve(document: &mut Document, curve: &EffectCurve) {
     let why = curve.why_axis.iter();
     let why = why.map(|why| format!(" {}.", capitalised(why)));
+    let drawn = curve.clone();
     document.figure(
-        curve_picture(curve),
+        move || curve_picture(&drawn),
         format!(
             "{}. Each point is a mean with its 95 % interval; a loss is positive.{}",
             capitalised(&curve.sentence()),
@@ -225,8 +226,9 @@ pub(super) fn curves(document: &mut Document, diagnosis: &Diagnosis) {
         diagnosis.axis_map.iter().partition(is_followed);
     let is_any = !followed.is_empty();
     for map in followed.iter().take(MOST_CURVES) {
+        let drawn = EffectCurve::from(*map);
         document.figure(
-            curve_picture(&EffectCurve::from(*map)),
+            move || curve_picture(&drawn),
             format!(
                 "{}. The band is the 95 % interval; a loss is positive.",
                 capitalised(&map.sentence)

@@ -104,14 +104,23 @@ fn html(block: &Block) -> String {
             let svg = bars(&own.unit, &own.unit, &lengths, own.goal);
             figure(&svg, "", &own.caption)
         }
-        Content::Figure { plot, caption, .. } => {
+        Content::Figure { picture, caption, .. } => {
+            let plot = picture.plot();
+            if plot.svg.is_empty() {
+                return String::new();
+            }
             let points = match plot.points.as_str() {
                 "" => String::new(),
                 points => {
                     format!("<script type=\"text/plain\" class=\"points\">{points}</script>")
                 }
             };
-            figure(&plot.svg, &points, caption)
+            let thinned = plot.thinned.as_ref().map_or_else(String::new, |column| {
+                format!(
+                    " Looked at closely, each {column} has its first, lowest, highest and last value."
+                )
+            });
+            figure(&plot.svg, &points, &format!("{caption}{thinned}"))
         }
     }
 }

@@ -73,13 +73,9 @@ impl RunReport<'_> {
             None => document.lead(Tone::Good, "Recorded", format!("{rows}, to its end.")),
         }
         document.section("Signals");
+        let panels = panels(run, time_s.first().copied().unwrap_or(0.0));
         document.figure(
-            stacked(
-                "recorded signals over time",
-                TIME,
-                &panels(run, time_s.first().copied().unwrap_or(0.0)),
-                MOST_POINTS,
-            ),
+            move || stacked("recorded signals over time", TIME, &panels, MOST_POINTS),
             "Time counts from the start of the run. A line is broken where samples are missing.",
         );
         let last = self.last_seconds.as_ref();
@@ -148,13 +144,12 @@ fn last_seconds(document: &mut Document, run: &Run, last: &LastSeconds) {
         return;
     };
     document.section("The last seconds");
+    let panels = panels(&part, last.time_s);
     document.figure(
-        stacked(
-            "recorded signals before the trip and until the end",
-            TIME,
-            &panels(&part, last.time_s),
-            MOST_POINTS,
-        ),
+        move || {
+            let description = "recorded signals before the trip and until the end";
+            stacked(description, TIME, &panels, MOST_POINTS)
+        },
         "Time counts from the decision that the output has to be off.",
     );
     let (from, to) = (rows.start + 1, rows.end);

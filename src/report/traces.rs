@@ -36,13 +36,12 @@ impl ConfirmRun {
 
 /// Measured and simulated signals and what the models leave over.
 pub(super) fn traces(document: &mut Document, run: &ConfirmRun) {
+    let panels = panels(run);
     document.figure(
-        stacked(
-            "measured and simulated current and speed over time",
-            TIME,
-            &panels(run),
-            MOST_POINTS,
-        ),
+        move || {
+            let description = "measured and simulated current and speed over time";
+            stacked(description, TIME, &panels, MOST_POINTS)
+        },
         format!(
             "Free run of the model over {:?} from its voltage alone; time counts from the start of that run. A line is broken where \
              samples are missing.",

@@ -441,7 +441,8 @@ impl FiguresAndTables {
         let mut page = Document::new(&self.title, &self.subtitle);
         page.lead(Tone::Plain, &self.lead.0, &self.lead.1);
         self.fill(page, |page, _, plot, caption| {
-            page.figure(plot.clone(), caption);
+            let plot = plot.clone();
+            page.figure(|| plot, caption);
         })
     }
 
