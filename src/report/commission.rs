@@ -8,10 +8,6 @@ use drivebench_model::plant::Model;
 use drivebench_model::sample::ParameterEstimate;
 use drivebench_model::text::number::{fixed, percent};
 
-/// Parameters that a card shows whatever the room: those of the motor, and of an effect or two.
-const MOST_PARAMETERS: usize = 8;
-
-/// Everything that the page of a commission is made of.
 #[derive(Clone, Debug)]
 pub struct CommissionReport<'a> {
     /// What was done, as `Commission` or `Diagnosis`.
@@ -24,7 +20,6 @@ pub struct CommissionReport<'a> {
     pub parameters_before: &'a [ParameterEstimate],
     pub parameters_after: &'a [ParameterEstimate],
     pub before: &'a Comparison,
-    /// `None` where nothing was added.
     pub after: Option<&'a Comparison>,
     pub diagnosis: &'a Diagnosis,
     /// Usually the diagnosis' own, longer where the commission went on.
@@ -55,7 +50,7 @@ impl CommissionReport<'_> {
         } else {
             (&[][..], self.parameters_before)
         };
-        let (nameplate, most) = (self.nameplate, MOST_PARAMETERS);
+        let (nameplate, most) = (self.nameplate, 8);
         tables::parameter_section(&mut document, "motor", nameplate, before, after, most);
         findings::effects(&mut document, found, self.curves);
         document.section("Model beside measurement");
@@ -186,9 +181,10 @@ impl CommissionReport<'_> {
     }
 }
 
-const fn tone(answer: Answer) -> Tone {
+/// How the answer of a diagnosis is to be taken, on pages and screens.
+pub const fn tone(answer: Answer) -> Tone {
     match answer {
-        Answer::Unexplained => Tone::Bad,
+        Answer::Unexplained | Answer::NotFitted => Tone::Bad,
         answer if answer.is_whole() => Tone::Good,
         _ => Tone::Attention,
     }

@@ -10,7 +10,6 @@ use drivebench_model::units;
 pub const RELATION: &str = "in SI Ke (V.s/rad) and Kt (N.m/A) are the same number for a DC machine; Kv = 60/(2 pi Ke). \
      All values are those of the equivalent DC machine, line to line for a brushless motor";
 
-/// A value in another unit, with its standard deviation.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Converted {
     #[serde(skip)]

@@ -27,9 +27,7 @@ pub(super) struct Lead {
 /// Horizontal bars, as those of the ladder of models.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bars {
-    /// Name, length, figure beside it.
     pub bars: Vec<(String, f64, String)>,
-    /// What the lengths are.
     pub unit: String,
     /// Name and length of a line that the bars should reach; drawn on a page.
     pub goal: Option<(&'static str, f64)>,
@@ -168,7 +166,6 @@ impl Document {
         self.push(Content::Notice(text.into()));
     }
 
-    /// Sentences, one a line; nothing where there are none.
     pub fn list<T: Into<String>>(&mut self, items: impl IntoIterator<Item = T>) {
         self.push(Content::List(items.into_iter().map(Into::into).collect()));
     }
@@ -226,7 +223,6 @@ impl Document {
         self.put(label.into(), Some(least), Content::Table { table, spare });
     }
 
-    /// Bars, of which the card keeps two.
     pub fn bars(&mut self, label: impl Into<String>, bars: Bars) {
         self.put(label.into(), Some(2), Content::Bars(bars));
     }
@@ -251,7 +247,6 @@ impl Document {
         self.push(Content::Figure { picture, caption: caption.into(), text });
     }
 
-    /// The blocks of another one behind its own.
     pub fn append(&mut self, other: Self) {
         self.blocks.extend(other.blocks);
     }
@@ -267,7 +262,6 @@ impl Document {
         }
     }
 
-    /// A command that follows from the result.
     pub fn go_on(&mut self, command: impl Into<String>) {
         self.commands.push(command.into());
     }

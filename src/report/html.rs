@@ -40,7 +40,7 @@ const fn class(tone: Tone) -> &'static str {
 }
 
 impl Document {
-    /// The whole page. The script only lets one look closer at the plots.
+    /// The whole page. The script only zooms the plots.
     pub fn html(&self) -> String {
         let mut out = format!(
             "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\

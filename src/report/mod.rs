@@ -28,7 +28,7 @@ pub(crate) mod tables;
 pub mod terminal;
 mod traces;
 
-pub use commission::CommissionReport;
+pub use commission::{CommissionReport, tone};
 pub use comparison::{ComparisonReport, SignalFigures, comparison_document, error_changes};
 pub use document::{Bars, Document, Tone};
 pub use findings::{card_facts, curve_chart, curve_picture, effect_document, open_questions};
@@ -37,16 +37,16 @@ pub use run::{EarlyEnd, LastSeconds, RunReport};
 pub use table::{Cell, Columns, Table};
 pub use traces::ConfirmRun;
 
-/// Stands on every page and at the end of every text.
 pub const SAFETY_NOTICE: &str = "A stop over a serial line or a network is not a safety function. Have a wired STO or \
                                  emergency stop within reach whenever the motor can turn.";
 
 /// What was at the far end of the wire.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Target {
     Emulator,
     Hardware,
-    /// A file from elsewhere, or a log that does not say.
+    /// A file from elsewhere, or a log without it.
+    #[default]
     Unknown,
 }
 
@@ -64,44 +64,21 @@ impl Target {
 pub type Facts = Vec<(String, String)>;
 
 /// Under which conditions the numbers of a report came about.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Context {
     pub target: Target,
-    /// When the (first) run began, as a date in UTC; which motor it was of. Empty where nobody says.
+    /// When the (first) run began, as a date in UTC; its motor. Empty where not recorded.
     pub date: String,
     pub motor: String,
-    /// Names of the run folders, in the order of recording.
     pub run_folders: Vec<String>,
-    /// What the drive says it is.
     pub identity: Facts,
-    /// Limits, predicted peaks and excitation.
     pub plan: Facts,
-    /// Exchanges by their class, rate, lateness.
     pub link: Facts,
     pub seed: Option<u64>,
     pub versions: Facts,
     /// Holes, set-aside runs and what else is to be known of the data.
     pub notes: Vec<String>,
-    /// Rows of the file that could not be read.
     pub rows_dropped: usize,
-}
-
-impl Default for Context {
-    fn default() -> Self {
-        Self {
-            target: Target::Unknown,
-            date: String::new(),
-            motor: String::new(),
-            run_folders: Vec::new(),
-            identity: Facts::new(),
-            plan: Facts::new(),
-            link: Facts::new(),
-            seed: None,
-            versions: Facts::new(),
-            notes: Vec::new(),
-            rows_dropped: 0,
-        }
-    }
 }
 
 #[cfg(test)]

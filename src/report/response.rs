@@ -46,18 +46,17 @@ pub fn response_chart(compared: &Compared, pathway: Pathway) -> AxisChart {
         });
         PointSet { label: label.to_owned(), style, drawn, points: points.collect() }
     };
-    let panel = |title: String,
-                 height,
-                 place: Of,
-                 holds: &[f64],
-                 beside: Option<&PathwayResponse>| {
-        let mut sets = vec![
-            set(own, "", Style::Measured, Drawn::Faint, place),
-            set(own, "measured", Style::Measured, Drawn::Curve, place),
-        ];
-        sets.extend(beside.map(|model| set(model, "model", Style::Before, Drawn::Curve, place)));
-        AxisPanel { title, height, holds: holds.to_vec(), sets, line: (String::new(), Vec::new()) }
-    };
+    let panel =
+        |title: String, height, place: Of, holds: &[f64], beside: Option<&PathwayResponse>| {
+            let mut sets = vec![
+                set(own, "", Style::Measured, Drawn::Faint, place),
+                set(own, "measured", Style::Measured, Drawn::Curve, place),
+            ];
+            sets.extend(
+                beside.map(|model| set(model, "model", Style::Before, Drawn::Curve, place)),
+            );
+            AxisPanel { title, height, holds: holds.to_vec(), sets, ..AxisPanel::default() }
+        };
     let magnitude = format!("magnitude, dB of 1 {}", own.unit);
     let coherent = format!("coherence, carried from {CARRIED}");
     let modes = compared.measured.modes_of(pathway).into_iter();

@@ -9,7 +9,6 @@ use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Run};
 use drivebench_model::text::number::{r_min, significant};
 use drivebench_model::units::rpm_from_rad_s;
 
-/// Everything that the page of a run is made of.
 #[derive(Clone, Debug)]
 pub struct RunReport<'a> {
     pub title: &'a str,
@@ -18,17 +17,14 @@ pub struct RunReport<'a> {
     pub nameplate: Option<&'a Model>,
     /// Estimates at the end of the run; may be empty.
     pub parameters: &'a [ParameterEstimate],
-    /// Rate, lateness, missed cycles.
     pub timing: &'a Facts,
     /// Why the run did not go to its end, if it did not.
     pub early_end: Option<EarlyEnd>,
     /// What came last, where it ended by a trip or a lost link.
     pub last_seconds: Option<LastSeconds>,
-    /// How the speed loop did, where there was one.
     pub speed_loop: Option<&'a Document>,
 }
 
-/// The last seconds of a run that tripped.
 #[derive(Clone, Debug)]
 pub struct LastSeconds {
     /// When it was decided that the output has to be off, on the samples' time axis, s.
@@ -37,11 +33,9 @@ pub struct LastSeconds {
     pub rows: Range<usize>,
     /// Magnitudes that must not be exceeded.
     pub limits: Vec<(Channel, f64)>,
-    /// How the drive was stopped.
     pub stop: Option<String>,
 }
 
-/// An end before that of the sequence.
 #[derive(Clone, Debug)]
 pub struct EarlyEnd {
     pub tone: Tone,
@@ -100,7 +94,6 @@ impl RunReport<'_> {
     }
 }
 
-/// Range and completeness of every recorded channel.
 fn signals(run: &Run) -> Table {
     let recorded = Channel::ALL.into_iter().filter(|channel| run.column(*channel).is_some());
     let of = |channel: &Channel| run.points(*channel).map(|point| point.1);
@@ -172,7 +165,6 @@ fn last_seconds(document: &mut Document, run: &Run, last: &LastSeconds) {
     );
 }
 
-/// Some rows of a run.
 fn part(run: &Run, rows: Range<usize>) -> Option<Run> {
     let mut part = Run::new(run.name.clone(), run.time_s().get(rows.clone())?.to_vec()).ok()?;
     for channel in Channel::ALL {

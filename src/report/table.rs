@@ -5,7 +5,6 @@ use std::fmt::Write;
 use drivebench_model::text::lines::{cut, wrapped};
 use drivebench_model::text::{columns, number};
 
-/// One cell of a table.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Cell {
     pub(super) text: String,
@@ -110,7 +109,6 @@ impl Table {
         lines
     }
 
-    /// The cells as comma-separated values; notes are left out.
     pub fn csv(&self) -> String {
         let quoted = |text: &str| {
             if text.contains([',', '"', '\n']) {
@@ -131,7 +129,6 @@ impl Table {
     }
 }
 
-/// A table under construction, column by column.
 pub struct Columns<T> {
     rows: Vec<T>,
     table: Table,

@@ -7,7 +7,7 @@ use drivebench_model::plant::Model;
 use drivebench_model::sample::ParameterEstimate;
 use drivebench_model::text::number;
 
-/// What the nameplate says of a parameter.
+/// The nameplate's value of a parameter.
 fn given(nameplate: Option<&Model>, key: &str) -> Option<f64> {
     let model = nameplate?;
     let slot = model.slots().into_iter().find(|slot| slot.key() == key)?;
@@ -66,7 +66,6 @@ fn parameters(
 /// What a narrow terminal leaves out of it, the first first.
 const SPARE: &[&str] = &["verdict before", "unit", "nameplate", "before ± std"];
 
-/// An effect's parameter by its own key.
 fn short_key(key: &str) -> &str {
     key.rsplit('.').next().unwrap_or(key)
 }
@@ -119,7 +118,7 @@ pub(crate) fn plate(document: &mut Document, plate: Option<&Comparison>) {
     document.labelled("", others.map(|row| row.sentence.as_str()));
 }
 
-/// Date, drive, serial number and motor, at the start of every report; what is not told is said to be so.
+/// Date, drive, serial number and motor, at the start of every report.
 pub(super) fn about(document: &mut Document, context: &Context) {
     let identity = |key: &str| {
         let fact = context.identity.iter().find(|(label, _)| label == key);
@@ -146,7 +145,6 @@ pub(super) fn data_notes(document: &mut Document, context: &Context) {
     document.say("note", notes, 1);
 }
 
-/// Conditions of the measurement, at the end of every report.
 pub(super) fn conditions(document: &mut Document, context: &Context) {
     document.section("Drive and link");
     let mut facts = vec![("target".to_owned(), context.target.name().to_owned())];

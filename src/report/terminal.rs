@@ -13,7 +13,6 @@ use super::document::{Bars, Block, Content, Document};
 use super::table::Table;
 use drivebench_model::text::lines::{cut, wrapped};
 
-/// What a printed card fits into.
 pub const COLUMNS: usize = 100;
 pub const LINES: usize = 30;
 
@@ -22,12 +21,9 @@ const LABEL: usize = 10;
 const INDENT: usize = 2;
 const WIDE: usize = 70;
 /// Rows of the headline, and of one sentence of a list.
-const MOST_ROWS: usize = 4;
 const MOST_ROWS_OF_A_SENTENCE: usize = 2;
-/// Where a sentence breaks off.
 const MARK: char = '…';
 /// Longest bar, and the room that name and figure need beside it.
-const LONGEST: usize = 40;
 const FIGURE: usize = 8;
 
 /// A row of a document; the label is as wide as its column.
@@ -96,7 +92,6 @@ impl Block {
         labelled(&self.label, texts, width)
     }
 
-    /// All of it.
     fn in_full(&self, width: usize) -> Vec<Row> {
         let item = |text: &str| {
             let rows = wrapped(text, width.saturating_sub(2)).into_iter();
@@ -184,7 +179,6 @@ impl Document {
         shortened(&headline, width, most).into_iter().map(Row::of).collect()
     }
 
-    /// The commands that follow, and the page.
     fn end(&self, width: usize) -> Vec<Row> {
         let commands = self.commands.iter().flat_map(|text| command(text, room(width))).collect();
         let mut rows = labelled("next", commands, width);
@@ -195,7 +189,7 @@ impl Document {
 
     /// `most` rows of each sentence of a list.
     fn with(&self, shown: &[usize], width: usize, most: usize) -> Vec<Row> {
-        let mut rows = self.headline(width, most.max(MOST_ROWS));
+        let mut rows = self.headline(width, most.max(4));
         let blocks = self.of_card().zip(shown);
         let body: Vec<Row> =
             blocks.flat_map(|(block, shown)| block.on_card(*shown, width, most)).collect();
@@ -213,7 +207,6 @@ impl Document {
     }
 }
 
-/// A text in a few rows, the rest of it left out.
 fn shortened(text: &str, width: usize, most: usize) -> Vec<String> {
     let mut rows = wrapped(text, width);
     if rows.len() > most {
@@ -250,7 +243,7 @@ fn bars_in_cells(all: &Bars, shown: usize, width: usize) -> Vec<String> {
     let largest = lengths.filter(|length| length.is_finite()).fold(0.0, f64::max);
     let widest = all.bars.iter().map(|(name, ..)| name.chars().count()).max();
     let name_width = widest.unwrap_or(0).min(width / 2);
-    let longest = width.saturating_sub(name_width + FIGURE + 4).min(LONGEST);
+    let longest = width.saturating_sub(name_width + FIGURE + 4).min(40);
     let row = |(name, length, figure): &(String, f64, String)| {
         let name = cut(name, name_width);
         let is_reached = |cell: &usize| length * longest as f64 > *cell as f64 * largest;

@@ -10,14 +10,10 @@ use drivebench_model::plant::{Model, Scenario};
 use drivebench_model::sample::Channel;
 use drivebench_model::units::rpm_from_rad_s;
 
-/// Standard deviations within which 99 of 100 normal residuals lie.
-const BAND_99: f64 = 2.576;
-
 /// The run that is plotted (the confirming one where there is one) with the free runs of both models.
 #[derive(Clone, Debug)]
 pub struct ConfirmRun {
     before: RunTraces,
-    /// `None` where nothing was added.
     after: Option<RunTraces>,
 }
 
@@ -89,7 +85,7 @@ fn signal_panels(run: &ConfirmRun, own: &SignalTrace) -> (Panel, Panel) {
         residual = residual.sampled(label, style, &own.time_s, &error);
     }
     if let Some(noise) = own.noise {
-        residual = residual.with_band("99 % of the noise", BAND_99 * noise);
+        residual = residual.with_band("99 % of the noise", 2.576 * noise);
     }
     if own.quantity == Quantity::Channel(Channel::Speed) {
         let r_min = |panel: Panel| panel.with_second_unit("r/min", rpm_from_rad_s(1.0));

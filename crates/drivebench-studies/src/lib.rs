@@ -16,6 +16,7 @@
 //! did (motor, excitation, what S/N is a ratio of), the result says what was chosen.
 
 pub mod adaptive;
+mod charts;
 pub mod data_sheet;
 mod figure_2;
 mod figure_3;

@@ -3,7 +3,7 @@
 use super::identifier;
 use drivebench_model::plant::{MapBin, MappedTorque, MappedValue, TorqueMap};
 
-/// The map as one C99 header. `title` says what it is and where it comes from.
+/// The map as one C99 header. `title`: what it is and where it comes from.
 pub fn map_as_c(map: &TorqueMap, name: &str, title: &str) -> String {
     let name = identifier(name);
     let (place, unit) = map.torque.axis();
@@ -58,7 +58,6 @@ pub fn map_as_c(map: &TorqueMap, name: &str, title: &str) -> String {
     text
 }
 
-/// A number as C reads it into a float.
 #[expect(clippy::cast_possible_truncation, reason = "the table is of floats")]
 fn float(value: f64) -> String {
     format!("{:?}", value as f32)

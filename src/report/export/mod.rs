@@ -22,10 +22,9 @@ use thiserror::Error;
 use drivebench_control::{Holding, PiGains};
 use drivebench_model::plant::effect::Place;
 use drivebench_model::plant::{
-    ActiveEffect, Enters, Input, Model, ModelError, MotorKey, Path, Plant, REFERENCE_SUPPLY_V,
+    ActiveEffect, Enters, Input, Model, ModelError, MotorKey, Path, Plant,
 };
 
-/// What a model is written as.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Target {
     C,
@@ -70,13 +69,12 @@ pub struct Regulator {
     pub gains: PiGains,
     pub holding: Holding,
     pub period_s: f64,
-    /// By how much what is seen is older than what leaves the limit, s.
+    /// Age of the measurement against the output behind the limit, s.
     pub leaving_s: f64,
     pub limit_v: f64,
 }
 
 impl Regulator {
-    /// As targets list them.
     pub fn values(&self) -> [(&'static str, f64); 8] {
         [
             ("proportional_v_s_per_rad", self.gains.proportional),
@@ -91,7 +89,6 @@ impl Regulator {
     }
 }
 
-/// A model made ready to be written.
 pub struct Export {
     /// What it is called where a language wants a name.
     name: String,
@@ -112,7 +109,7 @@ struct Term {
 }
 
 impl Export {
-    /// `title` says what it is and where it comes from.
+    /// `title`: what it is and where it comes from.
     pub fn new(
         model: &Model,
         regulator: Option<Regulator>,
@@ -169,7 +166,6 @@ impl Export {
         })
     }
 
-    /// The file of this language.
     pub fn written(&self, target: Target) -> Result<String, ExportError> {
         if target == Target::Modelica && self.regulator.is_some() {
             return Err(ExportError::Gains);
@@ -264,7 +260,6 @@ impl Export {
         marks
     }
 
-    /// A line for each parameter with its value.
     fn values(&self, target: Target) -> String {
         match target {
             Target::C => self.lines(|key, value, _| format!("    .{key} = {value:?},")),
@@ -356,7 +351,6 @@ fn is_nothing(active: &ActiveEffect) -> bool {
     active.effect.card().enters == Enters::Path && terms.path() == Path::default()
 }
 
-/// Why an effect has no formula.
 fn unwritten(active: &ActiveEffect) -> String {
     let terms = active.effect.terms(&active.values_or_guess());
     let reason = match active.effect.card().enters {
@@ -397,9 +391,6 @@ fn camel(name: &str) -> String {
     });
     words.collect()
 }
-
-/// Full voltage of the supply, as every target takes it.
-const SUPPLY_V: f64 = REFERENCE_SUPPLY_V;
 
 #[cfg(test)]
 mod tests;

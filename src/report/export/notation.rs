@@ -1,6 +1,7 @@
 //! A formula in the notation of another language, with no more parentheses than it needs.
 
-use super::{SUPPLY_V, Target};
+use super::Target;
+use drivebench_model::plant::REFERENCE_SUPPLY_V;
 use drivebench_model::plant::effect::{SYMBOLS, Tree};
 
 /// What the names of a formula mean where it is written.
@@ -29,12 +30,17 @@ pub(super) struct Language {
     parameter: &'static str,
 }
 
-/// How tightly an operator binds; the right side of one that is not associative must bind tighter.
-const SUM: u8 = 1;
-const PRODUCT: u8 = 2;
-const SIGN: u8 = 3;
-const POWER: u8 = 4;
-const ATOM: u8 = 5;
+use Precedence::{Atom, Power, Product, Sign, Sum};
+
+/// Operator precedence, the loosest first; the right side of an operator that is not associative must bind tighter.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Precedence {
+    Sum,
+    Product,
+    Sign,
+    Power,
+    Atom,
+}
 
 impl Language {
     pub(super) const fn of(target: Target) -> Self {
@@ -63,51 +69,48 @@ impl Language {
 
     /// The tree as a term of a sum.
     pub(super) fn written(&self, tree: &Tree, names: &Names<'_>) -> String {
-        let text = self.bound(tree, names, PRODUCT);
+        let text = self.bound(tree, names, Product);
         // A sign does not follow an operator.
         if text.starts_with('-') { format!("({text})") } else { text }
     }
 
     /// The tree where an operator of this strength stands beside it.
-    fn bound(&self, tree: &Tree, names: &Names<'_>, least: u8) -> String {
+    fn bound(&self, tree: &Tree, names: &Names<'_>, least: Precedence) -> String {
         let (text, strength) = self.bare(tree, names);
         if strength < least { format!("({text})") } else { text }
     }
 
-    fn bare(&self, tree: &Tree, names: &Names<'_>) -> (String, u8) {
+    fn bare(&self, tree: &Tree, names: &Names<'_>) -> (String, Precedence) {
         match tree {
-            Tree::Number(value) if *value < 0.0 => (format!("{value:?}"), SIGN),
-            Tree::Number(value) => (format!("{value:?}"), ATOM),
-            Tree::Name(index) => (self.name(*index, names), ATOM),
+            Tree::Number(value) if *value < 0.0 => (format!("{value:?}"), Sign),
+            Tree::Number(value) => (format!("{value:?}"), Atom),
+            Tree::Name(index) => (self.name(*index, names), Atom),
             Tree::Call(function, argument) => {
                 let (argument, _) = self.bare(argument, names);
                 let function = self.function(function, names);
-                (format!("{function}({argument})"), ATOM)
+                (format!("{function}({argument})"), Atom)
             }
             Tree::Both(zero, '-', value) if **zero == Tree::Number(0.0) => {
-                (format!("-{}", self.bound(value, names, POWER)), SIGN)
+                (format!("-{}", self.bound(value, names, Power)), Sign)
             }
             Tree::Both(base, '^', exponent) if self.target == Some(Target::C) => {
                 let (base, _) = self.bare(base, names);
                 let (exponent, _) = self.bare(exponent, names);
-                (format!("pow({base}, {exponent})"), ATOM)
+                (format!("pow({base}, {exponent})"), Atom)
             }
             Tree::Both(left, operator, right) => {
                 let (sign, strength, least) = match operator {
-                    '+' => (" + ", SUM, (SUM, SUM)),
-                    '-' => (" - ", SUM, (SUM, PRODUCT)),
-                    '*' => (" * ", PRODUCT, (PRODUCT, SIGN)),
-                    '/' => (" / ", PRODUCT, (PRODUCT, SIGN)),
-                    _ if self.target == Some(Target::Python) => ("**", POWER, (ATOM, ATOM)),
-                    _ => ("^", POWER, (ATOM, ATOM)),
+                    '+' => (" + ", Sum, (Sum, Sum)),
+                    '-' => (" - ", Sum, (Sum, Product)),
+                    '*' => (" * ", Product, (Product, Sign)),
+                    '/' => (" / ", Product, (Product, Sign)),
+                    _ if self.target == Some(Target::Python) => ("**", Power, (Atom, Atom)),
+                    _ => ("^", Power, (Atom, Atom)),
                 };
                 let left = self.bound(left, names, least.0);
                 let right = self.bound(right, names, least.1.max(strength));
                 // A sign does not follow an operator.
-                let right = match right.strip_prefix('-') {
-                    Some(_) => format!("({right})"),
-                    None => right,
-                };
+                let right = if right.starts_with('-') { format!("({right})") } else { right };
                 (format!("{left}{sign}{right}"), strength)
             }
         }
@@ -122,7 +125,7 @@ impl Language {
             Some(&"R") => parameter("resistance_ohm"),
             Some(&"Ke") => parameter("back_emf_v_s_per_rad"),
             Some(&"Kt") => parameter("torque_n_m_per_a"),
-            Some(&"U") => format!("{SUPPLY_V:?}"),
+            Some(&"U") => format!("{REFERENCE_SUPPLY_V:?}"),
             Some(&"x") => self.state(names.effect, names.state),
             Some(_) => self.instant[index].to_owned(),
         }

@@ -107,13 +107,8 @@ fn all() -> Vec<(String, Model)> {
     few().into_iter().chain(alone).collect()
 }
 
-/// Compares columns of current and speed, for one model after the other, with our own simulation.
-fn check(models: &[(String, Model)], printed: &str) {
-    check_rows(models, printed, ROWS);
-}
-
-/// The same for its first rows only.
-fn check_rows(models: &[(String, Model)], printed: &str, rows: usize) {
+/// Compares the first rows of current and speed, for one model after the other, with our own simulation.
+fn check(models: &[(String, Model)], printed: &str, rows: usize) {
     let numbers: Vec<f64> = printed
         .split_whitespace()
         .map(|word| word.parse().unwrap_or_else(|_| panic!("{word:?} in {printed:.300}")))
@@ -135,13 +130,10 @@ fn check_rows(models: &[(String, Model)], printed: &str, rows: usize) {
                 .map(|(row, value)| (value - theirs[2 * row + column]).abs())
                 .fold(0.0, f64::max);
             assert!(range > 1.0, "{name}: the {signal} stays at {range}");
-            assert!(off < CLOSE * range, "{name}: {signal} is off by {off} of {range}");
+            assert!(off < 1e-3 * range, "{name}: {signal} is off by {off} of {range}");
         }
     }
 }
-
-/// Share of the range within which two integrators of a run with reversals agree.
-const CLOSE: f64 = 1e-3;
 
 /// A reference and a measured speed for the regulator, which drive it into its limit and back.
 fn loop_input(cycle: usize) -> (f64, f64) {
@@ -207,6 +199,15 @@ fn printed(command: &mut Command) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
+/// A program in strict C99.
+fn compiled(folder: &Path, main: &str) -> PathBuf {
+    let (source, program) = (write(folder, "main.c", main), folder.join("main"));
+    let strict =
+        ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-Wno-missing-field-initializers"];
+    printed(Command::new("cc").args(strict).arg(source).arg("-o").arg(&program).arg("-lm"));
+    program
+}
+
 /// Whether a peer is there; where it is not, the test says aloud that nothing was checked against it.
 fn is_there(program: &str, arguments: &[&str]) -> bool {
     let found = Command::new(program).args(arguments).output();
@@ -268,24 +269,16 @@ fn c_gives_what_the_simulation_gives() {
          printf(\"%.17g\\n\", {name}_regulate(&{name}_tuned, &r, reference_rad_s[row], speed_rad_s[row]));\n        \
          return 0;\n    }}\n{body}    return 0;\n}}\n"
     );
-    let source = write(folder.path(), "main.c", &main);
-    let program = folder.path().join("main");
-    let strict =
-        ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-Wno-missing-field-initializers"];
-    printed(Command::new("cc").args(strict).arg(&source).arg("-o").arg(&program).arg("-lm"));
-    check(&models, &printed(&mut Command::new(&program)));
+    let program = compiled(folder.path(), &main);
+    check(&models, &printed(&mut Command::new(&program)), ROWS);
     check_regulator(&printed(Command::new(&program).arg("regulator")));
 }
 
 /// A map with gaps, of either kind.
 fn gapped(of: MappedTorque) -> TorqueMap {
-    let (first, count) = match of {
-        MappedTorque::Friction => (-96.0, 24),
-        MappedTorque::Cogging => (0.0, 72),
-    };
-    let width = match of {
-        MappedTorque::Friction => 8.0,
-        MappedTorque::Cogging => std::f64::consts::TAU / 72.0,
+    let (first, width, count) = match of {
+        MappedTorque::Friction => (-96.0, 8.0, 24),
+        MappedTorque::Cogging => (0.0, std::f64::consts::TAU / 72.0, 72),
     };
     let bin = |index: u32| {
         let from = first + width * f64::from(index);
@@ -343,11 +336,7 @@ fn a_map_in_c_gives_what_the_program_reads_from_it() {
         main,
         "int main(void)\n{{\n    float torque = 0.0f;\n    int known;\n{body}    return 0;\n}}\n"
     );
-    write(folder.path(), "main.c", &main);
-    let (source, program) = (folder.path().join("main.c"), folder.path().join("main"));
-    let strict = ["-std=c99", "-Wall", "-Wextra", "-Werror"];
-    printed(Command::new("cc").args(strict).arg(&source).arg("-o").arg(&program).arg("-lm"));
-    let found = printed(&mut Command::new(&program));
+    let found = printed(&mut Command::new(compiled(folder.path(), &main)));
     assert_eq!(found.lines().count(), expected.len());
     assert!(expected.iter().flatten().count() > 100 && expected.contains(&None));
     for (line, expected) in found.lines().zip(expected) {
@@ -393,7 +382,7 @@ fn python_gives_what_the_simulation_gives() {
     let source = write(folder.path(), "main.py", &main);
     let mut python = Command::new("python3");
     python.arg("-B").arg(&source);
-    check(&models, &printed(&mut python));
+    check(&models, &printed(&mut python), ROWS);
     check_regulator(&printed(python.arg("regulator")));
 }
 
@@ -431,7 +420,7 @@ fn octave_gives_what_the_simulation_gives() {
     assert!(output.status.success(), "{said}");
     let out = String::from_utf8(output.stdout).unwrap();
     let (simulated, regulated) = out.split_once("regulator").unwrap();
-    check_rows(&models, simulated, rows);
+    check(&models, simulated, rows);
     check_regulator(regulated);
 }
 
@@ -476,19 +465,13 @@ fn modelica_gives_what_the_simulation_gives() {
         let _ = writeln!(main, "run({name:?}, {END_S:?}, {ROWS})");
     }
     let source = write(folder.path(), "main.py", &main);
-    check(&models, &printed(Command::new("python3").arg("-B").arg(&source)));
+    check(&models, &printed(Command::new("python3").arg("-B").arg(&source)), ROWS);
 }
 
 #[test]
 fn what_has_no_formula_is_refused_by_its_name() {
-    for id in [
-        "backlash",
-        "elastic_coupling",
-        "command_delay",
-        "start_delay",
-        "restart_delay",
-        "speed_delay",
-    ] {
+    let delays = ["command_delay", "start_delay", "restart_delay", "speed_delay"];
+    for id in ["backlash", "elastic_coupling"].into_iter().chain(delays) {
         let error = Export::new(&of_the_catalogue(&["viscous_friction", id]), None, "m", "t")
             .err()
             .unwrap();

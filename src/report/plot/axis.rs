@@ -48,13 +48,11 @@ impl Domain {
         Self { from: (self.from / step).floor() * step, to: (self.to / step).ceil() * step }
     }
 
-    /// The range that holds these values as well.
     #[must_use]
     pub const fn with(self, values: [f64; 2]) -> Self {
         Self { from: self.from.min(values[0]), to: self.to.max(values[1]) }
     }
 
-    /// The same range in another unit.
     #[must_use]
     pub fn scaled(self, factor: f64) -> Self {
         Self { from: self.from * factor, to: self.to * factor }

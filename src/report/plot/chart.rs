@@ -6,70 +6,64 @@ use super::axis::{Domain, labels};
 use crate::report::html::escape;
 
 /// Width of every picture and margins about its frame, px.
-pub(super) const WIDTH: f64 = 900.0;
-pub(super) const LEFT: f64 = 66.0;
-pub(super) const RIGHT: f64 = 24.0;
-pub(super) const HEAD: f64 = 26.0;
-pub(super) const FOOT: f64 = 44.0;
+pub const WIDTH: f64 = 900.0;
+pub const LEFT: f64 = 66.0;
+pub const RIGHT: f64 = 24.0;
+pub const HEAD: f64 = 26.0;
+pub const FOOT: f64 = 44.0;
 
-/// How values become places along an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Along {
+pub enum Along {
     Linear,
     /// Powers of ten; the domain is that of the exponents, and what lies beyond is drawn at the edge.
     Log,
-    /// Log odds of a probability; likewise.
-    Odds,
 }
 
 impl Along {
-    pub(super) fn place(self, value: f64) -> f64 {
+    pub fn place(self, value: f64) -> f64 {
         match self {
             Self::Linear => value,
             Self::Log => value.log10(),
-            Self::Odds => (value / (1.0 - value)).ln(),
         }
     }
 }
 
-/// Maps values to pixels.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Scale {
-    pub(super) along: Along,
+pub struct Scale {
+    pub along: Along,
     /// Of the places.
-    pub(super) domain: Domain,
-    pub(super) from_px: f64,
-    pub(super) to_px: f64,
+    pub domain: Domain,
+    pub from_px: f64,
+    pub to_px: f64,
 }
 
 impl Scale {
-    pub(super) fn new(along: Along, domain: Domain, from_px: f64, to_px: f64) -> Self {
+    pub fn new(along: Along, domain: Domain, from_px: f64, to_px: f64) -> Self {
         Self { along, domain, from_px, to_px }
     }
 
     /// Across the picture between the usual margins.
-    pub(super) fn across(along: Along, domain: Domain) -> Self {
+    pub fn across(along: Along, domain: Domain) -> Self {
         Self::new(along, domain, LEFT, WIDTH - RIGHT)
     }
 
-    pub(super) fn px(&self, value: f64) -> f64 {
+    pub fn px(&self, value: f64) -> f64 {
         let Domain { from, to } = self.domain;
         let share = (self.along.place(value) - from) / (to - from);
         let share = match self.along {
             Along::Linear => share,
-            Along::Log | Along::Odds => share.clamp(0.0, 1.0),
+            Along::Log => share.clamp(0.0, 1.0),
         };
         self.from_px + share * (self.to_px - self.from_px)
     }
 }
 
-/// A picture under construction.
 #[derive(Default)]
-pub(super) struct Svg(pub(super) String);
+pub struct Svg(pub String);
 
 impl Svg {
     /// The whole picture; `more` stands among the attributes, `description` is read out where it cannot be seen.
-    pub(super) fn close(self, class: &str, height: f64, description: &str, more: &str) -> String {
+    pub fn close(self, class: &str, height: f64, description: &str, more: &str) -> String {
         format!(
             "<svg class=\"{class}\" viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{}\"{more}>{}</svg>",
             px(WIDTH),
@@ -79,25 +73,25 @@ impl Svg {
         )
     }
 
-    pub(super) fn write(&mut self, piece: std::fmt::Arguments<'_>) {
+    pub fn write(&mut self, piece: std::fmt::Arguments<'_>) {
         // Writing into a string cannot fail.
         let _ = self.0.write_fmt(piece);
     }
 
-    pub(super) fn text(&mut self, class: &str, x: f64, y: f64, content: &str) {
+    pub fn text(&mut self, class: &str, x: f64, y: f64, content: &str) {
         let (x, y, content) = (px(x), px(y), escape(content));
         self.write(format_args!("<text class=\"{class}\" x=\"{x}\" y=\"{y}\">{content}</text>"));
     }
 
-    pub(super) fn path(&mut self, class: &str, path: &str) {
+    pub fn path(&mut self, class: &str, path: &str) {
         self.write(format_args!("<path class=\"{class}\" d=\"{path}\"/>"));
     }
 
-    pub(super) fn line(&mut self, class: &str, from: (f64, f64), to: (f64, f64)) {
+    pub fn line(&mut self, class: &str, from: (f64, f64), to: (f64, f64)) {
         self.path(class, &polyline([from, to]));
     }
 
-    pub(super) fn rectangle(&mut self, class: &str, x: f64, y: f64, width: f64, height: f64) {
+    pub fn rectangle(&mut self, class: &str, x: f64, y: f64, width: f64, height: f64) {
         self.write(format_args!(
             "<rect class=\"{class}\" x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\"/>",
             px(x),
@@ -107,7 +101,7 @@ impl Svg {
         ));
     }
 
-    pub(super) fn dot(&mut self, class: &str, (x, y): (f64, f64), radius: u8) {
+    pub fn dot(&mut self, class: &str, (x, y): (f64, f64), radius: u8) {
         let (x, y) = (px(x), px(y));
         self.write(format_args!(
             "<circle class=\"knot {class}\" cx=\"{x}\" cy=\"{y}\" r=\"{radius}\"/>"
@@ -115,7 +109,7 @@ impl Svg {
     }
 
     /// A label with a sample of its line, the label's end at `right`; returns where the next one on the left ends.
-    pub(super) fn legend_entry(&mut self, right: f64, base: f64, class: &str, label: &str) -> f64 {
+    pub fn legend_entry(&mut self, right: f64, base: f64, class: &str, label: &str) -> f64 {
         const SAMPLE: f64 = 26.0;
         self.text("legend end", right, base, label);
         let (right, at) = (right - width(label) - 5.0, base - 4.0);
@@ -123,12 +117,12 @@ impl Svg {
         right - SAMPLE - 13.0
     }
 
-    pub(super) fn frame(&mut self, x: &Scale, upper: f64, lower: f64) {
+    pub fn frame(&mut self, x: &Scale, upper: f64, lower: f64) {
         self.rectangle("frame", x.from_px, upper, x.to_px - x.from_px, lower - upper);
     }
 
     /// What is drawn until the closing `</svg>` is cut off at the frame; its coordinates stay those of the picture.
-    pub(super) fn open_clipped(&mut self, class: &str, x: &Scale, upper: f64, lower: f64) {
+    pub fn open_clipped(&mut self, class: &str, x: &Scale, upper: f64, lower: f64) {
         let (left, top) = (px(x.from_px), px(upper));
         let (width, height) = (px(x.to_px - x.from_px), px(lower - upper));
         self.write(format_args!(
@@ -137,33 +131,32 @@ impl Svg {
         ));
     }
 
-    pub(super) fn grid_across(&mut self, x: &Scale, at: &[f64], upper: f64, lower: f64) {
+    pub fn grid_across(&mut self, x: &Scale, at: &[f64], upper: f64, lower: f64) {
         for tick in at {
             self.line("grid", (x.px(*tick), upper), (x.px(*tick), lower));
         }
     }
 
     /// Grid and labels of what runs across, each label below its line.
-    pub(super) fn axis_across(&mut self, x: &Scale, at: &[f64], upper: f64, base: f64) {
+    pub fn axis_across(&mut self, x: &Scale, at: &[f64], upper: f64, base: f64) {
         for (label, tick) in labels(at).iter().zip(at) {
             self.line("grid", (x.px(*tick), upper), (x.px(*tick), base));
             self.text("tick middle", x.px(*tick), base + 16.0, label);
         }
     }
 
-    pub(super) fn labels_across(&mut self, x: &Scale, at: &[f64], base: f64) {
+    pub fn labels_across(&mut self, x: &Scale, at: &[f64], base: f64) {
         for (label, tick) in labels(at).iter().zip(at) {
             self.text("tick middle", x.px(*tick), base + 16.0, label);
         }
     }
 
-    /// Name and unit of what runs across, below the labels.
-    pub(super) fn unit_across(&mut self, x: &Scale, level: f64, name: &str) {
+    pub fn unit_across(&mut self, x: &Scale, level: f64, name: &str) {
         self.text("unit middle", 0.5 * (x.from_px + x.to_px), level, name);
     }
 
     /// Grid and labels of the values, each label beside its line.
-    pub(super) fn axis_upwards(&mut self, x: &Scale, y: &Scale, at: &[f64], labels: &[String]) {
+    pub fn axis_upwards(&mut self, x: &Scale, y: &Scale, at: &[f64], labels: &[String]) {
         for (label, tick) in labels.iter().zip(at) {
             let class = if *tick == 0.0 { "grid zero" } else { "grid" };
             self.line(class, (x.from_px, y.px(*tick)), (x.to_px, y.px(*tick)));
@@ -172,8 +165,7 @@ impl Svg {
     }
 }
 
-/// A line through points.
-pub(super) fn polyline(points: impl IntoIterator<Item = (f64, f64)>) -> String {
+pub fn polyline(points: impl IntoIterator<Item = (f64, f64)>) -> String {
     let mut path = String::new();
     for (index, (x, y)) in points.into_iter().enumerate() {
         let letter = if index == 0 { 'M' } else { 'L' };
@@ -183,7 +175,7 @@ pub(super) fn polyline(points: impl IntoIterator<Item = (f64, f64)>) -> String {
 }
 
 /// A coordinate; one decimal of a pixel is finer than any screen.
-pub(super) fn px(value: f64) -> String {
+pub fn px(value: f64) -> String {
     // Anything that is not a number would void the whole picture: callers pass finite values only.
     debug_assert!(value.is_finite(), "coordinate {value}");
     let text = format!("{:.1}", value.clamp(-1e6, 1e6) + 0.0);
@@ -191,7 +183,7 @@ pub(super) fn px(value: f64) -> String {
 }
 
 /// Width that a 12 px label takes in the widest of the usual fonts (`DejaVu Sans`), px; keeps labels apart.
-pub(super) fn width(content: &str) -> f64 {
+pub fn width(content: &str) -> f64 {
     content
         .chars()
         .map(|character| match character {

@@ -1,7 +1,7 @@
-//! The pictures that are no course over time: bars, curves with their intervals, curves over ratios, a map, reliability.
+//! The pictures that are no course over time: bars, curves with their intervals, a map.
 
 use super::axis::{Domain, labels, plain, powers, ticks};
-use super::chart::{Along, FOOT, HEAD, LEFT, RIGHT, Scale, Svg, WIDTH, polyline, px, width};
+use super::chart::{Along, FOOT, HEAD, LEFT, Scale, Svg, WIDTH, polyline, px, width};
 use super::panels::Style;
 use drivebench_model::sample::TWO_SIDED_95;
 use drivebench_model::text::number::significant;
@@ -59,8 +59,7 @@ pub struct AxisChart {
     pub marks: Vec<(String, f64)>,
 }
 
-/// One quantity.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct AxisPanel {
     pub title: String,
     pub height: f64,
@@ -71,7 +70,6 @@ pub struct AxisPanel {
     pub line: (String, Vec<(f64, f64)>),
 }
 
-/// Points of one kind.
 #[derive(Clone, Debug)]
 pub struct PointSet {
     /// In the legend; empty: none.
@@ -82,10 +80,8 @@ pub struct PointSet {
     pub points: Vec<Place>,
 }
 
-/// How points are drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Drawn {
-    /// Each with its interval.
     Apart,
     /// Joined by a curve within a band, a dot at each.
     Knots,
@@ -95,7 +91,6 @@ pub enum Drawn {
     Faint,
 }
 
-/// A value with the ends of its interval.
 #[derive(Clone, Copy, Debug)]
 pub struct Place {
     pub at: f64,
@@ -117,7 +112,6 @@ impl Place {
 }
 
 impl PointSet {
-    /// The points that are known.
     pub fn known(&self) -> impl Iterator<Item = &Place> + Clone {
         self.points.iter().filter(|point| point.is_known())
     }
@@ -133,9 +127,6 @@ impl AxisPanel {
         Domain::of(ends.chain(line).chain(self.holds.iter().copied())).filter(|_| known.count() > 1)
     }
 }
-
-/// Share of the axis over which a line is drawn without a point of it.
-const WIDEST_GAP: f64 = 0.1;
 
 impl AxisChart {
     fn shown(&self) -> impl Iterator<Item = (&AxisPanel, Domain)> {
@@ -221,8 +212,8 @@ impl AxisPanel {
                 }
             }
         }
-        // Where the run never was the line says nothing.
-        let widest = WIDEST_GAP * (x.domain.to - x.domain.from);
+        // Where the run never was the line has no meaning.
+        let widest = 0.1 * (x.domain.to - x.domain.from);
         let pieces = line.chunk_by(|a, b| b.0 - a.0 <= widest);
         let place = |(at, value): &(f64, f64)| (x.px(*at), y.px(*value));
         let path: String = pieces.map(|piece| polyline(piece.iter().map(place)) + "h0").collect();
@@ -264,7 +255,6 @@ impl PointSet {
     }
 }
 
-/// A curve within its band.
 fn draw_curve(
     svg: &mut Svg,
     class: &str,
@@ -339,165 +329,6 @@ impl MapChart<'_> {
     }
 }
 
-/// How errors grow with a ratio: curves over a logarithmic axis, both ways. One legend serves all panels.
-#[derive(Clone, Debug)]
-pub struct CurveChart {
-    pub axis: String,
-    /// One to a curve, the same in all panels.
-    pub labels: Vec<String>,
-    pub panels: Vec<CurvePanel>,
-    /// Powers of ten that the value axes show; smaller and larger values are drawn at the edge.
-    pub decades: (i32, i32),
-}
-
-/// Curves of one quantity; a curve without values stays in the legend of the others.
-#[derive(Clone, Debug)]
-pub struct CurvePanel {
-    pub title: String,
-    /// One curve per label of the chart: `(x, y)`, both positive; what is not finite is a gap.
-    pub curves: Vec<Vec<(f64, f64)>>,
-}
-
-impl CurveChart {
-    pub fn svg(&self, description: &str) -> String {
-        const PANEL: f64 = 190.0;
-        let curves = self.panels.iter().flat_map(|panel| &panel.curves);
-        let drawn = (curves.flatten()).filter(|(x, y)| x.is_finite() && *x > 0.0 && y.is_finite());
-        let (from, to) = drawn.fold((f64::INFINITY, f64::NEG_INFINITY), |(from, to), point| {
-            (from.min(point.0.log10()), to.max(point.0.log10()))
-        });
-        if from >= to {
-            return String::new();
-        }
-        let x = Scale::across(Along::Log, Domain { from, to });
-        let mut svg = Svg::default();
-        let mut top = self.legend(&mut svg);
-        for panel in &self.panels {
-            self.panel(&mut svg, panel, &x, top + HEAD, top + HEAD + PANEL - 14.0);
-            top += HEAD + PANEL;
-        }
-        for tick in powers(x.domain) {
-            svg.text("tick middle", x.px(tick), top + 16.0, &plain(tick));
-        }
-        svg.unit_across(&x, top + 34.0, &self.axis);
-        svg.close("plot", top + FOOT, description, "")
-    }
-
-    /// Draws the legend in rows and returns the height it takes.
-    fn legend(&self, svg: &mut Svg) -> f64 {
-        const ROW: f64 = 20.0;
-        const SAMPLE: f64 = 34.0;
-        let (mut at, mut base) = (LEFT, ROW - 5.0);
-        for (index, label) in self.labels.iter().enumerate() {
-            let needed = SAMPLE + 8.0 + width(label) + 20.0;
-            if at + needed > WIDTH - RIGHT && at > LEFT {
-                (at, base) = (LEFT, base + ROW);
-            }
-            let class = format!("key {}", class(index));
-            svg.line(&class, (at, base - 4.0), (at + SAMPLE, base - 4.0));
-            mark(svg, index, (at + 0.5 * SAMPLE, base - 4.0));
-            svg.text("legend", at + SAMPLE + 8.0, base, label);
-            at += needed;
-        }
-        base + 8.0
-    }
-
-    fn panel(&self, svg: &mut Svg, panel: &CurvePanel, x: &Scale, upper: f64, lower: f64) {
-        let (from, to) = (f64::from(self.decades.0), f64::from(self.decades.1));
-        let y = Scale::new(Along::Log, Domain { from, to }, lower, upper);
-        svg.write(format_args!("<g class=\"panel\">"));
-        svg.frame(x, upper, lower);
-        svg.grid_across(x, &powers(x.domain), upper, lower);
-        let at = powers(y.domain);
-        svg.axis_upwards(x, &y, &at, &at.iter().map(|tick| plain(*tick)).collect::<Vec<_>>());
-        svg.text("title", x.from_px, upper - 8.0, &panel.title);
-        for (index, curve) in panel.curves.iter().enumerate() {
-            let is_drawn =
-                |(at, value): &(f64, f64)| at.is_finite() && value.is_finite() && *at > 0.0;
-            let place = |(at, value): &(f64, f64)| (x.px(*at), y.px(value.max(f64::MIN_POSITIVE)));
-            let pieces = curve.split(|point| !is_drawn(point));
-            let path: String = pieces.map(|piece| polyline(piece.iter().map(place))).collect();
-            if !path.is_empty() {
-                svg.path(&format!("series {}", class(index)), &path);
-            }
-            let points = curve.iter().filter(|point| is_drawn(point));
-            points.for_each(|point| mark(svg, index, place(point)));
-        }
-        svg.write(format_args!("</g>"));
-    }
-}
-
-/// One of the ten kinds of lines that the style sheet tells apart; more curves begin again.
-fn class(index: usize) -> String {
-    format!("k{}", index % 10)
-}
-
-/// A small shape of its own for each kind: square, diamond, triangle, cross, plus.
-fn mark(svg: &mut Svg, index: usize, (x, y): (f64, f64)) {
-    let shape = match index % 5 {
-        0 => "m-3 -3h6v6h-6z",
-        1 => "m0 -4l4 4l-4 4l-4 -4z",
-        2 => "m0 -4l4 7h-8z",
-        3 => "m-3 -3l6 6m0 -6l-6 6",
-        _ => "m-4 0h8m-4 -4v8",
-    };
-    let filled = if index < 5 { " filled" } else { "" };
-    let class = format!("dot {}{filled}", class(index));
-    svg.path(&class, &(polyline([(x, y)]) + shape));
-}
-
-/// Claims of about one probability, and the share of them that came true with its bounds.
-#[derive(Clone, Copy, Debug)]
-pub struct Claims {
-    pub given: f64,
-    pub share: f64,
-    pub low: f64,
-    pub high: f64,
-    pub count: usize,
-}
-
-/// Given probabilities against how often they came true, both in log odds: what is nearly certain gets as much room as a
-/// toss-up. Empty where nothing was claimed.
-pub fn reliability(description: &str, title: &str, across: &str, claims: &[Claims]) -> String {
-    // What lies beyond the first and the last is drawn there.
-    const TICKS: [f64; 9] = [0.001, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 0.999];
-    const BASE: f64 = HEAD + 380.0;
-    if claims.is_empty() {
-        return String::new();
-    }
-    let [from, to] = [TICKS[0], TICKS[8]].map(|edge| Along::Odds.place(edge));
-    let x = Scale::across(Along::Odds, Domain { from, to });
-    let y = Scale::new(Along::Odds, x.domain, BASE, HEAD);
-    let mut svg = Svg::default();
-    svg.text("title", LEFT, HEAD - 9.0, title);
-    for tick in TICKS {
-        let label = tick.to_string();
-        svg.line("grid", (x.px(tick), HEAD), (x.px(tick), BASE));
-        svg.line("grid", (x.from_px, y.px(tick)), (x.to_px, y.px(tick)));
-        svg.text("tick middle", x.px(tick), BASE + 16.0, &label);
-        svg.text("tick end", LEFT - 7.0, y.px(tick) + 4.0, &label);
-    }
-    svg.frame(&x, HEAD, BASE);
-    svg.line("goal", (x.from_px, BASE), (x.to_px, HEAD));
-    for found in claims {
-        let (at, share) = (x.px(found.given), y.px(found.share));
-        let ends = [y.px(found.low), y.px(found.high)];
-        svg.line("key after", (at, ends[0]), (at, ends[1]));
-        for end in ends {
-            svg.line("key after", (at - 5.0, end), (at + 5.0, end));
-        }
-        svg.dot("after", (at, share), 4);
-        // Beside the diagonal, not on it, where the frame leaves room.
-        let place = (at - x.from_px) / (x.to_px - x.from_px);
-        let is_left = place > 0.9 || (place > 0.1 && found.share > found.given);
-        let (class, beside) = if is_left { ("value end", at - 9.0) } else { ("value", at + 9.0) };
-        let level = share.clamp(HEAD + 14.0, BASE - 6.0);
-        svg.text(class, beside, level, &format!("of {}", found.count));
-    }
-    svg.unit_across(&x, BASE + 34.0, across);
-    svg.close("plot", BASE + FOOT, description, "")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -541,7 +372,7 @@ mod tests {
                     height: 210.0,
                     holds: vec![0.0],
                     sets: vec![set],
-                    line: (String::new(), Vec::new()),
+                    ..AxisPanel::default()
                 }],
                 ..AxisChart::default()
             }
@@ -558,7 +389,7 @@ mod tests {
     }
 
     #[test]
-    fn a_curve_over_frequency_has_gaps_faint_dots_and_names_of_modes() {
+    fn a_curve_over_frequency_has_gaps_faint_dots_and_modes() {
         let chart = |is_carried: fn(i32) -> bool| {
             let set = |label: &str, drawn, shows: bool| {
                 let place = |k: i32| Place {
@@ -578,9 +409,8 @@ mod tests {
             let panel = AxisPanel {
                 title: "magnitude, dB".to_owned(),
                 height: 150.0,
-                holds: Vec::new(),
                 sets,
-                line: (String::new(), Vec::new()),
+                ..AxisPanel::default()
             };
             AxisChart {
                 axis: "frequency, Hz".to_owned(),
@@ -617,54 +447,5 @@ mod tests {
         assert!(svg.contains("fill-opacity=\"0.65\" x=\"66\" y=\"26\""), "{svg}");
         assert!(svg.contains("in 5 windows"));
         assert_eq!(chart(&[vec![None, None], vec![None, None]]), "");
-    }
-
-    fn curve(points: Vec<(f64, f64)>) -> String {
-        let (title, curves) = ("error, %".to_owned(), vec![points]);
-        let chart = CurveChart {
-            axis: "T/Ta".into(),
-            labels: vec!["a <b>".into()],
-            panels: vec![CurvePanel { title, curves }],
-            decades: (-3, 3),
-        };
-        chart.svg("errors")
-    }
-
-    #[test]
-    fn a_gap_cuts_the_curve_and_nothing_absurd_reaches_the_picture() {
-        let (gap, end) = ((0.1, f64::NAN), (2.0, f64::INFINITY));
-        let svg = curve(vec![(0.01, 1.0), gap, (1.0, 10.0), end, (3.0, 0.0), (-1.0, 5.0)]);
-        assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
-        let path = between(&svg, "class=\"series k0\" d=\"", '"').next().unwrap();
-        assert_eq!(path.matches('M').count(), 3);
-        assert!(svg.contains("a &lt;b&gt;"));
-        assert_eq!(curve(vec![(1.0, f64::NAN)]), "");
-    }
-
-    #[test]
-    fn a_decade_has_the_same_height_everywhere() {
-        let svg = curve(vec![(1.0, 0.1), (10.0, 1.0), (100.0, 10.0)]);
-        let path = between(&svg, "class=\"series k0\" d=\"", '"').next().unwrap();
-        let points = path.split(['M', 'L']).filter(|point| !point.is_empty());
-        let heights: Vec<f64> =
-            points.map(|point| point.split(' ').nth(1).unwrap().parse().unwrap()).collect();
-        let bend = heights[0] - 2.0 * heights[1] + heights[2];
-        assert!(bend.abs() < 0.3 && heights[0] > heights[1], "{heights:?}");
-    }
-
-    #[test]
-    fn claims_that_came_true_as_given_lie_on_the_diagonal_and_extremes_in_the_frame() {
-        let claims = [0.5, 0.0, 1.0].map(|given| Claims {
-            given,
-            share: given,
-            low: 0.5 * given,
-            high: 0.5 + 0.5 * given,
-            count: 12,
-        });
-        let svg = reliability("reliability", "true <of>", "given", &claims);
-        assert!(svg.contains("cx=\"471\" cy=\"216\""), "{svg}");
-        assert!(svg.contains("cx=\"66\" cy=\"406\"") && svg.contains("cx=\"876\" cy=\"26\""));
-        assert!(svg.contains("true &lt;of&gt;") && !svg.contains("NaN"));
-        assert_eq!(reliability("reliability", "true <of>", "given", &[]), "");
     }
 }

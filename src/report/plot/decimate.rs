@@ -3,7 +3,7 @@
 use drivebench_model::numerics::statistics::median_step;
 
 /// A step in time longer than this multiple of the median is a gap: one lost sample makes a step of two.
-const GAP: f64 = 1.8;
+pub const GAP: f64 = 1.8;
 
 /// Pieces of a line between its gaps.
 pub(super) type Pieces = Vec<Vec<(f64, f64)>>;
@@ -53,7 +53,7 @@ pub(super) fn held(events: &[(f64, f64)], end_s: f64) -> Pieces {
 }
 
 /// At most four points per column of the picture, whatever the number of samples: the extremes of every column stay, and
-/// gaps narrower than a column, which nobody could see, are closed.
+/// gaps narrower than a column, which would not show, are closed.
 pub(super) fn decimate(pieces: &Pieces, from: f64, to: f64, columns: usize) -> Pieces {
     let width = (to - from) / columns.max(1) as f64;
     let column = |time: f64| ((time - from) / width).floor();
@@ -80,7 +80,6 @@ pub(super) fn decimate(pieces: &Pieces, from: f64, to: f64, columns: usize) -> P
     out
 }
 
-/// Whether two whole numbers are the same one.
 fn same_number(a: f64, b: f64) -> bool {
     (a - b).abs() < 0.5
 }
@@ -116,7 +115,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn a_lost_sample_cuts_the_line_and_an_empty_cell_of_another_row_does_not() {
+    fn a_lost_sample_cuts_the_line_and_an_interleaved_row_does_not() {
         let lost: Vec<(f64, f64)> =
             (0..10).map(|k| (f64::from(k), if k == 4 { f64::NAN } else { 1.0 })).collect();
         assert_eq!(pieces(lost).len(), 2);

@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn a_short_line_is_there_to_the_last_point_and_a_long_one_is_bounded() {
+    fn a_short_line_is_whole_and_a_long_one_is_bounded() {
         let short = vec![vec![(0.0, 1.0), (1.0, 2.0)], vec![(3.0, 4.0)]];
         // Four pairs, the gap among them, of eight bytes each.
         let (text, width) = encode(&[&short], 0.0, 3.0, MOST_POINTS);

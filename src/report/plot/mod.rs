@@ -1,29 +1,26 @@
 //! Plots of our own as inline SVG: no library, no script needed, colours from the page's style sheet.
 //!
 //! ```text
-//! chart: margins, scales (linear, logarithmic, log odds), axes with their ticks, pieces of SVG: the same for all
+//! chart: margins, scales (linear, logarithmic), axes with their ticks, pieces of SVG: the same for all
 //! samples -> pieces (cut at gaps) -> decimate (extremes per column) -> panels over one time axis
 //!                                '-> detail: the points for zooming in, decimated far less
 //! what an equation lacks over one axis, the effect through it; magnitude, phase and coherence over frequency -> axis chart,
 //! which a terminal draws as well
-//! ratios -> curves        rungs -> bars with the noise floor as the goal    error over speed x current -> map
-//! given probabilities and what came true -> reliability
+//! rungs -> bars with the noise floor as the goal    error over speed x current -> map
 //! ```
 //!
 //! Every line has a dash pattern beside its colour, and every colour is a variable of the page, so that a page printed
 //! in grey or shown on a dark screen says the same.
 
 pub mod axis;
-mod chart;
+pub mod chart;
 mod charts;
 mod decimate;
 mod detail;
 mod panels;
 
-pub use charts::{
-    AxisChart, AxisPanel, Claims, CurveChart, CurvePanel, Drawn, MapChart, Place, PointSet, bars,
-    reliability,
-};
+pub use charts::{AxisChart, AxisPanel, Drawn, MapChart, Place, PointSet, bars};
+pub use decimate::GAP;
 pub use detail::MOST_POINTS;
 pub use panels::{Panel, Style, TIME, stacked};
 

@@ -10,12 +10,8 @@ use crate::report::html::escape;
 use drivebench_model::text::number::significant;
 
 /// Room for a second unit on the right, above each panel, between panels, and below the last one, px.
-const RIGHT: f64 = 58.0;
 const HEAD: f64 = 24.0;
 const GAP: f64 = 12.0;
-const FOOT: f64 = 40.0;
-/// Columns for decimation: one to a pixel between the margins.
-const COLUMNS: usize = 776;
 /// Ticks along a value axis at most.
 const VALUE_TICKS: usize = 6;
 
@@ -39,7 +35,6 @@ impl Style {
     }
 }
 
-/// One line, cut where values are missing.
 #[derive(Clone, Debug)]
 struct Series {
     label: String,
@@ -53,7 +48,6 @@ impl Series {
     }
 }
 
-/// One quantity over time.
 #[derive(Clone, Debug)]
 pub struct Panel {
     title: String,
@@ -62,9 +56,7 @@ pub struct Panel {
     series: Vec<Series>,
     /// A shaded range of values over the whole time: label, from, to.
     band: Option<(String, f64, f64)>,
-    /// Second unit on the right: name, factor.
     second: Option<(&'static str, f64)>,
-    /// Values outside are not drawn.
     frame: RangeInclusive<f64>,
 }
 
@@ -217,7 +209,7 @@ impl Panel {
 
 fn path(series: &Series, x: &Scale, y: &Scale) -> String {
     let mut path = String::new();
-    for piece in decimate(&series.pieces, x.domain.from, x.domain.to, COLUMNS) {
+    for piece in decimate(&series.pieces, x.domain.from, x.domain.to, 776) {
         path += &polyline(piece.iter().map(|point| (x.px(point.0), y.px(point.1))));
         if piece.len() == 1 {
             // A lone value between two gaps: a line of no length with round ends is a dot.
@@ -241,7 +233,7 @@ pub fn stacked(
     let Some(time) = Domain::of(points.map(|point| point.0)) else {
         return Plot::default();
     };
-    let x = Scale::new(Along::Linear, time, LEFT, WIDTH - RIGHT);
+    let x = Scale::new(Along::Linear, time, LEFT, WIDTH - 58.0);
     let time_ticks = ticks(time, 12);
     let (mut svg, mut top) = (Svg::default(), 0.0);
     for panel in panels() {
@@ -268,11 +260,10 @@ pub fn stacked(
     Plot {
         points,
         thinned: width.map(|width| format!("{} {unit}", significant(width, 2))),
-        svg: svg.close("plot panels", base + FOOT, description, &more),
+        svg: svg.close("plot panels", base + 40.0, description, &more),
     }
 }
 
-/// What runs across most pictures.
 pub const TIME: (&str, &str) = ("time", "s");
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! Paper A: identification (Figures 2 to 4, Table 1, errors against period and noise) and adaptive control (Figures 5 to 7).
 
-use drivebench::report::plot::{CurveChart, CurvePanel, Panel, Style};
+use drivebench::report::plot::{Panel, Style};
 use drivebench::text::number::fixed;
 use serde_json::{Value, json};
 
@@ -8,6 +8,7 @@ use super::{
     COMPARISON, OUTPUT, Quantity, REFERENCE, SPEED, TIME, compared, of, speed_panel, trials,
 };
 use crate::adaptive::{AdaptiveLoop, Figure5, Figure6, Figure7, MECHANICAL_S, Saturated, Slower};
+use crate::charts::{CurveChart, CurvePanel};
 use crate::figure_2::{self, KE, MC, TA, TM};
 use crate::loops::Kind;
 use crate::page::{Figure, FiguresAndTables, Findings, percent, with};

@@ -2,13 +2,14 @@
 //! (variance by kind of noise, speed from Hall edges, the back-EMF that it leaves out).
 
 use drivebench::control::TrialPoint;
-use drivebench::report::plot::{CurveChart, CurvePanel, Panel, Style};
+use drivebench::report::plot::{Panel, Style};
 use serde_json::{Value, json};
 
 use super::{
     COMPARISON, OUTPUT, Quantity, REFERENCE, SPEED, TIME, compared, of, speed_panel, trials,
 };
 use crate::PaperB;
+use crate::charts::{CurveChart, CurvePanel};
 use crate::page::{Figure, FiguresAndTables, Findings, csv, with};
 use crate::paper_b::{BackEmf, Design, Disturbance, Figure4, Figure5};
 

@@ -1,11 +1,11 @@
 //! The study of the diagnosis: what was asked, what was answered, what may be claimed. Its page in Markdown is
 //! `docs/validation/tables.md`.
 
-use drivebench::report::plot::{Claims, reliability};
 use drivebench::text::number::{fixed, significant};
 use serde_json::{Value, json};
 
 use super::lines;
+use crate::charts::{Claims, reliability};
 use crate::page::{FiguresAndTables, Findings, Grid, share, with};
 use crate::study::{
     Answer, Bin, Bounded, Calibration, Excitation, Group, MysteryAnswer, Outcome, Study, Tally,
