@@ -7,7 +7,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use drivebench::bench::{Phase, Snapshot, SnapshotCell, TracePoint};
 use drivebench::sample::ParameterEstimate;
 use drivebench::tui::{LiveScreen, LiveSources, Screen, WorkerCell};
-use drivebench::workflow::LeaningCell;
+use drivebench::workflow::RankingCell;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 
@@ -43,7 +43,7 @@ fn frame(criterion: &mut Criterion) {
     let snapshots = SnapshotCell::default();
     let mut screen = LiveScreen::new(LiveSources {
         snapshots: snapshots.reader(),
-        leaning: LeaningCell::default(),
+        ranking: RankingCell::default(),
         workflow: None,
         leads: None,
         intents: channel().0,
@@ -57,7 +57,7 @@ fn frame(criterion: &mut Criterion) {
         group.bench_function(format!("frame_{columns}x{lines}"), |bencher| {
             bencher.iter(|| {
                 snapshots.publish(snapshot.clone());
-                screen.look();
+                screen.poll();
                 terminal.draw(|frame| screen.draw(frame)).expect("in memory");
             });
         });

@@ -14,7 +14,7 @@ use crate::runtime::ending;
 use crate::runtime::ending::{Watched, spawn, watched};
 use crate::runtime::failure::Failure;
 use crate::runtime::files::{load, model_file};
-use crate::runtime::{output, signals};
+use crate::runtime::{appearance, output, signals};
 use crate::tui::{
     self, DiagnosisScreen, DiagnosisSources, Exit, Opens, ResponseScreen, Screen, StoppedAt,
 };
@@ -216,7 +216,7 @@ fn until_left(
 ) -> Result<Watched, Failure> {
     let closed = AtomicBool::new(false);
     watched(
-        move || tui::show(screen),
+        move || tui::show(screen, appearance::get()),
         || closed.store(true, Ordering::Release),
         || closed.load(Ordering::Acquire) || hang_up.load(Ordering::Acquire),
     )

@@ -44,8 +44,8 @@ use std::process::ExitCode;
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
 
-use crate::runtime::{failure, output};
-use crate::tui::{use_light, use_mouse};
+use crate::runtime::{appearance, failure, output};
+use crate::tui::Appearance;
 
 /// Exit statuses, as `--help` prints them.
 const EXIT_STATUSES: &str = "\
@@ -143,13 +143,11 @@ pub fn program<A: Parser>(execute: impl FnOnce(A) -> Result<(), failure::Failure
 fn execute(arguments: Arguments) -> Result<(), failure::Failure> {
     if let Some(theme) = arguments.theme {
         crossterm::style::force_color_output(theme != Theme::Mono);
-        if theme == Theme::Light {
-            use_light();
-        }
     }
-    if arguments.mouse {
-        use_mouse();
-    }
+    appearance::set(Appearance {
+        is_light: arguments.theme == Some(Theme::Light),
+        takes_mouse: arguments.mouse,
+    });
     let Some(command) = arguments.command else {
         return output::text(&front::page(Path::new(".")));
     };

@@ -18,9 +18,9 @@ use std::time::Duration;
 
 use crate::runtime::controls::{Controls, DriveWord, Ends};
 use crate::runtime::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP};
-use crate::runtime::{output, signals};
+use crate::runtime::{appearance, output, signals};
 use crate::tui::{Exit, LiveScreen, LiveSources, WorkerCell, is_gone, show};
-use crate::workflow::{LeaningCell, LeaningWatch, ProgressCell};
+use crate::workflow::{ProgressCell, RankingCell, RankingWatch};
 use drivebench_bench::{Level, Notice, SnapshotCell};
 
 /// How often it is looked whether the work is over.
@@ -110,7 +110,8 @@ fn on_screen<T: Send + 'static>(
 ) -> Result<Ended<T>, Failure> {
     let (controls, ends) = Controls::new(SnapshotCell::default());
     signals::pull(ends.clone())?;
-    let shown = move |sources| show(LiveScreen::new(LiveSources { leads, ..sources }));
+    let shown =
+        move |sources| show(LiveScreen::new(LiveSources { leads, ..sources }), appearance::get());
     beside_screen(controls, &ends, progress, shown, work)
 }
 
@@ -150,11 +151,11 @@ pub fn beside_screen<T: Send + 'static>(
     work: impl FnOnce(&Controls) -> Result<T, Failure> + Send + 'static,
 ) -> Result<Ended<T>, Failure> {
     let worker = WorkerCell::default();
-    let leaning = LeaningCell::default();
-    lean_beside(ends.snapshots.reader(), leaning.clone(), worker.clone())?;
+    let ranking = RankingCell::default();
+    rank_beside(ends.snapshots.reader(), ranking.clone(), worker.clone())?;
     let sources = LiveSources {
         snapshots: ends.snapshots.clone(),
-        leaning,
+        ranking,
         workflow: progress,
         leads: None,
         intents: ends.intents.clone(),
@@ -209,28 +210,28 @@ pub fn beside_screen<T: Send + 'static>(
     }
 }
 
-/// Time between two looks at what the residual leans on.
-const LEAN: Duration = Duration::from_millis(500);
+/// Time between two provisional rankings.
+const RANK: Duration = Duration::from_millis(500);
 
 /// Looks twice a second at what the screen is shown, for as long as the work goes on. It shares nothing with the bench but
 /// the snapshot that is published for the screen. Never joined: it has nothing to put down.
-fn lean_beside(
+fn rank_beside(
     snapshots: SnapshotCell,
-    leaning: LeaningCell,
+    ranking: RankingCell,
     worker: WorkerCell,
 ) -> Result<(), Failure> {
-    spawn("leaning", move || {
-        let mut watch = LeaningWatch::default();
+    spawn("ranking", move || {
+        let mut watch = RankingWatch::default();
         let mut seen = None;
         while !worker.is_finished() {
             let latest = snapshots.latest();
             // Between two runs and beside an analysis nothing new comes.
             if !seen.as_ref().is_some_and(|seen| Arc::ptr_eq(seen, &latest)) {
                 watch.take(&latest);
-                leaning.publish(watch.look().unwrap_or_default());
+                ranking.publish(watch.rank().unwrap_or_default());
                 seen = Some(latest);
             }
-            thread::sleep(LEAN);
+            thread::sleep(RANK);
         }
     })?;
     Ok(())

@@ -11,6 +11,7 @@
 //! * `ending`, `signals`, `controls`: every way out. Nothing else may end a program whose motor turns.
 //! * `files`: what a run leaves in its folder. `output`, `progress`, `failure`: stdout and stderr; none of them panics.
 
+pub(crate) mod appearance;
 pub mod controls;
 pub mod ending;
 pub mod failure;

@@ -29,44 +29,33 @@ use ratatui::{Frame, Terminal};
 use signal_hook::consts::SIGCONT;
 
 use super::keys::{Held, Press, press};
-use super::theme;
+use super::theme::{self, Appearance};
 use crate::workflow::Order;
 use drivebench_bench::Intent;
 
-/// Longest time between two looks at what a screen is told: 25 frames a second. A key is answered at once.
+/// Longest time between two updates of a screen: 25 frames a second. A key is answered at once.
 const FRAME: Duration = Duration::from_millis(40);
 
 /// How often, and with which pause, it is looked whether the program was halted and goes on: a signal that halts it may
 /// take a moment on a busy machine.
-const HALT_LOOKS: u32 = 50;
-const HALT_LOOK: Duration = Duration::from_millis(10);
 const NO_SHELL: &str = "Ctrl-Z: no shell stands behind this program that could bring it back";
 
-/// Asks for buttons and wheel, with places beyond column 223; what crossterm would ask for tells every motion of the mouse too.
+/// Reports of buttons and wheel, with places beyond column 223; crossterm's own sequence reports every motion too.
 const BUTTONS_AND_WHEEL: &str = "\x1b[?1000h\x1b[?1006h";
 
-/// Whether screens take the mouse. Then the terminal's own selection of text needs the Shift key, so that it is asked for.
-static MOUSE: AtomicBool = AtomicBool::new(false);
-
-/// From here on screens take the mouse.
-pub fn use_mouse() {
-    MOUSE.store(true, Ordering::Relaxed);
-}
-
-/// Why a screen was left. The motor's outcome is the worker's to tell.
+/// Why a screen was left; the outcome of the motor comes from the worker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Exit {
-    /// The work was over.
     Finished,
     /// `d` when the work was over: the diagnosis is to be gone on with by hand.
     Diagnosis,
     /// `v` then: the same, measured and model over time first.
     Traces,
-    /// The run that would tell more is to be made.
+    /// The recommended run is to be made.
     Experiment,
     /// The speed loop is to be run with what was found.
     SpeedLoop,
-    /// `q` before the end; the worker has been told to stop.
+    /// `q` before the end; the worker has received the stop.
     Quit,
     /// Ctrl-C or a signal; the worker has stopped.
     Interrupted,
@@ -76,11 +65,10 @@ pub enum Exit {
     WorkerPanicked,
 }
 
-/// What a screen asks of the program.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Effect {
     Send(Intent),
-    /// Nothing more is to be started, also between two runs, where nobody reads intents.
+    /// Nothing more is to be started, also between two runs, where no intent is read.
     RequestStop,
     Order(Order),
     Leave(Exit),
@@ -88,15 +76,15 @@ pub(super) enum Effect {
 
 /// A screen as a value, with its ends of the channels.
 pub trait Screen {
-    /// Takes in what it was told since; whether that was anything, and whether it is left for it.
-    fn look(&mut self) -> (bool, Option<Exit>);
+    /// Takes in new values of its channels; whether there were any, and whether the screen is left for one.
+    fn poll(&mut self) -> (bool, Option<Exit>);
     /// Answers a key; whether it is left for it.
     fn press(&mut self, press: Press) -> Option<Exit>;
     /// Answers a click of the mouse on a screen of this size.
     fn click(&mut self, at: Position, area: Rect);
     /// Says something in the place of the answer to the last key.
-    fn say(&mut self, text: &str);
-    /// Whether the program may be halted now; else the screen says why not.
+    fn notify(&mut self, text: &str);
+    /// Whether the program may be halted now; else the screen shows why not.
     fn may_suspend(&mut self) -> bool;
     /// Whether a panic of another thread is the end of it.
     fn ends_with_a_panic(&self) -> bool;
@@ -112,22 +100,24 @@ pub trait Screen {
     clippy::disallowed_methods,
     reason = "the clock of a person's keys: nothing that is computed depends on it"
 )]
-pub fn show(mut screen: impl Screen) -> io::Result<Exit> {
-    let mut owned = Owned::take()?;
+pub fn show(mut screen: impl Screen, appearance: Appearance) -> io::Result<Exit> {
+    let mut owned = Owned::take(appearance.takes_mouse)?;
     let mut changed = true;
     let mut input = Input::new(Instant::now());
     loop {
-        let (is_told, exit) = screen.look();
+        let (is_changed, exit) = screen.poll();
         if let Some(exit) = exit {
             return Ok(exit);
         }
         if owned.panicked_elsewhere() && screen.ends_with_a_panic() {
             return Ok(Exit::WorkerPanicked);
         }
-        if std::mem::take(&mut changed) || is_told {
+        if std::mem::take(&mut changed) || is_changed {
             owned.terminal.draw(|frame| {
                 screen.draw(frame);
-                theme::apply(frame.buffer_mut());
+                if appearance.is_light {
+                    theme::lighten(frame.buffer_mut());
+                }
             })?;
         }
         // Asked of the terminal itself first: crossterm reads one that is gone for ever.
@@ -140,7 +130,7 @@ pub fn show(mut screen: impl Screen) -> io::Result<Exit> {
         }
         // A change of size only needs a new frame.
         changed |= events.iter().any(TerminalEvent::is_resize);
-        let presses = input.heard(events, Instant::now());
+        let presses = input.presses(events, Instant::now());
         changed |= !presses.is_empty();
         for press in presses {
             if let Press::Click(at) = press {
@@ -150,7 +140,7 @@ pub fn show(mut screen: impl Screen) -> io::Result<Exit> {
                 }
             } else if press == Press::Suspend {
                 if screen.may_suspend() && !owned.suspend()? {
-                    screen.say(NO_SHELL);
+                    screen.notify(NO_SHELL);
                 }
             } else if let Some(exit) = screen.press(press) {
                 return Ok(exit);
@@ -159,7 +149,7 @@ pub fn show(mut screen: impl Screen) -> io::Result<Exit> {
     }
 }
 
-/// Keys and mouse, from one look at the terminal to the next.
+/// Keys and mouse, from one poll of the terminal to the next.
 struct Input {
     held: Held,
     /// When the latest key or frame without one was counted.
@@ -172,9 +162,9 @@ impl Input {
         Self { held, counted: now }
     }
 
-    /// What is asked for, in the order in which it came. Whatever else wakes the loop, a frame without a key is as long as
+    /// Presses in the order in which they came. Whatever else wakes the loop, a frame without a key is as long as
     /// ever: a stop key that was held back comes after it.
-    fn heard(&mut self, events: Vec<TerminalEvent>, now: Instant) -> Vec<Press> {
+    fn presses(&mut self, events: Vec<TerminalEvent>, now: Instant) -> Vec<Press> {
         let mut presses = Vec::new();
         let mut has_key = false;
         for event in events {
@@ -184,7 +174,7 @@ impl Input {
                     has_key |= press.is_some();
                     presses.extend(press.and_then(|press| self.held.key(press)));
                 }
-                TerminalEvent::Mouse(mouse) => presses.extend(pointed(mouse)),
+                TerminalEvent::Mouse(mouse) => presses.extend(mouse_press(mouse)),
                 _ => {}
             }
         }
@@ -199,8 +189,8 @@ impl Input {
     }
 }
 
-/// What the mouse asks for; nothing where it only moves.
-const fn pointed(mouse: MouseEvent) -> Option<Press> {
+/// `None` where the mouse only moves.
+const fn mouse_press(mouse: MouseEvent) -> Option<Press> {
     match mouse.kind {
         MouseEventKind::ScrollUp => Some(Press::Wheel(-1)),
         MouseEventKind::ScrollDown => Some(Press::Wheel(1)),
@@ -231,10 +221,11 @@ type Hook = dyn Fn(&PanicHookInfo<'_>) + Send + Sync;
 ///
 /// `ratatui::init` restores the terminal in the panic hook of whatever thread panics, and the screen would go on drawing
 /// over the shell. Here a panic elsewhere is kept until the screen has left.
-pub(super) struct Owned {
+struct Owned {
     /// Never dropped: its drop shows the cursor, and panics where neither the terminal nor standard error takes a word any
     /// more (`eprintln!` in `ratatui_core::terminal`). What it would do is done by [`give_back`].
-    pub(super) terminal: ManuallyDrop<Terminal<CrosstermBackend<Stdout>>>,
+    terminal: ManuallyDrop<Terminal<CrosstermBackend<Stdout>>>,
+    takes_mouse: bool,
     previous: Arc<Hook>,
     elsewhere: Arc<Mutex<Vec<String>>>,
 }
@@ -242,50 +233,50 @@ pub(super) struct Owned {
 impl Owned {
     /// # Errors
     /// Standard output is not a terminal, or the terminal refuses raw mode.
-    pub(super) fn take() -> io::Result<Self> {
+    fn take(takes_mouse: bool) -> io::Result<Self> {
         // Keys come from the controlling terminal, wherever standard input is.
         if !io::stdout().is_terminal() {
             return Err(io::Error::other(
                 "standard output is not a terminal, so there is no screen (help: use --headless)",
             ));
         }
-        let terminal = enter().inspect_err(|_| give_back())?;
+        let terminal = enter(takes_mouse).inspect_err(|_| give_back(takes_mouse))?;
         let previous: Arc<Hook> = Arc::from(std::panic::take_hook());
         let elsewhere = Arc::new(Mutex::new(Vec::new()));
         let screen = thread::current().id();
         let (after, others) = (Arc::clone(&previous), Arc::clone(&elsewhere));
         std::panic::set_hook(Box::new(move |info| {
             if thread::current().id() == screen {
-                give_back();
+                give_back(takes_mouse);
                 after(info);
             } else {
                 let name = thread::current().name().unwrap_or("worker").to_owned();
                 kept(&others).push(format!("thread {name:?}: {info}"));
             }
         }));
-        Ok(Self { terminal: ManuallyDrop::new(terminal), previous, elsewhere })
+        Ok(Self { terminal: ManuallyDrop::new(terminal), takes_mouse, previous, elsewhere })
     }
 
     /// Gives the terminal back and halts the program, with everything that was started with it, until it is in the
     /// foreground again; whether it could be halted.
     fn suspend(&mut self) -> io::Result<bool> {
-        // Who leads the session has no shell behind it.
+        // A session leader has no shell behind it.
         if getsid(None) == Ok(getpid()) {
             return Ok(false);
         }
-        give_back();
+        give_back(self.takes_mouse);
         let mut is_halted = halt_group()?;
-        // Who goes on in the background must not draw over the shell: it is halted again.
+        // In the background it must not draw over the shell: it is halted again.
         while is_halted && tcgetpgrp(io::stdout()).is_ok_and(|owner| owner != getpgrp()) {
             is_halted = halt_group()?;
         }
         // A new one draws every cell; the old one is not dropped, as ever.
-        self.terminal = ManuallyDrop::new(enter()?);
+        self.terminal = ManuallyDrop::new(enter(self.takes_mouse)?);
         Ok(is_halted)
     }
 
     /// Whether a thread other than the screen's has panicked.
-    pub(super) fn panicked_elsewhere(&self) -> bool {
+    fn panicked_elsewhere(&self) -> bool {
         !kept(&self.elsewhere).is_empty()
     }
 }
@@ -300,11 +291,11 @@ fn halt_group() -> io::Result<bool> {
     // SAFETY: the default action runs nothing of ours, and what is put back is what was there.
     let before = unsafe { sigaction(Signal::SIGTSTP, &default) }?;
     let sent = kill(Pid::from_raw(0), Signal::SIGTSTP);
-    for _ in 0..HALT_LOOKS {
+    for _ in 0..50 {
         if sent.is_err() || goes_on.load(Ordering::Acquire) {
             break;
         }
-        thread::sleep(HALT_LOOK);
+        thread::sleep(Duration::from_millis(10));
     }
     #[expect(unsafe_code, reason = "as above")]
     // SAFETY: as above.
@@ -320,7 +311,7 @@ fn kept(messages: &Mutex<Vec<String>>) -> MutexGuard<'_, Vec<String>> {
 
 impl Drop for Owned {
     fn drop(&mut self) {
-        give_back();
+        give_back(self.takes_mouse);
         if !thread::panicking() {
             let previous = Arc::clone(&self.previous);
             drop(std::panic::take_hook());
@@ -333,19 +324,19 @@ impl Drop for Owned {
     }
 }
 
-fn enter() -> io::Result<Terminal<CrosstermBackend<Stdout>>> {
+fn enter(takes_mouse: bool) -> io::Result<Terminal<CrosstermBackend<Stdout>>> {
     enable_raw_mode()?;
     execute!(io::stdout(), EnterAlternateScreen, Hide)?;
-    if MOUSE.load(Ordering::Relaxed) {
+    if takes_mouse {
         execute!(io::stdout(), Print(BUTTONS_AND_WHEEL))?;
     }
     Terminal::new(CrosstermBackend::new(io::stdout()))
 }
 
-fn give_back() {
+fn give_back(takes_mouse: bool) {
     // A terminal that is gone cannot be restored, and need not be.
     let _ = disable_raw_mode();
-    if MOUSE.load(Ordering::Relaxed) {
+    if takes_mouse {
         let _ = execute!(io::stdout(), DisableMouseCapture);
     }
     let _ = execute!(io::stdout(), LeaveAlternateScreen, Show);
@@ -393,7 +384,7 @@ mod tests {
                         continue;
                     }
                     let now = start + Duration::from_millis(at_ms);
-                    let presses = input.heard(events, now).into_iter();
+                    let presses = input.presses(events, now).into_iter();
                     stops += presses.filter(|press| *press == Press::Stop).count();
                 }
                 assert_eq!(stops, if is_held { 1 } else { 2 }, "the mouse {name}, held: {is_held}");
@@ -409,6 +400,6 @@ mod tests {
         let released = mouse(MouseEventKind::Up(MouseButton::Left));
         let events = vec![key(KeyCode::Down), click, released, key(KeyCode::Enter)];
         let expected = [Press::Move(1), Press::Click(Position::new(7, 3)), Press::Open];
-        assert_eq!(input.heard(events, start), expected);
+        assert_eq!(input.presses(events, start), expected);
     }
 }

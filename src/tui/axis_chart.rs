@@ -11,14 +11,8 @@ use crate::report::plot::axis::{Domain, plain, powers};
 use crate::report::plot::{AxisChart, AxisPanel, Drawn, Place, PointSet, Style as Drawing};
 use drivebench_model::text::number::significant;
 
-/// Rows of a panel at least, with its title.
-const SMALLEST: u16 = 5;
-/// Share of the axis that is left free at either end.
-const MARGIN: f64 = 0.02;
-/// Of bounds whose values are not asked for.
+/// Of bounds whose values do not matter.
 const UNUSED: Domain = Domain { from: 0.0, to: 1.0 };
-/// Columns between two labels of the axis.
-const APART: u16 = 2;
 
 /// Draws the panels that have room. A panel that is alone has no title: the page has it.
 pub(super) fn axis_chart(chart: &AxisChart, cursor: Option<f64>, area: Rect, buffer: &mut Buffer) {
@@ -26,7 +20,7 @@ pub(super) fn axis_chart(chart: &AxisChart, cursor: Option<f64>, area: Rect, buf
     if area.height < 3 || area.width < LABELS + 4 {
         return;
     }
-    let room = usize::from((area.height - 1) / SMALLEST).max(1);
+    let room = usize::from((area.height - 1) / 5).max(1);
     let panels = &chart.panels[..room.min(chart.panels.len())];
     let heights = panels.iter().map(|panel| Constraint::Fill(panel.height as u16));
     let areas = Layout::vertical(heights.chain([Constraint::Length(1)])).split(area);
@@ -43,10 +37,9 @@ pub(super) fn axis_chart(chart: &AxisChart, cursor: Option<f64>, area: Rect, buf
     }
 }
 
-/// What the chart shows of its axis.
 fn spanned(chart: &AxisChart) -> Option<Domain> {
     let across = chart.across()?;
-    Some(if chart.is_logarithmic { across } else { across.padded(MARGIN) })
+    Some(if chart.is_logarithmic { across } else { across.padded(0.02) })
 }
 
 fn beside_labels(area: Rect) -> Rect {
@@ -120,7 +113,6 @@ fn reading_at(set: &PointSet, at: f64) -> String {
     )
 }
 
-/// Marks, cursor and lines of a panel.
 fn draw(
     chart: &AxisChart,
     panel: &AxisPanel,
@@ -178,7 +170,6 @@ fn curves(set: &PointSet, place: impl Fn(f64) -> f64, bounds: Bounds) -> Vec<Tra
     }
 }
 
-/// One point with its interval.
 fn dot(point: &Place, mark: char, style: Style, bounds: Bounds, area: Rect, buffer: &mut Buffer) {
     let Some(x) = bounds.column(point.at, area) else {
         return;
@@ -214,7 +205,7 @@ fn axis(chart: &AxisChart, spanned: Domain, area: Rect, buffer: &mut Buffer) {
         let first = column.saturating_sub(width / 2).max(inner.x);
         if first >= free && first + width <= inner.right() {
             buffer.set_string(first, area.y, &label, theme::DIM);
-            free = first + width + APART;
+            free = first + width + 2;
         }
     }
 }

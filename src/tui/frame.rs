@@ -1,25 +1,23 @@
 //! Frame of all screens: the line of keys, the help, rules above panels, bars.
 
+use std::cell::Cell;
+
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
 use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Borders, Clear, Paragraph, Widget, Wrap};
 
-use super::keys::{self, On};
+use super::keys::{self, On, Press};
 use super::theme;
 use crate::report::Document;
 use crate::report::terminal::Row;
 use drivebench_model::text::lines::{cut, wrapped};
 
-/// The smallest screen that can be read.
 const SMALLEST: (u16, u16) = (30, 6);
-/// Widest box of the help, with its frame.
-const WIDEST: u16 = 78;
-/// Column of the keys in the help.
 const KEYS: usize = 11;
 
-/// Whether nothing can be read in this area; then `word` says so in one line, with the key that matters most.
+/// Whether nothing can be read in this area; then one line has `word` and the key that matters most.
 pub(super) fn is_too_small(
     word: &str,
     key: &str,
@@ -88,28 +86,30 @@ pub(super) fn hints(
     let width = usize::from(area.width);
     if let Some(message) = message {
         let style = theme::CAREFUL.patch(theme::BOLD);
-        let mut lines = said(message, width);
-        let most = usize::from(area.height).max(1);
-        if lines.len() > most {
-            // In one row with the last that there is room for, so that it is seen that it goes on.
-            let rest = lines.split_off(most - 1).join(" ");
-            lines.push(rest);
-        }
-        let lines = lines.into_iter();
-        let lines: Vec<_> = lines.map(|row| Line::styled(format!(" {row}"), style)).collect();
-        rows(&lines, area, buffer);
+        let lines = in_rows(message_rows(message, width), usize::from(area.height).max(1));
+        let styled = lines.iter().map(|row| Line::styled(format!(" {row}"), style));
+        rows(&styled.collect::<Vec<_>>(), area, buffer);
     } else {
         Line::styled(keys_that_fit(keys, always, width), theme::DIM).render(area, buffer);
     }
 }
 
-fn said(message: &str, width: usize) -> Vec<String> {
+/// At most so many rows: the rest joins the last, which [`row`] then ends in a mark of that.
+pub(super) fn in_rows(mut rows: Vec<String>, most: usize) -> Vec<String> {
+    if rows.len() > most {
+        let rest = rows.split_off(most.saturating_sub(1)).join(" ");
+        rows.push(rest);
+    }
+    rows
+}
+
+fn message_rows(message: &str, width: usize) -> Vec<String> {
     wrapped(&format!("> {message}"), width.saturating_sub(1))
 }
 
 /// Rows that the answer to the last key takes, `most` at the most; the keys take one.
 pub(super) fn hint_rows(message: Option<&str>, width: u16, most: usize) -> u16 {
-    let rows = message.map_or(1, |message| said(message, usize::from(width)).len());
+    let rows = message.map_or(1, |message| message_rows(message, usize::from(width)).len());
     rows.clamp(1, most.max(1)) as u16
 }
 
@@ -130,16 +130,39 @@ fn keys_that_fit(keys: &[&str], always: &str, width: usize) -> String {
     shown + always
 }
 
-/// The keys of a screen and the meaning of its words, over the middle of it, from row `first` on; the last page stays
-/// full. The screen beneath stays live. Returns the rows for which there is no room.
-pub(super) fn help(
-    on: On,
-    meanings: &[&str],
-    first: usize,
-    area: Rect,
-    buffer: &mut Buffer,
-) -> usize {
-    let width = area.width.min(WIDEST);
+/// The help over a screen.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Help {
+    /// First row, where the help is open.
+    pub(super) first: Option<usize>,
+    /// Rows for which it had no room when it was drawn: the keys go no further.
+    hidden: Cell<usize>,
+}
+
+impl Help {
+    /// Scrolls or closes the help; whether it was open.
+    pub(super) fn press(&mut self, press: Press) -> bool {
+        let is_open = self.first.is_some();
+        self.first = match press {
+            Press::Move(rows) | Press::Wheel(rows) => {
+                self.first.map(|first| scrolled(first, rows, self.hidden.get()))
+            }
+            _ => None,
+        };
+        is_open
+    }
+
+    /// Keys and the meaning of words over the middle of a screen, which stays live beneath.
+    pub(super) fn draw(&self, on: On, meanings: &[&str], area: Rect, buffer: &mut Buffer) {
+        if let Some(first) = self.first {
+            self.hidden.set(help(on, meanings, first, area, buffer));
+        }
+    }
+}
+
+/// The last page stays full. Returns the rows for which there is no room.
+fn help(on: On, meanings: &[&str], first: usize, area: Rect, buffer: &mut Buffer) -> usize {
+    let width = area.width.min(78);
     let lines = help_lines(on, meanings, usize::from(width.saturating_sub(4)));
     let height = area.height.min(u16::try_from(lines.len() + 2).unwrap_or(u16::MAX));
     let place = Rect {
@@ -167,23 +190,31 @@ pub(super) fn help(
     hidden
 }
 
+/// Text in rows beside its label, which stands in the first of them.
+pub(super) fn labelled<'a>(
+    label: &'a str,
+    text: &str,
+    room: usize,
+) -> impl Iterator<Item = (&'a str, String)> {
+    let rows = wrapped(text, room.max(1)).into_iter().enumerate();
+    rows.map(move |(row, text)| (if row == 0 { label } else { "" }, text))
+}
+
 fn help_lines(on: On, meanings: &[&str], width: usize) -> Vec<Line<'static>> {
     let mut lines = Vec::new();
     for (keys, meaning) in keys::help(on) {
-        let text = wrapped(meaning, width.saturating_sub(KEYS).max(1));
-        for (row, text) in text.into_iter().enumerate() {
-            let keys = if row == 0 { keys } else { "" };
+        lines.extend(labelled(keys, meaning, width.saturating_sub(KEYS)).map(|(keys, text)| {
             let keys = Span::styled(format!(" {keys:<KEYS$}"), theme::BOLD);
-            lines.push(Line::from(vec![keys, Span::raw(text)]));
-        }
+            Line::from(vec![keys, Span::raw(text)])
+        }));
     }
     lines.push(Line::default());
     for meaning in meanings {
-        let text = wrapped(meaning, width.saturating_sub(2).max(1));
-        for (row, text) in text.into_iter().enumerate() {
-            let indent = if row == 0 { " " } else { "   " };
-            lines.push(Line::raw(format!("{indent}{text}")));
-        }
+        let rows = labelled(" ", meaning, width.saturating_sub(2));
+        lines.extend(rows.map(|(mark, text)| {
+            let indent = if mark.is_empty() { "   " } else { mark };
+            Line::raw(format!("{indent}{text}"))
+        }));
     }
     lines
 }
@@ -214,7 +245,6 @@ pub(super) fn bar(share: f64, length: usize) -> (String, String) {
     ("█".repeat(full), "░".repeat(length - full))
 }
 
-/// The same with colours.
 pub(super) fn bar_spans(share: f64, length: usize, style: Style) -> [Span<'static>; 2] {
     let (full, empty) = bar(share, length);
     [Span::styled(full, style), Span::styled(empty, theme::DIM)]
@@ -225,7 +255,6 @@ pub(super) fn scrolled(first: usize, by: i32, hidden: usize) -> usize {
     first.min(hidden).saturating_add_signed(by as isize)
 }
 
-/// Rows of a document, their labels in bold.
 pub(super) fn document_lines(rows: Vec<Row>) -> impl Iterator<Item = Line<'static>> {
     rows.into_iter().map(|row| {
         Line::from(vec![Span::styled(format!(" {}", row.label), theme::BOLD), Span::raw(row.text)])

@@ -3,14 +3,12 @@
 use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use ratatui::layout::Position;
 
-/// What a key asks for, whatever the screen and its state.
+/// The meaning of a key, whatever the screen and its state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Press {
     /// Stop the motor; where none can be on, close what is open.
     Stop,
-    /// Ctrl-C: stop, then quit.
     Interrupt,
-    /// Ctrl-Z: to the shell and back.
     Suspend,
     Quit,
     Start,
@@ -20,7 +18,6 @@ pub enum Press {
     Zoom,
     Mark,
     ResetFault,
-    /// The run that would tell more.
     Experiment,
     SpeedLoop,
     Diagnose,
@@ -43,9 +40,7 @@ pub enum Press {
     /// That curve as an effect without a name.
     Table,
     Write,
-    /// Measured and model over time.
     Traces,
-    /// Measured and model over frequency.
     Response,
     /// The next of the places where the model is farthest off.
     Worst,
@@ -54,7 +49,6 @@ pub enum Press {
     /// Along the time axis, backwards negative.
     Pan(i32),
     Cursor(i32),
-    /// Which signals are shown.
     Signals,
     Undo,
     /// The model before the last change, or after it.
@@ -103,11 +97,9 @@ pub(super) enum On {
     Every,
     Live,
     Diagnosis,
-    /// The frequency response alone.
     Response,
 }
 
-/// The keys as the help shows them.
 const HELP: [(On, &str, &str); 34] = [
     (On::Every, "Space Esc", "STOP: ramp down; again: at once; without a motor: back"),
     (On::Live, "s", "start, where the bench waits for it"),
@@ -150,9 +142,6 @@ pub(super) fn help(on: On) -> impl Iterator<Item = (&'static str, &'static str)>
     HELP.iter().filter(move |row| row.0 == On::Every || row.0 == on).map(|row| (row.1, row.2))
 }
 
-/// Rows that a page key moves.
-const PAGE: i32 = 10;
-
 /// `None` for the release of a key.
 pub(super) fn press(key: KeyEvent) -> Option<Press> {
     if key.kind == KeyEventKind::Release {
@@ -180,8 +169,8 @@ pub(super) fn press(key: KeyEvent) -> Option<Press> {
         KeyCode::Right => Press::Cursor(1),
         KeyCode::Up => Press::Move(-1),
         KeyCode::Down => Press::Move(1),
-        KeyCode::PageUp => Press::Move(-PAGE),
-        KeyCode::PageDown => Press::Move(PAGE),
+        KeyCode::PageUp => Press::Move(-10),
+        KeyCode::PageDown => Press::Move(10),
         _ => Press::Other,
     })
 }
@@ -227,7 +216,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_stop_key_that_is_held_down_is_pressed_once_and_one_that_is_pressed_again_twice() {
+    fn a_held_stop_key_is_one_press_and_a_repeated_one_is_two() {
         // Frames before each Space, and how often a stop is asked for.
         let held = [[0, 12].to_vec(), [1, 2, 0, 1].repeat(5)].concat();
         for (before, presses) in [(&held[..], 1), (&[0, 4], 2), (&[0, 3, 3], 3), (&[0, 30], 2)] {
@@ -261,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn a_key_has_one_meaning_and_stands_once_in_the_help_of_a_screen() {
+    fn a_key_has_one_meaning_and_stands_once_in_the_help() {
         for on in [On::Live, On::Diagnosis, On::Response] {
             let mut named: Vec<&str> = help(on).flat_map(|(keys, _)| keys.split(' ')).collect();
             named.sort_unstable();
@@ -279,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn space_and_escape_stop_with_any_other_key_held_and_a_release_is_none() {
+    fn space_and_escape_stop_with_any_key_held_but_no_release() {
         let held =
             [KeyModifiers::NONE, KeyModifiers::SHIFT, KeyModifiers::CONTROL, KeyModifiers::ALT];
         for modifiers in held {

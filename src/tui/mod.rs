@@ -37,10 +37,10 @@ mod testing;
 mod theme;
 mod traces;
 
-pub use application::{Exit, Screen, is_gone, show, use_mouse};
+pub use application::{Exit, Screen, is_gone, show};
 pub use diagnosis::{DiagnosisScreen, DiagnosisSources, Opens};
 pub use keys::Press;
 pub use live::{FinishOnDrop, LiveScreen, LiveSources, WorkerCell};
 pub use response::ResponseScreen;
-pub use theme::use_light;
+pub use theme::Appearance;
 pub use traces::StoppedAt;

@@ -8,6 +8,7 @@ use ratatui::text::Line;
 
 use super::frame::row as title_row;
 use super::theme;
+use crate::report::plot::GAP;
 use crate::report::plot::axis::Domain;
 use drivebench_model::text::number::shortest;
 
@@ -91,21 +92,17 @@ const DOTS_X: usize = 2;
 const DOTS_Y: usize = 4;
 /// Bits of the dots of a cell, by row and column (Unicode, Braille patterns).
 const BITS: [[u8; DOTS_X]; DOTS_Y] = [[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]];
-/// A step in time longer than so many usual ones is a gap.
-const GAP_FACTOR: f64 = 1.75;
 
-/// How a line is told from another without colour: by the cells that it leaves out.
+/// What distinguishes lines without colour: the cells that a line leaves out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Stroke {
     Solid,
     /// Whole cells on and off: a dash of single dots would look like noise.
     Dashed,
-    /// One cell of four.
     Dotted,
 }
 
 impl Stroke {
-    /// Whether a column of dots is drawn.
     const fn draws(self, x: usize) -> bool {
         let cell = x / DOTS_X;
         match self {
@@ -115,7 +112,6 @@ impl Stroke {
         }
     }
 
-    /// A sample of it for a legend.
     pub(super) const fn sample(self) -> &'static str {
         match self {
             Self::Solid => "⣀⣀⣀",
@@ -176,7 +172,6 @@ pub(super) fn vertical(at: f64, mark: char, bounds: Bounds, area: Rect, buffer: 
     }
 }
 
-/// Draws the traces, later ones over earlier ones.
 pub(super) fn plot(traces: &[Trace], bounds: Bounds, area: Rect, buffer: &mut Buffer) {
     let area = area.intersection(buffer.area);
     let (width, height) = (usize::from(area.width), usize::from(area.height));
@@ -264,19 +259,16 @@ fn columns(
     columns
 }
 
-/// Steps of which the usual one is found.
-const LOOKS: usize = 2000;
-
-/// Step of time from which on there is a gap: so many times the median one of up to [`LOOKS`]; infinite where there are not
+/// Step of time from which on there is a gap: so many times the median one of up to [`2000`]; infinite where there are not
 /// two points. `at` gives the time of each of `count` points.
 pub(super) fn longest_step_s(count: usize, at: impl Fn(usize) -> f64) -> f64 {
-    let steps = (1..count).step_by(count.div_ceil(LOOKS).max(1)).map(|k| at(k) - at(k - 1));
+    let steps = (1..count).step_by(count.div_ceil(2000).max(1)).map(|k| at(k) - at(k - 1));
     let mut steps: Vec<f64> = steps.filter(|step| step.is_finite()).collect();
     if steps.is_empty() {
         return f64::INFINITY;
     }
     let middle = steps.len() / 2;
-    GAP_FACTOR * *steps.select_nth_unstable_by(middle, f64::total_cmp).1
+    GAP * *steps.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 #[cfg(test)]

@@ -7,10 +7,8 @@ use ratatui::style::{Color, Modifier};
 
 use super::{diagnosis, live, response, testing, theme};
 
-/// The sizes that every page is looked at in.
 const SIZES: [(u16, u16); 4] = [(40, 10), (80, 24), (120, 40), (200, 50)];
 
-/// A page by its name, and how it is drawn.
 pub(super) type Page = (&'static str, Box<dyn Fn(&mut Frame<'_>)>);
 
 fn pages() -> impl Iterator<Item = (String, Page)> {
@@ -65,7 +63,7 @@ fn contrast(one: [f64; 3], other: [f64; 3]) -> f64 {
 }
 
 #[test]
-fn on_white_every_letter_has_a_contrast_of_at_least_four_and_a_half() {
+fn on_white_every_letter_has_a_contrast_of_four_and_a_half() {
     let own = |colour: Color, reset: [f64; 3]| match colour {
         Color::Reset => reset,
         Color::Indexed(index) => rgb(index),

@@ -4,11 +4,11 @@ use proptest::prelude::*;
 use ratatui::backend::TestBackend;
 use ratatui::{Frame, Terminal};
 
+use super::keys::{CHARACTERS, Press};
 use drivebench_diagnose::{Evidence, RecordedChannels, Traces};
 use drivebench_model::plant::testing::with_a_fan;
 use drivebench_model::plant::{ActiveEffect, Model, Motor, effect};
 
-/// What `view` draws on so many cells.
 pub(super) fn terminal(
     (width, height): (u16, u16),
     view: impl FnOnce(&mut Frame<'_>),
@@ -36,6 +36,22 @@ pub(super) fn number() -> impl Strategy<Value = f64> {
         1 => Just(-f64::MAX),
         1 => Just(0.0),
     ]
+}
+
+/// The key that a character stands for; arrows, Enter, Esc, Tab and Ctrl-C by their signs.
+pub(super) fn key(sign: char) -> Press {
+    match sign {
+        '↑' => Press::Move(-1),
+        '↓' => Press::Move(1),
+        '←' => Press::Cursor(-1),
+        '→' => Press::Cursor(1),
+        '⏎' => Press::Open,
+        '␛' => Press::Stop,
+        '⇥' => Press::NextScreen,
+        '⇤' => Press::PreviousScreen,
+        '^' => Press::Interrupt,
+        sign => CHARACTERS.iter().find(|key| key.0 == sign).map_or(Press::Other, |key| key.1),
+    }
 }
 
 /// The motor of the runs with a fan, with it or without it in the model.

@@ -1,8 +1,6 @@
 //! Colours, each beside a word or a mark that says the same. They are the terminal's sixteen, made for a dark background;
 //! on a light one each has another in its place that is dark enough.
 
-use std::sync::atomic::{AtomicBool, Ordering};
-
 use ratatui::buffer::Buffer;
 use ratatui::style::{Color, Style};
 
@@ -51,21 +49,16 @@ pub(super) const fn level(level: Level) -> Style {
     }
 }
 
-static IS_LIGHT: AtomicBool = AtomicBool::new(false);
-
-/// From here on screens are drawn for a light background.
-pub fn use_light() {
-    IS_LIGHT.store(true, Ordering::Relaxed);
+/// How screens are shown on this terminal.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Appearance {
+    /// Colours for a light background.
+    pub is_light: bool,
+    /// Wheel and clicks act on screens; the terminal's own selection of text then needs the Shift key.
+    pub takes_mouse: bool,
 }
 
-/// Puts the colours of the theme in the place of those that a screen was drawn with.
-pub(super) fn apply(buffer: &mut Buffer) {
-    if IS_LIGHT.load(Ordering::Relaxed) {
-        lighten(buffer);
-    }
-}
-
-/// For a light background, whatever the theme.
+/// Puts the colours for a light background in the place of those that a screen was drawn with.
 pub(super) fn lighten(buffer: &mut Buffer) {
     for cell in &mut buffer.content {
         // Letters on a colour stay white: an alarm.

@@ -14,7 +14,6 @@ use drivebench_model::plant::{ActiveEffect, Balance, Model, MotorKey, Scenario};
 use drivebench_model::sample::{ParameterEstimate, Verdict};
 use drivebench_model::text::number::{fixed, with_std};
 
-/// What one burst said.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct BurstResult {
     /// The capture, a run like any other.
@@ -24,17 +23,16 @@ pub struct BurstResult {
     /// Resistance and inductance, with the effects in the circuit.
     #[serde(serialize_with = "with_keys")]
     pub parameters: Vec<ParameterEstimate>,
-    /// Effects that its voltage equation misses.
     pub effects: Vec<&'static str>,
-    /// Each of those with one that the burst alone does not tell from it: it has one direction.
+    /// Each of those with one that the burst alone does not distinguish from it: it has one direction.
     #[serde(skip)]
     confusable: Vec<[&'static str; 2]>,
-    /// How well that equation holds, or why it could not be asked; never what is missing in the machine.
+    /// How well that equation holds, or why it was not fitted; never what is missing in the machine.
     pub sentence: String,
 }
 
 impl BurstResult {
-    /// Fits the circuit to a burst by itself. Where the burst tells no inductance there is none in the result.
+    /// Fits the circuit to a burst by itself. Where the burst carries no inductance there is none in the result.
     pub fn of(nameplate: &Model, burst: &Scenario, capture: String) -> Self {
         let found = circuit(nameplate, burst).unwrap_or_else(|error| Self {
             sentence: format!("it tells nothing: {error}"),
@@ -47,7 +45,7 @@ impl BurstResult {
         self.parameters.iter().find(|own| own.key == key.key())?.value
     }
 
-    /// The model from which the loop's own runs are fitted: what they cannot tell stays as the burst has it.
+    /// The model from which the loop's own runs are fitted: what they do not carry stays as the burst has it.
     /// No motor has a negative one.
     pub fn improve(&self, mut model: Model) -> Model {
         if let Some(inductance_h) = self.value(MotorKey::Inductance).filter(|value| *value > 0.0) {
@@ -57,9 +55,9 @@ impl BurstResult {
     }
 
     /// Beside the diagnosis of the runs, which decides what is missing: the burst is of the circuit alone, and of one moment. Of two
-    /// effects that the burst does not tell apart it is the one that the runs name.
+    /// effects that the burst does not distinguish it is the one that the runs name.
     #[must_use]
-    pub fn beside(mut self, diagnosis: &Diagnosis) -> Self {
+    pub fn with_diagnosis(mut self, diagnosis: &Diagnosis) -> Self {
         let names = |id: &str| diagnosis.effects.contains(&id);
         for id in &mut self.effects {
             let mut pairs = self.confusable.iter().filter(|pair| pair[0] == *id);
@@ -82,7 +80,7 @@ impl BurstResult {
         self
     }
 
-    /// What the burst told, for the end of the loop.
+    /// The result of the burst for the end of the loop.
     pub fn text(&self) -> String {
         let figure = |own: &ParameterEstimate| {
             let text = with_std(own.value?, own.std?);
@@ -101,16 +99,13 @@ impl BurstResult {
 
 /// Error of the voltage equation in units of its noise up to which it holds.
 const HOLDS_TIMES_NOISE: f64 = 1.15;
-/// Standard deviations by which a coefficient has to differ from zero, and share of the error that may be left with it.
-const CERTAIN_SIGMAS: f64 = 3.0;
-const EXPLAINS_SHARE: f64 = 0.7;
 
 /// The voltage equation alone, with the measured speed in it: in the first moments after a standstill a shaft sticks, slips
 /// and winds up, and a free run would put what its load does into the inductance.
 fn circuit(nameplate: &Model, burst: &Scenario) -> Result<BurstResult, FitError> {
     let model = start::complete(nameplate, burst)?;
     let plain = VoltageBalance::of(&model, burst);
-    if let Some(reason) = plain.why_nothing() {
+    if let Some(reason) = plain.missing_reason() {
         return Ok(plain.result(None, format!("it tells nothing: {reason}")));
     }
     let leaves = format!("its voltage equation leaves {}", plain.level());
@@ -122,9 +117,10 @@ fn circuit(nameplate: &Model, burst: &Scenario) -> Result<BurstResult, FitError>
     let of_circuit = |active: &ActiveEffect| active.effect.card().enters.includes(Balance::Voltage);
     with.effects.retain(of_circuit);
     let better = VoltageBalance::of(&with, burst);
-    let bears_out = |id: &&str| better.bears_out(id);
-    let found: Vec<&'static str> = with.effect_ids().into_iter().filter(bears_out).collect();
-    if found.is_empty() || better.rms_v > EXPLAINS_SHARE * plain.rms_v {
+    let is_significant = |id: &&str| better.is_significant(id);
+    let found: Vec<&'static str> = with.effect_ids().into_iter().filter(is_significant).collect();
+    // Effects that leave more than 0.7 of the error explain too little of it.
+    if found.is_empty() || better.rms_v > 0.7 * plain.rms_v {
         return Ok(plain.result(None, leaves));
     }
     let mut confusable = diagnosis.confusable;
@@ -138,10 +134,8 @@ fn circuit(nameplate: &Model, burst: &Scenario) -> Result<BurstResult, FitError>
     Ok(BurstResult { effects: found, confusable, ..better.result(Some(&names), sentence) })
 }
 
-/// The voltage equation fitted to a burst by itself.
 struct VoltageBalance {
     parameters: Vec<ParameterEstimate>,
-    /// Root mean square of what is left, V.
     rms_v: f64,
     /// The same over what noise alone would leave; none where the noise is not known.
     over_noise: Option<f64>,
@@ -163,8 +157,7 @@ impl VoltageBalance {
         }
     }
 
-    /// Why it has no resistance.
-    fn why_nothing(&self) -> Option<String> {
+    fn missing_reason(&self) -> Option<String> {
         let resistance = self.parameters.first()?;
         resistance.reason.clone().filter(|_| resistance.value.is_none())
     }
@@ -176,13 +169,13 @@ impl VoltageBalance {
         )
     }
 
-    /// Whether the size of this effect is told from zero.
-    fn bears_out(&self, id: &str) -> bool {
+    /// Whether the size of this effect differs from zero.
+    fn is_significant(&self, id: &str) -> bool {
         let prefix = format!("{id}.");
-        let is_told = |p: &ParameterEstimate| {
-            p.value.zip(p.std).is_some_and(|(value, std)| value.abs() > CERTAIN_SIGMAS * std)
+        let is_certain = |p: &ParameterEstimate| {
+            p.value.zip(p.std).is_some_and(|(value, std)| value.abs() > 3.0 * std)
         };
-        self.parameters.iter().filter(|p| p.key.starts_with(&prefix)).any(is_told)
+        self.parameters.iter().filter(|p| p.key.starts_with(&prefix)).any(is_certain)
     }
 
     /// Resistance and inductance; not settled where the equation misses something, or holds only with effects: in what
@@ -274,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn friction_of_a_shaft_that_breaks_away_is_no_part_of_the_inductance() {
+    fn friction_at_breakaway_is_no_part_of_the_inductance() {
         let mut truth = Model::baseline(Motor::zk_22fc()).with_effect("stribeck_friction").unwrap();
         truth.effects[0].values = vec![Some(0.16), Some(10.0)];
         // Steps of 1 V each 10 ms after a moment at rest, as the loop climbs to its first level.

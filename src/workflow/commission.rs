@@ -2,7 +2,7 @@
 //! on), the analysis between the tasks, what a screen shows of it, and what it leaves behind.
 
 use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use serde::Serialize;
 
@@ -30,20 +30,15 @@ use drivebench_model::plant::{FittedValue, Model, ModelError, Motor, Scenario, S
 use drivebench_model::sample::{ParameterEstimate, Run};
 use drivebench_model::text::shell::quoted;
 
-/// What the driver is to do next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Task {
     /// Open the link, ask who is there, prove the watchdog.
     Check,
-    /// Find the motor from small steps.
     Escalate,
-    /// Predict the sequence and refuse it where it would be too much.
     Plan,
-    /// Record one run.
     Record(Role),
     /// Call [`Commission::analyse`]; it takes seconds and needs nothing from outside.
     Analyse,
-    /// Write the run folders' models, results and reports.
     Save,
     Finished,
 }
@@ -65,7 +60,7 @@ pub struct Commission {
     /// The bench of the loop, which a recommended run is for.
     bench: BenchFile,
     discovery: Option<Discovery>,
-    /// What the plate says, whatever the fits start from.
+    /// The nameplate, whatever the fits start from.
     plate: Motor,
     escalation: Option<EscalationResult>,
     /// A burst of the first run, and where it is kept.
@@ -75,7 +70,7 @@ pub struct Commission {
 
 impl Commission {
     /// `nameplate` is where the fits start; what it leaves out is found from the data. An `unknown` motor is found from
-    /// small steps before the plan. A run that tells more is recommended for the `bench` of the loop, where one would; the
+    /// small steps before the plan. A next run is recommended for the `bench` of the loop where one would help; the
     /// answer is scored by the `truth` of an emulator. `called` is for the commands of the single steps.
     pub fn new(
         nameplate: Model,
@@ -136,7 +131,6 @@ impl Commission {
         self.step_done(Step::Connect, name, Task::Check);
     }
 
-    /// The check was passed.
     pub fn checked(&mut self, report: &CheckReport) {
         let watchdog = report.watchdog_proven_s.map_or_else(
             || "watchdog not proven".to_owned(),
@@ -160,7 +154,6 @@ impl Commission {
         self.step_done(Step::Safety, &line, if is_unknown { Task::Escalate } else { Task::Plan });
     }
 
-    /// What the escalation is doing.
     pub fn escalating(&mut self, line: &str) {
         self.step_is(Step::Find, StepState::Active, line);
     }
@@ -173,7 +166,6 @@ impl Commission {
         self.step_done(Step::Find, &line, Task::Plan);
     }
 
-    /// The plan was accepted.
     pub fn planned(&mut self, plan: &Plan) {
         let line = format!(
             "peak {:.1} A ({:.1} times rated), {:.0} rad/s, {:.0} turns away, {:.1} s each run",
@@ -186,7 +178,6 @@ impl Commission {
         self.step_done(Step::Plan, &line, Task::Record(Role::Fit));
     }
 
-    /// A run was recorded to its end.
     pub fn recorded(
         &mut self,
         role: Role,
@@ -215,7 +206,7 @@ impl Commission {
     }
 
     /// Identify, compare, diagnose and add, on what was recorded. Pure; `publish` is called after each step, and
-    /// `diagnosing` hears of what the diagnosis does.
+    /// `diagnosing` receives the progress of the diagnosis.
     pub fn analyse(
         &mut self,
         mut publish: impl FnMut(Progress),
@@ -261,7 +252,7 @@ impl Commission {
             next.bench = next.recipe.as_ref().map(file);
         }
         diagnosis.next_experiment = next;
-        // Whoever goes on by hand begins with this answer.
+        // The diagnosis by hand begins with this answer.
         let discovery = Discovery::new(nameplate, evidence).with_answer(diagnosis.clone());
         self.discovery = Some(discovery.with_limits(limits));
         self.called.effect = diagnosis.effect;
@@ -297,7 +288,7 @@ impl Commission {
             online: self.online.clone(),
             nameplate: compared(&self.plate, &diagnosis.model.parameters),
             escalation: self.escalation.clone(),
-            burst: burst.map(|burst| burst.beside(&diagnosis)),
+            burst: burst.map(|burst| burst.with_diagnosis(&diagnosis)),
             ladder: diagnosis.ladder.clone(),
             truth: (self.truth.as_ref()).map(|hidden| Truth::of(hidden, &diagnosis)),
             runs: self.runs.clone(),
@@ -409,7 +400,6 @@ pub struct StepView {
     pub step: Step,
     pub state: StepState,
     pub line: String,
-    /// The command that does the same by itself.
     pub command: Option<String>,
 }
 
@@ -419,7 +409,6 @@ impl StepView {
     }
 }
 
-/// The loop so far, and the report once it is over.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Progress {
     pub steps: Vec<StepView>,
@@ -428,7 +417,7 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// Whether this step can follow now; what is said of it where not.
+    /// Whether this step can follow now; the reason where not.
     pub fn is_offered(&self, step: Step) -> Result<(), &str> {
         match self.steps.iter().find(|own| own.step == step) {
             Some(own) if own.state == StepState::Offered => Ok(()),
@@ -464,21 +453,6 @@ impl Progress {
     }
 }
 
-/// The latest progress, shared between the worker and the screen; neither waits for the other.
-#[derive(Clone, Debug, Default)]
-pub struct ProgressCell(Arc<Mutex<Arc<Progress>>>);
-
-impl ProgressCell {
-    pub fn latest(&self) -> Arc<Progress> {
-        Arc::clone(&self.0.lock().unwrap_or_else(PoisonError::into_inner))
-    }
-
-    pub fn publish(&self, progress: Progress) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(progress);
-    }
-}
-
-/// One recorded run of the loop.
 #[derive(Clone, Debug, Serialize)]
 pub struct RunRecord {
     pub role: &'static str,
@@ -489,7 +463,6 @@ pub struct RunRecord {
     pub missed_cycles: u64,
 }
 
-/// The whole loop's outcome.
 #[derive(Clone, Debug, Serialize)]
 pub struct CommissionResult {
     pub sentence: String,
@@ -507,15 +480,13 @@ pub struct CommissionResult {
     /// What was found against the plate, where there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub nameplate: Option<Comparison>,
-    /// How an unknown motor was found.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub escalation: Option<EscalationResult>,
-    /// What a burst told, where the loop is slower than the current.
+    /// The result of a burst, where the loop is slower than the current.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub burst: Option<BurstResult>,
     /// Errors on the selecting run, one rung for each model.
     pub ladder: Vec<Rung>,
-    /// Errors on the confirming run: the headline.
     pub confirmed: [Rung; 2],
     pub runs: Vec<RunRecord>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -532,7 +503,6 @@ pub struct StageRecord {
     pub folder: Option<String>,
 }
 
-/// The escalation as the driver runs it.
 #[derive(Clone, Debug)]
 pub struct Escalate {
     escalation: Escalation,
@@ -540,7 +510,6 @@ pub struct Escalate {
     records: Vec<StageRecord>,
 }
 
-/// What it leaves behind.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct EscalationResult {
     /// `found`, or the name of what is in the way.
@@ -549,9 +518,8 @@ pub struct EscalationResult {
     pub stages: Vec<StageRecord>,
     #[serde(serialize_with = "with_keys")]
     pub parameters: Vec<ParameterEstimate>,
-    /// Found against the plate; none where the plate says nothing or nothing was found.
+    /// Found against the plate; none where the plate has no value or nothing was found.
     pub nameplate: Option<Comparison>,
-    /// Why no motor was found.
     pub ending: Option<Ending>,
     /// The sequence as it was fitted to the motor.
     pub scaled: Option<Scaled>,
@@ -587,7 +555,6 @@ impl Escalate {
         Ok(record)
     }
 
-    /// The result so far, without the scaled sequence.
     pub fn result(&self) -> EscalationResult {
         let mut result = EscalationResult {
             outcome: "running",
@@ -667,7 +634,7 @@ pub fn scaled_sentence(scaled: &Scaled) -> String {
     }
 }
 
-/// The comparison with the plate, where the plate says anything.
+/// The comparison with the plate, where the plate has a value.
 pub fn compared(plate: &Motor, found: &[ParameterEstimate]) -> Option<Comparison> {
     let comparison = nameplate::compare(plate, found);
     comparison.rows.iter().any(|row| row.nameplate.is_some()).then_some(comparison)

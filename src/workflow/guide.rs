@@ -7,7 +7,7 @@ use drivebench_model::text::number::shortest;
 use drivebench_model::text::shell::quoted_word;
 
 /// What a recorded run is for. A model is fitted on the first, chosen by the second, and its error reported from the
-/// third; the fourth repeats the first and tells what the machine itself does not repeat.
+/// third; the fourth repeats the first and shows what the machine itself does not repeat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
     Fit,
@@ -44,7 +44,7 @@ pub enum Step {
     Ladder,
     Tune,
     Report,
-    /// The run that would tell more, where there is one; on request.
+    /// The recommended run, where there is one; on request.
     Experiment,
     /// On request.
     SpeedLoop,
@@ -91,7 +91,7 @@ impl Step {
         }
     }
 
-    /// Whether it follows the report, when a person asks for it.
+    /// Whether it follows the report on request only.
     pub const fn is_on_request(self) -> bool {
         matches!(self, Self::Experiment | Self::SpeedLoop)
     }
@@ -181,7 +181,7 @@ pub struct Called {
     bench: String,
     /// Bench, link and motor as they were named, each with a space before it.
     words: String,
-    /// How the drive's line is named to commands that only look; none where there is no line.
+    /// The line of the drive for commands that only read; none where there is no line.
     line: Option<String>,
     rate_hz: f64,
     seeds: [u64; 4],

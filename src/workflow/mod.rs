@@ -6,33 +6,52 @@
 //!     '------- Done in: what came of it; a failed task ends the loop with its reason
 //! ```
 //!
-//! guide.rs says of each step what it needs, what it unlocks and which command does the same.
+//! guide.rs: what each step needs and unlocks, and which command does the same.
 //! discovery.rs is the analysis as a conversation: add an effect, see what is missing then.
-//! leaning.rs looks at a run that is still going on: what its residual leans on, provisionally.
+//! provisional_ranking.rs ranks the effects by the residual of a run that still goes on.
 //! suite/ reads a suite of bench tests and judges what came of its cases.
 //! truth.rs sets what a software drive hides beside the answer, after the analysis.
 //!
-//! The driver (`app`) carries the tasks out: it owns link, clock and files. The analysis itself is pure and is done here.
+//! The driver (`commands`) carries the tasks out: it owns link, clock and files. The analysis itself is pure and is done here.
+
+use std::sync::{Arc, Mutex, PoisonError};
 
 mod burst;
 mod commission;
 mod discovery;
 mod guide;
 mod keyed;
-mod leaning;
 mod next_bench;
+mod provisional_ranking;
 pub mod suite;
 mod truth;
 
 pub use burst::BurstResult;
 pub use commission::{
-    Commission, CommissionResult, Escalate, EscalationResult, Progress, ProgressCell, RunRecord,
-    StageRecord, StepState, StepView, Task, compared, scaled_sentence,
+    Commission, CommissionResult, Escalate, EscalationResult, Progress, RunRecord, StageRecord,
+    StepState, StepView, Task, compared, scaled_sentence,
 };
 pub use discovery::{
-    Discovery, News, Order, Tell, curve_table, four_digits, hold_what_the_curve_holds,
+    Discovery, News, Order, Publish, curve_table, four_digits, hold_what_the_curve_holds,
 };
 pub use guide::{Called, Role, Step};
-pub use leaning::{LeaningCell, LeaningWatch, Provisional};
 pub use next_bench::{bench_for, experiment_limits, next_bench};
+pub use provisional_ranking::{ProvisionalRanking, RankingWatch};
 pub use truth::{ORDER, Size, Truth, sizes};
+
+/// The latest value, shared between the worker and the screen; neither waits for the other.
+#[derive(Clone, Debug, Default)]
+pub struct Latest<T>(Arc<Mutex<Arc<T>>>);
+
+pub type ProgressCell = Latest<Progress>;
+pub type RankingCell = Latest<ProvisionalRanking>;
+
+impl<T> Latest<T> {
+    pub fn latest(&self) -> Arc<T> {
+        Arc::clone(&self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    pub fn publish(&self, value: T) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(value);
+    }
+}

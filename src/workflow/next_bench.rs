@@ -5,22 +5,16 @@ use drivebench_diagnose::{ExperimentLimits, Recipe};
 use drivebench_model::plant::{Model, MotorKey};
 use drivebench_model::text::lines::wrapped;
 
-/// Currents in rated currents up to which a run is recommended: what the drive of such a motor gives, whatever the
-/// bench would let pass.
-const CURRENT_IN_RATED: f64 = 2.0;
-/// Exchanges per second that a serial line of Modbus carries: faster runs came over the stream.
-const FASTEST_MODBUS_HZ: f64 = 120.0;
 /// Separates the name of the bench from that of the recommended run.
 const NEXT: &str = "-next-";
-/// Stands for the port that only the reader knows: nothing of that name can be opened, and nothing else is put in its place.
+/// Placeholder of a port: nothing of that name can be opened, and nothing else is put in its place.
 const UNKNOWN_PORT: &str = "port-of-your-drive";
-/// Width of the comment at the head of the file.
-const COMMENT_WIDTH: usize = 110;
 
 /// What a run on this bench may reach.
 pub fn experiment_limits(bench: &BenchFile) -> ExperimentLimits {
     let limits = bench.limits();
-    let most_a = CURRENT_IN_RATED * bench.motor.rated_current_a;
+    // What the drive of such a motor gives, whatever the bench would let pass.
+    let most_a = 2.0 * bench.motor.rated_current_a;
     ExperimentLimits {
         voltage_v: limits.voltage_v,
         current_a: limits.current_a.min(most_a),
@@ -34,7 +28,7 @@ pub fn experiment_limits(bench: &BenchFile) -> ExperimentLimits {
     }
 }
 
-/// The bench with the recipe as its sequence, as the text of a file whose head says what it is for. The slew limit is the
+/// The bench with the recipe as its sequence, as the text of a file whose head has its purpose. The slew limit is the
 /// recipe's own, planned within that of the bench where it has one. What the bench does not know of the motor is taken
 /// from `model`.
 pub fn next_bench(bench: &BenchFile, recipe: &Recipe, model: &Model, sentence: &str) -> String {
@@ -71,7 +65,8 @@ pub fn bench_for(model: &Model, limits: &ExperimentLimits, rate_hz: f64) -> Benc
     bench.speed = None;
     UNKNOWN_PORT.clone_into(&mut bench.link.port);
     bench.link.rate_hz = rate_hz.clamp(1.0, 2000.0);
-    if rate_hz > FASTEST_MODBUS_HZ {
+    // More exchanges per second than a serial line of Modbus carries came over the stream.
+    if rate_hz > 120.0 {
         bench.link.protocol = Protocol::Stream;
     }
     let motor = &mut bench.motor;
@@ -89,7 +84,7 @@ pub fn bench_for(model: &Model, limits: &ExperimentLimits, rate_hz: f64) -> Benc
 }
 
 fn comment(sentence: &str) -> String {
-    format!("# {}\n", wrapped(sentence, COMMENT_WIDTH - 2).join("\n# "))
+    format!("# {}\n", wrapped(sentence, 108).join("\n# "))
 }
 
 #[cfg(test)]

@@ -11,9 +11,6 @@ use drivebench_model::text::number::{fixed, shortest, with_unit};
 /// Key of the number of waves in a turn.
 pub const ORDER: &str = "order";
 
-/// Orders are whole numbers: an effect with another number of waves is another effect under the same name.
-const ORDER_TOLERANCE: f64 = 0.5;
-
 /// What an emulator carried, for scoring the answer; a real drive has none.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Truth {
@@ -22,7 +19,6 @@ pub struct Truth {
     pub sizes: Vec<Size>,
 }
 
-/// One parameter of a hidden effect.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Size {
     pub effect: String,
@@ -81,7 +77,8 @@ impl Truth {
 impl Size {
     fn is_of_another_order(&self) -> bool {
         let error = self.found.map(|found| (found - self.truth).abs());
-        self.key == ORDER && error.is_some_and(|error| error >= ORDER_TOLERANCE)
+        // Orders are whole numbers: an effect with another number of waves is another effect under the same name.
+        self.key == ORDER && error.is_some_and(|error| error >= 0.5)
     }
 
     fn text(&self) -> String {
@@ -161,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn a_size_without_a_unit_has_none_and_one_that_was_not_found_is_named_so() {
+    fn a_size_without_a_unit_has_none_and_may_be_not_found() {
         let ratio = hidden("load_dependent_friction");
         let text = |found: Option<f64>| sizes([&ratio], |_, _| found)[0].text();
         let value = ratio.parameters[0].value;

@@ -298,7 +298,7 @@ fn u_takes_back_what_a_has_added() {
     session.wait_for("BEFORE the last change");
     session.press("u");
     session.wait_for("taken back: stribeck_friction");
-    session.wait_for("MISSING: stribeck_friction");
+    session.wait_for("EFFECT FOUND: stribeck_friction");
     lacks(&session.text(), &["+ in the model"]);
     keep_what_scrolls(&mut session);
     session.press("q");

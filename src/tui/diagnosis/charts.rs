@@ -1,7 +1,6 @@
 //! The pictures of the diagnosis: the curve of an effect over its axis, and the signed map of the error.
 
 use std::fmt::Write as _;
-use std::sync::Arc;
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
@@ -11,17 +10,11 @@ use ratatui::text::{Line, Span};
 use super::state::State;
 use crate::report::curve_chart;
 use crate::tui::axis_chart;
-use crate::tui::frame::{rows, titled_with};
+use crate::tui::frame::{in_rows, rows, titled_with};
 use crate::tui::theme;
 use drivebench_diagnose::{CurvePoint, EffectCurve, MapCell, MapDigits, Off};
 use drivebench_model::text::lines::wrapped;
 use drivebench_model::text::number::{shortest, significant, with_std};
-
-/// Rows that the words above the chart take at most, where there is room and where there is not.
-const MOST_WORDS: usize = 4;
-const FEW_WORDS: usize = 1;
-/// Rows from which on there is room for words.
-const TALL: u16 = 16;
 
 /// Error against its axis, the effect drawn through it. `index` counts what there is to be drawn; the cursor is on a point.
 pub(super) fn curve(
@@ -40,17 +33,14 @@ pub(super) fn curve(
         if drawn.len() > 1 { format!("{} of {}", index + 1, drawn.len()) } else { String::new() };
     let inner = titled_with(&title, &place, area, buffer);
     let width = usize::from(inner.width);
-    let most = if inner.height >= TALL { MOST_WORDS } else { FEW_WORDS };
+    let most = if inner.height >= 16 { 4 } else { 1 };
     let room = width.saturating_sub(1).max(1);
-    let said = words(curve).into_iter();
-    let mut said: Vec<String> = said.flat_map(|text| wrapped(&text, room)).collect();
-    if said.len() > most {
-        // The rest of it makes the last row too long, so that it is seen that there is more.
-        let rest = said.split_off(most.saturating_sub(1)).join(" ");
-        said.push(rest);
-    }
-    let said = said.into_iter().map(|row| Line::styled(format!(" {row}"), theme::BOLD));
-    let mut lines: Vec<Line<'static>> = said.collect();
+    // A map of an unexplained error has its sentence, and no figures of windows.
+    let figures = (!curve.is_unexplained()).then(|| curve.sentence());
+    let texts = figures.iter().chain(&curve.why_axis);
+    let texts = in_rows(texts.flat_map(|text| wrapped(text, room)).collect(), most);
+    let styled = texts.iter().map(|row| Line::styled(format!(" {row}"), theme::BOLD));
+    let mut lines: Vec<Line<'static>> = styled.collect();
     let cursor = cursor.and_then(|at| Some((at, curve.points.get(at)?)));
     lines.extend(cursor.map(|point| at_cursor(curve, point)));
     let head = u16::try_from(lines.len()).unwrap_or(u16::MAX);
@@ -61,12 +51,6 @@ pub(super) fn curve(
         ..inner
     };
     axis_chart::axis_chart(&curve_chart(curve), cursor.map(|(_, point)| point.at), below, buffer);
-}
-
-fn words(curve: &Arc<EffectCurve>) -> Vec<String> {
-    // A map of an unexplained error has its sentence, and no figures of windows.
-    let figures = (!curve.is_unexplained()).then(|| curve.sentence());
-    figures.into_iter().chain(curve.why_axis.clone()).collect()
 }
 
 fn at_cursor(curve: &EffectCurve, (at, point): (usize, &CurvePoint)) -> Line<'static> {

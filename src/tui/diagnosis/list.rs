@@ -27,7 +27,6 @@ pub(super) struct Judged {
 /// What a row of the list stands for.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Row<'a> {
-    /// Already in the model.
     Present(&'static str),
     Judged(&'static str, Judged),
     Candidate(&'a Candidate),
@@ -42,14 +41,12 @@ impl Row<'_> {
         }
     }
 
-    /// The effect it stands for, if any.
     pub(super) fn effect(&self) -> Option<&'static dyn drivebench_model::plant::Effect> {
         effect::find(self.key())
     }
 }
 
 impl State {
-    /// The rows of the list, in the order in which they are shown.
     pub(super) fn rows(&self) -> Vec<Row<'_>> {
         let mut rows: Vec<Row<'_>> = self.present.iter().map(|id| Row::Present(id)).collect();
         if let Some(diagnosis) = &self.diagnosis {
@@ -72,7 +69,6 @@ impl State {
         self.selected.and_then(chosen).or_else(first).filter(|_| !rows.is_empty())
     }
 
-    /// The selected row.
     pub(super) fn row(&self) -> Option<Row<'_>> {
         let rows = self.rows();
         rows.get(self.selected(&rows)?).copied()
@@ -102,11 +98,7 @@ impl State {
 }
 
 const BAR: usize = 8;
-const NARROW_BAR: usize = 4;
-/// Below this width a share is a number alone, and below the next a status is its mark alone.
-const NARROW: usize = 86;
-const SLIM: usize = 70;
-/// From this width on there is room for the name of the size, and for what would have been seen.
+/// From this width on there is room for the name of the size, and for the detectable size.
 const WIDE: usize = 110;
 
 /// The first row that is drawn, so that the selected one stays in sight.
@@ -114,7 +106,6 @@ fn first_drawn(selected: Option<usize>, area: Rect) -> usize {
     selected.map_or(0, |selected| (selected + 1).saturating_sub(room(area)))
 }
 
-/// Rows below the title.
 fn room(area: Rect) -> usize {
     usize::from(area.height.saturating_sub(1)).max(1)
 }
@@ -161,7 +152,7 @@ fn spans(row: &Row<'_>, width: usize, floor: bool) -> Vec<Span<'static>> {
             let mut spans = vec![Span::raw(format!("{id:<25} "))];
             spans.extend(share(judged.share, BAR));
             if let Some(error) = judged.error {
-                // What a multiple is of without a floor, the ladder says.
+                // Without a floor the title of the ladder has the unit.
                 let unit = if floor { " x noise" } else { "" };
                 spans.push(Span::raw(format!("  refitted: {error:.2}{unit}")));
             }
@@ -169,7 +160,7 @@ fn spans(row: &Row<'_>, width: usize, floor: bool) -> Vec<Span<'static>> {
         }
         Row::Candidate(candidate) => {
             let (word, style) = status(candidate);
-            let word = if width < SLIM {
+            let word = if width < 70 {
                 word.chars().take(1).chain([' ']).collect()
             } else {
                 format!("{word:<13} ")
@@ -180,7 +171,7 @@ fn spans(row: &Row<'_>, width: usize, floor: bool) -> Vec<Span<'static>> {
             let is_seen = candidate.status != Status::NotExcited;
             let bar_length = match width {
                 WIDE.. => BAR,
-                NARROW.. => NARROW_BAR,
+                86.. => 4,
                 _ => 0,
             };
             spans.extend(share(Some(candidate.probability).filter(|_| is_seen), bar_length));

@@ -1,7 +1,7 @@
 //! The screen on which a person finds the missing effect: how good the model is, where it fails, what would mend it.
 //!
 //! ```text
-//! News of the analysis --> DiagnosisScreen::look --> State::update --> Effect --> Order to the analysis, leave
+//! News of the analysis --> DiagnosisScreen::poll --> State::update --> Effect --> Order to the analysis, leave
 //! +-------------------------------------------+
 //! | title                       working, done |
 //! | verdict in one sentence                   |
@@ -35,7 +35,6 @@ use crate::workflow::{News, Order};
 use drivebench_diagnose::ErrorOf;
 use state::{Event, State};
 
-/// With what the screen opens.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Opens {
     /// What is missing is searched at once.
@@ -43,7 +42,6 @@ pub enum Opens {
     Search,
     /// The same, with the traces over it as soon as they are there.
     Traces,
-    /// The comparison alone.
     Comparison(ErrorOf),
 }
 
@@ -61,7 +59,6 @@ impl Opens {
 /// What the screen is given; the worker holds the other ends.
 #[derive(Debug)]
 pub struct DiagnosisSources {
-    /// What is diagnosed, in a few words.
     pub title: String,
     pub opens: Opens,
     /// Where the run was stopped, if it was: the traces open there.
@@ -72,7 +69,6 @@ pub struct DiagnosisSources {
     pub hang_up: Arc<AtomicBool>,
 }
 
-/// The screen with its ends of the channels.
 pub struct DiagnosisScreen {
     state: State,
     sources: DiagnosisSources,
@@ -81,7 +77,7 @@ pub struct DiagnosisScreen {
 impl DiagnosisScreen {
     /// What it begins with is ordered by itself.
     pub fn new(sources: DiagnosisSources) -> Self {
-        // A worker that has gone is told of by its news.
+        // That a worker has gone shows in its news.
         let title = sources.title.clone();
         let (order, mut state) = match sources.opens {
             Opens::Comparison(error_of) => {
@@ -106,26 +102,27 @@ impl DiagnosisScreen {
 }
 
 impl Screen for DiagnosisScreen {
-    fn look(&mut self) -> (bool, Option<Exit>) {
-        let mut is_told = false;
+    fn poll(&mut self) -> (bool, Option<Exit>) {
+        let mut is_changed = false;
         loop {
-            let waits = self.state.working.is_some() || self.state.writing || self.state.responds;
+            let waits =
+                self.state.working.is_some() || self.state.writing || self.state.response_pending;
             let event = match self.sources.news.try_recv() {
                 Ok(news) => Event::News(news),
                 Err(TryRecvError::Disconnected) if waits => Event::WorkerGone,
                 Err(_) => break,
             };
-            is_told = true;
+            is_changed = true;
             if let Some(exit) = self.act(event) {
                 return (true, Some(exit));
             }
         }
         if self.state.is_moving() {
-            is_told = true;
-            // A frame asks for nothing.
+            is_changed = true;
+            // A frame has no effect.
             let _ = self.state.update(Event::Frame);
         }
-        (is_told, self.sources.hang_up.load(Ordering::Acquire).then_some(Exit::Interrupted))
+        (is_changed, self.sources.hang_up.load(Ordering::Acquire).then_some(Exit::Interrupted))
     }
 
     fn press(&mut self, press: Press) -> Option<Exit> {
@@ -136,7 +133,7 @@ impl Screen for DiagnosisScreen {
         view::click(&mut self.state, at, area);
     }
 
-    fn say(&mut self, text: &str) {
+    fn notify(&mut self, text: &str) {
         self.state.message = Some(text.to_owned());
     }
 

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use super::Opens;
 use super::list::{Judged, Row};
 use crate::tui::application::{Effect, Exit};
-use crate::tui::frame::scrolled;
+use crate::tui::frame::{Help, scrolled};
 use crate::tui::keys::Press;
 use crate::tui::response::ResponsePage;
 use crate::tui::traces::{FRAMES, StoppedAt, TracesPage};
@@ -56,17 +56,14 @@ pub(super) enum Over {
     Card(usize),
     /// The map of the worse equation, or of the other one.
     Map(usize),
-    /// What these runs do not tell, and the run that would, from this line on.
+    /// Open questions and the recommended run, from this line on.
     Next(usize),
     /// This one of [`State::drawn`], the cursor on this point, where it is on one.
     Curve(usize, Option<usize>),
-    /// Measured and model over time.
     Traces,
-    /// Measured and model over frequency.
     Response,
 }
 
-/// The state of the screen.
 #[derive(Clone, Debug, Default)]
 #[expect(
     clippy::struct_excessive_bools,
@@ -76,9 +73,8 @@ pub(super) struct State {
     pub(super) title: String,
     /// How the run was stopped, in a few words, where it did not go to its end.
     pub(super) stopped: Option<String>,
-    /// With what it opened, until something else was asked for.
+    /// With what it opened, until another order.
     pub(super) opens: Opens,
-    /// What the worker is doing.
     pub(super) working: Option<String>,
     pub(super) comparison: Option<Arc<Comparison>>,
     pub(super) judged: BTreeMap<&'static str, Judged>,
@@ -86,19 +82,17 @@ pub(super) struct State {
     pub(super) taken: Vec<(&'static str, f64)>,
     /// None while the search is under way.
     pub(super) diagnosis: Option<Arc<Diagnosis>>,
-    /// The run that would tell more.
     pub(super) next: Option<Arc<NextExperiment>>,
     /// It is still being looked for.
-    pub(super) looks: bool,
+    pub(super) next_pending: bool,
     pub(super) traces: TracesPage,
     pub(super) response: ResponsePage,
     /// It is being estimated, or waits for the analysis to be at rest.
-    pub(super) responds: bool,
+    pub(super) response_pending: bool,
     /// The error alone, and the effects that can be drawn through it.
     pub(super) curves: Vec<Arc<EffectCurve>>,
     /// Frames until the fall of the error is drawn.
     pub(super) falling: u8,
-    /// Effects of the model as it stands.
     pub(super) present: Vec<&'static str>,
     pub(super) ladder: Vec<Step>,
     /// What came of the last effect that was added or removed.
@@ -108,15 +102,13 @@ pub(super) struct State {
     /// The row selected; none before the person has moved.
     pub(super) selected: Option<&'static str>,
     pub(super) over: Over,
-    /// First row of the help, where it lies over everything else.
-    pub(super) help: Option<usize>,
+    pub(super) help: Help,
     /// Rows for which what scrolls had no room when it was drawn: the keys go no further.
     pub(super) hidden: Cell<usize>,
     /// A model that is to be written is not in its file yet.
     pub(super) writing: bool,
     /// To be left as soon as it is.
     pub(super) leaving: bool,
-    /// Answer to the last key.
     pub(super) message: Option<String>,
     pub(super) failure: Option<String>,
 }
@@ -132,7 +124,7 @@ impl State {
         self.traces.opens_at = stop;
     }
 
-    /// The screen of a comparison alone: nothing is searched before it is asked for.
+    /// The screen of a comparison alone: nothing is searched before `d`.
     pub(super) fn of_a_comparison(title: String, error_of: ErrorOf) -> Self {
         Self {
             opens: Opens::Comparison(error_of),
@@ -145,13 +137,13 @@ impl State {
         matches!(self.opens, Opens::Comparison(_))
     }
 
-    /// Whether there is a comparison and nobody has asked for more.
+    /// Whether there is a comparison and no search was ordered.
     pub(super) fn only_compares(&self) -> bool {
         self.is_a_comparison() && self.working.is_none() && self.comparison.is_some()
     }
 
     /// Whether the traces have the page: opened over it, or beside nothing but the comparison.
-    pub(super) fn sees_traces(&self) -> bool {
+    pub(super) fn shows_traces(&self) -> bool {
         match self.over {
             Over::Traces => true,
             Over::Nothing => self.only_compares(),
@@ -197,7 +189,6 @@ impl State {
         from.is_some_and(|from| from != FloorSource::None)
     }
 
-    /// The candidate of this effect in the answer.
     pub(super) fn candidate(&self, id: &str) -> Option<&Candidate> {
         self.diagnosis.as_ref()?.candidates.iter().find(|candidate| candidate.effect == id)
     }
@@ -205,14 +196,14 @@ impl State {
     pub(super) fn update(&mut self, event: Event) -> Option<Effect> {
         match event {
             Event::Press(press) => return self.press(press),
-            Event::News(news) => self.hear(news),
+            Event::News(news) => self.receive(news),
             Event::Frame => {
                 self.falling = self.falling.saturating_sub(1);
                 self.traces.frame();
             }
             Event::WorkerGone => {
                 let without_answer =
-                    self.working.take().is_some() | std::mem::take(&mut self.responds);
+                    self.working.take().is_some() | std::mem::take(&mut self.response_pending);
                 if std::mem::take(&mut self.writing) {
                     self.leaving = false;
                     self.fail("the analysis has ended: the model is NOT WRITTEN");
@@ -224,12 +215,12 @@ impl State {
         (self.leaving && !self.writing).then(|| Effect::Leave(self.exit()))
     }
 
-    fn hear(&mut self, news: News) {
+    fn receive(&mut self, news: News) {
         match news {
             News::Progress(found) => self.found(found),
             News::Compared(comparison) => {
                 self.comparison = Some(Arc::from(comparison));
-                self.show_before(false);
+                self.set_before(false);
             }
             News::Diagnosed(diagnosis) => self.diagnosed(*diagnosis),
             News::Traced(traces) => {
@@ -239,14 +230,14 @@ impl State {
                 }
             }
             News::Responded(found) => {
-                self.responds = false;
+                self.response_pending = false;
                 match found {
                     Ok(compared) => {
                         self.response.take(*compared);
                         self.over = Over::Response;
                         self.message = None;
                     }
-                    Err(reason) => self.say(reason),
+                    Err(reason) => self.notify(reason),
                 }
             }
             News::Curves(curves) => {
@@ -256,26 +247,28 @@ impl State {
                     self.working = None;
                 }
             }
-            News::Recommended(next) => (self.next, self.looks) = (next.map(Arc::from), false),
+            News::Recommended(next) => {
+                (self.next, self.next_pending) = (next.map(Arc::from), false)
+            }
             News::Added(result) => self.changed(true, *result),
             News::Removed(result) => self.changed(false, *result),
             News::Undone { effect, present } => {
                 self.ladder.pop();
                 (self.present, self.change) = (present, None);
                 self.search_begins(effect);
-                self.say(format!("taken back: {effect}"));
+                self.notify(format!("taken back: {effect}"));
             }
             News::Written(text) => {
                 self.writing = false;
                 self.message = Some(text);
             }
             News::NotWritten(reason) => {
-                // Who leaves would lose the model without having seen why.
+                // Leaving would lose the model without its reason.
                 (self.writing, self.leaving) = (false, false);
                 self.message = Some(format!("NOT WRITTEN: {reason}"));
             }
             News::Failed(reason) => {
-                (self.working, self.looks) = (None, false);
+                (self.working, self.next_pending) = (None, false);
                 self.failure = Some(reason);
             }
         }
@@ -302,7 +295,7 @@ impl State {
     }
 
     fn diagnosed(&mut self, diagnosis: Diagnosis) {
-        (self.working, self.looks) = (None, true);
+        (self.working, self.next_pending) = (None, true);
         self.present = diagnosis.baseline.model.effect_ids();
         if self.ladder.is_empty() {
             let name = match self.present.as_slice() {
@@ -329,18 +322,18 @@ impl State {
             // What is missing now is searched anew.
             self.search_begins(result.effect);
         } else if added {
-            self.say(format!("refused: a again adds {} all the same", result.effect));
+            self.notify(format!("refused: a again adds {} all the same", result.effect));
         } else {
-            self.say("refused; u takes the last change back");
+            self.notify("refused; u takes the last change back");
         }
-        self.show_before(false);
+        self.set_before(false);
         self.change = Some((added, Arc::new(result)));
     }
 
     /// Anew, the cursor on the effect that was changed.
     fn search_begins(&mut self, changed: &'static str) {
         self.diagnosis = None;
-        (self.next, self.looks) = (None, false);
+        (self.next, self.next_pending) = (None, false);
         self.curves.clear();
         self.judged.clear();
         self.taken.clear();
@@ -353,55 +346,62 @@ impl State {
         match press {
             Press::Interrupt => return Some(Effect::Leave(Exit::Interrupted)),
             Press::Stop if self.leaving => self.leaving = false,
-            _ if self.leaving => self.say(LEAVING),
-            Press::Move(rows) | Press::Wheel(rows) if self.help.is_some() => {
-                let hidden = self.hidden.get();
-                self.help = self.help.map(|row| scrolled(row, rows, hidden));
-            }
-            // It gives back the page that it explains.
-            _ if self.help.is_some() => self.help = None,
-            Press::Help => self.help = Some(0),
-            Press::Move(_) | Press::Stop if self.sees_traces() && self.traces.press(press) => {}
+            _ if self.leaving => self.notify(LEAVING),
+            _ if self.help.press(press) => {}
+            Press::Help => self.help.first = Some(0),
+            Press::Move(_) | Press::Stop if self.shows_traces() && self.traces.press(press) => {}
             Press::Quit if self.over != Over::Nothing => self.over = Over::Nothing,
             Press::Quit if self.writing => {
                 self.leaving = true;
-                self.say(LEAVING);
+                self.notify(LEAVING);
             }
             Press::Quit => return Some(Effect::Leave(self.exit())),
-            Press::Wheel(rows) if self.sees_traces() => {
+            Press::Wheel(rows) if self.shows_traces() => {
                 self.traces.press(Press::Zoomed(rows < 0));
             }
             Press::Move(rows) | Press::Wheel(rows) => self.go(rows),
-            Press::Traces => self.see_traces(),
-            Press::Response => return self.see_response(),
+            Press::Traces => self.show_traces(),
+            Press::Response if self.over == Over::Response => self.over = Over::Nothing,
             _ if self.over == Over::Response && self.response.press(press) => {}
-            _ if self.sees_traces() && self.traces.press(press) => {}
+            _ if self.shows_traces() && self.traces.press(press) => {}
             Press::Cursor(way) => self.move_cursor(way),
             // The worst place is also a way into the page.
             Press::Worst => {
-                self.see_traces();
+                self.show_traces();
                 self.traces.press(press);
             }
-            Press::Diagnose if self.only_compares() => {
-                self.opens = Opens::Search;
-                self.order("fitting the model".to_owned());
-                return Some(Effect::Order(Order::Diagnose));
-            }
-            Press::Diagnose => self.say(self.why_no_search()),
             Press::Open => self.open(),
-            Press::Add => return self.add(),
-            Press::Remove => return self.remove(),
-            Press::Undo => return self.undo(),
-            Press::Before => self.see_before(),
+            Press::Before => self.toggle_before(),
             Press::Map => self.map(),
             Press::Next => self.next(),
-            Press::Write => return self.write(),
             Press::Curve => self.curve(),
-            Press::Table => return self.table(),
-            Press::Stop => self.back(),
-            other => self.say(why_nothing(other)),
+            Press::Stop => self.over = Over::Nothing,
+            Press::Table if self.is_before_answer() => self.curve(),
+            other => match self.order(other) {
+                Ok(order) => return Some(Effect::Order(order)),
+                Err(reason) => self.notify(reason),
+            },
         }
         None
+    }
+
+    /// The order of a key; the reason where it gives none.
+    fn order(&mut self, press: Press) -> Result<Order, String> {
+        match press {
+            Press::Diagnose => self.search(),
+            Press::Response => self.respond(),
+            Press::Add => self.add(),
+            Press::Remove => self.remove(),
+            Press::Undo => self.undo(),
+            Press::Table => self.table(),
+            Press::Write => self.write(),
+            other => Err(why_nothing(other).to_owned()),
+        }
+    }
+
+    fn is_before_answer(&self) -> bool {
+        let has_curve = matches!(self.over, Over::Curve(..));
+        self.diagnosis.is_none() && self.working.is_none() && !has_curve
     }
 
     const fn exit(&self) -> Exit {
@@ -411,7 +411,7 @@ impl State {
         }
     }
 
-    fn say(&mut self, text: impl Into<String>) {
+    fn notify(&mut self, text: impl Into<String>) {
         self.message = Some(text.into());
     }
 
@@ -423,13 +423,13 @@ impl State {
         if let Over::Card(line) | Over::Next(line) = &mut self.over {
             *line = scrolled(*line, by, self.hidden.get());
         } else if let Over::Traces | Over::Map(_) | Over::Response = self.over {
-            self.say("this page does not scroll");
+            self.notify("this page does not scroll");
         } else if self.only_compares() {
-            self.say(self.why_none());
+            self.notify(self.why_none());
         } else {
             self.select_by(by);
             if self.row().is_none() {
-                self.say(self.why_none());
+                self.notify(self.why_none());
             }
         }
     }
@@ -445,11 +445,10 @@ impl State {
                 self.selected = Some(key);
                 self.over = Over::Card(0);
             }
-            None => self.say(self.why_none()),
+            None => self.notify(self.why_none()),
         }
     }
 
-    /// Why no row is selected.
     fn why_none(&self) -> &'static str {
         if self.only_compares() {
             "there is no list of effects yet: d searches what is missing"
@@ -460,18 +459,21 @@ impl State {
         }
     }
 
-    /// Why nothing is searched at this key.
-    fn why_no_search(&self) -> String {
-        match &self.working {
+    fn search(&mut self) -> Result<Order, String> {
+        if self.only_compares() {
+            self.opens = Opens::Search;
+            self.begin("fitting the model".to_owned());
+            return Ok(Order::Diagnose);
+        }
+        Err(match &self.working {
             Some(work) => format!("at work already: {work}"),
             None if self.diagnosis.is_some() => {
                 "what is missing has been searched: the list is what was found".to_owned()
             }
             None => "the analysis has failed: nothing was searched to its end".to_owned(),
-        }
+        })
     }
 
-    /// Why a page has nothing to show.
     fn why_empty(&self, none: &str) -> String {
         match (&self.working, &self.failure) {
             (Some(work), _) => format!("not yet: {work}"),
@@ -485,7 +487,7 @@ impl State {
         self.working.as_ref().map_or(Ok(()), |work| Err(format!("not yet: {work}")))
     }
 
-    /// The effect that `a` and `r` are about, with whether it is in the model; the reason where there is none.
+    /// The effect of `a` and `r`, with whether it is in the model; the reason where there is none.
     fn chosen(&self) -> Result<(&'static str, bool), String> {
         self.busy()?;
         match self.row() {
@@ -495,35 +497,46 @@ impl State {
         }
     }
 
-    fn add(&mut self) -> Option<Effect> {
-        match self.chosen() {
-            Err(reason) => self.say(reason),
-            Ok((id, true)) => self.say(format!("{id} is in the model already: r removes it")),
-            Ok((id, false)) => {
-                self.order(format!("refitting with {id}"));
-                let order = if self.was_refused(id) { Order::Force } else { Order::Add };
-                return Some(Effect::Order(order(id)));
-            }
-        }
-        None
+    fn begin(&mut self, work: String) {
+        self.over = Over::Nothing;
+        self.failure = None;
+        self.working = Some(work);
     }
 
-    /// Whether the last change was to add this effect, and it was refused.
-    fn was_refused(&self, id: &str) -> bool {
-        let last = self.change.as_ref();
-        last.is_some_and(|(added, result)| *added && !result.accepted && result.effect == id)
+    fn add(&mut self) -> Result<Order, String> {
+        let (id, is_present) = self.chosen()?;
+        if is_present {
+            return Err(format!("{id} is in the model already: r removes it"));
+        }
+        // Where the last change was to add this effect and it was refused, it is forced.
+        let was_refused = self
+            .change
+            .as_ref()
+            .is_some_and(|(added, result)| *added && !result.accepted && result.effect == id);
+        self.begin(format!("refitting with {id}"));
+        Ok(if was_refused { Order::Force(id) } else { Order::Add(id) })
     }
 
-    fn undo(&mut self) -> Option<Effect> {
-        if let Err(reason) = self.busy() {
-            self.say(reason);
-        } else if self.ladder.len() < 2 {
-            self.say("nothing was changed by hand that could be taken back");
-        } else {
-            self.order("taking the last change back".to_owned());
-            return Some(Effect::Order(Order::Undo));
+    fn remove(&mut self) -> Result<Order, String> {
+        let (id, is_present) = self.chosen()?;
+        if !is_present {
+            return Err(if self.present.is_empty() {
+                "the model has no effect yet".to_owned()
+            } else {
+                format!("{id} is not in the model: a adds it")
+            });
         }
-        None
+        self.begin(format!("refitting without {id}"));
+        Ok(Order::Remove(id))
+    }
+
+    fn undo(&mut self) -> Result<Order, String> {
+        self.busy()?;
+        if self.ladder.len() < 2 {
+            return Err("nothing was changed by hand that could be taken back".to_owned());
+        }
+        self.begin("taking the last change back".to_owned());
+        Ok(Order::Undo)
     }
 
     /// The comparison that is shown: before the last change, or of the model as it stands.
@@ -532,10 +545,10 @@ impl State {
         before.or(self.comparison.as_deref())
     }
 
-    fn see_before(&mut self) {
+    fn toggle_before(&mut self) {
         let change = self.change.as_ref();
         let Some((_, result)) = change.filter(|(_, result)| result.accepted) else {
-            self.say("there is no change to look before");
+            self.notify("there is no change to look before");
             return;
         };
         let text = if self.before {
@@ -543,33 +556,14 @@ impl State {
         } else {
             format!("BEFORE the change of {}; b shows the model as it stands", result.effect)
         };
-        self.show_before(!self.before);
-        self.say(text);
+        self.set_before(!self.before);
+        self.notify(text);
     }
 
     /// Comparison and traces of the model before the last change, or as it stands.
-    fn show_before(&mut self, before: bool) {
+    fn set_before(&mut self, before: bool) {
         self.before = before;
-        self.traces.see_before(before);
-    }
-
-    fn remove(&mut self) -> Option<Effect> {
-        match self.chosen() {
-            Err(reason) => self.say(reason),
-            Ok((_, false)) if self.present.is_empty() => self.say("the model has no effect yet"),
-            Ok((id, false)) => self.say(format!("{id} is not in the model: a adds it")),
-            Ok((id, true)) => {
-                self.order(format!("refitting without {id}"));
-                return Some(Effect::Order(Order::Remove(id)));
-            }
-        }
-        None
-    }
-
-    fn order(&mut self, work: String) {
-        self.over = Over::Nothing;
-        self.failure = None;
-        self.working = Some(work);
+        self.traces.set_before(before);
     }
 
     pub(super) fn has_map(&self) -> bool {
@@ -579,11 +573,11 @@ impl State {
     fn map(&mut self) {
         self.over = match self.over {
             over if self.compared().is_none() => {
-                self.say(self.why_empty("there is no map"));
+                self.notify(self.why_empty("there is no map"));
                 over
             }
             _ if !self.has_map() => {
-                self.say("there is no map: speed or current did not vary, or was not measured");
+                self.notify("there is no map: speed or current did not vary, or was not measured");
                 Over::Nothing
             }
             Over::Map(0) => Over::Map(1),
@@ -596,18 +590,18 @@ impl State {
         self.over = match self.over {
             Over::Next(_) => Over::Nothing,
             _ if self.diagnosis.is_none() => {
-                self.say("not yet: there is no answer that a run could add to");
+                self.notify("not yet: there is no answer that a run could add to");
                 self.over
             }
             _ => Over::Next(0),
         };
     }
 
-    fn see_traces(&mut self) {
+    fn show_traces(&mut self) {
         self.over = match self.over {
             Over::Traces => Over::Nothing,
             over if self.traces.is_empty() => {
-                self.say(self.why_empty("there are no traces"));
+                self.notify(self.why_empty("there are no traces"));
                 over
             }
             _ => Over::Traces,
@@ -615,24 +609,20 @@ impl State {
     }
 
     /// Estimated anew each time: the model may be another.
-    fn see_response(&mut self) -> Option<Effect> {
-        if self.over == Over::Response {
-            self.over = Over::Nothing;
-            return None;
+    fn respond(&mut self) -> Result<Order, String> {
+        if self.response_pending {
+            let text = "not yet: the frequency response comes when the analysis is at rest";
+            return Err(text.to_owned());
         }
-        if self.responds {
-            self.say("not yet: the frequency response comes when the analysis is at rest");
-            return None;
-        }
-        self.responds = true;
-        self.say("estimating the frequency response");
-        Some(Effect::Order(Order::Respond))
+        self.response_pending = true;
+        self.notify("estimating the frequency response");
+        Ok(Order::Respond)
     }
 
     /// From point to point of the curve in sight.
     fn move_cursor(&mut self, way: i32) {
         let Over::Curve(index, at) = self.over else {
-            self.say(why_nothing(Press::Cursor(way)));
+            self.notify(why_nothing(Press::Cursor(way)));
             return;
         };
         let points = self.drawn().get(index).map_or(0, |(curve, _)| curve.points.len());
@@ -646,11 +636,11 @@ impl State {
         let curves = self.drawn().len();
         self.over = match self.over {
             over if curves == 0 && (self.working.is_some() || self.comparison.is_none()) => {
-                self.say(self.why_empty("there is no curve"));
+                self.notify(self.why_empty("there is no curve"));
                 over
             }
             _ if curves == 0 => {
-                self.say(
+                self.notify(
                     "there is no curve: these runs have too few windows with speed and current",
                 );
                 Over::Nothing
@@ -662,61 +652,43 @@ impl State {
     }
 
     /// Adds the curve in sight, else the clearest.
-    fn table(&mut self) -> Option<Effect> {
-        if let Err(reason) = self.busy() {
-            self.say(reason);
-            return None;
-        }
-        let drawn = self.drawn();
+    fn table(&mut self) -> Result<Order, String> {
+        self.busy()?;
         let in_sight = match self.over {
-            Over::Curve(index, _) => {
-                match drawn.get(index) {
-                    Some((_, None)) => {
-                        self.say("this curve is no table to add: a adds the effect, c shows the next curve");
-                        return None;
-                    }
-                    drawn => drawn.and_then(|(_, place)| *place),
-                }
-            }
+            Over::Curve(index, _) => self.drawn().get(index).map(|(_, place)| *place),
             _ => None,
         };
-        let wanted = |(place, _): &(usize, &AxisMap)| in_sight.is_none_or(|own| own == *place);
-        let map = self.curves().into_iter().find(wanted);
-        let Some((place, map)) = map else {
-            if self.diagnosis.is_some() {
-                self.say("there is no curve to add: the error is explained, or follows no axis");
-            } else {
-                self.curve();
-            }
-            return None;
+        if in_sight == Some(None) {
+            let text = "this curve is no table to add: a adds the effect, c shows the next curve";
+            return Err(text.to_owned());
+        }
+        let wanted =
+            |(place, _): &(usize, &AxisMap)| in_sight.is_none_or(|own| own == Some(*place));
+        let Some((place, map)) = self.curves().into_iter().find(wanted) else {
+            let text = "there is no curve to add: the error is explained, or follows no axis";
+            return Err(text.to_owned());
         };
         let (equation, axis) = (map.equation, map.axis);
-        self.order(format!("fitting the curve of the {equation} error over {axis}"));
-        Some(Effect::Order(Order::AddCurve(place)))
+        self.begin(format!("fitting the curve of the {equation} error over {axis}"));
+        Ok(Order::AddCurve(place))
     }
 
-    fn write(&mut self) -> Option<Effect> {
+    fn write(&mut self) -> Result<Order, String> {
         if self.writing {
-            self.say("not yet: the model is being written");
-        } else if let Err(reason) = self.busy() {
-            self.say(reason);
-        } else if self.ladder.is_empty() {
-            self.say("there is no fitted model to write");
-        } else {
-            // The worker may still look for the next run: the file comes after that.
-            self.writing = true;
-            self.say("the model will be written as soon as the analysis is at rest");
-            return Some(Effect::Order(Order::Write));
+            return Err("not yet: the model is being written".to_owned());
         }
-        None
-    }
-
-    fn back(&mut self) {
-        self.over = Over::Nothing;
+        self.busy()?;
+        if self.ladder.is_empty() {
+            return Err("there is no fitted model to write".to_owned());
+        }
+        // The worker may still plan the next run: the file comes after that.
+        self.writing = true;
+        self.notify("the model will be written as soon as the analysis is at rest");
+        Ok(Order::Write)
     }
 }
 
-/// Why a key that the program knows does nothing here.
+/// Why a key of another screen does nothing here.
 fn why_nothing(press: Press) -> &'static str {
     match press {
         Press::Start | Press::Freeze | Press::Mark | Press::ResetFault => {

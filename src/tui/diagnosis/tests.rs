@@ -4,7 +4,6 @@ use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::layout::{Position, Rect};
 
-mod answers;
 mod any;
 
 use super::state::{Event, Over, State};
@@ -20,6 +19,7 @@ use drivebench_diagnose::{
     AddResult, AxisMap, Diagnosis, DiagnosisVerdict, EffectCurve, ErrorOf, Event as Found,
     NextExperiment, Status, effect_curve, error_curve,
 };
+use drivebench_identify::frequency_response::Compared;
 use drivebench_identify::noise::{FloorSource, NoiseFloor};
 use drivebench_model::plant::effect::CATALOGUE;
 use drivebench_model::plant::testing::with_a_fan;
@@ -59,7 +59,7 @@ fn added(effect: &'static str, accepted: bool) -> News {
     }))
 }
 
-fn hear(state: &mut State, news: News) {
+fn receive(state: &mut State, news: News) {
     assert_eq!(state.update(Event::News(news)), None);
 }
 
@@ -69,7 +69,7 @@ fn press(state: &mut State, press: Press) -> Option<Effect> {
 
 fn begun() -> State {
     let mut state = State::new("run-a, held out run-b".to_owned());
-    hear(&mut state, News::Compared(Box::new(comparison(0.76))));
+    receive(&mut state, News::Compared(Box::new(comparison(0.76))));
     state
 }
 
@@ -82,24 +82,26 @@ fn searching() -> State {
         ("cogging", 0.4),
         ("voltage_drop", 0.02),
     ] {
-        hear(&mut state, News::Progress(Found::Screened { effect, share }));
+        receive(&mut state, News::Progress(Found::Screened { effect, share }));
     }
-    hear(&mut state, News::Progress(Found::Refitted { effect: "stribeck_friction", error: 1.01 }));
+    receive(
+        &mut state,
+        News::Progress(Found::Refitted { effect: "stribeck_friction", error: 1.01 }),
+    );
     state
 }
 
 fn answered() -> State {
     let mut state = searching();
-    hear(&mut state, News::Diagnosed(Box::new(diagnosis())));
+    receive(&mut state, News::Diagnosed(Box::new(diagnosis())));
     state
 }
 
 /// After the effect was added.
 fn at_the_floor() -> State {
-    let mut state = answered();
-    press(&mut state, Press::Add);
-    hear(&mut state, added("stribeck_friction", true));
-    hear(&mut state, News::Diagnosed(Box::new(nothing_more())));
+    let mut state = pressed(answered(), "a");
+    receive(&mut state, added("stribeck_friction", true));
+    answer(&mut state, nothing_more());
     while state.is_moving() {
         state.update(Event::Frame);
     }
@@ -118,57 +120,64 @@ fn fan_curves() -> Vec<EffectCurve> {
 /// The answer to a run with a fan, with its traces and curves.
 fn of_a_fan() -> State {
     let mut state = begun();
-    hear(&mut state, News::Traced(Box::new(fan_traces(false))));
+    receive(&mut state, News::Traced(Box::new(fan_traces(false))));
     let mut found = diagnosis();
     found.candidates[0] = candidate(1, "quadratic_load", Status::Supported, 1.03);
     (found.effect, found.effects) = (Some("quadratic_load"), vec!["quadratic_load"]);
     found.sentence = found.sentence.replace("stribeck_friction", "quadratic_load");
     answer(&mut state, found);
-    hear(&mut state, News::Curves(fan_curves()));
+    receive(&mut state, News::Curves(fan_curves()));
     state
 }
 
-/// The fan was added; its fall is drawn half.
+/// The fan was added just now.
+fn just_added() -> State {
+    let mut state = pressed(of_a_fan(), "a");
+    receive(&mut state, added("quadratic_load", true));
+    receive(&mut state, News::Traced(Box::new(fan_traces(true))));
+    state
+}
+
+/// Its fall is drawn half.
 fn falling() -> State {
-    let mut state = of_a_fan();
-    press(&mut state, Press::Add);
-    hear(&mut state, added("quadratic_load", true));
-    hear(&mut state, News::Traced(Box::new(fan_traces(true))));
+    let mut state = just_added();
     for _ in 0..FRAMES / 2 {
         state.update(Event::Frame);
     }
     state
 }
 
-/// Nothing but a comparison.
-/// A run that tripped, compared: the traces open where it was stopped.
-fn stopped() -> State {
+/// Nothing but a comparison, of a run that was stopped there if it was: the traces open at that place.
+fn compared_of(stop: Option<StoppedAt>) -> State {
     let mut state = State::of_a_comparison("run-a, held out run-b".to_owned(), ErrorOf::Model);
-    state.stops_at(Some(StoppedAt {
-        run: "run-a".to_owned(),
-        at_s: 4.5,
-        shows: Some(Channel::Current),
-        text: "stopped: over-current at 4.50 s, zero confirmed after 18 ms".to_owned(),
-    }));
-    hear(&mut state, News::Compared(Box::new(comparison(0.76))));
-    hear(&mut state, News::Traced(Box::new(fan_traces(false))));
-    hear(&mut state, News::Curves(fan_curves()));
+    state.stops_at(stop);
+    receive(&mut state, News::Compared(Box::new(comparison(0.76))));
+    receive(&mut state, News::Traced(Box::new(fan_traces(false))));
+    receive(&mut state, News::Curves(fan_curves()));
     state
 }
 
 fn compared_alone() -> State {
-    let mut state = State::of_a_comparison("run-a, held out run-b".to_owned(), ErrorOf::Model);
-    hear(&mut state, News::Compared(Box::new(comparison(0.76))));
-    hear(&mut state, News::Traced(Box::new(fan_traces(false))));
-    hear(&mut state, News::Curves(fan_curves()));
-    state
+    compared_of(None)
 }
 
-fn pressed(mut state: State, keys: &[Press]) -> State {
-    for key in keys {
-        assert_eq!(press(&mut state, *key), None, "{key:?}");
-    }
-    state
+fn stopped() -> State {
+    compared_of(Some(StoppedAt {
+        run: "run-a".to_owned(),
+        at_s: 4.5,
+        shows: Some(Channel::Current),
+        text: "stopped: over-current at 4.50 s, zero confirmed after 18 ms".to_owned(),
+    }))
+}
+
+/// The state after these keys, and what the last of them asks for.
+fn after(mut state: State, keys: &str) -> (State, Option<Effect>) {
+    let effect = keys.chars().map(|key| press(&mut state, testing::key(key))).last().flatten();
+    (state, effect)
+}
+
+fn pressed(state: State, keys: &str) -> State {
+    after(state, keys).0
 }
 
 fn terminal(state: &State, width: u16, height: u16) -> Terminal<TestBackend> {
@@ -186,30 +195,9 @@ fn shows(state: &State, parts: &[&str]) {
     }
 }
 
-/// Every page of the screen.
 pub(in crate::tui) fn pages() -> Vec<Page> {
-    let refused = || {
-        let mut state = pressed(answered(), &[Press::Move(1)]);
-        press(&mut state, Press::Add);
-        hear(&mut state, added("cogging", false));
-        state
-    };
-    let next = || {
-        let mut state = answered();
-        let mut found = diagnosis();
-        found.confusable = vec![["viscous_friction", "quadratic_load"]];
-        answer(&mut state, found);
-        hear(&mut state, News::Recommended(Some(Box::new(next_experiment()))));
-        pressed(state, &[Press::Next])
-    };
-    let failed = || {
-        let mut state = begun();
-        let reason = "the run is too short: 12 rows, at least 200 are needed";
-        hear(&mut state, News::Failed(reason.to_owned()));
-        state
-    };
-    let traces = pressed(of_a_fan(), &[Press::Traces]);
-    let curve = pressed(of_a_fan(), &[Press::Curve]);
+    let traces = pressed(of_a_fan(), "v");
+    let curve = pressed(of_a_fan(), "c");
     let states = [
         ("begun", begun()),
         ("searching", searching()),
@@ -218,19 +206,19 @@ pub(in crate::tui) fn pages() -> Vec<Page> {
         ("falling", falling()),
         ("at_the_floor", at_the_floor()),
         ("refused", refused()),
-        ("failed", failed()),
-        ("card", pressed(answered(), &[Press::Open])),
-        ("map", pressed(of_a_fan(), &[Press::Map])),
-        ("next", next()),
+        ("failed", failed(begun())),
+        ("card", pressed(answered(), "⏎")),
+        ("map", pressed(of_a_fan(), "e")),
+        ("next", pressed(ambiguous(), "n")),
         ("curve", curve.clone()),
-        ("curve_cursor", pressed(curve, &[Press::Cursor(-1), Press::Cursor(-1)])),
+        ("curve_cursor", pressed(curve, "←←")),
         ("traces", traces.clone()),
-        ("worst", pressed(of_a_fan(), &[Press::Worst, Press::Cursor(1)])),
-        ("signals", pressed(traces, &[Press::Signals, Press::Move(1)])),
-        ("drawn_over", pressed(falling(), &[Press::Traces])),
+        ("worst", pressed(of_a_fan(), "j→")),
+        ("signals", pressed(traces, "o↓")),
+        ("drawn_over", pressed(falling(), "v")),
         ("compared", compared_alone()),
         ("stopped", stopped()),
-        ("help", pressed(answered(), &[Press::Help])),
+        ("help", pressed(answered(), "?")),
     ];
     let page = |(name, state): (&'static str, State)| -> Page {
         (name, Box::new(move |frame| view(&state, frame)))
@@ -248,56 +236,79 @@ const OVER: [Over; 7] = [
     Over::Traces,
 ];
 
-#[test]
-fn every_small_size() {
-    let more = [of_a_fan(), falling(), compared_alone()];
-    for state in [begun(), searching(), answered(), at_the_floor()].into_iter().chain(more) {
-        for over in OVER.into_iter().chain([Over::Nothing]) {
-            let mut state = state.clone();
-            state.over = over;
-            for (width, height) in testing::sizes() {
-                terminal(&state, width, height);
-            }
-        }
-    }
+/// `a` was pressed for an effect that is refused.
+fn refused() -> State {
+    let mut state = pressed(answered(), "↓a");
+    receive(&mut state, added("cogging", false));
+    state
 }
 
-#[test]
-fn the_selected_row_is_always_in_sight() {
-    let mut state = begun();
-    for effect in CATALOGUE {
-        let (effect, share) = (effect.card().id, 0.1);
-        hear(&mut state, News::Progress(Found::Screened { effect, share }));
-    }
-    for _ in 0..40 {
-        press(&mut state, Press::Move(1));
-        let shown = text(&state, 80, 24);
-        assert!(shown.contains('▶'), "{shown}");
-    }
+/// A pair that these runs do not tell apart, and the run that would.
+fn ambiguous() -> State {
+    let mut state = answered();
+    let confusable = vec![["viscous_friction", "quadratic_load"]];
+    answer(&mut state, Diagnosis { confusable, ..diagnosis() });
+    receive(&mut state, News::Recommended(Some(Box::new(next_experiment()))));
+    state
 }
 
-const DOWN: Press = Press::Move(1);
-const UP: Press = Press::Move(-1);
-const FINISHED: Option<Effect> = Some(Effect::Leave(Exit::Finished));
+/// An error that no effect explains, under the error alone.
+fn unexplained() -> State {
+    let mut state = pressed(of_a_fan(), "↓c");
+    let map = AxisMap {
+        equation: "torque",
+        axis: "speed_rad_s",
+        r2: 0.8,
+        knots: vec![0.0, 50.0, 100.0],
+        values: vec![0.0, 0.1, 0.05],
+        std: vec![0.01; 3],
+        error_over_noise: None,
+        sentence: "80 % of the torque error follows the speed".to_owned(),
+    };
+    let verdict = DiagnosisVerdict::Unexplained;
+    answer(&mut state, Diagnosis { verdict, axis_map: vec![map], ..diagnosis() });
+    state
+}
+
+/// `n` without a limit of the answer, and the run that was recommended then; `None` while it is looked for.
+fn next_run(recommended: Option<Option<NextExperiment>>) -> State {
+    let mut state = searching();
+    answer(&mut state, Diagnosis { limits: Vec::new(), ..diagnosis() });
+    if let Some(next) = recommended {
+        receive(&mut state, News::Recommended(next.map(Box::new)));
+    }
+    pressed(state, "n")
+}
+
+fn responded(response: Result<Compared, String>) -> State {
+    let mut state = pressed(compared_alone(), "g");
+    receive(&mut state, News::Responded(response.map(Box::new)));
+    state
+}
+
+/// Left while the model is being written; then this came.
+fn leaving(news: Option<News>) -> State {
+    let mut state = pressed(answered(), "wq");
+    news.into_iter().for_each(|news| receive(&mut state, news));
+    state
+}
+
+fn failed(mut state: State) -> State {
+    let reason = "the run is too short: 12 rows, at least 200 are needed";
+    receive(&mut state, News::Failed(reason.to_owned()));
+    state
+}
+
+fn abandoned(mut state: State) -> State {
+    assert_eq!(state.update(Event::WorkerGone), None);
+    state
+}
 
 fn every_state() -> Vec<State> {
-    let mut failed = begun();
-    hear(&mut failed, News::Failed("the run is too short".to_owned()));
-    let mut states = vec![
-        begun(),
-        searching(),
-        answered(),
-        at_the_floor(),
-        failed,
-        of_a_fan(),
-        falling(),
-        compared_alone(),
-    ];
+    let mut states = vec![begun(), searching(), answered(), at_the_floor(), failed(begun())];
+    states.extend([of_a_fan(), falling(), compared_alone()]);
     for index in 0..states.len() {
-        for over in OVER {
-            let state = states[index].clone();
-            states.push(State { over, ..state });
-        }
+        states.extend(OVER.map(|over| State { over, ..states[index].clone() }));
     }
     states
 }
@@ -306,106 +317,173 @@ fn selected(state: &State) -> &'static str {
     state.row().map_or("", |row| row.key())
 }
 
-fn told(state: &State) -> &str {
-    state.message.as_deref().unwrap_or_default()
-}
-
 fn answer(state: &mut State, answer: Diagnosis) {
-    hear(state, News::Diagnosed(Box::new(answer)));
+    receive(state, News::Diagnosed(Box::new(answer)));
 }
 
 #[test]
-fn a_adds_the_selected_effect_and_the_ladder_shows_the_fall() {
-    let mut state = answered();
-    assert_eq!(selected(&state), "stribeck_friction");
-    assert_eq!(press(&mut state, Press::Add), Some(Effect::Order(Order::Add("stribeck_friction"))));
-    assert_eq!(press(&mut state, Press::Add), None, "not twice");
-    hear(&mut state, added("stribeck_friction", true));
-    assert_eq!(state.present, ["stribeck_friction"]);
-    assert!(state.diagnosis.is_none() && state.working.is_some());
-    answer(&mut state, nothing_more());
-    let errors: Vec<f64> = state.ladder.iter().map(|step| step.error).collect();
-    assert_eq!(errors, [5.1, 1.03]);
-    shows(&state, &["at the floor", "NOTHING MISSING"]);
+fn every_small_size() {
+    for state in every_state() {
+        for (width, height) in testing::sizes() {
+            terminal(&state, width, height);
+        }
+    }
+}
+
+/// A state, keys, what the last of them asks for, and a part of what the screen then shows.
+type Row<'a> = (&'a dyn Fn() -> State, &'a str, Option<Effect>, &'a str);
+
+fn check(rows: &[Row<'_>]) {
+    for (row, (state, keys, effect, part)) in rows.iter().enumerate() {
+        let (state, found) = after(state(), keys);
+        assert_eq!(found, *effect, "row {row}, {keys:?}: {part}");
+        let shown = text(&state, 80, 24);
+        assert!(shown.contains(part), "row {row}, {keys:?}: {part}: {shown}");
+    }
+}
+
+fn bare() -> State {
+    State::new(String::new())
+}
+
+fn order(order: Order) -> Option<Effect> {
+    Some(Effect::Order(order))
 }
 
 #[test]
-fn a_refused_effect_leaves_the_model_and_says_why() {
-    let mut state = answered();
-    press(&mut state, DOWN);
-    assert_eq!(press(&mut state, Press::Add), Some(Effect::Order(Order::Add("cogging"))));
-    hear(&mut state, added("cogging", false));
-    assert!(state.present.is_empty() && state.ladder.len() == 1);
-    assert!(state.diagnosis.is_some() && state.working.is_none());
-    shows(&state, &["refused: cogging helps only in training"]);
+fn keys_that_change_the_model_give_orders_and_are_answered() {
+    use Order::{Add, Force, Remove, Undo};
+    let undone = News::Undone { effect: "stribeck_friction", present: Vec::new() };
+    let mut taken_back = pressed(at_the_floor(), "u");
+    receive(&mut taken_back, undone);
+    let mut removal_refused = pressed(at_the_floor(), "r");
+    let News::Added(refusal) = added("stribeck_friction", false) else { panic!("an addition") };
+    receive(&mut removal_refused, News::Removed(refusal));
+    check(&[
+        (&answered, "a", order(Add("stribeck_friction")), "… refitting with stribeck_friction"),
+        (&answered, "aa", None, "not yet: refitting with stribeck_friction"),
+        (&answered, "↓a", order(Add("cogging")), "▶"),
+        (&just_added, "", None, "… searching what is missing now"),
+        (&at_the_floor, "", None, "+ in the model stribeck_friction"),
+        (&at_the_floor, "", None, "1.03 at the floor"),
+        (&at_the_floor, "", None, "NOTHING MISSING"),
+        (&refused, "", None, "refused: cogging helps only in training"),
+        (&refused, "", None, "ready"),
+        (&refused, "r", None, "the model has no effect yet"),
+        (&refused, "a", order(Force("cogging")), "refitting with cogging"),
+        (&answered, "r", None, "the model has no effect yet"),
+        (&answered, "u", None, "nothing was changed by hand"),
+        (&answered, "b", None, "there is no change"),
+        (&at_the_floor, "↓r", None, "cogging is not in the model: a adds it"),
+        (&at_the_floor, "↓↑a", None, "stribeck_friction is in the model already"),
+        (&at_the_floor, "r", order(Remove("stribeck_friction")), "refitting without"),
+        (&|| removal_refused.clone(), "", None, "refused; u takes the last change back"),
+        (&at_the_floor, "b", None, "BEFORE the change of stribeck_friction"),
+        (&at_the_floor, "bb", None, "after the change of stribeck_friction"),
+        (&at_the_floor, "u", order(Undo), "taking the last change back"),
+        (&|| taken_back.clone(), "", None, "taken back: stribeck_friction"),
+    ]);
 }
 
 #[test]
-fn r_removes_what_is_in_the_model_and_nothing_else() {
-    let mut state = answered();
-    assert_eq!(press(&mut state, Press::Remove), None);
-    assert_eq!(told(&state), "the model has no effect yet");
-    let mut state = at_the_floor();
-    assert_eq!(selected(&state), "stribeck_friction", "the cursor stays on what was added");
-    press(&mut state, DOWN);
-    assert_eq!(press(&mut state, Press::Remove), None, "a candidate is selected");
-    press(&mut state, UP);
-    assert_eq!(press(&mut state, Press::Add), None);
-    let removes = Effect::Order(Order::Remove("stribeck_friction"));
-    assert_eq!(press(&mut state, Press::Remove), Some(removes));
+fn keys_of_pages_show_them_or_say_what_is_missing() {
+    use Order::{AddCurve, Diagnose, Respond, Write};
+    let leave = |exit| Some(Effect::Leave(exit));
+    let comparing = || State::of_a_comparison(String::new(), ErrorOf::Model);
+    let reveals = || NextExperiment { pair: None, ..next_experiment() };
+    let response = crate::tui::response::tests::compared;
+    let no_response = || responded(Err("the run holds its voltage all the time".to_owned()));
+    let full = || leaving(Some(News::NotWritten("the disk is full".to_owned())));
+    check(&[
+        (&answered, "e", None, "torque error over speed x current"),
+        (&answered, "ee", None, "voltage error over speed x current"),
+        (&answered, "eee", None, "effects: status"),
+        (&bare, "e", None, "not yet: fitting the model"),
+        (&of_a_fan, "c", None, "without the effect"),
+        (&of_a_fan, "c", None, "over speed, rad/s"),
+        (&of_a_fan, "cc", None, "effects: status"),
+        (&of_a_fan, "↓c", None, "no effect is drawn"),
+        (&unexplained, "c", None, "80 % of the torque error follows the speed"),
+        (&unexplained, "ct", order(AddCurve(0)), "fitting the curve of the torque error"),
+        (&compared_alone, "g", order(Respond), "estimating the frequency response"),
+        (&compared_alone, "gg", None, "not yet: the frequency response"),
+        (&no_response, "", None, "holds its voltage"),
+        (&|| responded(Ok(response())), "", None, "resonance at 22.01"),
+        (&|| responded(Ok(response())), "⇥", None, "voltage to speed"),
+        (&|| responded(Ok(response())), "g", None, "d diagnose"),
+        (&compared_alone, "", None, "residual"),
+        (&compared_alone, "d", order(Diagnose), "… fitting the model"),
+        (&compared_alone, "dd", None, "at work already"),
+        (&compared_alone, "↓", None, "there is no list of effects yet"),
+        (&compared_alone, "e↓", None, "this page does not scroll"),
+        (&searching, "n", None, "not yet: there is no answer"),
+        // The dither is above the constant, below what that run needs.
+        (&ambiguous, "n", None, "from which on that run tells"),
+        (&ambiguous, "n", None, "612  tells"),
+        (&ambiguous, "n", None, "612  does not"),
+        (&ambiguous, "n", None, "viscous_friction and quadratic_load cannot be told apart"),
+        (&ambiguous, "n", None, "run a slow ramp"),
+        (&ambiguous, "nn", None, "effects: status"),
+        (&|| next_run(None), "", None, "being looked for"),
+        (&|| next_run(Some(None)), "", None, "none is asked for"),
+        (&|| next_run(Some(Some(reveals()))), "", None, "foreseen precision"),
+        (&answered, "w", order(Write), "… writing the model"),
+        (&answered, "ww", None, "not yet: the model is being written"),
+        (&|| leaving(None), "", None, "leaves when the model is written"),
+        (&|| leaving(None), "a", None, "leaves when the model is written"),
+        (&|| leaving(None), "^", leave(Exit::Interrupted), "writing the model"),
+        (&full, "", None, "NOT WRITTEN: the disk is full"),
+        (&full, "q", leave(Exit::Finished), "ready"),
+        (&|| abandoned(leaving(None)), "", None, "the model is NOT WRITTEN"),
+        (&|| abandoned(leaving(None)), "q", leave(Exit::Finished), "NOT WRITTEN"),
+        (&|| abandoned(searching()), "", None, "ERROR: the analysis has ended"),
+        (&|| abandoned(answered()), "", None, "ready"),
+        (&bare, "c", None, "not yet"),
+        (&bare, "v", None, "not yet"),
+        (&bare, "j", None, "not yet"),
+        (&begun, "↓", None, "not yet: no effect has been judged"),
+        (&|| failed(bare()), "v", None, "has failed"),
+        (&|| failed(bare()), "e", None, "has failed"),
+        (&|| failed(bare()), "c", None, "has failed"),
+        (&|| failed(bare()), "d", None, "has failed"),
+        (&|| failed(bare()), "↓", None, "no effect has been judged"),
+        (&|| failed(begun()), "", None, "e map"),
+        (&comparing, "d", None, "at work already: comparing"),
+        (&searching, "d", None, "at work already: "),
+        (&answered, "d", None, "what is missing has been searched"),
+    ]);
+    // After a failure only what there is is offered.
+    for (state, missing) in [(failed(bare()), "e map"), (failed(begun()), "v traces")] {
+        assert!(!text(&state, 80, 24).contains(missing), "{missing}");
+    }
+    let written = || Event::News(News::Written("model written to m.toml".to_owned()));
+    assert_eq!(leaving(None).update(written()), leave(Exit::Finished));
+    let mut stays = pressed(leaving(None), "␛");
+    assert_eq!(stays.update(written()), None);
+    shows(&stays, &["model written to m.toml", "ready"]);
 }
 
 #[test]
-fn u_takes_the_last_change_back_and_b_looks_before_it() {
-    let mut state = answered();
-    assert_eq!(press(&mut state, Press::Undo), None);
-    assert!(told(&state).starts_with("nothing was changed by hand"));
-    assert_eq!(press(&mut state, Press::Before), None);
-    assert!(told(&state).starts_with("there is no change"));
-    let mut state = at_the_floor();
-    let shown = |state: &State| state.compared().unwrap().signals.speed_rad_s.unwrap();
-    let after = shown(&state).holdout.rmse;
-    press(&mut state, Press::Before);
-    shows(&state, &["BEFORE the change of stribeck_friction"]);
-    assert!(shown(&state).holdout.rmse > 2.0 * after);
-    press(&mut state, Press::Before);
-    assert!((shown(&state).holdout.rmse - after).abs() < 1e-12);
-    let effect = press(&mut state, Press::Undo);
-    assert_eq!(effect, Some(Effect::Order(Order::Undo)));
-    hear(&mut state, News::Undone { effect: "stribeck_friction", present: Vec::new() });
-    assert!(state.present.is_empty() && state.ladder.len() == 1);
-    answer(&mut state, diagnosis());
-    assert_eq!(selected(&state), "stribeck_friction");
-    assert!(told(&state).starts_with("taken back"));
+fn b_compares_before_and_the_ladder_follows_each_change() {
+    let error = |state: &State| state.compared().unwrap().signals.speed_rad_s.unwrap().holdout.rmse;
+    let errors = |state: &State| state.ladder.iter().map(|step| step.error).collect::<Vec<f64>>();
+    let floor = at_the_floor();
+    assert_eq!((errors(&floor), selected(&floor)), (vec![5.1, 1.03], "stribeck_friction"));
+    let before = pressed(floor.clone(), "b");
+    assert!(error(&before) > 2.0 * error(&floor));
+    assert!((error(&pressed(before, "b")) - error(&floor)).abs() < 1e-12);
+    let mut undone = pressed(floor, "u");
+    receive(&mut undone, News::Undone { effect: "stribeck_friction", present: Vec::new() });
+    assert!(undone.present.is_empty() && errors(&undone) == [5.1]);
+    answer(&mut undone, diagnosis());
+    assert_eq!(selected(&undone), "stribeck_friction");
 }
 
 #[test]
-fn a_again_forces_what_was_refused_and_a_refused_removal_says_the_way() {
-    let mut state = answered();
-    press(&mut state, DOWN);
-    press(&mut state, Press::Add);
-    hear(&mut state, added("cogging", false));
-    shows(&state, &["refused: a again adds cogging all the same"]);
-    assert_eq!(press(&mut state, Press::Add), Some(Effect::Order(Order::Force("cogging"))));
-    let mut state = at_the_floor();
-    press(&mut state, Press::Remove);
-    let News::Added(refused) = added("stribeck_friction", false) else {
-        panic!("an addition");
-    };
-    hear(&mut state, News::Removed(refused));
-    shows(&state, &["u takes the last change back"]);
-}
-
-#[test]
-fn no_tick_stands_beside_a_residual_that_is_not_white() {
+fn what_is_not_right_is_not_green() {
     let shown = text(&answered(), 120, 40);
     let row = shown.lines().find(|row| row.contains("residual")).unwrap();
-    assert!(row.contains("not white (80 % of lags outside)"), "{row}");
-    assert!(!row.contains('✓'), "{row}");
-}
-
-#[test]
-fn a_rival_of_the_model_stays_on_the_list_and_the_screen_is_not_green() {
+    assert!(row.contains("not white (80 % of lags outside)") && !row.contains('✓'), "{row}");
     let mut state = at_the_floor();
     let mut found = nothing_more();
     found.candidates.truncate(1);
@@ -421,24 +499,20 @@ fn a_rival_of_the_model_stays_on_the_list_and_the_screen_is_not_green() {
 #[test]
 fn the_help_gives_back_the_page_that_it_explains() {
     for over in OVER {
-        let mut state = State { over, ..of_a_fan() };
-        press(&mut state, Press::Help);
-        press(&mut state, DOWN);
-        assert_eq!((state.help, state.over), (Some(1), over));
+        let state = pressed(State { over, ..of_a_fan() }, "?↓");
+        assert_eq!((state.help.first, state.over), (Some(1), over));
         shows(&state, &["to the shell, once nothing is energised"]);
-        press(&mut state, Press::Quit);
-        assert_eq!((state.help, state.over), (None, over));
+        let state = pressed(state, "q");
+        assert_eq!((state.help.first, state.over), (None, over));
     }
 }
 
 #[test]
-fn a_click_selects_a_row_and_sets_the_cursor_and_the_wheel_zooms() {
+fn a_click_selects_a_row_or_sets_the_cursor_and_the_wheel_zooms() {
     let area = Rect::new(0, 0, 120, 40);
+    let shown = |state: &State| text(state, area.width, area.height);
     let click = |state: &mut State, what: &str| {
-        let shown = terminal(state, area.width, area.height);
-        let rows = shown.backend().buffer().content.chunks(120);
-        let mut rows = rows.map(|row| row.iter().map(ratatui::buffer::Cell::symbol));
-        let y = rows.position(|row| row.collect::<String>().contains(what));
+        let y = shown(state).lines().position(|row| row.contains(what));
         let at = Position::new(40, y.unwrap_or_else(|| panic!("{what}")) as u16);
         super::view::click(state, at, area);
     };
@@ -448,125 +522,79 @@ fn a_click_selects_a_row_and_sets_the_cursor_and_the_wheel_zooms() {
         assert_eq!((selected(&state), &state.message), (effect.trim(), &None));
     }
     click(&mut state, "DIAGNOSIS");
-    assert!(told(&state).starts_with("there is nothing to select"));
-    let mut traces = pressed(of_a_fan(), &[Press::Traces]);
-    let shown = |state: &State| text(state, area.width, area.height);
+    shows(&state, &["there is nothing to select"]);
+    let mut traces = pressed(of_a_fan(), "v");
     assert!(!shown(&traces).contains("cursor at"));
     click(&mut traces, "speed: measured - model");
-    assert!(shown(&traces).contains("cursor at"), "{}", shown(&traces));
     let before = shown(&traces);
+    assert!(before.contains("cursor at"), "{before}");
     press(&mut traces, Press::Wheel(-1));
     assert_ne!(shown(&traces), before);
     press(&mut traces, Press::Wheel(1));
     assert_eq!(shown(&traces), before);
-    let mut curve = pressed(of_a_fan(), &[Press::Curve]);
+    let mut curve = pressed(of_a_fan(), "c");
     click(&mut curve, "┤");
     assert!(matches!(curve.over, Over::Curve(0, Some(_))), "{:?}", curve.over);
 }
 
 #[test]
-fn orders_wait_for_the_worker_and_q_always_leaves() {
+fn in_every_state_orders_wait_q_leaves_and_idle_keys_say_why() {
     for state in every_state() {
         let busy = state.working.is_some();
-        for key in [Press::Add, Press::Remove, Press::Write] {
-            assert!(press(&mut state.clone(), key).is_none() || !busy, "{key:?} {state:?}");
+        for key in ["a", "r", "w"] {
+            assert!(after(state.clone(), key).1.is_none() || !busy, "{key} {state:?}");
         }
-        let mut quits = state.clone();
         // A first q closes what lies over the screen.
-        let effect = press(&mut quits, Press::Quit).or_else(|| press(&mut quits, Press::Quit));
+        let leaves = after(state.clone(), "q").1.or_else(|| after(state.clone(), "qq").1);
         let exit = if busy { Exit::Quit } else { Exit::Finished };
-        assert_eq!(effect, Some(Effect::Leave(exit)), "{state:?}");
-        let effect = press(&mut state.clone(), Press::Interrupt);
-        assert_eq!(effect, Some(Effect::Leave(Exit::Interrupted)), "{state:?}");
+        assert_eq!(leaves, Some(Effect::Leave(exit)), "{state:?}");
+        let interrupted = Some(Effect::Leave(Exit::Interrupted));
+        assert_eq!(after(state.clone(), "^").1, interrupted, "{state:?}");
+        for key in ["s", "y", "f", "m", "k", "x", "l", "2", "z", "#"] {
+            let (state, effect) = after(state.clone(), key);
+            assert!(effect.is_none() && state.message.is_some(), "{key} {:?}", state.over);
+        }
     }
 }
 
 #[test]
-fn without_a_floor_nothing_is_said_in_multiples_of_it() {
-    let without = || {
-        let mut diagnosis = diagnosis();
-        diagnosis.noise_floor_from = FloorSource::None;
-        diagnosis.sentence = "missing: stribeck_friction".to_owned();
-        diagnosis
-    };
+fn without_a_floor_nothing_is_a_multiple_of_it() {
     let mut state = answered();
-    answer(&mut state, without());
-    press(&mut state, Press::Add);
-    let News::Added(mut change) = added("stribeck_friction", true) else {
-        unreachable!("it adds");
-    };
+    let (noise_floor_from, sentence) = (FloorSource::None, "missing: stribeck_friction".to_owned());
+    answer(&mut state, Diagnosis { noise_floor_from, sentence, ..diagnosis() });
+    let mut state = pressed(state, "a");
+    let News::Added(mut change) = added("stribeck_friction", true) else { panic!("it adds") };
     change.confirm = Some([5.1, 0.4].map(|error| rung(Vec::new(), error)));
     change.before.noise_floor_from = FloorSource::None;
     change.after.noise_floor_from = FloorSource::None;
-    hear(&mut state, News::Added(change));
+    receive(&mut state, News::Added(change));
     let shown = text(&state, 160, 40);
     assert!(shown.contains("0.40 times the baseline's residual"), "{shown}");
     assert!(!shown.contains("times the noise"), "{shown}");
 }
 
 #[test]
-fn the_selection_stays_on_its_effect_while_the_order_changes() {
-    let mut state = searching();
-    press(&mut state, DOWN);
+fn the_selection_stays_on_its_effect_and_in_sight() {
+    let mut state = pressed(searching(), "↓");
     assert_eq!(selected(&state), "cogging");
-    hear(&mut state, News::Progress(Found::Screened { effect: "quadratic_load", share: 0.99 }));
+    let screened = |effect, share| News::Progress(Found::Screened { effect, share });
+    receive(&mut state, screened("quadratic_load", 0.99));
     assert_eq!(selected(&state), "cogging");
-    for _ in 0..99 {
-        press(&mut state, Press::Move(10));
+    assert_eq!(selected(&pressed(state, &"↓".repeat(99))), "voltage_drop");
+    let mut state = begun();
+    for effect in CATALOGUE {
+        receive(&mut state, screened(effect.card().id, 0.1));
     }
-    assert_eq!(selected(&state), "voltage_drop");
-}
-
-#[test]
-fn e_goes_through_both_equations_and_says_where_there_is_no_map() {
-    let mut state = answered();
-    for over in [Over::Map(0), Over::Map(1), Over::Nothing] {
-        press(&mut state, Press::Map);
-        assert_eq!(state.over, over);
+    for _ in 0..40 {
+        state = pressed(state, "↓");
+        shows(&state, &["▶"]);
     }
-    let mut bare = State::new(String::new());
-    press(&mut bare, Press::Map);
-    assert_eq!(bare.over, Over::Nothing);
-    assert_eq!(told(&bare), "not yet: fitting the model");
 }
 
 #[test]
-fn c_draws_the_selected_effect_else_the_error_and_then_what_is_unexplained() {
-    let mut state = of_a_fan();
-    press(&mut state, Press::Curve);
-    shows(&state, &["without the effect", "with it", "over speed, rad/s"]);
-    assert_eq!((press(&mut state, Press::Curve), state.over), (None, Over::Nothing));
-    // The next row has no size: the error alone.
-    press(&mut state, DOWN);
-    press(&mut state, Press::Curve);
-    shows(&state, &["error of the model", "no effect is drawn"]);
-    // What no effect explains follows, and can be added as a curve.
-    let mut found = diagnosis();
-    found.verdict = DiagnosisVerdict::Unexplained;
-    found.axis_map = vec![AxisMap {
-        equation: "torque",
-        axis: "speed_rad_s",
-        r2: 0.8,
-        knots: vec![0.0, 50.0, 100.0],
-        values: vec![0.0, 0.1, 0.05],
-        std: vec![0.01; 3],
-        error_over_noise: None,
-        sentence: "80 % of the torque error follows the speed".to_owned(),
-    }];
-    answer(&mut state, found);
-    press(&mut state, Press::Curve);
-    assert_eq!(state.over, Over::Curve(1, None));
-    shows(&state, &["80 % of the torque error follows the speed"]);
-    assert_eq!(press(&mut state, Press::Table), Some(Effect::Order(Order::AddCurve(0))));
-}
-
-#[test]
-fn a_change_is_drawn_frame_by_frame_towards_the_floor_and_ends_by_itself() {
-    let mut state = of_a_fan();
-    assert!(!state.is_moving());
-    press(&mut state, Press::Add);
-    hear(&mut state, added("quadratic_load", true));
-    hear(&mut state, News::Traced(Box::new(fan_traces(true))));
+fn a_change_falls_frame_by_frame_to_the_floor_and_ends() {
+    assert!(!of_a_fan().is_moving());
+    let mut state = just_added();
     let bar = |state: &State| {
         let shown = text(state, 120, 40);
         let row = shown.lines().find(|row| row.contains("+ quadratic_load"));
@@ -581,120 +609,5 @@ fn a_change_is_drawn_frame_by_frame_towards_the_floor_and_ends_by_itself() {
         assert!(lengths.len() <= usize::from(FRAMES) + 1, "it ends");
     }
     assert!(lengths.windows(2).all(|pair| pair[1] <= pair[0]), "{lengths:?}");
-    assert!(lengths[0] > 3 * lengths[lengths.len() - 1], "{lengths:?}");
-    assert!(lengths.len() > 10);
-}
-
-#[test]
-fn g_asks_for_the_frequency_response_and_shows_it_or_says_why_there_is_none() {
-    let mut state = compared_alone();
-    assert_eq!(press(&mut state, Press::Response), Some(Effect::Order(Order::Respond)));
-    assert_eq!(press(&mut state, Press::Response), None, "not twice");
-    let mut refused = state.clone();
-    hear(&mut refused, News::Responded(Err("the run holds its voltage all the time".to_owned())));
-    assert!(told(&refused).contains("holds its voltage"));
-    assert_eq!(refused.over, Over::Nothing);
-    hear(&mut state, News::Responded(Ok(Box::new(crate::tui::response::tests::compared()))));
-    assert_eq!(state.over, Over::Response);
-    shows(&state, &["current to speed", "resonance at 22.01"]);
-    press(&mut state, Press::NextScreen);
-    shows(&state, &["voltage to speed"]);
-    press(&mut state, Press::Response);
-    assert_eq!(state.over, Over::Nothing);
-}
-
-#[test]
-fn a_comparison_alone_searches_only_when_it_is_asked_to() {
-    let mut state = compared_alone();
-    assert!(state.only_compares() && state.working.is_none());
-    shows(&state, &["residual", "d diagnose"]);
-    let effect = press(&mut state, Press::Diagnose);
-    assert_eq!(effect, Some(Effect::Order(Order::Diagnose)));
-    assert!(!state.only_compares());
-    assert_eq!(press(&mut state, Press::Diagnose), None, "not twice");
-    // Over a comparison, and before there is any row.
-    for (mut state, expected) in [
-        (pressed(compared_alone(), &[Press::Map]), "this page does not scroll"),
-        (compared_alone(), "there is no list of effects yet"),
-        (begun(), "not yet: no effect has been judged"),
-    ] {
-        press(&mut state, DOWN);
-        assert!(told(&state).starts_with(expected), "{}", told(&state));
-    }
-}
-
-#[test]
-fn n_tells_what_is_not_told_apart_and_the_run_that_would() {
-    let mut state = searching();
-    press(&mut state, Press::Next);
-    assert_eq!(state.over, Over::Nothing);
-    let mut found = diagnosis();
-    found.confusable = vec![["viscous_friction", "quadratic_load"]];
-    answer(&mut state, found);
-    hear(&mut state, News::Recommended(Some(Box::new(next_experiment()))));
-    press(&mut state, Press::Next);
-    // The dither is above the constant, below what that run needs.
-    let tried = ["from which on that run tells", "612  tells", "612  does not"];
-    shows(&state, &tried);
-    shows(&state, &["viscous_friction and quadratic_load cannot be told apart", "run a slow ramp"]);
-    press(&mut state, Press::Next);
-    assert_eq!(state.over, Over::Nothing);
-}
-
-#[test]
-fn none_is_asked_for_only_once_the_next_run_has_been_looked_for() {
-    let mut state = searching();
-    answer(&mut state, Diagnosis { limits: Vec::new(), ..diagnosis() });
-    press(&mut state, Press::Next);
-    shows(&state, &["being looked for"]);
-    let reveals = NextExperiment { pair: None, ..next_experiment() };
-    let mut shown = state.clone();
-    hear(&mut shown, News::Recommended(Some(Box::new(reveals))));
-    shows(&shown, &["foreseen precision", "slow_ramp"]);
-    hear(&mut state, News::Recommended(None));
-    shows(&state, &["none is asked for"]);
-}
-
-#[test]
-fn q_waits_for_a_model_that_is_being_written() {
-    let mut state = answered();
-    assert_eq!(press(&mut state, Press::Write), Some(Effect::Order(Order::Write)));
-    shows(&state, &["… writing the model"]);
-    assert_eq!(press(&mut state, Press::Write), None, "not twice");
-    assert_eq!(press(&mut state, Press::Quit), None);
-    shows(&state, &["leaves when the model is written"]);
-    assert_eq!(press(&mut state, Press::Add), None);
-    let written = || Event::News(News::Written("model written to m.toml".to_owned()));
-    assert_eq!(state.clone().update(written()), FINISHED);
-    let mut stays = state.clone();
-    press(&mut stays, Press::Stop);
-    assert_eq!(stays.update(written()), None);
-    shows(&stays, &["model written to m.toml", "ready"]);
-    assert_eq!(press(&mut stays, Press::Quit), FINISHED);
-    // Ctrl-C does not wait.
-    assert_eq!(press(&mut state, Press::Interrupt), Some(Effect::Leave(Exit::Interrupted)));
-}
-
-#[test]
-fn a_model_that_cannot_be_written_keeps_the_screen() {
-    let mut state = answered();
-    press(&mut state, Press::Write);
-    press(&mut state, Press::Quit);
-    let mut gone = state.clone();
-    hear(&mut state, News::NotWritten("the disk is full".to_owned()));
-    shows(&state, &["NOT WRITTEN: the disk is full"]);
-    assert_eq!(press(&mut state, Press::Quit), FINISHED);
-    assert_eq!(gone.update(Event::WorkerGone), None);
-    shows(&gone, &["the model is NOT WRITTEN"]);
-    assert_eq!(press(&mut gone, Press::Quit), FINISHED);
-}
-
-#[test]
-fn a_worker_that_has_gone_is_told() {
-    let mut state = searching();
-    state.update(Event::WorkerGone);
-    shows(&state, &["ERROR: the analysis has ended"]);
-    let mut idle = answered();
-    idle.update(Event::WorkerGone);
-    assert_eq!(idle.failure, None);
+    assert!(lengths[0] > 3 * lengths[lengths.len() - 1] && lengths.len() > 10, "{lengths:?}");
 }

@@ -12,9 +12,11 @@ use ratatui::text::{Line, Span};
 use super::charts;
 use super::list::candidates;
 use super::state::{Over, State, Step};
-use crate::report::{comparison_document, effect_document, error_changes, open_questions};
+use crate::report::{
+    Tone, comparison_document, effect_document, error_changes, open_questions, tone,
+};
 use crate::tui::frame::{
-    document, document_lines, help, hint_rows, hints, is_too_small, row, rows, text, titled,
+    document, document_lines, hint_rows, hints, is_too_small, row, rows, text, titled,
 };
 use crate::tui::keys::On;
 use crate::tui::response::{self, ResponsePage};
@@ -22,9 +24,6 @@ use crate::tui::theme;
 use crate::tui::traces::{self, TracesPage};
 use drivebench_diagnose::{AddResult, Answer, Diagnosis, DiagnosisVerdict};
 use drivebench_model::text::lines::{cut, wrapped};
-
-/// Rungs that are shown; the latest ones where there are more.
-const MOST_RUNGS: usize = 5;
 
 const MEANING: [&str; 5] = [
     "Errors: free-running model, a run that the fit has not seen, in units of the noise.",
@@ -69,7 +68,7 @@ fn places(state: &State, area: Rect) -> Places {
     };
     let failing_rows = failing_lines(state, area.width).len() as u16 + 1;
     let failing_rows = failing_rows.min(most);
-    let rungs = state.ladder.len().min(MOST_RUNGS) as u16;
+    let rungs = state.ladder.len().min(5) as u16;
     let change_rows = u16::try_from(changes(state, area.width).len()).unwrap_or(0);
     let strip_rows = strip_rows(state, area);
     let ladder_rows = match area.height {
@@ -92,12 +91,12 @@ fn places(state: &State, area: Rect) -> Places {
     Places { top, verdict, failing, strip, list, ladder, bottom }
 }
 
-/// Selects the row, sets the cursor of traces or curve, where something was clicked; else it is said so.
+/// Selects the row or sets the cursor of traces or curve at the click; else a message says that there is nothing.
 pub(super) fn click(state: &mut State, at: Position, area: Rect) {
     let places = places(state, area);
     let body = places.body();
     let is_taken = match state.over {
-        _ if state.help.is_some() => false,
+        _ if state.help.first.is_some() => false,
         _ if !body.contains(at) => false,
         Over::Traces => state.traces.click(at.x, body),
         Over::Curve(index, _) => {
@@ -146,29 +145,23 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
         Over::Next(line) => next(state, line, body, buffer),
         Over::Curve(index, cursor) => charts::curve(state, index, cursor, body, buffer),
     }
-    if let Some(row) = state.help {
-        let under_top = Rect {
-            y: area.y + 1,
-            height: area.height.saturating_sub(1 + places.bottom.height),
-            ..area
-        };
-        state.hidden.set(help(On::Diagnosis, &MEANING, row, under_top, buffer));
-    }
+    let under_top = Rect {
+        y: area.y + 1,
+        height: area.height.saturating_sub(1 + places.bottom.height),
+        ..area
+    };
+    state.help.draw(On::Diagnosis, &MEANING, under_top, buffer);
     let (keys, always) = keys(state);
     hints(state.message.as_deref(), &keys, always, places.bottom, buffer);
 }
 
 /// Rows of the traces on the page itself, where it is large.
 fn strip_rows(state: &State, area: Rect) -> u16 {
-    if state.traces.is_empty() || state.only_compares() || area.height < WITH_TRACES {
+    if state.traces.is_empty() || state.only_compares() || area.height < 36 {
         return 0;
     }
-    (area.height / 4).min(HIGHEST_STRIP)
+    (area.height / 4).min(14)
 }
-
-/// Height from which on the page itself shows traces, and the most that they take of it.
-const WITH_TRACES: u16 = 36;
-const HIGHEST_STRIP: u16 = 14;
 
 fn top_bar(state: &State, area: Rect, buffer: &mut Buffer) {
     let work = match (&state.working, &state.failure) {
@@ -236,22 +229,16 @@ fn inset(area: Rect) -> Rect {
     Rect { x: area.x + area.width.min(1), width: area.width.saturating_sub(1), ..area }
 }
 
-/// The verdict as a word, which the colour only repeats.
+/// The verdict as on page and card, with a mark that the colour only repeats.
 fn word(diagnosis: &Diagnosis) -> (String, Style) {
     let answer = diagnosis.answer();
-    let (mark, style) = match answer {
-        answer if answer.is_whole() => ("✓", theme::GOOD),
-        Answer::Unexplained | Answer::NotFitted => ("✗", theme::BAD),
-        Answer::Ambiguous | Answer::NothingFound => ("?", theme::CAREFUL),
+    let (mark, style) = match (tone(answer), answer) {
+        (Tone::Good, _) => ("✓", theme::GOOD),
+        (Tone::Bad, _) => ("✗", theme::BAD),
+        (_, Answer::Ambiguous | Answer::NothingFound) => ("?", theme::CAREFUL),
         _ => ("~", theme::CAREFUL),
     };
-    let word = match answer {
-        Answer::Found => "MISSING".to_owned(),
-        Answer::NotConfirmed => "MISSING, NOT CONFIRMED".to_owned(),
-        Answer::InPart => "MISSING, IN PART".to_owned(),
-        answer => answer.name().to_uppercase(),
-    };
-    (format!("{mark} {word}"), style)
+    (format!("{mark} {}", answer.name().to_uppercase()), style)
 }
 
 /// The keys that do something now, the first first, and those that are always shown.
@@ -260,7 +247,7 @@ fn keys(state: &State) -> (Vec<&'static str>, &'static str) {
     let followed = state.curves().len();
     let drawn = state.drawn().len();
     let (keys, always) = match state.over {
-        _ if state.help.is_some() => ("Up Down scroll", "any other key closes the help"),
+        _ if state.help.first.is_some() => ("Up Down scroll", "any other key closes the help"),
         Over::Traces if state.traces.is_choosing() => ("Up Down select|Enter show", "Esc back"),
         Over::Traces => (TracesPage::KEYS, "v Esc back"),
         Over::Response => (ResponsePage::KEYS, "g Esc back"),
@@ -325,10 +312,7 @@ fn failing_lines(state: &State, width: u16) -> Vec<Line<'static>> {
     document_lines(document.rows(usize::from(width.saturating_sub(2)))).collect()
 }
 
-/// Longest bar.
-const LONGEST: usize = 60;
 const NAME: usize = 26;
-const MOST_ROWS_OF_A_CHANGE: usize = 3;
 
 /// The ladder: the held-out error of every model so far, beside the noise floor.
 fn ladder(state: &State, area: Rect, buffer: &mut Buffer) {
@@ -367,12 +351,12 @@ fn changes(state: &State, width: u16) -> Vec<Line<'static>> {
     };
     let (text, style) = change(*added, result);
     let rows = wrapped(&text, usize::from(width).saturating_sub(1));
-    let rows = rows.into_iter().take(MOST_ROWS_OF_A_CHANGE);
+    let rows = rows.into_iter().take(3);
     rows.map(|row| Line::styled(format!(" {row}"), style)).collect()
 }
 
 fn rung(step: &Step, bar: f64, largest: f64, floor: bool, width: usize) -> Line<'static> {
-    let length = width.saturating_sub(NAME + 26).clamp(4, LONGEST);
+    let length = width.saturating_sub(NAME + 26).clamp(4, 60);
     // The floor has a cell of its own, also when the error is at it.
     let cell = |error: f64| ((error / largest).clamp(0.0, 1.0) * length as f64).round() as usize;
     let (full, mark) = (cell(bar), floor.then(|| cell(1.0)));
@@ -412,7 +396,7 @@ fn change(added: bool, result: &AddResult) -> (String, Style) {
     (text, theme::GOOD)
 }
 
-/// The card of the selected effect, and what this run says of it.
+/// The card of the selected effect with its findings of this run.
 fn card(state: &State, first: usize, area: Rect, buffer: &mut Buffer) {
     let Some(effect) = state.row().and_then(|row| row.effect()) else {
         return;
@@ -421,12 +405,12 @@ fn card(state: &State, first: usize, area: Rect, buffer: &mut Buffer) {
     state.hidden.set(document(&card, first, area, buffer));
 }
 
-/// What these runs do not tell, and the run that would.
+/// Open questions and the recommended run.
 fn next(state: &State, first: usize, area: Rect, buffer: &mut Buffer) {
     let Some(diagnosis) = &state.diagnosis else {
         return;
     };
-    let none = match (state.looks, &state.failure) {
+    let none = match (state.next_pending, &state.failure) {
         (true, _) => Some("being looked for"),
         (false, Some(_)) if state.next.is_none() => Some("none is known"),
         _ => None,

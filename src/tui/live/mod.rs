@@ -1,7 +1,7 @@
 //! The screen of a run: what the motor does, what is known of it, and the steps of the workflow around it.
 //!
 //! ```text
-//! LiveSources (cells of the worker) --> LiveScreen::look --> model (what is shown) --update--> Effect --> the worker
+//! LiveSources (cells of the worker) --> LiveScreen::poll --> model (what is shown) --update--> Effect --> the worker
 //! +-----------------------------------------------+
 //! | target, phase, drive, rate, lost      Space = STOP
 //! | progress of the run; the step of the workflow |   view
@@ -27,7 +27,7 @@ use ratatui::layout::{Position, Rect};
 
 use super::application::{Effect, Exit, Screen};
 use super::keys::Press;
-use crate::workflow::{LeaningCell, ProgressCell};
+use crate::workflow::{ProgressCell, RankingCell};
 use drivebench_bench::{Intent, SnapshotCell};
 use model::{Event, Model};
 
@@ -37,21 +37,18 @@ pub(super) use view::name as parameter_name;
 #[derive(Debug)]
 pub struct LiveSources {
     pub snapshots: SnapshotCell,
-    /// What the residual leans on so far.
-    pub leaning: LeaningCell,
-    /// The steps of a workflow, where there is one.
+    pub ranking: RankingCell,
     pub workflow: Option<ProgressCell>,
     /// Where `q` leads when the run has gone to its end, and the program goes on: "back to the loop".
     pub leads: Option<&'static str>,
     pub intents: Sender<Intent>,
     pub worker: WorkerCell,
-    /// Set with every stop: nothing more is to be started, also between two runs, where nobody reads intents.
+    /// Set with every stop: nothing more is to be started, also between two runs, where no intent is read.
     pub stop_requested: Arc<AtomicBool>,
     /// Set by signals (SIGTERM, SIGHUP): the screen closes by itself as soon as the worker has finished.
     pub hang_up: Arc<AtomicBool>,
 }
 
-/// The screen with its ends of the channels.
 pub struct LiveScreen {
     model: Model,
     sources: LiveSources,
@@ -68,7 +65,7 @@ impl LiveScreen {
         let mut exit = None;
         for effect in self.model.update(event) {
             match effect {
-                // Between two runs nobody listens; `stop_requested` covers that.
+                // Between two runs no intent is read; `stop_requested` covers that.
                 Effect::Send(intent) => drop(self.sources.intents.send(intent)),
                 Effect::RequestStop => self.sources.stop_requested.store(true, Ordering::Release),
                 Effect::Leave(reason) => exit = Some(reason),
@@ -78,7 +75,6 @@ impl LiveScreen {
         exit
     }
 
-    /// What has changed in the cells since the model last looked.
     fn changes(&self) -> Vec<Event> {
         let (model, sources) = (&self.model, &self.sources);
         let mut events = Vec::new();
@@ -88,9 +84,9 @@ impl LiveScreen {
         if !Arc::ptr_eq(&snapshot, &model.snapshot) {
             events.push(Event::Snapshot(snapshot));
         }
-        let leaning = sources.leaning.latest();
-        if !Arc::ptr_eq(&leaning, &model.leaning) {
-            events.push(Event::Leaning(leaning));
+        let ranking = sources.ranking.latest();
+        if !Arc::ptr_eq(&ranking, &model.ranking) {
+            events.push(Event::Ranking(ranking));
         }
         if let Some(latest) = sources.workflow.as_ref().map(ProgressCell::latest) {
             let shown = model.workflow.as_ref();
@@ -106,10 +102,10 @@ impl LiveScreen {
 }
 
 impl Screen for LiveScreen {
-    fn look(&mut self) -> (bool, Option<Exit>) {
+    fn poll(&mut self) -> (bool, Option<Exit>) {
         let changes = self.changes();
-        let is_told = !changes.is_empty() || self.model.forgets();
-        (is_told, changes.into_iter().find_map(|event| self.act(event)))
+        let is_changed = !changes.is_empty() || self.model.message_expires();
+        (is_changed, changes.into_iter().find_map(|event| self.act(event)))
     }
 
     fn press(&mut self, press: Press) -> Option<Exit> {
@@ -121,8 +117,8 @@ impl Screen for LiveScreen {
         let _ = self.act(Event::Press(Press::Click(at)));
     }
 
-    fn say(&mut self, text: &str) {
-        self.model.say(text);
+    fn notify(&mut self, text: &str) {
+        self.model.notify(text);
     }
 
     fn may_suspend(&mut self) -> bool {
@@ -145,11 +141,11 @@ enum WorkerState {
     Working,
     /// Nothing more will happen; the screen stays until it is closed.
     Finished,
-    /// Nothing more will happen and nobody may be there to press a key (SIGTERM, SIGHUP): the screen closes.
+    /// Nothing more will happen, and after SIGTERM or SIGHUP no key may come: the screen closes.
     Leave,
 }
 
-/// How the worker tells the screen that it is done.
+/// Set by the worker at its end.
 #[derive(Clone, Debug, Default)]
 pub struct WorkerCell(Arc<AtomicBool>);
 
@@ -160,7 +156,6 @@ impl WorkerCell {
         FinishOnDrop(self.clone())
     }
 
-    /// Whether nothing more will happen.
     pub fn is_finished(&self) -> bool {
         self.state(false) != WorkerState::Working
     }
@@ -174,7 +169,6 @@ impl WorkerCell {
     }
 }
 
-/// See [`WorkerCell::finish_on_drop`].
 #[derive(Debug)]
 pub struct FinishOnDrop(WorkerCell);
 

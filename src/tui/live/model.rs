@@ -6,19 +6,14 @@ use std::sync::Arc;
 
 use super::WorkerState;
 use crate::tui::application::{Effect, Exit};
-use crate::tui::frame::scrolled;
+use crate::tui::frame::{Help, scrolled};
 use crate::tui::keys::Press;
-use crate::workflow::{Progress, Provisional, Step};
+use crate::workflow::{Progress, ProvisionalRanking, Step};
 use drivebench_bench::{Intent, Phase, Snapshot, Target};
 use drivebench_model::sample::{DriveState, ParameterEstimate, Verdict};
 
 /// Lengths of the time axis that the zoom key goes through, s.
 pub(super) const ZOOM_S: [f64; 5] = [10.0, 5.0, 2.0, 1.0, 0.5];
-/// Looks at the cells, 25 a second, for which an answer to a key stands where no other key takes it away: then the keys are
-/// shown again.
-const ANSWER_LOOKS: u16 = 200;
-/// This many Ctrl-C leave a worker that does not come back; the drive's watchdog is behind that.
-const FORCE: u8 = 3;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Page {
@@ -46,7 +41,7 @@ pub(super) enum Event {
     Snapshot(Arc<Snapshot>),
     Workflow(Arc<Progress>),
     Worker(WorkerState),
-    Leaning(Arc<Provisional>),
+    Ranking(Arc<ProvisionalRanking>),
 }
 
 /// What scope and parameters show while the view is frozen.
@@ -56,7 +51,6 @@ pub(super) struct Frozen {
     parameters: Vec<ParameterEstimate>,
 }
 
-/// The state of the screen.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Model {
     pub(super) snapshot: Arc<Snapshot>,
@@ -64,23 +58,19 @@ pub(super) struct Model {
     pub(super) frozen: Option<Frozen>,
     pub(super) workflow: Option<Arc<Progress>>,
     pub(super) worker: WorkerState,
-    /// What the residual leans on so far.
-    pub(super) leaning: Arc<Provisional>,
+    pub(super) ranking: Arc<ProvisionalRanking>,
     pub(super) page: Page,
-    /// First row of the help, where it is shown.
-    pub(super) help: Option<usize>,
-    /// On hardware a start is asked for twice.
+    pub(super) help: Help,
+    /// On hardware a start is confirmed.
     pub(super) confirm_start: bool,
-    /// Index into [`ZOOM_S`].
     pub(super) zoom: usize,
-    /// First line shown of the steps.
     pub(super) scroll: usize,
     /// Lines for which what scrolls had no room when it was drawn: the keys go no further.
     pub(super) hidden: Cell<usize>,
     /// What each step needs, unlocks and is called, also of those that are not under way.
     pub(super) explains: bool,
     pub(super) marks: u32,
-    /// Answer to the last key, and for how many looks it still stands.
+    /// Answer to the last key, and for how many updates it still stands.
     pub(super) message: Option<String>,
     answer_looks: u16,
     /// Where `q` leads when the run has gone to its end, where the program goes on.
@@ -98,7 +88,6 @@ impl Model {
         Self { page: if is_over { Page::Steps } else { Page::Live }, workflow, ..Self::default() }
     }
 
-    /// The snapshot of the scope and the parameters.
     pub(super) fn viewed(&self) -> &Snapshot {
         let frozen = self.frozen.as_ref();
         frozen.map_or(&self.snapshot, |frozen| &frozen.snapshot)
@@ -143,7 +132,7 @@ impl Model {
         self.is_finished() && (self.shows_report() || has_run)
     }
 
-    /// Whether the drive's output may be on, as far as the screen knows.
+    /// Whether the drive's output may be on by the last snapshot.
     pub(super) fn is_energised(&self) -> bool {
         let phase = self.snapshot.phase;
         if self.is_finished() || phase.is_some_and(Phase::is_final) {
@@ -167,7 +156,6 @@ impl Model {
         &Page::ALL[..last]
     }
 
-    /// The page so many places after the one that is shown.
     pub(super) fn neighbour(&self, by: usize) -> Page {
         let pages = self.pages();
         pages[(pages.iter().position(|page| *page == self.page).unwrap_or(0) + by) % pages.len()]
@@ -181,7 +169,7 @@ impl Model {
         match event {
             Event::Press(press) => return self.press(press),
             Event::Worker(state) => return self.worker_is(state),
-            Event::Leaning(leaning) => self.leaning = leaning,
+            Event::Ranking(ranking) => self.ranking = ranking,
             Event::Snapshot(snapshot) => {
                 self.hold(&snapshot);
                 self.snapshot = snapshot;
@@ -219,14 +207,13 @@ impl Model {
         }
     }
 
-    /// One look has passed; whether the answer to the last key has stood long enough.
-    pub(super) fn forgets(&mut self) -> bool {
+    /// One update has passed; whether the answer to the last key has stood long enough.
+    pub(super) fn message_expires(&mut self) -> bool {
         self.answer_looks = self.answer_looks.saturating_sub(1);
         self.answer_looks == 0 && self.message.take().is_some()
     }
 
-    /// Where `q` leads now.
-    pub(super) fn quits(&self) -> &'static str {
+    pub(super) fn quit_label(&self) -> &'static str {
         // Without a confirmed stop the program goes on to nothing.
         let is_sure = self.snapshot.stop_error.is_none();
         let is_done = self.is_finished() && is_sure && self.snapshot.outcome == Some("done");
@@ -235,7 +222,7 @@ impl Model {
 
     fn worker_is(&mut self, state: WorkerState) -> Vec<Effect> {
         self.worker = state;
-        // What it came to, a failed check for instance, is told where the screen was.
+        // The reason, a failed check for instance, is printed where the screen was.
         let has_shown_nothing = self.snapshot.phase.is_none() && !self.shows_report();
         let exit = match (state, self.leaving) {
             (WorkerState::Working, _) => None,
@@ -252,48 +239,44 @@ impl Model {
         match press {
             Press::Stop => return self.stop(),
             Press::Interrupt => return self.interrupt(),
-            Press::Move(rows) | Press::Wheel(rows) if self.help.is_some() => {
-                let hidden = self.hidden.get();
-                self.help = self.help.map(|row| scrolled(row, rows, hidden));
-            }
-            _ if self.help.is_some() => self.help = None,
+            _ if self.help.press(press) => {}
             Press::Yes if confirming && self.waits_for_start() => {
                 return vec![Effect::Send(Intent::Start)];
             }
-            _ if confirming => self.say("not started"),
+            _ if confirming => self.notify("not started"),
             Press::Quit => return self.quit(),
-            Press::Start if !self.waits_for_start() => self.say("nothing waits for a start"),
+            Press::Start if !self.waits_for_start() => self.notify("nothing waits for a start"),
             Press::Start if self.is_hardware() => self.confirm_start = true,
             Press::Start => return vec![Effect::Send(Intent::Start)],
-            Press::ResetFault if self.is_energised() => self.say("stop first: Space"),
+            Press::ResetFault if self.is_energised() => self.notify("stop first: Space"),
             Press::ResetFault if self.snapshot.drive_state == Some(DriveState::Fault) => {
                 return vec![Effect::Send(Intent::ResetFault)];
             }
-            Press::ResetFault => self.say("the drive reports no fault"),
-            Press::Mark if self.is_finished() => self.say("nothing is recorded any more"),
+            Press::ResetFault => self.notify("the drive reports no fault"),
+            Press::Mark if self.is_finished() => self.notify("nothing is recorded any more"),
             Press::Mark => {
                 self.marks += 1;
                 let text = format!("mark {}", self.marks);
-                self.say(format!("{text} set"));
+                self.notify(format!("{text} set"));
                 return vec![Effect::Send(Intent::Mark(text))];
             }
             Press::Diagnose if self.can_diagnose() => return vec![Effect::Leave(Exit::Diagnosis)],
             Press::Traces if self.can_diagnose() => return vec![Effect::Leave(Exit::Traces)],
             Press::Diagnose | Press::Traces => {
-                self.say("not yet: the diagnosis begins where a run has gone to its end");
+                self.notify("not yet: the diagnosis begins where a run has gone to its end");
             }
             Press::Experiment => return self.follow(Step::Experiment, Exit::Experiment),
             Press::SpeedLoop => return self.follow(Step::SpeedLoop, Exit::SpeedLoop),
             Press::Open if self.page != Page::Steps => {
-                self.say("Enter explains the steps of a commissioning: 3 shows them");
+                self.notify("Enter explains the steps of a commissioning: 3 shows them");
             }
             Press::Open => {
                 self.explains = !self.explains;
                 if self.explains && self.shows_report() {
-                    self.say("each step is explained, below the result: Down");
+                    self.notify("each step is explained, below the result: Down");
                 }
             }
-            Press::Help => self.help = Some(0),
+            Press::Help => self.help.first = Some(0),
             Press::Freeze => {
                 let shown = self.frozen.is_none().then(|| Frozen {
                     snapshot: Arc::clone(&self.snapshot),
@@ -301,28 +284,28 @@ impl Model {
                 });
                 self.frozen = shown;
                 if self.page != Page::Live {
-                    self.say(match self.frozen {
+                    self.notify(match self.frozen {
                         Some(_) => "scope and parameters are frozen: f goes on",
                         None => "scope and parameters go on",
                     });
                 }
             }
             Press::Zoom if self.page != Page::Live => {
-                self.say("z zooms the scope, which 1 shows");
+                self.notify("z zooms the scope, which 1 shows");
             }
             Press::Zoom => self.zoom = (self.zoom + 1) % ZOOM_S.len(),
             Press::NextScreen => self.page = self.neighbour(1),
             Press::PreviousScreen => self.page = self.neighbour(self.pages().len() - 1),
             Press::Page(index) => match self.pages().get(index) {
                 Some(page) => self.page = *page,
-                None => self.say("a plain run has two pages: a commissioning has its steps"),
+                None => self.notify("a plain run has two pages: a commissioning has its steps"),
             },
             Press::Wheel(rows) if self.page == Page::Live => {
                 let zoom = self.zoom.saturating_add_signed(-rows.signum() as isize);
                 self.zoom = zoom.min(ZOOM_S.len() - 1);
             }
             Press::Move(_) | Press::Wheel(_) if self.page != Page::Steps => {
-                self.say(match self.workflow {
+                self.notify(match self.workflow {
                     Some(_) => "this page does not scroll: 3 shows the steps, which do",
                     None => "this page does not scroll",
                 });
@@ -330,43 +313,43 @@ impl Model {
             Press::Move(rows) | Press::Wheel(rows) => {
                 self.scroll = scrolled(self.scroll, rows, self.hidden.get());
             }
-            other => self.say(why_nothing(other)),
+            other => self.notify(why_nothing(other)),
         }
         Vec::new()
     }
 
-    /// Whether the program may be halted now; else it is said why not. While the bench is at work every cycle of it counts,
+    /// Whether the program may be halted now; else the message has the reason. While the bench is at work every cycle of it counts,
     /// and between two runs the next one may begin at any moment.
     pub(super) fn may_suspend(&mut self) -> bool {
         if !self.is_finished() {
-            self.say("Ctrl-Z: not while the bench is at work: Space stops it first");
+            self.notify("Ctrl-Z: not while the bench is at work: Space stops it first");
         }
         self.is_finished()
     }
 
-    pub(super) fn say(&mut self, text: impl Into<String>) {
+    pub(super) fn notify(&mut self, text: impl Into<String>) {
         self.message = Some(text.into());
-        self.answer_looks = ANSWER_LOOKS;
+        self.answer_looks = 200;
     }
 
-    /// Leaves for a step that can follow the report; else says why it cannot.
+    /// Leaves for a step that can follow the report; else shows why it cannot.
     fn follow(&mut self, step: Step, exit: Exit) -> Vec<Effect> {
         let Some(workflow) = self.workflow.clone() else {
-            self.say("only a commissioning goes on from here");
+            self.notify("only a commissioning goes on from here");
             return Vec::new();
         };
         match workflow.is_offered(step) {
             Ok(()) if self.is_finished() && self.shows_report() => {
                 return vec![Effect::Leave(exit)];
             }
-            Ok(()) => self.say("not yet: it follows the report"),
-            Err(reason) => self.say(format!("{}: {reason}", step.title())),
+            Ok(()) => self.notify("not yet: it follows the report"),
+            Err(reason) => self.notify(format!("{}: {reason}", step.title())),
         }
         Vec::new()
     }
 
     fn stop(&mut self) -> Vec<Effect> {
-        self.say(match (self.is_finished(), &self.snapshot.stop_error) {
+        self.notify(match (self.is_finished(), &self.snapshot.stop_error) {
             (true, None) => "already over: nothing is energised, q = quit",
             (true, Some(_)) => {
                 "already over, its stop NOT confirmed: see that the shaft stands still"
@@ -382,9 +365,9 @@ impl Model {
             return vec![Effect::Leave(Exit::Interrupted)];
         }
         self.leaving = Some(Exit::Interrupted);
-        self.say("stopping, then quit");
+        self.notify("stopping, then quit");
         let mut effects = vec![Effect::Send(Intent::Quit), Effect::RequestStop];
-        if self.interrupts >= FORCE {
+        if self.interrupts >= 3 {
             effects.push(Effect::Leave(Exit::Forced));
         }
         effects
@@ -395,20 +378,20 @@ impl Model {
             return vec![Effect::Leave(Exit::Finished)];
         }
         if self.is_energised() {
-            self.say("stop first: Space");
+            self.notify("stop first: Space");
             return Vec::new();
         }
         if self.leaving.is_some() {
             return vec![Effect::Leave(Exit::Quit)];
         }
-        // An intent to start may be under way: the worker must have seen this one before the screen goes.
+        // An intent to start may be under way: the worker must have received this one before the screen goes.
         self.leaving = Some(Exit::Quit);
-        self.say("quitting as soon as the work in hand is put down; q again: now");
+        self.notify("quitting as soon as the work in hand is put down; q again: now");
         vec![Effect::Send(Intent::Quit), Effect::RequestStop]
     }
 }
 
-/// Why a key that the program knows does nothing here.
+/// Why a key of another screen does nothing here.
 const fn why_nothing(press: Press) -> &'static str {
     match press {
         Press::Yes => "nothing was asked",

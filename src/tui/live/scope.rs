@@ -17,16 +17,8 @@ use drivebench_model::sample::Channel;
 use drivebench_model::text::number::{MISSING, significant};
 use drivebench_model::units::rpm_from_rad_s;
 
-/// Rows of a chart at least: its title and two rows of dots.
-const SMALLEST: u16 = 3;
-/// Rows above which there is room for a fourth chart.
-const WITH_INNOVATION: u16 = 16;
 /// From this width on the legend is written out.
 const WIDE: u16 = 62;
-/// From this width on the speed stands in r/min as well.
-const WITH_RPM: u16 = 46;
-/// The model may stretch the axis of the speed by this share of the measured span, no further.
-const STRETCH: f64 = 0.5;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Chart {
@@ -69,10 +61,10 @@ pub(super) fn scope(
         return;
     }
     let has_innovations = snapshot.innovations.iter().any(|p| p.speed_rad_s.is_finite());
-    let charts: &[Chart] = match (area.height - 1) / SMALLEST {
+    let charts: &[Chart] = match (area.height - 1) / 3 {
         0 | 1 => &[Chart::Speed],
         2 => &[Chart::Current, Chart::Speed],
-        _ if !has_innovations || area.height <= WITH_INNOVATION => {
+        _ if !has_innovations || area.height <= 16 => {
             &[Chart::Voltage, Chart::Current, Chart::Speed]
         }
         _ => &[Chart::Voltage, Chart::Current, Chart::Speed, Chart::Innovation],
@@ -127,7 +119,7 @@ fn draw(
         Chart::Innovation => innovations.map(|point| (point.time_s, point.speed_rad_s)).collect(),
         _ => trace(&|point| chart.value(point)),
     };
-    // A loop is held against its reference; the model knows nothing of a load that changes meanwhile.
+    // A loop is compared with its reference: the model has no load that changes meanwhile.
     let follows = points.iter().any(|point| point.reference_rad_s.is_finite());
     let model = match chart {
         Chart::Speed if follows => trace(&|point| point.reference_rad_s),
@@ -171,7 +163,7 @@ fn title(
             format!(", {MISSING} r/min")
         };
         // The names of the lines come first.
-        line.extend((width >= WITH_RPM).then(|| Span::raw(rpm)));
+        line.extend((width >= 46).then(|| Span::raw(rpm)));
         let (measured, dashed) = match (width < WIDE, follows, snapshot.model_is_identified) {
             (true, true, _) => (" ⣀⣀meas", " ⣀ ⣀ref"),
             (true, false, _) => (" ⣀⣀meas", " ⣀ ⣀model"),
@@ -195,7 +187,7 @@ fn bounds(measured: &[(f64, f64)], model: &[(f64, f64)]) -> Domain {
     let values = |points: &[(f64, f64)]| range(points.iter().map(|point| point.1));
     let both = match (values(measured), values(model)) {
         (Some(own), Some(model)) => {
-            let room = STRETCH * (own.to.max(0.0) - own.from.min(0.0));
+            let room = 0.5 * (own.to.max(0.0) - own.from.min(0.0));
             own.with([model.from.max(own.from - room), model.to.min(own.to + room)])
         }
         (Some(range), None) | (None, Some(range)) => range,
@@ -221,7 +213,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bounds_are_round_hold_zero_and_are_not_squeezed_by_a_runaway_model() {
+    fn bounds_are_round_hold_zero_and_ignore_a_runaway_model() {
         let measured: Vec<_> = (0..=100).map(|k| (f64::from(k), f64::from(k))).collect();
         let runaway = [(0.0, -1e9), (1.0, 1e12), (2.0, f64::INFINITY)];
         for (measured, model, (from, to)) in [

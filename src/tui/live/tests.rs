@@ -17,7 +17,7 @@ use super::{WorkerCell, WorkerState};
 use crate::tui::application::{Effect, Exit};
 use crate::tui::keys::{CHARACTERS, Press};
 use crate::tui::testing::{self, number};
-use crate::workflow::{Progress, Provisional, Role, Step, StepState, StepView};
+use crate::workflow::{Progress, ProvisionalRanking, Role, Step, StepState, StepView};
 use drivebench_bench::{
     Excitation, InnovationPoint, Intent, Level, Notice, Phase, Snapshot, Stop, Target, Timing,
     TracePoint, Trip, TripKind,
@@ -255,20 +255,33 @@ fn with(model: &Model, change: impl FnOnce(&mut Model)) -> Model {
     changed
 }
 
-/// The same while its residual leans on something.
-fn leaning(snapshot: Snapshot) -> Model {
+/// The same with a provisional ranking of effects.
+fn ranked(snapshot: Snapshot) -> Model {
     let mut model = model(snapshot);
-    let leaning = |effect, share| Leaning { effect, equation: "torque", share, windows: 212 };
-    model.update(Event::Leaning(Arc::new(Provisional {
-        effects: vec![leaning("quadratic_load", 0.93), leaning("viscous_friction", 0.41)],
+    let ranked = |effect, share| Leaning { effect, equation: "torque", share, windows: 212 };
+    model.update(Event::Ranking(Arc::new(ProvisionalRanking {
+        effects: vec![ranked("quadratic_load", 0.93), ranked("viscous_friction", 0.41)],
         seconds: 8.4,
     })));
     model
 }
 
-fn pressed(mut model: Model, key: Press) -> Model {
-    press(&mut model, key);
-    model
+fn press(model: &mut Model, press: Press) -> Vec<Effect> {
+    model.update(Event::Press(press))
+}
+
+/// The model after these keys, and what the last of them asks for.
+fn after(mut model: Model, keys: &str) -> (Model, Vec<Effect>) {
+    let effects = keys.chars().map(|key| press(&mut model, testing::key(key))).last();
+    (model, effects.unwrap_or_default())
+}
+
+fn pressed(model: Model, keys: &str) -> Model {
+    after(model, keys).0
+}
+
+fn finish(model: &mut Model) -> Vec<Effect> {
+    model.update(Event::Worker(WorkerState::Finished))
 }
 
 fn finished(mut model: Model) -> Model {
@@ -276,13 +289,147 @@ fn finished(mut model: Model) -> Model {
     model
 }
 
+fn report(model: &mut Model, is_there: bool) {
+    model.update(Event::Workflow(Arc::new(workflow(is_there))));
+}
+
+/// A commissioning with its report, or without it.
+fn commissioned(snapshot: Snapshot, is_there: bool) -> Model {
+    with(&model(snapshot), |own| report(own, is_there))
+}
+
+fn unsure(phase: Phase, outcome: &'static str) -> Snapshot {
+    let stop_error = Some("no reply within 200 ms".to_owned());
+    Snapshot { phase: Some(phase), outcome: Some(outcome), stop_error, ..done() }
+}
+
+fn in_phase(phase: Option<Phase>, target: Target) -> Model {
+    model(Snapshot { phase, target, drive_state: Some(DriveState::Ready), ..missing() })
+}
+
+fn with_drive(phase: Phase, target: Target, state: DriveState) -> Model {
+    with(&in_phase(Some(phase), target), |own| {
+        Arc::make_mut(&mut own.snapshot).drive_state = Some(state);
+    })
+}
+
+/// The end of a commissioning in which this step can follow or cannot.
+fn following(step: Step, state: StepState, again: bool) -> Model {
+    let mut workflow = workflow(true);
+    workflow.steps.push(StepView {
+        state,
+        // What was done is done again where a command still does it: a next run, if there is one.
+        command: again.then(|| "drivebench run next.toml".to_owned()),
+        line: "none would tell more".to_owned(),
+        ..StepView::new(step)
+    });
+    with(&model(done()), |own| drop(own.update(Event::Workflow(Arc::new(workflow)))))
+}
+
+const STOP: [Effect; 2] = [Effect::Send(Intent::Stop), Effect::RequestStop];
+const STOP_AND_QUIT: [Effect; 2] = [Effect::Send(Intent::Quit), Effect::RequestStop];
+const START: Effect = Effect::Send(Intent::Start);
+const RESET: Effect = Effect::Send(Intent::ResetFault);
+
 #[test]
-fn estimates_that_learn_nothing_under_a_limit_of_the_drive_are_shown_as_frozen_until_they_learn_again()
- {
+fn each_key_asks_for_its_effect_and_the_screen_answers() {
+    use DriveState::{Fault, Ready, Running};
+    use Exit::{Diagnosis, Experiment, Finished, SpeedLoop, Traces};
+    use Phase::{Connecting, Safe};
+    use StepState::{Done, Failed, Offered, Waiting};
+    use Target::{Hardware, Sim};
+    let leave = |exit| vec![Effect::Leave(exit)];
+    let over = |step, state, again| finished(following(step, state, again));
+    let led = |snapshot| with(&model(snapshot), |own| own.leads = Some("back to the loop"));
+    let mark = Effect::Send(Intent::Mark("mark 1".to_owned()));
+    let (hard, none) = (|| in_phase(Some(Safe), Hardware), Vec::new);
+    // A state, keys, what the last of them asks for, and a part of what the screen then shows.
+    let rows: &[(&dyn Fn() -> Model, &str, Vec<Effect>, &str)] = &[
+        (&|| model(running()), "q", none(), "stop first: Space"),
+        (&|| with_drive(Connecting, Hardware, Running), "q", none(), "stop first: Space"),
+        (&|| finished(model(running())), "q", leave(Finished), "output off"),
+        (&|| finished(model(tripped())), "q", leave(Finished), "SAFETY TRIP"),
+        (&|| finished(model(hardware())), "q", leave(Finished), "output off"),
+        (&|| finished(model(done())), "q", leave(Finished), "output off"),
+        (&|| led(done()), "", none(), "q quit"),
+        (&|| finished(led(done())), "", none(), "q back to the loop"),
+        (&|| finished(led(done())), "", none(), "q = back to the loop."),
+        (&|| finished(led(unsure(Phase::Done, "done"))), "", none(), "q quit"),
+        (&|| finished(led(tripped())), "", none(), "q quit"),
+        (&|| finished(led(running())), "", none(), "q quit"),
+        (&|| model(done()), "d", none(), "not yet"),
+        (&|| finished(model(done())), "d", leave(Diagnosis), "d = diagnosis by hand, q = quit"),
+        (&|| finished(model(done())), "v", leave(Traces), "output off"),
+        (&|| finished(model(tripped())), "d", none(), "not yet"),
+        (&|| commissioned(done(), true), "d", none(), "not yet"),
+        (&|| finished(commissioned(done(), true)), "d", leave(Diagnosis), "EFFECT FOUND"),
+        (&|| finished(commissioned(done(), false)), "d", none(), "not yet"),
+        (&|| model(done()), "x", none(), "only a commissioning goes on"),
+        (&|| following(Step::Experiment, Offered, false), "x", none(), "not yet"),
+        (&|| over(Step::Experiment, Waiting, false), "x", none(), "none would tell more"),
+        (&|| over(Step::Experiment, Offered, false), "x", leave(Experiment), ""),
+        (&|| over(Step::Experiment, Done, true), "x", leave(Experiment), ""),
+        (&|| over(Step::Experiment, Done, false), "x", none(), "none would tell more"),
+        // What came of it could not be judged: made again.
+        (&|| over(Step::Experiment, Failed, true), "x", leave(Experiment), ""),
+        (&|| over(Step::Experiment, Failed, false), "x", none(), "none would tell more"),
+        (&|| over(Step::SpeedLoop, Offered, false), "l", leave(SpeedLoop), ""),
+        (&|| over(Step::SpeedLoop, Done, false), "l", none(), "none would tell more"),
+        (&|| in_phase(Some(Safe), Sim), "s", vec![START], ""),
+        (&hard, "s", none(), "Shaft clear? y = start"),
+        (&hard, "sy", vec![START], ""),
+        (&hard, "sn", none(), "not started"),
+        (&hard, "sny", none(), "nothing was asked"),
+        (&hard, "y", none(), "nothing was asked"),
+        (&|| with_drive(Connecting, Sim, Fault), "k", vec![RESET], ""),
+        (&|| with_drive(Phase::Running, Sim, Fault), "k", none(), "stop first"),
+        (&|| with_drive(Safe, Sim, Ready), "k", none(), "the drive reports no fault"),
+        (&|| model(running()), "m", vec![mark], "mark 1 set"),
+        (&|| finished(model(running())), "m", none(), "nothing is recorded any more"),
+        (&|| model(running()), "f", none(), "FROZEN, f = go on"),
+        (&|| model(running()), "ff", none(), "0.0 s"),
+        (&|| model(running()), "z", none(), "3.4 s"),
+        (&|| model(running()), "?↓↓", none(), "help: Up Down scroll"),
+        (&|| model(running()), "?q", none(), "Tab parameters"),
+        (&|| model(running()), "⇥", none(), "Tab live"),
+        (&|| model(running()), "⇥⇥", none(), "Tab parameters"),
+        (&|| model(running()), "3", none(), "a plain run has two pages"),
+        (&|| commissioned(running(), false), "⇤", none(), "Tab live"),
+        (&|| commissioned(running(), false), "⇤⇥", none(), "Tab parameters"),
+        (&|| commissioned(running(), false), "3", none(), "Tab live"),
+        (&|| commissioned(running(), false), "3↓", none(), "Tab live"),
+        (&|| ranked(running()), "", none(), "provisional, 8 s: torque residual fits"),
+    ];
+    for (row, (model, keys, effects, part)) in rows.iter().enumerate() {
+        let (model, found) = after(model(), keys);
+        assert_eq!(found, *effects, "row {row}, {keys:?}: {part}");
+        let shown = text(&model, 80, 24);
+        assert!(shown.contains(part), "row {row}, {keys:?}: {part}: {shown}");
+    }
+    let shown = text(&finished(ranked(done())), 80, 24);
+    assert!(!shown.contains("provisional"), "{shown}");
+}
+
+#[test]
+fn a_question_that_is_withdrawn_starts_nothing() {
+    let asked = pressed(in_phase(Some(Phase::Safe), Target::Hardware), "s");
+    for other in [Press::Next, Press::Click(Position::ORIGIN), Press::Wheel(1)] {
+        let mut refused = asked.clone();
+        assert_eq!(press(&mut refused, other), []);
+        assert_eq!(press(&mut refused, Press::Yes), [], "{other:?}");
+    }
+    let mut late = asked;
+    late.update(Event::Snapshot(Arc::new(tripped())));
+    assert!(!late.confirm_start);
+    assert_eq!(press(&mut late, Press::Yes), []);
+}
+
+#[test]
+fn estimates_under_a_limit_of_the_drive_are_shown_as_frozen() {
     let shown = |since_s| {
         let frozen = Frozen { rows: 120, seconds: 1.2, since_s };
-        let running = Snapshot { frozen, ..running() };
-        [(120, 40), (80, 24)].map(|(width, height)| text(&model(running.clone()), width, height))
+        let model = model(Snapshot { frozen, ..running() });
+        [(120, 40), (80, 24)].map(|(width, height)| text(&model, width, height))
     };
     let [wide, narrow] = shown(Some(7.2));
     assert!(wide.contains("frozen: the drive limits, 1.2 s, 120 rows"), "{wide}");
@@ -291,110 +438,49 @@ fn estimates_that_learn_nothing_under_a_limit_of_the_drive_are_shown_as_frozen_u
 }
 
 #[test]
-fn a_value_that_is_gone_for_a_while_stays_with_its_age_until_the_run_is_over() {
-    let mut model = between_two_values();
-    let shown = text(&model, 120, 40);
-    assert!(shown.contains("0.0046 ± 0.0019 kg.m2"), "{shown}");
-    assert!(shown.contains("value of 3.2 s ago"), "{shown}");
-    let last = Snapshot { estimates: Arc::clone(&model.snapshot.estimates), ..done() };
-    model.update(Event::Snapshot(Arc::new(last)));
-    let shown = text(&model, 120, 40);
-    assert!(!shown.contains("0.0046 ± 0.0019"), "{shown}");
-}
-
-#[test]
-fn a_frozen_page_keeps_the_values_of_its_moment() {
-    let mut model = pressed(between_two_values(), Press::Freeze);
-    model.page = Page::Parameters;
-    let before = text(&model, 120, 40);
-    assert!(before.contains("value of 3.2 s ago"), "{before}");
-    let mut later = running();
-    later.elapsed_s = 14.0;
-    model.update(Event::Snapshot(Arc::new(later)));
-    let parameters = model.parameters();
-    model.update(Event::Snapshot(Arc::new(done())));
-    assert_eq!(model.parameters(), parameters);
-    let reason = parameters[3].reason.as_deref().unwrap_or_default();
-    assert!(reason.starts_with("value of 3.2 s ago"), "{reason}");
-}
-
-#[test]
-fn a_value_that_physics_forbids_does_not_come_back() {
-    let mut model = between_two_values();
-    let gone = Arc::clone(&model.snapshot.estimates);
-    let mut estimates = running().estimates.to_vec();
-    estimates[3].verdict = Verdict::Invalid;
-    for estimates in [Arc::new(estimates), gone] {
-        let snapshot = Snapshot { elapsed_s: 12.0, estimates, ..running() };
-        model.update(Event::Snapshot(Arc::new(snapshot)));
+fn a_value_that_is_gone_stays_with_its_age_until_the_run_ends() {
+    let gone = Arc::clone(&between_two_values().snapshot.estimates);
+    let mut forbidden = running().estimates.to_vec();
+    forbidden[3].verdict = Verdict::Invalid;
+    let held = (Some(0.004_6), "value of 3.2 s ago; the speed has not changed for a while");
+    let nothing = (None, "the speed has not changed for a while");
+    let at = |elapsed_s, estimates| Snapshot { elapsed_s, estimates, ..running() };
+    for (name, snapshots, (value, reason)) in [
+        ("held", vec![], held),
+        ("over", vec![Snapshot { estimates: Arc::clone(&gone), ..done() }], nothing),
+        ("forbidden by physics", vec![at(12.0, Arc::new(forbidden)), at(12.0, gone)], nothing),
+    ] {
+        let mut model = between_two_values();
+        for snapshot in snapshots {
+            model.update(Event::Snapshot(Arc::new(snapshot)));
+        }
+        let found = &model.parameters()[3];
+        assert_eq!((found.value, found.reason.as_deref()), (value, Some(reason)), "{name}");
     }
-    assert_eq!(model.parameters()[3].value, None);
+    // A frozen page keeps the values of its moment.
+    let mut model = pressed(between_two_values(), "f2");
+    let parameters = model.parameters();
+    assert!(text(&model, 120, 40).contains("value of 3.2 s ago"));
+    for later in [Snapshot { elapsed_s: 14.0, ..running() }, done()] {
+        model.update(Event::Snapshot(Arc::new(later)));
+    }
+    assert_eq!(model.parameters(), parameters);
 }
 
 #[test]
 fn an_answer_to_a_key_gives_the_keys_back_after_a_while() {
     let mut model = model(running());
     assert!(!model.may_suspend());
-    assert!(!model.forgets() && model.message.is_some());
-    let looks = (0..1000).position(|_| model.forgets());
+    assert!(!model.message_expires() && model.message.is_some());
+    let looks = (0..1000).position(|_| model.message_expires());
     assert!(looks.is_some_and(|looks| looks > 100), "{looks:?}");
     assert_eq!(model.message, None);
 }
 
 #[test]
-fn q_says_where_it_leads_where_the_run_went_to_its_end() {
-    let leads = |own: &mut Model| own.leads = Some("back to the loop");
-    let unsure = Snapshot { stop_error: Some("no reply within 200 ms".to_owned()), ..done() };
-    for (snapshot, is_led) in
-        [(done(), true), (unsure, false), (tripped(), false), (running(), false)]
-    {
-        let mut model = with(&model(snapshot), leads);
-        assert_eq!(model.quits(), "quit", "the work is not over");
-        finish(&mut model);
-        let expected = if is_led { "back to the loop" } else { "quit" };
-        let shown = text(&model, 120, 40);
-        assert!(shown.contains(&format!("q {expected}")), "{shown}");
-        assert!(shown.contains(&format!("q = {expected}.")) || !is_led, "{shown}");
-    }
-}
-
-#[test]
-fn a_key_that_does_nothing_says_why() {
-    for model in every_state().into_iter().filter(|own| own.help.is_none()) {
-        for key in [
-            Press::Yes,
-            Press::Other,
-            Press::Add,
-            Press::Map,
-            Press::Curve,
-            Press::Undo,
-            Press::Zoomed(true),
-            Press::Cursor(1),
-            Press::Move(1),
-        ] {
-            let mut model = model.clone();
-            let effects = press(&mut model, key);
-            let is_answered = model.message.is_some() || !effects.is_empty();
-            let scrolls = key == Press::Move(1) && model.page == Page::Steps;
-            assert!(is_answered || scrolls, "{key:?} {model:?}");
-        }
-    }
-}
-
-#[test]
-fn what_is_provisional_is_said_so_and_is_gone_when_the_run_is_over() {
-    let run = leaning(running());
-    let shown = text(&run, 80, 24);
-    assert!(shown.contains("provisional, 8 s: torque residual leans on"), "{shown}");
-    let shown = text(&finished(leaning(done())), 80, 24);
-    assert!(!shown.contains("provisional"), "{shown}");
-}
-
-#[test]
 fn a_lost_link_tells_how_the_search_goes_and_what_came_of_it() {
     let mut lost = running();
-    lost.phase = Some(Phase::LinkLost);
-    lost.outcome = Some("link_lost");
+    (lost.phase, lost.outcome) = (Some(Phase::LinkLost), Some("link_lost"));
     lost.reopening = Some("link lost, reopening (attempt 3)…".to_owned());
     for (width, height) in [(80, 24), (120, 40), (40, 10)] {
         let shown = text(&model(lost.clone()), width, height);
@@ -404,8 +490,7 @@ fn a_lost_link_tells_how_the_search_goes_and_what_came_of_it() {
     lost.phase = Some(Phase::Safe);
     lost.reopening = Some("x: the same drive is back, stop confirmed".to_owned());
     let shown = text(&finished(model(lost)), 80, 24);
-    assert!(shown.contains(" SAFE "), "{shown}");
-    assert!(shown.contains("stop confirmed. q = quit."), "{shown}");
+    assert!(shown.contains(" SAFE ") && shown.contains("stop confirmed. q = quit."), "{shown}");
 }
 
 #[test]
@@ -417,28 +502,21 @@ fn a_stop_that_was_not_confirmed_is_never_an_output_that_is_off() {
         (Phase::LinkLost, "link_lost"),
         (Phase::Stopped, "not_started"),
     ] {
-        let mut unsure = done();
-        (unsure.phase, unsure.outcome) = (Some(phase), Some(outcome));
-        unsure.stop_error = Some("no reply within 200 ms".to_owned());
-        let shown = text(&finished(model(unsure)), 80, 24);
+        let shown = text(&finished(model(unsure(phase, outcome))), 80, 24);
         assert!(shown.contains("Stop NOT confirmed"), "{outcome}: {shown}");
         assert!(!shown.contains("Output off"), "{outcome}: {shown}");
     }
 }
 
-fn shows_the_card(model: &Model) {
-    let shown = text(model, 80, 24);
-    assert!(shown.contains("EFFECT FOUND: quadratic_load"), "{shown}");
-}
-
 #[test]
-fn the_report_is_shown_when_it_comes() {
+fn the_report_is_shown_when_it_comes_and_only_then() {
     let mut model = finished(model(done()));
-    report(&mut model, false);
-    assert_eq!(model.page, Page::Live);
-    report(&mut model, true);
-    assert_eq!(model.page, Page::Steps);
-    shows_the_card(&model);
+    for (is_there, page) in [(false, Page::Live), (true, Page::Steps)] {
+        report(&mut model, is_there);
+        assert_eq!(model.page, page);
+    }
+    let shown = text(&model, 80, 24);
+    assert!(shown.contains("EFFECT FOUND: quadratic_load"), "{shown}");
     // Turning away afterwards is respected.
     model.page = Page::Live;
     report(&mut model, true);
@@ -460,11 +538,9 @@ fn hardware_is_reversed_and_a_trip_is_white_on_red() {
 }
 
 #[test]
-fn a_frozen_view_keeps_its_data_while_bars_and_trips_stay_live() {
-    let mut model = model(running());
-    press(&mut model, Press::Freeze);
-    let mut later = tripped();
-    later.trace = Arc::default();
+fn a_frozen_view_keeps_its_data_while_trips_stay_live() {
+    let mut model = pressed(model(running()), "f");
+    let later = Snapshot { trace: Arc::default(), ..tripped() };
     model.update(Event::Snapshot(Arc::new(later)));
     let text = text(&model, 80, 24);
     assert!(text.contains("SAFETY TRIP") && text.contains("TRIPPED"), "{text}");
@@ -474,36 +550,9 @@ fn a_frozen_view_keeps_its_data_while_bars_and_trips_stay_live() {
 fn phases() -> impl Iterator<Item = Option<Phase>> {
     use Phase::{Armed, Connecting, Done, LinkLost, RampDown, Running, Safe};
     use Phase::{Stopped, Stopping, Tripped};
-    let before = [Connecting, Safe, Armed, Running, RampDown];
-    let after = [Stopping, Done, Stopped, Tripped, LinkLost];
-    std::iter::once(None).chain(before.into_iter().chain(after).map(Some))
-}
-
-/// Every key but that which stops and Ctrl-C.
-fn others() -> impl Iterator<Item = Press> {
-    use Press::{Move, NextScreen, Open, Other, PreviousScreen};
-    let more = [NextScreen, PreviousScreen, Move(-1), Move(1), Move(10), Open, Other];
-    CHARACTERS.into_iter().map(|(_, press)| press).filter(|press| *press != Press::Stop).chain(more)
-}
-
-const STOP: [Effect; 2] = [Effect::Send(Intent::Stop), Effect::RequestStop];
-const STOP_AND_QUIT: [Effect; 2] = [Effect::Send(Intent::Quit), Effect::RequestStop];
-const START: [Effect; 1] = [Effect::Send(Intent::Start)];
-
-fn press(model: &mut Model, press: Press) -> Vec<Effect> {
-    model.update(Event::Press(press))
-}
-
-fn finish(model: &mut Model) -> Vec<Effect> {
-    model.update(Event::Worker(WorkerState::Finished))
-}
-
-fn report(model: &mut Model, is_there: bool) {
-    model.update(Event::Workflow(Arc::new(workflow(is_there))));
-}
-
-fn in_phase(phase: Option<Phase>, target: Target) -> Model {
-    model(Snapshot { phase, target, drive_state: Some(DriveState::Ready), ..missing() })
+    let all =
+        [Connecting, Safe, Armed, Running, RampDown, Stopping, Done, Stopped, Tripped, LinkLost];
+    std::iter::once(None).chain(all.map(Some))
 }
 
 /// Every state that changes what keys do.
@@ -511,161 +560,25 @@ fn every_state() -> Vec<Model> {
     let mut models = Vec::new();
     for phase in phases() {
         for target in [Target::Sim, Target::Hardware] {
-            for variant in 0..6 {
-                let mut model = in_phase(phase, target);
-                match variant {
-                    1 => model.help = Some(0),
-                    2 => drop(press(&mut model, Press::Freeze)),
-                    3 => report(&mut model, true),
-                    4 => model.confirm_start = true,
-                    5 => drop(finish(&mut model)),
-                    _ => {}
-                }
-                models.push(model);
-            }
+            let model = in_phase(phase, target);
+            models.extend([
+                pressed(model.clone(), "?"),
+                pressed(model.clone(), "f"),
+                with(&model, |own| report(own, true)),
+                with(&model, |own| own.confirm_start = true),
+                finished(model.clone()),
+                model,
+            ]);
         }
     }
     models
 }
 
 #[test]
-fn space_and_escape_stop_in_every_state() {
+fn in_every_state_space_stops_and_ctrl_c_stops_then_quits() {
+    let left = [Effect::Leave(Exit::Interrupted)];
     for mut model in every_state() {
-        assert_eq!(press(&mut model, Press::Stop), STOP, "{model:?}");
-    }
-}
-
-#[test]
-fn no_key_but_the_confirmed_start_starts_and_none_leaves_while_energised() {
-    for model in every_state() {
-        for key in others() {
-            let effects = press(&mut model.clone(), key);
-            if effects.contains(&START[0]) {
-                let is_asked = key == Press::Start && !model.is_hardware();
-                let is_confirmed = key == Press::Yes && model.confirm_start;
-                assert!(model.waits_for_start() && (is_asked || is_confirmed), "{key:?} {model:?}");
-            }
-            let leaves = effects.iter().any(|effect| matches!(effect, Effect::Leave(_)));
-            assert!(!(leaves && model.is_energised()), "{key:?} {model:?}");
-        }
-    }
-}
-
-#[test]
-fn q_says_stop_first_exactly_where_the_output_may_be_on() {
-    for phase in phases() {
-        let mut model = in_phase(phase, Target::Sim);
-        let effects = press(&mut model, Press::Quit);
-        if matches!(phase, Some(Phase::Armed | Phase::Running | Phase::RampDown | Phase::Stopping))
-        {
-            assert_eq!(effects, [], "{phase:?}");
-            assert_eq!(model.message.as_deref(), Some("stop first: Space"));
-        } else {
-            assert_eq!(effects, STOP_AND_QUIT, "{phase:?}");
-            assert_eq!(finish(&mut model), [Effect::Leave(Exit::Quit)]);
-        }
-    }
-    // Found running by somebody else, before this program ever started it.
-    let mut found = in_phase(Some(Phase::Connecting), Target::Hardware);
-    Arc::make_mut(&mut found.snapshot).drive_state = Some(DriveState::Running);
-    assert_eq!(press(&mut found, Press::Quit), []);
-}
-
-#[test]
-fn a_screen_on_which_no_run_ever_began_leaves_by_itself_so_that_the_reason_is_told() {
-    assert_eq!(finish(&mut Model::new(None)), [Effect::Leave(Exit::Finished)]);
-}
-
-#[test]
-fn q_leaves_when_the_work_is_over() {
-    for snapshot in [running(), tripped(), done(), hardware()] {
-        let mut model = model(snapshot);
-        assert_eq!(finish(&mut model), []);
-        assert_eq!(press(&mut model, Press::Quit), [Effect::Leave(Exit::Finished)]);
-    }
-}
-
-#[test]
-fn d_goes_on_by_hand_exactly_where_the_report_is_there_and_the_work_over() {
-    let mut model = model(done());
-    report(&mut model, true);
-    assert_eq!(press(&mut model, Press::Diagnose), []);
-    finish(&mut model);
-    assert_eq!(press(&mut model, Press::Diagnose), [Effect::Leave(Exit::Diagnosis)]);
-    report(&mut model, false);
-    assert_eq!(press(&mut model, Press::Diagnose), []);
-}
-
-#[test]
-fn d_goes_on_from_a_run_that_went_to_its_end_and_from_no_other() {
-    let mut whole = model(done());
-    assert_eq!(press(&mut whole, Press::Diagnose), [], "the work is not over");
-    finish(&mut whole);
-    assert_eq!(press(&mut whole, Press::Diagnose), [Effect::Leave(Exit::Diagnosis)]);
-    let shown = terminal(&whole, 80, 24).backend().to_string();
-    assert!(shown.contains("d = diagnosis by hand, q = quit"), "{shown}");
-    assert!(shown.contains("output off") && !shown.contains("Space = STOP"), "{shown}");
-    let mut halted = model(tripped());
-    finish(&mut halted);
-    assert_eq!(press(&mut halted, Press::Diagnose), []);
-}
-
-#[test]
-fn ctrl_z_is_refused_for_as_long_as_the_bench_is_at_work() {
-    for mut model in every_state() {
-        let may = model.may_suspend();
-        assert_eq!(may, model.is_finished(), "{model:?}");
-        assert_eq!(may, !model.message.is_some_and(|text| text.starts_with("Ctrl-Z")));
-    }
-}
-
-#[test]
-fn what_follows_the_report_is_left_for_only_where_it_is_offered() {
-    let keys = [
-        (Press::Experiment, Step::Experiment, Exit::Experiment),
-        (Press::SpeedLoop, Step::SpeedLoop, Exit::SpeedLoop),
-    ];
-    for (key, step, exit) in keys {
-        let mut model = model(done());
-        assert_eq!(press(&mut model, key), [], "a plain run");
-        // What was done is done again where a command still does it: a next run, if there is one.
-        let again = || Some("drivebench run next.toml".to_owned());
-        for (state, command, is_left) in [
-            (StepState::Waiting, None, false),
-            (StepState::Offered, None, true),
-            (StepState::Done, again(), true),
-            (StepState::Done, None, false),
-            // What came of it could not be judged: made again.
-            (StepState::Failed, again(), true),
-            (StepState::Failed, None, false),
-        ] {
-            let mut workflow = workflow(true);
-            workflow.steps.push(StepView {
-                state,
-                command,
-                line: "none would tell more".to_owned(),
-                ..StepView::new(step)
-            });
-            let mut model = model.clone();
-            model.update(Event::Workflow(Arc::new(workflow)));
-            assert_eq!(press(&mut model, key), [], "the work is under way");
-            finish(&mut model);
-            let left = press(&mut model, key);
-            if is_left {
-                assert_eq!(left, [Effect::Leave(exit)], "{state:?}");
-            } else {
-                assert_eq!(left, [], "{state:?}");
-                let said = model.message.unwrap_or_default();
-                assert!(said.contains("none would tell more"), "{state:?}: {said}");
-            }
-        }
-    }
-}
-
-#[test]
-fn ctrl_c_stops_then_quits_and_the_third_leaves_a_worker_that_hangs() {
-    for mut model in every_state() {
-        let left = [Effect::Leave(Exit::Interrupted)];
+        assert_eq!(press(&mut model.clone(), Press::Stop), STOP, "{model:?}");
         if model.is_finished() {
             assert_eq!(press(&mut model, Press::Interrupt), left);
             continue;
@@ -676,81 +589,63 @@ fn ctrl_c_stops_then_quits_and_the_third_leaves_a_worker_that_hangs() {
         for _ in 0..2 {
             assert_eq!(press(&mut hanging, Press::Interrupt), STOP_AND_QUIT);
         }
-        assert!(press(&mut hanging, Press::Interrupt).contains(&Effect::Leave(Exit::Forced)));
+        // The third leaves a worker that does not come back.
+        let third = press(&mut hanging, Press::Interrupt);
+        assert!(third.contains(&Effect::Leave(Exit::Forced)));
     }
 }
 
 #[test]
-fn a_start_on_hardware_is_confirmed_and_anything_else_withdraws_it() {
-    let mut soft = in_phase(Some(Phase::Safe), Target::Sim);
-    assert_eq!(press(&mut soft, Press::Start), START);
-    let mut hard = in_phase(Some(Phase::Safe), Target::Hardware);
-    assert_eq!(press(&mut hard, Press::Start), []);
-    for other in [Press::Next, Press::Click(Position::ORIGIN), Press::Wheel(1)] {
-        let mut refused = hard.clone();
-        assert_eq!(press(&mut refused, other), []);
-        assert_eq!(press(&mut refused, Press::Yes), [], "{other:?}");
-    }
-    let mut late = hard.clone();
-    assert_eq!(press(&mut hard, Press::Yes), START);
-    // A question that is no longer one is withdrawn.
-    late.update(Event::Snapshot(Arc::new(tripped())));
-    assert!(!late.confirm_start);
-    assert_eq!(press(&mut late, Press::Yes), []);
-}
-
-#[test]
-fn faults_are_reset_only_where_there_is_one_and_nothing_is_energised() {
-    let reset = vec![Effect::Send(Intent::ResetFault)];
-    for (phase, state, expected) in [
-        (Phase::Connecting, DriveState::Fault, reset),
-        (Phase::Running, DriveState::Fault, vec![]),
-        (Phase::Safe, DriveState::Ready, vec![]),
-    ] {
-        let mut model = in_phase(Some(phase), Target::Sim);
-        Arc::make_mut(&mut model.snapshot).drive_state = Some(state);
-        assert_eq!(press(&mut model, Press::ResetFault), expected, "{phase:?} {state:?}");
+fn only_the_confirmed_start_starts_and_no_key_leaves_while_on() {
+    use Press::{Move, NextScreen, Open, Other, PreviousScreen};
+    let more = [NextScreen, PreviousScreen, Move(-1), Move(1), Move(10), Open, Other];
+    for model in every_state() {
+        for key in CHARACTERS.into_iter().map(|(_, press)| press).chain(more) {
+            let effects = press(&mut model.clone(), key);
+            if effects.contains(&START) {
+                let is_asked = key == Press::Start && !model.is_hardware();
+                let is_confirmed = key == Press::Yes && model.confirm_start;
+                let may_start = model.waits_for_start() && (is_asked || is_confirmed);
+                assert!(may_start, "{key:?} {model:?}");
+            }
+            let leaves = effects.iter().any(|effect| matches!(effect, Effect::Leave(_)));
+            assert!(!(leaves && model.is_energised()), "{key:?} {model:?}");
+        }
     }
 }
 
 #[test]
-fn view_keys_change_the_view_and_send_nothing() {
-    let mut model = model(running());
-    for is_frozen in [true, false] {
-        assert_eq!(press(&mut model, Press::Freeze), []);
-        assert_eq!(model.frozen.is_some(), is_frozen);
+fn in_every_state_an_idle_key_says_why_and_ctrl_z_waits() {
+    for model in every_state() {
+        for key in ["y", "#", "a", "e", "c", "u", "+", "→", "↓"] {
+            let (after, effects) = after(model.clone(), key);
+            let closes = model.help.first.is_some();
+            let scrolls = key == "↓" && model.page == Page::Steps;
+            let is_answered = after.message.is_some() || !effects.is_empty();
+            assert!(is_answered || scrolls || closes, "{key:?} {model:?}");
+        }
+        let mut halted = model.clone();
+        assert_eq!(halted.may_suspend(), model.is_finished(), "{model:?}");
+        let refused = halted.message.is_some_and(|text| text.starts_with("Ctrl-Z"));
+        assert_eq!(refused, !model.is_finished());
     }
-    let before_s = model.window_s();
-    assert_eq!(press(&mut model, Press::Zoom), []);
-    assert!(model.window_s() < before_s);
-    press(&mut model, Press::Help);
-    press(&mut model, Press::Move(3));
-    assert_eq!(model.help, Some(3));
-    assert_eq!(press(&mut model, Press::Quit), []);
-    assert!(model.help.is_none() && model.message.is_none());
-    assert_eq!(press(&mut model, Press::Mark), [Effect::Send(Intent::Mark("mark 1".to_owned()))]);
 }
 
 #[test]
-fn tab_goes_round_the_pages_that_there_are() {
-    let mut model = model(running());
-    for (key, page) in [
-        (Press::NextScreen, Page::Parameters),
-        (Press::NextScreen, Page::Live),
-        (Press::Page(2), Page::Live),
-    ] {
-        press(&mut model, key);
-        assert_eq!(model.page, page, "{key:?}");
+fn q_says_stop_first_exactly_where_the_output_may_be_on() {
+    use Phase::{Armed, RampDown, Running, Stopping};
+    for phase in phases() {
+        let (mut model, effects) = after(in_phase(phase, Target::Sim), "q");
+        if matches!(phase, Some(Armed | Running | RampDown | Stopping)) {
+            assert_eq!(effects, [], "{phase:?}");
+            assert_eq!(model.message.as_deref(), Some("stop first: Space"));
+        } else {
+            assert_eq!(effects, STOP_AND_QUIT, "{phase:?}");
+            assert_eq!(finish(&mut model), [Effect::Leave(Exit::Quit)]);
+        }
     }
-    report(&mut model, false);
-    for (key, page) in [
-        (Press::PreviousScreen, Page::Steps),
-        (Press::NextScreen, Page::Live),
-        (Press::Page(2), Page::Steps),
-    ] {
-        press(&mut model, key);
-        assert_eq!(model.page, page, "{key:?}");
-    }
+    // A screen on which no run ever began leaves by itself, so that the reason is printed.
+    assert_eq!(finish(&mut Model::new(None)), [Effect::Leave(Exit::Finished)]);
 }
 
 #[test]

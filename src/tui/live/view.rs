@@ -10,7 +10,7 @@ use ratatui::widgets::{Block, BorderType, Clear, Padding, Paragraph, Widget, Wra
 use super::model::{Model, Page};
 use super::scope::scope;
 use crate::tui::frame::{
-    bar_spans, document_lines, help, hint_rows, hints, is_too_small, row, rows, scrolling, text,
+    bar_spans, document_lines, hint_rows, hints, is_too_small, labelled, row, rows, scrolling, text,
 };
 use crate::tui::keys::On;
 use crate::tui::theme;
@@ -21,14 +21,6 @@ use drivebench_model::text::lines::{cut, wrapped};
 use drivebench_model::text::number::{fixed, shortest};
 
 const STOP: &str = " Space = STOP ";
-/// Longest bar of the progress.
-const LONGEST: usize = 40;
-/// Below this there is the scope alone; the parameters have their own page.
-const WIDTH_FOR_TWO: u16 = 72;
-const HEIGHT_FOR_TWO: u16 = 15;
-/// Width of the right side.
-const NARROW: u16 = 33;
-const WIDE: u16 = 48;
 
 const MEANING: [&str; 5] = [
     "The model runs free under the applied voltage: where it leaves the measurement, it misses something.",
@@ -73,7 +65,7 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
         Page::Parameters => parameters_page(model, body, buffer),
         Page::Steps => steps_page(model, body, buffer),
     }
-    let quit = format!("? help  q {}", model.quits());
+    let quit = format!("? help  q {}", model.quit_label());
     let next = &format!("Tab {}", model.neighbour(1).name())[..];
     let offers = offers(model, next);
     let is_faulted = model.snapshot.drive_state == Some(DriveState::Fault);
@@ -89,10 +81,8 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
         &["Space stop", next, "f freeze", "z zoom", "m mark"]
     };
     hints(model.message.as_deref(), keys, &quit, bottom, buffer);
-    if let Some(row) = model.help {
-        let under_top = Rect { y: area.y + 1, height: area.height - 1, ..area };
-        model.hidden.set(help(On::Live, &MEANING, row, under_top, buffer));
-    }
+    let under_top = Rect { y: area.y + 1, height: area.height - 1, ..area };
+    model.help.draw(On::Live, &MEANING, under_top, buffer);
 }
 
 /// What one must always see: software or copper, phase, link, and the key that stops. What has no room is left out from
@@ -168,19 +158,17 @@ fn phase_style(phase: Phase) -> Style {
     }
 }
 
-/// How far the run is: a bar, the seconds, the segment.
 fn progress_bar(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
     let (elapsed_s, total_s) = (snapshot.elapsed_s, snapshot.total_s);
     let share = if total_s > 0.0 { elapsed_s / total_s } else { 0.0 };
     let segment = snapshot.segment.as_deref().unwrap_or("no segment yet");
     let mut line = Line::raw(" ");
-    line.extend(bar_spans(share, (usize::from(area.width) / 3).min(LONGEST), theme::GOOD));
+    line.extend(bar_spans(share, (usize::from(area.width) / 3).min(40), theme::GOOD));
     line.push_span(format!(" {elapsed_s:.1} / {total_s:.1} s  "));
     line.push_span(Span::styled(segment, theme::BOLD));
     row(&line, area, buffer);
 }
 
-/// The step of the workflow that is under way.
 fn step_line(workflow: &Progress) -> Line<'static> {
     let steps = &workflow.steps;
     let active = steps.iter().position(|step| step.state == StepState::Active);
@@ -212,10 +200,6 @@ fn notices(notices: &[Notice], area: Rect, buffer: &mut Buffer) {
     }
 }
 
-/// Rows of the page from which on there is one for what the residual leans on.
-const WITH_LEANING: u16 = 9;
-
-/// The scope, and beside it parameters and link where there is room.
 fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     let snapshot = model.viewed();
     let stands = match (model.frozen.is_some(), model.is_finished()) {
@@ -231,22 +215,22 @@ fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     };
     // What is provisional while the run goes on is no result when it is over.
     let goes_on = !model.is_finished() && model.snapshot.phase.is_some_and(Phase::is_recorded);
-    let lean_rows = u16::from(goes_on && area.height >= WITH_LEANING);
-    let [body, lean, bottom] = Layout::vertical([
+    let rank_rows = u16::from(goes_on && area.height >= 9);
+    let [body, ranking, bottom] = Layout::vertical([
         Constraint::Fill(1),
-        Constraint::Length(lean_rows),
+        Constraint::Length(rank_rows),
         Constraint::Length(notice_rows),
     ])
     .areas(area);
-    if model.leaning.seconds > 0.0 {
-        row(&Line::styled(format!(" {}", model.leaning.line()), theme::CAREFUL), lean, buffer);
+    if model.ranking.seconds > 0.0 {
+        row(&Line::styled(format!(" {}", model.ranking.line()), theme::CAREFUL), ranking, buffer);
     }
     notices(&model.snapshot.notices, bottom, buffer);
-    if area.width < WIDTH_FOR_TWO || body.height < HEIGHT_FOR_TWO {
+    if area.width < 72 || body.height < 15 {
         scope(snapshot, model.window_s(), stands, body, buffer);
         return;
     }
-    let side = if area.width >= 110 { WIDE } else { NARROW };
+    let side = if area.width >= 110 { 48 } else { 33 };
     let [left, right] =
         Layout::horizontal([Constraint::Fill(1), Constraint::Length(side)]).areas(body);
     scope(snapshot, model.window_s(), stands, left, buffer);
@@ -261,7 +245,6 @@ fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     link_panel(&model.snapshot, link, buffer);
 }
 
-/// Parameters with their reasons in full, and the link.
 fn parameters_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     let (link_rows, notice_rows) = if area.height >= 18 { (LINK_HEIGHT, 2) } else { (0, 0) };
     let [top, link, bottom] = Layout::vertical([
@@ -300,8 +283,7 @@ fn explained(step: &StepView, indent: usize, width: usize) -> Vec<Line<'static>>
     let facts = facts.into_iter().filter(|(_, text)| !text.is_empty());
     let room = width.saturating_sub(indent + 9).max(10);
     let lines = facts.flat_map(|(label, text)| {
-        wrapped(text, room).into_iter().enumerate().map(move |(row, text)| {
-            let label = if row == 0 { label } else { "" };
+        labelled(label, text, room).map(move |(label, text)| {
             Line::styled(format!("{:indent$}{label:<8} {text}", ""), theme::DIM)
         })
     });
@@ -324,10 +306,6 @@ fn offers<'a>(model: &Model, next: &'a str) -> Vec<&'a str> {
     keys
 }
 
-/// Below this width what is said of a step stands below its title, so far from the left.
-const IN_ONE_ROW: usize = 60;
-const INDENT: usize = 4;
-
 fn step_lines(model: &Model, workflow: &Progress, width: usize) -> Vec<Line<'static>> {
     let steps = workflow.steps.iter();
     let widest = steps.map(|step| step.step.title().chars().count());
@@ -346,9 +324,10 @@ fn step_lines(model: &Model, workflow: &Progress, width: usize) -> Vec<Line<'sta
             Span::styled(format!(" {mark} {name:<8} "), style),
             Span::styled(format!("{title:<title_width$}  "), theme::BOLD),
         ];
-        let is_narrow = width < IN_ONE_ROW;
+        let is_narrow = width < 60;
         let beside: usize = head.iter().map(Span::width).sum();
-        let indent = if is_narrow { INDENT } else { beside };
+        // In a narrow list the figure of a step stands below its title.
+        let indent = if is_narrow { 4 } else { beside };
         let room = width.saturating_sub(indent).max(10);
         let said = Some(&step.line).filter(|text| !text.is_empty());
         let mut lines = said.map_or_else(Vec::new, |text| wrapped(text, room)).into_iter();
@@ -383,7 +362,7 @@ impl Banner {
     fn of(model: &Model) -> Option<Self> {
         let snapshot = &model.snapshot;
         let (is_over, is_lost) = (model.is_finished(), snapshot.phase == Some(Phase::LinkLost));
-        let quit = model.quits();
+        let quit = model.quit_label();
         let end = match (is_over, &snapshot.stop_error) {
             (false, _) => String::new(),
             (true, None) if model.can_diagnose() && model.leads.is_none() => {
@@ -422,7 +401,7 @@ impl Banner {
             ("LINK LOST", stopped(reason), theme::ALARM)
         } else {
             let (title, text, style) = match snapshot.outcome.filter(|_| is_over)? {
-                // The page says what the whole loop came to, its top that the output is off.
+                // The page has the result of the loop, its top bar the output.
                 "done" if model.shows_report() && snapshot.stop_error.is_none() => return None,
                 "done" => ("DONE", "The run went to its end", theme::GOOD),
                 "stopped" => ("STOPPED", "The run was stopped", theme::CAREFUL),
@@ -443,16 +422,7 @@ impl Banner {
 
     /// Rows that it takes, with its frame, in a screen of this width.
     fn height(&self, width: u16) -> u16 {
-        let inner = usize::from(width.saturating_sub(4)).max(1);
-        let (mut rows, mut used) = (1_usize, 0);
-        for word in self.text.split(' ') {
-            let length = word.chars().count();
-            if used + length > inner {
-                rows += 1;
-                used = 0;
-            }
-            used += length + 1;
-        }
+        let rows = wrapped(&self.text, usize::from(width.saturating_sub(4)).max(1)).len();
         2 + (rows.clamp(1, 6) as u16)
     }
 
@@ -472,17 +442,12 @@ impl Banner {
 
 /// From this width on names are written out.
 const WIDE_PANEL: u16 = 44;
-/// Relative deviations at the full and at the empty end of the bar.
-const WIDEST: f64 = 1.0;
-const NARROWEST: f64 = 1e-3;
 /// Longest bar, and the room for its percentage, in a panel.
 const BAR: usize = 20;
 const PERCENT: usize = 7;
 
 /// Blocks of one cell, from nothing to all.
 const BLOCKS: [&str; 8] = ["▁", "▂", "▃", "▄", "▅", "▆", "▇", "█"];
-/// Excitation from which on the estimators believe a value.
-const CARRIED: f64 = 0.7;
 
 /// Panel with a frame; three rows for each parameter, two or one where there is no room.
 fn parameters(model: &Model, area: Rect, buffer: &mut Buffer) {
@@ -536,7 +501,6 @@ fn frozen_text(model: &Model, is_wide: bool) -> Option<String> {
     })
 }
 
-/// Every parameter with its name, its key and the whole reason.
 fn table(model: &Model, area: Rect, buffer: &mut Buffer) {
     let mut lines = Vec::new();
     for estimate in &model.parameters() {
@@ -558,7 +522,7 @@ fn table(model: &Model, area: Rect, buffer: &mut Buffer) {
 }
 
 fn excitation_style(share: f64) -> Style {
-    if share >= CARRIED { theme::GOOD } else { theme::CAREFUL }
+    if share >= 0.7 { theme::GOOD } else { theme::CAREFUL }
 }
 
 /// One block at the right edge; left out where the text needs the room.
@@ -650,15 +614,14 @@ fn short_line(estimate: &ParameterEstimate) -> Line<'static> {
     ])
 }
 
-/// Standard deviation over value, where there are both.
 fn relative_std(estimate: &ParameterEstimate) -> Option<f64> {
     let share = (estimate.std? / estimate.value?).abs();
     (share.is_finite() && estimate.verdict != Verdict::Fixed).then_some(share)
 }
 
-/// Length of the bar, 0 to 1, on a logarithmic scale.
+/// Length of the bar, 0 to 1, on a logarithmic scale from 0.1 % to 100 %.
 fn uncertainty(share: f64) -> f64 {
-    ((share / NARROWEST).log10() / (WIDEST / NARROWEST).log10()).clamp(0.0, 1.0)
+    ((share / 1e-3).log10() / 3.0).clamp(0.0, 1.0)
 }
 
 /// Symbol and name of a parameter by its key; an effect's parameter goes by its own key without the unit.
@@ -678,7 +641,6 @@ pub(crate) fn name(key: &str) -> (&str, String) {
     (known.0, known.1.to_owned())
 }
 
-/// A relative deviation as a percentage.
 fn percent(share: f64) -> String {
     match share * 100.0 {
         1000.0.. => ">999 %".to_owned(),
@@ -688,10 +650,8 @@ fn percent(share: f64) -> String {
     }
 }
 
-/// Rows of the link panel with its frame.
 pub(super) const LINK_HEIGHT: u16 = 7;
 
-/// Link, punctuality and recorder.
 pub(super) fn link_panel(snapshot: &Snapshot, area: Rect, buffer: &mut Buffer) {
     let block = Block::bordered().title(" link and record ");
     let inner = block.inner(area);
@@ -741,11 +701,5 @@ mod tests {
         {
             assert!((uncertainty(share) - expected).abs() < 1e-12, "{share}");
         }
-    }
-
-    #[test]
-    fn a_parameter_has_a_symbol_and_a_name() {
-        assert_eq!(name("inertia_kg_m2").0, "J");
-        assert_eq!(name("stribeck_friction.stribeck_n_m"), ("stribeck", "stribeck n m".to_owned()));
     }
 }

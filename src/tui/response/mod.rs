@@ -18,19 +18,17 @@ use ratatui::Frame;
 use ratatui::layout::{Position, Rect};
 
 use super::application::{Exit, Screen};
-use super::frame::scrolled;
+use super::frame::Help;
 use super::keys::Press;
 use drivebench_identify::frequency_response::{Compared, Pathway, PathwayResponse};
 
 pub(super) use view::view;
 
-/// The state of the page.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ResponsePage {
     compared: Option<Arc<Compared>>,
-    /// The pathway that was chosen; none before, when it is the one that tells most.
+    /// `None` before a choice: the pathway with the most carried points.
     chosen: Option<Pathway>,
-    /// Point under the cursor.
     cursor: Option<usize>,
 }
 
@@ -79,14 +77,13 @@ impl ResponsePage {
 pub struct ResponseScreen {
     title: String,
     page: ResponsePage,
-    help: Option<usize>,
-    hidden: std::cell::Cell<usize>,
+    help: Help,
     message: Option<String>,
     hang_up: Arc<AtomicBool>,
 }
 
 impl ResponseScreen {
-    /// `asked`: the pathway that it opens with. `hang_up` is set by signals: the screen closes by itself.
+    /// `chosen`: the pathway that it opens with. `hang_up` is set by signals: the screen closes by itself.
     pub fn new(
         title: String,
         compared: Compared,
@@ -96,12 +93,12 @@ impl ResponseScreen {
         let mut page = ResponsePage::default();
         page.take(compared);
         page.chosen = asked;
-        Self { title, page, help: None, hidden: std::cell::Cell::new(0), message: None, hang_up }
+        Self { title, page, help: Help::default(), message: None, hang_up }
     }
 }
 
 impl Screen for ResponseScreen {
-    fn look(&mut self) -> (bool, Option<Exit>) {
+    fn poll(&mut self) -> (bool, Option<Exit>) {
         (false, self.hang_up.load(Ordering::Acquire).then_some(Exit::Interrupted))
     }
 
@@ -109,25 +106,21 @@ impl Screen for ResponseScreen {
         self.message = None;
         match press {
             Press::Interrupt => return Some(Exit::Interrupted),
-            Press::Move(rows) | Press::Wheel(rows) if self.help.is_some() => {
-                let hidden = self.hidden.get();
-                self.help = self.help.map(|row| scrolled(row, rows, hidden));
-            }
-            _ if self.help.is_some() => self.help = None,
-            Press::Help => self.help = Some(0),
+            _ if self.help.press(press) => {}
+            Press::Help => self.help.first = Some(0),
             Press::Quit => return Some(Exit::Finished),
             press if self.page.press(press) => {}
             Press::Stop => return Some(Exit::Finished),
-            _ => self.say("that key does nothing here: ? lists those that do"),
+            _ => self.notify("that key does nothing here: ? lists those that do"),
         }
         None
     }
 
     fn click(&mut self, _: Position, _: Rect) {
-        self.say("there is nothing to select here: Left and Right move the cursor");
+        self.notify("there is nothing to select here: Left and Right move the cursor");
     }
 
-    fn say(&mut self, text: &str) {
+    fn notify(&mut self, text: &str) {
         self.message = Some(text.to_owned());
     }
 

@@ -126,7 +126,7 @@ pub(in crate::tui) fn pages() -> Vec<Page> {
 }
 
 #[test]
-fn tab_goes_through_the_pathways_and_the_cursor_stays_on_the_axis() {
+fn tab_goes_through_the_pathways_and_the_cursor_stays() {
     let size = (100, 30);
     let shown = |screen: &ResponseScreen| text(screen, size);
     let mut screen = screen(compared());

@@ -9,22 +9,18 @@ use ratatui::text::Line;
 use super::{ResponsePage, ResponseScreen};
 use crate::report::response_chart;
 use crate::tui::axis_chart;
-use crate::tui::frame::{help, hint_rows, hints, is_too_small, row, text, titled_with};
+use crate::tui::frame::{hint_rows, hints, is_too_small, row, text, titled_with};
 use crate::tui::keys::On;
 use crate::tui::plot::LABELS;
 use crate::tui::theme;
 use drivebench_identify::frequency_response::{Compared, Departure, PathwayResponse};
 
-/// Rows of what is said above the panels at the most, on a tall page and on a low one.
-const MOST_SAID: usize = 4;
-const TALL: u16 = 20;
 const MEANING: [&str; 3] = [
     "Solid: measured, where the excitation carries it; dotted: its 95 % interval. Dashed: the model, by the same estimator.",
     "Coherence: share of what was measured that the voltage explains; below 0.8 a point is not carried.",
     "A resonance is named only where it is known well enough: none named is not none there.",
 ];
 
-/// The page as a screen of its own.
 pub(super) fn screen(screen: &ResponseScreen, frame: &mut Frame<'_>) {
     let area = frame.area();
     let buffer = frame.buffer_mut();
@@ -37,10 +33,8 @@ pub(super) fn screen(screen: &ResponseScreen, frame: &mut Frame<'_>) {
             .areas(area);
     row(&Line::styled(format!(" frequency response: {}", screen.title), theme::BOLD), top, buffer);
     view(&screen.page, body, buffer);
-    if let Some(first) = screen.help {
-        screen.hidden.set(help(On::Response, &MEANING, first, body, buffer));
-    }
-    let (keys, always) = if screen.help.is_some() {
+    screen.help.draw(On::Response, &MEANING, body, buffer);
+    let (keys, always) = if screen.help.first.is_some() {
         ("Up Down scroll", "any other key closes the help")
     } else {
         (ResponsePage::KEYS, "? help  q leave")
@@ -49,7 +43,6 @@ pub(super) fn screen(screen: &ResponseScreen, frame: &mut Frame<'_>) {
     hints(screen.message.as_deref(), &keys, always, bottom, buffer);
 }
 
-/// Draws the page.
 pub(in crate::tui) fn view(page: &ResponsePage, area: Rect, buffer: &mut Buffer) {
     let area = area.intersection(buffer.area);
     let Some((compared, own)) = page.shown() else {
@@ -66,22 +59,21 @@ pub(in crate::tui) fn view(page: &ResponsePage, area: Rect, buffer: &mut Buffer)
     if inner.height < 3 || inner.width < LABELS + 4 {
         return;
     }
-    let said = said(compared, own);
-    let most = if inner.height >= TALL { MOST_SAID } else { 1 };
-    let rows = said.len().min(most) as u16;
+    let findings = findings(compared, own);
+    let most = if inner.height >= 20 { 4 } else { 1 };
+    let rows = findings.len().min(most) as u16;
     let [above, below] =
         Layout::vertical([Constraint::Length(rows), Constraint::Fill(1)]).areas(inner);
-    let said = said.into_iter().take(most);
-    let said: Vec<Line<'static>> =
-        said.map(|(told, style)| Line::styled(format!(" {told}"), style)).collect();
-    text(said, above, buffer);
+    let lines = findings.into_iter().take(most);
+    let lines = lines.map(|(text, style)| Line::styled(format!(" {text}"), style)).collect();
+    text(lines, above, buffer);
     let cursor = page.cursor.and_then(|at| own.points.get(at)).map(|point| point.frequency_hz);
     let chart = response_chart(compared, own.pathway);
     axis_chart::axis_chart(&chart, cursor, below, buffer);
 }
 
 /// Modes, then where the model departs, then what limits it: what matters most first.
-fn said(compared: &Compared, own: &PathwayResponse) -> Vec<(String, Style)> {
+fn findings(compared: &Compared, own: &PathwayResponse) -> Vec<(String, Style)> {
     let measured = &compared.measured;
     let modes = measured.modes_of(own.pathway);
     let mut said = Vec::new();

@@ -5,7 +5,7 @@
 //! keys ------------------------------------------>      '-> view: one panel for each signal chosen, one time axis
 //! ```
 //!
-//! A page of other screens: it takes the keys that it knows and leaves the rest to them. After a change of the model the new
+//! A page of other screens: it takes its own keys and leaves the rest to them. After a change of the model the new
 //! traces are drawn over the old ones from left to right, so that every dot is that of one of the two models.
 
 mod view;
@@ -27,15 +27,9 @@ pub(super) use view::{strip, view};
 /// Frames over which a change of the model is drawn.
 pub(super) const FRAMES: u8 = 20;
 /// Stretches of a run among which the worst are looked for, and those that a key goes through.
-const STRETCHES: usize = 60;
 const WORST_PLACES: usize = 8;
-/// What is seen around a worst place, in stretches.
-const AROUND: f64 = 4.0;
 /// Share of the window that a pan moves by, and cells that the cursor does: one column in a hundred.
 const PAN_SHARE: f64 = 0.5;
-const CURSOR_SHARE: f64 = 0.01;
-/// Samples that are seen at least.
-const CLOSEST_SAMPLES: f64 = 8.0;
 
 /// What a panel shows of a signal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,20 +45,13 @@ pub(super) type Panel = (usize, Shows);
 /// Where a run that did not go to its end was stopped, and how in a few words.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StoppedAt {
-    /// Name of the run.
     pub run: String,
-    /// From its start, s.
     pub at_s: f64,
-    /// What it was stopped for, where that is something other than the speed: it is seen first.
+    /// What it was stopped for, where that is not the speed: its panel comes first.
     pub shows: Option<Channel>,
     pub text: String,
 }
 
-/// What is seen before and after a stop, s.
-const BEFORE_STOP_S: f64 = 2.0;
-const AFTER_STOP_S: f64 = 1.0;
-
-/// The state of the page.
 #[derive(Clone, Debug, Default)]
 pub(super) struct TracesPage {
     /// Where the page opens; the whole of the first run where there is none.
@@ -77,7 +64,7 @@ pub(super) struct TracesPage {
     run: usize,
     /// Panels that the person chose; none before, when there are those that fit.
     chosen: Option<Vec<Panel>>,
-    /// What is seen of the run, s; the whole of it where there is none.
+    /// Shown part of the run, s; `None`: the whole of it.
     window_s: Option<(f64, f64)>,
     cursor_s: Option<f64>,
     /// Which of the worst places the key goes to next.
@@ -91,7 +78,7 @@ pub(super) struct TracesPage {
 impl TracesPage {
     /// Takes new traces; those of another model are drawn over the old ones.
     pub(super) fn take(&mut self, traces: Traces) {
-        self.see_before(false);
+        self.set_before(false);
         let traces = Arc::new(traces);
         let old = self.traces.replace(Arc::clone(&traces));
         if let Some(old) = old.filter(|old| old.effects != traces.effects) {
@@ -104,10 +91,11 @@ impl TracesPage {
         };
         if let Some(run) = traces.runs.iter().position(|own| own.run == stop.run) {
             self.run = run;
-            let to_s = traces.runs[run].span_s().1.min(stop.at_s + AFTER_STOP_S);
-            let from_s = stop.at_s - BEFORE_STOP_S;
+            let to_s = traces.runs[run].span_s().1.min(stop.at_s + 1.0);
+            // Two seconds before the stop and one behind it.
+            let from_s = stop.at_s - 2.0;
             self.cursor_s = Some(stop.at_s.min(to_s));
-            self.see(f64::midpoint(from_s, to_s), to_s - from_s);
+            self.set_window(f64::midpoint(from_s, to_s), to_s - from_s);
             let panels = self.panels();
             let is_first = |(place, _): &Panel| {
                 let quantity = traces.runs[run].signals[*place].quantity;
@@ -123,7 +111,7 @@ impl TracesPage {
     }
 
     /// Looks at the model before the last change, with the one after it drawn in its place; or back.
-    pub(super) fn see_before(&mut self, before: bool) {
+    pub(super) fn set_before(&mut self, before: bool) {
         if before != self.is_before && self.before.is_some() {
             std::mem::swap(&mut self.traces, &mut self.before);
             self.is_before = before;
@@ -147,7 +135,6 @@ impl TracesPage {
         self.frames = self.frames.saturating_sub(1);
     }
 
-    /// Share of the change that is drawn.
     pub(super) fn drawn_share(&self) -> f64 {
         1.0 - f64::from(self.frames) / f64::from(FRAMES)
     }
@@ -172,12 +159,10 @@ impl TracesPage {
         signals.iter().enumerate().flat_map(of).collect()
     }
 
-    /// What is seen of the run, s.
     fn window_s(&self) -> (f64, f64) {
         self.window_s.unwrap_or_else(|| self.run().map_or((0.0, 1.0), RunTraces::span_s))
     }
 
-    /// Answers a key; whether it was one of the page's.
     pub(super) fn press(&mut self, press: Press) -> bool {
         if self.is_empty() {
             return false;
@@ -201,7 +186,6 @@ impl TracesPage {
         true
     }
 
-    /// Shows the selected panel, or takes it away.
     fn toggle(&mut self) {
         let panels = self.panels();
         let Some(panel) = self.choosing.and_then(|at| panels.get(at)) else {
@@ -238,13 +222,13 @@ impl TracesPage {
     }
 
     /// The window held within the run, and no closer than a few samples.
-    fn see(&mut self, middle_s: f64, length_s: f64) {
+    fn set_window(&mut self, middle_s: f64, length_s: f64) {
         let Some(run) = self.run() else { return };
         let (first_s, last_s) = run.span_s();
         let most = run.signals.iter().map(|signal| signal.time_s.len()).max();
         let sample_s = (last_s - first_s) / most.unwrap_or(1).max(1) as f64;
         let whole_s = last_s - first_s;
-        let length_s = length_s.max((CLOSEST_SAMPLES * sample_s).min(whole_s));
+        let length_s = length_s.max((8.0 * sample_s).min(whole_s));
         if length_s >= whole_s {
             self.window_s = None;
             return;
@@ -257,12 +241,12 @@ impl TracesPage {
         let (from_s, to_s) = self.window_s();
         let middle_s = self.cursor_s.unwrap_or(f64::midpoint(from_s, to_s));
         let factor = if closer { 0.5 } else { 2.0 };
-        self.see(middle_s, factor * (to_s - from_s));
+        self.set_window(middle_s, factor * (to_s - from_s));
     }
 
     fn pan(&mut self, share: f64) {
         let (from_s, to_s) = self.window_s();
-        self.see(f64::midpoint(from_s, to_s) + share * (to_s - from_s), to_s - from_s);
+        self.set_window(f64::midpoint(from_s, to_s) + share * (to_s - from_s), to_s - from_s);
         // The cursor stays in sight.
         let (from_s, to_s) = self.window_s();
         self.cursor_s = self.cursor_s.map(|at_s| at_s.clamp(from_s, to_s));
@@ -271,7 +255,7 @@ impl TracesPage {
     fn move_cursor(&mut self, way: i32) {
         let (from_s, to_s) = self.window_s();
         let middle_s = f64::midpoint(from_s, to_s);
-        let moved_s = f64::from(way) * CURSOR_SHARE * (to_s - from_s);
+        let moved_s = f64::from(way) * 0.01 * (to_s - from_s);
         let at_s = self.cursor_s.map_or(middle_s, |at_s| at_s + moved_s);
         if at_s < from_s || at_s > to_s {
             self.pan(f64::from(way.signum()) * PAN_SHARE);
@@ -283,14 +267,14 @@ impl TracesPage {
     /// Goes to the next of the places where the first signal with a model is met worst.
     fn worst(&mut self) {
         let places = self.run().and_then(|run| {
-            Some(run.signals.iter().find(|signal| signal.has_model())?.worst_places(STRETCHES))
+            Some(run.signals.iter().find(|signal| signal.has_model())?.worst_places(60))
         });
         let places = places.unwrap_or_default();
         let known = places.len().min(WORST_PLACES);
         if let Some(place) = places.get(self.worst % known.max(1)) {
             self.worst = (self.worst + 1) % known;
             self.cursor_s = Some(place.at_s);
-            self.see(place.at_s, AROUND * (place.to_s - place.from_s));
+            self.set_window(place.at_s, 4.0 * (place.to_s - place.from_s));
         }
     }
 

@@ -5,7 +5,6 @@ use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 
 use super::{FRAMES, Shows, StoppedAt, TracesPage, view};
-use crate::tui::keys::Press;
 use crate::tui::testing::{self, fan_traces};
 use drivebench_diagnose::Quantity;
 use drivebench_model::sample::Channel;
@@ -13,6 +12,13 @@ use drivebench_model::sample::Channel;
 fn page() -> TracesPage {
     let mut page = TracesPage::default();
     page.take(fan_traces(false));
+    page
+}
+
+fn pressed(mut page: TracesPage, keys: &str) -> TracesPage {
+    for key in keys.chars() {
+        page.press(testing::key(key));
+    }
     page
 }
 
@@ -33,62 +39,53 @@ fn text(page: &TracesPage, width: u16, height: u16) -> String {
 
 #[test]
 fn a_run_that_was_stopped_opens_there_and_only_once() {
-    let stop =
-        |run: &str| StoppedAt { run: run.to_owned(), at_s: 2.5, shows: None, text: String::new() };
-    let opened = |stop: StoppedAt| {
+    let opened = |run: &str, shows| {
+        let stop = StoppedAt { run: run.to_owned(), at_s: 2.5, shows, text: String::new() };
         let mut page = TracesPage { opens_at: Some(stop), ..TracesPage::default() };
         page.take(fan_traces(false));
         page
     };
-    let mut page = opened(stop("run-a"));
+    let page = opened("run-a", None);
     assert_eq!(page.run().unwrap().run, "run-a");
-    assert_eq!(page.cursor_s, Some(2.5));
-    assert_eq!(page.chosen, None);
+    assert_eq!((page.cursor_s, &page.chosen), (Some(2.5), &None));
     let (from_s, to_s) = page.window_s();
     assert!((from_s - 0.5).abs() < 1e-9 && (to_s - 3.5).abs() < 1e-9);
-    page.press(Press::Pan(1));
+    let mut page = pressed(page, ".");
     let moved = page.window_s();
     page.take(fan_traces(true));
     assert_eq!(page.window_s(), moved);
-    let page = opened(StoppedAt { shows: Some(Channel::Current), ..stop("run-b") });
-    let quantity = page.run().unwrap().signals[page.chosen.as_deref().unwrap()[0].0].quantity;
+    let page = opened("run-b", Some(Channel::Current));
+    let first = page.chosen.as_deref().unwrap()[0].0;
+    let quantity = page.run().unwrap().signals[first].quantity;
     assert_eq!(quantity, Quantity::Channel(Channel::Current));
-    // Of another run, which is not shown, nothing is known here.
-    let page = opened(stop("run-c"));
+    // A run that is not among the traces.
+    let page = opened("run-c", None);
     assert_eq!((page.run, page.cursor_s), (0, None));
 }
 
 #[test]
 fn zoom_and_pan_stay_within_the_run() {
-    let mut page = page();
-    let whole = page.window_s();
-    for _ in 0..3 {
-        assert!(page.press(Press::Zoomed(true)));
-    }
+    let whole = page().window_s();
+    let mut page = pressed(page(), "+++");
     assert!((length_s(&page) - (whole.1 - whole.0) / 8.0).abs() < 1e-9);
-    for way in [1, -1] {
+    for key in [".", ","] {
         for _ in 0..40 {
-            page.press(Press::Pan(way));
+            page = pressed(page, key);
             let (from_s, to_s) = page.window_s();
             assert!(from_s >= whole.0 - 1e-9 && to_s <= whole.1 + 1e-9);
         }
-        let end = if way > 0 { page.window_s().1 - whole.1 } else { page.window_s().0 - whole.0 };
+        let (from_s, to_s) = page.window_s();
+        let end = if key == "." { to_s - whole.1 } else { from_s - whole.0 };
         assert!(end.abs() < 1e-9, "it comes to the end: {end}");
     }
-    for _ in 0..40 {
-        page.press(Press::Zoomed(true));
-    }
-    assert!(length_s(&page) > 0.03, "some samples are always seen: {}", length_s(&page));
-    for _ in 0..40 {
-        page.press(Press::Zoomed(false));
-    }
-    assert_eq!(page.window_s(), whole);
+    let page = pressed(page, &"+".repeat(40));
+    assert!(length_s(&page) > 0.03, "some samples are always shown: {}", length_s(&page));
+    assert_eq!(pressed(page, &"-".repeat(40)).window_s(), whole);
 }
 
 #[test]
-fn j_goes_through_the_worst_places_and_the_cursor_is_on_the_largest_residual() {
-    let mut page = page();
-    page.press(Press::Worst);
+fn j_goes_round_the_worst_places_each_under_the_cursor() {
+    let page = pressed(page(), "j");
     let first_s = page.cursor_s.unwrap();
     let speed = &page.run().unwrap().signals[0];
     let rms = |at_s: f64| {
@@ -101,20 +98,16 @@ fn j_goes_through_the_worst_places_and_the_cursor_is_on_the_largest_residual() {
     assert!(ends.iter().all(|end| *end <= rms(first_s)), "{ends:?}");
     let (from_s, to_s) = page.window_s();
     assert!(from_s <= first_s && first_s <= to_s);
-    page.press(Press::Worst);
+    let page = pressed(page, "j");
     assert_ne!(page.cursor_s, Some(first_s));
-    for _ in 0..super::WORST_PLACES - 1 {
-        page.press(Press::Worst);
-    }
-    assert_eq!(page.cursor_s, Some(first_s), "and comes round");
+    assert_eq!(pressed(page, &"j".repeat(super::WORST_PLACES - 1)).cursor_s, Some(first_s));
 }
 
 #[test]
 fn the_cursor_goes_on_into_what_is_not_in_sight() {
-    let mut page = page();
-    page.press(Press::Zoomed(true));
+    let mut page = pressed(page(), "+");
     for _ in 0..400 {
-        page.press(Press::Cursor(1));
+        page = pressed(page, "→");
         let (from_s, to_s) = page.window_s();
         let at_s = page.cursor_s.unwrap();
         assert!(from_s <= at_s && at_s <= to_s, "{from_s} {at_s} {to_s}");
@@ -124,83 +117,52 @@ fn the_cursor_goes_on_into_what_is_not_in_sight() {
 
 #[test]
 fn signals_are_chosen_freely_and_another_run_has_its_own() {
-    let mut page = page();
-    let shown = text(&page, 100, 40);
-    assert!(
-        shown.contains("current: measured - model") && !shown.contains("voltage command"),
-        "{shown}"
-    );
-    page.press(Press::Signals);
-    let place = page.panels().iter().position(|(place, shows)| {
+    let page = page();
+    let voltage = page.panels().iter().position(|(place, shows)| {
         let quantity = page.run().unwrap().signals[*place].quantity;
         quantity == Quantity::Channel(Channel::VoltageCmd) && *shows == Shows::Both
     });
-    page.press(Press::Move(i32::try_from(place.unwrap()).unwrap()));
-    page.press(Press::Open);
-    page.press(Press::Stop);
-    let shown = text(&page, 100, 40);
-    assert!(shown.contains("voltage command"), "{shown}");
-    page.press(Press::NextScreen);
-    let shown = text(&page, 100, 40);
-    assert!(shown.contains("fit run: run-a") && !shown.contains("voltage command"), "{shown}");
-}
-
-#[test]
-fn a_change_is_drawn_from_left_to_right_and_every_dot_is_of_one_of_the_models() {
-    let mut page = page();
-    let before = text(&page, 100, 30);
-    page.take(fan_traces(false));
-    assert!(!page.is_moving(), "the same model is no change");
-    page.take(fan_traces(true));
-    let mut frames = 0;
-    let mut shares = vec![page.drawn_share()];
-    while page.is_moving() {
-        page.frame();
-        frames += 1;
-        shares.push(page.drawn_share());
+    let choice = format!("o{}⏎␛", "↓".repeat(voltage.unwrap()));
+    let chosen = pressed(page.clone(), &choice);
+    for (page, part, has_voltage) in [
+        (page, "current: measured - model", false),
+        (chosen.clone(), "voltage command", true),
+        (pressed(chosen, "⇥"), "fit run: run-a", false),
+    ] {
+        let shown = text(&page, 100, 40);
+        assert!(shown.contains(part), "{shown}");
+        assert_eq!(shown.contains("voltage command"), has_voltage, "{shown}");
     }
-    assert_eq!(frames, FRAMES);
-    assert!(shares[0] < 1e-9 && (shares[shares.len() - 1] - 1.0).abs() < 1e-9);
-    let after = text(&page, 100, 30);
-    assert!(after.contains("model before the change") && !before.contains("before the change"));
-    page.see_before(true);
-    assert!(text(&page, 100, 30).contains("model after the change"));
-    page.see_before(false);
-    assert_eq!(text(&page, 100, 30), after);
 }
 
 #[test]
-fn a_residual_within_the_noise_is_told_so_and_a_larger_one_is_not() {
+fn a_change_is_drawn_from_left_to_right_over_the_old_model() {
     let mut page = page();
     let rms = |page: &TracesPage| {
         let shown = text(page, 120, 12);
         let after = shown.split(" = ").nth(1).unwrap_or_else(|| panic!("{shown}"));
         after.split(' ').next().unwrap().parse::<f64>().unwrap()
     };
-    assert!(rms(&page) > 5.0);
+    let before = text(&page, 100, 30);
+    assert!(rms(&page) > 5.0 && !before.contains("before the change"));
+    page.take(fan_traces(false));
+    assert!(!page.is_moving(), "the same model is no change");
     page.take(fan_traces(true));
-    while page.is_moving() {
+    assert!(page.drawn_share() < 1e-9);
+    for _ in 0..FRAMES {
+        assert!(page.is_moving());
         page.frame();
     }
+    assert!(!page.is_moving());
+    assert!((page.drawn_share() - 1.0).abs() < 1e-9);
+    // The new residual is that of the noise.
     assert!((rms(&page) - 1.0).abs() < 0.2, "{}", rms(&page));
-}
-
-fn keys() -> impl Strategy<Value = Vec<Press>> {
-    let key = prop::sample::select(vec![
-        Press::Worst,
-        Press::Zoomed(true),
-        Press::Zoomed(false),
-        Press::Pan(1),
-        Press::Pan(-1),
-        Press::Cursor(1),
-        Press::Cursor(-1),
-        Press::Signals,
-        Press::Move(1),
-        Press::Open,
-        Press::NextScreen,
-        Press::Stop,
-    ]);
-    prop::collection::vec(key, 0..40)
+    let after = text(&page, 100, 30);
+    assert!(after.contains("model before the change"));
+    page.set_before(true);
+    assert!(text(&page, 100, 30).contains("model after the change"));
+    page.set_before(false);
+    assert_eq!(text(&page, 100, 30), after);
 }
 
 proptest! {
@@ -208,14 +170,11 @@ proptest! {
 
     #[test]
     fn any_keys_leave_a_page_that_can_be_drawn_at_any_size(
-        keys in keys(),
+        keys in "[j+,.→←o↓⏎⇥␛-]{0,40}",
         width in 1..=200_u16,
         height in 1..=60_u16,
     ) {
-        let mut page = page();
-        for key in keys {
-            page.press(key);
-        }
+        let page = pressed(page(), &keys);
         let (from_s, to_s) = page.window_s();
         prop_assert!(from_s < to_s);
         terminal(&page, width, height);

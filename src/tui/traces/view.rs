@@ -18,20 +18,11 @@ use drivebench_model::sample::Channel;
 use drivebench_model::text::lines::cut;
 use drivebench_model::text::number::{MISSING, significant};
 
-/// Rows of a panel at least, and where there is little room: its title and dots.
-const SMALLEST: u16 = 5;
-const SMALLEST_OF_ALL: u16 = 3;
-/// Rows below which panels are as small as they can be.
-const LOW: u16 = 10;
 /// Standard deviations of the noise that the band holds, and from which on a residual is marked.
 const BAND_SIGMAS: f64 = 2.0;
-const MARKED_SIGMAS: f64 = 3.0;
 /// What the axis of a panel without a value holds.
 const NOTHING: Domain = Domain { from: 0.0, to: 1.0 };
-/// From this width on legends are written out.
-const WIDE: u16 = 76;
 
-/// Draws the page.
 pub(in crate::tui) fn view(page: &TracesPage, area: Rect, buffer: &mut Buffer) {
     let area = area.intersection(buffer.area);
     let Some(run) = page.run() else {
@@ -57,11 +48,12 @@ pub(in crate::tui) fn strip(page: &TracesPage, area: Rect, buffer: &mut Buffer) 
     }
 }
 
-/// The panels that fit: of those that nobody chose no signal without its residual.
+/// The panels that fit; before a choice no signal without its residual.
 fn fitting(page: &TracesPage, height: u16) -> Vec<Panel> {
     let all = page.panels();
     let mut shown = page.chosen.clone().unwrap_or_else(|| first_panels(&all));
-    let room = usize::from((height / if height < LOW { SMALLEST_OF_ALL } else { SMALLEST }).max(1));
+    let smallest = if height < 10 { 3 } else { 5 };
+    let room = usize::from((height / smallest).max(1));
     shown.truncate(room);
     if page.chosen.is_none()
         && shown.len() > 1
@@ -101,7 +93,6 @@ fn panels(page: &TracesPage, run: &RunTraces, area: Rect, buffer: &mut Buffer) {
     }
 }
 
-/// As many decimals as the window needs.
 fn seconds(time_s: f64, window_s: f64) -> String {
     let decimals = if window_s < 0.2 {
         4
@@ -113,8 +104,8 @@ fn seconds(time_s: f64, window_s: f64) -> String {
     format!("{time_s:.decimals$}")
 }
 
-/// The points of a signal that are seen, with one on either side, so that lines enter and leave the chart.
-fn seen(
+/// The points of a signal in the window, with one on either side, so that lines enter and leave the chart.
+fn window_points(
     signal: &SignalTrace,
     values: &mut dyn Iterator<Item = f64>,
     (from_s, to_s): (f64, f64),
@@ -165,10 +156,8 @@ const fn style_of(quantity: Quantity) -> Style {
     }
 }
 
-/// What a panel draws of its signal.
 struct Drawn {
     title: Line<'static>,
-    /// What the axis of values holds.
     values: Domain,
     /// Later ones over earlier ones.
     traces: Vec<Trace>,
@@ -184,7 +173,7 @@ fn panel(
     area: Rect,
     buffer: &mut Buffer,
 ) {
-    let is_wide = area.width >= WIDE;
+    let is_wide = area.width >= 76;
     let Drawn { title, values, traces, band } = match shows {
         Shows::Both => both(page, signal, is_wide),
         Shows::Residual => residual(page, signal, is_wide),
@@ -223,20 +212,22 @@ fn border_s(page: &TracesPage) -> f64 {
     from_s + page.drawn_share() * (to_s - from_s)
 }
 
-/// Measured and model.
 fn both(page: &TracesPage, signal: &SignalTrace, is_wide: bool) -> Drawn {
-    let seen = |values: &mut dyn Iterator<Item = f64>| seen(signal, values, page.window_s());
-    let measured = seen(&mut signal.measured.iter().copied());
-    let mut model = seen(&mut signal.model.iter().copied());
+    let window_points =
+        |values: &mut dyn Iterator<Item = f64>| window_points(signal, values, page.window_s());
+    let measured = window_points(&mut signal.measured.iter().copied());
+    let mut model = window_points(&mut signal.model.iter().copied());
     let old = page.signal_before(signal);
     let before = old.map_or_else(Vec::new, |old| {
-        self::seen(old, &mut old.model.iter().copied(), page.window_s())
+        self::window_points(old, &mut old.model.iter().copied(), page.window_s())
     });
     if page.is_moving() {
         model.retain(|point| point.0 <= border_s(page));
     }
     let edge = |sigmas: f64| {
-        seen(&mut signal.measured.iter().zip(&signal.std).map(|(value, std)| value + sigmas * std))
+        window_points(
+            &mut signal.measured.iter().zip(&signal.std).map(|(value, std)| value + sigmas * std),
+        )
     };
     let values = [&measured, &model, &before].into_iter().flatten();
     let values = range(values.map(|point| point.1)).unwrap_or(NOTHING);
@@ -286,14 +277,13 @@ fn both(page: &TracesPage, signal: &SignalTrace, is_wide: bool) -> Drawn {
     Drawn { title, values, traces: traces.into(), band: None }
 }
 
-/// Measured less model, with the band of the noise.
 fn residual(page: &TracesPage, signal: &SignalTrace, is_wide: bool) -> Drawn {
     let before = page.signal_before(signal);
-    let mut points = seen(signal, &mut signal.residual(), page.window_s());
+    let mut points = window_points(signal, &mut signal.residual(), page.window_s());
     if let (true, Some(before)) = (page.is_moving(), before) {
         let border_s = border_s(page);
         points.retain(|point| point.0 <= border_s);
-        let old = seen(before, &mut before.residual(), page.window_s());
+        let old = window_points(before, &mut before.residual(), page.window_s());
         points.extend(old.into_iter().filter(|point| point.0 > border_s));
     }
     let band = signal.noise.map(|noise| BAND_SIGMAS * noise);
@@ -332,7 +322,7 @@ fn residual(page: &TracesPage, signal: &SignalTrace, is_wide: bool) -> Drawn {
         };
         title.push_span(Span::styled(text, theme::DIM));
     }
-    let marked = signal.noise.map(|noise| (MARKED_SIGMAS * noise, theme::BAD));
+    let marked = signal.noise.map(|noise| (3.0 * noise, theme::BAD));
     let trace = Trace { beyond: marked, ..line(signal, points, Stroke::Solid, theme::PLAIN) };
     Drawn { title, values, traces: vec![trace], band: band.filter(|band| *band > 0.0) }
 }

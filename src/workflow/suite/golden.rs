@@ -1,13 +1,14 @@
-//! A suite from recorded runs: what a machine was found to be, as limits on what it is found to be next time.
+//! A suite from recorded runs: the results of a machine as limits on its next result.
 //!
 //! ```text
 //! result.json of each run -> figures (value, standard deviation) -> limits, each with its reason -> SUITE.toml
 //! ```
 //!
-//! A limit of a parameter is where one more run of the same machine falls but for one in [`FALSE_ALARMS`] cases, all
-//! parameters of a case together: its own interval and that of the runs, or what the runs differ by where that is more. Where
-//! a figure has no interval, the limit is the worst that was seen and a margin, and its reason says so.
+//! The limit of a parameter is a prediction interval for one more run of the same machine (Hahn and Meeker 1991): its own
+//! interval and that of the runs, or what the runs differ by where that is more. A figure without an interval is limited to
+//! the worst of the runs and a margin.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use serde::Serialize;
@@ -18,50 +19,54 @@ use super::limit::find;
 use drivebench_model::numerics::statistics::{extent, mean, variance};
 use drivebench_model::text::number::{significant, with_std};
 
-/// Cases of which one fails by chance, where the intervals of the parameters hold.
-pub const FALSE_ALARMS: f64 = 1000.0;
-/// A parameter may change by this much whatever the runs say: copper that is 5 K warmer has 2 % more resistance.
-const AT_LEAST_PERCENT: f64 = 2.0;
-/// Runs that differ by more than this share of chance would have them differ, by more than their intervals.
-const BY_CHANCE: f64 = 0.95;
-/// The worst error that was seen may grow by this.
-const ERROR_MARGIN: f64 = 1.25;
-/// The same of times and overshoots, which are coarse.
-const RESPONSE_MARGIN: f64 = 1.5;
-/// Least room for an overshoot, percent of the step.
-const OVERSHOOT_POINTS: f64 = 2.0;
-/// Effects beyond those that were not shown in the runs: which of them just shows is chance.
-const NOT_SHOWN_MORE: usize = 3;
-
-/// What kind of run a result is of, with its verb in a suite.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Kind {
-    Commission,
-    Excite,
-    Speed,
+struct Margins {
+    /// Cases of which one fails by chance, all parameters of a case together.
+    false_alarms: f64,
+    /// Of a parameter whatever its interval: copper that is 5 K warmer has 2 % more resistance.
+    at_least_percent: f64,
+    /// Quantile of chance beyond which the spread of the runs is the machine's, not that of their intervals.
+    by_chance: f64,
+    /// Factor on the worst held-out error.
+    error: f64,
+    /// Effects beyond those that were not shown in the runs: which of them just shows is chance.
+    not_shown: usize,
 }
 
-impl Kind {
-    fn of(result: &Value) -> Option<Self> {
-        if result.get("diagnosis").is_some() {
-            Some(Self::Commission)
-        } else if result.get("loop").is_some() {
-            Some(Self::Speed)
-        } else {
-            result.get("parameters").map(|_| Self::Excite)
-        }
-    }
+const MARGINS: Margins = Margins {
+    false_alarms: 1000.0,
+    at_least_percent: 2.0,
+    by_chance: 0.95,
+    error: 1.25,
+    not_shown: 3,
+};
 
-    const fn verb(self) -> &'static str {
-        match self {
-            Self::Commission => "commission",
-            Self::Excite => "excite",
-            Self::Speed => "speed",
-        }
-    }
+/// A figure of a part of a speed loop: key, unit, limit by the worst of the runs, and the margin in words.
+type Figure = (&'static str, &'static str, fn(f64) -> f64, &'static str);
+
+/// The parts of a speed loop's result with the figure that each part has. Times and overshoots are coarse.
+const RESPONSE: [(&str, &str, &[Figure]); 2] = [
+    ("tracking", "rms_rad_s", &[("rms_rad_s", "", |worst| 1.25 * worst, "a quarter more")]),
+    (
+        "steps",
+        "at_s",
+        &[
+            (
+                "overshoot_percent",
+                " %",
+                |worst| (1.5 * worst).max(worst + 2.0),
+                "half as much again or 2 points",
+            ),
+            ("settling_s", " s", |worst| 1.5 * worst, "half as much again"),
+        ],
+    ),
+];
+
+/// The step of a suite that makes a result like this one; in the order of the cases.
+fn verb(result: &Value) -> Option<&'static str> {
+    let verbs = [("diagnosis", "commission"), ("loop", "speed"), ("parameters", "excite")];
+    verbs.into_iter().find(|(key, _)| result.get(key).is_some()).map(|(_, verb)| verb)
 }
 
-/// A recorded run.
 #[derive(Clone, Debug)]
 pub struct GoldenRun {
     /// Its folder, for messages.
@@ -91,12 +96,10 @@ pub struct Place {
 pub struct GoldenLimit {
     pub case: &'static str,
     pub key: String,
-    /// As it stands in the suite.
     pub limit: String,
     pub reason: String,
 }
 
-/// A suite as text, with its limits.
 #[derive(Clone, Debug)]
 pub struct Golden {
     pub text: String,
@@ -108,165 +111,137 @@ pub type Refused = (String, String);
 
 /// Writes the suite of runs that are of one machine on one bench.
 pub fn golden(name: &str, runs: &[GoldenRun], place: &Place) -> Result<Golden, Refused> {
-    let mut cases: Vec<(Kind, Vec<&GoldenRun>)> = Vec::new();
+    let mut cases: BTreeMap<&'static str, Vec<&GoldenRun>> = BTreeMap::new();
     for run in runs {
-        let kind = admit(run)?;
-        match cases.iter_mut().find(|(own, _)| *own == kind) {
-            Some((_, same)) => same.push(run),
-            None => cases.push((kind, vec![run])),
-        }
+        cases.entry(admit(run)?).or_default().push(run);
     }
-    cases.sort_by_key(|(kind, _)| *kind);
     let names = runs.iter().map(|run| format!("#   {}", run.name));
     let mut text = format!(
         "# A machine as it was, held to what it was found to be: by `drivebench init --suite` from\n{}\n\
-         # Where the intervals of the parameters hold, one case in {FALSE_ALARMS} fails by chance. More runs, on different days,\n\
+         # Where the intervals of the parameters hold, one case in {} fails by chance. More runs, on different days,\n\
          # make the limits those of the machine and not of one day.\n\n\
          name = {}\n",
         names.collect::<Vec<_>>().join("\n"),
+        MARGINS.false_alarms,
         quoted(name)
     );
     let mut limits = Vec::new();
-    for (kind, runs) in cases {
-        let own = match kind {
-            Kind::Commission => commission_limits(&runs)?,
-            Kind::Excite => parameter_limits(kind, &runs)?,
-            Kind::Speed => response_limits(&runs),
+    for (verb, runs) in cases {
+        let own = match verb {
+            "commission" => commission_limits(&runs)?,
+            "speed" => response_limits(&runs),
+            _ => parameter_limits(verb, &runs)?,
         };
-        write_case(&mut text, kind, &runs, place, &own);
+        write_case(&mut text, verb, &runs, place, &own);
         limits.extend(own);
     }
     Ok(Golden { text, limits })
 }
 
-/// What kind it is of, where it may be held to.
-fn admit(run: &GoldenRun) -> Result<Kind, Refused> {
-    let refuse = |what: String, help: &str| Err((format!("{}: {what}", run.name), help.to_owned()));
+fn refused<T>(run: &GoldenRun, what: &str, help: &str) -> Result<T, Refused> {
+    Err((format!("{}: {what}", run.name), help.to_owned()))
+}
+
+/// The verb of a run to which a machine may be held.
+fn admit(run: &GoldenRun) -> Result<&'static str, Refused> {
     if !run.is_whole {
-        return refuse(
-            "the record is not whole".to_owned(),
-            "a machine is held to runs that ended by themselves; record it again",
-        );
+        let help = "a machine is held to runs that ended by themselves; record it again";
+        return refused(run, "the record is not whole", help);
     }
-    match run.outcome.as_deref() {
-        Some("passed") => {}
-        outcome => {
-            return refuse(
-                format!("it ended with {:?}", outcome.unwrap_or("no outcome")),
-                "a machine is held to runs that passed; record it again",
-            );
-        }
+    let outcome = run.outcome.as_deref().unwrap_or("no outcome");
+    if outcome != "passed" {
+        let help = "a machine is held to runs that passed; record it again";
+        return refused(run, &format!("it ended with {outcome:?}"), help);
     }
-    match Kind::of(&run.result) {
-        Some(kind) => Ok(kind),
-        None => refuse(
-            "its result is of no commissioning, run or speed loop".to_owned(),
-            "give folders that `drivebench commission`, `run` or `speed` made",
-        ),
-    }
+    let what = "its result is of no commissioning, run or speed loop";
+    let help = "give folders that `drivebench commission`, `run` or `speed` made";
+    verb(&run.result).map_or_else(|| refused(run, what, help), Ok)
 }
 
 fn commission_limits(runs: &[&GoldenRun]) -> Result<Vec<GoldenLimit>, Refused> {
-    let case = Kind::Commission.verb();
+    let case = "commission";
     // One value per run, or the key is none to hold a machine to.
     let of = |key: &str| -> Option<Vec<Value>> {
         runs.iter().map(|run| find(&run.result, key)).collect()
     };
     let mut limits = Vec::new();
-    let mut say = |key: &str, limit: String, reason: String| {
+    let mut limit = |key: &str, limit: String, reason: String| {
         limits.push(GoldenLimit { case, key: key.to_owned(), limit, reason });
     };
     let answers: Vec<Answer> = runs.iter().map(|run| answer(run)).collect::<Result<_, _>>()?;
+    let (verdict, effects) = &answers[0];
     if answers.iter().any(|own| *own != answers[0]) {
-        let told: Vec<String> = runs
-            .iter()
-            .zip(&answers)
-            .map(|(run, own)| format!("{}: {}", run.name, own.words()))
-            .collect();
+        let in_words = runs.iter().zip(&answers).map(|(run, (verdict, effects))| {
+            let answer = if effects.is_empty() { verdict.clone() } else { effects.join(", ") };
+            format!("{}: {answer}", run.name)
+        });
         return Err((
-            format!("the runs do not agree on what is missing: {}", told.join("; ")),
+            format!(
+                "the runs do not agree on what is missing: {}",
+                in_words.collect::<Vec<_>>().join("; ")
+            ),
             "give runs of one machine in one state, or those alone that are right".to_owned(),
         ));
     }
     let what = "what the diagnosis said of every run".to_owned();
-    let Answer { verdict, effects } = &answers[0];
-    let names: Vec<String> = effects.iter().map(|name| quoted(name)).collect();
-    match &names[..] {
+    match &effects.iter().map(|name| quoted(name)).collect::<Vec<_>>()[..] {
         [] => {
-            say("verdict", quoted(verdict), what);
+            limit("verdict", quoted(verdict), what);
             if of("sufficient").is_some_and(|all| all.iter().all(|own| *own == true)) {
-                say("sufficient", "true".to_owned(), "no error was left".to_owned());
+                limit("sufficient", "true".to_owned(), "no error was left".to_owned());
             }
             // Which effect a run just shows differs from run to run: one without reserve is no promise for the next.
             let open = of("not_shown").unwrap_or_default();
             if let Some(most) = open.iter().filter_map(Value::as_array).map(Vec::len).max() {
+                let more = MARGINS.not_shown;
                 let reason = format!(
-                    "{most} effects at most were neither named nor ruled out; which of them a run just shows is chance, so {NOT_SHOWN_MORE} more may be"
+                    "{most} effects at most were neither named nor ruled out; which of them a run just shows is chance, so {more} more may be"
                 );
-                say("not_shown", quoted(&format!("<= {}", most + NOT_SHOWN_MORE)), reason);
+                limit("not_shown", quoted(&format!("<= {}", most + more)), reason);
             }
         }
-        [only] => say("missing", only.clone(), what),
-        several => say("missing", format!("[{}]", several.join(", ")), what),
+        [only] => limit("missing", only.clone(), what),
+        several => limit("missing", format!("[{}]", several.join(", ")), what),
     }
     let errors: Option<Vec<f64>> =
         of("held_out_error").and_then(|all| all.iter().map(Value::as_f64).collect());
-    if let Some(errors) = errors {
-        let most = extent(&errors).1;
-        say(
+    if let Some(most) = errors.map(|errors| extent(&errors).1) {
+        limit(
             "held_out_error",
-            quoted(&format!("< {}", significant(ERROR_MARGIN * most.max(1.0), 3))),
+            quoted(&format!("< {}", significant(MARGINS.error * most.max(1.0), 3))),
             format!(
                 "the largest was {} noise floors; a quarter more than that, or than the floor",
                 significant(most, 3)
             ),
         );
     }
-    limits.extend(parameter_limits(Kind::Commission, runs)?);
+    limits.extend(parameter_limits(case, runs)?);
     Ok(limits)
 }
 
-/// What a diagnosis said, without how much it could rule out: that differs from run to run of one machine.
-#[derive(PartialEq)]
-struct Answer {
-    verdict: String,
-    /// In the order of their names.
-    effects: Vec<String>,
-}
-
-impl Answer {
-    fn words(&self) -> String {
-        match &self.effects[..] {
-            [] => self.verdict.clone(),
-            effects => effects.join(", "),
-        }
-    }
-}
+/// Verdict and effects, in the order of their names, of a diagnosis; not how much it could rule out, which differs from run
+/// to run of one machine.
+type Answer = (String, Vec<String>);
 
 /// The answer of a run, where one more run may be held to it.
 fn answer(run: &GoldenRun) -> Result<Answer, Refused> {
-    let refuse = |what: &str, help: &str| Err((format!("{}: {what}", run.name), help.to_owned()));
     let Some(Value::String(verdict)) = find(&run.result, "verdict") else {
-        return refuse(
-            "its diagnosis has no verdict",
-            "a machine is held to runs that were diagnosed; record it again",
-        );
+        let help = "a machine is held to runs that were diagnosed; record it again";
+        return refused(run, "its diagnosis has no verdict", help);
     };
     if verdict == "effect" && find(&run.result, "confirm.confirmed") == Some(Value::Bool(false)) {
-        return refuse(
-            "its confirming run speaks against what its diagnosis named",
-            "a machine is held to what was confirmed; record it again",
-        );
+        let what = "its confirming run speaks against what its diagnosis named";
+        return refused(run, what, "a machine is held to what was confirmed; record it again");
     }
     let effects = find(&run.result, "effects");
     let names = effects.iter().filter_map(Value::as_array).flatten();
     let mut effects: Vec<String> = names.filter_map(Value::as_str).map(str::to_owned).collect();
     effects.sort();
-    Ok(Answer { verdict, effects })
+    Ok((verdict, effects))
 }
 
 /// The parameters that every run settled.
-fn parameter_limits(kind: Kind, runs: &[&GoldenRun]) -> Result<Vec<GoldenLimit>, Refused> {
+fn parameter_limits(case: &'static str, runs: &[&GoldenRun]) -> Result<Vec<GoldenLimit>, Refused> {
     let settled: Vec<Vec<Estimate>> = runs.iter().map(|run| estimates(&run.result)).collect();
     let of_key = |key: &str| -> Option<Vec<&Estimate>> {
         settled.iter().map(|run| run.iter().find(|own| own.key == key)).collect()
@@ -281,8 +256,8 @@ fn parameter_limits(kind: Kind, runs: &[&GoldenRun]) -> Result<Vec<GoldenLimit>,
                 .to_owned(),
         ));
     }
-    let level = 1.0 / (FALSE_ALARMS * common.len() as f64);
-    Ok(common.iter().map(|own| parameter_limit(kind, own, level)).collect())
+    let level = 1.0 / (MARGINS.false_alarms * common.len() as f64);
+    Ok(common.iter().map(|own| parameter_limit(case, own, level)).collect())
 }
 
 struct Estimate {
@@ -312,15 +287,16 @@ fn estimates(result: &Value) -> Vec<Estimate> {
     }
 }
 
-fn parameter_limit(kind: Kind, runs: &[&Estimate], level: f64) -> GoldenLimit {
+fn parameter_limit(case: &'static str, runs: &[&Estimate], level: f64) -> GoldenLimit {
     let values: Vec<f64> = runs.iter().map(|own| own.value).collect();
     let count = values.len() as f64;
     let own = mean(&runs.iter().map(|own| own.std.powi(2)).collect::<Vec<_>>()).sqrt();
     let between = if values.len() > 1 { variance(&values).sqrt() } else { 0.0 };
     let freedom = count - 1.0;
-    let by_chance = ChiSquared::new(freedom.max(1.0))
-        .map_or(f64::INFINITY, |chi| own * (chi.inverse_cdf(BY_CHANCE) / freedom.max(1.0)).sqrt());
-    // Two numbers that differ by more than their intervals tell little of how far the next may be: Student's quantile says how
+    let by_chance = ChiSquared::new(freedom.max(1.0)).map_or(f64::INFINITY, |chi| {
+        own * (chi.inverse_cdf(MARGINS.by_chance) / freedom.max(1.0)).sqrt()
+    });
+    // From two numbers that differ by more than their intervals the next is uncertain: Student's quantile has how
     // little.
     let (std, factor, whose) = if between > by_chance {
         (
@@ -334,7 +310,8 @@ fn parameter_limit(kind: Kind, runs: &[&Estimate], level: f64) -> GoldenLimit {
     };
     let around = mean(&values);
     let statistical = factor * std * (1.0 + 1.0 / count).sqrt();
-    let least = AT_LEAST_PERCENT / 100.0 * around.abs();
+    let percent = MARGINS.at_least_percent;
+    let least = percent / 100.0 * around.abs();
     let width = statistical.max(least);
     let unit = &runs[0].unit;
     let seen = if values.len() > 1 {
@@ -348,57 +325,35 @@ fn parameter_limit(kind: Kind, runs: &[&Estimate], level: f64) -> GoldenLimit {
             significant(factor, 3)
         )
     } else {
-        format!("{seen}; {AT_LEAST_PERCENT} %, more than chance takes it")
+        format!("{seen}; {percent} %, more than chance takes it")
     };
     GoldenLimit {
-        case: kind.verb(),
+        case,
         key: runs[0].key.clone(),
         limit: format!("[{}, {}]", number(around - width), number(around + width)),
         reason,
     }
 }
 
-/// How a speed loop answers: no interval says how far the next run may be, so that a margin has to.
+/// The response of a speed loop has no interval for the next run, but a margin.
 fn response_limits(runs: &[&GoldenRun]) -> Vec<GoldenLimit> {
+    let worst = |key: &str| {
+        let found = runs.iter().map(|run| find(&run.result, key)?.as_f64());
+        Some(extent(&found.collect::<Option<Vec<f64>>>()?).1)
+    };
     let mut limits = Vec::new();
-    let most = |path: &str| {
-        let found: Option<Vec<f64>> =
-            runs.iter().map(|run| find(&run.result, path)?.as_f64()).collect();
-        found.filter(|all| !all.is_empty()).map(|all| extent(&all).1)
-    };
-    let mut say = |key: String, limit: f64, reason: String| {
-        limits.push(GoldenLimit {
-            case: Kind::Speed.verb(),
-            key,
-            limit: quoted(&format!("<= {}", number(limit))),
-            reason,
-        });
-    };
-    for part in 0.. {
-        let key = format!("loop.tracking.{part}.rms_rad_s");
-        let Some(worst) = most(&key) else { break };
-        say(
-            key,
-            ERROR_MARGIN * worst,
-            format!("at most {}, and a quarter more", significant(worst, 3)),
-        );
-    }
-    for step in 0.. {
-        let key = |figure: &str| format!("loop.steps.{step}.{figure}");
-        if most(&key("at_s")).is_none() {
-            break;
-        }
-        if let Some(worst) = most(&key("overshoot_percent")) {
-            let limit = (RESPONSE_MARGIN * worst).max(worst + OVERSHOOT_POINTS);
-            let reason = format!(
-                "at most {} %, and half as much again or {OVERSHOOT_POINTS} points",
-                significant(worst, 3)
-            );
-            say(key("overshoot_percent"), limit, reason);
-        }
-        if let Some(worst) = most(&key("settling_s")) {
-            let reason = format!("at most {} s, and half as much again", significant(worst, 3));
-            say(key("settling_s"), RESPONSE_MARGIN * worst, reason);
+    for (list, first, figures) in RESPONSE {
+        let key = |part: usize, figure: &str| format!("loop.{list}.{part}.{figure}");
+        for part in (0..).take_while(|part| worst(&key(*part, first)).is_some()) {
+            for (figure, unit, limit, margin) in figures {
+                let key = key(part, figure);
+                limits.extend(worst(&key).map(|worst| GoldenLimit {
+                    case: "speed",
+                    key,
+                    limit: quoted(&format!("<= {}", number(limit(worst)))),
+                    reason: format!("at most {}{unit}, and {margin}", significant(worst, 3)),
+                }));
+            }
         }
     }
     limits
@@ -406,12 +361,11 @@ fn response_limits(runs: &[&GoldenRun]) -> Vec<GoldenLimit> {
 
 fn write_case(
     text: &mut String,
-    kind: Kind,
+    verb: &str,
     runs: &[&GoldenRun],
     place: &Place,
     limits: &[GoldenLimit],
 ) {
-    let verb = kind.verb();
     let _ = write!(
         text,
         "\n[[case]]\nname = {}\ntags = [\"golden\"]\nbench = {}\n",
@@ -428,8 +382,8 @@ fn write_case(
     }
     // Every run of one excitation, or the suite has to choose one.
     let seed = runs.first().and_then(|run| run.seed);
-    let options = match (kind, seed) {
-        (Kind::Excite, Some(seed)) if runs.iter().all(|run| run.seed == Some(seed)) => {
+    let options = match (verb, seed) {
+        ("excite", Some(seed)) if runs.iter().all(|run| run.seed == Some(seed)) => {
             format!("{{ run_seed = {seed} }}")
         }
         _ => "{}".to_owned(),
@@ -450,7 +404,6 @@ fn number(value: f64) -> String {
     if text.contains(['.', 'e']) { text } else { format!("{text}.0") }
 }
 
-/// A text as TOML takes it.
 fn quoted(text: &str) -> String {
     toml::Value::String(text.to_owned()).to_string()
 }

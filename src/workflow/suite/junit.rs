@@ -5,7 +5,6 @@ use std::fmt::Write as _;
 
 use super::{CaseOutcome, SuiteOutcome, Verdict};
 
-/// The document.
 pub fn document(outcome: &SuiteOutcome) -> String {
     let mut text = String::from("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n");
     let counts = format!(

@@ -20,7 +20,6 @@ use drivebench_model::text::number::significant;
 /// What a figure or a word has to be.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Limit {
-    /// Both ends included.
     Within {
         least: f64,
         most: f64,
@@ -47,7 +46,7 @@ pub enum Limit {
 const FORMS: &str = "[least, most], \"< 1.5\", a number, a word, a list of words, \"~ part of a text\", true or false, { value, within } or { value, within_percent }";
 
 impl Limit {
-    /// A limit as the suite file writes it; the error says what is wrong and what is allowed.
+    /// A limit as the suite file writes it; the error has what is wrong and what is allowed.
     pub fn parse(value: &toml::Value) -> Result<Self, (String, String)> {
         let wrong = |what: String| Err((what, format!("allowed: {FORMS}")));
         match value {
@@ -137,7 +136,7 @@ impl Limit {
 
     /// What was found, in words, where it is not what it has to be. What is not in the result fails every limit.
     pub fn fails(&self, found: Option<&Value>) -> Option<String> {
-        let said = found.map_or_else(|| "not in the result".to_owned(), said);
+        let in_words = found.map_or_else(|| "not in the result".to_owned(), in_words);
         let holds = match (self, found) {
             (Self::Nothing, Some(Value::Null)) => true,
             (Self::Nothing, Some(Value::Array(list))) => list.is_empty(),
@@ -159,7 +158,7 @@ impl Limit {
             (limit, Some(found)) => figure(found).is_some_and(|figure| limit.holds(figure)),
             (_, None) => false,
         };
-        (!holds).then(|| format!("{said}, has to be {self}"))
+        (!holds).then(|| format!("{in_words}, has to be {self}"))
     }
 
     fn holds(&self, figure: f64) -> bool {
@@ -203,7 +202,7 @@ fn number(value: &toml::Value) -> Option<f64> {
 }
 
 /// A found value in the words of a line.
-fn said(value: &Value) -> String {
+fn in_words(value: &Value) -> String {
     match value {
         Value::Null => "nothing".to_owned(),
         Value::String(word) => word.clone(),
@@ -212,7 +211,7 @@ fn said(value: &Value) -> String {
             _ => figure.to_string(),
         },
         Value::Array(list) if list.is_empty() => "none".to_owned(),
-        Value::Array(list) => list.iter().map(said).collect::<Vec<_>>().join(", "),
+        Value::Array(list) => list.iter().map(in_words).collect::<Vec<_>>().join(", "),
         other => other.to_string(),
     }
 }
@@ -255,14 +254,14 @@ pub fn find(result: &Value, key: &str) -> Option<Value> {
     }
 }
 
-/// What a diagnosis says is missing. A run that excites little rules out little: that is not said to be nothing.
+/// Missing effects of a diagnosis. A run that excites little rules out little: that is not `none`.
 fn missing<'a>(verdict: &str, path: &impl Fn(&str) -> Option<&'a Value>) -> Option<Value> {
     let effects = path("effects").cloned();
     let is_refuted = path("confirm.confirmed") == Some(&Value::Bool(false));
     let is_sufficient = path("sufficient") == Some(&Value::Bool(true));
     let not_shown = path("candidates").map_or_else(Vec::new, not_shown);
     match verdict {
-        "effect" if is_refuted => Some(format!("{}, not confirmed", said(&effects?)).into()),
+        "effect" if is_refuted => Some(format!("{}, not confirmed", in_words(&effects?)).into()),
         "effect" => effects,
         "none" if !is_sufficient => Some("nothing that was found, with an error left".into()),
         "none" if not_shown.is_empty() => effects,
@@ -277,7 +276,7 @@ fn missing<'a>(verdict: &str, path: &impl Fn(&str) -> Option<&'a Value>) -> Opti
     }
 }
 
-/// The answer of a diagnosis beside what is hidden, where the result tells it.
+/// The answer of a diagnosis beside what is hidden, where the result has that.
 pub fn answered(result: &Value) -> Option<Answered> {
     let hidden = words(result.pointer("/truth/effects")?);
     let verdict = find(result, "verdict")?;
@@ -321,6 +320,8 @@ pub fn entry<'a>(table: &'a Value, key: &str) -> Option<&'a Value> {
 
 #[cfg(test)]
 mod tests {
+    use std::iter::repeat;
+
     use super::*;
     use serde_json::json;
 
@@ -335,33 +336,33 @@ mod tests {
 
     #[test]
     fn each_form_takes_what_it_names_and_nothing_else() {
-        assert!(holds("[1.0, 1.3]", &json!(1.0)) && holds("[1.0, 1.3]", &json!(1.3)));
-        assert!(!holds("[1.0, 1.3]", &json!(1.3001)) && !holds("[1, 2]", &json!("1.5")));
-        assert!(holds("\"< 1.5\"", &json!(1.4)) && !holds("\"< 1.5\"", &json!(1.5)));
-        assert!(holds("\"<=1.5\"", &json!(1.5)) && !holds("\">= 2\"", &json!(1.9)));
-        assert!(holds("\">2\"", &json!(3)) && holds("4", &json!(4)) && !holds("4", &json!(5)));
-        assert!(holds("{ value = 2.0, within = 0.5 }", &json!(2.5)));
-        assert!(!holds("{ value = 2.0, within_percent = 10 }", &json!(2.3)));
-        assert!(holds("{ value = -2.0, within_percent = 10 }", &json!(-1.9)));
-        assert!(holds("true", &json!(true)) && !holds("true", &json!("true")));
-        assert!(holds("\"none\"", &json!([])) && holds("\"none\"", &json!(null)));
-        assert!(!holds("\"none\"", &json!(["cogging"])));
-        assert!(
-            holds("\"cogging\"", &json!(["cogging"])) && holds("\"cogging\"", &json!("cogging"))
-        );
-        assert!(!holds("\"cogging\"", &json!(["cogging", "backlash"])));
         let names = json!(["cogging", "backlash"]);
-        assert!(holds("\"~ back\"", &names) && !holds("\"~ sag\"", &names));
-        assert!(holds("[\"b\", \"a\"]", &json!(["a", "b"])));
-        assert!(!holds("[\"b\", \"a\"]", &json!(["a"])));
-        assert!(!holds("[\"b\", \"a\"]", &json!(["a", "b", "c"])));
-        assert!(holds("\"~ Locked\"", &json!("the rotor is locked")));
-        assert!(
-            !holds("\"~ open\"", &json!("the rotor is locked")) && !holds("\"~ 1\"", &json!(1))
-        );
-        assert!(!holds("[0, 1]", &json!(null)) && !holds("\"< 9\"", &json!(null)));
-        assert!(limit("[0, 1]").unwrap().fails(None).is_some());
-        assert!(limit("\"none\"").unwrap().fails(None).is_some());
+        let locked = json!("the rotor is locked");
+        for (text, holding, failing) in [
+            ("[1.0, 1.3]", vec![json!(1.0), json!(1.3)], vec![json!(1.3001), json!("1.2")]),
+            ("[0, 1]", vec![], vec![json!(null)]),
+            ("\"< 1.5\"", vec![json!(1.4)], vec![json!(1.5), json!(null)]),
+            ("\"<=1.5\"", vec![json!(1.5)], vec![json!(1.6)]),
+            ("\">= 2\"", vec![json!(2)], vec![json!(1.9)]),
+            ("\">2\"", vec![json!(3)], vec![json!(2)]),
+            ("4", vec![json!(4)], vec![json!(5)]),
+            ("{ value = 2.0, within = 0.5 }", vec![json!(2.5)], vec![json!(2.6)]),
+            ("{ value = 2.0, within_percent = 10 }", vec![json!(1.9)], vec![json!(2.3)]),
+            ("{ value = -2.0, within_percent = 10 }", vec![json!(-1.9)], vec![json!(-2.3)]),
+            ("true", vec![json!(true)], vec![json!("true")]),
+            ("\"none\"", vec![json!([]), json!(null)], vec![json!(["cogging"])]),
+            ("\"cogging\"", vec![json!(["cogging"]), json!("cogging")], vec![names.clone()]),
+            ("\"~ back\"", vec![names.clone()], vec![json!(["cogging"])]),
+            ("\"~ Locked\"", vec![locked.clone()], vec![json!("open"), json!(1)]),
+            ("[\"b\", \"a\"]", vec![json!(["a", "b"])], vec![json!(["a"]), json!(["a", "b", "c"])]),
+        ] {
+            for (found, is_held) in
+                holding.iter().zip(repeat(true)).chain(failing.iter().zip(repeat(false)))
+            {
+                assert_eq!(holds(text, found), is_held, "{text}: {found}");
+            }
+            assert!(limit(text).unwrap().fails(None).is_some(), "{text}: no result");
+        }
     }
 
     #[test]
@@ -387,10 +388,12 @@ mod tests {
 
     #[test]
     fn a_failure_says_what_was_found_and_what_it_has_to_be() {
-        let said = limit("[1.0, 1.3]").unwrap().fails(Some(&json!(1.512_345))).unwrap();
-        assert_eq!(said, "1.512, has to be 1.00000 to 1.30000");
-        let said = limit("\"none\"").unwrap().fails(Some(&json!(["backlash"]))).unwrap();
-        assert_eq!(said, "backlash, has to be none");
+        for (text, found, expected) in [
+            ("[1.0, 1.3]", json!(1.512_345), "1.512, has to be 1.00000 to 1.30000"),
+            ("\"none\"", json!(["backlash"]), "backlash, has to be none"),
+        ] {
+            assert_eq!(limit(text).unwrap().fails(Some(&found)).unwrap(), expected);
+        }
     }
 
     #[test]
@@ -401,22 +404,18 @@ mod tests {
             },
             "parameters": [ { "key": "resistance_ohm", "value": 1.1 } ],
         });
-        assert_eq!(find(&result, "missing"), Some(json!(["cogging"])));
-        assert_eq!(find(&result, "held_out_error"), Some(json!(1.2)));
-        assert_eq!(find(&result, "resistance_ohm"), Some(json!(1.1)));
-        assert_eq!(find(&result, "diagnosis.list.0.a"), Some(json!(3)));
-        assert_eq!(find(&result, "inertia_kg_m2"), None);
         let identified = json!({ "parameters": { "inertia_kg_m2": { "value": 0.004 } } });
-        assert_eq!(find(&identified, "inertia_kg_m2"), Some(json!(0.004)));
-    }
-
-    #[test]
-    fn what_no_effect_explains_is_not_nothing_missing() {
-        for verdict in ["unexplained", "ambiguous"] {
-            let result = json!({ "verdict": verdict, "effects": [] });
-            assert_eq!(find(&result, "missing"), Some(json!(verdict)));
+        for (result, key, expected) in [
+            (&result, "missing", json!(["cogging"])),
+            (&result, "held_out_error", json!(1.2)),
+            (&result, "resistance_ohm", json!(1.1)),
+            (&result, "diagnosis.list.0.a", json!(3)),
+            (&identified, "inertia_kg_m2", json!(0.004)),
+        ] {
+            assert_eq!(find(result, key), Some(expected), "{key}");
         }
-        assert_eq!(find(&json!({ "parameters": {} }), "missing"), None);
+        assert_eq!(find(&result, "inertia_kg_m2"), None);
+        assert_eq!(find(&identified, "missing"), None);
     }
 
     #[test]
@@ -441,7 +440,19 @@ mod tests {
         assert!(judged(&of("possible", true)).is_some());
         assert!(judged(&of("ruled_out", false)).unwrap().contains("an error left"));
         assert!(judged(&json!({ "verdict": "none", "effects": [] })).is_some());
-        // What it does prove can be asked for.
+        for verdict in ["unexplained", "ambiguous"] {
+            let result = json!({ "verdict": verdict, "effects": [] });
+            assert_eq!(find(&result, "missing"), Some(json!(verdict)));
+        }
+        // The confirming run contradicts the name.
+        for (confirmed, missing) in
+            [(true, json!(["cogging"])), (false, json!("cogging, not confirmed"))]
+        {
+            let confirm = json!({ "confirmed": confirmed });
+            let result = json!({ "verdict": "effect", "effects": ["cogging"], "confirm": confirm });
+            assert_eq!(find(&result, "missing"), Some(missing));
+        }
+        // What it does prove can be required.
         assert!(holds("\"none\"", &find(&weak, "verdict").unwrap()));
         assert!(holds("\"<= 1\"", &find(&weak, "not_shown").unwrap()));
         assert!(!holds("\"< 1\"", &find(&weak, "not_shown").unwrap()));
@@ -471,12 +482,5 @@ mod tests {
         weak["effects"] = json!(["cogging"]);
         weak["confirm"] = json!({ "confirmed": false });
         assert_eq!(answered(&weak).unwrap().named, "(not confirmed)");
-    }
-
-    #[test]
-    fn a_name_that_another_run_speaks_against_is_none() {
-        let of = |confirmed: bool| json!({ "verdict": "effect", "effects": ["cogging"], "sufficient": true, "confirm": { "confirmed": confirmed } });
-        assert_eq!(find(&of(true), "missing"), Some(json!(["cogging"])));
-        assert_eq!(find(&of(false), "missing"), Some(json!("cogging, not confirmed")));
     }
 }

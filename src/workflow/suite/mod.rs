@@ -27,7 +27,6 @@ pub use outcome::{
     Verdict,
 };
 
-/// A suite file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Suite {
     pub name: String,
@@ -47,7 +46,6 @@ pub struct Case {
     /// Of the software drive; each repeat takes the next.
     pub seed: u64,
     pub repeat: u64,
-    /// For each step, s.
     pub timeout_s: f64,
     /// What this case cannot do without; on `sim:` it is skipped.
     pub needs: Vec<Need>,
@@ -75,7 +73,6 @@ pub enum Need {
     Process,
 }
 
-/// One step of a case.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Step {
     /// By which later steps refer to it; its verb where none was given.
@@ -84,10 +81,8 @@ pub struct Step {
     pub timeout_s: Option<f64>,
 }
 
-/// What a step does.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Action {
-    /// A command of the program.
     Command {
         verb: Verb,
         /// Options of the command by their long names, `_` for `-`.
@@ -97,7 +92,6 @@ pub enum Action {
     },
     /// Keys of the emulator's file that are changed for the steps that follow.
     Fault(toml::Table),
-    /// A file with other keys.
     File(ChangedFile),
     /// Limits on the result of an earlier step.
     Assert {
@@ -124,20 +118,16 @@ pub struct ChangedFile {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SignalLimit {
-    /// Column of `samples.csv`.
     pub channel: String,
-    /// From the start of the run, s.
     pub at_s: f64,
     /// The value may come so much earlier or later, s.
     #[serde(default)]
     pub within_s: f64,
-    /// In the channel's unit.
     pub value: f64,
     pub within: f64,
 }
 
 impl SignalLimit {
-    /// What is wrong with it, and what is allowed.
     fn refusal(&self) -> Option<(String, String)> {
         let wrong = |key: &str, value: f64, allowed: &str| {
             Some((format!("signal: {key} = {value} is not allowed"), format!("allowed: {allowed}")))
@@ -212,7 +202,7 @@ impl Verb {
         matches!(self, Self::Connect | Self::Commission | Self::Excite | Self::Speed)
     }
 
-    /// Whether it talks with a drive, if only to look at it.
+    /// Whether it exchanges anything with a drive, if only to read.
     pub const fn has_link(self) -> bool {
         self.is_live() || matches!(self, Self::Probe)
     }
@@ -326,8 +316,6 @@ enum Statuses {
 
 /// By which options refer to the folder of the case, as in `"@case/model.toml"`.
 pub const CASE: &str = "case";
-/// Most repeats of a case.
-const MOST_REPEATS: u64 = 10_000;
 /// Longest time for a step, s: a day.
 const MOST_S: f64 = 86_400.0;
 /// Time for a step where the file gives none, s.
@@ -349,6 +337,8 @@ const NO_FIGURES: [&str; 7] = [
     "motor.peak_",
     "motor.zero_after_s",
 ];
+const PRINTABLE: &str = "allowed: up to 200 characters that can be printed";
+const FILE_HELP: &str = "allowed: the name of a file, which is made in the folder of the case";
 /// Options that name a file to be written; a suite writes nowhere but into the folder of its case.
 const WRITTEN: [&str; 5] = ["tap", "output", "html", "next-bench", "load-torque"];
 
@@ -371,28 +361,25 @@ impl Suite {
         };
         if !is_printable(keys.name.get_ref()) {
             let what = format!("name = {:?} is not allowed", keys.name.get_ref());
-            let help = "allowed: up to 200 characters that can be printed";
-            return Err(error(keys.name.span().start, what, help));
+            return Err(error(keys.name.span().start, what, PRINTABLE));
         }
         let mut cases: Vec<Case> = Vec::new();
         for case in keys.cases {
             let at = case.name.span().start;
             let name = case.name.into_inner();
-            if let Some(word) =
-                [&name].into_iter().chain(&case.tags).find(|word| !is_printable(word))
-            {
+            let word = [&name].into_iter().chain(&case.tags).find(|word| !is_printable(word));
+            if let Some(word) = word {
                 let what = format!("{word:?} is not allowed as a name or a tag");
-                return Err(error(at, what, "allowed: up to 200 characters that can be printed"));
+                return Err(error(at, what, PRINTABLE));
             }
             if cases.iter().any(|other| other.name == name) {
                 let what = format!("two cases are named {name:?}");
                 return Err(error(at, what, "each needs a name of its own"));
             }
             let repeat = *case.repeat.get_ref();
-            if !(1..=MOST_REPEATS).contains(&repeat) {
+            if !(1..=10_000).contains(&repeat) {
                 let what = format!("repeat = {repeat} is not allowed");
-                let help = format!("allowed: 1 to {MOST_REPEATS}");
-                return Err(error(case.repeat.span().start, what, &help));
+                return Err(error(case.repeat.span().start, what, "allowed: 1 to 10000"));
             }
             let timeout_at = case.timeout_s.as_ref().map_or(at, |time| time.span().start);
             let timeout_s = case.timeout_s.map(Spanned::into_inner);
@@ -401,11 +388,8 @@ impl Suite {
                 return Err(error(timeout_at, what, &help));
             }
             if case.steps.is_empty() {
-                return Err(error(
-                    at,
-                    format!("the case {name:?} has no step"),
-                    "give it [[case.step]]",
-                ));
+                let what = format!("the case {name:?} has no step");
+                return Err(error(at, what, "give it [[case.step]]"));
             }
             let mut steps: Vec<Step> = Vec::new();
             for step in case.steps {
@@ -441,6 +425,10 @@ fn time_refusal(timeout_s: f64) -> Option<(String, String)> {
 /// Where, what and what is allowed.
 type StepError = (usize, String, String);
 
+fn wrong<T>(at: usize, what: impl Into<String>, help: impl Into<String>) -> Result<T, StepError> {
+    Err((at, what.into(), help.into()))
+}
+
 fn read_step(
     step: Spanned<StepKeys>,
     before: &[Step],
@@ -448,45 +436,38 @@ fn read_step(
 ) -> Result<Step, StepError> {
     let at = step.span().start;
     let mut keys = step.into_inner();
-    if let Some(name) = &keys.name
-        && (!is_file_name(name) || name == CASE)
-    {
-        let what = format!("as = {name:?} is not allowed");
-        let help = "allowed: letters, digits, -, _ and dots, not at the beginning, and not \"case\"; files are named by it".to_owned();
-        return Err((at, what, help));
+    if let Some(name) = keys.name.as_ref().filter(|name| !is_file_name(name) || *name == CASE) {
+        let help = "allowed: letters, digits, -, _ and dots, not at the beginning, and not \"case\"; files are named by it";
+        return wrong(at, format!("as = {name:?} is not allowed"), help);
     }
     if let Some(timeout_s) = &keys.timeout_s
         && let Some((what, help)) = time_refusal(*timeout_s.get_ref())
     {
-        return Err((timeout_s.span().start, what, help));
+        return wrong(timeout_s.span().start, what, help);
     }
-    let mut found: Vec<(&'static str, Action)> = Vec::new();
     let has_status = keys.status.is_some();
     let statuses = match keys.status.take() {
         None => vec![0],
         Some(Statuses::One(status)) => vec![status],
         Some(Statuses::Any(statuses)) => statuses,
     };
+    let mut found: Vec<(&'static str, Action)> = Vec::new();
     for (verb, word, _) in Verb::ALL {
         if let Some(table) = keys.options(verb) {
             let options = read_options(verb, word, table, before, options_of)?;
             found.push((word, Action::Command { verb, options, statuses: statuses.clone() }));
         }
     }
-    if let Some(fault) = keys.fault {
-        found.push(("fault", Action::Fault(fault)));
-    }
+    found.extend(keys.fault.map(|fault| ("fault", Action::Fault(fault))));
     if let Some(file) = keys.file {
         if !is_file_name(&file.name) {
-            let what = format!("file: name = {:?} is not allowed", file.name);
-            let help =
-                "allowed: the name of a file, which is made in the folder of the case".to_owned();
-            return Err((at, what, help));
+            return wrong(at, format!("file: name = {:?} is not allowed", file.name), FILE_HELP);
         }
         found.push(("file", Action::File(file)));
     }
     if keys.assert.is_some() || !keys.signal.is_empty() {
-        found.push(("assert", read_assert(at, keys.assert, keys.signal, keys.of, before)?));
+        let action = read_assert(at, keys.assert, keys.signal, keys.of, before)?;
+        found.push(("assert", action));
     }
     let [(word, action)] = <[_; 1]>::try_from(found).map_err(|found| {
         let names: Vec<&str> = found.iter().map(|(word, _)| *word).collect();
@@ -498,10 +479,9 @@ fn read_step(
         let verbs = Verb::ALL.map(|(_, word, _)| word).join(", ");
         (at, what, format!("allowed: one of {verbs}, fault, file, assert"))
     })?;
-    let is_command = matches!(action, Action::Command { .. });
-    if has_status && !is_command {
-        let what = "status stands without a command".to_owned();
-        return Err((at, what, "give it to the step whose exit status it is".to_owned()));
+    if has_status && !matches!(action, Action::Command { .. }) {
+        let help = "give it to the step whose exit status it is";
+        return wrong(at, "status stands without a command", help);
     }
     Ok(Step {
         name: keys.name.unwrap_or_else(|| word.to_owned()),
@@ -522,29 +502,25 @@ fn read_options(
     let known = options_of(verb);
     let table = table.into_inner();
     for (key, value) in &table {
+        let option = key.replace('_', "-");
         let is_positional = key == "run" || key == "effect";
-        if !is_positional && !known.iter().any(|name| *name == key.replace('_', "-")) {
-            let what = format!("unknown option `{key}` of {word}");
+        if !is_positional && !known.contains(&option) {
             let names: Vec<String> = known.iter().map(|name| name.replace('-', "_")).collect();
-            return Err((at, what, help_for_unknown(key, names.iter().map(String::as_str))));
+            let help = help_for_unknown(key, names.iter().map(String::as_str));
+            return wrong(at, format!("unknown option `{key}` of {word}"), help);
         }
-        if GIVEN.contains(&key.replace('_', "-").as_str()) {
-            let what = format!("{word} does not take `{key}`");
+        if GIVEN.contains(&option.as_str()) {
             let help =
-                "the case says port, emulator and seed; the rest the command line of the suite"
-                    .to_owned();
-            return Err((at, what, help));
+                "the case says port, emulator and seed; the rest the command line of the suite";
+            return wrong(at, format!("{word} does not take `{key}`"), help);
         }
         if is_written(key) && !value.as_str().is_some_and(is_file_name) {
-            let what = format!("{key} = {value} is not allowed");
-            let help =
-                "allowed: the name of a file, which is made in the folder of the case".to_owned();
-            return Err((at, what, help));
+            return wrong(at, format!("{key} = {value} is not allowed"), FILE_HELP);
         }
         for name in references(value) {
             if name != CASE && !before.iter().any(|step| step.name == name) {
                 let what = format!("{key} = \"@{name}\": no earlier step is named {name:?}");
-                return Err((at, what, help_for_name(name, before)));
+                return wrong(at, what, help_for_name(name, before));
             }
         }
     }
@@ -564,27 +540,24 @@ fn read_assert(
             let what = format!("{} = {} is not allowed", key.get_ref(), value.get_ref());
             let help = "allowed: figures of the result of a command, as its --json prints them; \
                         `drivebench emulate --journal FILE` writes what the motor of a software drive does";
-            return Err((key.span().start, what, help.to_owned()));
+            return wrong(key.span().start, what, help);
         }
-        let limit = Limit::parse(value.get_ref()).map_err(|(what, help)| {
-            (value.span().start, format!("{}: {what}", key.get_ref()), help)
+        let limit = Limit::parse(value.get_ref()).or_else(|(what, help)| {
+            wrong(value.span().start, format!("{}: {what}", key.get_ref()), help)
         })?;
         limits.push((key.into_inner(), limit));
     }
-    if let Some(of) = &of
-        && !before.iter().any(|step| step.name == *of)
-    {
+    if let Some(of) = of.as_ref().filter(|of| !before.iter().any(|step| step.name == **of)) {
         let what = format!("of = {of:?}: no earlier step is named so");
-        return Err((at, what, help_for_name(of, before)));
+        return wrong(at, what, help_for_name(of, before));
     }
     for signal in &signals {
         if Channel::from_key(&signal.channel).is_none() {
-            let what = format!("there is no channel {:?}", signal.channel);
             let help = help_for_unknown(&signal.channel, Channel::ALL.map(Channel::key));
-            return Err((at, what, help));
+            return wrong(at, format!("there is no channel {:?}", signal.channel), help);
         }
         if let Some((what, help)) = signal.refusal() {
-            return Err((at, what, help));
+            return wrong(at, what, help);
         }
     }
     Ok(Action::Assert { of, limits, signals })

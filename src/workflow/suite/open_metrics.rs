@@ -66,7 +66,6 @@ pub fn text(outcome: &SuiteOutcome) -> String {
     text
 }
 
-/// A label's value.
 fn escaped(text: &str) -> String {
     text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
 }

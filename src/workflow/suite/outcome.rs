@@ -8,7 +8,6 @@ use super::Case;
 use drivebench_bench::recording::Machine;
 use drivebench_identify::drift::Drift;
 
-/// How a case ended.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(tag = "verdict", content = "reason", rename_all = "snake_case")]
 pub enum Verdict {
@@ -20,7 +19,6 @@ pub enum Verdict {
     Skipped(String),
 }
 
-/// One figure or word against its limit.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Check {
     pub key: String,
@@ -43,7 +41,6 @@ pub struct IdentifiedStep {
     pub drift: Option<Drift>,
 }
 
-/// One step of a case.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StepOutcome {
     pub name: String,
@@ -74,7 +71,6 @@ pub struct Confusion {
     pub counts: Vec<Vec<usize>>,
 }
 
-/// One case with one seed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CaseOutcome {
     pub name: String,
@@ -93,7 +89,6 @@ pub struct CaseOutcome {
     pub answers: Vec<Answered>,
 }
 
-/// A figure over the repeats of a case.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Spread {
     pub case: String,
@@ -106,11 +101,9 @@ pub struct Spread {
     pub most: f64,
 }
 
-/// The whole suite.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SuiteOutcome {
     pub suite: String,
-    /// When it began, UTC.
     pub began: String,
     pub machine: String,
     pub took_s: f64,
@@ -165,7 +158,6 @@ impl Confusion {
         })
     }
 
-    /// As a table with a header.
     pub fn csv(&self) -> String {
         let line = |first: &str, cells: &mut dyn Iterator<Item = String>| {
             let cells: Vec<String> = cells.collect();
@@ -180,7 +172,6 @@ impl Confusion {
 }
 
 impl CaseOutcome {
-    /// A case that is not done.
     pub fn skipped(case: &Case, seed: u64, reason: impl Into<String>) -> Self {
         Self {
             name: case.name.clone(),
@@ -228,7 +219,7 @@ impl SuiteOutcome {
         }
     }
 
-    /// The status that tells what was wrong: that of the steps that ended cases where it is one and the same and no limit
+    /// The status of the failure: that of the steps that ended cases where it is one and the same and no limit
     /// failed; else 1 where a limit failed.
     pub fn exit_status(&self) -> u8 {
         let wrong = || {
@@ -313,11 +304,15 @@ mod tests {
         let failed = || case("b", Verdict::Failed("high".into()), Some(0), None);
         let error = |status| case("c", Verdict::Error("no answer".into()), Some(status), None);
         let skipped = || case("d", Verdict::Skipped("sim:".into()), None, None);
-        assert_eq!(outcome(vec![passed(), skipped()]).exit_status(), 0);
-        assert_eq!(outcome(vec![]).exit_status(), 0);
-        assert_eq!(outcome(vec![passed(), failed(), error(3)]).exit_status(), 1);
-        assert_eq!(outcome(vec![passed(), error(3), error(3)]).exit_status(), 3);
-        assert_eq!(outcome(vec![error(3), error(4)]).exit_status(), 1);
+        for (cases, status) in [
+            (vec![passed(), skipped()], 0),
+            (vec![], 0),
+            (vec![passed(), failed(), error(3)], 1),
+            (vec![passed(), error(3), error(3)], 3),
+            (vec![error(3), error(4)], 1),
+        ] {
+            assert_eq!(outcome(cases).exit_status(), status);
+        }
         let all = outcome(vec![passed(), failed(), error(3), skipped()]);
         assert_eq!((all.passed, all.failed, all.errors, all.skipped), (1, 1, 1, 1));
     }

@@ -51,19 +51,17 @@ fn state() -> impl Strategy<Value = State> {
                 }
             }
             if kind > 1 && kind != 5 {
-                hear(&mut state, News::Diagnosed(Box::new(answer)));
+                receive(&mut state, News::Diagnosed(Box::new(answer)));
             } else {
                 let found = Found::Screened { effect: "cogging", share: numbers[1] };
-                hear(&mut state, News::Progress(found));
+                receive(&mut state, News::Progress(found));
             }
             for (step, number) in state.ladder.iter_mut().zip(&numbers) {
                 step.error = *number;
             }
-            for _ in 0..down {
-                press(&mut state, Press::Move(1));
-            }
+            state = pressed(state, &"↓".repeat(down as usize));
             state.over = over;
-            state.help = speaks.then_some(down as usize);
+            state.help.first = speaks.then_some(down as usize);
             state.title.clone_from(&words);
             state.message = speaks.then_some(words);
             state

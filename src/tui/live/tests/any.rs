@@ -90,7 +90,7 @@ proptest! {
             report(&mut model, over);
         }
         model.page = Page::ALL[screen];
-        (model.help, model.zoom, model.scroll) = (help.then_some(0), zoom, scroll);
+        (model.help.first, model.zoom, model.scroll) = (help.then_some(0), zoom, scroll);
         if finished {
             finish(&mut model);
         }

@@ -19,7 +19,7 @@ fn speed() -> Snapshot {
 
 /// An inertia that had a value a while ago and has none now.
 pub(super) fn between_two_values() -> Model {
-    let mut model = leaning(running());
+    let mut model = ranked(running());
     let mut later = running();
     let mut estimates = running().estimates.to_vec();
     let reason = "the speed has not changed for a while";
@@ -42,9 +42,8 @@ fn offers() -> Model {
     }))
 }
 
-/// Every page of the screen.
 pub(in crate::tui) fn pages() -> Vec<Page> {
-    let run = leaning(running());
+    let run = ranked(running());
     let waiting = model(hardware());
     let steps = with(&run, |own| {
         report(own, false);
@@ -69,9 +68,9 @@ pub(in crate::tui) fn pages() -> Vec<Page> {
         ("trip_over", finished(model(tripped()))),
         ("lost", model(lost)),
         ("ctrl_z", refused),
-        ("frozen", pressed(run.clone(), Press::Freeze)),
+        ("frozen", pressed(run.clone(), "f")),
         ("steps", steps.clone()),
-        ("steps_explained", pressed(steps, Press::Open)),
+        ("steps_explained", pressed(steps, "⏎")),
         ("done", finished(model(done()))),
         (
             "done_leads_on",
@@ -81,7 +80,7 @@ pub(in crate::tui) fn pages() -> Vec<Page> {
         ),
         ("report", offers()),
         ("report_end", with(&offers(), |own| own.scroll = 99)),
-        ("help", pressed(run, Press::Help)),
+        ("help", pressed(run, "?")),
     ];
     let page = |(name, model): (&'static str, Model)| -> Page {
         (name, Box::new(move |frame| view(&model, frame)))

@@ -1,15 +1,10 @@
-//! What the residual of a run leans on while the run goes on: a look every half second, on a thread of its own, at what the
-//! screen is shown anyway.
+//! Provisional ranking of the effects while a run goes on: marginal screening of the residual to first order (Fan and Lv 2008),
+//! every half second, on a thread of its own, from the snapshots that are published for the screen.
 //!
 //! ```text
-//! Snapshot (trace, estimates) --take--> LeaningWatch: the run so far, thinned to a bounded number of samples
-//!                                          '--look--> Provisional, latest value in LeaningCell --> screen
+//! Snapshot (trace, estimates) --take--> RankingWatch: the run so far, thinned to a bounded number of samples
+//!                                          '--rank--> ProvisionalRanking, latest value in RankingCell --> screen
 //! ```
-//!
-//! The bench knows nothing of it: it reads the snapshot that is published for the screen, and what it makes of it is marked
-//! as provisional.
-
-use std::sync::{Arc, Mutex, PoisonError};
 
 use drivebench_bench::{Snapshot, TracePoint};
 use drivebench_diagnose::{Leaning, lean};
@@ -18,35 +13,39 @@ use drivebench_identify::recursive::INERTIA_HAS_CHANGED;
 use drivebench_model::plant::{Input, Model, Motor, MotorKey, Scenario};
 use drivebench_model::sample::{Channel, ParameterEstimate};
 
-/// Samples that are kept: beyond, every other one is left out.
-const MOST_SAMPLES: usize = 4000;
-/// Changes of the voltage that are kept: a run with more is looked at no further.
-const MOST_EVENTS: usize = 8000;
-/// Samples below which nothing is looked at.
-const FEWEST_SAMPLES: usize = 200;
+/// Bounds of memory and work, whatever the length of the run.
+struct Bounds {
+    /// Beyond them every other sample is left out.
+    most_samples: usize,
+    /// Changes of the voltage: a run with more is not ranked any further.
+    most_events: usize,
+    /// Below them nothing is ranked.
+    fewest_samples: usize,
+}
 
-/// What the run so far seems to ask for.
+const BOUNDS: Bounds = Bounds { most_samples: 4000, most_events: 8000, fewest_samples: 200 };
+
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Provisional {
-    /// The effects that the residual leans on, the one that explains most first.
+pub struct ProvisionalRanking {
+    /// The one that explains most of the residual first.
     pub effects: Vec<Leaning>,
-    /// Of the run that was looked at.
+    /// Of the run so far.
     pub seconds: f64,
 }
 
-impl Provisional {
+impl ProvisionalRanking {
     /// One line for the screen.
     pub fn line(&self) -> String {
         let seconds = self.seconds;
         let Some(first) = self.effects.first() else {
-            return format!("provisional, {seconds:.0} s: the residual leans on no effect");
+            return format!("provisional, {seconds:.0} s: the residual fits no effect");
         };
         let named = |own: &Leaning| format!("{} {:.0} %", own.effect, 100.0 * own.share);
         let others = self.effects[1..].iter().filter(|own| own.equation == first.equation);
         let others: Vec<String> = others.take(2).map(named).collect();
         let or = if others.is_empty() { "" } else { ", or " };
         format!(
-            "provisional, {seconds:.0} s: {} residual leans on {}{or}{}",
+            "provisional, {seconds:.0} s: {} residual fits {}{or}{}",
             first.equation,
             named(first),
             others.join(", ")
@@ -54,27 +53,13 @@ impl Provisional {
     }
 }
 
-/// The latest look, shared between its thread and the screen. Neither waits for the other.
+/// The run so far, from its snapshots.
 #[derive(Clone, Debug, Default)]
-pub struct LeaningCell(Arc<Mutex<Arc<Provisional>>>);
-
-impl LeaningCell {
-    pub fn latest(&self) -> Arc<Provisional> {
-        Arc::clone(&self.0.lock().unwrap_or_else(PoisonError::into_inner))
-    }
-
-    pub fn publish(&self, found: Provisional) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(found);
-    }
-}
-
-/// The run so far, as its snapshots showed it.
-#[derive(Clone, Debug, Default)]
-pub struct LeaningWatch {
+pub struct RankingWatch {
     name: String,
     /// Every so many samples are kept.
     stride: usize,
-    seen: usize,
+    count: usize,
     last_s: f64,
     times: Vec<f64>,
     current_a: Vec<f64>,
@@ -83,7 +68,7 @@ pub struct LeaningWatch {
     motor: Motor,
 }
 
-impl LeaningWatch {
+impl RankingWatch {
     /// Takes in what is new in a snapshot. Another run begins anew.
     pub fn take(&mut self, snapshot: &Snapshot) {
         let newest = snapshot.trace.last().map_or(f64::NEG_INFINITY, |p| p.time_s);
@@ -116,13 +101,15 @@ impl LeaningWatch {
 
     fn forget(&mut self) {
         self.events.clear();
-        for values in [&mut self.times, &mut self.current_a, &mut self.speed_rad_s] {
-            values.clear();
-        }
+        self.columns().into_iter().for_each(Vec::clear);
+    }
+
+    fn columns(&mut self) -> [&mut Vec<f64>; 3] {
+        [&mut self.times, &mut self.current_a, &mut self.speed_rad_s]
     }
 
     fn push(&mut self, point: &TracePoint) {
-        if point.command_v.is_finite() && self.events.len() < MOST_EVENTS {
+        if point.command_v.is_finite() && self.events.len() < BOUNDS.most_events {
             let last = self.events.last().copied();
             let at_s = point.applied_s;
             let is_new = last.is_none_or(|(_, volts)| (volts - point.command_v).abs() > 0.0);
@@ -130,16 +117,16 @@ impl LeaningWatch {
                 self.events.push((at_s, point.command_v));
             }
         }
-        let is_kept = self.seen.is_multiple_of(self.stride.max(1));
-        self.seen += 1;
+        let is_kept = self.count.is_multiple_of(self.stride.max(1));
+        self.count += 1;
         if !is_kept || self.events.is_empty() {
             return;
         }
         self.times.push(point.time_s);
         self.current_a.push(point.current_a);
         self.speed_rad_s.push(point.speed_rad_s);
-        if self.times.len() >= MOST_SAMPLES {
-            for values in [&mut self.times, &mut self.current_a, &mut self.speed_rad_s] {
+        if self.times.len() >= BOUNDS.most_samples {
+            for values in self.columns() {
                 let mut index = 0;
                 values.retain(|_| {
                     index += 1;
@@ -150,14 +137,14 @@ impl LeaningWatch {
         }
     }
 
-    /// What the residual leans on so far; `None` where there is too little to look at, or no model yet.
-    pub fn look(&self) -> Option<Provisional> {
-        if self.times.len() < FEWEST_SAMPLES || self.events.len() >= MOST_EVENTS {
+    /// `None` where there is too little of the run, or no model yet.
+    pub fn rank(&self) -> Option<ProvisionalRanking> {
+        if self.times.len() < BOUNDS.fewest_samples || self.events.len() >= BOUNDS.most_events {
             return None;
         }
         let mut motor = self.motor.clone();
         if motor.get(MotorKey::LoadTorque).is_none() {
-            // Not told yet: what it would explain is taken out of the balance all the same.
+            // Not estimated yet: what it would explain is taken out of the balance all the same.
             motor.set(MotorKey::LoadTorque, 0.0);
         }
         let model = Model::baseline(motor);
@@ -173,12 +160,14 @@ impl LeaningWatch {
         let noise =
             NoiseFloor::from_standstill(&run).unwrap_or_else(|| NoiseFloor::from_spread(&run));
         let effects = lean(&model, &run, &noise).ok()?;
-        Some(Provisional { effects, seconds })
+        Some(ProvisionalRanking { effects, seconds })
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
     use drivebench_model::plant::testing::with_a_fan;
 
@@ -209,42 +198,42 @@ mod tests {
     }
 
     #[test]
-    fn a_run_with_a_fan_leans_on_it_before_it_is_over_and_says_that_this_is_provisional() {
+    fn a_fan_is_ranked_first_before_its_run_is_over() {
         let run = with_a_fan(0);
-        let mut watch = LeaningWatch::default();
-        assert_eq!(watch.look(), None);
+        let mut watch = RankingWatch::default();
+        assert_eq!(watch.rank(), None);
         for end in (0..900).step_by(60) {
             watch.take(&snapshot(&run, end, 200));
         }
-        let found = watch.look().unwrap();
+        let found = watch.rank().unwrap();
         assert_eq!(found.effects[0].effect, "quadratic_load", "{found:?}");
-        assert!(found.line().starts_with("provisional, 4 s: torque residual leans on"));
+        assert!(found.line().starts_with("provisional, 4 s: torque residual fits"));
         // Another run begins anew.
         let mut other = snapshot(&run, 50, 50);
         other.name = "another".to_owned();
         watch.take(&other);
-        assert_eq!(watch.look(), None);
+        assert_eq!(watch.rank(), None);
     }
 
     #[test]
-    fn what_came_before_another_inertia_is_not_looked_at() {
+    fn what_came_before_another_inertia_is_not_ranked() {
         let run = with_a_fan(0);
-        let mut watch = LeaningWatch::default();
+        let mut watch = RankingWatch::default();
         watch.take(&snapshot(&run, 600, 600));
-        assert!(watch.look().is_some());
+        assert!(watch.rank().is_some());
         let mut changed = snapshot(&run, 700, 200);
         let mut all = Arc::make_mut(&mut changed.estimates).iter_mut();
         let inertia = all.find(|own| own.key == MotorKey::Inertia.key()).unwrap();
         inertia.unsettle(format!("{INERTIA_HAS_CHANGED}: begun again"));
         watch.take(&changed);
-        assert_eq!(watch.look(), None);
+        assert_eq!(watch.rank(), None);
         watch.take(&snapshot(&run, 1000, 300));
-        assert!(watch.look().is_some_and(|found| found.seconds < 2.0));
+        assert!(watch.rank().is_some_and(|found| found.seconds < 2.0));
     }
 
     #[test]
     fn memory_and_work_are_bounded_however_long_the_run() {
-        let mut watch = LeaningWatch::default();
+        let mut watch = RankingWatch::default();
         let run = with_a_fan(0);
         let base = snapshot(&run, 1000, 1000);
         for round in 0..60 {
@@ -255,10 +244,12 @@ mod tests {
             };
             let trace = base.trace.iter().map(later).collect();
             watch.take(&Snapshot { trace: Arc::new(trace), ..base.clone() });
-            assert!(watch.times.len() < MOST_SAMPLES && watch.events.len() <= MOST_EVENTS);
+            assert!(
+                watch.times.len() < BOUNDS.most_samples && watch.events.len() <= BOUNDS.most_events
+            );
         }
-        assert!(watch.times.len() > MOST_SAMPLES / 4);
-        let found = watch.look().unwrap();
+        assert!(watch.times.len() > BOUNDS.most_samples / 4);
+        let found = watch.rank().unwrap();
         assert!(found.seconds > 300.0, "{}", found.seconds);
     }
 }
