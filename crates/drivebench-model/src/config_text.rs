@@ -53,24 +53,24 @@ pub fn parse<T: DeserializeOwned>(file: &str, text: &str) -> Result<T, ConfigErr
 
 /// The name in `allowed` that is most like `given`.
 pub fn nearest<'a>(given: &str, allowed: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
-    let distance = |name: &str| match name.find(given) {
+    let distance_to = |name: &str| match name.find(given) {
         Some(0) => 0,
         Some(_) => 1,
         None => {
             // A misspelt beginning of a longer name: one letter in three may be wrong.
-            let begin: String = name.chars().take(given.chars().count()).collect();
-            let (near, whole) = (edit_distance(given, &begin), edit_distance(given, name));
-            let is_begin = 3 * near <= given.len();
-            whole.min(if is_begin { 1 + near } else { whole })
+            let prefix: String = name.chars().take(given.chars().count()).collect();
+            let (to_prefix, to_name) = (edit_distance(given, &prefix), edit_distance(given, name));
+            let is_prefix = 3 * to_prefix <= given.len();
+            to_name.min(if is_prefix { 1 + to_prefix } else { to_name })
         }
     };
     let names = allowed.into_iter().filter(|name| !name.is_empty());
-    let (distance, name) = names.map(|name| (distance(name), name)).min()?;
+    let (distance, name) = names.map(|name| (distance_to(name), name)).min()?;
     (distance <= name.len().max(given.len()).div_ceil(2)).then_some(name)
 }
 
 /// Keys that only one kind of file has at its top: elsewhere they show that it is the wrong file.
-const OF_A_KIND: [(&str, &str); 9] = [
+const KEYS_OF_FILES: [(&str, &str); 9] = [
     ("capabilities", "drive profiles"),
     ("case", "suites"),
     ("drive", "bench files"),
@@ -87,13 +87,13 @@ pub fn help_for_unknown_key<'a>(
     given: &str,
     allowed: impl IntoIterator<Item = &'a str> + Clone,
 ) -> String {
-    match OF_A_KIND.iter().find(|(key, _)| *key == given) {
+    match KEYS_OF_FILES.iter().find(|(key, _)| *key == given) {
         Some((_, kind)) => format!("`{given}` is a key of {kind}: is it the right file?"),
         None => help_for_unknown(given, allowed),
     }
 }
 
-/// One help line for an unknown name: the conversion to our unit, the nearest name, or all of them.
+/// One help line for an unknown name: the conversion to the expected unit, the nearest name, or all of them.
 pub fn help_for_unknown<'a>(
     given: &str,
     allowed: impl IntoIterator<Item = &'a str> + Clone,
@@ -127,14 +127,14 @@ fn without_types(message: &str) -> String {
     let Some((what, expected)) = message.rsplit_once(", expected ") else {
         return message.to_owned();
     };
-    let plain = TYPES.iter().find(|(name, _)| *name == expected);
-    let plain = plain.map_or(expected, |(_, plain)| plain);
+    let expected =
+        TYPES.iter().find(|(name, _)| *name == expected).map_or(expected, |(_, text)| text);
     let what = what
         .replace("invalid value: ", "not allowed: ")
         .replace("invalid type: ", "not allowed: ")
         .replace("floating point `", "number `")
         .replace("integer `", "number `");
-    format!("{what}, expected {plain}")
+    format!("{what}, expected {expected}")
 }
 
 fn help_for(message: &str) -> String {
@@ -148,6 +148,7 @@ fn help_for(message: &str) -> String {
     }
 }
 
+/// Levenshtein distance, row by row of its table (Wagner and Fischer 1974).
 fn edit_distance(a: &str, b: &str) -> usize {
     let b: Vec<char> = b.chars().collect();
     let mut row: Vec<usize> = (0..=b.len()).collect();
@@ -197,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn a_place_within_a_character_is_at_its_beginning() {
+    fn an_offset_within_a_character_is_at_its_beginning() {
         let text = "a = 1\nb\u{b5}\u{3a9} = 2";
         let column = |offset| ConfigError::at("f", text, offset, "m", "h").column;
         assert_eq!([6, 7, 8, 9, 10, 11].map(column), [1, 2, 2, 3, 3, 4]);

@@ -1,8 +1,9 @@
-//! Signals over time: zero-order hold, linear interpolation, and means under a smooth test function.
+//! Signals over time: zero-order hold, linear interpolation, and the modulating functions of Shinbrot (*Trans. ASME* 79, 1957):
+//! means under a smooth test function, by which no signal is differentiated.
 //!
 //! ```text
 //! (time, value) --zero-order hold--> held, pieces, integral, mean
-//!               --interpolation----> line (inside the points), line_with_ends
+//!               --interpolation----> line, line_with_ends (end values hold), line_across (short gaps only)
 //! sample times ---window-----------> weights of a mean and of a mean rate: trapezoid times (1 - s^2)^4
 //! ```
 
@@ -16,19 +17,19 @@ pub fn held(points: &[Point], time_s: f64) -> Option<f64> {
     next.checked_sub(1).map(|at| points[at].1)
 }
 
-/// The points from the one that holds at an instant on.
+/// The points from the one whose value holds at an instant on.
 #[inline]
 pub fn holding_since(points: &[Point], time_s: f64) -> &[Point] {
     let next = points.partition_point(|point| point.0 <= time_s);
     &points[next.saturating_sub(1)..]
 }
 
-/// The zero-order hold between two instants as `(length, value)`; the first value holds before its point too.
+/// The zero-order hold between two instants as `(length, value)`; the first value also holds before its point.
 #[inline]
 pub fn pieces(points: &[Point], from_s: f64, to_s: f64) -> impl Iterator<Item = Point> + Clone {
     let first = points.partition_point(|point| point.0 <= from_s).max(1) - 1;
-    let held = points.iter().enumerate().skip(first);
-    held.take_while(move |(index, point)| *index == 0 || point.0 < to_s).filter_map(
+    let from_first = points.iter().enumerate().skip(first);
+    from_first.take_while(move |(index, point)| *index == 0 || point.0 < to_s).filter_map(
         move |(index, &(at_s, value))| {
             let next_s = points.get(index + 1).map_or(to_s, |next| next.0.min(to_s));
             let begin_s = if index == 0 { from_s } else { at_s.max(from_s) };
@@ -49,7 +50,7 @@ pub fn mean(points: &[Point], from_s: f64, to_s: f64) -> f64 {
     integral(points, from_s, to_s) / (to_s - from_s)
 }
 
-/// On the straight line between the neighbours; not a number outside the points.
+/// Linear interpolation; NaN outside the points.
 pub fn line(points: &[Point], time_s: f64) -> f64 {
     let after = points.partition_point(|point| point.0 < time_s);
     match (after.checked_sub(1).map(|at| points[at]), points.get(after)) {
@@ -81,9 +82,10 @@ pub fn line_across(points: &[Point], time_s: f64, longest_gap_s: f64) -> f64 {
     }
 }
 
-/// Quadrature weights of one window: trapezoid in true time, times the test function `(1 - s^2)^4` and its derivative.
+/// Quadrature weights of one window of half-length `H`: the trapezoidal rule at the true sample times, times the test function
+/// `psi = (1 - s^2)^4`, `s = (t - middle)/H`, and times `-dpsi/dt`.
 ///
-/// Integration by parts turns the mean of a rate into one of the test function's rate: nothing is differentiated.
+/// Integration by parts: the mean of a rate `dx/dt` under `psi` is that of `x` under `-dpsi/dt`, as `psi` vanishes at the ends.
 #[derive(Clone, Debug)]
 pub struct Window {
     begin: usize,
@@ -106,7 +108,7 @@ impl Window {
             let share = 0.5 * (after - before);
             total += share * q.powi(4);
             weights.push(share * q.powi(4));
-            // -psi_s / H
+            // -dpsi/dt = -(dpsi/ds)/H.
             rates.push(share * 8.0 * s * q.powi(3) / half_s);
         }
         for weight in weights.iter_mut().chain(&mut rates) {
@@ -119,7 +121,6 @@ impl Window {
         self.mean_of(|sample| values[sample])
     }
 
-    /// Mean of a value that every sample has.
     pub fn mean_of(&self, value: impl Fn(usize) -> f64) -> f64 {
         self.sum(&self.weights, value)
     }
@@ -133,7 +134,7 @@ impl Window {
         samples.map(|(weight, sample)| weight * value(sample)).sum()
     }
 
-    /// Norms of the weights and of those for a rate: what white noise makes of a mean and of a mean rate.
+    /// Standard deviations of a mean and of a mean rate under white noise of unit variance: the norms of their weights.
     pub fn gains(&self) -> (f64, f64) {
         let norm = |weights: &[f64]| weights.iter().map(|w| w * w).sum::<f64>().sqrt();
         (norm(&self.weights), norm(&self.rates))

@@ -206,8 +206,8 @@ impl MechanicalBalance {
         self.forgetting = forgetting;
     }
 
-    pub(super) fn ignorance(&self) -> [f64; 2] {
-        [0, 1].map(|j| self.fits.estimator.ignorance(j))
+    pub(super) fn variance_ratio(&self) -> [f64; 2] {
+        [0, 1].map(|j| self.fits.estimator.variance_ratio(j))
     }
 
     /// Inertia and load torque from the torque constant, N.m/A, with its standard deviation. `moved` has the largest speed

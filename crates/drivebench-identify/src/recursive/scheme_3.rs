@@ -540,9 +540,9 @@ impl Scheme3 {
     pub fn excitation(&self) -> [f64; 5] {
         let [r, l, ke] = self
             .electrical()
-            .map_or([1.0; 3], |estimator| [0, 1, 2].map(|j| estimator.ignorance(j)));
-        let [a, b] = self.balance.ignorance();
-        [r, l, ke, a, b].map(|ignorance| (1.0 - ignorance).clamp(0.0, 1.0))
+            .map_or([1.0; 3], |estimator| [0, 1, 2].map(|j| estimator.variance_ratio(j)));
+        let [a, b] = self.balance.variance_ratio();
+        [r, l, ke, a, b].map(|variance_ratio| (1.0 - variance_ratio).clamp(0.0, 1.0))
     }
 
     /// Standard deviation of the speed at standstill, rad/s, where there was one.
@@ -557,7 +557,7 @@ impl Scheme3 {
         }
         let estimator = self.electrical()?;
         let (value, std) = (estimator.parameters()[2], estimator.standard_deviations()?[2]);
-        (estimator.ignorance(2) < IGNORANT && value > 0.0).then_some((value, std))
+        (estimator.variance_ratio(2) < IGNORANT && value > 0.0).then_some((value, std))
     }
 
     /// R, L, Ke, J, Mc with verdicts.
@@ -623,7 +623,7 @@ impl Scheme3 {
             None => estimator.standard_deviations(),
         };
         let certain = |j: usize| {
-            estimator.ignorance(j) < IGNORANT
+            estimator.variance_ratio(j) < IGNORANT
                 && stds.is_some_and(|stds| stds[j] < START_UNCERTAINTY * values[j])
         };
         // In steady state the noise of the current passes for its excitation and R and Ke share one voltage: the linear
@@ -633,7 +633,7 @@ impl Scheme3 {
         (0..3)
             .map(|j| {
                 let key = KEYS[j];
-                let excited = estimator.ignorance(j) < IGNORANT && values[j] > 0.0 && !confounded;
+                let excited = estimator.variance_ratio(j) < IGNORANT && values[j] > 0.0 && !confounded;
                 let Some(stds) = stds.filter(|_| excited) else {
                     return verdict::unknown(key, self.why_not(key, estimator.rows()));
                 };

@@ -1,7 +1,7 @@
 //! Keys, units and types in the convention of other programs, and what to write instead: the nearest name alone would be
 //! accepted with a number that is wrong by a factor.
 
-/// Endings of keys in another unit: given, ours, and what one of it is in ours.
+/// Endings of keys in another unit: given, expected, and the conversion.
 const ENDINGS: [(&str, &str, &str); 31] = [
     ("_rpm", "_rad_s", "1 r/min is 0.10472 rad/s"),
     ("_r_min", "_rad_s", "1 r/min is 0.10472 rad/s"),
@@ -36,7 +36,7 @@ const ENDINGS: [(&str, &str, &str); 31] = [
     ("_kbaud", "baud", "1 kbaud is 1000 bit/s"),
 ];
 
-/// Values of `unit` that a scale has to go with: given, ours, factor.
+/// Values of `unit` that need a scale: given, expected, factor.
 const UNITS: [(&str, &str, &str); 7] = [
     ("mA", "A", "0.001"),
     ("kA", "A", "1000"),
@@ -76,21 +76,22 @@ pub(super) fn help<'a>(
     given: &str,
     allowed: &(impl IntoIterator<Item = &'a str> + Clone),
 ) -> Option<String> {
-    let known = |name: &str| allowed.clone().into_iter().any(|other| other == name);
-    let in_ours = |(other, ours, text): &(&str, &str, &str)| {
-        let name = format!("{}{ours}", given.strip_suffix(other)?);
-        known(&name).then(|| format!("give {name}: {text}"))
+    let is_allowed = |name: &str| allowed.clone().into_iter().any(|other| other == name);
+    let converted = |(ending, expected, text): &(&str, &str, &str)| {
+        let name = format!("{}{expected}", given.strip_suffix(ending)?);
+        is_allowed(&name).then(|| format!("give {name}: {text}"))
     };
-    if let Some(help) = ENDINGS.iter().find_map(in_ours) {
+    if let Some(help) = ENDINGS.iter().find_map(converted) {
         return Some(help);
     }
     let mut units = UNITS.iter();
-    if let Some((other, ours, factor)) = units.find(|unit| unit.0 == given && known(unit.1)) {
-        let help = format!("give unit {ours:?} with scale {factor}: 1 {other} is {factor} {ours}");
-        return Some(help);
+    if let Some((_, unit, factor)) = units.find(|row| row.0 == given && is_allowed(row.1)) {
+        return Some(format!(
+            "give unit {unit:?} with scale {factor}: 1 {given} is {factor} {unit}"
+        ));
     }
-    let plain = given.to_ascii_lowercase();
-    let name = NAMES.iter().find(|name| name.0 == plain && known(name.1))?;
+    let lower = given.to_ascii_lowercase();
+    let name = NAMES.iter().find(|name| name.0 == lower && is_allowed(name.1))?;
     Some(format!("give `{}`", name.1))
 }
 

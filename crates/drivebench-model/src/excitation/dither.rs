@@ -10,7 +10,7 @@ use super::lfsr::Lfsr;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Dither {
-    /// Added or taken away, V.
+    /// Peak of the square wave, V.
     pub amplitude_v: f64,
     /// Time between possible changes of sign, s; 0.02 to 0.05 suits small motors.
     pub clock_s: f64,

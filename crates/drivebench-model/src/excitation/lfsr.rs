@@ -1,4 +1,4 @@
-//! Maximal-length linear-feedback shift register for pseudo-random sequences.
+//! Maximal-length linear-feedback shift register for pseudo-random sequences (Golomb, *Shift Register Sequences*, 1967).
 
 /// A Fibonacci register of 16 bits with taps 16, 15, 13 and 4: x^16 + x^15 + x^13 + x^4 + 1 is primitive, so every state
 /// but zero comes up once in 65,535 steps.

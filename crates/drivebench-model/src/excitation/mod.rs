@@ -27,14 +27,13 @@ pub use piece::{Piece, Target};
 pub use prbs::Prbs;
 pub use program::{Output, Program, Span};
 pub use rest::{CoastDown, Standstill};
-pub use rich::{RICH_SECONDS, rich};
+pub use rich::rich;
 pub use sine::{Chirp, Sine};
 
 use error::Refusal;
 
-/// One kind of excitation before the slew limit. Length and target are those of checked values.
+/// One kind of excitation before the slew limit. Length and target are defined for values that `check` accepts.
 pub trait Excitation {
-    /// Refuses values that make no program.
     fn check(&self) -> Result<(), Refusal>;
 
     fn duration_s(&self) -> f64;

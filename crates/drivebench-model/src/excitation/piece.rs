@@ -65,7 +65,7 @@ pub(super) fn chords(
     corners.map(|to| Piece::line(std::mem::replace(&mut from, to), to)).collect()
 }
 
-/// Makes the pieces end at `end_s`: later ones go, and the last one is cut or extended.
+/// Makes the pieces end at `end_s`: later ones are removed, and the last one is shortened or extended.
 pub(super) fn cut(pieces: &mut Vec<Piece>, end_s: f64) {
     while pieces.last().is_some_and(|piece| piece.start_s >= end_s) {
         pieces.pop();

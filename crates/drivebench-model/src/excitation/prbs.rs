@@ -1,4 +1,4 @@
-//! Pseudo-random binary and multi-level sequences at a fixed clock.
+//! Pseudo-random binary and multi-level sequences at a fixed clock (Ljung, *System Identification*, 1999, section 13.3).
 
 use serde::{Deserialize, Serialize};
 

@@ -41,8 +41,8 @@ pub struct Program {
 }
 
 impl Program {
-    /// The slew limit holds through the whole program, from part to part. A coast-down leaves the voltage where it is
-    /// and the next part begins from 0 V.
+    /// The slew limit holds through the whole program, from part to part, but not at a coast-down: it switches the output off at
+    /// any voltage, and the next part begins from 0 V.
     pub fn new(segments: &[Segment], slew_v_per_s: f64) -> Result<Self, ExcitationError> {
         if !(slew_v_per_s > 0.0 && slew_v_per_s.is_finite()) {
             return Err(ExcitationError::Slew(slew_v_per_s));
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_value_is_named_with_its_place() {
+    fn a_wrong_value_is_named_with_its_position() {
         let prbs = Segment::Prbs(Prbs {
             amplitude_v: 1.0,
             clock_s: 0.0,

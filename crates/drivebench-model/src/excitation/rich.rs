@@ -2,15 +2,12 @@
 
 use super::{Dither, Prbs, Ramp, Segment, Sine, Standstill, Steps};
 
-/// Length of the rich sequence where the slew limit allows it, s.
-pub const RICH_SECONDS: f64 = 12.0;
-
 /// Standstill, bipolar steps over the full range with dither, a slow ramp through zero, a five-level pseudo-random part
 /// of both signs, a slow sine through zero, standstill.
 ///
-/// `voltage_v` is the greatest voltage, dither included; `slew_v_per_s` what the program will be
-/// limited to (300 to 500 for a motor of 0.0045 kg.m2). Another seed gives another run of the same kind, for the
-/// hold-out. With a slow slew limit the steps and the random part take longer, and so does the whole.
+/// `voltage_v` is the greatest voltage, dither included; `slew_v_per_s` the slew limit of the program (300 to 500 for a motor
+/// of 0.0045 kg.m2). The sequence lasts 12 s, longer under a slow slew limit. Another seed gives another run of the same
+/// kind, for the hold-out.
 pub fn rich(voltage_v: f64, slew_v_per_s: f64, seed: u64) -> Vec<Segment> {
     let dither_v = (0.2 * voltage_v).min(5.0);
     let full_v = voltage_v - dither_v;
@@ -39,8 +36,8 @@ pub fn rich(voltage_v: f64, slew_v_per_s: f64, seed: u64) -> Vec<Segment> {
         Segment::Prbs(Prbs {
             amplitude_v: random_v,
             clock_s,
-            // Room for eight changes at least, however slow the slew limit.
-            seconds: (RICH_SECONDS - other_s).max(2.0).max(8.0 * clock_s),
+            // The whole lasts 12 s; a slow slew limit makes it longer, for eight changes at least.
+            seconds: (12.0 - other_s).max(2.0).max(8.0 * clock_s),
             seed: seed.wrapping_add(1),
             offset_v: 0.0,
             levels: 5,
@@ -76,7 +73,7 @@ mod tests {
         for (voltage_v, slew_v_per_s) in [(24.0, 400.0), (48.0, 300.0), (110.0, 400.0), (5.0, 50.0)]
         {
             let program = program(voltage_v, slew_v_per_s, 1);
-            assert!((program.duration_s() - RICH_SECONDS).abs() < 1e-9);
+            assert!((program.duration_s() - 12.0).abs() < 1e-9);
             assert!(program.peak_v() <= voltage_v * (1.0 + 1e-12));
             assert!(program.peak_v() > 0.9 * voltage_v);
             let corners = program.polyline();
@@ -95,7 +92,7 @@ mod tests {
         // A slow slew limit makes it longer and refuses nothing.
         for slew_v_per_s in [100.0, 10.0, 1.0] {
             let slow = program(110.0, slew_v_per_s, 1);
-            assert!(slow.duration_s() > RICH_SECONDS && slow.peak_v() > 99.0);
+            assert!(slow.duration_s() > 12.0 && slow.peak_v() > 99.0);
         }
     }
 

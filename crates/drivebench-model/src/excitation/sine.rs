@@ -1,4 +1,5 @@
-//! Sines as chords: one frequency, and the logarithmic sweep (chirp), whose frequency grows by the same factor in equal times.
+//! Sines as chords: one frequency, and the exponential sweep (chirp; Farina, 108th AES Convention, 2000), whose frequency grows
+//! by the same factor in equal times.
 
 use std::f64::consts::TAU;
 
@@ -37,7 +38,7 @@ impl Excitation for Sine {
     fn target(&self) -> Target {
         // 128 chords per period: none is farther from the sine than (pi / 128)^2 / 2 = 3e-4 of the amplitude, and the peaks are met.
         let chord_s = 1.0 / (self.frequency_hz * 128.0);
-        // A sliver at the end would have no defined slope.
+        // A last chord without length would have no slope.
         let ends = (1..)
             .map(|index| f64::from(index) * chord_s)
             .take_while(|end_s| *end_s < self.seconds - 1e-6 * chord_s);
@@ -46,11 +47,11 @@ impl Excitation for Sine {
     }
 }
 
-/// A logarithmic sweep about an offset: `f(t) = from (to/from)^(t/T)`.
+/// An exponential sweep about an offset: `f(t) = from (to/from)^(t/T)`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Chirp {
-    /// Peak beside the offset, V; at high frequencies what the slew limit leaves of it.
+    /// Peak from the offset, V; the slew limit reduces it at high frequencies.
     pub amplitude_v: f64,
     pub from_hz: f64,
     pub to_hz: f64,
@@ -61,16 +62,17 @@ pub struct Chirp {
 }
 
 impl Chirp {
+    /// Integral of the frequency from 0 to `time_s`: the phase over 2 pi.
     fn periods_at(&self, time_s: f64) -> f64 {
-        let octaves = (self.to_hz / self.from_hz).ln();
-        self.from_hz * self.seconds / octaves * (octaves * time_s / self.seconds).exp_m1()
+        let log_ratio = (self.to_hz / self.from_hz).ln();
+        self.from_hz * self.seconds / log_ratio * (log_ratio * time_s / self.seconds).exp_m1()
     }
 
-    /// When so many periods have passed, s.
+    /// The inverse of [`Self::periods_at`], s.
     fn time_of(&self, periods: f64) -> f64 {
-        let octaves = (self.to_hz / self.from_hz).ln();
-        let grown = periods * octaves / (self.from_hz * self.seconds);
-        self.seconds / octaves * grown.ln_1p()
+        let log_ratio = (self.to_hz / self.from_hz).ln();
+        let growth = periods * log_ratio / (self.from_hz * self.seconds);
+        self.seconds / log_ratio * growth.ln_1p()
     }
 }
 
@@ -100,7 +102,7 @@ impl Excitation for Chirp {
     fn target(&self) -> Target {
         // 64 chords per period: none is farther from the sine than (pi / 64)^2 / 2 = 1.2e-3 of the amplitude.
         let ends = (1..).map(|chord| self.time_of(f64::from(chord) / 64.0));
-        // A sliver at the end would have no defined slope.
+        // A last chord without length would have no slope.
         let last_s = self.seconds - 1e-3 / (self.to_hz * 64.0);
         let ends = ends.take_while(|end_s| *end_s < last_s);
         let value_v =

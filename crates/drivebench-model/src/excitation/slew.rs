@@ -21,7 +21,7 @@ impl SlewLimit {
         let mut time_s = target.start_s;
         if gap_v != 0.0 {
             let rate = self.rate_v_per_s.copysign(gap_v);
-            // How fast the gap closes; where the target runs away it does not.
+            // Rate at which the gap closes, V/s; not positive where the target moves away faster than the limit.
             let closing = rate.abs() - slope * gap_v.signum();
             let meet_s = time_s + gap_v.abs() / closing;
             if closing <= 0.0 || meet_s >= target.end_s {
@@ -95,9 +95,9 @@ mod tests {
                 let steps = 2000;
                 let step_s = length_s / f64::from(steps);
                 for step in 1..=steps {
-                    let wanted = target.value(start_s + f64::from(step) * step_s);
-                    let most = rate_v_per_s * step_s;
-                    stepped_v += (wanted - stepped_v).clamp(-most, most);
+                    let target_v = target.value(start_s + f64::from(step) * step_s);
+                    let most_v = rate_v_per_s * step_s;
+                    stepped_v += (target_v - stepped_v).clamp(-most_v, most_v);
                 }
                 start_s += length_s;
                 prop_assert!((stepped_v - limit.voltage_v).abs() < 0.2, "{} {}", stepped_v, limit.voltage_v);

@@ -1,4 +1,6 @@
-//! Low-pass filtering of equidistant values: Butterworth as second-order sections, forwards, or forwards and backwards.
+//! Low-pass filtering of equidistant values: Butterworth as second-order sections (Oppenheim and Schafer, *Discrete-Time Signal
+//! Processing*, chapters 6 and 7), forwards, or forwards and backwards (zero phase; Gustafsson, *IEEE Trans. Signal
+//! Processing* 44, 1996); the natural cubic spline (de Boor, *A Practical Guide to Splines*, 1978).
 
 use std::f64::consts::PI;
 
@@ -9,7 +11,7 @@ struct Section {
     a: [f64; 2],
 }
 
-/// A digital Butterworth low pass: gain one at standstill, `1/sqrt(2)` at the cut-off, monotonic between.
+/// A digital Butterworth low pass: gain one at frequency zero, `1/sqrt(2)` at the cut-off, monotonic between.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Butterworth {
     order: usize,
@@ -53,7 +55,7 @@ impl Butterworth {
         };
         for section in &self.sections {
             let Section { b, a } = section;
-            // Every section passes a constant unchanged, so that its state of rest follows from the first value.
+            // Every section passes a constant unchanged, so that its steady state follows from the first value.
             let mut z = [(1.0 - b[0]) * first, (b[2] - a[1]) * first];
             for value in &mut out {
                 let x = *value;
@@ -65,36 +67,34 @@ impl Butterworth {
         out
     }
 
-    /// Forwards and backwards: no phase shift, the gain squared. The ends are continued by their reflection in the end
-    /// point over three times the filter's length, as `scipy.signal.sosfiltfilt` does; a shorter signal is continued by
-    /// what it has.
+    /// Forwards and backwards: no phase shift, the gain squared. The ends are extended by their reflection in the end
+    /// point over three times the filter's length, as `scipy.signal.sosfiltfilt` does, or over the whole of a shorter signal.
     pub fn zero_phase(&self, values: &[f64]) -> Vec<f64> {
         let Some(&last) = values.last() else {
             return Vec::new();
         };
         let first = values[0];
-        let reach = (3 * (self.order + 1)).min(values.len() - 1);
-        let mut padded = Vec::with_capacity(values.len() + 2 * reach);
-        padded.extend(values[1..=reach].iter().rev().map(|v| 2.0 * first - v));
+        let padding = (3 * (self.order + 1)).min(values.len() - 1);
+        let mut padded = Vec::with_capacity(values.len() + 2 * padding);
+        padded.extend(values[1..=padding].iter().rev().map(|v| 2.0 * first - v));
         padded.extend_from_slice(values);
-        let tail = &values[values.len() - 1 - reach..values.len() - 1];
+        let tail = &values[values.len() - 1 - padding..values.len() - 1];
         padded.extend(tail.iter().rev().map(|v| 2.0 * last - v));
         let mut out = self.forward(&padded);
         out.reverse();
         out = self.forward(&out);
         out.reverse();
-        out[reach..reach + values.len()].to_vec()
+        out[padding..padding + values.len()].to_vec()
     }
 }
 
 /// Every `factor`-th value from `offset` on. The values must have been low-passed below half of the new rate.
 pub fn decimated(values: &[f64], factor: usize, offset: usize) -> Vec<f64> {
-    let kept = values.iter().skip(offset).step_by(factor.max(1));
-    kept.copied().collect()
+    values.iter().skip(offset).step_by(factor.max(1)).copied().collect()
 }
 
-/// Natural cubic spline through `points` (abscissae strictly increasing) at the ascending places `at`; beyond the ends the
-/// end cubic goes on. Fewer than three points are joined by a line.
+/// Natural cubic spline through `points` (abscissae strictly increasing) at the ascending abscissae `at`; beyond the ends the
+/// end cubic is extrapolated. Two points give their line.
 pub fn spline(points: &[(f64, f64)], at: &[f64]) -> Vec<f64> {
     let n = points.len();
     if n < 2 {

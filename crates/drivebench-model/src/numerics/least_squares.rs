@@ -3,15 +3,12 @@
 
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 
-/// Smallest eigenvalue of the scaled normal matrix for a direction to count as determined. Forward differences leave
-/// about 1e-6 of a direction that is not (measured: 1.3e-6 without a speed, 0.06 and more where all is determined).
-const UNDETERMINED: f64 = 1e-5;
-
 /// Solution of `matrix x = right` in the least-squares sense.
 #[derive(Clone, Debug)]
 pub struct Solution {
     pub x: DVector<f64>,
-    /// `A G A` with the meat summed over blocks; a parameter that the data leave undetermined has a NaN variance.
+    /// Sandwich `A G A`: bread `A = (J'J)^-1`, meat `G` of the scores summed over blocks. A parameter that the data do not
+    /// determine has a NaN variance.
     pub covariance: DMatrix<f64>,
     pub residual: DVector<f64>,
 }
@@ -44,7 +41,7 @@ fn scaled_to_one(columns: &mut DMatrix<f64>) -> Vec<f64> {
 pub fn ridge(mut columns: DMatrix<f64>, right: &DVector<f64>) -> (DVector<f64>, f64) {
     let scales = scaled_to_one(&mut columns);
     let projected = columns.tr_mul(right);
-    // Tikhonov damping: a column of zeros, or one that repeats another, stays at zero.
+    // Ridge (Tikhonov) regularisation: a column of zeros has the coefficient zero, equal columns share theirs.
     let normal = columns.tr_mul(&columns) + DMatrix::identity(scales.len(), scales.len()) * 1e-10;
     let mut solution = normal
         .cholesky()
@@ -68,58 +65,60 @@ pub fn solve_rows<const M: usize, const N: usize>(rows: &[[f64; M]]) -> Option<[
     Some(std::array::from_fn(|index| solution[index] / norms[index]))
 }
 
-/// Coefficients with their standard deviations, and the root mean square of what is left over that of the right-hand side.
+/// Coefficients with their standard deviations.
 pub struct NormalFit<const N: usize> {
     pub x: [f64; N],
     pub std: [f64; N],
+    /// Root mean square of the residual over that of the right-hand side.
     pub error: f64,
 }
 
-/// Least squares by normal equations of scaled columns, for a few coefficients. Rows with a missing value are left out; `None`
-/// where a coefficient is not determined: the others leave less than `least_own` of its column.
+/// Least squares by normal equations of scaled columns, for a few coefficients. Rows with a missing value are left out. `None`
+/// where a coefficient is not determined: its tolerance, the share of its column that the other columns do not explain (one
+/// over the variance inflation factor), is below `least_tolerance`.
 pub fn fit_normal<const N: usize>(
     rows: &[([f64; N], f64)],
-    least_own: f64,
+    least_tolerance: f64,
 ) -> Option<NormalFit<N>> {
-    let is_good = |(x, y): &&([f64; N], f64)| y.is_finite() && x.iter().all(|x| x.is_finite());
-    let good = || rows.iter().filter(is_good);
-    let count = good().count();
+    let is_complete = |(x, y): &&([f64; N], f64)| y.is_finite() && x.iter().all(|x| x.is_finite());
+    let complete = || rows.iter().filter(is_complete);
+    let count = complete().count();
     if count < 4 * N {
         return None;
     }
-    let mut scale = [0.0_f64; N];
-    let mut level = 0.0;
-    for (x, y) in good() {
-        for (scale, x) in scale.iter_mut().zip(x) {
-            *scale += x * x;
+    let mut squares = [0.0_f64; N];
+    let mut total_square = 0.0;
+    for (x, y) in complete() {
+        for (square, x) in squares.iter_mut().zip(x) {
+            *square += x * x;
         }
-        level += y * y;
+        total_square += y * y;
     }
-    let scale = scale.map(f64::sqrt);
-    if level <= 0.0 || scale.iter().any(|scale| *scale <= 0.0) {
+    let scale = squares.map(f64::sqrt);
+    if total_square <= 0.0 || scale.iter().any(|scale| *scale <= 0.0) {
         return None;
     }
     let mut normal = SMatrix::<f64, N, N>::zeros();
     let mut right = SVector::<f64, N>::zeros();
-    for (x, y) in good() {
+    for (x, y) in complete() {
         let x = SVector::<f64, N>::from_fn(|index, _| x[index] / scale[index]);
         normal += x * x.transpose();
         right += x * *y;
     }
     let inverse = normal.try_inverse()?;
-    // The inverse's diagonal is one over the share of a column that the others do not explain.
-    if (0..N).any(|k| !(inverse[(k, k)] > 0.0 && inverse[(k, k)] < 1.0 / least_own)) {
+    // The diagonal of the inverse of a correlation matrix is the variance inflation factor.
+    if (0..N).any(|k| !(inverse[(k, k)] > 0.0 && inverse[(k, k)] < 1.0 / least_tolerance)) {
         return None;
     }
     let solution = inverse * right;
     let residual =
         |(x, y): &([f64; N], f64)| y - (0..N).map(|k| solution[k] * x[k] / scale[k]).sum::<f64>();
-    let left: f64 = good().map(|row| residual(row).powi(2)).sum();
-    let variance = left / (count - N) as f64;
+    let residual_square: f64 = complete().map(|row| residual(row).powi(2)).sum();
+    let variance = residual_square / (count - N) as f64;
     Some(NormalFit {
         x: std::array::from_fn(|k| solution[k] / scale[k]),
         std: std::array::from_fn(|k| (variance * inverse[(k, k)]).sqrt() / scale[k]),
-        error: (left / level).sqrt(),
+        error: (residual_square / total_square).sqrt(),
     })
 }
 
@@ -145,8 +144,8 @@ pub fn clustered(
     }
     let blocks = scores.len();
     let mut covariance = if blocks < 8.max(unknowns + 2) {
-        let spare = residual.len().saturating_sub(unknowns).max(1) as f64;
-        bread * (residual.norm_squared() / spare)
+        let freedom = residual.len().saturating_sub(unknowns).max(1) as f64;
+        bread * (residual.norm_squared() / freedom)
     } else {
         let mut meat = DMatrix::zeros(unknowns, unknowns);
         for score in &scores {
@@ -176,9 +175,9 @@ pub fn inverse_of_normal(normal: &DMatrix<f64>) -> (DMatrix<f64>, Vec<bool>) {
     let diagonal = normal.diagonal();
     let norms: Vec<f64> = diagonal.iter().map(|square| square.sqrt()).collect();
     let largest = norms.iter().copied().fold(0.0, f64::max);
-    let is_known = |norm: &f64| *norm > 1e-12 * largest && *norm > 0.0;
-    let mut determined: Vec<bool> = norms.iter().map(is_known).collect();
-    let scale = |norm: &f64| if is_known(norm) { 1.0 / norm } else { 0.0 };
+    let has_size = |norm: &f64| *norm > 1e-12 * largest && *norm > 0.0;
+    let mut determined: Vec<bool> = norms.iter().map(has_size).collect();
+    let scale = |norm: &f64| if has_size(norm) { 1.0 / norm } else { 0.0 };
     let scales: Vec<f64> = norms.iter().map(scale).collect();
     let rescaled = |matrix: &DMatrix<f64>| {
         let cell = |r, c| matrix[(r, c)] * scales[r] * scales[c];
@@ -188,7 +187,9 @@ pub fn inverse_of_normal(normal: &DMatrix<f64>) -> (DMatrix<f64>, Vec<bool>) {
     let mut inverse = DMatrix::zeros(unknowns, unknowns);
     let directions = eigen.eigenvectors.column_iter();
     for (value, vector) in eigen.eigenvalues.iter().zip(directions) {
-        if *value > UNDETERMINED {
+        // Forward differences leave about 1e-6 of a direction that is not determined (measured: 1.3e-6 without a speed, 0.06 and
+        // more where all is determined).
+        if *value > 1e-5 {
             inverse += vector * vector.transpose() / *value;
         } else {
             for (index, component) in vector.iter().enumerate() {

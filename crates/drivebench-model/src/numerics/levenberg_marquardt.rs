@@ -1,5 +1,6 @@
 //! Levenberg-Marquardt (Marquardt 1963) for a least-squares problem whose residual is a simulation: forward differences where
-//! slopes are not known, Marquardt scaling, clipped steps, and optional rank-one updates of the Jacobian (Broyden 1965).
+//! no column of the Jacobian is given, Marquardt scaling, clipped steps, and optional rank-one updates of the Jacobian
+//! (Broyden 1965; Dennis and Schnabel 1983, section 8.1).
 
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -13,10 +14,11 @@ pub trait Problem: Sync {
     fn difference_step(&self, index: usize) -> f64;
     /// Keeps `x` within its bounds.
     fn clamp(&self, x: &mut [f64]);
-    /// For each parameter its column of the Jacobian at `x`, where it is known otherwise than by differences.
+    /// For each parameter its column of the Jacobian at `x`, where the problem computes it without differences.
     fn slopes(&self, x: &[f64]) -> Vec<Option<Vec<f64>>> {
         vec![None; x.len()]
     }
+    /// Whether the search has to end here, converged or not: its budget is used up.
     fn is_spent(&self) -> bool {
         false
     }
@@ -28,11 +30,11 @@ pub struct Options {
     /// Stops when the cost falls by less than this share.
     pub relative_cost: f64,
     pub longest_step: f64,
-    /// Updates the Jacobian from step to step by rank-one corrections (Broyden) and takes differences anew only where a step
-    /// gains little. Saves most of the simulations; the Jacobian at the end is then approximate.
+    /// Updates the Jacobian by Broyden's rank-one corrections and computes differences again only where a step gains little.
+    /// Saves most of the simulations; the Jacobian at the end is then approximate.
     pub carry_jacobian: bool,
-    /// Takes the differences of a residual longer than 200,000 one after the other: where several searches run side by side,
-    /// each would hold a Jacobian of its own while it waits for the others.
+    /// Several searches run in parallel: computes the differences of a residual longer than 200,000 one after the other, so
+    /// that the Jacobians of all searches are not in memory at the same time.
     pub one_of_many: bool,
 }
 
@@ -49,7 +51,7 @@ impl Default for Options {
 }
 
 impl Options {
-    /// For the comparison of many candidates: a tenth of a per mille of the cost decides nothing between them.
+    /// For the comparison of many candidates: a relative cost of 1e-4 does not change their order.
     pub const fn thrifty() -> Self {
         Self {
             most_iterations: 15,
@@ -73,14 +75,6 @@ pub struct Minimum {
     pub converged: bool,
 }
 
-impl Minimum {
-    /// Without residual and Jacobian: where only the end of the search counts, and many are kept.
-    #[must_use]
-    pub fn brief(self) -> Self {
-        Self { residual: Vec::new(), jacobian: DMatrix::zeros(0, 0), ..self }
-    }
-}
-
 /// Minimises the sum of squares from `start`; `None` when the residual cannot be evaluated there.
 pub fn minimise(problem: &impl Problem, start: &[f64], options: Options) -> Option<Minimum> {
     let mut search = Search::at(problem, start)?;
@@ -89,15 +83,15 @@ pub fn minimise(problem: &impl Problem, start: &[f64], options: Options) -> Opti
     if options.most_iterations > 0 {
         search.jacobian = differences(problem, &search.x, &search.residual, in_parallel);
     }
-    // Whether the Jacobian was differenced where the search stands.
+    // Whether the Jacobian is that of differences at the present point.
     let mut exact = true;
     while iterations < options.most_iterations && !converged && !problem.is_spent() {
         iterations += 1;
         let before = search.cost;
         let normal = search.jacobian.tr_mul(&search.jacobian);
         let gradient = search.jacobian.tr_mul(&DVector::from_column_slice(&search.residual));
-        // Where even a linear problem would gain nothing, no step need be tried.
-        let can_gain = promised(&normal, &gradient) > 0.3 * options.relative_cost * before;
+        // Where even a linear problem would gain nothing, no step is tried.
+        let can_gain = predicted(&normal, &gradient) > 0.3 * options.relative_cost * before;
         let trials = if exact { 8 } else { 2 };
         let step =
             can_gain.then(|| search.step(problem, options, (&normal, &gradient), trials)).flatten();
@@ -110,10 +104,10 @@ pub fn minimise(problem: &impl Problem, start: &[f64], options: Options) -> Opti
             continue;
         }
         let Some(step) = step else {
-            // Where much is promised and no step keeps it, the slopes are wrong or the residual is not smooth: no minimum. A gain
-            // of a quarter of a mean square moves no parameter by more than half of its standard deviation and is negligible:
-            // where friction holds and releases, fits end a tenth away as a rule.
-            let within = search.promised_within_bounds(problem, &normal, &gradient);
+            // Where the predicted reduction is large and no step reaches it, the Jacobian is wrong or the residual is not smooth: no
+            // minimum. A gain of a quarter of a mean square moves no parameter by more than half of its standard deviation and is
+            // negligible: with stick-slip a fit usually ends a tenth of a standard deviation from its minimum.
+            let within = search.predicted_within_bounds(problem, &normal, &gradient);
             let negligible = 0.25 / search.residual.len().max(1) as f64;
             converged = within <= options.relative_cost.max(negligible) * before;
             break;
@@ -138,8 +132,9 @@ pub fn minimise(problem: &impl Problem, start: &[f64], options: Options) -> Opti
     })
 }
 
-/// Reduction of the cost by a full step if the residual were linear; infinite where the normal matrix has no inverse.
-fn promised(normal: &DMatrix<f64>, gradient: &DVector<f64>) -> f64 {
+/// Predicted reduction: of the cost by a Gauss-Newton step if the residual were linear; infinite where the normal matrix has no
+/// inverse.
+fn predicted(normal: &DMatrix<f64>, gradient: &DVector<f64>) -> f64 {
     let mut damped = normal.clone();
     for index in 0..gradient.len() {
         damped[(index, index)] += 1e-9 * normal[(index, index)] + 1e-300;
@@ -149,7 +144,7 @@ fn promised(normal: &DMatrix<f64>, gradient: &DVector<f64>) -> f64 {
 
 /// The change of a step and the residual before it.
 struct Step {
-    moved: Vec<f64>,
+    change: Vec<f64>,
     residual_before: Vec<f64>,
 }
 
@@ -205,15 +200,15 @@ impl Search {
                 }
                 problem.clamp(&mut self.trial);
                 if problem.residual(&self.trial, &mut self.trial_residual) {
-                    let there = sum_of_squares(&self.trial_residual);
-                    if there < self.cost {
-                        self.cost = there;
+                    let cost = sum_of_squares(&self.trial_residual);
+                    if cost < self.cost {
+                        self.cost = cost;
                         std::mem::swap(&mut self.x, &mut self.trial);
                         std::mem::swap(&mut self.residual, &mut self.trial_residual);
                         self.damping = (self.damping * 0.1).max(1e-9);
-                        // After the swaps the trial vectors hold what was before.
+                        // After the swaps the trial vectors are the earlier point and residual.
                         return Some(Step {
-                            moved: self.x.iter().zip(&self.trial).map(|(x, y)| x - y).collect(),
+                            change: self.x.iter().zip(&self.trial).map(|(x, y)| x - y).collect(),
                             residual_before: self.trial_residual.clone(),
                         });
                     }
@@ -224,8 +219,8 @@ impl Search {
         None
     }
 
-    /// The promised reduction by those parameters that a full step would not take out of their bounds.
-    fn promised_within_bounds(
+    /// The predicted reduction by those parameters that are not at a bound which the gradient points to.
+    fn predicted_within_bounds(
         &self,
         problem: &impl Problem,
         normal: &DMatrix<f64>,
@@ -234,32 +229,33 @@ impl Search {
         let is_free = |index: &usize| {
             let mut moved = self.x.clone();
             moved[*index] -= problem.difference_step(*index).copysign(gradient[*index]);
-            let there = moved[*index];
+            let unclamped = moved[*index];
             problem.clamp(&mut moved);
-            (moved[*index] - there).abs() < 1e-12
+            (moved[*index] - unclamped).abs() < 1e-12
         };
         let free: Vec<usize> = (0..self.x.len()).filter(is_free).collect();
         let normal = normal.select_rows(&free).select_columns(&free);
-        promised(&normal, &gradient.select_rows(&free))
+        predicted(&normal, &gradient.select_rows(&free))
     }
 
-    /// Broyden's correction: the smallest change of the Jacobian that makes the last step's residual right.
+    /// Broyden's update: the smallest change of the Jacobian that predicts the last change of the residual, by the secant
+    /// equation `J dx = dr`.
     fn correct(&mut self, step: &Step) {
-        let length: f64 = step.moved.iter().map(|moved| moved * moved).sum();
-        if length <= 0.0 {
+        let change = DVector::from_column_slice(&step.change);
+        let square: f64 = step.change.iter().map(|dx| dx * dx).sum();
+        if square <= 0.0 {
             return;
         }
-        let moved = DVector::from_column_slice(&step.moved);
-        let predicted = &self.jacobian * &moved;
-        let missed = DVector::from_fn(self.residual.len(), |row, _| {
-            (self.residual[row] - step.residual_before[row] - predicted[row]) / length
+        let predicted = &self.jacobian * &change;
+        let error = DVector::from_fn(self.residual.len(), |row, _| {
+            (self.residual[row] - step.residual_before[row] - predicted[row]) / square
         });
-        self.jacobian.ger(1.0, &missed, &moved, 1.0);
+        self.jacobian.ger(1.0, &error, &change, 1.0);
     }
 }
 
-/// The Jacobian, by forward differences where the problem does not give its slopes; a direction that cannot be evaluated
-/// forwards is tried backwards, else it is zero. The result is the same for any number of threads.
+/// The Jacobian, by forward differences where the problem does not give a column; a difference that cannot be evaluated forwards
+/// is taken backwards, else the column is zero. The result is the same for any number of threads.
 pub fn jacobian_at(problem: &impl Problem, x: &[f64], residual: &[f64]) -> DMatrix<f64> {
     differences(problem, x, residual, true)
 }
@@ -274,12 +270,11 @@ fn differences(
     if residual.is_empty() {
         return jacobian;
     }
-    let known = problem.slopes(x);
-    let fill = |(index, column): (usize, &mut [f64])| match &known[index] {
+    let given = problem.slopes(x);
+    let fill = |(index, column): (usize, &mut [f64])| match &given[index] {
         Some(slope) => column.copy_from_slice(slope),
         None => difference(problem, x, residual, index, column),
     };
-    // Column after column in memory.
     let (cells, rows) = (jacobian.as_mut_slice(), residual.len());
     if in_parallel {
         cells.par_chunks_mut(rows).enumerate().for_each(fill);
@@ -305,8 +300,8 @@ fn difference(
         problem.clamp(&mut clamped);
         let inside = (clamped[index] - moved[index]).abs() < 1e-12;
         if inside && problem.residual(&moved, column) {
-            for (value, here) in column.iter_mut().zip(residual) {
-                *value = (*value - here) / step;
+            for (value, before) in column.iter_mut().zip(residual) {
+                *value = (*value - before) / step;
             }
             return;
         }
@@ -325,7 +320,7 @@ mod tests {
     struct Decay {
         data: Vec<f64>,
         can_evaluate: bool,
-        misleads: bool,
+        has_wrong_slopes: bool,
     }
 
     impl Problem for Decay {
@@ -349,14 +344,14 @@ mod tests {
         }
 
         fn slopes(&self, x: &[f64]) -> Vec<Option<Vec<f64>>> {
-            let uphill = |slope: f64| self.misleads.then(|| vec![slope; self.data.len()]);
+            let uphill = |slope: f64| self.has_wrong_slopes.then(|| vec![slope; self.data.len()]);
             [-1.0, 0.0].map(uphill)[..x.len()].to_vec()
         }
     }
 
     fn decay(gain: f64) -> Decay {
         let data = (0..30).map(|k| gain * (-0.2 * f64::from(k)).exp());
-        Decay { data: data.collect(), can_evaluate: true, misleads: false }
+        Decay { data: data.collect(), can_evaluate: true, has_wrong_slopes: false }
     }
 
     #[test]
@@ -380,7 +375,7 @@ mod tests {
         let minimum = minimise(&decay(30.0), &[1.0, -3.0], options).unwrap();
         assert!(minimum.x[0] <= 10.0 && minimum.converged, "{minimum:?}");
         let mut problem = decay(3.0);
-        problem.misleads = true;
+        problem.has_wrong_slopes = true;
         let minimum = minimise(&problem, &[0.3, 0.2f64.ln()], Options::default()).unwrap();
         assert!(!minimum.converged && minimum.cost > 1.0, "{minimum:?}");
         problem.can_evaluate = false;

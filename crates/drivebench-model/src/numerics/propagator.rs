@@ -1,23 +1,25 @@
-//! Exact propagation of the linear part over one interval: `x(t) = Phi x(0) + Gamma g` for `dx/dt = A x + g`.
+//! Variation of constants over one interval: `x(t) = Phi x(0) + Gamma g` for `dx/dt = A x + g` with constant `g` (zero-order
+//! hold; Astrom and Wittenmark, *Computer-Controlled Systems*, section 2.3).
 
 pub type M2 = [[f64; 2]; 2];
 
-/// `Phi = exp(A t)` and `Gamma = integral of exp(A s) ds from 0 to t`, in closed form from the eigenvalues of `A`.
+/// `Phi = exp(A t)` and `Gamma = integral of exp(A s) ds from 0 to t`, in closed form: by Cayley-Hamilton both are
+/// `c I + s (A - m I)` with `c`, `s` from the eigenvalues of `A` and `m` their mean (Moler and Van Loan 2003, method 8).
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Propagator {
     pub phi: M2,
     pub gamma: M2,
 }
 
-/// `A` with what its exponential over any interval needs: most of the work is done once.
+/// `A` with the quantities that its exponential over any interval needs.
 #[derive(Clone, Copy, Debug)]
 pub struct LinearPart {
     a: M2,
-    /// Mean of the eigenvalues, and the square of their half distance.
+    /// Mean of the eigenvalues, and the square of their half distance (negative for a complex pair).
     mean: f64,
     square: f64,
     determinant: f64,
-    /// Largest eigenvalue by size, roughly.
+    /// Bound of the absolute values of the eigenvalues.
     size: f64,
     real: Option<RealEigenvalues>,
 }
@@ -71,7 +73,7 @@ impl LinearPart {
                 // exp(x) - 1 = h (h + 2) with h = exp(x/2) - 1: one exponential serves both.
                 let half = real.each.map(|rate| (0.5 * rate * t).exp_m1());
                 let whole = half.map(|h| h * (h + 2.0));
-                let over = |grown, t| self.assemble(real, grown, t);
+                let over = |expm1, t| self.assemble(real, expm1, t);
                 (over(whole, t), over(half, 0.5 * t))
             }
             _ => (self.over(t), self.over(0.5 * t)),
@@ -79,16 +81,16 @@ impl LinearPart {
     }
 
     /// From `exp(rate t) - 1` of both eigenvalues.
-    fn assemble(&self, real: &RealEigenvalues, grown: [f64; 2], t: f64) -> Propagator {
+    fn assemble(&self, real: &RealEigenvalues, expm1: [f64; 2], t: f64) -> Propagator {
         let integral = |k: usize| match real.each[k] {
             0.0 => t,
-            _ => grown[k] * real.inverse[k],
+            _ => expm1[k] * real.inverse[k],
         };
         let combined = |constant: f64, [one, two]: [f64; 2]| {
             let sum = constant + 0.5 * (one + two);
             combine(&self.a, self.mean, sum, (one - two) * real.over_distance)
         };
-        Propagator { phi: combined(1.0, grown), gamma: combined(0.0, [integral(0), integral(1)]) }
+        Propagator { phi: combined(1.0, expm1), gamma: combined(0.0, [integral(0), integral(1)]) }
     }
 
     /// Complex or nearly equal eigenvalues.
@@ -125,7 +127,7 @@ impl Propagator {
         ]
     }
 
-    /// This interval and another one after it, the forcing constant over both.
+    /// This interval followed by another one, the forcing constant over both.
     #[must_use]
     pub fn then(&self, next: &Self) -> Self {
         let mut gamma = multiply(&next.phi, &self.gamma);

@@ -1,14 +1,15 @@
-//! Recursive least squares with factored covariance and forgetting gated by excitation.
+//! Recursive least squares with factored covariance, and exponential forgetting only while the rows excite.
 //!
 //! `P = U D U'` (U unit upper triangular, D diagonal): Bierman, *Factorization Methods for Discrete Sequential
-//! Estimation* (1977), chapter V; it stays positive in floating point where the plain form does not. There is no wind-up:
-//! rows forget only while they excite, and never beyond the prior variance. `news` of a row is `psi' P psi`.
+//! Estimation* (1977), chapter V; it stays positive in floating point where the plain form does not. Covariance wind-up
+//! (Astrom and Wittenmark, *Adaptive Control*, chapter 11) is avoided: rows forget only while their leverage `psi' P psi` is
+//! large, and never beyond the prior variance.
 
 use super::clustered_spread::ClusteredSpread;
 
-/// The noise of a row as the difference of two errors of unit variance, `e_end - carry e_begin`.
+/// Moving-average noise of a row: the difference of two errors of unit variance, `e_end - carry e_begin`.
 ///
-/// Rows between consecutive samples share a sample: without this the standard deviations would be far too large.
+/// Rows between consecutive samples share a sample: as white noise their standard deviations would be far too large.
 #[derive(Clone, Copy, Debug)]
 pub struct RowNoise {
     pub carry: f64,
@@ -26,9 +27,9 @@ impl RowNoise {
 #[derive(Clone, Debug)]
 pub struct RecursiveLeastSquares<const N: usize> {
     forgetting: f64,
-    /// `1 / forgetting`, and the news below which forgetting pauses.
+    /// `1 / forgetting`, and the mean leverage below which forgetting pauses.
     growth: f64,
-    least_news: f64,
+    least_leverage: f64,
     /// Size of each parameter: the algebra runs on `parameter / scale`.
     scale: [f64; N],
     scaled: [f64; N],
@@ -38,30 +39,26 @@ pub struct RecursiveLeastSquares<const N: usize> {
     /// Diagonal of `P`.
     variance: [f64; N],
     prior: f64,
-    /// Covariance of the scaled parameters for errors of unit variance, propagated with the gains that were really used.
+    /// `Q`: covariance of the scaled parameters for errors of unit variance, propagated with the gains of the recursion.
     spread: [[f64; N]; N],
-    /// Covariance of the scaled parameters with the error of the last sample.
+    /// `s`: covariance of the scaled parameters with the error of the last sample.
     shared: [f64; N],
-    /// The same where neighbouring rows err together.
+    /// Covariance for correlated errors of neighbouring rows.
     clustered: Option<Box<ClusteredSpread<N>>>,
     noise_sum: f64,
     noise_weight: f64,
     rows: u64,
-    recent_news: f64,
+    recent_leverage: f64,
 }
 
 impl<const N: usize> RecursiveLeastSquares<N> {
-    /// Forgetting pauses while the recent mean of `psi' P psi` is below this many times `1 - lambda`. In the mean it is the
-    /// number of directions that the rows excite: a machine at constant speed excites one, and the others would be forgotten.
-    const LEAST_NEWS: f64 = if N > 1 { 1.2 } else { 0.0 };
-
     /// `scale` gives the size of each parameter (positive), `prior` the variance of `parameter / scale` before any data
     /// in units of the noise variance; `forgetting` is limited to 0.5..1.
     pub fn new(start: [f64; N], scale: [f64; N], prior: f64, forgetting: f64) -> Self {
-        let mut made = Self {
+        let mut estimator = Self {
             forgetting: 1.0,
             growth: 1.0,
-            least_news: 0.0,
+            least_leverage: 0.0,
             scale,
             scaled: std::array::from_fn(|j| start[j] / scale[j]),
             upper: [[0.0; N]; N],
@@ -76,13 +73,13 @@ impl<const N: usize> RecursiveLeastSquares<N> {
             noise_sum: 0.0,
             noise_weight: 0.0,
             rows: 0,
-            recent_news: 1.0,
+            recent_leverage: 1.0,
         };
-        made.set_forgetting(forgetting);
-        made
+        estimator.set_forgetting(forgetting);
+        estimator
     }
 
-    /// With standard deviations that also hold where neighbouring rows err together.
+    /// With standard deviations that also hold for correlated errors of neighbouring rows.
     #[must_use]
     pub fn clustered(mut self) -> Self {
         self.clustered = Some(Box::new(ClusteredSpread::new()));
@@ -100,28 +97,29 @@ impl<const N: usize> RecursiveLeastSquares<N> {
         // A regressor that is not finite leaves an innovation that is not.
         let innovation = value - dot(&psi, &self.scaled);
         let f = self.projected(&psi);
-        let news: f64 = (0..N).map(|j| f[j] * f[j] * self.diagonal[j]).sum();
-        if !(innovation.is_finite() && news.is_finite()) {
+        let leverage: f64 = (0..N).map(|j| f[j] * f[j] * self.diagonal[j]).sum();
+        if !(innovation.is_finite() && leverage.is_finite()) {
             return None;
         }
-        self.recent_news += (news.min(1.0) - self.recent_news) * (1.0 / 16.0);
-        let forgets = self.recent_news >= self.least_news
+        // Exponential mean over 16 rows.
+        self.recent_leverage += (leverage.min(1.0) - self.recent_leverage) * (1.0 / 16.0);
+        let forgets = self.recent_leverage >= self.least_leverage
             && self.variance.iter().all(|variance| *variance < self.prior);
         // Before the divisions of the gain, so that a processor overlaps both.
-        let foreseen = self.foresee_spread(&psi, noise);
+        let terms = self.spread_terms(&psi, noise);
         let growth = if forgets { self.growth } else { 1.0 };
-        let (gain, news) = self.measure(&f, growth);
+        let (gain, leverage) = self.measure(&f, growth);
         for (parameter, gain) in self.scaled.iter_mut().zip(&gain) {
             *parameter += gain * innovation;
         }
-        self.propagate_spread(foreseen, &gain);
+        self.propagate_spread(terms, &gain);
         if let Some(clustered) = &mut self.clustered {
-            clustered.take(&psi, &gain, innovation / (1.0 + news));
+            clustered.take(&psi, &gain, innovation / (1.0 + leverage));
         }
-        // Rows that the parameters still follow freely tell nothing about the noise.
-        if news < 10.0 {
-            let carried = 1.0 + noise.carry * noise.carry;
-            let square = innovation * innovation / ((1.0 + news) * carried);
+        // While the prior dominates, the innovation is that of the parameters, not of the noise.
+        if leverage < 10.0 {
+            let row_variance = 1.0 + noise.carry * noise.carry;
+            let square = innovation * innovation / ((1.0 + leverage) * row_variance);
             self.noise_sum = self.forgetting * self.noise_sum + square;
             self.noise_weight = self.forgetting * self.noise_weight + 1.0;
         }
@@ -134,7 +132,7 @@ impl<const N: usize> RecursiveLeastSquares<N> {
         std::array::from_fn(|j| psi[j] + (0..j).map(|i| self.upper[j][i] * psi[i]).sum::<f64>())
     }
 
-    /// Bierman's measurement update for unit noise, after `D` has grown by the forgetting: the gain, and `psi' P psi`
+    /// Bierman's measurement update for unit noise, after `D` was divided by the forgetting factor: the gain, and the leverage
     /// before it.
     fn measure(&mut self, f: &[f64; N], growth: f64) -> ([f64; N], f64) {
         let grown: [f64; N] = std::array::from_fn(|j| self.diagonal[j] * growth);
@@ -172,14 +170,14 @@ impl<const N: usize> RecursiveLeastSquares<N> {
 
     /// The parts of [`Self::propagate_spread`] that the gain does not enter: `Q psi + carry s`, and what the gain is
     /// multiplied with.
-    fn foresee_spread(&self, psi: &[f64; N], noise: RowNoise) -> ([f64; N], f64) {
+    fn spread_terms(&self, psi: &[f64; N], noise: RowNoise) -> ([f64; N], f64) {
         let carry = noise.carry;
-        let linked = if noise.continues { carry } else { 0.0 };
+        let shared_carry = if noise.continues { carry } else { 0.0 };
         let q_psi: [f64; N] = std::array::from_fn(|i| dot(&self.spread[i], psi));
         let half = 0.5 * (dot(psi, &q_psi) + (1.0 + carry * carry));
-        let along = linked * dot(psi, &self.shared);
-        let sum = std::array::from_fn(|i| q_psi[i] + linked * self.shared[i]);
-        (sum, half + along)
+        let psi_s = shared_carry * dot(psi, &self.shared);
+        let sum = std::array::from_fn(|i| q_psi[i] + shared_carry * self.shared[i]);
+        (sum, half + psi_s)
     }
 
     /// `Q <- A Q A' + (1 + carry^2) K K' - carry (A s K' + K s' A')`, `A = I - K psi'`, `s` the covariance with `e_begin`,
@@ -201,7 +199,10 @@ impl<const N: usize> RecursiveLeastSquares<N> {
     pub fn set_forgetting(&mut self, forgetting: f64) {
         self.forgetting = forgetting.clamp(0.5, 1.0);
         self.growth = 1.0 / self.forgetting;
-        self.least_news = Self::LEAST_NEWS * (1.0 - self.forgetting);
+        // In the mean the leverage is `1 - lambda` times the number of directions that the rows excite: a machine at constant speed
+        // excites one, and the others would be forgotten.
+        let directions = if N > 1 { 1.2 } else { 0.0 };
+        self.least_leverage = directions * (1.0 - self.forgetting);
     }
 
     /// Variance of one sample's error; `None` without more rows than parameters.
@@ -210,7 +211,7 @@ impl<const N: usize> RecursiveLeastSquares<N> {
             .then(|| self.noise_sum / self.noise_weight)
     }
 
-    /// Covariance of two parameters under the memory that forgetting leaves; `None` before the noise is known.
+    /// Covariance of two parameters with the present forgetting factor; `None` before the noise is known.
     pub fn covariance(&self, row: usize, column: usize) -> Option<f64> {
         let unit = self.spread[row][column] * self.scale[row] * self.scale[column];
         let variance = self.noise_variance()?;
@@ -218,7 +219,7 @@ impl<const N: usize> RecursiveLeastSquares<N> {
         Some(variance * unit * widened)
     }
 
-    /// Factor on the standard deviation of a parameter by which neighbouring rows err together; at least one.
+    /// Factor on the standard deviation of a parameter for correlated errors of neighbouring rows; at least one.
     fn widening(&self, parameter: usize, noise_variance: f64) -> f64 {
         let white = noise_variance * self.spread[parameter][parameter];
         match &self.clustered {
@@ -239,8 +240,8 @@ impl<const N: usize> RecursiveLeastSquares<N> {
         }))
     }
 
-    /// Share of the prior variance that the data have left, 1 (nothing learnt) to 0; forgetting can lift it above 1.
-    pub fn ignorance(&self, parameter: usize) -> f64 {
+    /// Posterior over prior variance of a parameter: 1 without information, towards 0 with it; forgetting can raise it above 1.
+    pub fn variance_ratio(&self, parameter: usize) -> f64 {
         self.variance[parameter] / self.prior
     }
 
@@ -295,7 +296,7 @@ mod tests {
 
     #[test]
     fn equals_batch_weighted_least_squares() {
-        // Rich rows always bring news with lambda = 1 or in one dimension: the weights are then known in closed form.
+        // With lambda = 1, and in one dimension, forgetting never pauses: the weights are then known in closed form.
         let mut random = ChaCha8Rng::seed_from_u64(1);
         let mut recursive = RecursiveLeastSquares::new([0.0; 3], SCALE, 1e12, 1.0);
         let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
@@ -329,7 +330,7 @@ mod tests {
     fn standard_deviations_are_those_of_repeated_trials() {
         for carry in [0.0, 1.0] {
             let kind = RowNoise { carry, continues: true };
-            let (mut squares, mut claimed) = ([0.0; 3], [0.0; 3]);
+            let (mut squares, mut variances) = ([0.0; 3], [0.0; 3]);
             for seed in 0..300 {
                 let mut random = ChaCha8Rng::seed_from_u64(seed);
                 let mut rls = RecursiveLeastSquares::new([0.0; 3], SCALE, 1e9, 0.97);
@@ -344,11 +345,11 @@ mod tests {
                 let (found, std) = (rls.parameters(), rls.standard_deviations().unwrap());
                 for j in 0..3 {
                     squares[j] += (found[j] - TRUE[j]).powi(2);
-                    claimed[j] += std[j].powi(2);
+                    variances[j] += std[j].powi(2);
                 }
             }
             for j in 0..3 {
-                let ratio = (claimed[j] / squares[j]).sqrt();
+                let ratio = (variances[j] / squares[j]).sqrt();
                 assert!((0.8..1.25).contains(&ratio), "carry {carry} {j} {ratio}");
             }
         }
@@ -365,7 +366,9 @@ mod tests {
         let stds = rls.standard_deviations().unwrap();
         for (j, found) in rls.parameters().iter().enumerate() {
             assert!((found / TRUE[j] - 1.0).abs() < 0.05, "{j} {found}");
-            assert!(rls.ignorance(j) > 0.0 && rls.ignorance(j) < 1e-3 && stds[j].is_finite());
+            assert!(
+                rls.variance_ratio(j) > 0.0 && rls.variance_ratio(j) < 1e-3 && stds[j].is_finite()
+            );
         }
     }
 
@@ -378,7 +381,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_finite_changes_nothing() {
+    fn a_row_that_is_not_finite_changes_nothing() {
         let (_, mut rls) = trained(4, 20, &TRUE);
         let before = format!("{rls:?}");
         for (psi, value) in [

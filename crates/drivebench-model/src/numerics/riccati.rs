@@ -1,5 +1,5 @@
-//! Riccati recursions, run to their steady gain: Kalman filter and linear-quadratic state feedback, both in the symmetric
-//! (Joseph) form.
+//! Riccati recursions, run to their steady gain: Kalman filter and linear-quadratic state feedback (Astrom and Wittenmark,
+//! *Computer-Controlled Systems*, chapter 11), both in the symmetric (Joseph) form.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -7,14 +7,14 @@ use nalgebra::{SMatrix, SVector};
 #[derive(Clone, Debug)]
 pub struct Steady<const N: usize> {
     pub gain: SVector<f64, N>,
-    /// Covariance of the state's error, or the cost to go.
+    /// Covariance `P` of the state's error, or the matrix `S` of the cost to go `x' S x`.
     pub matrix: SMatrix<f64, N, N>,
     /// Largest change of the gain in each iteration, relative to its size.
     pub changes: Vec<f64>,
 }
 
 /// Kalman filter for one measured quantity `y = c x + v` (Paper B, eq. (10)): `P- = G P G' + Q`, `K = P- c' / (c P- c' + r)`,
-/// until the change of `K` is below `tolerance`. `None` where it does not come to rest.
+/// until the relative change of `K` is below `tolerance`. `None` where it does not converge.
 pub fn filter<const N: usize>(
     g: &SMatrix<f64, N, N>,
     process: &SMatrix<f64, N, N>,
@@ -35,7 +35,7 @@ pub fn filter<const N: usize>(
 }
 
 /// Optimal feedback `u = -gain' x` of one input for the cost `sum of x' V x + w u^2`: dynamic programming backward to the
-/// steady gain. `None` where it does not come to rest.
+/// steady gain. `None` where it does not converge.
 pub fn feedback<const N: usize>(
     g: &SMatrix<f64, N, N>,
     h: &SVector<f64, N>,
@@ -66,7 +66,7 @@ fn iterate<const N: usize>(
         if !(k.iter().all(|x| x.is_finite()) && matrix.iter().all(|x| x.is_finite())) {
             return None;
         }
-        // A mode that the gain does not reach may grow while the gain stands still.
+        // A mode that the gain does not reach may grow while the gain is constant.
         let grows = (matrix - last).amax() > 1e-3 * matrix.amax();
         last = matrix;
         let change = (k - *gain).norm() / k.norm().max(f64::MIN_POSITIVE);
@@ -86,7 +86,7 @@ mod tests {
 
     #[test]
     fn a_scalar_filter_is_the_root_of_its_equation() {
-        // p = g^2 p r / (p + r) ... steady P- solves p^2 + p (r - g^2 r - q) - q r = 0.
+        // P- = g^2 P- r / (P- + r) + q, that is P-^2 + P- (r - g^2 r - q) - q r = 0.
         let (g, q, r) = (0.95_f64, 0.3, 2.0);
         let b = r - g * g * r - q;
         let p = 0.5 * (-b + (b * b + 4.0 * q * r).sqrt());
@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn the_feedback_costs_less_than_any_gain_beside_it() {
+    fn the_feedback_costs_less_than_any_gain_near_it() {
         let g = Matrix2::new(1.0, 0.1, 0.0, 0.9);
         let h = Vector2::new(0.005, 0.1);
         let weight = Matrix2::new(1.0, 0.0, 0.0, 0.1);

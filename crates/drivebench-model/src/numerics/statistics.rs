@@ -16,7 +16,7 @@ pub fn largest<V: Borrow<f64>>(values: impl IntoIterator<Item = V>) -> f64 {
     finite.fold(0.0, f64::max)
 }
 
-/// Least and most; infinite the wrong way round for no values.
+/// Minimum and maximum; plus and minus infinity for no values.
 pub fn extent<V: Borrow<f64>>(values: impl IntoIterator<Item = V>) -> (f64, f64) {
     let none = (f64::INFINITY, f64::NEG_INFINITY);
     values
@@ -24,6 +24,7 @@ pub fn extent<V: Borrow<f64>>(values: impl IntoIterator<Item = V>) -> (f64, f64)
         .fold(none, |(least, most), value| (least.min(*value.borrow()), most.max(*value.borrow())))
 }
 
+/// Mean distance between instants, of which there are two or more.
 pub fn mean_step(times: &[f64]) -> f64 {
     (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64
 }
@@ -63,14 +64,15 @@ pub fn finite(values: &[f64]) -> Vec<f64> {
     values.iter().copied().filter(|v| v.is_finite()).collect()
 }
 
-/// Largest magnitude but for one sample in two hundred: a single bad cell must not set the scale.
+/// The 99.5 % quantile of the magnitudes: a single bad cell must not set the scale.
 pub fn largest_but_outliers(values: &[f64]) -> f64 {
     let mut sizes: Vec<f64> = finite(values).into_iter().map(f64::abs).collect();
     sizes.sort_by(|a, b| b.total_cmp(a));
     sizes.get(sizes.len() / 200).copied().unwrap_or(0.0)
 }
 
-/// Median absolute deviation times 1.4826: the standard deviation of normal values, whatever the outliers.
+/// Median absolute deviation times 1.4826, which is the standard deviation of normal values without their outliers (Hampel,
+/// *J. Am. Stat. Assoc.* 69, 1974).
 pub fn robust_deviation(values: &[f64]) -> f64 {
     let centre = median(values);
     let distances: Vec<f64> = values.iter().map(|value| (value - centre).abs()).collect();
@@ -93,11 +95,10 @@ pub fn autocorrelation(values: &[f64], most: usize) -> Vec<f64> {
 pub const WHITENESS_LAGS: usize = 25;
 /// Half-width of the 99 % band of a correlation, times the root of the number of samples.
 pub const BAND_99: f64 = 2.58;
-/// Share of lags outside that band that chance explains: by chance more than three of 25 in one run of 8,000.
+/// Share of lags outside that band that chance explains: more than three of 25 in one run of 10,000.
 pub const OUTSIDE_BY_CHANCE: f64 = 0.12;
 
-/// Significance of the Ljung-Box test: as rare as the count of lags above, so that neither raises the other's false alarms by
-/// much.
+/// Significance of the Ljung-Box test: the same as that of the count of lags above.
 pub const COLOURED_BY_CHANCE: f64 = 1e-4;
 
 /// Whether the values are autocorrelated beyond chance; false also where there are too few for a test. The number of lags

@@ -85,17 +85,16 @@ impl ActiveEffect {
     /// Values in the order of the effect's parameters, the unset ones at their first guess.
     pub fn values_or_guess(&self) -> Vec<f64> {
         let values = self.values.iter().zip(self.effect.parameters());
-        let values = values.map(|(value, spec)| value.unwrap_or_else(|| spec.guess()));
-        values.collect()
+        values.map(|(value, spec)| value.unwrap_or_else(|| spec.guess())).collect()
     }
 
-    /// Its terms, where every value is given.
+    /// Its terms, where no value is missing.
     fn given_terms(&self) -> Option<Box<dyn Terms>> {
         let values: Option<Vec<f64>> = self.values.iter().copied().collect();
         Some(self.effect.terms(&values?))
     }
 
-    /// Its terms where every value is given and nothing but the instant decides them.
+    /// Its terms where no value is missing and they depend on the present instant alone.
     pub fn terms_of_the_instant(&self) -> Option<Box<dyn Terms>> {
         self.given_terms().filter(|terms| terms.is_of_the_instant())
     }
@@ -117,7 +116,7 @@ impl Slot {
         }
     }
 
-    /// Whether it is an effect's parameter that is found in this way.
+    /// Whether it is a parameter of an effect with this role.
     pub fn has_role(&self, role: ParameterRole) -> bool {
         matches!(self, Self::Effect { spec, .. } if spec.role == role)
     }
@@ -130,7 +129,7 @@ impl Slot {
     }
 }
 
-/// A motor and its effects; `fixed` lists the parameters that a fit leaves alone.
+/// A motor and its effects; `fixed` lists the parameters that a fit does not change.
 #[derive(Clone, Debug, Default)]
 pub struct Model {
     pub motor: Motor,
@@ -170,8 +169,8 @@ impl Model {
         slots
     }
 
-    /// Slots that a fit may change. A given torque constant is never fitted: the torque balance fixes only the ratios
-    /// of torque constant, inertia and load. Neither is what is chosen from a grid.
+    /// Slots that a fit may change. Not among them: a given torque constant, because the torque balance determines only the ratios
+    /// of torque constant, inertia and load; and a parameter that is chosen from a grid.
     pub fn free_slots(&self) -> Vec<Slot> {
         let mut slots = self.slots();
         slots.retain(|slot| {
@@ -265,28 +264,27 @@ impl Model {
         Ok(model)
     }
 
-    /// Checks that every given value is finite, positive where physics wants it, and within its bounds.
+    /// Checks that every given value is finite, positive where physics requires it, and within its bounds.
     pub fn validate(&self) -> Result<(), ModelError> {
         for slot in self.slots() {
             let Some(value) = self.get(&slot) else {
                 continue;
             };
             let finite = value.is_finite();
-            let (is_good, allowed) = match &slot {
+            let within = |spec: &ParameterSpec| (spec.min..=spec.max).contains(&value);
+            let (is_allowed, allowed) = match &slot {
                 Slot::Motor(MotorKey::LoadTorque) => {
                     (value >= 0.0 && finite, "0 or more".to_owned())
                 }
                 Slot::Motor(_) => (value > 0.0 && finite, "a number above 0".to_owned()),
                 Slot::Effect { spec, .. } if spec.is_coefficient() => {
-                    let is_good = (spec.min..=spec.max).contains(&value);
-                    (is_good, "a finite number".to_owned())
+                    (within(spec), "a finite number".to_owned())
                 }
-                Slot::Effect { spec, .. } => (
-                    (spec.min..=spec.max).contains(&value),
-                    format!("{} to {} {}", spec.min, spec.max, spec.unit),
-                ),
+                Slot::Effect { spec, .. } => {
+                    (within(spec), format!("{} to {} {}", spec.min, spec.max, spec.unit))
+                }
             };
-            if !is_good {
+            if !is_allowed {
                 let key = slot.key();
                 return Err(ModelError::Value { key, value, allowed });
             }

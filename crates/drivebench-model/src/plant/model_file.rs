@@ -1,4 +1,4 @@
-//! The model file: `[motor]`, `[[effect]]`, and what a fit writes back beside them.
+//! The model file: `[motor]`, `[[effect]]`, and the `[history]` that a fit adds.
 
 use std::borrow::Cow;
 use std::fmt::Write as _;
@@ -23,18 +23,17 @@ pub struct FittedValue {
 }
 
 impl FittedValue {
-    /// Those that are known of the parameters of a fit.
+    /// Those of the parameters of a fit that have a standard deviation.
     pub fn all(parameters: &[ParameterEstimate]) -> Vec<Self> {
-        let known = parameters.iter().filter_map(|p| {
-            let std = p.std.filter(|std| *std > 0.0)?;
-            let key = p.key.clone();
-            Some(Self { key, std })
-        });
-        known.collect()
+        let fitted = |parameter: &ParameterEstimate| {
+            let std = parameter.std.filter(|std| *std > 0.0)?;
+            Some(Self { key: parameter.key.clone(), std })
+        };
+        parameters.iter().filter_map(fitted).collect()
     }
 }
 
-/// What a fit leaves behind: the runs it used and the ladder that led here.
+/// Record of the fit: the runs that it used, its standard deviations, and the ladder of models up to this one.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FileHistory {
@@ -90,7 +89,7 @@ impl ModelFile {
                 other => return Err(reader.unknown(0, other, &["motor", "effect", "history"])),
             }
         }
-        // After `fixed`: what is listed there too is fixed independently.
+        // After `fixed`: a parameter in both lists is fixed independently of the effect.
         for (id, key) in &held {
             model.hold(id, key);
         }
@@ -131,8 +130,7 @@ impl ModelFile {
 
     fn write_effect(&self, text: &mut String, index: usize, active: &ActiveEffect) {
         let _ = write!(text, "\n[[effect]]\nid = {:?}\n", active.id());
-        let held = self.model.held.iter();
-        let held = held.filter(|held| held.effect == active.id());
+        let held = self.model.held.iter().filter(|held| held.effect == active.id());
         write_list(text, HOLDS, held.map(|held| &held.key));
         for (key, value) in active.effect.settings() {
             let _ = writeln!(text, "{key} = {value}");
@@ -161,12 +159,11 @@ impl ModelFile {
         }
     }
 
-    /// The standard deviation and unit beside a value, for the human reader.
+    /// Standard deviation and unit of a value as a comment.
     fn comment(&self, slot: &Slot) -> String {
         let key = slot.key();
-        let mut fitted = self.history.fitted.iter();
-        let fitted = fitted.find(|fitted| fitted.key == key);
-        fitted.map_or_else(String::new, |it| format!("  # +- {:?} {}", it.std, slot.unit()))
+        let fitted = self.history.fitted.iter().find(|fitted| fitted.key == key);
+        fitted.map_or_else(String::new, |fitted| format!("  # +- {:?} {}", fitted.std, slot.unit()))
     }
 }
 
@@ -183,7 +180,7 @@ fn quoted(text: &str) -> String {
     toml::Value::from(text).to_string()
 }
 
-/// A key as TOML reads it: letters beyond ASCII stand in quotes.
+/// A key as TOML reads it: letters beyond ASCII need quotes.
 fn key_of(key: &str) -> Cow<'_, str> {
     let is_bare = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
     if !key.is_empty() && key.chars().all(is_bare) {
@@ -275,7 +272,7 @@ impl Reader<'_> {
         texts.map_err(|_| self.error(0, key, &format!("{key} must be a list of strings")))
     }
 
-    /// Reads the effects into `model`, and what each of them holds, as `(id, key)`, into `held`.
+    /// Reads the effects into `model`, and the parameters that each of them fixes, as `(id, key)`, into `held`.
     fn effects(
         &self,
         value: &toml::Value,
@@ -297,7 +294,7 @@ impl Reader<'_> {
                 return Err(self.error(from, "id", message));
             };
             if model.has(id) {
-                return Err(self.error(from, "id", &format!("effect {id:?} stands twice")));
+                return Err(self.error(from, "id", &format!("effect {id:?} is in the file twice")));
             }
             let mut table = table.clone();
             if let Some(value) = table.remove(HOLDS) {
@@ -344,7 +341,7 @@ impl Reader<'_> {
         Ok(active)
     }
 
-    /// An error in the settings of an effect, at the place within the text of a setting where it has one.
+    /// An error in the settings of an effect, at its position within the text of a setting where it has one.
     fn misdefined(&self, from: usize, error: &DefinitionError) -> ConfigError {
         // A parameter may stand within `parameters = { .. }`, on no line of its own.
         let mut at = self.find(from, &error.key);
@@ -466,14 +463,14 @@ value_2 = 1.5
         let again = parsed(&file.to_toml());
         assert_eq!(again.model.fixed, file.model.fixed);
         assert_eq!(again.model.effects[0].values, [None, Some(1e-6), Some(9.0)]);
-        // An escape is longer than what it stands for, so that a place behind it may fall into another letter.
+        // An escape is longer than its character, so that an offset after it may fall within another letter.
         let wrong = text.replace("\"\u{b5}*abs", "\"\\u00b5*\u{b5}\u{b5}\u{b5}q*abs");
         let error = ModelFile::parse("m.toml", &wrong).unwrap_err();
         assert_eq!(error.line, 7, "{error}");
     }
 
     #[test]
-    fn mistakes_are_named_with_their_place() {
+    fn mistakes_are_named_with_line_and_column() {
         for (text, from, to, line, column) in [
             (TEXT, "inertia_kg_m2", "inertia_kgm2", 6, 1),
             (TEXT, "stribeck_n_m", "stribek_n_m", 15, 1),

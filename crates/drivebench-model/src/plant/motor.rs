@@ -1,4 +1,5 @@
-//! The parameters of the baseline motor.
+//! Parameters of the baseline: a permanent-magnet DC motor with Coulomb friction (Leonhard, *Control of Electrical Drives*,
+//! chapter 5).
 
 /// A key of the `[motor]` table, with its unit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -12,8 +13,7 @@ pub enum MotorKey {
 }
 
 impl MotorKey {
-    pub const COUNT: usize = 6;
-    pub const ALL: [Self; Self::COUNT] = [
+    pub const ALL: [Self; 6] = [
         Self::Resistance,
         Self::Inductance,
         Self::BackEmf,
@@ -47,20 +47,20 @@ impl MotorKey {
     }
 
     pub fn from_key(key: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|own| own.key() == key)
+        Self::ALL.into_iter().find(|known| known.key() == key)
     }
 }
 
-/// A motor with its load; a value left out is to be fitted (or, for the torque constant, equal to the back-EMF's).
+/// A motor with its load; a missing value is to be fitted (a missing torque constant is equal to the back-EMF constant).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Motor {
     pub name: String,
-    values: [Option<f64>; MotorKey::COUNT],
+    values: [Option<f64>; MotorKey::ALL.len()],
 }
 
 impl Motor {
     pub fn new(name: impl Into<String>) -> Self {
-        Self { name: name.into(), values: [None; MotorKey::COUNT] }
+        Self { name: name.into(), values: [None; MotorKey::ALL.len()] }
     }
 
     pub fn get(&self, key: MotorKey) -> Option<f64> {
@@ -97,7 +97,7 @@ impl Motor {
         Some(self.get(MotorKey::Resistance)? * self.get(MotorKey::Inertia)? / constants)
     }
 
-    /// Motor of paper A with the values of its catalogue: the nameplate of the embedded emulator.
+    /// Motor of paper A with the values of its catalogue: the default of the emulator.
     pub fn zk_22fc() -> Self {
         Self::new("ZK-22FC")
             .with(MotorKey::Resistance, 1.1)

@@ -6,12 +6,11 @@ use super::scenario::Scenario;
 
 /// Bounds of any parameter of a motor of any size, in its unit.
 const ANY: (f64, f64) = (1e-12, 1e9);
-/// The shortest electrical time constant, as a share of the sampling period: samples show nothing of a shorter one, and its
-/// equations are stiff.
+/// The shortest electrical time constant, as a share of the sampling period: a shorter one is not observable in the samples,
+/// and its equations are stiff.
 pub const LEAST_TIME_CONSTANT: f64 = 1e-2;
 
-/// The least and the largest value of a parameter, in its unit, that a fit on `scenario` may give it; a smaller one that the
-/// model has already may stay.
+/// Bounds of a parameter, in its unit, in a fit on `scenario`; a smaller value that the model has already is its own bound.
 pub fn motor_range(key: MotorKey, model: &Model, scenario: &Scenario) -> (f64, f64) {
     let times = &scenario.sample_time_s;
     let resistance_ohm = model.motor.get(MotorKey::Resistance);
@@ -19,8 +18,7 @@ pub fn motor_range(key: MotorKey, model: &Model, scenario: &Scenario) -> (f64, f
         (MotorKey::Inductance, Some(resistance_ohm), [first, .., last]) => {
             let period_s = (last - first) / (times.len() - 1) as f64;
             let resolved_h = LEAST_TIME_CONSTANT * period_s * resistance_ohm;
-            let own_h = model.motor.get(key);
-            own_h.map_or(resolved_h, |own_h| own_h.min(resolved_h))
+            model.motor.get(key).map_or(resolved_h, |present_h| present_h.min(resolved_h))
         }
         _ => ANY.0,
     };
@@ -34,7 +32,7 @@ mod tests {
     use crate::plant::testing::record;
 
     #[test]
-    fn an_inductance_is_not_fitted_below_what_samples_show() {
+    fn an_inductance_is_not_fitted_below_the_observable() {
         let mut model = Model::baseline(Motor::zk_22fc());
         model.motor.set(MotorKey::Resistance, 2.0);
         for period_s in [1e-3, 1e-2] {

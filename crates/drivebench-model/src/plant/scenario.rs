@@ -1,4 +1,5 @@
-//! Scenario: the part of a run that a simulation needs. The input as applied, the instants of the measurements, the angle.
+//! Scenario: the part of a run that a simulation needs, which is the input as applied, the instants of the measurements and
+//! the angle.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -13,7 +14,7 @@ use crate::numerics::statistics::{mean, mean_step, median_step, variance};
 use crate::sample::{Channel, Origin, Run};
 use crate::signal::{self, Point};
 
-/// What drives the model.
+/// Input of the model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Input {
     /// Voltage, held from each event to the next.
@@ -68,28 +69,26 @@ pub struct Scenario {
     pub current_a: Vec<f64>,
     /// Measured speed at the sample times, NaN where missing.
     pub speed_rad_s: Vec<f64>,
-    /// Measured angle `(time, angle)`, continuous over turns; an exogenous input of effects of position. Empty: the speed is integrated.
+    /// Measured angle `(time, angle)`, unwrapped; an exogenous input of effects of position. Empty: the speed is integrated.
     pub angle: Vec<(f64, f64)>,
-    /// Half-widths of the stamps of the samples, s, zero where the drive stamped them itself. Empty: it stamped all.
+    /// Half-widths of the stamps of the samples, s, zero for a stamp of the drive. Empty: all are stamps of the drive.
     pub time_half_width_s: Vec<f64>,
-    /// Where rows with the voltage were lost, in order; `events` hold its estimate there. Empty in a whole record.
+    /// Intervals in which rows with the voltage were lost, in order; `events` have its estimate there. Empty in a whole record.
     pub unknown_input: Vec<UnknownInput>,
-    /// Where the drive came to its current limit from afar, in order.
+    /// Intervals in which the drive reached its current limit, in order.
     pub limits: Vec<LimitReached>,
-    /// The samples that count in residuals: all, or the tail where a run was split for validation.
+    /// The samples of which residuals are computed: all, or the last part where a run was split for validation.
     pub scored: Range<usize>,
 }
 
 /// Supply to which a sag is referred, V: in the model file and in the configuration of the emulator.
 pub const REFERENCE_SUPPLY_V: f64 = 110.0;
 
-/// Longest time without a sample, s: a motor's transients are over long before.
-const LONGEST_GAP_S: f64 = 60.0;
-/// Time between concatenated runs, s. The transients of a run are over by then.
-const AT_REST_S: f64 = 3.0;
-/// Fewest rows that tell anything about a motor.
+/// Time between concatenated runs, s. Any length serves: the simulation restarts after it.
+const BETWEEN_RUNS_S: f64 = 3.0;
+/// Fewest rows of a run, and the number of first samples by which a run is at rest at its beginning.
 const FEWEST_ROWS: usize = 20;
-/// Share of the largest torque or current that moves nothing: they are measured with noise.
+/// Share of the largest measured torque, current or speed that counts as zero: sensor noise.
 const NEARLY_ZERO_MEASURED: f64 = 0.05;
 
 impl Scenario {
@@ -171,8 +170,8 @@ impl Scenario {
         Ok(scenario)
     }
 
-    /// Puts estimates where the voltage is unknown. Measurements in a long hole, and those that a simulation restarts from
-    /// after it, no longer count.
+    /// Adds estimates of the voltage where it is unknown, and removes the measurements from which a simulation restarts after a long
+    /// hole.
     fn bridge_lost_rows(&mut self) {
         let times = &self.sample_time_s;
         let mut sample = 0;
@@ -181,9 +180,13 @@ impl Scenario {
                 while sample < times.len() && times[sample] < *time_s {
                     sample += 1;
                 }
-                // Rows are the same where their stamps are, to the bit.
-                let own = times.get(sample).is_some_and(|time| time <= time_s);
-                if own { [self.current_a[sample], self.speed_rad_s[sample]] } else { [f64::NAN; 2] }
+                // Rows of voltage and sample are the same where their stamps are equal to the bit.
+                let is_same = times.get(sample).is_some_and(|time| time <= time_s);
+                if is_same {
+                    [self.current_a[sample], self.speed_rad_s[sample]]
+                } else {
+                    [f64::NAN; 2]
+                }
             })
             .collect();
         let holes = unknown_input::find(&Rows {
@@ -206,11 +209,13 @@ impl Scenario {
         self.unknown_input = holes;
     }
 
-    /// A stamp far from its neighbours, or a time column in another unit, would be simulated step by step for ever.
+    /// Refuses a stamp far from its neighbours, or a time column in another unit: the time between would be simulated step by
+    /// step for hours.
     fn refuse_gaps(&self) -> Result<(), ScenarioError> {
+        let allowed_s = 60.0;
         let times = self.sample_time_s.windows(2);
         let mut gaps: Vec<f64> = times.map(|pair| pair[1] - pair[0]).collect();
-        let Some(at) = gaps.iter().position(|gap| *gap > LONGEST_GAP_S) else {
+        let Some(at) = gaps.iter().position(|gap| *gap > allowed_s) else {
             return Ok(());
         };
         let gap_s = gaps[at];
@@ -220,16 +225,16 @@ impl Scenario {
             gap_s,
             time_s: self.sample_time_s[at],
             median_s: gaps[gaps.len() / 2],
-            allowed_s: LONGEST_GAP_S,
+            allowed_s,
         })
     }
 
-    /// Half of the interval in which a sample may have been taken, s; zero where the drive stamped it itself.
+    /// Half of the interval in which a sample may have been taken, s; zero for a stamp of the drive.
     pub fn half_width_s(&self, sample: usize) -> f64 {
         self.time_half_width_s.get(sample).copied().unwrap_or(0.0)
     }
 
-    /// Half-width that half of the stamps have at least, s; `None` where the drive stamped its samples itself.
+    /// Median half-width of the stamps that are not of the drive, s; `None` where all are.
     pub fn typical_half_width_s(&self) -> Option<f64> {
         let mut present = self.time_half_width_s.clone();
         present.retain(|half_width_s| *half_width_s > 0.0);
@@ -237,15 +242,15 @@ impl Scenario {
         present.get(present.len() / 2).copied()
     }
 
-    /// Mean and standard deviation of the time, s, by which the input reached the motor later than its stamps say; `None`
-    /// where the drive itself stamped it. A command of the host was applied some time within its exchange; a voltage
-    /// that was sampled changed some time between two samples.
+    /// Mean and standard deviation of the delay of the input against its stamps, s; `None` where the drive stamped it. A command
+    /// of the host was applied at an unknown instant of its exchange; a sampled voltage changed at an unknown instant between two
+    /// samples.
     pub fn input_delay_s(&self) -> Option<(f64, f64)> {
         let half_width_s = self.typical_half_width_s()?;
         let period_s = self.mean_period_s();
         match (self.input, self.input_channel) {
             (Input::Voltage, Channel::VoltageCmd) => {
-                // Within two exchanges, its own and the reading one; a write takes a tenth of a period at least.
+                // Within two exchanges, that of the write and that of the read; a write takes a tenth of a period at least.
                 Some((0.0, (2.0 * half_width_s).max(0.1 * period_s)))
             }
             (Input::Voltage, _) => Some((-0.5 * period_s, 0.5 * period_s)),
@@ -253,7 +258,7 @@ impl Scenario {
         }
     }
 
-    /// The same with every change of the input later by `delay_s`; the first value holds from the same instant.
+    /// The same with every change of the input delayed by `delay_s`; the first value holds from the same instant.
     #[must_use]
     pub fn with_input_delayed(&self, delay_s: f64) -> Self {
         let mut delayed = self.clone();
@@ -265,7 +270,7 @@ impl Scenario {
         delayed
     }
 
-    /// When the first input came: the simulation starts there.
+    /// Instant of the first input, at which the simulation starts.
     pub fn begin_s(&self) -> f64 {
         self.events[0].0
     }
@@ -274,8 +279,8 @@ impl Scenario {
         signal::held(&self.events, time_s).unwrap_or(self.events[0].1)
     }
 
-    /// Full voltage of the supply that effects of the duty refer to; zero where the run is not driven by a voltage. A run
-    /// does not tell it, and its largest voltage would give the same machine another number in the next run.
+    /// Full voltage of the supply to which effects of the duty refer; zero where the input is not a voltage. It is not in a run,
+    /// and the largest voltage of the run would give the same machine another parameter in the next run.
     pub fn supply_v(&self) -> f64 {
         match self.input {
             Input::Voltage => REFERENCE_SUPPLY_V,
@@ -283,8 +288,8 @@ impl Scenario {
         }
     }
 
-    /// Angle of the shaft `(time, angle)`: the measured one, else the integral of the measured speed, which starts
-    /// anywhere and drifts. Never the simulated one, whose phase is lost within seconds.
+    /// Angle of the shaft `(time, angle)`: the measured one, else the integral of the measured speed, which has an arbitrary start
+    /// and drifts. Not the simulated one, whose phase is lost within seconds.
     pub fn shaft_angle(&self) -> Cow<'_, [(f64, f64)]> {
         if !self.angle.is_empty() {
             return Cow::Borrowed(&self.angle);
@@ -310,8 +315,8 @@ impl Scenario {
         mean_step(&self.sample_time_s)
     }
 
-    /// The first part and the whole with only its last part scored: a split of one run into training and hold-out.
-    /// The hold-out is simulated from the start, so that no state has to be guessed in the middle.
+    /// Split of one run into training and hold-out: the first part, and the whole with only its last part scored. The hold-out is
+    /// simulated from the start, so that it needs no initial state.
     pub fn split(&self, training_share: f64) -> (Self, Self) {
         let cut = whole((self.samples() as f64 * training_share).round());
         let (mut training, mut holdout) = (self.clone(), self.clone());
@@ -332,12 +337,12 @@ impl Scenario {
         (training, holdout)
     }
 
-    /// A stretch of a run as a run of its own, at whose first sample the machine has not begun to move.
+    /// A part of the run as a scenario, with the machine at rest at its first sample.
     #[must_use]
     pub fn stretch(&self, samples: Range<usize>) -> Self {
         let times = &self.sample_time_s[samples.clone()];
         let (begin_s, end_s) = (times[0], times[times.len() - 1]);
-        // A whole beginning keeps the commands before its first sample.
+        // From the first sample on, the commands before it are kept.
         let begin = if samples.start == 0 {
             0
         } else {
@@ -370,7 +375,7 @@ impl Scenario {
         }
     }
 
-    /// When the shaft turns first, s: a little torque may keep it turning.
+    /// Instant at which the shaft begins to turn, s: a small torque may keep it turning.
     fn turns_from_s(&self) -> f64 {
         let mut sizes = self.speed_rad_s.iter().map(|speed| speed.abs());
         let fastest = sizes.clone().fold(0.0, f64::max);
@@ -378,27 +383,27 @@ impl Scenario {
         first.map_or(f64::INFINITY, |sample| self.sample_time_s[sample])
     }
 
-    /// This run and a later one of the same machine as one record. Between them the input is zero; a simulation does not go
-    /// through that time but restarts with the initial state of the later run. Inputs after this run's last sample, which are
-    /// held out, are no part of it.
+    /// Concatenation of this run and a later one of the same machine. Between them the input is zero, and the simulation
+    /// restarts with the initial state of the later run. Inputs after this run's last sample (the hold-out) are left out.
     #[must_use]
     pub fn followed_by(&self, later: &Self) -> Self {
         let shift_s = self.whole_s() + self.begin_s() - later.begin_s();
-        let there = |time_s: f64| time_s + shift_s;
-        let begins_s = there(later.begin_s());
-        let ended_s = begins_s - AT_REST_S;
-        let own = |points: &[Point]| -> Vec<Point> {
+        let shifted = |time_s: f64| time_s + shift_s;
+        let begins_s = shifted(later.begin_s());
+        let ended_s = begins_s - BETWEEN_RUNS_S;
+        let before_end = |points: &[Point]| -> Vec<Point> {
             points.iter().copied().filter(|point| point.0 < ended_s).collect()
         };
-        let moved = |points: &[Point]| -> Vec<Point> {
-            points.iter().map(|point| (there(point.0), point.1)).collect()
+        let shifted_points = |points: &[Point]| -> Vec<Point> {
+            points.iter().map(|point| (shifted(point.0), point.1)).collect()
         };
         let joined = |a: &[f64], b: &[f64]| [a, b].concat();
-        let events = [own(&self.events), vec![(ended_s, 0.0)], moved(&later.events)].concat();
+        let zero = vec![(ended_s, 0.0)];
+        let events = [before_end(&self.events), zero, shifted_points(&later.events)].concat();
         // Without the angle of one of them the position of the shaft is unknown.
         let mut angle = Vec::new();
         if !self.angle.is_empty() && !later.angle.is_empty() {
-            angle = [own(&self.angle), moved(&later.angle)].concat();
+            angle = [before_end(&self.angle), shifted_points(&later.angle)].concat();
         }
         let widths = |run: &Self| -> Vec<f64> {
             (0..run.samples()).map(|sample| run.half_width_s(sample)).collect()
@@ -408,26 +413,24 @@ impl Scenario {
             time_half_width_s = joined(&widths(self), &widths(later));
         }
         // Of a hole that reaches beyond the end only the part before it.
-        let holes = self.unknown_input.iter().filter(|hole| hole.from_s < ended_s);
-        let holes = holes.map(|hole| UnknownInput {
-            to_s: hole.to_s.min(ended_s),
-            restart: hole.restart.filter(|_| hole.to_s < ended_s),
-            ..*hole
+        let holes = self.unknown_input.iter().filter(|hole| hole.from_s < ended_s).map(|hole| {
+            let restart = hole.restart.filter(|_| hole.to_s < ended_s);
+            UnknownInput { to_s: hole.to_s.min(ended_s), restart, ..*hole }
         });
         let between = UnknownInput::between_runs(ended_s, begins_s, later.begins_with());
         let later_holes = later.unknown_input.iter().map(|hole| UnknownInput {
-            from_s: there(hole.from_s),
-            to_s: there(hole.to_s),
+            from_s: shifted(hole.from_s),
+            to_s: shifted(hole.to_s),
             ..*hole
         });
         let limits = self.limits.iter().copied();
         let later_limits = later.limits.iter().map(|limit| LimitReached {
-            from_s: there(limit.from_s),
-            to_s: there(limit.to_s),
+            from_s: shifted(limit.from_s),
+            to_s: shifted(limit.to_s),
             ..*limit
         });
-        let times: Vec<f64> = later.sample_time_s.iter().copied().map(there).collect();
-        let times = joined(&self.sample_time_s, &times);
+        let later_times = later.sample_time_s.iter().copied().map(shifted);
+        let times = self.sample_time_s.iter().copied().chain(later_times).collect();
         let name = format!("{} and {}", self.name, later.name);
         Self {
             angle,
@@ -440,46 +443,44 @@ impl Scenario {
         }
     }
 
-    /// Current and speed that a run begins with: zero where the mean of its first samples is within four standard deviations
-    /// of zero, else the first ones measured; not a number where missing.
+    /// Initial current and speed: zero where the mean of the first samples is within four standard deviations of zero, else the
+    /// first measured values; NaN where missing.
     pub fn begins_with(&self) -> [f64; 2] {
         let at_rest = self.leading_standstill();
         let begin = |values: &[f64]| {
             let first = values.iter().copied().find(|value| value.is_finite());
-            let rest = values.get(at_rest.clone()).unwrap_or_default();
-            let rest = rest.iter().copied();
-            let rest = rest.filter(|value| value.is_finite()).take(FEWEST_ROWS);
-            let rest: Vec<f64> = rest.collect();
-            let deviation = (variance(&rest) / rest.len() as f64).sqrt();
-            let rests = rest.len() == FEWEST_ROWS && mean(&rest).abs() <= 4.0 * deviation;
-            if rests { 0.0 } else { first.unwrap_or(f64::NAN) }
+            let rest = values.get(at_rest.clone()).unwrap_or_default().iter().copied();
+            let rest: Vec<f64> = rest.filter(|value| value.is_finite()).take(FEWEST_ROWS).collect();
+            let deviation_of_mean = (variance(&rest) / rest.len() as f64).sqrt();
+            let is_zero = rest.len() == FEWEST_ROWS && mean(&rest).abs() <= 4.0 * deviation_of_mean;
+            if is_zero { 0.0 } else { first.unwrap_or(f64::NAN) }
         };
         [begin(&self.current_a), begin(&self.speed_rad_s)]
     }
 
-    /// From the run's first input to that of a run that is put behind it, s.
+    /// From the run's first input to that of a run that is appended to it, s.
     pub fn whole_s(&self) -> f64 {
         let last_s = self.sample_time_s[self.samples() - 1];
-        last_s + self.mean_period_s() - self.begin_s() + AT_REST_S
+        last_s + self.mean_period_s() - self.begin_s() + BETWEEN_RUNS_S
     }
 
-    /// Samples of the leading standstill: the input is still zero, or nearly so. The first instants of a bumpless start, which
-    /// takes over the reading of the voltage sensor, do not belong to it.
+    /// Samples of the leading standstill: the input is zero, or nearly so. The first instants of a bumpless start, in which the
+    /// command follows the measured voltage, do not belong to it.
     pub fn leading_standstill(&self) -> Range<usize> {
         let sizes = self.events.iter().map(|event| event.1.abs());
         let largest = sizes.fold(0.0, f64::max);
-        // A bumpless start leaves a little voltage.
+        // A bumpless start ends at a small voltage.
         let nearly_zero = match self.input {
             Input::Voltage => 0.002,
             Input::Current | Input::Torque => NEARLY_ZERO_MEASURED,
         };
         let moves = |event: &&Point| event.1.abs() > nearly_zero * largest;
         // A bumpless start comes to zero within two small commands.
-        let taken_over = self.events.iter().take_while(moves).count();
+        let leading = self.events.iter().take_while(moves).count();
         let is_small = |event: &Point| event.1.abs() <= 0.05 * largest;
-        let bumpless = taken_over <= 2 && self.events[..taken_over].iter().all(is_small);
-        let (begin, begin_s) = match self.events.get(taken_over) {
-            Some(event) if bumpless => (taken_over, event.0),
+        let bumpless = leading <= 2 && self.events[..leading].iter().all(is_small);
+        let (begin, begin_s) = match self.events.get(leading) {
+            Some(event) if bumpless => (leading, event.0),
             _ => (0, f64::NEG_INFINITY),
         };
         let moved = self.events[begin..].iter().find(moves);
@@ -492,8 +493,8 @@ impl Scenario {
     }
 }
 
-/// The column that drives the model. A commanded voltage is stamped with the instants of its changes; a measured one is known
-/// at the samples only, so it serves where there is no command.
+/// The input column. A commanded voltage has the instants of its changes; a measured one is known at the samples only and is the
+/// input where there is no command.
 fn input_of(run: &Run) -> Option<(Input, Channel)> {
     let has = |channel| run.points(channel).next().is_some();
     let stamped = run.origin(Channel::VoltageCmd) == Origin::Commanded && has(Channel::VoltageCmd);
@@ -505,7 +506,7 @@ fn input_of(run: &Run) -> Option<(Input, Channel)> {
         (Input::Current, Channel::Current, true),
     ]
     .into_iter();
-    let (input, channel, _) = inputs.find(|(_, channel, serves)| *serves && has(*channel))?;
+    let (input, channel, _) = inputs.find(|(_, channel, usable)| *usable && has(*channel))?;
     Some((input, channel))
 }
 
@@ -561,7 +562,7 @@ mod tests {
     #[test]
     fn records_that_cannot_be_simulated_are_refused() {
         let of = |times: Vec<f64>, channels: [Channel; 2]| {
-            let columns = channels.map(|own| (own, vec![1.0; times.len()], Origin::Unknown));
+            let columns = channels.map(|name| (name, vec![1.0; times.len()], Origin::Unknown));
             Scenario::from_run(&run_of("r", times, columns)).unwrap_err()
         };
         let (volts, amperes, speed) = (Channel::Voltage, Channel::Current, Channel::Speed);
@@ -581,7 +582,7 @@ mod tests {
     }
 
     #[test]
-    fn the_input_of_a_host_is_late_by_an_unknown_time() {
+    fn the_input_of_a_host_has_an_unknown_delay() {
         let drive = run(Origin::Commanded);
         assert_eq!(Scenario::from_run(&drive).unwrap().input_delay_s(), None);
         let widths = || (Channel::TimeHalfWidth, vec![0.002; 40], Origin::Derived);
@@ -625,7 +626,7 @@ mod tests {
         assert!((one.from_s - 0.5).abs() < 1e-9 && (one.to_s - 0.501).abs() < 1e-9);
         assert!((long.from_s - 1.2).abs() < 1e-9 && long.variance > 0.0);
         assert!((holes.input_at(1.3) - long.mean).abs() < 1e-12);
-        // The simulation restarts from what was measured behind it, which is not compared.
+        // The simulation restarts from the measurement after it, which is not compared.
         let restart = long.restart.unwrap();
         assert!(restart[0].is_nan() && (restart[1] - 1400.0).abs() < 1e-9);
         let missing = holes.speed_rad_s.iter().filter(|speed| speed.is_nan());
@@ -640,8 +641,8 @@ mod tests {
     }
 
     #[test]
-    fn a_run_behind_another_is_simulated_as_it_is_by_itself() {
-        // The heavy machine turns on for long after the end of its run.
+    fn an_appended_run_is_simulated_as_it_is_alone() {
+        // The heavy machine still turns long after the end of its run.
         for (inertia_kg_m2, seconds, within) in [(0.0045, 2.0, 1e-6), (0.3, 3.0, 0.5)] {
             let values = [1.1, 0.0099, 0.3538, inertia_kg_m2, 0.455];
             let model = Model::baseline(testing::motor("m", &values));
@@ -670,7 +671,7 @@ mod tests {
     }
 
     #[test]
-    fn inputs_that_are_held_out_are_no_part_of_a_run_before_another() {
+    fn inputs_of_a_hold_out_are_not_appended_to() {
         let mut first = with_holes();
         let times = first.sample_time_s.iter();
         first.angle = times.map(|time_s| (*time_s, 3.0 * time_s)).collect();
@@ -679,14 +680,14 @@ mod tests {
         assert!(first.unknown_input[1].restart.is_some() && first.unknown_input[1].to_s > end_s);
         let both = training.followed_by(&first);
         for times in [
-            both.events.iter().map(|own| own.0).collect::<Vec<f64>>(),
-            both.angle.iter().map(|own| own.0).collect(),
+            both.events.iter().map(|event| event.0).collect::<Vec<f64>>(),
+            both.angle.iter().map(|point| point.0).collect(),
             both.sample_time_s.clone(),
-            both.unknown_input.iter().map(|own| own.from_s).collect(),
+            both.unknown_input.iter().map(|hole| hole.from_s).collect(),
         ] {
             assert!(times.windows(2).all(|pair| pair[1] > pair[0]), "{times:?}");
         }
-        // The hole before the end, the time between the runs, and the holes of the run behind it.
+        // The hole before the end, the time between the runs, and the holes of the appended run.
         assert_eq!(both.unknown_input.len(), 4);
         let between = &both.unknown_input[1];
         assert!(between.variance.abs() < 1e-12 && between.restart.is_some());

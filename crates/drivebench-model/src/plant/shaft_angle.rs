@@ -1,22 +1,23 @@
-//! Phase unwrapping of a measured angle that starts again after each turn.
+//! Phase unwrapping (Itoh, *Applied Optics* 21, 1982) of a measured angle that jumps back by one turn.
 
 use std::f64::consts::TAU;
 
 use crate::numerics::statistics::extent;
 
-/// `angle` as `(time, angle)`, continuous. An angle that never jumps, or that leaves one turn, is continuous already. The
-/// nearest way round is taken; where that could be either, `speed` (at its own times, NaN where missing) decides.
+/// `angle` as `(time, angle)`, unwrapped. An angle without jumps, or with a range of more than one turn, is continuous already.
+/// Each step is the shorter way round; where steps are too large for that, the way nearest to the integral of `speed` (at its
+/// own times, NaN where missing).
 pub(super) fn continuous(angle: Vec<(f64, f64)>, speed: &[(f64, f64)]) -> Vec<(f64, f64)> {
     if !is_wrapped(&angle) {
         return angle;
     }
     let nearest = |step: f64| step - TAU * (step / TAU).round();
     let mut steps = angle.windows(2).map(|pair| pair[1].1 - pair[0].1);
-    // With steps of less than a quarter of a turn the nearest way round is certain.
-    let sure = steps.all(|step| nearest(step).abs() < 0.25 * TAU);
-    let speed: &[(f64, f64)] = if sure { &[] } else { speed };
+    // With steps of less than a quarter of a turn the shorter way round is certain.
+    let is_certain = steps.all(|step| nearest(step).abs() < 0.25 * TAU);
+    let speed: &[(f64, f64)] = if is_certain { &[] } else { speed };
     let mut next = 0;
-    // The mean of the speeds within an interval, or beside it, times its length; zero without a speed.
+    // The mean of the speeds within an interval, or of the next one, times its length; zero without a speed.
     let mut travelled = |from_s: f64, to_s: f64| {
         while speed.get(next).is_some_and(|point| point.0 < from_s) {
             next += 1;

@@ -1,11 +1,13 @@
-//! Event-driven simulation of a model: exact zero-order hold where it is linear, true stick-slip, no chatter.
+//! Event-driven simulation of a model: exact zero-order hold where it is linear, stick-slip as a hybrid automaton, no chatter.
 //!
-//! Motion has three modes: stuck, forward, backward. The sign of the friction comes from the mode, never from a noisy
-//! or vanishing speed. A zero crossing inside a step is located and the step is cut there; the shaft then sticks if the
-//! driving torque is within the friction level, else it goes on in the direction of the net torque.
+//! Motion has three modes: stuck, forward, backward (Karnopp, *J. Dyn. Sys. Meas. Control* 107, 1985, but with located events
+//! instead of a dead band of the speed). The sign of the friction is that of the mode. A zero crossing inside a step is located
+//! and the step is cut there; the shaft then sticks if the driving torque is within the friction level, else it continues in
+//! the direction of the net torque.
 //!
 //! Between events the linear part is propagated exactly. Effects enter as a forcing that is evaluated at the middle of
-//! a sub-step (exponential midpoint rule, second order), so that a stiff armature circuit needs no small steps.
+//! a sub-step (exponential midpoint rule, second order; Hochbruck and Ostermann, *Acta Numerica* 19, 2010), so that a stiff
+//! armature circuit needs no small steps.
 
 mod commands;
 mod equations;
@@ -29,7 +31,7 @@ use super::scenario::{Input, REFERENCE_SUPPLY_V, Scenario};
 use crate::numerics::count::whole;
 use crate::numerics::root;
 
-/// Longest sub-step with effects, s: drops at current reversals and Stribeck humps are resolved.
+/// Longest sub-step with effects, s: resolves voltage drops at current reversals and Stribeck friction at reversals.
 const LONGEST_STEP_WITH_EFFECTS_S: f64 = 5e-4;
 
 /// A simulated run at the scenario's sample times.
@@ -39,14 +41,14 @@ pub struct Trajectory {
     pub speed_rad_s: Vec<f64>,
 }
 
-/// Correction of the state by a measurement; a change that is not a number is none.
+/// Correction of the state by a measurement; a change that is NaN is zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Correction {
     pub current_a: f64,
     pub speed_rad_s: f64,
-    /// Load torque beyond the model's, against positive motion, that acts until the next correction.
+    /// Load torque in addition to the model's, against positive motion, until the next correction.
     pub load_n_m: f64,
-    /// Voltage beyond the input, likewise.
+    /// Voltage in addition to the input, until the next correction.
     pub voltage_v: f64,
 }
 
@@ -58,11 +60,11 @@ pub struct Plant {
     /// While stuck: the current alone.
     stuck: Steps,
     two_mass: Option<Box<TwoMass>>,
-    /// Where something lies between the motion and its measurement.
+    /// Sensors with delays, filters or offsets; `None` where the measurement is the motion.
     sensors: Option<Sensors>,
-    /// Where sub-steps must be shorter, in the run that is being simulated.
+    /// Currents at which sub-steps must be shorter, in the present run.
     steep: Steep,
-    /// Start of the run that is being simulated, s.
+    /// Start of the present run, s.
     begin_s: f64,
     work: u64,
 }
@@ -77,8 +79,8 @@ impl Plant {
         let still = [[equations.a[0][0], 0.0], [0.0, 0.0]];
         let linear = equations.is_linear();
         Ok(Self {
-            // Linear steps are exact, but a reversal must not hide inside, and a ringing load turns often. For the sensors the
-            // motion between two steps is a straight line: they need them short.
+            // Linear steps are exact, but two reversals within one are not detected, and an oscillating load reverses often. The
+            // sensors interpolate the motion between two steps linearly: they need short ones.
             longest_step_s: match (&equations.coupling, equations.path.measures_directly()) {
                 (None, true) if linear => 5e-3,
                 (Some(_), true) if linear => 1e-3,
@@ -97,8 +99,8 @@ impl Plant {
         })
     }
 
-    /// With sub-steps of `step_s` where effects need shorter ones: runs that are compared with each other, not with a
-    /// measurement, share the loss of accuracy. A second inertia keeps its own.
+    /// With sub-steps of `step_s` instead of the shorter ones for effects: for runs that are compared with each other, not with a
+    /// measurement. The steps of a second inertia stay.
     #[must_use]
     pub fn coarse(mut self, step_s: f64) -> Self {
         if self.two_mass.is_none() {
@@ -107,23 +109,23 @@ impl Plant {
         self
     }
 
-    /// What was simulated so far, in exact sub-steps of a linear machine.
+    /// Computing effort so far, in exact sub-steps of a linear machine.
     pub const fn work(&self) -> u64 {
         self.work
     }
 
-    /// Step of the classical Runge-Kutta method for this plant, s, for programs that have no exact propagators: a quarter of
-    /// the fastest time constant, with an error below a thousandth of a per cent.
+    /// Step of the classical Runge-Kutta method for this plant, s, for programs without exact propagators: a quarter of the
+    /// fastest time constant, with an error below 1e-5.
     pub fn runge_kutta_step_s(&mut self) -> f64 {
         self.equations.set_supply(REFERENCE_SUPPLY_V);
         let equations = &self.equations;
         let a = &equations.a;
-        let swing = (a[0][1] * a[1][0]).abs().sqrt();
+        let electromechanical = (a[0][1] * a[1][0]).abs().sqrt();
         let path = &equations.path;
         let lags = [path.speed_filter_s, path.current_filter_s].into_iter();
         let rates = lags.filter(|tau| *tau > 0.0).map(f64::recip);
         let lag = rates.fold(0.0, f64::max);
-        let rate = a[0][0].abs() + swing + lag + steep::fastest(equations);
+        let rate = a[0][0].abs() + electromechanical + lag + steep::fastest(equations);
         (0.25 / rate).min(LONGEST_STEP_WITH_EFFECTS_S)
     }
 
@@ -136,8 +138,8 @@ impl Plant {
         self.follow_into(scenario, start, out, |_, _, _| None);
     }
 
-    /// Predictions over short horizons: after every `horizon` samples the current and speed are set to the measured
-    /// ones. A horizon of one gives one-step predictions. States of effects go on from the simulation.
+    /// Predictions over `horizon` samples: after each horizon current and speed are set to the measured ones. A horizon of one
+    /// gives one-step predictions. States of effects are those of the simulation.
     pub fn predict_ahead(
         &mut self,
         scenario: &Scenario,
@@ -147,7 +149,7 @@ impl Plant {
         self.predict_ahead_from(scenario, start, horizon, 0)
     }
 
-    /// The same with the measurement taken over at the samples `first`, `first + horizon`, ...
+    /// The same with the measurement set at the samples `first`, `first + horizon`, ...
     pub fn predict_ahead_from(
         &mut self,
         scenario: &Scenario,
@@ -169,8 +171,8 @@ impl Plant {
         out
     }
 
-    /// Follows a measurement: after every sample `correct` receives the sample's number, the readings of the sensors and the
-    /// state, and returns the correction. `out` holds the predictions before each correction.
+    /// Simulates with corrections: after every sample `correct` gets the sample's number, the readings of the sensors and the
+    /// state, and returns the correction. `out` has the predictions before each correction.
     pub fn follow_into(
         &mut self,
         scenario: &Scenario,
@@ -192,9 +194,9 @@ impl Plant {
         let restarts = holes.filter_map(|hole| Some((hole.to_s, hole.restart?)));
         let mut restarts = restarts.peekable();
         let late_s = self.equations.path.command_delay_s;
-        let shadows = restarts.clone().filter(|_| late_s > 0.0);
-        let shadows = shadows.map(|(to_s, _)| to_s..to_s + late_s);
-        let mut shadows = shadows.peekable();
+        // A delayed command of a hole acts until after it: up to then the state is unknown.
+        let unknown = restarts.clone().filter(|_| late_s > 0.0);
+        let mut unknown = unknown.map(|(to_s, _)| to_s..to_s + late_s).peekable();
         let mut limits = scenario.limits.iter().peekable();
         let events = commands::applied(&scenario.events, &self.equations.path);
         self.begin_s = scenario.begin_s();
@@ -222,44 +224,49 @@ impl Plant {
                     input = limit.command_v;
                     next_s = next_s.min(now_s + rise_s);
                 }
-                let again = restarts.next_if(|restart| restart.0 <= next_s);
-                if let Some((at_s, _)) = again {
+                let restart = restarts.next_if(|restart| restart.0 <= next_s);
+                if let Some((at_s, _)) = restart {
                     next_s = at_s.max(now_s);
                 }
                 let dt_s = next_s - now_s;
                 self.advance(&mut state, now_s, dt_s, input, &mut angle);
                 now_s = next_s;
-                if let Some((_, measured)) = again {
-                    self.take_over(&mut state, measured);
+                if let Some((_, measured)) = restart {
+                    self.restart(&mut state, measured);
                 }
             }
             if self.equations.input != Input::Voltage {
-                let held = events.partition_point(|(time, _)| *time <= sample_s).max(1) - 1;
-                state.current_a = events[held].1;
+                let present = events.partition_point(|(time, _)| *time <= sample_s).max(1) - 1;
+                state.current_a = events[present].1;
             }
-            // A delayed command of the hole acts until after it: up to then the state is unknown.
-            if shadows.peek().is_some_and(|shadow| shadow.start < sample_s) {
+            if unknown.peek().is_some_and(|interval| interval.start < sample_s) {
                 let measured = [scenario.current_a[sample], scenario.speed_rad_s[sample]];
-                self.take_over(&mut state, measured);
-                shadows.next_if(|shadow| shadow.end <= sample_s);
+                self.restart(&mut state, measured);
+                unknown.next_if(|interval| interval.end <= sample_s);
             }
-            let shown = self.shown(&state);
-            out.current_a.push(shown[0]);
-            out.speed_rad_s.push(shown[1]);
-            if let Some(change) = correct(sample, shown, &state) {
-                self.anchor(&mut state, change.current_a, change.speed_rad_s);
+            let readings = self.readings(&state);
+            out.current_a.push(readings[0]);
+            out.speed_rad_s.push(readings[1]);
+            if let Some(change) = correct(sample, readings, &state) {
+                self.correct(&mut state, change.current_a, change.speed_rad_s);
                 self.equations.load_n_m = change.load_n_m;
                 self.equations.extra_v = change.voltage_v;
             }
         }
     }
 
-    /// Time for which the whole command acts before the current is within 0.1 % of where a limit holds it by `held_v`, s, at
-    /// most 0.5 ms; none where it is there, or the drive has not started yet.
-    fn rise_s(&self, limit: &LimitReached, held_v: f64, state: &State, now_s: f64) -> Option<f64> {
-        let direction = (limit.command_v - held_v).signum();
+    /// Time for which the whole command acts before the current is within 0.1 % of its limit, at which the voltage is `limited_v`,
+    /// s, at most 0.5 ms; `None` where it has reached it, or the drive has not started yet.
+    fn rise_s(
+        &self,
+        limit: &LimitReached,
+        limited_v: f64,
+        state: &State,
+        now_s: f64,
+    ) -> Option<f64> {
+        let direction = (limit.command_v - limited_v).signum();
         let missing_a = direction * (limit.current_a - state.current_a);
-        if held_v == 0.0 || missing_a <= 1e-3 * limit.current_a.abs() {
+        if limited_v == 0.0 || missing_a <= 1e-3 * limit.current_a.abs() {
             return None;
         }
         let at = Instant {
@@ -275,27 +282,27 @@ impl Plant {
         Some(if rate > 0.0 { rise_s.min(5e-4) } else { 5e-4 })
     }
 
-    /// Moves the state. What lies between motion and reading (a filter, an offset) stays between them.
-    fn anchor(&mut self, state: &mut State, current_a: f64, speed_rad_s: f64) {
+    /// Changes the state, and the states of the sensors by as much, so that the readings change with it.
+    fn correct(&mut self, state: &mut State, current_a: f64, speed_rad_s: f64) {
         if let Some(sensors) = &mut self.sensors {
-            sensors.anchor(current_a, speed_rad_s);
+            sensors.correct(current_a, speed_rad_s);
         }
         if let Some(two_mass) = &mut self.two_mass {
-            two_mass.anchor(speed_rad_s);
+            two_mass.correct(speed_rad_s);
         }
-        state.anchor(current_a, speed_rad_s);
+        state.correct(current_a, speed_rad_s);
     }
 
-    fn shown(&self, state: &State) -> [f64; 2] {
+    fn readings(&self, state: &State) -> [f64; 2] {
         let direct = [state.current_a, state.speed_rad_s];
         self.sensors.as_ref().map_or(direct, Sensors::read)
     }
 
     /// Continues from the measurement after a hole in the input.
-    fn take_over(&mut self, state: &mut State, [current_a, speed_rad_s]: [f64; 2]) {
-        let shown = self.shown(state);
-        self.anchor(state, current_a - shown[0], speed_rad_s - shown[1]);
-        // A load that had stopped or turned back in the simulation would be pulled along.
+    fn restart(&mut self, state: &mut State, [current_a, speed_rad_s]: [f64; 2]) {
+        let readings = self.readings(state);
+        self.correct(state, current_a - readings[0], speed_rad_s - readings[1]);
+        // A load that had stopped or reversed in the simulation would load the shaft.
         if let Some(two_mass) = &mut self.two_mass {
             two_mass.start(state);
         }
@@ -315,7 +322,7 @@ impl Plant {
         input: f64,
         angle: &mut AngleTrack<'_>,
     ) {
-        // Slack for rounding: 1 ms in steps of 0.5 ms are two steps, not three.
+        // Tolerance for rounding: 1 ms in steps of 0.5 ms are two steps, not three.
         let (steps, h) = if dt_s <= self.longest_step_s * (1.0 + 1e-6) {
             (1, dt_s)
         } else {
@@ -372,7 +379,7 @@ impl Plant {
         if self.equations.input != Input::Voltage {
             state.current_a = at.voltage_v;
         }
-        // Relative cost of a step, measured on runs with gaps of the current, cogging and a shaft that rings.
+        // Relative cost of a step, measured on runs with discontinuous current, cogging and an elastic shaft.
         self.work += match (&self.two_mass, self.equations.is_linear()) {
             (Some(_), _) => 20,
             (None, false) => 10,
@@ -385,60 +392,59 @@ impl Plant {
         if state.mode == Mode::Undecided {
             state.mode = self.equations.mode_at(state, &at);
         }
-        let mut left = h;
-        // Each pass ends the sub-step or changes the mode at an event; more than a few events in half a millisecond
-        // are a shaft that is coming to rest.
+        let mut remaining = h;
+        // Each pass ends the sub-step or changes the mode at an event; more than four events in half a millisecond are a shaft
+        // that comes to rest.
         for _ in 0..4 {
             let mode = state.mode;
-            let next = self.trial(state, &at, left);
+            let next = self.trial(state, &at, remaining);
             if self.margin(&next, &at, mode) >= 0.0 {
                 *state = next;
                 return;
             }
-            let cut = self.locate(state, &at, left, mode);
+            let cut = self.locate(state, &at, remaining, mode);
             *state = self.trial(state, &at, cut);
             state.speed_rad_s = 0.0;
-            left -= cut;
+            remaining -= cut;
             at.time_s += cut;
             state.mode = if mode == Mode::Stuck {
                 Mode::towards(self.equations.driving_torque(state, &at))
             } else {
                 self.equations.mode_at(state, &at)
             };
-            if left <= 1e-9 * h {
+            if remaining <= 1e-9 * h {
                 return;
             }
         }
         state.mode = Mode::Stuck;
-        let mut rest = self.trial(state, &at, left);
-        rest.speed_rad_s = 0.0;
-        *state = rest;
+        *state = self.trial(state, &at, remaining);
+        state.speed_rad_s = 0.0;
     }
 
-    /// Time within `(0, h]` at which the mode ends: the zero of the speed, or the moment of breaking away.
+    /// Time within `[0, h]` at which the mode ends: the zero of the speed, or the breakaway.
     fn locate(&mut self, state: &State, at: &Instant, h: f64, mode: Mode) -> f64 {
         let margin = |plant: &mut Self, t: f64| {
-            let there = plant.trial(state, at, t);
-            plant.margin(&there, at, mode)
+            let next = plant.trial(state, at, t);
+            plant.margin(&next, at, mode)
         };
         let at_begin = self.margin(state, at, mode);
         if at_begin <= 0.0 {
             return 0.0;
         }
         let at_end = margin(self, h);
-        root::falling_through_zero((0.0, at_begin), (h, at_end), h, 20, |t| margin(self, t))
+        root::illinois((0.0, at_begin), (h, at_end), h, 20, |t| margin(self, t))
     }
 
-    /// How far a state is from the end of its mode; negative beyond.
+    /// Event function: positive within the mode, zero at its end.
     #[inline]
     fn margin(&self, state: &State, at: &Instant, mode: Mode) -> f64 {
         match mode {
-            Mode::Stuck => self.equations.hold(state, at),
+            Mode::Stuck => self.equations.stiction_margin(state, at),
             moving => state.speed_rad_s * moving.sign(),
         }
     }
 
-    /// State after `h` if the mode stays as it is.
+    /// State after `h` if the mode does not change.
     #[inline]
     fn trial(&mut self, state: &State, at: &Instant, h: f64) -> State {
         if h <= 0.0 {
@@ -463,7 +469,7 @@ impl Plant {
     }
 }
 
-/// Linear interpolation of the measured angle, walked forward only.
+/// Linear interpolation of the measured angle at ascending instants.
 struct AngleTrack<'a> {
     points: &'a [(f64, f64)],
     next: usize,

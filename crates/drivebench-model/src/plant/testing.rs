@@ -1,5 +1,5 @@
 //! Recorded runs for tests: a model simulated under given voltages, sampled with the noise of a bench.
-#![expect(clippy::missing_panics_doc, reason = "what a test gives wrong is to stop it")]
+#![expect(clippy::missing_panics_doc, reason = "a wrong argument has to stop a test")]
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -44,7 +44,7 @@ pub fn record(
     scenario
 }
 
-/// Levels of an input, each held from its instant until the next: `(time, value)`.
+/// A zero-order hold from its instants and levels: `(time, value)`.
 pub fn held<const N: usize>(times: [f64; N], levels: [f64; N]) -> Vec<(f64, f64)> {
     times.into_iter().zip(levels).collect()
 }
@@ -68,7 +68,7 @@ pub fn run_of(
     run
 }
 
-/// A record with its voltage in every row, without the rows that were lost.
+/// A record with its voltage in every row, without the lost rows.
 pub fn with_rows_lost(scenario: &Scenario, lost: impl Fn(usize) -> bool) -> Run {
     let kept = || (0..scenario.samples()).filter(|row| !lost(*row));
     let pick = |values: &[f64]| -> Vec<f64> { kept().map(|row| values[row]).collect() };

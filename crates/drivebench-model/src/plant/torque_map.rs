@@ -12,8 +12,8 @@ use crate::numerics::statistics::largest;
 
 /// Columns behind the axis.
 const COLUMNS: &str = "torque_n_m,torque_low_n_m,torque_high_n_m,windows";
-/// Share of a bin, or of a turn, by which a place in a file may be off the even grid.
-const OFF_GRID: f64 = 1e-3;
+/// Largest deviation of a file from the even grid, as a share of a bin or of a turn.
+const GRID_TOLERANCE: f64 = 1e-3;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -46,6 +46,7 @@ impl MappedTorque {
         }
     }
 
+    /// Whether the torque contains this effect: a curve over its axis.
     pub fn holds(self, active: &ActiveEffect) -> bool {
         let axis = match self {
             Self::Friction => Axis::Speed,
@@ -54,6 +55,7 @@ impl MappedTorque {
         active.effect.card().curve == Some((Balance::Torque, axis))
     }
 
+    /// The model without the parts that the torque contains.
     pub fn taken_out_of(self, model: &Model) -> Model {
         let mut rest = model.clone();
         if self == Self::Friction {
@@ -94,7 +96,7 @@ impl MapBin {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TorqueMap {
     pub torque: MappedTorque,
-    /// Of even width, in the order of their places; those of a friction map meet at zero.
+    /// Of even width, in ascending order; zero is an edge in a friction map.
     pub bins: Vec<MapBin>,
 }
 
@@ -135,10 +137,9 @@ impl TorqueMap {
         };
         let mut lines = (1..).zip(text.lines());
         let header = lines.next().map_or("", |(_, line)| line.trim());
-        let is_its = |torque: &MappedTorque| header == format!("{},{COLUMNS}", torque.axis().0);
-        let torque = MappedTorque::ALL.into_iter().find(is_its);
-        let torque =
-            torque.ok_or_else(|| refused(1, header, "the header of a friction or cogging map"))?;
+        let has_header = |torque: &MappedTorque| header == format!("{},{COLUMNS}", torque.axis().0);
+        let torque = (MappedTorque::ALL.into_iter().find(has_header))
+            .ok_or_else(|| refused(1, header, "the header of a friction or cogging map"))?;
         let mut rows = Vec::new();
         for (line, text) in lines.filter(|(_, text)| !text.trim().is_empty()) {
             rows.push((line, text, row(text).map_err(|allowed| refused(line, text, allowed))?));
@@ -153,7 +154,7 @@ impl TorqueMap {
         let mut bins = Vec::with_capacity(rows.len());
         for (index, (line, text, (middle, torque, windows))) in rows.into_iter().enumerate() {
             let even = first + width * index as f64;
-            if !(width > 0.0 && (middle - even).abs() < OFF_GRID * width) {
+            if !(width > 0.0 && (middle - even).abs() < GRID_TOLERANCE * width) {
                 return Err(refused(line, text, "rising bins of one width"));
             }
             bins.push(MapBin { from: even - 0.5 * width, to: even + 0.5 * width, windows, torque });
@@ -161,7 +162,7 @@ impl TorqueMap {
         let turn = width * bins.len() as f64;
         let is_whole = match torque {
             MappedTorque::Friction => bins.len().is_multiple_of(2),
-            MappedTorque::Cogging => (turn - TAU).abs() < OFF_GRID * TAU,
+            MappedTorque::Cogging => (turn - TAU).abs() < GRID_TOLERANCE * TAU,
         };
         if bins.len() < 2 || !is_whole {
             let found = format!("the end after {} bins", bins.len());
@@ -175,33 +176,31 @@ impl TorqueMap {
         largest(self.bins.iter().filter_map(MapBin::value))
     }
 
-    /// Linear interpolation between the middles of two bins; where one of them has no value, that of the place's own bin.
-    /// `None` where that has none, outside the grid, and at rest, where friction holds the shaft. Friction is not interpolated
-    /// through zero.
-    pub fn at(&self, place: f64) -> Option<f64> {
+    /// Linear interpolation between the middles of two bins; the value of the bin alone where its neighbour has none, or lies on
+    /// the other side of zero speed. `None` in a bin without a value, outside the grid, and at zero speed (stiction).
+    pub fn at(&self, abscissa: f64) -> Option<f64> {
         let count = self.bins.len();
         let (first, width) = (self.bins[0].from, self.bins[0].to - self.bins[0].from);
-        let turns = self.torque == MappedTorque::Cogging;
-        let place = if turns { place.rem_euclid(TAU) } else { place };
-        let along = (place - first) / width;
-        let inside = turns || (along >= 0.0 && along <= count as f64 && place != 0.0);
-        if !(inside && along.is_finite()) {
+        let is_periodic = self.torque == MappedTorque::Cogging;
+        let abscissa = if is_periodic { abscissa.rem_euclid(TAU) } else { abscissa };
+        let bins = (abscissa - first) / width;
+        let inside = is_periodic || (bins >= 0.0 && bins <= count as f64 && abscissa != 0.0);
+        if !(inside && bins.is_finite()) {
             return None;
         }
-        let own = whole(along.floor()).min(count - 1);
-        let here = self.bins[own].value()?;
-        let off = along - own as f64 - 0.5;
-        let towards = if off < 0.0 { -1 } else { 1 };
-        let next = own.checked_add_signed(towards);
-        let next = match next {
-            Some(next) if next < count => Some(next),
-            _ if turns => Some((own + count).wrapping_add_signed(towards) % count),
+        let index = whole(bins.floor()).min(count - 1);
+        let value = self.bins[index].value()?;
+        let off_middle = bins - index as f64 - 0.5;
+        let step = if off_middle < 0.0 { -1 } else { 1 };
+        let neighbour = match index.checked_add_signed(step) {
+            Some(neighbour) if neighbour < count => Some(neighbour),
+            _ if is_periodic => Some((index + count).wrapping_add_signed(step) % count),
             _ => None,
         };
-        let beyond = next.map(|next| self.bins[next]);
-        let beyond = beyond.filter(|bin| turns || bin.middle() * place > 0.0);
-        let there = beyond.and_then(|bin| bin.value()).unwrap_or(here);
-        Some(here + off.abs() * (there - here))
+        let neighbour = neighbour.map(|neighbour| self.bins[neighbour]);
+        let usable = neighbour.filter(|bin| is_periodic || bin.middle() * abscissa > 0.0);
+        let neighbour_value = usable.and_then(|bin| bin.value()).unwrap_or(value);
+        Some(value + off_middle.abs() * (neighbour_value - value))
     }
 }
 
@@ -215,7 +214,7 @@ pub struct MapTextError {
 }
 
 fn row(line: &str) -> Result<(f64, Option<MappedValue>, usize), &'static str> {
-    const ALLOWED: &str = "a place, three torques or none, and a count";
+    const ALLOWED: &str = "a speed or angle, three torques or none, and a count";
     let cells: Vec<&str> = line.trim().split(',').collect();
     let [middle, torques @ .., windows] = cells.as_slice() else {
         return Err(ALLOWED);

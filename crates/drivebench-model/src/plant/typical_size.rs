@@ -5,8 +5,8 @@ use super::model::Model;
 use super::scenario::{Input, Scenario};
 use crate::numerics::statistics::{finite, largest};
 
-/// The size of one coefficient at which the effect reaches three per cent of the largest voltage (torque) of the run: a
-/// milliwatt motor and a mill have drags of very different size. Shape parameters have their own.
+/// The size of one coefficient at which the effect reaches three per cent of the largest voltage (torque) of the run, because
+/// the friction of a milliwatt motor and of a mill differ by many decades. A shape parameter has that of its card.
 pub fn typical_size(
     effect: &dyn Effect,
     parameter: usize,
@@ -18,7 +18,7 @@ pub fn typical_size(
         return specs[parameter].guess();
     }
     let values = specs.iter().enumerate().map(|(index, spec)| {
-        // Nearly proportional at the scale; a large size may saturate. A coefficient's guess is its scale.
+        // At its scale an effect is nearly proportional to its size. The guess of a coefficient is its scale.
         let is_other = spec.is_coefficient() && index != parameter;
         if is_other { 0.0 } else { spec.guess() }
     });
@@ -27,7 +27,7 @@ pub fn typical_size(
     let duration_s = times[times.len() - 1] - times[0];
     let currents = finite(&scenario.current_a);
     let mean_square = currents.iter().map(|i| i * i).sum::<f64>() / currents.len().max(1) as f64;
-    // States of effects integrate the square of the current: by the end of the run as much as this.
+    // States of effects integrate the square of the current: their value at the end of the run.
     let own = vec![mean_square * duration_s; terms.states()];
     let supply_v = scenario.supply_v();
     // 500 samples are enough.
@@ -56,13 +56,13 @@ pub fn typical_size(
             speed_rad_s: scenario.speed_rad_s[sample],
             voltage_v: input,
             supply_v,
-            // Any angles serve, as long as they are many.
+            // Angles that are spread over the turn.
             angle: ShaftAngle::at(sample as f64),
             ..motor
         };
         let voltage = terms.voltage_v(&at, &own).abs() / largest_input;
         let torque = terms.torque_n_m(&at, &own).abs() + terms.friction_n_m(&at).abs();
-        // Comparisons that drop NaN, as of a sample without a speed. Half of the largest torque accelerates.
+        // `max` ignores NaN, as of a sample without a speed. Half of the largest torque accelerates.
         reached = reached
             .max(voltage)
             .max(torque / largest_torque)
@@ -74,8 +74,7 @@ pub fn typical_size(
         .max(path.current_offset_a.abs() / largest_current)
         .max(path.speed_offset_rad_s.abs() / largest(&scenario.speed_rad_s));
     let size = 0.03 * specs[parameter].scale / reached;
-    let is_size = size.is_finite() && size > 0.0;
-    if is_size { size } else { specs[parameter].scale }
+    if size.is_finite() && size > 0.0 { size } else { specs[parameter].scale }
 }
 
 #[cfg(test)]
@@ -85,7 +84,7 @@ mod tests {
     use crate::sample::Channel;
 
     #[test]
-    fn it_goes_with_the_motor_and_with_what_the_run_reached() {
+    fn it_is_in_proportion_to_torque_and_speed_of_the_run() {
         let scenario = |current: f64, speed: f64| {
             let (events, times) = (vec![(0.0, 10.0)], vec![0.0, 1.0]);
             let mut run = Scenario::planned("r", Input::Voltage, Channel::Voltage, events, times);
@@ -98,7 +97,7 @@ mod tests {
         assert!((size - 0.03 * 0.3538 * 8.0 / 250.0).abs() < 1e-12);
         let small = typical_size(drag, 0, &model, &scenario(0.008, 2500.0));
         assert!((size / small - 1e4).abs() < 1e-6);
-        // A shaft that never turned says nothing about drag.
+        // Drag is not observable on a shaft at rest.
         let still = typical_size(drag, 0, &model, &scenario(8.0, 0.0));
         assert!((still - drag.parameters()[0].scale).abs() < 1e-18);
     }

@@ -1,14 +1,15 @@
-//! Unknown input: estimate of the input over lost rows of a record, and its variance.
+//! Missing data: interpolation of the input over lost rows of a record, with its variance from the nearest neighbours (in the
+//! change of the input) among the complete intervals of the same record.
 //!
 //! ```text
-//! rows     u0    u1    (lost) (lost) u4        a held input: u1 holds for one period, u4 from its own stamp on
+//! rows     u0    u1    (lost) (lost) u4        zero-order hold: u1 holds for one period, u4 from its stamp on
 //! known    |-----|-----|             |-----
-//! lost                 |------|------|         on the line from u1 to u4, with the variance that the record itself has between such
-//!                                              rows; for a few lost rows the current improves it
+//! lost                 |------|------|         the line from u1 to u4; its variance is that of the same estimate in complete
+//!                                              intervals of the record; in short holes the current reduces it
 //! ```
 //!
-//! Nothing counts as lost in a record that writes no row while its command stands still, nor in one whose rows come
-//! irregularly, nor where commands stand on rows of their own: there the value before holds until the next.
+//! No row counts as lost in a record that has rows only at changes of its command, nor in an irregular one, nor where commands
+//! have rows of their own: there the value before holds until the next row.
 
 use std::collections::HashMap;
 
@@ -25,13 +26,13 @@ pub struct UnknownInput {
     pub lost_rows: usize,
     /// Estimate of the mean of the input over the interval.
     pub mean: f64,
-    /// Deviation of the estimate of each of a few lost rows from it.
-    pub beside: [f64; FEW],
-    /// Mean square of its error; zero where all such places of the record are as estimated: the same value on both sides of
-    /// an input that changes slowly, a ramp that goes on.
+    /// Deviation of each lost row of a short hole from that mean.
+    pub beside: [f64; SHORT_HOLE],
+    /// Variance of the mean; zero where the estimate is exact in all such intervals of the record, as between equal values of an
+    /// input that changes slowly, or on a ramp.
     pub variance: f64,
-    /// Where the error is so large that a simulation has to restart: the measured current and speed at `to_s`, not a number
-    /// where missing.
+    /// Current and speed measured at `to_s` (NaN where missing), where the variance is so large that a simulation has to restart
+    /// from them.
     pub restart: Option<[f64; 2]>,
 }
 
@@ -44,30 +45,35 @@ pub(super) struct Rows<'a> {
     pub(super) sample_period_s: f64,
 }
 
-/// Share of a period by which the time between rows may miss a multiple of it.
-const OFF_THE_GRID: f64 = 0.1;
-/// Lost rows up to which the current before and after tells the voltage between, and up to which no restart is needed.
-const FEW: usize = 3;
-/// Neighbours, in the size of the change, that a variance is taken from.
-const NEIGHBOURS: usize = 50;
-/// Fewest rows for a period and for a prediction of the current.
-const FEWEST_ROWS: usize = 100;
+/// Lost rows up to which the currents before and after determine the voltage between, and up to which no restart is needed.
+const SHORT_HOLE: usize = 3;
+
+struct Settings {
+    /// Largest deviation of the time between rows from a multiple of the period, as a share of the period.
+    grid_tolerance: f64,
+    /// Nearest neighbours, by the change of the input, of which a variance is the mean.
+    neighbours: usize,
+    /// Fewest rows for an estimate of the period and for a prediction of the current.
+    fewest_rows: usize,
+}
+
+const SETTINGS: Settings = Settings { grid_tolerance: 0.1, neighbours: 50, fewest_rows: 100 };
 
 impl UnknownInput {
-    /// The time between two runs of one record: nothing is applied, and a simulation begins again behind it.
+    /// The time between two concatenated runs: zero input, and a restart of the simulation after it.
     pub(super) const fn between_runs(from_s: f64, to_s: f64, begins_with: [f64; 2]) -> Self {
         Self {
             from_s,
             to_s,
             lost_rows: 0,
             mean: 0.0,
-            beside: [0.0; FEW],
+            beside: [0.0; SHORT_HOLE],
             variance: 0.0,
             restart: Some(begins_with),
         }
     }
 
-    /// The estimate as a held input: `(time, value)`.
+    /// The estimate as a zero-order hold: `(time, value)`.
     pub(super) fn steps(&self) -> impl Iterator<Item = (f64, f64)> {
         let is_even = self.beside.iter().all(|beside| beside.abs() <= 0.0);
         let rows = if is_even { 1 } else { self.lost_rows };
@@ -84,45 +90,46 @@ pub(super) fn find(record: &Rows<'_>) -> Vec<UnknownInput> {
     };
     let input = record.input;
     let largest = largest(input.iter().map(|row| row.1));
-    let excursions = Excursions::of(record, &lost, period_s);
-    let mut by_length: HashMap<usize, [Examples; 4]> = HashMap::new();
+    let intervals = CompleteIntervals::of(record, &lost, period_s);
+    let mut by_length: HashMap<usize, [IntervalErrors; 4]> = HashMap::new();
     let holes = (0..).zip(&lost).filter(|(_, rows)| **rows > 0);
     let estimate = |(row, &rows): (usize, &usize)| {
         let ((begin_s, before), (to_s, after)) = (input[row], input[row + 1]);
-        let examples = by_length.entry(rows).or_insert_with(|| excursions.over(rows));
-        let missed = |drawn: Drawn| examples[drawn as usize].misses((after - before).abs(), rows);
-        let mut shape = excursions.shape(row, row + 1, rows);
-        let mut miss = missed(shape.drawn);
-        // A course without examples is worth less than a line; so is a corner where a line misses less.
-        let instead = if examples[shape.drawn as usize].0.len() < NEIGHBOURS {
-            Some(Drawn::Blind)
+        let errors = by_length.entry(rows).or_insert_with(|| intervals.errors(rows));
+        let expected = |basis: Basis| errors[basis as usize].expected((after - before).abs(), rows);
+        let mut course = intervals.course(row, row + 1, rows);
+        let mut error = expected(course.basis);
+        // The line is better than a course without enough complete intervals, and than a corner whose error is not smaller.
+        let line = if errors[course.basis as usize].0.len() < SETTINGS.neighbours {
+            Some(Basis::Ends)
         } else {
-            let is_worse = || miss.whole() >= missed(Drawn::Through).whole();
-            (shape.corner.is_some() && is_worse()).then_some(Drawn::Through)
+            let is_worse = || error.total() >= expected(Basis::LineForCorner).total();
+            (course.corner.is_some() && is_worse()).then_some(Basis::LineForCorner)
         };
-        if let Some(drawn) = instead {
-            shape = Shape::line(shape.from, shape.to, drawn);
-            miss = missed(drawn);
+        if let Some(basis) = line {
+            course = Course::line(course.from, course.to, basis);
+            error = expected(basis);
         }
         let from_s = begin_s + period_s;
-        let (mut mean, beside) = shape.rows(from_s, to_s, rows);
-        let mut variance = miss.of_mean;
+        let (mut mean, beside) = course.rows(from_s, to_s, rows);
+        let mut variance = error.of_mean;
+        // Mean of both estimates, weighted by their inverse variances.
         if variance > 0.0
-            && let Some(error) = miss.by_current
-            && let Some(by_current) = excursions.by_current([row, row + 1], &beside[..rows])
+            && let Some(current_variance) = error.by_current
+            && let Some(by_current) = intervals.by_current([row, row + 1], &beside[..rows])
         {
-            let share = variance / (variance + error);
+            let share = variance / (variance + current_variance);
             mean += share * (by_current - mean);
             variance *= 1.0 - share;
         }
-        variance += miss.bent;
-        if rows > FEW {
-            // The machine forgets: at the end of a long hole not its mean counts but the input in its last part, which may
-            // have been that of either side.
+        variance += error.of_rows;
+        if rows > SHORT_HOLE {
+            // The state at the end of a long hole depends not on the mean of the input but on its last part, which may have had the
+            // value of either side.
             variance += 0.25 * (after - before).powi(2);
         }
         // A deviation of 0.2 % of the largest input needs no restart.
-        let needs_restart = rows > FEW && variance.sqrt() > 0.002 * largest;
+        let needs_restart = rows > SHORT_HOLE && variance.sqrt() > 0.002 * largest;
         UnknownInput {
             from_s,
             to_s,
@@ -136,35 +143,36 @@ pub(super) fn find(record: &Rows<'_>) -> Vec<UnknownInput> {
     holes.map(estimate).collect()
 }
 
-/// The period, and how many rows were lost after each row; `None` where the record is whole or irregular.
+/// The period, and the number of rows lost after each row; `None` where the record is complete or irregular.
 fn lost_rows(record: &Rows<'_>) -> Option<(f64, Vec<usize>)> {
     let input = record.input;
     let steps: Vec<f64> = input.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
-    if steps.len() < FEWEST_ROWS {
+    if steps.len() < SETTINGS.fewest_rows {
         return None;
     }
     let (period_s, multiples) = schedule(&steps);
     let share = |count: usize| count as f64 / steps.len() as f64;
-    let is_on_the_grid =
-        |(step, multiple): &(&f64, &f64)| (*step / period_s - *multiple).abs() <= OFF_THE_GRID;
+    let is_on_the_grid = |(step, multiple): &(&f64, &f64)| {
+        (*step / period_s - *multiple).abs() <= SETTINGS.grid_tolerance
+    };
     let on_the_grid = steps.iter().zip(&multiples).filter(is_on_the_grid).count();
     let is_single = |multiple: &&f64| **multiple <= 1.0;
     let single = multiples.iter().filter(is_single).count();
-    let own_rows = (record.sample_period_s / period_s - 1.0).abs() > OFF_THE_GRID;
-    // Loops keep to a grid of whole milliseconds each; a clock keeps to its schedule, but for the rounding of its stamps, and
-    // polls come up to a quarter of a period late.
+    let own_rows = (record.sample_period_s / period_s - 1.0).abs() > SETTINGS.grid_tolerance;
+    // The period of a software loop is a multiple of a millisecond from row to row; a clock has a schedule, with rounded stamps or
+    // with polls up to a quarter of a period late.
     let rounded_s = coarse_resolution_s(&steps, period_s);
     let late_s = rounded_s.map_or(0.25 * period_s, |rounded_s| 0.55 * rounded_s);
     let is_off =
         rounded_s.is_some_and(|rounded_s| holes_are_off((&steps, &multiples), period_s, rounded_s));
     let is_regular = share(on_the_grid) >= 0.95 && rounded_s.is_none()
         || share(on_schedule(input, &multiples, late_s)) >= 0.95 && !is_off;
-    // A loop that pauses after one row in twenty, each time as long, has lost nothing.
+    // A loop that pauses after one row in twenty, each time equally long, has lost no row.
     let pauses = share(most_frequent_pause(&multiples)) >= 0.05;
     if single == steps.len() || own_rows || !is_regular || share(single) < 0.5 || pauses {
         return None;
     }
-    // A record that only writes changes repeats nothing, and changes over two periods by as much as over one.
+    // A record of changes only has no equal neighbours, and its changes over two periods are as large as those over one.
     let changes = |alone: bool| -> Vec<f64> {
         (input.windows(2).zip(&multiples))
             .filter(|(_, multiple)| (**multiple <= 1.0) == alone)
@@ -181,24 +189,24 @@ fn lost_rows(record: &Rows<'_>) -> Option<(f64, Vec<usize>)> {
     Some((period_s, lost.collect()))
 }
 
-/// The period, and how many of it each step is. The median of late polls is too long where rows were lost: over a long hole it
-/// misses by a whole row. The mean of steps of up to three periods does not.
+/// The period, and the length of each step in periods. The median of late polls is too long where rows were lost, by a whole row
+/// over a long hole; the mean of steps of up to three periods is not.
 fn schedule(steps: &[f64]) -> (f64, Vec<f64>) {
     let rounded = |period_s: f64| steps.iter().map(move |step| (step / period_s).round());
     let mut period_s = median(steps);
-    let short = steps.iter().zip(rounded(period_s));
-    let short = short.filter(|(_, multiple)| (1.0..=3.0).contains(multiple));
-    let (length_s, rows) =
-        short.fold((0.0, 0.0), |sum, (step, multiple)| (sum.0 + step, sum.1 + multiple));
+    let steps_and_multiples = steps.iter().zip(rounded(period_s));
+    let (length_s, rows) = steps_and_multiples
+        .filter(|(_, multiple)| (1.0..=3.0).contains(multiple))
+        .fold((0.0, 0.0), |sum, (step, multiple)| (sum.0 + step, sum.1 + multiple));
     if rows > 0.0 {
         period_s = length_s / rows;
     }
     (period_s, rounded(period_s).collect())
 }
 
-/// The resolution of the stamps, s, where it is a good part of the period; `None` where it is fine, or the period itself.
+/// The resolution of the stamps, s, where it is a tenth of the period or more; `None` where it is finer, or the period itself.
 fn coarse_resolution_s(steps: &[f64], period_s: f64) -> Option<f64> {
-    // The greatest common divisor of all times between rows, by Euclid's algorithm down to the scatter of the last digit.
+    // The greatest common divisor of all times between rows, by Euclid's algorithm with a tolerance for the last digit.
     let divisor = |mut a: f64, mut b: f64| {
         while b > 1e-3 * period_s {
             (a, b) = (b, (a - (a / b).round() * b).abs());
@@ -206,57 +214,56 @@ fn coarse_resolution_s(steps: &[f64], period_s: f64) -> Option<f64> {
         a
     };
     let resolution_s = steps.iter().copied().fold(0.0, divisor);
-    let coarse_s = OFF_THE_GRID * period_s..(1.0 - OFF_THE_GRID) * period_s;
+    let coarse_s = SETTINGS.grid_tolerance * period_s..(1.0 - SETTINGS.grid_tolerance) * period_s;
     coarse_s.contains(&resolution_s).then_some(resolution_s)
 }
 
-/// Whether the mean error of the holes of up to ten periods exceeds five standard deviations of what rounding makes of it:
-/// `resolution / sqrt(6)` for each time between two rounded stamps.
+/// Whether the mean error of the holes of up to ten periods exceeds five standard deviations of the rounding of stamps, which is
+/// `resolution / sqrt(6)` for the difference of two.
 fn holes_are_off((steps, multiples): (&[f64], &[f64]), period_s: f64, rounded_s: f64) -> bool {
-    let holes = steps.iter().zip(multiples);
-    let holes = holes.filter(|(_, multiple)| (2.0..=10.0).contains(*multiple));
-    let off: Vec<f64> = holes.map(|(step, multiple)| step - multiple * period_s).collect();
-    mean(&off).abs() > 5.0 * rounded_s / (6.0 * off.len() as f64).sqrt()
+    let holes =
+        steps.iter().zip(multiples).filter(|(_, multiple)| (2.0..=10.0).contains(*multiple));
+    let errors: Vec<f64> = holes.map(|(step, multiple)| step - multiple * period_s).collect();
+    mean(&errors).abs() > 5.0 * rounded_s / (6.0 * errors.len() as f64).sqrt()
 }
 
-/// Number of the longer times between rows that are of one length of several periods, where they are more than all others
-/// together: rows are lost one by one more often than so many together, and a loop with an occasional task takes so long each
-/// time.
+/// Number of the pauses of the most frequent length of more than two periods, if they are more than half of all pauses: such
+/// pauses are an occasional task of the loop, because rows are lost one by one more often than several at once.
 fn most_frequent_pause(multiples: &[f64]) -> usize {
-    let longer = multiples.iter().filter(|multiple| **multiple > 1.0);
-    let mut pauses: Vec<usize> = longer.map(|multiple| whole(*multiple)).collect();
+    let pauses = multiples.iter().filter(|multiple| **multiple > 1.0);
+    let mut pauses: Vec<usize> = pauses.map(|multiple| whole(*multiple)).collect();
     pauses.sort_unstable();
-    let same = pauses.chunk_by(|a, b| a == b);
-    let most = same.max_by_key(|same| same.len()).unwrap_or_default();
-    let is_one_length = most.first().is_some_and(|periods| *periods > 2);
-    if is_one_length && 2 * most.len() > pauses.len() { most.len() } else { 0 }
+    let equal = pauses.chunk_by(|a, b| a == b);
+    let most_frequent = equal.max_by_key(|equal| equal.len()).unwrap_or_default();
+    let is_long = most_frequent.first().is_some_and(|periods| *periods > 2);
+    let is_majority = 2 * most_frequent.len() > pauses.len();
+    if is_long && is_majority { most_frequent.len() } else { 0 }
 }
 
-/// Rows that keep to the places of a schedule within `within_s`; `multiples` are the places between one row and the next.
+/// Number of rows within `within_s` of the regression line of their stamps over their numbers; `multiples` are the differences of
+/// the numbers.
 fn on_schedule(input: &[(f64, f64)], multiples: &[f64], within_s: f64) -> usize {
-    let mut place = 0.0;
+    let mut number = 0.0;
     let mut rows = vec![(0.0, input[0].0)];
     for (row, multiple) in input[1..].iter().zip(multiples) {
-        place += multiple;
-        rows.push((place, row.0));
+        number += multiple;
+        rows.push((number, row.0));
     }
     let count = rows.len() as f64;
     let mean = |of: fn(&(f64, f64)) -> f64| rows.iter().map(of).sum::<f64>() / count;
-    let (mean_place, mean_s) = (mean(|row| row.0), mean(|row| row.1));
+    let (mean_number, mean_s) = (mean(|row| row.0), mean(|row| row.1));
     let (mut products, mut squares) = (0.0, 0.0);
-    for (place, time_s) in &rows {
-        products += (place - mean_place) * (time_s - mean_s);
-        squares += (place - mean_place).powi(2);
+    for (number, time_s) in &rows {
+        products += (number - mean_number) * (time_s - mean_s);
+        squares += (number - mean_number).powi(2);
     }
     let period_s = products / squares;
-    let late = |row: &&(f64, f64)| {
-        let late_s = row.1 - mean_s - period_s * (row.0 - mean_place);
-        late_s.abs() <= within_s
-    };
-    rows.iter().filter(late).count()
+    let is_within =
+        |row: &&(f64, f64)| (row.1 - mean_s - period_s * (row.0 - mean_number)).abs() <= within_s;
+    rows.iter().filter(is_within).count()
 }
 
-/// Whether most values occur once: they are not left out for being the same.
+/// Whether most values are distinct, so that equal ones were not left out.
 fn mostly_distinct(input: &[(f64, f64)]) -> bool {
     let mut values: Vec<f64> = input.iter().map(|row| row.1).collect();
     values.sort_by(f64::total_cmp);
@@ -264,28 +271,29 @@ fn mostly_distinct(input: &[(f64, f64)]) -> bool {
     2 * values.len() > input.len()
 }
 
-/// The likeliest course of the input between two rows: a line, or where those beside a few rows lead to one, a corner.
-struct Shape {
+/// Interpolation of the input between two rows: a line, or in a short hole the corner of the extrapolations from both sides.
+struct Course {
     from: (f64, f64),
     to: (f64, f64),
     corner: Option<(f64, f64)>,
-    drawn: Drawn,
+    basis: Basis,
 }
 
-/// What a course was drawn from.
+/// The rows on which an interpolation is based.
 #[derive(Clone, Copy)]
-enum Drawn {
-    /// The two rows alone.
-    Blind,
-    /// Rows beside them that lead to no corner, such as do, and a line in spite of them.
+enum Basis {
+    /// The line, from the two rows alone.
+    Ends,
+    /// The line, where the extrapolations from the neighbours of both rows have no corner between them.
     Line,
     Corner,
-    Through,
+    /// The line, where they have a corner.
+    LineForCorner,
 }
 
-impl Shape {
-    const fn line(from: (f64, f64), to: (f64, f64), drawn: Drawn) -> Self {
-        Self { from, to, corner: None, drawn }
+impl Course {
+    const fn line(from: (f64, f64), to: (f64, f64), basis: Basis) -> Self {
+        Self { from, to, corner: None, basis }
     }
 
     fn at(&self, time_s: f64) -> f64 {
@@ -297,10 +305,10 @@ impl Shape {
         from.1 + (to.1 - from.1) * (time_s - from.0) / (to.0 - from.0)
     }
 
-    /// Mean over the lost rows, which are held from `from_s` to `to_s`, and what each of a few differs from it by.
-    fn rows(&self, from_s: f64, to_s: f64, rows: usize) -> (f64, [f64; FEW]) {
-        let mut beside = [0.0; FEW];
-        if rows > FEW {
+    /// Mean over the lost rows from `from_s` to `to_s`, and the deviations of the rows of a short hole from it.
+    fn rows(&self, from_s: f64, to_s: f64, rows: usize) -> (f64, [f64; SHORT_HOLE]) {
+        let mut beside = [0.0; SHORT_HOLE];
+        if rows > SHORT_HOLE {
             return (0.5 * (self.from.1 + self.to.1), beside);
         }
         for (row, value) in beside[..rows].iter_mut().enumerate() {
@@ -312,86 +320,87 @@ impl Shape {
     }
 }
 
-/// Differences of two values that come from the rounding of decimals.
+/// Bound of the difference of two values by the rounding of decimals.
 fn rounding(before: f64, after: f64) -> f64 {
     1e-6 * (before.abs() + after.abs())
 }
 
-/// Mean squares of the errors of an estimate of lost rows: of their mean, and of each of them beside it.
+/// Mean square errors of an interpolation: of the mean over the lost rows, and of the deviations of the rows from it.
 #[derive(Clone, Copy, Default)]
-struct Miss {
+struct SquareErrors {
     of_mean: f64,
-    bent: f64,
-    /// Of the mean by the current; none where it was not measured.
+    of_rows: f64,
+    /// Of the mean estimated by the current; `None` where it was not measured.
     by_current: Option<f64>,
 }
 
-impl Miss {
-    fn whole(&self) -> f64 {
-        self.of_mean + self.bent
+impl SquareErrors {
+    fn total(&self) -> f64 {
+        self.of_mean + self.of_rows
     }
 }
 
-/// Places as long as a hole where the record is complete: the change from one side to the other, by which they are sorted, and
-/// the errors of the estimate there.
+/// Complete intervals of the length of a hole: the change of the input over each, by which they are sorted, and the errors of the
+/// interpolation.
 #[derive(Default)]
-struct Examples(Vec<(f64, Miss)>);
+struct IntervalErrors(Vec<(f64, SquareErrors)>);
 
-impl Examples {
-    /// Mean squares of the errors where the input changed by about as much; without examples those of one edge somewhere.
-    fn misses(&self, change: f64, rows: usize) -> Miss {
-        let places = &self.0;
-        if places.len() < NEIGHBOURS {
+impl IntervalErrors {
+    /// Mean over the nearest neighbours of the change; with too few intervals that of one edge at a uniformly distributed instant.
+    fn expected(&self, change: f64, rows: usize) -> SquareErrors {
+        let intervals = &self.0;
+        if intervals.len() < SETTINGS.neighbours {
             let n = rows as f64;
-            return Miss { of_mean: change.powi(2) * (n + 2.0) / (12.0 * n), ..Miss::default() };
+            return SquareErrors {
+                of_mean: change.powi(2) * (n + 2.0) / (12.0 * n),
+                ..SquareErrors::default()
+            };
         }
-        let near = places.partition_point(|place| place.0 < change);
-        let same = places.partition_point(|place| place.0 <= change);
-        // Changes that are the same to the bit are their own best examples.
-        let about = if same - near >= NEIGHBOURS {
-            &places[near..same]
+        let first = intervals.partition_point(|interval| interval.0 < change);
+        let end = intervals.partition_point(|interval| interval.0 <= change);
+        // Changes that are equal to the bit are the nearest neighbours, where they are enough.
+        let nearest = if end - first >= SETTINGS.neighbours {
+            &intervals[first..end]
         } else {
-            let begin = near.saturating_sub(NEIGHBOURS / 2);
-            &places[begin..same.max(begin + NEIGHBOURS).min(places.len())]
+            let begin = first.saturating_sub(SETTINGS.neighbours / 2);
+            &intervals[begin..end.max(begin + SETTINGS.neighbours).min(intervals.len())]
         };
-        let mean_of = |of: fn(&Miss) -> f64| {
-            about.iter().map(|place| of(&place.1)).sum::<f64>() / about.len() as f64
+        let mean_of = |of: fn(&SquareErrors) -> f64| {
+            nearest.iter().map(|interval| of(&interval.1)).sum::<f64>() / nearest.len() as f64
         };
-        let by_current = about.iter().filter_map(|place| place.1.by_current);
+        let by_current = nearest.iter().filter_map(|interval| interval.1.by_current);
         let by_current: Vec<f64> = by_current.collect();
-        Miss {
-            of_mean: mean_of(|miss| miss.of_mean),
-            bent: mean_of(|miss| miss.bent),
-            by_current: (2 * by_current.len() >= about.len()).then(|| mean(&by_current)),
+        SquareErrors {
+            of_mean: mean_of(|error| error.of_mean),
+            of_rows: mean_of(|error| error.of_rows),
+            by_current: (2 * by_current.len() >= nearest.len()).then(|| mean(&by_current)),
         }
     }
 }
 
-/// The record as its own examples: the errors of estimates between two rows where the rows between them are there.
-struct Excursions<'a> {
+/// The record, for the errors of interpolations over intervals without lost rows.
+struct CompleteIntervals<'a> {
     input: &'a [(f64, f64)],
     measured: &'a [[f64; 2]],
     winding: Option<Winding>,
     period_s: f64,
-    /// Integral of the held input up to each row, holes filled by the middle of their neighbours.
+    /// Integral of the input up to each row, holes interpolated linearly.
     integral: Vec<f64>,
     holes: Vec<(usize, usize)>,
 }
 
-impl<'a> Excursions<'a> {
+impl<'a> CompleteIntervals<'a> {
     fn of(record: &Rows<'a>, lost: &[usize], period_s: f64) -> Self {
         let input = record.input;
         let mut integral = vec![0.0];
         let mut sum = 0.0;
         for (pair, &rows) in input.windows(2).zip(lost) {
             let length_s = pair[1].0 - pair[0].0;
-            let held_s = if rows > 0 { period_s } else { length_s };
-            let known_s = held_s.min(length_s);
+            let known_s = if rows > 0 { period_s.min(length_s) } else { length_s };
             sum += pair[0].1 * known_s + 0.5 * (pair[0].1 + pair[1].1) * (length_s - known_s);
             integral.push(sum);
         }
-        let holes = lost.iter().copied().enumerate();
-        let holes = holes.filter(|(_, rows)| *rows > 0);
+        let holes = lost.iter().copied().enumerate().filter(|(_, rows)| *rows > 0);
         Self {
             input,
             measured: record.measured,
@@ -410,44 +419,45 @@ impl<'a> Excursions<'a> {
     }
 
     /// The course between two rows that have `rows` lost ones between them.
-    fn shape(&self, row: usize, end: usize, rows: usize) -> Shape {
+    fn course(&self, row: usize, end: usize, rows: usize) -> Course {
         let (from, to) = (self.input[row], self.input[end]);
-        let rise = |at: usize| {
+        let slope = |at: usize| {
             let (&(begin_s, first), &(end_s, last)) =
                 (self.input.get(at)?, self.input.get(at + 1)?);
             // Neighbours are less than one period and a half apart.
             (end_s - begin_s < 1.5 * self.period_s).then(|| (last - first) / (end_s - begin_s))
         };
-        let sides = (row.checked_sub(1).and_then(rise), rise(end));
-        let (true, (Some(before), Some(behind))) = (rows <= FEW, sides) else {
-            return Shape::line(from, to, Drawn::Blind);
+        let sides = (row.checked_sub(1).and_then(slope), slope(end));
+        let (true, (Some(slope_before), Some(slope_after))) = (rows <= SHORT_HOLE, sides) else {
+            return Course::line(from, to, Basis::Ends);
         };
         let length_s = to.0 - from.0;
-        let after_s = (to.1 - from.1 - behind * length_s) / (before - behind);
-        let value = from.1 + before * after_s;
-        // On a line any place is a corner, and at its ends none is.
-        let beside = value - from.1 - (to.1 - from.1) * after_s / length_s;
-        if after_s > 0.0 && after_s < length_s && beside.abs() > rounding(from.1, to.1) {
-            return Shape {
-                corner: Some((from.0 + after_s, value)),
-                ..Shape::line(from, to, Drawn::Corner)
+        let corner_s = (to.1 - from.1 - slope_after * length_s) / (slope_before - slope_after);
+        let value = from.1 + slope_before * corner_s;
+        // A corner on the line, or at its ends, is none.
+        let off_line = value - from.1 - (to.1 - from.1) * corner_s / length_s;
+        if corner_s > 0.0 && corner_s < length_s && off_line.abs() > rounding(from.1, to.1) {
+            return Course {
+                corner: Some((from.0 + corner_s, value)),
+                ..Course::line(from, to, Basis::Corner)
             };
         }
-        Shape::line(from, to, Drawn::Line)
+        Course::line(from, to, Basis::Line)
     }
 
-    /// Examples as long as a hole of `rows`, as [`Drawn`] numbers them, without such as hold a hole of that size themselves.
-    fn over(&self, rows: usize) -> [Examples; 4] {
-        let mut found: [Examples; 4] = Default::default();
+    /// Errors over the intervals of the length of a hole of `rows` that have no such hole, by [`Basis`].
+    fn errors(&self, rows: usize) -> [IntervalErrors; 4] {
+        let mut found: [IntervalErrors; 4] = Default::default();
         let length_s = (rows + 1) as f64 * self.period_s;
-        // 4,000 places are enough.
+        // 4,000 intervals are enough.
         let stride = self.input.len().div_ceil(4000).max(1);
         for row in (0..self.input.len().saturating_sub(1)).step_by(stride) {
             let (begin_s, before) = self.input[row];
             let end_s = begin_s + length_s;
-            let close = 0.5 * self.period_s;
-            let end = self.input.partition_point(|at| at.0 < end_s - close);
-            let Some(&(to_s, after)) = self.input.get(end).filter(|at| at.0 < end_s + close) else {
+            let half_s = 0.5 * self.period_s;
+            let end = self.input.partition_point(|at| at.0 < end_s - half_s);
+            let Some(&(to_s, after)) = self.input.get(end).filter(|at| at.0 < end_s + half_s)
+            else {
                 continue;
             };
             let first = self.holes.partition_point(|hole| hole.0 < row);
@@ -460,45 +470,45 @@ impl<'a> Excursions<'a> {
             let mean = integral / (to_s - from_s);
             let is_rounding = |square: f64| square.sqrt() <= rounding(before, after);
             let exact = |square: f64| if is_rounding(square) { 0.0 } else { square };
-            let missed = |shape: &Shape| {
-                let (drawn, beside) = shape.rows(from_s, to_s, rows);
+            let errors = |course: &Course| {
+                let (estimate, beside) = course.rows(from_s, to_s, rows);
                 let by_current =
-                    (rows <= FEW).then(|| self.by_current([row, end], &beside[..rows]));
-                let mut bent = 0.0;
-                if rows > 1 && rows <= FEW {
+                    (rows <= SHORT_HOLE).then(|| self.by_current([row, end], &beside[..rows]));
+                let mut of_rows = 0.0;
+                if rows > 1 && rows <= SHORT_HOLE {
                     let between = &self.input[row + 1..end];
-                    let miss = |at: &(f64, f64)| at.1 - shape.at(at.0) - mean + drawn;
-                    let squares = between.iter().map(miss).map(|miss| miss * miss);
-                    bent = squares.sum::<f64>() / between.len().max(1) as f64;
+                    let error = |at: &(f64, f64)| at.1 - course.at(at.0) - mean + estimate;
+                    let squares = between.iter().map(error).map(|error| error * error);
+                    of_rows = squares.sum::<f64>() / between.len().max(1) as f64;
                 }
-                Miss {
-                    of_mean: exact((mean - drawn).powi(2)),
-                    bent: exact(bent),
+                SquareErrors {
+                    of_mean: exact((mean - estimate).powi(2)),
+                    of_rows: exact(of_rows),
                     by_current: by_current.flatten().map(|found| (mean - found).powi(2)),
                 }
             };
             let change = (after - before).abs();
-            let shape = self.shape(row, end, rows);
-            let blind = Shape::line(shape.from, shape.to, Drawn::Blind);
-            let mut add = |drawn: Drawn, miss: Miss| found[drawn as usize].0.push((change, miss));
-            let straight = missed(&blind);
-            add(Drawn::Blind, straight);
-            if shape.corner.is_some() {
-                add(Drawn::Through, straight);
+            let course = self.course(row, end, rows);
+            let mut add =
+                |basis: Basis, errors: SquareErrors| found[basis as usize].0.push((change, errors));
+            let of_line = errors(&Course::line(course.from, course.to, Basis::Ends));
+            add(Basis::Ends, of_line);
+            if course.corner.is_some() {
+                add(Basis::LineForCorner, of_line);
             }
-            if !matches!(shape.drawn, Drawn::Blind) {
-                add(shape.drawn, missed(&shape));
+            if !matches!(course.basis, Basis::Ends) {
+                add(course.basis, errors(&course));
             }
         }
-        for examples in &mut found {
-            examples.0.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for errors in &mut found {
+            errors.0.sort_by(|a, b| a.0.total_cmp(&b.0));
         }
         found
     }
 }
 
-/// The current one period on, `i' = f i + g u + h (w + w')/2`, by least squares over the whole intervals of the record: good
-/// enough to infer a voltage, not to identify.
+/// Prediction of the current one period ahead, `i' = f i + g u + h (w + w')/2`, by least squares over the complete intervals of
+/// the record: accurate enough to infer a voltage, not to identify a motor.
 struct Winding {
     f: f64,
     g: f64,
@@ -516,7 +526,7 @@ impl Winding {
                 all.then_some((x, next_i))
             })
             .collect();
-        if rows.len() < FEWEST_ROWS {
+        if rows.len() < SETTINGS.fewest_rows {
             return None;
         }
         let (mut normal, mut right) = (SMatrix::<f64, 3, 3>::zeros(), SVector::<f64, 3>::zeros());
@@ -526,12 +536,12 @@ impl Winding {
         }
         let solution = normal.cholesky()?.solve(&right);
         let (f, g, h) = (solution[0], solution[1], solution[2]);
-        let possible = f > 0.0 && f < 1.0 && g > 0.0 && h.is_finite();
-        possible.then_some(Self { f, g, h })
+        let is_stable = f > 0.0 && f < 1.0 && g > 0.0 && h.is_finite();
+        is_stable.then_some(Self { f, g, h })
     }
 
-    /// Mean voltage over the lost rows between two measured ones, of which the first held `before_v` for a period; `beside_v`
-    /// are the deviations of the rows from it.
+    /// Mean voltage over the lost rows between two measured ones, the first with `before_v` for one period; `beside_v` are the
+    /// deviations of the rows from it.
     fn voltage(
         &self,
         [[i, w], [next_i, next_w]]: [[f64; 2]; 2],
@@ -552,8 +562,8 @@ impl Winding {
 #[cfg(test)]
 mod tests {
     use super::*;
-    /// Holes of a record of one value a millisecond without the rows that were lost; current and speed follow from
-    /// `i' = 0.9 i + 0.1 u` where `measured`.
+    /// Holes of a record of one value a millisecond without the lost rows, with the current of `i' = 0.9 i + 0.1 u` and a speed where
+    /// `measured`.
     fn holes(values: &[f64], measured: bool, lost: impl Fn(usize) -> bool) -> Vec<UnknownInput> {
         let mut current = 0.0;
         let (mut input, mut cells) = (Vec::new(), Vec::new());
@@ -606,7 +616,7 @@ mod tests {
     }
 
     #[test]
-    fn ramps_and_their_corners_are_known_through_lost_rows() {
+    fn ramps_and_their_corners_are_interpolated_exactly() {
         type Row = (&'static str, fn(i32) -> f64, fn(usize) -> bool, usize, usize);
         let corners = |row: i32| 3.5 * f64::from((row % 100 - 50).abs().clamp(10, 40));
         let rows: [Row; 3] = [
@@ -629,26 +639,26 @@ mod tests {
             for hole in &found {
                 assert!(hole.variance < 1e-9 && hole.lost_rows == steps, "{name}: {hole:?}");
                 for (from_s, value) in hole.steps() {
-                    let there = values[whole(from_s * 1e3 + 0.5)];
-                    assert!((value - there).abs() < 1e-6, "{name}: {value}, not {there} V");
+                    let expected = values[whole(from_s * 1e3 + 0.5)];
+                    assert!((value - expected).abs() < 1e-6, "{name}: {value}, not {expected} V");
                 }
             }
         }
     }
 
     #[test]
-    fn the_current_tells_the_voltage_of_a_lost_row() {
+    fn the_current_determines_the_voltage_of_a_lost_row() {
         let values = switched(10);
         for (measured, most_v) in [(true, 0.1), (false, 5.1)] {
             let found = holes(&values, measured, |row| row % 13 == 6);
-            let miss = |hole: &UnknownInput| hole.mean - values[whole(hole.from_s * 1e3 + 0.5)];
-            let worst = largest(found.iter().map(miss));
+            let error = |hole: &UnknownInput| hole.mean - values[whole(hole.from_s * 1e3 + 0.5)];
+            let worst = largest(found.iter().map(error));
             assert!(worst < most_v && (measured || worst > 4.9), "{worst}");
         }
     }
 
     #[test]
-    fn a_long_hole_needs_a_restart_unless_the_input_stands_still() {
+    fn a_long_hole_needs_a_restart_unless_the_input_is_constant() {
         let lost = |row: usize| (1000..1400).contains(&row);
         let [hole] = holes(&switched(10), true, lost)[..] else {
             panic!("one hole");

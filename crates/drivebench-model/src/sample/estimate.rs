@@ -1,18 +1,18 @@
-//! A number with its uncertainty and verdict; nothing is shown without both.
+//! An estimated parameter with its standard deviation and verdict.
 
 use serde::{Deserialize, Serialize};
 
 use crate::text::number::{self, significant, with_std, with_unit};
 
-/// What the data allow to claim about a parameter.
+/// Quality of an estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
     Settled,
     Searching,
-    /// The data do not carry it: value and standard deviation are null.
+    /// Not determined by the data: value and standard deviation are null.
     NotObservable,
-    /// A value was found but physics forbids it: shown, with the reason.
+    /// Physically impossible value: shown, with the reason.
     Invalid,
     /// Given by the user, not fitted.
     Fixed,
@@ -30,7 +30,7 @@ impl Verdict {
     }
 }
 
-/// Standard deviations that hold 95 % of a normal distribution on either side of its mean.
+/// Half-width of the two-sided 95 % interval of a normal distribution, in standard deviations.
 pub const TWO_SIDED_95: f64 = 1.959_964;
 
 /// One estimated parameter. Serialises to the contract of `identify --json`, with the 95 % interval beside.
@@ -79,7 +79,7 @@ impl ParameterEstimate {
         Some([value - half, value + half])
     }
 
-    /// `value ± std` with so many standard deviations, without the unit; `n/a` where the data do not carry it.
+    /// `value ± std` with so many standard deviations, without the unit; `n/a` where it is not observable.
     pub fn number(&self, deviations: f64) -> String {
         match (self.verdict, self.value) {
             (Verdict::NotObservable, _) | (_, None) => number::MISSING.to_owned(),
@@ -100,7 +100,7 @@ impl ParameterEstimate {
         Self::find(parameters, key)?.value
     }
 
-    /// A settled verdict is taken back to searching, for a reason; any other stays.
+    /// Changes a settled verdict to searching, for a reason; any other stays.
     pub fn unsettle(&mut self, reason: impl Into<String>) {
         if self.verdict == Verdict::Settled {
             self.verdict = Verdict::Searching;
@@ -108,13 +108,13 @@ impl ParameterEstimate {
         }
     }
 
-    /// Value and standard deviation, where the data carry them.
+    /// Value and standard deviation, where the verdict is settled or searching.
     pub fn carried(&self) -> Option<(f64, Option<f64>)> {
-        let carried = matches!(self.verdict, Verdict::Settled | Verdict::Searching);
-        Some((self.value.filter(|_| carried)?, self.std))
+        let is_observable = matches!(self.verdict, Verdict::Settled | Verdict::Searching);
+        Some((self.value.filter(|_| is_observable)?, self.std))
     }
 
-    /// A value that was found: settled, or searching for a reason.
+    /// An estimated value: settled, or searching for a reason.
     pub fn found(
         key: impl Into<String>,
         unit: &'static str,
@@ -158,7 +158,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_the_data_do_not_carry_has_no_number() {
+    fn a_parameter_that_is_not_observable_has_no_number() {
         let mut parameter = ParameterEstimate::not_observable("inductance_h", "H", "sample faster");
         assert_eq!(parameter.text(1.0), "n/a");
         parameter.value = Some(0.01);

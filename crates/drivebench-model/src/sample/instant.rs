@@ -14,7 +14,7 @@ pub enum Quality {
     Missing,
 }
 
-/// The drive's own state machine, as far as every drive has it.
+/// State of the drive, reduced to the states that every drive has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DriveState {
     #[default]
@@ -35,12 +35,12 @@ impl DriveState {
     }
 }
 
-/// What keeps a drive from following the bus, beside a fault of its own.
+/// Reason, other than a fault, for which a drive does not follow the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hindrance {
-    /// Its keypad, its terminals or another master has the command.
+    /// Control by its keypad, its terminals or another master.
     LocalControl,
-    /// Safe torque off, or another enable input, holds the output off.
+    /// Output disabled by safe torque off or another enable input.
     TorqueOff,
 }
 
@@ -70,7 +70,7 @@ pub struct Sample {
     /// Drive time where the drive has a clock, else host time; s.
     pub time_s: f64,
     /// Half of the interval in which the sample may have been taken, s: it lies within `time_s` plus or minus this.
-    /// `None`: the drive stamped it itself.
+    /// `None`: a stamp of the drive.
     pub time_half_width_s: Option<f64>,
     /// Host time at which the reply was complete; s.
     pub host_time_s: Option<f64>,
@@ -82,9 +82,9 @@ pub struct Sample {
     pub fault: Option<u16>,
     /// Its description, where one is known.
     pub fault_text: Option<Arc<str>>,
-    /// What keeps the drive from following, where it reports that.
+    /// Reason for which the drive does not follow, where it reports one.
     pub hindrance: Option<Hindrance>,
-    /// A limit of the drive held its output: the motor had another voltage than was commanded.
+    /// A limit of the drive was active: the voltage was not the commanded one.
     pub limited: bool,
     /// Field current of a motor with a separate field, where the drive's profile maps it, A.
     pub field_a: Option<f64>,

@@ -1,4 +1,4 @@
-//! Samples, commands and estimates: the values that travel through every room.
+//! Samples, commands and estimates: the values that all crates exchange.
 //!
 //! ```text
 //! wire bytes -> drive link -> Sample -> session -> Command -> drive link -> wire bytes
@@ -8,7 +8,7 @@
 //!
 //! * [`Channel`] is the table of quantities: CSV header, plot axes and configuration keys come from it.
 //! * [`Sample`] is one measured instant; [`Command`] is a request of the host to the drive.
-//! * [`Run`] is a recorded data set; [`ParameterEstimate`] is a number that never goes without its uncertainty.
+//! * [`Run`] is a recorded data set; [`ParameterEstimate`] is a number with its uncertainty.
 
 mod channel;
 mod command;

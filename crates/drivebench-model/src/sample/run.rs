@@ -4,7 +4,7 @@ use thiserror::Error;
 
 use super::{Channel, Sample};
 
-/// Where a signal comes from; it limits what may be claimed from it.
+/// Origin of a signal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Origin {
@@ -42,7 +42,7 @@ impl Origin {
 pub enum Side {
     /// At the motor's terminals.
     Terminal,
-    /// Between supply and drive: the duty cycle stands between it and the motor.
+    /// Between supply and drive: the duty cycle relates it to the motor.
     Supply,
 }
 
@@ -57,7 +57,7 @@ impl Side {
     }
 }
 
-/// Largest size of a time or a value that a bench can give: above, a file is damaged or a unit is far off.
+/// Largest magnitude of a time or a value of any bench: a larger one is a damaged file or a wrong unit.
 pub const LARGEST: f64 = 1e12;
 
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -85,11 +85,11 @@ pub struct Run {
     columns: [Option<Vec<f64>>; Channel::COUNT],
     origins: [Origin; Channel::COUNT],
     sides: [Option<Side>; Channel::COUNT],
-    /// Rows, in order, at which the drive reported that a limit of its own held the output.
+    /// Rows, in order, at which the drive reported an active limit of its output.
     limited_rows: Vec<usize>,
     /// Rows that were torn or unreadable and left out.
     pub rows_dropped: usize,
-    /// Where fit and hold-out come from, what was derived and how: sentences for the reader.
+    /// Sentences for the reader: runs of fit and hold-out, derived columns.
     pub notes: Vec<String>,
 }
 
@@ -141,12 +141,12 @@ impl Run {
         self.sides[channel.index()] = Some(side);
     }
 
-    /// Sets the rows, in order, at which a limit of the drive held the output.
+    /// Sets the rows, in order, at which a limit of the drive was active.
     pub fn set_limited_rows(&mut self, rows: Vec<usize>) {
         self.limited_rows = rows;
     }
 
-    /// Rows at which the motor had another voltage than was commanded, because a limit of the drive held its output.
+    /// Rows at which a limit of the drive was active, so that the voltage was not the commanded one.
     pub fn limited_rows(&self) -> &[usize] {
         &self.limited_rows
     }
@@ -167,7 +167,7 @@ impl Run {
         self.time_s.len()
     }
 
-    /// The column, NaN where a cell is missing; `None` when it holds nothing at all.
+    /// The column, NaN where a cell is missing; `None` without the column.
     pub fn column(&self, channel: Channel) -> Option<&[f64]> {
         self.columns[channel.index()].as_deref()
     }
@@ -181,7 +181,7 @@ impl Run {
         self.sides[channel.index()]
     }
 
-    /// `(time, value)` of the cells that are there.
+    /// `(time, value)` of the finite cells.
     pub fn points(&self, channel: Channel) -> impl Iterator<Item = (f64, f64)> + '_ {
         let values = self.column(channel).unwrap_or_default().iter().copied();
         let points = self.time_s.iter().copied().zip(values);
@@ -214,7 +214,7 @@ impl Run {
     }
 }
 
-/// NaN is a missing cell; infinity and sizes that nothing has are damage.
+/// NaN is a missing cell; infinity and impossible magnitudes are damage.
 fn refuse_absurd(run: &str, column: &'static str, values: &[f64]) -> Result<(), RunError> {
     let absurd = values.iter().position(|value| value.abs() > LARGEST);
     absurd.map_or(Ok(()), |row| {

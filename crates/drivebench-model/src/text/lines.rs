@@ -43,9 +43,9 @@ fn broken(line: &str, width: usize) -> Vec<String> {
     rows
 }
 
-/// The lines of a text as a terminal prints them, in rows of `width` columns: what goes on stands beneath the last column of
-/// a table's row, else two columns further in. What is to be copied stays whole: a command in backquotes, and any word, as a
-/// path, which may be too long for a row; and a row of a table with bars.
+/// The lines of a text in rows of `width` columns of a terminal: continued beneath the last column of a table's row, else indented
+/// by two. Not broken are texts to be copied: a command in backquotes, any word (as a path, which may be longer than a row),
+/// and a row of a table with bars.
 pub fn folded(text: &str, width: usize) -> Vec<String> {
     text.lines().flat_map(|line| folded_line(line, width)).collect()
 }
@@ -60,7 +60,7 @@ fn folded_line(line: &str, width: usize) -> Vec<String> {
     let head = &line[..gap.unwrap_or(own.len())];
     let column = head.chars().count();
     let (mut row, text, indent) = match gap {
-        // Beyond two thirds of the width too little is left beneath the last column.
+        // Beyond two thirds of the width the last column is too narrow.
         Some(at) if column <= width * 2 / 3 => (head.to_owned(), &line[at..], column),
         _ => (own.to_owned(), text, own.chars().count() + 2),
     };

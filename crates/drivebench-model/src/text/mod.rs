@@ -1,4 +1,4 @@
-//! Text for people: a value and a sentence look the same on the screen, on the page, in the terminal and in notes.
+//! Text for people, the same on the screen, on the page, in the terminal and in notes.
 //!
 //! ```text
 //! value, standard deviation, unit --> number --> "12.35 ± 0.10 V"   digits as the uncertainty carries them
@@ -7,7 +7,7 @@
 //! word ----------------------------> shell --> as a command takes it
 //! ```
 //!
-//! What a program reads back (CSV, JSON numbers, model files) is written to the last bit by the room that owns the file.
+//! Files for programs (CSV, JSON, model files) have all digits and are written by other modules.
 
 pub mod columns;
 pub mod lines;

@@ -1,4 +1,4 @@
-//! Numbers as a person reads them: as many digits as their uncertainty carries, SI, r/min beside rad/s.
+//! Numbers for people: as many digits as the uncertainty justifies, SI units, speeds also in r/min.
 
 use crate::units::rpm_from_rad_s;
 
@@ -36,7 +36,7 @@ pub fn with_std(value: f64, std: impl Into<Option<f64>>) -> String {
         return format!("{} ± unknown", significant(value, 3));
     }
     let leading = exponent_of(if value.abs() > std { value } else { std }, 3);
-    // Ten digits are more than any measurement carries; the uncertainty is then below what is shown.
+    // At most ten digits, more than any measurement has; a smaller uncertainty is rounded to zero.
     let last = (exponent_of(std, 2) - 1).max(leading - 9);
     if std == 0.0 {
         return format!("{} ± 0", significant(value, 5));
@@ -76,7 +76,7 @@ pub fn shortest(value: f64, digits: usize) -> String {
     }
 }
 
-/// What a register reads: the six digits that it and its scale carry at most.
+/// The value of a register: at most six digits, as many as 16 bits and a scale have.
 pub fn reading(value: f64) -> String {
     shortest(value, 6)
 }
@@ -99,7 +99,7 @@ pub fn percent(value: f64) -> String {
     with_unit(&fixed(value, 1), "%")
 }
 
-/// How much less than its mean a fit leaves of a signal; a figure only down to twice as much.
+/// The fit of a model, `100 (1 - |y - y'| / |y - mean|)` per cent (Ljung 1999); below -100 % a sentence instead.
 pub fn fit(fit_percent: f64) -> String {
     if fit_percent < -100.0 { "worse than the mean".to_owned() } else { percent(fit_percent) }
 }
@@ -108,7 +108,7 @@ pub fn share(share: f64) -> String {
     with_unit(&fixed(100.0 * share, 0), "%")
 }
 
-/// A probability in words that promise no more than it does.
+/// A probability in per cent; no figure above 99 % or below 1 %.
 pub fn probability(probability: f64) -> String {
     match 100.0 * probability {
         p if p > 99.0 => "more than 99 %".to_owned(),
@@ -117,7 +117,7 @@ pub fn probability(probability: f64) -> String {
     }
 }
 
-/// Decimals to write; none where the last digit stands left of the point.
+/// Number of decimals; zero where the last digit is left of the point.
 pub fn places(decimals: i32) -> usize {
     usize::try_from(decimals).unwrap_or(0)
 }
@@ -129,7 +129,7 @@ pub fn exponent_of(value: f64, digits: usize) -> i32 {
     exponent.and_then(Result::ok).unwrap_or(0)
 }
 
-/// `value` rounded at the decimal place `10^place` where that stands left of the point; unchanged otherwise.
+/// `value` rounded to a multiple of `10^place` where `place` is positive; unchanged otherwise.
 fn rounded(value: f64, place: i32) -> f64 {
     if place > 0 {
         let unit = 10f64.powi(place);

@@ -1,56 +1,56 @@
-//! The angle of the shaft with its sine and cosine, of which all waves over it are made.
+//! The angle of the shaft and its harmonics.
 
 use crate::numerics::count::whole;
 
-/// An angle of the shaft. Its sine and cosine are computed once: effects use them many times at each instant.
+/// An angle of the shaft, with its sine and cosine: effects use them many times at each instant.
 #[derive(Clone, Copy, Debug)]
 pub struct ShaftAngle {
     rad: f64,
-    once: [f64; 2],
+    sin_cos: [f64; 2],
 }
 
 impl Default for ShaftAngle {
     fn default() -> Self {
-        Self { rad: 0.0, once: [0.0, 1.0] }
+        Self { rad: 0.0, sin_cos: [0.0, 1.0] }
     }
 }
 
 impl ShaftAngle {
     pub fn at(rad: f64) -> Self {
-        let once = rad.sin_cos().into();
-        Self { rad, once }
+        Self { rad, sin_cos: rad.sin_cos().into() }
     }
 
     pub const fn rad(&self) -> f64 {
         self.rad
     }
 
-    /// Sine and cosine of a wave with `order` periods per turn: up to 200 as a power of the first (rounding grows with it).
+    /// Sine and cosine of `order` times the angle: a whole order up to 200 as a power of `exp(i angle)` (de Moivre) by repeated
+    /// squaring, whose rounding grows with the order.
     pub fn wave(&self, order: f64) -> [f64; 2] {
         let is_whole = order.fract() == 0.0 && (0.0..=200.0).contains(&order);
         if !is_whole {
             return (order * self.rad).sin_cos().into();
         }
-        let (mut left, mut power, mut wave) = (whole(order), self.once, [0.0, 1.0]);
-        while left > 0 {
-            if left % 2 == 1 {
+        let (mut bits, mut power, mut wave) = (whole(order), self.sin_cos, [0.0, 1.0]);
+        while bits > 0 {
+            if bits % 2 == 1 {
                 wave = of_sum(wave, power);
             }
-            left /= 2;
-            if left > 0 {
+            bits /= 2;
+            if bits > 0 {
                 power = of_sum(power, power);
             }
         }
         wave
     }
 
-    /// The wave with one period per turn more than `wave`.
+    /// The next higher harmonic after `wave`.
     pub fn next_wave(&self, wave: [f64; 2]) -> [f64; 2] {
-        of_sum(wave, self.once)
+        of_sum(wave, self.sin_cos)
     }
 }
 
-/// Sine and cosine of the sum of two angles.
+/// Sine and cosine of the sum of two angles (addition theorem).
 fn of_sum([sin_a, cos_a]: [f64; 2], [sin_b, cos_b]: [f64; 2]) -> [f64; 2] {
     [sin_a * cos_b + cos_a * sin_b, cos_a * cos_b - sin_a * sin_b]
 }

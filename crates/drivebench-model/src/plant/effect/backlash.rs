@@ -1,4 +1,4 @@
-//! Play between motor and load.
+//! Backlash (play) between motor and load.
 
 use super::elastic_coupling::{DAMPING_RATIO, FREQUENCY_HZ, FRICTION_SPLIT, INERTIA_RATIO};
 use super::{Card, Coupling, Enters, ParameterSpec};

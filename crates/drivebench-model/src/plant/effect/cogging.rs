@@ -1,4 +1,4 @@
-//! Torque of position, a whole number of times per turn and independent of the current.
+//! Cogging torque: a harmonic of the shaft angle, independent of the current.
 
 use super::{Axis, Balance, Card, Enters, Harmonic, ParameterSpec, Place, WAVE_ORDERS, torque};
 

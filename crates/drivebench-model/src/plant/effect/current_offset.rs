@@ -15,7 +15,7 @@ pub(super) const EFFECT: Card = Card {
     excite: "some tenths of a second at rest at zero volts, and both directions",
     remedy: "zero the sensor at every start with the bridge off; degauss or replace it when the \
         offset grows",
-    // What the wrong current does to both equations.
+    // A wrong current changes both balances.
     stands_for: &[["constant_load", "voltage_offset"]],
     biases: &[BiasedFit::FreeRun],
     parameters: &[ParameterSpec::coefficient("offset_a", "A", 0.1)],

@@ -1,4 +1,4 @@
-//! Effects that a user or the data define.
+//! Effects that are defined by settings in a model file.
 //!
 //! ```text
 //! id = "custom", "custom_NAME"   ->  custom::define ----.

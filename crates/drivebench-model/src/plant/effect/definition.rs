@@ -17,7 +17,7 @@ use crate::config_text::help_for_unknown;
 #[error("{message}")]
 pub struct DefinitionError {
     pub key: String,
-    /// Byte within the setting's text, where the mistake has a place of its own.
+    /// Byte within the setting's text, where the position of the mistake is known.
     pub offset: Option<usize>,
     pub message: String,
     pub help: String,
@@ -29,10 +29,10 @@ impl DefinitionError {
     }
 }
 
-/// How a model file holds the parameters of an effect.
+/// Layout of the parameters of an effect in a model file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
-    /// Each a key of its own.
+    /// A key for each.
     Keys,
     /// All in one list under this key.
     List(&'static str),
@@ -43,7 +43,7 @@ pub enum Layout {
 /// The effect with this key, made the first time.
 pub(super) fn interned(key: &str, make: impl FnOnce() -> Box<dyn Effect>) -> &'static dyn Effect {
     static KNOWN: Mutex<Option<HashMap<String, &'static dyn Effect>>> = Mutex::new(None);
-    // A thread that panicked while it held the lock left the table as it was: entries are whole.
+    // A poisoned lock is harmless: entries are inserted complete.
     let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
     let entry = known.get_or_insert_default().entry(key.to_owned());
     *entry.or_insert_with(|| Box::leak(make()))

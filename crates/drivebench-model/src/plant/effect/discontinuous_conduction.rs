@@ -1,10 +1,7 @@
-//! Extra resistance at small currents, where a converter's current has gaps.
+//! Discontinuous conduction (Leonhard, *Control of Electrical Drives*, chapter 8): extra resistance at small currents, where the
+//! current of a converter falls to zero between its pulses.
 
 use super::{Axis, Balance, Card, Enters, Limit, ParameterSpec, Place, voltage};
-
-/// Currents from which on gaps, not brushes, bend the voltage, A: nine times the 0.1 A over which a drop of brushes builds up,
-/// whatever the rated current of the motor. A softer drop would pass for gaps.
-const LEAST_BOUNDARY_A: f64 = 0.9;
 
 pub(super) const EFFECT: Card = Card {
     id: "discontinuous_conduction",
@@ -25,7 +22,8 @@ pub(super) const EFFECT: Card = Card {
     takes_power: true,
     curve: Some((Balance::Voltage, Axis::Current)),
     alternatives: &["voltage_drop"],
-    limit: Some(Limit { simpler: "voltage_drop", parameter: 1, least: LEAST_BOUNDARY_A }),
+    // A boundary below nine times the 0.1 A over which a voltage drop builds up is that of a drop.
+    limit: Some(Limit { simpler: "voltage_drop", parameter: 1, least: 0.9 }),
     parameters: &[
         ParameterSpec::coefficient("extra_ohm", "ohm", 1.0),
         ParameterSpec::shape("boundary_a", "A", (0.01, 1000.0), &[0.3, 0.6, 1.2, 2.5, 5.0]),

@@ -1,4 +1,4 @@
-//! Eccentric load: a torque of position, once per turn.
+//! Eccentric load: the first harmonic of the shaft angle.
 
 use super::{Axis, Balance, Card, Enters, ParameterSpec, Place, torque};
 

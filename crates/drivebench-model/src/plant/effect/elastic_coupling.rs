@@ -1,16 +1,16 @@
-//! A load that is not rigidly on the motor's shaft.
+//! Elastic coupling: a two-mass system.
 
 use super::{Card, Coupling, Enters, ParameterSpec};
 
-/// Share of the inertia behind the shaft. At either end one of the two sides has no inertia left.
+/// Share of the load in the inertia. At either end one of the two masses vanishes.
 pub(super) const INERTIA_RATIO: ParameterSpec =
     ParameterSpec::shape("inertia_ratio", "-", (0.02, 0.98), &[0.35, 0.55]);
-/// Metal shafts have 0.005 to 0.02, rubber couplings 0.05 to 0.2; one is no oscillation any more.
+/// Metal shafts have 0.005 to 0.02, rubber couplings 0.05 to 0.2; one is aperiodic.
 pub(super) const DAMPING_RATIO: ParameterSpec =
     ParameterSpec::linear_shape("damping_ratio", "-", (0.0, 1.0), 0.05, &[0.03]);
 pub(super) const FRICTION_SPLIT: ParameterSpec =
     ParameterSpec::linear_shape("friction_split", "-", (0.0, 1.0), 0.2, &[0.5]);
-/// Below, the run is too short for it; above, samples at 1 kHz no longer show it.
+/// A lower frequency needs a longer run; a higher one is not observable in samples at 1 kHz.
 pub(super) const FREQUENCY_HZ: (f64, f64) = (1.0, 200.0);
 
 pub(super) const EFFECT: Card = Card {

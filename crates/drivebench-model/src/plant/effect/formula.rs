@@ -1,7 +1,7 @@
 //! The law of an effect as a formula for other programs.
 //!
-//! The laws of the simulation are written for speed; each card states its own a second time, as text in the notation of
-//! `custom`, and a test proves them equal. An export to another language walks the tree of the formula.
+//! The laws of the simulation are code, for speed; each card has its law a second time, as text in the notation of `custom`,
+//! and a test compares both. An export to another language translates the tree of the formula.
 
 use super::grammar::{self, Tree};
 
@@ -26,7 +26,7 @@ pub enum Place {
     SpeedReading,
 }
 
-/// Names that a formula may hold before the parameters of its effect: voltage, current, speed, angle, time since the
+/// Names in a formula before the parameters of its effect: voltage, current, speed, angle, time since the
 /// first command; resistance of the cold winding, back-EMF and torque constant; full voltage of the supply; the state.
 pub const SYMBOLS: [&str; 10] = ["u", "i", "w", "theta", "t", "R", "Ke", "Kt", "U", "x"];
 /// Index of the speed among them.

@@ -1,5 +1,5 @@
-//! Expressions: recursive-descent parser with the place of each mistake, evaluation, and second derivatives by forward-mode
-//! automatic differentiation (hyper-dual numbers, AIAA paper 2011-886).
+//! Expressions: recursive-descent parser with the position of each mistake, evaluation, and second derivatives by forward-mode
+//! automatic differentiation with hyper-dual numbers (Fike and Alonso, AIAA paper 2011-886).
 //!
 //! ```text
 //! sum     = product {("+" | "-") product}
@@ -90,19 +90,19 @@ impl Tree {
         }
     }
 
-    /// The value, its derivatives along the names `one` and `other`, and the mixed second derivative.
+    /// The value, its derivatives by the names `one` and `other`, and the mixed second derivative.
     pub(super) fn second_derivative(&self, names: &[f64], one: usize, other: usize) -> HyperDual {
         let part = |tree: &Self| tree.second_derivative(names, one, other);
         match self {
             Self::Number(value) => [*value, 0.0, 0.0, 0.0],
             Self::Name(index) => {
-                let along = |name: usize| f64::from(u8::from(*index == name));
-                [names[*index], along(one), along(other), 0.0]
+                let unit = |name: usize| f64::from(u8::from(*index == name));
+                [names[*index], unit(one), unit(other), 0.0]
             }
             Self::Call(function, argument) => {
                 let x = part(argument);
-                let [slope, bend] = slopes(function, x[0]);
-                chain([called(function, x[0]), slope, bend], x)
+                let [first, second] = derivatives(function, x[0]);
+                chain([called(function, x[0]), first, second], x)
             }
             Self::Both(left, operator, right) => {
                 let (u, v) = (part(left), part(right));
@@ -113,8 +113,8 @@ impl Tree {
                     '/' => product(u, chain([1.0 / v[0], -v[0].powi(-2), 2.0 * v[0].powi(-3)], v)),
                     _ if v[1..].iter().all(|part| *part == 0.0) => {
                         let (x, n) = (u[0], v[0]);
-                        let slope = n * x.powf(n - 1.0);
-                        chain([power(x, n), slope, n * (n - 1.0) * x.powf(n - 2.0)], u)
+                        let first = n * x.powf(n - 1.0);
+                        chain([power(x, n), first, n * (n - 1.0) * x.powf(n - 2.0)], u)
                     }
                     _ => {
                         let logarithm = chain([u[0].ln(), 1.0 / u[0], -u[0].powi(-2)], u);
@@ -148,10 +148,10 @@ fn called(function: &str, x: f64) -> f64 {
 }
 
 /// First and second derivative of a function; the sign has none at zero and zero elsewhere.
-fn slopes(function: &str, x: f64) -> [f64; 2] {
+fn derivatives(function: &str, x: f64) -> [f64; 2] {
     let value = called(function, x);
-    let (under_root, over) = (1.0 - x * x, 1.0 / (1.0 + x * x));
-    let slope_of_arc = under_root.powf(-0.5);
+    let (under_root, of_atan) = (1.0 - x * x, 1.0 / (1.0 + x * x));
+    let of_asin = under_root.powf(-0.5);
     match function {
         "abs" => [sign(x), 0.0],
         "sqrt" => [0.5 / value, -0.25 / (x * value)],
@@ -161,9 +161,9 @@ fn slopes(function: &str, x: f64) -> [f64; 2] {
         "sin" => [x.cos(), -value],
         "cos" => [-x.sin(), -value],
         "tan" => [1.0 + value * value, 2.0 * value * (1.0 + value * value)],
-        "asin" => [slope_of_arc, x * slope_of_arc / under_root],
-        "acos" => [-slope_of_arc, -x * slope_of_arc / under_root],
-        "atan" => [over, -2.0 * x * over * over],
+        "asin" => [of_asin, x * of_asin / under_root],
+        "acos" => [-of_asin, -x * of_asin / under_root],
+        "atan" => [of_atan, -2.0 * x * of_atan * of_atan],
         "sinh" => [x.cosh(), value],
         "cosh" => [x.sinh(), value],
         "tanh" => [1.0 - value * value, -2.0 * value * (1.0 - value * value)],
@@ -174,8 +174,9 @@ fn slopes(function: &str, x: f64) -> [f64; 2] {
 /// Value, two first derivatives and their mixed second one.
 type HyperDual = [f64; 4];
 
-fn chain([value, slope, bend]: [f64; 3], x: HyperDual) -> HyperDual {
-    [value, slope * x[1], slope * x[2], bend * x[1] * x[2] + slope * x[3]]
+/// Chain rule for a function with this value, first and second derivative.
+fn chain([value, first, second]: [f64; 3], x: HyperDual) -> HyperDual {
+    [value, first * x[1], first * x[2], second * x[1] * x[2] + first * x[3]]
 }
 
 fn product(u: HyperDual, v: HyperDual) -> HyperDual {
@@ -207,7 +208,7 @@ pub(super) fn read(
         None => Ok(tree),
         Some(')') => {
             let help = "take it out, or open a parenthesis before it";
-            reader.mistake("`)` closes nothing", help)
+            reader.mistake("`)` has no opening parenthesis", help)
         }
         Some(other) => reader.no_operator(other),
     }
@@ -243,7 +244,7 @@ impl Reader<'_> {
         Some(next)
     }
 
-    /// One level deeper: none is written by hand deeper than 64, and each costs stack.
+    /// One level deeper, at most 64: each needs stack.
     fn deeper(&mut self, message: &str) -> Result<(), Mistake> {
         self.depth += 1;
         if self.depth > 64 { self.mistake(message, "simplify it") } else { Ok(()) }
@@ -386,11 +387,11 @@ mod tests {
     }
 
     #[test]
-    fn mistakes_are_found_at_their_place() {
+    fn mistakes_are_found_at_their_position() {
         for (text, offset, part) in [
             ("a*ww", 2, "unknown name `ww`"),
             ("a*(w+1", 2, "never closed"),
-            ("a*w)", 3, "closes nothing"),
+            ("a*w)", 3, "no opening parenthesis"),
             ("a*", 2, "ends"),
             ("", 0, "ends"),
             ("2 w", 2, "operator is missing"),
@@ -420,10 +421,10 @@ mod tests {
             let tree = read(&text, &names).unwrap();
             let h = 1e-4;
             let at = |dw: f64, da: f64| tree.value(&[0.9 + dw * h, 1.3 + da * h]);
-            let bend = at(1.0, 1.0) - at(1.0, -1.0) - at(-1.0, 1.0) + at(-1.0, -1.0);
+            let mixed = at(1.0, 1.0) - at(1.0, -1.0) - at(-1.0, 1.0) + at(-1.0, -1.0);
             let by_w = (at(1.0, 0.0) - at(-1.0, 0.0)) / (2.0 * h);
             let by_a = (at(0.0, 1.0) - at(0.0, -1.0)) / (2.0 * h);
-            let expected = [at(0.0, 0.0), by_w, by_a, bend / (4.0 * h * h)];
+            let expected = [at(0.0, 0.0), by_w, by_a, mixed / (4.0 * h * h)];
             let found = tree.second_derivative(&[0.9, 1.3], 0, 1);
             for (found, expected) in found.iter().zip(expected) {
                 assert!((found - expected).abs() < 1e-5, "{text}: {found} {expected}");
@@ -432,7 +433,7 @@ mod tests {
     }
 
     #[test]
-    fn any_text_is_answered_without_a_panic() {
+    fn no_text_makes_the_parser_panic() {
         proptest!(|(text in "[a-w0-9.e+*/^() -]{0,40}|\\PC{0,20}")| {
             let _ = read(&text, &names);
         });

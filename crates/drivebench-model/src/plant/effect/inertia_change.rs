@@ -2,7 +2,7 @@
 
 use super::{Card, Enters, ParameterSpec, Place, begun, inertia_gain};
 
-/// Nothing turns without inertia.
+/// The inertia stays positive.
 const LEAST_RATIO: f64 = -0.95;
 
 pub(super) const EFFECT: Card = Card {

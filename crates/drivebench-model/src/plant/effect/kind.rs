@@ -13,9 +13,9 @@ pub use voltage_drop::DROP as VOLTAGE_DROP;
 pub enum TermKind {
     /// Torque in proportion to the speed.
     Drag,
-    /// Torque of one sign that nothing changes.
+    /// Constant torque.
     TorqueOffset,
-    /// Error of the stamps of commands, of the current and of the speed; that of the current to first order.
+    /// Delay of the command, of the current (to first order, as a filter) and of the speed.
     LateCommand,
     LateCurrent,
     LateSpeed,
@@ -24,14 +24,14 @@ pub enum TermKind {
 impl TermKind {
     /// The effect of the catalogue that is this term and nothing else, its size in its only parameter.
     pub const fn effect(self) -> &'static dyn Effect {
-        self.own_card()
+        self.card()
     }
 
     pub const fn id(self) -> &'static str {
-        self.own_card().id
+        self.card().id
     }
 
-    const fn own_card(self) -> &'static Card {
+    const fn card(self) -> &'static Card {
         match self {
             Self::Drag => &viscous_friction::EFFECT,
             Self::TorqueOffset => &constant_load::EFFECT,
@@ -51,11 +51,11 @@ pub enum Harmonic {
     OfCurrent,
 }
 
-/// The simpler effect that one turns into at the lower end of a parameter.
+/// The simpler effect to which an effect degenerates at the lower end of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limit {
     pub simpler: &'static str,
-    /// The parameter, by its place, and its least value that is not the simpler one yet.
+    /// Index of the parameter, and its smallest value at which the effects differ.
     pub parameter: usize,
     pub least: f64,
 }

@@ -20,7 +20,7 @@ pub(super) const EFFECT: Card = Card {
     remedy: "lubricant for the load, gear of better efficiency; feed forward m |Kt i| sgn(w); \
         count the gear's efficiency into the torque limit",
     takes_power: true,
-    // From a ratio of one on the transmission locks: no torque moves it.
+    // At a ratio of one the transmission is self-locking.
     parameters: &[ParameterSpec::positive("ratio", "-", 0.05).up_to(0.95)],
     formula: &[(Place::Friction, "ratio*abs(Kt*i)")],
     terms: |values| {

@@ -65,7 +65,7 @@ use terms::{
     begun, current_rate_gain, friction, inertia_gain, path, torque, voltage, voltage_and_torque,
 };
 
-/// Every effect that the program can name, add and remove.
+/// The effects that the program diagnoses.
 pub const CATALOGUE: &[&dyn Effect] = &[
     &viscous_friction::EFFECT,
     &quadratic_load::EFFECT,
@@ -170,44 +170,44 @@ pub struct Card {
     pub excite: &'static str,
     pub remedy: &'static str,
     pub needs_angle: bool,
-    /// Whether it dissipates power, so that a negative size is impossible and the fit compensates something else (a Stribeck
-    /// curve of the wrong sign). A drive may over-compensate a voltage drop, which is not among them.
+    /// Whether it dissipates power, so that a negative size is impossible and shows that the fit compensates another effect. Not
+    /// so a voltage drop, which a drive may over-compensate.
     pub takes_power: bool,
     /// Prior probability: the share of machines and runs in which it shows.
     pub share_beforehand: f64,
-    /// Equation and axis of the curve that it is; `None` where it is more than a curve.
+    /// Equation and axis, where it is a function of one quantity.
     pub curve: Option<(Balance, Axis)>,
     /// Equivalent effects, of which a model holds one: simple ones that this one contains, and ones that are this one to first
     /// order.
     pub alternatives: &'static [&'static str],
-    /// Effects that a set does not hold beside it: together they would be a third.
+    /// Effects that are never selected together with it: both together are equivalent to a third effect.
     pub excludes: &'static [&'static str],
-    /// Pairs of effects that are together this one, to first order.
+    /// Pairs of effects that are together equivalent to this one, to first order.
     pub stands_for: &'static [[&'static str; 2]],
-    /// The simpler effect that it is at the end of a range.
+    /// The simpler effect to which it degenerates at the end of a range.
     pub limit: Option<Limit>,
-    /// The sine over the angle of the shaft that it is; `None` where it is another function, or has no `order`.
+    /// Kind of a harmonic of the shaft angle with an `order`; `None` for any other effect.
     pub harmonic: Option<Harmonic>,
     /// Whether steps of it at many moments add up to the random walk of the load that a Kalman filter follows.
     pub is_disturbance_step: bool,
-    /// The quantity that it changes, before a signed size in a text; the name where it has none.
+    /// The quantity that it changes, for a text with a signed size; else the name of the effect.
     pub changes: Option<&'static str>,
     /// Cause of a drift of its size from run to run.
     pub drift_cause: Option<&'static str>,
     /// Fits that it biases most where the model lacks it.
     pub biases: &'static [BiasedFit],
-    /// Effects that no run can separate from it, because the two are one equation: stated, never computed.
+    /// Effects that no run can separate from it, because both have the same equation.
     pub equivalences: &'static [&'static str],
     /// The first gives the effect its size.
     pub parameters: &'static [ParameterSpec],
-    /// Its law as a formula of [`SYMBOLS`] and its parameters; empty where it is more than that.
+    /// Its law as a formula of [`SYMBOLS`] and its parameters; empty for a delay or a second inertia.
     pub formula: &'static [(Place, &'static str)],
     /// Its terms, for values in the order of the parameters.
     pub terms: fn(&[f64]) -> Box<dyn Terms>,
 }
 
 impl Card {
-    /// A card without texts that adds nothing, for what most effects have in common.
+    /// Defaults of a card: no texts, no terms.
     pub const PLAIN: Self = Self {
         id: "",
         name: "",
@@ -256,8 +256,8 @@ pub trait Effect: Sync {
         (self.card().terms)(values)
     }
 
-    /// Whether it happens once in a run, counts from its first command or has a state of its own, so that runs of its machine
-    /// cannot be concatenated: see [`Terms`].
+    /// Whether it depends on the time since the first command of a run or has a state, so that runs of its machine cannot be
+    /// concatenated: see [`Terms`].
     fn goes_on_over_runs(&self) -> bool {
         let specs = self.parameters().iter();
         // A size of zero would have no terms.
@@ -266,7 +266,7 @@ pub trait Effect: Sync {
         self.terms(&values).goes_on_over_runs()
     }
 
-    /// Its law; `None` where it is more than terms of the equations, as a delay or a second inertia is.
+    /// Its law; `None` for a delay or a second inertia.
     fn formula(&self) -> Option<Vec<Formula>> {
         let keys: Vec<&str> = self.parameters().iter().map(|spec| spec.key).collect();
         let stated = self.card().formula;
@@ -277,7 +277,7 @@ pub trait Effect: Sync {
         (!stated.is_empty()).then(|| formulas.collect()).flatten()
     }
 
-    /// The definition beside the parameters in a model file: empty for effects of the catalogue.
+    /// Its settings in a model file, except the parameters: empty for effects of the catalogue.
     fn settings(&self) -> Vec<(&'static str, toml::Value)> {
         Vec::new()
     }
@@ -293,7 +293,7 @@ pub trait Effect: Sync {
     }
 }
 
-/// An effect of the catalogue is what its file states.
+/// An effect of the catalogue.
 impl Effect for Card {
     fn card(&self) -> &Card {
         self

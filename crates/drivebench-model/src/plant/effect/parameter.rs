@@ -1,6 +1,6 @@
 //! Parameter of an effect: its key, unit, bounds and typical size, and how a fit finds it.
 
-/// Periods per turn that are tried for a wave over the shaft's angle.
+/// Orders of a harmonic of the shaft angle that are tried.
 pub(super) const WAVE_ORDERS: &[f64] = &[
     2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0, 17.0, 18.0,
     19.0, 20.0, 21.0, 22.0, 23.0, 24.0,
@@ -10,13 +10,11 @@ pub(super) const WAVE_ORDERS: &[f64] = &[
 pub enum ParameterRole {
     /// The effect is proportional to it, or nearly: zero is no effect.
     Coefficient,
-    /// Gives the effect its form: tried on a grid by the screen, then fitted within its bounds.
+    /// Changes the form of the effect: tried on a grid by the score test, then fitted within its bounds.
     Shape,
-    /// Taken from the grid as it is: the number of cogs is a whole number, and a fit of it would find no way from one
-    /// to the next.
+    /// Taken from the grid without a fit: an integer, such as the number of teeth, over which the cost has local minima.
     Choice,
-    /// When something happened, s after the run's first command. Differs from run to run: found anew in each. The grid
-    /// gives shares of the run's length.
+    /// Time of an event, s after the run's first command, estimated in each run. The grid is in shares of the run's length.
     EventTime,
 }
 
@@ -26,12 +24,12 @@ pub struct ParameterSpec {
     pub unit: &'static str,
     pub min: f64,
     pub max: f64,
-    /// A typical size: probe of the score screen and unit of the fit.
+    /// A typical size: step of the score test and unit of the fit.
     pub scale: f64,
     pub role: ParameterRole,
     /// Fitted as a logarithm (positive parameters without a natural zero) instead of linearly.
     pub logarithmic: bool,
-    /// Values that the score screen tries; empty for a coefficient.
+    /// Grid of the score test; empty for a coefficient.
     pub shapes: &'static [f64],
 }
 
@@ -98,7 +96,7 @@ impl ParameterSpec {
         Self { role: ParameterRole::Choice, ..Self::shape(key, unit, range, shapes) }
     }
 
-    /// The moment from which on the effect is there, s after the run's first command.
+    /// Time at which the effect begins, s after the run's first command.
     pub(super) const EVENT_TIME: Self = Self {
         key: "time_s",
         unit: "s",
@@ -114,7 +112,7 @@ impl ParameterSpec {
         matches!(self.role, ParameterRole::Coefficient)
     }
 
-    /// Where a fit starts when nothing better is known.
+    /// Default start of a fit.
     pub const fn guess(&self) -> f64 {
         if self.is_coefficient() { self.scale } else { self.shapes[self.shapes.len() / 2] }
     }

@@ -2,7 +2,7 @@
 
 use super::{Card, Enters, ParameterSpec, path};
 
-/// A shape: a late start is found by trying, the way to it is not straight.
+/// A shape, which is tried on a grid: the cost over it has many local minima.
 pub(super) const LATE_START: ParameterSpec = ParameterSpec::shape(
     "delay_s",
     "s",

@@ -1,4 +1,4 @@
-//! Stribeck friction: extra friction near standstill.
+//! Stribeck friction: extra friction near standstill (Armstrong-Helouvry, Dupont and Canudas de Wit, *Automatica* 30, 1994).
 
 use super::{Axis, Balance, Card, Enters, ParameterSpec, Place, friction};
 
@@ -23,11 +23,11 @@ pub(super) const EFFECT: Card = Card {
     ],
     formula: &[(Place::Friction, "stribeck_n_m*exp(-(w/stribeck_speed_rad_s)^2)")],
     terms: |values| {
-        // One over the Stribeck speed, so that no instant divides.
+        // One over the Stribeck speed saves a division at each instant.
         friction(&[values[0], 1.0 / values[1]], |at, [level_n_m, per_speed]| {
             let ratio = at.speed_rad_s * per_speed;
             let square = ratio * ratio;
-            // Beyond, what is left is below the rounding of the friction that it is added to.
+            // exp(-40) = 4e-18 is below the rounding of the friction to which it is added.
             if square > 40.0 {
                 return 0.0;
             }

@@ -25,7 +25,7 @@ pub(super) const EFFECT: Card = Card {
     terms: |values| {
         voltage(values, |at, [sag_ohm]| {
             let duty = at.voltage_v / at.supply_v;
-            // A supply of zero volts drives nothing that could sag.
+            // Without a supply (mechanical runs) there is no duty.
             if duty.is_finite() { sag_ohm * duty * duty * at.current_a } else { 0.0 }
         })
     },

@@ -14,13 +14,13 @@ use super::{
 pub(super) const CARD: Card = Card {
     id: "table",
     name: "learned curve",
-    // In one of both, by its settings.
+    // Its settings choose one of both.
     enters: Enters::Both,
     equation: "T or U = piecewise linear over speed, current, angle or time, constant beyond the ends",
     causes: "not known yet: the curve follows the data until the effect is identified",
     looks_like: "the error follows one axis, and no effect of the catalogue has this form",
     excite: "slowly over the whole range of the axis, both ways",
-    remedy: "look at the curve: its form is the way to its cause; compensate by feed-forward from the table",
+    remedy: "look for the cause by the form of the curve; compensate by feed-forward from the table",
     ..Card::PLAIN
 };
 
@@ -105,7 +105,7 @@ pub(super) fn define(
     for (key, value) in settings {
         let number = key.strip_prefix("value_").and_then(|n| n.parse().ok());
         match number.and_then(|number: usize| values.get_mut(number.checked_sub(1)?)) {
-            Some(place) => *place = Some(number_of(key, value)?),
+            Some(cell) => *cell = Some(number_of(key, value)?),
             None if known[..5].contains(&key.as_str()) => {}
             None => return Err(unknown_key(key, &known)),
         }
@@ -191,11 +191,11 @@ impl Effect for Table {
         });
         let last = self.knots.len() - 1;
         let mut tree = value(0).both('+', value(last));
-        for (knot, place) in self.knots.iter().enumerate() {
+        for (knot, abscissa) in self.knots.iter().enumerate() {
             let zero = || Tree::Number(0.0);
             let before = knot.checked_sub(1).and_then(slope).unwrap_or_else(zero);
             let after = slope(knot).unwrap_or_else(zero);
-            let distance = axis.clone().both('-', Tree::Number(*place)).call("abs");
+            let distance = axis.clone().both('-', Tree::Number(*abscissa)).call("abs");
             tree = tree.both('+', after.both('-', before).both('*', distance));
         }
         Some(vec![Formula {
@@ -233,26 +233,26 @@ impl Effect for Table {
     }
 }
 
-/// The two knots beside a place and their weights: the hat functions that are not zero there.
-pub fn weights(axis: Axis, knots: &[f64], place: f64) -> [(usize, f64); 2] {
+/// The two knots around an abscissa and their weights: the hat functions (linear B-splines) that are not zero there.
+pub fn weights(axis: Axis, knots: &[f64], abscissa: f64) -> [(usize, f64); 2] {
     let last = knots.len() - 1;
-    let place = if axis.is_periodic() { place.rem_euclid(TAU) } else { place };
-    let after = knots.partition_point(|knot| *knot <= place);
+    let abscissa = if axis.is_periodic() { abscissa.rem_euclid(TAU) } else { abscissa };
+    let after = knots.partition_point(|knot| *knot <= abscissa);
     let (low, high, share) = if after > 0 && after <= last {
         let (low, high) = (knots[after - 1], knots[after]);
-        (after - 1, after, (place - low) / (high - low))
+        (after - 1, after, (abscissa - low) / (high - low))
     } else if axis.is_periodic() {
         // Between the last knot and the first, one turn on.
         let gap = knots[0] + TAU - knots[last];
-        let beyond = (place - knots[last]).rem_euclid(TAU);
-        (last, 0, beyond / gap)
+        let from_last = (abscissa - knots[last]).rem_euclid(TAU);
+        (last, 0, from_last / gap)
     } else if after == 0 {
         (0, 0, 0.0)
     } else {
         (last, last, 0.0)
     };
-    // An unknown place has no value.
-    let share = if place.is_nan() { f64::NAN } else { share };
+    // Without an abscissa there is no value.
+    let share = if abscissa.is_nan() { f64::NAN } else { share };
     [(low, 1.0 - share), (high, share)]
 }
 

@@ -55,7 +55,7 @@ impl Sums {
     }
 }
 
-/// The additions of an effect to the baseline's equations. `own` are the effect's states.
+/// The additions of an effect to the equations of the baseline. `own` are the states of the effect.
 pub trait Terms: Send + Sync {
     /// Voltage drop, V: subtracted in the voltage balance.
     fn voltage_v(&self, _at: &Instant, _own: &[f64]) -> f64 {
@@ -121,50 +121,49 @@ impl dyn Terms + '_ {
     /// The reason why it is more than a term of a balance; `None` where it is one.
     pub fn why_no_term(&self) -> Option<&'static str> {
         if self.path() != Path::default() {
-            Some("it lies on the way of command or measurement, not in a balance")
+            Some("it is in the path of command or measurement, not in a balance")
         } else if self.coupling().is_some() {
-            Some("it is a second inertia with a motion of its own")
+            Some("it is a second inertia with its own equation of motion")
         } else if self.states() > 0 {
-            Some("it has a state of its own, which no balance shows")
+            Some("it has a state, which is not measured")
         } else {
             None
         }
     }
 
-    /// Whether it counts the time since a run's first command, or has a state of its own: in a run that is put behind another
-    /// it would continue from that one.
+    /// Whether it depends on the time since a run's first command, or has a state: in a run that is appended to another it would
+    /// continue from that one.
     pub fn goes_on_over_runs(&self) -> bool {
         let at = |time_s: f64| {
-            let here = Instant { time_s, ..of_ones() };
-            self.sums(&here, &[]).all()
+            let instant = Instant { time_s, ..of_ones() };
+            self.sums(&instant, &[]).all()
         };
         // False for NaN.
         let same = |(one, other): (f64, f64)| (one - other).abs() <= 1e-12 * other.abs();
         let stays = |time_s: f64| at(time_s).into_iter().zip(at(0.0)).all(same);
-        // Times since a run's first command, s, at which an effect that counts them differs.
+        // Times since a run's first command, s, by which any dependence on time shows.
         let mut changes = [0.37, 1.9, 7.3, 31.0, 611.0, 1e9].into_iter();
         self.states() > 0 || self.path().start_delay_s > 0.0 || changes.any(|time_s| !stays(time_s))
     }
 
-    /// Whether it is a term of voltage, current, speed and angle of an instant alone: an on-line observer has neither the time
-    /// since a run's first command nor the supply, and constant inductance and inertia.
+    /// Whether it is a term of voltage, current, speed and angle alone: an on-line observer has neither the time since a run's first
+    /// command nor the supply, and its inductance and inertia are constant.
     pub fn is_of_the_instant(&self) -> bool {
         if self.why_no_term().is_some() {
             return false;
         }
-        let here = of_ones();
-        let there = Instant { time_s: 1e9, supply_v: 2.0, ..here };
-        let (here, there) = (self.sums(&here, &[]), self.sums(&there, &[]));
+        let later = Instant { time_s: 1e9, supply_v: 2.0, ..of_ones() };
+        let (sums, later) = (self.sums(&of_ones(), &[]), self.sums(&later, &[]));
         let same = |one: f64, other: f64| (one - other).abs() <= 1e-12 * one.abs();
-        here.current_rate_gain == 0.0
-            && there.inertia_gain == 0.0
-            && same(here.voltage_v, there.voltage_v)
-            && same(here.torque_n_m, there.torque_n_m)
-            && same(here.friction_n_m, there.friction_n_m)
+        sums.current_rate_gain == 0.0
+            && later.inertia_gain == 0.0
+            && same(sums.voltage_v, later.voltage_v)
+            && same(sums.torque_n_m, later.torque_n_m)
+            && same(sums.friction_n_m, later.friction_n_m)
     }
 }
 
-/// An instant in which nothing is zero, in a motor of ones.
+/// An instant with all quantities and constants of the motor equal to one.
 fn of_ones() -> Instant {
     Instant {
         voltage_v: 1.0,
@@ -236,7 +235,7 @@ impl Path {
 /// `J1 = (1 - r) J` carries the motor and its speed sensor, `J2 = r J` the load; `k = (2 pi f)^2 J r (1 - r)`,
 /// `d = 2 zeta sqrt(k J r (1 - r))`. The shaft's torque is `T = k z + d (w - w2)`, where `z` is the twist beyond half the
 /// play to either side and zero within. The damping acts within the play too, as that of oil or grease between the
-/// flanks: so the torque has no jump at contact, and the play closes on a film instead of on nothing.
+/// flanks, so that the torque has no jump at contact.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Coupling {
     /// f: natural frequency of the two inertias against each other.
@@ -340,11 +339,11 @@ impl Terms for Coupling {
     }
 }
 
-/// Logistic step from 0 to 1 at `time_s`, with a time constant of 10 ms: a true jump would leave its time without a slope
-/// for the fit.
+/// Logistic step from 0 to 1 at `time_s`, with a time constant of 10 ms: the derivative of a jump by its time would be zero, and
+/// a fit could not find it.
 pub(super) fn begun(at: &Instant, time_s: f64) -> f64 {
     let since = (at.time_s - time_s) / 0.01;
-    // Beyond 37 the exponential is lost in the rounding of the one, and costs most of a free run.
+    // exp(-37) = 1e-16 is below the rounding of one; the exponential would need most of the time of a free run.
     if since > 37.0 {
         1.0
     } else if since < -37.0 {

@@ -42,7 +42,7 @@ const KEYS: &str = "
     elastic_coupling frequency_hz inertia_ratio damping_ratio friction_split
     backlash frequency_hz inertia_ratio damping_ratio friction_split gap_rad";
 
-/// There or not there: no size of it is none.
+/// Effects without a size that is zero.
 fn is_finite_by_nature(effect: &dyn Effect) -> bool {
     couples(effect) || ["start_delay", "restart_delay"].contains(&effect.card().id)
 }
@@ -87,7 +87,7 @@ fn added(effect: &dyn Effect, share: f64) -> [f64; 5] {
 }
 
 /// The path of command and measurement.
-fn on_the_way(effect: &dyn Effect, share: f64) -> [f64; 8] {
+fn path_of(effect: &dyn Effect, share: f64) -> [f64; 8] {
     let path = effect.terms(&sized(effect, share)).path();
     [
         path.command_delay_s,
@@ -233,7 +233,7 @@ fn size_zero_adds_nothing_and_a_small_size_adds_in_proportion() {
     let vanish = |effect: &&&dyn Effect| !is_finite_by_nature(**effect);
     for effect in CATALOGUE.iter().filter(vanish) {
         let id = effect.card().id;
-        let all = |share: f64| [&added(*effect, share)[..], &on_the_way(*effect, share)].concat();
+        let all = |share: f64| [&added(*effect, share)[..], &path_of(*effect, share)].concat();
         assert!(all(0.0).iter().all(|term| term.abs() < 1e-15), "{id}");
         let (once, twice) = (all(0.01), all(0.02));
         assert!(once.iter().any(|one| one.abs() > 1e-9), "{id} adds nothing");
@@ -252,8 +252,8 @@ fn an_effect_enters_only_the_balance_that_its_card_names() {
         let expected =
             (card.enters.includes(Balance::Voltage), card.enters.includes(Balance::Torque));
         assert_eq!(entered, expected, "{}", card.id);
-        let is_on_the_way = on_the_way(*effect, 1.0).iter().any(|value| *value != 0.0);
-        assert_eq!(is_on_the_way, card.enters == Enters::Path, "{}", card.id);
+        let is_in_path = path_of(*effect, 1.0).iter().any(|value| *value != 0.0);
+        assert_eq!(is_in_path, card.enters == Enters::Path, "{}", card.id);
     }
 }
 

@@ -1,4 +1,4 @@
-//! Torque ripple: a torque constant that depends on the position.
+//! Torque ripple: a torque constant that depends on the shaft angle.
 
 use super::{Card, Enters, Harmonic, ParameterSpec, Place, WAVE_ORDERS, torque};
 

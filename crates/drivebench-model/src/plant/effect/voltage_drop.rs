@@ -1,9 +1,6 @@
-//! Drop across brushes or switches: its size hardly depends on the current, its sign does.
+//! Voltage drop of brushes and semiconductors: of constant size, with the sign of the current.
 
 use super::{Axis, Balance, BiasedFit, Card, Enters, ParameterSpec, Place, voltage};
-
-/// Current over which the drop builds up, A; the sign of the current, smoothed.
-const SMOOTHING_A: f64 = 0.1;
 
 /// Its size as the parameter of a model.
 pub const DROP: &str = "voltage_drop.drop_v";
@@ -24,6 +21,7 @@ pub(super) const EFFECT: Card = Card {
     biases: &[BiasedFit::FreeRun],
     parameters: &[ParameterSpec::coefficient("drop_v", "V", 1.0)],
     formula: &[(Place::Voltage, "drop_v*tanh(i/0.1)")],
-    terms: |values| voltage(values, |at, [drop_v]| drop_v * (at.current_a / SMOOTHING_A).tanh()),
+    // The sign of the current, smoothed over 0.1 A.
+    terms: |values| voltage(values, |at, [drop_v]| drop_v * (at.current_a / 0.1).tanh()),
     ..Card::PLAIN
 };

@@ -1,11 +1,11 @@
-//! Commands as they reach the motor: delayed, and zero until the drive has started.
+//! Commands as applied to the motor: delayed, and zero until the drive has started.
 
 use std::borrow::Cow;
 
 use crate::plant::effect::Path;
 use crate::signal;
 
-/// Times at which a command that is not zero follows a rest of 0.2 s or more; before the first command is one.
+/// Instants at which a command that is not zero follows 0.2 s or more of zero; the time before the first command is zero.
 pub fn starts_from_rest(events: &[(f64, f64)]) -> Vec<f64> {
     let mut starts = Vec::new();
     let mut zero_since_s = Some(f64::NEG_INFINITY);
@@ -49,19 +49,19 @@ pub(super) fn applied<'a>(events: &'a [(f64, f64)], path: &Path) -> Cow<'a, [(f6
     let waited = (path.restart_delay_s > 0.0).then(|| waiting(events, path.restart_delay_s));
     let events = waited.as_deref().unwrap_or(events);
     let (begin_s, first) = events[0];
-    // The first command stands for the unknown one before it.
+    // Before the first command its value is assumed.
     let mut out = vec![(begin_s, first)];
     let first_start = events.iter().find(|event| event.1 != 0.0);
     let started_s = first_start.map_or(f64::NEG_INFINITY, |event| event.0 + path.start_delay_s);
     if path.start_delay_s > 0.0 {
         out[0].1 = 0.0;
     }
-    let mut held = first;
+    let mut present = first;
     for &(time_s, value) in events.iter().skip(1) {
-        if path.start_delay_s > 0.0 && time_s > started_s && out.len() == 1 && held != 0.0 {
-            out.push((started_s + path.command_delay_s, held));
+        if path.start_delay_s > 0.0 && time_s > started_s && out.len() == 1 && present != 0.0 {
+            out.push((started_s + path.command_delay_s, present));
         }
-        held = value;
+        present = value;
         let last = out[out.len() - 1].1;
         // Repeats of the same value would only cut the simulation into more steps.
         #[expect(clippy::float_cmp, reason = "a repeat is the same number")]
@@ -70,8 +70,8 @@ pub(super) fn applied<'a>(events: &'a [(f64, f64)], path: &Path) -> Cow<'a, [(f6
             out.push((time_s + path.command_delay_s, value));
         }
     }
-    if path.start_delay_s > 0.0 && out.len() == 1 && held != 0.0 {
-        out.push((started_s + path.command_delay_s, held));
+    if path.start_delay_s > 0.0 && out.len() == 1 && present != 0.0 {
+        out.push((started_s + path.command_delay_s, present));
     }
     Cow::Owned(out)
 }

@@ -1,4 +1,4 @@
-//! State and right-hand sides: what drives the linear part, and what holds the shaft.
+//! State, linear part and forcing of the equations, and the friction that holds the shaft (stiction).
 
 use crate::plant::effect::{Coupling, Enters, Instant, Path, ShaftAngle, Sums, Terms};
 use crate::plant::model::{Model, ModelError};
@@ -47,7 +47,7 @@ impl State {
         Self { current_a, speed_rad_s, ..Self::default() }
     }
 
-    /// The same state with these states of the effects, such as a warm winding.
+    /// The same with these states of the effects, such as a warm winding.
     #[must_use]
     pub fn with_effects(mut self, own: &[f64]) -> Self {
         for (state, value) in self.own.iter_mut().zip(own) {
@@ -56,8 +56,8 @@ impl State {
         self
     }
 
-    /// Moves by the changes that are numbers; the mode of motion follows.
-    pub(super) fn anchor(&mut self, change_a: f64, change_rad_s: f64) {
+    /// Adds the changes that are numbers; a changed speed gets a new mode of motion.
+    pub(super) fn correct(&mut self, change_a: f64, change_rad_s: f64) {
         if change_a.is_finite() {
             self.current_a += change_a;
         }
@@ -90,11 +90,11 @@ pub(super) struct Equations {
     /// The motor's constants, part of every instant.
     motor: Instant,
     pub(super) inverse_inertia: f64,
-    /// Whether effects make the inertia another one.
+    /// Whether an effect changes the inertia.
     changes_inertia: bool,
     coulomb: f64,
-    /// Friction of the load behind an elastic shaft.
-    pub(super) coulomb_behind: f64,
+    /// Coulomb friction of the load on an elastic shaft.
+    pub(super) coulomb_load: f64,
     pub(super) input: Input,
     /// Linear part: `d/dt [i, w] = A [i, w] + forcing`.
     pub(super) a: M2,
@@ -105,7 +105,7 @@ pub(super) struct Equations {
     pub(super) path: Path,
     pub(super) coupling: Option<Coupling>,
     pub(super) needs_angle: bool,
-    /// Load torque beyond the model's, against positive motion.
+    /// Load torque in addition to the model's, against positive motion.
     pub(super) load_n_m: f64,
     pub(super) extra_v: f64,
 }
@@ -130,9 +130,9 @@ impl Equations {
             return Err(ModelError::SecondCoupling);
         }
         // With a second inertia these are the motor's equations: the load has its share of inertia and friction.
-        let (behind, friction_behind) = coupling
+        let (load_share, friction_share) = coupling
             .map_or((0.0, 0.0), |coupling| (coupling.inertia_ratio, coupling.friction_split));
-        let inertia = value(MotorKey::Inertia)? * (1.0 - behind);
+        let inertia = value(MotorKey::Inertia)? * (1.0 - load_share);
         let coulomb = value(MotorKey::LoadTorque)?;
         let mut motor = Instant::of(&model.motor);
         let (torque_constant, a, per_volt) = match input {
@@ -149,8 +149,9 @@ impl Equations {
             Input::Torque => (1.0, [[0.0, 0.0], [1.0 / inertia, 0.0]], 0.0),
         };
         motor.torque_n_m_per_a = torque_constant;
-        let at_last = Instant { time_s: f64::MAX, ..motor };
-        let mut gains = effects.iter().map(|(_, terms)| terms.inertia_gain(&at_last));
+        // After every event in time.
+        let at_end = Instant { time_s: f64::MAX, ..motor };
+        let mut gains = effects.iter().map(|(_, terms)| terms.inertia_gain(&at_end));
         let changes_inertia = gains.any(|gain| gain != 0.0);
         let terms: Vec<Entry> = effects
             .into_iter()
@@ -164,8 +165,8 @@ impl Equations {
             needs_angle: (model.effects.iter()).any(|active| active.effect.card().needs_angle),
             inverse_inertia: 1.0 / inertia,
             changes_inertia,
-            coulomb: coulomb * (1.0 - friction_behind),
-            coulomb_behind: coulomb * friction_behind,
+            coulomb: coulomb * (1.0 - friction_share),
+            coulomb_load: coulomb * friction_share,
             input,
             a,
             per_volt,
@@ -195,7 +196,7 @@ impl Equations {
             return sums;
         }
         let here = self.instant(state, at);
-        // One effect, the usual case, is not added up.
+        // The usual case of one effect needs no sum.
         if let [only] = &self.terms[..] {
             return only.terms.sums(&here, &state.own);
         }
@@ -225,7 +226,7 @@ impl Equations {
                 acceleration
             }
         };
-        // A given current has no rate; the motor may lack its electrical constants.
+        // Under a given current there is no electrical equation, and its constants may be missing.
         if self.input != Input::Voltage {
             return [0.0, acceleration];
         }
@@ -240,7 +241,7 @@ impl Equations {
     }
 
     /// The share by which effects that change the inertia reduce any acceleration.
-    pub(super) fn slowed(&self, state: &State, at: &Instant) -> f64 {
+    pub(super) fn acceleration_loss(&self, state: &State, at: &Instant) -> f64 {
         if !self.changes_inertia {
             return 0.0;
         }
@@ -253,8 +254,8 @@ impl Equations {
         (self.motor.supply_v / self.motor.resistance_ohm).abs()
     }
 
-    /// By how much effects change the rate at which the current settles between two currents, 1/s: at rest, under the
-    /// full supply. With the gain `g` of the current's rate it is `((1 + g) (R + dU/di) - R) / L`.
+    /// Change by the effects of the reciprocal electrical time constant between two currents, 1/s, at rest under the full supply:
+    /// `((1 + g) (R + dU/di) - R) / L` with the gain `g` of the current's rate.
     pub(super) fn added_rate(&self, from_a: f64, to_a: f64) -> f64 {
         let sums = |current_a: f64| {
             let at = Instant { voltage_v: self.motor.supply_v, ..Instant::default() };
@@ -299,8 +300,8 @@ impl Equations {
         )
     }
 
-    /// How far friction exceeds the driving torque: negative where a shaft at rest breaks away.
-    pub(super) fn hold(&self, state: &State, at: &Instant) -> f64 {
+    /// Friction level less driving torque, N.m: negative where a shaft at rest breaks away.
+    pub(super) fn stiction_margin(&self, state: &State, at: &Instant) -> f64 {
         let (driving, level) = self.drive_and_level(state, at);
         level - driving.abs()
     }
@@ -309,13 +310,13 @@ impl Equations {
         if state.speed_rad_s != 0.0 {
             return Mode::towards(state.speed_rad_s);
         }
-        if self.hold(state, at) >= 0.0 {
+        if self.stiction_margin(state, at) >= 0.0 {
             return Mode::Stuck;
         }
         Mode::towards(self.driving_torque(state, at))
     }
 
-    /// One explicit step of the effects' own states.
+    /// One explicit Euler step of the states of the effects.
     #[inline]
     pub(super) fn advance_own(
         &self,
@@ -333,10 +334,10 @@ impl Equations {
             if *states == 0 {
                 continue;
             }
-            let mine = first..first + states;
+            let range = first..first + states;
             let mut rates = [0.0; MOST_STATES];
-            terms.derivative(&here, &from.own[mine.clone()], &mut rates[..*states]);
-            for (value, rate) in to[mine].iter_mut().zip(&rates) {
+            terms.derivative(&here, &from.own[range.clone()], &mut rates[..*states]);
+            for (value, rate) in to[range].iter_mut().zip(&rates) {
                 *value += h * rate;
             }
             first += states;

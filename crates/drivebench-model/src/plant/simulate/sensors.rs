@@ -12,12 +12,11 @@ pub(super) struct Reading {
     pub(super) speed_rad_s: f64,
 }
 
-/// Follows the motion from sub-step to sub-step. Between two of them the motion is a straight line, over which delay and
-/// filters are exact.
+/// Dead time and first-order filters, exact for motion that is linear between two sub-steps.
 #[derive(Clone, Debug)]
 pub(super) struct Sensors {
     path: Path,
-    /// The motion back to the instant that the delayed speed shows.
+    /// The motion of the last dead time.
     past: VecDeque<Reading>,
     /// The delayed motion, and the filters' outputs, at the latest instant.
     delayed: Reading,
@@ -55,9 +54,9 @@ impl Sensors {
         ]
     }
 
-    /// Moves the motion by measured changes. The states of delay and filters move along, so that the sensors show the measured
-    /// values at once: their output would otherwise be corrected again at every sample. A change that is not finite is none.
-    pub(super) fn anchor(&mut self, change_a: f64, change_rad_s: f64) {
+    /// Adds the correction of the motion to the states of delay and filters, so that the readings have the measured values at
+    /// once: otherwise the same error would be corrected again at every sample. A change that is not finite is zero.
+    pub(super) fn correct(&mut self, change_a: f64, change_rad_s: f64) {
         let past = self.past.iter_mut();
         for reading in past.chain([&mut self.delayed, &mut self.filtered]) {
             if change_a.is_finite() {
@@ -69,18 +68,18 @@ impl Sensors {
         }
     }
 
-    /// The speed one delay before `now`, which joins the past.
+    /// The speed one dead time before `now`, which is added to the past.
     fn speed_before(&mut self, now: Reading) -> f64 {
         if self.path.speed_delay_s <= 0.0 {
             return now.speed_rad_s;
         }
         self.past.push_back(now);
-        let wanted_s = now.time_s - self.path.speed_delay_s;
-        while self.past.len() > 2 && self.past[1].time_s <= wanted_s {
+        let delayed_s = now.time_s - self.path.speed_delay_s;
+        while self.past.len() > 2 && self.past[1].time_s <= delayed_s {
             self.past.pop_front();
         }
         let (before, after) = (self.past[0], self.past[1]);
-        let share = ((wanted_s - before.time_s) / (after.time_s - before.time_s)).clamp(0.0, 1.0);
+        let share = ((delayed_s - before.time_s) / (after.time_s - before.time_s)).clamp(0.0, 1.0);
         before.speed_rad_s + share * (after.speed_rad_s - before.speed_rad_s)
     }
 }
@@ -91,7 +90,7 @@ fn filter(output: f64, input: (f64, f64), interval_s: f64, time_constant_s: f64)
         return input.1;
     }
     let slope = (input.1 - input.0) / interval_s;
-    // Steady part: the input less what a ramp lags behind.
+    // Steady response to a ramp: the input less the velocity error.
     let lag = slope * time_constant_s;
     let decay = (-interval_s / time_constant_s).exp();
     input.1 - lag + (output - input.0 + lag) * decay

@@ -2,19 +2,18 @@
 
 use crate::plant::propagator::{LinearPart, M2, Propagator};
 
-/// Propagators over one step and half of it.
+/// Propagators over one step and over half of it.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Step<P = Propagator> {
     pub(super) length_s: f64,
     pub(super) whole: P,
-    /// Only where effects are evaluated in the middle.
+    /// Set only where effects are evaluated at the middle.
     pub(super) half: P,
 }
 
 impl<P> Step<P> {
-    /// Whether it is one of this length.
     #[inline]
-    pub(super) fn is(&self, length_s: f64) -> bool {
+    pub(super) fn has_length(&self, length_s: f64) -> bool {
         is_same(self.length_s, length_s)
     }
 }
@@ -25,7 +24,7 @@ pub(super) fn is_same(one_s: f64, other_s: f64) -> bool {
     (one_s - other_s).abs() <= 1e-9 * other_s
 }
 
-/// The two latest lengths of one linear part: a command between two samples makes two.
+/// Cache of the propagators of the two latest step lengths: a command between two samples makes two lengths.
 #[derive(Clone, Debug)]
 pub(super) struct Steps {
     linear: LinearPart,
@@ -39,7 +38,7 @@ impl Steps {
         Self { linear: LinearPart::new(a), with_half, latest: [Step::default(); 2], last: 0 }
     }
 
-    /// Forgets all lengths, so that a run does not depend on the one before.
+    /// Empties the cache, so that the rounding of a run does not depend on the run before.
     pub(super) fn clear(&mut self) {
         self.latest = [Step::default(); 2];
         self.last = 0;
@@ -48,9 +47,9 @@ impl Steps {
     /// The step of this length, which must be positive.
     #[inline]
     pub(super) fn over(&mut self, length_s: f64) -> &Step {
-        if !self.latest[self.last].is(length_s) {
+        if !self.latest[self.last].has_length(length_s) {
             self.last = 1 - self.last;
-            if !self.latest[self.last].is(length_s) {
+            if !self.latest[self.last].has_length(length_s) {
                 self.make(length_s);
             }
         }

@@ -1,29 +1,30 @@
-//! Two inertias on an elastic shaft, with or without play: motor and speed sensor before it, the load behind.
+//! Two-mass system with an elastic shaft, with or without backlash (Nordin and Gutman,
+//! *Automatica* 38, 2002): motor and speed sensor on one side, the load on the other.
 //!
 //! ```text
 //! current -> J1: w, stiction, effects  --T = k z(twist) + d (w - w2)-->  J2: w2, stiction
 //! ```
 //!
-//! Each side sticks or slides in a direction, the shaft is in contact on one side or within its play:
-//! between changes of these the equations are linear and propagated exactly. A change within a step is located and
-//! the step is cut there, so that the result moves smoothly with the parameters.
+//! Each side sticks or slides in a direction, the shaft is in contact on one side or within its play: a hybrid automaton, linear
+//! and propagated exactly between changes of its modes. A change within a step is located and the step is cut there, so that
+//! the result is a smooth function of the parameters.
 //!
-//! Of the four linear states (`dx/dt = A x + g`) the power series needs a few products with a sparse `A`; step lengths that
-//! repeat get matrices (`x(t) = Phi x(0) + Gamma g`), made by the same series.
+//! For the four linear states (`dx/dt = A x + g`) the power series needs a few products with a sparse `A`; step lengths that
+//! repeat get matrices (`x(t) = Phi x(0) + Gamma g`) by the same series with scaling and squaring (Moler and Van Loan 2003).
 
 use super::equations::{Equations, Mode, State};
 use super::steps::{self, is_same};
 use crate::numerics::root;
 use crate::plant::effect::{Coupling, Instant};
 
-/// Margin of a located crossing and of rounding at the edge of a mode, rad/s or N.m.
-const EDGE: f64 = 1e-11;
+/// Rounding of the event function at the beginning of a mode, rad/s or N.m.
+const ROUNDING: f64 = 1e-11;
 
 /// The load side.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Load {
     speed_rad_s: f64,
-    /// Natural frequency times the angle by which the motor is ahead, rad/s: all mechanical states have one unit.
+    /// Natural frequency times the angle of the motor relative to the load, rad/s: all mechanical states have one unit.
     twist_rad_s: f64,
     mode: Mode,
     contact: Contact,
@@ -50,7 +51,7 @@ impl Contact {
     }
 }
 
-/// What ends a mode.
+/// The part of the automaton whose mode ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Side {
     Motor,
@@ -60,6 +61,7 @@ enum Side {
 
 const SIDES: [Side; 3] = [Side::Motor, Side::Load, Side::Play];
 
+/// State and forcing at the beginning of a step.
 struct Begin {
     motor: State,
     load: Load,
@@ -102,13 +104,13 @@ impl TwoMass {
         let flow = |index: usize| {
             let moves = |bit: usize| f64::from(u8::from(index & bit == 0));
             let (motor, load, spring) = (moves(1), moves(2), moves(4));
-            let (a, ahead, behind) = (&equations.a, w0 * r, w0 * (1.0 - r));
+            let (a, on_motor, on_load) = (&equations.a, w0 * r, w0 * (1.0 - r));
             let of_motor =
-                [a[1][0], -2.0 * zeta * w0 * r, load * 2.0 * zeta * w0 * r, -spring * ahead];
+                [a[1][0], -2.0 * zeta * w0 * r, load * 2.0 * zeta * w0 * r, -spring * on_motor];
             let of_load = [
                 motor * 2.0 * zeta * w0 * (1.0 - r),
                 -2.0 * zeta * w0 * (1.0 - r),
-                spring * behind,
+                spring * on_load,
             ];
             let sparse = Sparse {
                 current: [a[0][0], motor * a[0][1]],
@@ -123,34 +125,34 @@ impl TwoMass {
             damping: 2.0 * zeta * w0 * r * motor_inertia,
             inverse_motor,
             inverse_load: (1.0 - r) / r * inverse_motor,
-            coulomb_n_m: equations.coulomb_behind,
+            coulomb_n_m: equations.coulomb_load,
             half_play_rad_s: 0.5 * coupling.gap_rad * w0,
             flows: std::array::from_fn(flow),
             load: Load::default(),
         }
     }
 
-    /// Puts the load into its steady state: as fast as the motor, the shaft loaded with the load's friction.
+    /// Sets the load to its steady state: the speed of the motor, the shaft twisted by the load's friction.
     pub(super) fn start(&mut self, state: &State) {
         for flow in &mut self.flows {
             flow.clear();
         }
         let speed_rad_s = state.speed_rad_s;
-        let ahead = match speed_rad_s {
+        let direction = match speed_rad_s {
             0.0 => 0.0,
             moving => moving.signum(),
         };
         self.load = Load {
             speed_rad_s,
-            twist_rad_s: ahead * (self.half_play_rad_s + self.coulomb_n_m / self.stiffness),
+            twist_rad_s: direction * (self.half_play_rad_s + self.coulomb_n_m / self.stiffness),
             ..Load::default()
         };
         self.load.contact = self.contact_of(self.load.twist_rad_s);
     }
 
-    /// Moves the load along with a correction of the motor's speed, so that the shaft's torque stays; a load at rest stays at
-    /// rest.
-    pub(super) fn anchor(&mut self, change_rad_s: f64) {
+    /// Adds the correction of the motor's speed to that of a moving load, so that the torque of the shaft does not change; a load
+    /// at rest stays at rest.
+    pub(super) fn correct(&mut self, change_rad_s: f64) {
         if self.load.mode != Mode::Stuck && change_rad_s.is_finite() {
             self.load.speed_rad_s += change_rad_s;
             self.load.mode = Mode::Undecided;
@@ -181,26 +183,26 @@ impl TwoMass {
         if self.load.mode == Mode::Undecided {
             self.load.mode = self.load_mode(state);
         }
-        let mut left = h;
-        // More than eight changes of mode in one sub-step are both sides coming to rest.
+        let mut remaining = h;
+        // More than eight changes of mode in one sub-step: both sides come to rest.
         for _ in 0..8 {
             let from = self.begin(equations, state, at);
-            self.flows[from.index()].ready(left);
-            let next = self.trial(equations, &from, left);
-            let Some((cut, first)) = self.first_end(equations, &from, &next, left) else {
+            self.flows[from.index()].prepare(remaining);
+            let next = self.trial(equations, &from, remaining);
+            let Some((cut, first)) = self.first_end(equations, &from, &next, remaining) else {
                 (*state, self.load) = next;
                 return;
             };
             (*state, self.load) = self.trial(equations, &from, cut);
-            left -= cut;
+            remaining -= cut;
             at.time_s += cut;
             self.change(equations, state, &at, first, &next);
-            if left <= 1e-9 * h {
+            if remaining <= 1e-9 * h {
                 return;
             }
         }
         let from = self.begin(equations, state, at);
-        (*state, self.load) = self.trial(equations, &from, left);
+        (*state, self.load) = self.trial(equations, &from, remaining);
         state.mode = Mode::Undecided;
         self.load.mode = Mode::Undecided;
         self.load.contact = self.contact_of(self.load.twist_rad_s);
@@ -215,7 +217,7 @@ impl TwoMass {
         }
     }
 
-    /// When, within `h`, a mode ends, and which first.
+    /// The first end of a mode within `h`, and whose mode it is.
     #[inline]
     fn first_end(
         &self,
@@ -228,7 +230,7 @@ impl TwoMass {
             if self.margin(equations, next, from, side) < 0.0 {
                 Some(h)
             } else {
-                self.turned_within(from, next, h, side)
+                self.extremum_within(from, next, h, side)
             }
         });
         if ends == [None; 3] {
@@ -246,10 +248,10 @@ impl TwoMass {
         first
     }
 
-    /// The instant at which a speed turned back, if it may have passed zero and come back within the step, where its friction
-    /// changes its direction or holds it.
+    /// The instant of the extremum of a speed that may have crossed zero twice within the step: between the crossings its friction
+    /// changes direction or sticks.
     #[inline]
-    fn turned_within(
+    fn extremum_within(
         &self,
         from: &Begin,
         (motor, load): &(State, Load),
@@ -267,18 +269,18 @@ impl TwoMass {
             let rates = flow.a.rates(x, from.forcing);
             sign * rates[if side == Side::Motor { 1 } else { 2 }]
         };
-        let falling = rate(together(&from.motor, &from.load));
-        // A straight fall would not reach zero: no turn does.
+        let falling = rate(linear_states(&from.motor, &from.load));
+        // At this constant deceleration it would not reach zero.
         if falling >= 0.0 || sign * before + falling * h > 0.0 {
             return None;
         }
-        let rising = rate(together(motor, load));
+        let rising = rate(linear_states(motor, load));
         if rising <= 0.0 || sign * after <= 0.0 {
             return None;
         }
-        let turn = h * falling / (falling - rising);
-        // A shallower passage of zero is rounding.
-        (sign * before + 0.5 * falling * turn < -1e-9).then_some(turn)
+        // Linear interpolation of the acceleration. An extremum closer to zero is rounding.
+        let extremum_s = h * falling / (falling - rising);
+        (sign * before + 0.5 * falling * extremum_s < -1e-9).then_some(extremum_s)
     }
 
     /// Changes the mode of `side` at its end; `beyond` is the state that the old mode leads to.
@@ -309,15 +311,14 @@ impl TwoMass {
                 };
             }
             Side::Play => {
-                let met = match (self.load.contact, self.load.twist_rad_s > 0.0) {
+                let contact = match (self.load.contact, self.load.twist_rad_s > 0.0) {
                     (Contact::Open, true) => Contact::Ahead,
                     (Contact::Open, false) => Contact::Behind,
                     (contact, _) => contact,
                 };
-                self.load.twist_rad_s = met.sign() * self.half_play_rad_s;
-                // Without play the shaft goes from one contact straight into the other.
+                self.load.twist_rad_s = contact.sign() * self.half_play_rad_s;
                 let was_open = self.load.contact == Contact::Open;
-                self.load.contact = if was_open { met } else { Contact::Open };
+                self.load.contact = if was_open { contact } else { Contact::Open };
             }
         }
     }
@@ -333,7 +334,7 @@ impl TwoMass {
         }
     }
 
-    /// Torque that the shaft takes from the motor and gives to the load, N.m.
+    /// Torque of the shaft, against the motor and on the load, N.m.
     #[inline]
     fn shaft_torque(&self, motor: &State, load: &Load) -> f64 {
         let twist = match load.contact {
@@ -358,7 +359,7 @@ impl TwoMass {
         stuck_or_moving(self.shaft_torque(state, &self.load), self.coulomb_n_m)
     }
 
-    /// How far a state is from the end of the mode that `from` is in; negative beyond.
+    /// Event function of the mode at `from`: positive within it, zero at its end.
     #[inline]
     fn margin(
         &self,
@@ -391,33 +392,33 @@ impl TwoMass {
     #[inline(never)]
     fn locate(&self, equations: &Equations, from: &Begin, h: f64, side: Side) -> Option<f64> {
         let margin = |t: f64| {
-            let there = self.trial(equations, from, t);
-            self.margin(equations, &there, from, side)
+            let next = self.trial(equations, from, t);
+            self.margin(equations, &next, from, side)
         };
         let (mut low, mut at_low) = (0.0, margin(0.0));
         let (mut high, mut at_high) = (h, margin(h));
         if at_high >= 0.0 {
             return None;
         }
-        if at_low < -EDGE {
+        if at_low < -ROUNDING {
             return Some(0.0);
         }
-        if at_low <= EDGE {
-            // The mode has just begun at its own edge: it lasts until it comes back to it.
+        if at_low <= ROUNDING {
+            // The mode has just begun, at a zero of its event function: its end is the next zero.
             low = h;
-            while at_low <= EDGE {
+            while at_low <= ROUNDING {
                 low *= 0.5;
                 if low < 1e-3 * h {
                     return Some(0.0);
                 }
                 at_low = margin(low);
-                if at_low < -EDGE {
+                if at_low < -ROUNDING {
                     (high, at_high) = (low, at_low);
                 }
             }
         }
         let (low, high) = ((low, at_low), (high, at_high));
-        Some(root::falling_through_zero(low, high, h, 30, margin))
+        Some(root::illinois(low, high, h, 30, margin))
     }
 
     /// State after `h` if no mode changes.
@@ -428,17 +429,17 @@ impl TwoMass {
             return next;
         }
         let flow = &self.flows[from.index()];
-        let x = together(&from.motor, &from.load);
+        let x = linear_states(&from.motor, &from.load);
         let mut forcing = from.forcing;
         if !equations.is_linear() {
             let mut middle = next;
-            place(&mut middle, flow.half(x, forcing, h));
+            set_linear_states(&mut middle, flow.half(x, forcing, h));
             equations.advance_own(&from.motor, &from.at, 0.5 * h, &mut middle.0.own);
             let centred = Instant { time_s: from.at.time_s + 0.5 * h, ..from.at };
             forcing = self.forcing(equations, &middle.0, &middle.1, &centred);
             equations.advance_own(&middle.0, &centred, h, &mut next.0.own);
         }
-        place(&mut next, flow.whole(x, forcing, h));
+        set_linear_states(&mut next, flow.whole(x, forcing, h));
         next
     }
 
@@ -450,31 +451,31 @@ impl TwoMass {
         if state.mode != Mode::Stuck {
             motor += offset * self.inverse_motor;
         }
-        let mut behind = match load.mode {
+        let mut on_load = match load.mode {
             Mode::Stuck | Mode::Undecided => 0.0,
             moving => -(offset + moving.sign() * self.coulomb_n_m) * self.inverse_load,
         };
-        let slowed = equations.slowed(state, at);
-        if slowed != 0.0 {
+        let loss = equations.acceleration_loss(state, at);
+        if loss != 0.0 {
             // The shaft's torque acts on both changed inertias.
             let shaft = self.shaft_torque(state, load);
             if state.mode != Mode::Stuck {
-                motor += slowed * shaft * self.inverse_motor;
+                motor += loss * shaft * self.inverse_motor;
             }
             if load.mode != Mode::Stuck {
-                let over = shaft - load.mode.sign() * self.coulomb_n_m;
-                behind -= slowed * over * self.inverse_load;
+                let net = shaft - load.mode.sign() * self.coulomb_n_m;
+                on_load -= loss * net * self.inverse_load;
             }
         }
-        [current, motor, behind]
+        [current, motor, on_load]
     }
 }
 
-fn together(state: &State, load: &Load) -> X {
+fn linear_states(state: &State, load: &Load) -> X {
     [state.current_a, state.speed_rad_s, load.speed_rad_s, load.twist_rad_s]
 }
 
-fn place((state, load): &mut (State, Load), x: X) {
+fn set_linear_states((state, load): &mut (State, Load), x: X) {
     state.current_a = x[0];
     state.speed_rad_s = x[1];
     load.speed_rad_s = x[2];
@@ -488,7 +489,7 @@ fn stuck_or_moving(driving: f64, level: f64) -> Mode {
 /// Current, speed of the motor, speed of the load, twist as a speed (natural frequency times twist).
 type X = [f64; 4];
 
-/// Non-zero elements of `A`, rows named by what they drive.
+/// Non-zero elements of the rows of `A`.
 #[derive(Clone, Copy, Debug, Default)]
 struct Sparse {
     current: [f64; 2],
@@ -516,19 +517,16 @@ impl Sparse {
         [rates[0] + g[0], rates[1] + g[1], rates[2] + g[2], rates[3]]
     }
 
-    /// An upper bound of the rates that the series has to resolve.
+    /// Upper bound of the spectral radius: the diagonal, and geometric means of elements across it, which do not depend on the units
+    /// of the states.
     fn size(&self) -> f64 {
         let (c, m, l, t) = (&self.current, &self.motor, &self.load, &self.twist);
-        // Products across the diagonal: independent of the units of the states.
         c[0].abs()
             + (c[1] * m[0]).abs().sqrt()
             + m[1].abs().max(l[1].abs())
             + ((m[3] * t[0]).abs() + (l[2] * t[1]).abs()).sqrt()
     }
 }
-
-/// Rates times step up to which the series is used as it is.
-const LONGEST_SERIES: f64 = 1.0;
 
 /// `Phi` and the first three columns of `Gamma` (nothing forces the twist), by columns.
 #[derive(Clone, Copy, Debug, Default)]
@@ -550,8 +548,9 @@ impl Matrices {
         out
     }
 
+    /// Scaling and squaring: the series over `t / 2^n`, where `size t / 2^n` is at most one, and `n` doublings.
     fn over(a: &Sparse, t: f64) -> Self {
-        let halvings = (a.size() * t / LONGEST_SERIES).log2().ceil().max(0.0);
+        let halvings = (a.size() * t).log2().ceil().max(0.0);
         let short = t / halvings.exp2();
         let mut all = Self {
             phi: std::array::from_fn(|column| series(a, unit(column), [0.0; 3], short)),
@@ -571,9 +570,9 @@ impl Matrices {
     }
 }
 
-/// One at this place, else zero.
-fn unit<const N: usize>(place: usize) -> [f64; N] {
-    std::array::from_fn(|other| f64::from(u8::from(other == place)))
+/// Unit vector.
+fn unit<const N: usize>(index: usize) -> [f64; N] {
+    std::array::from_fn(|other| f64::from(u8::from(other == index)))
 }
 
 /// `x + sum of t^n/n! A^(n-1) (A x + g)`.
@@ -581,7 +580,7 @@ fn unit<const N: usize>(place: usize) -> [f64; N] {
 fn series(a: &Sparse, x: X, g: [f64; 3], t: f64) -> X {
     let mut out = x;
     let mut term = a.rates(x, g);
-    // At a product of one the rest is below 1e-16.
+    // With `size t` of one the remainder is below 1e-16.
     for order in 1..=18 {
         let factor = t / f64::from(order);
         let mut largest_change = 0.0_f64;
@@ -600,7 +599,7 @@ fn series(a: &Sparse, x: X, g: [f64; 3], t: f64) -> X {
 
 type Step = steps::Step<Matrices>;
 
-/// One linear mode with the matrices of its two latest repeated step lengths.
+/// One linear mode with a cache of the matrices of its two latest repeated step lengths.
 #[derive(Clone, Debug, Default)]
 struct Flow {
     a: Sparse,
@@ -608,7 +607,7 @@ struct Flow {
     with_half: bool,
     steps: [Step; 2],
     last: usize,
-    /// Latest length that had no matrices.
+    /// Latest length without matrices.
     missed_s: f64,
 }
 
@@ -617,19 +616,19 @@ impl Flow {
         Self { a, size: a.size(), with_half, ..Self::default() }
     }
 
-    /// Forgets all lengths, so that a run does not depend on the one before.
+    /// Empties the cache, so that the rounding of a run does not depend on the run before.
     fn clear(&mut self) {
         self.steps = [Step::default(); 2];
         self.missed_s = 0.0;
     }
 
-    /// Makes a step of this length ready. A length that comes only once, as up to an event, gets no matrices.
+    /// Prepares a step of this length. A length that occurs once, such as that up to an event, gets no matrices.
     #[inline]
-    fn ready(&mut self, length_s: f64) {
-        if self.steps[self.last].is(length_s) {
+    fn prepare(&mut self, length_s: f64) {
+        if self.steps[self.last].has_length(length_s) {
             return;
         }
-        if self.steps[1 - self.last].is(length_s) {
+        if self.steps[1 - self.last].has_length(length_s) {
             self.last = 1 - self.last;
         } else {
             self.miss(length_s);
@@ -654,8 +653,8 @@ impl Flow {
     #[inline]
     fn whole(&self, x: X, g: [f64; 3], length_s: f64) -> X {
         match &self.steps[self.last] {
-            step if step.is(length_s) => step.whole.apply(x, g),
-            _ => self.once(x, g, length_s),
+            step if step.has_length(length_s) => step.whole.apply(x, g),
+            _ => self.uncached(x, g, length_s),
         }
     }
 
@@ -663,13 +662,13 @@ impl Flow {
     #[inline]
     fn half(&self, x: X, g: [f64; 3], length_s: f64) -> X {
         match &self.steps[self.last] {
-            step if step.is(length_s) => step.half.apply(x, g),
-            _ => self.once(x, g, 0.5 * length_s),
+            step if step.has_length(length_s) => step.half.apply(x, g),
+            _ => self.uncached(x, g, 0.5 * length_s),
         }
     }
 
-    fn once(&self, x: X, g: [f64; 3], t: f64) -> X {
-        if self.size * t <= LONGEST_SERIES {
+    fn uncached(&self, x: X, g: [f64; 3], t: f64) -> X {
+        if self.size * t <= 1.0 {
             series(&self.a, x, g, t)
         } else {
             Matrices::over(&self.a, t).apply(x, g)

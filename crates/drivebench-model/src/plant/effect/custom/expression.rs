@@ -1,4 +1,4 @@
-//! A user's expression: its value and how its parameters enter.
+//! A user's expression: its value, and in which parameters it is linear.
 
 use crate::config_text::help_for_unknown;
 use crate::plant::effect::grammar::{self, FUNCTIONS, Mistake, Tree};
@@ -23,7 +23,7 @@ impl Expression {
         let names = |name: &str| {
             let variable = VARIABLES.iter().position(|known| *known == name);
             let parameter = parameters.iter().position(|known| *known == name);
-            let index = variable.or(parameter.map(|place| PARAMETERS + place));
+            let index = variable.or(parameter.map(|parameter| PARAMETERS + parameter));
             index.ok_or_else(|| {
                 let known = [&VARIABLES[..], parameters].concat();
                 let all = [&known[..], &FUNCTIONS].concat();
@@ -56,14 +56,14 @@ impl Expression {
     /// Whether every second derivative among `indices` vanishes at some points. A corner at zero, as in `abs(a)`, has no second
     /// derivative and is excluded by comparing both sides of zero.
     pub(super) fn is_affine_in(&self, indices: &[usize]) -> bool {
-        indices.iter().enumerate().all(|(place, one)| {
-            let mut others = indices[place..].iter();
+        indices.iter().enumerate().all(|(first, one)| {
+            let mut others = indices[first..].iter();
             others.all(|other| self.second_derivative_vanishes(*one, *other))
                 && self.is_straight_through_zero(*one)
         })
     }
 
-    /// Whether the value is zero, twofold or opposite where all of `indices` are.
+    /// Homogeneity of degree one: whether the value is zero, twofold or opposite where all of `indices` are.
     fn is_scaled_by(&self, indices: &[usize]) -> bool {
         let mut is_defined = false;
         points(self.all).all(|point| {
@@ -74,12 +74,12 @@ impl Expression {
                 }
                 self.value(&scaled)
             };
-            let (one, near) = (at(1.0), 1e-9 * at(1.0).abs());
+            let (one, tolerance) = (at(1.0), 1e-9 * at(1.0).abs());
             let errors = [at(0.0), at(2.0) - 2.0 * one, at(-1.0) + one];
-            // Points without a value prove nothing.
-            let is_known = one.is_finite() && errors.iter().all(|error| error.is_finite());
-            is_defined |= is_known;
-            !is_known || errors.iter().all(|error| error.abs() <= near)
+            // Points without a value are left out.
+            let is_finite = one.is_finite() && errors.iter().all(|error| error.is_finite());
+            is_defined |= is_finite;
+            !is_finite || errors.iter().all(|error| error.abs() <= tolerance)
         }) && is_defined
     }
 
@@ -87,7 +87,7 @@ impl Expression {
         if !self.has(one) || !self.has(other) {
             return true;
         }
-        // Where it does not vanish it is of a size with the first derivative.
+        // Relative to the first derivative.
         let derivatives = points(self.all).map(|at| self.tree.second_derivative(&at, one, other));
         let mut finite = derivatives.filter(|of| of[1].is_finite() && of[3].is_finite()).peekable();
         finite.peek().is_some() && finite.all(|of| of[3].abs() <= 1e-9 * of[1].abs())
@@ -101,18 +101,20 @@ impl Expression {
                 self.value(&point)
             };
             let (left, middle, right) = (at(-size), at(0.0), at(size));
-            let bend = (left + right - 2.0 * middle).abs();
-            // Points without a value prove no bend.
-            bend.is_nan() || bend <= 1e-9 * (left.abs() + middle.abs() + right.abs())
+            let second_difference = (left + right - 2.0 * middle).abs();
+            // Points without a value are left out.
+            second_difference.is_nan()
+                || second_difference <= 1e-9 * (left.abs() + middle.abs() + right.abs())
         })
     }
 }
 
-/// Points with coordinates between 0.2 and 1.8, spread by the golden ratio and its powers.
+/// Seven points of a Kronecker sequence with coordinates between 0.2 and 1.8: steps by the golden ratio, and by 0.137 more for
+/// each dimension.
 fn points(dimensions: usize) -> impl Iterator<Item = Vec<f64>> {
     let step = |axis: usize| 0.618_033_988_749_895 + 0.137 * axis as f64;
-    let place = move |point: i32, axis| 0.2 + 1.6 * (f64::from(point) * step(axis)).fract();
-    (1..=7).map(move |point| (0..dimensions).map(|axis| place(point, axis)).collect())
+    let coordinate = move |point: i32, axis| 0.2 + 1.6 * (f64::from(point) * step(axis)).fract();
+    (1..=7).map(move |point| (0..dimensions).map(|axis| coordinate(point, axis)).collect())
 }
 
 #[cfg(test)]
@@ -152,7 +154,7 @@ mod tests {
             ("a*exp(-(w/b)^2)*sgn(w)", "a", true),
             ("a*exp(-(w/b)^2)*sgn(w)", "b", false),
             ("a*(w + b*w^2)", "ab", false),
-            // Affine in b, but at b = 0 a part is left: b is no size of it.
+            // Affine in b, but not zero at b = 0.
             ("a*(w + b*w^2)", "b", false),
             ("a + b*w", "b", false),
             ("a + b*w", "ab", true),

@@ -33,11 +33,11 @@ pub(super) const CARD: Card = Card {
     // In one of both, by its settings.
     enters: Enters::Both,
     equation: "T or U = expression in u, i, w, theta, t and named parameters",
-    causes: "what the user knows of the machine and the catalogue does not hold",
-    looks_like: "as the expression says; a parameter in which it is linear is a coefficient, another a shape that \
-                 needs a guess; sgn(w) in a torque is friction with true stiction, another jump at standstill chatters",
-    excite: "over the range of the variables that stand in it",
-    remedy: "as the expression says",
+    causes: "a property of the machine that the catalogue does not contain",
+    looks_like: "as the expression: a parameter in which it is linear is a coefficient, any other is a shape that \
+                 needs a guess; sgn(w) in a torque is friction with stiction, any other jump at standstill chatters",
+    excite: "over the range of the variables of the expression",
+    remedy: "that of the cause",
     ..Card::PLAIN
 };
 
@@ -75,7 +75,7 @@ pub(super) fn define(
     let expression = compile(&declared)?;
     for (index, one) in declared.iter().enumerate() {
         if !expression.has(PARAMETERS + index) {
-            let message = format!("parameter `{}` does not stand in the expression", one.name);
+            let message = format!("parameter `{}` is not in the expression", one.name);
             let help = "take it out, or use it in the expression";
             return Err(DefinitionError::new("parameters", message, help));
         }
@@ -87,8 +87,8 @@ pub(super) fn define(
     if linear.is_empty() {
         return Err(DefinitionError::new(
             "expression",
-            "the expression is linear in none of its parameters, or a part of it stands without one, so that \
-             nothing gives it a size",
+            "the expression is linear in none of its parameters, or has a part without a parameter, so that no \
+             coefficient gives its size",
             format!("write size*({text}) with a parameter `size`"),
         ));
     }

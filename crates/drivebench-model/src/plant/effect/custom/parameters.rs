@@ -91,7 +91,7 @@ fn one(name: &str, value: &toml::Value) -> Result<Declared, DefinitionError> {
 }
 
 impl Declared {
-    /// Completes a shape: a guess, and bounds a factor of a hundred to either side of it.
+    /// Completes a shape: a guess, and bounds at a hundredth and at a hundred times the guess.
     pub(super) fn complete(&mut self) -> Result<(), DefinitionError> {
         let name = &self.name;
         let refuse = |message: String, help: &str| Err(DefinitionError::new(name, message, help));
@@ -173,16 +173,15 @@ impl Declared {
 
     /// The declaration with a value, as a file holds it.
     pub(super) fn written(&self, value: Option<f64>) -> toml::Value {
-        let known: [(&str, Option<toml::Value>); 5] = [
+        let keys: [(&str, Option<toml::Value>); 5] = [
             ("value", value.map(Into::into)),
             ("guess", self.guess.map(Into::into)),
             ("min", self.min.map(Into::into)),
             ("max", self.max.map(Into::into)),
             ("unit", self.unit.clone().map(Into::into)),
         ];
-        let known = known.into_iter();
-        let known = known.filter_map(|(key, value)| Some((key.to_owned(), value?)));
-        let table: toml::Table = known.collect();
+        let given = keys.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?)));
+        let table: toml::Table = given.collect();
         match value {
             Some(value) if table.len() == 1 => value.into(),
             _ => toml::Value::Table(table),

@@ -99,9 +99,9 @@ fn a_definition_is_kept_once_whatever_its_values() {
 fn wrong_definitions_are_named() {
     for (from, to, key, part) in [
         ("a*w", "a*q", "expression", "unknown name `q`"),
-        ("a*w", "w", "parameters", "does not stand in"),
+        ("a*w", "w", "parameters", "is not in the expression"),
         ("a*w", "exp(a*w)", "expression", "linear in none"),
-        ("a*w", "0.1 + a*w", "expression", "stands without one"),
+        ("a*w", "0.1 + a*w", "expression", "without a parameter"),
         ("a = 1.0", "w = 1.0", "w", "meaning already"),
         ("a = 1.0", "a = true", "a", "expected a number"),
         ("a = 1.0", "a = nan", "a", "not allowed"),
