@@ -23,7 +23,7 @@ use drivebench_bench::{
     Difference, MotorSection, OnlineResult, OnlineSettings, first_difference, replay,
 };
 use drivebench_diagnose::known_along;
-use drivebench_identify::added_inertia::Seen;
+use drivebench_identify::added_inertia::ScaledRun;
 use drivebench_identify::kalman::{LoadTrace, load_torque_trace};
 use drivebench_identify::misfit::Misfit;
 use drivebench_identify::nameplate::Comparison;
@@ -396,8 +396,8 @@ pub(crate) fn absolute(
             "give torque_n_m_per_a or back_emf_v_s_per_rad in the model file: any value will do, the added inertia corrects it",
         ));
     };
-    let without = Seen { parameters: &without.found.parameters, torque_n_m_per_a: kt_without };
-    let with = Seen { parameters: &with.found.parameters, torque_n_m_per_a: kt_with };
+    let without = ScaledRun { parameters: &without.found.parameters, torque_n_m_per_a: kt_without };
+    let with = ScaledRun { parameters: &with.found.parameters, torque_n_m_per_a: kt_with };
     Ok(added_inertia::absolute(&without, &with, added_kg_m2))
 }
 

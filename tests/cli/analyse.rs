@@ -367,7 +367,7 @@ fn an_earlier_result_is_a_baseline_and_counts_once() {
     has(
         &lost.stdout,
         &[
-            "drift: viscous_friction.coefficient not compared: not carried by the later runs, has to be none",
+            "drift: viscous_friction.coefficient not compared: not observable in the later runs, has to be none",
             "drift_percent: not known",
             "drift_open_percent: not known",
             "; not compared: viscous_friction.coefficient",
@@ -381,7 +381,7 @@ fn an_earlier_result_is_a_baseline_and_counts_once() {
     has(
         &test("dry.toml", &less, "").expect(1).stdout,
         &[
-            "nothing can be said",
+            "no comparison",
             "drift: not in the result",
             "drift_percent: not in the result",
             "drift_open_percent: not in the result",

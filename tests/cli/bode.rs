@@ -100,7 +100,7 @@ fn no_mode_is_named_in_an_ordinary_run_of_a_motor_that_has_none() {
         let found = found.json();
         assert_eq!(found["modes"], json!([]), "{}", run.display());
         let caution = word(&found, "/cautions/0");
-        has(caution, &["never keeps turning one way", "offset"]);
+        has(caution, &["never turns in one direction", "offset"]);
     }
 }
 
@@ -152,7 +152,7 @@ fn what_cannot_be_answered_is_refused_with_the_next_step() {
         let _ = writeln!(torque, "{time_s},{wave},50");
     }
     let (steady, torque) = (desk.put("steady.csv", &steady), desk.put("torque.csv", &torque));
-    let done = call("bode {}", &[&steady]).fails(5, &["holds its voltage", "chirp"]);
+    let done = call("bode {}", &[&steady]).fails(5, &["a constant voltage", "chirp"]);
     assert_eq!(done.stdout, "");
     call("bode {}", &[&torque]).fails(2, &["has no voltage", "--map voltage_v"]);
     call("bode {} --pathway speed", &[&steady]).fails(2, &["voltage-to-speed"]);

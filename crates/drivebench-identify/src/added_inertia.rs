@@ -1,4 +1,5 @@
-//! Two runs, the second with a known inertia added: the one way to an absolute torque scale without a torque sensor.
+//! Added-inertia test: two runs, the second with a known inertia added, give the absolute scale of torque without a torque
+//! sensor.
 //!
 //! The torque balance `Kt i = J dw/dt + Mc sgn(w)` is homogeneous: every run gives only `J/Kt` and `Mc/Kt`. With a disc
 //! of known inertia D on the same shaft the second run gives `(J + D)/Kt`, and both together
@@ -10,13 +11,13 @@ use drivebench_model::sample::ParameterEstimate;
 
 /// One run with the torque constant that its scheme assumed.
 #[derive(Clone, Copy, Debug)]
-pub struct Seen<'a> {
+pub struct ScaledRun<'a> {
     pub parameters: &'a [ParameterEstimate],
     /// Torque constant that the scheme used, N.m/A.
     pub torque_n_m_per_a: f64,
 }
 
-impl Seen<'_> {
+impl ScaledRun<'_> {
     /// Value over the assumed torque constant, with its standard deviation.
     fn over_torque_constant(&self, key: MotorKey) -> Option<(f64, f64)> {
         let found = ParameterEstimate::find(self.parameters, key.key())?;
@@ -26,7 +27,11 @@ impl Seen<'_> {
 }
 
 /// Torque constant, inertia (without the added one) and load torque, absolute. `added_kg_m2` is on the motor shaft.
-pub fn absolute(without: &Seen<'_>, with: &Seen<'_>, added_kg_m2: f64) -> Vec<ParameterEstimate> {
+pub fn absolute(
+    without: &ScaledRun<'_>,
+    with: &ScaledRun<'_>,
+    added_kg_m2: f64,
+) -> Vec<ParameterEstimate> {
     let keys = [MotorKey::TorqueConstant, MotorKey::Inertia, MotorKey::LoadTorque];
     let none = |reason: &str| -> Vec<ParameterEstimate> {
         keys.map(|key| verdict::unknown(key, reason)).to_vec()
@@ -35,24 +40,24 @@ pub fn absolute(without: &Seen<'_>, with: &Seen<'_>, added_kg_m2: f64) -> Vec<Pa
         without.over_torque_constant(MotorKey::Inertia),
         with.over_torque_constant(MotorKey::Inertia),
     ) else {
-        return none("one of the two runs does not carry the inertia");
+        return none("the inertia is not observable in one of the two runs");
     };
     let difference = a2 - a1;
-    let doubt = s1.hypot(s2);
-    if difference < 3.0 * doubt {
+    let difference_std = s1.hypot(s2);
+    if difference < 3.0 * difference_std {
         return none(&format!(
-            "the added inertia changes J/Kt by {difference:.3e} kg.m2.A/(N.m), which is known to {doubt:.1e} only: \
-             add more, or excite more"
+            "the added inertia changes J/Kt by {difference:.3e} kg.m2.A/(N.m), with a standard deviation of \
+             {difference_std:.1e}: add more, or excite more"
         ));
     }
     let kt = added_kg_m2 / difference;
-    // d(ln Kt) = -d(a2 - a1)/difference; J = D a1/(a2 - a1) depends on a1 twice.
-    let kt_std = kt * doubt / difference;
+    // Propagation of errors: d(ln Kt) = -d(a2 - a1)/difference; J = D a1/(a2 - a1) depends on a1 twice.
+    let kt_std = kt * difference_std / difference;
     let inertia_std = kt / difference * (a2 * s1).hypot(a1 * s2);
     let key = MotorKey::LoadTorque;
     let load = match without.over_torque_constant(key) {
         Some((load, std)) => judged(key, kt * load, (kt * std).hypot(load * kt_std)),
-        None => verdict::unknown(key, "the run without the added inertia does not carry it"),
+        None => verdict::unknown(key, "not observable in the run without the added inertia"),
     };
     vec![
         judged(MotorKey::TorqueConstant, kt, kt_std),
@@ -77,15 +82,15 @@ mod tests {
         ]
     }
 
-    fn seen(parameters: &[ParameterEstimate], torque_n_m_per_a: f64) -> Seen<'_> {
-        Seen { parameters, torque_n_m_per_a }
+    fn scaled(parameters: &[ParameterEstimate], torque_n_m_per_a: f64) -> ScaledRun<'_> {
+        ScaledRun { parameters, torque_n_m_per_a }
     }
 
     #[test]
     fn the_absolute_scale_comes_from_the_disc() {
         // Truth: Kt 0.30, J 0.004, Mc 0.4; the scheme took Kt = Ke = 0.36, so all that it gave is 1.2 times too large.
         let (without, with) = (run(0.0048, 0.48), run(0.0084, 0.48));
-        let found = absolute(&seen(&without, 0.36), &seen(&with, 0.36), 0.003);
+        let found = absolute(&scaled(&without, 0.36), &scaled(&with, 0.36), 0.003);
         for (parameter, truth) in found.iter().zip([0.30, 0.004, 0.4]) {
             let value = parameter.value.unwrap();
             assert!((value / truth - 1.0).abs() < 1e-9, "{parameter:?}");
@@ -94,7 +99,7 @@ mod tests {
         }
         // A disc too small for its noise fixes nothing.
         let (without, with) = (run(0.0048, 0.48), run(0.004_805, 0.48));
-        for parameter in absolute(&seen(&without, 0.36), &seen(&with, 0.36), 5e-6) {
+        for parameter in absolute(&scaled(&without, 0.36), &scaled(&with, 0.36), 5e-6) {
             assert_eq!(parameter.verdict, Verdict::NotObservable);
         }
     }
@@ -105,20 +110,20 @@ mod tests {
         use rand_distr::{Distribution as _, Normal};
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
         let noise = Normal::new(0.0, 0.01).unwrap();
-        let (mut squares, mut claimed) = ([0.0; 2], [0.0; 2]);
+        let (mut squares, mut variances) = ([0.0; 2], [0.0; 2]);
         let trials = 2000;
         for _ in 0..trials {
             let mut scatter = |value: f64| value * (1.0 + noise.sample(&mut rng));
             let one = vec![judged(MotorKey::Inertia, scatter(0.004), 4e-5)];
             let two = vec![judged(MotorKey::Inertia, scatter(0.010), 1e-4)];
-            let found = absolute(&seen(&one, 1.0), &seen(&two, 1.0), 0.006);
+            let found = absolute(&scaled(&one, 1.0), &scaled(&two, 1.0), 0.006);
             for (j, truth) in [1.0, 0.004].into_iter().enumerate() {
                 squares[j] += (found[j].value.unwrap() / truth - 1.0).powi(2);
-                claimed[j] += (found[j].std.unwrap() / truth).powi(2);
+                variances[j] += (found[j].std.unwrap() / truth).powi(2);
             }
         }
         for j in 0..2 {
-            let ratio = (claimed[j] / squares[j]).sqrt();
+            let ratio = (variances[j] / squares[j]).sqrt();
             assert!((0.9..1.1).contains(&ratio), "{j} {ratio}");
         }
     }

@@ -1,14 +1,15 @@
-//! Both balances as linear regressions: their unknowns, what each contributes at a sample, and rows open to any term.
+//! Voltage and torque balance as linear regressions (Ljung 1999, section 4.2): unknowns, regressors, and rows to which the
+//! column of any term can be added.
 //!
 //! ```text
 //! Model, Balance --unknowns--> Slot by Slot --Signals::column--> values or rates at the samples --> weak_form: means
 //!                                                                                  inverse_dynamics: both sides filtered
-//! Scenario --(weak_form | inverse_dynamics: torque_rows)--> TorqueRows: left side, inertia's column, where the machine was
-//!                                  any term at the samples --column--> its column beside them
+//! Scenario --(weak_form | inverse_dynamics: torque_rows)--> TorqueRows: left side, inertia's column, instants of the samples
+//!                                  any term at the samples --column--> its column
 //! ```
 //!
-//! Torque: `T = J <w'> + sum of coefficient x <term>`. Which terms stand on the right of [`TorqueRows`] is the caller's:
-//! the diagnosis puts one candidate effect after the other beside the same rows, so what costs time is done once.
+//! Torque: `T = J <w'> + sum of coefficient x <term>`. The caller of [`TorqueRows`] chooses the terms: the diagnosis tries one
+//! candidate effect after the other with the same rows.
 
 use drivebench_model::plant::effect::Sums;
 use drivebench_model::plant::{
@@ -17,8 +18,8 @@ use drivebench_model::plant::{
 use drivebench_model::sample::ParameterEstimate;
 use drivebench_model::text::number::with_std;
 
-/// Why an effect is no term of a balance that is linear in its coefficients, or `None` where it is one. `electrical`: there
-/// is a voltage balance.
+/// The reason why an effect is not a term of a balance that is linear in its coefficients; `None` where it is one.
+/// `electrical`: there is a voltage balance.
 pub(super) fn why_no_regressor(
     active: &ActiveEffect,
     motor: &Motor,
@@ -34,25 +35,24 @@ pub(super) fn why_no_regressor(
         active.effect.terms(&values)
     };
     let terms = of_size(1.0);
-    if let Some(why) = terms.why_no_term() {
-        return Some(why);
+    if let Some(reason) = terms.why_no_term() {
+        return Some(reason);
     }
     if !electrical && !active.effect.card().enters.includes(Balance::Torque) {
         return Some("it enters the voltage balance, and there is no voltage");
     }
-    let somewhere = Instant {
+    let ones = Instant {
         voltage_v: 1.0,
         supply_v: 1.0,
         current_a: 1.0,
         speed_rad_s: 1.0,
         ..Instant::of(motor)
     };
-    let mut later = somewhere;
-    later.time_s = f64::MAX;
-    if terms.inertia_gain(&later) != 0.0 {
+    let after_events = Instant { time_s: f64::MAX, ..ones };
+    if terms.inertia_gain(&after_events) != 0.0 {
         return Some("it changes the inertia, which the balance takes as constant");
     }
-    let sums = terms.sums(&somewhere, &[]);
+    let sums = terms.sums(&ones, &[]);
     if sums.current_rate_gain != 0.0 {
         return Some("it changes the inductance, which the balance takes as constant");
     }
@@ -60,7 +60,7 @@ pub(super) fn why_no_regressor(
         let voltage_v = if electrical { sums.voltage_v } else { 0.0 };
         [voltage_v, sums.torque_n_m, sums.friction_n_m]
     };
-    let (once, twice) = (parts(&sums), parts(&of_size(2.0).sums(&somewhere, &[])));
+    let (once, twice) = (parts(&sums), parts(&of_size(2.0).sums(&ones, &[])));
     if once.iter().any(|term| !term.is_finite()) {
         return Some("its terms need motor constants that the model does not give");
     }
@@ -86,12 +86,12 @@ impl Unknown {
     }
 }
 
-/// The motor's parameters in a balance, and the coefficients of every effect in it that is `carried`.
+/// The motor's parameters in a balance, and the coefficients of the effects in it that satisfy `is_regressor`.
 pub(super) fn unknowns(
     model: &Model,
     scenario: &Scenario,
     equation: Balance,
-    carried: impl Fn(&ActiveEffect) -> bool,
+    is_regressor: impl Fn(&ActiveEffect) -> bool,
 ) -> Vec<Unknown> {
     let keys: &[MotorKey] = match equation {
         Balance::Voltage => &[MotorKey::Resistance, MotorKey::Inductance, MotorKey::BackEmf],
@@ -102,7 +102,7 @@ pub(super) fn unknowns(
         Slot::Effect { index, spec, .. } => {
             let active = &model.effects[*index];
             let enters = active.effect.card().enters.includes(equation);
-            enters && spec.is_coefficient() && driven && carried(active)
+            enters && spec.is_coefficient() && driven && is_regressor(active)
         }
         Slot::Motor(_) => false,
     };
@@ -123,14 +123,14 @@ pub(super) struct Signals<'a> {
     pub(super) equation: Balance,
     pub(super) current_a: &'a [f64],
     pub(super) speed_rad_s: &'a [f64],
-    /// Where the machine was at a sample, for the terms of effects.
+    /// Instant at a sample, for the terms of effects.
     pub(super) at: &'a dyn Fn(usize) -> Instant,
 }
 
-/// What one unit of an unknown contributes at each sample.
+/// Regressor of an unknown at the samples.
 pub(super) enum Column {
     Values(Vec<f64>),
-    /// The signal of which the rate counts.
+    /// The signal whose time derivative is the regressor.
     Rate(Vec<f64>),
 }
 
@@ -152,8 +152,8 @@ impl Signals<'_> {
         }
     }
 
-    /// What the effect's coefficient adds per unit, of a size so small that the effect is proportional to it; its shape
-    /// parameters stay as they are given.
+    /// The effect per unit of its coefficient, at a small size at which it is proportional to it, with the given shape
+    /// parameters.
     fn effect(&self, active: &ActiveEffect, parameter: usize) -> Vec<f64> {
         let specs = active.effect.parameters();
         let mut values = active.values_or_guess();
@@ -179,27 +179,28 @@ impl Signals<'_> {
     }
 }
 
-/// Puts the values of one balance into the model of the next; the relative standard deviation of its torque constant.
-pub(super) fn hand_on(model: &mut Model, found: &[ParameterEstimate]) -> f64 {
-    let given = model.motor.get(MotorKey::TorqueConstant).is_some();
-    let mut doubt_of_torque = 0.0;
+/// Sets the motor of the model to the values of one balance for the next; returns the relative standard deviation of its torque
+/// constant.
+pub(super) fn set_motor(model: &mut Model, found: &[ParameterEstimate]) -> f64 {
+    let is_given = model.motor.get(MotorKey::TorqueConstant).is_some();
+    let mut torque_deviation = 0.0;
     for estimate in found {
         if let (Some(key), Some(value)) = (MotorKey::from_key(&estimate.key), estimate.value) {
             model.motor.set(key, value);
-            if key == MotorKey::BackEmf && !given {
-                doubt_of_torque = estimate.std.unwrap_or(0.0) / value.abs();
+            if key == MotorKey::BackEmf && !is_given {
+                torque_deviation = estimate.std.unwrap_or(0.0) / value.abs();
             }
         }
     }
-    doubt_of_torque
+    torque_deviation
 }
 
-/// Whether current is all that drives this run, with nothing to turn it into torque: everything is a ratio to it.
+/// Whether the input is a current without a torque constant, so that only ratios to that are observable.
 pub(super) fn lacks_torque_constant(model: &Model, scenario: &Scenario) -> bool {
     scenario.input == Input::Current && model.motor.torque_constant().is_none()
 }
 
-/// A value in units of the unknown torque constant: the ratio stands in the reason, but it is not the parameter.
+/// Not observable, with the ratio to the unknown torque constant in the reason.
 pub(super) fn as_ratio(found: ParameterEstimate) -> ParameterEstimate {
     let (Some(value), Some(std)) = (found.value, found.std) else {
         return found;
@@ -213,13 +214,13 @@ pub(super) fn as_ratio(found: ParameterEstimate) -> ParameterEstimate {
     ParameterEstimate::not_observable(&found.key, found.unit, reason)
 }
 
-/// How the rows of a torque balance came about.
+/// Method by which the derivative in the torque balance is avoided or estimated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Method {
-    /// Averaged over windows with a smooth test function, nothing differentiated.
+    /// Averaged over windows with a smooth test function, without differentiation.
     WeakForm,
-    /// Differentiated and low-passed on both sides: the field's reference (Janot, Gautier and Brunot 2019).
+    /// Differentiated and low-passed on both sides: the reference method for robots (Janot, Gautier and Brunot 2019).
     InverseDynamics,
 }
 
@@ -229,10 +230,10 @@ pub(super) type Averaging = Box<dyn Fn(&[f64]) -> Vec<f64> + Send + Sync>;
 /// Rows of the torque balance over the scored part of one run.
 pub struct TorqueRows {
     pub method: Method,
-    /// What was done, for the reader.
+    /// Description of the method for the reader.
     pub sentence: String,
-    /// Where the machine was at each sample: terms are evaluated there. Under a given torque the current is that torque
-    /// and the torque constant one, as in the simulation.
+    /// Instants of the samples, for the terms. Under a given torque the current is that torque and the torque constant one, as in
+    /// the simulation.
     pub at: Vec<Instant>,
     /// The run's first command, on the run's clock: times of events count from there.
     pub begin_s: f64,
@@ -240,10 +241,10 @@ pub struct TorqueRows {
     pub time_s: Vec<f64>,
     /// Motor torque, N.m.
     pub left: Vec<f64>,
-    /// What one unit of inertia contributes.
+    /// Regressor of the inertia.
     pub inertia: Vec<f64>,
-    /// Norms of a row's weights and of its weights for a rate: what white noise makes of a mean and of a rate; not a
-    /// number where they are not known.
+    /// Standard deviations of a mean and of a mean rate under white noise of unit variance: the norms of the weights of a row; NaN
+    /// where they are not known.
     pub gain: f64,
     pub rate_gain: f64,
     /// Length of one row's window (or of the filter's memory), s.
@@ -256,7 +257,7 @@ impl TorqueRows {
         self.left.len()
     }
 
-    /// The column of a term with these values at the samples; not a number in rows that touch a missing value.
+    /// The column of a term with these values at the samples; NaN in rows with a missing value.
     pub fn column(&self, at_samples: &[f64]) -> Vec<f64> {
         (self.averaging)(at_samples)
     }

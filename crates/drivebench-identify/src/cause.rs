@@ -1,5 +1,5 @@
-//! Cause of a parameter without a value: the Cramer-Rao bound of the run, at a motor that can have made it, shows whether the
-//! run excites it. Else the cause is the fit, or what the model leaves beside the noise.
+//! Reason why a parameter has no value, by the Cramer-Rao bound of the run at a motor that is compatible with it (Ljung 1999,
+//! section 7.4): a large bound is a lack of excitation, a small one a fit that failed or an error of the model.
 
 use nalgebra::DMatrix;
 
@@ -13,7 +13,7 @@ use drivebench_model::numerics::levenberg_marquardt::{Problem as _, jacobian_at}
 use drivebench_model::plant::{Model, MotorKey, Scenario, Slot};
 use drivebench_model::sample::{ParameterEstimate, Verdict};
 
-/// Gives each free parameter of the motor without a value the reason. `given`: the model as the user gave it.
+/// Sets the reason of each free parameter of the motor without a value. `given`: the model of the user.
 pub(super) fn explain(
     parameters: &mut [ParameterEstimate],
     fit: &Fit,
@@ -21,34 +21,34 @@ pub(super) fn explain(
     given: &Model,
     scenario: &Scenario,
 ) {
-    let is_open = |own: &&mut ParameterEstimate| {
+    let is_open = |parameter: &&mut ParameterEstimate| {
         // The reason of an inductance names the period already.
-        let key = MotorKey::from_key(&own.key).filter(|key| *key != MotorKey::Inductance);
-        own.verdict == Verdict::NotObservable && key.is_some()
+        let key = MotorKey::from_key(&parameter.key).filter(|key| *key != MotorKey::Inductance);
+        parameter.verdict == Verdict::NotObservable && key.is_some()
     };
-    if !parameters.iter_mut().any(|own| is_open(&own)) {
+    if !parameters.iter_mut().any(|parameter| is_open(&parameter)) {
         return;
     }
-    let Some(carried) = Carried::by(fit, given, scenario) else {
+    let Some(bound) = CramerRaoBound::of(fit, given, scenario) else {
         return;
     };
     for parameter in parameters.iter_mut().filter(is_open) {
-        if let Some(reason) = carried.why_not(&parameter.key, fit, misfit, scenario) {
+        if let Some(reason) = bound.reason(&parameter.key, fit, misfit, scenario) {
             parameter.reason = Some(reason);
         }
     }
 }
 
-/// What the run carries of each free parameter: the least relative deviation, where it is determined at all.
-struct Carried {
+/// Smallest relative standard deviation of each free parameter; `None` for one that is not determined.
+struct CramerRaoBound {
     motor: Model,
     free: Vec<Slot>,
     least: Vec<Option<f64>>,
 }
 
-impl Carried {
+impl CramerRaoBound {
     /// `None` where the run is a steady state, or cannot be simulated.
-    fn by(fit: &Fit, given: &Model, scenario: &Scenario) -> Option<Self> {
+    fn of(fit: &Fit, given: &Model, scenario: &Scenario) -> Option<Self> {
         let motor = if physical::allows(&fit.model.motor, scenario) {
             fit.model.clone()
         } else {
@@ -61,67 +61,61 @@ impl Carried {
         }
         let x = problem.start();
         let mut residual = vec![0.0; problem.residual_len()];
-        let is_known = problem.residual(&x, &mut residual);
-        let jacobian: DMatrix<f64> = is_known.then(|| jacobian_at(&problem, &x, &residual))?;
+        let is_simulated = problem.residual(&x, &mut residual);
+        let jacobian: DMatrix<f64> = is_simulated.then(|| jacobian_at(&problem, &x, &residual))?;
         let (bread, determined) = inverse_where_determined(&jacobian);
         let free = problem.free_slots().to_vec();
         let slopes = problem.slopes(&x);
-        let least = |place: usize| {
-            let value = motor.get(&free[place])?.abs();
-            let std = slopes[place].abs() * bread[(place, place)].sqrt();
-            determined[place].then_some(std / value)
+        let least = |index: usize| {
+            let value = motor.get(&free[index])?.abs();
+            let std = slopes[index].abs() * bread[(index, index)].sqrt();
+            determined[index].then_some(std / value)
         };
         Some(Self { least: (0..free.len()).map(least).collect(), motor, free })
     }
 
-    fn why_not(
-        &self,
-        key: &str,
-        fit: &Fit,
-        misfit: &Misfit,
-        scenario: &Scenario,
-    ) -> Option<String> {
-        let place = self.free.iter().position(|slot| slot.key() == key)?;
-        let Some(least) = self.least[place] else {
-            return Some(self.only_together(place));
+    fn reason(&self, key: &str, fit: &Fit, misfit: &Misfit, scenario: &Scenario) -> Option<String> {
+        let index = self.free.iter().position(|slot| slot.key() == key)?;
+        let Some(least) = self.least[index] else {
+            return Some(self.collinear(index));
         };
         if least > NOT_OBSERVABLE {
             return self.too_slow(key, scenario);
         }
-        let carries = format!("the run carries it to {:.1} % at best", 100.0 * least.max(1e-3));
+        let bound = format!("the run determines it to {:.1} % at best", 100.0 * least.max(1e-3));
         Some(if !fit.minimum.converged {
-            format!("{carries}, and the fit had not converged: give starting values with --model")
-        } else if let Some(left) = misfit.worst_text() {
+            format!("{bound}, and the fit had not converged: give starting values with --model")
+        } else if let Some(misfit) = misfit.worst_text() {
             format!(
-                "{carries}, but the model leaves {left}: an effect that it lacks, or a fault of a signal, hides it; see \
+                "{bound}, but the residual of the model is {misfit}: a missing effect or a fault of a signal hides it; see \
                  drivebench diagnose"
             )
         } else {
-            format!("{carries}, and the fit ended elsewhere: give starting values with --model")
+            format!("{bound}, and the fit ended elsewhere: give starting values with --model")
         })
     }
 
-    /// Of parameters that the run leaves open together.
-    fn only_together(&self, place: usize) -> String {
+    /// Of a parameter whose column is a linear combination of others.
+    fn collinear(&self, index: usize) -> String {
         let others: Vec<String> = self
             .free
             .iter()
             .zip(&self.least)
             .enumerate()
-            .filter(|(other, (_, least))| *other != place && least.is_none())
+            .filter(|(other, (_, least))| *other != index && least.is_none())
             .map(|(_, (slot, _))| slot.key())
             .collect();
         if others.is_empty() {
-            return "the fit ends where nothing of it shows: the run does not excite it, or there is next to none of it"
+            return "the fit ends where it has no influence: the run does not excite it, or it is nearly zero"
                 .to_owned();
         }
         format!(
-            "the run shows it only together with {}: it takes several levels of voltage, in both directions",
+            "the run determines it only together with {}: use several levels of voltage, in both directions",
             others.join(", ")
         )
     }
 
-    /// Where a transient that carries a parameter is over between two samples; `None` where that is no reason.
+    /// Where the transient that determines a parameter is shorter than the sampling period; `None` where it is not.
     fn too_slow(&self, key: &str, scenario: &Scenario) -> Option<String> {
         let motor = &self.motor.motor;
         let [r, j, ke] = [MotorKey::Resistance, MotorKey::Inertia, MotorKey::BackEmf];
@@ -130,7 +124,7 @@ impl Carried {
         let period_s = scenario.mean_period_s();
         (key == MotorKey::Inertia.key() && period_s > mechanical_s).then(|| {
             format!(
-                "R J/Ke^2 is some {:.1} ms, which is over between two samples {:.1} ms apart: sample faster",
+                "R J/Ke^2 is about {:.1} ms, less than the sampling period of {:.1} ms: sample faster",
                 1e3 * mechanical_s,
                 1e3 * period_s
             )
@@ -138,15 +132,14 @@ impl Carried {
     }
 }
 
-/// The noise of a record without a rest is at most its roughness.
+/// Without a standstill: the roughness of the signals, an upper bound of their noise.
 fn or_roughness(noise: NoiseFloor, scenario: &Scenario) -> NoiseFloor {
     if noise.source != FloorSource::None {
         return noise;
     }
     let level = |values: &[f64], otherwise: f64| {
-        let level = roughness(values);
-        let is_known = level > 0.0 && otherwise.is_finite();
-        if is_known { level } else { otherwise }
+        let roughness = roughness(values);
+        if roughness > 0.0 && otherwise.is_finite() { roughness } else { otherwise }
     };
     NoiseFloor {
         current_a: level(&scenario.current_a, noise.current_a),
@@ -184,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_of_one_level_leaves_parameters_open_together() {
+    fn a_run_of_one_level_determines_only_combinations() {
         let mut run = brushed(vec![(0.0, 0.0), (0.5, 8.0)], 0.002, 2.0);
         put(&mut run, Channel::Current, vec![f64::NAN; 1000]);
         let mut model = Model::baseline(motor(&BRUSHED));
@@ -199,13 +192,12 @@ mod tests {
     #[test]
     fn a_fault_of_a_signal_is_not_called_a_lack_of_excitation() {
         let run = brushed(steps(0.3, 4.0, 12.0 / 70.0, 0.2), 0.002, 4.0);
-        // A speed that is another one half of the time.
+        // A speed that is wrong half of the time.
         let wild = |row: usize, speed: f64| [1.0, -0.7][row / 37 % 2] * speed;
         let found = found(&changed(&run, Channel::Speed, wild));
-        let open = found.iter().filter(|own| own.value.is_none());
-        for own in open {
-            let reason = own.reason.as_deref().unwrap();
-            assert!(!reason.contains("does not excite"), "{own:?}");
+        for open in found.iter().filter(|parameter| parameter.value.is_none()) {
+            let reason = open.reason.as_deref().unwrap();
+            assert!(!reason.contains("does not excite"), "{open:?}");
         }
     }
 }

@@ -1,7 +1,7 @@
-//! Claims that a run supports, given where its signals come from.
+//! Limits of verdicts by the origin of the signals: measured, commanded or computed by the drive, at the motor or at the supply.
 //!
-//! A commanded voltage is not the armature's, a supply current is not the armature's, and what a drive computes from its own
-//! settings only repeats them. A value keeps its figure; its verdict and reason limit what it stands for.
+//! A commanded voltage and a supply current are not those of the armature, and a quantity that a drive computes from its settings
+//! is not independent of them. The values stay; verdicts and reasons change.
 
 use super::stamps;
 use super::verdict::refuse;
@@ -11,9 +11,10 @@ use drivebench_model::plant::{Input, MotorKey, Scenario};
 use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Run, Side, Verdict};
 use drivebench_model::signal;
 
-/// Share of the largest voltage from which a row counts as energised, and the fewest such rows that show anything.
-const ENERGISED: f64 = 0.02;
-const FEWEST_ROWS: usize = 20;
+/// Whether a voltage is more than 2 % of the largest: the motor is energised.
+fn is_energised(voltage_v: f64, largest_v: f64) -> bool {
+    voltage_v.abs() > 0.02 * largest_v
+}
 
 /// Limits the verdicts to what the origins of the signals allow; returns the reasons.
 pub fn limit(parameters: &mut [ParameterEstimate], run: &Run, scenario: &Scenario) -> Vec<String> {
@@ -23,43 +24,41 @@ pub fn limit(parameters: &mut [ParameterEstimate], run: &Run, scenario: &Scenari
     without_current(parameters, scenario);
     let mut notes = Vec::new();
     for claim in claims(run, scenario) {
-        let concerned = |p: &&mut ParameterEstimate| claim.keys.contains(&p.key.as_str());
-        let mut found = false;
-        for parameter in parameters.iter_mut().filter(concerned) {
+        let is_limited = |p: &&mut ParameterEstimate| claim.keys.contains(&p.key.as_str());
+        let mut has_value = false;
+        for parameter in parameters.iter_mut().filter(is_limited) {
             claim.apply(parameter);
-            found |= parameter.value.is_some();
+            has_value |= parameter.value.is_some();
         }
-        // A claim on nothing that was found is left out.
-        notes.extend(found.then_some(claim.reason));
+        notes.extend(has_value.then_some(claim.reason));
     }
     notes
 }
 
-/// Without a current no excitation separates resistance, inductance, inertia and torques, which is another thing than a run that
-/// does not excite them: only L/R, R J/(Ke Kt) and R Mc/Kt stand in the equations of voltage and speed. Where none of them is
+/// Structural identifiability (Ljung 1999, section 4.6) without a current: the equations of voltage and speed contain only L/R,
+/// R J/(Ke Kt) and R Mc/Kt, so that no excitation separates resistance, inductance, inertia and torques. Unless one of them is
 /// given none has a value, of the motor or of an effect.
 pub fn without_current(parameters: &mut [ParameterEstimate], scenario: &Scenario) {
     if !lacks_current(scenario) {
         return;
     }
     let back_emf = MotorKey::BackEmf.key();
-    for own in parameters.iter_mut().filter(|own| own.key == back_emf) {
-        let reason = "without a current it includes viscous friction: it is Ke + R B/Kt";
-        own.unsettle(reason);
+    for parameter in parameters.iter_mut().filter(|parameter| parameter.key == back_emf) {
+        parameter.unsettle("without a current it includes viscous friction: it is Ke + R B/Kt");
     }
     if !has_no_scale(parameters, scenario) {
         return;
     }
-    let is_found =
+    let is_estimated =
         |own: &&mut ParameterEstimate| is_tied(own.unit) && own.verdict != Verdict::Fixed;
-    for own in parameters.iter_mut().filter(is_found) {
-        let reason = "without a current no run tells resistance, inductance, inertia and load torque apart: voltage and speed hold \
+    for parameter in parameters.iter_mut().filter(is_estimated) {
+        let reason = "without a current no run separates resistance, inductance, inertia and load torque: voltage and speed determine \
                       only L/R, R J and R Mc; measure the current, or fix one of them in the model file";
-        refuse(own, reason);
+        refuse(parameter, reason);
     }
 }
 
-/// Whether the run has no current, and no resistance, inductance, inertia or torque is given that would take its place.
+/// Whether the run has no current, and no resistance, inductance, inertia or torque is given.
 pub fn has_no_scale(parameters: &[ParameterEstimate], scenario: &Scenario) -> bool {
     let is_given = |own: &ParameterEstimate| {
         let is_of_motor = MotorKey::from_key(&own.key).is_some();
@@ -82,14 +81,14 @@ pub fn is_tied(unit: &str) -> bool {
     }
 }
 
-/// How far a claim goes.
+/// Consequence for a value.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Weight {
-    /// The value stands, with a remark.
+    /// A reason is added.
     Remark,
-    /// It cannot be called settled.
+    /// It is not settled.
     Dependent,
-    /// It is no value of the motor.
+    /// It is not a value of the motor: invalid.
     Wrong,
 }
 
@@ -104,7 +103,7 @@ impl Claim {
         Self { keys: keys.iter().map(|key| key.key()).collect(), weight, reason: reason.into() }
     }
 
-    /// Only ever downward: settled, searching, invalid. What has no value, or is given, stays as it is.
+    /// Changes a verdict only downward: settled, searching, invalid. A parameter without a value, or a given one, stays.
     fn apply(&self, parameter: &mut ParameterEstimate) {
         match self.weight {
             Weight::Remark => {
@@ -141,7 +140,7 @@ fn claims(run: &Run, scenario: &Scenario) -> Vec<Claim> {
 }
 
 const MECHANICAL: [MotorKey; 2] = [MotorKey::Inertia, MotorKey::LoadTorque];
-/// With Kt taken equal to Ke, what is wrong in Ke is wrong in every torque.
+/// With Kt equal to Ke, an error of Ke is one of every torque.
 pub(super) const OF_BACK_EMF: [MotorKey; 4] =
     [MotorKey::BackEmf, MotorKey::TorqueConstant, MotorKey::Inertia, MotorKey::LoadTorque];
 
@@ -149,13 +148,13 @@ fn of_voltage(run: &Run, channel: Channel) -> Option<Claim> {
     let key = channel.key();
     if run.side(channel) == Some(Side::Supply) && !full_duty(run) {
         let reason = format!(
-            "{key} is the voltage of the supply, not of the motor: the duty cycle stands between them"
+            "{key} is the voltage of the supply, not of the motor: they differ by the duty cycle"
         );
         return Some(Claim::new(&MotorKey::ALL, Weight::Wrong, reason));
     }
     let reason = match run.origin(channel) {
         Origin::Estimated => format!(
-            "the resistance includes what the drive's own estimate of {key} leaves out of its switches"
+            "the resistance includes the drops of the drive's switches that its estimate of {key} neglects"
         ),
         Origin::Commanded if !measured_agrees(run, channel) => {
             "the resistance includes the drive's own drops \
@@ -177,11 +176,11 @@ fn of_current(run: &Run, keys: &[MotorKey]) -> Option<Claim> {
         ),
         Origin::Commanded => (
             Weight::Dependent,
-            "current_a is commanded, not measured: the drive's current loop and its limits stand between",
+            "current_a is commanded, not measured: the current loop of the drive and its limits make a difference",
         ),
         Origin::Estimated => (
             Weight::Dependent,
-            "current_a is the drive's own estimate, so the value rests on the drive's model of the motor",
+            "current_a is the drive's own estimate, so the value depends on the drive's model of the motor",
         ),
         Origin::Measured | Origin::Derived | Origin::Unknown => return None,
     };
@@ -213,19 +212,19 @@ fn of_speed(run: &Run, input: Input) -> Option<Claim> {
         Origin::Estimated => (
             &MECHANICAL,
             Weight::Dependent,
-            "speed_rad_s is the drive's own estimate: its filter and its settings are in the value",
+            "speed_rad_s is the drive's own estimate: the value depends on its filter and its settings",
         ),
         Origin::Commanded => (
             &OF_BACK_EMF,
             Weight::Wrong,
-            "speed_rad_s is commanded, not measured: what the shaft did is not known",
+            "speed_rad_s is commanded, not measured: the speed of the shaft is not known",
         ),
         Origin::Measured | Origin::Derived | Origin::Unknown => return None,
     };
     Some(Claim::new(keys, weight, reason))
 }
 
-/// Whether the bus stands at the terminals whenever the motor is energised.
+/// Whether the terminals have the bus voltage whenever the motor is energised.
 fn full_duty(run: &Run) -> bool {
     let terminal = run.side(Channel::Voltage) != Some(Side::Supply);
     let voltage = run.column(Channel::Voltage).filter(|_| terminal);
@@ -234,13 +233,13 @@ fn full_duty(run: &Run) -> bool {
     };
     let largest = largest(voltage);
     let rows = bus.iter().zip(voltage);
-    let energised = rows.filter(|(bus, u)| bus.is_finite() && u.abs() > ENERGISED * largest);
+    let energised = rows.filter(|(bus, u)| bus.is_finite() && is_energised(**u, largest));
     let full = energised.clone().filter(|(bus, u)| u.abs() > 0.97 * **bus);
     let (full, count) = (full.count(), energised.count());
-    count >= FEWEST_ROWS && full as f64 >= 0.99 * count as f64
+    count >= 20 && full as f64 >= 0.99 * count as f64
 }
 
-/// Whether a voltage measured at the terminals shows the command, so that nothing of it is lost in the drive.
+/// Whether a voltage measured at the terminals agrees with the command, so that the drive has no drop.
 fn measured_agrees(run: &Run, command: Channel) -> bool {
     let terminal = run.side(Channel::Voltage) != Some(Side::Supply);
     if command == Channel::Voltage || run.origin(Channel::Voltage) != Origin::Measured || !terminal
@@ -252,13 +251,13 @@ fn measured_agrees(run: &Run, command: Channel) -> bool {
     let differences: Vec<f64> = run
         .points(Channel::Voltage)
         .filter_map(|(time_s, measured)| {
-            let held = signal::held(&commands, time_s)?;
-            // In the direction of the voltage: a drop lessens its size.
-            (held.abs() > ENERGISED * largest).then(|| (held - measured) * held.signum())
+            let command = signal::held(&commands, time_s)?;
+            // A drop reduces the magnitude of the voltage.
+            is_energised(command, largest).then(|| (command - measured) * command.signum())
         })
         .collect();
-    let lost = median(&differences);
-    differences.len() >= FEWEST_ROWS && lost.abs() < 0.01 * largest
+    let drop = median(&differences);
+    differences.len() >= 20 && drop.abs() < 0.01 * largest
 }
 
 #[cfg(test)]
@@ -268,11 +267,9 @@ mod tests {
     use crate::verdict::judge;
     use drivebench_model::plant::Slot;
 
-    const ROWS: usize = 100;
-
-    /// Voltage, current and speed; what they hold does not matter to a claim.
+    /// Voltage, current and speed in 100 rows; their values do not matter.
     fn run(origin: Origin) -> Run {
-        let square = |size: f64| (0..ROWS).map(|k| [size, -size][k / 25 % 2]).collect();
+        let square = |size: f64| (0..100).map(|k: usize| [size, -size][k / 25 % 2]).collect();
         let columns = [
             (Channel::Voltage, square(24.0)),
             (Channel::Current, square(2.0)),
@@ -312,7 +309,7 @@ mod tests {
         };
         let with_bus = |bus_v: f64| {
             let mut run = of_supply(Channel::Current);
-            put(&mut run, Channel::Bus, vec![bus_v; ROWS]);
+            put(&mut run, Channel::Bus, vec![bus_v; 100]);
             run
         };
         let with_drop = |drop_v: f64| {
@@ -323,7 +320,7 @@ mod tests {
             run
         };
         let torque = || {
-            let columns = [Channel::Torque, Channel::Speed].map(|own| (own, vec![1.0; ROWS]));
+            let columns = [Channel::Torque, Channel::Speed].map(|name| (name, vec![1.0; 100]));
             let mut run = run_of(every(0.01, 1.0), columns);
             run.set_origin(Channel::Torque, Origin::Estimated);
             run
@@ -369,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_current_the_scale_is_open_whatever_the_excitation() {
+    fn without_a_current_no_excitation_gives_the_scale() {
         let mut run = run(Origin::Measured);
         let reasons = |run: &Run, verdict: Verdict| {
             let keys = [MotorKey::Resistance, MotorKey::BackEmf, MotorKey::Inertia];
@@ -383,7 +380,7 @@ mod tests {
         let open = Verdict::NotObservable;
         let all = reasons(&run, open);
         assert!(all.iter().all(|reason| reason.contains("does not excite")));
-        put(&mut run, Channel::Current, vec![f64::NAN; ROWS]);
+        put(&mut run, Channel::Current, vec![f64::NAN; 100]);
         let [resistance, back_emf, inertia] = reasons(&run, open);
         assert!(resistance.contains("R J and R Mc"), "{resistance}");
         assert_eq!(inertia, resistance);

@@ -1,12 +1,13 @@
-//! Drift of a machine between two dates: the change of each parameter, its probability by chance, and a possible cause.
+//! Drift of a machine between two dates: two-sample tests of each parameter (Student's t), corrected for their number (Holm,
+//! *Scand. J. Statist.* 6, 1979), with intervals and a possible cause.
 //!
 //! ```text
 //! runs before, runs after -> change and 95 % interval of each parameter -> by chance? (Holm 1979 over all) -> sentence
 //! ```
 //!
-//! The deviation of a fit holds the noise within its run; how far a machine moves from run to run of itself (warmth, load, the
-//! place of a belt) shows in repeats alone. Where there are repeats, the more cautious of the two decides; where there are
-//! none, a caution stands beside the result.
+//! The standard deviation of a fit contains only the noise within its run; the variation of the machine from run to run
+//! (temperature, load, position of a belt) is observable in repeated runs alone. With repeats the larger of the two decides;
+//! without them the result has a caution.
 
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
@@ -17,8 +18,8 @@ use drivebench_model::plant::{MotorKey, effect};
 use drivebench_model::sample::{ParameterEstimate, TWO_SIDED_95};
 use drivebench_model::text::number::{exponent_of, fixed, places, probability, significant};
 
-/// Probability that any parameter at all is named where nothing has changed.
-const FALSE_ALARM: f64 = 0.01;
+/// Family-wise significance: probability that any parameter is reported although none has changed.
+const SIGNIFICANCE: f64 = 0.01;
 
 /// The change of one parameter.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -27,29 +28,29 @@ pub struct Change {
     pub unit: &'static str,
     pub before: f64,
     pub after: f64,
-    /// Runs of either date that carry it.
+    /// Runs of either date in which it is observable.
     pub runs_before: usize,
     pub runs_after: usize,
-    /// Of the value before; null where that may as well be zero.
+    /// Relative to the value before; null where that may be zero.
     pub percent: Option<f64>,
     pub interval_95_percent: Option<[f64; 2]>,
     /// The change in the parameter's unit, and its 95 % interval.
     pub change: f64,
     pub interval_95: [f64; 2],
-    /// That chance alone gives a change like this to any of the parameters that were compared.
+    /// p-value, corrected for the number of parameters.
     pub by_chance: f64,
-    /// That the noise within the runs alone gives it to this parameter.
+    /// p-value of this parameter alone under the noise within the runs.
     pub by_noise: f64,
     pub drifted: bool,
-    /// Beyond the noise within the runs, and yet not named: the repeats are too few to show how far the machine moves of itself.
+    /// Significant against the noise within the runs, but with too few repeats for the variation from run to run.
     pub unsettled: bool,
-    /// What may be behind it; none where it is not shown, or where nothing is known.
+    /// Null without a drift, or without a known cause.
     pub possible_cause: Option<String>,
     pub sentence: String,
 }
 
 impl Change {
-    /// Largest change that its 95 % interval holds, either way, in per cent.
+    /// Largest change within its 95 % interval, in either direction, in per cent.
     fn at_most_percent(&self) -> Option<f64> {
         let [low, high] = self.interval_95_percent?;
         Some(low.abs().max(high.abs()))
@@ -61,7 +62,7 @@ impl Change {
 pub struct NotCompared {
     pub key: String,
     pub reason: String,
-    /// The earlier runs carried it: what it has done since is not known.
+    /// It was observable in the earlier runs, so that its change is not known.
     pub carried_before: bool,
 }
 
@@ -72,38 +73,38 @@ pub struct Drift {
     pub not_compared: Vec<NotCompared>,
     pub runs_before: usize,
     pub runs_after: usize,
-    /// What the intervals do not hold; null where nothing is missing from them.
+    /// Variation that the intervals do not contain; null where they are complete.
     pub caution: Option<String>,
-    /// The answer in one line.
+    /// The result in one line.
     pub sentence: String,
 }
 
 impl Drift {
-    /// Keys of the parameters that have drifted.
+    /// The changes that are a drift.
     pub fn drifted(&self) -> impl Iterator<Item = &Change> {
         self.changes.iter().filter(|change| change.drifted)
     }
 
-    /// What has drifted, and what may have: of all others it was shown how little they can have changed.
+    /// Changes that are a drift or may be one.
     pub fn in_question(&self) -> impl Iterator<Item = &Change> {
         let changes = self.changes.iter();
         changes.filter(|change| change.drifted || change.unsettled)
     }
 
-    /// What the earlier runs carried and the later ones do not.
+    /// Parameters that were observable in the earlier runs and are not in the later ones.
     pub fn lost(&self) -> impl Iterator<Item = &NotCompared> {
         let all = self.not_compared.iter();
         all.filter(|parameter| parameter.carried_before)
     }
 
-    /// Largest change of what is in question, either way, in per cent: zero where nothing is. Not known where one of them has
-    /// no share, where a parameter was lost, or where nothing was compared.
+    /// Largest change that is or may be a drift, in per cent: zero without one. `None` where one of them has no percentage, where a
+    /// parameter was lost, or where none was compared.
     pub fn largest_percent(&self) -> Option<f64> {
         let in_question = self.in_question();
         self.largest(in_question.map(|change| change.percent.map(f64::abs)))
     }
 
-    /// Largest change of any parameter that its own 95 % interval leaves open, in per cent; not known as above.
+    /// Largest change within the 95 % interval of any parameter, in per cent; `None` as above.
     pub fn open_percent(&self) -> Option<f64> {
         self.largest(self.changes.iter().map(Change::at_most_percent))
     }
@@ -173,10 +174,10 @@ pub fn between(
     correct(&mut changes);
     let compared = changes.len() as f64;
     for change in &mut changes {
-        change.drifted = change.by_chance < FALSE_ALARM;
-        let is_beyond_noise = compared * change.by_noise < FALSE_ALARM;
+        change.drifted = change.by_chance < SIGNIFICANCE;
+        let is_beyond_noise = compared * change.by_noise < SIGNIFICANCE;
         let freedom = (change.runs_before + change.runs_after) as f64 - 2.0;
-        // Two runs beside one hardly show how far a machine moves of itself.
+        // With two degrees of freedom or fewer the variation from run to run is hardly known.
         change.unsettled = is_beyond_noise && !change.drifted && freedom < 3.0;
         change.possible_cause = change.drifted.then(|| cause(change)).flatten();
         change.sentence = sentence(change, since);
@@ -184,18 +185,18 @@ pub fn between(
     let single = |change: &&Change| change.runs_before + change.runs_after <= 2;
     let singles: Vec<String> =
         changes.iter().filter(single).map(|change| name(&change.key)).collect();
-    let of = if singles.len() == changes.len() {
+    let named = if singles.len() == changes.len() {
         String::new()
     } else {
         format!(" with {}", singles.join(", "))
     };
     let caution = (!singles.is_empty()).then(|| {
         format!(
-            "one run on each side{of}: how far this machine moves from run to run of itself is not known, and in no interval"
+            "one run on each side{named}: the variation of this machine from run to run is not known, and no interval contains it"
         )
     });
     Drift {
-        sentence: answer(&changes, &not_compared, since),
+        sentence: summary(&changes, &not_compared, since),
         changes,
         not_compared,
         runs_before: before.len(),
@@ -210,20 +211,20 @@ fn why_not(
     after: &[Vec<ParameterEstimate>],
 ) -> Option<NotCompared> {
     let mut all = before.iter().chain(after).flatten().filter(|estimate| estimate.key == key);
-    // What was given to both is no finding of either.
+    // A value that was given for both is not an estimate.
     let is_given = all.clone().all(|estimate| estimate.std == Some(0.0));
     let [open_before, open_after] = [before, after].map(|runs| Sample::of(key, runs).is_none());
     let reason = match (open_before, open_after) {
-        (true, true) => "not carried by the runs of either date",
-        (true, false) => "not carried by the earlier runs",
-        _ => "not carried by the later runs",
+        (true, true) => "not observable in the runs of either date",
+        (true, false) => "not observable in the earlier runs",
+        _ => "not observable in the later runs",
     };
-    let own = all.find_map(|estimate| estimate.reason.as_ref());
-    let reason = own.map_or_else(|| reason.to_owned(), |own| format!("{reason}: {own}"));
+    let detail = all.find_map(|estimate| estimate.reason.as_ref());
+    let reason = detail.map_or_else(|| reason.to_owned(), |detail| format!("{reason}: {detail}"));
     (!is_given).then(|| NotCompared { key: key.to_owned(), reason, carried_before: !open_before })
 }
 
-/// The change with its interval; the probability is that of this parameter alone.
+/// The change with its interval; the p-value is that of this parameter alone.
 fn change(key: &str, before: &Sample, after: &Sample) -> Change {
     let (from, to) = (mean(&before.values), mean(&after.values));
     let change = to - from;
@@ -231,7 +232,7 @@ fn change(key: &str, before: &Sample, after: &Sample) -> Change {
     let freedom = before.count() + after.count() - 2.0;
     let pooled = (freedom > 0.0).then(|| (before.squares() + after.squares()) / freedom);
     let student = pooled.and_then(|pooled| Some((pooled, StudentsT::new(0.0, 1.0, freedom).ok()?)));
-    // Of `to - share * from`; the more cautious of noise and spread.
+    // Half-width of the interval of `to - share * from`: the larger one of noise and spread.
     let half = |share: f64| {
         let of = |earlier: f64, later: f64| {
             (later / after.count() + share * share * earlier / before.count()).sqrt()
@@ -247,7 +248,7 @@ fn change(key: &str, before: &Sample, after: &Sample) -> Change {
         let std = (pooled * (1.0 / before.count() + 1.0 / after.count())).sqrt();
         by_chance = by_chance.max(2.0 * student.sf(change.abs() / std));
     }
-    // What is divided by is uncertain itself: its part of the interval grows with the ratio.
+    // The relative change `to/from - 1`: the uncertainty of the denominator counts with the ratio (Fieller's theorem to first order).
     let is_clear = from.abs() > 5.0 * (before.within / before.count()).sqrt();
     let (half, widened) = (half(1.0), half(to / from));
     let percent = |value: f64| 100.0 * value / from;
@@ -272,7 +273,7 @@ fn change(key: &str, before: &Sample, after: &Sample) -> Change {
     }
 }
 
-/// Corrects the probabilities for the number of parameters that are compared (Holm 1979).
+/// Holm's step-down correction of the p-values for the number of parameters.
 fn correct(changes: &mut [Change]) {
     let mut order: Vec<usize> = (0..changes.len()).collect();
     order.sort_by(|a, b| changes[*a].by_chance.total_cmp(&changes[*b].by_chance));
@@ -299,7 +300,7 @@ pub fn name(key: &str) -> String {
     name.to_owned()
 }
 
-/// What moves a parameter like this.
+/// Possible cause of a change.
 fn cause(change: &Change) -> Option<String> {
     let grew = change.change > 0.0;
     let share = change.percent.map(|percent| percent / 100.0);
@@ -308,7 +309,7 @@ fn cause(change: &Change) -> Option<String> {
             let kelvin = significant(share?.abs() / temperature::COPPER_PER_K, 2);
             let warmth = if grew { "warmer" } else { "colder" };
             format!(
-                "a winding some {kelvin} K {warmth}, where that is all of it; connections or brushes"
+                "a winding about {kelvin} K {warmth}, if that is the only cause; connections or brushes"
             )
         }
         Some(MotorKey::Inductance) if grew => "less saturation: a smaller current".to_owned(),
@@ -361,21 +362,21 @@ fn sentence(change: &Change, since: &str) -> String {
     }
     if change.unsettled {
         return format!(
-            "{name} {} since {since}: beyond the noise within the runs, and too few of them to tell how far this machine moves \
-             from run to run of itself; repeat the run",
+            "{name} {} since {since}: more than the noise within the runs, but there are too few runs to know the variation from run \
+             to run; repeat the run",
             size(change)
         );
     }
     match change.at_most_percent() {
         Some(most) => format!(
-            "{name}: no change larger than {} % is left open (95 %) since {since}",
+            "{name}: a change larger than {} % is excluded (95 %) since {since}",
             significant(most, 2)
         ),
         None => format!("{name}: no change shown since {since}: {}", size(change)),
     }
 }
 
-fn answer(changes: &[Change], not_compared: &[NotCompared], since: &str) -> String {
+fn summary(changes: &[Change], not_compared: &[NotCompared], since: &str) -> String {
     let list = |is: fn(&Change) -> bool| {
         let named = changes
             .iter()
@@ -386,26 +387,26 @@ fn answer(changes: &[Change], not_compared: &[NotCompared], since: &str) -> Stri
     let [drifted, unsettled] = [list(|change| change.drifted), list(|change| change.unsettled)];
     let open: Option<Vec<f64>> = changes.iter().map(Change::at_most_percent).collect();
     let count = changes.len();
-    let answer = if !drifted.is_empty() {
+    let summary = if !drifted.is_empty() {
         format!("drifted since {since}: {drifted}")
     } else if !unsettled.is_empty() {
         format!("not settled whether there is a drift since {since}: {unsettled}")
     } else if changes.is_empty() {
-        "nothing can be said: no parameter is carried by the runs of both dates".to_owned()
+        "no comparison: no parameter is observable in the runs of both dates".to_owned()
     } else if let Some(open) = open {
         let most = significant(open.into_iter().fold(0.0, f64::max), 2);
         format!(
-            "no drift shown since {since}: {count} parameters compared, no change larger than {most} % is left open (95 % for \
-             each alone)"
+            "no drift shown since {since}: {count} parameters compared, a change larger than {most} % is excluded (95 % for each \
+             alone)"
         )
     } else {
         format!("no drift shown since {since}: {count} parameters compared")
     };
     if not_compared.is_empty() {
-        return answer;
+        return summary;
     }
     let open: Vec<String> = not_compared.iter().map(|one| name(&one.key)).collect();
-    format!("{answer}; not compared: {}", open.join(", "))
+    format!("{summary}; not compared: {}", open.join(", "))
 }
 
 #[cfg(test)]

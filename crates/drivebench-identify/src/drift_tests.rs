@@ -56,7 +56,7 @@ fn five(rng: &mut ChaCha8Rng, count: usize, spread: f64) -> Runs {
 #[test]
 fn the_rate_of_false_alarms_is_the_stated_one() {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
-    // From run to run of itself the machine moves by nothing, or by five times the noise within a run: then repeats show it.
+    // The machine varies from run to run by nothing, or by five times the noise within a run, which repeats show.
     for (before, after, spread) in
         [(1, 1, 0.0), (3, 3, 0.0), (3, 3, 0.05), (4, 2, 0.05), (8, 1, 0.05)]
     {
@@ -73,9 +73,9 @@ fn the_rate_of_false_alarms_is_the_stated_one() {
 }
 
 #[test]
-fn intervals_hold_the_truth_where_one_side_is_surer() {
+fn intervals_cover_the_truth_where_one_side_is_more_certain() {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
-    // Runs on either side and their deviations; the machine of the last moves from run to run of itself, by five times the noise.
+    // Runs on either side and their deviations; the machine of the last varies from run to run by five times the noise.
     for (before, after, stds, spread) in [
         (1, 1, [0.005, 0.05], 0.0),
         (1, 1, [0.05, 0.005], 0.0),
@@ -104,7 +104,7 @@ fn single_runs_do_not_show_the_spread_of_the_machine() {
     };
     assert!(caution(1).is_some_and(|caution| caution.contains("from run to run")));
     assert_eq!(caution(3), None);
-    // Repeats that do not carry a parameter show nothing of it.
+    // Repeats in which a parameter is not observable do not count for it.
     let bare = || run(&[(INERTIA, 0.0045, 1e-5)]);
     let once = compared(&[with_both(0.45), bare(), bare()], &with_both(0.45));
     let caution = once.caution.unwrap();
@@ -123,7 +123,7 @@ fn a_change_has_an_interval_and_a_possible_cause() {
     );
     assert_eq!(
         inertia.sentence,
-        "inertia: no change larger than 0.62 % is left open (95 %) since 2026-03-01"
+        "inertia: a change larger than 0.62 % is excluded (95 %) since 2026-03-01"
     );
     assert_eq!(inertia.possible_cause, None);
     assert_eq!(
@@ -149,8 +149,8 @@ fn near_zero_a_change_has_its_unit_and_given_values_are_open() {
     assert!(open.len() == 1 && !open[0].carried_before, "{open:?}");
     assert!(open[0].reason.contains("either date: sample faster"));
     let nothing = compared(&[Vec::new()], &[]);
-    assert!(nothing.sentence.starts_with("nothing can be said"));
-    // A parameter that is not carried any more is open whatever the others show.
+    assert!(nothing.sentence.starts_with("no comparison"));
+    // A parameter that is no longer observable is open, whatever the others are.
     let mut after = run(&[(INERTIA, 0.0045, 1e-5)]);
     after.push(not_observable(FRICTION, "N.m", "it never turns back"));
     let lost = compared(&[with_both(0.45)], &after);
@@ -178,13 +178,13 @@ fn too_few_repeats_leave_a_change_open_and_do_not_hide_it() {
     assert!((largest - 11.75).abs() < 0.1 && open.in_question().count() == 1);
     let named = of(&[0.450, 0.451, 0.4505, 0.4495]);
     assert!(named.changes[0].drifted && !named.changes[0].unsettled);
-    // Runs that do not carry it are no repeats of it.
+    // Runs in which it is not observable are no repeats of it.
     let bare = || run(&[(INERTIA, 0.0045, 1e-5)]);
     let beside = compared(&[at(0.450), at(0.452), bare(), bare()], &at(0.504));
     assert!(beside.changes[0].unsettled);
-    // What many repeats show to be its own movement is neither.
-    let own = of(&[0.40, 0.50, 0.42, 0.49, 0.45]);
-    assert_eq!(own.in_question().count(), 0, "{own:?}");
+    // Within the variation that many repeats show it is neither.
+    let varying = of(&[0.40, 0.50, 0.42, 0.49, 0.45]);
+    assert_eq!(varying.in_question().count(), 0, "{varying:?}");
 }
 
 #[test]
@@ -195,7 +195,7 @@ fn a_temperature_that_is_known_is_no_drift() {
     assert!(drift.changes.len() == 1 && !drift.changes[0].drifted, "{drift:?}");
     let warm = compared(&[run(&[(key, 1.10, 0.001)])], &run(&[(key, 1.31, 0.001)]));
     let sentence = &warm.changes[0].sentence;
-    assert!(sentence.contains("a winding some 49 K warmer"), "{sentence}");
+    assert!(sentence.contains("a winding about 49 K warmer"), "{sentence}");
 }
 
 /// The estimates from a simulated run of this motor.

@@ -1,9 +1,8 @@
-//! Starting values of a fit when the model has effects whose order, shape or moment is not given.
+//! Starting values of a fit by a grid search over the order, shape or event time of an effect.
 //!
-//! A fit moves a coefficient to where it belongs from anywhere, but it finds no way from one number of cogs to the next,
-//! nor from one end of a run to an event at the other. So each value of the grid is tried first, as the score screen
-//! does: the residual of the model without the effect is explained by the motor's own sensitivities
-//! and the effect's coefficients together, linearly; the values of the grid that explain most are where fits start.
+//! The cost is nearly quadratic in a coefficient, but has local minima over an integer order or an event time. So the values of
+//! a grid are compared first by a score test: the residual of the model without the effect is regressed on the sensitivities of
+//! the motor's parameters and of the effect's coefficients; fits start at the values that explain most.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -15,20 +14,20 @@ use drivebench_model::plant::{
     ActiveEffect, Model, ParameterRole, ParameterSpec, Scenario, typical_size,
 };
 
-/// Models to start from, the most promising first.
+/// Models to start from, the best first.
 #[derive(Clone, Debug)]
 pub struct Starts {
     pub models: Vec<Model>,
-    /// What was chosen from a grid: `(key, reason to doubt it)`.
+    /// Parameters chosen from a grid: `(key, reason to doubt it)`.
     pub chosen: Vec<(String, Option<String>)>,
 }
 
-/// Tries the grids of `model`, whose motor values are all given. What the model gives stays, but for moments of events,
-/// which are another in each run, unless they are fixed.
+/// Searches the grids of `model`, whose motor values are all given. Given values stay, except event times, which differ from run to
+/// run, unless they are fixed.
 pub fn scan(model: &Model, scenario: &Scenario, noise: &NoiseFloor) -> Result<Starts, FitError> {
     let mut starts = Starts { models: vec![model.clone()], chosen: Vec::new() };
     let has_grid = |active: &&ActiveEffect| {
-        (0..active.values.len()).any(|index| is_sought(model, active, index))
+        (0..active.values.len()).any(|index| is_searched(model, active, index))
     };
     let searched: Vec<&ActiveEffect> = model.effects.iter().filter(has_grid).collect();
     if searched.is_empty() {
@@ -48,7 +47,7 @@ pub fn scan(model: &Model, scenario: &Scenario, noise: &NoiseFloor) -> Result<St
         for start in &mut starts.models {
             put(start, &best.active);
         }
-        // The other values serve as starts for the effect that was tried last: starts must not multiply.
+        // Further starts only for the last effect, so that their number does not multiply.
         starts.models.truncate(1);
         for other in tried.iter().skip(1).take(2) {
             let mut start = starts.models[0].clone();
@@ -59,8 +58,8 @@ pub fn scan(model: &Model, scenario: &Scenario, noise: &NoiseFloor) -> Result<St
     Ok(starts)
 }
 
-/// Whether the grid of this parameter has to be tried.
-fn is_sought(model: &Model, active: &ActiveEffect, index: usize) -> bool {
+/// Whether the grid of this parameter is searched.
+fn is_searched(model: &Model, active: &ActiveEffect, index: usize) -> bool {
     let is_open = active.values[index].is_none();
     match active.effect.parameters()[index].role {
         ParameterRole::Coefficient => false,
@@ -80,7 +79,7 @@ fn put(model: &mut Model, found: &ActiveEffect) {
     }
 }
 
-/// The choices that a fit does not move, and whether another value would have done as well.
+/// The parameters that a fit does not change, with a doubt where another value is nearly as good.
 fn choices(active: &ActiveEffect, tried: &[Tried]) -> Vec<(String, Option<String>)> {
     let best = &tried[0];
     let chosen = |(index, spec): (usize, &ParameterSpec)| {
@@ -91,7 +90,7 @@ fn choices(active: &ActiveEffect, tried: &[Tried]) -> Vec<(String, Option<String
             .filter(|other| other.gain > 0.95 * best.gain)
             .and_then(|other| other.active.values[index]);
         let doubt = rival.map(|rival| {
-            format!("{key} {value} and {rival} explain this run nearly alike: more turns, slower")
+            format!("{key} {value} and {rival} explain this run nearly equally well: record more turns, at low speed")
         });
         Some((format!("{}.{key}", active.id()), doubt))
     };
@@ -103,7 +102,7 @@ fn choices(active: &ActiveEffect, tried: &[Tried]) -> Vec<(String, Option<String
         .collect()
 }
 
-/// One value of the grid with the coefficients that go with it.
+/// One point of the grid with its coefficients.
 struct Tried {
     active: ActiveEffect,
     /// Reduction of the cost, to first order.
@@ -138,7 +137,7 @@ impl<'a> Trial<'a> {
     fn all(&self, given: &Model, active: &ActiveEffect) -> Result<Vec<Tried>, FitError> {
         let mut tried = Vec::new();
         for values in self.combinations(given, active) {
-            // A value at which the model cannot be simulated is no place to start from.
+            // A point at which the model cannot be simulated is left out.
             match self.one(given, active, &values) {
                 Ok(found) => tried.push(found),
                 Err(FitError::CannotSimulate { .. }) => {}
@@ -156,9 +155,9 @@ impl<'a> Trial<'a> {
         let mut grid = vec![Vec::new()];
         for (index, spec) in active.effect.parameters().iter().enumerate() {
             let value = active.values[index];
-            let mut values = if is_sought(given, active, index) {
-                let is_moment = spec.role == ParameterRole::EventTime;
-                let unit = if is_moment { length_s } else { 1.0 };
+            let mut values = if is_searched(given, active, index) {
+                let is_event = spec.role == ParameterRole::EventTime;
+                let unit = if is_event { length_s } else { 1.0 };
                 spec.shapes.iter().map(|shape| shape * unit).collect()
             } else if is_free_coefficient(given, active, index) {
                 vec![0.0]
@@ -182,7 +181,7 @@ impl<'a> Trial<'a> {
         grid
     }
 
-    /// All free coefficients at once, by linear least squares beside the motor's own parameters.
+    /// All free coefficients at once, by linear least squares together with the motor's parameters.
     fn one(&self, given: &Model, active: &ActiveEffect, values: &[f64]) -> Result<Tried, FitError> {
         let specs = active.effect.parameters();
         let free: Vec<usize> =
@@ -196,26 +195,27 @@ impl<'a> Trial<'a> {
             residual_of(&model, self.scenario, self.noise)
         };
         let coefficients = specs.iter().filter(|spec| spec.is_coefficient()).count();
-        let silent = free.iter().all(|index| values[*index] == 0.0) && free.len() == coefficients;
-        let before = if silent && !free.is_empty() { self.residual.clone() } else { with(values)? };
-        let before = DVector::from_vec(before);
-        let own = self.jacobian.ncols();
-        let mut columns = (self.jacobian.clone()).resize_horizontally(own + free.len(), 0.0);
-        for (place, index) in free.iter().enumerate() {
+        let is_zero = free.iter().all(|index| values[*index] == 0.0) && free.len() == coefficients;
+        let has_no_effect = is_zero && !free.is_empty();
+        let before =
+            DVector::from_vec(if has_no_effect { self.residual.clone() } else { with(values)? });
+        let of_motor = self.jacobian.ncols();
+        let mut columns = (self.jacobian.clone()).resize_horizontally(of_motor + free.len(), 0.0);
+        for (column, index) in free.iter().enumerate() {
             let size = typical_size(active.effect, *index, &self.model, self.scenario);
-            let mut probe = values.to_vec();
-            probe[*index] = size;
-            let there = DVector::from_vec(with(&probe)?);
-            columns.set_column(own + place, &((there - &before) / size));
+            let mut changed = values.to_vec();
+            changed[*index] = size;
+            let after = DVector::from_vec(with(&changed)?);
+            columns.set_column(of_motor + column, &((after - &before) / size));
         }
         let (solution, explained) = least_squares::ridge(columns, &before);
         let mut found = active.clone();
         for (index, value) in values.iter().enumerate() {
             found.values[index] = Some(*value);
         }
-        for (place, index) in free.iter().enumerate() {
+        for (column, index) in free.iter().enumerate() {
             let spec = &specs[*index];
-            found.values[*index] = Some((-solution[own + place]).clamp(spec.min, spec.max));
+            found.values[*index] = Some((-solution[of_motor + column]).clamp(spec.min, spec.max));
         }
         let cost: f64 = self.residual.iter().map(|r| r * r).sum();
         Ok(Tried { active: found, gain: cost - (before.norm_squared() - explained) })
@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn order_shape_and_moment_that_are_not_given_are_found() {
+    fn order_shape_and_event_time_are_found() {
         for (id, values, index, within) in [
             ("cogging", vec![0.05, -0.08, 7.0], 2, 0.0),
             ("load_step", vec![0.12, 2.4], 1, 0.02),
@@ -267,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_given_stays_and_a_moment_of_another_run_does_not() {
+    fn given_values_stay_except_an_event_time() {
         let truth = paper_with("load_step", &[0.12, 2.4]);
         let scenario = record(&truth);
         let mut start = truth.clone();
@@ -276,8 +276,8 @@ mod tests {
         let found = moved.models[0].effects[0].values[1].unwrap();
         assert!((found - 2.4).abs() < 0.2, "{found}");
         start.fixed.push("load_step.time_s".to_owned());
-        let held = scan(&start, &scenario, &NOISE).unwrap();
-        assert_eq!(held.models.len(), 1);
-        assert_eq!(held.models[0].effects[0].values[1], Some(0.3));
+        let fixed = scan(&start, &scenario, &NOISE).unwrap();
+        assert_eq!(fixed.models.len(), 1);
+        assert_eq!(fixed.models[0].effects[0].values[1], Some(0.3));
     }
 }

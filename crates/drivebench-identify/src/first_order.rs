@@ -1,11 +1,11 @@
-//! First-order lag with dead time of the speed behind the voltage: what voltage and speed alone determine of any motor.
+//! First-order lag with dead time from voltage to speed (FOPDT model), all that is identifiable of a motor without a current.
 //!
 //! ```text
 //! T w' = g (u(t - d) - u_c sgn u) - w        g = 1/Ke, T = R J/(Ke Kt), u_c = R Mc/Kt
 //! ```
 //!
-//! The gains are linear, time constant and dead time are looked for on a grid and refined. The plain lag, without dead time
-//! and friction, is also a trivial prediction that a model has to beat.
+//! Separable least squares: the gains are linear, time constant and dead time are searched on a grid and refined by
+//! Levenberg-Marquardt. The plain lag, without dead time and friction, is also the reference prediction of a model.
 
 use nalgebra::DVector;
 
@@ -19,24 +19,26 @@ use drivebench_model::numerics::statistics::largest;
 use drivebench_model::plant::{Input, Scenario};
 use drivebench_model::sample::ParameterEstimate;
 
-/// Readings below which nothing is fitted.
+/// Fewest speeds of a fit.
 const FEWEST: usize = 8;
-/// Share of the largest speed below which a shaft without a voltage has no direction.
-const RESTS: f64 = 0.02;
 
-/// A lag with its dead time and the voltage that friction takes.
+/// Speed below which the shaft counts as at rest, rad/s: 2 % of the largest.
+fn rest_rad_s(run: &Scenario) -> f64 {
+    0.02 * largest(&run.speed_rad_s)
+}
+
+/// A lag with its dead time and the voltage of the friction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FirstOrder {
     pub gain_rad_s_per_v: f64,
     pub time_constant_s: f64,
     pub dead_time_s: f64,
     pub friction_v: f64,
-    /// Root mean square that it leaves of the speeds that it was fitted to, rad/s.
+    /// Root mean square of the residual, rad/s.
     pub left_rad_s: f64,
 }
 
-/// For each sample what a lag of gain one makes of voltage and direction, what is left there of the first speed, and the
-/// measured speed.
+/// Responses of a lag of unit gain at one sample, to the voltage, to its sign and to the initial speed, and the measured speed.
 struct Row {
     voltage: f64,
     direction: f64,
@@ -45,7 +47,7 @@ struct Row {
 }
 
 impl FirstOrder {
-    /// The plain lag nearest to the scored speeds of `run`.
+    /// The plain lag fitted to the scored speeds of `run`.
     pub fn plain(run: &Scenario) -> Option<Self> {
         Self::on_grid(run, &[0.0], false)
     }
@@ -56,7 +58,7 @@ impl FirstOrder {
     }
 
     fn refined(run: &Scenario) -> Option<(Self, [f64; 4])> {
-        // In sample intervals: a reading that comes a few exchanges late.
+        // In sampling periods: a reading that is late by up to some exchanges.
         let dead_times = [0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0];
         Refined::of(&Self::on_grid(run, &dead_times, true)?, run)
     }
@@ -67,7 +69,7 @@ impl FirstOrder {
         }
         let period_s = run.mean_period_s();
         let ratio = (run.samples() - 1) as f64;
-        // Time constants from the sample interval to the length of the run, evenly in their logarithm.
+        // Time constants from the sampling period to the length of the run, in geometric progression.
         let tried = dead_times.iter().flat_map(|periods| {
             let dead_time_s = periods * period_s;
             let late = delayed(run, dead_time_s);
@@ -89,9 +91,9 @@ impl FirstOrder {
         let rows = known(late, time_constant_s);
         let sum = |of: fn(&Row) -> f64| rows.iter().map(of).sum::<f64>();
         let voltages = sum(|row| row.voltage * row.voltage);
-        let moved = sum(|row| row.voltage * (row.speed - row.free));
+        let by_voltage = sum(|row| row.voltage * (row.speed - row.free));
         let mut found = Self {
-            gain_rad_s_per_v: moved / voltages,
+            gain_rad_s_per_v: by_voltage / voltages,
             time_constant_s,
             dead_time_s,
             friction_v: 0.0,
@@ -99,13 +101,14 @@ impl FirstOrder {
         };
         if frictions {
             let directions = sum(|row| row.direction * row.direction);
+            // Cramer's rule for the two normal equations.
             let both = sum(|row| row.voltage * row.direction);
-            let turned = sum(|row| row.direction * (row.speed - row.free));
-            let apart = voltages * directions - both * both;
-            let gain = (directions * moved - both * turned) / apart;
-            let friction_v = -(voltages * turned - both * moved) / apart / gain;
-            // Where the columns lie along each other, all levels of the voltage are one.
-            if apart > 1e-3 * voltages * directions && friction_v > 0.0 && gain > 0.0 {
+            let by_direction = sum(|row| row.direction * (row.speed - row.free));
+            let determinant = voltages * directions - both * both;
+            let gain = (directions * by_voltage - both * by_direction) / determinant;
+            let friction_v = -(voltages * by_direction - both * by_voltage) / determinant / gain;
+            // With one level of the voltage the columns are collinear.
+            if determinant > 1e-3 * voltages * directions && friction_v > 0.0 && gain > 0.0 {
                 (found.gain_rad_s_per_v, found.friction_v) = (gain, friction_v);
             }
         }
@@ -114,17 +117,17 @@ impl FirstOrder {
         is_sound.then_some(found)
     }
 
-    fn missed(&self, row: &Row) -> f64 {
+    fn error(&self, row: &Row) -> f64 {
         let driven = row.voltage - self.friction_v * row.direction;
         row.free + self.gain_rad_s_per_v * driven - row.speed
     }
 
     fn root_mean_square(&self, rows: &[Row]) -> f64 {
-        let squares: f64 = rows.iter().map(|row| self.missed(row).powi(2)).sum();
+        let squares: f64 = rows.iter().map(|row| self.error(row).powi(2)).sum();
         (squares / f64::max(rows.len() as f64, 1.0)).sqrt()
     }
 
-    /// Root mean square that it leaves of the scored speeds of another run, rad/s.
+    /// Root mean square of the residual over the scored speeds of another run, rad/s.
     pub fn left_of(&self, run: &Scenario) -> f64 {
         let late = delayed(run, self.dead_time_s);
         self.root_mean_square(&known(&late, self.time_constant_s))
@@ -135,7 +138,7 @@ impl FirstOrder {
         key.starts_with("first_order.")
     }
 
-    /// The lag as estimates, for a run that has no current; empty where no lag follows the speed.
+    /// The lag as estimates, for a run that has no current; empty without a fit.
     pub fn estimates(run: &Scenario) -> Vec<ParameterEstimate> {
         let Some((found, deviations)) = Self::refined(run) else {
             return Vec::new();
@@ -158,14 +161,13 @@ impl FirstOrder {
     }
 }
 
-/// The run with all of its input later; before that a shaft that is at rest had none.
+/// The run with a delayed input; before its first value the input is zero where the shaft is at rest, else the first value.
 fn delayed(run: &Scenario, dead_time_s: f64) -> Scenario {
     let mut late = run.clone();
     if dead_time_s > 0.0 {
         let mut speeds = run.speed_rad_s.iter().filter(|speed| speed.is_finite());
-        let rests =
-            speeds.next().is_none_or(|first| first.abs() <= RESTS * largest(&run.speed_rad_s));
-        let before = if rests { 0.0 } else { run.events[0].1 };
+        let is_at_rest = speeds.next().is_none_or(|first| first.abs() <= rest_rad_s(run));
+        let before = if is_at_rest { 0.0 } else { run.events[0].1 };
         for event in &mut late.events {
             event.0 += dead_time_s;
         }
@@ -187,10 +189,10 @@ fn known(late: &Scenario, time_constant_s: f64) -> Vec<Row> {
 fn response(run: &Scenario, time_constant_s: f64) -> Vec<Row> {
     let mut speeds = run.speed_rad_s.iter().copied();
     let mut first = speeds.find(|speed| speed.is_finite()).unwrap_or(0.0);
-    let rests = RESTS * largest(&run.speed_rad_s);
+    let rest_rad_s = rest_rad_s(run);
     let mut begin_s = run.sample_time_s[0];
     let (mut voltage, mut direction, mut now_s, mut event) = (0.0, 0.0, begin_s, 0);
-    let mut turning = 0.0;
+    let mut last_sign = 0.0;
     let events = &run.events;
     let mut restarts = (run.unknown_input.iter())
         .filter_map(|hole| hole.restart.map(|[_, speed]| (hole.to_s, speed)));
@@ -199,7 +201,7 @@ fn response(run: &Scenario, time_constant_s: f64) -> Vec<Row> {
     samples
         .map(|(time_s, speed)| {
             while let Some((at_s, speed)) = restart.filter(|restart| restart.0 <= *time_s) {
-                (voltage, direction, turning) = (0.0, 0.0, 0.0);
+                (voltage, direction, last_sign) = (0.0, 0.0, 0.0);
                 (begin_s, now_s, first) = (at_s, at_s, if speed.is_finite() { speed } else { 0.0 });
                 restart = restarts.next();
             }
@@ -208,16 +210,15 @@ fn response(run: &Scenario, time_constant_s: f64) -> Vec<Row> {
                     event += 1;
                 }
                 let next_s = events.get(event + 1).map_or(*time_s, |next| next.0.min(*time_s));
-                let keeps = (-(next_s - now_s) / time_constant_s).exp();
+                let decay = (-(next_s - now_s) / time_constant_s).exp();
                 let volts = events[event].1;
-                let sign = if volts == 0.0 { turning } else { volts.signum() };
-                voltage = keeps * voltage + (1.0 - keeps) * volts;
-                direction = keeps * direction + (1.0 - keeps) * sign;
+                let sign = if volts == 0.0 { last_sign } else { volts.signum() };
+                voltage = decay * voltage + (1.0 - decay) * volts;
+                direction = decay * direction + (1.0 - decay) * sign;
                 now_s = next_s;
             }
             if speed.is_finite() {
-                let turns = speed.abs() > rests;
-                turning = if turns { speed.signum() } else { 0.0 };
+                last_sign = if speed.abs() > rest_rad_s { speed.signum() } else { 0.0 };
             }
             Row {
                 voltage,
@@ -229,7 +230,7 @@ fn response(run: &Scenario, time_constant_s: f64) -> Vec<Row> {
         .collect()
 }
 
-/// A lag near one from the grid: gain, friction, dead time and logarithm of the time constant as unknowns.
+/// Refinement of a lag from the grid, with gain, logarithm of the time constant, dead time and friction as unknowns.
 struct Refined<'a> {
     run: &'a Scenario,
     scale: [f64; 4],
@@ -259,13 +260,13 @@ impl<'a> Refined<'a> {
             .map(|sample| whole((run.sample_time_s[sample] - run.begin_s()).max(0.0) / BLOCK_S))
             .collect();
         let residual = DVector::from_column_slice(&minimum.residual);
-        // The lag has no other form than its own: what it leaves along the whole run counts like any model's misfit.
+        // A misfit along the whole run widens the intervals as for any other model.
         let power = minimum.cost / problem.rows as f64 * lasting(&minimum.residual);
         let misfit = bread.diagonal() * power;
         let covariance = clustered(&minimum.jacobian, &residual, &blocks, bread, &determined);
         let mut deviations = [f64::NAN; 4];
-        for (place, blocks) in covariance.diagonal().iter().enumerate() {
-            deviations[place] = blocks.max(misfit[place]).sqrt() * problem.scale[place].abs();
+        for (index, variance) in covariance.diagonal().iter().enumerate() {
+            deviations[index] = variance.max(misfit[index]).sqrt() * problem.scale[index].abs();
         }
         deviations[1] *= found.time_constant_s;
         Some((found, deviations))
@@ -288,7 +289,7 @@ impl Problem for Refined<'_> {
         let late = delayed(self.run, lag.dead_time_s);
         let rows = known(&late, lag.time_constant_s);
         for (cell, row) in out.iter_mut().zip(&rows) {
-            *cell = lag.missed(row);
+            *cell = lag.error(row);
         }
         rows.len() == self.rows && out.iter().all(|value| value.is_finite())
     }
@@ -357,7 +358,7 @@ mod tests {
             let own = of(&found, "first_order.gain_rad_s_per_v");
             (own.std.unwrap(), left_rad_s)
         };
-        // A speed that reads too little the faster it is, and one that errs to either side in turn.
+        // A speed sensor with a gain that falls with the speed, and one with an alternating error.
         let (bent, left_rad_s) = gain(&|_, speed| -4e-3 * speed * speed);
         let (noisy, of_noise) = gain(&|row, _| [left_rad_s, -left_rad_s][row % 2]);
         assert_near(of_noise, left_rad_s, 0.1);

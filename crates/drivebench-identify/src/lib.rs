@@ -1,4 +1,4 @@
-//! Parameters from data: recursive on line, batch afterwards, with honest uncertainty.
+//! System identification of a motor: recursive on line, batch over a record, with standard deviations and verdicts.
 //!
 //! ```text
 //! samples, one by one --> online (recursive: schemes 2 and 3) ------------------+
@@ -6,17 +6,17 @@
 //!                                              +-> weak_form (both balances) ---+   (value, deviation, verdict)
 //!                                              +-> inverse_dynamics (both) -----+
 //!                                              +-> step_response (one step) ----+
-//!                                              +-> noise: the floor below which no error shows
+//!                                              +-> noise: noise floor of the signals
 //!
-//! escalation: an unknown motor from small steps; nameplate: whether what was found fits what is printed on it
-//! misfit: what the model leaves beside the noise, and how much wider that makes its intervals
+//! escalation: an unknown motor from small steps; nameplate: comparison of estimates with the nameplate
+//! misfit: residual of the model over the noise, and the wider intervals that follow from it
 //! scheme: all of these by name, as `identify --scheme` calls them
-//! plateaus: estimates from held levels where the transients are too fast; cause: why a parameter has no value
-//! physical: what a record allows a value to be; first_order: the lag that voltage and speed alone show
+//! plateaus: estimates from steady states where the transients are too fast; cause: why a parameter has no value
+//! physical: limits of a parameter from the record; first_order: the lag from voltage to speed
 //! frequency_response: magnitude, phase and coherence; resonances with their damping
 //! repeat, added_inertia: estimates from several runs; drift: the change between two dates
 //! lost_rows: sentence on the missing rows of a record
-//! sanity: faults of the data, checked first; claims: limits of the verdicts by the origin of the signals, applied last
+//! sanity: plausibility of the data, checked first; claims: limits of the verdicts by the origin of the signals, applied last
 //! ```
 
 pub mod added_inertia;

@@ -1,9 +1,9 @@
-//! Lost rows of a record: count, place, and the treatment of the time between.
+//! Sentence on the missing rows of a record: their count, position and treatment.
 
 use drivebench_model::plant::Scenario;
 use drivebench_model::sample::Run;
 
-/// The count of missing rows of the voltage, and the treatment of the time between.
+/// The sentence; `None` for a complete record.
 pub fn sentence(run: &Run, scenario: &Scenario) -> Option<String> {
     let holes = &scenario.unknown_input;
     let longest = holes.iter().max_by_key(|hole| hole.lost_rows)?;
@@ -16,24 +16,24 @@ pub fn sentence(run: &Run, scenario: &Scenario) -> Option<String> {
         1 => "the long hole".to_owned(),
         _ => format!("{restarts} long holes"),
     };
-    let again = if restarts == 0 {
+    let restart = if restarts == 0 {
         String::new()
     } else {
-        format!("; behind {holes} every simulation begins again from what was measured")
+        format!("; after {holes} every simulation restarts from the measurement")
     };
     let length_s = scenario.sample_time_s[scenario.samples() - 1] - scenario.begin_s();
     let known = if unknown_s > 0.0 {
         format!(
-            "for {unknown_s:.3} s ({:.1} % of the run) it is estimated from the rows beside it and from the current, with an \
-             uncertainty; elsewhere the rows beside it leave no doubt",
+            "for {unknown_s:.3} s ({:.1} % of the run) it is estimated from the neighbouring rows and from the current, with an \
+             uncertainty; elsewhere the neighbouring rows determine it",
             100.0 * unknown_s / length_s
         )
     } else {
-        "the rows beside them leave no doubt what it was".to_owned()
+        "the neighbouring rows determine it".to_owned()
     };
     Some(format!(
-        "{}: {} of {} rows of {} are missing ({:.1} %), the longest time without {:.3} s from {:.3} s on: what was applied there is \
-         not recorded; {known}{again}",
+        "{}: {} of {} rows of {} are missing ({:.1} %), the longest time without {:.3} s from {:.3} s on: the input is not recorded \
+         there; {known}{restart}",
         run.name,
         counted(lost),
         counted(rows),
@@ -44,12 +44,12 @@ pub fn sentence(run: &Run, scenario: &Scenario) -> Option<String> {
     ))
 }
 
-/// A number with its thousands apart.
+/// A number with separators of thousands.
 fn counted(number: usize) -> String {
     let digits = number.to_string();
     let mut out = String::new();
-    for (place, digit) in digits.chars().enumerate() {
-        if place > 0 && (digits.len() - place).is_multiple_of(3) {
+    for (index, digit) in digits.chars().enumerate() {
+        if index > 0 && (digits.len() - index).is_multiple_of(3) {
             out.push(',');
         }
         out.push(digit);
@@ -66,7 +66,7 @@ mod tests {
     use drivebench_model::plant::Model;
     use drivebench_model::plant::testing::with_rows_lost;
 
-    /// Steps of some volts every 10 ms over a slow swing, as a record of 1 kHz; `lost` says which rows are.
+    /// Steps of some volts every 10 ms on a slow sine, as a record of 1 kHz without the rows that `lost` selects.
     fn run(lost: impl Fn(usize) -> bool) -> Run {
         let mut state = 1_u32;
         let events: Vec<(f64, f64)> = (0..6000)
@@ -76,8 +76,8 @@ mod tests {
                     *dither = if state >> 31 == 0 { 8.0 } else { -8.0 };
                 }
                 let time_s = 1e-3 * f64::from(row);
-                let swing = 60.0 * (1.3 * (time_s - 0.3)).sin();
-                let volts = (20.0 * (swing + *dither)).round() / 20.0;
+                let sine = 60.0 * (1.3 * (time_s - 0.3)).sin();
+                let volts = (20.0 * (sine + *dither)).round() / 20.0;
                 Some((time_s, if row < 300 { 0.0 } else { volts }))
             })
             .collect();
@@ -102,7 +102,7 @@ mod tests {
         let found = sentence(&lossy, &scenario).unwrap();
         let lost = 6000 - lossy.rows();
         let count = format!("{lost} of 6,000 rows of voltage_v are missing");
-        for part in [&*count, "0.400 s from 3.000 s on", "behind the long hole"] {
+        for part in [&*count, "0.400 s from 3.000 s on", "after the long hole"] {
             assert!(found.contains(part), "{found}");
         }
         assert_eq!(counted(1_234_567), "1,234,567");

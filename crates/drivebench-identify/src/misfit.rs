@@ -1,19 +1,17 @@
-//! Residual of a fitted model beside the noise, and how much wider it makes the intervals: the sandwich covariance of a
-//! misspecified model (White 1982, Econometrica 50) with correlated residuals.
+//! Residual of a fitted model over the noise, and the wider intervals: sandwich covariance of a misspecified model (White 1982,
+//! Econometrica 50) with correlated residuals.
 //!
-//! Noise averages out over the samples; what a model lacks does the same wrong at every step of a run, however many there are.
-//! With `m` the residual over its weight, `c` the share of its power that neighbouring samples have in common, and `n`
-//! samples of which no more than `D` carry new information on that share, signal by signal,
+//! Noise averages out over the samples; the error of a misspecified model repeats at every step of a run.
+//! With `m` the residual over its weight, `c` the correlation of neighbouring residuals, and `n` samples of which at most `D`
+//! are independent in the correlated share, signal by signal,
 //!
 //! ```text
 //! cov = (J'J)^-1 (sum over the signals of m^2 (1 - c + c n/D) J_s'J_s) (J'J)^-1
 //! ```
 //!
-//! Where noise is all that is left m is one, c zero, and this is (J'J)^-1. What a parameter imitates is not in the residual:
-//! friction that grows with the speed leaves little beside a wrong back-EMF constant. The forms that are missing most often are
-//! therefore let in one by one, and the most that one of them moves a parameter by is added. The blocks of the fit's own
-//! covariance hold what is alike within a quarter of a second, and the scores that they sum are zero where the fit has taken
-//! an error for a parameter.
+//! With a correct model m is one, c zero, and this is (J'J)^-1. The bias of a missing effect (omitted-variable bias) is not in the
+//! residual: viscous friction is nearly absorbed by a wrong back-EMF constant. The effects that are missing most often are
+//! therefore added one by one, and the largest change of a parameter by one of them is added to its deviation.
 
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
@@ -29,29 +27,26 @@ use drivebench_model::plant::effect::{BiasedFit, CATALOGUE};
 use drivebench_model::plant::{Balance, Model, Scenario, Slot, typical_size};
 use drivebench_model::sample::{Channel, ParameterEstimate, Verdict};
 
-/// `D`: ways in which a missing effect can show. Twenty and the form below hold the true values of a motor emulated with a
-/// speed that comes late, viscous friction, a winding that warms up or an offset of the current.
-const WAYS: f64 = 20.0;
-/// Multiple of the noise up to which what is left counts as noise, as far as the noise itself is known.
-const NEAR_ONE: f64 = 1.1;
+/// Ratio to the noise up to which a residual counts as noise, if the noise is known exactly.
+const NOISE_RATIO: f64 = 1.1;
 
-/// Where the noise comes from that a residual is held against.
+/// Source of the noise to which a residual is compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NoiseFrom {
     Standstill,
-    /// From the second differences of the signal: at most this, since they also hold some of the signal.
+    /// From the second differences of the signal: an upper bound, since they also contain some of the signal.
     Roughness,
 }
 
-/// What the model leaves of one signal.
+/// Residual of one signal.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Left {
     pub signal: &'static str,
-    /// Root mean square of the residual over the noise; `None` where nothing shows the noise.
+    /// Root mean square of the residual over the noise; `None` where the noise is not known.
     pub times_noise: Option<f64>,
     pub noise_from: NoiseFrom,
-    /// Share of the residual's power that neighbouring samples have in common.
+    /// Autocorrelation of the residual at lag one, zero where it is not significant.
     pub common_share: f64,
     #[serde(skip)]
     is_noise: bool,
@@ -67,7 +62,7 @@ impl Left {
     }
 }
 
-/// What a fitted model leaves, signal by signal.
+/// Residuals of a fitted model, signal by signal.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Misfit(pub Vec<Left>);
 
@@ -78,7 +73,7 @@ impl Misfit {
         (!all.is_empty()).then(|| all.join(", "))
     }
 
-    /// The same of the signal of which most is left, where that is more than noise.
+    /// The same of the signal with the largest residual, where that is more than noise.
     pub(super) fn worst_text(&self) -> Option<String> {
         let above = self.0.iter().filter(|left| !left.is_noise);
         let worst = above.max_by(|a, b| {
@@ -88,7 +83,7 @@ impl Misfit {
         worst?.text()
     }
 
-    /// Of a fit to the free run, with the deviation that it leaves to each free parameter.
+    /// Of a fit to the free run, with the standard deviation of each free parameter that follows.
     pub(super) fn of_fit(
         fit: &Fit,
         scenario: &Scenario,
@@ -103,22 +98,22 @@ impl Misfit {
             (Channel::Current, current, fit.noise.current_a),
             (Channel::Speed, speed, fit.noise.speed_rad_s),
         ] {
-            let own: Vec<usize> =
+            let selected: Vec<usize> =
                 (0..rows.len()).filter(|row| rows[*row].1 == (channel == Channel::Speed)).collect();
-            if own.is_empty() {
+            if selected.is_empty() {
                 continue;
             }
-            let residual: Vec<f64> = own.iter().map(|row| minimum.residual[*row]).collect();
-            let jacobian = minimum.jacobian.select_rows(&own);
+            let residual: Vec<f64> = selected.iter().map(|row| minimum.residual[*row]).collect();
+            let jacobian = minimum.jacobian.select_rows(&selected);
             let squares: f64 = residual.iter().map(|value| value * value).sum();
-            let share = unknowns as f64 * own.len() as f64 / rows.len() as f64;
-            let power = squares / (own.len() as f64 - share).max(1.0);
+            let share = unknowns as f64 * selected.len() as f64 / rows.len() as f64;
+            let power = squares / (selected.len() as f64 - share).max(1.0);
             let (noise, noise_from) = if fit.noise.source == FloorSource::None {
                 (roughness(values), NoiseFrom::Roughness)
             } else {
                 (level, NoiseFrom::Standstill)
             };
-            // A noise that no sensor of 24 bits resolves is the rounding of a computation.
+            // A noise below the resolution of 24 bits is the rounding of a computation.
             let is_resolved = noise > 6e-8 * largest(values);
             let times = Some(power.sqrt() * level / noise).filter(|_| is_resolved);
             let common_share = common_share(&residual);
@@ -128,19 +123,19 @@ impl Misfit {
                 times_noise: times,
                 noise_from,
                 common_share,
-                is_noise: times.is_some_and(|times| times <= fit.noise.tolerance(NEAR_ONE)),
+                is_noise: times.is_some_and(|times| times <= fit.noise.tolerance(NOISE_RATIO)),
             });
         }
-        // What is missing shows in one signal and bends the other's residual as well.
+        // An effect that is missing in one signal also biases the residual of the other.
         let is_noise = all.iter().all(|left| left.is_noise);
         let mut meat = DMatrix::zeros(unknowns, unknowns);
-        for (own, lasting) in shares {
-            meat += own * if is_noise { 1.0 } else { lasting };
+        for (share, lasting) in shares {
+            meat += share * if is_noise { 1.0 } else { lasting };
         }
         let (bread, _) = inverse_where_determined(&minimum.jacobian);
         let mut variances = (&bread * meat * &bread).diagonal();
-        if !is_noise && let Some(moved) = moved_by_a_form(fit, scenario, &bread) {
-            variances += moved.component_mul(&moved);
+        if !is_noise && let Some(change) = change_by_a_form(fit, scenario, &bread) {
+            variances += change.component_mul(&change);
         }
         let slopes = problem.slopes(&minimum.x);
         let free = fit.free.iter().zip(slopes).zip(variances.iter());
@@ -163,14 +158,14 @@ impl Misfit {
                 times_noise: Some(times),
                 noise_from: NoiseFrom::Standstill,
                 common_share: common_share(&balance.residual),
-                is_noise: times <= NEAR_ONE,
+                is_noise: times <= NOISE_RATIO,
             })
         };
         Self(balances.iter().filter_map(left).collect())
     }
 
-    /// Widens each value to the deviation that the residual leaves to it, with a reason where that unsettles it, or is all that
-    /// keeps it open: the search has `converged`.
+    /// Sets each standard deviation to the larger one of `deviations`, with a reason where the value is no longer settled, or is
+    /// not settled although the search has `converged`.
     pub(super) fn widen(
         &self,
         parameters: &mut [ParameterEstimate],
@@ -178,22 +173,21 @@ impl Misfit {
         converged: bool,
     ) {
         for parameter in parameters {
-            let own = deviations.iter().find(|own| own.0 == parameter.key);
-            let (Some(own), Some((value, Some(std)))) = (own, parameter.carried()) else {
+            let wider = deviations.iter().find(|deviation| deviation.0 == parameter.key);
+            let (Some((_, wider)), Some((value, Some(std)))) = (wider, parameter.carried()) else {
                 continue;
             };
-            let narrow = settled_below(&parameter.key);
-            let wide = own.1 / value.abs().max(f64::MIN_POSITIVE);
-            if own.1 <= std {
+            if *wider <= std {
                 continue;
             }
-            parameter.std = Some(own.1);
-            if wide > narrow && parameter.verdict == Verdict::Searching {
-                parameter.reason = Some(format!("relative uncertainty {:.1} %", 100.0 * wide));
+            parameter.std = Some(*wider);
+            let relative = wider / value.abs().max(f64::MIN_POSITIVE);
+            let (percent, is_wide) = (100.0 * relative, relative > settled_below(&parameter.key));
+            if is_wide && parameter.verdict == Verdict::Searching {
+                parameter.reason = Some(format!("relative uncertainty {percent:.1} %"));
             }
-            if let Some(left) = self.worst_text().filter(|_| wide > narrow && converged) {
-                let percent = 100.0 * wide;
-                let reason = format!("the model leaves {left}: uncertain by {percent:.1} %");
+            if let Some(residual) = self.worst_text().filter(|_| is_wide && converged) {
+                let reason = format!("the residual is {residual}: uncertain by {percent:.1} %");
                 parameter.verdict = Verdict::Searching;
                 parameter.reason = Some(reason);
             }
@@ -201,118 +195,117 @@ impl Misfit {
     }
 }
 
-/// Widens what a balance of torques gave by the forms that it may lack. `beside` fits the balance with one of them as well,
-/// over so many `rows`.
+/// Bayesian model averaging over effects that a balance of torques may lack. `with_form` fits the balance over `rows` rows with one
+/// of them in addition.
 ///
-/// Two models, without the form and with it, are averaged: the variance of a value grows by `p moved^2`. Schwarz's criterion
-/// gives the form's probability, `p / (1 - p) = exp(z^2 / 2) / sqrt(rows)` for a coefficient of `z` deviations (Hoeting,
-/// Madigan, Raftery and Volinsky, Bayesian Model Averaging, Statistical Science 14, 1999).
+/// Of two models, without the form and with it, the variance of a value grows by `p change^2`. The Bayesian information criterion
+/// (Schwarz) gives the probability of the form, `p / (1 - p) = exp(z^2 / 2) / sqrt(rows)` for a coefficient of `z` standard
+/// deviations (Hoeting, Madigan, Raftery and Volinsky, *Statistical Science* 14, 1999).
 pub fn widen_by_forms_of_torque(
     parameters: &mut [ParameterEstimate],
     rows: usize,
-    beside: impl Fn(&'static str) -> Option<Vec<ParameterEstimate>>,
+    with_form: impl Fn(&'static str) -> Option<Vec<ParameterEstimate>>,
 ) {
-    let mut most: Vec<Option<(f64, f64, &str)>> = vec![None; parameters.len()];
+    let mut largest: Vec<Option<(f64, f64, &str)>> = vec![None; parameters.len()];
     for form in forms_that_bias(BiasedFit::TorqueBalance) {
-        let Some(with) = beside(form) else {
+        let Some(with) = with_form(form) else {
             continue;
         };
-        let is_own = |found: &&ParameterEstimate| !parameters.iter().any(|p| p.key == found.key);
-        let own = with.iter().find(is_own).and_then(ParameterEstimate::carried);
-        let Some((size, Some(std))) = own.filter(|own| own.1 > Some(0.0)) else {
+        let is_form = |found: &&ParameterEstimate| !parameters.iter().any(|p| p.key == found.key);
+        let coefficient = with.iter().find(is_form).and_then(ParameterEstimate::carried);
+        let Some((size, Some(std))) = coefficient.filter(|found| found.1 > Some(0.0)) else {
             continue;
         };
         let odds = (0.5 * (size / std).powi(2)).exp() / (rows as f64).sqrt();
-        let share = 1.0 - 1.0 / (1.0 + odds);
-        for (parameter, most) in parameters.iter().zip(&mut most) {
+        let probability = 1.0 - 1.0 / (1.0 + odds);
+        for (parameter, largest) in parameters.iter().zip(&mut largest) {
             let other = with
                 .iter()
                 .find(|found| found.key == parameter.key)
                 .and_then(ParameterEstimate::carried);
             if let (Some((value, _)), Some((other, _))) = (parameter.carried(), other) {
-                let moved = (other - value).abs();
-                let grown = share * moved * moved;
-                if most.is_none_or(|most| most.0 < grown) {
-                    *most = Some((grown, moved, form));
+                let change = (other - value).abs();
+                let variance = probability * change * change;
+                if largest.is_none_or(|largest| largest.0 < variance) {
+                    *largest = Some((variance, change, form));
                 }
             }
         }
     }
-    for (parameter, most) in parameters.iter_mut().zip(most) {
-        let (Some((grown, moved, form)), Some((value, Some(std)))) = (most, parameter.carried())
+    for (parameter, largest) in parameters.iter_mut().zip(largest) {
+        let (Some((variance, change, form)), Some((value, Some(std)))) =
+            (largest, parameter.carried())
         else {
             continue;
         };
-        let wide = std.hypot(grown.sqrt());
-        parameter.std = Some(wide);
+        let wider = std.hypot(variance.sqrt());
+        parameter.std = Some(wider);
         let value = value.abs().max(f64::MIN_POSITIVE);
-        let narrow = settled_below(&parameter.key) * value;
-        if wide > narrow && (std <= narrow || grown > std * std) {
-            let percent = 100.0 * moved / value;
+        let settled = settled_below(&parameter.key) * value;
+        if wider > settled && (std <= settled || variance > std * std) {
+            let percent = 100.0 * change / value;
             parameter.verdict = Verdict::Searching;
-            parameter.reason = Some(format!("{form}, if it acts, moves it by {percent:.1} %"));
+            parameter.reason = Some(format!("{form}, if present, changes it by {percent:.1} %"));
         }
     }
 }
 
-/// What is missing most often, and bends the parameters of a fit by more than it leaves: each is let in alone.
+/// The effects that are missing most often and bias the parameters of a fit by more than they leave in its residual.
 fn forms_that_bias(fit: BiasedFit) -> impl Iterator<Item = &'static str> {
     let cards = CATALOGUE.iter().map(|effect| effect.card());
-    let own = cards.filter(move |card| card.biases.contains(&fit));
-    own.map(|card| card.id)
+    cards.filter(move |card| card.biases.contains(&fit)).map(|card| card.id)
 }
 
-/// How far each coordinate moves where a form is let in beside it, of those that explain more of the residual than chance would;
-/// `None` where none does.
-fn moved_by_a_form(fit: &Fit, scenario: &Scenario, bread: &DMatrix<f64>) -> Option<DVector<f64>> {
+/// Largest change of each coordinate by a form that is added to the model, of those that explain more of the residual than
+/// chance; `None` without one.
+fn change_by_a_form(fit: &Fit, scenario: &Scenario, bread: &DMatrix<f64>) -> Option<DVector<f64>> {
     let minimum = &fit.minimum;
     let at = |model: &Model| {
         let problem = FreeRun::new(model, scenario, fit.noise).ok()?;
         let mut out = vec![0.0; problem.residual_len()];
-        let is_known = problem.residual(&minimum.x, &mut out);
-        is_known.then(|| DVector::from_vec(out))
+        problem.residual(&minimum.x, &mut out).then(|| DVector::from_vec(out))
     };
     let base = at(&fit.model)?;
     let residual = DVector::from_column_slice(&minimum.residual);
-    // Three deviations of chance.
+    // The square of three standard deviations.
     let chance = 9.0 * minimum.cost / residual.len() as f64;
     let explained = forms_that_bias(BiasedFit::FreeRun).filter_map(|id| {
         let mut model = fit.model.with_effect(id).ok()?;
-        let place = model.effects.len() - 1;
-        let is_own = |slot: &Slot| matches!(slot, Slot::Effect { index, .. } if *index == place);
-        let own: Vec<Slot> = model.slots().into_iter().filter(is_own).collect();
-        let effect = model.effects[place].effect;
-        // The derivative is taken over a twentieth of its typical size, or of a period where it is a delay.
-        let is_coefficient = effect.parameters().first()?.is_coefficient();
-        let size = if is_coefficient {
-            typical_size(effect, 0, &model, scenario)
+        let last = model.effects.len() - 1;
+        let is_of_form = |slot: &Slot| matches!(slot, Slot::Effect { index, .. } if *index == last);
+        let slots: Vec<Slot> = model.slots().into_iter().filter(is_of_form).collect();
+        let effect = model.effects[last].effect;
+        // Difference over a twentieth of the typical size, or of a period for a delay.
+        let size = if effect.parameters().first()?.is_coefficient() {
+            0.05 * typical_size(effect, 0, &model, scenario)
         } else {
-            scenario.mean_period_s()
+            0.05 * scenario.mean_period_s()
         };
-        let size = 0.05 * size;
-        model.set(own.first()?, size);
+        model.set(slots.first()?, size);
         // Fixed, so that the coordinates stay those of the fit.
-        model.fixed.extend(own.iter().map(Slot::key));
+        model.fixed.extend(slots.iter().map(Slot::key));
         let column = (at(&model)? - &base) / size;
-        let along = bread * minimum.jacobian.tr_mul(&column);
-        let own = &column - &minimum.jacobian * &along;
-        let (power, score) = (own.norm_squared(), own.dot(&residual));
-        // Of a form that the parameters imitate nearly wholly the record holds nothing.
+        // The part of the column that the fitted parameters do not explain (Frisch, Waugh and Lovell).
+        let projection = bread * minimum.jacobian.tr_mul(&column);
+        let partial = &column - &minimum.jacobian * &projection;
+        let (power, score) = (partial.norm_squared(), partial.dot(&residual));
+        // A form that is nearly collinear with the parameters is not observable.
         (power > 1e-5 * column.norm_squared())
-            .then(|| (score * score / power, along * (score / power)))
+            .then(|| (score * score / power, projection * (score / power)))
     });
-    let sure = explained.filter(|(gain, _)| *gain > chance);
-    let sizes = sure.map(|(_, moved)| moved.abs());
-    sizes.reduce(|a, b| a.sup(&b))
+    let significant = explained.filter(|(gain, _)| *gain > chance);
+    significant.map(|(_, change)| change.abs()).reduce(|a, b| a.sup(&b))
 }
 
-/// Factor by which what a residual has in common from sample to sample raises variances: `1 - c + c n/D`.
+/// Factor of the variances for correlated residuals: `1 - c + c n/D`.
 pub(super) fn lasting(residual: &[f64]) -> f64 {
     let common = common_share(residual);
-    1.0 - common + common * f64::max(residual.len() as f64 / WAYS, 1.0)
+    // D = 20: with it and the forms above the intervals cover the parameters of a motor that is emulated with a delayed speed,
+    // viscous friction, winding heating or an offset of the current.
+    1.0 - common + common * f64::max(residual.len() as f64 / 20.0, 1.0)
 }
 
-/// Correlation of neighbouring residuals, where it is no chance.
+/// Autocorrelation at lag one, zero where it is not significant.
 fn common_share(residual: &[f64]) -> f64 {
     let power: f64 = residual.iter().map(|value| value * value).sum();
     let products: f64 = residual.windows(2).map(|pair| pair[0] * pair[1]).sum();

@@ -4,11 +4,8 @@ use drivebench_model::numerics::filter::spline;
 use drivebench_model::numerics::statistics;
 use drivebench_model::plant::Scenario;
 
-/// Periods of a signal over which a missing cell is bridged; what is missing for longer stays missing.
-const LONGEST_BRIDGE: f64 = 5.0;
-
-/// The scenario with whole rows: where most rows are whole the others are left out, as their stamps allow; where signals
-/// stand on rows of their own a natural spline through each joins them. Longer gaps stay. `None`: every row is whole already.
+/// The scenario with complete rows. Where most rows are complete the others are left out; where the signals have separate rows a
+/// natural spline interpolates each. Gaps longer than five periods stay. `None`: every row is complete.
 pub fn bridged(scenario: &Scenario) -> Option<Scenario> {
     let mut signals = vec![&scenario.current_a, &scenario.speed_rad_s];
     signals.retain(|values| values.iter().any(|value| value.is_finite()));
@@ -24,11 +21,11 @@ pub fn bridged(scenario: &Scenario) -> Option<Scenario> {
     }
 }
 
-/// Leaves out torn rows between whole ones that are not far apart.
+/// Leaves out incomplete rows between complete ones that are at most five periods apart.
 fn without_torn_rows(scenario: &Scenario, whole: &[bool]) -> Scenario {
     let times = &scenario.sample_time_s;
     let kept: Vec<usize> = (0..whole.len()).filter(|k| whole[*k]).collect();
-    let longest_s = LONGEST_BRIDGE * median_gap(kept.iter().map(|k| times[*k]));
+    let longest_s = longest_gap_s(kept.iter().map(|k| times[*k]));
     let (mut keep, mut last) = (Vec::with_capacity(whole.len()), None);
     for &row in &kept {
         let from = last.map_or(0, |last: usize| last + 1);
@@ -39,7 +36,7 @@ fn without_torn_rows(scenario: &Scenario, whole: &[bool]) -> Scenario {
         last = Some(row);
     }
     let pick = |values: &[f64]| keep.iter().map(|k| values[*k]).collect::<Vec<f64>>();
-    let place = |row: usize| keep.partition_point(|k| *k < row);
+    let index = |row: usize| keep.partition_point(|k| *k < row);
     Scenario {
         sample_time_s: pick(times),
         current_a: pick(&scenario.current_a),
@@ -47,7 +44,7 @@ fn without_torn_rows(scenario: &Scenario, whole: &[bool]) -> Scenario {
         time_half_width_s: (keep.iter())
             .filter_map(|k| scenario.time_half_width_s.get(*k).copied())
             .collect(),
-        scored: place(scenario.scored.start)..place(scenario.scored.end),
+        scored: index(scenario.scored.start)..index(scenario.scored.end),
         ..scenario.clone()
     }
 }
@@ -56,18 +53,18 @@ fn interpolated(scenario: &Scenario) -> Scenario {
     let times = &scenario.sample_time_s;
     let mut bridged = scenario.clone();
     for values in [&mut bridged.current_a, &mut bridged.speed_rad_s] {
-        let there: Vec<usize> = (0..times.len()).filter(|k| values[*k].is_finite()).collect();
-        let longest_s = LONGEST_BRIDGE * median_gap(there.iter().map(|k| times[*k]));
+        let present: Vec<usize> = (0..times.len()).filter(|k| values[*k].is_finite()).collect();
+        let longest_s = longest_gap_s(present.iter().map(|k| times[*k]));
         let mut begin = 0;
-        for end in 1..=there.len() {
-            let next = there.get(end);
-            if next.is_some_and(|row| times[*row] - times[there[end - 1]] <= longest_s) {
+        for end in 1..=present.len() {
+            let next = present.get(end);
+            if next.is_some_and(|row| times[*row] - times[present[end - 1]] <= longest_s) {
                 continue;
             }
             let points: Vec<(f64, f64)> =
-                (there[begin..end].iter()).map(|row| (times[*row], values[*row])).collect();
-            // A line would cut the corners off a curve, and bias what is averaged over it.
-            let rows = there[begin]..=there[end - 1];
+                (present[begin..end].iter()).map(|row| (times[*row], values[*row])).collect();
+            // Linear interpolation would bias the mean of a curved signal.
+            let rows = present[begin]..=present[end - 1];
             let read = spline(&points, &times[rows.clone()]);
             values[rows].copy_from_slice(&read);
             begin = end;
@@ -76,8 +73,9 @@ fn interpolated(scenario: &Scenario) -> Scenario {
     bridged
 }
 
-fn median_gap(times: impl Iterator<Item = f64>) -> f64 {
-    statistics::median_step(&times.collect::<Vec<f64>>())
+/// Longest gap that is interpolated: five median periods of a signal.
+fn longest_gap_s(times: impl Iterator<Item = f64>) -> f64 {
+    5.0 * statistics::median_step(&times.collect::<Vec<f64>>())
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Nameplate beside the identified motor: each difference with both numbers, and what would explain their pattern.
+//! Comparison of the identified motor with its nameplate, and possible causes of the differences.
 //!
 //! ```text
 //! nameplate, estimates --> rows (fits | differs | open) --> causes: unit of the speed, pulses, sensor gain,
@@ -13,12 +13,10 @@ use drivebench_model::plant::{Motor, MotorKey};
 use drivebench_model::sample::ParameterEstimate;
 use drivebench_model::text::number::{significant, with_std};
 
-/// What catalogues allow themselves, and a load or a warm winding adds.
+/// Relative tolerance of catalogues, load and temperature of the winding included.
 const CATALOGUE_TOLERANCE: f64 = 0.3;
-/// Behind the sentence of a value that differs.
+/// End of the sentence of a value that differs.
 const MISFIT: &str = ", does not fit";
-/// Warmest winding that temperature is blamed for, K above the nameplate's.
-const WARMEST_K: f64 = 130.0;
 
 /// The parameters of a nameplate, in the order of its rows.
 pub(super) const KEYS: [MotorKey; 5] = [
@@ -35,11 +33,11 @@ pub(super) const KEYS: [MotorKey; 5] = [
 pub enum Fits {
     Yes,
     No,
-    /// The data do not carry the value, or the nameplate lacks it.
+    /// Not observable, or not on the nameplate.
     NotTold,
 }
 
-/// One key of the nameplate beside what was found.
+/// One key of the nameplate with its estimate.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Row {
     pub key: &'static str,
@@ -53,17 +51,17 @@ pub struct Row {
     pub sentence: String,
 }
 
-/// The whole plate.
+/// The whole nameplate.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
-    /// No value that the data carry differs.
+    /// No observable value differs.
     pub fits: bool,
-    /// Relative tolerance that was granted besides the uncertainty.
+    /// Relative tolerance in addition to the uncertainty.
     pub tolerance: f64,
     pub rows: Vec<Row>,
-    /// What would explain the differences, the likeliest first.
+    /// Possible causes of the differences.
     pub causes: Vec<String>,
-    /// Why differences are no fault of the nameplate.
+    /// Reason for which differences are not attributed to the nameplate.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub doubt: Option<String>,
 }
@@ -75,7 +73,7 @@ impl Comparison {
         differing.map(|row| row.sentence.as_str())
     }
 
-    /// Takes back what differs: the values were found with a model that misses something, which may be in them.
+    /// Withdraws the differences: the estimates may be biased by an effect that the model lacks.
     pub fn doubt(&mut self, reason: String) {
         for row in self.rows.iter_mut().filter(|row| row.fits == Fits::No) {
             row.fits = Fits::NotTold;
@@ -95,12 +93,13 @@ impl Comparison {
             .filter(|row| row.fits == Fits::NotTold && row.nameplate.is_some())
             .map(|row| row.key)
             .collect();
-        let fits_in_part = format!("fits but for what was not told: {}", open.join(", "));
+        let fits_in_part =
+            format!("fits, except for values that were not identified: {}", open.join(", "));
         format!(
             "nameplate {} (within {:.0} % and the uncertainty)",
             match (&self.doubt, judged, self.fits) {
                 (Some(doubt), ..) => doubt,
-                (None, false, _) => "not judged: nothing was identified that it says",
+                (None, false, _) => "not judged: none of its values was identified",
                 (None, true, true) if open.is_empty() => "fits",
                 (None, true, true) => &fits_in_part,
                 (None, true, false) => "does NOT fit",
@@ -142,8 +141,8 @@ fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Op
     let sentence = match (nameplate, value) {
         (Some(plate), Some(value)) => {
             let times = ratio.map_or_else(String::new, |ratio| match ratio {
-                ratio if ratio >= 2.0 => format!(": {ratio:.1} times the plate"),
-                ratio if ratio <= 0.5 => format!(": 1/{:.1} of the plate", 1.0 / ratio),
+                ratio if ratio >= 2.0 => format!(": {ratio:.1} times the nameplate"),
+                ratio if ratio <= 0.5 => format!(": 1/{:.1} of the nameplate", 1.0 / ratio),
                 ratio => format!(": {:+.0} %", 100.0 * (ratio - 1.0)),
             });
             let misfit = if fits == Fits::No { MISFIT } else { "" };
@@ -156,7 +155,7 @@ fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Op
         (Some(plate), None) => {
             let reason = estimate.and_then(|estimate| estimate.reason.as_deref());
             format!(
-                "{name}: nameplate {} {unit}, not told from the data ({})",
+                "{name}: nameplate {} {unit}, not identified ({})",
                 significant(plate, 4),
                 reason.unwrap_or("not estimated")
             )
@@ -169,12 +168,12 @@ fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Op
     Some(Row { key: name, unit, nameplate, found: value, std, ratio, fits, sentence })
 }
 
-/// Cause, powers of a wrong factor of one sensor in R, L, Ke, J, Mc, and the key whose ratio gives the factor. The torque constant
-/// is taken from the back-EMF, so a wrong speed goes into the torques as well.
+/// Cause, exponents of a wrong scale factor of one sensor in R, L, Ke, J, Mc, and the index of the key whose ratio gives the factor.
+/// The torque constant is that of the back-EMF, so that a wrong speed is also an error of the torques.
 type Pattern = (fn(f64) -> String, [i32; 5], usize);
 
-/// A speed that is read as `c` times the true one: Ke/c, J/c^2, Mc/c. A current read as `c` times: R/c, L/c, J c, Mc c.
-/// A voltage read as `c` times: R c, L c, Ke c, and with it J c, Mc c.
+/// A speed measured as `c` times the true one: Ke/c, J/c^2, Mc/c. A current as `c` times: R/c, L/c, J c, Mc c.
+/// A voltage as `c` times: R c, L c, Ke c, and with it J c, Mc c.
 const PATTERNS: [Pattern; 3] = [
     (speed_cause, [0, 0, -1, -2, -1], 2),
     (current_cause, [-1, -1, 0, 1, 1], 0),
@@ -188,9 +187,9 @@ fn speed_cause(factor: f64) -> String {
         (1.0 / per_minute, "speed in rad/s taken for r/min (factor 1/9.55)"),
         (2.0 * PI, "speed in rad/s taken for turns per second (factor 6.28)"),
         (1.0 / (2.0 * PI), "speed in turns per second taken for rad/s (factor 1/6.28)"),
-        (2.0, "encoder pulses per turn given as half of what they are, or edges counted twice"),
+        (2.0, "encoder pulses per turn set to half of the true number, or edges counted twice"),
         (4.0, "encoder pulses per turn: lines given, quadrature edges counted (factor 4)"),
-        (0.5, "encoder pulses per turn given as twice what they are"),
+        (0.5, "encoder pulses per turn set to twice the true number"),
         (0.25, "encoder pulses per turn: edges given, lines counted (factor 1/4)"),
         (10.0, "speed scaling ten times too large"),
         (0.1, "speed scaling ten times too small"),
@@ -209,7 +208,7 @@ fn current_cause(factor: f64) -> String {
 }
 
 fn voltage_cause(factor: f64) -> String {
-    format!("voltage is {factor:.2} times what reaches the motor (scaling of the command, supply)")
+    format!("voltage is {factor:.2} times that at the motor (scaling of the command, supply)")
 }
 
 fn causes(rows: &[Row]) -> Vec<String> {
@@ -217,75 +216,75 @@ fn causes(rows: &[Row]) -> Vec<String> {
     let misfits = || rows.iter().filter(|row| row.fits == Fits::No);
     let differs = |key: MotorKey| misfits().any(|row| row.key == key.key());
     let count = misfits().count();
-    let patterns = PATTERNS.iter();
-    let causes: Vec<String> = patterns.filter_map(|own| explained(own, &ratio)).collect();
+    let causes: Vec<String> =
+        PATTERNS.iter().filter_map(|pattern| explained(pattern, &ratio)).collect();
     if !causes.is_empty() {
         return causes;
     }
     let cause = if count == 1 && differs(MotorKey::Resistance) {
         let rise_k = ratio(MotorKey::Resistance).map_or(0.0, |ratio| (ratio - 1.0) / 0.0039);
-        if (0.0..=WARMEST_K).contains(&rise_k) {
+        // No winding is more than 130 K warmer than that of the nameplate.
+        if (0.0..=130.0).contains(&rise_k) {
             return vec![format!(
                 "winding temperature: copper gains 39 % per 100 K, this is {rise_k:.0} K; or leads and brushes"
             )];
         }
-        if rise_k > WARMEST_K {
+        if rise_k > 130.0 {
             "resistance of leads, brushes or contacts; or another winding"
         } else {
-            "another winding, or a resistance on the plate that includes more than the armature"
+            "another winding, or a resistance on the nameplate that includes more than the armature"
         }
     } else if count == 1 && differs(MotorKey::Inertia) {
-        "a load on the shaft (or none), or a plate that gives the rotor alone"
+        "a load on the shaft (or none), or a nameplate that gives the rotor alone"
     } else if count == 1 && differs(MotorKey::LoadTorque) {
-        "friction of load, bearings or brake is not what was expected"
+        "friction of load, bearings or brake differs from the nameplate"
     } else if count == 1 && differs(MotorKey::Inductance) {
-        "saturation, another way of measuring the inductance, or another winding"
+        "saturation, another method of measuring the inductance, or another winding"
     } else if !KEYS[..3].iter().any(|key| differs(*key)) {
-        "the load on the shaft: winding and back-EMF fit the plate"
+        "the load on the shaft: winding and back-EMF fit the nameplate"
     } else {
         "another motor than the one on the nameplate: no single sensor factor explains the differences"
     };
     vec![cause.to_owned()]
 }
 
-/// The cause of a pattern, if one factor explains every value that is known, within the catalogue's tolerance.
+/// The cause of a pattern, if one factor explains all known ratios within the tolerance of catalogues.
 fn explained(
-    (cause, powers, leader): &Pattern,
+    (cause, powers, reference): &Pattern,
     ratio: &impl Fn(MotorKey) -> Option<f64>,
 ) -> Option<String> {
-    let leading = ratio(KEYS[*leader])?;
     let tolerance = CATALOGUE_TOLERANCE.ln_1p();
-    let factor = leading.powf(1.0 / f64::from(powers[*leader]));
-    // A factor of about one explains nothing.
+    let factor = ratio(KEYS[*reference])?.powf(1.0 / f64::from(powers[*reference]));
+    // A factor within the tolerance is not a cause.
     if factor.ln().abs() < tolerance {
         return None;
     }
-    let mut witnesses = 0;
+    let mut explained = 0;
     for (key, power) in KEYS.into_iter().zip(*powers) {
         let Some(found) = ratio(key) else {
             continue;
         };
-        // Friction and load are the least certain entries of any plate.
+        // Friction and load are the least certain values of a nameplate.
         let is_load = key == MotorKey::LoadTorque;
         let share = if is_load { 2.0 } else { 1.0 };
         if (found.ln() - f64::from(power) * factor.ln()).abs() > share * tolerance {
             return None;
         }
-        witnesses += usize::from(power != 0);
+        explained += usize::from(power != 0);
     }
-    // The leader alone is no pattern.
-    (witnesses >= 2).then(|| cause(factor))
+    // The reference alone is not a pattern.
+    (explained >= 2).then(|| cause(factor))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// The plate's values times these factors, each known to 1 %.
+    /// The values of the nameplate times these factors, each known to 1 %.
     fn estimates(factors: [f64; 5]) -> Vec<ParameterEstimate> {
-        let plate = Motor::zk_22fc();
+        let nameplate = Motor::zk_22fc();
         let found = |(key, factor): (MotorKey, f64)| {
-            let value = factor * plate.get(key).unwrap();
+            let value = factor * nameplate.get(key).unwrap();
             ParameterEstimate::found(key.key(), key.unit(), value, 0.01 * value, None)
         };
         KEYS.into_iter().zip(factors).map(found).collect()
@@ -321,12 +320,12 @@ mod tests {
     }
 
     #[test]
-    fn a_value_that_the_data_do_not_carry_is_not_compared() {
+    fn a_value_that_is_not_observable_is_not_compared() {
         let mut found = estimates([1.0; 5]);
         found[1] = ParameterEstimate::not_observable("inductance_h", "H", "period too long");
-        let mut plate = Motor::zk_22fc();
-        plate.clear(MotorKey::LoadTorque);
-        let comparison = compare(&plate, &found);
+        let mut nameplate = Motor::zk_22fc();
+        nameplate.clear(MotorKey::LoadTorque);
+        let comparison = compare(&nameplate, &found);
         assert!(comparison.fits);
         assert_eq!(comparison.rows[1].fits, Fits::NotTold);
         assert!(comparison.rows[1].sentence.contains("period too long"));

@@ -1,4 +1,4 @@
-//! Noise floor of a record: the level below which no model error shows.
+//! Noise floor of a record: standard deviation and autocorrelation of the measurement noise, from a standstill.
 
 use std::ops::Range;
 
@@ -19,7 +19,7 @@ pub enum FloorSource {
     Standstill,
     /// Difference of two runs with the same excitation.
     Repeat,
-    /// Neither: errors are scaled by the residual of the refitted baseline, and `none` means only that no effect passes.
+    /// Neither: errors are in units of the residual of the refitted baseline.
     None,
 }
 
@@ -32,7 +32,7 @@ impl FloorSource {
         }
     }
 
-    /// The text behind a multiple: without a floor none may be claimed.
+    /// The text after a multiple of the unit.
     pub const fn times(self) -> &'static str {
         match self {
             Self::Standstill | Self::Repeat => "times the noise floor",
@@ -47,25 +47,25 @@ pub struct NoiseFloor {
     pub current_a: f64,
     pub speed_rad_s: f64,
     pub source: FloorSource,
-    /// Independent samples that it was estimated from: a standard deviation from n samples is itself uncertain by 1/sqrt(2 n).
+    /// Independent samples of the estimate: the relative standard deviation of a standard deviation is 1/sqrt(2 n).
     pub samples: usize,
-    /// Autocorrelation of the noise from one sample to the next, of current and speed, at rest: that of a first-order process.
+    /// Autocorrelation at lag one of the noise of current and speed at rest, as of a first-order autoregressive process.
     pub memory: [f64; 2],
 }
 
-/// Level, independent samples and memory of the noise of one signal.
+/// Standard deviation, independent samples and autocorrelation of the noise of one signal.
 type Known = (f64, usize, f64);
 
 /// Fewest samples at rest for a standard deviation.
 pub const FEWEST_SAMPLES: usize = 20;
 
 impl NoiseFloor {
-    /// Whether an error in units of the floor is one that a model may have that explains the run to the noise.
+    /// Whether an error in units of the floor is that of a correct model.
     pub fn is_at_the_floor(&self, nrms: f64) -> bool {
         self.is_at(1.0, nrms)
     }
 
-    /// The same of a floor that is so many times as high, because a standstill does not show all of the noise.
+    /// The same of a floor that is `height` times as high, because the noise in motion is larger than at a standstill.
     pub fn is_at(&self, height: f64, nrms: f64) -> bool {
         self.source != FloorSource::None && nrms <= height * self.tolerance(1.1)
     }
@@ -80,12 +80,11 @@ impl NoiseFloor {
         }
     }
 
-    /// From the leading standstill with zero input; never below the quantum over sqrt(12).
-    ///
-    /// A shaft that still coasts when the record begins is not at rest: only the part after it has stopped counts.
+    /// From the leading standstill with zero input; at least the quantum over sqrt(12). Of a shaft that still coasts when the record
+    /// begins only the part after it has stopped.
     pub fn from_standstill(scenario: &Scenario) -> Option<Self> {
         let rows = rest_rows(scenario)?;
-        // `None`: nothing to compare. `Some(0)`: a signal that varies but is exactly constant at rest, as a simulated one is.
+        // `None`: no variation. `Some(0)`: a signal that varies but is exactly constant at rest, as a simulated one.
         let floor = |values: &[f64]| -> Option<Known> {
             let at_rest = finite(&values[rows.clone()]);
             if at_rest.len() < FEWEST_SAMPLES {
@@ -95,19 +94,19 @@ impl NoiseFloor {
             let quantum = quantum(values).unwrap_or(0.0);
             let level = standard_deviation(settled).max(quantum_noise(quantum));
             let (least, most) = extent(finite(values));
-            // Repeats of a signal that is quieter than its resolution are no memory.
+            // Equal values of a signal with less noise than its resolution are not an autocorrelation.
             let memory = if level > quantum { memory(settled) } else { 0.0 };
-            // The squares of a first-order process are correlated by the square of that.
+            // The squares of an AR(1) process are correlated with the square of its autocorrelation.
             let independent =
                 settled.len() as f64 * (1.0 - memory * memory) / (1.0 + memory * memory);
             (level > 0.0 || most > least).then_some((level, whole(independent).max(1), memory))
         };
         let current = floor(&scenario.current_a).filter(|_| current_is_an_output(scenario));
-        // A coarse angle at rest shows nothing of what its resolution does to the speed that is derived from it.
+        // The quantisation noise of a speed that is derived from a coarse angle vanishes at rest.
         let derived = speed_from_angle::noise(scenario).unwrap_or(0.0);
         let speed = floor(&scenario.speed_rad_s);
         let speed = speed.map(|(level, count, memory)| (level.max(derived), count, memory));
-        // No sensor has a noise of zero: such a rest does not show the noise.
+        // A standard deviation of zero is not that of a sensor.
         let known = || current.iter().chain(&speed);
         if known().any(|(level, ..)| *level <= 0.0) {
             return None;
@@ -124,7 +123,7 @@ impl NoiseFloor {
         })
     }
 
-    /// One floor from the standstills of several runs of one machine: each counts with its samples.
+    /// Pooled over the standstills of several runs of one machine, weighted with their samples.
     pub fn pooled(rests: &[Self]) -> Option<Self> {
         let first = rests.first()?;
         let mean = |level: fn(&Self) -> f64| {
@@ -144,7 +143,7 @@ impl NoiseFloor {
         })
     }
 
-    /// Scales that make both signals count alike where no noise is known: a hundredth of their spread, as a fair sensor has.
+    /// Weights for both signals where no noise is known: a hundredth of their standard deviation.
     pub fn from_spread(scenario: &Scenario) -> Self {
         let spread = |values: &[f64]| {
             let deviation = variance(&finite(values)).sqrt();
@@ -162,7 +161,7 @@ impl NoiseFloor {
     }
 }
 
-/// How many of these values, one of each sample, a floor from the standstill could rest on.
+/// Number of these values, one of each sample, at rest.
 pub fn samples_at_rest(scenario: &Scenario, values: &[f64]) -> usize {
     let rows = rest_rows(scenario).unwrap_or_default();
     finite(&values[rows]).len()
@@ -185,11 +184,10 @@ fn rest_rows(scenario: &Scenario) -> Option<Range<usize>> {
         })
 }
 
-/// Whether a signal goes somewhere, measured by its steps from sample to sample; `quantum` is its resolution, zero where
-/// none shows. Its first third may hold a transient.
+/// Whether the mean of a signal changes by more than eight standard deviations of its noise, from the differences of neighbouring
+/// samples (von Neumann), or of its `quantum`, zero where it is not known. Its first third may be a transient.
 ///
-/// A signal that is quieter than its resolution hardly ever steps: one step of one quantum is no drift then, only where
-/// its value happened to lie near the edge of two.
+/// A signal with less noise than its resolution changes rarely: one step of one quantum is not a drift.
 fn drifts(values: &[f64], quantum: f64) -> bool {
     let present = finite(values);
     let third = present.len() / 3;
@@ -199,31 +197,30 @@ fn drifts(values: &[f64], quantum: f64) -> bool {
     let middle = &present[third..2 * third];
     let last = &present[present.len() - third..];
     let steps = present.windows(2).map(|pair| (pair[1] - pair[0]).powi(2));
-    let rough = (0.5 * steps.sum::<f64>() / (present.len() - 1) as f64).sqrt();
-    let noise = rough.max(quantum_noise(quantum));
-    // The mean of many samples is far nearer, even behind a slow filter, and a shaft that runs out goes much farther.
+    let roughness = (0.5 * steps.sum::<f64>() / (present.len() - 1) as f64).sqrt();
+    let noise = roughness.max(quantum_noise(quantum));
+    // Means over a third differ much less by noise, even after a slow filter, and much more on a coasting shaft.
     (mean(last) - mean(middle)).abs() > 8.0 * noise
 }
 
-/// The rest without a transient at its beginning: an offset of the drive's voltage builds up its current in the first
-/// moments, and a shaft may run out.
+/// The standstill without a transient at its beginning: a current by an offset of the drive's voltage, or a coasting shaft.
 fn settled(at_rest: &[f64]) -> &[f64] {
     let n = at_rest.len();
     let last_half = &at_rest[n / 2..];
     if last_half.len() < FEWEST_SAMPLES / 2 {
         return at_rest;
     }
-    // Few samples exceed the second by chance in one case of a thousand.
-    let beyond_chance = f64::max(0.15, 2.6 / (n as f64).sqrt());
-    let limit = (1.0 + beyond_chance) * standard_deviation(last_half);
+    // With few samples the second bound is exceeded by chance in one case of a thousand.
+    let margin = f64::max(0.15, 2.6 / (n as f64).sqrt());
+    let limit = (1.0 + margin) * standard_deviation(last_half);
     (0..2)
         .map(|quarter| &at_rest[quarter * n / 4..])
         .find(|part| standard_deviation(part) <= limit)
         .unwrap_or(last_half)
 }
 
-/// Autocorrelation of noise from one sample to the next, zero within three deviations of that of white noise; at most 0.98, where
-/// a hundred samples are as one.
+/// Autocorrelation at lag one, zero within three standard deviations of that of white noise; at most 0.98, where a hundred samples
+/// are equivalent to one.
 fn memory(at_rest: &[f64]) -> f64 {
     let found = autocorrelation(at_rest, 1).first().copied().unwrap_or(0.0);
     let is_coloured = found > 3.0 / (at_rest.len() as f64).sqrt();
@@ -262,7 +259,7 @@ fn standard_deviation(values: &[f64]) -> f64 {
     variance(values).sqrt()
 }
 
-/// Noise of a signal from its second differences, outliers and steps left aside; zero where there is no signal.
+/// Noise of a signal from its second differences, robust against outliers and steps; zero without a signal.
 pub(super) fn roughness(values: &[f64]) -> f64 {
     let differences = values.windows(3).map(|v| v[0] - 2.0 * v[1] + v[2]);
     let differences = finite(&differences.collect::<Vec<f64>>());

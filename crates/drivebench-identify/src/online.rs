@@ -1,6 +1,6 @@
-//! Identification while the motor runs: samples and commands in the order of time in, parameters out.
+//! Recursive (on-line) identification by schemes 2 and 3 from samples and commands in the order of time.
 //!
-//! Pure arithmetic on the samples' own stamps: the same sequence gives the same bits.
+//! A pure function of the samples and their stamps: the same sequence gives the same bits.
 
 use serde::Serialize;
 
@@ -9,7 +9,7 @@ use super::stamps;
 use drivebench_model::plant::{Model, MotorKey};
 use drivebench_model::sample::{Channel, ParameterEstimate, Sample};
 
-/// What the user may set.
+/// Settings of the user.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct OnlineConfig {
     /// Forgetting factors per row (a block of about 10 ms).
@@ -21,7 +21,7 @@ pub struct OnlineConfig {
 }
 
 impl OnlineConfig {
-    /// First guess and torque constant from a model; what it leaves out is left to the data.
+    /// First guess and torque constant from a model; missing values are estimated.
     pub fn from_model(model: &Model) -> Self {
         Self {
             memory: Memory::default(),
@@ -31,7 +31,7 @@ impl OnlineConfig {
     }
 }
 
-/// Which voltage of a sample counts as applied: the command, and where none ever came the measured one in its place.
+/// The applied voltage of a sample: the command, or the measured voltage in a sequence without commands.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct AppliedVoltage {
     commanded: bool,
@@ -51,23 +51,22 @@ impl AppliedVoltage {
 pub struct Online {
     scheme_2: Scheme2,
     scheme_3: Scheme3,
-    /// The same with each voltage later by the half-width: how far apart the two come is what the stamps leave open.
-    /// `None`: the drive stamps its samples itself.
+    /// The same with each voltage later by the half-width: the difference is the uncertainty by the stamps. `None`: stamps of the
+    /// drive.
     late: Option<Box<Scheme3>>,
     applied: AppliedVoltage,
-    /// Largest half-width of a stamp over about the last hundred samples, s; zero where the drive stamps them itself.
+    /// Largest half-width of a stamp over about the last hundred samples, s; zero for stamps of the drive.
     half_width_s: f64,
     frozen: Frozen,
     last_s: Option<f64>,
 }
 
-/// Samples of which nothing is learnt, because a limit of the drive held its output: the motor had another voltage than
-/// was commanded.
+/// Samples at an active limit of the drive, where the voltage is not the commanded one and the estimates are frozen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Frozen {
     pub rows: u64,
     pub seconds: f64,
-    /// Since when it has been so, s in the samples' time; `None`: it is not so now.
+    /// Begin of the present interval, s in the samples' time; `None`: no active limit.
     pub since_s: Option<f64>,
 }
 
@@ -155,17 +154,17 @@ impl Online {
         self.scheme_2.estimates(self.scheme_3.torque_constant())
     }
 
-    /// What the last block added to its prediction: current, A, and speed, rad/s.
+    /// Innovation of the last block: current, A, and speed, rad/s.
     pub fn innovation(&self) -> Option<(f64, f64)> {
         self.scheme_3.innovation()
     }
 
-    /// For how long a limit of the drive has kept it from learning.
+    /// Samples and time at a limit of the drive.
     pub const fn frozen(&self) -> Frozen {
         self.frozen
     }
 
-    /// How far the data carry R, L, Ke, Kt/J, Mc/J: 0 nothing learnt, 1 learnt.
+    /// Information on R, L, Ke, Kt/J, Mc/J: one less the posterior over the prior variance.
     pub fn excitation(&self) -> [f64; 5] {
         self.scheme_3.excitation()
     }

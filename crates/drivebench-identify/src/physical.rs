@@ -1,5 +1,5 @@
-//! Limits of a parameter from the voltage, current, speed and rate of a record. A fit that went astray ends anywhere; a value
-//! that no motor which made this record can have is taken back.
+//! Physical bounds of a parameter from the extreme voltage, current, speed and acceleration of a record, by which the result of a
+//! diverged fit is refused.
 
 use super::verdict;
 use drivebench_model::numerics::statistics::{extent, finite, largest_but_outliers, mean};
@@ -7,12 +7,17 @@ use drivebench_model::plant::{Input, LEAST_TIME_CONSTANT, Motor, MotorKey, Scena
 use drivebench_model::sample::{ParameterEstimate, Verdict};
 use drivebench_model::text::number::significant;
 
-/// Factor that a limit leaves to what is not in it: a back-EMF beside the voltage, a load that drives, noise in an extreme.
-const ROOM: f64 = 4.0;
-/// Share of the largest voltage or torque of the record below which no sensor shows a part of it.
-const SHOWS: f64 = 1e-3;
+struct Settings {
+    /// Factor of a bound for the terms that it neglects: a back-EMF in addition to the voltage, an overhauling load, noise in an
+    /// extreme.
+    margin: f64,
+    /// Share of the largest voltage or torque of the record that a sensor resolves.
+    resolution: f64,
+}
 
-/// What a record spans.
+const SETTINGS: Settings = Settings { margin: 4.0, resolution: 1e-3 };
+
+/// Extreme values of a record.
 struct Extents {
     /// Largest voltage, V, current, A, and torque, N.m; not a number where the record does not have it.
     voltage_v: f64,
@@ -31,21 +36,20 @@ impl Extents {
     fn of(scenario: &Scenario, motor: &Motor) -> Self {
         let inputs: Vec<f64> = scenario.events.iter().map(|event| event.1).collect();
         let input = |kind: Input| {
-            let own = (scenario.input == kind).then(|| largest_but_outliers(&inputs));
-            own.unwrap_or(f64::NAN)
+            if scenario.input == kind { largest_but_outliers(&inputs) } else { f64::NAN }
         };
         let rms = |values: &[f64]| {
             let squares: Vec<f64> = finite(values).iter().map(|value| value * value).collect();
             mean(&squares).sqrt()
         };
-        let sensed = largest_but_outliers(&scenario.current_a);
+        let measured_a = largest_but_outliers(&scenario.current_a);
         let voltage_v = input(Input::Voltage);
-        // Without a current the most that voltage and resistance let through.
-        let through_a = voltage_v / motor.get(MotorKey::Resistance).unwrap_or(f64::NAN);
+        // Without a measured current the stall current.
+        let stall_a = voltage_v / motor.get(MotorKey::Resistance).unwrap_or(f64::NAN);
         let current_a = match scenario.input {
             Input::Current => input(Input::Current),
-            _ if sensed > 0.0 => sensed,
-            _ => ROOM * through_a,
+            _ if measured_a > 0.0 => measured_a,
+            _ => SETTINGS.margin * stall_a,
         };
         let torque_n_m = match scenario.input {
             Input::Torque => input(Input::Torque),
@@ -66,29 +70,29 @@ impl Extents {
         }
     }
 
-    /// Least and largest value, and what they follow from; not a number where the record sets no limit.
+    /// Lower and upper bound and their reason; NaN without a bound.
     fn range(&self, key: MotorKey, motor: &Motor) -> (f64, f64, String) {
         let resistance_ohm = motor.get(MotorKey::Resistance).unwrap_or(f64::NAN);
         let three = |value| significant(value, 3);
         let [volts, torque, seconds] = [self.voltage_v, self.torque_n_m, self.length_s].map(three);
         match key {
             MotorKey::Resistance => (
-                SHOWS * self.voltage_v / self.current_a,
-                ROOM * self.voltage_v / self.current_rms_a,
+                SETTINGS.resolution * self.voltage_v / self.current_a,
+                SETTINGS.margin * self.voltage_v / self.current_rms_a,
                 format!("up to {volts} V drove {} A (rms)", three(self.current_rms_a)),
             ),
             MotorKey::Inductance => (
-                // Twice the bound of the fit: what lies below has run into it.
+                // Twice the bound of the fit: a smaller value is at that bound.
                 2.0 * LEAST_TIME_CONSTANT * self.period_s * resistance_ohm,
                 self.length_s * resistance_ohm,
                 format!(
-                    "L/R lies between the {} ms from sample to sample and the {seconds} s of the run",
+                    "L/R is between the sampling period of {} ms and the length of the run, {seconds} s",
                     three(1e3 * self.period_s)
                 ),
             ),
             MotorKey::BackEmf => (
-                SHOWS * self.voltage_v / self.speed_rad_s,
-                ROOM * self.voltage_v / self.speed_rms_rad_s,
+                SETTINGS.resolution * self.voltage_v / self.speed_rad_s,
+                SETTINGS.margin * self.voltage_v / self.speed_rms_rad_s,
                 format!(
                     "up to {volts} V turned the shaft at {} rad/s (rms)",
                     three(self.speed_rms_rad_s)
@@ -97,8 +101,8 @@ impl Extents {
             MotorKey::Inertia => {
                 let per_rate = self.torque_n_m / self.span_rad_s;
                 (
-                    SHOWS * per_rate * self.period_s,
-                    ROOM * per_rate * self.length_s,
+                    SETTINGS.resolution * per_rate * self.period_s,
+                    SETTINGS.margin * per_rate * self.length_s,
                     format!(
                         "up to {torque} N.m changed the speed by {} rad/s within {seconds} s",
                         three(self.span_rad_s)
@@ -114,18 +118,17 @@ impl Extents {
 
     /// The same of an effect's size, by its unit.
     fn of_effect(&self, unit: &str) -> (f64, String) {
-        let (most, room, what) = match unit {
+        let (most, margin, what) = match unit {
             "V" => (self.voltage_v, 1.0, "voltage is"),
             "A" => (self.current_a, 1.0, "current is"),
-            "N.m" => (self.torque_n_m, ROOM, "motor gives"),
+            "N.m" => (self.torque_n_m, SETTINGS.margin, "motor gives"),
             _ => (f64::NAN, 1.0, ""),
         };
-        let why = format!("the {what} {} {unit} at most", significant(most, 3));
-        (room * most, why)
+        (margin * most, format!("the {what} {} {unit} at most", significant(most, 3)))
     }
 }
 
-/// Whether a motor of these values can have made the record.
+/// Whether the record is compatible with a motor of these values.
 pub fn allows(motor: &Motor, scenario: &Scenario) -> bool {
     let found = |key: MotorKey| {
         let value = motor.get(key)?;
@@ -137,7 +140,7 @@ pub fn allows(motor: &Motor, scenario: &Scenario) -> bool {
     values.iter().all(|own| own.value.is_some())
 }
 
-/// Takes back what `scenario` does not allow, each with its reason. `motor` has the values that were found.
+/// Refuses the values outside their bounds, with the reason. `motor` has the estimated values.
 pub fn refuse(parameters: &mut [ParameterEstimate], motor: &Motor, scenario: &Scenario) {
     let extents = Extents::of(scenario, motor);
     for parameter in parameters.iter_mut() {
@@ -151,7 +154,7 @@ pub fn refuse(parameters: &mut [ParameterEstimate], motor: &Motor, scenario: &Sc
         };
         let key = MotorKey::from_key(&parameter.key);
         let (least, most, why) = key.map_or_else(of_effect, |key| extents.range(key, motor));
-        // What is negative has its own reason.
+        // A negative value has a reason of its own.
         let is_small = value < least && (value > 0.0 || least < 0.0);
         if is_small || value > most {
             let bound = if is_small { "at least" } else { "at most" };
@@ -172,7 +175,7 @@ mod tests {
     use super::*;
     use crate::testing::*;
 
-    /// What is left of these values, R, L, Ke, J, Mc, in a record of the motor of paper A.
+    /// These values, R, L, Ke, J, Mc, after the check against a record of the motor of paper A.
     fn left(values: &Truth) -> Vec<ParameterEstimate> {
         let scenario = record(&paper(), steps(0.3, 4.0, 1.0, 0.2), 0.002, 4.0, 1);
         let of_motor = KEYS.iter().zip(values).map(|(key, value)| (key.key(), key.unit(), *value));

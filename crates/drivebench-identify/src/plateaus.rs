@@ -1,6 +1,6 @@
-//! Resistance and back-EMF constant from steady states, by linear regression over levels of the voltage that were held until
-//! nothing changed: `u = R i + Ke w + c`. Samples too far apart for the transients still show their ends. `c` takes an offset
-//! of a sensor; with levels of one direction only it takes the friction's current too, and no resistance shows.
+//! Resistance and back-EMF constant from steady states, by linear regression over constant levels of the voltage:
+//! `u = R i + Ke w + c`, for a sampling period that is too long for the transients. `c` is the offset of a sensor; with levels of
+//! one direction it is collinear with the current of the friction, and the resistance is not observable.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -11,7 +11,7 @@ use drivebench_model::numerics::statistics::{extent, finite, mean};
 use drivebench_model::plant::{MotorKey, Scenario};
 use drivebench_model::sample::{ParameterEstimate, Verdict};
 
-/// Means over the last half of one level of at least four samples, and the variance of that of the current.
+/// Means over the last half of one level of at least four samples, and the variance of the mean current.
 struct Level {
     voltage_v: f64,
     current_a: f64,
@@ -27,19 +27,19 @@ fn levels(scenario: &Scenario) -> Vec<Level> {
         most - least
     };
     let spans = [span(&scenario.current_a), span(&scenario.speed_rad_s)];
-    let rough = [roughness(&scenario.current_a), roughness(&scenario.speed_rad_s)];
+    let noises = [roughness(&scenario.current_a), roughness(&scenario.speed_rad_s)];
     let times = &scenario.sample_time_s;
     let events = &scenario.events;
     let changes: Vec<usize> = (0..events.len())
         .filter(|k| *k == 0 || (events[*k].1 - events[k - 1].1).abs() > 0.0)
         .collect();
-    let one = |(place, event): (usize, &usize)| {
+    let level = |(index, event): (usize, &usize)| {
         let from_s = events[*event].0;
-        let next = changes.get(place + 1);
+        let next = changes.get(index + 1);
         let to_s = next.map_or(f64::INFINITY, |next| events[*next].0);
         let begin = times.partition_point(|time| *time <= from_s);
         let end = times.partition_point(|time| *time < to_s);
-        // A rest is one level of one current, whatever is recorded of it.
+        // A standstill has no information on the resistance.
         if end < begin + 4 || events[*event].1.abs() <= 0.0 {
             return None;
         }
@@ -50,27 +50,26 @@ fn levels(scenario: &Scenario) -> Vec<Level> {
             let last = finite(&values[quarter..end]);
             let both = [&third[..], &last[..]].concat();
             let count = both.len() as f64;
-            let moved = (mean(&last) - mean(&third)).abs();
-            // Two thousandths of the span are what six time constants leave; noise excuses three deviations, up to a fiftieth.
-            // The two halves' means differ by twice the deviation of the mean of both.
-            let chance = 2.0 * 3.0 * noise / count.sqrt();
-            let settles = moved <= (0.002 * span).max(chance.min(0.02 * span));
-            (settles, mean(&both), noise * noise / count)
+            let change = (mean(&last) - mean(&third)).abs();
+            // After six time constants 0.2 % of the span remains. By noise, three standard deviations of the difference of both
+            // halves' means (twice that of the mean of both), but at most 2 % of the span.
+            let by_noise = 2.0 * 3.0 * noise / count.sqrt();
+            let is_steady = change <= (0.002 * span).max(by_noise.min(0.02 * span));
+            (is_steady, mean(&both), noise * noise / count)
         };
-        let current = part(&scenario.current_a, spans[0], rough[0]);
-        let speed = part(&scenario.speed_rad_s, spans[1], rough[1]);
-        let settles = current.0 && speed.0;
-        settles.then_some(Level {
+        let current = part(&scenario.current_a, spans[0], noises[0]);
+        let speed = part(&scenario.speed_rad_s, spans[1], noises[1]);
+        (current.0 && speed.0).then_some(Level {
             voltage_v: events[*event].1,
             current_a: current.1,
             speed_rad_s: speed.1,
             noise_a2: current.2,
         })
     };
-    changes.iter().enumerate().filter_map(one).collect()
+    changes.iter().enumerate().filter_map(level).collect()
 }
 
-/// Puts the estimate from held levels in the place of a resistance or a back-EMF constant that the fit leaves open, or less sure.
+/// Replaces a resistance or a back-EMF constant that is not settled by that from steady states, where its deviation is smaller.
 pub(super) fn complete(parameters: &mut [ParameterEstimate], scenario: &Scenario) {
     let is_open = |own: &ParameterEstimate| {
         matches!(own.verdict, Verdict::NotObservable | Verdict::Searching)
@@ -81,24 +80,24 @@ pub(super) fn complete(parameters: &mut [ParameterEstimate], scenario: &Scenario
     }
     let found = estimates(&levels(scenario));
     for parameter in parameters.iter_mut().filter(|own| is_open(own)) {
-        let surer = found.iter().find(|own| {
+        let better = found.iter().find(|other| {
             let std = parameter.value.and(parameter.std).unwrap_or(f64::INFINITY);
-            own.key == parameter.key && own.std.is_some_and(|own| own < std)
+            other.key == parameter.key && other.std.is_some_and(|other| other < std)
         });
-        if let Some(surer) = surer {
-            *parameter = surer.clone();
+        if let Some(better) = better {
+            *parameter = better.clone();
         }
     }
 }
 
 fn estimates(levels: &[Level]) -> Vec<ParameterEstimate> {
-    // Three levels for each unknown: of fewer the scatter about them is none.
+    // Three levels for each unknown, so that the residual has degrees of freedom.
     if levels.len() < 9 {
         return Vec::new();
     }
     let column = |of: fn(&Level) -> f64| levels.iter().map(of).collect::<Vec<f64>>();
     let cells = [column(|own| own.current_a), column(|own| own.speed_rad_s), column(|_| 1.0)];
-    let matrix = DMatrix::from_fn(levels.len(), 3, |row, place| cells[place][row]);
+    let matrix = DMatrix::from_fn(levels.len(), 3, |row, column| cells[column][row]);
     let right = DVector::from_vec(column(|own| own.voltage_v));
     let blocks: Vec<usize> = (0..levels.len()).collect();
     let Some(solution) = least_squares::solve(&matrix, &right, &blocks) else {
@@ -106,23 +105,22 @@ fn estimates(levels: &[Level]) -> Vec<ParameterEstimate> {
     };
     let (bread, _) = least_squares::inverse_where_determined(&matrix);
     let noise: f64 = levels.iter().map(|own| own.noise_a2).sum();
-    // What only the resistance explains has to be ten times its noise in power; less pulls it towards zero.
-    let shows = 1.0 / bread[(0, 0)] > 10.0 * noise;
-    let of = |(place, key): (usize, MotorKey)| {
-        let value = solution.x[place];
-        let std = solution.covariance[(place, place)].sqrt();
+    // Errors in variables: the part of the current that the other columns do not explain has to have ten times the power of its
+    // noise, which attenuates the resistance.
+    let is_observable = 1.0 / bread[(0, 0)] > 10.0 * noise;
+    let of = |(index, key): (usize, MotorKey)| {
+        let value = solution.x[index];
+        let std = solution.covariance[(index, index)].sqrt();
         let relative = std / value;
         let reason = match key {
             MotorKey::Resistance => Some(format!(
-                "from {} levels that were held, since the transients do not show it: a drop of the brushes counts as \
-                 resistance",
+                "from {} steady states, because the transients are too fast: the resistance includes the drop of the \
+                 brushes",
                 levels.len()
             )),
-            _ => {
-                (relative > SETTLED).then(|| format!("from {} levels that were held", levels.len()))
-            }
+            _ => (relative > SETTLED).then(|| format!("from {} steady states", levels.len())),
         };
-        let is_sound = shows && value > 0.0 && relative < NOT_OBSERVABLE;
+        let is_sound = is_observable && value > 0.0 && relative < NOT_OBSERVABLE;
         is_sound.then(|| ParameterEstimate::found(key.key(), key.unit(), value, std, reason))
     };
     KEYS.into_iter().enumerate().filter_map(of).collect()

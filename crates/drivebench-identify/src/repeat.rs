@@ -1,7 +1,8 @@
-//! Repeated runs of one machine: each parameter, and its spread from run to run.
+//! Repeated runs of one machine: random-effects mean of each parameter and its variation from run to run, with the chi-square test
+//! of homogeneity (Cochran, *Biometrics* 10, 1954).
 //!
-//! The deviation of one fit holds only the noise of its own run. What changes between runs (temperature, load, the position of
-//! a belt) shows in the spread alone, which therefore counts as soon as it is larger.
+//! The standard deviation of one fit contains only the noise of its run. Changes between runs (temperature, load, position of
+//! a belt) are in the spread of the runs alone, which is used where it is larger.
 
 use serde::Serialize;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -14,18 +15,18 @@ use drivebench_model::sample::{ParameterEstimate, Verdict};
 /// One parameter over several runs.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Repeated {
-    /// Of one fit to all runs where that is the surer one, else the mean over the runs that carry it, with the standard
-    /// deviation of that mean.
+    /// That of one fit to all runs where its deviation is smaller, else the mean over the runs in which it is observable, with the
+    /// standard deviation of that mean.
     #[serde(flatten)]
     pub estimate: ParameterEstimate,
-    /// Runs that it rests on: those that carry it, or all of one fit.
+    /// Number of those runs.
     pub runs: usize,
     /// Standard deviation of one run's value about the mean; from two runs on.
     pub run_to_run_std: Option<f64>,
 }
 
-/// Combines the estimates of several runs, key by key in the order of the first run that names it. `joint`: of one fit to
-/// all of them, empty where there is none.
+/// Combines the estimates of several runs, key by key in the order of their first occurrence. `joint`: of one fit to all of them,
+/// or empty.
 pub fn combine(per_run: &[Vec<ParameterEstimate>], joint: &[ParameterEstimate]) -> Vec<Repeated> {
     let mut keys: Vec<&str> = Vec::new();
     for parameter in per_run.iter().flatten().chain(joint) {
@@ -56,7 +57,7 @@ fn one(
         .filter_map(|p| p.carried().and_then(|(value, std)| Some((value, std?))))
         .collect();
     if carried.len() < 2 {
-        // Nothing to compare: the one run that carries it, else the first one's reason.
+        // The only run in which it is observable, else the reason of the first run.
         let sound = |p: &&&ParameterEstimate| p.value.is_some() && p.verdict != Verdict::Invalid;
         let known = joint.or_else(|| all.iter().find(sound).copied());
         return Some(Repeated {
@@ -78,37 +79,37 @@ fn one(
         let estimate = differing(joint, differs.then_some(spread.sqrt()));
         return Some(repeated(estimate, runs));
     }
-    // Of runs that do not differ one fit to all of them replaces the mean of their fits, where it is the surer one.
-    let is_surer = |own: &&ParameterEstimate| !differs && own.std.is_some_and(|own| own < std);
-    if let Some(joint) = joint.filter(is_surer) {
+    // Of homogeneous runs one fit to all of them replaces the mean of their fits, where its deviation is smaller.
+    let is_better = |joint: &&ParameterEstimate| !differs && joint.std.is_some_and(|own| own < std);
+    if let Some(joint) = joint.filter(is_better) {
         return Some(repeated(joint.clone(), runs));
     }
-    // Where the runs differ, a further run may come out anywhere within the spread: the mean alone settles nothing.
-    let doubt = if differs { spread.sqrt() } else { std };
+    // Where the runs differ, the value of a further run has the spread, not the deviation of the mean.
+    let deviation = if differs { spread.sqrt() } else { std };
     let relative = |deviation: f64| 100.0 * deviation / value.abs().max(f64::MIN_POSITIVE);
     let mut reasons = Vec::new();
     if differs {
         reasons.push(format!(
-            "differs from run to run by {:.2} % where the noise within a run allows {:.2} %: \
-             something changes between the runs (temperature, load) that the model does not hold",
+            "differs from run to run by {:.2} %, and the noise within a run explains {:.2} %: \
+             a change between the runs (temperature, load) that is not in the model",
             relative(spread.sqrt()),
             relative(within.sqrt())
         ));
     }
     if values.len() < all.len() {
-        reasons.push(format!("{} of {} runs carry it", values.len(), all.len()));
+        reasons.push(format!("observable in {} of {} runs", values.len(), all.len()));
     }
-    // A run that is narrow enough and not settled all the same has a reason that no further run takes away.
-    let narrow = settled_below(&first.key);
-    let doubtful = |p: &&&ParameterEstimate| {
-        let is_narrow = |(value, std): (f64, f64)| std <= narrow * value.abs();
-        p.verdict == Verdict::Searching && p.value.zip(p.std).is_some_and(is_narrow)
+    // An estimate with a small deviation that is not settled has a reason that further runs do not remove.
+    let settled_std = settled_below(&first.key);
+    let is_doubted = |p: &&&ParameterEstimate| {
+        let is_small = |(value, std): (f64, f64)| std <= settled_std * value.abs();
+        p.verdict == Verdict::Searching && p.value.zip(p.std).is_some_and(is_small)
     };
-    let doubted = all.iter().find(doubtful).and_then(|p| p.reason.clone());
-    let settled = relative(doubt) <= 100.0 * SETTLED && doubted.is_none();
-    reasons.extend(doubted);
+    let doubt = all.iter().find(is_doubted).and_then(|p| p.reason.clone());
+    let settled = relative(deviation) <= 100.0 * SETTLED && doubt.is_none();
+    reasons.extend(doubt);
     if !settled && reasons.is_empty() {
-        reasons.push(format!("relative uncertainty {:.1} %", relative(doubt)));
+        reasons.push(format!("relative uncertainty {:.1} %", relative(deviation)));
     }
     let mut estimate = ParameterEstimate::found(&first.key, first.unit, value, std, None);
     estimate.reason = (!reasons.is_empty()).then(|| reasons.join("; "));
@@ -118,8 +119,8 @@ fn one(
     Some(repeated(estimate, values.len()))
 }
 
-/// A lag of one run holds at that run's level of the voltage, and the mean of several at none: what one fit to all of them gives
-/// is as uncertain as they differ.
+/// A lag depends on the level of the voltage, so that the mean over runs has no meaning: the deviation of the joint fit is at least
+/// the spread of the runs.
 fn differing(joint: &ParameterEstimate, spread: Option<f64>) -> ParameterEstimate {
     let mut joint = joint.clone();
     let (Some(spread), Some(value)) = (spread, joint.value) else {
@@ -130,14 +131,13 @@ fn differing(joint: &ParameterEstimate, spread: Option<f64>) -> ParameterEstimat
     if percent > 100.0 * SETTLED {
         joint.verdict = Verdict::Searching;
         joint.reason = Some(format!(
-            "the runs one by one differ by {percent:.1} %, more than their noise: it is another at another level of the voltage"
+            "the runs differ by {percent:.1} %, more than their noise: it depends on the level of the voltage"
         ));
     }
     joint
 }
 
-/// Whether values that scatter with variance `spread` may be one value measured with variance `within` (chi-square test of
-/// homogeneity at 1 %).
+/// Chi-square test of homogeneity at 1 %: whether values with the variance `spread` are one value with the variance `within`.
 fn by_chance(spread: f64, within: f64, runs: usize) -> bool {
     let freedom = runs as f64 - 1.0;
     let statistic = freedom * spread / within;
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn a_doubt_that_is_not_of_the_width_stays() {
+    fn a_doubt_other_than_the_uncertainty_stays() {
         let verdict = |runs: &[Vec<ParameterEstimate>]| combined(runs, &[]).estimate.verdict;
         let missing = run_with(1.1, 0.002, Some("an effect is missing"));
         assert_eq!(verdict(&[run(1.1, 0.002), missing]), Verdict::Searching);
@@ -210,17 +210,17 @@ mod tests {
     }
 
     #[test]
-    fn runs_that_carry_nothing_are_counted() {
+    fn runs_without_the_parameter_are_counted() {
         let one = combined(&[run(1.1, 0.001), open(), run(1.1, 0.001)], &[]);
         let reason = one.estimate.reason.as_deref();
-        assert_eq!((one.runs, reason), (2, Some("2 of 3 runs carry it")));
+        assert_eq!((one.runs, reason), (2, Some("observable in 2 of 3 runs")));
         let none = combined(&[open(), open()], &[]);
         let verdict = none.estimate.verdict;
         assert_eq!((verdict, none.runs), (Verdict::NotObservable, 0));
     }
 
     #[test]
-    fn one_fit_to_all_runs_counts_where_it_is_surer() {
+    fn one_fit_to_all_runs_counts_where_its_deviation_is_smaller() {
         let of = |runs: &[Vec<ParameterEstimate>]| combined(runs, &run(1.2, 0.001));
         for runs in [[run(1.1, 0.2), run(1.2, 0.2)], [open(), open()]] {
             let found = of(&runs);

@@ -9,8 +9,8 @@ use drivebench_model::numerics::statistics::largest;
 use drivebench_model::plant::Scenario;
 use drivebench_model::sample::{Channel, Origin, Run, RunError};
 
-/// The run with a speed column derived from its angle and a note on the method. An angle that starts again after a turn
-/// is made continuous first. A run that has a measured speed keeps it; one without an angle comes back as it is.
+/// The run with a speed column derived from its unwrapped angle and a note on the method. A run with a measured speed, or without
+/// an angle, is not changed.
 pub fn complete(run: &Run) -> Result<Run, RunError> {
     let mut completed = wrapped_angle::complete(run)?;
     let points: Vec<(f64, f64)> = completed.points(Channel::Angle).collect();
@@ -34,7 +34,7 @@ pub fn complete(run: &Run) -> Result<Run, RunError> {
     Ok(completed)
 }
 
-/// Samples of the angle in each value of the speed, where a scenario's speed is the one that is derived here.
+/// Length of the Savitzky-Golay window in samples, where a scenario's speed was derived here.
 pub fn span(scenario: &Scenario) -> Option<usize> {
     let points = &scenario.angle;
     if scenario.speed_rad_s.len() < 5 || points.len() < 5 {
@@ -47,8 +47,8 @@ pub fn span(scenario: &Scenario) -> Option<usize> {
     for (time_s, speed) in scenario.sample_time_s.iter().zip(&scenario.speed_rad_s) {
         let at = points.partition_point(|point| point.0 < *time_s);
         #[expect(clippy::float_cmp, reason = "a stamp of the same row")]
-        let own = points.get(at).is_some_and(|point| point.0 == *time_s);
-        if own && speed.is_finite() {
+        let is_same = points.get(at).is_some_and(|point| point.0 == *time_s);
+        if is_same && speed.is_finite() {
             compared += 1;
             same &= (slopes[at] - speed).abs() <= 1e-9 * fastest;
         }
@@ -56,7 +56,7 @@ pub fn span(scenario: &Scenario) -> Option<usize> {
     (same && compared > 0).then_some(2 * side + 1)
 }
 
-/// Standard deviation that the resolution of the angle gives to the derived speed of a scenario: at rest it shows none.
+/// Standard deviation of the derived speed by the quantisation of the angle, which is zero at rest.
 pub fn noise(scenario: &Scenario) -> Option<f64> {
     let span = span(scenario)?;
     let points = &scenario.angle;
@@ -67,22 +67,22 @@ fn period_s(points: &[(f64, f64)]) -> f64 {
     (points[points.len() - 1].0 - points[0].0) / (points.len() - 1) as f64
 }
 
-/// What an error of the angle is multiplied by: the standard deviation of the slope over 2 m + 1 equidistant points.
+/// Standard deviation of the slope over 2 m + 1 equidistant points of unit variance.
 fn gain(m: f64, period_s: f64) -> f64 {
     (3.0 / (m * (m + 1.0) * (2.0 * m + 1.0))).sqrt() / period_s
 }
 
-/// Neighbours on either side: at most twelve, beyond which the motion itself would be smoothed away.
+/// Neighbours on either side, at most twelve, so that the motion is not smoothed.
 fn side(points: &[(f64, f64)]) -> usize {
     let most = usize::min(12, (points.len() - 1) / 2);
     let period_s = period_s(points);
-    // Over the longest span resolution hardly counts: a fair estimate of the largest speed, of which it may cost 0.2 %.
+    // The longest window, with the least quantisation noise, gives the largest speed, of which the noise may be 0.2 %.
     let largest = largest(slopes(points, most));
     let error = resolution(points) / 12f64.sqrt();
     (1..most).find(|side| error * gain(*side as f64, period_s) <= 0.002 * largest).unwrap_or(most)
 }
 
-/// Smallest change of the angle that the data show.
+/// Resolution: smallest change of the angle.
 fn resolution(points: &[(f64, f64)]) -> f64 {
     let largest = largest(points.iter().map(|point| point.1));
     let steps = points

@@ -1,14 +1,14 @@
-//! Uncertainty of the time stamps: what it does to a value, and where it is too much.
+//! Uncertainty of the time stamps and its effect on the estimates.
 //!
-//! A sample that the host stamped was taken anywhere within plus or minus its half-width: uniform, so that a signal of
-//! slope y' carries the further variance (y' half-width)^2 / 3. The stamp is one for all signals of a sample: their errors
-//! go together, which the blocks of the fits' covariances keep.
+//! The instant of a sample with a stamp of the host is uniformly distributed within plus or minus its half-width, so that a
+//! signal of slope y' has the additional variance (y' half-width)^2 / 3. All signals of a sample have the same stamp: their
+//! errors are correlated, for which the fits have block covariances.
 
 use super::verdict::{self, judge};
 use drivebench_model::plant::{MotorKey, Scenario, Slot};
 use drivebench_model::sample::{ParameterEstimate, Verdict};
 
-/// Standard deviation that the stamp gives to one sample of a signal; zero where the drive stamped it.
+/// Standard deviation of one sample of a signal by its stamp; zero for a stamp of the drive.
 pub fn spread(scenario: &Scenario, values: &[f64], sample: usize) -> f64 {
     let half_width_s = scenario.half_width_s(sample);
     if half_width_s <= 0.0 {
@@ -18,7 +18,7 @@ pub fn spread(scenario: &Scenario, values: &[f64], sample: usize) -> f64 {
     let slope = |a: usize, b: usize| (values[b] - values[a]) / (times[b] - times[a]);
     let before = sample.checked_sub(1).map(|before| slope(before, sample));
     let after = (sample + 1 < times.len()).then(|| slope(sample, sample + 1));
-    // Between two samples of which one lies behind a step, only the steeper side counts; a missing neighbour has no slope.
+    // The steeper side, because the other one may be before or after a step; a missing neighbour has no slope.
     let steepest = before
         .into_iter()
         .chain(after)
@@ -27,8 +27,7 @@ pub fn spread(scenario: &Scenario, values: &[f64], sample: usize) -> f64 {
     steepest * half_width_s / 3f64.sqrt()
 }
 
-/// Refuses parameters for which the stamps are too vague: samples that may have been taken anywhere in a good part of a transient
-/// do not resolve it.
+/// Refuses the inductance or the inertia where the half-width of the stamps exceeds a quarter of its time constant.
 pub fn refuse(parameters: &mut [ParameterEstimate], half_width_s: f64) {
     let of = |key: MotorKey| ParameterEstimate::find(parameters, key.key())?.value;
     let resistance = of(MotorKey::Resistance);
@@ -42,7 +41,7 @@ pub fn refuse(parameters: &mut [ParameterEstimate], half_width_s: f64) {
             continue;
         };
         let reason = format!(
-            "the samples are stamped to within +-{:.1} ms, and {name} is about {:.1} ms: use a drive's own clock, or a faster line",
+            "the stamps of the samples are uncertain by +-{:.1} ms, and {name} is about {:.1} ms: use the clock of the drive, or a faster line",
             1e3 * half_width_s,
             1e3 * constant_s
         );
@@ -52,8 +51,8 @@ pub fn refuse(parameters: &mut [ParameterEstimate], half_width_s: f64) {
     }
 }
 
-/// Widens each value by what it would be had the voltage come later by the half-width, as `late` has it: of a method that
-/// takes the stamps for true. `period_s`: of the samples.
+/// Increases each deviation by the change of the value under a voltage that is `late` by the half-width, for a method that takes the
+/// stamps as exact. `period_s`: of the samples.
 pub fn widen(parameters: &mut [ParameterEstimate], late: &[ParameterEstimate], period_s: f64) {
     for parameter in parameters.iter_mut() {
         let shifted = late.iter().find(|other| other.key == parameter.key);
@@ -65,12 +64,12 @@ pub fn widen(parameters: &mut [ParameterEstimate], late: &[ParameterEstimate], p
         let Some(key) = MotorKey::from_key(&parameter.key) else {
             continue;
         };
-        let wide = std.hypot((shifted - value) / 3f64.sqrt());
-        let judged = judge(&Slot::Motor(key), value, Some(wide), period_s);
+        let wider = std.hypot((shifted - value) / 3f64.sqrt());
+        let judged = judge(&Slot::Motor(key), value, Some(wider), period_s);
         if parameter.verdict == Verdict::Settled || judged.value.is_none() {
             *parameter = judged;
         } else {
-            parameter.std = Some(wide);
+            parameter.std = Some(wider);
         }
     }
 }

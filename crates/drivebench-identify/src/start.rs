@@ -1,7 +1,5 @@
-//! Starting values for a fit when the model file gives none: two small regressions on integrals of the signals; without a
-//! current the first-order lag of the speed.
-//!
-//! The voltage is integrated exactly; what coarse sampling biases the rest by a starting value may be off.
+//! Starting values of a fit: two regressions on integrals of the signals (integral-equation method); without a current the
+//! first-order lag of the speed. The integral of the voltage is exact; the bias of the others by coarse sampling does not matter.
 
 use super::first_order::FirstOrder;
 use super::output_error::FitError;
@@ -12,8 +10,8 @@ use drivebench_model::numerics::statistics::largest;
 use drivebench_model::plant::{Input, Model, ModelError, MotorKey, Scenario};
 use drivebench_model::signal;
 
-/// Resistance, inductance and back-EMF constant where the record gives none.
-const MODEST: [f64; 3] = [1.0, 1e-3, 0.1];
+/// Resistance, inductance and back-EMF constant, in ohm, H and V.s/rad, where the record gives none.
+const DEFAULTS: [f64; 3] = [1.0, 1e-3, 0.1];
 
 /// Fills in the motor values that `model` leaves out; what the user gave stays as it is.
 pub fn complete(model: &Model, scenario: &Scenario) -> Result<Model, FitError> {
@@ -31,7 +29,7 @@ pub fn complete(model: &Model, scenario: &Scenario) -> Result<Model, FitError> {
     let sums = integrals(scenario);
     let electrical: Vec<[f64; 4]> =
         (sums.iter()).map(|s| [s.current, s.current_step, s.angle, s.voltage]).collect();
-    let [resistance, inductance, back_emf] = positive(solve_rows(&electrical), MODEST);
+    let [resistance, inductance, back_emf] = positive(solve_rows(&electrical), DEFAULTS);
     set(&mut model, MotorKey::Resistance, resistance);
     set(&mut model, MotorKey::Inductance, inductance);
     set(&mut model, MotorKey::BackEmf, back_emf);
@@ -55,9 +53,9 @@ fn checked(model: Model) -> Result<Model, FitError> {
     Ok(model)
 }
 
-/// Voltage and speed hold gain, time constant and friction voltage; a resistance that is not given only scales the rest.
+/// Voltage and speed determine gain, time constant and friction voltage; a resistance that is not given is only a scale.
 fn without_current(model: &mut Model, scenario: &Scenario) {
-    let [resistance_ohm, inductance_h, back_emf] = MODEST;
+    let [resistance_ohm, inductance_h, back_emf] = DEFAULTS;
     let resistance_ohm = set(model, MotorKey::Resistance, resistance_ohm);
     set(model, MotorKey::Inductance, inductance_h * resistance_ohm);
     let lag = FirstOrder::with_dead_time(scenario).filter(|lag| lag.gain_rad_s_per_v > 0.0);
@@ -83,16 +81,16 @@ fn mechanical(mut model: Model, scenario: &Scenario) -> Model {
     model
 }
 
-/// The value that the model has then: the given one where there is one.
+/// Sets a value that is not given; returns the value of the model.
 fn set(model: &mut Model, key: MotorKey, value: f64) -> f64 {
-    let kept = model.motor.get(key);
-    if kept.is_none() {
+    let given = model.motor.get(key);
+    if given.is_none() {
         model.motor.set(key, value);
     }
-    kept.unwrap_or(value)
+    given.unwrap_or(value)
 }
 
-/// Values that physics allows: where noise or poor excitation gives none, a modest default.
+/// The positive ones of the values; a default for the others, where noise or poor excitation gives none.
 fn positive<const N: usize>(found: Option<[f64; N]>, otherwise: [f64; N]) -> [f64; N] {
     let found = found.unwrap_or(otherwise);
     std::array::from_fn(|k| if found[k] > 0.0 { found[k] } else { otherwise[k] })
@@ -102,17 +100,17 @@ fn integrals(scenario: &Scenario) -> Vec<Sums> {
     let times = &scenario.sample_time_s;
     let current = between(times, &scenario.current_a);
     let speed = between(times, &scenario.speed_rad_s);
-    let zone = 0.01 * largest(&speed);
+    let dead_zone_rad_s = 0.01 * largest(&speed);
     let windows = windows(times).into_iter().map(|window| {
         let voltage = signal::integral(&scenario.events, times[window.start], times[window.end]);
-        Sums::over(&window, times, voltage, [&current, &speed], zone)
+        Sums::over(&window, times, voltage, [&current, &speed], dead_zone_rad_s)
     });
     windows
         .filter(|w| w.voltage.is_finite() && w.current.is_finite() && w.angle.is_finite())
         .collect()
 }
 
-/// Missing cells on the straight line between their neighbours: current and speed may come on rows of their own.
+/// Missing cells by linear interpolation: current and speed may have separate rows.
 fn between(times: &[f64], values: &[f64]) -> Vec<f64> {
     let cells = times.iter().copied().zip(values.iter().copied());
     let points: Vec<(f64, f64)> = cells.clone().filter(|cell| cell.1.is_finite()).collect();

@@ -1,4 +1,4 @@
-//! The resistance with the temperature that it holds at, and at 20 C.
+//! The temperature of the resistance, and the resistance at 20 C.
 
 use super::balance::scored_s;
 use super::scheme::Identified;
@@ -43,7 +43,7 @@ fn at_20_c(
     let readings = readings(run, scenario);
     if readings.is_empty() {
         let reason = "the winding's temperature is not known: the run has no temperature_c; \
-                      resistance_ohm holds at whatever it was (copper: 0.39 % per K)";
+                      resistance_ohm is that at the temperature of the run (copper: 0.39 % per K)";
         return (no(reason.to_owned()), None);
     }
     let mean_c = statistics::mean(&readings);
@@ -55,16 +55,17 @@ fn at_20_c(
         );
         return (no(reason), None);
     }
-    // A temperature that moves during the run leaves it open which one the resistance belongs to.
-    let moved_k = (most_c - least_c) / 12f64.sqrt();
+    // Uniform distribution over the temperatures of the run.
+    let spread_k = (most_c - least_c) / 12f64.sqrt();
     let factor = resistance_at_20_c(1.0, mean_c);
-    let std = resistance.std.map(|std| factor * std.hypot(value * factor * COPPER_PER_K * moved_k));
+    let std =
+        resistance.std.map(|std| factor * std.hypot(value * factor * COPPER_PER_K * spread_k));
     let note = format!(
-        "resistance_ohm holds at {mean_c:.1} C (mean of temperature_c over the rows used, {least_c:.1} to {most_c:.1} \
+        "resistance_ohm is that at {mean_c:.1} C (mean of temperature_c over the rows used, {least_c:.1} to {most_c:.1} \
          C); at 20 C by copper's 0.00393 per K, if that is the winding's temperature"
     );
     let verdict = match resistance.verdict {
-        // Given, but referred by a measured temperature.
+        // Given, but converted by a measured temperature.
         Verdict::Fixed => Verdict::Settled,
         verdict => verdict,
     };

@@ -1,13 +1,13 @@
-//! Verdict on each fitted parameter, and what takes it back.
+//! Verdict on each fitted parameter by its relative standard deviation.
 
 use drivebench_model::plant::{MotorKey, Slot};
 use drivebench_model::sample::{ParameterEstimate, Verdict};
 
-/// Relative standard deviation above which a positive parameter is not carried by the data.
+/// Relative standard deviation above which a positive parameter is not observable.
 pub(super) const NOT_OBSERVABLE: f64 = 0.5;
 /// Relative standard deviation below which a parameter of the motor is settled.
 pub(super) const SETTLED: f64 = 0.02;
-/// The same of an effect's parameter, of which the rough size counts.
+/// The same of a parameter of an effect, which is needed less accurately.
 pub(super) const SETTLED_EFFECT: f64 = 0.1;
 
 /// Relative standard deviation below which the parameter of this key is settled.
@@ -16,17 +16,17 @@ pub(super) fn settled_below(key: &str) -> f64 {
     if of_motor { SETTLED } else { SETTLED_EFFECT }
 }
 
-/// Takes back the value of a parameter.
+/// Makes a parameter not observable.
 pub(super) fn refuse(parameter: &mut ParameterEstimate, reason: impl Into<String>) {
     *parameter = ParameterEstimate::not_observable(&parameter.key, parameter.unit, reason);
 }
 
-/// A motor's parameter that the data do not carry.
+/// A parameter of the motor that is not observable.
 pub(super) fn unknown(key: MotorKey, reason: impl Into<String>) -> ParameterEstimate {
     ParameterEstimate::not_observable(key.key(), key.unit(), reason)
 }
 
-/// Judges one fitted value by its standard deviation; `None`, or either not finite: the data leave it undetermined.
+/// Verdict on one fitted value by its standard deviation; `None`, or either not finite: it is not determined.
 pub fn judge(slot: &Slot, value: f64, std: Option<f64>, period_s: f64) -> ParameterEstimate {
     let (key, unit) = (slot.key(), slot.unit());
     let is_inductance = matches!(slot, Slot::Motor(MotorKey::Inductance));
@@ -45,10 +45,10 @@ pub fn judge(slot: &Slot, value: f64, std: Option<f64>, period_s: f64) -> Parame
     let relative = std / value.abs().max(f64::MIN_POSITIVE);
     let positive = matches!(slot, Slot::Motor(_));
     if value == 0.0 && std == 0.0 {
-        return open("the signals that would show it do not change".to_owned());
+        return open("the signals that depend on it do not change".to_owned());
     }
     if positive && value < -1.96 * std {
-        let reason = "negative, which no motor has: check signs, units and columns of the signals";
+        let reason = "negative, which is impossible: check signs, units and columns of the signals";
         let found = ParameterEstimate::found(key, unit, value, std, Some(reason.to_owned()));
         return ParameterEstimate { verdict: Verdict::Invalid, ..found };
     }
@@ -60,10 +60,10 @@ pub fn judge(slot: &Slot, value: f64, std: Option<f64>, period_s: f64) -> Parame
             format!("{uncertain}: the run does not excite it")
         });
     }
-    // An effect's coefficient may be zero within its uncertainty (1 % in two directions): that is a finding, and its value stays.
+    // A coefficient of an effect may be zero within its uncertainty (2.58 standard deviations, 1 % two-sided); its value stays.
     let settled = relative <= if positive { SETTLED } else { SETTLED_EFFECT };
     let reason = if !positive && relative > 1.0 / 2.58 {
-        "not told from zero".to_owned()
+        "not significantly different from zero".to_owned()
     } else {
         uncertainty(relative)
     };

@@ -1,7 +1,7 @@
-//! Departure of the measured voltage from the commanded one.
+//! Deviation of the measured voltage from the commanded one.
 //!
-//! A drive at its current limit, at the end of its bus voltage or in a ramp of its own does not apply the command. A fit that
-//! takes the command for the voltage then bends every parameter to explain the difference.
+//! A drive at its current limit, at the limit of its bus voltage or in a ramp of its own does not apply the command. A fit with
+//! the command as the input is biased then.
 
 use drivebench_model::numerics::statistics::{largest, robust_deviation};
 use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Run};
@@ -9,7 +9,7 @@ use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Run};
 /// Rows in which the measured voltage is not the commanded one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Departure {
-    /// Share of the rows that carry a measured voltage, 0..1.
+    /// Share of the rows with a measured voltage, 0..1.
     pub share: f64,
     /// Largest difference, V.
     pub largest_v: f64,
@@ -25,7 +25,7 @@ impl Departure {
         )
     }
 
-    /// Nothing that rests on the commanded voltage is settled.
+    /// Changes every settled verdict: the estimates depend on the commanded voltage.
     pub fn limit(&self, parameters: &mut [ParameterEstimate]) {
         for parameter in parameters {
             parameter.unsettle(self.sentence());
@@ -44,18 +44,17 @@ pub fn find(run: &Run) -> Option<Departure> {
         .points(Channel::Voltage)
         .filter_map(|(time_s, measured_v)| {
             let next = commands.partition_point(|command| command.0 <= time_s);
-            let held = commands[..next].last()?.1;
-            // A sample at the very instant of a step may show either level.
-            let before = next.checked_sub(2).map_or(held, |at| commands[at].1);
-            let nearer =
-                if (measured_v - before).abs() < (measured_v - held).abs() { before } else { held };
-            Some(measured_v - nearer)
+            let command = commands[..next].last()?.1;
+            // A sample at the instant of a step may have either level.
+            let before = next.checked_sub(2).map_or(command, |at| commands[at].1);
+            let is_before = (measured_v - before).abs() < (measured_v - command).abs();
+            Some(measured_v - if is_before { before } else { command })
         })
         .collect();
     if differences.len() < 20 {
         return None;
     }
-    // Eight deviations are none of noise; two per cent are drops and rounding.
+    // Above eight standard deviations of the noise, and above 2 % for voltage drops and rounding.
     let threshold = (8.0 * robust_deviation(&differences)).max(0.02 * largest_command_v);
     let departed = differences.iter().filter(|d| d.abs() > threshold);
     let share = departed.clone().count() as f64 / differences.len() as f64;

@@ -1,21 +1,23 @@
-//! Weak form: both balances averaged over windows with a smooth test function, nothing differentiated.
+//! Weak form (modulating functions, Shinbrot 1957): both balances averaged over windows with a smooth test function, without
+//! differentiation.
 //!
-//! With `psi(s) = (1 - s^2)^4` on a window of half length `H`, integration by parts turns a derivative
-//! into one of the test function: `<f'> = -<psi_s f>/H`. Linear in the parameters, no starting values, and the only
-//! method for runs that carry torque and motion but no voltage. The price: the signals must be sampled several times
-//! per time constant (at 10 ms the armature circuit is not), and an effect's shape parameters stay as they are given.
-//! What that costs is measured, not assumed: the same fit with every second sample left out moves each value, and for a
-//! quadrature of second order a third of the move is the error at the full rate, of first order all of it; the current has
-//! a corner at each step of the voltage, so the move over 1.5 is taken and added to the uncertainty. Noise in
-//! a regressor pulls its value towards zero: the pull follows from the noise, is taken back, and what is not known of it
-//! is added too. The uncertainty of a torque constant found in the same run enters everything in the torque balance.
+//! With `psi(s) = (1 - s^2)^4` on a window of half length `H`, integration by parts turns a derivative of the signal
+//! into one of the test function: `<f'> = -<(dpsi/ds) f>/H`. Linear in the parameters, no starting values, and the only
+//! method for runs with torque and motion but no voltage. The signals must be sampled several times per time constant (at
+//! 10 ms the armature circuit is not), and the shape parameters of effects stay as given.
+//!
+//! The quadrature error is estimated by Richardson extrapolation: the same fit with every second sample changes each value; a
+//! third of the change is the error of a quadrature of second order, all of it that of first order. The current has a corner at
+//! each step of the voltage, so the change over 1.5 is added to the uncertainty. Noise in a regressor attenuates its coefficient
+//! (errors in variables): the bias is computed from the noise and subtracted, and its uncertainty is added. The uncertainty of
+//! a torque constant from the same run enters all values of the torque balance.
 //!
 //! Voltage: `<u> = R <i> + L <i'> + Ke <w> + effects`. Torque: `Kt <i> = J <w'> + Mc <sgn w> + effects`.
 
 use nalgebra::{DMatrix, DVector};
 
 use super::balance::{
-    Column, Method, Signals, TorqueRows, Unknown, hand_on, scored_s, unknowns, why_no_regressor,
+    Column, Method, Signals, TorqueRows, Unknown, scored_s, set_motor, unknowns, why_no_regressor,
 };
 use super::noise::{NoiseFloor, roughness};
 use super::output_error::BLOCK_S;
@@ -29,39 +31,43 @@ use drivebench_model::plant::{
 use drivebench_model::sample::ParameterEstimate;
 use drivebench_model::signal::{self, Window};
 
-/// Half length of the windows of the torque balance, s.
-const TORQUE_HALF_S: f64 = 0.03;
-/// Samples that a half window has at least.
-const FEWEST_HALF: usize = 4;
-/// Move by leaving out every second sample over the error at the full rate: between first order (1) and second (3).
-const SAMPLING_ORDER: f64 = 1.5;
-/// A regressor whose own part is less than this many times its noise (in power) carries no information.
-const LEAST_SIGNAL: f64 = 4.0;
+struct Settings {
+    /// Half length of the windows of the torque balance, s.
+    torque_half_s: f64,
+    /// Fewest samples of a half window.
+    fewest_half: usize,
+    /// Change by leaving out every second sample over the error at the full rate: between first order (1) and second (3).
+    sampling_order: f64,
+    /// Least ratio, in power, of the part of a regressor that the others do not explain to its noise.
+    least_signal: f64,
+}
+
+const SETTINGS: Settings =
+    Settings { torque_half_s: 0.03, fewest_half: 4, sampling_order: 1.5, least_signal: 4.0 };
 
 /// Estimates of one balance with its residual.
 #[derive(Clone, Debug)]
 pub struct Balanced {
     pub equation: Balance,
     pub parameters: Vec<ParameterEstimate>,
-    /// What the balance misses in each window, V or N.m.
+    /// Residual in each window, V or N.m.
     pub residual: Vec<f64>,
-    /// Root mean square that measurement noise alone would leave in the residual, V or N.m; `None` where the run has no
-    /// standstill that shows the noise.
+    /// Root mean square of the residual by measurement noise alone, V or N.m; `None` without a standstill.
     pub noise_floor: Option<f64>,
 }
 
-/// Fits both balances (the torque balance alone where there is no voltage); the torque balance with what the voltage balance
-/// found.
+/// Fits both balances (the torque balance alone where there is no voltage); the torque balance with the torque constant of the
+/// voltage balance.
 pub fn fit(model: &Model, scenario: &Scenario) -> Vec<Balanced> {
     let mut balances = Vec::new();
     let mut model = model.clone();
-    let mut doubt_of_torque = 0.0;
+    let mut torque_deviation = 0.0;
     if scenario.input == Input::Voltage {
         let voltage = balance(&model, scenario, Balance::Voltage, 0.0);
-        doubt_of_torque = hand_on(&mut model, &voltage.parameters);
+        torque_deviation = set_motor(&mut model, &voltage.parameters);
         balances.push(voltage);
     }
-    balances.push(balance(&model, scenario, Balance::Torque, doubt_of_torque));
+    balances.push(balance(&model, scenario, Balance::Torque, torque_deviation));
     balances
 }
 
@@ -76,8 +82,8 @@ fn why_too_few(windows: usize, model: &Model, scenario: &Scenario, equation: Bal
     }
 }
 
-/// `doubt_of_left`: relative standard deviation of a factor of the left-hand side.
-fn balance(model: &Model, scenario: &Scenario, equation: Balance, doubt_of_left: f64) -> Balanced {
+/// `left_deviation`: relative standard deviation of a factor of the left-hand side.
+fn balance(model: &Model, scenario: &Scenario, equation: Balance, left_deviation: f64) -> Balanced {
     let half = half_window(scenario, equation);
     let noise = Noise::of(scenario);
     let system = System::new(model, scenario, equation, half, &noise);
@@ -87,17 +93,17 @@ fn balance(model: &Model, scenario: &Scenario, equation: Balance, doubt_of_left:
     let (thin, thin_half) = (thinned(scenario), (half / 2).max(2));
     let coarse = System::new(model, &thin, equation, thin_half, &noise).solve(begin_s);
     let period_s = statistics::mean_step(&scenario.sample_time_s);
-    let doubts = (solution.as_ref()).map(|it| (it, system.doubts(it, coarse.as_ref(), &noise)));
-    let mut places = 0..;
+    let errors = (solution.as_ref()).map(|it| (it, system.errors(it, coarse.as_ref(), &noise)));
+    let mut columns = 0..;
     let estimate = |unknown: &Unknown| {
-        let place = (unknown.fixed.is_none()).then(|| places.next()).flatten();
-        let Some(((solution, doubts), place)) = doubts.as_ref().zip(place) else {
+        let column = (unknown.fixed.is_none()).then(|| columns.next()).flatten();
+        let Some(((solution, errors), column)) = errors.as_ref().zip(column) else {
             return unknown.unsolved(&why_too_few(system.windows.len(), model, scenario, equation));
         };
-        let value = solution.x[place] + doubts[place].pulled;
-        // Not a number where it is undetermined.
-        let variance = solution.covariance[(place, place)] + (doubt_of_left * value).powi(2);
-        estimate(unknown, value, variance, &doubts[place], period_s)
+        let value = solution.x[column] + errors[column].attenuation;
+        // NaN where it is not determined.
+        let variance = solution.covariance[(column, column)] + (left_deviation * value).powi(2);
+        estimate(unknown, value, variance, &errors[column], period_s)
     };
     let parameters: Vec<ParameterEstimate> = system.unknowns.iter().map(estimate).collect();
     let noise_floor = noise.floor(&system, &parameters, model);
@@ -106,15 +112,15 @@ fn balance(model: &Model, scenario: &Scenario, equation: Balance, doubt_of_left:
     Balanced { equation, parameters, residual, noise_floor }
 }
 
-/// What the covariance does not know of one value.
-struct Doubt {
-    /// Error by coarse sampling.
+/// Errors of one value that the covariance does not contain.
+struct Errors {
+    /// Quadrature error by coarse sampling.
     sampling: f64,
-    /// Pull by noise in the regressors, taken back.
-    pulled: f64,
-    /// What is not known of the pull.
+    /// Bias by noise in the regressors, with the opposite sign: the correction.
+    attenuation: f64,
+    /// Uncertainty of that correction.
     noise: f64,
-    /// Power of the regressor's own part over that of its noise.
+    /// Power of the part of the regressor that the others do not explain over that of its noise.
     signal: f64,
 }
 
@@ -122,28 +128,28 @@ fn estimate(
     unknown: &Unknown,
     value: f64,
     variance: f64,
-    doubt: &Doubt,
+    errors: &Errors,
     period_s: f64,
 ) -> ParameterEstimate {
-    if doubt.signal < LEAST_SIGNAL {
+    if errors.signal < SETTINGS.least_signal {
         let reason = format!(
-            "what only this parameter explains is {:.1} times its noise, at least {LEAST_SIGNAL} is needed: \
+            "the part that only this parameter explains is {:.1} times its noise, at least {} is needed: \
              the run does not excite it",
-            doubt.signal
+            errors.signal, SETTINGS.least_signal
         );
         return ParameterEstimate::not_observable(&unknown.slot.key(), unknown.slot.unit(), reason);
     }
-    let extra = doubt.sampling.powi(2) + doubt.noise.powi(2);
-    let std = (variance + extra).sqrt();
+    let systematic = errors.sampling.powi(2) + errors.noise.powi(2);
+    let std = (variance + systematic).sqrt();
     let mut judged = judge(&unknown.slot, value, Some(std), period_s);
     if let Some(reason) = judged.reason.as_mut()
-        && doubt.sampling.powi(2) > variance
+        && errors.sampling.powi(2) > variance
     {
-        let moved = format!(
-            "; half the samples move it by {:.1} %: sample faster, or use the output-error fit",
-            100.0 * SAMPLING_ORDER * doubt.sampling / value.abs().max(f64::MIN_POSITIVE)
+        let change = format!(
+            "; half of the samples change it by {:.1} %: sample faster, or use the output-error fit",
+            100.0 * SETTINGS.sampling_order * errors.sampling / value.abs().max(f64::MIN_POSITIVE)
         );
-        reason.push_str(&moved);
+        reason.push_str(&change);
     }
     judged
 }
@@ -155,7 +161,7 @@ struct System {
     matrix: DMatrix<f64>,
     right: DVector<f64>,
     windows: Vec<Window>,
-    /// Norms of a window's weights, and of its weights for a rate: what noise makes of a mean.
+    /// Standard deviations of a mean and of a mean rate under white noise of unit variance.
     gain: f64,
     rate_gain: f64,
 }
@@ -173,13 +179,13 @@ impl System {
             why_no_regressor(active, &model.motor, electrical).is_none()
         });
         let (lefts, angle) = (left(model, scenario, equation), angles(scenario));
-        let held = match equation {
+        let voltages = match equation {
             Balance::Voltage => lefts.clone(),
             Balance::Torque => held_means(scenario),
         };
         let at = |sample: usize| Instant {
             time_s: scenario.sample_time_s[sample] - scenario.begin_s(),
-            voltage_v: held[sample],
+            voltage_v: voltages[sample],
             supply_v: scenario.supply_v(),
             current_a: scenario.current_a[sample],
             speed_rad_s: scenario.speed_rad_s[sample],
@@ -202,14 +208,14 @@ impl System {
         let longest_s = half as f64 * statistics::mean_step(&scenario.sample_time_s);
         for begin in (0..scenario.samples().saturating_sub(2 * half)).step_by(half) {
             let end = begin + 2 * half;
-            // Half of the window in one step: it would be made of two ends.
+            // No window with a gap of half of its length.
             let times = &scenario.sample_time_s[begin..=end];
             if times.windows(2).any(|pair| pair[1] - pair[0] > longest_s) {
                 continue;
             }
             let window = Window::new(&scenario.sample_time_s, begin, end);
             let mut speeds = scenario.speed_rad_s[begin..=end].iter();
-            let resting = equation == Balance::Torque
+            let is_at_rest = equation == Balance::Torque
                 && speeds.any(|speed| speed.abs() <= noise.dead_zone_rad_s);
             let cell = |column: &Column| match column {
                 Column::Values(values) => window.mean(values),
@@ -217,7 +223,7 @@ impl System {
             };
             let cells: Vec<f64> = columns.iter().map(cell).collect();
             let mut left = window.mean(&lefts);
-            if resting || !left.is_finite() || cells.iter().any(|cell| !cell.is_finite()) {
+            if is_at_rest || !left.is_finite() || cells.iter().any(|cell| !cell.is_finite()) {
                 continue;
             }
             for (cell, unknown) in cells.iter().zip(&unknowns) {
@@ -245,14 +251,15 @@ impl System {
         least_squares::solve(&self.matrix, &self.right, &blocks)
     }
 
-    fn doubts(
+    fn errors(
         &self,
         solution: &least_squares::Solution,
         coarse: Option<&least_squares::Solution>,
         noise: &Noise,
-    ) -> Vec<Doubt> {
+    ) -> Vec<Errors> {
         let (bread, _) = least_squares::inverse_where_determined(&self.matrix);
-        let own = |place: usize| 1.0 / bread[(place, place)].max(f64::MIN_POSITIVE);
+        // Power of the part of a column that the others do not explain.
+        let partial = |column: usize| 1.0 / bread[(column, column)].max(f64::MIN_POSITIVE);
         let free = self.unknowns.iter().filter(|it| it.fixed.is_none());
         let power: Vec<f64> = free
             .map(|unknown| {
@@ -260,38 +267,41 @@ impl System {
                 self.windows.len() as f64 * spread * spread
             })
             .collect();
-        // Noise in one regressor pulls every value that shares its direction. Where a value is lost in noise, it may be
-        // anything up to what would explain the whole left-hand side.
-        let lost = |other: usize| own(other) < LEAST_SIGNAL * power[other];
-        let pull = |place: usize, other: usize| {
-            let slope = bread[(place, other)];
-            if lost(other) {
+        // Noise in one regressor biases every coefficient that is correlated with it. A coefficient that is lost in noise may have any
+        // value up to that which explains the whole left-hand side.
+        let is_lost = |other: usize| partial(other) < SETTINGS.least_signal * power[other];
+        let bias = |column: usize, other: usize| {
+            let slope = bread[(column, other)];
+            let bias = if is_lost(other) {
                 let most = self.right.norm() / self.matrix.column(other).norm();
-                slope * own(other) * most
+                slope * partial(other) * most
             } else {
                 slope * power[other] * solution.x[other]
-            }
-        };
-        let finite = |pull: f64| if pull.is_finite() { pull } else { 0.0 };
-        let places = || 0..power.len();
-        let doubt = |place: usize| {
-            let moved = coarse.map_or(0.0, |coarse| (coarse.x[place] - solution.x[place]).abs());
-            let pulled = |other: usize| finite(pull(place, other));
-            let open = |other: usize| {
-                let share = if lost(other) { 1.0 } else { noise.uncertainty };
-                share * pulled(other).abs()
             };
-            // The own part is a sum of regressors: the noise of each counts by its share in it.
-            let noisy =
-                |other: usize| finite((bread[(place, other)] * own(place)).powi(2) * power[other]);
-            Doubt {
-                sampling: finite(moved / SAMPLING_ORDER),
-                pulled: places().filter(|other| !lost(*other)).map(pulled).sum(),
-                noise: places().map(open).sum(),
-                signal: own(place) / places().map(noisy).sum::<f64>().max(f64::MIN_POSITIVE),
+            if bias.is_finite() { bias } else { 0.0 }
+        };
+        let finite = |value: f64| if value.is_finite() { value } else { 0.0 };
+        let columns = || 0..power.len();
+        let errors = |column: usize| {
+            let change = coarse.map_or(0.0, |coarse| (coarse.x[column] - solution.x[column]).abs());
+            let uncertainty = |other: usize| {
+                let share = if is_lost(other) { 1.0 } else { noise.uncertainty };
+                share * bias(column, other).abs()
+            };
+            // The partial column is a sum of regressors, and its noise that of each with its coefficient.
+            let noise_power = |other: usize| {
+                finite((bread[(column, other)] * partial(column)).powi(2) * power[other])
+            };
+            let known = columns().filter(|other| !is_lost(*other));
+            Errors {
+                sampling: finite(change / SETTINGS.sampling_order),
+                attenuation: known.map(|other| bias(column, other)).sum(),
+                noise: columns().map(uncertainty).sum(),
+                signal: partial(column)
+                    / columns().map(noise_power).sum::<f64>().max(f64::MIN_POSITIVE),
             }
         };
-        places().map(doubt).collect()
+        columns().map(errors).collect()
     }
 }
 
@@ -322,13 +332,13 @@ fn half_window(scenario: &Scenario, equation: Balance) -> usize {
     // The armature circuit is faster than the shaft.
     let half_s = match equation {
         Balance::Voltage => 0.012,
-        Balance::Torque => TORQUE_HALF_S,
+        Balance::Torque => SETTINGS.torque_half_s,
     };
-    whole((half_s / period_s).round()).max(FEWEST_HALF)
+    whole((half_s / period_s).round()).max(SETTINGS.fewest_half)
 }
 
-/// Mean of the held input over half a period either side of each sample: what a trapezoid rule must be given for a
-/// signal that steps, else the input seems half a sample late.
+/// Mean of the zero-order hold over half a period on either side of each sample: with the values at the samples the trapezoidal
+/// rule would delay a step by half a sample.
 fn held_means(scenario: &Scenario) -> Vec<f64> {
     let samples = 0..scenario.samples();
     samples.map(|sample| held_mean(scenario, sample)).collect()
@@ -358,7 +368,7 @@ fn thinned(scenario: &Scenario) -> Scenario {
 struct Noise {
     current_a: f64,
     speed_rad_s: f64,
-    /// Below it the shaft may stand, where friction is not determined.
+    /// Speed below which the shaft may stick, so that the friction is not determined, rad/s.
     dead_zone_rad_s: f64,
     from_standstill: bool,
     /// Relative standard deviation of the noise power.
@@ -379,13 +389,13 @@ impl Noise {
             speed_rad_s,
             dead_zone_rad_s: (4.0 * speed_rad_s).min(0.1 * largest).max(0.01 * largest),
             from_standstill: floor.is_some(),
-            // Of a variance from n samples; the roughness of a signal also holds some of the signal.
+            // Of a variance from n samples; all of it for a roughness, which also contains some of the signal.
             uncertainty: floor.map_or(1.0, |f| (2.0 / f.samples as f64).sqrt()),
         }
     }
 
-    /// Standard deviation that noise gives the regressor of one parameter in one window; `gain` and `rate_gain` are the
-    /// norms of the window's weights.
+    /// Standard deviation by noise of the regressor of one parameter in one window; `gain` and `rate_gain` are the norms of the
+    /// weights.
     fn spread(&self, slot: &Slot, gain: f64, rate_gain: f64) -> f64 {
         match slot {
             Slot::Motor(MotorKey::Resistance) => self.current_a * gain,
@@ -422,38 +432,37 @@ impl Noise {
     }
 }
 
-/// The torque balance of the scored part of `scenario`, windows with room for any term. `None` where no
-/// window is left: the run has no torque (or no torque constant turns its current into one), or the shaft hardly moves.
+/// Rows of the torque balance over the scored part of `scenario`, for any terms. `None` without a window: the run has no torque
+/// (or no torque constant for its current), or the shaft hardly moves.
 ///
-/// Definition: windows of 60 ms that overlap by half, test function `(1 - s^2)^4`, quadrature by the trapezoid rule on the
-/// true stamps; windows that touch a speed within the dead zone are left out. A given torque is held from one stamp to the
-/// next, as the simulation holds it: each sample counts with its mean over half a period either side, else the trapezoid
-/// rule takes it half a sample late. On the EMPS axis, at 1 kHz, that half millisecond is the difference
+/// Windows of 60 ms that overlap by half, test function `(1 - s^2)^4`, trapezoidal rule on the true stamps; windows with a speed
+/// within the dead zone are left out. A given torque is a zero-order hold, as in the simulation: each sample has its mean over
+/// half a period on either side, else it would be delayed by half a sample. On the EMPS axis, at 1 kHz, that is the difference
 /// between a relative error of 3.40 % (2.04 % with friction that differs by direction) and one of 3.17 % (1.63 %).
 pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
     let noise = Noise::of(scenario);
     let (at, left) = samples(model, scenario);
     let times: Vec<f64> = at.iter().map(|at| at.time_s + scenario.begin_s()).collect();
-    if times.len() < 2 * FEWEST_HALF {
+    if times.len() < 2 * SETTINGS.fewest_half {
         return None;
     }
     let period_s = statistics::median_step(&times);
-    let half = whole((TORQUE_HALF_S / period_s).round()).max(FEWEST_HALF);
+    let half = whole((SETTINGS.torque_half_s / period_s).round()).max(SETTINGS.fewest_half);
     let nominal_s = 2.0 * half as f64 * period_s;
     let (scored_from_s, scored_to_s) = scored_s(scenario)?;
-    // Windows are laid on the samples that have a speed; the quadrature runs in true time.
+    // Windows over the samples that have a speed.
     let speeds: Vec<f64> = at.iter().map(|at| at.speed_rad_s).collect();
-    // At a reversal friction runs through presliding first.
+    // Presliding friction at a reversal is not Coulomb friction.
     let dead_zone_rad_s = (noise.dead_zone_rad_s).max(0.015 * largest_but_outliers(&speeds));
     let (mut windows, mut inertia, mut lefts) = (Vec::new(), Vec::new(), Vec::new());
     let (mut gain, mut rate_gain) = (0.0, 0.0);
     for begin in (0..times.len().saturating_sub(2 * half)).step_by(half) {
         let end = begin + 2 * half;
-        let resting = (speeds[begin..=end].iter()).any(|speed| speed.abs() <= dead_zone_rad_s);
-        // A longer one spans a hole in the data.
-        let whole_window = times[end] - times[begin] <= 2.0 * nominal_s;
+        let is_at_rest = (speeds[begin..=end].iter()).any(|speed| speed.abs() <= dead_zone_rad_s);
+        // A longer one contains a hole in the data.
+        let is_complete = times[end] - times[begin] <= 2.0 * nominal_s;
         let scored = times[begin] >= scored_from_s && times[end] <= scored_to_s;
-        if resting || !whole_window || !scored {
+        if is_at_rest || !is_complete || !scored {
             continue;
         }
         let window = Window::new(&times, begin, end);
@@ -476,8 +485,8 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
     Some(TorqueRows {
         method: Method::WeakForm,
         sentence: format!(
-            "weak form: windows of {:.0} ms with the test function (1 - s^2)^4, nothing differentiated; windows that \
-             touch speeds below {dead_zone_rad_s:.3} rad/s left out",
+            "weak form: windows of {:.0} ms with the test function (1 - s^2)^4, without differentiation; windows with \
+             speeds below {dead_zone_rad_s:.3} rad/s left out",
             1e3 * nominal_s,
         ),
         begin_s: scenario.begin_s(),
@@ -492,7 +501,7 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
     })
 }
 
-/// Where the machine was at every sample that has a speed, and the motor's torque there.
+/// Instants of the samples that have a speed, and the motor's torque there.
 fn samples(model: &Model, scenario: &Scenario) -> (Vec<Instant>, Vec<f64>) {
     let angles = scenario.shaft_angle();
     let angle_at = |time_s: f64| match (angles.first(), angles.last()) {
@@ -513,9 +522,10 @@ fn samples(model: &Model, scenario: &Scenario) -> (Vec<Instant>, Vec<f64>) {
             continue;
         }
         let (current_a, torque_n_m, torque_n_m_per_a) = if scenario.input == Input::Torque {
-            // Where the torque has a hole it is not known what was held.
-            let beside = signal::line_across(&scenario.events, time_s, longest_gap_s);
-            let torque = if beside.is_finite() { held_mean(scenario, sample) } else { f64::NAN };
+            // In a hole of the torque its value is not known.
+            let interpolated = signal::line_across(&scenario.events, time_s, longest_gap_s);
+            let is_known = interpolated.is_finite();
+            let torque = if is_known { held_mean(scenario, sample) } else { f64::NAN };
             (torque, torque, 1.0)
         } else {
             let current = scenario.current_a[sample];
@@ -526,7 +536,7 @@ fn samples(model: &Model, scenario: &Scenario) -> (Vec<Instant>, Vec<f64>) {
             voltage_v: f64::NAN,
             current_a,
             speed_rad_s,
-            // Where the angle is not known at the very ends, its nearest value.
+            // Beyond the ends of the angle its nearest value.
             angle: ShaftAngle::at(angle_at(time_s)),
             torque_n_m_per_a,
             ..constants

@@ -1,26 +1,23 @@
-//! Integrals of the signals over short windows: both balances in their integral form, good enough to start from or to find
-//! which column is which.
+//! Integrals of the signals over short windows, for both balances in integral form: for starting values and for the check of
+//! columns.
 //!
 //! `int u = R int i + L (i_b - i_a) + Ke int w` and `Kt int i = J (w_b - w_a) + Mc int sgn w`, current and speed by the
-//! trapezoid. Coarse sampling biases what follows by some per cent.
+//! trapezoidal rule. Coarse sampling biases the estimates by some per cent.
 
 use std::ops::Range;
 
 use drivebench_model::numerics::statistics::median_step;
 
-/// Length of a window, s, and samples it has at least.
-const WINDOW_S: f64 = 0.03;
-const FEWEST_SAMPLES: usize = 3;
-
-/// First and last row of each window.
+/// First and last row of each window of 30 ms, or of three samples at least.
 pub(super) fn windows(times: &[f64]) -> Vec<Range<usize>> {
+    let (window_s, fewest) = (0.03, 3);
     let mut windows = Vec::new();
-    // Nothing is integrated over a pause, where the signals are not known and whose one window would outweigh all others.
-    let longest_s = WINDOW_S.max(3.0 * median_step(times));
+    // No window contains a pause, in which the signals are not known: its integral would dominate all others.
+    let longest_s = f64::max(window_s, 3.0 * median_step(times));
     let mut begin = 0;
-    while begin + FEWEST_SAMPLES <= times.len() {
-        let mut end = begin + FEWEST_SAMPLES - 1;
-        while end + 1 < times.len() && times[end] - times[begin] < WINDOW_S {
+    while begin + fewest <= times.len() {
+        let mut end = begin + fewest - 1;
+        while end + 1 < times.len() && times[end] - times[begin] < window_s {
             end += 1;
         }
         let pause = (begin..end).rfind(|row| times[row + 1] - times[*row] > longest_s);
@@ -54,7 +51,7 @@ pub(super) struct Sums {
 }
 
 impl Sums {
-    /// `voltage`: integral of the voltage, which may be known exactly; `zone` of the speed without a direction.
+    /// `voltage`: integral of the voltage; `zone`: speed below which there is no direction, rad/s.
     pub(super) fn over(
         window: &Range<usize>,
         times: &[f64],
@@ -64,8 +61,8 @@ impl Sums {
     ) -> Self {
         let (begin, end) = (window.start, window.end);
         let speeds = &speed[begin..=end];
-        let ahead = speeds.iter().all(|w| *w > zone);
-        let astern = speeds.iter().all(|w| *w < -zone);
+        let forward = speeds.iter().all(|w| *w > zone);
+        let backward = speeds.iter().all(|w| *w < -zone);
         Self {
             length_s: times[end] - times[begin],
             voltage,
@@ -73,7 +70,7 @@ impl Sums {
             current_step: current[end] - current[begin],
             angle: trapezoid(times, speed, window),
             speed_step: speed[end] - speed[begin],
-            direction: f64::from(i8::from(ahead) - i8::from(astern)),
+            direction: f64::from(i8::from(forward) - i8::from(backward)),
         }
     }
 }

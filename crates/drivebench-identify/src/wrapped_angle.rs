@@ -1,24 +1,26 @@
-//! Unwrapping of an angle that starts again after a turn, or at the end of a counter.
+//! Phase unwrapping of an angle that jumps back after a turn, or at the end of a counter.
 //!
-//! The range follows from the jumps: a jump and the step that the shaft made meanwhile (from the speed before and after) add
-//! up to it. It counts as a range only if every jump gives the same one and all values lie within it.
+//! The range of the counter is the jump plus the motion between the two samples (from the speed before and after), if every jump
+//! gives the same range and all values are within it.
 
 use std::f64::consts::TAU;
 
 use drivebench_model::numerics::statistics::{extent, largest, mean, median};
 use drivebench_model::sample::{Channel, Run, RunError};
 
-/// Share of the span that a step between two samples has to exceed to be a jump.
-const JUMP: f64 = 0.5;
+/// Whether the step between two samples exceeds half of the span: a jump of the counter.
+fn is_jump(step: f64, span: f64) -> bool {
+    step.abs() > 0.5 * span
+}
 
-/// The run with a continuous angle and a note on it; unchanged where nothing wraps.
+/// The run with an unwrapped angle and a note on it; unchanged without jumps.
 pub(super) fn complete(run: &Run) -> Result<Run, RunError> {
     let points: Vec<(f64, f64)> = run.points(Channel::Angle).collect();
     let mut completed = run.clone();
     let Some(sawtooth) = Sawtooth::find(&points) else {
         if looks_wrapped(&points) {
             completed.notes.push(
-                "angle_rad jumps within one turn, but moves too far between samples to be made continuous: \
+                "angle_rad jumps within one turn, but moves too far between samples to be unwrapped: \
                  record faster, or map a speed"
                     .to_owned(),
             );
@@ -49,33 +51,32 @@ impl Sawtooth {
         let span = span(points);
         let pairs = points.windows(2);
         let steps: Vec<(f64, f64)> = pairs.map(|w| (w[1].0 - w[0].0, w[1].1 - w[0].1)).collect();
-        let is_jump = |step: &&(f64, f64)| step.1.abs() > JUMP * span;
+        let is_jump = |step: &&(f64, f64)| is_jump(step.1, span);
         let sizes = steps.iter().map(|step| step.1.abs()).filter(|step| *step > 1e-9 * span);
         let finest = sizes.fold(f64::INFINITY, f64::min);
-        // A flickering last digit is no sawtooth.
+        // Noise of the last digit is not a sawtooth.
         if span <= 16.0 * finest {
             return None;
         }
         let mut ranges = Vec::new();
         for (k, step) in steps.iter().enumerate().filter(|(_, step)| is_jump(step)) {
-            let beside = [k.checked_sub(1), Some(k + 1)]
+            let neighbours = [k.checked_sub(1), Some(k + 1)]
                 .into_iter()
                 .filter_map(|k| steps.get(k?))
                 .filter(|step| !is_jump(step));
-            let speeds: Vec<f64> = beside.map(|step| step.1 / step.0).collect();
+            let speeds: Vec<f64> = neighbours.map(|step| step.1 / step.0).collect();
             if speeds.is_empty() {
                 return None;
             }
-            // Against the direction of the jump the shaft went on meanwhile.
+            // The motion between the samples is opposite to the jump.
             ranges.push(step.1.abs() - step.1.signum() * mean(&speeds) * step.0);
         }
         let range = median(&ranges);
         let smooth = steps.iter().filter(|step| !is_jump(step));
         let longest = largest(smooth.map(|step| step.1));
-        let mut all = ranges.iter();
-        let agree = all.all(|found| (found - range).abs() < 0.1 * range);
-        let holds_all = range > 0.98 * span && range < span + 1.5 * longest;
-        (agree && holds_all).then(|| Self {
+        let agree = ranges.iter().all(|found| (found - range).abs() < 0.1 * range);
+        let is_full = range > 0.98 * span && range < span + 1.5 * longest;
+        (agree && is_full).then(|| Self {
             range: if is_near(range, TAU) {
                 TAU
             } else {
@@ -95,9 +96,7 @@ impl Sawtooth {
         } else {
             "not one turn: a counter's range, if the scale to radians is right"
         };
-        format!(
-            "angle_rad started again {jumps} times after {range:.6} rad ({hint}): made continuous"
-        )
+        format!("angle_rad jumped back {jumps} times after {range:.6} rad ({hint}): unwrapped")
     }
 }
 
@@ -114,7 +113,7 @@ fn span(points: &[(f64, f64)]) -> f64 {
 /// All values within one turn, most of it used, and steps of more than half of it.
 fn looks_wrapped(points: &[(f64, f64)]) -> bool {
     let span = span(points);
-    let jumps = points.windows(2).filter(|w| (w[1].1 - w[0].1).abs() > JUMP * TAU);
+    let jumps = points.windows(2).filter(|w| is_jump(w[1].1 - w[0].1, TAU));
     span > 0.85 * TAU && span < 1.01 * TAU && jumps.count() > 1
 }
 
@@ -153,7 +152,7 @@ mod tests {
             let offset = first - motion(0.0);
             assert!(largest_error(&completed, offset) < 3e-3, "{range} {from}");
             assert_eq!(completed.origin(Channel::Angle), Origin::Measured);
-            assert!(completed.notes[0].contains("made continuous"));
+            assert!(completed.notes[0].contains("unwrapped"));
             assert_eq!(completed.notes[0].contains("one turn)"), range < 7.0);
         }
     }

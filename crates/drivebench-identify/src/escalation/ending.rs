@@ -54,7 +54,7 @@ pub enum Ending {
     },
     /// The current shows that the shaft turns, the speed does not.
     #[error(
-        "the speed signal is dead: voltage over current rose from {ohm_at_rest:.3} to {ohm_now:.3} ohm, which a turning shaft does, but the speed stays below {below_rad_s:.2} rad/s"
+        "the speed signal is dead: voltage over current rose from {ohm_at_rest:.3} to {ohm_now:.3} ohm, the back-EMF of a turning shaft, but the speed stays below {below_rad_s:.2} rad/s"
     )]
     SpeedSignalDead { ohm_at_rest: f64, ohm_now: f64, below_rad_s: f64 },
     /// The voltage limit was reached before the rated current.
@@ -123,7 +123,7 @@ pub(super) fn wrong_sign(stage: &Observation) -> Option<Ending> {
     {
         return Some(Ending::CurrentSign { voltage_v: stage.peak_v, current_a });
     }
-    // Twice what counts as motion, and while the voltage was there: a shaft that runs on is none.
+    // Twice the threshold of motion, and under a voltage, not while coasting.
     let is_driven = stage.voltage_of_motion_v.abs() > 0.2 * stage.peak_v.abs();
     let is_clear = stage.mean_speed_rad_s.abs() > 2.0 * stage.motion_rad_s;
     if is_clear && is_driven && against(stage.mean_speed_rad_s, stage.voltage_of_motion_v) {
@@ -149,7 +149,7 @@ pub(super) fn no_current(stage: &Observation, share_a: f64) -> Ending {
     }
 }
 
-/// The current rose without a motion; `None` where it shows a back-EMF whose speed the sensor can have missed.
+/// A current without a motion; `None` where a back-EMF is that of a speed below the noise of the sensor.
 pub(super) fn no_motion(
     stage: &Observation,
     before: Option<RestWinding>,

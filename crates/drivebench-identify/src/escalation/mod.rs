@@ -15,10 +15,10 @@
 //!                                          Found: the motor; nameplate::compare sets it beside the nameplate
 //! ```
 //!
-//! Pure arithmetic: a stage goes out, the recorded run comes in. Only the rated values and the limits are taken as
-//! certain. Two things keep every stage below the limit of the current without knowing the motor: a ramp that is slow
-//! against the sampling is ended as soon as the current or the speed shows (each period adds a few per cent), and a step
-//! is no larger than what the lowest resistance that the data still allow turns into the wanted current.
+//! A pure state machine: its output is a stage, its input the record of that stage. Only the rated values and the limits are
+//! taken as certain. Two rules keep every stage below the current limit: a ramp, which is slow against the sampling, ends as
+//! soon as current or speed exceed the noise (each period adds a few per cent), and a step is at most the wanted current times
+//! the lower bound of the resistance.
 
 mod ending;
 mod observation;
@@ -35,30 +35,48 @@ use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Run};
 use observation::Turned;
 use stage::BothWays;
 
-/// Current of a feeling ramp, in rated currents.
-const FEEL_CURRENT: f64 = 0.3;
-/// Largest voltage of a feeling ramp, in rated voltages: a motor of which the stall current at rated voltage is not
-/// even the rated current would still show a quarter of it.
-const SAFE_VOLTAGE: f64 = 0.25;
-/// Growth of the voltage from ramp to ramp.
-const GROWTH: f64 = 3.0;
-/// Current below this share of the rated one counts as none, if it is also within the noise.
-const NO_CURRENT: f64 = 0.01;
-/// Share of the current limit that no step is meant to exceed, and the share of the speed limit.
-const CURRENT_SHARE: f64 = 0.8;
-const SPEED_SHARE: f64 = 0.5;
-/// Share of the speed limit to which a sweep goes.
-const SWEEP_SHARE: f64 = 0.35;
-/// Current at which break-away is given up, in rated currents.
-const BREAK_AWAY: f64 = 1.1;
-/// Rounds of turning.
-const ROUNDS: usize = 8;
-/// Relative standard deviation with which the motor can still be used when the rounds are over.
-const USABLE: f64 = 0.15;
-/// Relative standard deviation below which a resistance may bound a step.
-const KNOWN: f64 = 0.3;
-/// Stages of any kind: a guard against going round in circles.
-const MOST_STAGES: usize = 24;
+struct Settings {
+    /// Current of a ramp of the first kind, in rated currents.
+    feel_current: f64,
+    /// Largest voltage of such a ramp, in rated voltages: even a motor with a stall current at rated voltage of no more than the
+    /// rated current then draws a quarter of it.
+    safe_voltage: f64,
+    /// Growth of the voltage from ramp to ramp.
+    growth: f64,
+    /// Current that counts as zero, in rated currents, if it is also within the noise.
+    no_current: f64,
+    /// Largest current of a step, as a share of the current limit.
+    current_share: f64,
+    /// Largest speed of a step, as a share of the speed limit.
+    speed_share: f64,
+    /// Speed of a sweep, as a share of the speed limit.
+    sweep_share: f64,
+    /// Largest current of the break-away ramp, in rated currents.
+    break_away: f64,
+    /// Rounds of turning.
+    rounds: usize,
+    /// Largest relative standard deviation of a usable motor after the last round.
+    usable: f64,
+    /// Largest relative standard deviation of a resistance that bounds a step.
+    known: f64,
+    /// Stages of any kind, so that every escalation ends.
+    most_stages: usize,
+}
+
+const SETTINGS: Settings = Settings {
+    feel_current: 0.3,
+    safe_voltage: 0.25,
+    growth: 3.0,
+    no_current: 0.01,
+    current_share: 0.8,
+    speed_share: 0.5,
+    sweep_share: 0.35,
+    break_away: 1.1,
+    rounds: 8,
+    usable: 0.15,
+    known: 0.3,
+    most_stages: 24,
+};
 
 /// Rated values and limits, the only certain figures of the motor.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -75,7 +93,7 @@ pub struct Bounds {
 impl Bounds {
     /// Largest voltage before a current shows, V.
     fn safe_v(&self) -> f64 {
-        (SAFE_VOLTAGE * self.rated_voltage_v).min(self.voltage_limit_v)
+        (SETTINGS.safe_voltage * self.rated_voltage_v).min(self.voltage_limit_v)
     }
 }
 
@@ -111,7 +129,7 @@ pub struct Escalation {
     next: Next,
     history: Vec<StageResult>,
     rest: Option<RestWinding>,
-    /// Current at which the shaft last left its rest, A.
+    /// Break-away current of the last stage, A.
     break_away_a: Option<f64>,
     turned: Option<Turned>,
     /// The round with the best estimates, and whether it was a sweep.
@@ -135,8 +153,8 @@ enum Next {
 impl Escalation {
     pub fn new(bounds: Bounds) -> Self {
         let first_v = (0.003 * bounds.rated_voltage_v).min(bounds.voltage_limit_v);
-        let nothing = "nothing is known yet".to_owned();
-        let first = stage::look(&bounds, StageKind::Feel, first_v, nothing);
+        let reason = "no parameter is known yet".to_owned();
+        let first = stage::look(&bounds, StageKind::Feel, first_v, reason);
         Self {
             bounds,
             next: Next::Run(first),
@@ -155,18 +173,19 @@ impl Escalation {
 
     /// The stages that may follow the first, in sentences: the result of each limits the size of the next.
     pub fn outlook() -> Vec<String> {
+        let Settings { growth, safe_voltage, break_away, current_share, speed_share, .. } =
+            SETTINGS;
+        let Settings { rounds, sweep_share, most_stages, .. } = SETTINGS;
         vec![
             format!(
-                "feel: as long as neither current nor motion shows, the same {GROWTH} times larger, up to {SAFE_VOLTAGE} of the rated voltage"
+                "feel: without a current or a motion, the same {growth} times larger, up to {safe_voltage} of the rated voltage"
+            ),
+            format!("break away: slowly up to {break_away} rated currents, until the shaft turns"),
+            format!(
+                "turn: steps both ways, by the lower bound of the resistance, to at most {current_share} of the current limit and {speed_share} of the speed limit; {rounds} rounds at most"
             ),
             format!(
-                "break away: slowly up to {BREAK_AWAY} rated currents, until the shaft leaves its rest"
-            ),
-            format!(
-                "turn: steps both ways, through the least resistance that the data allow, to at most {CURRENT_SHARE} of the current limit and {SPEED_SHARE} of the speed limit; {ROUNDS} rounds at most"
-            ),
-            format!(
-                "sweep: to {SWEEP_SHARE} of the speed limit, as fast as the current allows; then the sequence is fitted to the motor that was found. {MOST_STAGES} stages at most"
+                "sweep: to {sweep_share} of the speed limit, as fast as the current allows; then the sequence is fitted to the motor that was found. {most_stages} stages at most"
             ),
         ]
     }
@@ -199,87 +218,93 @@ impl Escalation {
         };
         let stage = stage.clone();
         let scenario = scenario_of(run)?;
-        let seen = Observation::of(&scenario, run, &self.bounds);
-        (self.last_v, self.last_a) = (seen.peak_v.abs(), seen.peak_current_a.abs());
-        self.last_moved = seen.moves();
-        let (next, line) = self.judge(&stage, &scenario, &seen);
+        let observation = Observation::of(&scenario, run, &self.bounds);
+        (self.last_v, self.last_a) = (observation.peak_v.abs(), observation.peak_current_a.abs());
+        self.last_moved = observation.moves();
+        let (next, line) = self.judge(&stage, &scenario, &observation);
         self.history.push(StageResult {
             kind: stage.kind,
-            peak_v: seen.peak_v,
-            peak_current_a: seen.peak_current_a,
-            peak_speed_rad_s: seen.peak_speed_rad_s,
+            peak_v: observation.peak_v,
+            peak_current_a: observation.peak_current_a,
+            peak_speed_rad_s: observation.peak_speed_rad_s,
             line,
         });
-        self.next = if self.history.len() >= MOST_STAGES && matches!(next, Next::Run(_)) {
-            not_identified(format!("{MOST_STAGES} stages were run"))
+        self.next = if self.history.len() >= SETTINGS.most_stages && matches!(next, Next::Run(_)) {
+            not_identified(format!("{} stages were run", SETTINGS.most_stages))
         } else {
             next
         };
         Ok(())
     }
 
-    fn judge(&mut self, stage: &Stage, scenario: &Scenario, seen: &Observation) -> (Next, String) {
-        if let Some(ending) = ending::wrong_sign(seen) {
+    fn judge(
+        &mut self,
+        stage: &Stage,
+        scenario: &Scenario,
+        observation: &Observation,
+    ) -> (Next, String) {
+        if let Some(ending) = ending::wrong_sign(observation) {
             return ended(ending);
         }
         match stage.kind {
-            StageKind::Feel => self.felt(scenario, seen),
-            StageKind::BreakAway => self.broke_away(scenario, seen),
-            StageKind::Turn | StageKind::Sweep => self.turned(stage.kind, scenario, seen),
+            StageKind::Feel => self.felt(scenario, observation),
+            StageKind::BreakAway => self.broke_away(scenario, observation),
+            StageKind::Turn | StageKind::Sweep => self.turned(stage.kind, scenario, observation),
         }
     }
 
     /// Current, motion, or a larger ramp.
-    fn felt(&mut self, scenario: &Scenario, seen: &Observation) -> (Next, String) {
-        self.learn_rest(scenario, seen);
+    fn felt(&mut self, scenario: &Scenario, observation: &Observation) -> (Next, String) {
+        self.update_rest(scenario, observation);
         let bounds = &self.bounds;
-        if seen.moves() {
-            return (self.turn(), format!("it turns already, {}", seen.text()));
+        if observation.moves() {
+            return (self.turn(), format!("it turns already, {}", observation.text()));
         }
         let rated_a = bounds.rated_current_a;
-        let shows = seen.peak_current_a.abs() >= 0.8 * FEEL_CURRENT * rated_a;
+        let shows = observation.peak_current_a.abs() >= 0.8 * SETTINGS.feel_current * rated_a;
         let safe_v = bounds.safe_v();
-        let line = format!("at rest, {}", seen.text());
+        let line = format!("at rest, {}", observation.text());
         // Beyond the safe voltage only on a current that is not the largest of some hundred samples of noise.
-        let flows = seen.peak_current_a.abs() > (NO_CURRENT * rated_a).max(6.0 * seen.noise_a);
+        let flows = observation.peak_current_a.abs()
+            > (SETTINGS.no_current * rated_a).max(6.0 * observation.noise_a);
         if shows && flows || (self.last_v >= safe_v * 0.999 && self.rest.is_some() && flows) {
             return (self.break_away(), line);
         }
         if self.last_v >= safe_v * 0.999 {
-            return ended(ending::no_current(seen, NO_CURRENT * rated_a));
+            return ended(ending::no_current(observation, SETTINGS.no_current * rated_a));
         }
         // A resistance that is known spares ramps in between; one that is not allows no more than the usual growth.
-        let (least_v, most_v) = (1.2 * self.last_v, GROWTH * self.last_v);
-        let known = self.rest.filter(|rest| rest.relative() < KNOWN);
+        let (least_v, most_v) = (1.2 * self.last_v, SETTINGS.growth * self.last_v);
+        let known = self.rest.filter(|rest| rest.relative() < SETTINGS.known);
         let mut wanted_v = known.map_or(most_v, |rest| {
-            (1.05 * FEEL_CURRENT * rated_a * rest.lowest_ohm()).clamp(least_v, most_v)
+            (1.05 * SETTINGS.feel_current * rated_a * rest.lowest_ohm()).clamp(least_v, most_v)
         });
         // No further ramp for the last few per cent.
         if wanted_v > 0.9 * safe_v {
             wanted_v = safe_v;
         }
-        let look = stage::look(bounds, StageKind::Feel, wanted_v, self.leaves_room());
+        let look = stage::look(bounds, StageKind::Feel, wanted_v, self.allows_more());
         (Next::Run(look), line)
     }
 
-    fn broke_away(&mut self, scenario: &Scenario, seen: &Observation) -> (Next, String) {
+    fn broke_away(&mut self, scenario: &Scenario, observation: &Observation) -> (Next, String) {
         let before = self.rest;
-        self.learn_rest(scenario, seen);
-        if seen.moves() {
-            return (self.turn(), format!("it breaks away, {}", seen.text()));
+        self.update_rest(scenario, observation);
+        if observation.moves() {
+            return (self.turn(), format!("it breaks away, {}", observation.text()));
         }
         let bounds = &self.bounds;
         let reached_a = 0.85 * bounds.rated_current_a;
-        if let Some(ending) = ending::no_motion(seen, before, reached_a, bounds) {
+        if let Some(ending) = ending::no_motion(observation, before, reached_a, bounds) {
             return ended(ending);
         }
-        let line = format!("it may turn too slowly to be seen, {}", seen.text());
-        let wanted_v = (GROWTH * self.last_v).min(bounds.safe_v());
+        let line = format!("the speed may be below its noise, {}", observation.text());
+        let wanted_v = (SETTINGS.growth * self.last_v).min(bounds.safe_v());
         if wanted_v < 1.2 * self.last_v {
-            let reason = format!("no speed that can be seen at {:.1} V", self.last_v);
+            let reason = format!("no speed above its noise at {:.1} V", self.last_v);
             return (not_identified(reason), line);
         }
-        let reason = "a back-EMF shows, a speed not yet".to_owned();
+        let reason = "a back-EMF is detected, a speed not yet".to_owned();
         let stage = stage::look(bounds, StageKind::BreakAway, wanted_v, reason);
         (Next::Run(stage), line)
     }
@@ -288,18 +313,18 @@ impl Escalation {
         &mut self,
         kind: StageKind,
         scenario: &Scenario,
-        seen: &Observation,
+        observation: &Observation,
     ) -> (Next, String) {
         self.rounds += 1;
         let found = observation::turned(scenario, self.rest);
         let line = match &found {
             Ok(found) => found.text(),
-            Err(reason) => format!("{}: {reason}", seen.text()),
+            Err(reason) => format!("{}: {reason}", observation.text()),
         };
         let failure = found.as_ref().err().cloned();
         let is_sweep = kind == StageKind::Sweep;
         if let Ok(found) = found {
-            // A sweep covers more of the motor's range than any step: it counts before a sharper number from a corner of it.
+            // A sweep covers more of the motor's range than any step and is preferred to a more accurate estimate of a step.
             let is_better = self.best.as_ref().is_none_or(|(of_sweep, best)| {
                 let is_sharper = found.worst() < best.worst();
                 is_sweep && !of_sweep || is_sharper && is_sweep == *of_sweep
@@ -311,28 +336,28 @@ impl Escalation {
         }
         let within = |most| self.turned.as_ref().is_some_and(|it| it.worst() <= most);
         let best = self.best.as_ref();
-        let best_is_usable = best.is_some_and(|(_, best)| best.worst() <= USABLE);
-        if (within(0.015) && is_sweep) || (best_is_usable && self.rounds >= ROUNDS) {
+        let best_is_usable = best.is_some_and(|(_, best)| best.worst() <= SETTINGS.usable);
+        if (within(0.015) && is_sweep) || (best_is_usable && self.rounds >= SETTINGS.rounds) {
             return (self.found(), line);
         }
-        if self.rounds >= ROUNDS {
+        if self.rounds >= SETTINGS.rounds {
             let worst = || self.turned.as_ref().map(Turned::worst_text);
             let reason = failure.or_else(worst).unwrap_or_else(|| NOTHING.to_owned());
             return (not_identified(reason), line);
         }
-        let sweep = within(USABLE).then(|| self.sweep()).flatten();
+        let sweep = within(SETTINGS.usable).then(|| self.sweep()).flatten();
         (sweep.unwrap_or_else(|| self.turn()), line)
     }
 
-    fn learn_rest(&mut self, scenario: &Scenario, seen: &Observation) {
-        let found = observation::at_rest(scenario, seen);
+    fn update_rest(&mut self, scenario: &Scenario, observation: &Observation) {
+        let found = observation::at_rest(scenario, observation);
         self.rest = match (self.rest, found) {
             (Some(old), Some(new)) if old.relative() < new.relative() => Some(old),
             (old, new) => new.or(old),
         };
-        if seen.moves() {
-            self.break_away_a = Some(seen.break_away_current_a);
-            self.first_back_emf = Some(seen.back_emf(self.rest));
+        if observation.moves() {
+            self.break_away_a = Some(observation.break_away_current_a);
+            self.first_back_emf = Some(observation.back_emf(self.rest));
         }
     }
 
@@ -340,10 +365,10 @@ impl Escalation {
         let bounds = &self.bounds;
         let Some(rest) = self.rest else {
             return not_identified(
-                "current flows, but not in proportion to the voltage: its resistance cannot be told",
+                "current flows, but not in proportion to the voltage: the resistance is not observable",
             );
         };
-        Next::Run(stage::break_away(bounds, &rest, BREAK_AWAY))
+        Next::Run(stage::break_away(bounds, &rest, SETTINGS.break_away))
     }
 
     /// The next steps in both directions: the current that is wanted, through the lowest resistance that is possible.
@@ -351,7 +376,7 @@ impl Escalation {
         let bounds = &self.bounds;
         let rated_a = bounds.rated_current_a;
         let lowest_ohm = self.lowest_resistance_ohm();
-        let most_a = CURRENT_SHARE * bounds.current_limit_a;
+        let most_a = SETTINGS.current_share * bounds.current_limit_a;
         let turned = self.turned.as_ref();
         let friction_a = turned.and_then(Turned::friction_a);
         let friction_a = friction_a.or(self.break_away_a).unwrap_or(0.0);
@@ -359,13 +384,13 @@ impl Escalation {
         let wanted_a = (share * rated_a).max(friction_a + 0.5 * rated_a).min(most_a);
         let mut volts = wanted_a * lowest_ohm;
         let mut reason = format!("{wanted_a:.2} A through at least {lowest_ohm:.3} ohm");
-        if self.rounds > 0 && !self.knows_resistance() && self.last_a < 0.3 * rated_a {
-            // After a step that drew next to nothing three times as much is bearable.
-            volts = volts.max(GROWTH * self.last_v);
-            reason = self.leaves_room();
+        if self.rounds > 0 && !self.has_resistance() && self.last_a < 0.3 * rated_a {
+            // After a step with a small current three times the voltage is allowed.
+            volts = volts.max(SETTINGS.growth * self.last_v);
+            reason = self.allows_more();
         }
         // No faster than a share of the limit, by what the back-EMF is at least.
-        let speed_rad_s = SPEED_SHARE * bounds.speed_limit_rad_s;
+        let speed_rad_s = SETTINGS.speed_share * bounds.speed_limit_rad_s;
         let fastest_v = turned
             .and_then(|turned| turned.voltage_at(speed_rad_s))
             .or_else(|| {
@@ -374,7 +399,7 @@ impl Escalation {
                 Some(back_emf_v + friction_a * lowest_ohm)
             })
             .unwrap_or(0.1 * bounds.rated_voltage_v)
-            // The voltage of the stage before is bearable; a step that did not turn the shaft may be exceeded.
+            // The voltage of the stage before is allowed; more after a step that did not turn the shaft.
             .max(if self.last_moved { 0.5 } else { 1.5 } * self.last_v)
             .min(bounds.voltage_limit_v);
         if volts > fastest_v {
@@ -382,10 +407,10 @@ impl Escalation {
             reason = format!("at most {speed_rad_s:.1} rad/s");
         }
         // A step is never more than four times the one before.
-        let grown_v = 4.0 * self.last_v;
-        if volts > grown_v {
-            volts = grown_v;
-            reason = format!("four times the {:.3} V of before", self.last_v);
+        let most_v = 4.0 * self.last_v;
+        if volts > most_v {
+            volts = most_v;
+            reason = format!("four times the {:.3} V of the stage before", self.last_v);
         }
         let constant_s = turned.and_then(Turned::mechanical_s);
         let steps = BothWays {
@@ -410,12 +435,12 @@ impl Escalation {
         let lowest_ohm = self.lowest_resistance_ohm();
         let friction_a = turned.friction_a().unwrap_or(0.0);
         let rated_a = bounds.rated_current_a;
-        let most_a = CURRENT_SHARE * bounds.current_limit_a;
+        let most_a = SETTINGS.current_share * bounds.current_limit_a;
         let accelerating_a = rated_a.min(most_a - friction_a).max(0.2 * rated_a);
         // Half as slow again as the estimate: an inertia that hardly shows may be larger.
         let mechanical_s = 1.5 * turned.mechanical_s()?.max(bounds.period_s);
         let slew_v_per_s = accelerating_a * lowest_ohm / mechanical_s;
-        let speed_rad_s = SWEEP_SHARE * bounds.speed_limit_rad_s;
+        let speed_rad_s = SETTINGS.sweep_share * bounds.speed_limit_rad_s;
         // The slope may take longer where the friction needs more voltage than it reaches.
         let slope_v = (1.5 * slew_v_per_s).max(1.5 * friction_a * lowest_ohm);
         let peak_v = turned
@@ -441,7 +466,7 @@ impl Escalation {
     fn lowest_resistance_ohm(&self) -> f64 {
         let bounds = &self.bounds;
         let least = 0.005 * bounds.rated_voltage_v / bounds.rated_current_a;
-        let at_rest = self.rest.filter(|rest| rest.relative() < KNOWN);
+        let at_rest = self.rest.filter(|rest| rest.relative() < SETTINGS.known);
         let turned = self.turned.as_ref().and_then(Turned::resistance);
         let lowest = match (turned, at_rest) {
             // The sharper one, but not above what the other allows.
@@ -454,13 +479,13 @@ impl Escalation {
         lowest.max(least)
     }
 
-    fn knows_resistance(&self) -> bool {
+    fn has_resistance(&self) -> bool {
         let turned = self.turned.as_ref().and_then(Turned::resistance);
-        self.rest.is_some_and(|rest| rest.relative() < KNOWN) || turned.is_some()
+        self.rest.is_some_and(|rest| rest.relative() < SETTINGS.known) || turned.is_some()
     }
 
-    fn leaves_room(&self) -> String {
-        format!("{:.3} A at {:.3} V leave room", self.last_a, self.last_v)
+    fn allows_more(&self) -> String {
+        format!("{:.3} A at {:.3} V allow more", self.last_a, self.last_v)
     }
 
     fn found(&self) -> Next {
@@ -480,7 +505,7 @@ fn ended(ending: Ending) -> (Next, String) {
     (Next::Over(Box::new(Outcome::Named(ending))), sentence)
 }
 
-const NOTHING: &str = "nothing was learnt";
+const NOTHING: &str = "no parameter was estimated";
 
 fn not_identified(reason: impl Into<String>) -> Next {
     let reason = reason.into();

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::{Bounds, KNOWN, relative};
+use super::{Bounds, SETTINGS, relative};
 use crate::noise::NoiseFloor;
 use crate::{output_error, start};
 use drivebench_model::numerics::statistics::{finite, largest, mean, mean_step, variance};
@@ -11,10 +11,14 @@ use drivebench_model::sample::{Channel, ParameterEstimate, Run, Verdict};
 use drivebench_model::signal::{held, pieces};
 use drivebench_model::text::number::with_std;
 
-/// Standard deviations from which a mean speed counts as motion.
-const MOTION_NOISE: f64 = 8.0;
-/// Samples of which the mean is taken.
-const MEAN_OF: usize = 12;
+struct Motion {
+    /// Standard deviations from which a mean speed counts as motion.
+    deviations: f64,
+    /// Samples of which the mean is taken.
+    samples: usize,
+}
+
+const MOTION: Motion = Motion { deviations: 8.0, samples: 12 };
 
 /// Noise, peaks and motion of one stage.
 #[derive(Clone, Debug, PartialEq)]
@@ -59,9 +63,9 @@ impl Observation {
         let noise_rad_s = noise(&speed, 1e-4 * bounds.speed_limit_rad_s);
         let (offset_a, offset_rad_s) = (offset(&current), offset(&speed));
         // The mean at rest is known from finitely many samples as well.
-        let spread = (1.0 / MEAN_OF as f64 + 1.0 / speed.len().max(1) as f64).sqrt();
+        let spread = (1.0 / MOTION.samples as f64 + 1.0 / speed.len().max(1) as f64).sqrt();
         let motion_rad_s =
-            (MOTION_NOISE * noise_rad_s * spread).max(5e-4 * bounds.speed_limit_rad_s);
+            (MOTION.deviations * noise_rad_s * spread).max(5e-4 * bounds.speed_limit_rad_s);
         let amps = medians(&scenario.current_a, offset_a);
         let speeds = medians(&scenario.speed_rad_s, offset_rad_s);
         let farthest = |values: &[f64]| {
@@ -79,16 +83,16 @@ impl Observation {
             .filter(|at| volts[*at] * peak_v.signum() >= 0.9 * peak_v.abs() && peak_v != 0.0)
             .collect();
         let top_mean = |values: &[f64]| {
-            let there = on_top.iter().filter_map(|at| values.get(*at).copied());
-            let found = finite(&there.collect::<Vec<f64>>());
+            let selected = on_top.iter().filter_map(|at| values.get(*at).copied());
+            let found = finite(&selected.collect::<Vec<f64>>());
             (!found.is_empty()).then(|| mean(&found))
         };
         let slow = means(&speeds);
-        // What comes before half of what counts as motion, with the samples of that mean, is rest for sure.
+        // Rest until the mean exceeds 0.6 of the threshold of motion, less the samples of that mean.
         let at_rest = slow
             .iter()
             .position(|speed| speed.abs() > 0.6 * motion_rad_s)
-            .map_or(speeds.len(), |at| at.saturating_sub(MEAN_OF));
+            .map_or(speeds.len(), |at| at.saturating_sub(MOTION.samples));
         let (at_mean, mean_speed_rad_s) = farthest(&slow);
         // Empty where the drive measures none.
         let points: Vec<(f64, f64)> = run.points(Channel::Voltage).collect();
@@ -116,7 +120,7 @@ impl Observation {
     pub(super) fn back_emf(&self, rest: Option<RestWinding>) -> (f64, f64) {
         let (u, i) = (self.voltage_of_motion_v.abs(), self.current_of_motion_a.abs());
         let w = self.mean_speed_rad_s.abs().max(f64::MIN_POSITIVE);
-        let speed_share = self.motion_rad_s / MOTION_NOISE / w;
+        let speed_share = self.motion_rad_s / MOTION.deviations / w;
         match rest {
             Some(rest) => {
                 let value = ((u - rest.resistance_ohm * i) / w).max(0.1 * u / w);
@@ -139,7 +143,7 @@ impl Observation {
     }
 }
 
-/// Medians of three neighbours, without the offset: one wild sample is none.
+/// Medians of three neighbours, without the offset, as a filter of single outliers.
 fn medians(values: &[f64], offset: f64) -> Vec<f64> {
     (0..values.len())
         .map(|at| {
@@ -157,10 +161,10 @@ fn means(values: &[f64]) -> Vec<f64> {
     (0..values.len())
         .map(|at| {
             sum += values[at];
-            if at >= MEAN_OF {
-                sum -= values[at - MEAN_OF];
+            if at >= MOTION.samples {
+                sum -= values[at - MOTION.samples];
             }
-            sum / MEAN_OF as f64
+            sum / MOTION.samples as f64
         })
         .collect()
 }
@@ -182,7 +186,7 @@ pub struct RestWinding {
     pub resistance_ohm: f64,
     /// Standard deviation, ohm; the lag that is not known is part of it.
     pub std_ohm: f64,
-    /// L/R that fits best, s; a ramp tells it only roughly.
+    /// L/R that fits best, s; roughly known from a ramp.
     pub time_constant_s: f64,
 }
 
@@ -201,8 +205,8 @@ impl RestWinding {
     }
 }
 
-pub(super) fn at_rest(scenario: &Scenario, seen: &Observation) -> Option<RestWinding> {
-    let rows: Vec<usize> = (0..seen.at_rest.min(scenario.samples()))
+pub(super) fn at_rest(scenario: &Scenario, observation: &Observation) -> Option<RestWinding> {
+    let rows: Vec<usize> = (0..observation.at_rest.min(scenario.samples()))
         .filter(|at| scenario.current_a[*at].is_finite())
         .collect();
     if rows.len() < 15 {
@@ -211,7 +215,7 @@ pub(super) fn at_rest(scenario: &Scenario, seen: &Observation) -> Option<RestWin
     let amps: Vec<f64> = rows
         .iter()
         .map(|at| scenario.current_a[*at])
-        .map(|current_a| current_a - seen.offset_a)
+        .map(|current_a| current_a - observation.offset_a)
         .collect();
     // 45 time constants from 0.1 ms to 0.2 s: from none to slower than any small machine.
     let ratio = (0.2_f64 / 1e-4).powf(1.0 / 44.0);
@@ -231,7 +235,7 @@ pub(super) fn at_rest(scenario: &Scenario, seen: &Observation) -> Option<RestWin
         .collect();
     let best = fits.iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
     let degrees = (rows.len() - 2) as f64;
-    let noise_a = (best.0 / degrees).sqrt().max(seen.noise_a);
+    let noise_a = (best.0 / degrees).sqrt().max(observation.noise_a);
     // The offset is a mean over at least 30 rows before the voltage: its error bends every row the same way.
     let sum: f64 = lagged(scenario, &rows, best.1).iter().sum();
     let offset = noise_a / 30_f64.sqrt() * sum / best.3;
@@ -240,7 +244,7 @@ pub(super) fn at_rest(scenario: &Scenario, seen: &Observation) -> Option<RestWin
     if conductance < 5.0 * std {
         return None;
     }
-    // Lags that the data allow as well move the resistance: that is part of its uncertainty.
+    // The change of the resistance over the lags within the confidence region is part of its uncertainty.
     let spread = fits
         .iter()
         .filter(|fit| fit.0 - best.0 < 4.0 * noise_a * noise_a && fit.2 > 0.0)
@@ -270,17 +274,17 @@ fn lagged(scenario: &Scenario, rows: &[usize], constant_s: f64) -> Vec<f64> {
 
 // The turning motor: five parameters by the output-error fit, and what follows from them for the next stage.
 
-/// A motor as one round of turning shows it.
+/// The motor estimated from one round of turning.
 #[derive(Clone, Debug)]
 pub(super) struct Turned {
-    /// The fitted motor. An inductance or inertia that the data do not carry has the value of the fit, which the data
-    /// do not contradict; its verdict marks it.
+    /// The fitted motor. An inductance or inertia that is not observable has the value of the fit; its verdict is in the
+    /// parameters.
     pub(super) motor: Motor,
     pub(super) parameters: Vec<ParameterEstimate>,
     period_s: f64,
 }
 
-/// Keys without which nothing can be planned.
+/// Keys that the next stage needs.
 const NEEDED: [MotorKey; 2] = [MotorKey::Resistance, MotorKey::BackEmf];
 
 pub(super) fn turned(scenario: &Scenario, rest: Option<RestWinding>) -> Result<Turned, String> {
@@ -332,7 +336,7 @@ impl Turned {
     pub(super) fn resistance(&self) -> Option<RestWinding> {
         let share = relative(&self.parameters, MotorKey::Resistance)?;
         let resistance_ohm = self.motor.get(MotorKey::Resistance)?;
-        (share < KNOWN).then_some(RestWinding {
+        (share < SETTINGS.known).then_some(RestWinding {
             resistance_ohm,
             std_ohm: share * resistance_ohm,
             time_constant_s: self.motor.electrical_time_constant_s()?,
@@ -353,14 +357,14 @@ impl Turned {
             let found = ParameterEstimate::find(&self.parameters, key.key());
             match found.and_then(|p| Some((p.value?, p.std?))) {
                 Some((value, std)) => format!("{} {}", with_std(value, std), key.unit()),
-                None => "not told".to_owned(),
+                None => "unknown".to_owned(),
             }
         };
         let [r, l, ke, j, mc] = crate::nameplate::KEYS.map(of);
         format!("R {r}, L {l}, Ke {ke}, J {j}, Mc {mc}")
     }
 
-    /// The parameter that is known worst, in a sentence.
+    /// The least certain parameter, in a sentence.
     pub(super) fn worst_text(&self) -> String {
         let counts = |key: MotorKey| NEEDED.contains(&key) || key == MotorKey::Inertia;
         let worst = self.parameters.iter().find(|p| {

@@ -1,6 +1,6 @@
-//! A model's frequency response beside the measured one: the model runs freely under the voltage of the record, and what it
-//! gives in the place of the measured current and speed goes through the same estimator, so that every effect of the model is
-//! in it without being made linear.
+//! Frequency response of a model for comparison with the measured one: the current and speed of its free run under the voltage of
+//! the record pass the same estimator (best linear approximation; Pintelon and Schoukens 2012, chapter 4), so that no effect of
+//! the model is linearised.
 //!
 //! ```text
 //! Scenario, model -> free run -> Scenario of the model -> the same stretches, the same estimator -> Departure
@@ -52,17 +52,17 @@ pub struct Compared {
     pub departures: Vec<Departure>,
 }
 
-/// What the model would have measured in the place of what was measured: its initial state alone is fitted.
+/// The scenarios with current and speed of the model's free run, of which only the initial state is fitted.
 ///
 /// # Errors
 /// A model that is not complete or cannot be simulated over the record.
 pub fn of_model(model: &Model, scenarios: &[Scenario]) -> Result<Vec<Scenario>, FitError> {
-    let beside = |scenario: &Scenario| {
+    let simulated = |scenario: &Scenario| {
         let noise = NoiseFloor::from_standstill(scenario)
             .unwrap_or_else(|| NoiseFloor::from_spread(scenario));
         let found = predict(model, scenario, &noise)?.trajectory;
-        // The same gaps as in what was measured, for the same estimator.
-        let in_place = |measured: &[f64], model: &[f64]| {
+        // With the gaps of the measurement.
+        let with_gaps = |measured: &[f64], model: &[f64]| {
             let mut model = model.to_vec();
             for (value, measured) in model.iter_mut().zip(measured) {
                 if !measured.is_finite() {
@@ -72,15 +72,15 @@ pub fn of_model(model: &Model, scenarios: &[Scenario]) -> Result<Vec<Scenario>, 
             model
         };
         Ok(Scenario {
-            current_a: in_place(&scenario.current_a, &found.current_a),
-            speed_rad_s: in_place(&scenario.speed_rad_s, &found.speed_rad_s),
+            current_a: with_gaps(&scenario.current_a, &found.current_a),
+            speed_rad_s: with_gaps(&scenario.speed_rad_s, &found.speed_rad_s),
             ..scenario.clone()
         })
     };
-    scenarios.iter().map(beside).collect()
+    scenarios.iter().map(simulated).collect()
 }
 
-/// The response of `scenarios` beside that of `model`, which holds what the model gives in each of them.
+/// The response of `scenarios`, and that of `model`, which are the simulated scenarios.
 ///
 /// # Errors
 /// As [`frequency_response`].
@@ -96,8 +96,7 @@ pub fn compared(
 }
 
 impl Compared {
-    /// Resonances that were measured and that the model has not, of the mechanics alone: what a second inertia behind a
-    /// coupling makes. The model's response has to carry that frequency, or it would not show one.
+    /// Measured resonances of the mechanics that the model does not have, as of an elastic coupling.
     pub fn missing_resonances(&self) -> Vec<Mode> {
         let Some(model) = &self.model else {
             return Vec::new();
@@ -122,7 +121,7 @@ impl Compared {
     }
 }
 
-/// Runs whose response is not that of the first of them: the mean of both would be that of no machine.
+/// Runs with another response than the first one, over which no mean may be taken.
 fn disagreements(scenarios: &[Scenario]) -> Result<Vec<String>, FrequencyResponseError> {
     let [first, others @ ..] = scenarios else {
         return Ok(Vec::new());
@@ -143,8 +142,8 @@ fn disagreements(scenarios: &[Scenario]) -> Result<Vec<String>, FrequencyRespons
         sentences.extend(widest.map(|band| {
             let [from, to] = [band.from_hz, band.to_hz].map(|hz| significant(hz, 3));
             format!(
-                "from {from} to {to} Hz ({}) two runs differ by more than their intervals: are they of one machine in one state? What \
-                 is shown lies between them ({} and {})",
+                "from {from} to {to} Hz ({}) two runs differ by more than their intervals: are they of one machine in one state? The \
+                 response is a mean of both ({} and {})",
                 band.pathway.name(),
                 first.name,
                 other.name

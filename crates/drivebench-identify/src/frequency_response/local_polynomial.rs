@@ -2,18 +2,17 @@
 //! lines around it (Pintelon, Schoukens, Vandersteen, Barbe 2010, "Estimation of nonparametric noise and FRF models for
 //! multivariable systems", Mech. Syst. Signal Process. 24).
 //!
-//! Over so few lines response and transient are smooth: `Y = (g0 + g1 r + g2 r^2) U + t0 + t1 r + t2 r^2`. What the lines
-//! leave over is noise, so that every point has its own interval and nothing has to be averaged or windowed.
+//! Over so few lines response and transient (leakage) are smooth: `Y = (g0 + g1 r + g2 r^2) U + t0 + t1 r + t2 r^2`. The residual
+//! is noise, so that every point has its own interval without averaging or windowing.
 
 use nalgebra::{Complex, DMatrix, Matrix2};
 
-/// Order of both polynomials.
-const ORDER: usize = 2;
-/// Lines on either side; with them a point has five degrees of freedom left for its noise.
+/// Coefficients of both polynomials, of order 2.
+const UNKNOWNS: usize = 2 * 3;
+/// Lines on either side; with them a point has five degrees of freedom for its noise.
 pub(super) const SIDE: usize = 5;
 /// Lines of a point.
 pub(super) const LINES: usize = 2 * SIDE + 1;
-const UNKNOWNS: usize = 2 * (ORDER + 1);
 /// Degrees of freedom of the noise.
 pub(super) const FREEDOM: usize = LINES - UNKNOWNS;
 
@@ -33,7 +32,7 @@ pub(super) struct Local {
     pub(super) covariance: Matrix2<Complex<f64>>,
     /// Noise of a line, variance.
     pub(super) noise: [f64; 2],
-    /// What the input explains of a line, mean square.
+    /// Power of a line that the input explains.
     pub(super) explained: [f64; 2],
 }
 
@@ -46,8 +45,9 @@ pub(super) fn local(lines: &[Line; LINES], offset: f64) -> Option<Local> {
     }
     let at = |row: usize| (row as f64 - SIDE as f64 - offset) / SIDE as f64;
     let regressors = DMatrix::from_fn(LINES, UNKNOWNS, |row, column| {
-        let power = i32::try_from(column % (ORDER + 1)).unwrap_or(0);
-        let base = if column <= ORDER { lines[row].input / size } else { Complex::new(1.0, 0.0) };
+        let power = i32::try_from(column % (UNKNOWNS / 2)).unwrap_or(0);
+        let base =
+            if column < UNKNOWNS / 2 { lines[row].input / size } else { Complex::new(1.0, 0.0) };
         base * at(row).powi(power)
     });
     let right = DMatrix::from_fn(LINES, 2, |row, output| lines[row].outputs[output]);
@@ -62,7 +62,7 @@ pub(super) fn local(lines: &[Line; LINES], offset: f64) -> Option<Local> {
     let v = factors.v_t.as_ref()?;
     let bread: f64 = (0..UNKNOWNS).map(|k| v[(k, 0)].norm_sqr() / values[k].powi(2)).sum();
     let share = bread / size.powi(2);
-    // What an input does that is nearly as smooth as a transient is not known to this size: it explains that much less.
+    // Less the variance of the response, which is large for an input that is nearly as smooth as a transient.
     let explained = |output: usize| {
         let by_chance = sums[(output, output)].re * bread;
         (found[(0, output)].norm_sqr() - by_chance).max(0.0)

@@ -1,15 +1,14 @@
-//! Frequency response from a record: magnitude, phase and coherence with their intervals, and the resonances and
-//! anti-resonances with their damping.
+//! Nonparametric frequency response from a record: magnitude, phase and coherence with their intervals, and the resonances and
+//! anti-resonances with their damping (Pintelon and Schoukens 2012, chapters 2, 7 and 9).
 //!
 //! ```text
 //! Scenario -> stretches in which the shaft keeps turning -> spectrum (Fourier integrals) -+-> local_polynomial -> points
 //!                                                                                         +-> rational -> modes
-//! beside: the same of a model under the same voltage, and where the two differ
+//! beside: the same of a model under the same voltage, and the bands in which they differ
 //! ```
 //!
-//! Any excitation serves that has many frequencies: a chirp, a pseudo-random sequence, a sum of sines. A shaft that passes
-//! zero has friction that jumps, which no linear response describes; stretches of one direction are therefore used, and
-//! an excitation about an offset has one.
+//! The excitation needs many frequencies: a chirp, a pseudo-random sequence, a sum of sines. Coulomb friction at a reversal is
+//! not linear, so that only stretches of one direction are used, as of an excitation about an offset.
 
 mod beside;
 mod local_polynomial;
@@ -33,17 +32,27 @@ use drivebench_model::sample::TWO_SIDED_95;
 use drivebench_model::signal::{Point, holding_since};
 use drivebench_model::text::number::{shortest, with_std};
 
-/// Least coherence with which a point counts as carried by the excitation.
+/// Least coherence of a point that the excitation determines.
 pub const CARRIED: f64 = 0.8;
-/// Fewest rows and seconds of a stretch.
-const FEWEST_ROWS: usize = 200;
-const SHORTEST_S: f64 = 1.0;
-/// Longest stretch, rows: what is longer is cut.
-const LONGEST_ROWS: usize = 16_384;
-/// Lines of a stretch from which poles and zeros are taken.
-const FITTED_LINES: f64 = 1_200.0;
-/// Share of its frequency that a peak may stand beside it.
-const NEAREST: f64 = 0.025;
+struct Settings {
+    /// Fewest rows and seconds of a stretch.
+    fewest_rows: usize,
+    shortest_s: f64,
+    /// Longest stretch, rows; longer ones are divided.
+    longest_rows: usize,
+    /// Spectral lines of a stretch in the fit of poles and zeros.
+    fitted_lines: f64,
+    /// Least relative half-width of the band in which the peak of a mode is searched.
+    peak_band: f64,
+}
+
+const SETTINGS: Settings = Settings {
+    fewest_rows: 200,
+    shortest_s: 1.0,
+    longest_rows: 16_384,
+    fitted_lines: 1_200.0,
+    peak_band: 0.025,
+};
 
 /// From which signal to which.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -93,7 +102,7 @@ pub struct ResponsePoint {
     pub phase_half_width_deg: f64,
     /// Share of the output's power that the input explains.
     pub coherence: f64,
-    /// Whether the excitation carries this point.
+    /// Whether the excitation determines this point.
     pub is_carried: bool,
 }
 
@@ -127,7 +136,7 @@ impl ModeKind {
     }
 }
 
-/// A pair of poles or zeros that swings.
+/// A complex pair of poles or zeros.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Mode {
     pub kind: ModeKind,
@@ -147,7 +156,7 @@ impl Mode {
     }
 }
 
-/// What a record shows of its plant over frequency.
+/// Frequency response of a record.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FrequencyResponse {
     pub pathways: Vec<PathwayResponse>,
@@ -159,7 +168,7 @@ pub struct FrequencyResponse {
     /// Seconds of record that were used, in how many stretches.
     pub used_s: f64,
     pub stretches: usize,
-    /// What limits it, in sentences.
+    /// Limitations, in sentences.
     pub cautions: Vec<String>,
 }
 
@@ -186,7 +195,7 @@ impl FrequencyResponse {
         carried.or(self.pathways.first()).map(|own| own.pathway)
     }
 
-    /// What the rate of the samples can show, and what it cannot.
+    /// Limits by the sampling rate.
     pub fn rate_sentence(&self) -> String {
         let [sampling, highest, half] =
             [self.sampling_hz, self.highest_hz, 0.5 * self.sampling_hz].map(|hz| shortest(hz, 4));
@@ -197,7 +206,7 @@ impl FrequencyResponse {
 }
 
 impl PathwayResponse {
-    /// Where the excitation carries the response, from and to; a few points that it does not carry do not end a band.
+    /// Bands in which the excitation determines the response; up to three points without it do not end a band.
     pub fn bands_hz(&self) -> Vec<(f64, f64)> {
         let carried = self.points.iter().enumerate();
         let carried: Vec<(usize, f64)> = carried
@@ -213,14 +222,13 @@ impl PathwayResponse {
 
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum FrequencyResponseError {
-    #[error("run {run:?} has no voltage: what drives it is its {input} (expected a voltage)")]
+    #[error("run {run:?} has no voltage: its input is a {input} (expected a voltage)")]
     NoVoltage { run: String, input: &'static str },
-    #[error(
-        "run {run:?} holds its voltage all the time (expected one that changes at many frequencies)"
-    )]
+    #[error("run {run:?} has a constant voltage (expected one that changes at many frequencies)")]
     Steady { run: String },
     #[error(
-        "run {run:?}: {rows} samples in {seconds:.2} s (expected at least {FEWEST_ROWS} samples and {SHORTEST_S} s)"
+        "run {run:?}: {rows} samples in {seconds:.2} s (expected at least {} samples and {} s)",
+        SETTINGS.fewest_rows, SETTINGS.shortest_s
     )]
     Short { run: String, rows: usize, seconds: f64 },
 }
@@ -286,8 +294,8 @@ impl Stretch {
         }
     }
 
-    /// From the lines of whole periods nearest to the frequency: there alone is nothing left of the mean, which is large about
-    /// an offset. `None` below the lines that stand on either side of one.
+    /// From the lines of whole periods nearest to the frequency, which the mean (large about an offset) does not leak into. `None`
+    /// where there are too few lines below it.
     fn local(&self, frequency_hz: f64) -> Option<Local> {
         let length_s = self.length_s();
         let periods = frequency_hz * length_s;
@@ -301,11 +309,11 @@ impl Stretch {
     }
 }
 
-/// Where, in rows of a scenario, its shaft keeps turning one way; the whole of it where that is never long enough, and
-/// whether it is. Long stretches are cut.
+/// Stretches of rows in which the shaft turns in one direction, or the whole scenario where none is long enough; and whether one
+/// is. Long stretches are divided.
 fn stretches(scenario: &Scenario) -> (Vec<Range<usize>>, bool) {
     let (speed, time_s) = (&scenario.speed_rad_s, &scenario.sample_time_s);
-    // Slower than this a shaft counts as about to turn round.
+    // Below it a shaft counts as reversing.
     let slow_rad_s = 0.02 * largest(speed);
     let mut found: Vec<Range<usize>> = Vec::new();
     let mut open: Option<(usize, f64)> = None;
@@ -322,23 +330,23 @@ fn stretches(scenario: &Scenario) -> (Vec<Range<usize>>, bool) {
         open = turns.then(|| (row, now.signum()));
     }
     let seconds = |rows: &Range<usize>| time_s[rows.end - 1] - time_s[rows.start];
-    found.retain(|rows| rows.len() >= FEWEST_ROWS && seconds(rows) >= SHORTEST_S);
+    found.retain(|rows| rows.len() >= SETTINGS.fewest_rows && seconds(rows) >= SETTINGS.shortest_s);
     let longest = found.iter().map(seconds).fold(0.0, f64::max);
-    // What is much shorter than the longest begins at a higher frequency, and would blur what the others resolve.
+    // Much shorter stretches have a coarser resolution and begin at a higher frequency.
     found.retain(|rows| seconds(rows) >= 0.5 * longest);
     let keeps_turning = !found.is_empty();
     if !keeps_turning {
         found.push(0..time_s.len());
     }
     let cut = found.into_iter().flat_map(|rows| {
-        let parts = rows.len().div_ceil(LONGEST_ROWS);
+        let parts = rows.len().div_ceil(SETTINGS.longest_rows);
         let size = rows.len().div_ceil(parts.max(1));
         (0..parts).map(move |part| {
             let from = rows.start + part * size;
             from..(from + size).min(rows.end)
         })
     });
-    // More add nothing that averaging has not shown.
+    // Twelve are enough for the average.
     (cut.take(12).collect(), keeps_turning)
 }
 
@@ -369,15 +377,15 @@ fn response_over(
         let time_s = &scenario.sample_time_s;
         let ends = time_s.first().zip(time_s.last());
         let seconds = ends.map_or(0.0, |(first, last)| last - first);
-        if time_s.len() < FEWEST_ROWS || seconds < SHORTEST_S {
+        if time_s.len() < SETTINGS.fewest_rows || seconds < SETTINGS.shortest_s {
             let rows = time_s.len();
             return Err(FrequencyResponseError::Short { run: run(), rows, seconds });
         }
         let (rows, keeps_turning) = stretches(turning);
         if !keeps_turning {
             cautions.push(format!(
-                "{}: the shaft never keeps turning one way for {SHORTEST_S} s; its friction, which jumps with the sign of the speed, is in the response (an excitation about an offset leaves it out)",
-                scenario.name
+                "{}: the shaft never turns in one direction for {} s; its Coulomb friction, which changes sign with the speed, is in the response (an excitation about an offset avoids it)",
+                scenario.name, SETTINGS.shortest_s
             ));
         }
         let before = all.len();
@@ -455,7 +463,7 @@ impl Estimator {
         let mut points = pathways.iter().flat_map(|pathway| &pathway.points);
         if !points.any(|point| point.is_carried) {
             cautions.push(format!(
-                "no frequency has a coherence of {CARRIED}: the excitation is too weak, or what is measured does not follow it"
+                "no frequency has a coherence of {CARRIED}: the excitation is too weak, or current and speed do not follow it"
             ));
         }
         FrequencyResponse {
@@ -470,9 +478,9 @@ impl Estimator {
         }
     }
 
-    /// Share of a response that is in doubt for what happens between the samples: a quarter of the correction, since a command
-    /// need not be held from sample to sample.
-    fn doubt(&self, frequency_hz: f64) -> f64 {
+    /// Relative uncertainty of a response by the motion between the samples: a quarter of the correction, since a command need not
+    /// be constant from sample to sample.
+    fn intersample_error(&self, frequency_hz: f64) -> f64 {
         let [current, _] = spectrum::between_samples(frequency_hz * self.period_s);
         0.25 * (1.0 - current)
     }
@@ -523,15 +531,15 @@ impl Estimator {
             let relative = |output: usize| {
                 pooled.covariance[(output, output)].re / pooled.response[output].norm_sqr()
             };
-            let doubt = self.doubt(frequency_hz);
-            let (value, variance, doubt, coherence) = match pathway {
-                Pathway::VoltageToSpeed => (speed, relative(1), doubt, pooled.coherence[1]),
-                Pathway::VoltageToCurrent => (current, relative(0), doubt, pooled.coherence[0]),
+            let one = self.intersample_error(frequency_hz);
+            let (value, variance, error, coherence) = match pathway {
+                Pathway::VoltageToSpeed => (speed, relative(1), one, pooled.coherence[1]),
+                Pathway::VoltageToCurrent => (current, relative(0), one, pooled.coherence[0]),
                 Pathway::CurrentToSpeed => {
                     let together = pooled.covariance[(1, 0)] / (speed * current.conj());
                     let variance = (relative(0) + relative(1) - 2.0 * together.re).max(0.0);
                     let coherence = pooled.coherence[0].min(pooled.coherence[1]);
-                    (speed / current, variance, 2.0 * doubt, coherence)
+                    (speed / current, variance, 2.0 * one, coherence)
                 }
             };
             if !(value.re.is_finite() && value.im.is_finite() && variance.is_finite()) {
@@ -539,7 +547,7 @@ impl Estimator {
             }
             // A complex error has half of its variance along the phasor and half across it; Student's t, two-sided 95 %, is that of
             // the ten real degrees of freedom of one stretch.
-            let half_width = 2.23 * (0.5 * variance).sqrt() + doubt;
+            let half_width = 2.23 * (0.5 * variance).sqrt() + error;
             let phase_deg = continued(value.arg().to_degrees(), before);
             before = Some(phase_deg);
             let magnitude = value.norm();
@@ -572,7 +580,7 @@ impl Estimator {
             kind,
             pathway,
             frequency_hz: pair.frequency_hz,
-            frequency_std_hz: (self.doubt(pair.frequency_hz) * pair.frequency_hz)
+            frequency_std_hz: (self.intersample_error(pair.frequency_hz) * pair.frequency_hz)
                 .hypot(pair.frequency_std_hz),
             damping_ratio: pair.damping_ratio,
             damping_std: pair.damping_std,
@@ -611,19 +619,19 @@ impl Estimator {
         let own = &self.stretches[stretch];
         let apart_hz = 1.0 / own.length_s();
         let (first, last) = (self.lowest_hz / apart_hz, self.highest_hz / apart_hz);
-        let stride = (((last - first) / FITTED_LINES).ceil()).max(1.0);
+        let stride = (((last - first) / SETTINGS.fitted_lines).ceil()).max(1.0);
         let count = whole(((last - first) / stride).floor());
         let frequency_hz: Vec<f64> =
             (0..=count).map(|n| (first.ceil() + n as f64 * stride) * apart_hz).collect();
         let lines: Vec<Line> = frequency_hz.par_iter().map(|hertz| own.line(*hertz)).collect();
-        // Of few degrees of freedom: averaged over the neighbours. What is in doubt between the samples counts as noise too.
+        // Of few degrees of freedom: averaged over the neighbours. The error between the samples counts as noise too.
         let noise = |output: usize, hertz: f64, measured: Complex<f64>| {
             let at = self.frequencies_hz.partition_point(|own| *own < hertz);
             let near = at.saturating_sub(FREEDOM)..(at + FREEDOM).min(locals.len());
             let known = locals[near].iter().filter_map(|all| all[stretch].as_ref());
             let variances: Vec<f64> = known.map(|local| local.noise[output]).collect();
-            let doubt = self.doubt(hertz) * measured.norm();
-            mean(&variances).sqrt().hypot(doubt)
+            let error = self.intersample_error(hertz) * measured.norm();
+            mean(&variances).sqrt().hypot(error)
         };
         let outputs = (0..2).filter(|output| self.has[*output]).map(|output| {
             let measured = lines.iter().map(|line| line.outputs[output]);
@@ -639,35 +647,36 @@ impl Estimator {
     }
 }
 
-/// Whether the measured magnitude itself has the peak, or the dip, of a mode, beyond its intervals: a pair of roots alone may
-/// be what a fit has made of something else, as of what happens between the samples.
+/// Whether the measured magnitude has the peak, or the dip, of a mode beyond its intervals: a pair of roots alone may be an
+/// artefact of the fit.
 fn has_extremum(mode: &Mode, points: &[ResponsePoint]) -> bool {
-    let place = |hertz: f64| points.partition_point(|point| point.frequency_hz < hertz);
+    let index_of = |hertz: f64| points.partition_point(|point| point.frequency_hz < hertz);
     let sign = match mode.kind {
         ModeKind::Resonance => 1.0,
         ModeKind::AntiResonance => -1.0,
     };
-    let near = mode.damping_ratio.max(NEAREST);
-    let [first, last] = [1.0 - near, 1.0 + near].map(|factor| place(mode.frequency_hz * factor));
+    let band = mode.damping_ratio.max(SETTINGS.peak_band);
+    let [first, last] = [1.0 - band, 1.0 + band].map(|factor| index_of(mode.frequency_hz * factor));
     let height = |point: &ResponsePoint| sign * point.magnitude.ln();
     let near = points.get(first..=last).into_iter().flatten();
     let Some(top) = near.max_by(|a, b| height(a).total_cmp(&height(b))) else {
         return false;
     };
     // The sides lie three dampings away.
-    let aside = (3.0 * mode.damping_ratio).clamp(2.0 * NEAREST, 0.6);
-    let sides = [1.0 - aside, 1.0 / (1.0 - aside)].map(|factor| place(mode.frequency_hz * factor));
+    let distance = (3.0 * mode.damping_ratio).clamp(2.0 * SETTINGS.peak_band, 0.6);
+    let sides =
+        [1.0 - distance, 1.0 / (1.0 - distance)].map(|factor| index_of(mode.frequency_hz * factor));
     let [Some(below), Some(above)] = sides.map(|at| points.get(at)) else {
         return false;
     };
     let contrast = height(top) - 0.5 * (height(below) + height(above));
     let of_sides = below.half_width().hypot(above.half_width());
-    let unsure = top.half_width().hypot(0.5 * of_sides);
-    // A dip is where little comes out, and the far side of a peak may be below the noise.
+    let uncertainty = top.half_width().hypot(0.5 * of_sides);
+    // The output is small in a dip, and the upper side of a peak may be below the noise.
     let sides = [below, above].iter().filter(|side| side.is_carried).count();
     let is_carried = sides + usize::from(top.is_carried) >= 2;
     // At least 3 dB, as a logarithm.
-    is_carried && contrast > 0.35 && contrast > unsure
+    is_carried && contrast > 0.35 && contrast > uncertainty
 }
 
 /// A phase moved by whole turns to within half a turn of the one before.

@@ -1,8 +1,8 @@
-//! Rational model of the frequency response: poles and zeros with their deviations, from the spectral lines of a record and
-//! not from smoothed points, so that a sharp resonance is as wide as it is.
+//! Rational transfer function: poles and zeros with their standard deviations, from the spectral lines of a record and not from
+//! smoothed points, which would widen a sharp resonance.
 //!
-//! `Y = (B(s) e^(-s T) U + C(s)) / A(s)`: all outputs share the poles, each stretch of the record has a transient `C` of its
-//! own. Started by the iteration of Sanathanan and Koerner 1963, ended by the weighted nonlinear least squares of Pintelon and
+//! `Y = (B(s) e^(-s T) U + C(s)) / A(s)`: common poles of all outputs, and a transient `C` for each stretch of the record. Started
+//! by the iteration of Sanathanan and Koerner 1963, refined by the weighted nonlinear least squares of Pintelon and
 //! Schoukens 2012, "System Identification: A Frequency Domain Approach", sections 9.8 and 9.11.
 
 use nalgebra::{Complex, DMatrix, DVector};
@@ -35,7 +35,7 @@ pub(super) struct Rational {
     pub(super) zeros: Vec<Vec<Pair>>,
 }
 
-/// The model of the order that pays for its parameters; `None` where no order has a minimum.
+/// The model with the order of the smallest BIC; `None` where no order has a minimum.
 pub(super) fn fit(stretches: &[Lines], period_s: f64) -> Option<Rational> {
     let task = Task::new(stretches, period_s)?;
     let all = (2..=6).filter_map(|order| task.of_order(order));
@@ -64,7 +64,7 @@ struct Task {
     period: f64,
 }
 
-/// Where the coefficients of a polynomial stand among the parameters.
+/// Ranges of the coefficients of each polynomial in the parameter vector.
 #[derive(Clone, Copy)]
 struct Layout {
     order: usize,
@@ -182,8 +182,8 @@ impl Task {
         score.is_finite().then_some((score, found))
     }
 
-    /// Linear in all but the dead time once the equation is multiplied by the denominator, which the round before gives as
-    /// a weight. Returns the cost too.
+    /// Sanathanan-Koerner iteration at a given dead time: linear after multiplication by the denominator, with that of the previous
+    /// round as the weight. Returns the cost too.
     fn start(&self, layout: Layout, dead_time: f64) -> Option<(f64, Vec<f64>)> {
         let unknowns = layout.size(self.stretches) - 1;
         let mut found = vec![0.0; unknowns + 1];
@@ -240,7 +240,7 @@ impl Task {
         is_finite.then_some((cost, found))
     }
 
-    /// What the model is off by at a line, in deviations of a part.
+    /// Weighted error of the model at a line.
     fn error(layout: Layout, parameters: &[f64], row: &Row) -> Complex<f64> {
         let late = (-row.s * parameters[parameters.len() - 1]).exp();
         let numerator = value(&parameters[layout.numerator(row.output)], row.s) * late * row.input;
@@ -284,7 +284,7 @@ impl Problem for Model<'_> {
     }
 
     fn clamp(&self, x: &mut [f64]) {
-        // A dead time of the future is none; one beyond a few periods is a phase that belongs to poles.
+        // A longer dead time would be the phase of poles.
         if let (Some(last), Some(scale)) = (x.last_mut(), self.scale.last()) {
             *last = last.clamp(-self.task.period / scale, 8.0 * self.task.period / scale);
         }
@@ -325,7 +325,7 @@ fn pairs(coefficients: &[f64], is_monic: bool, covariance: &DMatrix<f64>, unit: 
     if is_monic {
         all.push(1.0);
     }
-    // A leading coefficient that is nothing beside the others would be a root at infinity.
+    // A negligible leading coefficient would be a root at infinity.
     let largest = largest(&all);
     while all.len() > 1 && all.last().is_some_and(|last| last.abs() < 1e-9 * largest) {
         all.pop();
@@ -350,10 +350,10 @@ fn pairs(coefficients: &[f64], is_monic: bool, covariance: &DMatrix<f64>, unit: 
         .map(|root| {
             let size = root.norm();
             let damping_ratio = -root.re / size;
-            let steep = value(&slopes, *root);
+            let derivative = value(&slopes, *root);
             let variance = |gradient: &dyn Fn(Complex<f64>) -> f64| {
-                let moved = powers(*root).map(|power| -power / steep);
-                let gradient = moved.take(coefficients.len()).map(gradient);
+                let root_slopes = powers(*root).map(|power| -power / derivative);
+                let gradient = root_slopes.take(coefficients.len()).map(gradient);
                 let gradient = DVector::from_vec(gradient.collect());
                 (gradient.transpose() * covariance * &gradient)[(0, 0)].max(0.0)
             };

@@ -1,5 +1,5 @@
-//! Fourier integrals over a stretch of a record: exact for an input that is held between its events, a sum over the samples
-//! for what was measured.
+//! Fourier integrals over a stretch of a record: exact for an input with a zero-order hold, a sum over the samples for the measured
+//! outputs.
 //!
 //! Input and output are then transforms of signals in continuous time. Their ratio is the response of the plant alone:
 //! neither the hold of the sampled input nor its delay is in it.
@@ -73,8 +73,8 @@ pub(super) fn of_held(pieces: &[Point], end_s: f64, frequency_hz: f64) -> Comple
     sum / Complex::new(0.0, phasor.frequency_rad_s)
 }
 
-/// Of samples, by the trapezoid rule without the mean; a cell without a number is bridged by its neighbours. For what has
-/// nothing above half the sampling rate the sum over equal steps is exact.
+/// Of samples, by the trapezoidal rule without the mean, over missing cells. For a band-limited signal the sum over equal steps is
+/// exact.
 pub(super) fn of_samples(time_s: &[f64], values: &[f64], frequency_hz: f64) -> Complex<f64> {
     let mut known = time_s.iter().zip(values).filter(|(_, value)| value.is_finite());
     let all = known.clone();
@@ -94,11 +94,11 @@ pub(super) fn of_samples(time_s: &[f64], values: &[f64], frequency_hz: f64) -> C
     sum
 }
 
-/// By what the sum over the samples of current and of speed has to be multiplied to be the transform of what happened between
-/// them, at a frequency over the sampling rate.
+/// Intersample correction: factors from the sums over the samples of current and speed to the transforms of the continuous signals, at
+/// a frequency over the sampling rate.
 ///
-/// Under a held voltage a winding's current runs on straight lines and the speed on parabolas, where the period is short beside
-/// their time constants: `(sin x / x)^2` and `(sin x / x)^3 / cos x` with `x = pi f / fs` are then exact.
+/// Under a zero-order hold the current consists of straight lines and the speed of parabolas, where the period is short against the
+/// time constants: `(sin x / x)^2` and `(sin x / x)^3 / cos x` with `x = pi f / fs` are then exact.
 pub(super) fn between_samples(share: f64) -> [f64; 2] {
     let x = std::f64::consts::PI * share;
     let sinc = if x > 0.0 { x.sin() / x } else { 1.0 };

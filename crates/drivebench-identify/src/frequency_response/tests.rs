@@ -193,7 +193,7 @@ fn unfit_records_are_refused_and_a_reversing_shaft_is_cautioned() {
     });
     let all = frequency_response(&[scenario(&model(None), about_zero, 200.0, 1)]).unwrap();
     let caution = &all.cautions[0];
-    assert!(caution.contains("never keeps turning"), "{caution}");
+    assert!(caution.contains("never turns in one direction"), "{caution}");
     assert_eq!(all.stretches, 1);
 }
 

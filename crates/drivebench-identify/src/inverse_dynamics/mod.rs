@@ -1,4 +1,4 @@
-//! Inverse dynamics: the balances differentiated and low-passed, then plain least squares; the field's reference.
+//! Inverse dynamic identification model with least squares (IDIM-LS): the balances differentiated and low-passed on both sides.
 //!
 //! ```text
 //! Run --(even grid, processing)--> angle or speed, current or torque
@@ -6,15 +6,14 @@
 //!     --(terms of the balance)--> both sides low-passed again, one row in D --> least squares, mean of D fits
 //! ```
 //!
-//! Gautier's inverse dynamic identification model with least squares, as Janot, Gautier and Brunot (2019) apply it to
-//! their electromechanical axis: a zero-phase Butterworth low pass of order 4 on the measured position, central
+//! As Janot, Gautier and Brunot (2019) apply it to their electromechanical axis: a zero-phase Butterworth low pass of order 4 on the measured position, central
 //! differences, the same filter on both sides, decimation. A filter on both sides of a linear balance changes neither
 //! side's coefficients; terms that are not linear in the signals (the sign of the speed) are formed from the filtered
 //! speed. Shape parameters of effects stay as they are given.
 //!
-//! Decimation to the rate whose Nyquist frequency is the cut-off loses nothing and makes rows nearly independent. Which
-//! of the D offsets is taken is chance (on a measured axis it moves the friction by 0.1 % at this rate, by 1 % at half
-//! of it), so the mean over all offsets is given.
+//! Decimation to the rate whose Nyquist frequency is the cut-off loses nothing and makes rows nearly independent. The choice
+//! of the offset among D is arbitrary (on a measured axis it changes the friction by 0.1 % at this rate, by 1 % at half of it),
+//! so the mean over all offsets is given.
 
 mod processing;
 
@@ -36,10 +35,10 @@ use drivebench_model::plant::{
 use drivebench_model::sample::{ParameterEstimate, Run, Verdict};
 use drivebench_model::signal;
 
-/// An acceleration whose own part is less than this many times its noise (in power) carries no inertia.
+/// Least ratio, in power, of the part of the acceleration that the other regressors do not explain to its noise.
 const LEAST_SIGNAL: f64 = 4.0;
 
-/// Estimates of one balance, and how they came about.
+/// Estimates of one balance, with figures of the processing.
 #[derive(Clone, Debug)]
 pub struct Balanced {
     pub equation: Balance,
@@ -65,26 +64,26 @@ pub fn fit(model: &Model, run: &Run, scenario: &Scenario) -> Vec<Balanced> {
     let gridded = gridded(&Measured::of_run(run, scenario.input), scenario);
     let mut model = model.clone();
     let mut balances = Vec::new();
-    let mut doubt_of_torque = 0.0;
+    let mut torque_deviation = 0.0;
     for &equation in equations {
         let case = Case {
             model: &model,
             scenario,
             equation,
-            doubt_of_left: doubt_of_torque,
+            left_deviation: torque_deviation,
             unknowns: balance::unknowns(&model, scenario, equation, |_| true),
         };
         let balance = match &gridded {
             None => case.refused(
                 None,
-                "no stretch of 60 samples without a gap has speed or angle and what drives the shaft",
+                "no interval of 60 samples without a gap has the speed or angle and the current or torque",
             ),
             Some(gridded) => case.solved(&gridded.parts, Processing::choose(gridded)),
         };
-        doubt_of_torque = balance::hand_on(&mut model, &balance.parameters);
+        torque_deviation = balance::set_motor(&mut model, &balance.parameters);
         balances.push(balance);
     }
-    // A torque has no armature circuit before it that would have to be resolved.
+    // With a given torque there is no armature circuit to be resolved.
     if scenario.input != Input::Torque
         && let Some(gridded) = &gridded
         && let Some(ta_s) = model.motor.electrical_time_constant_s()
@@ -92,8 +91,8 @@ pub fn fit(model: &Model, run: &Run, scenario: &Scenario) -> Vec<Balanced> {
         let period_s = gridded.parts[0].period_s;
         let slow = period_s > 0.5 * ta_s;
         let all = balances.iter_mut().flat_map(|b| &mut b.parameters);
-        // The current moves on between two samples, and half the samples miss it as well: what they differ by understates
-        // the error, up to 2.3 times where the period equals the time constant (measured on the ZK-22FC at 10 ms).
+        // Half of the samples resolve the current as badly as all: their difference underestimates the error, by up to 2.3 times
+        // where the period equals the time constant (measured on the ZK-22FC at 10 ms).
         for parameter in all.filter(|p| slow && p.value.is_some() && p.verdict != Verdict::Fixed) {
             parameter.std = parameter.std.map(|std| 3.0 * std);
             parameter.unsettle(format!(
@@ -113,7 +112,7 @@ struct Case<'a> {
     scenario: &'a Scenario,
     equation: Balance,
     /// Relative standard deviation of a factor of the left-hand side.
-    doubt_of_left: f64,
+    left_deviation: f64,
     unknowns: Vec<Unknown>,
 }
 
@@ -138,7 +137,7 @@ impl Case<'_> {
             parts.iter().filter_map(of_part).collect()
         };
         let full = rows(parts, &processing);
-        if let Some(reason) = self.why_not(&full) {
+        if let Some(reason) = self.reason_against(&full) {
             return self.refused(Some(processing), &reason);
         }
         let Some(solved) = Solved::new(&full, unknowns, processing.decimation) else {
@@ -147,11 +146,11 @@ impl Case<'_> {
                 format!("{} usable rows: the shaft hardly moves in this run", usable.count());
             return self.refused(Some(processing), &reason);
         };
-        // The same filter on every second sample: what the samples miss between them moves the values. Where motion and
-        // current are well resolved a third of the move would be the error at the full rate, where they are not all of it.
+        // Richardson: the same filter on every second sample. Where motion and current are well resolved a third of the change is
+        // the error at the full rate, else all of it.
         let thinned: Vec<Part> = parts.iter().map(Part::thinned).collect();
         let thin = rows(&thinned, &processing);
-        // Half the cut-off: signs and other terms that the filter blunts err the more the lower it is.
+        // Half the cut-off: the error by the filtering of signs and other nonlinear terms grows as the cut-off falls.
         let blunter = processing.at_half_cut_off();
         let blunt = rows(parts, &blunter);
         let others = [
@@ -163,14 +162,13 @@ impl Case<'_> {
         let relative = self.equation == Balance::Torque
             && self.scenario.input != Input::Torque
             && self.model.motor.torque_constant().is_none();
-        let mut places = 0..;
+        let mut columns = 0..;
         let estimate = |unknown: &Unknown| {
-            let place = (unknown.fixed.is_none()).then(|| places.next()).flatten();
-            let Some(place) = place else {
+            let column = (unknown.fixed.is_none()).then(|| columns.next()).flatten();
+            let Some(column) = column else {
                 return unknown.unsolved("");
             };
-            let doubt = (&processing, self.doubt_of_left);
-            let found = solved.judged(place, &free, &others, doubt);
+            let found = solved.judged(column, &free, &others, (&processing, self.left_deviation));
             if relative { as_ratio(found) } else { gated(found, &unknown.slot) }
         };
         let parameters = unknowns.iter().map(estimate).collect();
@@ -187,7 +185,7 @@ impl Case<'_> {
     }
 
     /// Why these rows cannot be solved, if they cannot.
-    fn why_not(&self, rows: &[Rows]) -> Option<String> {
+    fn reason_against(&self, rows: &[Rows]) -> Option<String> {
         let unknowns = &self.unknowns;
         let lefts = || rows.iter().flat_map(|rows| rows.left.iter().copied());
         if lefts().all(|left| !left.is_finite()) {
@@ -213,7 +211,7 @@ impl Case<'_> {
         let (least, most) = extent(lefts());
         let stuck = most - least <= 1e-9 * most.abs().max(least.abs());
         stuck.then(|| format!(
-            "what drives the shaft is {most} throughout, to the last digit: no excitation, or a stuck column"
+            "the input of the balance is {most} in all rows, to the last digit: no excitation, or a constant column"
         ))
     }
 
@@ -222,10 +220,12 @@ impl Case<'_> {
         let filtered = Filtered::of(part, processing)?;
         let low_pass = |values: &[f64]| filtered.filter.zero_phase(values);
         let speed = &filtered.speed;
-        let current = filtered.beside(&part.current_a);
+        let current = filtered.averaged_like_speed(&part.current_a);
         let left = match (equation, scenario.input) {
-            (Balance::Voltage, _) => filtered.beside(&held_means(scenario, part)),
-            (Balance::Torque, Input::Torque) => spanned(&filtered.beside(&part.torque_n_m)),
+            (Balance::Voltage, _) => filtered.averaged_like_speed(&held_means(scenario, part)),
+            (Balance::Torque, Input::Torque) => {
+                spanned(&filtered.averaged_like_speed(&part.torque_n_m))
+            }
             (Balance::Torque, Input::Voltage | Input::Current) => {
                 // Without a torque constant in units of it: the caller reports that.
                 let kt = model.motor.torque_constant().unwrap_or(1.0);
@@ -289,16 +289,16 @@ impl Solved {
             bread += &fit.bread;
         }
         mean /= count;
-        // A value that is lost in its noise is no measure for its own spread.
-        let size_of = |place: usize| {
-            let std = first.solution.covariance[(place, place)].max(0.0).sqrt();
-            let known = if std.is_finite() { std } else { 0.0 };
-            f64::abs(mean[place]).max(known).max(f64::MIN_POSITIVE)
+        // Relative to the standard deviation where that is larger than the value.
+        let size_of = |column: usize| {
+            let std = first.solution.covariance[(column, column)].max(0.0).sqrt();
+            let finite_std = if std.is_finite() { std } else { 0.0 };
+            f64::abs(mean[column]).max(finite_std).max(f64::MIN_POSITIVE)
         };
-        let spread = |place: usize| {
-            let off = fits.iter().map(|fit| fit.solution.x[place] - mean[place]);
-            let squares: f64 = off.map(|off| off.powi(2)).sum();
-            100.0 * (squares / count).sqrt() / size_of(place)
+        let spread = |column: usize| {
+            let errors = fits.iter().map(|fit| fit.solution.x[column] - mean[column]);
+            let squares: f64 = errors.map(|error| error.powi(2)).sum();
+            100.0 * (squares / count).sqrt() / size_of(column)
         };
         let spread_percent = (0..size).map(spread).fold(0.0, f64::max);
         let rows: usize = fits.iter().map(|fit| fit.solution.residual.len()).sum();
@@ -316,34 +316,35 @@ impl Solved {
 
     fn judged(
         &self,
-        place: usize,
+        column: usize,
         free: &[&Slot],
         others: &[Option<Self>],
-        (processing, doubt_of_left): (&Processing, f64),
+        (processing, left_deviation): (&Processing, f64),
     ) -> ParameterEstimate {
-        let slot = free[place];
-        let own = 1.0 / self.bread[(place, place)].max(f64::MIN_POSITIVE);
+        let slot = free[column];
+        let partial = 1.0 / self.bread[(column, column)].max(f64::MIN_POSITIVE);
         let power = self.rows_per_fit * processing.acceleration_noise.powi(2);
-        let accelerates = |slot: &Slot| matches!(slot, Slot::Motor(MotorKey::Inertia));
-        let determined = self.covariance[(place, place)].is_finite();
-        if determined && accelerates(slot) && own < LEAST_SIGNAL * power {
+        let is_inertia = |slot: &Slot| matches!(slot, Slot::Motor(MotorKey::Inertia));
+        let determined = self.covariance[(column, column)].is_finite();
+        if determined && is_inertia(slot) && partial < LEAST_SIGNAL * power {
             let reason = format!(
                 "the acceleration is {:.1} times its noise in power, at least {LEAST_SIGNAL} is needed: \
                  the run does not excite it",
-                own / power
+                partial / power
             );
             return ParameterEstimate::not_observable(&slot.key(), slot.unit(), reason);
         }
-        // Noise in the acceleration pulls the inertia towards zero, and with it every value that shares its direction.
-        let inertia = free.iter().position(|slot| accelerates(slot));
-        let pull = inertia.map_or(0.0, |j| self.bread[(place, j)] * power * self.x[j]);
-        let moves = others.iter().flatten().map(|other| other.x[place] - self.x[place]);
-        let variance = self.covariance[(place, place)].max(0.0);
-        let doubts =
-            moves.chain([pull, doubt_of_left * self.x[place]]).filter(|doubt| doubt.is_finite());
-        let std = (variance + doubts.map(|doubt| doubt * doubt).sum::<f64>()).sqrt();
+        // Errors in variables: noise in the acceleration attenuates the inertia and biases every value that is correlated with it.
+        let inertia = free.iter().position(|slot| is_inertia(slot));
+        let bias = inertia.map_or(0.0, |j| self.bread[(column, j)] * power * self.x[j]);
+        let changes = others.iter().flatten().map(|other| other.x[column] - self.x[column]);
+        let variance = self.covariance[(column, column)].max(0.0);
+        let errors = changes
+            .chain([bias, left_deviation * self.x[column]])
+            .filter(|error| error.is_finite());
+        let std = (variance + errors.map(|error| error * error).sum::<f64>()).sqrt();
         let std = if determined { std } else { f64::NAN };
-        judge(slot, self.x[place], Some(std), 1.0 / processing.rate_hz)
+        judge(slot, self.x[column], Some(std), 1.0 / processing.rate_hz)
     }
 }
 
@@ -391,7 +392,7 @@ impl Fit {
     }
 }
 
-/// Physics gates of a value that was found.
+/// A negative parameter of the motor is invalid.
 fn gated(found: ParameterEstimate, slot: &Slot) -> ParameterEstimate {
     let negative = found.value.is_some_and(|value| value < 0.0);
     if !(negative && matches!(slot, Slot::Motor(_))) {
@@ -399,7 +400,7 @@ fn gated(found: ParameterEstimate, slot: &Slot) -> ParameterEstimate {
     }
     ParameterEstimate {
         verdict: Verdict::Invalid,
-        reason: Some("negative, which physics forbids: check the signs of current, torque and motion, or add the effect that is missing".to_owned()),
+        reason: Some("negative, which is impossible: check the signs of current, torque and motion, or add the effect that is missing".to_owned()),
         ..found
     }
 }
@@ -414,7 +415,7 @@ struct Rows {
     valid: Vec<bool>,
 }
 
-/// The signals of one part behind the low pass.
+/// The low-passed signals of one part.
 struct Filtered {
     filter: Butterworth,
     /// The speed itself, or the central difference of the angle.
@@ -432,14 +433,14 @@ impl Filtered {
         Some(Self { filter, speed, angular })
     }
 
-    /// A signal beside the speed: where that is a central difference everything else is averaged over its span.
-    fn beside(&self, values: &[f64]) -> Vec<f64> {
+    /// A low-passed signal, averaged over the span of the central difference where the speed is one.
+    fn averaged_like_speed(&self, values: &[f64]) -> Vec<f64> {
         let filtered = self.filter.zero_phase(values);
         if self.angular { spanned(&filtered) } else { filtered }
     }
 }
 
-/// Away from the ends of a part, which the filter does not know.
+/// Excludes the ends of a part, where the filter has a transient.
 fn inside(mut valid: Vec<bool>, reach: usize) -> Vec<bool> {
     let ends = reach.min(valid.len());
     let tail = valid.len() - ends;
@@ -448,8 +449,8 @@ fn inside(mut valid: Vec<bool>, reach: usize) -> Vec<bool> {
     valid
 }
 
-/// False at rest and within the filter's reach of it: a shaft that sticks is held by less than the Coulomb torque. A
-/// reversal passes through zero speed faster than the filter resolves, and stays.
+/// False at rest and within the length of the filter from it, where the friction is less than the Coulomb torque (stiction). A
+/// reversal, which is faster than the filter resolves, stays.
 fn moving(speed: &[f64], dead_zone_rad_s: f64, reach: usize) -> Vec<bool> {
     let mut moving = vec![true; speed.len()];
     let shortest = (reach / 2).max(3);
@@ -486,7 +487,7 @@ struct Stretch {
 }
 
 impl Stretch {
-    /// Both sides go through the filter of the decimation; beside a central difference everything is averaged over its span.
+    /// Both sides pass the filter of the decimation; all terms are averaged over the span of the central difference.
     fn averaged(&self, values: &[f64]) -> Vec<f64> {
         let filtered = self.filter.zero_phase(&spanned(&values[self.from..self.to]));
         self.valid.iter().map(|row| filtered[*row]).collect()
@@ -502,8 +503,7 @@ impl Stretch {
 /// all of it. Published figures are of those rows: on the EMPS axis a relative error of 4.08 %, and 3.11 % with friction
 /// that differs by direction. Every row is taken here instead of one in ten, which after that filter gives the same
 /// (4.03 to 4.11 % over the ten offsets, 4.07 % over all rows). Without it the figure is 4.30 %, and of one row in ten
-/// anything between 3.97 and 4.60 %: this axis turns round every 3.12 s exactly, always at the same offset, and what the
-/// filter rings with there is caught or missed.
+/// between 3.97 and 4.60 %, because this axis reverses every 3.12 s exactly, always at the same offset.
 pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
     let gridded = gridded(&Measured::of_scenario(scenario), scenario)?;
     let processing = Processing::choose(&gridded);
@@ -521,9 +521,9 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
         };
         let speed = &filtered.speed;
         let (driving, per_unit) = if scenario.input == Input::Torque {
-            (filtered.beside(&part.torque_n_m), 1.0)
+            (filtered.averaged_like_speed(&part.torque_n_m), 1.0)
         } else {
-            (filtered.beside(&part.current_a), kt)
+            (filtered.averaged_like_speed(&part.current_a), kt)
         };
         let reach = decimating.reach(part.period_s);
         let valid = inside(moving(speed, processing.dead_zone_rad_s, reach), reach);

@@ -1,7 +1,7 @@
 //! Preparation of the signals: even time grids in parts without gaps, the low pass, central differences.
 //!
-//! Where the stamps are even already the values are taken as they stand. Otherwise a natural cubic spline carries them
-//! over: it keeps the curvature that a line between two stamps would cut off, and with it the acceleration.
+//! With even stamps the values are not changed. Otherwise a natural cubic spline interpolates them: linear interpolation would
+//! lose the curvature, and with it the acceleration.
 
 use super::super::speed_from_angle;
 use drivebench_model::numerics::count::whole;
@@ -10,9 +10,6 @@ use drivebench_model::numerics::statistics;
 use drivebench_model::plant::{Input, Scenario};
 use drivebench_model::sample::{Channel, Origin, Run};
 use drivebench_model::signal;
-
-/// Order of the low pass. With both passes the gain falls by 48 dB per octave.
-const ORDER: usize = 4;
 
 /// The processing of both sides of a balance.
 #[derive(Clone, Debug)]
@@ -67,7 +64,7 @@ impl Processing {
         let deviation = noise_of(of_speed, noise, cut_off_hz, rate_hz);
         Self {
             motion: gridded.motion,
-            order: ORDER,
+            order: 4,
             rate_hz,
             cut_off_hz,
             decimation: whole(rate_hz / (2.0 * cut_off_hz) + 1e-6).max(1),
@@ -108,8 +105,11 @@ impl Processing {
         } else {
             "a tenth of the sampling rate"
         };
-        let carried =
-            if self.interpolated { "; values carried to an even grid by a spline" } else { "" };
+        let carried = if self.interpolated {
+            "; values interpolated to an even grid by a spline"
+        } else {
+            ""
+        };
         let parts = if self.parts > 1 {
             format!("; {} parts between gaps", self.parts)
         } else {
@@ -125,7 +125,8 @@ impl Processing {
 
 /// The filter for a part; `None` where the cut-off reaches half of its rate.
 pub(super) fn filter(cut_off_hz: f64, period_s: f64) -> Option<Butterworth> {
-    Butterworth::low_pass(ORDER, cut_off_hz * period_s)
+    // Order 4: with both passes the gain falls by 48 dB per octave.
+    Butterworth::low_pass(4, cut_off_hz * period_s)
 }
 
 /// Central difference; one-sided at the ends.
@@ -139,8 +140,8 @@ pub(super) fn rate(values: &[f64], period_s: f64) -> Vec<f64> {
         .collect()
 }
 
-/// Mean over the two periods that a central difference spans, by Simpson's rule: what stands beside a central
-/// difference in a balance has to be averaged like it, or the difference reads low (by 6 % at a tenth of the rate).
+/// Mean over the two periods of a central difference, by Simpson's rule: all terms of a balance need the same attenuation as its
+/// central difference (6 % at a tenth of the rate).
 pub(super) fn spanned(values: &[f64]) -> Vec<f64> {
     let last = values.len() - 1;
     (0..=last)
@@ -178,8 +179,8 @@ fn acceleration_power(gridded: &Gridded, cut_off_hz: f64, rate_hz: f64) -> f64 {
     sum / count.max(1) as f64
 }
 
-/// Standard deviation of the noise in the angle or speed: from fourth differences, steps and outliers left aside, and
-/// never below the resolution over sqrt(12).
+/// Standard deviation of the noise in the angle or speed: from fourth differences, robust against steps and outliers, and at least
+/// the resolution over sqrt(12).
 fn noise(parts: &[Part]) -> f64 {
     let mut differences = Vec::new();
     let (mut finest, mut largest) = (f64::INFINITY, 0.0);
@@ -190,9 +191,9 @@ fn noise(parts: &[Part]) -> f64 {
         let steps = part.motion.windows(2).map(|v| (v[1] - v[0]).abs());
         finest = steps.filter(|step| *step > 1e-12 * largest).fold(finest, f64::min);
     }
-    let rough = statistics::robust_deviation(&differences) / 70f64.sqrt();
+    let roughness = statistics::robust_deviation(&differences) / 70f64.sqrt();
     let quantum = finest / 12f64.sqrt();
-    rough.max(if quantum.is_finite() { quantum } else { 0.0 })
+    roughness.max(if quantum.is_finite() { quantum } else { 0.0 })
 }
 
 /// White noise of deviation `sigma` through the low pass and so many differentiations: integral of its spectrum up to the
@@ -203,8 +204,10 @@ fn noise_of(derivatives: u16, sigma: f64, cut_off_hz: f64, rate_hz: f64) -> f64 
     sigma * (2.0 * cut_off_hz / rate_hz * omega.powf(power) / (power + 1.0)).sqrt()
 }
 
-/// Deviation from an even grid, in periods, up to which stamps count as even.
-const EVEN: f64 = 0.02;
+/// Whether a stamp is within 2 % of a period from its place on an even grid.
+fn is_even(stamp_s: f64, grid_s: f64, period_s: f64) -> bool {
+    (stamp_s - grid_s).abs() < 0.02 * period_s
+}
 
 /// The signal that holds the motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -327,7 +330,7 @@ pub(super) fn gridded(measured: &Measured, scenario: &Scenario) -> Option<Gridde
         let inside = |points: &Points| within(points.iter().copied(), from_s, to_s);
         let moving = inside(&moving);
         let grid = even(&moving, period_s).unwrap_or_else(|| over(from_s, to_s, period_s));
-        // The filter's ends would be all there is.
+        // Shorter parts consist of the transients of the filter.
         if grid.len() < 60 {
             continue;
         }
@@ -385,11 +388,11 @@ fn stretches(needed: &[&Points], period_s: f64) -> Vec<(f64, f64)> {
 /// The stamps made exactly even, where they are so but for rounding and every needed signal can keep up.
 fn even(points: &[(f64, f64)], period_s: f64) -> Option<Vec<f64>> {
     let (first, last) = (points.first()?, points.last()?);
-    let own_s = (last.0 - first.0) / (points.len() - 1).max(1) as f64;
-    let place = |k: usize| first.0 + own_s * k as f64;
-    let fits = own_s > 0.9 * period_s
-        && points.iter().enumerate().all(|(k, point)| (point.0 - place(k)).abs() < EVEN * own_s);
-    fits.then(|| (0..points.len()).map(place).collect())
+    let mean_s = (last.0 - first.0) / (points.len() - 1).max(1) as f64;
+    let grid = |k: usize| first.0 + mean_s * k as f64;
+    let is_grid = mean_s > 0.9 * period_s
+        && points.iter().enumerate().all(|(k, point)| is_even(point.0, grid(k), mean_s));
+    is_grid.then(|| (0..points.len()).map(grid).collect())
 }
 
 fn over(from_s: f64, to_s: f64, period_s: f64) -> Vec<f64> {
@@ -404,7 +407,7 @@ fn on(grid: &[f64], points: &[(f64, f64)], curved: bool) -> (Vec<f64>, bool) {
     }
     let period_s = grid[1] - grid[0];
     let stands = points.len() == grid.len()
-        && points.iter().zip(grid).all(|(point, at)| (point.0 - at).abs() < EVEN * period_s);
+        && points.iter().zip(grid).all(|(point, at)| is_even(point.0, *at, period_s));
     if stands {
         (points.iter().map(|point| point.1).collect(), false)
     } else if curved {

@@ -1,16 +1,17 @@
-//! The extended Kalman filter over current, speed, ln R, ln L, ln Ke, ln J, Coulomb torque and load torque.
+//! Extended Kalman filter (Jazwinski, *Stochastic Processes and Filtering Theory*, 1970, chapter 8) over current, speed, ln R,
+//! ln L, ln Ke, ln J, Coulomb torque and load torque.
 //!
 //! ```text
-//!            +--- |w| clear of zero, same sign --> Turning(s): predict, test, update
+//!            +--- |w| above its noise, same sign -> Turning(s): predict, test, update
 //! Unknown ---+
 //!  (state =  +--- a run of samples at zero ------> AtRest: only the winding is predicted; nothing on friction
 //!  the sample)
 //!      ^--------- reversal, start, stop, gap, late voltage: the interval is not used, the parameters stay
 //! ```
 //!
-//! Between such breaks the model is linear in its state and exact (`physics`); its derivatives to the parameters are
-//! central differences of the exact solution. Friction enters only with a sign that is certain, so there is no chatter
-//! at zero speed, and a motor that does not move teaches nothing about its friction.
+//! Between such breaks the model is linear in its state and exact (`physics`); its derivatives by the parameters are
+//! central differences of the exact solution. Friction enters only with a certain sign, so that there is no chatter
+//! at zero speed, and its level is not updated at rest.
 
 use super::physics::{KnownEffects, Offsets, Physics};
 use super::signals::{HeldVoltage, Sensor};
@@ -44,8 +45,8 @@ pub(super) struct Belief {
 }
 
 impl Belief {
-    /// Variance of one state, forgetting what it had in common with the others.
-    pub(super) fn forget(&mut self, state: usize, variance: f64) {
+    /// Resets one state to this variance, without correlation with the others.
+    pub(super) fn reset(&mut self, state: usize, variance: f64) {
         for other in 0..N {
             self.p[state][other] = 0.0;
             self.p[other][state] = 0.0;
@@ -112,11 +113,15 @@ impl Belief {
     }
 }
 
-/// Deviation of the speed from zero that ends a rest, in standard deviations of its noise.
-const REST_ENDS: f64 = 3.0;
-/// Innovation, in standard deviations, that is an outlier.
-const OUTLIER: f64 = 5.0;
-/// Gauss's two points of an interval.
+struct Settings {
+    /// Speed that ends a rest, in standard deviations of its noise.
+    motion: f64,
+    /// Innovation that is an outlier, in standard deviations.
+    outlier: f64,
+}
+
+const SETTINGS: Settings = Settings { motion: 3.0, outlier: 5.0 };
+/// Nodes of the two-point Gauss-Legendre rule on the unit interval.
 const GAUSS: [f64; 2] = [0.211_324_865_405_187_1, 0.788_675_134_594_812_9];
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -171,13 +176,13 @@ pub(super) struct Filter {
     /// noisy estimate make directions observable that the data do not (Huang, Mourikis and Roumeliotis, Int. J. Robotics
     /// Research 29 (2010) 502).
     pub(super) reference: Option<[f64; N]>,
-    /// Loss of information of the first rows, which were linearised about a poor start: now, and at a start.
+    /// Additional forgetting of the first rows, which are linearised about a poor start: now, and at a start.
     pub(super) early: f64,
     early_loss: f64,
     /// Only the load is tracked: the noise is that of the rest, where there was one.
     pub(super) fixed_noise: bool,
     /// Sign of the last measured speed where it was certain.
-    heading: f64,
+    last_sign: f64,
     zeros: u32,
     zero_sum: f64,
     streak: [u32; 2],
@@ -198,7 +203,7 @@ impl Filter {
         filter
     }
 
-    /// Takes other parameters; sensors and voltage stay.
+    /// Restarts with other parameters; sensors and voltage stay.
     pub(super) fn restart(&mut self, x: [f64; N], variance: [f64; N]) {
         let (current, speed) = (self.belief.x[I], self.belief.x[W]);
         self.belief = Belief { x, ..Belief::default() };
@@ -216,7 +221,7 @@ impl Filter {
         self.belief.x[MC] == 0.0 && self.prior[MC] <= 0.0 && self.effects.is_empty()
     }
 
-    /// Parameters that never change: only the load torque is followed.
+    /// Fixes the parameters: only the load torque is estimated.
     pub(super) fn freeze(&mut self) {
         (self.early, self.early_loss) = (0.0, 0.0);
         self.fixed_noise = true;
@@ -274,9 +279,9 @@ impl Filter {
         };
         if used {
             self.tally.used += 1;
-            self.heading = 0.0;
+            self.last_sign = 0.0;
         } else {
-            self.anchor(measured);
+            self.set_to_sample(measured);
         }
         self.now_s = time_s;
         self.voltage.advance(time_s);
@@ -325,7 +330,7 @@ impl Filter {
             self.belief.x[I] = current;
         }
         let before = self.belief;
-        let moves = measured[1].is_some_and(|speed| speed.abs() > REST_ENDS * noise);
+        let moves = measured[1].is_some_and(|speed| speed.abs() > SETTINGS.motion * noise);
         if !moves && self.source == Source::Voltage {
             self.predict(length_s, 0.0);
         }
@@ -338,13 +343,12 @@ impl Filter {
         self.update([measured[0], None])
     }
 
-    /// Whether the torque comes so near to what is known of the friction that the motor may already move although the
-    /// speed does not show it yet.
+    /// Whether the torque is so near to the friction level that the motor may already move with a speed below its noise.
     fn may_break_away(&self, current_a: f64) -> bool {
         let level = self.belief.x[MC] - self.belief.p[MC][MC].sqrt();
         let torque = self.physics().kt * current_a - self.belief.x[TL];
         let noise = self.physics().kt * self.sensors[0].variance().sqrt();
-        torque.abs() > (0.8 * level).max(REST_ENDS * noise)
+        torque.abs() > (0.8 * level).max(SETTINGS.motion * noise)
     }
 
     /// The load torque is a random walk.
@@ -449,7 +453,7 @@ impl Filter {
         (row[MC], row[J]) = (-s * gain, -gain * torque);
         let noise = self.sensors[0].variance();
         self.belief.propagate([current_a, speed], &[[0.0; N], row]);
-        // The noise of the current that ends the interval enters the speed and is what its own state is off by.
+        // The noise of the current at the end of the interval is the error of its state and enters the speed.
         self.belief.disturb([1.0, half, 0.0], noise);
         let q = 0.5 * length_s * self.load_rate.powi(2);
         for node in GAUSS {
@@ -457,7 +461,7 @@ impl Filter {
         }
     }
 
-    /// False: an outlier too many, the interval is broken off.
+    /// False after three outliers in succession: the interval ends.
     fn update(&mut self, measured: [Option<f64>; 2]) -> bool {
         if self.early > 1e-5 {
             self.scale(1.0 / (1.0 - self.early));
@@ -476,12 +480,13 @@ impl Filter {
             let noise = self.sensors[channel].variance();
             let square = innovation * innovation / (own + noise);
             self.sensors[channel].innovate(innovation, own, self.fixed_noise);
-            self.log_likelihood -= 0.5 * (square.min(OUTLIER * OUTLIER) + (own + noise).ln());
-            if square > OUTLIER * OUTLIER {
+            self.log_likelihood -=
+                0.5 * (square.min(SETTINGS.outlier * SETTINGS.outlier) + (own + noise).ln());
+            if square > SETTINGS.outlier * SETTINGS.outlier {
                 self.tally.outliers += 1;
                 self.streak[channel] += 1;
                 if self.streak[channel] >= 3 {
-                    // Something has changed: the parameters are sought again.
+                    // A change of the motor: the covariance is increased.
                     self.tally.reopened += 1;
                     self.streak = [0; 2];
                     self.scale(16.0);
@@ -510,8 +515,8 @@ impl Filter {
         }
     }
 
-    /// The state is that of the sample; the parameters stay.
-    fn anchor(&mut self, measured: [Option<f64>; 2]) {
+    /// Sets the state to the sample; the parameters stay.
+    fn set_to_sample(&mut self, measured: [Option<f64>; 2]) {
         if self.mode != Mode::Unknown {
             self.tally.breaks += 1;
         }
@@ -522,9 +527,9 @@ impl Filter {
         self.belief.x[I] = current.unwrap_or(0.0);
         let [amps, rad_s] = self.sensors.map(|sensor| sensor.largest);
         let unknown = amps.max(1e-3 * rad_s).powi(2);
-        self.belief.forget(I, current.map_or(unknown, |_| electrical));
+        self.belief.reset(I, current.map_or(unknown, |_| electrical));
         self.belief.x[W] = speed;
-        self.belief.forget(W, mechanical);
+        self.belief.reset(W, mechanical);
         if self.is_signless() {
             self.mode = Mode::Turning(1.0);
             return;
@@ -535,10 +540,10 @@ impl Filter {
         }
         let zone = self.zone_rad_s();
         let clear = speed.abs() > 2.0 * zone;
-        let heading = if clear { speed.signum() } else { 0.0 };
-        let before = std::mem::replace(&mut self.heading, heading);
-        // The sample that first clears the zone was chosen by its noise: the state begins with the one after it, and so
-        // far outside that noise does not decide whether the next interval is used. Else the friction comes out high.
+        let sign = if clear { speed.signum() } else { 0.0 };
+        let before = std::mem::replace(&mut self.last_sign, sign);
+        // Selection bias: the first sample outside the zone was selected by its noise. The state begins with the one after it, and so
+        // far outside that noise does not decide whether the next interval is used; else the friction would be biased upwards.
         if before != 0.0 && before * speed > zone {
             self.mode = Mode::Turning(before);
         }
@@ -551,11 +556,11 @@ impl Filter {
         let rows = f64::from(self.zeros);
         if self.zeros >= 8 {
             let mean = self.zero_sum / rows;
-            let still = mean.abs() < REST_ENDS * (mechanical / rows).sqrt() + 1e-9;
+            let still = mean.abs() < SETTINGS.motion * (mechanical / rows).sqrt() + 1e-9;
             (self.zeros, self.zero_sum) = (0, 0.0);
             if still && !self.may_break_away(self.belief.x[I]) {
                 self.belief.x[W] = 0.0;
-                self.belief.forget(W, 0.0);
+                self.belief.reset(W, 0.0);
                 self.mode = Mode::AtRest;
             }
         }

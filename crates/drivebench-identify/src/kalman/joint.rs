@@ -1,8 +1,8 @@
-//! State and parameters together, on line: the alternative to scheme 3.
+//! Joint estimation of state and parameters by an extended Kalman filter, on line: the alternative to scheme 3.
 //!
 //! Start: from the model's R, L, Ke, J, Mc where all are given (each may be off by half), and from scheme 3 as soon as
-//! that is certain, if there was no start or the two contradict each other by a fifth. A filter that starts from wild
-//! values may lose its way (Ljung, *IEEE Trans. Automatic Control* AC-24 (1979) 36); scheme 3's linear start cannot.
+//! that is certain, if there was no start or the two differ by a fifth. A filter that starts far from the truth may diverge
+//! (Ljung, *IEEE Trans. Automatic Control* AC-24 (1979) 36); the linear regression of scheme 3 cannot.
 
 use super::filter::{Filter, I, J, KE, L, MC, Mode, N, R, Tally};
 use super::physics::KnownEffects;
@@ -12,7 +12,7 @@ use crate::verdict;
 use drivebench_model::plant::{Model, MotorKey, Slot};
 use drivebench_model::sample::{Channel, ParameterEstimate, Run, Sample, Verdict};
 
-/// The five parameters and the states that carry them.
+/// The five parameters and their states.
 const PARAMETERS: [(MotorKey, usize); 5] = [
     (MotorKey::Resistance, R),
     (MotorKey::Inductance, L),
@@ -20,12 +20,16 @@ const PARAMETERS: [(MotorKey, usize); 5] = [
     (MotorKey::Inertia, J),
     (MotorKey::LoadTorque, MC),
 ];
-/// Relative standard deviation of a start from scheme 3, at most.
-const START_SPREAD: f64 = 0.3;
-/// Standard deviations of one start that the next is wide.
-const WIDER: f64 = 10.0;
-/// Relative standard deviation from which scheme 3 counts as certain.
-const CERTAIN: f64 = 0.2;
+struct Settings {
+    /// Largest relative standard deviation of a start.
+    start_spread: f64,
+    /// Standard deviation of a start over that of its estimate.
+    wider: f64,
+    /// Largest relative standard deviation of scheme 3 for a start.
+    certain: f64,
+}
+
+const SETTINGS: Settings = Settings { start_spread: 0.3, wider: 10.0, certain: 0.2 };
 
 /// The joint filter: the parameters are constant, and there is no load torque beside the Coulomb torque.
 #[derive(Clone, Debug)]
@@ -65,8 +69,8 @@ impl Kalman {
         kalman
     }
 
-    /// Starts from what another pass over the same data has found; no other start is looked for.
-    fn again(model: &Model, found: &Self) -> Self {
+    /// Starts from the estimates of another pass over the same data, without scheme 3.
+    fn next_pass(model: &Model, found: &Self) -> Self {
         let mut kalman = Self::new(model);
         let sensors = &found.filter.sensors;
         if sensors.iter().any(|sensor| sensor.at_rest().is_none()) {
@@ -79,7 +83,7 @@ impl Kalman {
             let state = PARAMETERS[k].1;
             let size = if state == MC { values[k].abs() } else { 1.0 };
             let std = (found.filter.belief.p[state][state] * found.widening()).sqrt();
-            (WIDER * std / size.max(f64::MIN_POSITIVE)).clamp(0.01, START_SPREAD)
+            (SETTINGS.wider * std / size.max(f64::MIN_POSITIVE)).clamp(0.01, SETTINGS.start_spread)
         });
         kalman.start(values, spread);
         // The start is a good one.
@@ -99,7 +103,7 @@ impl Kalman {
         let most = torque * self.filter.sensors[I].largest.max(1e-3);
         if variance[MC] > 0.0 {
             // A start without any friction leaves its size open: 5 % of the largest electrical torque.
-            let known = spread[4] < START_SPREAD;
+            let known = spread[4] < SETTINGS.start_spread;
             let unknown = if known { 0.0 } else { 0.05 * most };
             variance[MC] = (spread[4] * x[MC]).powi(2).max(unknown.powi(2));
         }
@@ -143,14 +147,16 @@ impl Kalman {
         let value = |k: usize| {
             let estimate = found.get(k)?;
             let (value, std) = (estimate.value?, estimate.std?);
-            (value > 0.0 && std < CERTAIN * value).then_some(value)
+            (value > 0.0 && std < SETTINGS.certain * value).then_some(value)
         };
         let (Some(r), Some(ke), Some(j)) = (value(0), value(2), value(3)) else {
             return;
         };
         let mut spread: [f64; 5] = std::array::from_fn(|k| {
             let relative = found.get(k).and_then(|e| Some(e.std? / e.value?.abs()));
-            relative.map_or(START_SPREAD, |std| (WIDER * std).clamp(0.05, START_SPREAD))
+            relative.map_or(SETTINGS.start_spread, |std| {
+                (SETTINGS.wider * std).clamp(0.05, SETTINGS.start_spread)
+            })
         });
         let l = value(1).unwrap_or_else(|| {
             spread[1] = 1.0;
@@ -189,7 +195,7 @@ impl Kalman {
                 return ParameterEstimate { std: None, ..fixed };
             }
             if left > IGNORANT * prior {
-                return verdict::unknown(key, self.why_not(key, (left / prior).sqrt()));
+                return verdict::unknown(key, self.reason(key, (left / prior).sqrt()));
             }
             let size = if state == MC { 1.0 } else { value };
             let std = Some(size * (left * widening).sqrt());
@@ -199,13 +205,13 @@ impl Kalman {
         parameters.map(estimate).collect()
     }
 
-    /// Factor on the variances: neighbouring innovations that are alike carry less than the filter counts.
+    /// Factor on the variances for correlated innovations.
     fn widening(&self) -> f64 {
         let [current, speed] = self.filter.sensors.map(|sensor| sensor.colour());
         current.max(speed)
     }
 
-    /// Innovations that the noise does not explain take a verdict back.
+    /// Verdict with the test of consistency: innovations that are larger than the noise.
     fn doubt(&self, mut judged: ParameterEstimate) -> ParameterEstimate {
         if judged.verdict == Verdict::NotObservable {
             return judged;
@@ -219,7 +225,7 @@ impl Kalman {
                 judged.reason = Some(format!("{figure}: the model does not describe these data"));
             } else {
                 judged.unsettle(format!(
-                    "{figure}: an effect is missing, or the filter is not there yet"
+                    "{figure}: an effect is missing, or the filter has not converged"
                 ));
             }
         } else {
@@ -264,8 +270,8 @@ impl Kalman {
             if estimate.value.is_some() && estimate.verdict != Verdict::Invalid {
                 estimate.verdict = Verdict::Searching;
                 estimate.reason = Some(format!(
-                    "from scheme 3, which the filter waits for to be certain within {:.0} %",
-                    100.0 * CERTAIN
+                    "from scheme 3; the filter starts when that is certain within {:.0} %",
+                    100.0 * SETTINGS.certain
                 ));
             }
         }
@@ -276,14 +282,14 @@ impl Kalman {
         found
     }
 
-    fn why_not(&self, key: MotorKey, left: f64) -> String {
+    fn reason(&self, key: MotorKey, deviation_ratio: f64) -> String {
         let [current, speed] = self.filter.sensors.map(|sensor| sensor.largest);
         let rests = self.filter.mode == Mode::AtRest;
         let state = if rests { ", now at rest" } else { "" };
         let period_ms = 1e3 * self.filter.period_s;
         let learnt = format!(
-            "{:.0} % of its first uncertainty is left after {} rows",
-            100.0 * left,
+            "{:.0} % of its initial uncertainty remains after {} rows",
+            100.0 * deviation_ratio,
             self.filter.tally.used
         );
         match key {
@@ -296,18 +302,17 @@ impl Kalman {
             }
             MotorKey::Resistance => format!("{learnt}: largest current {current:.2} A"),
             _ => format!(
-                "{learnt}: largest speed {speed:.2} rad/s against {:.2} rad/s that count as motion{state}",
+                "{learnt}: largest speed {speed:.2} rad/s, motion begins at {:.2} rad/s{state}",
                 self.filter.zone_rad_s()
             ),
         }
     }
 }
 
-/// A recorded run: through it once to find the values, and again from there until they stay, so that its beginning is
-/// not lost and nothing is linearised about a poor start. Each further start is ten standard deviations wide: the data
-/// count once (and by a hundredth again), and what the first rows do to the parameters stays within the linear range.
-/// With a start 30 % wide the first few rows, at thousands of times the noise, throw the parameters so far that the
-/// derivatives are off and the Coulomb torque comes out 1.5 standard deviations high.
+/// Iterated filter over a recorded run: passes over the data, each from the estimates of the one before, until they do not
+/// change, so that no row is linearised about a poor start. The prior of each further pass is ten standard deviations wide, so
+/// that the data count once (and by a hundredth again) and the first updates stay within the linear range: with a prior of 30 %
+/// the Coulomb torque is biased by 1.5 standard deviations.
 pub fn identify(model: &Model, run: &Run) -> Kalman {
     let mut found = Kalman::new(model);
     run.samples().for_each(|sample| found.push(&sample));
@@ -319,7 +324,7 @@ pub fn identify(model: &Model, run: &Run) -> Kalman {
         if !usable {
             break;
         }
-        let mut next = Kalman::again(model, &found);
+        let mut next = Kalman::next_pass(model, &found);
         run.samples().for_each(|sample| next.push(&sample));
         let still = PARAMETERS.iter().all(|(_, state)| {
             let step = next.filter.belief.x[*state] - found.filter.belief.x[*state];

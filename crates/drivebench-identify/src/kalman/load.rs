@@ -1,9 +1,10 @@
-//! Load torque as a process output: rolling, cutting or lifting force over time, with its standard deviation.
+//! Disturbance observer (Kalman filter) for the load torque over time, as of rolling, cutting or lifting, with its standard
+//! deviation.
 //!
-//! `J dw/dt = Kt i - Mc sgn(w) - friction(w) - TL(t)`: TL is positive against positive speed; negative while the load
-//! drives in that direction. What the model calls friction is not in it. TL is a random walk; its rate, N.m/sqrt(s), is
-//! the one figure to set: a load that changes by 0.5 N.m within a second has about 0.5. The parameters are taken as
-//! exact: an error of the torque constant of 1 % is 1 % of the motor's torque in TL beside the standard deviation.
+//! `J dw/dt = Kt i - Mc sgn(w) - friction(w) - TL(t)`: TL is positive against positive speed, negative while the load
+//! drives in that direction, and does not contain the friction of the model. TL is a random walk; its rate, N.m/sqrt(s), is
+//! the only setting: a load that changes by 0.5 N.m within a second has about 0.5. The parameters are taken as exact: an
+//! error of the torque constant of 1 % is an error of 1 % of the motor's torque in TL, which is not in the standard deviation.
 
 use thiserror::Error;
 
@@ -33,7 +34,7 @@ pub enum LoadError {
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
     #[error("run {run:?}: the load torque is not observable: {reason}")]
-    NothingSeen { run: String, reason: String },
+    NotObservable { run: String, reason: String },
 }
 
 impl LoadError {
@@ -44,14 +45,14 @@ impl LoadError {
             }
             Self::Value { .. } => "see the commented example in bench-configs/",
             Self::Scenario(error) => error.help(),
-            Self::NothingSeen { .. } => {
-                "the load shows only while the motor turns: map a speed with --map speed_rad_s=HEADER"
+            Self::NotObservable { .. } => {
+                "the load is observable only while the motor turns: map a speed with --map speed_rad_s=HEADER"
             }
         }
     }
 }
 
-/// Follows the load torque sample by sample.
+/// Estimates the load torque sample by sample.
 #[derive(Clone, Debug)]
 struct LoadTracker {
     filter: Filter,
@@ -98,8 +99,7 @@ impl LoadTracker {
         filter.effects = effects;
         filter.source = if input == Input::Voltage { Source::Voltage } else { Source::Current };
         filter.load_rate = rate_n_m_per_sqrt_s;
-        // A resistance that is warm by 3 K errs as much. It keeps the current near its measurement, where a prediction
-        // without it would be trusted for ever.
+        // Process noise as of a winding that is warmer by 3 K, without which the predicted current would never be corrected.
         filter.voltage_share = 0.01;
         filter.freeze();
         Ok(Self { filter, input, applied: AppliedVoltage::default(), left_out })
@@ -152,21 +152,18 @@ impl LoadTracker {
         let widest = half * half / 3.0;
         if belief.p[TL][TL] > widest || bound.total_cmp(&belief.x[TL]).is_ne() {
             belief.x[TL] = bound;
-            belief.forget(TL, widest);
+            belief.reset(TL, widest);
         }
     }
 }
 
-/// What drives the shaft where there is no voltage.
+/// Input of the mechanics without a voltage.
 const fn driving(input: Input) -> Channel {
     match input {
         Input::Torque => Channel::Torque,
         Input::Voltage | Input::Current => Channel::Current,
     }
 }
-
-/// Rows in motion without which there is no trace.
-const FEWEST_ROWS_IN_MOTION: usize = 20;
 
 /// The load torque of a run.
 #[derive(Clone, Debug)]
@@ -203,7 +200,7 @@ pub fn load_torque_trace(run: &Run, model: &Model) -> Result<LoadTrace, LoadErro
         Input::Torque => 1.0,
         _ => model.motor.torque_constant().unwrap_or(1.0),
     };
-    // Without any current the friction's size stands in.
+    // Without any current the friction gives the size.
     let load = model.motor.get(MotorKey::LoadTorque).unwrap_or(0.0).abs();
     let size = (most * per_unit).max(load).max(1e-9);
     let rate = likeliest_rate(run, model, input, size)?;
@@ -216,12 +213,13 @@ pub fn load_torque_trace(run: &Run, model: &Model) -> Result<LoadTrace, LoadErro
             points.push(point);
         }
     }
-    if tracker.filter.tally.used < 20 || rows_followed < FEWEST_ROWS_IN_MOTION {
+    let fewest = 20;
+    if tracker.filter.tally.used < 20 || rows_followed < fewest {
         let speed = tracker.filter.sensors[1].largest;
-        return Err(LoadError::NothingSeen {
+        return Err(LoadError::NotObservable {
             run: run.name.clone(),
             reason: format!(
-                "{rows_followed} of {} rows in motion, at least {FEWEST_ROWS_IN_MOTION} are needed (largest speed {speed:.2} rad/s)",
+                "{rows_followed} of {} rows in motion, at least {fewest} are needed (largest speed {speed:.2} rad/s)",
                 points.len()
             ),
         });
@@ -246,7 +244,7 @@ pub fn load_torque_trace(run: &Run, model: &Model) -> Result<LoadTrace, LoadErro
     })
 }
 
-/// The rate at which the innovations are likeliest, by trial on a logarithmic scale and a parabola through the best three.
+/// Maximum-likelihood estimate of the rate from the innovations: a logarithmic grid, and a parabola through the best three.
 fn likeliest_rate(run: &Run, model: &Model, input: Input, size: f64) -> Result<f64, LoadError> {
     // Four rates per decade.
     let rate = |power: f64| size * 10f64.powf(power / 4.0);
@@ -262,9 +260,9 @@ fn likeliest_rate(run: &Run, model: &Model, input: Input, size: f64) -> Result<f
     let mut power = scores[best].0;
     if best > 0 && best + 1 < scores.len() {
         let [before, at, after] = [best - 1, best, best + 1].map(|k| scores[k].1);
-        let bend = before - 2.0 * at + after;
-        if bend < 0.0 {
-            power += (0.5 * (before - after) / bend).clamp(-0.5, 0.5);
+        let curvature = before - 2.0 * at + after;
+        if curvature < 0.0 {
+            power += (0.5 * (before - after) / curvature).clamp(-0.5, 0.5);
         }
     }
     Ok(rate(power))

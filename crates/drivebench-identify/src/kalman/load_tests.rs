@@ -7,8 +7,6 @@ use drivebench_model::plant::Motor;
 use rand::SeedableRng as _;
 use rand_distr::{Distribution as _, StandardNormal};
 
-const FINE_S: f64 = 5e-5;
-
 /// The paper's motor under `volts(t)` and a load `load(t)`, sampled every `period_s`.
 fn plant(events: &[(f64, f64)], load: &dyn Fn(f64) -> f64, period_s: f64, seconds: f64) -> Record {
     let [r, l, ke, j, mc] = PAPER;
@@ -17,9 +15,10 @@ fn plant(events: &[(f64, f64)], load: &dyn Fn(f64) -> f64, period_s: f64, second
     let (mut current, mut speed) = (vec![], vec![]);
     let mut now = 0.0;
     for &time_s in &times {
-        while now < time_s - 0.5 * FINE_S {
+        let h = 5e-5;
+        while now < time_s - 0.5 * h {
             let volts = events[events.partition_point(|e| e.0 <= now + 1e-9) - 1].1;
-            let drive = |i: f64| ke * i - load(now + 0.5 * FINE_S);
+            let drive = |i: f64| ke * i - load(now + 0.5 * h);
             let along = if w == 0.0 { drive(i) } else { w };
             let friction = mc * along.signum();
             let turns = f64::from(u8::from(w != 0.0 || drive(i).abs() > mc));
@@ -27,7 +26,6 @@ fn plant(events: &[(f64, f64)], load: &dyn Fn(f64) -> f64, period_s: f64, second
                 let turning = turns * (drive(i) - friction) / j;
                 ((volts - r * i - ke * w) / l, turning)
             };
-            let h = FINE_S;
             let k1 = f(i, w);
             let k2 = f(i + 0.5 * h * k1.0, w + 0.5 * h * k1.1);
             let k3 = f(i + 0.5 * h * k2.0, w + 0.5 * h * k2.1);
@@ -152,7 +150,7 @@ fn without_a_voltage_the_measured_current_drives_the_shaft() {
 
 #[test]
 fn a_load_at_rest_is_known_within_the_friction_and_no_better() {
-    // 0.3 V drive too little to move; a load of 0.2 N.m leans against the friction of 0.455 N.m.
+    // 0.3 V are too little to move against the friction of 0.455 N.m, with a load of 0.2 N.m.
     let record = plant(&[(0.0, 0.0), (0.5, 0.3)], &|_| 0.2, 0.001, 2.0);
     assert!(record.speed.iter().all(|w| *w == 0.0));
     let run = record.run(Some(4));
@@ -163,7 +161,7 @@ fn a_load_at_rest_is_known_within_the_friction_and_no_better() {
     let is_open = (last.load_torque_n_m - 0.2).abs() < 3.0 * last.std_n_m && last.std_n_m > 0.2;
     assert!(is_open, "{last:?}");
     let refused = load_torque_trace(&run, &model);
-    assert!(matches!(refused, Err(LoadError::NothingSeen { .. })));
+    assert!(matches!(refused, Err(LoadError::NotObservable { .. })));
 }
 
 #[test]

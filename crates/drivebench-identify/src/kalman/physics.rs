@@ -28,10 +28,10 @@ impl Physics {
 
     /// The shaft stands: only the current moves.
     pub(super) fn at_rest(&self, h: f64) -> Propagator {
-        let lost = -(-h * self.r / self.l).exp_m1();
+        let settled = -(-h * self.r / self.l).exp_m1();
         Propagator {
-            phi: [[1.0 - lost, 0.0], [0.0, 0.0]],
-            gamma: [[lost * self.l / self.r, 0.0], [0.0, 0.0]],
+            phi: [[1.0 - settled, 0.0], [0.0, 0.0]],
+            gamma: [[settled * self.l / self.r, 0.0], [0.0, 0.0]],
         }
     }
 
@@ -78,16 +78,16 @@ impl KnownEffects {
     /// The effects of `model` that can be subtracted, and the identifiers of those that cannot: a value is missing, or
     /// they are more than terms of a balance in voltage, current and speed.
     pub(crate) fn of(model: &Model) -> (Self, Vec<&'static str>) {
-        let (mut known, mut left) = (Vec::new(), Vec::new());
+        let (mut known, mut not_subtracted) = (Vec::new(), Vec::new());
         for active in &model.effects {
             let terms = active.terms_of_the_instant();
             match terms.filter(|_| !active.effect.card().needs_angle) {
                 Some(terms) => known.push(terms),
-                None => left.push(active.id()),
+                None => not_subtracted.push(active.id()),
             }
         }
         let terms = Arc::new(known);
-        (Self { terms }, left)
+        (Self { terms }, not_subtracted)
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -107,13 +107,13 @@ impl KnownEffects {
             sum(&|terms| terms.torque_n_m(&at, &[]) + direction * terms.friction_n_m(&at))
         };
         let step = 1e-3 * (1.0 + at.speed_rad_s.abs());
-        let here = torque(at.speed_rad_s);
+        let present = torque(at.speed_rad_s);
         let slope = (torque(at.speed_rad_s + step) - torque(at.speed_rad_s - step)) / (2.0 * step);
         // Friction that falls with speed stays below what would make the motor itself unstable.
         physics.b = slope.max(-0.5 * physics.ke * physics.kt / physics.r);
         Offsets {
             voltage_v: sum(&|terms| terms.voltage_v(at, &[])),
-            torque_n_m: here - physics.b * at.speed_rad_s,
+            torque_n_m: present - physics.b * at.speed_rad_s,
         }
     }
 }

@@ -2,12 +2,11 @@
 
 use drivebench_model::signal;
 
-/// Samples at rest from which on their scatter counts.
-const FEWEST_AT_REST: f64 = 10.0;
-/// Innovations without which there is no test of consistency.
+/// Fewest innovations of a consistency test.
 const FEWEST_TESTED: f64 = 30.0;
 
-/// Noise variance: from the scatter at rest where there was one, carried on by the innovations.
+/// Noise variance: from the scatter at rest where there was one, then from the innovations (Mehra, *IEEE Trans. Automatic
+/// Control* AC-15, 1970).
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Sensor {
     /// Differences of successive samples at rest: a slow drift does not enter (von Neumann 1941).
@@ -25,9 +24,9 @@ pub(super) struct Sensor {
 #[derive(Clone, Copy, Debug, Default)]
 struct Test {
     rows: f64,
-    /// Squares over what the noise at rest lets expect.
+    /// Squares over their expectation by the noise at rest.
     expected: f64,
-    /// Squares over what the filter itself expects, and products of neighbours.
+    /// Squares over their expectation by the filter, and products of neighbours.
     squares: f64,
     products: f64,
     last: Option<f64>,
@@ -54,8 +53,7 @@ impl Sensor {
 
     /// Variance of one sample as the rest before the start shows it; never below the resolution.
     pub(super) fn at_rest(&self) -> Option<f64> {
-        (self.differences >= FEWEST_AT_REST)
-            .then(|| (self.squares / self.differences).max(self.least()))
+        (self.differences >= 10.0).then(|| (self.squares / self.differences).max(self.least()))
     }
 
     /// Of the resolution; no sensor is better than a millionth of its largest value, which keeps the filter regular on
@@ -88,7 +86,7 @@ impl Sensor {
         if fixed && self.at_rest().is_some() {
             return;
         }
-        // While the parameters are still moving the innovation is not that of the sensor.
+        // While the parameters converge the innovation is not that of the sensor.
         let clipped = 9.0 * whole;
         if own < 0.5 * noise || square > clipped {
             self.innovations += 1.0;
@@ -105,8 +103,8 @@ impl Sensor {
         self.test.last = None;
     }
 
-    /// Root mean square of the recent innovations in units of what the noise at rest lets expect, and the largest that
-    /// chance allows (one case in two hundred). `None` without a rest to compare with.
+    /// Root mean square of the recent innovations over its expectation by the noise at rest, and the bound that it exceeds by chance
+    /// in one case of two hundred (normalised innovations squared). `None` without a rest.
     pub(super) fn consistency(&self) -> Option<(f64, f64)> {
         self.at_rest()?;
         (self.test.rows >= FEWEST_TESTED).then(|| {
@@ -115,7 +113,7 @@ impl Sensor {
         })
     }
 
-    /// Factor on a variance because neighbouring innovations are alike: `(1 + rho)/(1 - rho)`, one where they are not.
+    /// Factor on a variance for AR(1)-correlated innovations: `(1 + rho)/(1 - rho)`, one where rho is not significant.
     pub(super) fn colour(&self) -> f64 {
         if self.test.rows < FEWEST_TESTED {
             return 1.0;
@@ -138,14 +136,11 @@ impl Test {
     }
 }
 
-/// Changes of voltage that are kept.
-const MOST: usize = 16;
-
-/// Voltage as applied, piece by piece, in a fixed store.
+/// Applied voltage as a zero-order hold of at most 16 changes, without allocation.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct HeldVoltage {
     /// `(from, volts)` in the order of time; the first holds at the filter's present instant.
-    pieces: [(f64, f64); MOST],
+    pieces: [(f64, f64); 16],
     count: usize,
     /// The interval that comes is not known: too many changes in it, or one came too late.
     pub(super) torn: bool,
@@ -171,7 +166,7 @@ impl HeldVoltage {
         if known && at == self.count {
             return;
         }
-        let full = self.count == MOST;
+        let full = self.count == self.pieces.len();
         self.torn |= full || (time_s < now_s && self.count > 0);
         self.count -= usize::from(full);
         let at = at.min(self.count);
@@ -180,7 +175,7 @@ impl HeldVoltage {
         self.count += 1;
     }
 
-    /// What holds at an instant; `None` before the first command.
+    /// Voltage at an instant; `None` before the first command.
     pub(super) fn at(&self, time_s: f64) -> Option<f64> {
         signal::held(&self.pieces[..self.count], time_s)
     }
@@ -194,7 +189,7 @@ impl HeldVoltage {
         signal::pieces(&self.pieces[..self.count], from_s, to_s)
     }
 
-    /// Forgets what no longer holds at `now_s`.
+    /// Removes the changes that ended before `now_s`.
     pub(super) fn advance(&mut self, now_s: f64) {
         let held = self.pieces[..self.count].partition_point(|piece| piece.0 <= now_s);
         if held > 1 {

@@ -105,7 +105,7 @@ fn a_torque_balance_is_widened_where_it_lacks_a_form() {
     assert!(!covers(&before, BRUSHED[4], 3.0), "{before:?}");
     assert_eq!(after.verdict, Verdict::Searching, "{after:?}");
     assert!(covers(&after, BRUSHED[4], 1.5), "{after:?}");
-    assert_says(&after, &["viscous_friction, if it acts"]);
+    assert_says(&after, &["viscous_friction, if present"]);
     let found = balances_of(&brushed());
     judged(&found[1], KEYS[4].key(), Verdict::Settled);
     for place in [3, 4] {

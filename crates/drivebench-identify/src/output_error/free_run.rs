@@ -12,7 +12,7 @@ use drivebench_model::plant::{
     typical_size,
 };
 
-/// How a parameter and its scaled coordinate belong together.
+/// Transformation between a parameter and its scaled coordinate.
 #[derive(Clone, Copy, Debug)]
 enum Scaling {
     /// `p = exp(x)`, between two bounds on `p`.
@@ -197,8 +197,8 @@ impl<'a> FreeRun<'a> {
         state.with_effects(&effects)
     }
 
-    /// Where no signal does more than its residual at a minimum: a machine at constant speed, whose noise would pass for
-    /// a transient of its initial state; or one that does what the model does not.
+    /// Reason for which no parameter is observable: the residual is as large as every signal, at constant speed, or with a model that
+    /// does not describe the signals.
     pub(crate) fn why_still(&self, residual: &[f64]) -> Option<String> {
         let share = |speed: bool| -> Option<(f64, bool)> {
             let (values, level) = measured(self.scenario, &self.noise, speed);
@@ -216,12 +216,13 @@ impl<'a> FreeRun<'a> {
         let least = (shares.iter()).fold(f64::INFINITY, |least, share| least.min(share.0));
         let explained = 100.0 * (1.0 - least).max(0.0);
         let why = if shares.iter().any(|share| share.1) {
-            ": its free run does not follow them; check columns, units and what drives the shaft"
+            ": its free run does not follow them; check columns, units and the input"
         } else {
             ", the rest is noise: the run is a steady state"
         };
-        (least > 0.8)
-            .then(|| format!("the model explains {explained:.0} % of what the signals do{why}"))
+        (least > 0.8).then(|| {
+            format!("the model explains {explained:.0} % of the variation of the signals{why}")
+        })
     }
 
     pub fn trajectory(&self, x: &[f64]) -> Result<Trajectory, FitError> {
@@ -252,8 +253,8 @@ fn measured<'a>(scenario: &'a Scenario, noise: &NoiseFloor, is_speed: bool) -> (
     }
 }
 
-/// What a simulation misses a measurement by, in units of the noise; `row` is `(sample, is_speed)`. The noise of a sample
-/// that was stamped vaguely is that of its sensor and what its signal does within the stamp's interval.
+/// Error of a simulation at a measurement over the noise; the row is `(sample, is_speed)`. The noise is that of the sensor and that
+/// of the stamp.
 pub fn weighted_residual(
     (sample, is_speed): (usize, bool),
     simulated: &Trajectory,
@@ -262,8 +263,8 @@ pub fn weighted_residual(
 ) -> f64 {
     let (measured, level) = measured(scenario, noise, is_speed);
     let simulated = if is_speed { &simulated.speed_rad_s } else { &simulated.current_a };
-    let miss = simulated[sample] - measured[sample];
-    miss / level.hypot(stamps::spread(scenario, measured, sample))
+    let error = simulated[sample] - measured[sample];
+    error / level.hypot(stamps::spread(scenario, measured, sample))
 }
 
 impl Problem for FreeRun<'_> {
@@ -300,9 +301,8 @@ impl Problem for FreeRun<'_> {
     }
 }
 
-/// Torque of a Coulomb level at which a fit starts that was given as zero, whose logarithm does not exist: a millionth of
-/// what the largest input drives, which no sensor shows. As a share it follows the scale of the model, which no run
-/// without a current fixes.
+/// Start of a Coulomb torque that was given as zero, whose logarithm does not exist: a millionth of the torque of the largest
+/// input, which no sensor resolves.
 fn smallest_load_n_m(model: &Model, scenario: &Scenario) -> f64 {
     let inputs: Vec<f64> = scenario.events.iter().map(|event| event.1).collect();
     let kt = model.motor.torque_constant().unwrap_or(1.0);

@@ -1,4 +1,4 @@
-//! Batch output-error fit: the free run of a model is brought as near to the measurement as its parameters allow.
+//! Output-error method (Ljung 1999, section 4.2): weighted nonlinear least squares of the free run of a model to the measurement.
 //!
 //! ```text
 //! Model, Scenario, NoiseFloor --(FreeRun: x -> weighted residual)--> Levenberg-Marquardt --> Fit
@@ -75,8 +75,8 @@ pub struct Fit {
     pub noise: NoiseFloor,
     /// Every parameter of the model, in the order of its slots.
     pub parameters: Vec<ParameterEstimate>,
-    /// What the standard deviations above were multiplied by: more than one where more than noise is left over, so that
-    /// they hold only if nothing else is missing.
+    /// Factor of the standard deviations above: more than one where the residual is more than noise, so that they hold only if no
+    /// other effect is missing.
     pub interval_factor: f64,
     /// Root of the mean over the signals of `(rmse / noise)^2` on the scored samples, as `diagnosis::Score` has it: a signal
     /// that was sampled more often does not count more. The cost of the minimum weighs every sample alike.
@@ -210,8 +210,8 @@ fn covariance_at(minimum: &Minimum, rows: &[(usize, bool)], scenario: &Scenario)
     let block = |time_s: &f64| whole((time_s - times[0]) / BLOCK_S);
     let blocks: Vec<usize> = times.iter().map(block).collect();
     let residual = DVector::from_column_slice(&minimum.residual);
-    let spare = residual.len().saturating_sub(bread.ncols()).max(1) as f64;
-    let white = bread.diagonal() * (residual.norm_squared() / spare);
+    let freedom = residual.len().saturating_sub(bread.ncols()).max(1) as f64;
+    let white = bread.diagonal() * (residual.norm_squared() / freedom);
     let mut covariance = clustered(&minimum.jacobian, &residual, &blocks, bread, &determined);
     for (index, least) in white.iter().enumerate() {
         if covariance[(index, index)] < *least {

@@ -11,17 +11,16 @@ use drivebench_model::sample::{ParameterEstimate, Verdict};
 const FEWEST_ROWS: u64 = 4;
 /// Rows after a change before anything is settled again.
 const REOPENED_ROWS: u64 = 60;
-/// How a reason begins where the inertia is found anew.
+/// Beginning of a reason after a change of the inertia.
 pub const INERTIA_HAS_CHANGED: &str = "the inertia has changed";
 
-/// What is forgotten together.
+/// Estimators with a common forgetting factor.
 #[derive(Clone, Debug)]
 struct Fits {
     estimator: RecursiveLeastSquares<2>,
-    /// The same with the integral of the current off by what is not known of it.
+    /// The same with the integral of the current off by its uncertainty.
     doubtful: RecursiveLeastSquares<2>,
-    /// Beside Kt/J and Mc/J a friction in proportion to the speed, over J: whether the load is as constant as it is
-    /// taken for.
+    /// The same with a viscous friction over J as a third parameter: tests whether the load is constant.
     sloping: RecursiveLeastSquares<3>,
 }
 
@@ -47,7 +46,7 @@ pub(super) struct MechanicalBalance {
     innovation_rad_s: Option<f64>,
     blocked_rows: u64,
     watch: ChangeWatch,
-    /// How often it was begun again because the inertia had changed.
+    /// Restarts after a change of the inertia.
     changes: u32,
     forgetting: f64,
 }
@@ -59,7 +58,7 @@ pub(super) struct MechanicalRow {
     pub(super) end_s: f64,
     pub(super) speed_step_rad_s: f64,
     pub(super) current_integral_a_s: f64,
-    /// The same if what it rests on is one standard deviation off.
+    /// The same with the inputs off by one standard deviation.
     pub(super) doubtful_integral_a_s: f64,
     /// Sign of the speed over the whole block; zero where it has none: the row is dropped.
     pub(super) direction: i8,
@@ -135,7 +134,7 @@ impl MechanicalBalance {
         }
     }
 
-    /// Why nothing may be settled now although the rows agree.
+    /// Why no value may be settled now although the rows agree.
     fn reopened(&self) -> Option<String> {
         (self.changes > 0 && self.fits.estimator.rows() < REOPENED_ROWS).then(|| {
             format!(
@@ -180,7 +179,7 @@ impl MechanicalBalance {
         self.innovation_rad_s
     }
 
-    /// Kt/J and its standard deviation as the rows have it now, rad/(A.s^2).
+    /// Present Kt/J and its standard deviation, rad/(A.s^2).
     pub(super) fn acceleration_with_std(&self) -> Option<(f64, f64)> {
         let std = self.fits.estimator.standard_deviations()?[0];
         let value = self.fits.estimator.parameters()[0];
@@ -198,7 +197,7 @@ impl MechanicalBalance {
         (self.fits.estimator.rows() >= FEWEST_ROWS && a > 0.0).then_some([a, b])
     }
 
-    /// Memory from the next row on.
+    /// Forgetting factor from the next row on.
     pub(super) fn set_forgetting(&mut self, forgetting: f64) {
         self.fits.estimator.set_forgetting(forgetting);
         self.fits.doubtful.set_forgetting(forgetting);
@@ -272,7 +271,7 @@ impl MechanicalBalance {
                 let mut judged = verdict::judge(&Slot::Motor(key), value, std, period_s);
                 let most = std.is_some_and(|std| doubt * value.abs() > std / 2f64.sqrt());
                 if most && judged.value.is_some() {
-                    // A bound of an error that has one sign is no ground to settle on.
+                    // A bound on a systematic error does not settle the value.
                     judged.verdict = Verdict::Searching;
                     judged.reason = Some(format!(
                         "the current between samples ({:.1} ms apart) is not known: an error of about {:.1} %, by what \

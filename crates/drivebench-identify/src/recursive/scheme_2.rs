@@ -1,9 +1,9 @@
 //! Scheme 2 of paper A: inertia and load torque from current and speed, the torque constant known.
 //!
 //! `w_k - w_{k-1} = (Kt/J) int i - (Mc/J) sgn(w) T` on consecutive samples with their true stamps.
-//! Between samples the current is known only as a straight line. What that costs is measured, not assumed: a second
-//! estimate from every second sample moves by one (first order) to three times (second order) the error (Richardson), and
-//! its move over 1.5 is part of the standard deviation. Scheme 3 computes the current between samples: it has no such error.
+//! Between samples the current is interpolated linearly. The error of that is estimated by Richardson extrapolation: a second
+//! estimate from every second sample differs by one (first order) to three times (second order) the error, and the
+//! difference over 1.5 is part of the standard deviation. Scheme 3 computes the current between samples: it has no such error.
 
 use super::mechanical::{MechanicalBalance, MechanicalRow};
 use super::{Direction, LONGEST_GAP_S};
@@ -32,7 +32,7 @@ pub struct Scheme2 {
     period_s: f64,
 }
 
-/// A balance and the row that is being gathered for it.
+/// A balance and the current, unfinished row.
 #[derive(Clone, Debug)]
 struct Rows {
     stride_s: f64,
@@ -51,7 +51,7 @@ struct Block {
 }
 
 impl Scheme2 {
-    /// `stride_s`: least length of a row; 0 makes one of each pair of samples, as the paper does.
+    /// `stride_s`: smallest length of a row; 0 makes one of each pair of samples, as the paper does.
     pub fn new(integral: CurrentIntegral, forgetting: f64, stride_s: f64) -> Self {
         let rows = Rows { stride_s, balance: MechanicalBalance::new(forgetting), block: None };
         Self {

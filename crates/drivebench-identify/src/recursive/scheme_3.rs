@@ -1,11 +1,11 @@
-//! Scheme 3: voltage, current and speed give R, L, Ke, J and Mc; nothing is assumed known.
+//! Scheme 3: R, L, Ke, J and Mc from voltage, current and speed; no parameter is assumed to be known.
 //!
-//! Electrical line: over a block of about one L/R (at most 10 ms) the current is predicted with the exact solution of
+//! Electrical equation: over a block of about one L/R (at most 10 ms) the current is predicted with the exact solution of
 //! `winding`, and the innovation drives the recursive prediction-error step of `track` on (R, L, Ke). It starts from a
 //! linear regression on integrals, `int u = R int i + L di + Ke int w`, which coarse sampling biases by some per cent to
 //! some ten. After a trial the better of its track and of the first guess's is linearised again at the values found, and
-//! all rows before are dropped: they were linearised about a start that was off.
-//! Mechanical line: `mechanical`, with the integral of the current corrected for its curvature between samples.
+//! all rows before are dropped: they were linearised about an inaccurate start.
+//! Mechanical equation: `mechanical`, with the integral of the current corrected for its curvature between samples.
 
 use super::mechanical::{self, MechanicalBalance, MechanicalRow};
 use super::track::{Block, SampleNoise, Track};
@@ -18,16 +18,16 @@ use drivebench_model::sample::{ParameterEstimate, Verdict};
 use drivebench_model::signal::holding_since;
 
 const LONGEST_BLOCK_S: f64 = 0.01;
-/// A voltage this small is what a start without a bump leaves behind, V; it counts as none.
+/// Voltage that counts as zero, V: the rest of a bumpless start.
 const NEARLY_ZERO_V: f64 = 0.05;
-/// Voltage events that are kept while no sample comes that could use them.
+/// Largest number of stored voltage events without a sample.
 const MOST_EVENTS: usize = 4096;
-/// The linear start hands over at this many rows and this relative standard deviation.
+/// Rows, and relative standard deviation, at which the prediction-error method replaces the linear start.
 const START_ROWS: u64 = 20;
 const START_UNCERTAINTY: f64 = 0.2;
 /// Noise where none was measured: share of the largest value.
 const NOISE_SHARE: f64 = 1e-3;
-/// Rows of a trial at least. Its torque balance forgets faster than later.
+/// Smallest number of rows of a trial. Its forgetting factor of the torque balance is smaller than later.
 const TRIAL_ROWS: u32 = 40;
 const TRIAL_FORGETTING: f64 = 0.95;
 const KEYS: [MotorKey; 3] = [MotorKey::Resistance, MotorKey::Inductance, MotorKey::BackEmf];
@@ -46,7 +46,7 @@ impl Default for Memory {
     }
 }
 
-/// First guess of the winding: it competes with the one that the data give, and the data decide.
+/// First guess of the winding: tried beside the one from the data; the smaller prediction error decides.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StartValues {
@@ -65,7 +65,7 @@ impl StartValues {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Trial {
-    /// The linear start has not handed over.
+    /// The linear start is still in use.
     Waiting,
     /// Rows so far.
     On(u32),
@@ -78,7 +78,7 @@ struct Reading {
     current_a: f64,
     speed_rad_s: f64,
     direction: i8,
-    /// A limit of the drive held its output: the voltage was another than the one that was commanded.
+    /// The drive was saturated: the voltage differed from the command.
     limited: bool,
 }
 
@@ -88,12 +88,12 @@ pub struct Scheme3 {
     memory: Memory,
     torque_n_m_per_a: Option<f64>,
     guess: Option<Winding>,
-    /// The linear start, until it has handed over.
+    /// The linear start, until the prediction-error method replaces it.
     starting: Option<RecursiveLeastSquares<3>>,
     /// Prediction-error steps, from the guess and from the linear start; one after the trial.
     tracks: Vec<Track>,
     trial: Trial,
-    /// Kt/J where it was known last, rad/(A.s^2).
+    /// Last Kt/J, rad/(A.s^2).
     acceleration: Option<f64>,
     balance: MechanicalBalance,
     direction: Direction,
@@ -108,9 +108,9 @@ pub struct Scheme3 {
     last_end_s: f64,
     current_innovation_a: Option<f64>,
     period_s: f64,
-    /// Whether the samples that come now were taken while a limit of the drive held its output.
+    /// Whether the drive is saturated at the next samples.
     limited: bool,
-    /// Half-width of the stamps of the samples that come now, s.
+    /// Half-width of the stamps of the next samples, s.
     half_width_s: f64,
 }
 
@@ -156,8 +156,8 @@ impl Scheme3 {
         self.period_s
     }
 
-    /// Whether a limit of the drive held its output at the samples that come from now on. Between such samples, and on
-    /// both sides of them, the voltage is not the one that was commanded, and nothing is learnt.
+    /// Whether the drive is saturated at the next samples. Between such samples, and in the intervals before and after, the
+    /// voltage differs from the command, and no row is used.
     pub fn set_limited(&mut self, limited: bool) {
         self.limited = limited;
     }
@@ -210,7 +210,7 @@ impl Scheme3 {
         self.readings.push(reading);
         let begin_s = self.readings[0].time_s;
         if self.voltage.first().is_none_or(|first| first.0 > begin_s) {
-            // What held at the begin of the block is not known.
+            // The voltage at the beginning of the block is not known.
             self.readings.clear();
             self.readings.push(reading);
             return;
@@ -233,12 +233,12 @@ impl Scheme3 {
         self.best().map(Track::winding).or(self.guess)
     }
 
-    /// What the verdicts on R, L, Ke rest on.
+    /// Track from which the verdicts on R, L, Ke follow.
     fn electrical(&self) -> Option<&RecursiveLeastSquares<3>> {
         self.best().map(Track::estimator).or(self.starting.as_ref())
     }
 
-    /// The track that predicts better.
+    /// The track with the smaller prediction error.
     fn best(&self) -> Option<&Track> {
         self.tracks.iter().min_by(|a, b| a.misfit().total_cmp(&b.misfit()))
     }
@@ -336,7 +336,7 @@ impl Scheme3 {
         })
     }
 
-    /// Nothing applied, no motion, no current: such a block is noise, which would pass for certainty.
+    /// No voltage, motion or current: such a block contains noise only and would reduce the covariance wrongly.
     fn is_at_rest(&self) -> bool {
         let begin_s = self.readings[0].time_s;
         let noise = self.current_at_rest.deviation().unwrap_or(0.0);
@@ -349,7 +349,7 @@ impl Scheme3 {
         Track::new(start, self.noise(), self.memory.electrical, certain)
     }
 
-    /// Noise of one sample: from standstill, else from what the predictions leave.
+    /// Noise of one sample: from standstill, else from the prediction errors.
     fn noise(&self) -> SampleNoise {
         let by_rows = |variance: Option<f64>| variance.map(f64::sqrt);
         let least = |value: f64, largest: f64| {
@@ -460,13 +460,13 @@ impl Scheme3 {
         }
     }
 
-    /// Starts again from where the trial has come, until a trial moves little.
+    /// Restarts from the values of the trial until a trial changes them little.
     fn end_trial(&mut self, rows: u32) {
         let Some(best) = self.best() else {
             return;
         };
         let values = best.estimator().parameters();
-        // An inductance that is gone between two samples need not be known.
+        // The inductance is not needed where the transient of the winding ends between two samples.
         let needed = |j: &usize| *j != 1 || !self.is_gone(&values);
         let near = self.acceleration.is_some()
             && (best.estimator().standard_deviations())
@@ -486,7 +486,7 @@ impl Scheme3 {
         (self.balance, self.trial) = (MechanicalBalance::new(memory), trial);
     }
 
-    /// Whether nothing is left of the transient of the winding between two samples.
+    /// Whether the transient of the winding ends between two samples.
     fn is_gone(&self, [r, l, _]: &Winding) -> bool {
         self.period_s * r > 3.0 * l
     }
@@ -527,7 +527,7 @@ impl Scheme3 {
         }
     }
 
-    /// The inductance one standard deviation off: it shapes the current between samples.
+    /// The inductance plus one standard deviation: it determines the current between samples.
     fn with_doubtful_inductance(&self, [r, l, ke]: Winding) -> Winding {
         let std = self
             .best()
@@ -570,11 +570,11 @@ impl Scheme3 {
         }
         let (torque, moved) = (self.torque_constant(), &self.direction);
         out.extend((self.balance).estimates(torque, moved, self.period_s, [0.0; 2]));
-        // How many times its noise the current misses the prediction by.
+        // Prediction error of the current over its noise.
         let misfit = (self.current_at_rest.deviation().and(self.best()))
             .map(|track| track.misfit().sqrt())
             .filter(|times| *times > 3.0);
-        // One voltage is shared by R and Ke, and the current between two samples is theirs: without R nothing is sure.
+        // R and Ke share one voltage and determine the current between two samples: without R nothing is settled.
         let resistance = ParameterEstimate::find(&out, MotorKey::Resistance.key());
         let open = resistance.is_none_or(|resistance| resistance.verdict != Verdict::Settled);
         let doubt = if self.limited {
@@ -638,10 +638,10 @@ impl Scheme3 {
                     return verdict::unknown(key, self.why_not(key, estimator.rows()));
                 };
                 let time_constant_s = values[1] / values[0];
-                // Early on the ratio itself is not known well enough to say so.
+                // With few rows L/R itself is too uncertain for this statement.
                 let known = !starting && stds[0] < 0.01 * values[0];
                 if key == MotorKey::Inductance && known && self.is_gone(&values) {
-                    // What is left of the transient between two samples is below the noise of everything else.
+                    // The rest of the transient after one period is below the noise.
                     let reason = format!(
                         "L/R = {:.1} ms or less against a period of {:.1} ms; sample faster, or use burst capture",
                         1e3 * time_constant_s,

@@ -2,7 +2,7 @@
 //!
 //! Ljung and Soderstrom, *Theory and Practice of Recursive Identification* (1983), section 3.4, in innovations form: the
 //! current is predicted from a filtered state, not from the last noisy sample, and the gradient is propagated through
-//! that filter. A noisy regressor would pull the resistance and the inductance (errors in variables). The filter is a
+//! that filter. A noisy regressor would bias the resistance and the inductance (errors in variables). The filter is a
 //! Kalman filter for the current and for the error of the speed sample that two blocks share: without the latter the
 //! innovations of neighbours would be correlated, and the standard deviations a quarter too small at T above L/R.
 
@@ -14,8 +14,7 @@ use drivebench_model::numerics::recursive_least_squares::{RecursiveLeastSquares,
 pub(super) struct SampleNoise {
     pub(super) current_a: f64,
     pub(super) speed_rad_s: f64,
-    /// Factor by which the stamp of this sample makes the noise of its current larger than the sensor's; rows weigh less
-    /// by it.
+    /// Noise of the current with the error of the sample's stamp, over that of the sensor; divides the weight of the row.
     pub(super) by_stamp: f64,
 }
 
@@ -23,7 +22,7 @@ pub(super) struct SampleNoise {
 pub(super) struct Block<F: Fn(f64, &Winding, f64, [f64; 2]) -> f64> {
     /// Current at the end from Kt/J, the winding, the current at the begin and the errors of the first and the last speed.
     pub(super) predict: F,
-    /// Kt/J, and the same off by as much as it is not known: the speed between the samples then has another shape.
+    /// Kt/J, and Kt/J plus its standard deviation: the speed between the samples depends on it.
     pub(super) acceleration: [f64; 2],
     pub(super) first_current_a: f64,
     pub(super) last_current_a: f64,
@@ -60,15 +59,15 @@ fn inner_speed_gain([r, _, ke]: &Winding, share: f64, n: f64) -> f64 {
 #[derive(Clone, Debug)]
 pub(super) struct Track {
     estimator: RecursiveLeastSquares<3>,
-    /// The same with predictions off by what is not known of the speed between samples.
+    /// The same with the predictions for Kt/J plus its standard deviation.
     doubtful: RecursiveLeastSquares<3>,
     start: Winding,
-    /// Where the model is linearised: at the estimates that are certain, before that at the start, because the first few
-    /// rows may throw an estimate anywhere.
+    /// Point of linearisation: the estimates once they are certain, before that the start, since estimates from a few rows
+    /// may be far off.
     anchor: Winding,
     forgetting: f64,
-    /// Forgetting of the first rows (Ljung and Soderstrom, section 5.6): they were linearised about a start that is some
-    /// per cent off.
+    /// Forgetting of the first rows (Ljung and Soderstrom, section 5.6): they were linearised about a start with an
+    /// error of some per cent.
     early_loss: f64,
     filtered: Option<Filtered>,
     /// Recent mean square of the normalised innovation.
@@ -76,7 +75,7 @@ pub(super) struct Track {
 }
 
 impl Track {
-    /// `certain`: the start is near the truth, no early rows need be forgotten.
+    /// `certain`: the start is near the true values; no forgetting of the first rows.
     pub(super) fn new(start: Winding, noise: SampleNoise, forgetting: f64, certain: bool) -> Self {
         let prior = (0.5 / noise.current_a).powi(2);
         let doubtful = RecursiveLeastSquares::new(start, start, prior, forgetting);
@@ -96,7 +95,7 @@ impl Track {
         &self.estimator
     }
 
-    /// Standard deviations of R, L and Ke with what the shape of the speed between samples may make of them.
+    /// Standard deviations of R, L and Ke with the error by the speed between samples.
     pub(super) fn standard_deviations(&self) -> Option<[f64; 3]> {
         let (values, other) = (self.estimator.parameters(), self.doubtful.parameters());
         let stds = self.estimator.standard_deviations()?;
@@ -140,7 +139,7 @@ impl Track {
         let errors = [begin.speed_error, 0.0];
         let predicted = predict(&winding, begin.current_a, errors);
         let surprise = block.last_current_a - predicted;
-        // Along each parameter, with the begin that goes with it.
+        // Derivative to each parameter, with that of the initial state.
         let psi: [f64; 3] = std::array::from_fn(|j| {
             let step = 1e-4 * winding[j];
             let at = |step: f64| {
@@ -153,7 +152,7 @@ impl Track {
             (at(step) - at(-step)) / (2.0 * step)
         });
         let share = block.length_s * winding[0] / winding[1];
-        // The prediction is affine in the begin and in the errors.
+        // The prediction is affine in the initial state and in the errors.
         let carry = predict(&winding, begin.current_a + 1.0, errors) - predicted;
         let first = predict(&winding, begin.current_a, [errors[0] + 1.0, 0.0]) - predicted;
         let last = predict(&winding, begin.current_a, [errors[0], 1.0]) - predicted;
@@ -172,7 +171,7 @@ impl Track {
             share * (-share).exp() * state / winding[1],
             by_speed / winding[2],
         ];
-        // A gradient that noise may have made would pull the parameter away in steady state.
+        // In steady state a gradient of noise alone would make the parameter drift.
         let gated: [f64; 3] = std::array::from_fn(|j| {
             let is_noise = psi[j].abs() < 3.0 * least[j];
             if is_noise { 0.0 } else { psi[j] }
@@ -206,7 +205,7 @@ impl Track {
         Some(innovation)
     }
 
-    /// Linearises about the estimates that are certain; the state goes along.
+    /// Relinearises about the certain estimates, and moves the state with them.
     fn move_anchor(&mut self) {
         let (Some(stds), Some(filtered)) =
             (self.estimator.standard_deviations(), &mut self.filtered)

@@ -6,8 +6,8 @@ use drivebench_model::plant::MotorKey;
 
 /// Error of both balances up to which an assignment explains the data.
 const EXPLAINS: f64 = 0.35;
-/// Error of each balance up to which another assignment holds well enough to be proposed: exchanged columns of a sound record
-/// leave some per cent, and up to a sixth where it is sampled as slowly as the shaft moves.
+/// Error of each balance up to which another assignment may be proposed: exchanged columns of a valid record have an
+/// error of some per cent, and of up to a sixth at a period near the mechanical time constant.
 const HOLDS_WELL: f64 = 0.2;
 /// Names of the three columns, in the order of the table.
 const NAMES: [&str; 3] = ["voltage", "current", "speed"];
@@ -15,11 +15,11 @@ const NAMES: [&str; 3] = ["voltage", "current", "speed"];
 pub(super) struct Assigned {
     /// Another assignment explains the data, the given one does not.
     pub(super) exchanged: Option<Finding>,
-    /// The given assignment is impossible, and no other one mends it.
+    /// The given assignment is impossible, and so is every other.
     pub(super) impossible: Option<Finding>,
 }
 
-/// What both balances show of the columns; `None` where one of them does not move.
+/// Result of both balances; `None` where a column is constant.
 pub(super) fn check(table: &Table) -> Option<Assigned> {
     let columns = [&table.voltage_v, &table.current_a, &table.speed_rad_s];
     if columns.iter().any(|column| !Activity::of(column).moves) {
@@ -52,14 +52,14 @@ pub(super) fn check(table: &Table) -> Option<Assigned> {
                 100.0 * given.torque_error
             );
             let help = "check columns, signs and units of voltage, current and speed; a supply current is not the armature current";
-            // Balances that hold with an impossible sign leave no doubt; ones that do not hold may miss some physics.
+            // A small error with an impossible sign is proof; a large one may also be a missing effect.
             Finding::of_all(Kind::Reversed, given.error() < EXPLAINS, sentence, help)
         }),
     })
 }
 
-/// Whether most parts of the record are explained as they are given, each by values of its own: a load that was changed
-/// while it was recorded bends the balances of the whole, and no column is in another's place.
+/// Whether most parts of the record are explained as they are given, each by values of its own: a load that changed
+/// during the record increases the error of the whole, although no columns are exchanged.
 fn explains_most_parts(table: &Table) -> bool {
     let size = table.windows.len().div_ceil(6).max(1);
     let parts = table.windows.chunks(size);

@@ -1,5 +1,5 @@
-//! Cells that are no measurement, made missing before anything is judged by them: codes that stand for no value, repeats of a
-//! signal that is sampled more slowly than it is logged, and rows in which the whole telemetry stood still.
+//! Sets cells that are no measurement to missing: codes for a missing value, repeats of a signal that is sampled more slowly than
+//! it is logged, and rows in which the whole telemetry was frozen.
 //!
 //! ```text
 //! Run --> codes (-9999, all ones, zero between two values) --> telemetry that froze --> repeats --> Run, a sentence for each
@@ -18,7 +18,7 @@ use drivebench_model::sample::{Channel, Run};
 pub fn mask(run: &mut Run) -> Vec<String> {
     let mut sentences = Vec::new();
     for channel in CHANNELS {
-        // Two codes beside each other are rare, three have not been met.
+        // Two different codes in one column are rare; three are not expected.
         for _ in 0..3 {
             let Some((rows, sentence)) = code(run, channel) else {
                 break;
@@ -43,7 +43,7 @@ const CHANNELS: [Channel; 6] = [
     Channel::Torque,
 ];
 const MEASURED: [Channel; 3] = [Channel::Current, Channel::Speed, Channel::Angle];
-/// What drives the motor, whichever of them is there.
+/// The input: the first of these channels that the run has.
 const INPUTS: [Channel; 3] = [Channel::Voltage, Channel::VoltageCmd, Channel::Torque];
 
 fn empty(run: &mut Run, channel: Channel, rows: impl IntoIterator<Item = usize>) {
@@ -61,7 +61,7 @@ fn empty(run: &mut Run, channel: Channel, rows: impl IntoIterator<Item = usize>)
 
 /// Blocks of the very same value from which it is a code although its figures are none.
 const BLOCKS: usize = 3;
-/// Share of the range within which the values on both sides of a block agree.
+/// Largest difference of equal values on both sides of a block, as a share of the range.
 const AGREE: f64 = 0.2;
 
 /// Whether a value is nines, or an end of what 8 to 32 bits can count, with the decimal point anywhere.

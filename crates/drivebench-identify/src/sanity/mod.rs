@@ -42,7 +42,7 @@ pub enum Kind {
     Standstill,
     /// The terminals are open while a voltage is stated.
     OpenCircuit,
-    /// Single values that no machine can have shown.
+    /// Outliers: single values that are physically impossible.
     Outlier,
     /// A counter that overflows to the other sign.
     Overflow,
@@ -50,16 +50,16 @@ pub enum Kind {
     Frozen,
     /// A signal is cut off at a limit.
     Clipped,
-    /// A signal shows its size without its direction.
+    /// A signal without its sign.
     Unsigned,
     Swapped,
     Reversed,
     Unit,
-    /// A size that hardly any motor has.
+    /// A value outside the usual range of motors.
     Magnitude,
 }
 
-/// One thing that is wrong, or may be.
+/// A fault, or a suspected one.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Finding {
     pub kind: Kind,
@@ -69,7 +69,7 @@ pub struct Finding {
     pub sentence: String,
     /// What to do about it.
     pub help: String,
-    /// Parameters that cannot be called settled while this stands.
+    /// Parameters that must not be settled under this caution.
     #[serde(serialize_with = "keys")]
     pub doubts: Vec<MotorKey>,
 }
@@ -135,7 +135,7 @@ pub fn examine(run: &Run, scenario: &Scenario, model: &Model) -> Vec<Finding> {
     if run.side(Channel::Current) == Some(Side::Supply) {
         table.current_a.fill(f64::NAN);
     }
-    // One wild value bends every range and balance below.
+    // One outlier distorts every range and balance below.
     if let Some(wild) = record::overflow(&table).or_else(|| record::outlier(&table)) {
         return vec![wild];
     }

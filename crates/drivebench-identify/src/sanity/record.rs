@@ -56,21 +56,21 @@ pub(super) fn still(table: &Table) -> Vec<Finding> {
     findings
 }
 
-/// A shorted armature that turns brakes with `Ke w/R`; one that carries nothing at zero volt is open.
+/// A rotating shorted armature carries `-Ke w/R`; without a current at zero volt it is open.
 fn open_for_a_while(
     table: &Table,
     voltage: &Activity,
     current: &Activity,
     speed: &Activity,
 ) -> Option<Finding> {
-    // A coarse sensor shows one quantum of a shaft at rest, and two of one that creeps.
+    // A coarse sensor may alternate by one quantum at rest; by two the shaft turns slowly.
     let clear = (CLEARLY * speed.largest()).max(3.0 * table.speed.quantum);
     let coasts = |row: usize| {
         table.voltage_v[row].abs() <= 0.002 * voltage.largest()
             && table.speed_rad_s[row].abs() > clear
             && table.current_a[row].is_finite()
     };
-    // A shaft that coasts slows down; a speed that repeats one value is that of a sensor that froze, or a late one.
+    // A coasting shaft slows down; a constant speed is that of a frozen or delayed sensor.
     let slows = |rows: &Range<usize>| {
         let pairs = table.speed_rad_s[rows.clone()].windows(2);
         pairs.filter(|pair| !is_same(pair[0], pair[1])).count() >= 3
@@ -184,7 +184,7 @@ fn wild(key: &str, time_s: &[f64], values: &[f64], ranges: f64) -> Option<Findin
         return None;
     }
     sorted.sort_by(f64::total_cmp);
-    // A hundredth at each end is no part of the usual range.
+    // The usual range excludes one per cent of the values at each end.
     let tail = whole((0.01 * sorted.len() as f64).ceil());
     let range = sorted[sorted.len() - 1 - tail] - sorted[tail];
     let spikes: Vec<usize> = (1..values.len().saturating_sub(1))
@@ -195,7 +195,7 @@ fn wild(key: &str, time_s: &[f64], values: &[f64], ranges: f64) -> Option<Findin
         })
         .collect();
     let first = *spikes.first()?;
-    // Many of them are no accident but what the signal is.
+    // Many of them are no outliers but belong to the signal.
     if spikes.len() > tail {
         return None;
     }
@@ -215,7 +215,7 @@ fn wild(key: &str, time_s: &[f64], values: &[f64], ranges: f64) -> Option<Findin
     ))
 }
 
-/// Share of the largest value that is none.
+/// Share of the largest value that counts as zero.
 const ROUNDING: f64 = 1e-9;
 /// Share of the largest voltage from which its direction counts.
 const CLEARLY: f64 = 0.2;
@@ -236,7 +236,7 @@ pub(super) fn contradicted(table: &Table) -> Vec<Finding> {
             findings.push(held);
             continue;
         }
-        // A plateau at the limit is no freezing.
+        // A plateau at the limit is saturation, not a frozen signal.
         match watched.clipped() {
             Some(clipped) => findings.push(clipped),
             None => findings.extend(watched.frozen()),
@@ -250,8 +250,8 @@ pub(super) fn contradicted(table: &Table) -> Vec<Finding> {
     findings
 }
 
-/// The longest stretch of a speed of exactly zero over which the winding takes a back-EMF: the shaft turns, and its sensor is
-/// dead. At rest resistance and inductance take the voltage.
+/// The longest stretch of a speed of exactly zero with a back-EMF in the voltage balance: the shaft turns, and its sensor is
+/// dead. At rest `u = R i + L di/dt`.
 fn dead_at_zero(table: &Table) -> Option<Finding> {
     // A slope of equal angles is zero but for rounding.
     let zero_rad_s = ROUNDING * Activity::of(&table.speed_rad_s).largest();
@@ -387,7 +387,7 @@ fn overflow_of(table: &Table, key: &str, values: &[f64], quantum: f64) -> Option
         let moved = span(&voltage[beside]);
         moved.is_infinite() || moved <= AT_THE_END * span(voltage)
     };
-    // Most jumps come while the input stands.
+    // Most jumps occur at a constant input.
     let uncaused = jumps.iter().filter(stands).count();
     if (uncaused as f64) < 0.6 * jumps.len() as f64 {
         return None;

@@ -77,7 +77,7 @@ fn speed_over_angle(run: &Run) -> Option<f64> {
     (ratios.len() >= 8 && robust_deviation(&ratios) < 0.1 * middle.abs()).then_some(middle)
 }
 
-/// The angle's derivative is the speed of any motor.
+/// The derivative of the angle is the speed.
 pub(super) fn against_angle(run: &Run) -> Option<Finding> {
     let ratio = speed_over_angle(run)?;
     if near(ratio, 1.0, 0.05) {
@@ -187,7 +187,7 @@ pub(super) fn against_model(run: &Run, table: &Table, model: &Model) -> Vec<Find
 /// `windings`: resistance found and given.
 fn against_nameplate(found: f64, given: f64, windings: Option<(f64, f64)>) -> Option<Finding> {
     let winding = windings.map(|(found, given)| found / given);
-    // Resistances within a ratio of 1.8 are the same winding, hot or cold, with its cable.
+    // Resistances within a ratio of 1.8 may be those of one winding, hot and cold, with its cable.
     let like =
         |factor: f64| winding.is_none_or(|ratio| (factor / 1.8..factor * 1.8).contains(&ratio));
     let ratio = found / given;
@@ -264,7 +264,7 @@ fn electrical_sizes(table: &Table, confirmed: bool) -> Vec<Finding> {
     let [volts, amperes] = [&table.voltage_v, &table.current_a].map(largest);
     let many_volts = volts > 1000.0 && !confirmed;
     let milliamperes = amperes > 1000.0 && has_voltage && (volts < 200.0 || many_volts);
-    // More than a megawatt leaves no doubt.
+    // More than a megawatt is refused, not only doubted.
     let is_absurd = amperes * volts > 1e6 && milliamperes;
     let judged = |sentence: String, help: &str| {
         let touched = [

@@ -13,9 +13,9 @@ use drivebench_model::numerics::statistics::{
 /// The sensor of a signal, as far as the record shows it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Sensor {
-    /// Smallest step that it makes from row to row; zero where it makes none.
+    /// Quantum: the smallest change from row to row; zero for a constant signal.
     pub(super) quantum: f64,
-    /// Rows over which it stands until it takes the next value; one where each row may have its own.
+    /// Sampling interval of the sensor in rows: one where each row is a new sample.
     pub(super) held_rows: usize,
 }
 
@@ -105,7 +105,7 @@ pub(super) fn stops_suddenly(values: &[f64], sensor: &Sensor, still: &Range<usiz
     }
 }
 
-/// Time constants, in rows, by which the voltage may act where no current is measured.
+/// Time constants of the lag of the voltage, in rows, that are tried where no current is measured.
 const LAGS: [f64; 7] = [0.0, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0];
 
 /// The value that follows from the other signals, by a line through the rest of the record: of the voltage and the third
@@ -157,7 +157,7 @@ impl Expected {
     ) -> Option<Self> {
         let mut kept = rows.to_vec();
         let mut values = Vec::new();
-        // Rows that the line misses by four deviations are left out of the next one.
+        // Rows with a residual of more than four standard deviations are left out of the next fit.
         for _ in 0..3 {
             let line = if both {
                 let points = kept.iter().map(|row| ([voltage[*row], second[*row], 1.0], own[*row]));

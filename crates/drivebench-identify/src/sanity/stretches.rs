@@ -1,4 +1,4 @@
-//! A signal that stands still where it must not: frozen, cut off at a limit, or a command in the place of a measurement.
+//! A signal that is wrongly constant: frozen, saturated, or a command instead of a measurement.
 //!
 //! A value repeats for many reasons that are none of these: a coarse quantum, a settled machine, a shaft at rest. What
 //! counts is the value that follows from the other signals, and how the signal comes to rest.
@@ -12,11 +12,11 @@ use drivebench_model::numerics::statistics::finite;
 
 /// Rows of one and the same value from which a live signal may count as frozen.
 pub(super) const FROZEN_ROWS: usize = 20;
-/// Share of its range by which another signal moves meanwhile.
+/// Change of another signal during the same rows, as a share of its range.
 const MEANWHILE: f64 = 0.1;
 /// Rows at the very same extreme value that make a plateau.
 const PLATEAU_ROWS: usize = 3;
-/// Share of the range that is a jump.
+/// Smallest jump, as a share of the range.
 const JUMP: f64 = 0.1;
 
 /// A measured signal beside the others.
@@ -45,7 +45,7 @@ impl<'a> Watched<'a> {
         let values = self.values;
         let same = |row: usize| values[row].is_finite() && is_same(values[row - 1], values[row]);
         let mut still = stretches(values.len(), FROZEN_ROWS, same);
-        // At rest an encoder shows exactly zero, rightly.
+        // At rest an encoder gives exactly zero.
         still.retain(|rows| values[rows.start].abs() > 0.0);
         still.sort_by_key(|rows| std::cmp::Reverse(rows.len()));
         let longest = still.into_iter().find(|rows| self.is_frozen(rows))?;
@@ -89,7 +89,7 @@ impl<'a> Watched<'a> {
         let present = finite(self.values);
         let (activity, range) = (&self.activity, self.activity.range());
         let pairs = || present.windows(2).map(|pair| (pair[0], pair[1]));
-        // At rest any signal stands still.
+        // At rest every signal is constant.
         let lively = pairs().filter(|(_, b)| b.abs() > JUMP * activity.largest());
         let equal = lively.clone().filter(|(a, b)| is_same(*a, *b)).count();
         let jumps: Vec<f64> =

@@ -104,7 +104,7 @@ pub(super) struct Activity {
     pub(super) moves: bool,
 }
 
-/// Standard deviations by which the mean of a part of white noise does not stray, in any of 16 parts of a record.
+/// Largest deviation of the mean of a part of white noise, in its standard deviations, for 16 parts of a record.
 const STRAY: f64 = 5.0;
 
 impl Activity {
@@ -147,7 +147,7 @@ impl Activity {
         self.most.abs().max(self.least.abs())
     }
 
-    /// Zero but for noise.
+    /// Zero within the noise.
     pub(super) fn is_zero(&self) -> bool {
         !self.moves && self.mean.abs() <= STRAY * self.noise / (self.count.max(1) as f64).sqrt()
     }
@@ -228,11 +228,11 @@ pub(super) struct Balances {
     pub(super) resistance: Coefficient,
     pub(super) inductance: Coefficient,
     pub(super) back_emf: Coefficient,
-    /// Root mean square of what is left over that of the voltage.
+    /// Root mean square of the residual over that of the voltage.
     pub(super) voltage_error: f64,
     /// Inertia over the torque constant.
     pub(super) inertia: Coefficient,
-    /// Root mean square of what is left over that of the current.
+    /// Root mean square of the residual over that of the current.
     pub(super) torque_error: f64,
 }
 
@@ -278,19 +278,19 @@ impl Balances {
 fn fitted<const N: usize>(
     rows: impl Iterator<Item = ([f64; N], f64)>,
 ) -> Option<([Coefficient; N], f64)> {
-    // Share of a regressor that the others must leave to it.
+    // Smallest share of a regressor that is independent of the others (tolerance).
     let fit = fit_normal(&rows.collect::<Vec<_>>(), 1e-4)?;
     let coefficient = |index| Coefficient { value: fit.x[index], std: fit.std[index] };
     Some((std::array::from_fn(coefficient), fit.error))
 }
 
-/// What resistance and inductance alone leave of the voltage: root mean square over that of the voltage.
+/// Residual of `u = R i + L di/dt`: root mean square over that of the voltage.
 pub(super) fn voltage_at_rest(roles: &Roles<'_>) -> Option<f64> {
     let sums = sums(roles).into_iter();
     fitted(sums.map(|s| ([s.current, s.current_step], s.voltage))).map(|found| found.1)
 }
 
-/// Back-EMF constant from voltage and speed alone: what a running motor without a current shows, roughly.
+/// Back-EMF constant from voltage and speed alone, neglecting the drop R i.
 pub(super) fn back_emf_without_current(roles: &Roles<'_>) -> Option<Coefficient> {
     let turning = sums(roles).into_iter().filter(|s| s.direction != 0.0);
     fitted(turning.map(|s| ([s.angle, s.direction * s.length_s], s.voltage)))

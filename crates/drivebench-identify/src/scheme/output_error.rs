@@ -26,7 +26,7 @@ fn free_run(id: &'static str, data: &Data<'_>) -> Result<Identified, IdentifyErr
     let (misfit, deviations) = Misfit::of_fit(&fit, data.scenario)?;
     let mut parameters = fit.parameters.clone();
     misfit.widen(&mut parameters, &deviations, fit.minimum.converged);
-    // What was chosen out of a grid is found, not given: no fit moved it, so it has no scatter.
+    // A value from a grid search is an estimate, not given; it has no standard deviation.
     for (key, doubt) in chosen {
         let chosen = |p: &&mut ParameterEstimate| p.key == key && p.verdict == Verdict::Fixed;
         if let Some(parameter) = parameters.iter_mut().find(chosen) {
@@ -76,12 +76,12 @@ fn better_of_two_starts(data: &Data<'_>, noise: &NoiseFloor) -> Result<Found, Id
     })
 }
 
-/// The model without the motor values that are to be found.
+/// The model without the motor values that are to be estimated.
 fn forget(model: &Model) -> Model {
     let mut model = model.clone();
     for key in MotorKey::ALL {
         let fixed = model.fixed.iter().any(|name| name == key.key());
-        // The torque constant is never fitted beside the back-EMF constant: what is given of it stays.
+        // Torque and back-EMF constant are not identifiable together: a given torque constant is kept.
         if !fixed && key != MotorKey::TorqueConstant {
             model.motor.clear(key);
         }

@@ -5,7 +5,7 @@ use crate::verdict::{SETTLED, judge};
 use drivebench_model::plant::{MotorKey, Slot};
 use drivebench_model::sample::{ParameterEstimate, Verdict};
 
-/// An estimate of the dynamics, and a better founded one of the same quantities to hold it against.
+/// An estimate of the dynamics, and a less biased one to compare it with.
 #[derive(Clone, Debug)]
 pub(crate) struct Claim {
     pub(crate) dynamics: Dynamics,
@@ -18,16 +18,16 @@ pub(crate) struct Claim {
     pub(crate) doubt: Option<Doubt>,
 }
 
-/// A better founded value of the same quantities.
+/// A less biased estimate of the same quantities.
 #[derive(Clone, Debug)]
 pub(crate) struct Doubt {
     pub(crate) better: Dynamics,
     pub(crate) covariance: Option<[[f64; 4]; 4]>,
-    /// Why the claim is off, as the begin of the reason.
+    /// Cause of the error of the claim, as the beginning of the reason.
     pub(crate) cause: String,
     /// A known error of the method: what it makes of `better`, and the cause to name where that is most of the difference.
     pub(crate) systematic: Option<(Dynamics, String)>,
-    /// Whose value it is.
+    /// Method that gave it, as the end of the reason.
     pub(crate) source: &'static str,
 }
 
@@ -110,7 +110,7 @@ fn one(claim: &Claim, quantity: &Quantity, resistance_ohm: f64) -> ParameterEsti
     judged
 }
 
-/// A bias is known no better than the value that shows it: what that leaves open is part of the uncertainty.
+/// The bias is known only within the deviation of the compared value, which is added to the uncertainty.
 fn not_better_than(noise: f64, doubt: &Doubt, judged: &mut ParameterEstimate) {
     let (Some(value), Some(std)) = (judged.value, judged.std) else {
         return;

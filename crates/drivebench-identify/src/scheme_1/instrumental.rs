@@ -1,4 +1,4 @@
-//! Scheme 1 without the bias of sensor noise: refined instrumental variables over a whole run.
+//! Refined instrumental variables for scheme 1, over a whole run: no bias by sensor noise.
 //!
 //! ```text
 //! first models --best free run--> auxiliary model --> filtered rows and instruments --> estimate
@@ -162,7 +162,7 @@ fn refine(series: &Series<'_>, start: Dynamics) -> Result<Instrumental, Instrume
         let (at, sizes) = (model.to_array(), sizes(&model));
         let spread = round.covariance(series.period_s);
         let of_one_round = propagate(Form::Exact, &round.coefficients, &spread, series.period_s);
-        // The slope of a round is taken anew now and then.
+        // The Jacobian is computed every sixth round.
         let gain = match slope_gain {
             Some(gain) if rounds % 6 != 0 => gain,
             _ => gain(series, &at, &sizes, &of_one_round)?,
@@ -178,7 +178,7 @@ fn refine(series: &Series<'_>, start: Dynamics) -> Result<Instrumental, Instrume
         model = if sound { newton } else { round.dynamics };
         auxiliary = Auxiliary::of(series, &model);
         let residual_rad_s = round.solution.residual_rad_s;
-        // A free run that misses more than the equations do is not that of the motor.
+        // A free run with a larger error than the equations is not that of the motor.
         let fits = auxiliary.error_rad_s
             <= 1.3 * residual_rad_s + 1e-3 * root_mean_square(series.speed_rad_s);
         let small =
@@ -197,7 +197,7 @@ fn refine(series: &Series<'_>, start: Dynamics) -> Result<Instrumental, Instrume
     }
 }
 
-/// The part of the way to `towards` on which the free run does not get worse; `None` where each does.
+/// Backtracking line search towards `towards`: the first step whose free run is no worse; `None` where there is none.
 fn descend(
     series: &Series<'_>,
     from: &Dynamics,
@@ -255,7 +255,7 @@ fn gain(
     (M4::identity() - slope).try_inverse().ok_or(InstrumentalError::NotExcited { least: 0.0 })
 }
 
-/// Share of the largest speed below which the shaft counts as standing.
+/// Share of the largest speed below which the shaft counts as at rest.
 const DEAD_ZONE: f64 = 0.02;
 
 /// A model's free run under the voltage of a series.

@@ -70,9 +70,9 @@ impl Row {
     }
 }
 
-// From the coefficients of the difference equation back to the motor.
+// Inverse: from the coefficients of the difference equation to the motor.
 
-/// Which regression, and with it which way back.
+/// Form of the regression and of its inverse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Form {
     /// Paper A, eq. (17): one coefficient for both voltages, and an inverse that holds for T << L/R, TM.
@@ -474,22 +474,22 @@ impl Scheme1 {
     }
 }
 
-// What sensor noise of a known size has made of a least-squares estimate: the same sums with its share taken out.
+// Bias-compensated least squares: the normal equations less the expected contribution of the sensor's noise.
 //
 // White noise of variance `s2` on the speed adds `s2` times a known matrix per row to the normal equations (bias
 // compensation; Soderstrom, *Errors-in-Variables Methods in System Identification* (2018), chapter 5). It serves to judge
-// an estimate, not to replace it: a noise that is a little off ruins it when the noise share is large.
+// an estimate, not to replace it: a small error of the assumed variance spoils it when the noise is large.
 
 /// Standard deviation of the speed sensor's noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Noise {
     /// Measured, rad/s, as at standstill.
     Known(f64),
-    /// The most that the residual of the fit leaves room for.
+    /// The largest variance that the residual of the fit admits.
     FromResidual,
 }
 
-/// Least squares of the exact form with the noise taken out; `None` where nothing is left that belongs to a motor.
+/// Bias-compensated least squares in the exact form; `None` where the result is no motor.
 pub fn noise_free(series: &Series<'_>, direction: &[i8], noise: Noise) -> Option<(Dynamics, f64)> {
     const N: usize = 5;
     let mut normal = SMatrix::<f64, N, N>::zeros();

@@ -1,5 +1,5 @@
-//! Readings from one step of voltage out of rest: the off-line methods that paper A's introduction cites, as the plain
-//! baseline beside ours.
+//! Readings from one step of voltage out of rest: the off-line methods that paper A's introduction cites, as a
+//! baseline for the other schemes.
 //!
 //! ```text
 //! Scenario --(levels: the largest step out of rest that settles)--> Step
@@ -41,7 +41,7 @@ impl Read {
     }
 }
 
-/// Parameters of the model from one step, and what the reader has to know.
+/// Parameters of the model from one step, and the notes of the report.
 pub fn estimates(model: &Model, scenario: &Scenario) -> (Vec<ParameterEstimate>, Vec<String>) {
     let given = |key: MotorKey| {
         let is_fixed = model.fixed.iter().any(|fixed| fixed == key.key());
@@ -107,7 +107,7 @@ fn derived(
         Ok(Read::product(kt.value * current.value.abs(), &[kt, current]))
     };
     let inductance = reading.inductance_h.clone().or_else(|why| {
-        // From the shape of the speed, where the current is not there or too slow.
+        // From the shape of the speed, where the current is missing or sampled too slowly.
         let (Ok(ta), Ok(resistance)) = (&reading.electrical_time_constant_s, &resistance) else {
             return Err(why);
         };
@@ -136,7 +136,7 @@ fn judged(key: &str, unit: &'static str, found: Found) -> ParameterEstimate {
             format!("read with an uncertainty of {per_cent:.0} %: the step does not show it");
         return ParameterEstimate::not_observable(key, unit, reason);
     }
-    // One reading of one curve is never settled, however smooth it looks.
+    // One reading of one curve is never settled: nothing repeats it.
     let reason = format!("read from one step, uncertainty {per_cent:.1} %");
     let mut judged = ParameterEstimate::found(key, unit, read.value, read.std, Some(reason));
     if read.value <= 0.0 {

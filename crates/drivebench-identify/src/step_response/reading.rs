@@ -1,4 +1,4 @@
-//! Step response of one voltage step: its reading.
+//! Reading of one voltage step: Harriott's 73 % method and the areas above the curve (see the module above).
 
 use nalgebra::{DMatrix, DVector};
 
@@ -181,7 +181,7 @@ impl Response {
             current: series(&scenario.current_a),
             final_speed: Read {
                 value: end,
-                // What is left of the approach counts as much as the noise.
+                // The approach that is not yet over, added to the noise.
                 std: error.hypot(0.5 * (end - earlier)),
             },
             noise: sigma / end.abs(),
@@ -216,7 +216,7 @@ impl Response {
         let (area_tm, area_ta) = self.areas();
         let current = self.steady_current();
         let resistance = self.resistance(current);
-        // While the current rises to what the Coulomb torque needs, the shaft waits.
+        // The shaft starts when the current reaches Mc/Kt: `i = (U/R) (1 - exp(-t/Ta))`.
         let ta = r.map(|r| r * tm);
         let friction_delay_s = match (&resistance, current, ta) {
             (Ok(resistance), Some(current), Some(ta)) => {
@@ -259,7 +259,7 @@ impl Response {
         })
     }
 
-    /// Time at which the speed first reaches `level`: line through the samples about it, so that noise averages out.
+    /// Time at which the speed first reaches `level`, from the least-squares line through the samples near it.
     fn crossing(&self, level: f64) -> Option<f64> {
         let first = self.speed.iter().position(|point| point.1 >= level)?;
         let coarse_s = self.speed[first].0;
@@ -271,7 +271,7 @@ impl Response {
         (slope > 0.0 && found > 0.0).then_some(found)
     }
 
-    /// Height of the curve at a time, from the line through the samples about it.
+    /// Height of the curve at a time, from the least-squares line through the samples near it.
     fn height_at(&self, time_s: f64) -> f64 {
         let beside = (0.15 * time_s).max(1.1 * self.period_s);
         let near = |point: &&(f64, f64)| (point.0 - time_s).abs() <= beside;
@@ -281,7 +281,7 @@ impl Response {
         line(&points, time_s).map_or(f64::NAN, |(height, _)| height)
     }
 
-    /// How far noise in the height at half of TM moves the ratio of the time constants.
+    /// Standard deviation of Ta/TM by the noise of the height at TM/2.
     fn ratio_error(&self, r: f64, tm: f64) -> f64 {
         let samples = (0.15 * tm / self.period_s).max(1.0);
         let error = self.noise / samples.sqrt();
@@ -315,7 +315,7 @@ impl Response {
         })
     }
 
-    /// At the peak of the current nothing drops across the inductance: `u = R i + Ke w` there and at the end gives both.
+    /// At the peak of the current di/dt = 0: `u = R i + Ke w` there and in the steady state gives R and Ke.
     fn resistance(&self, steady: Option<Read>) -> Result<Read, String> {
         let Some(steady) = steady else {
             return Err(
@@ -342,7 +342,7 @@ impl Response {
         let (final_speed, voltage) = (self.final_speed.value, self.step.voltage_v);
         let speed = final_speed * self.height_at(at_s);
         let room = current * final_speed - steady.value * speed;
-        // Without a peak well above the steady current the two equations are one.
+        // Without a peak well above the steady current the two equations are nearly dependent.
         if !(sign * current > 1.5 * sign * steady.value && room * voltage * final_speed > 0.0) {
             let reason =
                 "the current has no peak well above its steady value: a larger step shows it";
@@ -350,7 +350,7 @@ impl Response {
         }
         let value = voltage * (final_speed - speed) / room;
         let back_emf = (voltage - value * steady.value) / final_speed;
-        // Where the peak lies is known to half a sample; the speed moves on meanwhile.
+        // The instant of the peak is known to half a sample, in which the speed changes.
         let steepness = final_speed
             * (self.height_at(at_s + self.period_s) - self.height_at(at_s - self.period_s))
             / 2.0;
@@ -358,7 +358,7 @@ impl Response {
         let one = steady.std * (self.current.len() as f64 / 5.0).sqrt();
         let noise = value * one / current.abs() / (around.len() as f64 / 3.0).max(1.0).sqrt();
         let nearest = self.current[peak - 1..=peak + 1].iter().map(|p| p.1);
-        // What the parabola does not follow, as the three samples at the top show it.
+        // Error of the parabola: its height against the mean of the three samples at the top.
         let shape = value * (nearest.sum::<f64>() / 3.0 / current - 1.0).abs();
         Ok(Read { value, std: misplaced.hypot(noise).hypot(shape) })
     }
@@ -383,7 +383,7 @@ impl Response {
         let misses = start.iter().map(|p| p.1 - slope * p.0 - bend * p.0 * p.0);
         let misfit: f64 = misses.map(|miss| miss.powi(2)).sum();
         let noise = (misfit / (start.len() - 2) as f64 * sum(4) / determinant).sqrt();
-        // A parabola stands for an exponential: its third term is left out.
+        // Truncation: the cubic term of the exponential, over 0.6 Ta.
         let cut_off = slope * (0.6f64).powi(2) / 30.0;
         let value = self.step.voltage_v / slope;
         Ok(Read { value, std: value.abs() * (noise / slope).hypot(cut_off / slope) })

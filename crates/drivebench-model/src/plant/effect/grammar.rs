@@ -1,5 +1,5 @@
 //! Expressions: recursive-descent parser with the position of each mistake, evaluation, and second derivatives by forward-mode
-//! automatic differentiation with hyper-dual numbers (Fike and Alonso, AIAA paper 2011-886).
+//! automatic differentiation with hyper-dual numbers (AIAA paper 2011-886).
 //!
 //! ```text
 //! sum     = product {("+" | "-") product}
