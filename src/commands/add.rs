@@ -1,17 +1,18 @@
-//! `add` and `remove`: one effect more or less, before and after; never overwrites the model.
+//! `add` and `remove`: a refit with one effect more or less, compared before and after.
 //!
-//! `custom` and `table` are not in the catalogue: an own expression, or a curve whose knots come from the axis map. What they
-//! are comes with the options of `add`.
+//! `custom` and `table` are not in the catalogue: an expression of the user, or a curve whose knots come from the axis map. The
+//! options of `add` define them.
 
 use std::path::PathBuf;
 
-use crate::commands::arguments::{EvidenceArguments, run_path};
+use crate::commands::arguments::{EvidenceArguments, model_words, run_path};
 use crate::commands::evidence::Judging;
 use crate::report::Document;
 use crate::report::comparison::change_document;
 use crate::runtime::failure::{Failure, REFUSED};
 use crate::runtime::files::{model_file, speed_command};
-use crate::runtime::{output, progress, signals};
+use crate::runtime::output;
+use crate::runtime::output::Terminal;
 use crate::workflow::{curve_table, four_digits, hold_what_the_curve_holds};
 use drivebench_diagnose::{AddResult, AxisMap, Evidence, add, axis_map, remove};
 use drivebench_identify::output_error;
@@ -56,7 +57,7 @@ pub(super) struct AddArguments {
     common: Arguments,
     #[command(flatten)]
     definition: DefinitionArguments,
-    /// Take the effect although these runs do not ask for it; the result says that it was forced
+    /// Take the effect although these runs do not need it; the result is marked as forced
     #[arg(long)]
     force: bool,
 }
@@ -104,20 +105,20 @@ impl DefinitionArguments {
     }
 }
 
-pub(super) fn execute_add(arguments: &AddArguments) -> Result<(), Failure> {
+pub(super) fn execute_add(arguments: &AddArguments, terminal: &Terminal) -> Result<(), Failure> {
     let id = arguments.common.effect.as_str();
     if effect::family(id).is_none() {
         refuse(id, &arguments.definition.given())?;
         known(id)?;
     }
-    run(&arguments.common, Some(arguments))
+    run(&arguments.common, Some(arguments), terminal)
 }
 
-pub(super) fn execute_remove(arguments: &Arguments) -> Result<(), Failure> {
+pub(super) fn execute_remove(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     if effect::family(&arguments.effect).is_none() {
         known(&arguments.effect)?;
     }
-    run(arguments, None)
+    run(arguments, None, terminal)
 }
 
 /// The effect of the catalogue with this id.
@@ -136,25 +137,28 @@ fn of_model(model: &Model, id: &str) -> Result<&'static dyn Effect, Failure> {
     active.map_or_else(|| known(id), |active| Ok(active.effect))
 }
 
-fn run(arguments: &Arguments, adding: Option<&AddArguments>) -> Result<(), Failure> {
+fn run(
+    arguments: &Arguments,
+    adding: Option<&AddArguments>,
+    terminal: &Terminal,
+) -> Result<(), Failure> {
     let id = arguments.effect.as_str();
     if let Some(path) = &arguments.output {
         output::refuse_existing(path, "--output")?;
     }
-    let _endable = signals::endable()?;
-    let shown = progress::begin(if adding.is_some() { "add" } else { "remove" });
-    let (model, judging) = (arguments.model.as_deref(), Judging::Refits);
-    let prepared = arguments.evidence.prepare(&arguments.run, model, judging)?;
+    let _endable = terminal.endable()?;
+    let shown = terminal.progress(if adding.is_some() { "add" } else { "remove" });
+    let model = arguments.model.as_deref();
+    let prepared = arguments.evidence.prepare(&arguments.run, model, Judging::Refits, terminal)?;
     let (mut model, evidence) = (prepared.model.file.model.clone(), &prepared.evidence);
-    progress::stage("refits with the effect and without it", 0);
+    terminal.stage("refits with the effect and without it", 0);
     let mut result = if let Some(AddArguments { definition, .. }) = adding {
-        // Refused here with a clear word rather than as a failed fit.
         if model.has(id) {
             return Err(ModelError::Duplicate { id: id.to_owned() }.into());
         }
         let chosen = match effect::family(id) {
             Some(family) if family.id == "custom" => custom(id, definition)?,
-            Some(_) => table(id, definition, &mut model, evidence)?,
+            Some(_) => table(id, definition, &mut model, evidence, terminal)?,
             None => known(id)?,
         };
         add(chosen, &model, evidence.clone())?
@@ -165,15 +169,15 @@ fn run(arguments: &Arguments, adding: Option<&AddArguments>) -> Result<(), Failu
     drop(shown);
     if adding.is_some_and(|adding| adding.force) && !result.accepted && result.can_be_forced() {
         result.force();
-        output::warn(&[format!("{}: {}", result.effect, result.reason)]);
+        terminal.warn(&[format!("{}: {}", result.effect, result.reason)]);
     }
     let before = &prepared.model.file.history;
     let run = Some(prepared.run.run.name.clone());
     let floor = result.before.noise_floor_from;
     let file = model_file(&result.fit, before, run, &result.ladder, floor);
     if let Some(path) = arguments.output.as_ref().filter(|_| result.accepted) {
-        output::file(path, &file.to_toml())?;
-        output::message(&format!("model written to {}", path.display()));
+        terminal.file(path, &file.to_toml())?;
+        terminal.message(&format!("model written to {}", path.display()));
     }
     let mut value = prepared.result(&result);
     value["limits"] = value["after"]["limits"].take();
@@ -185,41 +189,36 @@ fn run(arguments: &Arguments, adding: Option<&AddArguments>) -> Result<(), Failu
     let model = result.accepted.then(|| file.to_toml());
     value["model"] = model.clone().into();
     if let Some(model) = model.filter(|_| arguments.output.is_none() && !arguments.json) {
-        output::line(&model)?;
+        terminal.line(&model)?;
     }
     let document = document(&result, arguments);
-    output::document(&value, arguments.json, arguments.full, &document)?;
+    terminal.document(&value, arguments.json, arguments.full, &document)?;
     if result.accepted {
         return Ok(());
     }
-    // Why is said on stdout, once.
     let (done, help) = match adding {
         Some(_) if result.can_be_forced() => {
             ("added", "the reason is on stdout; --force takes it all the same")
         }
         Some(_) => (
             "added",
-            "the reason is on stdout: these runs cannot be asked for it, so that --force has nothing to take",
+            "the reason is on stdout: it cannot be fitted to these runs, so that --force has nothing to take",
         ),
-        None => ("taken out", "the reason is on stdout: these runs ask for it"),
+        None => ("taken out", "the reason is on stdout: these runs need it"),
     };
     let headline = format!("{} was not {done}", result.effect);
     Err(Failure::with_help(REFUSED, headline, help))
 }
 
-/// What came of it, and the commands that go on from here; where no file was named, the new model above it.
+/// The result, and the commands that follow; where no file was named, the new model above it.
 fn document(result: &AddResult, arguments: &Arguments) -> Document {
     let mut document = change_document(result);
     let run = output::quoted(&arguments.run);
-    let words = arguments.evidence.words();
-    let model = |path: &Option<PathBuf>| {
-        let path = path.as_deref().map(output::quoted);
-        path.map_or_else(String::new, |path| format!(" --model {path}"))
-    };
-    let kept = arguments.output.as_ref().filter(|_| result.accepted);
-    let of = model(if kept.is_some() { &arguments.output } else { &arguments.model });
-    document.go_on(format!("drivebench diagnose {run}{of}{words}"));
-    if let Some(model) = kept {
+    let evidence = arguments.evidence.words();
+    let written = arguments.output.as_ref().filter(|_| result.accepted);
+    let model = model_words(written.or(arguments.model.as_ref()).map(PathBuf::as_path));
+    document.go_on(format!("drivebench diagnose {run}{model}{evidence}"));
+    if let Some(model) = written {
         let runs = FileHistory {
             fitted_on: vec![arguments.run.display().to_string()],
             ..FileHistory::default()
@@ -249,9 +248,8 @@ fn custom(id: &str, arguments: &DefinitionArguments) -> Result<&'static dyn Effe
         }
     }
     settings.insert("parameters".to_owned(), parameters.into());
-    let defined = effect::define(id, &settings);
     let expression = arguments.expression.as_deref();
-    let (effect, _) = defined.map_err(|error| failure(&error, expression))?;
+    let (effect, _) = effect::define(id, &settings).map_err(|error| failure(&error, expression))?;
     Ok(effect)
 }
 
@@ -275,8 +273,8 @@ fn failure(error: &DefinitionError, expression: Option<&str>) -> Failure {
     let headline = match (error.offset, expression) {
         (Some(offset), Some(expression)) => {
             let before = expression[..offset.min(expression.len())].chars().count();
-            let (column, message, gap) = (before + 1, &error.message, " ".repeat(before));
-            format!("expression, column {column}: {message}\n  {expression}\n  {gap}^")
+            let (column, message) = (before + 1, &error.message);
+            format!("expression, column {column}: {message}\n  {expression}\n  {:before$}^", "")
         }
         _ => error.message.clone(),
     };
@@ -288,6 +286,7 @@ fn table(
     arguments: &DefinitionArguments,
     model: &mut Model,
     evidence: &Evidence,
+    terminal: &Terminal,
 ) -> Result<&'static dyn Effect, Failure> {
     refuse(id, &arguments.given()[1..3])?;
     let keys: Vec<&str> = Axis::ALL.into_iter().map(Axis::key).collect();
@@ -296,36 +295,38 @@ fn table(
         let headline = format!("effect {id:?} needs --axis");
         return Err(Failure::usage(headline, format!("one of {known}")));
     };
-    let unknown = || Failure::usage(format!("axis {axis:?} is not known"), known);
-    let axis = Axis::from_key(axis).ok_or_else(unknown)?;
-    let is_current = axis == Axis::Current;
-    let default = if is_current { "voltage" } else { "torque" };
+    let axis = Axis::from_key(axis)
+        .ok_or_else(|| Failure::usage(format!("axis {axis:?} is not known"), known))?;
+    let default = if axis == Axis::Current { "voltage" } else { "torque" };
     let equation = arguments.equation.as_deref().unwrap_or(default);
     let (training, noise) = (&evidence.training, &evidence.noise);
     let fit = output_error::fit(std::slice::from_ref(model), training, noise)?;
     let knots = if arguments.knots.is_empty() {
         let maps = axis_map(&fit.model, training, noise)?;
         let found = chosen(maps, equation, axis)?;
-        output::message(&found.sentence);
+        terminal.message(&found.sentence);
         found.knots.into_iter().map(four_digits).collect()
     } else {
         arguments.knots.clone()
     };
     let effect = curve_table(id, equation, axis, &knots).map_err(|error| failure(&error, None))?;
     if let Some(held) = hold_what_the_curve_holds(model, &fit.model, id, equation, axis) {
-        output::message(&format!("{held} is held: the curve would explain it as well"));
+        terminal.message(&format!("{held} is held: the curve would explain it as well"));
     }
-    output::message("provisional: the curve holds what the data show, not why; look for its cause");
+    terminal
+        .message("provisional: the curve holds what the data show, not why; look for its cause");
     Ok(effect)
 }
 
 fn chosen(maps: Vec<AxisMap>, equation: &str, axis: Axis) -> Result<AxisMap, Failure> {
     let known = maps.iter().filter(|map| Axis::from_key(map.axis).is_some());
-    let axes = known.map(|map| {
-        let percent = 100.0 * map.r2.max(0.0);
-        format!("{} over {} ({percent:.0} %)", map.equation, map.axis)
-    });
-    let (axes, axis) = (axes.collect::<Vec<_>>().join(", "), axis.key());
+    let axes: Vec<_> = known
+        .map(|map| {
+            let percent = 100.0 * map.r2.max(0.0);
+            format!("{} over {} ({percent:.0} %)", map.equation, map.axis)
+        })
+        .collect();
+    let (axes, axis) = (axes.join(", "), axis.key());
     let wanted = |map: &AxisMap| map.equation == equation && map.axis == axis;
     maps.into_iter().find(wanted).ok_or_else(|| {
         let headline = format!("the run gives no curve of the {equation} error over {axis}");
@@ -338,7 +339,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_parameter_is_a_name_with_or_without_what_is_known() {
+    fn a_parameter_is_a_name_with_or_without_a_guess() {
         let empty = toml::Value::Table(toml::Table::new());
         assert_eq!(parameter("a").unwrap(), ("a".to_owned(), empty));
         let known = parameter("ws = 1e1").unwrap();

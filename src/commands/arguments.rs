@@ -13,6 +13,7 @@ use crate::runtime::failure::Failure;
 use crate::runtime::files::require_parquet;
 use crate::runtime::files::{load, read_text};
 use crate::runtime::opening::Tap;
+use crate::runtime::output::Terminal;
 use crate::runtime::rig::{MYSTERY, RigOptions};
 use crate::runtime::{opening, output};
 use crate::workflow::ProgressCell;
@@ -51,7 +52,7 @@ impl MapArguments {
         self.map.is_some()
     }
 
-    /// The maps as they are given here, for the commands that go on; each with a space before it.
+    /// The maps as they are given here, for the commands that follow; each with a space before it.
     pub(super) fn words(&self) -> String {
         let maps = [("map", &self.map), ("map-holdout", &self.map_holdout)];
         let given = maps.into_iter().filter_map(|(name, map)| Some((name, map.as_deref()?)));
@@ -60,12 +61,17 @@ impl MapArguments {
         })
     }
 
-    /// Opens the run with its map; what the command line says of origins goes before what a manifest says.
-    pub(super) fn load(&self, path: &Path) -> Result<LoadedRun, Failure> {
-        self.load_with(path, self.map.as_deref())
+    /// Opens the run with its map; the origins of the command line go before those of a manifest.
+    pub(super) fn load(&self, path: &Path, terminal: &Terminal) -> Result<LoadedRun, Failure> {
+        self.load_with(path, self.map.as_deref(), terminal)
     }
 
-    fn load_with(&self, path: &Path, map: Option<&str>) -> Result<LoadedRun, Failure> {
+    fn load_with(
+        &self,
+        path: &Path,
+        map: Option<&str>,
+        terminal: &Terminal,
+    ) -> Result<LoadedRun, Failure> {
         let map = map.map(str::parse::<ColumnMap>).transpose()?;
         let items = map.as_ref().map(ColumnMap::items).unwrap_or_default();
         // A header that names another unit than its target's, with no factor in the map.
@@ -76,7 +82,7 @@ impl MapArguments {
         if let Some(finding) = finding {
             return Err(Failure::usage(finding.sentence, finding.help));
         }
-        let mut loaded = load(path, map.as_ref())?;
+        let mut loaded = load(path, map.as_ref(), terminal)?;
         if let Some(provenance) = &self.origin {
             provenance.apply(&mut loaded.run);
         }
@@ -84,7 +90,7 @@ impl MapArguments {
     }
 }
 
-/// Where the signals of a file come from, as the user knows it.
+/// Where the signals of a file come from, as the user states it.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Provenance {
     origins: Vec<(Channel, Origin)>,
@@ -187,7 +193,7 @@ impl EvidenceArguments {
         self.map.words()
     }
 
-    /// The options as they are given here, for the commands that go on; each with a space before it.
+    /// The options as they are given here, for the commands that follow; each with a space before it.
     pub(super) fn words(&self) -> String {
         let path = |name: &str, path: &Option<PathBuf>| {
             let path = path.as_deref().map(output::quoted);
@@ -209,8 +215,9 @@ impl EvidenceArguments {
         run: &Path,
         model: Option<&Path>,
         judging: Judging,
+        terminal: &Terminal,
     ) -> Result<Prepared, Failure> {
-        self.prepared(run, model, judging, false)
+        self.prepared(run, model, judging, terminal, false)
     }
 
     /// The same with every channel, which a screen may show.
@@ -219,8 +226,9 @@ impl EvidenceArguments {
         run: &Path,
         model: Option<&Path>,
         judging: Judging,
+        terminal: &Terminal,
     ) -> Result<Prepared, Failure> {
-        self.prepared(run, model, judging, true)
+        self.prepared(run, model, judging, terminal, true)
     }
 
     fn prepared(
@@ -228,9 +236,11 @@ impl EvidenceArguments {
         run: &Path,
         model: Option<&Path>,
         judging: Judging,
+        terminal: &Terminal,
         for_screen: bool,
     ) -> Result<Prepared, Failure> {
         let files = EvidenceFiles {
+            terminal,
             run,
             model,
             holdout: self.holdout.as_deref(),
@@ -241,7 +251,7 @@ impl EvidenceArguments {
         let map = &self.map;
         let load = |path: &Path, is_other: bool| {
             let own = map.map_holdout.as_deref().filter(|_| is_other);
-            map.load_with(path, own.or(map.map.as_deref()))
+            map.load_with(path, own.or(map.map.as_deref()), terminal)
         };
         prepare(files, load, judging)
     }
@@ -289,13 +299,10 @@ pub(super) fn framing(text: &str) -> Result<Framing, String> {
     }
 }
 
-/// Longest silence before a request that may be asked for, ms.
-const LONGEST_GAP_MS: f64 = 1000.0;
-
 fn gap_ms(text: &str) -> Result<f64, String> {
     let ms = text.parse().ok();
-    ms.filter(|ms| (0.0..=LONGEST_GAP_MS).contains(ms))
-        .ok_or_else(|| format!("{text:?} is not a number of ms from 0 to {LONGEST_GAP_MS}"))
+    ms.filter(|ms| (0.0..=1000.0).contains(ms))
+        .ok_or_else(|| format!("{text:?} is not a number of ms from 0 to 1000"))
 }
 
 impl WireArguments {
@@ -324,27 +331,28 @@ impl WireArguments {
         }
     }
 
-    pub(super) fn tap(&self) -> Result<Tap, Failure> {
-        Tap::create(self.tap.as_deref())
+    pub(super) fn tap(&self, terminal: &Terminal) -> Result<Tap, Failure> {
+        Tap::create(self.tap.as_deref(), terminal)
     }
 
-    pub(super) fn open(&self, tap: &Tap) -> Result<RawClient, Failure> {
-        open_line(&self.target()?, &self.settings(), tap)
+    pub(super) fn open(&self, tap: &Tap, terminal: &Terminal) -> Result<RawClient, Failure> {
+        open_line(&self.target()?, &self.settings(), tap, terminal)
     }
 }
 
-/// A line with these settings; a silence below that of the standard is the user's choice, and said.
+/// A line with these settings; a silence below that of the standard is the user's choice, with a warning.
 pub(super) fn open_line(
     target: &Target,
     settings: &RawSettings,
     tap: &Tap,
+    terminal: &Terminal,
 ) -> Result<RawClient, Failure> {
     let client = RawClient::open(target, settings, tap.file())?;
     if let (Some(gap), Target::Serial { baud, .. }) = (settings.gap, target) {
         let (baud, framing) = (baud.unwrap_or(settings.baud), settings.framing);
         let (gap_s, standard_s) = (gap.as_secs_f64(), standard_gap_s(baud, framing));
         if gap_s < standard_s {
-            output::message(&format!(
+            terminal.message(&format!(
                 "warning: {} ms of silence before a request is below the standard's {:.2} ms at {baud} {}: a unit that tells frames by silence may take two for one",
                 1e3 * gap_s,
                 1e3 * standard_s,
@@ -417,13 +425,15 @@ impl LiveArguments {
         self.headless || self.json || !std::io::stdout().is_terminal()
     }
 
-    /// Who looks at the run.
     pub(super) fn audience(&self, progress: Option<ProgressCell>) -> Audience {
         if self.is_headless() { Audience::Headless } else { Audience::Screen(progress) }
     }
 
-    /// What is asked of the rig.
-    pub(super) fn options(&self, escalate: bool) -> Result<RigOptions, Failure> {
+    pub(super) fn options(
+        &self,
+        escalate: bool,
+        terminal: &Terminal,
+    ) -> Result<RigOptions, Failure> {
         if self.parquet {
             require_parquet()?;
         }
@@ -440,10 +450,11 @@ impl LiveArguments {
             mystery: self.mystery.is_some(),
             parquet: self.parquet,
             words: self.words(),
+            terminal: terminal.clone(),
         })
     }
 
-    /// Bench, link and motor as they are named here, for the commands that go on; each with a space before it.
+    /// Bench, link and motor as they are given here, for the commands that follow; each with a space before it.
     pub(super) fn words(&self) -> String {
         let bench = self.bench.as_deref().map(output::quoted);
         let option = |name: &str, value: Option<String>| {
@@ -499,7 +510,7 @@ impl LiveArguments {
     }
 }
 
-/// Checks that may be gone without, each by its own word. What is waived stands in the manifest, the log and the messages.
+/// Checks that may be waived, each by its own option. The waivers stand in the manifest, the log and the messages.
 #[derive(Args, Clone, Copy, Debug)]
 #[expect(clippy::struct_field_names, reason = "the words of the command line")]
 struct Waive {
@@ -535,15 +546,11 @@ pub(super) fn shard(text: &str) -> Result<(u64, u64), String> {
     }
 }
 
-/// Longest time that may be asked for, s: a day.
-const MOST_S: f64 = 86_400.0;
-
 /// The time of `--reopen-s`.
 fn seconds(text: &str) -> Result<f64, String> {
-    let parsed = text.parse::<f64>();
-    let seconds = parsed.map_err(|_| "expected a number of seconds".to_owned())?;
-    let allowed = (0.0..=MOST_S).contains(&seconds);
-    allowed.then_some(seconds).ok_or_else(|| format!("allowed: 0 (off) to {MOST_S} s"))
+    let seconds: f64 = text.parse().map_err(|_| "expected a number of seconds".to_owned())?;
+    let is_allowed = (0.0..=86_400.0).contains(&seconds);
+    is_allowed.then_some(seconds).ok_or_else(|| "allowed: 0 (off) to 86400 s".to_owned())
 }
 
 /// For commands that find a motor of which nothing is known.
@@ -561,7 +568,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn words_set_origin_or_side_and_wrong_ones_are_named() {
+    fn origin_and_side_are_read_and_wrong_ones_named() {
         let provenance: Provenance =
             "voltage_v=commanded, current_a=supply,current_a=measured".parse().unwrap();
         let mut run = Run::new("r", vec![0.0, 1.0]).unwrap();

@@ -1,6 +1,4 @@
-//! `bode`: the frequency response of recorded runs, a model's beside it.
-//!
-//! The frequency response of recorded runs, a model's beside it: its card, its table and its picture.
+//! `bode`: the frequency response of recorded runs, a model's beside it, as card, table and picture.
 
 use std::path::{Path, PathBuf};
 
@@ -14,8 +12,9 @@ use crate::report::plot::standalone;
 use crate::report::{Bars, Document, Tone, response_chart};
 use crate::runtime::failure::Failure;
 use crate::runtime::files::read_model;
+use crate::runtime::output;
+use crate::runtime::output::Terminal;
 use crate::runtime::output::quoted;
-use crate::runtime::{output, progress, signals};
 use drivebench_bench::recording::{LoadedRun, RunFile, RunFolder};
 use drivebench_identify::frequency_response::{
     CARRIED, Compared, Departure, Mode, Pathway, PathwayResponse, ResponsePoint, compared, of_model,
@@ -38,7 +37,7 @@ pub(super) struct Arguments {
     /// Model file; without it that of the first run's folder
     #[arg(long, value_parser = run_path())]
     model: Option<PathBuf>,
-    /// voltage-to-speed, voltage-to-current or current-to-speed; without it the one that tells most
+    /// voltage-to-speed, voltage-to-current or current-to-speed; without it current-to-speed where it shows a mode, else the first that is carried
     #[arg(long, value_parser = pathway)]
     pathway: Option<Pathway>,
     #[command(flatten)]
@@ -66,7 +65,7 @@ fn pathway(text: &str) -> Result<Pathway, String> {
     all.find(|own| own.key() == text).ok_or_else(|| format!("allowed: {}", keys.join(", ")))
 }
 
-pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     for (path, option) in [(&arguments.csv, "--csv"), (&arguments.svg, "--svg")] {
         path.as_deref().map_or(Ok(()), |path| output::refuse_existing(path, option))?;
     }
@@ -74,46 +73,22 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         let help = "leave --screen out: the result is printed as text";
         needs_terminal("--screen", help)?;
     }
-    let attended = (signals::endable()?, progress::begin("bode"));
-    let found = Bode::of(&BodeRequest {
-        runs: &arguments.runs,
-        model: arguments.model.as_deref(),
-        load: &|path| arguments.map.load(path),
-        map_words: arguments.map.words(),
-    })?;
+    let attended = (terminal.endable()?, terminal.progress("bode"));
+    let found = Bode::of(arguments, terminal)?;
     let pathway = found.shown(arguments.pathway)?;
     if let Some(path) = &arguments.csv {
-        output::file(path, &found.csv()?)?;
+        terminal.file(path, &found.csv()?)?;
     }
     if let Some(path) = &arguments.svg {
-        output::file(path, &found.svg(pathway)?)?;
+        terminal.file(path, &found.svg(pathway)?)?;
     }
-    // From here on a screen owns the terminal and hears the signals.
+    // From here on a screen owns the terminal and the signals.
     drop(attended);
     if arguments.screen {
-        show_response(found.title(), found.compared.clone(), Some(pathway))?;
+        show_response(found.title(), found.compared.clone(), Some(pathway), terminal)?;
     }
-    let (json, full) = (arguments.json, arguments.full);
-    output::document(&found, json, full, &found.document(pathway))?;
+    terminal.document(&found, arguments.json, arguments.full, &found.document(pathway))?;
     found.check()
-}
-
-/// Lines of the magnitude on the card, and what the shortest of them stands for, dB below the smallest.
-const LINES: usize = 12;
-const SHORTEST_DB: f64 = 3.0;
-/// Share of its frequency within which a point is at a mode.
-const AT_A_MODE: f64 = 0.01;
-/// Bands that are told of a pathway.
-const MOST_BANDS: usize = 4;
-
-/// What is asked.
-pub(crate) struct BodeRequest<'a> {
-    pub(crate) runs: &'a [PathBuf],
-    /// Without it that of the first run's folder, where it is complete.
-    pub(crate) model: Option<&'a Path>,
-    pub(crate) load: &'a dyn Fn(&Path) -> Result<LoadedRun, Failure>,
-    /// What the commands that go on repeat of the arguments.
-    pub(crate) map_words: String,
 }
 
 /// The response of the runs, as `bode --json` prints it.
@@ -129,7 +104,7 @@ pub(crate) struct Bode {
     go_on: GoOn,
 }
 
-/// What the next commands name.
+/// Options of the next commands.
 #[derive(Default)]
 struct GoOn {
     run: String,
@@ -138,16 +113,16 @@ struct GoOn {
 }
 
 impl Bode {
-    pub(crate) fn of(request: &BodeRequest<'_>) -> Result<Self, Failure> {
-        progress::stage("reads the runs", 0);
-        let loaded = request.runs.iter().map(|path| (request.load)(path));
+    fn of(arguments: &Arguments, terminal: &Terminal) -> Result<Self, Failure> {
+        terminal.stage("reads the runs", 0);
+        let loaded = arguments.runs.iter().map(|path| arguments.map.load(path, terminal));
         let loaded = loaded.collect::<Result<Vec<LoadedRun>, Failure>>()?;
         let (mut notes, mut of_runs) = (Vec::new(), Vec::new());
         let mut scenarios = Vec::new();
         for loaded in &loaded {
             let run = &loaded.run;
             let scenario = Scenario::from_run(run)?;
-            name_voltage(run, &scenario);
+            name_voltage(run, &scenario, terminal);
             notes.extend(run.notes.iter().cloned());
             let mut found = cautions(run, &scenario);
             if run.points(Channel::Reference).next().is_some() {
@@ -156,23 +131,23 @@ impl Bode {
                     run.name
                 ));
             }
-            output::warn(&found);
+            terminal.warn(&found);
             of_runs.extend(found);
             scenarios.push(scenario);
         }
-        let model = model(request.model, loaded.first())?;
+        let model = model(arguments.model.as_deref(), loaded.first(), terminal)?;
         let (model_from, model) = model.unzip();
-        progress::stage("follows the model", 0);
+        terminal.stage("follows the model", 0);
         let beside = model.map(|model| of_model(&model, &scenarios)).transpose()?;
-        progress::stage("estimates the response", 0);
+        terminal.stage("estimates the response", 0);
         let mut compared = compared(&scenarios, beside.as_deref())?;
         compared.measured.cautions.extend(of_runs);
         Ok(Self {
             runs: loaded.iter().map(|own| own.run.name.clone()).collect(),
             go_on: GoOn {
-                run: request.runs.first().map_or_else(String::new, |run| quoted(run)),
+                run: arguments.runs.first().map_or_else(String::new, |run| quoted(run)),
                 model: model_from.as_deref().map(quoted),
-                map_words: request.map_words.clone(),
+                map_words: arguments.map.words(),
             },
             model_from: model_from.map(|path| path.display().to_string()),
             compared,
@@ -180,21 +155,20 @@ impl Bode {
         })
     }
 
-    /// The pathway that is asked for, else the one that tells most.
-    pub(crate) fn shown(&self, asked: Option<Pathway>) -> Result<Pathway, Failure> {
+    /// The requested pathway, else the default one.
+    fn shown(&self, requested: Option<Pathway>) -> Result<Pathway, Failure> {
         let measured = &self.compared.measured;
-        match asked {
+        match requested {
             None => measured.telling().ok_or_else(|| {
                 Failure::not_identifiable("neither current nor speed was measured", "map a column")
             }),
-            Some(asked) if measured.of(asked).is_some() => Ok(asked),
-            Some(asked) => {
-                let there = measured.pathways.iter().map(|own| own.pathway.key());
-                let there: Vec<&str> = there.collect();
+            Some(pathway) if measured.of(pathway).is_some() => Ok(pathway),
+            Some(pathway) => {
+                let there: Vec<_> = measured.pathways.iter().map(|own| own.pathway.key()).collect();
                 Err(Failure::usage(
                     format!(
                         "--pathway {}: one of its signals was not measured (there: {})",
-                        asked.key(),
+                        pathway.key(),
                         there.join(", ")
                     ),
                     "choose another pathway, or map the column with --map",
@@ -203,8 +177,8 @@ impl Bode {
         }
     }
 
-    /// Fails where the excitation carries nothing; to be asked once the result has been told.
-    pub(crate) fn check(&self) -> Result<(), Failure> {
+    /// Fails where the excitation carries nothing; checked after the result is printed.
+    fn check(&self) -> Result<(), Failure> {
         let mut pathways = self.compared.measured.pathways.iter();
         if pathways.any(|own| !own.bands_hz().is_empty()) {
             return Ok(());
@@ -215,7 +189,7 @@ impl Bode {
         ))
     }
 
-    pub(crate) fn document(&self, pathway: Pathway) -> Document {
+    fn document(&self, pathway: Pathway) -> Document {
         let measured = &self.compared.measured;
         let Some(own) = measured.of(pathway) else {
             return Document::of(Tone::Plain, "nothing", "was measured");
@@ -259,12 +233,12 @@ impl Bode {
     fn other_modes(&self, shown: Pathway) -> Vec<String> {
         let measured = &self.compared.measured;
         let others = Pathway::ALL.into_iter().filter(|own| *own != shown);
-        let told = others.filter_map(|pathway| {
-            let modes = measured.modes_of(pathway);
-            let modes: Vec<String> = modes.iter().map(Mode::text).collect();
-            (!modes.is_empty()).then(|| format!("{}: {}", pathway.name(), modes.join("; ")))
-        });
-        told.collect()
+        others
+            .filter_map(|pathway| {
+                let modes: Vec<_> = measured.modes_of(pathway).iter().map(Mode::text).collect();
+                (!modes.is_empty()).then(|| format!("{}: {}", pathway.name(), modes.join("; ")))
+            })
+            .collect()
     }
 
     fn band_sentence(&self, own: &PathwayResponse, bands: &[(f64, f64)]) -> String {
@@ -274,16 +248,16 @@ impl Bode {
             1 => "one stretch".to_owned(),
             many => format!("{many} stretches"),
         };
-        let told = bands
+        let listed: Vec<_> = bands
             .iter()
-            .take(MOST_BANDS)
-            .map(|(from, to)| format!("{} to {} Hz", significant(*from, 3), significant(*to, 3)));
-        let told: Vec<String> = told.collect();
-        let more = match bands.len().saturating_sub(MOST_BANDS) {
+            .take(4)
+            .map(|(from, to)| format!("{} to {} Hz", significant(*from, 3), significant(*to, 3)))
+            .collect();
+        let more = match bands.len() - listed.len() {
             0 => String::new(),
             more => format!(" and {more} bands more"),
         };
-        let told = if told.is_empty() { "nothing".to_owned() } else { told.join(", ") };
+        let listed = if listed.is_empty() { "nothing".to_owned() } else { listed.join(", ") };
         let is_inside = |point: &&ResponsePoint| {
             let hertz = point.frequency_hz;
             bands.iter().any(|(from, to)| (*from..=*to).contains(&hertz))
@@ -294,7 +268,7 @@ impl Bode {
             few => format!(" but for {few} of {} points", inside.len()),
         };
         format!(
-            "{told}{more}{but} (coherence {CARRIED} and more; {used} s in {stretches}, from {lowest} Hz on)"
+            "{listed}{more}{but} (coherence {CARRIED} and more; {used} s in {stretches}, from {lowest} Hz on)"
         )
     }
 
@@ -304,20 +278,20 @@ impl Bode {
             let none = "none beside it: give one with --model";
             return (vec![none.to_owned()], Vec::new());
         };
-        let own = self.compared.model.as_ref();
-        let own = own.map_or_else(Vec::new, |model| model.modes_of(shown));
-        let own: Vec<String> = own.iter().map(Mode::text).collect();
-        let mut told = Vec::new();
-        if !own.is_empty() {
-            told.push(format!("its own {}", own.join("; ")));
+        let modes = self.compared.model.as_ref().map(|model| model.modes_of(shown));
+        let modes: Vec<_> = modes.iter().flatten().map(Mode::text).collect();
+        let mut sentences = Vec::new();
+        if !modes.is_empty() {
+            sentences.push(format!("its own {}", modes.join("; ")));
         }
         let all = &self.compared.departures;
         if all.is_empty() {
-            told.push(format!("{from}: within the intervals wherever the response is carried"));
-            return (told, Vec::new());
+            sentences
+                .push(format!("{from}: within the intervals wherever the response is carried"));
+            return (sentences, Vec::new());
         }
         let missing = self.compared.missing_resonances();
-        told.extend(missing.iter().map(|mode| {
+        sentences.extend(missing.iter().map(|mode| {
             let at = significant(mode.frequency_hz, 3);
             format!("no resonance at {at} Hz: an elastic coupling would look like that")
         }));
@@ -329,21 +303,20 @@ impl Bode {
             is_other(a).cmp(&is_other(b)).then(sizes)
         });
         let mut bands = bands.into_iter().map(Departure::sentence);
-        told.extend(bands.next());
-        (told, bands.collect())
+        sentences.extend(bands.next());
+        (sentences, bands.collect())
     }
 
-    /// A point of each interval of the logarithmic axis, that of a mode where there is one.
+    /// A point of each of twelve intervals of the logarithmic axis, that of a mode where there is one. The shortest bar is 3 dB.
     fn bars(&self, own: &PathwayResponse) -> Vec<(String, f64, String)> {
-        let carried = own.points.iter().filter(|point| point.is_carried);
-        let carried: Vec<&ResponsePoint> = carried.collect();
+        let carried: Vec<_> = own.points.iter().filter(|point| point.is_carried).collect();
         let (Some(first), Some(last)) = (carried.first(), carried.last()) else {
             return Vec::new();
         };
         let span = (last.frequency_hz / first.frequency_hz).ln().max(1e-9);
         let place = |hertz: f64| {
-            let share = (hertz / first.frequency_hz).ln() / span * LINES as f64;
-            share.floor().min(LINES as f64 - 1.0)
+            let share = (hertz / first.frequency_hz).ln() / span * 12.0;
+            share.floor().min(11.0)
         };
         let modes = self.compared.measured.modes_of(own.pathway);
         let shown =
@@ -368,12 +341,12 @@ impl Bode {
         let bars = shown.into_iter().map(|(point, mode)| {
             let mode = mode.map_or_else(String::new, |mode| {
                 let apart = (point.frequency_hz / mode.frequency_hz).ln().abs();
-                let beside = if apart > AT_A_MODE { "beside the " } else { "" };
+                let beside = if apart > 0.01 { "beside the " } else { "" };
                 format!("{beside}{}", mode.kind.name())
             });
             let name = format!("{:>7} Hz {mode}", significant(point.frequency_hz, 3));
             let value = decibel(point);
-            (name.trim_end().to_owned(), value - least + SHORTEST_DB, format!("{value:+.1}"))
+            (name.trim_end().to_owned(), value - least + 3.0, format!("{value:+.1}"))
         });
         bars.collect()
     }
@@ -400,7 +373,7 @@ impl Bode {
     }
 
     /// Magnitude, phase and coherence of a pathway.
-    pub(crate) fn svg(&self, pathway: Pathway) -> Result<String, Failure> {
+    fn svg(&self, pathway: Pathway) -> Result<String, Failure> {
         let chart = response_chart(&self.compared, pathway);
         let description = format!("frequency response, {}: {}", pathway.name(), self.title());
         match chart.svg(&description) {
@@ -413,14 +386,14 @@ impl Bode {
     }
 
     /// The runs, and the model.
-    pub(crate) fn title(&self) -> String {
+    fn title(&self) -> String {
         let runs = self.runs.join(" and ");
         let model = self.model_from.as_ref();
         model.map_or_else(|| runs.clone(), |model| format!("{runs}; model: {model}"))
     }
 
     /// A row for each point of each pathway, the model's values beside the measured ones.
-    pub(crate) fn csv(&self) -> Result<String, Failure> {
+    fn csv(&self) -> Result<String, Failure> {
         let Compared { measured, model, .. } = &self.compared;
         let mut writer = csv::Writer::from_writer(Vec::new());
         let failed = |error: csv::Error| Failure::internal(format!("the table: {error}"));
@@ -479,6 +452,7 @@ struct Row {
 fn model(
     path: Option<&Path>,
     first: Option<&LoadedRun>,
+    terminal: &Terminal,
 ) -> Result<Option<(PathBuf, Model)>, Failure> {
     if let Some(path) = path {
         let model = read_model(path)?.model;
@@ -492,7 +466,7 @@ fn model(
     };
     let model = read_model(&path)?.model;
     if let Err(error) = model.require_complete() {
-        output::message(&format!("{}: not shown: {error}", path.display()));
+        terminal.message(&format!("{}: not shown: {error}", path.display()));
         return Ok(None);
     }
     Ok(Some((path, model)))

@@ -1,5 +1,5 @@
-//! The diagnosis by hand: its screen on this thread, the analysis on another; the model file. And the screen of a frequency
-//! response, which has no analysis behind it.
+//! Screens over recorded runs: the diagnosis by hand with its analysis on another thread and its model file, and the
+//! frequency response, which has no analysis behind it.
 
 use std::fmt::Write as _;
 use std::io::{ErrorKind, Write as _};
@@ -8,13 +8,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use serde::Serialize;
+
 use crate::commands::evidence::{EvidenceFiles, Judging, Place, prepare};
 use crate::commands::pages;
-use crate::runtime::ending;
-use crate::runtime::ending::{Watched, spawn, watched};
+use crate::report::Document;
+use crate::runtime::ending::{ScreenEnd, Watched, spawn, watched};
 use crate::runtime::failure::Failure;
-use crate::runtime::files::{load, model_file};
-use crate::runtime::{appearance, output, signals};
+use crate::runtime::files::{Recorded, load, model_file};
+use crate::runtime::output::{Terminal, quoted_word};
+use crate::runtime::{appearance, signals};
 use crate::tui::{
     self, DiagnosisScreen, DiagnosisSources, Exit, Opens, ResponseScreen, Screen, StoppedAt,
 };
@@ -23,18 +26,10 @@ use drivebench_diagnose::{Diagnosis, NextExperiment};
 use drivebench_identify::frequency_response::{Compared, Pathway};
 use drivebench_model::plant::FileHistory;
 
-/// Where a model goes for which no name was given.
-const MODEL: &str = "model.toml";
-
-/// Said of a model, before the name of its file.
-const WRITTEN: &str = "model written to ";
-
-/// What the screen and the model file say of the runs.
+/// What the screen and the model file hold of the runs.
 pub(crate) struct Shown {
     pub(crate) title: String,
-    /// With what the screen opens.
     pub(crate) opens: Opens,
-    /// Where the run was stopped, if it was.
     pub(crate) stopped_at: Option<StoppedAt>,
     /// Run that the model is fitted on.
     pub(crate) fitted_on: String,
@@ -43,25 +38,25 @@ pub(crate) struct Shown {
     pub(crate) output: Option<PathBuf>,
 }
 
-/// How things stand with the model.
+/// The model and its answer as they are.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Standing {
     /// The latest answer; none before the first.
     pub(crate) diagnosis: Option<Diagnosis>,
-    /// The run that was recommended with it; none where there is none, or it was not waited for.
+    /// The run that was recommended with it; `None` also where it was not waited for.
     pub(crate) next: Option<NextExperiment>,
     /// What was changed by hand, each with the held-out error after it.
     changes: Vec<String>,
-    /// Changes that the answer does not know of: it was not waited for.
+    /// Changes after the answer.
     since: usize,
-    /// Where models were written to.
+    /// Files of models that were written.
     written: Vec<String>,
-    /// The last of them is the model as it stands.
+    /// The last of them is the model as it is now.
     is_written: bool,
 }
 
 impl Standing {
-    fn hear(&mut self, news: &News) {
+    fn update(&mut self, news: &News) {
         let (sign, result) = match news {
             News::Added(result) => ("+", result),
             News::Removed(result) => ("-", result),
@@ -71,40 +66,35 @@ impl Standing {
                 return;
             }
             News::Undone { .. } => {
-                // The answer to the model as it is again follows at once.
+                // The answer to the restored model follows at once.
                 self.changes.pop();
                 self.is_written = false;
                 (self.diagnosis, self.next, self.since) = (None, None, 0);
                 return;
             }
             News::Recommended(next) => return self.next = next.as_deref().cloned(),
-            News::Written(text) => {
-                self.is_written = true;
-                return self.written.push(text.clone());
-            }
             _ => return,
         };
         if let (true, Some(rung)) = (result.accepted, result.ladder.last()) {
-            let (effect, error) = (result.effect, rung.holdout_rmse);
-            let times = result.after.noise_floor_from.times();
-            let change = format!("{sign} {effect}: held-out error {error:.2} {times}");
-            self.changes.push(change);
+            self.changes.push(format!(
+                "{sign} {}: held-out error {:.2} {}",
+                result.effect,
+                rung.holdout_rmse,
+                result.after.noise_floor_from.times()
+            ));
             self.is_written = false;
             self.since += 1;
         }
     }
 
-    /// Where the model as it stands was written to.
+    /// File of the model as it is now.
     pub(crate) fn model(&self) -> Option<&str> {
-        let last = self.written.last().filter(|_| self.is_written);
-        last?.strip_prefix(WRITTEN)
+        self.written.last().filter(|_| self.is_written).map(String::as_str)
     }
 
-    /// What was changed by hand, and whether the answer below it knows of that; nothing where nothing was changed.
+    /// The changes by hand, and whether the answer below is older than they are; empty where nothing was changed.
     pub(crate) fn heading(&self) -> String {
-        let changes = self.changes.iter();
-        let lines: Vec<String> = changes.map(|change| format!("{change}\n")).collect();
-        let mut text = lines.concat();
+        let mut text: String = self.changes.iter().map(|change| format!("{change}\n")).collect();
         if self.since > 0 {
             let last = match self.since {
                 1 => "change".to_owned(),
@@ -119,39 +109,57 @@ impl Standing {
     }
 }
 
-/// How the screen was left.
-pub(crate) struct Left {
+/// A screen that was closed.
+pub(crate) struct Closed {
     exit: Exit,
     hang_up: Arc<AtomicBool>,
     pub(crate) standing: Standing,
 }
 
-impl Left {
-    /// Ctrl-C or a signal, which may come until the very end.
+impl Closed {
+    /// By Ctrl-C, or by a signal until the very end.
     pub(crate) fn is_interrupted(&self) -> bool {
         self.exit == Exit::Interrupted || self.hang_up.load(Ordering::Acquire)
     }
 }
 
-/// Goes on with a run that was just recorded, where its screen was left for that; its last part is held out. Where the
-/// model as it stands then was written to, if it was.
-pub(crate) fn go_on(left: &ending::Left, folder: &Path) -> Result<Option<String>, Failure> {
-    let opens = match left {
-        ending::Left::Screen(exit) => Opens::asked_by(*exit),
-        _ => None,
-    };
-    let Some(opens) = opens else {
-        return Ok(None);
-    };
-    let seen = show_run(folder, opens)?;
-    if seen.is_interrupted() {
+/// Diagnoses a run that was just recorded, where its screen was left for that; its last part is held out. The file of the
+/// model as it is then, where one was written.
+pub(crate) fn go_on(
+    screen: &ScreenEnd,
+    folder: &Path,
+    terminal: &Terminal,
+) -> Result<Option<String>, Failure> {
+    let ScreenEnd::Screen(exit) = screen else { return Ok(None) };
+    let Some(opens) = Opens::asked_by(*exit) else { return Ok(None) };
+    let closed = show_run(folder, opens, terminal)?;
+    if closed.is_interrupted() {
         return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
     }
-    Ok(seen.standing.model().map(str::to_owned))
+    Ok(closed.standing.model().map(str::to_owned))
 }
 
-fn show_run(folder: &Path, opens: Opens) -> Result<Left, Failure> {
+/// Diagnoses a run that was just recorded where its screen was left for that, prints its result however that went, and ends
+/// as the run did: a trip or a lost drive goes before anything that happened in the diagnosis.
+pub(super) fn finish<T: Serialize>(
+    screen: ScreenEnd,
+    recorded: &Recorded,
+    result: &T,
+    mut document: Document,
+    (json, full): (bool, bool),
+    terminal: &Terminal,
+) -> Result<(), Failure> {
+    let diagnosed = go_on(&screen, recorded.folder.path(), terminal);
+    if let Ok(Some(model)) = &diagnosed {
+        document.go_on(format!("drivebench tune --model {}", quoted_word(model)));
+    }
+    terminal.document(result, json, full, &document)?;
+    screen.conclude(recorded.failure()).and(diagnosed.map(drop))
+}
+
+fn show_run(folder: &Path, opens: Opens, terminal: &Terminal) -> Result<Closed, Failure> {
     let files = EvidenceFiles {
+        terminal,
         run: folder,
         model: None,
         holdout: None,
@@ -159,8 +167,8 @@ fn show_run(folder: &Path, opens: Opens) -> Result<Left, Failure> {
         later: &[],
         for_screen: true,
     };
-    let prepared = prepare(files, |path, _| load(path, None), Judging::Refits)?;
-    let place = Place::of(None, &prepared)?;
+    let prepared = prepare(files, |path, _| load(path, None, terminal), Judging::Refits)?;
+    let place = Place::of(None, &prepared, terminal)?;
     let shown = Shown {
         title: prepared.about.title.clone(),
         opens,
@@ -171,14 +179,18 @@ fn show_run(folder: &Path, opens: Opens) -> Result<Left, Failure> {
     };
     let discovery = Discovery::new(prepared.model.file.model, prepared.evidence)
         .with_recorded(prepared.recorded);
-    show(discovery.with_limits(place.limits()), shown)
+    show(discovery.with_limits(place.limits()), shown, terminal)
 }
 
 /// Shows the screen until it is left.
-pub(crate) fn show(discovery: Discovery, shown: Shown) -> Result<Left, Failure> {
+pub(crate) fn show(
+    discovery: Discovery,
+    shown: Shown,
+    terminal: &Terminal,
+) -> Result<Closed, Failure> {
     let hang_up = signals::flag()?;
-    let (orders, ordered) = channel();
-    let (told, news) = channel();
+    let (orders, received) = channel();
+    let (sender, news) = channel();
     let sources = DiagnosisSources {
         title: shown.title.clone(),
         opens: shown.opens,
@@ -189,24 +201,29 @@ pub(crate) fn show(discovery: Discovery, shown: Shown) -> Result<Left, Failure> 
     };
     let standing = Arc::new(Mutex::new(Standing::default()));
     let gone = Arc::new(AtomicBool::new(false));
-    let (heard, is_left) = (Arc::clone(&standing), Arc::clone(&gone));
-    // Never joined: an analysis in progress has nothing to put down, and ends with the program.
-    spawn("diagnosis", move || {
-        work(discovery, &shown, &ordered, &told, &heard, &is_left);
-    })?;
-    let held = output::hold();
+    let worker = Worker {
+        shown,
+        news: sender,
+        standing: Arc::clone(&standing),
+        gone: Arc::clone(&gone),
+        terminal: terminal.clone(),
+    };
+    // Never joined: an analysis in progress has nothing to finish, and ends with the program.
+    spawn("diagnosis", move || worker.carry_out(discovery, &received))?;
+    let held = terminal.hold();
     let exit = until_left(DiagnosisScreen::new(sources), &hang_up);
     {
         // A model that is being written is finished; one that was not begun is not begun any more.
-        let _whole = signals::writing();
+        let _whole = terminal.writing();
         gone.store(true, Ordering::Release);
     }
     drop(held);
     let standing = lock(&standing).clone();
-    // The screen that said so is gone.
-    standing.written.iter().for_each(|text| output::message(text));
-    let exit = exit_of(exit?)?;
-    Ok(Left { exit, hang_up, standing })
+    // The screen that showed it is gone.
+    for path in &standing.written {
+        terminal.message(&written_text(path));
+    }
+    Ok(Closed { exit: exit_of(exit?)?, hang_up, standing })
 }
 
 /// Shows a screen under which nothing is energised until it is left, or its terminal is gone.
@@ -228,12 +245,10 @@ fn exit_of(watched: Watched) -> Result<Exit, Failure> {
         Watched::Left(exit) => Ok(exit),
         // Closed, most likely: nothing is energised, and a model that was written is there.
         Watched::Failed(reason) => {
-            let headline = format!("the screen has failed: {reason}");
-            Err(Failure::interrupted(headline))
+            Err(Failure::interrupted(format!("the screen has failed: {reason}")))
         }
-        Watched::Panicked(said) => {
-            let headline = format!("the screen has panicked ({said})");
-            Err(Failure::internal(headline))
+        Watched::Panicked(text) => {
+            Err(Failure::internal(format!("the screen has panicked ({text})")))
         }
     }
 }
@@ -242,14 +257,15 @@ fn exit_of(watched: Watched) -> Result<Exit, Failure> {
 pub(crate) fn show_response(
     title: String,
     compared: Compared,
-    asked: Option<Pathway>,
+    pathway: Option<Pathway>,
+    terminal: &Terminal,
 ) -> Result<(), Failure> {
     let hang_up = signals::flag()?;
-    let screen = ResponseScreen::new(title, compared, asked, Arc::clone(&hang_up));
-    let held = output::hold();
-    let left = until_left(screen, &hang_up);
+    let screen = ResponseScreen::new(title, compared, pathway, Arc::clone(&hang_up));
+    let held = terminal.hold();
+    let closed = until_left(screen, &hang_up);
     drop(held);
-    if exit_of(left?)? == Exit::Interrupted {
+    if exit_of(closed?)? == Exit::Interrupted {
         return Err(Failure::interrupted("interrupted"));
     }
     Ok(())
@@ -259,52 +275,70 @@ fn lock(standing: &Mutex<Standing>) -> MutexGuard<'_, Standing> {
     standing.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Carries orders out until the screen has gone.
-fn work(
-    mut discovery: Discovery,
-    shown: &Shown,
-    ordered: &Receiver<Order>,
-    told: &Sender<News>,
-    standing: &Mutex<Standing>,
-    gone: &AtomicBool,
-) {
-    let tell = |news: News| {
-        lock(standing).hear(&news);
-        // A screen that has gone needs no news.
-        let _ = told.send(news);
-    };
-    while let Ok(order) = ordered.recv() {
-        if order == Order::Write {
-            tell(match write(&discovery, shown, gone) {
-                Ok(path) => News::Written(format!("{WRITTEN}{}", path.display())),
+fn written_text(path: &str) -> String {
+    format!("model written to {path}")
+}
+
+/// The thread behind the screen.
+struct Worker {
+    shown: Shown,
+    news: Sender<News>,
+    standing: Arc<Mutex<Standing>>,
+    /// The screen was left.
+    gone: Arc<AtomicBool>,
+    terminal: Terminal,
+}
+
+impl Worker {
+    /// Carries orders out until the screen was left.
+    fn carry_out(&self, mut discovery: Discovery, orders: &Receiver<Order>) {
+        let publish = |news: News| {
+            lock(&self.standing).update(&news);
+            // A screen that was left receives no news.
+            let _ = self.news.send(news);
+        };
+        while let Ok(order) = orders.recv() {
+            if order != Order::Write {
+                discovery.carry_out(order, &publish);
+                continue;
+            }
+            publish(match self.write(&discovery) {
+                Ok(path) => {
+                    let path = path.display().to_string();
+                    let text = written_text(&path);
+                    let mut standing = lock(&self.standing);
+                    standing.written.push(path);
+                    standing.is_written = true;
+                    News::Written(text)
+                }
                 Err(reason) => News::NotWritten(reason),
             });
-        } else {
-            discovery.carry_out(order, &tell);
         }
     }
-}
 
-/// The model as it stands, in a new file.
-fn write(discovery: &Discovery, shown: &Shown, gone: &AtomicBool) -> Result<PathBuf, String> {
-    let fitted = discovery.fitted().ok_or("there is no fitted model yet")?;
-    let (run, floor) = (Some(shown.fitted_on.clone()), fitted.noise.source);
-    let file = model_file(fitted, &shown.history, run, discovery.ladder(), floor);
-    let wanted = shown.output.as_deref().unwrap_or_else(|| Path::new(MODEL));
-    write_new(wanted, &file.to_toml(), gone)
+    /// The model as it is, in a new file.
+    fn write(&self, discovery: &Discovery) -> Result<PathBuf, String> {
+        let fitted = discovery.fitted().ok_or("there is no fitted model yet")?;
+        let (run, floor) = (Some(self.shown.fitted_on.clone()), fitted.noise.source);
+        let file = model_file(fitted, &self.shown.history, run, discovery.ladder(), floor);
+        let wanted = self.shown.output.as_deref().unwrap_or(Path::new("model.toml"));
+        write_new(wanted, &file.to_toml(), &self.gone, &self.terminal)
+    }
 }
-
-/// Copies that are tried beside a name that is taken.
-const MOST_COPIES: u32 = 1000;
 
 /// Writes under `wanted`, or where that is taken under the next free name: `model-2.toml`, `model-3.toml`, ... Once the
 /// screen is `gone`, nothing: the program may end in the middle of it.
-fn write_new(wanted: &Path, text: &str, gone: &AtomicBool) -> Result<PathBuf, String> {
-    let _whole = signals::writing();
+fn write_new(
+    wanted: &Path,
+    text: &str,
+    gone: &AtomicBool,
+    terminal: &Terminal,
+) -> Result<PathBuf, String> {
+    let _whole = terminal.writing();
     if gone.load(Ordering::Acquire) {
         return Err("the screen was left".to_owned());
     }
-    for copy in 1..=MOST_COPIES {
+    for copy in 1..=1000 {
         let path = if copy == 1 {
             wanted.to_owned()
         } else {
@@ -320,7 +354,7 @@ fn write_new(wanted: &Path, text: &str, gone: &AtomicBool) -> Result<PathBuf, St
             Err(error) => return Err(format!("{}: {error}", path.display())),
         }
     }
-    Err(format!("{}: {MOST_COPIES} files of that name exist", wanted.display()))
+    Err(format!("{}: 1000 files of that name exist", wanted.display()))
 }
 
 #[cfg(test)]
@@ -334,19 +368,19 @@ mod tests {
     fn a_name_that_is_taken_is_left_alone() {
         let folder = tempfile::tempdir().unwrap();
         let wanted = folder.path().join("model.toml");
-        let gone = AtomicBool::new(false);
+        let (gone, terminal) = (AtomicBool::new(false), Terminal::default());
         for (text, name) in
             [("first", "model.toml"), ("second", "model-2.toml"), ("third", "model-3.toml")]
         {
-            let path = write_new(&wanted, text, &gone).unwrap();
+            let path = write_new(&wanted, text, &gone, &terminal).unwrap();
             assert_eq!(path.file_name().unwrap(), name);
             assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
         }
         assert_eq!(std::fs::read_to_string(&wanted).unwrap(), "first");
         let nowhere = folder.path().join("missing/model.toml");
-        assert!(write_new(&nowhere, "text", &gone).is_err());
+        assert!(write_new(&nowhere, "text", &gone, &terminal).is_err());
         gone.store(true, Ordering::Release);
-        assert!(write_new(&folder.path().join("late.toml"), "text", &gone).is_err());
+        assert!(write_new(&folder.path().join("late.toml"), "text", &gone, &terminal).is_err());
         assert!(!folder.path().join("late.toml").exists());
     }
 
@@ -365,7 +399,7 @@ mod tests {
         let between = Mutex::new(None);
         for order in [Order::Diagnose, Order::Add("quadratic_load")] {
             discovery.carry_out(order, &|news| {
-                standing.lock().unwrap().hear(&news);
+                standing.lock().unwrap().update(&news);
                 if let News::Added(_) = news {
                     *between.lock().unwrap() = Some(now());
                 }

@@ -4,7 +4,6 @@ use crate::commands::identify::{Answer, is_usable};
 use crate::commands::report::last_rows;
 use crate::commands::run::Whole;
 use crate::commands::speed::{SpeedResult, delay_text};
-use crate::report::conventions::Converted;
 use crate::report::{Cell, Document, Table, Tone, conventions, tables};
 use crate::runtime::files::Recorded;
 use crate::runtime::output::quoted;
@@ -15,15 +14,11 @@ use drivebench_bench::{
 use drivebench_identify::misfit::Misfit;
 use drivebench_identify::nameplate::{self, Comparison, Fits};
 use drivebench_identify::recursive::INERTIA_HAS_CHANGED;
-use drivebench_identify::repeat::Repeated;
 use drivebench_model::plant::{Model, Motor};
 use drivebench_model::sample::{ParameterEstimate, Verdict};
 use drivebench_model::text::number::{fixed, significant, with_std};
 
-/// Share of a run from which on it is worth a word that the drive's own limit held its output.
-const MUCH_LIMITED_SHARE: f64 = 0.1;
-
-/// How the run went, what was found on line, and whether the plate fits.
+/// Outcome, parameters on line, and whether the nameplate fits.
 pub(crate) fn run(whole: &Whole, plate: Option<&Comparison>) -> Document {
     let recorded = &whole.recorded;
     let timing = &recorded.summary.timing;
@@ -38,12 +33,11 @@ pub(crate) fn run(whole: &Whole, plate: Option<&Comparison>) -> Document {
     let nameplate = Some(&nameplate);
     tables::parameter_section(&mut document, "on line", nameplate, &[], estimates, 5);
     tables::plate(&mut document, plate);
-    let run = quoted(recorded.folder.path());
-    let word = match recorded.summary.outcome {
+    let command = match recorded.summary.outcome {
         Outcome::Done => "diagnose",
         _ => "view",
     };
-    document.go_on(format!("drivebench {word} {run}"));
+    document.go_on(format!("drivebench {command} {}", quoted(recorded.folder.path())));
     end_of_run(&mut document, recorded);
     document
 }
@@ -60,7 +54,7 @@ fn end_of_run(document: &mut Document, recorded: &Recorded) {
     document.ends_with(last.display().to_string());
 }
 
-/// How a run went, in one line.
+/// Outcome, rows and losses of a run.
 fn account(summary: &RunSummary, rate: &str) -> Document {
     let (outcome, rows) = (summary.outcome.name(), summary.rows);
     let (duration_s, missed) = (summary.duration_s, summary.timing.missed_cycles);
@@ -73,14 +67,14 @@ fn account(summary: &RunSummary, rate: &str) -> Document {
         "{rows} rows in {duration_s:.1} s,{rate} {missed} cycles missed, {lost} of {sent} exchanges lost"
     );
     let mut document = Document::of(tone, outcome.replace('_', " "), sentence);
-    let is_plain =
-        |stop: &&Stop| summary.outcome == Outcome::Done && stop.confirmed_after_ms.is_some();
-    let stop = summary.stop.as_ref().filter(|stop| !is_plain(stop));
+    let stop = summary
+        .stop
+        .as_ref()
+        .filter(|stop| summary.outcome != Outcome::Done || stop.confirmed_after_ms.is_none());
     document.say("stopped", stop.map(Stop::sentence), 1);
     document.say("last 2 s", summary.last_seconds.map(last_rows), 1);
     let frozen = &summary.frozen;
-    let is_much = frozen.rows as f64 > MUCH_LIMITED_SHARE * summary.rows as f64;
-    let limited = is_much.then(|| {
+    let limited = (frozen.rows as f64 > 0.1 * summary.rows as f64).then(|| {
         let (held, seconds) = (frozen.rows, frozen.seconds);
         format!(
             "a limit of the drive held its output in {held} of {rows} rows, {seconds:.1} s: nothing is learnt there; slower or smaller \
@@ -91,7 +85,7 @@ fn account(summary: &RunSummary, rate: &str) -> Document {
     document
 }
 
-/// What was found by `scheme`, and whether the plate fits.
+/// Parameters by `scheme`, and whether the nameplate fits.
 pub(crate) fn identify(answer: &Answer, scheme: &str) -> Document {
     let combined = || answer.combined.iter();
     let known = combined().filter(|own| is_usable(&own.estimate)).count();
@@ -106,10 +100,9 @@ pub(crate) fn identify(answer: &Answer, scheme: &str) -> Document {
     };
     let sentence = format!("{known} of {all} parameters by scheme {scheme}; {runs}");
     let mut document = Document::of(tone, "Identified", sentence);
-    let value = |own: &&Repeated| own.estimate.text(1.0);
     let mut table = Table::of(combined())
         .column("parameter", |own| own.estimate.key.clone())
-        .column("found ± std", value);
+        .column("found ± std", |own| own.estimate.text(1.0));
     if answer.runs.len() > 1 {
         table = table.column("spread", |own| {
             own.run_to_run_std.map_or_else(|| "-".to_owned(), |std| format!("{std:.1e}"))
@@ -122,9 +115,8 @@ pub(crate) fn identify(answer: &Answer, scheme: &str) -> Document {
         Some(format!("{}: {reason}", own.estimate.key))
     });
     document.say("why", reasons, 1);
-    let left = answer.misfit().and_then(Misfit::text);
-    let left = left.map(|left| format!("the model leaves {left}"));
-    document.say("misfit", left, 1);
+    let misfit = answer.misfit().and_then(Misfit::text);
+    document.say("misfit", misfit.map(|misfit| format!("the model leaves {misfit}")), 1);
     let absolute = answer.absolute.as_deref().unwrap_or_default();
     tables::parameter_section(&mut document, "absolute", None, &[], absolute, 3);
     let parameters = answer.parameters();
@@ -133,27 +125,24 @@ pub(crate) fn identify(answer: &Answer, scheme: &str) -> Document {
         tables::parameter_section(&mut document, "at load", None, &[], &load, 2);
     }
     tables::plate(&mut document, answer.nameplate.as_ref());
-    let notes = answer.runs.iter().flat_map(|run| &run.found.notes);
-    let notes = answer.caution.iter().chain(notes);
-    document.say("note", notes.map(String::as_str), 1);
+    let of_runs = answer.runs.iter().flat_map(|run| &run.found.notes);
+    document.say("note", answer.caution.iter().chain(of_runs).map(String::as_str), 1);
     let converted = conventions::of(&parameters);
     if !converted.is_empty() {
         document.section("In other units");
-        let number = |own: &Converted| format!("{} {}", with_std(own.value, own.std), own.unit);
         document.table(
             Table::of(&converted)
                 .column("value", |own| Cell::code(own.key))
-                .column("found ± std", |own| number(own)),
+                .column("found ± std", |own| {
+                    format!("{} {}", with_std(own.value, own.std), own.unit)
+                }),
         );
         document.paragraph(conventions::RELATION);
     }
     document
 }
 
-/// Columns of the steps that a narrow terminal goes without, the first first.
-const SPARE: &[&str] = &["peak output", "limited, %", "IAE, rad", "from"];
-
-/// How a speed loop did: on the card of `speed`, and on the page of its run.
+/// Figures of a speed loop, for the card of `speed` and the page of its run.
 pub(crate) fn speed_loop(result: &SpeedResult<'_>) -> Document {
     let mut document = Document::new("", "");
     let summary = result.summary;
@@ -162,7 +151,7 @@ pub(crate) fn speed_loop(result: &SpeedResult<'_>) -> Document {
     };
     let cycles = |delay: Option<&LoopDelay>| match delay {
         Some(delay) => delay_text(delay),
-        None => "not measured: the drive does not say when a command was applied".to_owned(),
+        None => "not measured: the drive does not report when a command was applied".to_owned(),
     };
     let facts = [
         ("controller", format!("{} over a {} command", report.controller, report.actuator.name())),
@@ -183,15 +172,17 @@ pub(crate) fn speed_loop(result: &SpeedResult<'_>) -> Document {
         last.push_str("; of whole steps: the last was cut short");
     }
     document.say("steps", all, 2);
-    document.table_on_card("", steps(report), SPARE, 3);
+    document.table_on_card(
+        "",
+        steps(report),
+        &["peak output", "limited, %", "IAE, rad", "from"],
+        3,
+    );
     document.section("Gains");
     document.labelled("why", report.reasons.iter().map(String::as_str));
-    let changes = report.gain_changes.iter();
-    let changes = changes.map(|change| format!("{:.2} s: {}", change.time_s, change.reason));
-    document.say("gains", changes, 0);
-    let found = report.watch.iter();
-    let found = found.map(|one| format!("{:.2} s: {}", one.time_s, one.reason));
-    document.say("watch", found, 3);
+    let at = |time_s: f64, reason: &str| format!("{time_s:.2} s: {reason}");
+    document.say("gains", report.gain_changes.iter().map(|one| at(one.time_s, &one.reason)), 0);
+    document.say("watch", report.watch.iter().map(|one| at(one.time_s, &one.reason)), 3);
     document.say("at end", report.gains.iter().map(String::as_str), 1);
     document
 }
@@ -230,8 +221,8 @@ fn steps(report: &SpeedReport) -> Table {
         .into()
 }
 
-/// How closely the reference was followed, and what the gains were at the end.
-pub(crate) fn speed(result: &SpeedResult<'_>, recorded: &Recorded, words: &str) -> Document {
+/// Tracking errors, steps, and the gains at the end.
+pub(crate) fn speed(result: &SpeedResult<'_>, recorded: &Recorded, options: &str) -> Document {
     let summary = result.summary;
     let mut document = account(summary, "");
     document.append(speed_loop(result));
@@ -239,7 +230,7 @@ pub(crate) fn speed(result: &SpeedResult<'_>, recorded: &Recorded, words: &str) 
         let both = summary.speed.as_ref().is_some_and(|report| report.tracking.len() > 1);
         document.go_on(match result.model_file() {
             Some(model) if !both => {
-                format!("drivebench speed{words} --model {model} --feed-forward compare")
+                format!("drivebench speed{options} --model {model} --feed-forward compare")
             }
             _ => format!("drivebench replay {}", quoted(recorded.folder.path())),
         });
@@ -250,7 +241,7 @@ pub(crate) fn speed(result: &SpeedResult<'_>, recorded: &Recorded, words: &str) 
     document
 }
 
-/// Values that are not those that the loop was tuned on, as far as they are known; of an inertia that changed what is known so far.
+/// Values that differ from those that the loop was tuned on; of an inertia that changed, the estimate so far.
 fn of_another_machine(tuned_on: &Motor, found: &[ParameterEstimate]) -> Vec<String> {
     let compared = nameplate::compare(tuned_on, found);
     let rows = compared.rows.iter().filter(|row| row.fits == Fits::No);
@@ -270,8 +261,7 @@ fn of_another_machine(tuned_on: &Motor, found: &[ParameterEstimate]) -> Vec<Stri
     sentences.collect()
 }
 
-/// Where a reference is followed twice and the watch lowered the gains, what the passes differ by is not only what is given
-/// forward.
+/// Where a reference is followed twice and the watch lowered the gains, feed-forward is not the only difference of the passes.
 fn softened_text(report: &SpeedReport) -> Option<String> {
     let softest = |pass: &Tracking| {
         let inside = |found: &&Watched| (pass.from_s..pass.until_s).contains(&found.time_s);
@@ -281,18 +271,17 @@ fn softened_text(report: &SpeedReport) -> Option<String> {
     let shares: Vec<f64> = report.tracking.iter().map(softest).collect();
     let is_softened = shares.len() > 1 && shares.iter().any(|share| *share < 1.0);
     is_softened.then(|| {
-        let each = report.tracking.iter().zip(&shares);
-        let each = each.map(|(pass, share)| {
-            format!("{:.0} % {} feed-forward", 100.0 * share, forward_word(pass))
+        let each = report.tracking.iter().zip(&shares).map(|(pass, share)| {
+            format!("{:.0} % {}", 100.0 * share, feed_forward(pass))
         });
         format!(
-            "the loop swung and its gain fell to {}: the passes are those of two loops, not of feed-forward alone",
+            "the loop oscillated and its gain fell to {}: the passes are those of two loops, not of feed-forward alone",
             each.collect::<Vec<_>>().join(", ")
         )
     })
 }
 
-/// The worst step of the report, or where it was followed twice the means of each pass, so that both are seen.
+/// The worst step of the report, or where the reference was followed twice the means of each pass.
 fn steps_text(report: &SpeedReport) -> Vec<String> {
     let overshoot = |step: &&StepFigures| step.response.overshoot_percent;
     let mean = |steps: &[&StepFigures], value: fn(&StepFigures) -> Option<f64>| {
@@ -304,31 +293,30 @@ fn steps_text(report: &SpeedReport) -> Vec<String> {
         let steps: Vec<&StepFigures> = report.steps.iter().filter(inside).collect();
         let overshoot = mean(&steps, |step| Some(step.response.overshoot_percent))?;
         let error = mean(&steps, |step| Some(step.response.absolute_error_rad))?;
-        let settled = steps.iter().filter(|step| step.response.settling_s.is_some());
+        let settled = steps.iter().filter(|step| step.response.settling_s.is_some()).count();
         let settled = match mean(&steps, |step| step.response.settling_s) {
-            Some(mean) => format!("{} settled in {mean:.3} s", settled.count()),
+            Some(mean) => format!("{settled} settled in {mean:.3} s"),
             None => "none settled".to_owned(),
         };
-        let (with, count) = (forward_word(pass), steps.len());
         Some(format!(
-            "{count} {with} feed-forward, on the mean: overshoot {overshoot:.1} %, IAE {error:.2} rad; {settled}"
+            "{} {}, on the mean: overshoot {overshoot:.1} %, IAE {error:.2} rad; {settled}",
+            steps.len(),
+            feed_forward(pass)
         ))
     };
     if report.tracking.len() > 1 {
         return report.tracking.iter().filter_map(pass).collect();
     }
-    let mut steps = report.steps.iter();
-    let worst = steps.by_ref().skip(1).max_by(|a, b| overshoot(a).total_cmp(&overshoot(b)));
-    let worst = worst.filter(|_| report.steps.len() > 2);
-    let text = worst.map(|step| {
+    let worst = report.steps.iter().skip(1).max_by(|a, b| overshoot(a).total_cmp(&overshoot(b)));
+    let worst = worst.filter(|_| report.steps.len() > 2).map(|step| {
         format!(
             "most overshoot at {:.2} s: {:.1} %, {:.2} rad of error (IAE)",
             step.step.at_s, step.response.overshoot_percent, step.response.absolute_error_rad
         )
     });
-    text.into_iter().collect()
+    worst.into_iter().collect()
 }
 
-const fn forward_word(pass: &Tracking) -> &'static str {
-    if pass.feed_forward { "with" } else { "without" }
+const fn feed_forward(pass: &Tracking) -> &'static str {
+    if pass.feed_forward { "with feed-forward" } else { "without feed-forward" }
 }

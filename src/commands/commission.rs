@@ -23,12 +23,13 @@ use crate::commands::speed::{SpeedRequest, speed};
 use crate::commands::{by_hand, pages};
 use crate::report::{Document, tables};
 use crate::runtime::controls::Controls;
-use crate::runtime::ending::{Audience, Left, conduct};
+use crate::runtime::ending::{Audience, ScreenEnd, conduct};
 use crate::runtime::failure::{Failure, USAGE};
 use crate::runtime::files::{Recorded, model_file, read_text};
+use crate::runtime::output::Terminal;
 use crate::runtime::output::quoted;
 use crate::runtime::rig::{OpenRig, Rig, RigOptions};
-use crate::runtime::{output, progress, signals};
+use crate::runtime::signals;
 use crate::tui::{Exit, Opens};
 use crate::workflow::{
     BurstResult, Called, Commission, CommissionResult, Discovery, Progress, ProgressCell, Role,
@@ -55,31 +56,32 @@ pub(super) struct Arguments {
     unknown: UnknownMotor,
 }
 
-pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
+pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), Failure> {
     let live = arguments.live;
-    let options = live.options(arguments.unknown.escalate)?;
+    let options = live.options(arguments.unknown.escalate, terminal)?;
     let source = live.source()?;
     let file = live.bench.as_ref().map(|_| source.0.as_str());
     let called = Called::new(&options.bench, file, live.words());
     let cell = ProgressCell::default();
-    let shown = live.is_headless().then(|| progress::begin("commission"));
-    let mut told = shown.is_some().then(StepLog::default);
+    let shown = live.is_headless().then(|| terminal.progress("commission"));
+    let mut log = shown.is_some().then(StepLog::default);
     let audience = live.audience(Some(cell.clone()));
-    let asked = options.clone();
-    let done = conduct(audience, move |strings| {
-        commission(asked, called, Box::new(Rig::open), strings, |latest| {
+    let of_rig = options.clone();
+    let printed = terminal.clone();
+    let done = conduct(terminal, audience, move |controls| {
+        commission(of_rig, called, Box::new(Rig::open), controls, |latest| {
             cell.publish(latest.clone());
-            if let Some(told) = &mut told {
-                told.tell(latest);
+            if let Some(log) = &mut log {
+                log.print(latest, &printed);
             }
         })
     })?;
     drop(shown);
-    let followed = follow(done.work, done.left, &options, &source);
-    // However it was left: the result of the loop is there all the same.
+    let followed = follow(done.work, done.screen, &options, &source);
+    // The result of the loop is printed however its screen was left.
     let mut done = followed.done;
-    done.document.say("then", followed.said, 4);
-    output::document(&done.result, live.json, live.full, &done.document)?;
+    done.document.say("then", followed.results, 4);
+    terminal.document(&done.result, live.json, live.full, &done.document)?;
     followed.outcome
 }
 
@@ -90,7 +92,7 @@ struct StepLog {
 }
 
 impl StepLog {
-    fn tell(&mut self, progress: &Progress) {
+    fn print(&mut self, progress: &Progress, terminal: &Terminal) {
         let total = progress.steps.len();
         self.lines.resize(total, (StepState::Waiting, String::new()));
         for (index, step) in progress.steps.iter().enumerate() {
@@ -102,37 +104,38 @@ impl StepLog {
             match step.state {
                 StepState::Waiting | StepState::Offered | StepState::Withheld => {}
                 StepState::Active => {
-                    output::message(&format!("{head} ..."));
-                    progress::stage(step.step.title(), 0);
+                    terminal.message(&format!("{head} ..."));
+                    terminal.stage(step.step.title(), 0);
                 }
-                StepState::Done => output::message(&format!("{head}: {}", step.line)),
-                StepState::Failed => output::message(&format!("{head} failed")),
+                StepState::Done => terminal.message(&format!("{head}: {}", step.line)),
+                StepState::Failed => terminal.message(&format!("{head} failed")),
             }
             self.lines[index] = now;
         }
     }
 }
 
-/// What goes on from a commissioning, and its page.
+/// The commands that follow a commissioning, and its page.
 fn go_on(document: &mut Document, result: &CommissionResult, rig: &Rig, records: &[Recorded]) {
     let Some(first) = records.first() else { return };
-    let words = rig.asked.words.as_str();
+    let options = rig.options.words.as_str();
     let (folder, file) = (first.folder.path(), |file| quoted(&first.folder.file(file)));
     let next = result.diagnosis.next_experiment.as_ref();
     if next.is_some_and(|next| next.bench.is_some()) {
         document.go_on(format!("drivebench run {}", file(RunFile::NextBench)));
         // A run that was not made judges nothing.
-        let judging = ["--holdout", "--confirm"].iter().zip(&records[1..]);
-        let judging =
-            judging.map(|(option, run)| format!(" {option} {}", quoted(run.folder.path())));
-        let judging: String = judging.collect();
+        let judging: String = ["--holdout", "--confirm"]
+            .iter()
+            .zip(&records[1..])
+            .map(|(option, run)| format!(" {option} {}", quoted(run.folder.path())))
+            .collect();
         document.go_on(format!(
             "drivebench diagnose {} --model baseline{judging} --with NEW_RUN",
             quoted(folder)
         ));
     }
     let model = file(RunFile::Model);
-    document.go_on(format!("drivebench speed{words} --model {model}"));
+    document.go_on(format!("drivebench speed{options} --model {model}"));
     document.ends_with(first.folder.file(RunFile::Report).display().to_string());
 }
 
@@ -140,19 +143,19 @@ fn go_on(document: &mut Document, result: &CommissionResult, rig: &Rig, records:
 pub struct CommissionDone {
     pub result: CommissionResult,
     pub document: Document,
-    /// As the screen has it at the end: the steps that can follow among it.
+    /// At the end, with the steps that can follow.
     pub progress: Progress,
-    /// What the screen saw last of the bench.
+    /// Latest snapshot of the bench.
     pub last: Arc<Snapshot>,
     pub discovery: Option<Discovery>,
-    /// Why the record of a run could not be kept, where that is so.
-    pub unkept: Option<Failure>,
+    /// Why the record of a run could not be kept.
+    pub record_failure: Option<Failure>,
 }
 
 /// Carries the loop's tasks out until it is finished; `called` is for the commands of its steps.
 ///
 /// # Errors
-/// What stood in the way; a trip, a lost drive or an interruption of a run among it.
+/// A refusal, a trip, a lost drive or an interruption of a run.
 pub fn commission(
     options: RigOptions,
     called: Called,
@@ -165,7 +168,7 @@ pub fn commission(
     let emulator = rig.way.emulator.as_ref();
     let steady = emulator.filter(|emulator| emulator.changes.is_empty());
     let truth = steady.map(|emulator| emulator.hidden.iter().map(TrueEffect::from).collect());
-    let (plate, bench) = (Model::baseline(rig.plate.clone()), rig.bench.clone());
+    let (plate, bench) = (Model::baseline(rig.nameplate_motor.clone()), rig.bench.clone());
     let mut workflow = Commission::new(plate, rig.escalates, bench, truth, called);
     let mut records: Vec<Recorded> = Vec::new();
     publish(&workflow.progress());
@@ -202,7 +205,7 @@ pub fn commission(
         progress,
         last: controls.snapshots.latest(),
         discovery: workflow.discovery().cloned(),
-        unkept: records.iter().find_map(Recorded::record_failure),
+        record_failure: records.iter().find_map(Recorded::record_failure),
     })
 }
 
@@ -267,7 +270,9 @@ fn step(
                 Some((path, Ok(burst))) => workflow.captured(burst, path.display().to_string()),
                 // An extra: the loop goes on without it.
                 Some((_, Err(failure))) => {
-                    output::message(&format!("burst not used: {}", failure.headline()));
+                    rig.options
+                        .terminal
+                        .message(&format!("burst not used: {}", failure.headline()));
                 }
                 None => {}
             }
@@ -277,9 +282,10 @@ fn step(
         }
         Task::Analyse => {
             // Nothing is energised and everything recorded is on the disk. Beside a screen the signals are the screen's.
+            let terminal = &rig.options.terminal;
             let _endable =
-                if rig.asked.headless { signals::endable()? } else { signals::leavable() };
-            workflow.analyse(|now| publish(&now), &progress::diagnosis)?;
+                if rig.options.headless { terminal.endable()? } else { terminal.leavable() };
+            workflow.analyse(|now| publish(&now), &|event| terminal.diagnosis(event))?;
         }
         Task::Save => {
             let line = save(workflow, rig, records)?;
@@ -315,49 +321,48 @@ fn save(workflow: &Commission, rig: &Rig, records: &mut [Recorded]) -> Result<St
 }
 
 /// A commissioning whose screen was left for good, with what followed it.
-pub(crate) struct Followed {
-    pub(crate) done: CommissionDone,
-    /// What came of each step that was asked for, in sentences.
-    pub(crate) said: Vec<String>,
-    pub(crate) outcome: Result<(), Failure>,
+struct Followed {
+    done: CommissionDone,
+    /// Of each requested step, a sentence.
+    results: Vec<String>,
+    outcome: Result<(), Failure>,
 }
 
-/// Goes on from the screen of a commissioning as its keys ask, until it is left. `source` is the name and the text of the
-/// bench file.
-pub(crate) fn follow(
+/// Carries out the steps that the keys of a commissioning's screen request, until it is left. `source` is the name and the
+/// text of the bench file.
+fn follow(
     mut done: CommissionDone,
-    mut left: Left,
+    mut screen: ScreenEnd,
     options: &RigOptions,
     source: &(String, String),
 ) -> Followed {
-    let mut said = Vec::new();
+    let mut results = Vec::new();
     // Every signal from here on ends what follows, whichever part of it is under way.
     let hang_up = match signals::flag() {
         Ok(flag) => flag,
-        Err(failure) => {
-            let outcome = Err(failure);
-            return Followed { done, said, outcome };
-        }
+        Err(failure) => return Followed { done, results, outcome: Err(failure) },
     };
     let interrupted = || Failure::interrupted(BETWEEN_RUNS);
     let first_file = first_folder(&done).map(|folder| folder.join(RunFile::NextBench.name()));
     let mut next_file = first_file.ok();
     let outcome = loop {
-        let Left::Screen(exit) = left else {
-            break left.conclude(done.unkept.take());
+        let ScreenEnd::Screen(exit) = screen else {
+            break screen.conclude(done.record_failure.take());
         };
-        let (step, came) = match exit {
-            Exit::Diagnosis | Exit::Traces => (Step::Diagnose, diagnose(&done, exit)),
+        let (step, result) = match exit {
+            Exit::Diagnosis | Exit::Traces => {
+                (Step::Diagnose, diagnose(&done, exit, &options.terminal))
+            }
             Exit::Experiment => (Step::Experiment, experiment(&mut done, &mut next_file, options)),
             Exit::SpeedLoop => (Step::SpeedLoop, speed_loop(&done, options, source)),
-            _ => break Left::Screen(exit).conclude(done.unkept.take()),
+            _ => break screen.conclude(done.record_failure.take()),
         };
         let is_hung_up = hang_up.load(Ordering::Acquire);
-        match came {
+        match result {
             Ok(_) if is_hung_up => break Err(interrupted()),
             Ok(line) if line.is_empty() => {}
             Ok(line) => {
-                said.push(format!("{}: {line}", step.title()));
+                results.push(format!("{}: {line}", step.title()));
                 if step.is_on_request() {
                     done.progress.done_on_request(step, Ok(line));
                 }
@@ -365,28 +370,27 @@ pub(crate) fn follow(
                     done.progress.follows(step, next_file.as_deref());
                 }
             }
-            // What asks for too much, or leaves a run that cannot be judged, is said; everything else ends the program.
+            // A refused step, or a run that cannot be judged, is reported; everything else ends the program.
             Err(failure) if failure.status == USAGE && step.is_on_request() && !is_hung_up => {
-                let parts = [failure.headline(), failure.help()].into_iter();
-                let said: Vec<&str> = parts.filter(|part| !part.is_empty()).collect();
-                done.progress.done_on_request(step, Err(said.join("; ")));
+                let text = format!("{}; {}", failure.headline(), failure.help());
+                done.progress.done_on_request(step, Err(text));
             }
             Err(failure) => break Err(failure),
         }
-        left = match again(&done) {
-            Ok(Left::Screen(Exit::Interrupted | Exit::Forced)) => break Err(interrupted()),
+        screen = match again(&done, &options.terminal) {
+            Ok(ScreenEnd::Screen(Exit::Interrupted | Exit::Forced)) => break Err(interrupted()),
             Ok(_) if hang_up.load(Ordering::Acquire) => break Err(interrupted()),
-            Ok(left) => left,
+            Ok(screen) => screen,
             Err(failure) => break Err(failure),
         };
     };
-    Followed { done, said, outcome }
+    Followed { done, results, outcome }
 }
 
-/// How the screen of a run that followed was left: on to what comes of the run, or away.
-fn goes_on(left: Left, run: Option<Failure>) -> Result<(), Failure> {
-    let is_interrupted = matches!(left, Left::Screen(Exit::Interrupted | Exit::Forced));
-    left.conclude(run)?;
+/// An error where the screen of a run that followed was left by an interruption.
+fn goes_on(screen: ScreenEnd, run: Option<Failure>) -> Result<(), Failure> {
+    let is_interrupted = matches!(screen, ScreenEnd::Screen(Exit::Interrupted | Exit::Forced));
+    screen.conclude(run)?;
     if is_interrupted {
         return Err(Failure::interrupted(BETWEEN_RUNS));
     }
@@ -398,38 +402,37 @@ fn once_more(options: &RigOptions) -> RigOptions {
     RigOptions { escalate: false, reset_fault: false, tap: None, ..options.clone() }
 }
 
-/// What came of a diagnosis by hand: the changes before the answer, and the answer.
+/// Result of a diagnosis by hand: the changes before the answer, and the answer.
 fn answered(standing: &Standing) -> String {
     let changes = standing.heading();
     let answer = standing.diagnosis.as_ref();
     let answer = answer.map_or("left before there was an answer", |found| &found.sentence);
     let model = standing.model().map(|model| format!("model: {model}"));
-    let said = changes.lines().chain([answer]).chain(model.as_deref());
-    said.collect::<Vec<_>>().join("; ")
+    let parts: Vec<_> = changes.lines().chain([answer]).chain(model.as_deref()).collect();
+    parts.join("; ")
 }
 
-/// The page of the loop once more, over nothing that is energised.
-fn again(done: &CommissionDone) -> Result<Left, Failure> {
+/// The screen of the loop once more; nothing is energised.
+fn again(done: &CommissionDone, terminal: &Terminal) -> Result<ScreenEnd, Failure> {
     let cell = ProgressCell::default();
     cell.publish(done.progress.clone());
     let last = Arc::clone(&done.last);
-    let ended = conduct(Audience::Screen(Some(cell)), move |controls| {
+    let ended = conduct(terminal, Audience::Screen(Some(cell)), move |controls| {
         controls.snapshots.publish((*last).clone());
         Ok(())
     })?;
-    Ok(ended.left)
+    Ok(ended.screen)
 }
 
 /// The folder of the run that was fitted, in which the loop left its model and the next bench file.
 fn first_folder(done: &CommissionDone) -> Result<PathBuf, Failure> {
-    let first = done.result.runs.first();
-    let folder = first.and_then(|run| run.folder.as_ref());
+    let folder = done.result.runs.first().and_then(|run| run.folder.as_ref());
     let none = || Failure::internal("the loop has left no run folder");
     folder.map(PathBuf::from).ok_or_else(none)
 }
 
-/// The diagnosis by hand; what was changed in it, if anything.
-fn diagnose(done: &CommissionDone, exit: Exit) -> Result<String, Failure> {
+/// The diagnosis by hand; its result where something was changed, else empty.
+fn diagnose(done: &CommissionDone, exit: Exit, terminal: &Terminal) -> Result<String, Failure> {
     let Some(discovery) = done.discovery.clone() else {
         return Ok(String::new());
     };
@@ -438,13 +441,17 @@ fn diagnose(done: &CommissionDone, exit: Exit) -> Result<String, Failure> {
     if exit == Exit::Traces {
         shown.opens = Opens::Traces;
     }
-    let seen = by_hand::show(discovery, shown)?;
-    if seen.is_interrupted() {
+    let standing = by_hand(discovery, shown, terminal)?;
+    let is_changed = !standing.heading().is_empty() || standing.model().is_some();
+    Ok(if is_changed { answered(&standing) } else { String::new() })
+}
+
+fn by_hand(discovery: Discovery, shown: Shown, terminal: &Terminal) -> Result<Standing, Failure> {
+    let closed = by_hand::show(discovery, shown, terminal)?;
+    if closed.is_interrupted() {
         return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
     }
-    let standing = &seen.standing;
-    let is_changed = !standing.heading().is_empty() || standing.model().is_some();
-    Ok(if is_changed { answered(&seen.standing) } else { String::new() })
+    Ok(closed.standing)
 }
 
 fn shown(title: &str, fitted_on: &Path) -> Shown {
@@ -458,8 +465,8 @@ fn shown(title: &str, fitted_on: &Path) -> Shown {
     }
 }
 
-/// Records the run that was recommended and shows what it and those before it say together; what came of it. What that
-/// recommends is what is recommended then.
+/// Records the recommended run and diagnoses it together with those before it; the result in a sentence. The run that this
+/// diagnosis recommends is the next one.
 fn experiment(
     done: &mut CommissionDone,
     next_file: &mut Option<PathBuf>,
@@ -470,8 +477,9 @@ fn experiment(
     let bench = BenchFile::parse(&path.display().to_string(), &read_text(&path)?)?;
     let mut base = bench.clone();
     base.sequence.clone_from(&options.bench.sequence);
+    let terminal = options.terminal.clone();
     let options = RigOptions { bench, ..once_more(options) };
-    let ended = conduct(Audience::Leads("on to its diagnosis"), move |controls| {
+    let ended = conduct(&terminal, Audience::Leads("on to its diagnosis"), move |controls| {
         run(options, None, Box::new(Rig::open), controls)
     })?;
     let mut recorded = match ended.work {
@@ -481,25 +489,21 @@ fn experiment(
         }
         RunDone::Run(whole) => whole.recorded,
     };
-    goes_on(ended.left, recorded.failure())?;
+    goes_on(ended.screen, recorded.failure())?;
     let folder = recorded.folder.path().to_owned();
     let none = || Failure::internal("a recommended run without a diagnosis before it");
     let before = done.discovery.as_ref().ok_or_else(none)?;
     let fitted = before.evidence().first_run();
-    let (scenario, notes) = admit_later(&recorded.load()?, before.model(), fitted)?;
+    let (scenario, notes) = admit_later(&recorded.load()?, before.model(), fitted, &terminal)?;
     let discovery = before.with_run(scenario);
-    let seen = by_hand::show(discovery.clone(), shown("with the run that tells more", &folder))?;
-    if seen.is_interrupted() {
-        return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
-    }
-    let mut came = answered(&seen.standing);
-    for note in notes {
-        came = format!("{came}; {note}");
-    }
-    came = format!("{came}; {}", folder.display());
-    let is_changed = !seen.standing.heading().is_empty();
-    let mut found = seen.standing.diagnosis;
-    // The run is made, whatever comes of the next one.
+    let shown = shown("with the recommended run", &folder);
+    let standing = by_hand(discovery.clone(), shown, &terminal)?;
+    let mut result = vec![answered(&standing)];
+    result.extend(notes);
+    result.push(folder.display().to_string());
+    let is_changed = !standing.heading().is_empty();
+    let mut found = standing.diagnosis;
+    // The run is made, whatever becomes of the next one.
     let with_answer = |found: Option<&Diagnosis>| match found.filter(|_| !is_changed) {
         Some(found) => discovery.clone().with_answer(found.clone()),
         None => discovery.clone(),
@@ -507,32 +511,31 @@ fn experiment(
     done.discovery = Some(with_answer(found.as_ref()));
     *next_file = None;
     // It may have been left before the run was recommended.
-    let next = match (seen.standing.next, &found, discovery.limits()) {
+    let next = match (standing.next, &found, discovery.limits()) {
         (Some(next), _, _) => Some(next),
         (None, Some(found), Some(limits)) => {
             let next = recommend(found, discovery.evidence(), limits);
             next.unwrap_or_else(|error| {
-                came = format!("{came}; which run would tell more is not known: {error}");
+                result.push(format!("no next run can be recommended: {error}"));
                 None
             })
         }
         _ => None,
     };
     if let (Some(mut next), Some(found)) = (next, &mut found) {
-        came = format!("{came}; {}", next.sentence);
+        result.push(next.sentence.clone());
         if let Some(recipe) = &next.recipe {
             let text = next_bench(&base, recipe, &found.model.model, &next.sentence);
-            // A disk that does not take it is told of.
             *next_file = recorded.write(RunFile::NextBench, &text);
             next.bench = Some(text);
         }
         found.next_experiment = Some(next);
     }
     done.discovery = Some(with_answer(found.as_ref()));
-    Ok(came)
+    Ok(result.join("; "))
 }
 
-/// Runs the speed loop of the bench with the model that was found; what came of it.
+/// Runs the speed loop of the bench with the model that was found; the result in a sentence.
 fn speed_loop(
     done: &CommissionDone,
     options: &RigOptions,
@@ -547,18 +550,17 @@ fn speed_loop(
         maps: Vec::new(),
         actuator: None,
     };
-    let ended = conduct(Audience::Leads("back to the loop"), move |controls| {
+    let terminal = &options.terminal;
+    let ended = conduct(terminal, Audience::Leads("back to the loop"), move |controls| {
         speed(request, Box::new(Rig::open), controls)
     })?;
     let recorded = ended.work.recorded;
-    let folder = recorded.folder.path();
-    let seen = by_hand::go_on(&ended.left, folder);
-    // A trip or a lost drive is said before anything that became of the look at its record.
-    goes_on(ended.left, recorded.failure())?;
-    seen?;
-    let folder = folder.display();
-    let report = recorded.summary.speed.as_ref();
-    let last = report.and_then(|report| report.tracking.last());
+    let diagnosed = by_hand::go_on(&ended.screen, recorded.folder.path(), terminal);
+    // A trip or a lost drive goes before anything that happened in the diagnosis of its record.
+    goes_on(ended.screen, recorded.failure())?;
+    diagnosed?;
+    let folder = recorded.folder.path().display();
+    let last = recorded.summary.speed.as_ref().and_then(|report| report.tracking.last());
     let tracking = last.map_or_else(
         || "no reference was followed to its end".to_owned(),
         |pass| {

@@ -12,7 +12,9 @@ use crate::commands::{pages, view};
 use crate::report::{Document, SignalFigures, Table, Tone};
 use crate::runtime::failure::{Failure, REFUSED, USAGE};
 use crate::runtime::files::read_model;
-use crate::runtime::{output, progress, signals};
+use crate::runtime::output;
+use crate::runtime::output::Terminal;
+use crate::runtime::progress::ProgressLine;
 use drivebench_diagnose::{Comparison, HoldoutFrom, SignalVersus, Versus, compare, versus};
 use drivebench_model::text::number::{fit, significant};
 
@@ -49,7 +51,7 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     arguments.more.refuse()?;
     if let Some(path) = &arguments.html {
         output::refuse_existing(path, "--html")?;
@@ -57,14 +59,14 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     if arguments.screen {
         view::needs_terminal("--screen", "leave --screen out: the result is printed as text")?;
     }
-    let mut endable = Some(signals::endable()?);
-    let shown = progress::begin("compare");
+    let mut endable = Some(terminal.endable()?);
+    let shown = terminal.progress("compare");
     let model = match arguments.model.as_slice() {
         [_, _] if arguments.screen => {
             let help = "--screen shows one model beside the run";
             return Err(Failure::usage("two models are given with --screen", help));
         }
-        [first, second] => return both(arguments, first, second, shown),
+        [first, second] => return both(arguments, first, second, terminal, shown),
         [_, _, _, ..] => {
             let help = "give two models, and compare the better with the third";
             return Err(Failure::usage("more than two models are given", help));
@@ -74,26 +76,26 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let (evidence, run) = (&arguments.evidence, &arguments.run);
     let judging = Judging::of(model);
     let mut prepared = if arguments.screen {
-        evidence.prepare_for_screen(run, model, judging)?
+        evidence.prepare_for_screen(run, model, judging, terminal)?
     } else {
-        evidence.prepare(run, model, judging)?
+        evidence.prepare(run, model, judging, terminal)?
     };
     let from = prepared.model.from.clone();
-    let judged = prepared.judge_as_diagnose(model.is_some())?;
-    progress::stage("compares", 0);
+    let judged = prepared.judge_as_diagnose(model.is_some(), terminal)?;
+    terminal.stage("compares", 0);
     let model = &prepared.model.file.model;
     let comparison = compare(model, &prepared.evidence, judged.error_of)?;
     drop(shown);
     if arguments.screen {
         // Meanwhile the screen owns the terminal and hears the signals.
         drop(endable.take());
-        view::show(&prepared, judged.error_of)?;
-        endable = Some(signals::endable()?);
+        view::show(&prepared, judged.error_of, terminal)?;
+        endable = Some(terminal.endable()?);
     }
     let _endable = endable;
     let mut document = pages::comparison(&prepared, &comparison)?;
     if let Some(path) = &arguments.html {
-        pages::write(path, &document.html())?;
+        pages::write(path, &document.html(), terminal)?;
         document.ends_with(path.display().to_string());
     }
     document.go_on(format!(
@@ -106,7 +108,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     value["model"] = from.into();
     value["refitted"] = judged.refitted.into();
     value["undecided"] = comparison.undecided().into();
-    output::document(&value, arguments.json, arguments.full, &document)?;
+    terminal.document(&value, arguments.json, arguments.full, &document)?;
     check_fit(&comparison, arguments.min_fit)
 }
 
@@ -115,17 +117,18 @@ fn both(
     arguments: &Arguments,
     first: &Path,
     second: &Path,
-    shown: progress::Shown,
+    terminal: &Terminal,
+    shown: ProgressLine,
 ) -> Result<(), Failure> {
     if arguments.min_fit.is_some() || arguments.html.is_some() {
         let headline = "--min-fit and --html judge one model, and two are given";
         return Err(Failure::usage(headline, "leave one --model out"));
     }
     let judging = Judging::AsGiven;
-    let prepared = (arguments.evidence).prepare(&arguments.run, Some(first), judging)?;
-    let result = VersusResult::of(&prepared, second, &arguments.run)?;
+    let prepared = (arguments.evidence).prepare(&arguments.run, Some(first), judging, terminal)?;
+    let result = VersusResult::of(&prepared, second, &arguments.run, terminal)?;
     drop(shown);
-    output::document(&result, arguments.json, arguments.full, &result.document())
+    terminal.document(&result, arguments.json, arguments.full, &result.document())
 }
 
 fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failure> {
@@ -167,7 +170,12 @@ struct ModelOf {
 
 impl VersusResult {
     /// The prepared model and another, as they are, on the same hold-out.
-    pub(crate) fn of(prepared: &Prepared, second: &Path, run: &Path) -> Result<Self, Failure> {
+    pub(crate) fn of(
+        prepared: &Prepared,
+        second: &Path,
+        run: &Path,
+        terminal: &Terminal,
+    ) -> Result<Self, Failure> {
         let other = read_model(second)?;
         let first = &prepared.model.file.model;
         first.require_complete()?;
@@ -177,9 +185,9 @@ impl VersusResult {
         let holdout = holdout.filter(|_| prepared.evidence.holdout_from == HoldoutFrom::Run);
         let fitted = was_fitted_on(&other.history.fitted_on, run, holdout);
         let fitted = fitted.map(|sentence| format!("B: {sentence}"));
-        output::warn(fitted.as_slice());
+        terminal.warn(fitted.as_slice());
         notes.extend(fitted);
-        progress::stage("compares", 0);
+        terminal.stage("compares", 0);
         let found = versus([first, &other.model], &prepared.evidence)?;
         let of = |file: String, effects| ModelOf { file, effects };
         Ok(Self {

@@ -10,7 +10,8 @@ use crate::commands::evidence::Place;
 use crate::commands::{pages, view};
 use crate::report::Document;
 use crate::runtime::failure::Failure;
-use crate::runtime::{output, progress, signals};
+use crate::runtime::output;
+use crate::runtime::output::Terminal;
 use crate::tui::Opens;
 use crate::workflow::Discovery;
 use drivebench_diagnose::{Diagnosis, DiagnosisVerdict, diagnose_with};
@@ -77,7 +78,7 @@ struct ScreenArguments {
     output: Option<PathBuf>,
 }
 
-pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     arguments.more.refuse()?;
     let on_screen = &arguments.on_screen;
     if on_screen.screen {
@@ -88,18 +89,18 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         let path = path.as_deref();
         path.map_or(Ok(()), |path| output::refuse_existing(path, option))?;
     }
-    let mut attended = Some((signals::endable()?, progress::begin("diagnose")));
+    let mut attended = Some((terminal.endable()?, terminal.progress("diagnose")));
     let (model, judging) = (arguments.model.as_deref(), Judging::Refits);
     let (evidence, run) = (&arguments.evidence, &arguments.run);
     let prepared = if on_screen.screen {
-        evidence.prepare_for_screen(run, model, judging)?
+        evidence.prepare_for_screen(run, model, judging, terminal)?
     } else {
-        evidence.prepare(run, model, judging)?
+        evidence.prepare(run, model, judging, terminal)?
     };
     if let Some(path) = &arguments.next_bench {
         output::refuse_existing(path, "--next-bench")?;
     }
-    let place = Place::of(arguments.bench.as_deref(), &prepared)?;
+    let place = Place::of(arguments.bench.as_deref(), &prepared, terminal)?;
     let original = prepared.model.file.model.clone();
     let evidence = prepared.evidence.clone();
     let (mut by_hand, mut written) = (String::new(), None);
@@ -118,8 +119,8 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         let discovery = Discovery::new(original, evidence)
             .with_limits(place.limits())
             .with_recorded(prepared.recorded.clone());
-        let left = by_hand::show(discovery, shown)?;
-        attended = Some((signals::endable()?, progress::begin("diagnose")));
+        let left = by_hand::show(discovery, shown, terminal)?;
+        attended = Some((terminal.endable()?, terminal.progress("diagnose")));
         // Asked only now: from here on a signal ends the program by itself.
         if left.is_interrupted() {
             return Err(Failure::interrupted("interrupted"));
@@ -130,21 +131,21 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         let no_answer = || Failure::interrupted("left before there was an answer");
         left.standing.diagnosis.ok_or_else(no_answer)?
     } else {
-        diagnose_with(&original, evidence, &progress::diagnosis)?
+        diagnose_with(&original, evidence, &|event| terminal.diagnosis(event))?
     };
     if let Some(next) = known_next {
         place.take_over(&mut diagnosis, next);
     } else {
-        progress::stage("looks for the run that would tell more", 0);
+        terminal.stage("looks for the run that would tell more", 0);
         place.recommend(&mut diagnosis, &prepared)?;
     }
     let _endable = attended.map(|(endable, _)| endable);
     if let Some(path) = &arguments.next_bench {
-        place.write(path, &diagnosis, &after_new_run(arguments))?;
+        place.write(path, &diagnosis, &after_new_run(arguments), terminal)?;
     }
     let mut document = pages::diagnosis(&prepared, &diagnosis)?;
     if let Some(path) = &arguments.html {
-        pages::write(path, &document.html())?;
+        pages::write(path, &document.html(), terminal)?;
         document.ends_with(path.display().to_string());
     }
     document.say("by hand", by_hand.lines(), 1);
@@ -161,7 +162,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         document.go_on(format!("drivebench diagnose {run}{words} --screen"));
     }
     let (json, full) = (arguments.json, arguments.full);
-    output::document(&prepared.result(&diagnosis), json, full, &document)
+    terminal.document(&prepared.result(&diagnosis), json, full, &document)
 }
 
 /// The same diagnosis with the run that was recommended, once it is made.

@@ -1,13 +1,5 @@
-//! `ports` and `doctor`: which serial ports are there, why does a line not work, and how fast can it be?
-//!
-//! ```text
-//! port, settings -> app::doctor -> findings: text, JSON, one line for a report
-//! ```
-//!
-//! It only reads: function codes 03, 43 and 08.
-//!
-//! What is to be known of a line: who holds its port, its latency timer, what answers, how fast, and the loop rates that
-//! follow.
+//! `ports` and `doctor`: which serial ports are there, why does a line not work, and how fast can it be? It only reads:
+//! function codes 03, 43 and 08.
 //!
 //! ```text
 //! port -> opened alone? -> latency timer -> scan -> 50 requests -> arithmetic -> findings
@@ -23,7 +15,7 @@ use crate::commands::arguments::{WireArguments, open_line};
 use crate::commands::probe::{Scan, scan};
 use crate::runtime::failure::{Failure, LINK};
 use crate::runtime::opening::Tap;
-use crate::runtime::output;
+use crate::runtime::output::Terminal;
 use crate::runtime::output::lines;
 use drivebench_link::serial_ports::{SerialPortInfo, describe, latency_file, list};
 use drivebench_link::{
@@ -31,7 +23,7 @@ use drivebench_link::{
     RegisterTable, Target, standard_gap_s,
 };
 
-/// List serial ports: stable name, adapter, driver, who holds them
+/// List serial ports: stable name, adapter, driver, the program that has them open
 #[derive(clap::Args)]
 #[command(after_help = "Example:
   drivebench ports
@@ -49,9 +41,12 @@ struct Ports {
     ports: Vec<SerialPortInfo>,
 }
 
-pub(super) fn execute_ports(arguments: &PortsArguments) -> Result<(), Failure> {
+pub(super) fn execute_ports(
+    arguments: &PortsArguments,
+    terminal: &Terminal,
+) -> Result<(), Failure> {
     let ports = Ports { ports: list(Path::new("/")) };
-    output::result(&ports, arguments.json, ports_text)
+    terminal.result(&ports, arguments.json, ports_text)
 }
 
 fn ports_text(ports: &Ports) -> String {
@@ -76,7 +71,7 @@ pub(super) struct Arguments {
     /// Try baud rates and framings until something answers, then the units
     #[arg(long)]
     scan: bool,
-    /// Units that a scan asks
+    /// Units that a scan tries
     #[arg(long, value_name = "FIRST-LAST", default_value = "1-16", value_parser = units)]
     units: (u8, u8),
     /// Holding register that the round-trip probe reads
@@ -90,18 +85,17 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     let wire = &arguments.wire;
     let target = wire.target()?;
-    let (tap, settings) = (wire.tap()?, wire.settings());
+    let (tap, settings) = (wire.tap(terminal)?, wire.settings());
     let look = Look {
         units: arguments.scan.then_some(arguments.units),
         set_latency: arguments.set_latency,
         address: arguments.address,
     };
-    let open = |settings: &RawSettings| open_line(&target, settings, &tap);
-    let (findings, last_error) = Findings::of(&target, settings, &look, &tap, open)?;
-    output::result(&findings, arguments.json, Findings::text)?;
+    let (findings, last_error) = Findings::of(&target, settings, &look, &tap, terminal)?;
+    terminal.result(&findings, arguments.json, Findings::text)?;
     match (findings.round_trip, last_error) {
         (Some(_), _) => Ok(()),
         (None, Some(error)) => Err(error.into()),
@@ -118,7 +112,7 @@ fn units(text: &str) -> Result<(u8, u8), String> {
 }
 
 /// One port in a few lines.
-pub(crate) fn port_text(port: &SerialPortInfo) -> String {
+fn port_text(port: &SerialPortInfo) -> String {
     let mut text = format!("{}\n", port.path.display());
     let by_id = port.by_id.iter().map(|name| name.display());
     lines(&mut text, "  stable name  ", by_id);
@@ -136,20 +130,13 @@ pub(crate) fn port_text(port: &SerialPortInfo) -> String {
     text
 }
 
-/// Requests of the round-trip probe.
-const PROBES: usize = 50;
-/// Probes without any answer after which the rest is not worth its wait.
-const SILENT_PROBES: usize = 3;
-/// What an FTDI adapter can be set to, ms.
-const SHORTEST_LATENCY_MS: u32 = 1;
-
-/// Reads the latency timer, and sets it if asked; what cannot be set is told with the rule that sets it for good.
+/// Reads the latency timer of an FTDI adapter, and sets it to 1 ms where `set`.
 fn latency(root: &Path, port: &SerialPortInfo, set: bool) -> Option<Latency> {
     let before_ms = port.latency_ms?;
     let mut latency = Latency { before_ms, now_ms: before_ms, refused: None };
-    if set && before_ms > SHORTEST_LATENCY_MS {
+    if set && before_ms > 1 {
         let file = latency_file(root, &port.path)?;
-        if let Err(error) = std::fs::write(&file, SHORTEST_LATENCY_MS.to_string()) {
+        if let Err(error) = std::fs::write(&file, "1") {
             latency.refused = Some(format!("{}: {error}", file.display()));
         }
         latency.now_ms = describe(root, &port.path).latency_ms.unwrap_or(before_ms);
@@ -157,15 +144,18 @@ fn latency(root: &Path, port: &SerialPortInfo, set: bool) -> Option<Latency> {
     Some(latency)
 }
 
-/// Round trips of the requests that were answered, how many of them with an exception, and why the last one was not.
+/// Requests of the round-trip probe.
+const PROBES: usize = 50;
+
+/// Round trips of the requests that were answered, how many of them with an exception, and the error of the last that was not.
 fn probe(
     client: &mut RawClient,
     address: u16,
 ) -> Result<(Vec<Duration>, usize, Option<LinkError>), Failure> {
     let request = ReadRequest { table: RegisterTable::Holding, address, count: 1 };
     let (mut round_trips, mut exceptions, mut last_error) = (Vec::new(), 0, None);
-    for asked in 0..PROBES {
-        if asked >= SILENT_PROBES && !client.has_answered() {
+    for sent in 0..PROBES {
+        if sent >= 3 && !client.has_answered() {
             break;
         }
         let reply = client.read(request);
@@ -179,15 +169,12 @@ fn probe(
     Ok((round_trips, exceptions, last_error))
 }
 
-/// More than this beside wire, gap and a quick drive is worth a remark, s.
-const REMARKABLE_S: f64 = 3e-3;
 /// The rule that sets the latency timer of FTDI adapters whenever one is plugged in.
 const UDEV_RULE: &str =
     r#"ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1""#;
 
-/// Everything that was found.
 #[derive(Serialize)]
-pub(crate) struct Findings {
+struct Findings {
     link: String,
     /// Null over a network.
     port: Option<SerialPortInfo>,
@@ -201,7 +188,7 @@ pub(crate) struct Findings {
     #[serde(skip_serializing_if = "Option::is_none")]
     scan: Option<Scan>,
     /// Null where nothing answered.
-    pub(crate) round_trip: Option<RoundTripFindings>,
+    round_trip: Option<RoundTripFindings>,
     /// Vendor, product, revision, as the unit gives them.
     names: Vec<String>,
     answers_function_8: Option<bool>,
@@ -226,7 +213,7 @@ struct Latency {
 
 /// Measured round trips, and what follows from them.
 #[derive(Serialize)]
-pub(crate) struct RoundTripFindings {
+struct RoundTripFindings {
     asked: usize,
     /// Exceptions included.
     answered: usize,
@@ -271,23 +258,23 @@ impl RoundTripFindings {
     }
 }
 
-/// What is looked at beside the line itself.
-pub(crate) struct Look {
-    /// Units to ask at every setting, first and last.
-    pub(crate) units: Option<(u8, u8)>,
-    pub(crate) set_latency: bool,
+/// Options of the examination.
+struct Look {
+    /// Units to try at every setting, first and last.
+    units: Option<(u8, u8)>,
+    set_latency: bool,
     /// Holding register that the round trips read.
-    pub(crate) address: u16,
+    address: u16,
 }
 
 impl Findings {
-    /// Looks at the line, and says why the last request was not answered; `open` opens it once the settings are known.
-    pub(crate) fn of(
+    /// Examines the line; with the error of the last request that was not answered.
+    fn of(
         target: &Target,
         mut settings: RawSettings,
         look: &Look,
         tap: &Tap,
-        open: impl FnOnce(&RawSettings) -> Result<RawClient, Failure>,
+        terminal: &Terminal,
     ) -> Result<(Self, Option<LinkError>), Failure> {
         let root = Path::new("/");
         let port = match target {
@@ -296,9 +283,9 @@ impl Findings {
         };
         let set = look.set_latency;
         let latency = port.as_ref().and_then(|port| latency(root, port, set));
-        let scan = look.units.map(|units| scan(target, &mut settings, units, tap));
+        let scan = look.units.map(|units| scan(target, &mut settings, units, tap, terminal));
         let scan = scan.transpose()?;
-        let mut client = open(&settings)?;
+        let mut client = open_line(target, &settings, tap, terminal)?;
         let (round_trips, exceptions, last_error) = probe(&mut client, look.address)?;
         let names = client.names()?;
         let answers_function_8 = client.sends_back()?;
@@ -306,12 +293,8 @@ impl Findings {
         drop(client);
         let (baud, framing, unit) = (settings.baud, settings.framing, settings.unit);
         let gap_s = settings.gap.map(|gap| gap.as_secs_f64());
-        let budget = port.as_ref().map(|_| MeasuredLine {
-            baud,
-            framing,
-            gap_s: gap_s.unwrap_or_else(|| standard_gap_s(baud, framing)),
-            added_s: 0.0,
-        });
+        let gap_s = gap_s.unwrap_or_else(|| standard_gap_s(baud, framing));
+        let budget = port.as_ref().map(|_| MeasuredLine { baud, framing, gap_s, added_s: 0.0 });
         let settings = Settings { baud, framing, unit };
         let findings = Self {
             link: target.to_string(),
@@ -329,7 +312,7 @@ impl Findings {
         Ok((findings, last_error))
     }
 
-    pub(crate) fn text(&self) -> String {
+    fn text(&self) -> String {
         let mut text = match &self.port {
             Some(port) => port_text(port),
             None => format!("{}\n", self.link),
@@ -344,13 +327,16 @@ impl Findings {
             line("latency", latency.text());
         }
         if self.no_timer {
-            let none = "nothing to set: this port has no latency timer (FTDI adapters have one)";
-            line("latency", none.to_owned());
+            line(
+                "latency",
+                "nothing to set: this port has no latency timer (FTDI adapters have one)"
+                    .to_owned(),
+            );
         }
         if let Some(scan) = &self.scan {
             line("scan", scan_text(scan, self.port.is_some()));
         }
-        line("asked at", self.settings_text());
+        line("settings", self.settings_text());
         match &self.round_trip {
             None => line("round trip", "nothing answered".to_owned()),
             Some(trips) => {
@@ -370,11 +356,13 @@ impl Findings {
             }
         }
         if !self.names.is_empty() {
-            line("unit says", self.names.join(", "));
+            line("names", self.names.join(", "));
         }
         if self.counters.line.echoes {
-            let echo = "the line returns what is sent (two-wire RS-485); it is taken out";
-            line("local echo", echo.to_owned());
+            line(
+                "local echo",
+                "the line returns what is sent (two-wire RS-485); it is taken out".to_owned(),
+            );
         }
         line("bug report", self.line());
         text
@@ -388,7 +376,7 @@ impl Findings {
         }
     }
 
-    /// Everything that matters, to be pasted.
+    /// Everything that matters for a bug report.
     fn line(&self) -> String {
         let mut parts = vec![
             format!("drivebench {}", env!("CARGO_PKG_VERSION")),
@@ -399,8 +387,7 @@ impl Findings {
             if let Some(usb) = &port.usb {
                 parts.push(format!("usb {}:{}", usb.vendor_id, usb.product_id));
             }
-            let driver = port.driver.as_deref().unwrap_or("no driver");
-            parts.push(driver.to_owned());
+            parts.push(port.driver.clone().unwrap_or_else(|| "no driver".to_owned()));
         }
         if let Some(latency) = &self.latency {
             parts.push(format!("latency {} ms", latency.now_ms));
@@ -462,7 +449,8 @@ impl RoundTripFindings {
     }
 
     fn remark(&self, latency: Option<&Latency>) -> Option<String> {
-        let added_us = self.added_us.filter(|added| *added > REMARKABLE_S * 1e6)?;
+        // A quick drive adds less than 3 ms.
+        let added_us = self.added_us.filter(|added_us| *added_us > 3000.0)?;
         let cause = match latency {
             Some(latency) if latency.now_ms > 1 => "the latency timer above",
             _ => "a slow drive (look for its reply delay parameter) or adapter",
@@ -477,8 +465,7 @@ fn scan_text(scan: &Scan, is_serial: bool) -> String {
         None if !is_serial => "nothing answered".to_owned(),
         None => format!("nothing answered at {} settings", scan.tried),
         Some((baud, framing)) => {
-            let units: Vec<String> = scan.units.iter().map(u8::to_string).collect();
-            let units = units.join(", ");
+            let units = scan.units.iter().map(u8::to_string).collect::<Vec<_>>().join(", ");
             if is_serial {
                 format!("answers at {baud} {}: unit {units}", framing.name())
             } else {
@@ -491,14 +478,15 @@ fn scan_text(scan: &Scan, is_serial: bool) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use drivebench_link::{LinkStatistics, standard_gap_s};
+    use drivebench_link::LinkStatistics;
 
     #[test]
     fn ranges_of_units_are_read_and_bounded() {
-        assert_eq!(units("1-16"), Ok((1, 16)));
-        assert_eq!(units("7"), Ok((7, 7)));
-        for wrong in ["", "0-3", "3-1", "1-248", "a-b", "1-2-3"] {
-            assert!(units(wrong).is_err(), "{wrong}");
+        for (text, expected) in [("1-16", Some((1, 16))), ("7", Some((7, 7)))]
+            .into_iter()
+            .chain(["", "0-3", "3-1", "1-248", "a-b", "1-2-3"].map(|wrong| (wrong, None)))
+        {
+            assert_eq!(units(text).ok(), expected, "{text}");
         }
     }
 
@@ -547,7 +535,7 @@ mod tests {
     }
 
     #[test]
-    fn the_arithmetic_takes_the_wire_out_and_names_the_cause() {
+    fn findings_hold_wire_time_causes_and_a_line_for_a_report() {
         let findings = findings();
         let trips = findings.round_trip.as_ref().unwrap();
         assert!((trips.added_us.unwrap() - 17_000.0).abs() < 1.0);
@@ -558,28 +546,7 @@ mod tests {
         let text = findings.text();
         assert!(text.contains("17.0 ms more than the wire takes: the latency timer above"));
         assert!(text.contains(UDEV_RULE), "{text}");
-    }
-
-    #[test]
-    fn exceptions_a_missing_timer_and_a_network_are_told() {
-        let mut findings = findings();
-        findings.latency = None;
-        findings.no_timer = true;
-        if let Some(trips) = &mut findings.round_trip {
-            trips.exceptions = 50;
-        }
-        let text = findings.text();
-        assert!(text.contains("50 of 50 requests answered, all with an exception"));
-        assert!(text.contains("no latency timer"), "{text}");
-        let scan =
-            Scan { tried: 1, found: Some((115_200, Framing::EightNoneOne)), units: vec![1, 3] };
-        assert_eq!(scan_text(&scan, false), "answers: unit 1, 3");
-        assert_eq!(scan_text(&scan, true), "answers at 115200 8N1: unit 1, 3");
-    }
-
-    #[test]
-    fn the_line_for_a_report_is_one_line_with_everything() {
-        let line = findings().line();
+        let line = findings.line();
         assert!(!line.contains('\n'));
         for part in [
             "/dev/ttyUSB0",
@@ -593,5 +560,15 @@ mod tests {
         ] {
             assert!(line.contains(part), "{part} in {line}");
         }
+        let mut without_timer = findings;
+        (without_timer.latency, without_timer.no_timer) = (None, true);
+        without_timer.round_trip.as_mut().unwrap().exceptions = 50;
+        let text = without_timer.text();
+        assert!(text.contains("50 of 50 requests answered, all with an exception"));
+        assert!(text.contains("no latency timer"), "{text}");
+        let scan =
+            Scan { tried: 1, found: Some((115_200, Framing::EightNoneOne)), units: vec![1, 3] };
+        assert_eq!(scan_text(&scan, false), "answers: unit 1, 3");
+        assert_eq!(scan_text(&scan, true), "answers at 115200 8N1: unit 1, 3");
     }
 }

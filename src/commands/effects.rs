@@ -1,12 +1,10 @@
-//! `effects`: the catalogue, or one effect's card.
-//!
-//! The catalogue of effects for a person and for programs: one line for each, or one effect's card.
+//! `effects`: the catalogue of effects, one line for each, or the card of one effect.
 
 use serde_json::{Value, json};
 
 use crate::report::{Document, Tone, card_facts};
 use crate::runtime::failure::Failure;
-use crate::runtime::output;
+use crate::runtime::output::Terminal;
 use drivebench_model::config_text::help_for_unknown;
 use drivebench_model::plant::{Card, Enters, ParameterRole, ParameterSpec, effect};
 use drivebench_model::text::lines::wrapped;
@@ -22,22 +20,22 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     let chosen = chosen(arguments.id.as_deref())?;
     let value: Value = chosen.iter().map(|entry| card_json(*entry)).collect();
     if arguments.id.is_some() {
-        return output::document(&value, arguments.json, true, &card_document(chosen[0]));
+        return terminal.document(&value, arguments.json, true, &card_document(chosen[0]));
     }
-    output::result(&value, arguments.json, |_| list_text(&chosen))
+    terminal.result(&value, arguments.json, |_| list_text(&chosen))
 }
 
 /// A card and the parameters that go with it.
-pub(crate) type Entry = (&'static Card, &'static [ParameterSpec]);
+type Entry = (&'static Card, &'static [ParameterSpec]);
 
-/// All that can be named, or the one effect with this id.
-pub(crate) fn chosen(id: Option<&str>) -> Result<Vec<Entry>, Failure> {
+/// All effects, or the one with this id.
+fn chosen(id: Option<&str>) -> Result<Vec<Entry>, Failure> {
     let catalogue = effect::CATALOGUE.iter().map(|effect| (effect.card(), effect.parameters()));
-    // What the user or the data define has its parameters in its settings.
+    // An effect that the user or the data define has its parameters in its settings.
     let defined = effect::FAMILIES.iter().map(|card| (*card, &[][..]));
     let mut chosen: Vec<Entry> = catalogue.chain(defined).collect();
     if let Some(id) = id {
@@ -52,7 +50,7 @@ pub(crate) fn chosen(id: Option<&str>) -> Result<Vec<Entry>, Failure> {
     Ok(chosen)
 }
 
-pub(crate) fn card_json((card, parameters): Entry) -> Value {
+fn card_json((card, parameters): Entry) -> Value {
     let parameters: Vec<Value> = parameters.iter().map(parameter_json).collect();
     json!({
         "id": card.id, "name": card.name, "enters": enters(card.enters), "equation": card.equation,
@@ -61,7 +59,7 @@ pub(crate) fn card_json((card, parameters): Entry) -> Value {
     })
 }
 
-/// A bound that is none is null.
+/// An infinite bound is null.
 fn parameter_json(spec: &ParameterSpec) -> Value {
     let bound = |value: f64| (value.abs() < f64::MAX).then_some(value);
     json!({
@@ -88,7 +86,7 @@ const fn enters(enters: Enters) -> &'static str {
     }
 }
 
-/// Longest line, as an editor's half screen or a terminal beside another shows it.
+/// Longest line: a terminal beside another one.
 const WIDTH: usize = 96;
 
 /// `text` under `title`, whose column is `room` wide, broken between words.
@@ -98,7 +96,7 @@ fn block(title: &str, room: usize, text: &str) -> String {
     format!("{title:<room$}{}\n", rows.join(indent.as_str()))
 }
 
-pub(crate) fn list_text(entries: &[Entry]) -> String {
+fn list_text(entries: &[Entry]) -> String {
     let longest = |of: fn(&Card) -> usize| entries.iter().map(|(card, _)| of(card)).max();
     let ids = longest(|card| card.id.len()).unwrap_or(0) + 2;
     let balances = longest(|card| enters(card.enters).len()).unwrap_or(0) + 2;
@@ -111,7 +109,7 @@ pub(crate) fn list_text(entries: &[Entry]) -> String {
         .collect()
 }
 
-pub(crate) fn card_document((card, parameters): Entry) -> Document {
+fn card_document((card, parameters): Entry) -> Document {
     let title = format!("{} ({})", card.name, card.id);
     let mut document = Document::of(Tone::Plain, "", title);
     let enters = match card.enters {
@@ -163,7 +161,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_list_and_every_card_keep_to_the_width_and_lose_no_word() {
+    fn list_and_cards_keep_to_the_width_and_are_complete() {
         let entries: Vec<Entry> =
             effect::CATALOGUE.iter().map(|effect| (effect.card(), effect.parameters())).collect();
         let list = list_text(&entries);

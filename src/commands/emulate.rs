@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use crate::runtime::failure::{Failure, LINK, USAGE};
 use crate::runtime::files::read_text;
+use crate::runtime::output::Terminal;
 use crate::runtime::{opening, output, signals};
 use drivebench_emulator::mystery::{self, Mystery};
 use drivebench_emulator::{
@@ -30,7 +31,7 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "PATH", conflicts_with = "listen")]
     pty: Option<PathBuf>,
     /// TCP address, as 127.0.0.1:1502; port 0 takes a free one. Up to 8 hosts at once: each may read, one is in command until
-    /// it is gone or has commanded nothing for 2 s; who says nothing for 60 s is let go
+    /// it is gone or has commanded nothing for 2 s; a host that is silent for 60 s is disconnected
     #[arg(long, value_name = "ADDR")]
     listen: Option<SocketAddr>,
     /// Draws the specimen within its tolerance, and the sensor noise
@@ -73,28 +74,30 @@ enum State<'a> {
 }
 
 impl State<'_> {
-    /// A caller that does not read the line does not need it.
-    fn print(&self) {
+    /// A line that nobody reads is no error.
+    fn print(&self, terminal: &Terminal) {
         if let Ok(text) = serde_json::to_string(self) {
-            let _ = output::line(&text);
+            let _ = terminal.line(&text);
         }
     }
 }
 
-pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
+pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), Failure> {
     let (profile, _) = opening::profile(&arguments.profile)?;
     let guise = guise(&profile, arguments.watchdog_ms)?;
-    let asked = arguments.link.as_deref().unwrap_or_else(|| profile.link.protocol.name());
-    let link = Protocol::named(asked).ok_or_else(|| {
-        let headline = format!("link {asked:?} is not known");
+    let link = arguments.link.as_deref().unwrap_or_else(|| profile.link.protocol.name());
+    let link = Protocol::named(link).ok_or_else(|| {
+        let headline = format!("link {link:?} is not known");
         Failure::usage(headline, "allowed: modbus-rtu, modbus-tcp, stream")
     })?;
     if guise.is_some() {
         if link == Protocol::Stream {
-            let headline = opening::not_the_stream(&profile);
-            return Err(Failure::usage(headline, "allowed: modbus-rtu, modbus-tcp"));
+            return Err(Failure::usage(
+                opening::not_the_stream(&profile),
+                "allowed: modbus-rtu, modbus-tcp",
+            ));
         }
-        opening::announce(&profile);
+        opening::announce(&profile, terminal);
     }
     let mystery = arguments.mystery.map(mystery::draw);
     let seed = arguments.mystery.unwrap_or(arguments.seed);
@@ -120,7 +123,7 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
     if let Endpoint::Tcp(address) = &endpoint
         && let Some(warning) = open_to_others(*address)
     {
-        output::message(&warning);
+        terminal.message(&warning);
     }
     let journal = arguments.journal.as_deref().map(|path| {
         output::refuse_existing(path, "--journal")?;
@@ -149,10 +152,10 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
                 baud,
                 profile: &profile.name,
             };
-            state.print();
+            state.print(terminal);
         } else {
-            // A caller that does not read the line does not need it.
-            let _ = output::line(&ready_line(link, address, &config, guise.as_ref()));
+            // A line that nobody reads is no error.
+            let _ = terminal.line(&ready_line(link, address, &config, guise.as_ref()));
         }
     })
     .map_err(|error| {
@@ -162,16 +165,15 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
     if let Some(Mystery { seed, truth, .. }) = &mystery {
         let hidden = truth.effect().map(ToString::to_string);
         let hidden = hidden.unwrap_or_else(|| "no effect".to_owned());
-        output::message(&format!("mystery {seed} hides {hidden}"));
+        terminal.message(&format!("mystery {seed} hides {hidden}"));
     }
     if arguments.json {
-        let state = State::Stopped { link: link.to_string(), address: &served };
-        state.print();
+        State::Stopped { link: link.to_string(), address: &served }.print(terminal);
     }
     Ok(())
 }
 
-/// What to say of an address that other machines reach.
+/// The warning of an address that other machines reach.
 fn open_to_others(address: SocketAddr) -> Option<String> {
     let who = match address.ip() {
         ip if ip.is_loopback() => return None,
@@ -207,13 +209,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_address_that_others_reach_is_warned_of() {
-        let told = |address: &str| open_to_others(address.parse().unwrap());
+    fn an_address_that_others_reach_has_a_warning() {
+        let warning = |address: &str| open_to_others(address.parse().unwrap());
         for open in ["0.0.0.0:502", "[::]:502", "192.168.1.7:502"] {
-            let warning = told(open).unwrap();
-            assert!(warning.contains("anybody on the network"), "{warning}");
+            let text = warning(open).unwrap();
+            assert!(text.contains("anybody on the network"), "{open}: {text}");
         }
-        assert_eq!(told("127.0.0.1:502"), None);
-        assert_eq!(told("[::1]:502"), None);
+        for local in ["127.0.0.1:502", "[::1]:502"] {
+            assert_eq!(warning(local), None, "{local}");
+        }
     }
 }

@@ -8,10 +8,11 @@ use std::thread;
 use std::time::Duration;
 
 use crate::commands::run::{RunDone, run};
-use crate::runtime::controls::{Controls, DriveWord};
-use crate::runtime::ending::{Ended, Left, Watched, alone, beside_screen, watched};
+use crate::runtime::controls::{Controls, DrivePower};
+use crate::runtime::ending::{Ended, ScreenEnd, Watched, alone, beside_screen, watched};
 use crate::runtime::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP};
 use crate::runtime::files::Recorded;
+use crate::runtime::output::Terminal;
 use crate::runtime::rig::{OpenRig, Rig, RigOptions};
 use crate::tui::Exit;
 use drivebench_bench::recording::open_run;
@@ -28,13 +29,13 @@ standstill = { seconds = 0.3 }
 steps = { levels_v = [40.0, 0.0], hold_s = 1.0 }
 ";
 
-/// What the drive is asked with the motor at speed, before it is asked.
+/// Called once while the motor is at speed, before an exchange.
 type Hook = Box<dyn FnMut() + Send>;
 
-/// The drive in memory, with a list of what it was asked and something that happens while its motor turns.
+/// The drive in memory, with a list of its demands and an event while its motor turns.
 struct Witness {
     drive: Arc<Mutex<MemoryLink>>,
-    asked: Arc<Mutex<Vec<Demand>>>,
+    demands: Arc<Mutex<Vec<Demand>>>,
     at_speed: Option<Hook>,
     /// Exchanges at speed that are left before it happens.
     before: u32,
@@ -58,12 +59,12 @@ impl DriveLink for Witness {
                 hook();
             }
         }
-        self.asked.lock().unwrap().push(command.demand);
+        self.demands.lock().unwrap().push(command.demand);
         self.drive.lock().unwrap().exchange(command)
     }
 
     fn stop(&mut self) -> Result<(), LinkError> {
-        self.asked.lock().unwrap().push(Demand::Stop);
+        self.demands.lock().unwrap().push(Demand::Stop);
         self.drive.lock().unwrap().stop()
     }
 
@@ -76,11 +77,11 @@ impl DriveLink for Witness {
     }
 }
 
-/// A bench in virtual time with a drive that is asked afterwards what became of it.
+/// A bench in virtual time with a drive whose final state is read.
 struct Lab {
     out: tempfile::TempDir,
     drive: Arc<Mutex<MemoryLink>>,
-    asked: Arc<Mutex<Vec<Demand>>>,
+    demands: Arc<Mutex<Vec<Demand>>>,
     clock: VirtualClock,
 }
 
@@ -92,7 +93,7 @@ impl Lab {
         Self {
             out: tempfile::tempdir().unwrap(),
             drive: Arc::new(Mutex::new(drive)),
-            asked: Arc::default(),
+            demands: Arc::default(),
             clock,
         }
     }
@@ -118,6 +119,7 @@ impl Lab {
             mystery: false,
             parquet: false,
             words: String::new(),
+            terminal: Terminal::default(),
         }
     }
 
@@ -130,7 +132,7 @@ impl Lab {
     fn opener(&self, hook: impl FnMut() + Send + 'static) -> OpenRig {
         let link = Witness {
             drive: Arc::clone(&self.drive),
-            asked: Arc::clone(&self.asked),
+            demands: Arc::clone(&self.demands),
             at_speed: Some(Box::new(hook)),
             before: 5,
         };
@@ -148,10 +150,10 @@ impl Lab {
         move |controls| run(options, None, open, controls)
     }
 
-    /// By the drive's own word: off, without a fault, and not by its watchdog.
+    /// The drive reports off, without a fault, and not by its watchdog.
     #[track_caller]
     fn expect_stopped(&self) {
-        let last = self.asked.lock().unwrap().last().copied();
+        let last = self.demands.lock().unwrap().last().copied();
         assert_eq!(last, Some(Demand::Stop));
         let mut drive = self.drive.lock().unwrap();
         let command = Command { seq: 1 << 20, demand: Demand::Disable };
@@ -164,7 +166,7 @@ impl Lab {
 fn headless<T>(work: impl FnOnce(&Controls) -> Result<T, Failure>) -> Result<T, Failure> {
     let (listener, notices) = channel();
     let (controls, _ends) = Controls::new(SnapshotCell::with_notices(listener));
-    alone(controls, notices, work)
+    alone(&Terminal::default(), controls, notices, work)
 }
 
 fn recorded(done: Result<RunDone, Failure>) -> Recorded {
@@ -176,14 +178,14 @@ fn recorded(done: Result<RunDone, Failure>) -> Recorded {
 }
 
 #[test]
-fn a_bench_that_panics_stops_its_drive_and_is_status_6() {
+fn a_bench_that_panics_stops_its_drive_with_status_6() {
     let lab = Lab::new();
     let work = lab.work(|| panic!("on purpose"));
     let failure = headless(work).map(|_| ()).unwrap_err();
     assert_eq!(failure.status, INTERNAL);
     let headline = failure.headline();
     assert!(headline.contains("(on purpose)"), "{headline}");
-    assert!(headline.contains("told to stop and took it"), "{headline}");
+    assert!(headline.contains("the drive has taken its stop"), "{headline}");
     lab.expect_stopped();
 }
 
@@ -199,11 +201,11 @@ fn a_bench_that_panics_in_its_checks_stops_its_drive_too() {
         panic!("on purpose");
     }));
     assert!(unwound.is_err());
-    assert_eq!(controls.drive.get(), DriveWord::Panicked(Ok(())));
+    assert_eq!(controls.drive.get(), DrivePower::Panicked(Ok(())));
     lab.expect_stopped();
 }
 
-/// The screen panics, or fails, while the motor turns; the drive is told to stop by a ramp, and only then it is over.
+/// The screen panics, or fails, while the motor turns; the drive is ramped down, and only then the run is over.
 fn left_at_speed(
     show: impl FnOnce() -> io::Result<Exit> + Send + 'static,
 ) -> (Lab, Result<Ended<RunDone>, Failure>) {
@@ -219,6 +221,7 @@ fn left_at_speed(
         }
     });
     let ended = beside_screen(
+        &Terminal::default(),
         controls,
         &ends,
         None,
@@ -238,7 +241,7 @@ fn interrupted(lab: &Lab, ended: Result<Ended<RunDone>, Failure>) -> Failure {
     let ended = ended.unwrap_or_else(|failure| panic!("{failure:?}"));
     let recorded = recorded(Ok(ended.work));
     assert_eq!(recorded.summary.outcome, Outcome::Interrupted);
-    ended.left.conclude(recorded.failure()).unwrap_err()
+    ended.screen.conclude(recorded.failure()).unwrap_err()
 }
 
 #[test]
@@ -247,10 +250,9 @@ fn a_screen_that_panics_ends_the_run_with_status_6() {
     let failure = interrupted(&lab, ended);
     assert_eq!(failure.status, INTERNAL);
     let headline = failure.headline();
-    let said = "screen has panicked (on purpose)";
-    assert!(headline.contains(said), "{headline}");
-    // Down a ramp, and not at once: somebody is asked once, however often that shows.
-    let asked = lab.asked.lock().unwrap();
+    assert!(headline.contains("screen has panicked (on purpose)"), "{headline}");
+    // Down a ramp: a second request would switch off at once.
+    let asked = lab.demands.lock().unwrap();
     let volts = |demand: &Demand| match demand {
         Demand::Voltage(volts) => *volts,
         _ => 0.0,
@@ -269,7 +271,7 @@ fn a_terminal_that_is_gone_ends_the_run_with_status_130() {
 
 /// As one that reads keys from a terminal that is just being closed: the work is over, and the screen is not.
 #[test]
-fn a_screen_that_does_not_come_back_is_left_alone() {
+fn a_screen_that_does_not_return_is_abandoned() {
     let stuck = || -> io::Result<Exit> {
         loop {
             thread::sleep(Duration::from_secs(1));
@@ -280,13 +282,13 @@ fn a_screen_that_does_not_come_back_is_left_alone() {
 }
 
 #[test]
-fn how_a_run_ended_is_said_before_what_happened_to_its_screen() {
+fn the_end_of_a_run_goes_before_that_of_its_screen() {
     let failure = |status| Failure::new(status, "a headline");
     let status =
-        |left: Left, run: Option<u8>| left.conclude(run.map(failure)).map_err(|f| f.status);
-    let panicked = || Left::Panicked(failure(INTERNAL));
-    let gone = || Left::Gone(failure(INTERRUPTED));
-    let closed = || Left::Screen(Exit::Interrupted);
+        |left: ScreenEnd, run: Option<u8>| left.conclude(run.map(failure)).map_err(|f| f.status);
+    let panicked = || ScreenEnd::Panicked(failure(INTERNAL));
+    let gone = || ScreenEnd::Gone(failure(INTERRUPTED));
+    let closed = || ScreenEnd::Screen(Exit::Interrupted);
     for (left, run, expected) in [
         (panicked(), Some(LINK), Err(LINK)),
         (gone(), Some(LINK), Err(LINK)),
@@ -309,7 +311,7 @@ fn how_a_run_ended_is_said_before_what_happened_to_its_screen() {
 fn a_computer_that_was_suspended_ends_the_run_as_a_lost_link() {
     let lab = Lab::new();
     let clock = lab.clock.clone();
-    let asked = Arc::clone(&lab.asked);
+    let asked = Arc::clone(&lab.demands);
     let before = Arc::new(Mutex::new(0));
     let mark = Arc::clone(&before);
     let done = headless(lab.work(move || {
@@ -320,15 +322,14 @@ fn a_computer_that_was_suspended_ends_the_run_as_a_lost_link() {
     let failure = recorded.failure().unwrap();
     assert_eq!(failure.status, LINK);
     let headline = failure.headline();
-    let said = "this computer was suspended for 30.0 s";
-    assert!(headline.contains(said), "{headline}");
+    assert!(headline.contains("this computer was suspended for 30.0 s"), "{headline}");
     // The command that was on its way, then nothing but stop.
-    let asked = lab.asked.lock().unwrap();
+    let asked = lab.demands.lock().unwrap();
     let after = &asked[*before.lock().unwrap() + 1..];
     assert!(!after.is_empty() && after.iter().all(|demand| *demand == Demand::Stop), "{after:?}");
-    let told = format!("{:?}", recorded.summary.notices);
+    let notices = format!("{:?}", recorded.summary.notices);
     let events = std::fs::read_to_string(recorded.folder.events()).unwrap();
-    for text in [&told, &events] {
+    for text in [&notices, &events] {
         for other in ["stood still", "silent"] {
             assert!(!text.contains(other), "{text}");
         }
@@ -347,7 +348,7 @@ fn expect_whole(folder: &Path, rows: u64) {
 }
 
 #[test]
-fn a_run_whose_folder_is_deleted_goes_on_and_its_record_is_made_again() {
+fn the_record_of_a_deleted_folder_is_made_again() {
     let lab = Lab::new();
     let runs = lab.runs();
     let done = headless(lab.work(move || {
@@ -366,7 +367,7 @@ fn a_run_whose_folder_is_deleted_goes_on_and_its_record_is_made_again() {
 }
 
 #[test]
-fn a_run_that_follows_others_goes_on_without_a_disk_and_is_analysed_from_memory() {
+fn a_later_run_goes_on_without_a_disk() {
     let lab = Lab::new();
     let (controls, _ends) = Controls::new(SnapshotCell::default());
     let mut rig = lab.rig();

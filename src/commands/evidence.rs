@@ -13,7 +13,8 @@ use serde_json::{Map, Value, json};
 
 use crate::runtime::failure::Failure;
 use crate::runtime::files::{read_model, read_text};
-use crate::runtime::{output, progress};
+use crate::runtime::output;
+use crate::runtime::output::Terminal;
 use crate::workflow::{bench_for, experiment_limits, next_bench};
 use drivebench_bench::BenchFile;
 use drivebench_bench::recording::LoadedRun;
@@ -42,6 +43,7 @@ const LONG_GAP_S: f64 = 0.2;
 /// The files that a command names.
 #[derive(Clone, Copy)]
 pub(crate) struct EvidenceFiles<'a> {
+    pub(crate) terminal: &'a Terminal,
     pub(crate) run: &'a Path,
     /// Without it the run folder's, else a fitted baseline.
     pub(crate) model: Option<&'a Path>,
@@ -83,14 +85,18 @@ pub(crate) struct ChosenModel {
 pub(crate) const BASELINE: &str = "baseline";
 
 /// The model file, else the run folder's, else the five-parameter baseline with values yet to be found.
-pub(crate) fn model(path: Option<&Path>, run: &LoadedRun) -> Result<ChosenModel, Failure> {
+pub(crate) fn model(
+    path: Option<&Path>,
+    run: &LoadedRun,
+    terminal: &Terminal,
+) -> Result<ChosenModel, Failure> {
     let is_asked = path.is_some_and(|path| path == Path::new(BASELINE) && !path.exists());
     let in_folder = run.folder.as_ref().map(|folder| folder.join("model.toml"));
     let in_folder = in_folder.filter(|file| file.exists());
     let path = path.map(Path::to_owned).or(in_folder);
     let Some(path) = path.filter(|_| !is_asked) else {
         let given = if is_asked { "" } else { "no model given: " };
-        output::message(&format!("{given}the five-parameter baseline is fitted to the run first"));
+        terminal.message(&format!("{given}the five-parameter baseline is fitted to the run first"));
         let file =
             ModelFile { model: Model::baseline(Motor::new("fitted")), ..ModelFile::default() };
         return Ok(ChosenModel { file, from: BASELINE.to_owned(), is_baseline: true });
@@ -133,17 +139,21 @@ pub(crate) struct Prepared {
 impl Prepared {
     /// Makes the model the one that is judged. What was given is judged as it is; what the folder of a run keeps is not
     /// given, and is refitted as `diagnose` refits it; without either the baseline is fitted. Its origin says which.
-    pub(crate) fn judge_as_diagnose(&mut self, is_given: bool) -> Result<Judged, Failure> {
+    pub(crate) fn judge_as_diagnose(
+        &mut self,
+        is_given: bool,
+        terminal: &Terminal,
+    ) -> Result<Judged, Failure> {
         let is_baseline = self.model.is_baseline;
         let is_electrical = self.evidence.training.input == Input::Voltage;
         let refitted = is_baseline || !is_given && is_electrical;
         if refitted {
-            progress::stage("fits the model", 0);
+            terminal.stage("fits the model", 0);
             let effects = self.model.file.model.effect_ids();
             let (evidence, aside) = self.evidence.fitted_with(&effects);
             let evidence = evidence.into_owned();
             if let Some(aside) = aside {
-                note(&mut self.run.run.notes, aside);
+                note(&mut self.run.run.notes, aside, terminal);
             }
             (self.evidence, self.model.file.model) =
                 fitted_baseline(&self.model.file.model, evidence)?;
@@ -211,14 +221,15 @@ pub(crate) fn prepare(
     load: impl Fn(&Path, bool) -> Result<LoadedRun, Failure>,
     judging: Judging,
 ) -> Result<Prepared, Failure> {
-    progress::stage("reads the runs", 0);
+    let terminal = files.terminal;
+    terminal.stage("reads the runs", 0);
     let mut run = load(files.run, false)?;
-    let mut model = model(files.model, &run)?;
+    let mut model = model(files.model, &run, terminal)?;
     let fit_run = Scenario::from_run(&run.run)?;
     let judging = if model.is_baseline { Judging::FitsFirst } else { judging };
-    before_judging(&mut run.run, &fit_run, &model.file.model, judging)?;
+    before_judging(&mut run.run, &fit_run, &model.file.model, judging, terminal)?;
     let found = cautions(&run.run, &fit_run);
-    output::warn(&found);
+    terminal.warn(&found);
     run.run.notes.extend(found);
     let mut recorded = RecordedChannels::default();
     if files.for_screen {
@@ -230,20 +241,20 @@ pub(crate) fn prepare(
         let loaded = load(path, true)?;
         let scenario = Scenario::from_run(&loaded.run)?;
         let found = cautions(&loaded.run, &scenario);
-        output::warn(&found);
+        terminal.warn(&found);
         others.extend(found);
         if files.for_screen {
             recorded.add(&loaded.run, &scenario);
         }
         Ok(Some((loaded, scenario)))
     };
-    name_voltage(&run.run, &fit_run);
+    name_voltage(&run.run, &fit_run, terminal);
     let limited = limited_note(&run.run);
     if let Some(note) = limited.filter(|_| fit_run.input_channel == Channel::VoltageCmd) {
-        output::message(&note);
+        terminal.message(&note);
         run.run.notes.push(note);
     }
-    progress::stage("finds where the fit starts", 0);
+    terminal.stage("finds where the fit starts", 0);
     model.file.model = start::complete(&model.file.model, &fit_run)?;
     let (holdout, confirm) = (other(files.holdout)?, other(files.confirm)?);
     let later = files.later.iter().map(|path| other(Some(path)));
@@ -251,6 +262,7 @@ pub(crate) fn prepare(
     let notes = &mut run.run.notes;
     notes.extend(others);
     let judge = Judge {
+        terminal,
         model: &model.file.model,
         fitted: &fit_run,
         judging,
@@ -260,7 +272,7 @@ pub(crate) fn prepare(
     let instead = "the last part of the run is held out instead";
     let (holdout, mut objected) = judge.admit("hold-out", holdout, instead, notes);
     let (confirm, _) = judge.admit("confirming run", confirm, "nothing is confirmed", notes);
-    let confirm = confirm.filter(|confirm| had_no_part(confirm, holdout.as_ref(), notes));
+    let confirm = confirm.filter(|confirm| had_no_part(confirm, holdout.as_ref(), notes, terminal));
     let judge = Judge { refuses_others: false, ..judge };
     let judging_runs = [("hold-out", &holdout), ("confirming run", &confirm)];
     let behind = judge.admit_behind(files.later, later, judging_runs, notes);
@@ -280,7 +292,7 @@ pub(crate) fn prepare(
     if judging == Judging::AsGiven {
         let fitted = was_fitted_on(&model.file.history.fitted_on, files.run, holdout);
         objected |= fitted.is_some();
-        output::warn(fitted.as_slice());
+        terminal.warn(fitted.as_slice());
         notes.extend(fitted);
     }
     let confirm = files.confirm.filter(|_| evidence.confirm.is_some());
@@ -292,11 +304,11 @@ pub(crate) fn prepare(
 }
 
 /// Names the column that serves as the voltage, where it is not the only one or not the first choice.
-pub(crate) fn name_voltage(run: &Run, scenario: &Scenario) {
+pub(crate) fn name_voltage(run: &Run, scenario: &Scenario, terminal: &Terminal) {
     match scenario.input_channel {
-        Channel::VoltageCmd => output::message("voltage_cmd_v serves as the voltage"),
+        Channel::VoltageCmd => terminal.message("voltage_cmd_v serves as the voltage"),
         Channel::Voltage if run.column(Channel::VoltageCmd).is_some() => {
-            output::message("voltage_v serves as the voltage, not the voltage_cmd_v beside it");
+            terminal.message("voltage_v serves as the voltage, not the voltage_cmd_v beside it");
         }
         _ => {}
     }
@@ -322,10 +334,12 @@ pub(crate) fn admit_later(
     loaded: &LoadedRun,
     model: &Model,
     fitted: &Scenario,
+    terminal: &Terminal,
 ) -> Result<(Scenario, Vec<String>), Failure> {
     let scenario = Scenario::from_run(&loaded.run)?;
     let mut notes = cautions(&loaded.run, &scenario);
     let judge = Judge {
+        terminal,
         model,
         fitted,
         judging: Judging::Refits,
@@ -345,6 +359,7 @@ pub(crate) fn admit_later(
 
 /// Whether another run can judge the fit: of the same motor, moving, long enough, and not the data that are fitted.
 struct Judge<'a> {
+    terminal: &'a Terminal,
     model: &'a Model,
     fitted: &'a Scenario,
     judging: Judging,
@@ -379,6 +394,7 @@ impl Judge<'_> {
             } else {
                 format!("{role}: {reason}")
             },
+            self.terminal,
         );
         ((!sets_aside).then_some(scenario), true)
     }
@@ -404,7 +420,8 @@ impl Judge<'_> {
             if let Some((reason, _)) = objection {
                 let instead =
                     if forbids { "; it is not used, the others are judged without it" } else { "" };
-                note(notes, format!("later run {}: {reason}{instead}", path.display()));
+                let text = format!("later run {}: {reason}{instead}", path.display());
+                note(notes, text, self.terminal);
             }
             if !forbids {
                 behind.push((path, later));
@@ -483,8 +500,8 @@ const fn driven_by(input: Input) -> &'static str {
 }
 
 /// To stderr and into the result.
-fn note(notes: &mut Vec<String>, sentence: String) {
-    output::warn(std::slice::from_ref(&sentence));
+fn note(notes: &mut Vec<String>, sentence: String, terminal: &Terminal) {
+    terminal.warn(std::slice::from_ref(&sentence));
     notes.push(sentence);
 }
 
@@ -524,11 +541,16 @@ fn is_same(recorded: &Path, path: &Path) -> bool {
 }
 
 /// Whether a confirming run is another than the hold-out, which selected; else the reason goes to stderr and to `notes`.
-fn had_no_part(confirm: &Scenario, holdout: Option<&Scenario>, notes: &mut Vec<String>) -> bool {
+fn had_no_part(
+    confirm: &Scenario,
+    holdout: Option<&Scenario>,
+    notes: &mut Vec<String>,
+    terminal: &Terminal,
+) -> bool {
     let shared = holdout.map_or(0.0, |holdout| shared_samples(holdout, confirm));
     if shared > MOST_SHARED {
         let sentence = "confirming run: its samples are those of the hold-out, which selected; it is not used, nothing is confirmed";
-        note(notes, sentence.to_owned());
+        note(notes, sentence.to_owned(), terminal);
     }
     shared <= MOST_SHARED
 }
@@ -601,10 +623,11 @@ pub(crate) fn before_identify(
     model: &Model,
     require: &[String],
     json: bool,
+    terminal: &Terminal,
 ) -> Result<Vec<Finding>, Failure> {
     let findings = sanity::examine(run, scenario, model);
     let Some(refusal) = findings.iter().find(|finding| finding.refuses) else {
-        caution(run, &findings);
+        caution(run, &findings, terminal);
         return Ok(findings);
     };
     let slots = model.slots();
@@ -624,10 +647,10 @@ pub(crate) fn before_identify(
         "notes": notes(run, &findings),
     });
     if json {
-        output::result(&value, true, |_| String::new())?;
+        terminal.result(&value, true, |_| String::new())?;
     }
     let others = findings.iter().filter(|finding| *finding != refusal);
-    output::warn(&others.map(|other| other.sentence.clone()).collect::<Vec<_>>());
+    terminal.warn(&others.map(|other| other.sentence.clone()).collect::<Vec<_>>());
     let what = match require {
         [] => "nothing".to_owned(),
         keys => keys.join(", "),
@@ -641,6 +664,7 @@ fn before_judging(
     scenario: &Scenario,
     model: &Model,
     judging: Judging,
+    terminal: &Terminal,
 ) -> Result<(), Failure> {
     let findings = sanity::examine(run, scenario, model);
     let forbids = |finding: &&Finding| {
@@ -655,7 +679,7 @@ fn before_judging(
     if let Some(refusal) = findings.iter().find(forbids) {
         return Err(cannot_identify("nothing", refusal));
     }
-    caution(run, &findings);
+    caution(run, &findings, terminal);
     Ok(())
 }
 
@@ -670,11 +694,11 @@ fn notes(run: &Run, findings: &[Finding]) -> Vec<String> {
     run.notes.iter().cloned().chain(found).collect()
 }
 
-fn caution(run: &mut Run, findings: &[Finding]) {
+fn caution(run: &mut Run, findings: &[Finding], terminal: &Terminal) {
     for finding in findings {
         let help =
             if finding.help.is_empty() { String::new() } else { format!("; {}", finding.help) };
-        output::warn(&[format!("{}{help}", finding.sentence)]);
+        terminal.warn(&[format!("{}{help}", finding.sentence)]);
     }
     run.notes = notes(run, findings);
 }
@@ -705,10 +729,14 @@ pub(crate) struct Place {
 impl Place {
     /// Where the next run would be made: on `bench`, else on that of the run folder, else on nothing beyond what the runs
     /// have reached. To be asked before the evidence is used up.
-    pub(crate) fn of(bench: Option<&Path>, prepared: &Prepared) -> Result<Self, Failure> {
+    pub(crate) fn of(
+        bench: Option<&Path>,
+        prepared: &Prepared,
+        terminal: &Terminal,
+    ) -> Result<Self, Failure> {
         let bench = match bench {
             Some(path) => Some(BenchFile::parse(&path.display().to_string(), &read_text(path)?)?),
-            None => recorded_bench(prepared),
+            None => recorded_bench(prepared, terminal),
         };
         let mut limits = bench
             .as_ref()
@@ -725,22 +753,22 @@ impl Place {
         path: &Path,
         diagnosis: &Diagnosis,
         then: &str,
+        terminal: &Terminal,
     ) -> Result<(), Failure> {
         let (next, path_text) = (diagnosis.next_experiment.as_ref(), path.display());
         let Some(text) = next.and_then(|next| next.bench.as_ref()) else {
-            output::message(&format!("{path_text} is not written: there is no run to recommend"));
+            terminal.message(&format!("{path_text} is not written: there is no run to recommend"));
             return Ok(());
         };
-        output::file(path, text)?;
+        terminal.file(path, text)?;
         let port = if self.bench.is_some() {
             ""
         } else {
             " --port PORT (the runs do not say on which drive they were made)"
         };
         let file = output::quoted(path);
-        output::message(&format!(
-            "{path_text} is written: drivebench run {file}{port}, then {then}"
-        ));
+        terminal
+            .message(&format!("{path_text} is written: drivebench run {file}{port}, then {then}"));
         Ok(())
     }
 
@@ -774,13 +802,13 @@ impl Place {
 }
 
 /// The bench of the run folder, as its manifest keeps it. A bench of another program's version is as good as none.
-fn recorded_bench(prepared: &Prepared) -> Option<BenchFile> {
+fn recorded_bench(prepared: &Prepared, terminal: &Terminal) -> Option<BenchFile> {
     let manifest = prepared.run.manifest.as_ref()?;
     let text = manifest.configs.get("bench")?;
     match BenchFile::parse("manifest.json: configs.bench", text) {
         Ok(bench) => Some(bench),
         Err(error) => {
-            output::message(&format!("warning: the run's bench is not used: {error}"));
+            terminal.message(&format!("warning: the run's bench is not used: {error}"));
             None
         }
     }

@@ -19,7 +19,7 @@ fn a_later_run_that_is_not_fit_to_be_judged_is_said_so() {
     };
     let later = |scenario: &Scenario, lost: &dyn Fn(usize) -> bool| {
         let run = loaded(testing::with_rows_lost(scenario, lost));
-        admit_later(&run, &model, &fitted)
+        admit_later(&run, &model, &fitted, &Terminal::default())
     };
     let whole = |_: usize| false;
     let (kept, notes) = later(&record(&model, 2), &whole).unwrap();
@@ -41,7 +41,7 @@ fn a_later_run_that_is_not_fit_to_be_judged_is_said_so() {
         (Channel::Speed, driven.speed_rad_s.clone(), Origin::Measured),
     ];
     let torque = loaded(testing::run_of("torque", driven.sample_time_s, columns));
-    let said = refused(admit_later(&torque, &model, &fitted));
+    let said = refused(admit_later(&torque, &model, &fitted, &Terminal::default()));
     assert!(said.contains("driven by a torque"), "{said}");
     // A sensor that was turned round meanwhile.
     let mut reversed = record(&model, 4);

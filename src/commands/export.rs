@@ -1,7 +1,5 @@
-//! `export`: a model and its gains for other tools, the map of a torque, or a run as columns.
-//!
-//! A model and the gains of its regulator for other tools: as source text of a language, or as JSON with every effect; and
-//! the map of a torque that runs show.
+//! `export`: a model and the gains of its regulator for other tools, as source text of a language or as JSON with every
+//! effect; the map of a torque that runs show; a run as columns.
 
 use std::path::{Path, PathBuf};
 
@@ -13,6 +11,7 @@ use crate::report::export::{Export, ExportError, Regulator, Target, formulas, ma
 use crate::runtime::failure::Failure;
 use crate::runtime::files::{read_model, require_parquet, samples_as_parquet};
 use crate::runtime::output;
+use crate::runtime::output::Terminal;
 use drivebench_bench::recording::{LoadedRun, RunFolder, write_run};
 use drivebench_control::{Actuator, Holding, viscous_n_m_s_per_rad};
 use drivebench_diagnose::torque_map;
@@ -78,7 +77,7 @@ fn mapped(text: &str) -> Result<MappedTorque, String> {
     MappedTorque::from_name(text).ok_or_else(|| format!("expected one of {all}"))
 }
 
-pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     if let Some(path) = &arguments.output {
         output::refuse_existing(path, "--output")?;
     }
@@ -88,20 +87,17 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let (runs, to) = (arguments.run.as_slice(), arguments.to);
     let (text, title) = match (&arguments.model, runs, arguments.torque_map) {
         (Some(model), [], None) if !matches!(to, Format::Csv | Format::Parquet) => {
-            export(&ExportRequest {
-                model,
-                target: to.target(),
-                gains: arguments.gains.as_deref().zip(arguments.limit_v),
-                name,
-            })?
+            export(arguments, model, name)?
         }
         (Some(model), [_, ..], Some(of)) if matches!(to, Format::C | Format::Csv) => {
-            let loaded = runs.iter().map(|run| arguments.map.load(run));
-            let loaded: Vec<LoadedRun> = loaded.collect::<Result<_, _>>()?;
+            let loaded: Vec<LoadedRun> = runs
+                .iter()
+                .map(|run| arguments.map.load(run, terminal))
+                .collect::<Result<_, _>>()?;
             let name = name.unwrap_or(of.name());
             torque_map_of(of, model, &loaded, (to == Format::C).then_some(name))?
         }
-        (None, [run], None) if to == Format::Parquet => return columns(arguments, run),
+        (None, [run], None) if to == Format::Parquet => return columns(arguments, run, terminal),
         _ => {
             let headline = "a run is written as parquet, a torque map as csv or c, and a model as anything else";
             let help = "give --run RUN --to parquet, --torque-map TORQUE --run RUN --model MODEL.toml --to csv, or --model MODEL.toml with another format";
@@ -109,10 +105,10 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         }
     };
     let Some(path) = &arguments.output else {
-        return output::line(text.trim_end());
+        return terminal.line(text.trim_end());
     };
-    output::file(path, &text)?;
-    output::text(&format!("{}: {title}", path.display()))
+    terminal.file(path, &text)?;
+    terminal.text(&format!("{}: {title}", path.display()))
 }
 
 impl Format {
@@ -129,52 +125,44 @@ impl Format {
 }
 
 /// The run as columns.
-fn columns(arguments: &Arguments, run: &Path) -> Result<(), Failure> {
+fn columns(arguments: &Arguments, run: &Path, terminal: &Terminal) -> Result<(), Failure> {
     let Some(path) = &arguments.output else {
         let help = "add --output FILE: columns are not for a terminal";
         return Err(Failure::usage("--output is missing", help));
     };
     require_parquet()?;
-    let loaded = arguments.map.load(run)?;
+    let loaded = arguments.map.load(run, terminal)?;
     let folder = (run.is_dir() && !arguments.map.is_given()).then_some(run);
-    output::file(path, &run_as_parquet(&loaded, folder)?)?;
+    terminal.file(path, &run_as_parquet(&loaded, folder, terminal)?)?;
     let rows = loaded.run.rows();
-    output::text(&format!("{}: {rows} rows", path.display()))
+    terminal.text(&format!("{}: {rows} rows", path.display()))
 }
 
-/// What is asked to be exported.
-pub(crate) struct ExportRequest<'a> {
-    pub(crate) model: &'a Path,
-    /// `None` for JSON.
-    pub(crate) target: Option<Target>,
-    /// A tuning, and the voltage that the regulator may give.
-    pub(crate) gains: Option<(&'a Path, f64)>,
-    /// What it is called; without it by its motor.
-    pub(crate) name: Option<&'a str>,
-}
-
-/// The text of the file, and one line that says what is in it.
-pub(crate) fn export(request: &ExportRequest<'_>) -> Result<(String, String), Failure> {
-    let file = read_model(request.model)?;
-    let model = &file.model;
-    model.require_complete()?;
-    let regulator = match request.gains {
-        Some((path, limit_v)) => Some(regulator(&file, path, limit_v)?),
+/// The text of the file, and its title in one line.
+fn export(
+    arguments: &Arguments,
+    path: &Path,
+    name: Option<&str>,
+) -> Result<(String, String), Failure> {
+    let file = read_model(path)?;
+    file.model.require_complete()?;
+    let regulator = match arguments.gains.as_deref().zip(arguments.limit_v) {
+        Some((gains, limit_v)) => Some(regulator(&file, gains, limit_v)?),
         None => None,
     };
-    let title = title(&file, request.model);
-    let text = match request.target {
+    let title = title(&file, path);
+    let text = match arguments.to.target() {
         None => as_json(&file, regulator.as_ref(), &title)?,
         Some(target) => {
-            let name = request.name.unwrap_or(&model.motor.name);
-            Export::new(model, regulator, name, &title)?.written(target)?
+            let name = name.unwrap_or(&file.model.motor.name);
+            Export::new(&file.model, regulator, name, &title)?.written(target)?
         }
     };
     Ok((text, title))
 }
 
-/// The map of a torque that runs show, as C or else as CSV, and one line that says what is in it.
-pub(crate) fn torque_map_of(
+/// The map of a torque that runs show, as C or else as CSV, and its title in one line.
+fn torque_map_of(
     of: MappedTorque,
     model: &Path,
     runs: &[LoadedRun],
@@ -237,7 +225,7 @@ fn regulator(file: &ModelFile, path: &Path, limit_v: f64) -> Result<Regulator, F
     })
 }
 
-/// What it is, with its effects, who wrote it and where it comes from, on one line.
+/// Motor, effects, file, runs and program in one line.
 fn title(file: &ModelFile, path: &Path) -> String {
     let effects = match file.model.effect_ids().as_slice() {
         [] => "no effect beyond the baseline".to_owned(),
@@ -282,14 +270,15 @@ fn as_json(
 }
 
 /// The table of a run as Parquet: of a folder as it stands, else the columns that were read.
-pub(crate) fn run_as_parquet(
+fn run_as_parquet(
     loaded: &LoadedRun,
     folder: Option<&Path>,
+    terminal: &Terminal,
 ) -> Result<Vec<u8>, Failure> {
     let table = match folder.filter(|_| loaded.run.rows_dropped == 0) {
         None => {
-            output::message(
-                "the file is not the log of a run as it was recorded: the quantities that are known are written, other columns not",
+            terminal.message(
+                "the file is not the log of a run as it was recorded: the columns that drivebench reads are written, others not",
             );
             write_run(&loaded.run).into_bytes()
         }

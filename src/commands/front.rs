@@ -1,4 +1,4 @@
-//! What the program says when it is called alone: the loop in one picture, what lies in this folder, and the next step.
+//! The page of the program without a command: the loop in one picture, the files of this folder, and the next step.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -10,7 +10,7 @@ use drivebench_model::plant::ModelFile;
 use drivebench_model::text::shell::quoted_word;
 
 /// The commands in the order of the loop, which goes back from `add` until only noise is left.
-const LOOP: &str = "  connect   ports, doctor       what is plugged in; can the line work?
+const LOOP: &str = "  connect   ports, doctor       what is plugged in; does the line work?
   prepare   init, plan          the bench file; what will happen, before it does
   measure   run, identify       the motor turns; its figures, and how sure they are
   explain   compare, diagnose   where the model fails, and which effect it lacks <-.
@@ -21,7 +21,7 @@ const LOOP: &str = "  connect   ports, doctor       what is plugged in; can the 
 `commission` goes the whole way by itself; `drivebench help` lists every command.
 ";
 
-/// What lies in a folder.
+/// Files of a folder.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 struct Found {
     benches: Vec<String>,
@@ -94,15 +94,14 @@ impl Found {
                 name,
             });
         }
-        let named = fs::read_link(runs.join(LATEST)).ok();
-        // Runs of one second stand in the order of their names: the link knows which was the last.
-        let is_named = |run: &Run| named.as_deref() == Some(Path::new(&run.name));
-        if let Some(place) = found.runs.iter().position(is_named) {
+        let latest = fs::read_link(runs.join(LATEST)).ok();
+        // Runs of one second stand in the order of their names: the link names the last of them.
+        let is_latest = |run: &Run| latest.as_deref() == Some(Path::new(&run.name));
+        if let Some(place) = found.runs.iter().position(is_latest) {
             let newest = found.runs.remove(place);
             found.runs.push(newest);
+            found.has_latest = true;
         }
-        let newest = found.runs.last().map(|run| run.name.as_str());
-        found.has_latest = newest.is_some() && named.as_deref() == newest.map(Path::new);
         found
     }
 
@@ -127,12 +126,12 @@ impl Found {
             lines.push(format!("report: runs/{}/report.html", run.name));
         }
         if lines.is_empty() {
-            lines.push("nothing of ours yet".to_owned());
+            lines.push("no bench file, model or run yet".to_owned());
         }
         lines
     }
 
-    /// The sensible next steps, the first of them first: the command and what it is for.
+    /// The next steps in their order: command and purpose.
     fn next(&self) -> Vec<(String, String)> {
         let step = |command: String, why: &str| (command, why.to_owned());
         let tuned = |model: String| {
@@ -202,18 +201,18 @@ fn with(effects: &[String]) -> String {
 
 /// The effects of a model file; `None` where it is none.
 fn effects_of(name: &str, text: &str) -> Option<Vec<String>> {
-    // Any table parses as a model that says nothing.
+    // Any table parses as an empty model.
     let has_motor = text.lines().any(|line| line.trim() == "[motor]");
     let file = ModelFile::parse(name, text).ok().filter(|_| has_motor)?;
     let ids = file.model.effect_ids().into_iter();
     Some(ids.map(str::to_owned).collect())
 }
 
-/// What is in a folder, in the order of the names.
+/// Names in a folder, sorted.
 fn names(folder: &Path) -> Vec<String> {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
-    let mut names: Vec<String> = names.collect();
+    let mut names: Vec<String> =
+        entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
     names.sort();
     names
 }
@@ -259,7 +258,7 @@ mod tests {
     fn the_page_fits_a_terminal() {
         let folder = tempfile::tempdir().unwrap();
         let page = page(folder.path());
-        assert!(page.contains("nothing of ours yet"), "{page}");
+        assert!(page.contains("no bench file, model or run yet"), "{page}");
         assert!(page.lines().count() <= 24, "{page}");
         assert!(page.lines().all(|line| line.chars().count() <= 84), "{page}");
     }

@@ -1,11 +1,7 @@
-//! `identify`: parameters with confidence and verdict, from one run or several of the same machine; or the load torque
-//! over time.
-//!
-//! The parameters of one run or of several of the same machine: each run by its scheme, then what they say together; and the
-//! on-line estimators over a log once more, row by row, beside what they said live.
+//! `identify`: parameters with uncertainty and verdict, from one run or several of the same machine, each by its scheme and
+//! then combined; or the load torque over time.
 
 use std::fmt::Write as _;
-use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -17,17 +13,15 @@ use crate::commands::evidence::{before_identify, model, name_voltage, signals};
 use crate::report::conventions;
 use crate::runtime::failure::{Failure, NOT_IDENTIFIABLE, USAGE};
 use crate::runtime::files::read_text;
-use crate::runtime::{output, progress, signals};
-use drivebench_bench::recording::{ColumnMap, LoadedRun, RunFile, RunFolder, RunRows};
-use drivebench_bench::{
-    Difference, MotorSection, OnlineResult, OnlineSettings, first_difference, replay,
-};
+use crate::runtime::output;
+use crate::runtime::output::Terminal;
+use drivebench_bench::MotorSection;
+use drivebench_bench::recording::LoadedRun;
 use drivebench_diagnose::known_along;
 use drivebench_identify::added_inertia::ScaledRun;
 use drivebench_identify::kalman::{LoadTrace, load_torque_trace};
 use drivebench_identify::misfit::Misfit;
 use drivebench_identify::nameplate::Comparison;
-use drivebench_identify::online::OnlineConfig;
 use drivebench_identify::repeat::Repeated;
 use drivebench_identify::sanity::Finding;
 use drivebench_identify::scheme::{Data, Identified, Scheme};
@@ -41,9 +35,6 @@ use drivebench_model::plant::{
     ActiveEffect, FittedValue, Model, ModelFile, Motor, MotorKey, Scenario,
 };
 use drivebench_model::sample::{Channel, ParameterEstimate, Run, Verdict};
-
-/// Gearboxes that exist, with room.
-const GEAR_RATIOS: RangeInclusive<f64> = 1e-3..=1e5;
 
 /// Find the motor's parameters in a recorded run, each with its uncertainty and verdict
 #[derive(clap::Args)]
@@ -104,10 +95,10 @@ Examples:
     text
 }
 
-pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
-    let _endable = signals::endable()?;
+pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
+    let _endable = terminal.endable()?;
     let ratio = arguments.gear_ratio;
-    if let Some(ratio) = ratio.filter(|ratio| !GEAR_RATIOS.contains(ratio)) {
+    if let Some(ratio) = ratio.filter(|ratio| !(1e-3..=1e5).contains(ratio)) {
         return Err(Failure::usage(
             format!("--gear-ratio {ratio} is not allowed (expected 0.001 to 100000)"),
             "give motor turns per turn of the load, as --gear-ratio 10",
@@ -121,15 +112,15 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             ));
         }
     }
-    let shown = progress::begin("identify");
-    progress::stage("identifies the runs", arguments.runs.len());
+    let shown = terminal.progress("identify");
+    terminal.stage("identifies the runs", arguments.runs.len());
     let mut file = None;
     let mut runs = Vec::new();
     for path in &arguments.runs {
-        let loaded = arguments.map.load(path)?;
+        let loaded = arguments.map.load(path, terminal)?;
         let file = match &mut file {
             Some(file) => file,
-            none => none.insert(model(arguments.model.as_deref(), &loaded)?.file),
+            none => none.insert(model(arguments.model.as_deref(), &loaded, terminal)?.file),
         };
         if let Some(trace) = &arguments.load_torque {
             if arguments.runs.len() > 1 {
@@ -141,19 +132,19 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
             }
             let scenario = Scenario::from_run(&loaded.run)?;
             let mut run = loaded.run;
-            before_identify(&mut run, &scenario, &file.model, &[], arguments.json)?;
+            before_identify(&mut run, &scenario, &file.model, &[], arguments.json, terminal)?;
             drop(shown);
-            return trace_load(trace, &run, &file.model, arguments.json);
+            return trace_load(trace, &run, &file.model, arguments.json, terminal);
         }
-        runs.push(one(loaded, &file.model, arguments)?);
-        progress::at(runs.len());
+        runs.push(one(loaded, &file.model, arguments, terminal)?);
+        terminal.at(runs.len());
     }
     let commanded = |run: &&OneRun| run.scenario.input_channel == Channel::VoltageCmd;
     if let Some(run) = runs.iter().find(commanded).or(runs.first()) {
-        name_voltage(&run.loaded.run, &run.scenario);
+        name_voltage(&run.loaded.run, &run.scenario, terminal);
     }
     let file = file.ok_or_else(|| Failure::new(USAGE, "no run is given"))?;
-    let mut absolute = with_added_inertia(arguments, &file.model, &runs)?;
+    let mut absolute = with_added_inertia(arguments, &file.model, &runs, terminal)?;
     let joint = jointly(&runs, &file.model);
     let combined = combined(&runs, joint.as_ref());
     let caution = caution(&combined, absolute.as_deref());
@@ -181,23 +172,27 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     let model = arguments.output.as_deref().or(arguments.model.as_deref());
     let model = model.map_or_else(String::new, |path| format!(" --model {}", output::quoted(path)));
     document.go_on(format!("drivebench diagnose {run}{model}{}", arguments.map.words()));
-    output::document(&json_of(&answer), arguments.json, arguments.full, &document)?;
+    terminal.document(&json_of(&answer), arguments.json, arguments.full, &document)?;
     if let Some(path) = &arguments.output {
-        answer.write(path, file)?;
+        answer.write(path, file, terminal)?;
     }
     verdict(&arguments.require, &answer.parameters())
 }
 
-/// What the runs say together, one by one and in one fit.
+/// The estimates of the single runs and of the joint fit as one each.
 fn combined(runs: &[OneRun], joint: Option<&Identified>) -> Vec<Repeated> {
-    let per_run = runs.iter().map(|run| run.found.parameters.clone());
-    let per_run: Vec<Vec<ParameterEstimate>> = per_run.collect();
+    let per_run: Vec<_> = runs.iter().map(|run| run.found.parameters.clone()).collect();
     repeat::combine(&per_run, joint.map_or(&[], |joint| &joint.parameters))
 }
 
-fn one(loaded: LoadedRun, model: &Model, arguments: &Arguments) -> Result<OneRun, Failure> {
+fn one(
+    loaded: LoadedRun,
+    model: &Model,
+    arguments: &Arguments,
+    terminal: &Terminal,
+) -> Result<OneRun, Failure> {
     let scheme = arguments.scheme.as_deref();
-    identify(loaded, model, scheme, &arguments.require, arguments.json)
+    identify(loaded, model, scheme, &arguments.require, arguments.json, terminal)
 }
 
 /// The absolute scale from the run with the added inertia, where one is given.
@@ -205,6 +200,7 @@ fn with_added_inertia(
     arguments: &Arguments,
     model: &Model,
     runs: &[OneRun],
+    terminal: &Terminal,
 ) -> Result<Option<Vec<ParameterEstimate>>, Failure> {
     let (Some(text), Some(without)) = (&arguments.added_inertia, runs.first()) else {
         return Ok(None);
@@ -218,7 +214,7 @@ fn with_added_inertia(
     let (path, added) = text.rsplit_once('=').ok_or_else(wrong)?;
     let added = added.parse().ok().filter(|added: &f64| added.is_finite() && *added > 0.0);
     let added = added.ok_or_else(wrong)?;
-    let with = one(arguments.map.load(Path::new(path))?, model, arguments)?;
+    let with = one(arguments.map.load(Path::new(path), terminal)?, model, arguments, terminal)?;
     absolute(without, &with, added).map(Some)
 }
 
@@ -251,11 +247,6 @@ fn verdict(require: &[String], parameters: &[ParameterEstimate]) -> Result<(), F
     Ok(())
 }
 
-/// Kt over Ke of real direct-current machines: iron loss takes some of the torque (ZK-22FC: 0.85), sensor gains add some
-/// per cent either way.
-const PLAUSIBLE_RATIO: RangeInclusive<f64> = 0.7..=1.1;
-
-/// One run with what was found in it.
 pub(crate) struct OneRun {
     pub(crate) loaded: LoadedRun,
     pub(crate) scenario: Scenario,
@@ -263,7 +254,7 @@ pub(crate) struct OneRun {
     findings: Vec<Finding>,
 }
 
-/// Everything that `identify` answers.
+/// The result of `identify`.
 pub(crate) struct Answer {
     pub(crate) runs: Vec<OneRun>,
     /// One fit to all of several runs.
@@ -273,40 +264,38 @@ pub(crate) struct Answer {
     pub(crate) absolute: Option<Vec<ParameterEstimate>>,
     pub(crate) gear_ratio: Option<f64>,
     pub(crate) nameplate: Option<Comparison>,
-    /// What the found values, each sound by itself, say together that cannot be.
+    /// Why the found values, each plausible by itself, are not plausible together.
     pub(crate) caution: Option<String>,
 }
 
 impl Answer {
-    /// What the fit to all runs leaves beside the noise, else that to the first.
+    /// Misfit of the joint fit, else that of the first run.
     pub(crate) fn misfit(&self) -> Option<&Misfit> {
         let first = self.runs.first().map(|run| &run.found);
         self.joint.as_ref().or(first)?.misfit.as_ref()
     }
 
-    /// What the model file, `--require` and the exit status go by.
+    /// For the model file, `--require` and the exit status: usable absolute values replace relative ones.
     pub(crate) fn parameters(&self) -> Vec<ParameterEstimate> {
         let of_runs = self.combined.iter().map(|repeated| &repeated.estimate);
         let absolute = self.absolute.iter().flatten().filter(|p| is_usable(p));
-        let replaced = |key: &str| absolute.clone().any(|p| p.key == key);
-        let kept = of_runs.filter(|p| !replaced(&p.key));
-        kept.chain(absolute.clone()).cloned().collect()
+        let is_replaced = |key: &str| absolute.clone().any(|p| p.key == key);
+        of_runs.filter(|p| !is_replaced(&p.key)).chain(absolute.clone()).cloned().collect()
     }
 
-    /// Writes the model: `file` with what was found. What was not observable stays as it was given, or is left out.
-    pub(crate) fn write(&self, path: &Path, mut file: ModelFile) -> Result<(), Failure> {
+    /// Writes the model: `file` with the usable values. Other parameters stay as given, or are left out.
+    fn write(&self, path: &Path, mut file: ModelFile, terminal: &Terminal) -> Result<(), Failure> {
         output::refuse_existing(path, "--output")?;
         let mut parameters = self.parameters();
         parameters.retain(is_usable);
         file.model = Identified::new("", &file.model, parameters.clone()).model;
-        let names = self.runs.iter().map(|run| run.loaded.run.name.clone());
-        file.history.fitted_on = names.collect();
+        file.history.fitted_on = self.runs.iter().map(|run| run.loaded.run.name.clone()).collect();
         file.history.fitted = FittedValue::all(&parameters);
-        output::file(path, &file.to_toml())
+        terminal.file(path, &file.to_toml())
     }
 }
 
-/// A value that may be used: found or given, and not forbidden by physics or by where its signals come from.
+/// Found or given, and not excluded by physics or by the origin of its signals.
 pub(crate) fn is_usable(parameter: &ParameterEstimate) -> bool {
     parameter.value.is_some() && parameter.verdict != Verdict::Invalid
 }
@@ -324,9 +313,10 @@ pub(crate) fn identify(
     scheme: Option<&str>,
     require: &[String],
     json: bool,
+    terminal: &Terminal,
 ) -> Result<OneRun, Failure> {
     let scenario = Scenario::from_run(&loaded.run)?;
-    let findings = before_identify(&mut loaded.run, &scenario, model, require, json)?;
+    let findings = before_identify(&mut loaded.run, &scenario, model, require, json, terminal)?;
     let scheme = match scheme {
         Some(id) => scheme::find(id)?,
         None => scheme::default_for(&scenario),
@@ -336,8 +326,8 @@ pub(crate) fn identify(
     Ok(OneRun { loaded, scenario, found, findings })
 }
 
-/// One fit to several runs of a machine behind each other, where each was fitted by its free run and nothing of the model
-/// happens in one of them alone.
+/// One fit to several runs of a machine behind each other, where each was fitted by its free run and no effect of the model is
+/// an event of a single run.
 pub(crate) fn jointly(runs: &[OneRun], model: &Model) -> Option<Identified> {
     let (first, others) = runs.split_first().filter(|(_, others)| !others.is_empty())?;
     let is_fitted = |run: &OneRun| run.found.scheme == scheme::FREE_RUN;
@@ -346,16 +336,13 @@ pub(crate) fn jointly(runs: &[OneRun], model: &Model) -> Option<Identified> {
         return None;
     }
     let follow = |all: Scenario, next: &OneRun| all.followed_by(&next.scenario);
-    let data = Data {
-        run: &first.loaded.run,
-        scenario: &others.iter().fold(first.scenario.clone(), follow),
-        model,
-    };
+    let scenario = &others.iter().fold(first.scenario.clone(), follow);
+    let data = Data { run: &first.loaded.run, scenario, model };
     let findings: Vec<Finding> = runs.iter().flat_map(|run| run.findings.clone()).collect();
     judged(scheme::find(scheme::FREE_RUN).ok()?, &data, &findings).ok()
 }
 
-/// What a scheme finds, with what physics and the origin of the signals allow to be said of it.
+/// The estimates of a scheme, limited to those that physics and the origin of the signals allow.
 fn judged(scheme: &Scheme, data: &Data<'_>, findings: &[Finding]) -> Result<Identified, Failure> {
     let (run, scenario) = (data.run, data.scenario);
     let mut found = scheme.identify(data)?;
@@ -371,7 +358,7 @@ fn judged(scheme: &Scheme, data: &Data<'_>, findings: &[Finding]) -> Result<Iden
     }
     sanity::doubt(&mut found.parameters, findings);
     for open in found.parameters.iter_mut().filter(|own| own.value.is_none()) {
-        // What is wrong with a signal may be all that stands in the way.
+        // A fault of a signal may be the only reason.
         let about = |it: &&Finding| it.doubts.iter().any(|key| key.key() == open.key);
         if let (Some(reason), Some(finding)) = (&mut open.reason, findings.iter().find(about)) {
             *reason = format!("{}; {reason}", finding.sentence);
@@ -389,8 +376,8 @@ pub(crate) fn absolute(
     with: &OneRun,
     added_kg_m2: f64,
 ) -> Result<Vec<ParameterEstimate>, Failure> {
-    let seen = |run: &'_ OneRun| run.found.model.motor.torque_constant();
-    let (Some(kt_without), Some(kt_with)) = (seen(without), seen(with)) else {
+    let kt = |run: &OneRun| run.found.model.motor.torque_constant();
+    let (Some(kt_without), Some(kt_with)) = (kt(without), kt(with)) else {
         return Err(Failure::not_identifiable(
             "neither run carries a torque constant to start from",
             "give torque_n_m_per_a or back_emf_v_s_per_rad in the model file: any value will do, the added inertia corrects it",
@@ -401,7 +388,8 @@ pub(crate) fn absolute(
     Ok(added_inertia::absolute(&without, &with, added_kg_m2))
 }
 
-/// Kt above Ke would be a machine that gives more power than it takes; far below, most of it would be lost in the iron.
+/// Kt above Ke would give more power than the machine takes; far below, most of it would be lost in the iron. Real machines
+/// have 0.7 to 1.1 (ZK-22FC: 0.85), gains of the sensors included.
 pub(crate) fn caution(
     combined: &[Repeated],
     absolute: Option<&[ParameterEstimate]>,
@@ -411,17 +399,14 @@ pub(crate) fn caution(
     let mut found = combined.iter().map(|repeated| &repeated.estimate);
     let ke = found.find(of(MotorKey::BackEmf))?.value?;
     let ratio = kt / ke;
-    (!PLAUSIBLE_RATIO.contains(&ratio)).then(|| {
+    (!(0.7..=1.1).contains(&ratio)).then(|| {
         format!(
-            "Kt is {ratio:.2} times Ke, {:.2} to {:.2} is plausible: check the added inertia, the shaft it is given on, \
-             and that both runs are of the same machine",
-            PLAUSIBLE_RATIO.start(),
-            PLAUSIBLE_RATIO.end()
+            "Kt is {ratio:.2} times Ke, 0.70 to 1.10 is plausible: check the added inertia, the shaft it is given on, \
+             and that both runs are of the same machine"
         )
     })
 }
 
-/// The answer as `identify --json` prints it.
 pub(crate) fn json_of(answer: &Answer) -> Value {
     let first = answer.runs.first();
     let of_runs = |of: fn(&OneRun) -> usize| answer.runs.iter().map(of).sum::<usize>();
@@ -481,7 +466,7 @@ pub(crate) fn json_of(answer: &Answer) -> Value {
     value
 }
 
-/// What the runs were identified by, each scheme once: those of another kind may have another one.
+/// The schemes of the runs, each once.
 pub(crate) fn schemes(answer: &Answer) -> String {
     let mut schemes: Vec<&str> = answer.runs.iter().map(|run| run.found.scheme).collect();
     schemes.dedup();
@@ -511,7 +496,13 @@ fn keyed<'a, T: Serialize + 'a>(
 }
 
 /// Tracks the load torque, writes it to `path` and prints a summary.
-pub(crate) fn trace_load(path: &Path, run: &Run, model: &Model, json: bool) -> Result<(), Failure> {
+fn trace_load(
+    path: &Path,
+    run: &Run,
+    model: &Model,
+    json: bool,
+    terminal: &Terminal,
+) -> Result<(), Failure> {
     if path.exists() {
         let path = path.display();
         let headline = format!("{path}: exists already, and records are never overwritten");
@@ -519,13 +510,12 @@ pub(crate) fn trace_load(path: &Path, run: &Run, model: &Model, json: bool) -> R
         return Err(Failure::usage(headline, help));
     }
     let trace = load_torque_trace(run, model)?;
-    output::file(path, &trace_csv(&trace))?;
-    let extreme = |better: fn(f64, f64) -> bool| {
-        let points = trace.points.iter();
-        let found = points.reduce(|a, b| {
-            let is_better = better(b.load_torque_n_m, a.load_torque_n_m);
-            if is_better { b } else { a }
-        });
+    terminal.file(path, &trace_csv(&trace))?;
+    let extreme = |is_better: fn(f64, f64) -> bool| {
+        let found = trace
+            .points
+            .iter()
+            .reduce(|a, b| if is_better(b.load_torque_n_m, a.load_torque_n_m) { b } else { a });
         found.map(|p| {
             json!({ "time_s": p.time_s, "load_torque_n_m": p.load_torque_n_m, "load_torque_std_n_m": p.std_n_m })
         })
@@ -543,7 +533,7 @@ pub(crate) fn trace_load(path: &Path, run: &Run, model: &Model, json: bool) -> R
         "innovation_over_noise": { "current": trace.consistency[0], "speed": trace.consistency[1] },
         "notes": trace.notes,
     });
-    output::result(&summary, json, |_| trace_text(&trace, path))
+    terminal.result(&summary, json, |_| trace_text(&trace, path))
 }
 
 fn trace_text(trace: &LoadTrace, path: &Path) -> String {
@@ -563,125 +553,7 @@ fn trace_text(trace: &LoadTrace, path: &Path) -> String {
 fn trace_csv(trace: &LoadTrace) -> String {
     let mut csv = "time_s,load_torque_n_m,load_torque_std_n_m\n".to_owned();
     for point in &trace.points {
-        let (time_s, torque, std) = (point.time_s, point.load_torque_n_m, point.std_n_m);
-        let _ = writeln!(csv, "{time_s},{torque},{std}");
+        let _ = writeln!(csv, "{},{},{}", point.time_s, point.load_torque_n_m, point.std_n_m);
     }
     csv
-}
-
-/// The result as JSON; its estimates have the names that they have in `result.json`.
-#[derive(Serialize)]
-pub(crate) struct Replayed {
-    pub(crate) run: String,
-    pub(crate) rows_dropped: usize,
-    #[serde(flatten)]
-    pub(crate) online: OnlineResult,
-    pub(crate) configuration: OnlineSettings,
-    /// `manifest`, or `default` where nobody has said.
-    pub(crate) configuration_from: &'static str,
-    /// Null where there is nothing to compare with.
-    pub(crate) identical: Option<bool>,
-    pub(crate) first_difference: Option<Difference>,
-    /// The file compared with, or why there is none.
-    pub(crate) compared_with: Option<String>,
-    pub(crate) not_compared_because: Option<String>,
-}
-
-/// Runs the estimators over a run and compares with what they said live.
-pub(crate) fn replayed(run: &Path, map: Option<&ColumnMap>) -> Result<Replayed, Failure> {
-    let mut rows = RunRows::open(run, map)?;
-    let (settings, configuration_from) = settings(&rows)?;
-    let estimator = replay(|| rows.rows.next_row(), OnlineConfig::from(settings))?;
-    if let Some(dialect) = rows.rows.dialect() {
-        output::message(&dialect);
-    }
-    let mut warnings = rows.warnings();
-    warnings.extend(why_silent(&rows));
-    output::warn(&warnings);
-    let online = estimator.result();
-    let live = live_result(&rows, map.is_some()).and_then(|live| {
-        let is_known = configuration_from == "manifest";
-        let reason = "the manifest does not hold the configuration of the live estimators";
-        is_known.then_some(live).ok_or_else(|| reason.to_owned())
-    });
-    let (mut difference, mut compared_with, mut because) = (None, None, None);
-    match live {
-        Ok((path, live)) => {
-            let replayed = serde_json::to_value(&online).map_err(|error| {
-                Failure::internal(format!("the result has no JSON form: {error}"))
-            })?;
-            difference = Some(first_difference(&live, &replayed));
-            compared_with = Some(path.display().to_string());
-        }
-        Err(reason) => because = Some(reason),
-    }
-    Ok(Replayed {
-        run: run.display().to_string(),
-        rows_dropped: rows.rows.rows_dropped(),
-        online,
-        configuration: settings,
-        configuration_from,
-        identical: difference.as_ref().map(Option::is_none),
-        first_difference: difference.flatten(),
-        compared_with,
-        not_compared_because: because,
-    })
-}
-
-/// What the live estimators were configured with.
-fn settings(rows: &RunRows) -> Result<(OnlineSettings, &'static str), Failure> {
-    let kept =
-        rows.manifest.as_ref().and_then(|manifest| manifest.configs.get(OnlineSettings::NAME));
-    let Some(text) = kept else {
-        return Ok((OnlineSettings::from(OnlineConfig::default()), "default"));
-    };
-    let settings = toml::from_str(text).map_err(|error| {
-        Failure::usage(
-            format!(
-                "manifest.json: configs.{} cannot be read: {}",
-                OnlineSettings::NAME,
-                error.message()
-            ),
-            "it was written by another version of the program, or changed by hand",
-        )
-    })?;
-    Ok((settings, "manifest"))
-}
-
-/// The file with the live estimates and what it says; or why there is none.
-fn live_result(rows: &RunRows, mapped: bool) -> Result<(PathBuf, Value), String> {
-    let folder = rows
-        .folder
-        .as_deref()
-        .filter(|_| !mapped)
-        .ok_or("a foreign file holds no live estimates")?;
-    let path = RunFolder::existing(folder).file(RunFile::Result);
-    let text = match read_text(&path).ok() {
-        Some(text) => text,
-        None if rows.manifest.as_ref().is_some_and(|m| !m.finished) => {
-            return Err("the run was not finished: its live estimates were never written".into());
-        }
-        None => return Err(format!("there is no {}", path.display())),
-    };
-    let mut document: Map<String, Value> = serde_json::from_str(&text)
-        .map_err(|error| format!("{} cannot be read: {error}", path.display()))?;
-    match document.shift_remove("online") {
-        Some(live) => Ok((path, live)),
-        None => Err(format!("{} holds no live estimates", path.display())),
-    }
-}
-
-/// What the estimators cannot do without.
-fn why_silent(rows: &RunRows) -> Option<String> {
-    let missing: Vec<&str> = [Channel::Current, Channel::Speed]
-        .into_iter()
-        .filter(|needed| rows.rows.channels().all(|channel| channel != *needed))
-        .map(Channel::key)
-        .collect();
-    (!missing.is_empty()).then(|| {
-        format!(
-            "no {}: the on-line estimators need measured current and speed",
-            missing.join(" and no ")
-        )
-    })
 }

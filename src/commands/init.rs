@@ -1,25 +1,26 @@
 //! `init`: a bench file from a drive profile, a port and a nameplate, or a suite from runs; every limit with its reason.
 //!
 //! ```text
-//! --suite RUN... -> app::suite::golden -> new suite, and the bench of the runs beside it
-//! profile, nameplate -> app::survey: ask the drive, read-only (unless --offline) -> bench::init_file -> new file | stdout
+//! --suite RUN... -> test::golden -> new suite, and the bench of the runs beside it
+//! profile, nameplate -> probe: limits of the drive, read-only (unless --offline) -> bench::init_file -> new file | stdout
 //! ```
 
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use crate::commands::probe::told;
+use crate::commands::probe::read_limits;
 use crate::commands::test::golden;
 use crate::runtime::failure::Failure;
 use crate::runtime::files::read_text;
+use crate::runtime::output::Terminal;
 use crate::runtime::{opening, output};
 use crate::workflow::suite::golden::GoldenLimit;
-use drivebench_bench::{InitFile, InitRequest, MotorSection, Port, Reasoned, init_file};
+use drivebench_bench::{InitFile, InitRequest, MotorSection, Port, Reasoned, Told, init_file};
 use drivebench_link::serial_ports::describe;
 use drivebench_model::config_text::{self, ConfigError};
 
-/// What a bench file is called in the next steps while it has no name.
+/// Name of a bench file without a name in the next steps.
 const NAMELESS: &str = "bench.toml";
 
 /// Write a bench file for a drive and a motor, or a suite of bench tests from runs; every limit with its reason
@@ -33,15 +34,15 @@ const NAMELESS: &str = "bench.toml";
 
 A nameplate is the [motor] table of a bench file, with or without the header. Name and rated values are needed; what makes
 the model of the motor may be left out where the drive takes a voltage: `drivebench run` then finds it from small steps first.
-The drive is asked for its own limits, and nothing is written to it; --offline goes without. No file is ever overwritten.
+The drive's own limits are read, and nothing is written to it; --offline goes without. No file is ever overwritten.
 
---suite takes run folders of `commission`, `run` and `speed` that passed, of one machine on one bench. Each limit says where it
-comes from: the interval of a parameter, what the runs differ by, or the worst that was seen and a margin.")]
+--suite takes run folders of `commission`, `run` and `speed` that passed, of one machine on one bench. Each limit has its
+reason: the interval of a parameter, the spread of the runs, or the worst of them and a margin.")]
 pub(super) struct Arguments {
     /// Drive profile: a built-in name, or a file
     #[arg(long, value_name = "DRIVE", required_unless_present = "suite")]
     drive: Option<String>,
-    /// Serial port, tcp:HOST:PORT, emulator, or sim: (in memory); written into the file, and asked for the drive's limits
+    /// Serial port, tcp:HOST:PORT, emulator, or sim: (in memory); written into the file, and used to read the drive's limits
     #[arg(long, value_name = "PORT", required_unless_present = "suite")]
     port: Option<String>,
     /// Nameplate of the motor
@@ -59,7 +60,7 @@ pub(super) struct Arguments {
     /// Address of the unit on the line; without it that of the profile
     #[arg(long, value_name = "UNIT", value_parser = clap::value_parser!(u8).range(1..=247))]
     unit: Option<u8>,
-    /// Do not ask the drive; the file then says that its limits were not read back
+    /// Do not read the drive; the file then states that its limits were not read back
     #[arg(long)]
     offline: bool,
     /// Print JSON: the file as text, and each value with its reason
@@ -73,7 +74,7 @@ struct InitResult<'a> {
     /// Null: not written.
     file: Option<String>,
     bench: &'a str,
-    /// The drive was asked.
+    /// The drive's limits were read.
     read_back: bool,
     values: &'a [Reasoned],
     remarks: &'a [String],
@@ -81,10 +82,10 @@ struct InitResult<'a> {
     next: Vec<String>,
 }
 
-pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     match (&arguments.drive, &arguments.port, &arguments.motor) {
-        (Some(drive), Some(port), Some(motor)) => bench(arguments, drive, port, motor),
-        _ => suite(arguments),
+        (Some(drive), Some(port), Some(motor)) => bench(arguments, drive, port, motor, terminal),
+        _ => suite(arguments, terminal),
     }
 }
 
@@ -98,16 +99,16 @@ struct SuiteResult<'a> {
     next: String,
 }
 
-fn suite(arguments: &Arguments) -> Result<(), Failure> {
+fn suite(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     let out = arguments.out.as_deref().unwrap_or(Path::new("suite.toml"));
-    let written = golden::write(&arguments.suite, out)?;
+    let written = golden::write(&arguments.suite, out, terminal)?;
     let result = SuiteResult {
         files: written.files.iter().map(|path| path.display().to_string()).collect(),
         suite: &written.golden.text,
         limits: &written.golden.limits,
         next: format!("drivebench test {}", output::quoted_word(&out.display().to_string())),
     };
-    output::result(&result, arguments.json, |result| {
+    terminal.result(&result, arguments.json, |result| {
         let limits = result.limits.iter().map(|own| {
             format!("  {:<10} {} = {}\n      {}", own.case, own.key, own.limit, own.reason)
         });
@@ -121,9 +122,14 @@ fn suite(arguments: &Arguments) -> Result<(), Failure> {
     })
 }
 
-fn bench(arguments: &Arguments, drive: &str, port: &str, motor: &Path) -> Result<(), Failure> {
-    let out = arguments.out.as_deref();
-    let out = out.filter(|path| *path != Path::new("-"));
+fn bench(
+    arguments: &Arguments,
+    drive: &str,
+    port: &str,
+    motor: &Path,
+    terminal: &Terminal,
+) -> Result<(), Failure> {
+    let out = arguments.out.as_deref().filter(|path| *path != Path::new("-"));
     if let Some(path) = out {
         output::refuse_existing(path, "--out")?;
     }
@@ -138,7 +144,11 @@ fn bench(arguments: &Arguments, drive: &str, port: &str, motor: &Path) -> Result
     profile.link.unit = arguments.unit.unwrap_or(profile.link.unit);
     let motor_file = motor.display().to_string();
     let motor = nameplate(&motor_file, &read_text(motor)?)?;
-    let told = told(port, drive, arguments.offline, &profile)?;
+    let told = if arguments.offline {
+        Told { is_offline: true, ..Told::default() }
+    } else {
+        read_limits(port, drive, &profile, terminal)?
+    };
     let stable = stable_name(port);
     let request = InitRequest {
         profile: &profile,
@@ -155,7 +165,7 @@ fn bench(arguments: &Arguments, drive: &str, port: &str, motor: &Path) -> Result
     };
     let made = init_file(&request)?;
     if let Some(path) = out {
-        output::file(path, &made.text)?;
+        terminal.file(path, &made.text)?;
     }
     let name = out.map(|path| path.display().to_string());
     let next = made.next(name.as_deref().unwrap_or(NAMELESS));
@@ -168,12 +178,12 @@ fn bench(arguments: &Arguments, drive: &str, port: &str, motor: &Path) -> Result
             remarks: &made.remarks,
             next,
         };
-        return output::result(&result, true, |_| String::new());
+        return terminal.result(&result, true, |_| String::new());
     }
     if out.is_none() {
-        output::line(made.text.trim_end())?;
+        terminal.line(made.text.trim_end())?;
     }
-    close(&made, name.as_deref(), &next);
+    remarks(&made, name.as_deref(), &next, terminal);
     Ok(())
 }
 
@@ -192,21 +202,21 @@ fn nameplate(file: &str, text: &str) -> Result<MotorSection, ConfigError> {
     }
 }
 
-/// What to know and what to do next, on stderr.
-fn close(made: &InitFile, name: Option<&str>, next: &[String]) {
+/// Remarks and the next steps, on stderr.
+fn remarks(made: &InitFile, name: Option<&str>, next: &[String], terminal: &Terminal) {
     for remark in &made.remarks {
-        output::message(&format!("remark: {remark}"));
+        terminal.message(&format!("remark: {remark}"));
     }
     let is_limit = |reason: &&Reasoned| reason.key.starts_with("limits.") && reason.value.is_some();
     let count = made.reasons.iter().filter(is_limit).count();
     let limits = format!("{count} limits, each with its reason");
-    output::message(&match name {
+    terminal.message(&match name {
         Some(name) => format!("{name}: {limits}"),
         None => format!("{limits}; redirect this into {NAMELESS}, or give --out"),
     });
-    output::message("next:");
+    terminal.message("next:");
     for line in next {
-        output::message(&format!("  {line}"));
+        terminal.message(&format!("  {line}"));
     }
 }
 

@@ -44,7 +44,9 @@ use std::process::ExitCode;
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
 
-use crate::runtime::{appearance, failure, output};
+use crate::runtime::appearance;
+use crate::runtime::failure::Failure;
+use crate::runtime::output::Terminal;
 use crate::tui::Appearance;
 
 /// Exit statuses, as `--help` prints them.
@@ -121,12 +123,13 @@ pub fn main() -> ExitCode {
 }
 
 /// Runs a program with the process's arguments: a usage error, like a failure, is printed as headline and help line.
-pub fn program<A: Parser>(execute: impl FnOnce(A) -> Result<(), failure::Failure>) -> ExitCode {
+pub fn program<A: Parser>(execute: impl FnOnce(A, &Terminal) -> Result<(), Failure>) -> ExitCode {
+    let terminal = Terminal::default();
     let done = match A::try_parse() {
-        Ok(arguments) => execute(arguments),
+        Ok(arguments) => execute(arguments, &terminal),
         Err(error) if error.use_stderr() => Err(usage_failure(&error, A::command())),
         Err(error) => {
-            // Help and version; a broken pipe there is nobody's concern.
+            // Help and version, perhaps into a pipe that is closed.
             let _ = error.print();
             Ok(())
         }
@@ -134,13 +137,13 @@ pub fn program<A: Parser>(execute: impl FnOnce(A) -> Result<(), failure::Failure
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            failure.print();
+            terminal.failure(&failure);
             ExitCode::from(failure.status)
         }
     }
 }
 
-fn execute(arguments: Arguments) -> Result<(), failure::Failure> {
+fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), Failure> {
     if let Some(theme) = arguments.theme {
         crossterm::style::force_color_output(theme != Theme::Mono);
     }
@@ -149,41 +152,41 @@ fn execute(arguments: Arguments) -> Result<(), failure::Failure> {
         takes_mouse: arguments.mouse,
     });
     let Some(command) = arguments.command else {
-        return output::text(&front::page(Path::new(".")));
+        return terminal.text(&front::page(Path::new(".")));
     };
     match command {
-        Command::Commission(arguments) => commission::execute(arguments),
-        Command::Emulate(arguments) => emulate::execute(arguments),
-        Command::Init(arguments) => init::execute(&arguments),
-        Command::Ports(arguments) => doctor::execute_ports(&arguments),
-        Command::Doctor(arguments) => doctor::execute(&arguments),
-        Command::Probe(arguments) => probe::execute(&arguments),
-        Command::Registers(arguments) => registers::execute(&arguments),
-        Command::Plan(arguments) => plan::execute(&arguments),
-        Command::Run(arguments) => run::execute(&arguments),
-        Command::Speed(arguments) => speed::execute(arguments),
-        Command::Identify(arguments) => identify::execute(&arguments),
-        Command::Analyse(arguments) => analyse::execute(&arguments),
-        Command::Replay(arguments) => replay::execute(&arguments),
-        Command::Simulate(arguments) => simulate::execute(&arguments),
-        Command::Test(arguments) => test::execute(arguments),
-        Command::Compare(arguments) => compare::execute(&arguments),
-        Command::View(arguments) => view::execute(&arguments),
-        Command::Bode(arguments) => bode::execute(&arguments),
-        Command::Diagnose(arguments) => diagnose::execute(&arguments),
-        Command::Add(arguments) => add::execute_add(&arguments),
-        Command::Remove(arguments) => add::execute_remove(&arguments),
-        Command::Effects(arguments) => effects::execute(&arguments),
-        Command::Tune(arguments) => tune::execute(&arguments),
-        Command::Export(arguments) => export::execute(&arguments),
-        Command::Report(arguments) => report::execute(&arguments),
+        Command::Commission(arguments) => commission::execute(arguments, terminal),
+        Command::Emulate(arguments) => emulate::execute(arguments, terminal),
+        Command::Init(arguments) => init::execute(&arguments, terminal),
+        Command::Ports(arguments) => doctor::execute_ports(&arguments, terminal),
+        Command::Doctor(arguments) => doctor::execute(&arguments, terminal),
+        Command::Probe(arguments) => probe::execute(&arguments, terminal),
+        Command::Registers(arguments) => registers::execute(&arguments, terminal),
+        Command::Plan(arguments) => plan::execute(&arguments, terminal),
+        Command::Run(arguments) => run::execute(&arguments, terminal),
+        Command::Speed(arguments) => speed::execute(arguments, terminal),
+        Command::Identify(arguments) => identify::execute(&arguments, terminal),
+        Command::Analyse(arguments) => analyse::execute(&arguments, terminal),
+        Command::Replay(arguments) => replay::execute(&arguments, terminal),
+        Command::Simulate(arguments) => simulate::execute(&arguments, terminal),
+        Command::Test(arguments) => test::execute(arguments, terminal),
+        Command::Compare(arguments) => compare::execute(&arguments, terminal),
+        Command::View(arguments) => view::execute(&arguments, terminal),
+        Command::Bode(arguments) => bode::execute(&arguments, terminal),
+        Command::Diagnose(arguments) => diagnose::execute(&arguments, terminal),
+        Command::Add(arguments) => add::execute_add(&arguments, terminal),
+        Command::Remove(arguments) => add::execute_remove(&arguments, terminal),
+        Command::Effects(arguments) => effects::execute(&arguments, terminal),
+        Command::Tune(arguments) => tune::execute(&arguments, terminal),
+        Command::Export(arguments) => export::execute(&arguments, terminal),
+        Command::Report(arguments) => report::execute(&arguments, terminal),
         Command::Reproduce(arguments) => reproduce::execute(&arguments),
-        Command::Completions(arguments) => shell::execute_completions(&arguments),
-        Command::Man(arguments) => shell::execute_man(&arguments),
+        Command::Completions(arguments) => shell::execute_completions(&arguments, terminal),
+        Command::Man(arguments) => shell::execute_man(&arguments, terminal),
     }
 }
 
-/// The command of a program that these words begin with, and how it is called.
+/// The command of a program that these arguments begin with, and how it is called.
 fn called(
     mut command: clap::Command,
     words: impl Iterator<Item = String>,
@@ -202,38 +205,27 @@ fn called(
 /// The first example of the command on its help page, which may show others on the way to it.
 fn example(command: &clap::Command, path: &str) -> Option<String> {
     let text = command.get_after_help()?.to_string();
-    let mut lines = text.lines().map(str::trim);
-    let line = lines.find(|line| line.starts_with(path))?;
-    // What it is for stands behind it.
+    let line = text.lines().map(str::trim).find(|line| line.starts_with(path))?;
+    // A remark stands behind it.
     Some(line.split("  ").next().unwrap_or(line).to_owned())
 }
 
-/// What the library that reads numbers says, in words of the reader.
-const WORDS: [(&str, &str); 6] = [
-    ("invalid digit found in string", "expected a whole number from 0"),
-    ("number too large to fit in target type", "it is too large"),
-    ("invalid float literal", "expected a number"),
-    ("cannot parse integer from empty string", "expected a whole number"),
-    ("cannot parse float from empty string", "expected a number"),
-    ("invalid socket address syntax", "expected ADDRESS:PORT, as 127.0.0.1:1502"),
-];
-
 /// clap's message as one headline and one help line, like every other error.
-fn usage_failure(error: &clap::Error, program: clap::Command) -> failure::Failure {
+fn usage_failure(error: &clap::Error, program: clap::Command) -> Failure {
     let (command, path) = called(program, std::env::args().skip(1));
     let page = format!("see {path} --help");
     if error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
         let below = command.get_subcommands().map(clap::Command::get_name);
         let below: Vec<&str> = below.filter(|name| *name != "help").collect();
         let headline = format!("{path}: no command is given (allowed: {})", below.join(", "));
-        return failure::Failure::usage(headline, page);
+        return Failure::usage(headline, page);
     }
     let text = error.render().to_string();
     let (mut headline, mut tip, mut usage) = (String::new(), None, None);
     for line in text.lines().map(str::trim).filter(|l| !l.is_empty()) {
         if let Some(found) = line.strip_prefix("tip: ") {
             // How to pass an option as a value is not what was meant.
-            tip = tip.or_else(|| found.contains("similar").then(|| meant(found)));
+            tip = tip.or_else(|| found.contains("similar").then(|| suggestion(found)));
         } else if let Some(found) = line.strip_prefix("Usage: ") {
             usage = Some(found);
             break;
@@ -247,8 +239,15 @@ fn usage_failure(error: &clap::Error, program: clap::Command) -> failure::Failur
     if let Some((head, allowed)) = headline.split_once(" [possible values: ") {
         headline = format!("{head} (allowed: {})", allowed.trim_end_matches(']'));
     }
-    for (theirs, ours) in WORDS {
-        headline = headline.replace(theirs, ours);
+    for (of_library, plain) in [
+        ("invalid digit found in string", "expected a whole number from 0"),
+        ("number too large to fit in target type", "it is too large"),
+        ("invalid float literal", "expected a number"),
+        ("cannot parse integer from empty string", "expected a whole number"),
+        ("cannot parse float from empty string", "expected a number"),
+        ("invalid socket address syntax", "expected ADDRESS:PORT, as 127.0.0.1:1502"),
+    ] {
+        headline = headline.replace(of_library, plain);
     }
     let unexpected = headline.strip_prefix("unexpected argument '");
     let is_option = unexpected.is_some_and(|word| word.starts_with('-'));
@@ -267,13 +266,13 @@ fn usage_failure(error: &clap::Error, program: clap::Command) -> failure::Failur
         }
         _ => page,
     };
-    failure::Failure::usage(headline, help)
+    Failure::usage(headline, help)
 }
 
-/// What clap takes to have been meant, in the words of our other errors.
-fn meant(tip: &str) -> String {
-    let names = tip.split('\'').skip(1).step_by(2);
-    let names: Vec<String> = names.map(|name| format!("`{name}`")).collect();
+/// clap's suggestion in the form of our other errors.
+fn suggestion(tip: &str) -> String {
+    let names: Vec<String> =
+        tip.split('\'').skip(1).step_by(2).map(|name| format!("`{name}`")).collect();
     format!("did you mean {}?", names.join(" or "))
 }
 

@@ -1,4 +1,4 @@
-//! Fills in the report pages from what a run, a commissioning, or a diagnosis of recorded runs left.
+//! The documents of a run, a commissioning, a diagnosis and a comparison, from their records.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ use crate::report::{
 };
 use crate::runtime::failure::Failure;
 use crate::runtime::files::{Recorded, early_end};
-use crate::runtime::output;
+use crate::runtime::output::Terminal;
 use crate::runtime::rig::Rig;
 use crate::tui::StoppedAt;
 use crate::workflow::{CommissionResult, Truth};
@@ -22,16 +22,17 @@ use drivebench_identify::noise::NoiseFloor;
 use drivebench_model::plant::{Input, Model, Motor, Scenario};
 use drivebench_model::sample::Channel;
 
-/// Writes the page of one run into its folder; where there is none that is said.
+/// Writes the page of one run into its folder.
 pub(crate) fn write_run(
     recorded: &mut Recorded,
     plan: Option<&Plan>,
     nameplate: &Motor,
     speed_loop: Option<&Document>,
+    terminal: &Terminal,
 ) {
     match run(recorded, plan, nameplate, speed_loop) {
         Ok(page) => drop(recorded.write(RunFile::Report, &page)),
-        Err(failure) => output::message(&format!("no report: {}", failure.headline())),
+        Err(failure) => terminal.message(&format!("no report: {}", failure.headline())),
     }
 }
 
@@ -84,8 +85,8 @@ pub(crate) fn last_seconds(manifest: &Manifest) -> Option<LastSeconds> {
     })
 }
 
-/// Of the model that a diagnosis began with and, where it added anything, of the one that it found: free runs over the run that
-/// shows them, where it has a voltage, and the curve of each effect that was found; where none was found, that of the error.
+/// Free runs of the model before and, where effects were found, after the diagnosis over `run`, where that has a voltage; and
+/// the curve of each effect, or where none was found that of the error.
 fn shown_on(
     found: &Diagnosis,
     run: Option<&Scenario>,
@@ -97,12 +98,10 @@ fn shown_on(
     let (before, after) = (&found.baseline.model, &found.model.model);
     let after = Some(after).filter(|_| !found.effects.is_empty());
     let series = ConfirmRun::of(before, after, run, noise)?;
+    let effects = found.effects.iter().copied().map(Some);
     let mut curves = Vec::new();
-    if found.effects.is_empty() {
-        curves.extend(found.curve_of(None, run, noise)?);
-    }
-    for id in &found.effects {
-        curves.extend(found.curve_of(Some(*id), run, noise)?);
+    for effect in effects.chain(found.effects.is_empty().then_some(None)) {
+        curves.extend(found.curve_of(effect, run, noise)?);
     }
     Ok((Some(series), curves))
 }
@@ -123,7 +122,7 @@ pub(crate) fn commission(
         context.plan.push(fact("burst capture", burst.text()));
     }
     let diagnosis = &result.diagnosis;
-    let nameplate = Model::baseline(rig.plate.clone());
+    let nameplate = Model::baseline(rig.nameplate_motor.clone());
     let noise = &diagnosis.model.noise;
     let (series, curves) = shown_on(diagnosis, scenarios.get(2), noise)?;
     let truth: Vec<String> = result.truth.iter().map(Truth::sentence).collect();
@@ -211,9 +210,9 @@ pub(crate) fn comparison(
 }
 
 /// Writes a page where none is yet.
-pub(crate) fn write(path: &Path, html: &str) -> Result<(), Failure> {
-    output::file(path, html)?;
-    output::message(&format!("page written to {}", path.display()));
+pub(crate) fn write(path: &Path, html: &str, terminal: &Terminal) -> Result<(), Failure> {
+    terminal.file(path, html)?;
+    terminal.message(&format!("page written to {}", path.display()));
     Ok(())
 }
 
@@ -232,8 +231,10 @@ fn of_data(about: &About, run: &LoadedRun) -> Context {
 pub(crate) fn table(value: &Value) -> Facts {
     let text = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
     let entries = value.as_object().into_iter().flatten();
-    let told = entries.filter(|(_, value)| !value.is_null() && !value.is_array());
-    told.map(|(key, value)| fact(&key.replace('_', " "), text(value))).collect()
+    entries
+        .filter(|(_, value)| !value.is_null() && !value.is_array())
+        .map(|(key, value)| fact(&key.replace('_', " "), text(value)))
+        .collect()
 }
 
 /// How the run was stopped, where its output was on.
@@ -268,8 +269,7 @@ pub(crate) fn timing(manifest: &Manifest) -> Facts {
         rate.map(|(achieved, asked)| fact("rate", format!("{achieved:.1} of {asked:.0} Hz"))),
         (manifest.missed_cycles).map(|missed| fact("missed cycles", missed.to_string())),
         late.map(|(p50_s, p99_s)| {
-            let (p50_ms, p99_ms) = (1e3 * p50_s, 1e3 * p99_s);
-            let lateness = format!("{p50_ms:.2} ms, {p99_ms:.2} ms");
+            let lateness = format!("{:.2} ms, {:.2} ms", 1e3 * p50_s, 1e3 * p99_s);
             fact("lateness, median and 99 %", lateness)
         }),
         stop(manifest).map(|stop| fact("stop", stop.sentence())),
@@ -300,7 +300,7 @@ pub(crate) fn context(manifest: &Manifest, folders: &[impl AsRef<Path>]) -> Cont
     }
 }
 
-/// A folder's stamp as people write it; one that is none as it stands.
+/// The stamp of a folder as a date; another text as it is.
 fn date(stamp: &str) -> String {
     let parsed = jiff::civil::DateTime::strptime("%Y%m%dT%H%M%SZ", stamp);
     parsed.map_or_else(
@@ -309,22 +309,21 @@ fn date(stamp: &str) -> String {
     )
 }
 
-/// What the bench file of a run calls its motor.
+/// Name of the motor in the bench file of a run.
 fn motor(manifest: &Manifest) -> String {
-    let bench = manifest.configs.get("bench");
-    let bench = bench.and_then(|text| text.parse::<toml::Table>().ok());
-    let name = bench.as_ref().and_then(|bench| bench.get("motor")?.get("name")?.as_str());
-    name.unwrap_or_default().to_owned()
+    let bench: Option<toml::Table> =
+        manifest.configs.get("bench").and_then(|text| text.parse().ok());
+    bench
+        .and_then(|bench| Some(bench.get("motor")?.get("name")?.as_str()?.to_owned()))
+        .unwrap_or_default()
 }
 
 fn plan_facts(plan: &Plan) -> Facts {
     let (peak_a, times) = (plan.peak_current_a, plan.peak_current_ratio);
-    let current = format!("{peak_a:.1} A ({times:.1} times rated)");
-    let speed = format!("{:.0} rad/s", plan.peak_speed_rad_s);
     vec![
         fact("duration", format!("{:.1} s", plan.duration_s)),
-        fact("predicted peak current", current),
-        fact("predicted peak speed", speed),
+        fact("predicted peak current", format!("{peak_a:.1} A ({times:.1} times rated)")),
+        fact("predicted peak speed", format!("{:.0} rad/s", plan.peak_speed_rad_s)),
         fact("predicted copper loss", format!("{:.0} J", plan.copper_loss_j)),
     ]
 }

@@ -1,6 +1,4 @@
-//! `plan`: what a sequence will do to the motor, before anything is energised.
-//!
-//! Forecast of a sequence before anything is energised: the plan of the motor and that of the line.
+//! `plan`: forecast of a sequence before anything is energised: the plan of the motor and that of the line.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -10,7 +8,7 @@ use serde::Serialize;
 use crate::runtime::failure::Failure;
 use crate::runtime::files::read_text;
 use crate::runtime::opening::wired_profile;
-use crate::runtime::output;
+use crate::runtime::output::Terminal;
 use crate::runtime::output::lines;
 use drivebench_bench::{
     BenchFile, BenchFileError, EMBEDDED_DEFAULT, EMBEDDED_NAME, Foresight, Plan, Port, Reference,
@@ -22,7 +20,7 @@ use drivebench_link::{DriveProfile, LineBudget, LostReply, offer};
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  drivebench plan bench-configs/benches/zk-22fc-emulated.toml\n\n\
-A motor that is not known (motor.unknown = true, or values left out) is found from small steps first: then the plan tells the\n\
+A motor that is not known (motor.unknown = true, or values left out) is found from small steps first: then the plan shows the\n\
 first of them and what follows. Where only load_torque_n_m is left out, the sequence is predicted without friction."
 )]
 pub(super) struct Arguments {
@@ -33,13 +31,13 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     let (file, source) = match &arguments.bench {
         Some(path) => (path.display().to_string(), read_text(path)?),
         None => (EMBEDDED_NAME.to_owned(), EMBEDDED_DEFAULT.to_owned()),
     };
     let found = forecast(&file, &source)?;
-    output::result(&found, arguments.json, |found| match found {
+    terminal.result(&found, arguments.json, |found| match found {
         Forecast::Known(known) => known_text(known),
         Forecast::Unknown(unknown) => unknown_text(unknown),
     })?;
@@ -55,24 +53,27 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
 
 fn unknown_text(unknown: &Unknown) -> String {
     let mut text = "the motor is not known: before the sequence it is found from small steps, each as large as the one before allows\n".to_owned();
-    if let Some(told) = &unknown.escalation {
-        let first = &told.first;
+    if let Some(steps) = &unknown.escalation {
+        let first = &steps.first;
         let _ = writeln!(
             text,
             "\nfirst stage ({}): up to {:.3} V, {:.1} V/s, {:.1} s; ends with {:.2} A or {:.2} rad/s",
             first.kind.name(),
             first.peak_v,
             first.slew_v_per_s,
-            told.duration_s,
+            steps.duration_s,
             first.stop_current_a,
             first.stop_speed_rad_s
         );
-        lines(&mut text, "then ", &told.next);
+        lines(&mut text, "then ", &steps.next);
         let _ = writeln!(
             text,
             "in every stage a run ends beyond {:.1} A, {:.0} rad/s, {:.0} V, or after {:.2} s without a reply. What the sequence does \
              is planned for the motor that was found, and made smaller where that asks for it",
-            told.current_limit_a, told.speed_limit_rad_s, told.voltage_limit_v, told.link_silence_s
+            steps.current_limit_a,
+            steps.speed_limit_rad_s,
+            steps.voltage_limit_v,
+            steps.link_silence_s
         );
     }
     lines(&mut text, "\n", unknown.line.as_ref().map(line_text));
@@ -161,10 +162,9 @@ fn line_text(line: &LineBudget) -> String {
     text
 }
 
-/// What can be said of a bench file.
 #[derive(Serialize)]
 #[serde(untagged)]
-pub(crate) enum Forecast {
+enum Forecast {
     /// The plan of the motor and that of the line.
     Known(Box<Known>),
     /// What is settled for a motor that is not known.
@@ -172,30 +172,30 @@ pub(crate) enum Forecast {
 }
 
 #[derive(Serialize)]
-pub(crate) struct Known {
+struct Known {
     #[serde(flatten)]
-    pub(crate) plan: Plan,
+    plan: Plan,
     /// Of a drive that takes no voltage: the plan of the sequence then moves nothing. `null`: the sequence is what moves.
-    pub(crate) reference: Option<Forward>,
+    reference: Option<Forward>,
     /// `null` where no serial line is involved.
-    pub(crate) line: Option<LineBudget>,
+    line: Option<LineBudget>,
 }
 
 #[derive(Serialize)]
-pub(crate) struct Unknown {
-    pub(crate) escalation: Option<Foresight>,
-    pub(crate) line: Option<LineBudget>,
-    pub(crate) warnings: Vec<String>,
+struct Unknown {
+    escalation: Option<Foresight>,
+    line: Option<LineBudget>,
+    warnings: Vec<String>,
 }
 
-/// What the reference of a speed run asks for, and what bounds it.
+/// The reference of a speed run, and its limits.
 #[derive(Serialize)]
-pub(crate) struct Forward {
-    pub(crate) duration_s: f64,
-    pub(crate) peak_speed_rad_s: f64,
-    pub(crate) speed_limit_rad_s: f64,
-    pub(crate) current_limit_a: f64,
-    pub(crate) time_limit_s: f64,
+struct Forward {
+    duration_s: f64,
+    peak_speed_rad_s: f64,
+    speed_limit_rad_s: f64,
+    current_limit_a: f64,
+    time_limit_s: f64,
 }
 
 impl Forward {
@@ -211,8 +211,8 @@ impl Forward {
     }
 }
 
-/// Predicts what the bench file `file`, with the text `source`, asks for.
-pub(crate) fn forecast(file: &str, source: &str) -> Result<Forecast, Failure> {
+/// Predicts the sequence of the bench file `file` with the text `source`.
+fn forecast(file: &str, source: &str) -> Result<Forecast, Failure> {
     let mut bench = BenchFile::parse(file, source)?;
     let in_file = |name: &str, error| BenchFileError::Sequence { file: name.to_owned(), error };
     let program = bench.program(bench.runs.fit);
@@ -233,7 +233,7 @@ pub(crate) fn forecast(file: &str, source: &str) -> Result<Forecast, Failure> {
         bench.motor = assumed.into();
         warnings.push(
             "motor.load_torque_n_m is left out: 0 N.m is assumed, the friction is not known. The motor will draw more current and turn \
-             slower than is told here by as much as its friction asks for; `drivebench run` and `commission` find the motor from small \
+             slower than is predicted here, by its friction; `drivebench run` and `commission` find the motor from small \
              steps first"
                 .to_owned(),
         );
@@ -256,7 +256,7 @@ pub(crate) fn forecast(file: &str, source: &str) -> Result<Forecast, Failure> {
     plan.warnings.extend(warnings);
     if rate_hz < asked_hz {
         plan.warnings.push(format!(
-            "{asked_hz} Hz is asked, the line carries {rate_hz:.0} Hz: cycles will be missed, and the prospects above are \
+            "{asked_hz} Hz is requested, the line carries {rate_hz:.0} Hz: cycles will be missed, and the prospects above are \
              those of {rate_hz:.0} Hz"
         ));
     }

@@ -1,12 +1,5 @@
-//! `probe`: is this the drive of that profile, and are its registers where the profile says? Only read.
-//!
-//! ```text
-//! --drive    -> app::survey::look -> drive::probe -> ProbeReport -> text or JSON, exit status by its verdict
-//! no --drive -> app::survey::survey: every built-in profile in turn
-//! ```
-//!
-//! Drives and units that are only looked at: which settings answer, which profile fits, what a drive says of itself. Nothing
-//! is written to them.
+//! `probe`: is this the drive of that profile, and are its registers where the profile has them? Without a profile: which of
+//! the built-in ones fits? Nothing is written to the drive. With what `init` reads of a drive, and the scan of `doctor`.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -16,9 +9,10 @@ use serde::Serialize;
 
 use crate::commands::arguments::framing;
 use crate::runtime::failure::{Failure, LINK, REFUSED};
+use crate::runtime::opening;
 use crate::runtime::opening::{Tap, address, serve};
+use crate::runtime::output::Terminal;
 use crate::runtime::output::lines;
-use crate::runtime::{opening, output};
 use drivebench_bench::{MonotonicClock, Port, Readback};
 use drivebench_emulator::{EmulatorConfig, Guise, ServerHandle};
 use drivebench_link as drive;
@@ -28,10 +22,6 @@ use drivebench_link::{
     RawClient, RawSettings, ReadRequest, Target, open_stream, probe, probe_stream,
 };
 use drivebench_model::text::number::{reading, with_unit};
-
-/// Time for one reply where a drive is known, and where every profile is tried, ms.
-const TIMEOUT_MS: u64 = 1000;
-const SURVEY_TIMEOUT_MS: u64 = 300;
 
 /// Look at a drive, read-only: identity, every mapped signal, and whether they are those of a drive at rest
 #[derive(clap::Args)]
@@ -77,8 +67,8 @@ pub(super) struct Arguments {
 }
 
 impl Arguments {
-    fn asking(&self, timeout_ms: u64) -> Asking {
-        Asking {
+    fn line(&self, timeout_ms: u64) -> LineOptions {
+        LineOptions {
             baud: self.baud,
             framing: self.framing,
             unit: self.unit,
@@ -88,22 +78,20 @@ impl Arguments {
     }
 }
 
-pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
-    let tap = Tap::create(arguments.tap.as_deref())?;
+pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
+    let tap = Tap::create(arguments.tap.as_deref(), terminal)?;
     let Some(drive) = &arguments.drive else {
-        let asking = arguments.asking(SURVEY_TIMEOUT_MS);
-        let found = survey(&arguments.port, &asking, &tap)?;
-        output::result(&found, arguments.json, survey_text)?;
+        let found = survey(&arguments.port, &arguments.line(300), &tap, terminal)?;
+        terminal.result(&found, arguments.json, survey_text)?;
         return found.verdict();
     };
     let (profile, _) = opening::profile(drive)?;
-    let end = far_end(&arguments.port, &profile)?;
-    let report = look(&end, &profile, &arguments.asking(TIMEOUT_MS), &tap)?;
-    output::result(&report, arguments.json, report_text)?;
+    let end = far_end(&arguments.port, &profile, terminal)?;
+    let report = look(&end, &profile, &arguments.line(1000), &tap)?;
+    terminal.result(&report, arguments.json, report_text)?;
     verdict(&report)
 }
 
-/// The failure that the verdict is.
 fn verdict(report: &ProbeReport) -> Result<(), Failure> {
     let advises = report.signals.iter().any(|s| !s.candidates.is_empty());
     let (status, help) = match report.verdict {
@@ -132,10 +120,6 @@ fn verdict(report: &ProbeReport) -> Result<(), Failure> {
     Err(Failure::with_help(status, &report.sentence, help))
 }
 
-/// Candidates on the screen; all are in the JSON.
-const SHOWN: usize = 4;
-
-/// What a probe found, for a person.
 fn report_text(report: &ProbeReport) -> String {
     let mut text = format!("{}\n", report.provenance);
     let mut line = |name: &str, what: String| {
@@ -143,11 +127,11 @@ fn report_text(report: &ProbeReport) -> String {
     };
     if let Some(identity) = &report.identity {
         line("identity", identity.plate());
-        let told = |value: Option<f64>, unit| {
-            value.map_or_else(|| "not told".to_owned(), |value| format!("{value} {unit}"))
+        let limit = |value: Option<f64>, unit| {
+            value.map_or_else(|| "not reported".to_owned(), |value| format!("{value} {unit}"))
         };
-        let current = told(identity.current_limit_a, "A");
-        let voltage = told(identity.voltage_limit_v, "V");
+        let current = limit(identity.current_limit_a, "A");
+        let voltage = limit(identity.voltage_limit_v, "V");
         line("limits", format!("current {current}, voltage {voltage}"));
     }
     if !report.names.is_empty() {
@@ -160,8 +144,7 @@ fn report_text(report: &ProbeReport) -> String {
     }
     for check in &report.checks {
         let passed = if check.passed { "ok" } else { "FAILED" };
-        let (what, found) = (&check.what, &check.found);
-        line("check", format!("{passed}: {what} (found {found})"));
+        line("check", format!("{passed}: {} (found {})", check.what, check.found));
     }
     if !report.states.is_empty() {
         let states = report.states.iter().map(|state| {
@@ -184,11 +167,10 @@ fn report_text(report: &ProbeReport) -> String {
     }
     let _ = writeln!(text);
     for other in &report.hypotheses {
-        let (change, plausible, judged) = (&other.change, other.plausible, other.judged);
-        let now = other.as_written;
         let _ = writeln!(
             text,
-            "with {change} {plausible} of {judged} readings would be plausible, as the profile is {now}: is the profile right?"
+            "with {} {} of {} readings would be plausible, as the profile is {}: is the profile right?",
+            other.change, other.plausible, other.judged, other.as_written
         );
     }
     lines(&mut text, "remark: ", &report.remarks);
@@ -197,13 +179,12 @@ fn report_text(report: &ProbeReport) -> String {
 }
 
 fn signal_text(signal: &ProbedSignal) -> String {
-    let value = signal.value.map(|value| quantity(value, signal.unit));
-    let value = value.unwrap_or_else(|| "none".to_owned());
-    let raw = signal.raw.as_ref().map(|words| {
-        let words = words.iter().map(|word| format!("{word:04x}"));
-        words.collect::<Vec<_>>().join(" ")
-    });
-    let raw = raw.unwrap_or_else(|| "-".to_owned());
+    let quantity = |value: f64| with_unit(&reading(value), signal.unit);
+    let value = signal.value.map_or_else(|| "none".to_owned(), quantity);
+    let raw = signal.raw.as_ref().map_or_else(
+        || "-".to_owned(),
+        |words| words.iter().map(|word| format!("{word:04x}")).collect::<Vec<_>>().join(" "),
+    );
     let judgement = match (signal.plausible, &signal.missing, signal.expected) {
         (Some(false), Some(missing), _) => format!("not plausible: {missing}"),
         (_, Some(missing), _) => format!("missing: {missing}"),
@@ -222,18 +203,14 @@ fn signal_text(signal: &ProbedSignal) -> String {
     };
     let mut text =
         format!("{:<16} {value:>14}  {raw:<10} {register:<14} {judgement}\n", signal.name);
-    for candidate in signal.candidates.iter().take(SHOWN) {
+    // All candidates are in the JSON.
+    for candidate in signal.candidates.iter().take(4) {
         let ending = if candidate.plausible { ", plausible: is the profile right?" } else { "" };
         let (change, name) = (&candidate.change, &signal.name);
-        let value = quantity(candidate.value, signal.unit);
+        let value = quantity(candidate.value);
         let _ = writeln!(text, "    with {change} {name} would be {value}{ending}");
     }
     text
-}
-
-/// A value with its unit, short.
-fn quantity(value: f64, unit: &str) -> String {
-    with_unit(&reading(value), unit)
 }
 
 fn survey_text(survey: &Survey) -> String {
@@ -249,32 +226,19 @@ fn survey_text(survey: &Survey) -> String {
     text
 }
 
-/// Time for one reply of a drive that is asked for its limits.
-const REPLY_TIMEOUT: Duration = Duration::from_secs(1);
-/// Seed of the software drive that is only looked at.
-const SEED: u64 = 1;
 /// Between two openings of a port: what is under way at the old baud rate must be over, and our software drive needs a
 /// moment for a fresh pseudo-terminal.
 const SETTLING: Duration = Duration::from_millis(100);
-/// The slowest drives answer in 60 ms; wire and adapter come on top.
-const PATIENCE: Duration = Duration::from_millis(120);
-/// In the order of how common they are on drives.
-const BAUDS: [u32; 7] = [9600, 19_200, 115_200, 38_400, 57_600, 230_400, 4800];
-const FRAMINGS: [Framing; 4] =
-    [Framing::EightNoneOne, Framing::EightEvenOne, Framing::EightOddOne, Framing::EightNoneTwo];
-
-/// How a unit on the line is asked; what is `None` comes from the profile.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Asking {
-    pub(crate) baud: Option<u32>,
-    pub(crate) framing: Option<Framing>,
-    pub(crate) unit: Option<u8>,
-    pub(crate) timeout: Duration,
-    pub(crate) gap_us: Option<u64>,
+/// Settings of a line; `None`: that of the profile.
+struct LineOptions {
+    baud: Option<u32>,
+    framing: Option<Framing>,
+    unit: Option<u8>,
+    timeout: Duration,
+    gap_us: Option<u64>,
 }
 
-impl Asking {
-    /// With everything that the profile says of its line.
+impl LineOptions {
     fn settings(&self, profile: &DriveProfile) -> RawSettings {
         let link = &profile.link;
         let profiled_gap = link.gap_us.map(|us| Duration::from_secs_f64(us * 1e-6));
@@ -289,14 +253,14 @@ impl Asking {
 }
 
 /// The far end of a port, and the software drive behind it where it is ours.
-pub(crate) struct FarEnd {
+struct FarEnd {
     target: Target,
     /// Dropping it ends the emulator.
     _server: Option<ServerHandle>,
 }
 
 /// A port that leads to a wire; `emulator` starts the software drive as `profile` describes it.
-pub(crate) fn far_end(port: &str, profile: &DriveProfile) -> Result<FarEnd, Failure> {
+fn far_end(port: &str, profile: &DriveProfile, terminal: &Terminal) -> Result<FarEnd, Failure> {
     const ALLOWED: &str =
         "a serial port, tcp:HOST:PORT or emulator; `drivebench ports` lists what is plugged in";
     let unknown = || Failure::usage(format!("--port {port:?} is not a port"), ALLOWED);
@@ -310,8 +274,8 @@ pub(crate) fn far_end(port: &str, profile: &DriveProfile) -> Result<FarEnd, Fail
             let mut config = EmulatorConfig::embedded_default();
             config.line.baud = profile.link.baud;
             let protocol = profile.link.protocol;
-            let handle = serve(protocol, config, SEED, Guise::of(profile))?;
-            output::message(&format!("software drive {}", handle.ready_line()));
+            let handle = serve(protocol, config, 1, Guise::of(profile))?;
+            terminal.message(&format!("software drive {}", handle.ready_line()));
             (address(protocol, &handle), Some(handle))
         }
         Port::Tcp(_) | Port::Serial(_) => (port.to_owned(), None),
@@ -319,14 +283,14 @@ pub(crate) fn far_end(port: &str, profile: &DriveProfile) -> Result<FarEnd, Fail
     Ok(FarEnd { target: address.parse()?, _server: server })
 }
 
-/// Looks at the drive with its profile.
-pub(crate) fn look(
+/// Probes the drive with its profile.
+fn look(
     far_end: &FarEnd,
     profile: &DriveProfile,
-    asking: &Asking,
+    line: &LineOptions,
     tap: &Tap,
 ) -> Result<ProbeReport, Failure> {
-    let settings = asking.settings(profile);
+    let settings = line.settings(profile);
     if profile.link.protocol == drive::Protocol::Stream {
         let mut profile = profile.clone();
         (profile.link.baud, profile.link.framing) = (settings.baud, settings.framing);
@@ -338,58 +302,63 @@ pub(crate) fn look(
     Ok(probe(&mut client, profile, ProbeDepth::Whole)?)
 }
 
-/// What the drive says of itself; nothing is written to it.
-pub(crate) fn told(
+/// Limits and watchdog as the drive reports them; nothing is written to it.
+pub(crate) fn read_limits(
     port: &str,
     drive: &str,
-    offline: bool,
     profile: &DriveProfile,
+    terminal: &Terminal,
 ) -> Result<Readback, Failure> {
-    if offline {
-        return Ok(Readback { is_offline: true, ..Readback::default() });
-    }
     if Port::parse(port).is_some_and(|port| port.is_virtual()) {
-        return Ok(told_in_memory(profile));
+        return Ok(limits_in_memory(profile));
     }
-    let asking = Asking { timeout: REPLY_TIMEOUT, ..Asking::default() };
-    let none = Tap::create(None)?;
-    let reached = far_end(port, profile).and_then(|end| look(&end, profile, &asking, &none));
-    let report = reached.map_err(|failure| {
+    let line = LineOptions {
+        baud: None,
+        framing: None,
+        unit: None,
+        timeout: Duration::from_secs(1),
+        gap_us: None,
+    };
+    let no_tap = Tap::create(None, terminal)?;
+    let probed =
+        far_end(port, profile, terminal).and_then(|end| look(&end, profile, &line, &no_tap));
+    let report = probed.map_err(|failure| {
         let help = "check cable, power and address (`drivebench doctor --port PORT`), or give --offline: the file then says that the drive's limits were not read back";
         Failure::with_help(failure.status, failure.headline(), help)
     })?;
     if matches!(report.verdict, ProbeVerdict::Plausible | ProbeVerdict::Unjudged) {
-        return Ok(of_report(&report));
+        return Ok(limits_of(&report));
     }
     Err(Failure::link(
-        format!("what the drive says is not believed: {}", report.sentence),
+        format!("the readings of the drive are not plausible: {}", report.sentence),
         format!(
-            "`drivebench probe --port {port} --drive {drive}` shows every reading; --offline makes the file without asking the drive"
+            "`drivebench probe --port {port} --drive {drive}` shows every reading; --offline makes the file without the drive"
         ),
     ))
 }
 
-fn of_report(report: &ProbeReport) -> Readback {
+fn limits_of(report: &ProbeReport) -> Readback {
     let identity = report.identity.as_ref();
     let who = match (identity, report.names.is_empty()) {
         (_, false) => report.names.join(", "),
         (Some(identity), true) => format!("serial {}", identity.serial_number),
-        (None, true) => "it does not say who it is".to_owned(),
+        (None, true) => "it has no identification".to_owned(),
     };
-    let current_a = identity.and_then(|found| found.current_limit_a);
-    let voltage_v = identity.and_then(|found| found.voltage_limit_v);
     Readback {
         is_offline: false,
         who: format!("{who}; {}", report.sentence),
-        current_limit_a: current_a.or(report.value_of(Quantity::CurrentLimit)),
-        voltage_limit_v: voltage_v.or(report.value_of(Quantity::VoltageLimit)),
+        current_limit_a: identity
+            .and_then(|found| found.current_limit_a)
+            .or(report.value_of(Quantity::CurrentLimit)),
+        voltage_limit_v: identity
+            .and_then(|found| found.voltage_limit_v)
+            .or(report.value_of(Quantity::VoltageLimit)),
         bus_v: report.value_of(Quantity::BusVoltage),
         watchdog_s: report.watchdog_s,
     }
 }
 
-/// The software drive in memory is what its file says.
-fn told_in_memory(profile: &DriveProfile) -> Readback {
+fn limits_in_memory(profile: &DriveProfile) -> Readback {
     let config = EmulatorConfig::embedded_default();
     let is_ours = profile.registers.is_none();
     let watchdog_s = 1e-3 * f64::from(config.watchdog_ms);
@@ -403,7 +372,6 @@ fn told_in_memory(profile: &DriveProfile) -> Readback {
     }
 }
 
-/// What a scan has found.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub(crate) struct Scan {
     /// Settings that were tried.
@@ -413,14 +381,19 @@ pub(crate) struct Scan {
     pub(crate) units: Vec<u8>,
 }
 
-/// Asks until something answers, first with `settings`, which get those that did. Only function code 03 is asked: every
-/// Modbus unit answers it, if only with an exception.
+/// Tries lines until a unit answers, first with `settings`, which become those of the answer. Only function code 03 is sent:
+/// every Modbus unit answers it, if only with an exception.
 pub(crate) fn scan(
     target: &Target,
     settings: &mut RawSettings,
     (first, last): (u8, u8),
     tap: &Tap,
+    terminal: &Terminal,
 ) -> Result<Scan, Failure> {
+    // In the order of how common they are on drives.
+    const BAUDS: [u32; 7] = [9600, 19_200, 115_200, 38_400, 57_600, 230_400, 4800];
+    const FRAMINGS: [Framing; 4] =
+        [Framing::EightNoneOne, Framing::EightEvenOne, Framing::EightOddOne, Framing::EightNoneTwo];
     let is_serial = matches!(target, Target::Serial { .. });
     let mut scan = Scan::default();
     let given = (settings.baud, settings.framing);
@@ -431,19 +404,16 @@ pub(crate) fn scan(
     }
     for (baud, framing) in lines {
         scan.tried += 1;
-        output::message(&if is_serial {
-            format!("asking at {baud} {}", framing.name())
+        terminal.message(&if is_serial {
+            format!("trying {baud} {}", framing.name())
         } else {
-            format!("asking units {first} to {last}")
+            format!("trying units {first} to {last}")
         });
+        // The slowest drives answer in 60 ms; wire and adapter add to that.
         let bits = f64::from(framing.bits_per_char()) * 32.0;
-        let wire_time = Duration::from_secs_f64(bits / f64::from(baud));
-        let here = RawSettings {
-            baud,
-            framing,
-            timeout: settings.timeout.min(PATIENCE + wire_time),
-            ..*settings
-        };
+        let patience = Duration::from_secs_f64(0.12 + bits / f64::from(baud));
+        let here =
+            RawSettings { baud, framing, timeout: settings.timeout.min(patience), ..*settings };
         let mut client = RawClient::open(target, &here, tap.file())?;
         for unit in first..=last {
             client.set_unit(unit);
@@ -467,10 +437,10 @@ pub(crate) fn scan(
 /// Whether a profile may be the drive's; the likelier ones first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub(crate) enum Fit {
+enum Fit {
     /// Its identity checks hold.
     Matches,
-    /// Nothing speaks against it, and the profile has nothing by which the drive could be known.
+    /// Nothing contradicts it, and the profile has no check that would prove the drive.
     CannotBeTold,
     No,
     NoAnswer,
@@ -478,7 +448,7 @@ pub(crate) enum Fit {
 }
 
 impl Fit {
-    pub(crate) const fn text(self) -> &'static str {
+    const fn text(self) -> &'static str {
         match self {
             Self::Matches => "matches",
             Self::CannotBeTold => "cannot be told",
@@ -489,26 +459,25 @@ impl Fit {
     }
 }
 
-/// One profile and what speaks for or against it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(crate) struct Tried {
-    pub(crate) profile: String,
-    pub(crate) fit: Fit,
-    pub(crate) reason: String,
+struct Tried {
+    profile: String,
+    fit: Fit,
+    reason: String,
 }
 
 /// Which built-in profile could the drive on this line be?
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(crate) struct Survey {
-    pub(crate) link: String,
+struct Survey {
+    link: String,
     /// Vendor, product and revision as the unit gives them (function code 43).
-    pub(crate) names: Vec<String>,
-    pub(crate) profiles: Vec<Tried>,
+    names: Vec<String>,
+    profiles: Vec<Tried>,
 }
 
 impl Survey {
     /// Success where a profile remains.
-    pub(crate) fn verdict(&self) -> Result<(), Failure> {
+    fn verdict(&self) -> Result<(), Failure> {
         let link = &self.link;
         match self.profiles.iter().map(|tried| tried.fit).min() {
             Some(Fit::Matches | Fit::CannotBeTold) => Ok(()),
@@ -531,34 +500,39 @@ impl Survey {
 }
 
 /// Tries each profile at its own baud rate.
-pub(crate) fn survey(port: &str, asking: &Asking, tap: &Tap) -> Result<Survey, Failure> {
-    let named = DriveProfile::names().filter_map(|name| DriveProfile::named(name).ok());
-    let profiles: Vec<DriveProfile> = named.collect();
+fn survey(
+    port: &str,
+    options: &LineOptions,
+    tap: &Tap,
+    terminal: &Terminal,
+) -> Result<Survey, Failure> {
+    let profiles: Vec<DriveProfile> =
+        DriveProfile::names().filter_map(|name| DriveProfile::named(name).ok()).collect();
     let Some(first) = profiles.first().filter(|_| port != "emulator") else {
         return Err(Failure::usage(
-            "--port emulator answers as the profile that is asked for",
+            "--port emulator answers as the profile that is requested",
             "name it with --drive; without --drive give a serial port or tcp:HOST:PORT",
         ));
     };
-    let far_end = far_end(port, first)?;
+    let far_end = far_end(port, first, terminal)?;
     let mut survey =
         Survey { link: far_end.target.to_string(), names: Vec::new(), profiles: Vec::new() };
     // Profiles of one line are tried over one opening of the port.
     let mut lines: Vec<(RawSettings, Vec<&DriveProfile>)> = Vec::new();
     for profile in &profiles {
         if profile.link.protocol == drive::Protocol::Stream {
-            let reason = "its frames are no Modbus: ask for it with --drive";
+            let reason = "its frames are no Modbus: try it with --drive";
             survey.push(profile, Fit::NotTried, reason.to_owned());
             continue;
         }
-        let settings = asking.settings(profile);
+        let settings = options.settings(profile);
         match lines.iter_mut().find(|(line, _)| *line == settings) {
             Some((_, of_line)) => of_line.push(profile),
             None => lines.push((settings, vec![profile])),
         }
     }
     for (settings, of_line) in lines {
-        try_line(&far_end, &settings, &of_line, tap, &mut survey)?;
+        try_line(&far_end, &settings, &of_line, tap, &mut survey, terminal)?;
         std::thread::sleep(SETTLING);
     }
     survey.profiles.sort_by_key(|tried| tried.fit);
@@ -571,13 +545,14 @@ fn try_line(
     profiles: &[&DriveProfile],
     tap: &Tap,
     survey: &mut Survey,
+    terminal: &Terminal,
 ) -> Result<(), Failure> {
     let (baud, framing, unit) = (settings.baud, settings.framing.name(), settings.unit);
     let line = match far_end.target {
         Target::Serial { .. } => format!("{baud} {framing} unit {unit}"),
         Target::Tcp { .. } => format!("unit {unit}"),
     };
-    output::message(&format!("asking at {line}"));
+    terminal.message(&format!("trying {line}"));
     let mut client = RawClient::open(&far_end.target, settings, tap.file())?;
     let mut is_dead = false;
     for profile in profiles {
@@ -598,7 +573,7 @@ fn try_line(
     Ok(())
 }
 
-/// What a report says of its profile.
+/// How a profile fits, with the reason.
 fn fit(report: &ProbeReport) -> (Fit, String) {
     let mut signals = report.signals.iter();
     let unread = signals.find(|signal| signal.raw.is_none() && signal.missing.is_some());
@@ -610,11 +585,9 @@ fn fit(report: &ProbeReport) -> (Fit, String) {
     match report.verdict {
         ProbeVerdict::WrongDrive | ProbeVerdict::Implausible => {
             // The profile's name stands in front of the line already.
-            let reason = match report.sentence.split_once(": ") {
-                Some((name, reason)) if name == report.profile => reason,
-                _ => report.sentence.as_str(),
-            };
-            (Fit::No, reason.to_owned())
+            let name = format!("{}: ", report.profile);
+            let reason = report.sentence.strip_prefix(name.as_str());
+            (Fit::No, reason.unwrap_or(&report.sentence).to_owned())
         }
         ProbeVerdict::Plausible | ProbeVerdict::Unjudged if !report.checks.is_empty() => {
             let checks: Vec<&str> = report.checks.iter().map(|c| c.what.as_str()).collect();
@@ -637,7 +610,7 @@ mod tests {
     use drivebench_link::register_map::Candidate;
 
     #[test]
-    fn an_implausible_signal_is_followed_by_the_other_ways_of_reading_it() {
+    fn an_implausible_signal_is_followed_by_other_readings() {
         let signal = ProbedSignal {
             name: "speed".to_owned(),
             unit: "rpm",

@@ -1,13 +1,11 @@
-//! `registers`: raw Modbus registers, read and written, of any unit.
+//! `registers`: raw Modbus registers of any unit.
 //!
 //! ```text
-//! registers read  -> batch of reads -> app::registers: values that are vouched for, rates, counters
-//! registers write -> app::registers: what is there, what is to come -> yes? -> write once -> read back
+//! read  -> batch of reads -> values, rates, counters
+//! write -> present and new values -> consent -> write once -> read back
 //! ```
 //!
-//! Raw registers: what a batch of reads brought, and a write that is shown before it is made, made once, and read back.
-//!
-//! Writing is guarded, because a register of a drive may start a motor.
+//! Writing needs consent, because a register of a drive may start a motor.
 
 use std::fmt::Write as _;
 use std::sync::atomic::AtomicBool;
@@ -17,6 +15,7 @@ use serde::Serialize;
 
 use crate::commands::arguments::WireArguments;
 use crate::runtime::failure::Failure;
+use crate::runtime::output::Terminal;
 use crate::runtime::output::lines;
 use crate::runtime::{output, signals};
 use drivebench_link::{
@@ -40,10 +39,10 @@ enum Command {
     Write(WriteArguments),
 }
 
-pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     match &arguments.command {
-        Command::Read(arguments) => read(arguments),
-        Command::Write(arguments) => write(arguments),
+        Command::Read(arguments) => read(arguments, terminal),
+        Command::Write(arguments) => write(arguments, terminal),
     }
 }
 
@@ -104,20 +103,19 @@ fn span(text: &str) -> Result<(u16, u16), String> {
     last.map(|_| (address, count)).ok_or_else(beyond)
 }
 
-fn read(arguments: &ReadArguments) -> Result<(), Failure> {
+fn read(arguments: &ReadArguments, terminal: &Terminal) -> Result<(), Failure> {
     let table = if arguments.input { RegisterTable::Input } else { RegisterTable::Holding };
-    let spans = arguments.spans.iter();
-    let requests = spans.map(|&(address, count)| ReadRequest { table, address, count });
-    let requests: Vec<ReadRequest> = requests.collect();
+    let request = |&(address, count): &(u16, u16)| ReadRequest { table, address, count };
+    let requests: Vec<_> = arguments.spans.iter().map(request).collect();
     let stop = signals::flag()?;
-    let tap = arguments.wire.tap()?;
-    let mut client = arguments.wire.open(&tap)?;
+    let tap = arguments.wire.tap(terminal)?;
+    let mut client = arguments.wire.open(&tap, terminal)?;
     let batch = read_batch(&mut client, &requests, arguments.repeat, &stop);
     let counters = client.counters();
     drop(client);
     drop(tap);
     let result = ReadResult::of(&batch, counters);
-    output::result(&result, arguments.json, ReadResult::text)?;
+    terminal.result(&result, arguments.json, ReadResult::text)?;
     if batch.is_interrupted {
         let headline = format!("interrupted after {} of the reads", batch.asked);
         return Err(Failure::interrupted(headline));
@@ -125,10 +123,10 @@ fn read(arguments: &ReadArguments) -> Result<(), Failure> {
     verdict(batch)
 }
 
-/// Write holding registers once, read them back and compare; asks before, or needs --yes
+/// Write holding registers once, read them back and compare; needs consent at the terminal, or --yes
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
-  drivebench registers write 100 1500 --port /dev/ttyUSB0          shows what changes, then asks
+  drivebench registers write 100 1500 --port /dev/ttyUSB0          shows what changes, then needs a yes
   drivebench registers write 0x2000 18 3000 --host 192.168.1.7:502 --yes --hardware
 
 A register of a drive may start a motor. A write is never repeated by itself: when its reply is lost, what the unit
@@ -160,7 +158,7 @@ struct WriteArguments {
     json: bool,
 }
 
-fn write(arguments: &WriteArguments) -> Result<(), Failure> {
+fn write(arguments: &WriteArguments, terminal: &Terminal) -> Result<(), Failure> {
     let (address, values) = (arguments.address, arguments.values.as_slice());
     let count = u16::try_from(values.len()).unwrap_or(u16::MAX);
     if values.len() > MOST_WRITTEN || address.checked_add(count - 1).is_none() {
@@ -168,13 +166,12 @@ fn write(arguments: &WriteArguments) -> Result<(), Failure> {
         let help = format!("at most {MOST_WRITTEN} registers, up to address 65535");
         return Err(Failure::usage(headline, help));
     }
-    let tap = arguments.wire.tap()?;
-    let mut client = arguments.wire.open(&tap)?;
-    let consent = |is_emulator| consent(arguments, is_emulator);
-    let (result, verdict) = write_once(&mut client, address, values, arguments.multiple, consent)?;
+    let tap = arguments.wire.tap(terminal)?;
+    let mut client = arguments.wire.open(&tap, terminal)?;
+    let (result, verdict) = write_once(&mut client, arguments, count, terminal)?;
     drop(client);
     drop(tap);
-    output::result(&result, arguments.json, WriteResult::text)?;
+    terminal.result(&result, arguments.json, WriteResult::text)?;
     verdict
 }
 
@@ -193,13 +190,13 @@ fn consent(arguments: &WriteArguments, is_emulator: bool) -> Result<(), Failure>
         Some("y" | "Y" | "yes") => Ok(()),
         Some(_) => Err(Failure::usage("nothing was written", "answer y to write")),
         None => Err(Failure::usage(
-            "nothing was written: there is nobody to ask",
+            "nothing was written: there is no person at a terminal",
             "add --yes to write without a question",
         )),
     }
 }
 
-/// What a link error means to someone who named the registers himself.
+/// A link error with the help for registers that the user has chosen.
 fn failure(error: LinkError) -> Failure {
     match error {
         LinkError::Exception { .. } => Failure::link(
@@ -207,19 +204,16 @@ fn failure(error: LinkError) -> Failure {
             "the unit has no such register, or not so many in one request; addresses count from 0 (40001 is 0)",
         ),
         LinkError::Gone { .. } => {
-            let help = "the cable or the peer went away: check it, and ask again";
+            let help = "the cable or the peer is gone: check it, and start the command again";
             Failure::link(error.to_string(), help)
         }
         other => other.into(),
     }
 }
 
-/// Values on one line of the text.
-const A_LINE: usize = 8;
-
 /// The result as JSON.
 #[derive(Serialize)]
-pub(crate) struct ReadResult {
+struct ReadResult {
     reads: Vec<ReadOutcome>,
     /// Reads of all rounds.
     asked: u64,
@@ -241,7 +235,7 @@ struct ReadOutcome {
 }
 
 impl ReadResult {
-    pub(crate) fn of(batch: &Batch, counters: RawCounters) -> Self {
+    fn of(batch: &Batch, counters: RawCounters) -> Self {
         let us = |time_s: Option<f64>| time_s.map(|time_s| time_s * 1e6);
         let reads = batch.reads.iter().map(|read| ReadOutcome {
             address: read.request.address,
@@ -260,41 +254,40 @@ impl ReadResult {
         }
     }
 
-    /// For a person: the registers, and the counters where not all went well.
-    pub(crate) fn text(&self) -> String {
-        let result = self;
+    /// The registers, and the counters where requests have failed.
+    fn text(&self) -> String {
         let mut text = String::new();
-        for read in &result.reads {
+        for read in &self.reads {
             if let Some(error) = &read.error {
                 let _ = writeln!(text, "{:>5}  error: {error}", read.address);
             }
-            let lines = read.values.as_deref().unwrap_or_default().chunks(A_LINE);
+            let lines = read.values.as_deref().unwrap_or_default().chunks(8);
             for (index, line) in lines.enumerate() {
                 let decimal: Vec<String> = line.iter().map(|value| format!("{value:>5}")).collect();
                 let hexadecimal: Vec<String> = line.iter().map(|v| format!("{v:04x}")).collect();
                 let (decimal, hexadecimal) = (decimal.join(" "), hexadecimal.join(" "));
-                let address = usize::from(read.address) + index * A_LINE;
+                let address = usize::from(read.address) + index * 8;
                 let _ = writeln!(text, "{address:>5}  {decimal:<48} {hexadecimal}");
             }
         }
-        let c = &result.counters;
+        let c = &self.counters;
         let r = &c.requests;
         if let (true, Some(rate_hz), Some(p50), Some(p99), Some(worst)) = (
-            result.asked > result.reads.len() as u64,
-            result.rate_hz,
-            result.p50_us,
-            result.p99_us,
-            result.worst_us,
+            self.asked > self.reads.len() as u64,
+            self.rate_hz,
+            self.p50_us,
+            self.p99_us,
+            self.worst_us,
         ) {
             let _ = writeln!(
                 text,
                 "{} of {} reads answered, {rate_hz:.0} per second; round trip {p50:.0} us (median), {p99:.0} us (99 %), {worst:.0} us (worst)",
-                result.answered, result.asked
+                self.answered, self.asked
             );
         }
-        // What a probe that the line is in step was refused is no refusal of anything that was asked for.
-        let is_clean = result.answered == result.asked
-            && result.reads.iter().all(|read| read.error.is_none())
+        // A refused probe that the line is in step is no refused read.
+        let is_clean = self.answered == self.asked
+            && self.reads.iter().all(|read| read.error.is_none())
             && r.timeout + r.crc + r.stale + r.mismatch + r.aborted == 0;
         if !is_clean {
             let probes = match c.probes {
@@ -320,7 +313,7 @@ impl ReadResult {
 }
 
 /// Every read was answered, or the first that was not is the failure.
-pub(crate) fn verdict(batch: Batch) -> Result<(), Failure> {
+fn verdict(batch: Batch) -> Result<(), Failure> {
     if batch.is_all_answered() {
         return Ok(());
     }
@@ -336,7 +329,7 @@ pub(crate) fn verdict(batch: Batch) -> Result<(), Failure> {
 
 /// The result as JSON.
 #[derive(Serialize)]
-pub(crate) struct WriteResult<'a> {
+struct WriteResult<'a> {
     address: u16,
     /// Null where the registers cannot be read.
     before: Option<Vec<u16>>,
@@ -352,41 +345,45 @@ pub(crate) struct WriteResult<'a> {
 }
 
 impl WriteResult<'_> {
-    pub(crate) fn text(&self) -> String {
-        let result = self;
+    fn text(&self) -> String {
         let mut text = String::new();
-        let (what, address) = (registers(result.written.len()), result.address);
-        let confirmed =
-            if result.confirmed { "confirmed by reading back" } else { "NOT confirmed" };
+        let (what, address) = (registers(self.written.len()), self.address);
+        let confirmed = if self.confirmed { "confirmed by reading back" } else { "NOT confirmed" };
         let _ = writeln!(text, "{what} at {address}: {confirmed}");
-        let after = result.after.as_ref().filter(|_| !result.confirmed);
+        let after = self.after.as_ref().filter(|_| !self.confirmed);
         lines(&mut text, "the unit holds ", after.map(|after| format!("{after:?}")));
         text
     }
 }
 
-/// Shows what is there and what is to come, writes where `consent` lets it (told whether the unit is an emulator), and reads
-/// back; the result, and what is wrong with it.
-pub(crate) fn write_once<'a>(
+/// Shows the present and the new values, writes with consent, and reads back; the result, and its failure.
+fn write_once<'a>(
     client: &mut RawClient,
-    address: u16,
-    values: &'a [u16],
-    multiple: bool,
-    consent: impl FnOnce(bool) -> Result<(), Failure>,
+    arguments: &'a WriteArguments,
+    count: u16,
+    terminal: &Terminal,
 ) -> Result<(WriteResult<'a>, Result<(), Failure>), Failure> {
-    let count = u16::try_from(values.len()).unwrap_or(u16::MAX);
+    let (address, values) = (arguments.address, arguments.values.as_slice());
     let is_emulator = is_emulator(client)?;
     let before = read_back(client, address, count);
     if let Err(error @ (LinkError::Timeout { .. } | LinkError::Gone { .. })) = before {
         return Err(error.into());
     }
     let before = before.ok();
-    announce(address, before.as_deref(), values);
-    consent(is_emulator)?;
-    let function =
-        if values.len() > 1 || multiple { WriteFunction::Multiple } else { WriteFunction::Single };
+    for (index, value) in values.iter().enumerate() {
+        let present = before.as_ref().and_then(|before| before.get(index));
+        let present = present.map_or("?".to_owned(), ToString::to_string);
+        let address = usize::from(address) + index;
+        terminal.message(&format!("{address:>5}  {present} -> {value} (0x{value:04x})"));
+    }
+    consent(arguments, is_emulator)?;
+    let function = if values.len() > 1 || arguments.multiple {
+        WriteFunction::Multiple
+    } else {
+        WriteFunction::Single
+    };
     let written = client.write(function, address, values);
-    // Whether it was acknowledged or not, what counts is what the unit holds.
+    // Acknowledged or not, the present content of the unit decides.
     let after = read_back(client, address, count);
     let confirmed = after.as_ref().is_ok_and(|after| after == values);
     let result = WriteResult {
@@ -410,7 +407,7 @@ pub(crate) fn write_once<'a>(
     Ok((result, verdict))
 }
 
-/// Only what says so itself is an emulator; a unit that answers otherwise, or not, counts as hardware.
+/// Only a unit that identifies itself as an emulator is one; any other counts as hardware.
 fn is_emulator(client: &mut RawClient) -> Result<bool, Failure> {
     match client.identify() {
         Ok(identity) => Ok(identity.is_some_and(|identity| identity.is_emulator)),
@@ -419,23 +416,11 @@ fn is_emulator(client: &mut RawClient) -> Result<bool, Failure> {
     }
 }
 
-/// The values now, vouched for.
+/// The values now.
 fn read_back(client: &mut RawClient, address: u16, count: u16) -> Result<Vec<u16>, LinkError> {
     let request = ReadRequest { table: RegisterTable::Holding, address, count };
-    let never = AtomicBool::new(false);
-    let reads = read_batch(client, &[request], 1, &never).reads;
-    let read = reads.into_iter().next();
-    read.map_or(Ok(Vec::new()), |read| read.values)
-}
-
-/// Told before anything is asked or done.
-fn announce(address: u16, before: Option<&[u16]>, values: &[u16]) {
-    for (index, value) in values.iter().enumerate() {
-        let there = before.and_then(|before| before.get(index));
-        let there = there.map_or("?".to_owned(), ToString::to_string);
-        let address = usize::from(address) + index;
-        output::message(&format!("{address:>5}  {there} -> {value} (0x{value:04x})"));
-    }
+    let batch = read_batch(client, &[request], 1, &AtomicBool::new(false));
+    batch.reads.into_iter().next().map_or(Ok(Vec::new()), |read| read.values)
 }
 
 #[cfg(test)]
@@ -443,23 +428,34 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_register_takes_what_sixteen_bits_hold_signed_or_not() {
-        assert_eq!(value("-1"), Ok(0xFFFF));
-        assert_eq!(value("-32768"), Ok(0x8000));
-        assert_eq!(value("65535"), Ok(0xFFFF));
-        assert_eq!(value("0x10"), Ok(16));
-        for wrong in ["-32769", "65536", "1.5", ""] {
-            assert!(value(wrong).is_err(), "{wrong}");
+    fn values_and_spans_are_read_in_both_bases_and_bounded() {
+        for (text, expected) in [
+            ("-1", Some(0xFFFF)),
+            ("-32768", Some(0x8000)),
+            ("65535", Some(0xFFFF)),
+            ("0x10", Some(16)),
+            ("-32769", None),
+            ("65536", None),
+            ("1.5", None),
+            ("", None),
+        ] {
+            assert_eq!(value(text).ok(), expected, "value {text}");
         }
-    }
-
-    #[test]
-    fn spans_are_read_in_both_bases_and_bounded() {
-        assert_eq!(span("10"), Ok((10, 1)));
-        assert_eq!(span("0x2100:0x10"), Ok((0x2100, 16)));
-        assert_eq!(span("65535:1"), Ok((65_535, 1)));
-        for wrong in ["", ":", "a", "-1", "65536", "0:0", "0:126", "65535:2", "1:2:3"] {
-            assert!(span(wrong).is_err(), "{wrong}");
+        for (text, expected) in [
+            ("10", Some((10, 1))),
+            ("0x2100:0x10", Some((0x2100, 16))),
+            ("65535:1", Some((65_535, 1))),
+            ("", None),
+            (":", None),
+            ("a", None),
+            ("-1", None),
+            ("65536", None),
+            ("0:0", None),
+            ("0:126", None),
+            ("65535:2", None),
+            ("1:2:3", None),
+        ] {
+            assert_eq!(span(text).ok(), expected, "span {text}");
         }
     }
 }

@@ -1,17 +1,20 @@
-//! `replay`: the on-line estimators over a log, row by row; what the live run said must come out again to the bit.
+//! `replay`: the on-line estimators over a log, row by row; the live estimates must come out again to the bit.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use serde_json::Value;
+use serde::Serialize;
+use serde_json::{Map, Value};
 
 use crate::commands::arguments::run_path;
-use crate::commands::identify::{Replayed, replayed};
 use crate::runtime::failure::{Failure, REFUSED};
-use crate::runtime::{output, progress, signals};
-use drivebench_bench::Difference;
-use drivebench_bench::recording::ColumnMap;
+use crate::runtime::files::read_text;
+use crate::runtime::output::Terminal;
+use drivebench_bench::recording::{ColumnMap, RunFile, RunFolder, RunRows};
+use drivebench_bench::{Difference, OnlineResult, OnlineSettings, first_difference, replay};
+use drivebench_identify::online::OnlineConfig;
+use drivebench_model::sample::Channel;
 
-/// Run the on-line estimators over a log again and compare with what they said live
+/// Run the on-line estimators over a log again and compare with the live estimates
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   drivebench replay runs/20260131T120000Z-first      exit status 1 where it differs from the live estimates
@@ -29,14 +32,14 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
-    let _endable = signals::endable()?;
+pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
+    let _endable = terminal.endable()?;
     let map = arguments.map.as_deref().map(str::parse::<ColumnMap>);
-    let shown = progress::begin("replay");
-    progress::stage("runs the estimators over the record", 0);
-    let result = replayed(&arguments.run, map.transpose()?.as_ref())?;
+    let shown = terminal.progress("replay");
+    terminal.stage("runs the estimators over the record", 0);
+    let result = replayed(&arguments.run, map.transpose()?.as_ref(), terminal)?;
     drop(shown);
-    output::result(&result, arguments.json, text)?;
+    terminal.result(&result, arguments.json, text)?;
     let Some(Difference { key, live, replayed }) = &result.first_difference else {
         return Ok(());
     };
@@ -65,12 +68,129 @@ fn text(result: &Replayed) -> String {
 
 /// Every digit: two replays are compared by eye as well.
 fn estimate_line(key: &str, estimate: &Value) -> String {
-    let word = |name: &str| estimate[name].as_str().unwrap_or_default();
+    let text = |name: &str| estimate[name].as_str().unwrap_or_default();
     match (estimate["value"].as_f64(), estimate["std"].as_f64()) {
         (Some(value), Some(std)) => {
-            format!("{:<16} {key} = {value} +- {std:.2e} {}", word("verdict"), word("unit"))
+            format!("{:<16} {key} = {value} +- {std:.2e} {}", text("verdict"), text("unit"))
         }
-        (Some(value), None) => format!("{:<16} {key} = {value} {}", word("verdict"), word("unit")),
-        _ => format!("{:<16} {key}: {}", word("verdict"), word("reason")),
+        (Some(value), None) => format!("{:<16} {key} = {value} {}", text("verdict"), text("unit")),
+        _ => format!("{:<16} {key}: {}", text("verdict"), text("reason")),
     }
+}
+
+/// The result as JSON; its estimates have the keys of `result.json`.
+#[derive(Serialize)]
+struct Replayed {
+    run: String,
+    rows_dropped: usize,
+    #[serde(flatten)]
+    online: OnlineResult,
+    configuration: OnlineSettings,
+    /// `manifest`, or `default` where there is none.
+    configuration_from: &'static str,
+    /// Null where there is nothing to compare with.
+    identical: Option<bool>,
+    first_difference: Option<Difference>,
+    /// The file compared with, or why there is none.
+    compared_with: Option<String>,
+    not_compared_because: Option<String>,
+}
+
+/// Runs the estimators over a run and compares with the live estimates.
+fn replayed(run: &Path, map: Option<&ColumnMap>, terminal: &Terminal) -> Result<Replayed, Failure> {
+    let mut rows = RunRows::open(run, map)?;
+    let (settings, configuration_from) = settings(&rows)?;
+    let estimator = replay(|| rows.rows.next_row(), OnlineConfig::from(settings))?;
+    if let Some(dialect) = rows.rows.dialect() {
+        terminal.message(&dialect);
+    }
+    let mut warnings = rows.warnings();
+    warnings.extend(why_silent(&rows));
+    terminal.warn(&warnings);
+    let online = estimator.result();
+    let live = live_result(&rows, map.is_some()).and_then(|live| {
+        let is_known = configuration_from == "manifest";
+        let reason = "the manifest does not hold the configuration of the live estimators";
+        is_known.then_some(live).ok_or_else(|| reason.to_owned())
+    });
+    let (mut difference, mut compared_with, mut because) = (None, None, None);
+    match live {
+        Ok((path, live)) => {
+            let replayed = serde_json::to_value(&online).map_err(|error| {
+                Failure::internal(format!("the result has no JSON form: {error}"))
+            })?;
+            difference = Some(first_difference(&live, &replayed));
+            compared_with = Some(path.display().to_string());
+        }
+        Err(reason) => because = Some(reason),
+    }
+    Ok(Replayed {
+        run: run.display().to_string(),
+        rows_dropped: rows.rows.rows_dropped(),
+        online,
+        configuration: settings,
+        configuration_from,
+        identical: difference.as_ref().map(Option::is_none),
+        first_difference: difference.flatten(),
+        compared_with,
+        not_compared_because: because,
+    })
+}
+
+/// Configuration of the live estimators.
+fn settings(rows: &RunRows) -> Result<(OnlineSettings, &'static str), Failure> {
+    let kept =
+        rows.manifest.as_ref().and_then(|manifest| manifest.configs.get(OnlineSettings::NAME));
+    let Some(text) = kept else {
+        return Ok((OnlineSettings::from(OnlineConfig::default()), "default"));
+    };
+    let settings = toml::from_str(text).map_err(|error| {
+        Failure::usage(
+            format!(
+                "manifest.json: configs.{} cannot be read: {}",
+                OnlineSettings::NAME,
+                error.message()
+            ),
+            "it was written by another version of the program, or changed by hand",
+        )
+    })?;
+    Ok((settings, "manifest"))
+}
+
+/// The file with the live estimates and its content; or why there is none.
+fn live_result(rows: &RunRows, mapped: bool) -> Result<(PathBuf, Value), String> {
+    let folder = rows
+        .folder
+        .as_deref()
+        .filter(|_| !mapped)
+        .ok_or("a foreign file holds no live estimates")?;
+    let path = RunFolder::existing(folder).file(RunFile::Result);
+    let text = match read_text(&path).ok() {
+        Some(text) => text,
+        None if rows.manifest.as_ref().is_some_and(|m| !m.finished) => {
+            return Err("the run was not finished: its live estimates were never written".into());
+        }
+        None => return Err(format!("there is no {}", path.display())),
+    };
+    let mut document: Map<String, Value> = serde_json::from_str(&text)
+        .map_err(|error| format!("{} cannot be read: {error}", path.display()))?;
+    match document.shift_remove("online") {
+        Some(live) => Ok((path, live)),
+        None => Err(format!("{} holds no live estimates", path.display())),
+    }
+}
+
+/// Channels that the estimators need and the run has not.
+fn why_silent(rows: &RunRows) -> Option<String> {
+    let missing: Vec<&str> = [Channel::Current, Channel::Speed]
+        .into_iter()
+        .filter(|needed| rows.rows.channels().all(|channel| channel != *needed))
+        .map(Channel::key)
+        .collect();
+    (!missing.is_empty()).then(|| {
+        format!(
+            "no {}: the on-line estimators need measured current and speed",
+            missing.join(" and no ")
+        )
+    })
 }

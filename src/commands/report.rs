@@ -1,7 +1,5 @@
-//! `report`: the page of a recorded run, and its pictures as files.
-//!
-//! `report`: the page of a recorded run, the one that stands in its folder or one made anew from the record, and the pictures of
-//! any page of ours as files.
+//! `report`: the page of a recorded run, the one in its folder or one made anew from the record, and the pictures of any of our
+//! pages as files.
 
 use std::path::{Path, PathBuf};
 
@@ -13,7 +11,8 @@ use crate::commands::pages;
 use crate::report::{Document, EarlyEnd, RunReport, Tone, plot};
 use crate::runtime::failure::Failure;
 use crate::runtime::files::read_text;
-use crate::runtime::{output, signals};
+use crate::runtime::output;
+use crate::runtime::output::Terminal;
 use drivebench_bench::recording::{LoadedRun, Manifest, RunFile, RunFolder};
 use drivebench_bench::{BenchFile, LastSeconds, Stop};
 use drivebench_model::plant::{Model, MotorKey};
@@ -43,44 +42,41 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     if let Some(path) = &arguments.output {
         output::refuse_existing(path, "--output")?;
     }
-    let _endable = signals::endable()?;
-    let load = || arguments.map.load(&arguments.run);
-    let (page, pictures) = (arguments.output.as_deref(), arguments.svg.as_deref());
-    let done = report(&arguments.run, load, page, pictures)?;
+    let _endable = terminal.endable()?;
+    let done = report(arguments, terminal)?;
     if arguments.markdown {
-        return output::unfolded(&done, arguments.json, |done| done.markdown.clone());
+        return terminal.unfolded(&done, arguments.json, |done| done.markdown.clone());
     }
-    output::document(&done, arguments.json, true, &done.document())
+    terminal.document(&done, arguments.json, true, &done.document())
 }
 
-/// What became of it.
 #[derive(Default, Serialize)]
-pub(crate) struct Reported {
+struct Reported {
     /// Null, as what follows, where a page was named and no run.
     run: Option<String>,
     rows: Option<usize>,
     rows_dropped: Option<usize>,
     duration_s: Option<f64>,
-    /// How the run ended, as its manifest says.
+    /// How the run ended, by its manifest.
     outcome: Option<String>,
     /// How it was stopped, and which rows hold the last seconds before a trip.
     stop: Option<Stop>,
     trip: Option<LastSeconds>,
-    /// What the live estimators said at the end.
+    /// Final values of the live estimators.
     parameters: Map<String, Value>,
     page: Option<PathBuf>,
     pictures: Vec<PathBuf>,
     #[serde(skip)]
-    pub(crate) markdown: String,
+    markdown: String,
 }
 
 impl Reported {
     /// A few lines, the page last.
-    pub(crate) fn document(&self) -> Document {
+    fn document(&self) -> Document {
         let mut document = Document::new("", "");
         if let (Some(run), Some(rows), Some(duration_s)) = (&self.run, self.rows, self.duration_s) {
             document.say("run", [format!("{run}: {rows} rows over {duration_s:.3} s")], 1);
@@ -104,14 +100,11 @@ pub(crate) fn last_rows(last: LastSeconds) -> String {
     format!("rows {from} to {to} of samples.csv; the page shows them enlarged")
 }
 
-/// Writes what is asked for: the page under `output`, else into the run's folder where there is none yet; its pictures into
-/// `pictures`. Of a page that is named itself there are the pictures only.
-pub(crate) fn report(
-    path: &Path,
-    load: impl FnOnce() -> Result<LoadedRun, Failure>,
-    output: Option<&Path>,
-    pictures: Option<&Path>,
-) -> Result<Reported, Failure> {
+/// Writes the page under `--output`, else into the run's folder where there is none yet, and its pictures into the folder of
+/// `--svg`. Of a page that is named itself there are the pictures only.
+fn report(arguments: &Arguments, terminal: &Terminal) -> Result<Reported, Failure> {
+    let path = arguments.run.as_path();
+    let (output, pictures) = (arguments.output.as_deref(), arguments.svg.as_deref());
     if path.extension().is_some_and(|ending| ending == "html") {
         let Some(folder) = pictures.filter(|_| output.is_none()) else {
             let headline = format!("{}: is a page already", path.display());
@@ -119,12 +112,12 @@ pub(crate) fn report(
             return Err(Failure::usage(headline, help));
         };
         return Ok(Reported {
-            pictures: write_pictures(&read_text(path)?, folder)?,
+            pictures: write_pictures(&read_text(path)?, folder, terminal)?,
             page: Some(path.to_owned()),
             ..Reported::default()
         });
     }
-    let loaded = load()?;
+    let loaded = arguments.map.load(path, terminal)?;
     let kept = kept_estimates(&loaded);
     let page = page(&loaded, &kept);
     let folder = loaded.folder.as_ref().map(RunFolder::existing);
@@ -136,7 +129,7 @@ pub(crate) fn report(
     };
     let path = match (output, there, folder) {
         (Some(path), ..) => {
-            output::file(path, &html)?;
+            terminal.file(path, &html)?;
             Some(path.to_owned())
         }
         (None, Some(path), _) => Some(path),
@@ -160,29 +153,23 @@ pub(crate) fn report(
         trip: loaded.manifest.as_ref().and_then(|m| serde_json::from_value(m.trip.clone()).ok()),
         parameters: parameters.collect(),
         page: path,
-        pictures: match pictures {
-            Some(folder) => write_pictures(&html, folder)?,
-            None => Vec::new(),
-        },
+        pictures: pictures
+            .map_or(Ok(Vec::new()), |folder| write_pictures(&html, folder, terminal))?,
         markdown: page.markdown(),
     })
 }
 
 /// Every picture of a page as a file of its own, in their order: `figure-1.svg`, ...
-fn write_pictures(html: &str, folder: &Path) -> Result<Vec<PathBuf>, Failure> {
+fn write_pictures(html: &str, folder: &Path, terminal: &Terminal) -> Result<Vec<PathBuf>, Failure> {
     std::fs::create_dir_all(folder).map_err(|error| output::cannot_write(folder, &error))?;
-    let pictures = plot::pictures(html).into_iter().enumerate();
-    let pictures = pictures.map(|(place, svg)| {
-        let path = folder.join(format!("figure-{}.svg", place + 1));
-        (path, svg)
-    });
-    let pictures: Vec<_> = pictures.collect();
+    let paths = (1..).map(|number| folder.join(format!("figure-{number}.svg")));
+    let pictures: Vec<_> = paths.zip(plot::pictures(html)).collect();
     // All of them or none.
     for (path, _) in &pictures {
         output::refuse_existing(path, "--svg (a folder)")?;
     }
     for (path, svg) in &pictures {
-        output::file(path, svg)?;
+        terminal.file(path, svg)?;
     }
     Ok(pictures.into_iter().map(|(path, _)| path).collect())
 }
@@ -218,7 +205,7 @@ fn page(loaded: &LoadedRun, estimates: &[ParameterEstimate]) -> Document {
     report.document()
 }
 
-/// What the live estimators said, as the run's folder keeps it; nothing where there is no such word.
+/// Values of the live estimators, as the run's folder keeps them.
 fn kept_estimates(loaded: &LoadedRun) -> Vec<ParameterEstimate> {
     let folder = loaded.folder.as_ref().map(RunFolder::existing);
     let text = folder.and_then(|f| read_text(&f.file(RunFile::Result)).ok());

@@ -1,4 +1,4 @@
-//! `reproduce`: says where the papers' figures and the study of the diagnosis are.
+//! `reproduce`: names the program with the papers' figures and the study of the diagnosis.
 
 use crate::runtime::failure::Failure;
 

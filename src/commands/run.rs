@@ -13,7 +13,7 @@ use crate::runtime::controls::Controls;
 use crate::runtime::ending::{Audience, conduct};
 use crate::runtime::failure::{Failure, LINK, NOT_IDENTIFIABLE};
 use crate::runtime::files::Recorded;
-use crate::runtime::output;
+use crate::runtime::output::Terminal;
 use crate::runtime::rig::{OpenRig, Rig, RigOptions};
 use crate::workflow::{Escalate, EscalationResult, compared, scaled_sentence};
 use drivebench_bench::recording::RunFile;
@@ -31,7 +31,7 @@ use drivebench_model::sample::Verdict;
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   drivebench run                            the emulated motor, on the live screen
-  drivebench run bench.toml --port /dev/ttyUSB0 --hardware --check      everything that can be told before the shaft turns
+  drivebench run bench.toml --port /dev/ttyUSB0 --hardware --check      all that can be checked before the shaft turns
   drivebench run bench.toml --port /dev/ttyUSB0 --hardware --headless
   drivebench run --escalate --port sim: --emulator small-servo-behind-zk-22fc   find the motor first")]
 pub(super) struct Arguments {
@@ -43,67 +43,45 @@ pub(super) struct Arguments {
     /// or confirm of the bench file. Without it runs.fit
     #[arg(long, value_name = "N")]
     run_seed: Option<u64>,
-    /// Only the checks before the first move: who is there, limits, rate, noise at rest, the drive's watchdog; and whether the
+    /// Only the checks before the first move: identity, limits, rate, noise at rest, the drive's watchdog; and whether the
     /// sequence would be refused. No screen, nothing moves, no run is made. The watchdog is proven with the output on at zero
     #[arg(long)]
     check: bool,
 }
 
-pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
-    if arguments.check {
-        return check(arguments);
-    }
+pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     let live = &arguments.live;
-    let json = live.json;
-    let options = live.options(arguments.unknown.escalate)?;
     let run_seed = arguments.run_seed;
-    let done = conduct(arguments.live.audience(None), move |controls| {
+    let mut options = live.options(arguments.unknown.escalate, terminal)?;
+    if arguments.check {
+        // Without a screen, whatever stdout is: there is nothing to watch.
+        options.headless = true;
+        let done = conduct(terminal, Audience::Headless, move |controls| {
+            connect(options, run_seed, Box::new(Rig::open), controls)
+        })?;
+        return terminal.result(&done.work, live.json, Connection::text);
+    }
+    let done = conduct(terminal, live.audience(None), move |controls| {
         run(options, run_seed, Box::new(Rig::open), controls)
     })?;
-    let left = done.left;
     match &done.work {
         RunDone::Named(escalation) => {
             let mut document = Document::new("", "");
             escalation.put("motor", &mut document);
             tables::plate(&mut document, escalation.nameplate.as_ref());
-            output::document(escalation.as_ref(), json, true, &document)?;
-            left.conclude(escalation_failure(escalation))
+            terminal.document(escalation.as_ref(), live.json, true, &document)?;
+            done.screen.conclude(escalation_failure(escalation))
         }
         RunDone::Run(whole) => {
             let result = run_result(whole);
-            let plate = result.nameplate.as_ref();
-            let seen = by_hand::go_on(&left, whole.recorded.folder.path());
-            // However it was left: the result of the run is there all the same.
-            let written = seen.as_ref().ok().cloned().flatten();
-            let document = with_model(cards::run(whole, plate), written);
-            output::document(&result, json, live.full, &document)?;
-            // A trip or a lost drive is said before anything that became of the look at its record.
-            left.conclude(whole.recorded.failure()).and(seen.map(drop))
+            let document = cards::run(whole, result.nameplate.as_ref());
+            let form = (live.json, live.full);
+            by_hand::finish(done.screen, &whole.recorded, &result, document, form, terminal)
         }
     }
 }
 
-/// Without a screen, whatever stdout is: there is nothing to watch.
-fn check(arguments: &Arguments) -> Result<(), Failure> {
-    let options =
-        RigOptions { headless: true, ..arguments.live.options(arguments.unknown.escalate)? };
-    let run_seed = arguments.run_seed;
-    let done = conduct(Audience::Headless, move |controls| {
-        connect(options, run_seed, Box::new(Rig::open), controls)
-    })?;
-    output::result(&done.work, arguments.live.json, Connection::text)
-}
-
-/// With the command that goes on from a model that was written by hand.
-pub(super) fn with_model(mut document: Document, model: Option<String>) -> Document {
-    if let Some(model) = model {
-        let model = output::quoted_word(&model);
-        document.go_on(format!("drivebench tune --model {model}"));
-    }
-    document
-}
-
-/// An end between two runs.
+/// Interrupted between two runs.
 pub(super) const BETWEEN_RUNS: &str =
     "interrupted; nothing is energised, what was recorded is kept";
 
@@ -117,14 +95,13 @@ pub(crate) struct RunResult<'a> {
     /// How an unknown motor was found.
     #[serde(skip_serializing_if = "Option::is_none")]
     escalation: Option<&'a EscalationResult>,
-    /// What was found against the plate, where there is one.
+    /// The found values beside the nameplate, where there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) nameplate: Option<Comparison>,
     /// The estimates with their keys.
     parameters: Map<String, Value>,
 }
 
-/// How far it came.
 pub enum RunDone {
     /// The motor could not be found.
     Named(Box<EscalationResult>),
@@ -135,9 +112,9 @@ pub struct Whole {
     plan: Plan,
     pub recorded: Recorded,
     pub(crate) escalation: Option<EscalationResult>,
-    /// What the bench file says about the motor.
+    /// The motor of the bench file.
     pub(super) plate: Motor,
-    /// What was found against it, where it says anything.
+    /// The found values beside it, where it has any.
     nameplate: Option<Comparison>,
 }
 
@@ -145,7 +122,7 @@ pub struct Whole {
 /// bench file.
 ///
 /// # Errors
-/// What stood in the way of a run; how a run that began went is in its record.
+/// Why no run began; the end of a run that began is in its record.
 pub fn run(
     options: RigOptions,
     run_seed: Option<u64>,
@@ -153,16 +130,16 @@ pub fn run(
     controls: &Controls,
 ) -> Result<RunDone, Failure> {
     let mut rig = open(options, run_seed, Purpose::Voltages)?;
-    let headless = rig.asked.headless;
+    let printed = rig.options.headless.then(|| rig.options.terminal.clone());
     let report = rig.check(controls)?;
-    if headless {
-        tell_checks(&report);
+    if let Some(terminal) = &printed {
+        print_checks(&report, terminal);
     }
     let mut escalation = None;
     if rig.escalates {
         let result = escalate(&mut rig, controls, |line| {
-            if headless {
-                output::message(line);
+            if let Some(terminal) = &printed {
+                terminal.message(line);
             }
         })?;
         if result.ending.is_some() {
@@ -175,14 +152,15 @@ pub fn run(
     let name = rig.bench.name.clone();
     let recorded = rig.record(&name, seed, controls)?;
     let nameplate = rig.nameplate()?.motor();
-    let mut whole = Whole { plan, recorded, escalation, plate: rig.plate.clone(), nameplate: None };
+    let mut whole =
+        Whole { plan, recorded, escalation, plate: rig.nameplate_motor.clone(), nameplate: None };
     whole.nameplate = match &whole.escalation {
         // The escalation's fit is the sharper one; where there was none, what was found on line.
         Some(escalation) => escalation.nameplate.clone(),
         None => compared(&whole.plate, &whole.recorded.summary.estimates),
     };
     judge_plate(&mut whole, &nameplate);
-    write_results(&mut whole, &nameplate);
+    write_results(&mut whole, &nameplate, &rig.options.terminal);
     Ok(RunDone::Run(Box::new(whole)))
 }
 
@@ -190,11 +168,11 @@ pub fn run(
 #[derive(Serialize)]
 pub struct Connection {
     link: String,
-    /// Where its profile comes from, and how far it may be believed.
+    /// Where its profile comes from, and how far it is proven.
     profile: String,
     #[serde(flatten)]
     checks: CheckReport,
-    /// What the bench file asks for, Hz.
+    /// Of the bench file, Hz.
     rate_hz: f64,
     /// What the sequence would do to the motor of the bench file; `null` where that is not known.
     plan: Option<Plan>,
@@ -230,32 +208,31 @@ impl Connection {
         let line = |name: &str, text: &str| format!("{name:<18} {text}");
         let mut lines = vec![line("link", &self.link), line("profile", &self.profile)];
         lines.extend(self.checks.items.iter().map(|item| line(item.name, &item.text)));
-        let plan = self.plan.as_ref().map_or_else(
-            || {
-                "the motor is not known: `drivebench run` finds it from small steps first"
-                    .to_owned()
-            },
-            |plan| {
-                format!(
+        lines.push(match &self.plan {
+            None => line(
+                "sequence",
+                "the motor is not known: `drivebench run` finds it from small steps first",
+            ),
+            Some(plan) => line(
+                "sequence",
+                &format!(
                     "`drivebench run` would take {:.1} s and is within every limit",
                     plan.duration_s
-                )
-            },
-        );
-        lines.push(line("sequence", &plan));
+                ),
+            ),
+        });
         lines.push("ready: the drive is stopped, and nothing has moved".to_owned());
         lines.join("\n")
     }
 }
 
-/// Takes back that the plate does not fit where the model that says so misses something on this run: what it misses is in
-/// its values, and a brush drop looks like another motor. With what is missing named, the plate is judged anew. A model
-/// that cannot be held against its run judges nothing either.
+/// Withdraws the verdict that the nameplate does not fit where the five-parameter model leaves more than the noise on this
+/// run, or cannot be compared with it: a missing effect shifts its values, and a brush drop looks like another motor.
 fn judge_plate(whole: &mut Whole, nameplate: &Motor) {
     let Some(comparison) = whole.nameplate.as_mut().filter(|found| !found.fits) else {
         return;
     };
-    let left = || -> Result<Option<f64>, Failure> {
+    let residual = || -> Result<Option<f64>, Failure> {
         let loaded = whole.recorded.load()?;
         let run = Scenario::from_run(&loaded.run)?;
         let start = Model::baseline(nameplate.clone());
@@ -270,7 +247,7 @@ fn judge_plate(whole: &mut Whole, nameplate: &Motor) {
         let is_explained = evidence.noise.is_at_the_floor(error);
         Ok((evidence.noise.source != FloorSource::None && !is_explained).then_some(error))
     };
-    match left() {
+    match residual() {
         Ok(Some(times)) => comparison.doubt(format!(
             "not judged: the five-parameter model leaves {times:.1} times the noise, and what it misses may be in these values; \
              drivebench diagnose names it"
@@ -284,19 +261,18 @@ fn judge_plate(whole: &mut Whole, nameplate: &Motor) {
 }
 
 /// Model and result beside the samples: whatever was measured is kept, also after a trip.
-fn write_results(whole: &mut Whole, nameplate: &Motor) {
+fn write_results(whole: &mut Whole, nameplate: &Motor, terminal: &Terminal) {
     let recorded = &mut whole.recorded;
     let model = online_model(&recorded.summary, nameplate, recorded.folder.path());
     recorded.write(RunFile::Model, &model.to_toml());
     let result = serde_json::to_value(run_result(whole)).unwrap_or_default();
     whole.recorded.write_result(&result);
-    pages::write_run(&mut whole.recorded, Some(&whole.plan), nameplate, None);
+    pages::write_run(&mut whole.recorded, Some(&whole.plan), nameplate, None, terminal);
 }
 
-/// Each check and what came of it, for who reads along.
-pub(super) fn tell_checks(report: &CheckReport) {
+pub(super) fn print_checks(report: &CheckReport, terminal: &Terminal) {
     for item in &report.items {
-        output::message(&format!("{:<18} {}", item.name, item.text));
+        terminal.message(&format!("{:<18} {}", item.name, item.text));
     }
 }
 
@@ -308,15 +284,13 @@ fn online_model(summary: &RunSummary, nameplate: &Motor, folder: &Path) -> Model
         let settled = estimate.value.filter(|_| estimate.verdict == Verdict::Settled);
         if let (Some(key), Some(value)) = (MotorKey::from_key(&estimate.key), settled) {
             file.model.motor.set(key, value);
-            let key = estimate.key.clone();
-            let fitted = estimate.std.map(|std| FittedValue { key, std });
+            let fitted = estimate.std.map(|std| FittedValue { key: estimate.key.clone(), std });
             file.history.fitted.extend(fitted);
         }
     }
     file
 }
 
-/// What a run has to say, for its folder and for whoever asked for it.
 pub(crate) fn run_result(whole: &Whole) -> RunResult<'_> {
     let recorded = &whole.recorded;
     let estimates = recorded.summary.estimates.iter();
@@ -332,12 +306,12 @@ pub(crate) fn run_result(whole: &Whole) -> RunResult<'_> {
     }
 }
 
-/// Runs the stages until the motor is found or the reason why not is named. With a motor the rig goes on with its values
-/// as nameplate. `tell` gets a line for each stage.
+/// Runs the stages until the motor is found or the reason why not is named. A motor that is found becomes the nameplate of
+/// the rig. `print` gets a line for each stage.
 pub(crate) fn escalate(
     rig: &mut Rig,
     controls: &Controls,
-    mut tell: impl FnMut(&str),
+    mut print: impl FnMut(&str),
 ) -> Result<EscalationResult, Failure> {
     let mut workflow = Escalate::new(&rig.bench);
     let mut number = 0;
@@ -346,7 +320,7 @@ pub(crate) fn escalate(
             return Err(Failure::interrupted(BETWEEN_RUNS));
         }
         number += 1;
-        tell(&format!(
+        print(&format!(
             "{} {number}: up to {:.3} V ({})",
             stage.kind.name(),
             stage.peak_v,
@@ -360,11 +334,11 @@ pub(crate) fn escalate(
         let folder = recorded.folder.path().display().to_string();
         let record = workflow.ran(&recorded.load()?.run, Some(folder))?;
         recorded.write_result(&record);
-        tell(&record.stage.line);
+        print(&record.stage.line);
     }
     let mut result = workflow.result();
     if let Some(found) = result.found(&rig.bench) {
-        tell(&result.sentence);
+        print(&result.sentence);
         let claimed = !rig.bench.motor.is_unknown();
         if let Some(refusal) = result.scale(&rig.bench, rig.drive_current_limit_a())? {
             let headline = format!("plan refused for the motor that was found: {refusal}");
@@ -375,11 +349,11 @@ pub(crate) fn escalate(
         let nameplate = result.nameplate.as_ref();
         let fits = nameplate.is_none_or(|comparison| comparison.fits);
         if let Some(refusal) = scaled.refusal.as_ref().filter(|_| claimed && !fits) {
-            // The plate is believed by whoever wrote the sequence: run as written it would be too much.
+            // The sequence was written for the nameplate: as written it would be too much.
             if let Some(comparison) = nameplate {
-                tell(&comparison.verdict());
-                comparison.rows.iter().for_each(|row| tell(&row.sentence));
-                comparison.causes.iter().for_each(|cause| tell(&format!("likely: {cause}")));
+                print(&comparison.verdict());
+                comparison.rows.iter().for_each(|row| print(&row.sentence));
+                comparison.causes.iter().for_each(|cause| print(&format!("likely: {cause}")));
             }
             return Err(Failure::usage(
                 format!(
@@ -388,14 +362,14 @@ pub(crate) fn escalate(
                 "correct [motor], or set motor.unknown = true to have the sequence made smaller",
             ));
         }
-        tell(&scaled_sentence(scaled));
+        print(&scaled_sentence(scaled));
         rig.bench = scaled.bench.clone();
         rig.bench.motor = (&found).into();
     }
     Ok(result)
 }
 
-/// The failure for what stands in the way of a motor: it is the device.
+/// The failure of an escalation that found no motor.
 pub fn escalation_failure(result: &EscalationResult) -> Option<Failure> {
     let ending = result.ending.as_ref()?;
     let status = match ending {

@@ -7,6 +7,7 @@ use clap::CommandFactory;
 
 use crate::runtime::failure::Failure;
 use crate::runtime::output;
+use crate::runtime::output::Terminal;
 
 /// Print the completions of a shell
 #[derive(clap::Args)]
@@ -29,17 +30,20 @@ pub(super) struct Man {
     out: Option<PathBuf>,
 }
 
-pub(super) fn execute_completions(arguments: &Completions) -> Result<(), Failure> {
+pub(super) fn execute_completions(
+    arguments: &Completions,
+    terminal: &Terminal,
+) -> Result<(), Failure> {
     let mut text = Vec::new();
     let mut command = super::Arguments::command();
     clap_complete::generate(arguments.shell, &mut command, "drivebench", &mut text);
-    output::line(String::from_utf8_lossy(&text).trim_end())
+    terminal.line(String::from_utf8_lossy(&text).trim_end())
 }
 
-pub(super) fn execute_man(arguments: &Man) -> Result<(), Failure> {
+pub(super) fn execute_man(arguments: &Man, terminal: &Terminal) -> Result<(), Failure> {
     let command = super::Arguments::command();
     let Some(folder) = &arguments.out else {
-        return output::line(rendered(command)?.trim_end());
+        return terminal.line(rendered(command)?.trim_end());
     };
     fs::create_dir_all(folder).map_err(|error| {
         let headline = format!("{}: cannot make the folder: {error}", folder.display());
@@ -48,7 +52,7 @@ pub(super) fn execute_man(arguments: &Man) -> Result<(), Failure> {
     // Pages of another version are replaced: they are generated, and no result.
     clap_mangen::generate_to(command, folder)
         .map_err(|error| output::cannot_write(folder, &error))?;
-    output::text(&format!("manual pages in {}", folder.display()))
+    terminal.text(&format!("manual pages in {}", folder.display()))
 }
 
 fn rendered(page: clap::Command) -> Result<String, Failure> {

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use crate::commands::arguments::{MapArguments, run_path};
 use crate::runtime::failure::Failure;
 use crate::runtime::files::read_model;
-use crate::runtime::{output, signals};
+use crate::runtime::output::Terminal;
 use drivebench_bench::recording::write_run;
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error;
@@ -38,11 +38,11 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
-    let _endable = signals::endable()?;
+pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
+    let _endable = terminal.endable()?;
     let model = read_model(&arguments.model)?.model;
     model.require_complete()?;
-    let loaded = arguments.map.load(&arguments.run)?;
+    let loaded = arguments.map.load(&arguments.run, terminal)?;
     let scenario = Scenario::from_run(&loaded.run)?;
     let noise = NoiseFloor::from_standstill(&scenario)
         .unwrap_or_else(|| NoiseFloor::from_spread(&scenario));
@@ -72,12 +72,12 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
         csv = with_measured(&csv, &scenario);
     }
     if let Some(path) = &arguments.output {
-        output::file(path, &csv)?;
+        terminal.file(path, &csv)?;
     }
     let summary = serde_json::json!({ "rows": run.rows(), "output": arguments.output });
     match (&arguments.output, arguments.json) {
-        (None, false) => output::line(csv.trim_end()),
-        (_, json) => output::result(&summary, json, |_| format!("{} rows simulated", run.rows())),
+        (None, false) => terminal.line(csv.trim_end()),
+        (_, json) => terminal.result(&summary, json, |_| format!("{} rows simulated", run.rows())),
     }
 }
 

@@ -10,13 +10,14 @@ use serde::Serialize;
 use serde_json::json;
 
 use crate::commands::arguments::LiveArguments;
-use crate::commands::run::{tell_checks, with_model};
+use crate::commands::run::print_checks;
 use crate::commands::{by_hand, cards, pages};
 use crate::runtime::controls::Controls;
 use crate::runtime::ending::conduct;
 use crate::runtime::failure::Failure;
 use crate::runtime::files::Recorded;
 use crate::runtime::opening::wired_profile;
+use crate::runtime::output::Terminal;
 use crate::runtime::rig::{OpenRig, Rig, RigOptions, SpeedAbout, nameplate};
 use crate::runtime::{files, output};
 use drivebench_bench::recording::RunFile;
@@ -58,7 +59,7 @@ pub(super) struct Arguments {
     /// voltage, current or speed: the quantity that is commanded; overrides the bench file
     #[arg(long, value_name = "QUANTITY", value_parser = actuator)]
     actuator: Option<Actuator>,
-    /// Only to say why not.
+    /// Refused, with the reason
     #[arg(long, hide = true)]
     escalate: bool,
 }
@@ -82,43 +83,39 @@ fn expected(all: &[&str]) -> String {
     format!("expected one of {}", all.join(", "))
 }
 
-pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
+pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), Failure> {
     if arguments.escalate {
         return Err(Failure::usage(
             "--escalate finds an unknown motor, and a speed loop needs one that is known",
             "`drivebench run --escalate` first, then --model with the model.toml of its run folder",
         ));
     }
-    let (json, full) = (arguments.live.json, arguments.live.full);
-    let words = arguments.live.words();
-    let source = arguments.live.source()?;
+    let live = &arguments.live;
+    let form = (live.json, live.full);
+    let options = live.words();
     let request = SpeedRequest {
-        rig: arguments.live.options(false)?,
-        source,
+        rig: live.options(false, terminal)?,
+        source: live.source()?,
         model: arguments.model,
         controller: arguments.controller,
         feed_forward: arguments.feed_forward,
         maps: arguments.feed_forward_map,
         actuator: arguments.actuator,
     };
-    let done = conduct(arguments.live.audience(None), move |strings| {
-        speed(request, Box::new(Rig::open), strings)
+    let done = conduct(terminal, live.audience(None), move |controls| {
+        speed(request, Box::new(Rig::open), controls)
     })?;
     let (result, recorded) = (speed_result(&done.work), &done.work.recorded);
-    let seen = by_hand::go_on(&done.left, recorded.folder.path());
-    let written = seen.as_ref().ok().cloned().flatten();
-    let document = with_model(cards::speed(&result, recorded, &words), written);
-    output::document(&result, json, full, &document)?;
-    done.left.conclude(done.work.recorded.failure()).and(seen.map(drop))
+    let document = cards::speed(&result, recorded, &options);
+    by_hand::finish(done.screen, recorded, &result, document, form, terminal)
 }
 
-/// Standard deviation of a speed sample below which a sensor is not believed to be quieter, rad/s.
+/// Smallest standard deviation that is taken for a speed sample, rad/s: at rest a sensor may show none.
 const LEAST_NOISE_RAD_S: f64 = 0.02;
 
-/// What is asked of a speed loop.
 pub struct SpeedRequest {
     pub rig: RigOptions,
-    /// Name and text of the bench file, for what is wrong in it.
+    /// Name and text of the bench file, for its errors.
     pub source: (String, String),
     /// Model that the loop is tuned on; `None`: the nameplate.
     pub model: Option<PathBuf>,
@@ -136,9 +133,10 @@ pub struct SpeedResult<'a> {
     rule: Rule,
     /// The model's file, or `nameplate`.
     model: String,
+    /// Motor that the loop was tuned on.
     #[serde(skip)]
     pub(super) motor: &'a Motor,
-    /// At rest, before the loop was tuned; null where the drive does not say when a command was applied.
+    /// At rest, before the loop was tuned; null where the drive does not report when a command was applied.
     pub(crate) delay_at_rest: Option<LoopDelay>,
     #[serde(flatten)]
     pub(crate) summary: &'a RunSummary,
@@ -151,7 +149,7 @@ impl SpeedResult<'_> {
     }
 }
 
-/// What the loop was tuned on where no model was given.
+/// Name of the model where none was given.
 const NAMEPLATE: &str = "nameplate";
 
 /// A loop that was recorded.
@@ -159,12 +157,11 @@ pub struct SpeedDone {
     pub recorded: Recorded,
     rule: Rule,
     model: String,
-    /// What the loop was tuned on.
     motor: Motor,
     delay: Option<LoopDelay>,
 }
 
-/// What a loop is made from, all of it known before the link is opened.
+/// All of a loop that is known before the link is opened.
 struct LoopParts {
     section: SpeedSection,
     actuator: Actuator,
@@ -208,7 +205,7 @@ impl LoopParts {
         })?;
         if bench.motor.is_unknown() && bench.nameplate().is_some() {
             return Err(Failure::usage(
-                "motor.unknown is set: no speed loop is closed around a motor that nobody has checked",
+                "motor.unknown is set: no speed loop is closed around a motor that is not verified",
                 "`drivebench run` finds it from small steps; put what it found into [motor] and take `unknown` out",
             ));
         }
@@ -273,14 +270,12 @@ fn maps(paths: &[PathBuf], used: ForwardUse) -> Result<Vec<TorqueMap>, Failure> 
     }
     let mut maps: Vec<TorqueMap> = Vec::new();
     for path in paths {
-        let text = files::read_text(path)?;
-        let map = TorqueMap::from_csv(&text).map_err(|error| {
+        let map = TorqueMap::from_csv(&files::read_text(path)?).map_err(|error| {
             let help = "`drivebench export --torque-map friction ... --to csv` writes one";
             Failure::usage(format!("{}: {error}", path.display()), help)
         })?;
         if maps.iter().any(|other| other.torque == map.torque) {
-            let name = map.torque.name();
-            let headline = format!("{}: a second {name} map", path.display());
+            let headline = format!("{}: a second {} map", path.display(), map.torque.name());
             return Err(Failure::usage(headline, "give one of each torque"));
         }
         maps.push(map);
@@ -291,51 +286,50 @@ fn maps(paths: &[PathBuf], used: ForwardUse) -> Result<Vec<TorqueMap>, Failure> 
 /// Regulates the speed over the rig that `open` gives.
 ///
 /// # Errors
-/// What stood in the way of a run; how a run that began went is in its record.
+/// Why no run began; the end of a run that began is in its record.
 pub fn speed(
-    asked: SpeedRequest,
+    request: SpeedRequest,
     open: OpenRig,
     controls: &Controls,
 ) -> Result<SpeedDone, Failure> {
-    let mut bench = asked.rig.bench.clone();
-    let request = LoopParts::new(&asked, &mut bench)?;
+    let mut bench = request.rig.bench.clone();
+    let parts = LoopParts::new(&request, &mut bench)?;
     // With the least delay that an exchange can have: what is refused now is refused before anything is opened.
-    request.regulator(request.period_s, LEAST_NOISE_RAD_S)?;
-    let mut rig = open(asked.rig, None, Purpose::SpeedLoop)?;
-    rig.bench.speed = Some(request.section.clone());
+    parts.regulator(parts.period_s, LEAST_NOISE_RAD_S)?;
+    let mut rig = open(request.rig, None, Purpose::SpeedLoop)?;
+    rig.bench.speed = Some(parts.section.clone());
     let report = rig.check(controls)?;
     let delay = rig.measure_delay(controls)?;
-    let noise_rad_s = noise(&report);
-    let delay_s = delay.map_or(request.period_s, |delay| delay.median_s);
-    let mut regulator = request.regulator(delay_s, noise_rad_s)?;
-    let reasons = &mut regulator.reasons;
-    let history = &request.model.history;
+    let delay_s = delay.map_or(parts.period_s, |delay| delay.median_s);
+    let mut regulator = parts.regulator(delay_s, noise(&report))?;
+    let history = &parts.model.history;
     let bench = &rig.bench.name;
-    if asked.source.0 == EMBEDDED_NAME && history.is_of_another_bench(bench) {
+    if request.source.0 == EMBEDDED_NAME && history.is_of_another_bench(bench) {
         let runs = history.fitted_on.join(", ");
         let text = format!(
             "no bench file is given, so this is the embedded bench {bench:?}; the model was fitted on {runs}"
         );
-        output::message(&format!("warning: {text}"));
-        reasons.push(text);
+        rig.options.terminal.message(&format!("warning: {text}"));
+        regulator.reasons.push(text);
     }
-    reasons.extend(unwatched(&report, request.actuator));
-    reasons.extend(converter(&request.limits));
-    let model = match &asked.model {
-        Some(path) => path.display().to_string(),
-        None => NAMEPLATE.to_owned(),
-    };
-    if rig.asked.headless {
-        tell(&report, delay.as_ref(), &regulator, asked.model.is_none());
+    regulator.reasons.extend(unwatched(&report, parts.actuator));
+    regulator.reasons.extend(converter(&parts.limits));
+    if rig.options.headless {
+        let by_nameplate = request.model.is_none();
+        print_loop(&report, delay.as_ref(), &regulator, by_nameplate, &rig.options.terminal);
     }
+    let model =
+        request.model.map_or_else(|| NAMEPLATE.to_owned(), |path| path.display().to_string());
+    let rule = parts.section.rule(parts.actuator);
+    let maps: Vec<_> = request.maps.iter().map(|path| path.display().to_string()).collect();
     let about = SpeedAbout {
-        model: request.model.to_toml(),
+        model: parts.model.to_toml(),
         manifest: json!({
-            "controller": request.section.controller,
-            "actuator": request.actuator,
-            "rule": request.section.rule(request.actuator),
-            "feed_forward": request.section.feed_forward,
-            "feed_forward_maps": asked.maps.iter().map(|path| path.display().to_string()).collect::<Vec<_>>(),
+            "controller": parts.section.controller,
+            "actuator": parts.actuator,
+            "rule": rule,
+            "feed_forward": parts.section.feed_forward,
+            "feed_forward_maps": maps,
             "model": model,
             "delay_at_rest": delay,
             "timing": regulator.timing,
@@ -343,39 +337,40 @@ pub fn speed(
             "limiter": regulator.limiter,
         }),
     };
-    let (section, limits) = (&request.section, &request.limits);
     let settings = PilotSettings {
-        slew_v_per_s: section.slew_v_per_s(&request.motor, limits, request.period_s),
-        silence_s: request.limits.link_silence_s,
-        hold: hold(&request),
+        slew_v_per_s: parts.section.slew_v_per_s(&parts.motor, &parts.limits, parts.period_s),
+        silence_s: parts.limits.link_silence_s,
+        hold: hold(&parts),
     };
-    let rule = request.section.rule(request.actuator);
-    let pilot = SpeedPilot::new(regulator, request.reference, settings);
+    let pilot = SpeedPilot::new(regulator, parts.reference, settings);
     let name = format!("{}-speed", rig.bench.name);
-    let mut whole = SpeedDone {
+    let mut done = SpeedDone {
         recorded: rig.record_loop(&name, pilot, about, controls)?,
         rule,
         model,
-        motor: request.model.model.motor.clone(),
+        motor: parts.model.model.motor.clone(),
         delay,
     };
-    whole.recorded.write(RunFile::Model, &request.model.to_toml());
-    let result = serde_json::to_value(speed_result(&whole)).unwrap_or_default();
-    whole.recorded.write_result(&result);
-    let loop_report = whole.recorded.summary.speed.as_ref();
-    let adaptation = loop_report.and_then(|report| report.adaptation.clone());
-    if let Some(text) = adaptation {
-        whole.recorded.write(RunFile::Adaptation, &text);
+    done.recorded.write(RunFile::Model, &parts.model.to_toml());
+    let result = serde_json::to_value(speed_result(&done)).unwrap_or_default();
+    done.recorded.write_result(&result);
+    if let Some(report) = done.recorded.summary.speed.as_ref() {
+        if let Some(text) = report.adaptation.clone() {
+            done.recorded.write(RunFile::Adaptation, &text);
+        }
+        let page = cards::speed_loop(&speed_result(&done));
+        pages::write_run(
+            &mut done.recorded,
+            None,
+            &parts.motor.motor(),
+            Some(&page),
+            &rig.options.terminal,
+        );
     }
-    if whole.recorded.summary.speed.is_some() {
-        let page = cards::speed_loop(&speed_result(&whole));
-        let plate = request.motor.motor();
-        pages::write_run(&mut whole.recorded, None, &plate, Some(&page));
-    }
-    Ok(whole)
+    Ok(done)
 }
 
-/// Why the speed sensor cannot be held against voltage and current, where that is so.
+/// Why the speed sensor is not checked against voltage and current.
 fn unwatched(report: &CheckReport, actuator: Actuator) -> Option<String> {
     let missing = |channel| !report.signals.contains(&channel);
     let because = match actuator {
@@ -387,7 +382,7 @@ fn unwatched(report: &CheckReport, actuator: Actuator) -> Option<String> {
     Some(format!("a broken encoder is noticed by a runaway and the speed limit only: {because}"))
 }
 
-/// What the converter does to the loop.
+/// Dead time of the converter.
 fn converter(limits: &Limits) -> Option<String> {
     let dead_ms = 1e3 * limits.dead_time_s;
     (dead_ms > 0.0).then(|| {
@@ -397,12 +392,11 @@ fn converter(limits: &Limits) -> Option<String> {
     })
 }
 
-/// What holds a load at rest, in the unit of the command.
-fn hold(request: &LoopParts) -> f64 {
-    let brake = request.limits.load.brake();
-    let hold_a = brake.map_or(0.0, |brake| brake.hold_current_a);
-    match request.actuator {
-        Actuator::Voltage => request.motor.resistance_ohm * hold_a,
+/// The command that holds a load at rest.
+fn hold(parts: &LoopParts) -> f64 {
+    let hold_a = parts.limits.load.brake().map_or(0.0, |brake| brake.hold_current_a);
+    match parts.actuator {
+        Actuator::Voltage => parts.motor.resistance_ohm * hold_a,
         Actuator::Current => hold_a,
         Actuator::Speed => 0.0,
     }
@@ -415,28 +409,28 @@ fn noise(report: &CheckReport) -> f64 {
     of_speed.map_or(LEAST_NOISE_RAD_S, |floor| floor.std.max(LEAST_NOISE_RAD_S))
 }
 
-/// Checks, delay and gains, for who reads along.
-fn tell(
+/// Checks, delay and gains.
+fn print_loop(
     report: &CheckReport,
     delay: Option<&LoopDelay>,
     regulator: &Regulator,
     by_nameplate: bool,
+    terminal: &Terminal,
 ) {
-    tell_checks(report);
+    print_checks(report, terminal);
     if by_nameplate {
-        output::message("no --model: the loop is tuned on the nameplate of the bench file");
+        terminal.message("no --model: the loop is tuned on the nameplate of the bench file");
     }
     let text = match delay {
         Some(delay) => {
-            let (text, commands) = (delay_text(delay), delay.measured);
-            format!("{text}; measured at rest on {commands} commands")
+            format!("{}; measured at rest on {} commands", delay_text(delay), delay.measured)
         }
-        None => "1 cycle is taken: the drive does not say when a command was applied".to_owned(),
+        None => "1 cycle is taken: the drive does not report when a command was applied".to_owned(),
     };
-    output::message(&format!("{:<18} {text}", "loop delay"));
+    terminal.message(&format!("{:<18} {text}", "loop delay"));
     let controller = regulator.passes.first().map_or("", |(_, first)| first.id());
     for reason in &regulator.reasons {
-        output::message(&format!("{controller:<18} {reason}"));
+        terminal.message(&format!("{controller:<18} {reason}"));
     }
 }
 
@@ -446,14 +440,13 @@ pub(crate) fn delay_text(delay: &LoopDelay) -> String {
     format!("{median:.2} cycles ({median_ms:.2} ms), 99 % within {p99:.2}")
 }
 
-/// What a loop has to say, for its folder and for whoever asked for it.
-pub(crate) fn speed_result(whole: &SpeedDone) -> SpeedResult<'_> {
+pub(crate) fn speed_result(done: &SpeedDone) -> SpeedResult<'_> {
     SpeedResult {
-        folder: whole.recorded.folder.path().display().to_string(),
-        rule: whole.rule,
-        model: whole.model.clone(),
-        motor: &whole.motor,
-        delay_at_rest: whole.delay,
-        summary: &whole.recorded.summary,
+        folder: done.recorded.folder.path().display().to_string(),
+        rule: done.rule,
+        model: done.model.clone(),
+        motor: &done.motor,
+        delay_at_rest: done.delay,
+        summary: &done.recorded.summary,
     }
 }

@@ -1,7 +1,5 @@
-//! `tune`: from a model and the link's timing to the gains of a speed regulator, with reasons, before the motor moves.
-//!
-//! The gains of a speed regulator, their margins over what is not known of the inertia, and the predicted step; gains from a
-//! file, which go with the model that they were tuned on.
+//! `tune`: the gains of a speed regulator from a model and the timing of the link, with reasons, margins over the uncertainty
+//! of the parameters, and the predicted step; gains from a file, which belong to the model that they were tuned on.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -11,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::report::{Bars, Document, Tone};
 use crate::runtime::failure::Failure;
 use crate::runtime::files::{read_model, read_text, speed_command};
-use crate::runtime::output;
+use crate::runtime::output::Terminal;
 use drivebench_control::tuning::{NotchUse, Request, Rule, Tuning, TuningError, tune_over};
 use drivebench_control::{
     Actuator, LinearPlant, LoopShape, LoopTiming, Margins, PiGains, PlantError, Schedule,
@@ -75,7 +73,7 @@ impl From<RuleName> for Rule {
     }
 }
 
-pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     let file = read_model(&arguments.model)?;
     let timing = timing(arguments)?;
     let request = Request {
@@ -85,7 +83,7 @@ pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
     };
     let result = TuneResult::of(&file, &timing, &request)?;
     let (json, full) = (arguments.json, arguments.full);
-    output::document(&result, json, full, &result.document(&arguments.model))
+    terminal.document(&result, json, full, &result.document(&arguments.model))
 }
 
 fn timing(arguments: &Arguments) -> Result<LoopTiming, Failure> {
@@ -108,9 +106,6 @@ fn timing(arguments: &Arguments) -> Result<LoopTiming, Failure> {
         filter_s: 1e-3 * arguments.filter_ms,
     })
 }
-
-/// Lines of the predicted step response.
-const LINES: usize = 16;
 
 #[derive(Serialize)]
 pub(crate) struct TuneResult {
@@ -178,9 +173,10 @@ impl TuneResult {
         let overshoot = response.overshoot_percent;
         let step = format!("overshoot {overshoot:.1} %, {settling}; linear, no limit is met");
         document.say("step", [step], 1);
+        // Sixteen lines of the predicted step response.
         let shown_s = 2.0 * response.settling_s.unwrap_or(1.0).max(0.01);
         let last = self.step.partition_point(|point| point.time_s <= shown_s).max(2);
-        let points = (0..LINES).map(|n| &self.step[n * (last - 1) / (LINES - 1)]);
+        let points = (0..16).map(|n| &self.step[n * (last - 1) / 15]);
         let bars = points.map(|point| {
             let (time_s, speed) = (point.time_s, point.speed);
             let band = point
@@ -195,7 +191,7 @@ impl TuneResult {
     }
 }
 
-/// The plant that a regulator of the voltage sees.
+/// The plant of a regulator that sets the voltage.
 fn plant(model: &Model) -> Result<LinearPlant, PlantError> {
     LinearPlant::of(model, Actuator::Voltage, 0.0)
 }
@@ -214,9 +210,6 @@ struct KeptMargins {
     crossover_rad_s: f64,
 }
 
-/// Degrees of phase margin, and share of the crossover, within which two loops are the same.
-const SAME_MARGIN: f64 = 1e-3;
-
 impl KeptGains {
     /// Reads gains; those whose loop has other margins on this model than it had where they were tuned are refused.
     pub(crate) fn read(path: &Path, model: &Model) -> Result<Self, Failure> {
@@ -229,7 +222,8 @@ impl KeptGains {
         let there = &kept.margins;
         let phase = (here.phase_margin_deg - there.phase_margin_deg).abs();
         let crossover = (here.crossover_rad_s / there.crossover_rad_s - 1.0).abs();
-        if phase <= SAME_MARGIN && crossover <= SAME_MARGIN {
+        // Rounding of the file, in degrees and as a share.
+        if phase <= 1e-3 && crossover <= 1e-3 {
             return Ok(kept);
         }
         let headline = format!(

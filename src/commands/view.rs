@@ -1,16 +1,15 @@
-//! `view`: a recorded run on the screen, measured and model over time.
-//!
-//! A comparison on the screen: what `compare --screen` and `view` show, before anything is searched.
+//! `view` and `compare --screen`: a recorded run on the screen, measured and model over time.
 
 use std::io::IsTerminal as _;
 use std::path::PathBuf;
 
 use crate::commands::arguments::{EvidenceArguments, model_words, run_path};
-use crate::commands::by_hand::{Left, Shown};
+use crate::commands::by_hand::{Closed, Shown};
 use crate::commands::evidence::{Judging, Place, Prepared};
 use crate::commands::{by_hand, pages};
 use crate::runtime::failure::Failure;
-use crate::runtime::{output, progress, signals};
+use crate::runtime::output;
+use crate::runtime::output::Terminal;
 use crate::tui::Opens;
 use crate::workflow::Discovery;
 use drivebench_diagnose::ErrorOf;
@@ -31,28 +30,28 @@ pub(super) struct Arguments {
     evidence: EvidenceArguments,
 }
 
-pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
+pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     let help = "`drivebench compare RUN` prints the same as text";
     needs_terminal("view", help)?;
-    let attended = (signals::endable()?, progress::begin("view"));
+    let attended = (terminal.endable()?, terminal.progress("view"));
     let model = arguments.model.as_deref();
     let (run, judging) = (&arguments.run, Judging::of(model));
-    let mut prepared = arguments.evidence.prepare_for_screen(run, model, judging)?;
-    let judged = prepared.judge_as_diagnose(model.is_some())?;
-    // From here on the screen owns the terminal and hears the signals.
+    let mut prepared = arguments.evidence.prepare_for_screen(run, model, judging, terminal)?;
+    let judged = prepared.judge_as_diagnose(model.is_some(), terminal)?;
+    // From here on the screen owns the terminal and the signals.
     drop(attended);
-    let left = show(&prepared, judged.error_of)?;
-    left.standing.heading().lines().for_each(output::message);
-    if let Some(diagnosis) = &left.standing.diagnosis {
-        output::message(&diagnosis.sentence);
+    let standing = show(&prepared, judged.error_of, terminal)?.standing;
+    standing.heading().lines().for_each(|line| terminal.message(line));
+    if let Some(diagnosis) = &standing.diagnosis {
+        terminal.message(&diagnosis.sentence);
     }
-    let (run, words) = (output::quoted(run), arguments.evidence.words());
+    let (run, evidence) = (output::quoted(run), arguments.evidence.words());
     let model = model_words(model);
-    output::message(&format!("next: drivebench diagnose {run}{model}{words}"));
+    terminal.message(&format!("next: drivebench diagnose {run}{model}{evidence}"));
     Ok(())
 }
 
-/// A screen needs a terminal; `help` says what does without one.
+/// A screen needs a terminal; `help` names what works without one.
 pub(crate) fn needs_terminal(what: &str, help: &str) -> Result<(), Failure> {
     if std::io::stdout().is_terminal() {
         return Ok(());
@@ -61,10 +60,14 @@ pub(crate) fn needs_terminal(what: &str, help: &str) -> Result<(), Failure> {
     Err(Failure::usage(headline, help))
 }
 
-/// Shows the complete model beside its runs until the screen is left; from there a person may search what it misses.
-pub(crate) fn show(prepared: &Prepared, error_of: ErrorOf) -> Result<Left, Failure> {
+/// Shows the complete model beside its runs until the screen is left; from there a person may search for missing effects.
+pub(crate) fn show(
+    prepared: &Prepared,
+    error_of: ErrorOf,
+    terminal: &Terminal,
+) -> Result<Closed, Failure> {
     let model = prepared.model.file.model.clone();
-    let place = Place::of(None, prepared)?;
+    let place = Place::of(None, prepared, terminal)?;
     let discovery = Discovery::new(model, prepared.evidence.clone())
         .with_recorded(prepared.recorded.clone())
         .with_limits(place.limits());
@@ -76,9 +79,9 @@ pub(crate) fn show(prepared: &Prepared, error_of: ErrorOf) -> Result<Left, Failu
         history: prepared.model.file.history.clone(),
         output: None,
     };
-    let left = by_hand::show(discovery, shown)?;
-    if left.is_interrupted() {
+    let closed = by_hand::show(discovery, shown, terminal)?;
+    if closed.is_interrupted() {
         return Err(Failure::interrupted("interrupted"));
     }
-    Ok(left)
+    Ok(closed)
 }

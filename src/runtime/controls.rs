@@ -6,20 +6,19 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use drivebench_bench::{Intent, SnapshotCell};
 
-/// What ties a run to the world. The thread that works has it; whoever ends it holds [`Ends`].
+/// The inputs and outputs of the thread that works; whoever may end it holds [`Ends`].
 pub struct Controls {
     pub snapshots: SnapshotCell,
-    /// Raised once for each request to end: the first ramps down, the second switches the output off at once.
+    /// Raised for each request to end: the first ramps down, the second switches the output off at once.
     pub interrupted: Arc<AtomicBool>,
     /// Set by every stop key: nothing more is to be started, also between two runs, where nobody reads intents.
     pub stop_requested: Arc<AtomicBool>,
-    /// What the rig tells of its drive.
+    /// Whether the drive may be on.
     pub drive: DriveCell,
     intents: Receiver<Intent>,
 }
 
 impl Controls {
-    /// Controls that nobody pulls but who holds the other ends.
     pub fn new(snapshots: SnapshotCell) -> (Self, Ends) {
         let (sender, intents) = channel();
         let controls = Self {
@@ -30,7 +29,7 @@ impl Controls {
             intents,
         };
         let ends = Ends {
-            // Whoever hears the notices hears that the work is over when the worker's controls are gone.
+            // The receiver of the notices ends with the worker's controls.
             snapshots: controls.snapshots.reader(),
             interrupted: Arc::clone(&controls.interrupted),
             stop_requested: Arc::clone(&controls.stop_requested),
@@ -47,7 +46,7 @@ impl Controls {
         self.interrupted.load(Ordering::Acquire) || self.stop_requested.load(Ordering::Acquire)
     }
 
-    /// The flags of which one is up then.
+    /// The flags of which one is up when [`is_stopped`](Self::is_stopped).
     pub(crate) fn stop_flags(&self) -> [Arc<AtomicBool>; 2] {
         [&self.interrupted, &self.stop_requested].map(Arc::clone)
     }
@@ -71,14 +70,14 @@ pub struct Ends {
 }
 
 impl Ends {
-    /// A person or another program asks for the end; asked twice, the output goes off at once.
+    /// A person or another program requests the end; requested twice, the output goes off at once.
     pub fn interrupt(&self) {
         self.leaving.store(true, Ordering::Release);
         self.interrupted.store(true, Ordering::Release);
     }
 
-    /// Nobody is there any more: the terminal is closed, or the screen has failed. However often that shows, it asks once,
-    /// so that the output ramps down as its profile says.
+    /// The terminal is closed, or the screen has failed. However often that is noticed it counts as one request, so that the
+    /// output ramps down.
     pub fn hang_up(&self) {
         self.leaving.store(true, Ordering::Release);
         self.stop_requested.store(true, Ordering::Release);
@@ -88,29 +87,29 @@ impl Ends {
     }
 }
 
-/// Whether a drive may be on, as the rig tells it.
+/// Whether a drive may be on.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub enum DriveWord {
+pub enum DrivePower {
     /// Nothing is energised by us.
     #[default]
     Off,
-    /// The drive may be on. Told to end, it takes at most so long until its stop is confirmed, s.
+    /// At most `end_s` pass from a request to end to the confirmed stop, s.
     MayBeOn { end_s: f64 },
-    /// The work has panicked: what came of the stop that was sent then.
+    /// The work has panicked: the result of the stop that was sent then.
     Panicked(Result<(), String>),
 }
 
-/// The latest word, shared between the rig and whoever waits for the end.
+/// Shared between the rig and whoever waits for the end.
 #[derive(Clone, Debug, Default)]
-pub struct DriveCell(Arc<Mutex<DriveWord>>);
+pub struct DriveCell(Arc<Mutex<DrivePower>>);
 
 impl DriveCell {
-    pub fn get(&self) -> DriveWord {
+    pub fn get(&self) -> DrivePower {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    pub(crate) fn set(&self, word: DriveWord) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = word;
+    pub(crate) fn set(&self, power: DrivePower) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = power;
     }
 }
 
@@ -119,17 +118,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_terminal_that_is_closed_asks_once_and_a_person_as_often_as_they_like() {
+    fn a_closed_terminal_requests_one_end_and_a_person_each_time() {
         let (controls, ends) = Controls::new(SnapshotCell::default());
-        let asked = || controls.interrupted.swap(false, Ordering::AcqRel);
+        let requested = || controls.interrupted.swap(false, Ordering::AcqRel);
         ends.hang_up();
-        assert!(asked() && controls.is_stopped());
-        // SIGHUP, the screen's own look at its terminal, a shell that passes the signal on.
+        assert!(requested() && controls.is_stopped());
+        // By SIGHUP and by the screen.
         ends.hang_up();
-        assert!(!asked());
+        assert!(!requested());
         ends.interrupt();
-        assert!(asked());
+        assert!(requested());
         ends.interrupt();
-        assert!(asked());
+        assert!(requested());
     }
 }

@@ -1,10 +1,10 @@
-//! The one owner of the end: whatever ends the work, or the screen that shows it, the drive is told to stop, its word is
-//! waited for, and only then the program goes on.
+//! How work on a drive ends: whatever ends it, or the screen that shows it, the drive is stopped, its confirmation is waited
+//! for, and only then the program goes on.
 //!
 //! ```text
-//! headless: work on this thread ---------------------------+-- returns, panics --> what it came to
+//! headless: work on this thread ---------------------------+-- returns, panics --> result
 //! screen:   threads "bench" and "screen"; this one waits --'
-//!             '-- left, failed, panicked, terminal closed --> hang up -> zero, disable, confirmed? -> what it came to
+//!             '-- left, failed, panicked, terminal closed --> hang up -> zero, disable, confirmed? -> result
 //! ```
 
 use std::any::Any;
@@ -16,43 +16,37 @@ use std::sync::mpsc::{Receiver, channel};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use crate::runtime::controls::{Controls, DriveWord, Ends};
+use crate::runtime::controls::{Controls, DrivePower, Ends};
 use crate::runtime::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP};
-use crate::runtime::{appearance, output, signals};
+use crate::runtime::output::Terminal;
+use crate::runtime::{appearance, signals};
 use crate::tui::{Exit, LiveScreen, LiveSources, WorkerCell, is_gone, show};
 use crate::workflow::{ProgressCell, RankingCell, RankingWatch};
 use drivebench_bench::{Level, Notice, SnapshotCell};
 
-/// How often it is looked whether the work is over.
-const LOOK: Duration = Duration::from_millis(50);
-/// How long a worker that was left by force is given, s.
-const FORCED_S: f64 = 5.0;
-/// How long a screen is given to leave when there is nothing more to show, s.
-const SCREEN_S: f64 = 2.0;
-/// How long the work is given for its record after the drive has stopped, s.
-const RECORD_S: f64 = 30.0;
+/// Between two polls of threads that end.
+const POLL: Duration = Duration::from_millis(50);
 
-/// Who looks at the work.
+/// Where the work is shown.
 pub enum Audience {
-    /// Nobody: progress on stderr.
+    /// Messages on stderr.
     Headless,
-    /// Somebody at the screen, with the steps of a workflow where there is one.
+    /// A screen, with the steps of a workflow where there is one.
     Screen(Option<ProgressCell>),
-    /// The same for a run after which the program goes on; the words say where `q` leads then.
+    /// A screen of a run after which the program goes on; the text names what follows `q`.
     Leads(&'static str),
 }
 
 /// Work that is over, with how its screen was left.
 pub struct Ended<T> {
     pub work: T,
-    pub left: Left,
+    pub screen: ScreenEnd,
 }
 
-/// How the work was left to itself.
+/// How the screen beside the work ended.
 #[derive(Debug)]
-pub enum Left {
-    /// There was no screen.
-    Headless,
+pub enum ScreenEnd {
+    NoScreen,
     /// By its own ways out.
     Screen(Exit),
     /// The terminal was closed, or failed.
@@ -61,12 +55,12 @@ pub enum Left {
     Panicked(Failure),
 }
 
-impl Left {
-    /// What the command ends with, where the run itself ended with `run`: a trip or a lost drive is said before anything
-    /// that happened to the screen, a fault of this program before an interruption.
+impl ScreenEnd {
+    /// The failure of the command, where the run itself ended with `run`: a trip or a lost drive goes before anything that
+    /// happened to the screen, a fault of this program before an interruption.
     pub fn conclude(self, run: Option<Failure>) -> Result<(), Failure> {
         let of_screen = match self {
-            Self::Headless | Self::Screen(_) => None,
+            Self::NoScreen | Self::Screen(_) => None,
             Self::Gone(failure) | Self::Panicked(failure) => Some(failure),
         };
         let ends_run = |failure: &Failure| matches!(failure.status, LINK | TRIP);
@@ -82,11 +76,12 @@ impl Left {
     }
 }
 
-/// Does the work, shown on a screen or not, and sees to its end.
+/// Does the work, shown on a screen or not.
 ///
 /// # Errors
-/// The work's own failure; else that of a panic, after the drive was told to stop.
+/// The work's own failure; else that of a panic, after the drive was stopped.
 pub fn conduct<T: Send + 'static>(
+    terminal: &Terminal,
     audience: Audience,
     work: impl FnOnce(&Controls) -> Result<T, Failure> + Send + 'static,
 ) -> Result<Ended<T>, Failure> {
@@ -95,15 +90,16 @@ pub fn conduct<T: Send + 'static>(
             let (listener, notices) = channel();
             let (controls, ends) = Controls::new(SnapshotCell::with_notices(listener));
             signals::pull(ends)?;
-            let work = alone(controls, notices, work)?;
-            Ok(Ended { work, left: Left::Headless })
+            let work = alone(terminal, controls, notices, work)?;
+            Ok(Ended { work, screen: ScreenEnd::NoScreen })
         }
-        Audience::Screen(progress) => on_screen(progress, None, work),
-        Audience::Leads(leads) => on_screen(None, Some(leads), work),
+        Audience::Screen(progress) => on_screen(terminal, progress, None, work),
+        Audience::Leads(leads) => on_screen(terminal, None, Some(leads), work),
     }
 }
 
 fn on_screen<T: Send + 'static>(
+    terminal: &Terminal,
     progress: Option<ProgressCell>,
     leads: Option<&'static str>,
     work: impl FnOnce(&Controls) -> Result<T, Failure> + Send + 'static,
@@ -112,30 +108,32 @@ fn on_screen<T: Send + 'static>(
     signals::pull(ends.clone())?;
     let shown =
         move |sources| show(LiveScreen::new(LiveSources { leads, ..sources }), appearance::get());
-    beside_screen(controls, &ends, progress, shown, work)
+    beside_screen(terminal, controls, &ends, progress, shown, work)
 }
 
-/// Without a screen: what has to be known at once is told on stderr, by a thread that may wait for it.
+/// Without a screen: warnings go to stderr at once, by a thread that may wait for it.
 pub(crate) fn alone<T>(
+    terminal: &Terminal,
     controls: Controls,
     notices: Receiver<Notice>,
     work: impl FnOnce(&Controls) -> Result<T, Failure>,
 ) -> Result<T, Failure> {
     let drive = controls.drive.clone();
-    let teller = spawn("notices", move || {
-        let mut told: Vec<String> = Vec::new();
+    let terminal = terminal.clone();
+    let printer = spawn("notices", move || {
+        let mut printed: Vec<String> = Vec::new();
         for notice in notices {
-            if notice.level != Level::Info && !told.contains(&notice.text) {
-                output::message(&format!("warning: {}", notice.text));
-                told.push(notice.text);
+            if notice.level != Level::Info && !printed.contains(&notice.text) {
+                terminal.message(&format!("warning: {}", notice.text));
+                printed.push(notice.text);
             }
         }
     })?;
     let done = catch_unwind(AssertUnwindSafe(|| work(&controls)));
     drop(controls);
     let done = done.unwrap_or_else(|panic| Err(bench_panicked(panic.as_ref(), &drive.get())));
-    // What was told stands above the result.
-    let _ = teller.join();
+    // The warnings stand above the result.
+    let _ = printer.join();
     done
 }
 
@@ -144,6 +142,7 @@ pub(crate) fn alone<T>(
 /// # Errors
 /// As [`conduct`]; and where the work does not come to its end in time.
 pub fn beside_screen<T: Send + 'static>(
+    terminal: &Terminal,
     controls: Controls,
     ends: &Ends,
     progress: Option<ProgressCell>,
@@ -163,8 +162,7 @@ pub fn beside_screen<T: Send + 'static>(
         stop_requested: Arc::clone(&ends.stop_requested),
         hang_up: Arc::clone(&ends.leaving),
     };
-    // A message in the middle of the screen would be in nobody's way but the screen's.
-    let held = output::hold();
+    let held = terminal.hold();
     let thread = spawn("bench", move || {
         let _finish = worker.finish_on_drop();
         work(&controls)
@@ -174,47 +172,46 @@ pub fn beside_screen<T: Send + 'static>(
         || ends.hang_up(),
         || thread.is_finished() && ends.leaving.load(Ordering::Acquire),
     )?;
-    let left = match shown {
-        Watched::Left(exit) => Left::Screen(exit),
-        Watched::Failed(reason) => Left::Gone(Failure::with_help(
+    let screen = match shown {
+        Watched::Left(exit) => ScreenEnd::Screen(exit),
+        Watched::Failed(reason) => ScreenEnd::Gone(Failure::with_help(
             INTERRUPTED,
             format!("the screen has failed: {reason}"),
-            "the drive was told to stop; start the command again to repeat the run",
+            "the drive was stopped; start the command again to repeat the run",
         )),
-        Watched::Panicked(said) => {
-            let headline = format!("the screen has panicked ({said}); the run was ended");
-            Left::Panicked(Failure::internal(headline))
-        }
+        Watched::Panicked(text) => ScreenEnd::Panicked(Failure::internal(format!(
+            "the screen has panicked ({text}); the run was ended"
+        ))),
     };
-    if !matches!(left, Left::Screen(_)) {
+    if !matches!(screen, ScreenEnd::Screen(_)) {
         ends.hang_up();
     }
     drop(held);
-    let over = match &left {
-        Left::Screen(Exit::Forced) => is_over_within(&thread, FORCED_S),
-        Left::Screen(_) | Left::Headless => true,
-        Left::Gone(_) | Left::Panicked(_) => is_over_after_stop(&thread, ends),
+    let is_over = match &screen {
+        ScreenEnd::Screen(Exit::Forced) => {
+            wait_while(|waited_s| !thread.is_finished() && waited_s < 5.0);
+            thread.is_finished()
+        }
+        ScreenEnd::Screen(_) | ScreenEnd::NoScreen => true,
+        ScreenEnd::Gone(_) | ScreenEnd::Panicked(_) => is_over_after_stop(terminal, &thread, ends),
     };
-    if !over {
-        return Err(unfinished(left, &ends.drive.get()));
+    if !is_over {
+        return Err(unfinished(screen, &ends.drive.get()));
     }
     let drive = ends.drive.clone();
     let done =
         thread.join().unwrap_or_else(|panic| Err(bench_panicked(panic.as_ref(), &drive.get())));
     match done {
-        Ok(work) => Ok(Ended { work, left }),
-        Err(failure) => Err(left
+        Ok(work) => Ok(Ended { work, screen }),
+        Err(failure) => Err(screen
             .conclude(Some(failure))
             .err()
-            .unwrap_or_else(|| Failure::internal("the work failed and nothing was said of it"))),
+            .unwrap_or_else(|| Failure::internal("the work failed without a reason"))),
     }
 }
 
-/// Time between two provisional rankings.
-const RANK: Duration = Duration::from_millis(500);
-
-/// Looks twice a second at what the screen is shown, for as long as the work goes on. It shares nothing with the bench but
-/// the snapshot that is published for the screen. Never joined: it has nothing to put down.
+/// Ranks the effects provisionally, twice a second, from the snapshots of the screen, for as long as the work goes on. It
+/// shares nothing else with the bench. Never joined: it has nothing to finish.
 fn rank_beside(
     snapshots: SnapshotCell,
     ranking: RankingCell,
@@ -231,7 +228,7 @@ fn rank_beside(
                 ranking.publish(watch.rank().unwrap_or_default());
                 seen = Some(latest);
             }
-            thread::sleep(RANK);
+            thread::sleep(Duration::from_millis(500));
         }
     })?;
     Ok(())
@@ -242,13 +239,13 @@ pub(crate) enum Watched {
     Left(Exit),
     /// Why there is none any more.
     Failed(String),
-    /// With these words.
+    /// With the text of the panic.
     Panicked(String),
 }
 
-/// Has a screen shown on a thread of its own, so that nothing that becomes of it or of its terminal keeps this one: whoever
-/// reads keys from a terminal that is just being closed may do so for ever. `gone` is called, once or more often, when the
-/// terminal is closed; a screen that does not come back when it `must_leave` is left alone.
+/// Shows a screen on a thread of its own, so that nothing that happens to it or to its terminal blocks this one: a read of
+/// keys from a terminal that is just being closed may never return. `gone` is called, once or more often, when the terminal
+/// is closed; a screen that does not return within 2 s when it `must_leave` is abandoned.
 pub(crate) fn watched(
     show: impl FnOnce() -> io::Result<Exit> + Send + 'static,
     gone: impl Fn(),
@@ -258,70 +255,60 @@ pub(crate) fn watched(
     let screen = spawn("screen", show)?;
     let (mut closed, mut waited_s) = (false, 0.0);
     while !screen.is_finished() {
-        if has_terminal && !closed && is_closed() {
+        // At its other end.
+        if has_terminal && !closed && is_gone(Duration::ZERO).unwrap_or(true) {
             closed = true;
             gone();
         }
         if must_leave() {
-            waited_s += LOOK.as_secs_f64();
+            waited_s += POLL.as_secs_f64();
         }
-        if waited_s > SCREEN_S {
+        if waited_s > 2.0 {
             let reason =
                 if closed { "the terminal is gone" } else { "the terminal takes nothing any more" };
             return Ok(Watched::Failed(reason.to_owned()));
         }
-        thread::sleep(LOOK);
+        thread::sleep(POLL);
     }
     Ok(match screen.join() {
         Ok(Ok(exit)) => Watched::Left(exit),
         Ok(Err(error)) => Watched::Failed(error.to_string()),
-        Err(panic) => Watched::Panicked(said(panic.as_ref()).to_owned()),
+        Err(panic) => Watched::Panicked(panic_text(panic.as_ref()).to_owned()),
     })
 }
 
-/// Whether the terminal on standard output has been closed at its other end.
-fn is_closed() -> bool {
-    is_gone(Duration::ZERO).unwrap_or(true)
-}
-
-/// Whether the thread ends within so many seconds.
-fn is_over_within<T>(thread: &JoinHandle<T>, seconds: f64) -> bool {
-    wait_while(|waited_s| !thread.is_finished() && waited_s < seconds);
-    thread.is_finished()
-}
-
-/// Looks again and again, with the seconds that have passed, until there is nothing more to wait for.
+/// Polls, with the seconds that have passed, until the condition is false.
 fn wait_while(is_to_wait: impl Fn(f64) -> bool) {
     let mut waited_s = 0.0;
     while is_to_wait(waited_s) {
-        thread::sleep(LOOK);
-        waited_s += LOOK.as_secs_f64();
+        thread::sleep(POLL);
+        waited_s += POLL.as_secs_f64();
     }
 }
 
-/// Waits for the drive's confirmed stop as long as that may take, then for the record. Work with nothing energised and
-/// nothing half written, as a diagnosis, is left where it is.
-fn is_over_after_stop<T>(thread: &JoinHandle<T>, ends: &Ends) -> bool {
+/// Waits for the drive's confirmed stop as long as that may take, then 30 s at most for the record. Work with nothing
+/// energised and nothing half written, as a diagnosis, is abandoned.
+fn is_over_after_stop<T>(terminal: &Terminal, thread: &JoinHandle<T>, ends: &Ends) -> bool {
     let mut on_s = 0.0;
-    while let (DriveWord::MayBeOn { end_s }, false) = (ends.drive.get(), thread.is_finished()) {
+    while let (DrivePower::MayBeOn { end_s }, false) = (ends.drive.get(), thread.is_finished()) {
         if on_s > end_s {
             return false;
         }
-        thread::sleep(LOOK);
-        on_s += LOOK.as_secs_f64();
+        thread::sleep(POLL);
+        on_s += POLL.as_secs_f64();
     }
-    wait_while(|waited_s| !thread.is_finished() && !signals::is_endable() && waited_s < RECORD_S);
+    wait_while(|waited_s| !thread.is_finished() && !terminal.is_endable() && waited_s < 30.0);
     thread.is_finished()
 }
 
-/// What is said of work that did not come to its end.
-fn unfinished(left: Left, drive: &DriveWord) -> Failure {
-    let is_on = matches!(drive, DriveWord::MayBeOn { .. });
-    match left {
-        Left::Gone(failure) | Left::Panicked(failure) if !is_on => failure,
-        left => Failure::with_help(
-            match left {
-                Left::Panicked(_) => INTERNAL,
+/// The failure of work that did not come to its end.
+fn unfinished(screen: ScreenEnd, drive: &DrivePower) -> Failure {
+    let is_on = matches!(drive, DrivePower::MayBeOn { .. });
+    match screen {
+        ScreenEnd::Gone(failure) | ScreenEnd::Panicked(failure) if !is_on => failure,
+        screen => Failure::with_help(
+            match screen {
+                ScreenEnd::Panicked(_) => INTERNAL,
                 _ => INTERRUPTED,
             },
             "left by force: the bench did not confirm that it has stopped",
@@ -330,28 +317,27 @@ fn unfinished(left: Left, drive: &DriveWord) -> Failure {
     }
 }
 
-/// A panic of the work, with what came of the stop that was sent on its way out.
-fn bench_panicked(panic: &(dyn Any + Send), drive: &DriveWord) -> Failure {
+/// A panic of the work, with the result of the stop that was sent on its way out.
+fn bench_panicked(panic: &(dyn Any + Send), drive: &DrivePower) -> Failure {
     let stopped = match drive {
-        DriveWord::Panicked(Ok(())) => "the drive was told to stop and took it".to_owned(),
-        DriveWord::Panicked(Err(error)) => {
+        DrivePower::Panicked(Ok(())) => "the drive has taken its stop".to_owned(),
+        DrivePower::Panicked(Err(error)) => {
             format!("the drive did NOT confirm its stop: {error}; see that the motor stands still")
         }
-        DriveWord::Off => "nothing was energised".to_owned(),
-        DriveWord::MayBeOn { .. } => {
-            "the drive was told to stop; see that the motor stands still".to_owned()
+        DrivePower::Off => "nothing was energised".to_owned(),
+        DrivePower::MayBeOn { .. } => {
+            "the drive was sent its stop; see that the motor stands still".to_owned()
         }
     };
-    Failure::internal(format!("the bench has panicked ({}); {stopped}", said(panic)))
+    Failure::internal(format!("the bench has panicked ({}); {stopped}", panic_text(panic)))
 }
 
-/// The words of a panic.
-fn said(panic: &(dyn Any + Send)) -> &str {
+fn panic_text(panic: &(dyn Any + Send)) -> &str {
     panic
         .downcast_ref::<&str>()
         .copied()
         .or_else(|| panic.downcast_ref::<String>().map(String::as_str))
-        .unwrap_or("without a word")
+        .unwrap_or("no text")
 }
 
 /// A thread with a name.

@@ -1,6 +1,5 @@
 //! Why a command ended without success: one headline, one help line, one exit status.
 
-use crate::runtime::output;
 use drivebench_bench::recording::RecordingError;
 use drivebench_bench::{BenchFileError, CheckError, InitError, RegulatorError};
 use drivebench_control::PlantError;
@@ -45,13 +44,12 @@ impl Failure {
         Self { help, ..self }
     }
 
-    /// With what is to be known beside it.
-    pub(crate) fn beside(self, text: Option<&str>) -> Self {
-        let headline = match text {
-            Some(text) => format!("{}; {text}", self.headline),
-            None => self.headline,
-        };
-        Self { headline, ..self }
+    /// With a remark behind the headline, where there is one.
+    pub(crate) fn with_remark(mut self, remark: Option<&str>) -> Self {
+        if let Some(remark) = remark {
+            self.headline = format!("{}; {remark}", self.headline);
+        }
+        self
     }
 
     /// Usage or configuration, or more asked than plan or line allow.
@@ -83,22 +81,11 @@ impl Failure {
         &self.headline
     }
 
-    /// Two paragraphs on stderr, and for a program that asked for JSON the same as one line of it before them; where stderr is
-    /// gone there is nobody left to tell.
-    pub(crate) fn print(&self) {
-        use std::io::Write;
-        super::progress::above(|| {
-            if std::env::args_os().any(|word| word == "--json") {
-                let _ = writeln!(std::io::stderr(), "{}", self.json());
-            }
-            output::said(&format!("error: {}", self.headline));
-            output::said(&format!("help: {}", self.help()));
-        });
-    }
-
-    fn json(&self) -> serde_json::Value {
-        let (status, message) = (self.status, &self.headline);
-        serde_json::json!({ "error": { "status": status, "message": message, "help": self.help() } })
+    /// The failure as one line for programs.
+    pub(super) fn json(&self) -> serde_json::Value {
+        serde_json::json!({
+            "error": { "status": self.status, "message": self.headline, "help": self.help() }
+        })
     }
 
     /// The next step; where none was given, what the status means for the reader.
@@ -115,7 +102,7 @@ impl Failure {
     }
 }
 
-/// Errors of the rooms below as failures: each with its own words, its own next step, and this status.
+/// Errors of the lower floors as failures: their own text and help, and this status.
 macro_rules! failures {
     ($($error:ty: $status:expr;)*) => {$(
         impl From<$error> for Failure {

@@ -1,14 +1,14 @@
-//! Runs, models and texts from files, and the files that commands write: models with their history; a run that
-//! has been recorded: its files, what ended it early, and what could not be kept of it.
+//! Runs, models and texts from files, and the files that commands write: models with their history, and the record of a
+//! run: its files, what ended it early, and what could not be kept of it.
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde::Serialize;
 
 use crate::report::{EarlyEnd, Tone};
 use crate::runtime::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP, USAGE};
 use crate::runtime::output;
+use crate::runtime::output::Terminal;
 use drivebench_bench::recording::{
     self, ColumnKind, ColumnMap, Kept, KeptLogs, LATEST, LoadedRun, Manifest, RecordingError,
     RunFile, RunFolder, open_run, run_from_memory, write_run,
@@ -20,42 +20,40 @@ use drivebench_identify::{sanity, speed_from_angle};
 use drivebench_model::plant::{FileHistory, FittedValue, ModelFile, Scenario};
 
 /// Opens a run, prints its warnings, and derives the speed from the angle where there is none.
-pub(crate) fn load(path: &Path, map: Option<&ColumnMap>) -> Result<LoadedRun, Failure> {
-    complete(open_run(path, map)?)
+pub(crate) fn load(
+    path: &Path,
+    map: Option<&ColumnMap>,
+    terminal: &Terminal,
+) -> Result<LoadedRun, Failure> {
+    complete(open_run(path, map)?, terminal)
 }
 
 /// Makes missing what is no measurement, derives the speed from the angle where there is none, and prints the warnings of a
 /// run. A run folder's own recorder left empty what it did not receive, and is replayed as it is.
-pub(crate) fn complete(mut loaded: LoadedRun) -> Result<LoadedRun, Failure> {
+pub(crate) fn complete(mut loaded: LoadedRun, terminal: &Terminal) -> Result<LoadedRun, Failure> {
     let before = loaded.run.notes.len();
     if loaded.manifest.is_none() {
-        let masked = sanity::mask(&mut loaded.run);
-        let name = &loaded.run.name;
-        let masked = masked.iter().map(|sentence| format!("{name}: {sentence}"));
-        let masked: Vec<String> = masked.collect();
-        loaded.run.notes.extend(masked);
+        for sentence in sanity::mask(&mut loaded.run) {
+            loaded.run.notes.push(format!("{}: {sentence}", loaded.run.name));
+        }
     }
-    let complete = speed_from_angle::complete(&loaded.run);
-    loaded.run = complete.map_err(|error| Failure::new(USAGE, error.to_string()))?;
-    let derived = &loaded.run.notes[before..];
-    loaded.warnings.extend_from_slice(derived);
+    loaded.run = speed_from_angle::complete(&loaded.run)
+        .map_err(|error| Failure::new(USAGE, error.to_string()))?;
+    loaded.warnings.extend_from_slice(&loaded.run.notes[before..]);
     if let Some(dialect) = &loaded.dialect {
-        output::message(dialect);
+        terminal.message(dialect);
     }
-    output::warn(&loaded.warnings);
+    terminal.warn(&loaded.warnings);
     Ok(loaded)
 }
 
 pub(crate) fn read_model(path: &Path) -> Result<ModelFile, Failure> {
-    let name = path.display().to_string();
-    let text = read_text(path)?;
-    Ok(ModelFile::parse(&name, &text)?)
+    Ok(ModelFile::parse(&path.display().to_string(), &read_text(path)?)?)
 }
 
 /// The speed loop with a model, on a bench to be named where its runs are of another one than the embedded.
 pub(crate) fn speed_command(history: &FileHistory, model: &Path, options: &str) -> String {
-    let embedded = BenchFile::embedded_default().name;
-    let is_another = history.is_of_another_bench(&embedded);
+    let is_another = history.is_of_another_bench(&BenchFile::embedded_default().name);
     let bench = if is_another { " BENCH.toml" } else { "" };
     let model = output::quoted(model);
     format!("drivebench speed{bench} --model {model}{options}")
@@ -96,8 +94,7 @@ pub(crate) fn model_file(
             history.ladder.push(rung);
         }
     }
-    let model = fit.model.clone();
-    ModelFile { model, history }
+    ModelFile { model: fit.model.clone(), history }
 }
 
 /// One line of a model file's ladder.
@@ -114,19 +111,21 @@ fn rung_text(rung: &Rung, floor: FloorSource) -> String {
 pub struct Recorded {
     pub folder: RunFolder,
     pub summary: RunSummary,
-    /// What the on-line estimators said at the end; `replay` compares itself with it.
+    /// The result of the on-line estimators, with which `replay` compares its own.
     pub(crate) online: OnlineResult,
     pub(crate) manifest: Manifest,
-    /// Where the burst of the drive's own recorder is.
-    pub(crate) capture: Option<PathBuf>,
+    /// File of the burst that the drive recorded.
+    capture: Option<PathBuf>,
     /// `None` when the rows are not needed any more.
     logs: Option<KeptLogs>,
-    /// Why the record on the disk is not whole, and the folder where samples and events are then, where there is one.
-    unkept: Option<String>,
+    /// Why the record on the disk is not whole.
+    incomplete: Option<String>,
+    /// The folder where samples and events are then.
     rescued: Option<String>,
+    terminal: Terminal,
 }
 
-/// `result.json`: what a command has to say, and what the live estimators said.
+/// `result.json`: the result of a command, and that of the on-line estimators.
 #[derive(Serialize)]
 struct KeptResult<'a, T> {
     #[serde(flatten)]
@@ -140,6 +139,7 @@ impl Recorded {
         manifest: Manifest,
         summary: RunSummary,
         online: OnlineResult,
+        terminal: Terminal,
     ) -> Self {
         let mut recorded = Self {
             folder: kept.folder,
@@ -148,8 +148,9 @@ impl Recorded {
             manifest,
             capture: None,
             logs: Some(kept.logs),
-            unkept: None,
+            incomplete: None,
             rescued: None,
+            terminal,
         };
         if let Some(error) = &kept.error {
             recorded.note(&error.to_string());
@@ -159,38 +160,31 @@ impl Recorded {
         recorded
     }
 
-    /// What the disk does not take goes to the place for temporary files, which is often on another one.
+    /// What the disk does not take goes to the folder for temporary files, which is often on another disk.
     fn rescue(&mut self) {
         let place = std::env::temp_dir();
         let logs = self.logs.as_ref();
-        match logs.and_then(|logs| logs.rescue(&self.folder, &place, &self.manifest)) {
+        let rescued = logs.and_then(|logs| logs.rescue(&self.folder, &place, &self.manifest));
+        self.terminal.message(&match rescued {
             Some(Ok(folder)) => {
-                let folder = folder.path().display();
-                output::message(&format!("samples and events are in {folder}"));
-                self.rescued = Some(folder.to_string());
+                let folder = folder.path().display().to_string();
+                let text = format!("samples and events are in {folder}");
+                self.rescued = Some(folder);
+                text
             }
-            Some(Err(error)) => {
-                output::message(&format!("the record is not rescued either: {error}"));
-            }
-            None => {
-                output::message(
-                    "the record is not whole in memory either: what is missing is lost",
-                );
-            }
-        }
+            Some(Err(error)) => format!("the record is not rescued either: {error}"),
+            None => "the record is not whole in memory either: what is missing is lost".to_owned(),
+        });
     }
 
-    /// The newest run is `latest` beside it; where there can be no link, that is told once.
+    /// The newest run is `latest` beside it.
     fn link_latest(&self) {
-        static TOLD: AtomicBool = AtomicBool::new(false);
         if !self.folder.path().is_dir() {
             return;
         }
-        if let Err(error) = self.folder.link_latest()
-            && !TOLD.swap(true, Ordering::Relaxed)
-        {
+        if let Err(error) = self.folder.link_latest() {
             let folder = self.folder.path().display();
-            output::message(&format!("no link `{LATEST}` to {folder}: {error}"));
+            self.terminal.message_once(LATEST, &format!("no link `{LATEST}` to {folder}: {error}"));
         }
     }
 
@@ -198,8 +192,8 @@ impl Recorded {
     /// that is still open and the memory have it.
     pub(crate) fn load(&self) -> Result<LoadedRun, Failure> {
         let path = self.folder.path();
-        let from_disk = match &self.unkept {
-            None => load(path, None),
+        let from_disk = match &self.incomplete {
+            None => load(path, None, &self.terminal),
             Some(reason) => Err(Failure::internal(reason.clone())),
         };
         from_disk.or_else(|failure| {
@@ -207,25 +201,25 @@ impl Recorded {
                 return Err(failure);
             };
             let (folder, reason) = (path.display(), failure.headline());
-            output::message(&format!("{folder}: {reason}; what was recorded is used"));
-            complete(run_from_memory(path, &samples, &self.manifest)?)
+            self.terminal.message(&format!("{folder}: {reason}; what was recorded is used"));
+            complete(run_from_memory(path, &samples, &self.manifest)?, &self.terminal)
         })
     }
 
     /// The burst as it is kept on the disk, with its path.
     pub(crate) fn burst(&self) -> Option<(&Path, Result<Scenario, Failure>)> {
         let path = self.capture.as_deref()?;
-        let loaded = load(path, None);
-        let burst = loaded.and_then(|loaded| Ok(Scenario::from_run(&loaded.run)?));
+        let burst = load(path, None, &self.terminal)
+            .and_then(|loaded| Ok(Scenario::from_run(&loaded.run)?));
         Some((path, burst))
     }
 
-    /// The rows are not needed any more; what they were for is done.
+    /// The rows are not needed any more.
     pub(crate) fn forget(&mut self) {
         self.logs = None;
     }
 
-    /// Writes `result.json`; a disk that does not take it is told of and no end.
+    /// Writes `result.json`; a failure is reported and does not end the command.
     pub(crate) fn write_result<T: Serialize>(&mut self, result: &T) {
         let kept = KeptResult { result, online: &self.online };
         match serde_json::to_string_pretty(&kept) {
@@ -234,7 +228,7 @@ impl Recorded {
         }
     }
 
-    /// Writes one file of the folder; where that is not possible it is told, and the result is there all the same.
+    /// Writes one file of the folder; a failure is reported and does not end the command.
     pub(crate) fn write(
         &mut self,
         file: RunFile,
@@ -251,14 +245,15 @@ impl Recorded {
         };
         let run = match capture.run(name) {
             Ok(run) => run,
-            Err(error) => return output::message(&format!("burst not used: {error}")),
+            Err(error) => return self.terminal.message(&format!("burst not used: {error}")),
         };
         let (rows, rate_hz) = (run.rows(), 1.0 / capture.period_s);
         let written = self.folder.write_capture(&write_run(&run));
         self.capture = self.kept(written);
         if let Some(path) = &self.capture {
-            let samples = format!("{rows} samples at {rate_hz:.0} Hz");
-            output::message(&format!("burst capture: {samples} in {}", path.display()));
+            let path = path.display();
+            self.terminal
+                .message(&format!("burst capture: {rows} samples at {rate_hz:.0} Hz in {path}"));
         }
     }
 
@@ -279,17 +274,17 @@ impl Recorded {
         written.map_err(|error| self.note(&error.to_string())).ok()
     }
 
-    /// Told at once; the first reason is the one that stays.
+    /// The first reason is reported at once, and stays.
     fn note(&mut self, reason: &str) {
-        if self.unkept.is_none() {
-            output::message(&format!("warning: the record is not whole: {reason}"));
-            self.unkept = Some(reason.to_owned());
+        if self.incomplete.is_none() {
+            self.terminal.message(&format!("warning: the record is not whole: {reason}"));
+            self.incomplete = Some(reason.to_owned());
         }
     }
 
     /// The failure of a record that could not be kept, for a command whose result is printed.
     pub(crate) fn record_failure(&self) -> Option<Failure> {
-        let reason = self.unkept.as_ref()?;
+        let reason = self.incomplete.as_ref()?;
         let folder = self.folder.path().display();
         let headline = format!("the record could not be kept: {reason}");
         let help = match &self.rescued {
@@ -310,7 +305,7 @@ impl Recorded {
 
     /// The failure that ended the run early, if any.
     pub(crate) fn run_failure(&self) -> Option<Failure> {
-        let mut kept = match &self.unkept {
+        let mut kept = match &self.incomplete {
             None => format!("the record is kept in {}", self.folder.path().display()),
             Some(reason) => format!("the record could not be kept: {reason}"),
         };
@@ -323,8 +318,7 @@ impl Recorded {
     }
 }
 
-/// How a run ended that did not go to its end, or whose drive did not confirm its stop: exit status and headline, and the
-/// same as its page has it.
+/// Exit status, headline and lead of the page of a run that did not go to its end, or whose drive did not confirm its stop.
 pub(crate) fn early_end(
     outcome: &Outcome,
     stop_error: Option<&str>,
@@ -342,7 +336,7 @@ pub(crate) fn early_end(
     };
     let itself = || format!("{}: {reason}", title.to_lowercase());
     let (status, headline) = match (outcome, &unstopped) {
-        // Whoever ended it by hand must not take it for stopped.
+        // A person who ended it must not take it for stopped.
         (Outcome::Done | Outcome::Stopped | Outcome::Interrupted, Some(unstopped)) => {
             (LINK, unstopped.clone())
         }
@@ -379,16 +373,15 @@ pub(crate) fn parquet(
     _table: impl std::io::Read,
     _kind: impl Fn(&str) -> ColumnKind,
 ) -> Result<Vec<u8>, String> {
-    Err(NO_PARQUET.to_owned())
+    require_parquet().map(|()| Vec::new()).map_err(|failure| failure.headline().to_owned())
 }
 
-const NO_PARQUET: &str = "this program was built without Parquet";
-
-/// Refuses Parquet where this program was built without it; to be asked before the work.
+/// Refuses Parquet where this program was built without it; checked before the work.
 pub(crate) fn require_parquet() -> Result<(), Failure> {
-    let help = "pandas, Polars and DuckDB read the CSV as it is; or install with `cargo install --path . --features parquet`";
-    let refused = Failure::usage(NO_PARQUET, help);
-    cfg!(feature = "parquet").then_some(()).ok_or(refused)
+    cfg!(feature = "parquet").then_some(()).ok_or_else(|| Failure::usage(
+        "this program was built without Parquet",
+        "pandas, Polars and DuckDB read the CSV as it is; or install with `cargo install --path . --features parquet`",
+    ))
 }
 
 #[cfg(test)]
@@ -396,7 +389,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_run_whose_drive_did_not_confirm_its_stop_never_ends_as_stopped() {
+    fn a_run_without_a_confirmed_stop_never_ends_as_stopped() {
         let lost = Outcome::LinkLost { reason: "gone".to_owned() };
         for (outcome, sure, unsure) in [
             (Outcome::Done, None, LINK),
@@ -408,8 +401,8 @@ mod tests {
             assert_eq!(confirmed.map(|end| end.0), sure, "{outcome:?}");
             let (status, headline, _) = early_end(&outcome, Some("no reply")).unwrap();
             assert_eq!(status, unsure, "{outcome:?}");
-            let is_said = headline.contains("not confirmed") || headline.contains("lost");
-            assert!(is_said, "{outcome:?}: {headline}");
+            let is_named = headline.contains("not confirmed") || headline.contains("lost");
+            assert!(is_named, "{outcome:?}: {headline}");
         }
     }
 }

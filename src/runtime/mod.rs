@@ -1,15 +1,16 @@
-//! What every command that opens a drive or prints shares: the link and its files, every way out, and the streams.
+//! What commands share: the rig with its link and files, every way out, and the terminal.
 //!
 //! ```text
 //! RigOptions -> Rig (link, clock, emulator, files) --.
 //!                                                     '-> a run on a thread of its own beside a screen -> Recorded
-//! signals, keys, the terminal -> Ends .. Controls --------^
+//! signals, keys, a closed terminal -> Ends .. Controls ---^
 //! ending: return, failure, panic, hang-up -> zero, disable, the state of the drive -> exit status
 //! ```
 //!
 //! * `rig`, `opening`: from a bench file to a link, and to the same drive again.
 //! * `ending`, `signals`, `controls`: every way out. Nothing else may end a program whose motor turns.
-//! * `files`: what a run leaves in its folder. `output`, `progress`, `failure`: stdout and stderr; none of them panics.
+//! * `files`: what a run leaves in its folder. `output`, `progress`: the [`Terminal`], made in `main` and handed down, so
+//!   that there is no mutable state of the process. None of them panics.
 
 pub(crate) mod appearance;
 pub mod controls;
@@ -22,9 +23,10 @@ pub mod progress;
 pub mod rig;
 pub mod signals;
 
-pub use controls::{Controls, DriveCell, DriveWord, Ends};
-pub use ending::{Audience, Ended, Left, beside_screen, conduct};
+pub use controls::{Controls, DriveCell, DrivePower, Ends};
+pub use ending::{Audience, Ended, ScreenEnd, beside_screen, conduct};
 pub use failure::Failure;
 pub use files::Recorded;
 pub use opening::Reopener;
+pub use output::Terminal;
 pub use rig::{OpenRig, Rig, RigOptions};

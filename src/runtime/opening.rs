@@ -11,6 +11,7 @@ use std::time::Instant;
 use crate::runtime::failure::Failure;
 use crate::runtime::files::read_text;
 use crate::runtime::output;
+use crate::runtime::output::Terminal;
 use drivebench_bench::{BenchFile, DriveFacts, Port, Protocol, check_signals};
 use drivebench_emulator::{
     EmulatorConfig, Endpoint, ForeignBus, ForeignDrive, Guise, Latency, MemoryLink, ServerHandle,
@@ -37,13 +38,11 @@ pub(crate) fn bench_file(path: &Path) -> Result<BenchFile, Failure> {
 pub(crate) fn profile(name: &str) -> Result<(DriveProfile, String), Failure> {
     let path = Path::new(name);
     refuse_missing(path)?;
-    let read = if DriveProfile::names().any(|known| known == name) || !path.exists() {
-        DriveProfile::named(name).and_then(|read| Ok((read, DriveProfile::text(name)?.to_owned())))
-    } else {
-        let text = read_text(path)?;
-        DriveProfile::parse(name, &text).map(|read| (read, text))
-    };
-    Ok(read?)
+    if DriveProfile::names().any(|known| known == name) || !path.exists() {
+        return Ok((DriveProfile::named(name)?, DriveProfile::text(name)?.to_owned()));
+    }
+    let text = read_text(path)?;
+    Ok((DriveProfile::parse(name, &text)?, text))
 }
 
 /// What looks like a path is a file, and no name that might be built in.
@@ -71,18 +70,13 @@ fn drive_profile(bench: &mut BenchFile) -> Result<(DriveProfile, String), Failur
     Ok((profile, text))
 }
 
-/// Why a foreign drive cannot be asked in our own words.
+/// A foreign drive has no frames of our own stream.
 pub(crate) fn not_the_stream(profile: &DriveProfile) -> String {
-    let name = &profile.name;
-    format!("{name} does not speak the stream of our own drive")
+    format!("{} has no stream of our own frames", profile.name)
 }
 
-/// Refuses what the drive's signals cannot carry; says which profile is used and what to know about it.
-pub(crate) fn suited(
-    profile: &DriveProfile,
-    purpose: offer::Purpose,
-    headless: bool,
-) -> Result<(), Failure> {
+/// Refuses what the drive's signals cannot carry.
+pub(crate) fn suited(profile: &DriveProfile, purpose: offer::Purpose) -> Result<(), Failure> {
     let signals = check_signals(profile, purpose);
     if let Some(help) = signals.help {
         let only_speed = purpose == offer::Purpose::Voltages
@@ -94,20 +88,17 @@ pub(crate) fn suited(
         };
         return Err(Failure::usage(signals.text, help));
     }
-    if headless {
-        announce(profile);
-    }
     Ok(())
 }
 
-/// How far the profile may be believed, and what to know before the drive is used.
-pub(crate) fn announce(profile: &DriveProfile) {
-    output::message(&profile.provenance());
+/// Prints where the profile comes from, which signals the drive carries, and remarks on its use.
+pub(crate) fn announce(profile: &DriveProfile, terminal: &Terminal) {
+    terminal.message(&profile.provenance());
     for (channel, text) in offer::carried(profile) {
-        output::message(&format!("  {:<14} {text}", channel.key()));
+        terminal.message(&format!("  {:<14} {text}", channel.key()));
     }
     for remark in offer::remarks(profile) {
-        output::message(&format!("  {remark}"));
+        terminal.message(&format!("  {remark}"));
     }
 }
 
@@ -138,14 +129,11 @@ pub(crate) fn in_memory(
     }
     config.suits(guise.is_some(), bench.link.protocol)?;
     let seed = bench.emulator.seed;
-    Ok(if let Some(guise) = guise {
-        let drive = ForeignDrive::new(guise, config, seed);
-        let bus = ForeignBus::new(drive, guise, time);
-        Box::new(ProfiledLink::new(Arc::clone(&guise.map), bus))
-    } else {
-        let drive = SoftDrive::new(config, seed);
-        Box::new(MemoryLink::new(drive, time, latency(config, bench)))
-    })
+    if let Some(guise) = guise {
+        let bus = ForeignBus::new(ForeignDrive::new(guise, config, seed), guise, time);
+        return Ok(Box::new(ProfiledLink::new(Arc::clone(&guise.map), bus)));
+    }
+    Ok(Box::new(MemoryLink::new(SoftDrive::new(config, seed), time, latency(config, bench))))
 }
 
 /// The software drive at the far end of a line in memory, which is one of Modbus RTU.
@@ -163,8 +151,7 @@ pub(crate) fn on_a_line(
             "set link.protocol to modbus-rtu, or give --port sim:",
         ));
     }
-    let seed = bench.emulator.seed;
-    Ok(open_line(guise, config, seed, profile, time)?)
+    Ok(open_line(guise, config, bench.emulator.seed, profile, time)?)
 }
 
 /// What an exchange of the bench's protocol takes over its line, for a drive in memory.
@@ -185,10 +172,9 @@ pub(crate) fn serve(
     guise: Option<Guise>,
 ) -> Result<ServerHandle, Failure> {
     config.suits(guise.is_some(), protocol)?;
-    let local = Endpoint::Tcp(SocketAddr::from(([127, 0, 0, 1], 0)));
     let endpoint = match protocol {
         drive::Protocol::ModbusRtu | drive::Protocol::Stream => Endpoint::temporary_pty(),
-        drive::Protocol::ModbusTcp => local,
+        drive::Protocol::ModbusTcp => Endpoint::Tcp(SocketAddr::from(([127, 0, 0, 1], 0))),
     };
     spawn_as(guise, config, seed, protocol, endpoint)
         .map_err(|error| Failure::link(error.to_string(), error.help()))
@@ -221,14 +207,14 @@ pub(crate) fn wired_profile(bench: &mut BenchFile) -> Result<(DriveProfile, Stri
 }
 
 /// The capture of a run. Where no wire is involved there is nothing to tap.
-pub(crate) fn tap(path: Option<&Path>, port: &Port) -> Result<Tap, Failure> {
+pub(crate) fn tap(path: Option<&Path>, port: &Port, terminal: &Terminal) -> Result<Tap, Failure> {
     if path.is_some() && port.is_virtual() {
         return Err(Failure::usage(
             "--tap has nothing to record: there is no line outside this program",
             "give --port emulator, or a serial port, or tcp:HOST:PORT",
         ));
     }
-    Tap::create(path)
+    Tap::create(path, terminal)
 }
 
 /// The far end of the wire with the bench file's baud rate and unit.
@@ -240,29 +226,31 @@ pub(crate) fn target(address: &str, bench: &BenchFile) -> Result<Target, Failure
     })
 }
 
-/// The capture that a command was asked for, if it was.
-pub(crate) struct Tap(Option<TapFile>);
+/// The capture of a line, where one is requested.
+pub(crate) struct Tap {
+    file: Option<TapFile>,
+    terminal: Terminal,
+}
 
 impl Tap {
-    /// A new file, if one was asked for. Nothing is running yet, so one that cannot be made is refused.
-    pub(crate) fn create(path: Option<&Path>) -> Result<Self, Failure> {
-        let Some(path) = path else {
-            return Ok(Self(None));
-        };
-        output::refuse_existing(path, "--tap")?;
-        let file = TapFile::create(path, now().into());
-        Ok(Self(Some(file.map_err(|e| output::cannot_write(path, &e))?)))
+    /// Nothing is running yet, so that a file that cannot be made is refused.
+    pub(crate) fn create(path: Option<&Path>, terminal: &Terminal) -> Result<Self, Failure> {
+        let file = path.map(|path| {
+            output::refuse_existing(path, "--tap")?;
+            TapFile::create(path, now().into()).map_err(|e| output::cannot_write(path, &e))
+        });
+        Ok(Self { file: file.transpose()?, terminal: terminal.clone() })
     }
 
     pub(crate) fn file(&self) -> Option<&TapFile> {
-        self.0.as_ref()
+        self.file.as_ref()
     }
 }
 
 impl Drop for Tap {
     fn drop(&mut self) {
-        if let Some(Err(reason)) = self.0.take().map(TapFile::finish) {
-            output::message(&format!("warning: {reason}"));
+        if let Some(Err(reason)) = self.file.take().map(TapFile::finish) {
+            self.terminal.message(&format!("warning: {reason}"));
         }
     }
 }

@@ -1,11 +1,11 @@
-//! The only place that writes results to stdout and messages to stderr.
+//! The terminal of the process: results go to stdout, messages and the progress line to stderr. Nothing else writes there.
 
-use std::cell::RefCell;
+use std::collections::BTreeSet;
 use std::fmt::{Display, Write as _};
 use std::fs::File;
 use std::io::{BufRead as _, IsTerminal, Write};
 use std::path::Path;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use rustix::fs::{FileType, fstat};
 use rustix::io::Errno;
@@ -14,99 +14,231 @@ use serde::Serialize;
 use crate::report::Document;
 use crate::report::terminal::{COLUMNS, Row};
 use crate::runtime::failure::{Failure, INTERNAL};
-use crate::runtime::{progress, signals};
+use crate::runtime::progress::Work;
+use crate::runtime::signals::Interrupts;
 use drivebench_model::text::lines::{folded, wrapped};
 
 pub(crate) use drivebench_model::text::shell::{quoted, quoted_word};
 
-/// Narrower than any terminal that shows a table.
-const FEWEST_COLUMNS: usize = 40;
+/// Back to the first column, and nothing to the right of it.
+pub(super) const WIPE: &str = "\r\x1b[K";
 
-/// Prints a result as one JSON document, or as the text that `text` makes of it, in rows that fit.
-pub fn result<T: Serialize>(
-    value: &T,
-    json: bool,
-    text: impl FnOnce(&T) -> String,
-) -> Result<(), Failure> {
-    unfolded(value, json, |value| folded(&text(value), columns()).join("\n"))
+/// The standard streams, made in `main` and handed down. Clones share them.
+#[derive(Clone, Debug, Default)]
+pub struct Terminal(Arc<Streams>);
+
+#[derive(Debug, Default)]
+struct Streams {
+    messages: Mutex<Messages>,
+    progress_ended: Condvar,
+    interrupts: Interrupts,
 }
 
-/// The same with the lines of the text as they are: what is read by a program, or is fitted already.
-pub(crate) fn unfolded<T: Serialize>(
-    value: &T,
-    json: bool,
-    text: impl FnOnce(&T) -> String,
-) -> Result<(), Failure> {
-    if json {
-        let document = serde_json::to_string_pretty(value)
-            .map_err(|error| Failure::internal(format!("the result has no JSON form: {error}")))?;
-        line(&document)
-    } else {
-        line(text(value).trim_end())
+/// What stands on stderr, and what waits for it.
+#[derive(Debug, Default)]
+pub(super) struct Messages {
+    pub(super) destination: Destination,
+    pub(super) work: Option<Work>,
+    /// The progress line stands in the last row of the terminal.
+    pub(super) is_drawn: bool,
+    printed_once: BTreeSet<&'static str>,
+}
+
+#[derive(Debug, Default)]
+pub(super) enum Destination {
+    #[default]
+    Stderr,
+    /// A screen has the terminal: messages are printed when it is left.
+    Screen(Vec<String>),
+    /// The caller uses the messages, as a row of a table.
+    Collected(Vec<String>),
+}
+
+impl Messages {
+    pub(super) fn wipe(&mut self) {
+        if self.is_drawn {
+            let _ = write!(std::io::stderr(), "{WIPE}");
+            self.is_drawn = false;
+        }
+    }
+
+    fn message(&mut self, text: &str) {
+        match &mut self.destination {
+            Destination::Screen(texts) | Destination::Collected(texts) => {
+                texts.push(text.to_owned());
+            }
+            Destination::Stderr => {
+                self.wipe();
+                print_rows(text);
+            }
+        }
     }
 }
 
-/// Prints a result in rows that fit.
-pub(crate) fn text(text: &str) -> Result<(), Failure> {
-    line(&folded(text.trim_end(), columns()).join("\n"))
+/// Rows on stderr that fit; a closed stderr is ignored.
+fn print_rows(text: &str) {
+    let mut stderr = std::io::stderr().lock();
+    for row in folded(text, columns_of(&stderr)) {
+        let _ = writeln!(stderr, "{row}");
+    }
 }
 
-/// Prints a result as one JSON object, or its document: all of it, or the card that fits a screenful.
-pub(crate) fn document<T: Serialize>(
-    value: &T,
-    json: bool,
-    full: bool,
-    document: &Document,
-) -> Result<(), Failure> {
-    unfolded(value, json, |_| {
-        if full {
-            let rows = document.full(columns());
-            rows.iter().map(Row::to_string).collect::<Vec<_>>().join("\n")
+/// While it lives a screen has the terminal; then the messages of that time are printed.
+pub(crate) struct Held(Terminal);
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        let mut messages = self.0.messages();
+        let held = std::mem::take(&mut messages.destination);
+        if let Destination::Screen(texts) = held {
+            texts.iter().for_each(|text| messages.message(text));
+        }
+    }
+}
+
+impl Terminal {
+    /// Messages are collected and not printed, and there is no progress line.
+    pub(crate) fn collecting() -> Self {
+        let terminal = Self::default();
+        terminal.messages().destination = Destination::Collected(Vec::new());
+        terminal
+    }
+
+    /// The messages since then.
+    pub(crate) fn collected(&self) -> Vec<String> {
+        match &mut self.messages().destination {
+            Destination::Collected(texts) => std::mem::take(texts),
+            Destination::Stderr | Destination::Screen(_) => Vec::new(),
+        }
+    }
+
+    pub(super) fn messages(&self) -> MutexGuard<'_, Messages> {
+        // A line that a panicking thread has half drawn is wiped like any other.
+        self.0.messages.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn progress_ended(&self) -> &Condvar {
+        &self.0.progress_ended
+    }
+
+    pub(super) fn interrupts(&self) -> &Interrupts {
+        &self.0.interrupts
+    }
+
+    /// A message for the person at the terminal, above the progress line.
+    pub fn message(&self, text: &str) {
+        self.messages().message(text);
+    }
+
+    /// The same for what would be repeated run after run; `topic` is what is printed once.
+    pub(crate) fn message_once(&self, topic: &'static str, text: &str) {
+        let mut messages = self.messages();
+        if messages.printed_once.insert(topic) {
+            messages.message(text);
+        }
+    }
+
+    pub(crate) fn warn(&self, warnings: &[String]) {
+        for warning in warnings {
+            self.message(&format!("warning: {warning}"));
+        }
+    }
+
+    /// From here on a screen has the terminal.
+    pub(crate) fn hold(&self) -> Held {
+        self.messages().destination = Destination::Screen(Vec::new());
+        Held(self.clone())
+    }
+
+    /// Two paragraphs on stderr, and where JSON was asked for one line of it before them.
+    pub(crate) fn failure(&self, failure: &Failure) {
+        let mut messages = self.messages();
+        messages.wipe();
+        if std::env::args_os().any(|word| word == "--json") {
+            let _ = writeln!(std::io::stderr(), "{}", failure.json());
+        }
+        print_rows(&format!("error: {}", failure.headline()));
+        print_rows(&format!("help: {}", failure.help()));
+    }
+
+    /// Prints a result as one JSON document, or as the text that `text` makes of it, in rows that fit.
+    pub fn result<T: Serialize>(
+        &self,
+        value: &T,
+        json: bool,
+        text: impl FnOnce(&T) -> String,
+    ) -> Result<(), Failure> {
+        self.unfolded(value, json, |value| folded(&text(value), columns()).join("\n"))
+    }
+
+    /// The same with the lines of the text as they are: for programs, or fitted already.
+    pub(crate) fn unfolded<T: Serialize>(
+        &self,
+        value: &T,
+        json: bool,
+        text: impl FnOnce(&T) -> String,
+    ) -> Result<(), Failure> {
+        if json {
+            self.line(&serde_json::to_string_pretty(value).map_err(|error| {
+                Failure::internal(format!("the result has no JSON form: {error}"))
+            })?)
         } else {
-            document.card(columns())
+            self.line(text(value).trim_end())
         }
-    })
-}
+    }
 
-/// The lines of a text in rows that fit.
-pub(crate) fn fitted(text: &str) -> Vec<String> {
-    wrapped(text, columns())
-}
+    /// Prints a result in rows that fit.
+    pub(crate) fn text(&self, text: &str) -> Result<(), Failure> {
+        self.line(&folded(text.trim_end(), columns()).join("\n"))
+    }
 
-/// Columns that a result may have.
-pub(crate) fn columns() -> usize {
-    columns_of(&std::io::stdout())
-}
+    /// Prints a result as one JSON object, or its document: all of it, or the card that fits a screenful.
+    pub(crate) fn document<T: Serialize>(
+        &self,
+        value: &T,
+        json: bool,
+        full: bool,
+        document: &Document,
+    ) -> Result<(), Failure> {
+        self.unfolded(value, json, |_| {
+            if full {
+                let rows = document.full(columns());
+                rows.iter().map(Row::to_string).collect::<Vec<_>>().join("\n")
+            } else {
+                document.card(columns())
+            }
+        })
+    }
 
-fn columns_of(stream: &impl IsTerminal) -> usize {
-    let own = stream.is_terminal().then(crossterm::terminal::size);
-    let own = own.and_then(Result::ok).map(|(columns, _)| usize::from(columns));
-    own.map_or(COLUMNS, |own| own.clamp(FEWEST_COLUMNS, COLUMNS))
-}
+    /// One line (or block) on stdout, flushed. A reader that closed its end is no error.
+    pub(crate) fn line(&self, text: &str) -> Result<(), Failure> {
+        let _whole = self.writing();
+        let mut stdout = std::io::stdout().lock();
+        match writeln!(stdout, "{text}").and_then(|()| stdout.flush()) {
+            Err(error) if !is_closed(&error) => Err(Failure::with_help(
+                INTERNAL,
+                format!("cannot write the result: {error}"),
+                "make room where standard output goes, or send it elsewhere",
+            )),
+            _ => Ok(()),
+        }
+    }
 
-/// Appends each item as a line of its own, with these words before it.
-pub(crate) fn lines<T: Display>(text: &mut String, lead: &str, items: impl IntoIterator<Item = T>) {
-    for item in items {
-        let _ = writeln!(text, "{lead}{item}");
+    /// A new file, whole or not at all as far as a signal is concerned.
+    pub(crate) fn file(
+        &self,
+        path: &Path,
+        content: &(impl AsRef<[u8]> + ?Sized),
+    ) -> Result<(), Failure> {
+        let _whole = self.writing();
+        File::create_new(path)
+            .and_then(|mut file| file.write_all(content.as_ref()))
+            .map_err(|error| cannot_write(path, &error))
     }
 }
 
-/// One line (or block) on stdout, flushed. A reader that went away is not an error of ours.
-pub(crate) fn line(text: &str) -> Result<(), Failure> {
-    let _whole = signals::writing();
-    let mut stdout = std::io::stdout().lock();
-    match writeln!(stdout, "{text}").and_then(|()| stdout.flush()) {
-        Err(error) if !is_gone(&error) => {
-            let headline = format!("cannot write the result: {error}");
-            let help = "make room where standard output goes, or send it elsewhere";
-            Err(Failure::with_help(INTERNAL, headline, help))
-        }
-        _ => Ok(()),
-    }
-}
-
-/// Whether the reader has gone: of a pipe, or of a terminal that was closed.
-fn is_gone(error: &std::io::Error) -> bool {
+/// Whether the reader of standard output, a pipe or a terminal, has closed its end.
+fn is_closed(error: &std::io::Error) -> bool {
     let of_terminal = || {
         // A terminal that was hung up is none any more, but still a device of characters.
         fstat(std::io::stdout())
@@ -116,19 +248,42 @@ fn is_gone(error: &std::io::Error) -> bool {
         || error.raw_os_error() == Some(Errno::IO.raw_os_error()) && of_terminal()
 }
 
-/// One question to a person at a terminal; none where there is nobody to ask. A terminal that is gone gives no answer.
+/// The lines of a text in rows that fit.
+pub(crate) fn fitted(text: &str) -> Vec<String> {
+    wrapped(text, columns())
+}
+
+fn columns() -> usize {
+    columns_of(&std::io::stdout())
+}
+
+/// A terminal narrower than 40 columns is taken for one of 40.
+fn columns_of(stream: &impl IsTerminal) -> usize {
+    let size = stream.is_terminal().then(crossterm::terminal::size).and_then(Result::ok);
+    size.map_or(COLUMNS, |(columns, _)| usize::from(columns).clamp(40, COLUMNS))
+}
+
+/// Appends each item as a line of its own, with `lead` before it.
+pub(crate) fn lines<T: Display>(text: &mut String, lead: &str, items: impl IntoIterator<Item = T>) {
+    for item in items {
+        let _ = writeln!(text, "{lead}{item}");
+    }
+}
+
+/// The answer of a person at a terminal; `None` without one. A terminal that is closed gives an empty answer.
 pub(crate) fn ask(question: &str) -> Option<String> {
     let (stdin, mut stderr) = (std::io::stdin(), std::io::stderr());
     if !stdin.is_terminal() || !stderr.is_terminal() {
         return None;
     }
     let mut line = String::new();
-    let asked = write!(stderr, "{question}").and_then(|()| stderr.flush());
-    let heard = asked.and_then(|()| stdin.lock().read_line(&mut line));
-    Some(heard.map_or_else(|_| String::new(), |_| line))
+    let read = write!(stderr, "{question}")
+        .and_then(|()| stderr.flush())
+        .and_then(|()| stdin.lock().read_line(&mut line));
+    Some(read.map_or_else(|_| String::new(), |_| line))
 }
 
-/// Results are never overwritten; to be asked before the work, with the option that named the file.
+/// Results are never overwritten: checked before the work, with the option that named the file.
 pub(crate) fn refuse_existing(path: &Path, option: &str) -> Result<(), Failure> {
     if path.exists() {
         let headline = format!("{}: exists already, and nothing is overwritten", path.display());
@@ -138,90 +293,8 @@ pub(crate) fn refuse_existing(path: &Path, option: &str) -> Result<(), Failure> 
     Ok(())
 }
 
-/// A new file, whole or not at all as far as a signal is concerned.
-pub(crate) fn file(path: &Path, content: &(impl AsRef<[u8]> + ?Sized)) -> Result<(), Failure> {
-    let _whole = signals::writing();
-    let written = File::create_new(path).and_then(|mut file| file.write_all(content.as_ref()));
-    written.map_err(|error| cannot_write(path, &error))
-}
-
 pub(crate) fn cannot_write(path: &Path, error: &std::io::Error) -> Failure {
     let headline = format!("{}: cannot write: {error}", path.display());
     let help = "name a file that does not exist yet, in a folder that does";
     Failure::usage(headline, help)
-}
-
-/// Messages that wait until the screen is left; `None` where there is no screen.
-static HELD: Mutex<Option<Vec<String>>> = Mutex::new(None);
-
-fn held() -> MutexGuard<'static, Option<Vec<String>>> {
-    HELD.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Whether a screen has the terminal.
-pub(crate) fn is_held() -> bool {
-    held().is_some()
-}
-
-/// While it lives messages wait; then they are printed.
-pub(crate) struct Held(());
-
-/// From here on a screen has the terminal.
-pub(crate) fn hold() -> Held {
-    held().get_or_insert_default();
-    Held(())
-}
-
-impl Drop for Held {
-    fn drop(&mut self) {
-        let waiting = held().take();
-        for text in waiting.into_iter().flatten() {
-            message(&text);
-        }
-    }
-}
-
-thread_local! {
-    /// What this thread's messages go to instead of the terminal, where they belong to a row of a table.
-    static ASIDE: RefCell<Option<Vec<String>>> = const { RefCell::new(None) };
-}
-
-/// Does something of which the messages are not printed but handed back; nor does it move the progress line.
-pub(crate) fn aside<T>(work: impl FnOnce() -> T) -> (T, Vec<String>) {
-    ASIDE.with_borrow_mut(|aside| *aside = Some(Vec::new()));
-    let done = work();
-    let said = ASIDE.take().unwrap_or_default();
-    (done, said)
-}
-
-/// Whether this thread's messages are handed back.
-pub(crate) fn is_aside() -> bool {
-    ASIDE.with_borrow(Option::is_some)
-}
-
-/// A message for the person at the terminal, above the progress line.
-pub fn message(text: &str) {
-    let is_taken = ASIDE
-        .with_borrow_mut(|aside| aside.as_mut().map(|said| said.push(text.to_owned())).is_some());
-    if is_taken {
-        return;
-    }
-    if let Some(waiting) = held().as_mut() {
-        return waiting.push(text.to_owned());
-    }
-    progress::above(|| said(text));
-}
-
-/// Rows on stderr that fit; where it is gone there is nobody left to tell.
-pub(crate) fn said(text: &str) {
-    let mut stderr = std::io::stderr().lock();
-    for row in folded(text, columns_of(&stderr)) {
-        let _ = writeln!(stderr, "{row}");
-    }
-}
-
-pub(crate) fn warn(warnings: &[String]) {
-    for warning in warnings {
-        message(&format!("warning: {warning}"));
-    }
 }

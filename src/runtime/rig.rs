@@ -1,22 +1,23 @@
 //! The rig of a run on a live drive: link, clock, the emulator where it is ours, and the record of one run after the other.
 //!
 //! ```text
-//! bench file + what was asked -> Rig (link, clock, emulator if it is ours) -> check -> record -> run folder
+//! bench file + options -> Rig (link, clock, emulator if it is ours) -> check -> record -> run folder
 //! ```
 
+use std::fmt::Write as _;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
-use crate::runtime::controls::{Controls, DriveCell, DriveWord};
+use crate::runtime::controls::{Controls, DriveCell, DrivePower};
 use crate::runtime::failure::{Failure, LINK, USAGE};
 use crate::runtime::files::Recorded;
 use crate::runtime::opening;
 use crate::runtime::opening::{
-    Reopener, Tap, emulator_config, in_memory, now, on_a_line, serve, suited, tap, target,
-    wired_profile,
+    Reopener, Tap, announce, emulator_config, in_memory, now, on_a_line, serve, suited, tap,
+    target, wired_profile,
 };
-use crate::runtime::output;
+use crate::runtime::output::Terminal;
 use drivebench_bench::recording::{
     Event, Layout, Manifest, Record as _, Recorder, RunFolder, utc_stamp,
 };
@@ -32,6 +33,7 @@ use drivebench_identify::escalation::Stage;
 use drivebench_identify::online::OnlineConfig;
 use drivebench_link::offer::{self, Purpose};
 use drivebench_link::{DriveLink, DriveProfile, Identity, StopRequest, open_tapped};
+use drivebench_model::excitation::Program;
 use drivebench_model::numerics::count::whole;
 use drivebench_model::plant::{Model, Motor};
 use drivebench_model::sample::{Channel, Origin};
@@ -39,14 +41,7 @@ use drivebench_model::sample::{Channel, Origin};
 /// What stands for the emulator's configuration in a bench file that hides it.
 pub(crate) const MYSTERY: &str = "mystery";
 
-/// What checks, a burst or the last words over a link may take beside the times of the drive itself, s.
-const EXCHANGES_S: f64 = 5.0;
-/// Beside the time in which the drive's own watchdog stops it, s: a plug pulled and put back.
-const PATIENCE_S: f64 = 10.0;
-/// The shaft's way to rest after the output has reached zero, as session and checks allow it, s.
-const TO_REST_S: f64 = 8.0;
-
-/// What is asked of a rig.
+/// Options of a rig.
 #[derive(Clone, Debug)]
 #[expect(
     clippy::struct_excessive_bools,
@@ -56,9 +51,9 @@ pub struct RigOptions {
     pub bench: BenchFile,
     /// Where run folders are made.
     pub out: PathBuf,
-    /// Nobody looks at a screen.
+    /// There is no screen.
     pub headless: bool,
-    /// The drive is real and its shaft may turn, in so many words.
+    /// The operator has stated that the drive is real and its shaft may turn.
     pub hardware: bool,
     /// The motor is to be found from small steps before anything is planned.
     pub escalate: bool,
@@ -68,27 +63,28 @@ pub struct RigOptions {
     pub reopen_s: Option<f64>,
     /// Where the capture of the wire goes.
     pub tap: Option<PathBuf>,
-    /// A mystery was asked for, which only our own emulator has.
+    /// A hidden effect is requested, which only our own emulator has.
     pub mystery: bool,
     /// The samples of a run are kept as columns too.
     pub parquet: bool,
-    /// Bench, link and motor as the command line names them, for the commands that go on.
+    /// Bench, link and motor as options of the commands that follow.
     pub words: String,
+    pub terminal: Terminal,
 }
 
-/// How a rig is come by: [`Rig::open`], or a test's own.
+/// Opens a rig: [`Rig::open`], or a test's own.
 pub type OpenRig = Box<dyn FnOnce(RigOptions, Option<u64>, Purpose) -> Result<Rig, Failure> + Send>;
 
 /// A session that is ready to be recorded.
 struct Planned {
     session: Session,
     motor: Option<Nameplate>,
-    /// It goes on with what was started by hand before.
+    /// It continues what was started by hand before.
     follows: bool,
     speed: Option<SpeedAbout>,
 }
 
-/// What the record says about a speed loop.
+/// What the record holds of a speed loop.
 pub(crate) struct SpeedAbout {
     /// The model that it was tuned on, as a model file.
     pub(crate) model: String,
@@ -97,29 +93,28 @@ pub(crate) struct SpeedAbout {
 
 /// An open drive with its clock, and the emulator's thread where it is ours.
 ///
-/// Whatever unwinds through it, in the checks, in a run or between two, leaves the drive told to stop.
+/// Whatever unwinds through it, in the checks, in a run or between two, stops the drive.
 pub struct Rig {
-    /// As it was asked for, but for the bench, which changes with the motor that is found, and what is done once.
-    pub(crate) asked: RigOptions,
+    /// As given, but for the bench, which changes with the motor that is found, and what is done once.
+    pub(crate) options: RigOptions,
     pub(crate) bench: BenchFile,
     pub(crate) profile: DriveProfile,
     /// Its file, as it was read.
     profile_text: String,
     pub(crate) way: Opened,
-    /// A run has lost its drive: none follows it, and the checks with their pulse are for whoever starts the program anew.
+    /// A run has lost its drive: no run follows it, and the checks with their pulse need a new start of the program.
     lost: bool,
     /// The drive that has answered its checks, whether it has passed them or not.
     pub(crate) answered: Option<Identity>,
     pub(crate) last_seq: u64,
-    /// There are runs of it already, which are worth nothing without the one that follows.
+    /// There are records already, which are worth nothing without the run that follows.
     has_recorded: bool,
     pub(crate) check: Option<CheckReport>,
-    /// The motor is to be found from small steps before anything is planned.
     pub(crate) escalates: bool,
-    /// What the bench file says about the motor, whatever is found later.
-    pub(crate) plate: Motor,
-    /// Told whether the drive may be on.
-    word: DriveCell,
+    /// The motor of the bench file, whatever is found later.
+    pub(crate) nameplate_motor: Motor,
+    /// Whether the drive may be on.
+    power: DriveCell,
 }
 
 /// A way to a drive that is open.
@@ -139,15 +134,18 @@ pub(crate) struct Opened {
 impl Rig {
     /// Opens the link. The emulator is used only where the bench file or the command line names it.
     ///
-    /// `run_seed` where one run of several is asked for: the emulator then has another day.
-    /// What the drive's signals cannot carry of the `purpose` is refused before anything is opened.
+    /// `run_seed`: one run of several is requested; the emulator then has another day. What the drive's signals cannot carry of
+    /// the `purpose` is refused before anything is opened.
     pub fn open(
         mut options: RigOptions,
         run_seed: Option<u64>,
         purpose: Purpose,
     ) -> Result<Self, Failure> {
         let (profile, profile_text) = wired_profile(&mut options.bench)?;
-        suited(&profile, purpose, options.headless)?;
+        suited(&profile, purpose)?;
+        if options.headless {
+            announce(&profile, &options.terminal);
+        }
         let opened = Opened::of(&options, run_seed, &profile)?;
         Ok(Self::of(options, profile, profile_text, opened))
     }
@@ -162,12 +160,12 @@ impl Rig {
         reopener: Option<Reopener>,
     ) -> Result<Self, Failure> {
         let (profile, profile_text) = wired_profile(&mut options.bench)?;
-        suited(&profile, purpose, false)?;
+        suited(&profile, purpose)?;
         let opened = Opened {
             link,
             clock,
             reopener,
-            tap: Tap::create(None)?,
+            tap: Tap::create(None, &options.terminal)?,
             emulator: None,
             _server: None,
         };
@@ -186,23 +184,25 @@ impl Rig {
             has_recorded: false,
             check: None,
             escalates: options.escalate || bench.motor.is_unknown(),
-            plate: bench.motor.motor(),
-            word: DriveCell::default(),
-            asked: options,
+            nameplate_motor: bench.motor.motor(),
+            power: DriveCell::default(),
+            options,
             bench,
         }
     }
 
     /// From here on the drive may be on, until what is returned is dropped.
     pub(crate) fn energises(&mut self, controls: &Controls, ramp_s: f64) {
-        let end_s = ramp_s + TO_REST_S + EXCHANGES_S + self.way.link.command_times().stop_s;
-        self.word = controls.drive.clone();
-        self.word.set(DriveWord::MayBeOn { end_s });
+        // The shaft comes to rest within 8 s after the output is zero, as session and checks allow it; checks, a burst and the
+        // last exchanges take at most 5 s.
+        let end_s = ramp_s + 8.0 + 5.0 + self.way.link.command_times().stop_s;
+        self.power = controls.drive.clone();
+        self.power.set(DrivePower::MayBeOn { end_s });
     }
 
-    /// The drive has confirmed that it stopped, and nothing more is asked of it for now.
+    /// The drive has confirmed that it stopped.
     pub(crate) fn rests(&self) {
-        self.word.set(DriveWord::Off);
+        self.power.set(DrivePower::Off);
     }
 
     /// Identity, limits, link probe, watchdog proof, direction pulse; the refusal is the first check that failed.
@@ -236,13 +236,13 @@ impl Rig {
         });
         let options = CheckOptions {
             rate_hz: self.bench.link.rate_hz,
-            // A person at a screen sees SIM or HARDWARE and starts by hand; without one the word is needed.
-            hardware_allowed: self.asked.hardware || !self.asked.headless,
-            hardware_said: self.asked.hardware,
-            waivers: self.asked.waivers,
+            // A person at a screen sees SIM or HARDWARE and starts by hand; without one the option is needed.
+            hardware_allowed: self.options.hardware || !self.options.headless,
+            hardware_said: self.options.hardware,
+            waivers: self.options.waivers,
             first_move,
             stopped: &stopped,
-            reset_fault: std::mem::take(&mut self.asked.reset_fault),
+            reset_fault: std::mem::take(&mut self.options.reset_fault),
         };
         let (link, clock) = (self.way.link.as_mut(), self.way.clock.as_mut());
         let report = check(link, clock, &self.bench.limits(), options);
@@ -251,17 +251,16 @@ impl Rig {
         }
         let report = report.map_err(|error| {
             let reopener = self.way.reopener.as_ref();
-            Failure::from(error).beside(reopener.and_then(Reopener::other_reader).as_deref())
+            Failure::from(error).with_remark(reopener.and_then(Reopener::other_reader).as_deref())
         })?;
         self.answered = Some(report.identity.clone());
         if controls.is_stopped() {
             return Err(Failure::interrupted("interrupted in the checks; nothing is energised"));
         }
         if let Some(item) = report.refusal() {
-            let headline = format!("{}: {}", item.name, item.text);
-            // Too much was asked, by arithmetic; what the link reaches is measured.
+            // A rate that the line cannot carry by arithmetic is one of usage; what the link reaches is measured.
             let status = if item.name == RATE_CHECK { USAGE } else { LINK };
-            let failure = Failure::new(status, headline);
+            let failure = Failure::new(status, format!("{}: {}", item.name, item.text));
             return Err(failure.helped_by(item.help));
         }
         self.last_seq = report.last_seq;
@@ -296,10 +295,9 @@ impl Rig {
         self.way.link.burst().is_some()
     }
 
-    fn program(&self, seed: u64) -> Result<drivebench_model::excitation::Program, Failure> {
+    fn program(&self, seed: u64) -> Result<Program, Failure> {
         let file = self.bench.name.clone();
-        let program = self.bench.program(seed);
-        program.map_err(|error| BenchFileError::Sequence { file, error }.into())
+        Ok(self.bench.program(seed).map_err(|error| BenchFileError::Sequence { file, error })?)
     }
 
     fn guard(&self, motor: &Nameplate) -> Guard {
@@ -409,9 +407,9 @@ impl Rig {
             layout = layout.without_host_time();
         }
         let config = OnlineConfig::from_model(&Model::baseline(self.bench.motor.motor()));
-        let settings = OnlineSettings::from(config).text();
-        let name_of_settings = OnlineSettings::NAME.to_owned();
-        manifest.configs.insert(name_of_settings, settings);
+        manifest
+            .configs
+            .insert(OnlineSettings::NAME.to_owned(), OnlineSettings::from(config).text());
         let mut recorder = self.recorder(name, &layout, &manifest)?;
         let mut online = RowEstimator::new(config);
         let sent_before = self.way.link.statistics().sent;
@@ -436,11 +434,11 @@ impl Rig {
                 rate_hz: self.bench.link.rate_hz,
                 motor: planned.motor,
                 // Beside a screen a real motor is started by hand, after a question.
-                auto_start: target == Target::Sim || self.asked.headless || planned.follows,
+                auto_start: target == Target::Sim || self.options.headless || planned.follows,
             },
         );
         self.last_seq += summary.link.sent - sent_before + 1;
-        self.name_other_reader(&mut summary, &mut recorder, controls);
+        self.note_other_reader(&mut summary, &mut recorder, controls);
         if summary.stop_error.is_none() {
             self.rests();
         }
@@ -461,11 +459,12 @@ impl Rig {
         controls.snapshots.publish(shown);
         manifest.finished = true;
         manifest.rows = Some(kept.status.rows);
-        let mut recorded = Recorded::new(kept, manifest, summary, online.result());
+        let terminal = self.options.terminal.clone();
+        let mut recorded = Recorded::new(kept, manifest, summary, online.result(), terminal);
         recorded.keep_capture(name);
-        // Kept at once: whoever goes on with this run may be interrupted.
+        // Kept at once: what follows may be interrupted.
         recorded.write_result(&serde_json::json!({}));
-        if self.asked.parquet {
+        if self.options.parquet {
             recorded.keep_parquet();
         }
         Ok(recorded)
@@ -474,13 +473,12 @@ impl Rig {
     /// The first move is made only where a folder for the record can be: one is made and removed again, where that of the
     /// runs is or would be.
     fn can_record(&self) -> Result<(), Failure> {
-        let mut places = self.asked.out.ancestors();
-        let place = places.find(|place| place.exists());
-        let place = place.unwrap_or(Path::new("."));
-        let made = RunFolder::create(place, &utc_stamp(now()), &self.bench.name)?;
-        let path = made.path();
-        let headline = |error| format!("{}: cannot remove: {error}", path.display());
-        std::fs::remove_dir(path).map_err(|error| Failure::new(USAGE, headline(error)))
+        let parent = self.options.out.ancestors().find(|parent| parent.exists());
+        let parent = parent.unwrap_or(Path::new("."));
+        let made = RunFolder::create(parent, &utc_stamp(now()), &self.bench.name)?;
+        std::fs::remove_dir(made.path()).map_err(|error| {
+            Failure::new(USAGE, format!("{}: cannot remove: {error}", made.path().display()))
+        })
     }
 
     /// A run whose record cannot be begun is refused, with nothing energised; one that follows others goes on in memory.
@@ -491,13 +489,12 @@ impl Rig {
         manifest: &Manifest,
     ) -> Result<Recorder, Failure> {
         let sync_every = whole(self.bench.link.rate_hz.ceil());
-        let made = RunFolder::create(&self.asked.out, &manifest.stamp, name)
+        let made = RunFolder::create(&self.options.out, &manifest.stamp, name)
             .and_then(|folder| Recorder::create(folder, layout.clone(), manifest, sync_every));
         match made {
             Err(error) if self.has_recorded => {
-                let folder = RunFolder::unmade(&self.asked.out, &manifest.stamp, name);
-                let in_memory = Recorder::without_disk;
-                Ok(in_memory(folder, layout.clone(), manifest, sync_every, &error)?)
+                let folder = RunFolder::unmade(&self.options.out, &manifest.stamp, name);
+                Ok(Recorder::without_disk(folder, layout.clone(), manifest, sync_every, &error)?)
             }
             made => Ok(made?),
         }
@@ -512,9 +509,8 @@ impl Rig {
             let text = toml::to_string(emulator).unwrap_or_default();
             manifest.configs.insert("emulator".to_owned(), text);
         }
-        let configs = &mut manifest.configs;
-        configs.insert("drive".to_owned(), self.profile_text.clone());
-        configs.insert("drive_provenance".to_owned(), self.profile.provenance());
+        manifest.configs.insert("drive".to_owned(), self.profile_text.clone());
+        manifest.configs.insert("drive_provenance".to_owned(), self.profile.provenance());
         for (channel, text) in offer::carried(&self.profile) {
             manifest.carried.insert(channel.key().to_owned(), text);
         }
@@ -529,8 +525,8 @@ impl Rig {
         manifest
     }
 
-    /// Says who else has the port open where replies were lost on it, once the drive has been told to stop.
-    fn name_other_reader(
+    /// Notes which other program has the port open where replies were lost on it, once the drive has its stop.
+    fn note_other_reader(
         &self,
         summary: &mut RunSummary,
         recorder: &mut Recorder,
@@ -547,8 +543,7 @@ impl Rig {
         if let Outcome::LinkLost { reason } = &mut summary.outcome {
             *reason = format!("{reason}; {text}");
         }
-        let level = Level::Warning;
-        let notice = Notice { level, text };
+        let notice = Notice { level: Level::Warning, text };
         let mut shown = (*controls.snapshots.latest()).clone();
         shown.notices.push(notice.clone());
         controls.snapshots.publish(shown);
@@ -556,7 +551,7 @@ impl Rig {
         summary.notices.push(notice);
     }
 
-    /// Looks for the drive again, brings it to rest and says what was found; the run stays lost.
+    /// Looks for the drive again, brings it to rest and reports what was found; the run stays lost.
     pub(crate) fn get_back(
         &mut self,
         summary: &mut RunSummary,
@@ -566,20 +561,21 @@ impl Rig {
         let (Some(reopener), Some(check)) = (&self.way.reopener, &self.check) else {
             return;
         };
-        // Beside a screen somebody sits who ends it.
+        // Beside a screen a person ends it. Without one: the time in which the drive's own watchdog stops it, and 10 s to put
+        // a plug back.
         let default_s =
-            self.asked.headless.then(|| check.identity.watchdog_s.unwrap_or(0.0) + PATIENCE_S);
+            self.options.headless.then(|| check.identity.watchdog_s.unwrap_or(0.0) + 10.0);
         let limit_s = reopener.limit_s.or(default_s);
         if limit_s == Some(0.0) {
             return;
         }
         self.way.link.close();
         let link = reopener.link.as_str();
-        if self.asked.headless {
+        if self.options.headless {
             let time = limit_s.map_or_else(String::new, |limit_s| format!(" for {limit_s:.1} s"));
-            output::message(&format!(
-                "link lost: looking for {link} again{time}; Ctrl-C ends that"
-            ));
+            self.options
+                .terminal
+                .message(&format!("link lost: looking for {link} again{time}; Ctrl-C ends that"));
         }
         let options = ReopenOptions {
             link,
@@ -605,8 +601,8 @@ impl Rig {
             self.way.link = link;
             self.last_seq += 1;
         }
-        if self.asked.headless {
-            output::message(&self.told(&reopened));
+        if self.options.headless {
+            self.options.terminal.message(&self.reopening_text(&reopened));
         }
         if reopened.is_safe() {
             self.rests();
@@ -614,16 +610,15 @@ impl Rig {
         summary.reopened = Some(reopened);
     }
 
-    /// What was found, with what the profile says of a drive that has just been switched on.
-    fn told(&self, reopened: &Reopened) -> String {
+    /// What was found, with the profile's remark on a drive that has just been switched on.
+    fn reopening_text(&self, reopened: &Reopened) -> String {
         let registers = self.profile.registers.as_ref();
         let blind_s = registers.map_or(0.0, |map| map.watchdog.keys.boot_delay_s);
-        let blind = if blind_s > 0.0 && reopened.identity.is_some() {
-            format!("; if it was switched off, its watchdog is blind for {blind_s} s")
-        } else {
-            String::new()
-        };
-        format!("{}{blind}", reopened.text)
+        let mut text = reopened.text.clone();
+        if blind_s > 0.0 && reopened.identity.is_some() {
+            let _ = write!(text, "; if it was switched off, its watchdog is blind for {blind_s} s");
+        }
+        text
     }
 }
 
@@ -658,7 +653,7 @@ impl Opened {
         if let (Some(config), Some(seed)) = (&mut emulator, run_seed) {
             config.day = seed.wrapping_sub(bench.runs.fit);
         }
-        let tap = tap(options.tap.as_deref(), &port)?;
+        let tap = tap(options.tap.as_deref(), &port, &options.terminal)?;
         let real = MonotonicClock::start();
         let (mut clock, mut server): (Box<dyn Clock + Send>, _) = (Box::new(real), None);
         let mut address = bench.link.port.clone();
@@ -682,7 +677,7 @@ impl Opened {
                 served.line.baud = bench.baud();
                 let handle = serve(protocol, served, bench.emulator.seed, guise)?;
                 if options.headless {
-                    output::message(&format!("software drive {}", handle.ready_line()));
+                    options.terminal.message(&format!("software drive {}", handle.ready_line()));
                 }
                 address = opening::address(protocol, &handle);
                 server = Some(handle);
@@ -690,7 +685,7 @@ impl Opened {
             }
             (Port::Tcp(_) | Port::Serial(_), _) => open(&address)?,
             (Port::Sim | Port::SimRtu | Port::Emulator, None) => {
-                let headline = "an emulator was asked for and not configured";
+                let headline = "an emulator is requested and not configured";
                 return Err(Failure::internal(headline));
             }
         };
@@ -712,8 +707,8 @@ impl Drop for Rig {
         // What has panicked may be the link itself, and nothing may unwind out of here.
         let link = &mut self.way.link;
         let stopped = catch_unwind(AssertUnwindSafe(|| link.stop()));
-        self.word.set(DriveWord::Panicked(match stopped {
-            Ok(told) => told.map_err(|error| error.to_string()),
+        self.power.set(DrivePower::Panicked(match stopped {
+            Ok(stopped) => stopped.map_err(|error| error.to_string()),
             Err(_) => Err("the link has panicked as well".to_owned()),
         }));
     }

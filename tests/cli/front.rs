@@ -19,7 +19,7 @@ fn called_alone_it_shows_the_loop_and_the_next_step() {
     let alone = || desk.call("").expect(0);
     let first = alone();
     assert_eq!(first.stderr, "");
-    has(&first.stdout, &["nothing of ours yet", "Next\n  drivebench commission\n"]);
+    has(&first.stdout, &["no bench file, model or run yet", "Next\n  drivebench commission\n"]);
     desk.put("bench.toml", BENCH);
     has(&alone().stdout, &["bench files: bench.toml", "Next\n  drivebench plan bench.toml\n"]);
     desk.call("run bench.toml --headless --port sim:").expect(0);

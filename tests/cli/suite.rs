@@ -156,7 +156,7 @@ fn a_command_that_does_not_end_in_its_time_is_ended_and_said_so() {
     let text = "name = \"late\"\n[[case]]\nname = \"slow\"\ntimeout_s = 0.05\nport = \"emulator\"\n\
                 [[case.step]]\nexcite = {}\n";
     let done = tested(&desk, text, "").expect(1);
-    has(&done.stderr, &["ERROR", "not done in 0.05 s; asked to end, it "]);
+    has(&done.stderr, &["ERROR", "not done in 0.05 s; terminated, it "]);
     assert!(!done.stderr.contains("by its guard"), "{}", done.stderr);
 }
 
@@ -202,7 +202,7 @@ fn what_cannot_be_run_is_refused_before_anything_is() {
     }
     // A real port, and nobody who says that the motor may turn.
     let done = tested(&desk, &good, "--port /dev/ttyNONE").expect(3);
-    has(&done.stderr, &["nobody has said that its motor may turn", "--hardware"]);
+    has(&done.stderr, &["nobody has confirmed that its motor may turn", "--hardware"]);
 }
 
 #[test]

@@ -7,7 +7,7 @@ use std::process::ExitCode;
 
 use serde::Serialize;
 
-use drivebench::runtime::{Failure, output, progress, signals};
+use drivebench::runtime::{Failure, Terminal};
 use drivebench_studies::page::FiguresAndTables;
 use drivebench_studies::study::commission;
 use drivebench_studies::{PaperA, PaperB, lines, paper_a, paper_b, study};
@@ -82,7 +82,9 @@ fn main() -> ExitCode {
     if name.is_some_and(|name| name == commission::PROGRAM) {
         return drivebench::commands::main();
     }
-    drivebench::commands::program(|arguments: Arguments| execute(&arguments.study))
+    drivebench::commands::program(|arguments: Arguments, terminal| {
+        execute(&arguments.study, terminal)
+    })
 }
 
 impl Destination {
@@ -95,6 +97,7 @@ impl Destination {
     /// Runs a study, writes its files and prints what was found.
     fn fill<T: Serialize>(
         &self,
+        terminal: &Terminal,
         name: &str,
         study: impl FnOnce() -> Result<T, Failure>,
         page: impl FnOnce(&T) -> Result<FiguresAndTables, String>,
@@ -102,7 +105,7 @@ impl Destination {
         let folder = self.folder(name);
         // Before the work, not after it.
         folder.as_deref().map_or(Ok(()), prepare)?;
-        let shown = progress::begin("studies");
+        let shown = terminal.progress("studies");
         let found = study()?;
         drop(shown);
         let page = page(&found).map_err(|error| Failure::internal(format!("{name}: {error}")))?;
@@ -112,10 +115,10 @@ impl Destination {
                 "discovery" => "tables.md".to_owned(),
                 name => format!("{name}.md"),
             };
-            write(&folder, &page.files(&markdown))?;
-            output::message(&format!("written to {}", folder.display()));
+            write(&folder, &page.files(&markdown), terminal)?;
+            terminal.message(&format!("written to {}", folder.display()));
         }
-        output::result(&found, self.json, |_| page.text())
+        terminal.result(&found, self.json, |_| page.text())
     }
 }
 
@@ -151,8 +154,8 @@ fn cannot_write(path: &Path, error: &std::io::Error) -> Failure {
     Failure::usage(headline, help)
 }
 
-fn write(folder: &Path, files: &[(String, String)]) -> Result<(), Failure> {
-    let _whole = signals::writing();
+fn write(folder: &Path, files: &[(String, String)], terminal: &Terminal) -> Result<(), Failure> {
+    let _whole = terminal.writing();
     fs::create_dir_all(folder).map_err(|error| cannot_write(folder, &error))?;
     for (name, content) in files {
         let path = folder.join(name);
@@ -161,28 +164,28 @@ fn write(folder: &Path, files: &[(String, String)]) -> Result<(), Failure> {
     Ok(())
 }
 
-fn execute(study: &Study) -> Result<(), Failure> {
+fn execute(study: &Study, terminal: &Terminal) -> Result<(), Failure> {
     // The study of the diagnosis puts down what is under way; all else ends at once.
     let ends_at_once = !matches!(study, Study::Discovery(_));
-    let _endable = ends_at_once.then(signals::endable).transpose()?;
-    let stage = |part: &str| progress::stage(part, 0);
+    let _endable = ends_at_once.then(|| terminal.endable()).transpose()?;
+    let stage = |part: &str| terminal.stage(part, 0);
     match study {
-        Study::PaperA(own) => own.fill("paper-a", || Ok(paper_a(stage)), PaperA::report),
-        Study::PaperB(own) => own.fill("paper-b", || Ok(paper_b(stage)), PaperB::report),
+        Study::PaperA(own) => own.fill(terminal, "paper-a", || Ok(paper_a(stage)), PaperA::report),
+        Study::PaperB(own) => own.fill(terminal, "paper-b", || Ok(paper_b(stage)), PaperB::report),
         Study::Lines(own) => {
             let found = || {
                 let runs = usize::try_from(own.sets.max(1)).unwrap_or(1);
-                progress::stage("records and identifies", lines::KINDS);
-                Ok(lines::line_study(runs, own.seed, progress::at))
+                terminal.stage("records and identifies", lines::KINDS);
+                Ok(lines::line_study(runs, own.seed, |done| terminal.at(done)))
             };
             let destination = &own.destination;
-            destination.fill("lines", found, lines::LineStudy::report)
+            destination.fill(terminal, "lines", found, lines::LineStudy::report)
         }
         Study::Discovery(own) => {
             let records = own.records.as_deref();
-            let found = || commission::study(own.sets, own.mysteries, own.seed, records);
+            let found = || commission::study(own.sets, own.mysteries, own.seed, records, terminal);
             let destination = &own.destination;
-            destination.fill("discovery", found, study::Study::report)
+            destination.fill(terminal, "discovery", found, study::Study::report)
         }
     }
 }

@@ -36,8 +36,7 @@ pub(super) fn runs(named: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
             let headline = format!("{}: there is no such run or folder of runs", path.display());
             return Err(Failure::usage(headline, "check the path"));
         }
-        let matched: Vec<PathBuf> =
-            expanded(path).into_iter().flat_map(|path| below(&path)).collect();
+        let matched: Vec<PathBuf> = expanded(path).iter().flat_map(|path| below(path)).collect();
         if matched.is_empty() {
             let headline = format!("{text}: no run has a path like this");
             let help = "* and ? stand for letters of one name, ** for any folders between";
@@ -157,7 +156,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_pattern_takes_names_of_its_form_alone() {
+    fn a_pattern_matches_names_of_its_form_alone() {
         for (name, pattern, is_so) in [
             ("2026-a", "2026-*", true),
             ("2025-a", "2026-*", false),
@@ -197,7 +196,7 @@ mod tests {
         assert_eq!(named(&["b/2", "b", "b/latest"]).unwrap(), ["b/1", "b/2"]);
         assert_eq!(named(&["b/*"]).unwrap(), ["b/1", "b/2"]);
         assert_eq!(named(&["**/3"]).unwrap(), ["a/deep/3"]);
-        assert_eq!(named(&["c"]).unwrap(), ["c"], "its row says that nothing is in it");
+        assert_eq!(named(&["c"]).unwrap(), ["c"], "its row gives the reason");
         assert!(named(&["c*"]).is_err() && named(&["d"]).is_err());
     }
 }

@@ -1,10 +1,8 @@
-//! `analyse`: many runs as one table, a row each.
-//!
-//! Many runs, each analysed by itself, as one table: a row a run.
+//! `analyse`: many runs, each analysed by itself, as one table: a row a run.
 //!
 //! ```text
 //! RUNS -> inputs: sorted paths -> shard -> workers (a run each) -> rows in order -> stdout
-//!                                              '- no further ahead than WINDOW -'-> table.rs: journal -> FILE
+//!                                              '- no further ahead than a window -'-> table.rs: journal -> FILE
 //! ```
 //!
 //! Of a run whose row is written its path and the place of its row are in memory, some 700 bytes; no worker runs further
@@ -17,7 +15,7 @@ mod table;
 use std::collections::{BTreeMap, HashSet};
 use std::fmt::Write as _;
 use std::num::NonZeroUsize;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
 use row::{Cell, Columns, Status};
@@ -28,8 +26,8 @@ use table::{Table, line_of};
 use crate::commands::arguments::{MapArguments, shard};
 use crate::runtime::failure::{Failure, REFUSED, USAGE};
 use crate::runtime::files::read_model;
-use crate::runtime::{output, progress, signals};
-use drivebench_bench::recording::{ColumnKind, LoadedRun};
+use crate::runtime::output::Terminal;
+use drivebench_bench::recording::ColumnKind;
 use drivebench_identify::scheme;
 use drivebench_model::numerics::checksum::{EMPTY, fnv_1a};
 use drivebench_model::plant::{Model, Motor};
@@ -77,76 +75,29 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-pub(super) fn execute(arguments: &Arguments) -> Result<(), Failure> {
-    let _endable = signals::endable()?;
-    let shown = progress::begin("analyse");
-    let words = format!("{:?} {:?} {}", arguments.map, arguments.scheme, arguments.diagnose);
-    let model = arguments.model.as_deref();
-    let sum = analyse(&AnalysisRequest {
-        runs: &arguments.runs,
-        model,
-        scheme: arguments.scheme.as_deref(),
-        diagnose: arguments.diagnose,
-        out: arguments.out.as_deref(),
-        form: if arguments.json { Form::JsonLines } else { Form::Csv },
-        resume: arguments.resume,
-        shard: arguments.shard,
-        jobs: arguments.jobs,
-        load: &|path| arguments.map.load(path),
-        analysis: analysis_of(&words, model),
-    })?;
+pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
+    let _endable = terminal.endable()?;
+    let shown = terminal.progress("analyse");
+    let sum = analyse(arguments, terminal)?;
     drop(shown);
     if arguments.out.is_some() {
-        output::result(&sum, arguments.json, Analysed::text)?;
+        terminal.result(&sum, arguments.json, Analysed::text)?;
     }
     sum.failure().map_or(Ok(()), Err)
 }
 
-/// Rows that may wait for one before them, for each worker.
-const WINDOW: usize = 8;
-
-/// How rows are written where there is no file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Form {
-    Csv,
-    /// One JSON object a line.
-    JsonLines,
-}
-
-/// What is asked of an analysis of many runs.
-pub(crate) struct AnalysisRequest<'a> {
-    /// Paths, folders of runs and patterns.
-    pub(crate) runs: &'a [PathBuf],
-    /// Without it the five-parameter baseline.
-    pub(crate) model: Option<&'a Path>,
-    pub(crate) scheme: Option<&'a str>,
-    pub(crate) diagnose: bool,
-    /// A CSV or Parquet file; without it standard output.
-    pub(crate) out: Option<&'a Path>,
-    pub(crate) form: Form,
-    pub(crate) resume: bool,
-    /// Part `0` of `1`, counted from 1.
-    pub(crate) shard: Option<(u64, u64)>,
-    /// Runs at once; without it one for each core.
-    pub(crate) jobs: Option<NonZeroUsize>,
-    /// How a run is read.
-    pub(crate) load: &'a (dyn Fn(&Path) -> Result<LoadedRun, Failure> + Sync),
-    /// All that a row depends on beside its run and the program's version, as a checksum.
-    pub(crate) analysis: String,
-}
-
-/// How many runs came out how.
+/// Counts of the runs by status.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
-pub(crate) struct Analysed {
-    pub(crate) runs: usize,
-    pub(crate) ok: usize,
-    pub(crate) not_identified: usize,
-    pub(crate) unread: usize,
-    /// Rows of an earlier time that are still true, among these.
-    pub(crate) kept: usize,
+struct Analysed {
+    runs: usize,
+    ok: usize,
+    not_identified: usize,
+    unread: usize,
+    /// Rows of an earlier analysis that still hold, among these.
+    kept: usize,
     /// Rows of runs that were not named, of other options and of other versions, which are not in the table any more.
-    pub(crate) left_out: usize,
-    pub(crate) output: Option<String>,
+    left_out: usize,
+    output: Option<String>,
 }
 
 impl Analysed {
@@ -159,7 +110,7 @@ impl Analysed {
     }
 
     /// The sums in one line.
-    pub(crate) fn text(&self) -> String {
+    fn text(&self) -> String {
         let mut text = format!(
             "{}: {} runs, {} ok, {} not identified, {} unread",
             self.output.as_deref().unwrap_or_default(),
@@ -180,7 +131,7 @@ impl Analysed {
     }
 
     /// The failure of runs that could not be read, if any.
-    pub(crate) fn failure(&self) -> Option<Failure> {
+    fn failure(&self) -> Option<Failure> {
         let (unread, runs) = (self.unread, self.runs);
         let status = if unread == runs { USAGE } else { REFUSED };
         let headline = format!("{unread} of {runs} runs could not be read");
@@ -189,10 +140,11 @@ impl Analysed {
     }
 }
 
-/// The checksum of what the rows depend on: words of the command line, and the model file's text.
-pub(crate) fn analysis_of(words: &str, model: Option<&Path>) -> String {
-    let text = model.and_then(|path| std::fs::read(path).ok()).unwrap_or_default();
-    format!("{:016x}", fnv_1a(fnv_1a(EMPTY, words.bytes()), text))
+/// The checksum of all that a row depends on beside its run and the program's version: options, and the model file's text.
+fn analysis_of(arguments: &Arguments) -> String {
+    let options = format!("{:?} {:?} {}", arguments.map, arguments.scheme, arguments.diagnose);
+    let model = arguments.model.as_ref().and_then(|path| std::fs::read(path).ok());
+    format!("{:016x}", fnv_1a(fnv_1a(EMPTY, options.bytes()), model.unwrap_or_default()))
 }
 
 /// Part `part` of `of` of the runs: a block, so that the tables of the parts behind each other are the table of the whole.
@@ -205,17 +157,17 @@ fn block<T>(mut runs: Vec<T>, (part, of): (u64, u64)) -> Vec<T> {
     runs.split_off(bound(part - 1))
 }
 
-/// Analyses the runs; one that cannot be read is a row that says so.
-pub(crate) fn analyse(request: &AnalysisRequest<'_>) -> Result<Analysed, Failure> {
-    let model = match request.model {
+/// Analyses the runs; one that cannot be read is a row that gives the reason.
+fn analyse(arguments: &Arguments, terminal: &Terminal) -> Result<Analysed, Failure> {
+    let model = match &arguments.model {
         Some(path) => read_model(path)?.model,
         None => Model::baseline(Motor::new("fitted")),
     };
-    if let Some(id) = request.scheme {
+    if let Some(id) = &arguments.scheme {
         scheme::find(id)?;
     }
     let columns = Columns::of(model);
-    let mut runs = inputs::runs(request.runs)?;
+    let mut runs = inputs::runs(&arguments.runs)?;
     let mut named = HashSet::with_capacity(runs.len());
     for run in &runs {
         if !named.insert(row::name(run)) {
@@ -224,77 +176,82 @@ pub(crate) fn analyse(request: &AnalysisRequest<'_>) -> Result<Analysed, Failure
             return Err(Failure::usage(headline, help));
         }
     }
-    if let Some(shard) = request.shard {
+    if let Some(shard) = arguments.shard {
         runs = block(runs, shard);
     }
+    let analysis = analysis_of(arguments);
     let all = columns.all();
-    let table = request
+    let table = arguments
         .out
-        .map(|path| Table::open(path, all.clone(), &request.analysis, request.resume, &named));
+        .as_deref()
+        .map(|path| Table::open(path, all.clone(), &analysis, arguments.resume, &named, terminal));
     drop(named);
-    let sink = Sink { table: table.transpose()?, columns: all, form: request.form };
-    if sink.table.is_none() && request.form == Form::Csv {
+    let sink = Sink { table: table.transpose()?, columns: all, is_json: arguments.json, terminal };
+    if sink.table.is_none() && !sink.is_json {
         let names: Vec<&str> = sink.columns.iter().map(|(name, _)| name.as_str()).collect();
-        output::line(line_of(&names).trim_end())?;
+        terminal.line(line_of(&names).trim_end())?;
     }
     let cores = || std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
-    let jobs = request.jobs.map_or_else(cores, NonZeroUsize::get);
-    // Where somebody has asked before, the threads within a run are as they are; rows do not depend on them.
+    let jobs = arguments.jobs.map_or_else(cores, NonZeroUsize::get);
+    // Where the pool exists already it stays as it is; rows do not depend on it.
     let _ = rayon::ThreadPoolBuilder::new().num_threads(jobs).build_global();
-    let window = WINDOW * jobs;
-    progress::stage("analyses the runs", runs.len());
-    let line = Mutex::new(Line {
-        begun: 0,
-        written: 0,
-        waiting: BTreeMap::new(),
-        ended: None,
-        sink,
-        sum: Analysed::default(),
-    });
-    let written = Condvar::new();
+    terminal.stage("analyses the runs", runs.len());
+    let analysis = Analysis {
+        arguments,
+        analysis,
+        columns,
+        runs,
+        // Rows that may wait for one before them.
+        window: 8 * jobs,
+        order: Mutex::new(Order {
+            begun: 0,
+            written: 0,
+            waiting: BTreeMap::new(),
+            ended: None,
+            sink,
+            sum: Analysed::default(),
+        }),
+        written: Condvar::new(),
+    };
     std::thread::scope(|scope| {
-        for _ in 0..jobs.min(runs.len()) {
-            scope.spawn(|| work(&runs, request, &columns, window, &line, &written));
+        for _ in 0..jobs.min(analysis.runs.len()) {
+            scope.spawn(|| analysis.work());
         }
     });
-    let line = line.into_inner().unwrap_or_else(PoisonError::into_inner);
-    if let Some(failure) = line.ended {
+    let Analysis { runs, order, .. } = analysis;
+    let order = order.into_inner().unwrap_or_else(PoisonError::into_inner);
+    if let Some(failure) = order.ended {
         return Err(failure);
     }
-    let mut sum = Analysed { runs: runs.len(), ..line.sum };
-    if let Some(table) = line.sink.table {
+    let mut sum = Analysed { runs: runs.len(), ..order.sum };
+    if let Some(table) = order.sink.table {
         sum.left_out = table.finish(&runs)?;
-        sum.output = request.out.map(|path| path.display().to_string());
+        sum.output = arguments.out.as_ref().map(|path| path.display().to_string());
     }
     Ok(sum)
 }
 
 /// Where rows go.
-struct Sink {
+struct Sink<'a> {
     table: Option<Table>,
     columns: Vec<(String, ColumnKind)>,
-    form: Form,
+    /// Without a table: one JSON object a line, and not CSV.
+    is_json: bool,
+    terminal: &'a Terminal,
 }
 
-impl Sink {
+impl Sink<'_> {
     fn put(&mut self, cells: &[Cell], status: Status) -> Result<(), Failure> {
         if let Some(table) = &mut self.table {
             return table.put(cells, status);
         }
-        match self.form {
-            Form::Csv => {
-                let texts: Vec<String> = cells.iter().map(Cell::text).collect();
-                output::line(line_of(&texts).trim_end())
-            }
-            Form::JsonLines => {
-                let named = self
-                    .columns
-                    .iter()
-                    .zip(cells)
-                    .map(|((name, _), cell)| (name.clone(), cell.json()));
-                output::line(&Value::Object(named.collect::<Map<_, _>>()).to_string())
-            }
+        if !self.is_json {
+            let texts: Vec<String> = cells.iter().map(Cell::text).collect();
+            return self.terminal.line(line_of(&texts).trim_end());
         }
+        let names = self.columns.iter().map(|(name, _)| name.clone());
+        let row: Map<_, _> = names.zip(cells.iter().map(Cell::json)).collect();
+        self.terminal.line(&Value::Object(row).to_string())
     }
 }
 
@@ -306,17 +263,17 @@ enum Ready {
 }
 
 /// Which runs are begun, which are written, and what waits between.
-struct Line {
+struct Order<'a> {
     begun: usize,
     written: usize,
     waiting: BTreeMap<usize, Ready>,
     ended: Option<Failure>,
-    sink: Sink,
+    sink: Sink<'a>,
     sum: Analysed,
 }
 
-impl Line {
-    /// Writes what is next in order, as far as it is there.
+impl Order<'_> {
+    /// Writes the rows that are next in order, as far as they are there.
     fn write(&mut self) {
         while let Some(ready) = self.waiting.remove(&self.written) {
             let (status, put) = match ready {
@@ -333,45 +290,58 @@ impl Line {
             self.sum.count(status);
             self.written += 1;
         }
-        progress::at(self.written);
+        self.sink.terminal.at(self.written);
     }
 }
 
-fn work(
-    runs: &[PathBuf],
-    request: &AnalysisRequest<'_>,
-    columns: &Columns,
+/// What the workers share.
+struct Analysis<'a> {
+    arguments: &'a Arguments,
+    /// As [`analysis_of`].
+    analysis: String,
+    columns: Columns,
+    runs: Vec<PathBuf>,
     window: usize,
-    line: &Mutex<Line>,
-    written: &Condvar,
-) {
-    let lock = || -> MutexGuard<'_, Line> { line.lock().unwrap_or_else(PoisonError::into_inner) };
-    loop {
-        let mut next = lock();
-        while next.begun >= next.written + window && next.ended.is_none() {
-            next = written.wait(next).unwrap_or_else(PoisonError::into_inner);
+    order: Mutex<Order<'a>>,
+    written: Condvar,
+}
+
+impl<'a> Analysis<'a> {
+    fn order(&self) -> MutexGuard<'_, Order<'a>> {
+        self.order.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Analyses one run after the other until none is left, or a row cannot be written.
+    fn work(&self) {
+        loop {
+            let mut order = self.order();
+            while order.begun >= order.written + self.window && order.ended.is_none() {
+                order = self.written.wait(order).unwrap_or_else(PoisonError::into_inner);
+            }
+            let (index, is_over) = (order.begun, order.ended.is_some());
+            let Some(run) = self.runs.get(index).filter(|_| !is_over) else {
+                return;
+            };
+            order.begun += 1;
+            drop(order);
+            let content = row::content(run);
+            let table = |order: &Order<'_>| {
+                order.sink.table.as_ref().and_then(|table| table.kept(&row::name(run), &content))
+            };
+            let kept = table(&self.order());
+            let ready = kept.map_or_else(
+                || {
+                    let (cells, status) = row::row(run, &content, self);
+                    Ready::New(cells, status)
+                },
+                Ready::Kept,
+            );
+            let mut order = self.order();
+            order.waiting.insert(index, ready);
+            order.write();
+            drop(order);
+            self.written.notify_all();
         }
-        let (index, is_over) = (next.begun, next.ended.is_some());
-        let Some(run) = runs.get(index).filter(|_| !is_over) else {
-            return;
-        };
-        next.begun += 1;
-        drop(next);
-        let content = row::content(run);
-        let kept =
-            lock().sink.table.as_ref().and_then(|table| table.kept(&row::name(run), &content));
-        let ready = kept.map_or_else(
-            || {
-                let (cells, status) = row::row(run, &content, request, columns);
-                Ready::New(cells, status)
-            },
-            Ready::Kept,
-        );
-        let mut line = lock();
-        line.waiting.insert(index, ready);
-        line.write();
-        drop(line);
-        written.notify_all();
     }
 }
 
@@ -380,7 +350,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn blocks_behind_each_other_are_the_whole() {
+    fn blocks_in_order_are_the_whole() {
         for (count, of) in [(0, 3), (1, 3), (10, 3), (3, 3), (7, 1)] {
             let whole: Vec<usize> = (0..count).collect();
             let parts = (1..=of).flat_map(|part| block(whole.clone(), (part, of)));

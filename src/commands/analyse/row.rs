@@ -1,5 +1,5 @@
-//! One run as one row of the table: what it is, its parameters with interval and verdict, what its model leaves over, and, where
-//! that is asked for, the effects that a diagnosis names.
+//! One run as one row of the table: its record, its parameters with interval and verdict, the residual of its model and, on
+//! request, the effects that a diagnosis names.
 
 use std::fs::File;
 use std::io::Read as _;
@@ -8,11 +8,11 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::AnalysisRequest;
+use super::Analysis;
 use crate::commands::evidence::{BASELINE, EvidenceFiles, Judging, prepare};
 use crate::commands::identify::{OneRun, identify, is_usable};
 use crate::runtime::failure::{Failure, INTERNAL};
-use crate::runtime::output;
+use crate::runtime::output::Terminal;
 use drivebench_bench::recording::{
     ColumnKind, LoadedRun, Machine, Manifest, RunFile, RunFolder, number_text,
 };
@@ -68,7 +68,6 @@ impl Cell {
     }
 }
 
-/// How far the analysis of a run came.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Status {
     Ok,
@@ -94,7 +93,7 @@ impl Status {
     }
 }
 
-/// The columns before those of the parameters, and behind them.
+/// The columns before those of the parameters.
 const ABOUT: [(&str, ColumnKind); 22] = [
     ("run", ColumnKind::Word),
     ("status", ColumnKind::Word),
@@ -119,6 +118,7 @@ const ABOUT: [(&str, ColumnKind); 22] = [
     ("input", ColumnKind::Word),
     ("scheme", ColumnKind::Word),
 ];
+/// The columns behind those of the parameters.
 const ANSWER: [(&str, ColumnKind); 11] = [
     ("residual", ColumnKind::Quantity),
     ("residual_in", ColumnKind::Word),
@@ -133,17 +133,10 @@ const ANSWER: [(&str, ColumnKind); 11] = [
     ("content", ColumnKind::Word),
 ];
 
-/// Place of the columns by which a row is known again.
-pub(super) const RUN: usize = 0;
-pub(super) const STATUS: usize = 1;
-/// From the end: program, analysis and content.
-pub(super) const KNOWN_BY: usize = 3;
-
-/// The parameters of which the table has columns: all of a motor, the resistance at 20 °C, and those of the effects of the
-/// model that all runs are identified with. They depend on no run, so that tables of any runs go together.
+/// The columns of the parameters: all of a motor, the resistance at 20 °C, and those of the effects of the model that all
+/// runs are identified with. They depend on no run, so that tables of any runs can be joined.
 #[derive(Clone, Debug)]
 pub(super) struct Columns {
-    /// What is sought in every run.
     model: Model,
     keys: Vec<String>,
 }
@@ -153,13 +146,12 @@ impl Columns {
         let motor = MotorKey::ALL.map(|key| key.key().to_owned());
         let slots = model.slots();
         let effects = slots.iter().filter(|slot| matches!(slot, Slot::Effect { .. }));
-        let keys =
-            motor.into_iter().chain([temperature::KEY.to_owned()]).chain(effects.map(Slot::key));
-        let keys = keys.collect();
+        let resistance = [temperature::KEY.to_owned()];
+        let keys = motor.into_iter().chain(resistance).chain(effects.map(Slot::key)).collect();
         Self { model, keys }
     }
 
-    /// Every column with what stands in it.
+    /// Every column with the kind of its values.
     pub(super) fn all(&self) -> Vec<(String, ColumnKind)> {
         let own = |(name, kind): (&str, ColumnKind)| (name.to_owned(), kind);
         let parameters = self.keys.iter().flat_map(|key| {
@@ -193,7 +185,7 @@ pub(super) fn content(run: &Path) -> String {
         while let Ok(count @ 1..) = file.read(&mut buffer) {
             hash = fnv_1a(hash, buffer[..count].iter().copied());
         }
-        // So that what one file lost and the next one got is told from neither.
+        // Separates the files.
         hash = fnv_1a(hash, [0]);
     }
     format!("{hash:016x}")
@@ -204,7 +196,7 @@ pub(super) fn name(run: &Path) -> String {
     Cell::word(run.display().to_string()).text()
 }
 
-/// What is known of a run, as far as its analysis came.
+/// The results of a run, as far as its analysis came.
 #[derive(Default)]
 struct Found {
     about: Option<About>,
@@ -212,7 +204,7 @@ struct Found {
     answer: Option<Answer>,
 }
 
-/// What a run says of itself.
+/// Facts of a record.
 #[derive(Default)]
 struct About {
     manifest: Manifest,
@@ -242,26 +234,21 @@ struct Answer {
     explained: f64,
 }
 
-/// Analyses one run; whatever goes wrong with it stands in its row.
-pub(super) fn row(
-    run: &Path,
-    content: &str,
-    request: &AnalysisRequest<'_>,
-    columns: &Columns,
-) -> (Vec<Cell>, Status) {
+/// Analyses one run; every failure of it stands in its row.
+pub(super) fn row(run: &Path, content: &str, request: &Analysis<'_>) -> (Vec<Cell>, Status) {
     let mut found = Found::default();
-    let work = || analyse(run, request, &columns.model, &mut found);
-    let (ended, said) = output::aside(|| {
-        catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| {
+    let terminal = Terminal::collecting();
+    let ended = catch_unwind(AssertUnwindSafe(|| analyse(run, request, &mut found, &terminal)))
+        .unwrap_or_else(|_| {
             Err(Failure::new(INTERNAL, "a fault of the program, which this run brings about"))
-        })
-    });
+        });
     let (status, reason) = judged(ended, &found);
-    let cells = cells(run, content, request, columns, (status, &reason), &found, said);
+    let messages = terminal.collected();
+    let cells = cells(run, content, request, (status, &reason), &found, messages);
     (cells, status)
 }
 
-/// How far it came, and why no further. What was read is not unread whatever comes behind it.
+/// How far it came, and why no further. A run that was read keeps that status whatever fails behind it.
 fn judged(ended: Result<(), Failure>, found: &Found) -> (Status, String) {
     let reason = ended.err().map(|failure| match (failure.headline(), &found.one) {
         (headline, Some(_)) => format!("no diagnosis: {headline}"),
@@ -284,43 +271,39 @@ fn is_found(parameter: &ParameterEstimate) -> bool {
 
 fn analyse(
     run: &Path,
-    request: &AnalysisRequest<'_>,
-    sought: &Model,
+    request: &Analysis<'_>,
     found: &mut Found,
+    terminal: &Terminal,
 ) -> Result<(), Failure> {
-    let loaded = (request.load)(run)?;
+    let arguments = request.arguments;
+    let load = |path: &Path| arguments.map.load(path, terminal);
+    let loaded = load(run)?;
     found.about = Some(About::of(&loaded));
-    let one = identify(loaded, sought, request.scheme, &[], false)?;
+    let scheme = arguments.scheme.as_deref();
+    let one = identify(loaded, &request.columns.model, scheme, &[], false, terminal)?;
     found.one = Some(Identified::of(&one));
     drop(one);
-    if request.diagnose {
-        let given = Some(request.model.unwrap_or(Path::new(BASELINE)));
+    if arguments.diagnose {
         let files = EvidenceFiles {
+            terminal,
             run,
-            model: given,
+            model: Some(arguments.model.as_deref().unwrap_or(Path::new(BASELINE))),
             holdout: None,
             confirm: None,
             later: &[],
             for_screen: false,
         };
-        let prepared = prepare(files, |path, _| (request.load)(path), Judging::Refits)?;
+        let prepared = prepare(files, |path, _| load(path), Judging::Refits)?;
         let found_effects = diagnose(&prepared.model.file.model, prepared.evidence)?;
-        let named = |id: &&'static str| {
+        let probability = |id: &&str| {
             let is_it = |candidate: &&Candidate| candidate.effect == *id;
-            found_effects
-                .candidates
-                .iter()
-                .find(is_it)
-                .map_or(f64::NAN, |candidate| candidate.probability)
+            let candidate = found_effects.candidates.iter().find(is_it);
+            format!("{:.4}", candidate.map_or(f64::NAN, |candidate| candidate.probability))
         };
         found.answer = Some(Answer {
             verdict: serde_json::to_value(found_effects.verdict).unwrap_or_default(),
             effects: found_effects.effects.iter().map(|id| (*id).to_owned()).collect(),
-            probabilities: found_effects
-                .effects
-                .iter()
-                .map(|id| format!("{:.4}", named(id)))
-                .collect(),
+            probabilities: found_effects.effects.iter().map(probability).collect(),
             holdout: found_effects.holdout_after,
             explained: found_effects.explained_percent,
         });
@@ -366,8 +349,8 @@ impl Identified {
     }
 }
 
-/// What the free run of the identified model leaves over, in multiples of the noise at rest; where the run shows no rest, of
-/// the signals' own spread.
+/// Error of the free run of the identified model, in multiples of the noise at rest; where the run shows no rest, of the
+/// signals' own spread.
 fn residual(one: &OneRun) -> Option<(f64, &'static str)> {
     let scenario = &one.scenario;
     if scenario.input != Input::Voltage {
@@ -384,11 +367,10 @@ fn residual(one: &OneRun) -> Option<(f64, &'static str)> {
 fn cells(
     run: &Path,
     content: &str,
-    request: &AnalysisRequest<'_>,
-    columns: &Columns,
+    request: &Analysis<'_>,
     (status, reason): (Status, &str),
     found: &Found,
-    said: Vec<String>,
+    messages: Vec<String>,
 ) -> Vec<Cell> {
     let (about, one, answer) = (found.about.as_ref(), found.one.as_ref(), found.answer.as_ref());
     let word = |of: fn(&About) -> String| about.map_or(Cell::Empty, |about| Cell::word(of(about)));
@@ -418,7 +400,7 @@ fn cells(
         Cell::word(one.map_or("", |one| one.input)),
         Cell::word(one.map_or("", |one| one.scheme)),
     ];
-    for key in &columns.keys {
+    for key in &request.columns.keys {
         let parameter = one.and_then(|one| ParameterEstimate::find(&one.parameters, key));
         let interval = parameter.and_then(ParameterEstimate::interval_95);
         cells.extend([
@@ -432,7 +414,7 @@ fn cells(
     let mut notes: Vec<String> = Vec::new();
     let own = about.into_iter().flat_map(|about| &about.notes);
     let own = own.chain(one.into_iter().flat_map(|one| &one.notes)).cloned();
-    for note in own.chain(said) {
+    for note in own.chain(messages) {
         let note = note.strip_prefix("warning: ").map(str::to_owned).unwrap_or(note);
         if !notes.contains(&note) {
             notes.push(note);
@@ -460,7 +442,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_cell_is_one_line_and_no_number_that_is_none() {
+    fn a_cell_is_one_line_and_a_finite_number() {
         assert_eq!(Cell::word("a\nb").text(), "a b");
         assert_eq!(Cell::quantity(Some(f64::NAN)), Cell::Empty);
         assert_eq!(Cell::quantity(Some(0.1)).text(), "0.1");
@@ -468,7 +450,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_read_and_identified_stays_so_where_its_diagnosis_fails() {
+    fn a_failed_diagnosis_leaves_the_status_of_the_run() {
         let refused = || Err(Failure::usage("the hold-out is short", ""));
         let mut found = Found::default();
         let unread = (Status::Unread, "the hold-out is short".to_owned());

@@ -5,7 +5,7 @@
 //!              '-- killed --> --resume: rows of FILE.part and FILE that are still true are kept
 //! ```
 //!
-//! Only the place of each row is in memory. What another program, other columns or other options wrote is not overwritten.
+//! Only the place of each row is in memory. Rows of another program, other columns or other options are not overwritten.
 
 use std::collections::{HashMap, HashSet};
 use std::fs::{self, File, OpenOptions, TryLockError};
@@ -13,13 +13,14 @@ use std::io::{BufRead, BufReader, BufWriter, Read, Seek as _, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use super::row;
-use super::row::{Cell, KNOWN_BY, RUN, STATUS, Status};
+use super::row::{Cell, Status};
 use crate::runtime::failure::Failure;
 use crate::runtime::files::{parquet, require_parquet};
-use crate::runtime::{output, signals};
+use crate::runtime::output;
+use crate::runtime::output::Terminal;
 use drivebench_bench::recording::ColumnKind;
 
-/// Where a row stands and what it is known by.
+/// Place of a row and checksum of its run.
 #[derive(Clone, Debug)]
 struct Place {
     /// Number of the file.
@@ -27,7 +28,6 @@ struct Place {
     offset: u64,
     length: usize,
     status: Status,
-    /// The checksum of the run that it is of.
     content: String,
 }
 
@@ -43,10 +43,11 @@ pub(super) struct Table {
     rows: HashMap<String, Place>,
     /// Rows of other options or versions, of runs that are analysed anew.
     replaced: usize,
+    terminal: Terminal,
 }
 
 impl Table {
-    /// Opens the journal of the table at `path`. With `resume` the rows of an earlier time by the same `analysis` are known;
+    /// Opens the journal of the table at `path`. With `resume` the rows of an earlier time by the same `analysis` are kept;
     /// those of another have to be of runs that are `named` now.
     pub(super) fn open(
         path: &Path,
@@ -54,6 +55,7 @@ impl Table {
         analysis: &str,
         resume: bool,
         named: &HashSet<String>,
+        terminal: &Terminal,
     ) -> Result<Self, Failure> {
         let is_parquet = is_parquet(path)?;
         let part = beside(path, "part");
@@ -79,10 +81,10 @@ impl Table {
             refuse_other(path, &header, false)?;
             refuse_other(&part, &header, true)?;
         }
-        let cannot = |error: &std::io::Error| output::cannot_write(&part, error);
+        let cannot = |error: std::io::Error| output::cannot_write(&part, &error);
         let mut options = OpenOptions::new();
-        let journal = options.read(true).append(true).create(true).open(&part);
-        let mut journal = journal.map_err(|error| cannot(&error))?;
+        let mut journal =
+            options.read(true).append(true).create(true).open(&part).map_err(cannot)?;
         if let Err(TryLockError::WouldBlock) = journal.try_lock() {
             let headline = format!("{}: another analysis writes it", part.display());
             return Err(Failure::usage(
@@ -91,22 +93,15 @@ impl Table {
             ));
         }
         let mut known = Known { analysis, rows: HashMap::new(), others: Vec::new() };
-        let mut sources = vec![journal.try_clone().map_err(|error| cannot(&error))?];
+        let mut sources = vec![journal.try_clone().map_err(cannot)?];
         if resume && path.exists() {
-            let mut table = File::open(path).map_err(|error| {
-                Failure::usage(
-                    format!("{}: cannot read: {error}", path.display()),
-                    "check the path",
-                )
-            })?;
-            known.read(&mut table, 1, &header).map_err(|error| cannot(&error))?;
+            let mut table = File::open(path).map_err(|error| cannot_read(path, &error))?;
+            known.read(&mut table, 1, &header).map_err(cannot)?;
             sources.push(table);
         }
         // What was torn when the program was killed is cut.
-        let end = known.read(&mut journal, 0, &header);
-        let end = end.map_err(|error| cannot(&error))?;
-        let others = known.others.iter().flatten();
-        let lost = others.filter(|run| !named.contains(*run)).count();
+        let end = known.read(&mut journal, 0, &header).map_err(cannot)?;
+        let lost = known.others.iter().flatten().filter(|run| !named.contains(*run)).count();
         if lost > 0 {
             if end == 0 {
                 let _ = fs::remove_file(&part);
@@ -118,7 +113,7 @@ impl Table {
             let help = "name those runs too, or give another name to --out";
             return Err(Failure::usage(headline, help));
         }
-        journal.set_len(end).map_err(|error| cannot(&error))?;
+        journal.set_len(end).map_err(cannot)?;
         let mut table = Self {
             path: path.to_owned(),
             columns,
@@ -127,6 +122,7 @@ impl Table {
             sources,
             rows: known.rows,
             replaced: known.others.len(),
+            terminal: terminal.clone(),
         };
         if table.end == 0 {
             table.append(&header)?;
@@ -152,14 +148,15 @@ impl Table {
             content: texts.last().cloned().unwrap_or_default(),
         };
         self.append(&line)?;
-        self.rows.insert(texts[RUN].clone(), place);
+        self.rows.insert(texts[0].clone(), place);
         Ok(())
     }
 
     fn append(&mut self, line: &str) -> Result<(), Failure> {
-        let _whole = signals::writing();
-        let written = self.journal.write_all(line.as_bytes());
-        written.map_err(|error| output::cannot_write(&beside(&self.path, "part"), &error))?;
+        let _whole = self.terminal.writing();
+        self.journal
+            .write_all(line.as_bytes())
+            .map_err(|error| output::cannot_write(&beside(&self.path, "part"), &error))?;
         self.end += line.len() as u64;
         Ok(())
     }
@@ -169,8 +166,9 @@ impl Table {
     pub(super) fn finish(mut self, runs: &[PathBuf]) -> Result<usize, Failure> {
         let new = beside(&self.path, "new");
         let path = self.path.clone();
+        let terminal = self.terminal.clone();
         let cannot = |error: std::io::Error| output::cannot_write(&path, &error);
-        let _whole = signals::writing();
+        let _whole = terminal.writing();
         self.assemble(&new, runs).map_err(cannot)?;
         if is_parquet(&self.path)? {
             let kinds: HashMap<&str, ColumnKind> =
@@ -244,10 +242,7 @@ fn refuse_other(path: &Path, header: &str, may_be_torn: bool) -> Result<(), Fail
         let mut start = BufReader::new(file).take(header.len() as u64);
         start.read_until(b'\n', &mut first)
     });
-    if let Err(error) = read {
-        let headline = format!("{}: cannot read: {error}", path.display());
-        return Err(Failure::usage(headline, "check the path"));
-    }
+    read.map_err(|error| cannot_read(path, &error))?;
     let is_ours = first == header.as_bytes();
     if is_ours || may_be_torn && header.as_bytes().starts_with(&first) {
         return Ok(());
@@ -259,11 +254,15 @@ fn refuse_other(path: &Path, header: &str, may_be_torn: bool) -> Result<(), Fail
     Err(Failure::usage(headline, help))
 }
 
-/// What earlier rows tell.
+fn cannot_read(path: &Path, error: &std::io::Error) -> Failure {
+    Failure::usage(format!("{}: cannot read: {error}", path.display()), "check the path")
+}
+
+/// Rows of an earlier time.
 struct Known<'a> {
     analysis: &'a str,
     rows: HashMap<String, Place>,
-    /// The runs of rows that are of another analysis; none where a row does not say.
+    /// The runs of rows that are of another analysis; `None` where a row names none.
     others: Vec<Option<String>>,
 }
 
@@ -287,23 +286,22 @@ impl Known<'_> {
                 let is_read = reader.read_record(&mut record).unwrap_or(false);
                 let taken = is_read.then(|| self.take(&record, (source, offset, length)));
                 if taken.is_none_or(|taken| taken.is_none()) {
-                    self.others.push(record.get(RUN).map(str::to_owned));
+                    self.others.push(record.get(0).map(str::to_owned));
                 }
             }
             offset += length as u64;
         }
     }
 
-    /// Takes over a row of this analysis.
+    /// Takes over a row of this analysis: run and status stand first, program, analysis and content last.
     fn take(
         &mut self,
         record: &csv::StringRecord,
         (source, offset, length): (usize, u64, usize),
     ) -> Option<()> {
         let from_end = |back: usize| record.len().checked_sub(back).and_then(|at| record.get(at));
-        let status = Status::named(record.get(STATUS)?)?;
-        let is_own =
-            from_end(KNOWN_BY)? == env!("CARGO_PKG_VERSION") && from_end(2)? == self.analysis;
+        let status = Status::named(record.get(1)?)?;
+        let is_own = from_end(3)? == env!("CARGO_PKG_VERSION") && from_end(2)? == self.analysis;
         let place = is_own.then(|| Place {
             source,
             offset,
@@ -311,7 +309,7 @@ impl Known<'_> {
             status,
             content: from_end(1).unwrap_or_default().to_owned(),
         })?;
-        self.rows.insert(record.get(RUN)?.to_owned(), place);
+        self.rows.insert(record.get(0)?.to_owned(), place);
         Some(())
     }
 }

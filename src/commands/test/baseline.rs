@@ -26,7 +26,7 @@ use drivebench_model::sample::{ParameterEstimate, Verdict};
 /// What a suite is compared with.
 pub(super) struct Baseline {
     sources: Vec<Source>,
-    /// A person says that another machine is meant.
+    /// Another machine is accepted.
     any_machine: bool,
 }
 
@@ -116,10 +116,10 @@ impl Baseline {
         let now = estimates(&found.parameters);
         let is_itself = before.iter().any(|known| has_figures(&now, known));
         let mut drift = between(&before, &[now], &first);
-        let said = [
+        let cautions = [
             (
                 is_alike,
-                "excited otherwise than then, or not known to be alike: what the model lacks may look like a drift",
+                "excited otherwise than then, or not known to be alike: an effect that the model lacks may look like a drift",
             ),
             (is_unit_known, "no serial number: not known to be the same unit"),
             (
@@ -127,11 +127,16 @@ impl Baseline {
                 "figure for figure as it was then: the same run, or a software drive that repeats itself",
             ),
         ];
-        let said = said.into_iter().filter(|(is_well, _)| !is_well);
+        let cautions =
+            cautions.into_iter().filter(|(is_well, _)| !is_well).map(|(_, text)| text.to_owned());
         let repeats =
             format!("{repeated} of the baseline are a run that is in it already, and not counted");
-        let cautions = drift.caution.into_iter().chain(said.map(|(_, said)| said.to_owned()));
-        let cautions: Vec<String> = cautions.chain((repeated > 0).then_some(repeats)).collect();
+        let cautions: Vec<String> = drift
+            .caution
+            .into_iter()
+            .chain(cautions)
+            .chain((repeated > 0).then_some(repeats))
+            .collect();
         drift.caution = (!cautions.is_empty()).then(|| cautions.join("; "));
         Ok(drift)
     }
@@ -178,9 +183,9 @@ pub(super) fn identified(
     let done = process::finish(command, &stdout, &stderr, timeout_s, stop);
     let done = done.map_err(|error| error.to_string())?;
     if done.end != End::Status(0) {
-        let said = process::error_said(&stderr);
-        let said = said.unwrap_or_else(|| "it did not end in its time".to_owned());
-        return Err(format!("the baseline cannot be identified: {said}"));
+        let reason = process::error_message(&stderr);
+        let reason = reason.unwrap_or_else(|| "it did not end in its time".to_owned());
+        return Err(format!("the baseline cannot be identified: {reason}"));
     }
     let text = std::fs::read_to_string(&stdout).unwrap_or_default();
     let result: Value = serde_json::from_str(&text).unwrap_or_default();
@@ -270,8 +275,8 @@ fn unit(key: &str) -> &'static str {
     }
 }
 
-/// The figures of a comparison, for limits: none of them where nothing was compared, and words, which no limit of a number or
-/// `none` takes, where it is not known.
+/// The figures of a comparison, for limits: none of them where nothing was compared, and a text, which no limit of a number or
+/// `none` accepts, where it is not known.
 pub(super) fn figures(drift: &Drift) -> Vec<(&'static str, Value)> {
     if drift.changes.is_empty() {
         return Vec::new();
@@ -293,18 +298,16 @@ pub(super) fn figures(drift: &Drift) -> Vec<(&'static str, Value)> {
     ]
 }
 
-/// What has drifted, as lines for a person: one for each step, and what is to be known of it.
+/// The drift of each step as lines for a person.
 pub(crate) fn lines(outcome: &SuiteOutcome) -> Vec<String> {
     let mut lines = Vec::new();
     for case in &outcome.cases {
         for drift in case.steps.iter().filter_map(|step| step.identified.as_ref()?.drift.as_ref()) {
             lines.push(format!("{} [seed {}]: {}", case.name, case.seed, drift.sentence));
             lines.extend(drift.in_question().map(|change| format!("  {}", change.sentence)));
-            let not_compared = drift.not_compared.iter();
-            lines.extend(
-                not_compared
-                    .map(|own| format!("  {} not compared: {}", name(&own.key), own.reason)),
-            );
+            for lost in &drift.not_compared {
+                lines.push(format!("  {} not compared: {}", name(&lost.key), lost.reason));
+            }
             lines.extend(drift.caution.iter().map(|caution| format!("  {caution}")));
         }
     }

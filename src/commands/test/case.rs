@@ -12,7 +12,7 @@ use super::baseline;
 use super::baseline::Baseline;
 use super::own_drive::{DriveOrder, OwnDrive};
 use super::process;
-use super::process::{Done, End, Watch, error_said};
+use super::process::{Done, End, Watch, error_message};
 use crate::runtime::failure::{INTERRUPTED, REFUSED};
 use crate::runtime::files::read_text;
 use crate::runtime::{opening, output};
@@ -24,7 +24,6 @@ use drivebench_bench::BenchFile;
 use drivebench_bench::recording::open_run;
 use drivebench_model::sample::Channel;
 
-/// What all cases of a suite have in common.
 pub(super) struct Bench<'a> {
     pub(super) program: &'a Path,
     /// Folder of the suite file; paths in it count from there.
@@ -37,14 +36,14 @@ pub(super) struct Bench<'a> {
     pub(super) baseline: Option<&'a Baseline>,
 }
 
-/// What an earlier step left.
-struct Left {
+/// Result of an earlier step.
+struct StepResult {
     result: Value,
-    /// The run that it recorded, or was about.
+    /// The run that it recorded or analysed.
     run: Option<PathBuf>,
 }
 
-/// Why a case does not go on.
+/// Why a case ended.
 struct Ended {
     verdict: Verdict,
     status: Option<u8>,
@@ -65,9 +64,10 @@ struct Progress<'a> {
     case: &'a Case,
     seed: u64,
     folder: &'a Path,
-    left: BTreeMap<String, Left>,
-    /// Name of the last command, and of the last one that was about a run.
+    results: BTreeMap<String, StepResult>,
+    /// Name of the last command.
     last: Option<String>,
+    /// Name of the last command with a run.
     last_with_run: Option<String>,
     /// Keys of the emulator's file that faults have changed.
     changed: toml::Table,
@@ -85,7 +85,7 @@ pub(super) fn carry_out(bench: &Bench<'_>, case: &Case, seed: u64, folder: &Path
         case,
         seed,
         folder,
-        left: BTreeMap::new(),
+        results: BTreeMap::new(),
         last: None,
         last_with_run: None,
         changed: toml::Table::new(),
@@ -100,7 +100,7 @@ pub(super) fn carry_out(bench: &Bench<'_>, case: &Case, seed: u64, folder: &Path
         Ok(()) => (Verdict::Passed, None),
         Err(ended) => (ended.verdict, ended.status),
     };
-    // Ended and waited for before the time is told.
+    // Its end counts to the time of the case.
     progress.drive = None;
     CaseOutcome {
         name: case.name.clone(),
@@ -154,7 +154,7 @@ impl Progress<'_> {
         let shown: Vec<String> = words.iter().map(|word| output::quoted_word(word)).collect();
         let status = match done.end {
             End::Status(status) => Some(status),
-            End::Asked(status) => status,
+            End::Terminated(status) => status,
             End::Killed => None,
         };
         self.outcomes.push(StepOutcome {
@@ -165,7 +165,7 @@ impl Progress<'_> {
             checks: Vec::new(),
             identified: None,
         });
-        let error = error_said(&stderr);
+        let error = error_message(&stderr);
         self.judge_end(step, &done, statuses, timeout_s, error.as_deref())?;
         let run = if verb.is_live() {
             newest(&self.folder.join("runs"), &before)
@@ -175,15 +175,16 @@ impl Progress<'_> {
             None
         };
         self.keep(step, verb, &stdout, &done, error, run);
-        if let Some(left) = self.left.get_mut(&step.name)
-            && let Value::Object(figures) = &mut left.result
+        if let Some(result) = self.results.get_mut(&step.name)
+            && let Value::Object(figures) = &mut result.result
         {
-            // What it says to programs is under `error`; a sentence that was folded is one line again.
-            let said = fs::read_to_string(&stderr).unwrap_or_default();
-            let said = said.split_inclusive('\n');
-            let said = said.filter(|line| !line.starts_with("{\"error\""));
-            let said = said.collect::<String>().replace("\n  ", " ");
-            figures.insert("said".to_owned(), said.into());
+            // The line for programs is under `error`; a sentence that was folded is one line again.
+            let messages: String = fs::read_to_string(&stderr)
+                .unwrap_or_default()
+                .split_inclusive('\n')
+                .filter(|line| !line.starts_with("{\"error\""))
+                .collect();
+            figures.insert("said".to_owned(), messages.replace("\n  ", " ").into());
         }
         if verb == Verb::Identify {
             self.compare_with_baseline(step, options, timeout_s)?;
@@ -198,7 +199,7 @@ impl Progress<'_> {
         options: &[(String, toml::Value)],
         timeout_s: f64,
     ) -> Result<(), Ended> {
-        let Some(Left { result, run }) = self.left.get(&step.name) else {
+        let Some(StepResult { result, run }) = self.results.get(&step.name) else {
             return Ok(());
         };
         let (number, mut earlier) = (self.outcomes.len(), 0);
@@ -217,7 +218,7 @@ impl Progress<'_> {
         let found = baseline::found(self.bench.baseline, names, result, run.as_deref(), identify);
         let found = found.map_err(|reason| Ended::error(format!("{}: {reason}", step.name)))?;
         if let (Some(drift), Some(Value::Object(figures))) =
-            (&found.drift, self.left.get_mut(&step.name).map(|left| &mut left.result))
+            (&found.drift, self.results.get_mut(&step.name).map(|result| &mut result.result))
         {
             let own = baseline::figures(drift).into_iter();
             figures.extend(own.map(|(key, figure)| (key.to_owned(), figure)));
@@ -228,7 +229,7 @@ impl Progress<'_> {
         Ok(())
     }
 
-    /// This program with these words.
+    /// This program with these arguments.
     fn command_of(&self, words: &[String]) -> Command {
         let mut command = Command::new(self.bench.program);
         command.args(words).env("RAYON_NUM_THREADS", self.bench.threads.to_string());
@@ -294,8 +295,8 @@ impl Progress<'_> {
                     status: Some(INTERRUPTED),
                 });
             }
-            End::Asked(status) => {
-                let how = asked_to_end(status, error);
+            End::Terminated(status) => {
+                let how = end_text(status, error);
                 return Err(Ended::error(format!("{name}: not done in {timeout_s} s; {how}")));
             }
             End::Killed => {
@@ -306,11 +307,10 @@ impl Progress<'_> {
             }
         };
         let wanted: Vec<String> = statuses.iter().map(u8::to_string).collect();
-        let said = error.map_or_else(String::new, |error| format!(": {error}"));
+        let message = error.map_or_else(String::new, |error| format!(": {error}"));
         let reason =
-            format!("{name}: exit status {status}, has to be {}{said}", wanted.join(" or "));
-        // A drive that trips, or does not, where the suite says otherwise is a finding; what stands in the way of a judgement
-        // is an error.
+            format!("{name}: exit status {status}, has to be {}{message}", wanted.join(" or "));
+        // A drive that trips, or does not, against the suite is a finding; what prevents a judgement is an error.
         let is_finding = status == REFUSED || status == 0 || statuses != [0];
         Err(Ended {
             verdict: if is_finding { Verdict::Failed(reason) } else { Verdict::Error(reason) },
@@ -318,8 +318,8 @@ impl Progress<'_> {
         })
     }
 
-    /// Keeps the result of a command for the steps that follow. `run`: the one that a live command began, of which an
-    /// earlier step knows nothing, or the one that another is about.
+    /// Keeps the result of a command for the steps that follow. `run`: the new one of a live command, or the one that another
+    /// analysed.
     fn keep(
         &mut self,
         step: &Step,
@@ -349,7 +349,7 @@ impl Progress<'_> {
             _ => result.get("folder"),
         };
         let run = recorded.and_then(Value::as_str).map(PathBuf::from).or(run);
-        self.left.insert(step.name.clone(), Left { result, run });
+        self.results.insert(step.name.clone(), StepResult { result, run });
         self.last = Some(step.name.clone());
         if verb.has_run() {
             self.last_with_run.clone_from(&self.last);
@@ -358,10 +358,10 @@ impl Progress<'_> {
 
     fn last_run(&self) -> Option<&Path> {
         let last = self.last_with_run.as_ref()?;
-        self.left.get(last)?.run.as_deref()
+        self.results.get(last)?.run.as_deref()
     }
 
-    /// The run that a command which records none is about: the one that it is given, else that of the last command.
+    /// The run that a command analyses: the one that it is given, else that of the last command.
     fn run_about(&self, options: &[(String, toml::Value)]) -> Result<Option<PathBuf>, Ended> {
         let given = options.iter().find(|(key, _)| key == "run");
         match given.and_then(|(_, run)| run.as_str()) {
@@ -370,7 +370,7 @@ impl Progress<'_> {
         }
     }
 
-    /// The words of a command.
+    /// The arguments of a command.
     fn words(
         &self,
         verb: Verb,
@@ -435,7 +435,7 @@ impl Progress<'_> {
         Ok(words)
     }
 
-    /// A word with the folder of the step that it refers to.
+    /// An argument with the folder of the step that it refers to.
     fn resolved(&self, text: &str) -> Result<String, Ended> {
         let Some((name, rest)) = reference(text) else {
             return Ok(text.to_owned());
@@ -443,7 +443,7 @@ impl Progress<'_> {
         if name == CASE {
             return Ok(format!("{}{rest}", self.folder.display()));
         }
-        let run = self.left.get(name).and_then(|left| left.run.as_ref());
+        let run = self.results.get(name).and_then(|result| result.run.as_ref());
         let run = run.ok_or_else(|| Ended::error(format!("@{name}: that step recorded no run")))?;
         Ok(format!("{}{rest}", run.display()))
     }
@@ -508,9 +508,9 @@ impl Progress<'_> {
         signals: &[SignalLimit],
     ) -> Result<(), Ended> {
         let name = of.or(self.last.as_deref());
-        let left = name.and_then(|name| self.left.get(name));
-        let left =
-            left.ok_or_else(|| Ended::error("assert: no earlier step has a result".to_owned()))?;
+        let result = name
+            .and_then(|name| self.results.get(name))
+            .ok_or_else(|| Ended::error("assert: no earlier step has a result".to_owned()))?;
         let of_drift = limits.iter().any(|(key, _)| key.starts_with("drift"));
         if of_drift && self.bench.baseline.is_none() {
             let reason = "drift: nothing to compare with; give --baseline RUN, an earlier run of this machine";
@@ -519,7 +519,7 @@ impl Progress<'_> {
         let mut checks: Vec<Check> = limits
             .iter()
             .map(|(key, limit)| {
-                let found = find(&left.result, key);
+                let found = find(&result.result, key);
                 Check {
                     key: key.clone(),
                     value: found.as_ref().and_then(figure),
@@ -528,7 +528,7 @@ impl Progress<'_> {
             })
             .collect();
         for signal in signals {
-            checks.push(signal_check(signal, left.run.as_deref()).map_err(Ended::error)?);
+            checks.push(signal_check(signal, result.run.as_deref()).map_err(Ended::error)?);
         }
         let failures: Vec<String> = checks
             .iter()
@@ -598,20 +598,17 @@ fn merge(table: &mut toml::Table, changes: &toml::Table) {
     }
 }
 
-/// How a command ended that was asked to, and what is known of the motor: what the command says of it, if it is an end by
-/// its guard.
-fn asked_to_end(status: Option<u8>, said: Option<&str>) -> String {
+/// How a command ended that was terminated. Only a command that was interrupted reports how it left its motor.
+fn end_text(status: Option<u8>, message: Option<&str>) -> String {
     let ended = match status {
-        Some(status) => format!("asked to end, it did with exit status {status}"),
-        None => "asked to end, it was gone without a word".to_owned(),
+        Some(status) => format!("terminated, it ended with exit status {status}"),
+        None => "terminated, it ended without an exit status".to_owned(),
     };
-    match (status, said) {
-        (Some(INTERRUPTED), Some(said)) => format!("{ended}: {said}"),
-        (_, said) => {
-            let said = said.map_or_else(String::new, |said| format!(": {said}"));
-            format!("{ended}{said}; how it left the motor is not known")
-        }
+    let message_text = message.map_or_else(String::new, |message| format!(": {message}"));
+    if status == Some(INTERRUPTED) && message.is_some() {
+        return format!("{ended}{message_text}");
     }
+    format!("{ended}{message_text}; how it left the motor is not known")
 }
 
 #[cfg(test)]
@@ -620,20 +617,17 @@ mod tests {
     use crate::runtime::failure::LINK;
 
     #[test]
-    fn only_the_command_says_how_it_left_its_motor() {
-        let words = "stopped before the end; the drive confirmed zero output";
-        assert_eq!(
-            asked_to_end(Some(INTERRUPTED), Some(words)),
-            format!("asked to end, it did with exit status 130: {words}")
-        );
-        for (status, said) in [
-            (Some(INTERRUPTED), None),
-            (Some(LINK), Some("link lost")),
-            (Some(0), None),
-            (None, None),
+    fn only_an_interrupted_command_reports_how_it_left_its_motor() {
+        let message = "stopped before the end; the drive confirmed zero output";
+        for (status, message, expected) in [
+            (Some(INTERRUPTED), Some(message), message),
+            (Some(INTERRUPTED), None, "how it left the motor is not known"),
+            (Some(LINK), Some("link lost"), "link lost; how it left the motor is not known"),
+            (Some(0), None, "how it left the motor is not known"),
+            (None, None, "how it left the motor is not known"),
         ] {
-            let text = asked_to_end(status, said);
-            assert!(text.ends_with("how it left the motor is not known"), "{text}");
+            let text = end_text(status, message);
+            assert!(text.ends_with(expected), "{status:?} {message:?}: {text}");
         }
     }
 }

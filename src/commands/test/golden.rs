@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use crate::runtime::failure::Failure;
 use crate::runtime::files::read_text;
 use crate::runtime::output;
+use crate::runtime::output::Terminal;
 use crate::workflow::suite::golden::{Golden, GoldenRun, Place, golden};
 use drivebench_bench::recording::{Manifest, resolved};
 
-/// What was written.
 pub(crate) struct Written {
     pub(crate) golden: Golden,
     /// Suite, bench, and the software drive where there was one.
@@ -16,7 +16,11 @@ pub(crate) struct Written {
 }
 
 /// Writes the suite `out` from run folders.
-pub(crate) fn write(folders: &[PathBuf], out: &Path) -> Result<Written, Failure> {
+pub(crate) fn write(
+    folders: &[PathBuf],
+    out: &Path,
+    terminal: &Terminal,
+) -> Result<Written, Failure> {
     let mut runs: Vec<GoldenRun> = Vec::new();
     let mut origin: Option<(Manifest, PathBuf)> = None;
     let mut commissionings: Vec<String> = Vec::new();
@@ -68,7 +72,7 @@ pub(crate) fn write(folders: &[PathBuf], out: &Path) -> Result<Written, Failure>
         output::refuse_existing(path, "--out")?;
     }
     for (path, text) in &files {
-        output::file(path, text)?;
+        terminal.file(path, text)?;
     }
     Ok(Written { golden: made, files: files.into_iter().map(|(path, _)| path).collect() })
 }
@@ -106,7 +110,7 @@ fn read(folder: &Path) -> Result<(Manifest, GoldenRun), Failure> {
     Ok((manifest, run))
 }
 
-/// Runs of different benches, or of different drives, are no machine to hold to.
+/// Refuses runs of different benches, or of different drives.
 fn same_machine(one: &Manifest, of: &Path, other: &Manifest, folder: &Path) -> Result<(), Failure> {
     let differs = ["bench", "drive", "emulator"]
         .into_iter()

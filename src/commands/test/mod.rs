@@ -1,6 +1,4 @@
-//! `test`: a suite of bench tests, with a verdict for people and for machines.
-//!
-//! Suites of bench tests, carried out: which cases, on which bench, how many at once, and what is left of them.
+//! `test`: a suite of bench tests: which cases, on which bench, how many at once, with a verdict for people and for machines.
 //!
 //! ```text
 //! SUITE.toml -> Suite -> cases x repeats -> [ case.rs: a process for each step ] -> SuiteOutcome -> lines, JUnit, metrics, JSON
@@ -29,12 +27,13 @@ use process::Watch;
 use crate::commands::arguments::shard;
 use crate::runtime::failure::{Failure, INTERRUPTED};
 use crate::runtime::files::read_text;
+use crate::runtime::output::Terminal;
 use crate::runtime::{opening, output, signals};
 use crate::workflow::suite::{
     Action, Case, CaseOutcome, Need, Suite, SuiteOutcome, Verb, Verdict, junit, open_metrics,
 };
 use drivebench_bench::Port;
-use drivebench_bench::recording::utc_stamp;
+use drivebench_bench::recording::{RunFolder, utc_stamp};
 
 /// Run a suite of bench tests, on the software drive or a real one: cases of steps, limits, a verdict for each
 #[derive(clap::Args)]
@@ -59,7 +58,7 @@ pub(super) struct Arguments {
     /// Instead of the ports that the suite names: a serial port, tcp:HOST:PORT, sim: or emulator
     #[arg(long, value_name = "PORT")]
     port: Option<String>,
-    /// The drive is real, its shaft is free and may turn; without it a person at the terminal is asked
+    /// The drive is real, its shaft is free and may turn; without it a person at the terminal has to confirm it
     #[arg(long)]
     hardware: bool,
     /// Where the folder of this suite is made, with the evidence of each case that did not pass
@@ -95,26 +94,14 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
-    let suite = read(&arguments.suite, options_of)?;
+pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), Failure> {
+    let name = arguments.suite.display().to_string();
+    let suite = Suite::parse(&name, &read_text(&arguments.suite)?, options_of)?;
     if arguments.list {
-        return list(&suite, &arguments);
+        return list(&suite, &arguments, terminal);
     }
-    let request = SuiteRequest {
-        file: arguments.suite,
-        port: arguments.port,
-        hardware: arguments.hardware,
-        out: arguments.out,
-        filter: arguments.filter,
-        shard: arguments.shard,
-        keep: arguments.keep,
-        junit: arguments.junit,
-        metrics: arguments.metrics,
-        baseline: arguments.baseline,
-        any_machine: arguments.any_machine,
-    };
-    let outcome = carry_out(&suite, &request)?;
-    output::result(&outcome, arguments.json, text)?;
+    let outcome = carry_out(&suite, &arguments, terminal)?;
+    terminal.result(&outcome, arguments.json, text)?;
     match outcome.exit_status() {
         0 => Ok(()),
         status => {
@@ -123,29 +110,26 @@ pub(super) fn execute(arguments: Arguments) -> Result<(), Failure> {
                 outcome.failed + outcome.errors,
                 outcome.cases.len()
             );
-            let help = "each names its folder, with what every step said";
+            let help = "each names its folder, with the output of every step";
             Err(Failure::with_help(status, headline, help))
         }
     }
 }
 
-fn list(suite: &Suite, arguments: &Arguments) -> Result<(), Failure> {
+fn list(suite: &Suite, arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     let cases = selected(suite, &arguments.filter)?;
     let rows: Vec<serde_json::Value> = cases
         .iter()
         .map(|case| serde_json::json!({ "name": case.name, "tags": case.tags, "repeat": case.repeat, "steps": case.steps.len() }))
         .collect();
-    output::result(&rows, arguments.json, |_| {
-        let line = |case: &&crate::workflow::suite::Case| {
+    terminal.result(&rows, arguments.json, |_| {
+        let line = |case: &&Case| {
             let times = if case.repeat > 1 { format!(" x{}", case.repeat) } else { String::new() };
             format!("{}{times}  [{}]", case.name, case.tags.join(", "))
         };
         cases.iter().map(line).collect::<Vec<_>>().join("\n")
     })
 }
-
-/// Cases that did not pass of which the verdict says why.
-const MOST_LINES: usize = 20;
 
 /// The verdict in a few lines: the cases themselves stood on stderr as they ended.
 fn text(outcome: &SuiteOutcome) -> String {
@@ -159,7 +143,7 @@ fn text(outcome: &SuiteOutcome) -> String {
         outcome.took_s
     )];
     if !outcome.confusion.is_empty() {
-        lines.push("hidden, and what was named for it in how many answers:".to_owned());
+        lines.push("hidden effect, and how many answers named which effect for it:".to_owned());
     }
     let width = outcome.confusion.rows.iter().map(String::len).max();
     for (hidden, named) in outcome.confusion.named() {
@@ -174,9 +158,9 @@ fn text(outcome: &SuiteOutcome) -> String {
         Verdict::Passed | Verdict::Skipped(_) => None,
     });
     let wrong: Vec<String> = wrong.collect();
-    lines.extend(wrong.iter().take(MOST_LINES).flat_map(|line| output::fitted(line)));
-    if wrong.len() > MOST_LINES {
-        lines.push(format!("and {} more", wrong.len() - MOST_LINES));
+    lines.extend(wrong.iter().take(20).flat_map(|line| output::fitted(line)));
+    if wrong.len() > 20 {
+        lines.push(format!("and {} more", wrong.len() - 20));
     }
     lines.extend(baseline::lines(outcome).iter().flat_map(|line| output::fitted(line)));
     lines.join("\n")
@@ -190,28 +174,6 @@ fn options_of(verb: Verb) -> Vec<String> {
     options.filter_map(|option| option.get_long().map(str::to_owned)).collect()
 }
 
-/// Cases with a software drive of their own that run at once: they mostly wait, and their cycles stay punctual.
-const OWN_DRIVES_AT_ONCE: usize = 3;
-
-/// What is asked of a suite.
-pub(crate) struct SuiteRequest {
-    pub(crate) file: PathBuf,
-    /// Instead of the ports in the file.
-    pub(crate) port: Option<String>,
-    pub(crate) hardware: bool,
-    pub(crate) out: PathBuf,
-    /// Words, of which a case has one in its name or as a tag.
-    pub(crate) filter: Vec<String>,
-    /// Part `0` of `1`, counted from 1.
-    pub(crate) shard: Option<(u64, u64)>,
-    pub(crate) keep: bool,
-    pub(crate) junit: Option<PathBuf>,
-    pub(crate) metrics: Option<PathBuf>,
-    /// Earlier runs or results that the steps are compared with.
-    pub(crate) baseline: Vec<PathBuf>,
-    pub(crate) any_machine: bool,
-}
-
 /// One case with one of its seeds.
 struct Job<'a> {
     case: &'a Case,
@@ -219,20 +181,11 @@ struct Job<'a> {
     port: String,
 }
 
-/// Reads a suite; unknown options are refused by what `options_of` says of a command.
-pub(crate) fn read(
-    file: &Path,
-    options_of: impl Fn(Verb) -> Vec<String>,
-) -> Result<Suite, Failure> {
-    let text = read_text(file)?;
-    Ok(Suite::parse(&file.display().to_string(), &text, options_of)?)
-}
-
-/// The cases that are asked for, each as often as it repeats.
-fn jobs<'a>(suite: &'a Suite, request: &SuiteRequest) -> Result<Vec<Job<'a>>, Failure> {
+/// The requested cases, each as often as it repeats.
+fn jobs<'a>(suite: &'a Suite, arguments: &Arguments) -> Result<Vec<Job<'a>>, Failure> {
     let mut jobs = Vec::new();
-    for case in selected(suite, &request.filter)? {
-        let port = request.port.clone().or_else(|| case.port.clone());
+    for case in selected(suite, &arguments.filter)? {
+        let port = arguments.port.clone().or_else(|| case.port.clone());
         let port = port.unwrap_or_else(|| "sim:".to_owned());
         if Port::parse(&port).is_none() {
             let headline = format!("case {:?}: {port:?} is not a port", case.name);
@@ -245,7 +198,7 @@ fn jobs<'a>(suite: &'a Suite, request: &SuiteRequest) -> Result<Vec<Job<'a>>, Fa
             jobs.push(Job { case, seed: case.seed.wrapping_add(repeat), port: port.clone() });
         }
     }
-    if let Some((part, of)) = request.shard {
+    if let Some((part, of)) = arguments.shard {
         let mut number = 0;
         jobs.retain(|_| {
             number += 1;
@@ -256,12 +209,12 @@ fn jobs<'a>(suite: &'a Suite, request: &SuiteRequest) -> Result<Vec<Job<'a>>, Fa
 }
 
 /// Cases with one of the words in their name or as a tag; all where there is none.
-pub(crate) fn selected<'a>(suite: &'a Suite, filter: &[String]) -> Result<Vec<&'a Case>, Failure> {
+fn selected<'a>(suite: &'a Suite, filter: &[String]) -> Result<Vec<&'a Case>, Failure> {
     let has = |case: &Case, word: &String| {
         case.tags.contains(word) || case.name.to_lowercase().contains(&word.to_lowercase())
     };
-    let is_asked = |case: &&Case| filter.is_empty() || filter.iter().any(|word| has(case, word));
-    let cases: Vec<&Case> = suite.cases.iter().filter(is_asked).collect();
+    let is_selected = |case: &&Case| filter.is_empty() || filter.iter().any(|word| has(case, word));
+    let cases: Vec<&Case> = suite.cases.iter().filter(is_selected).collect();
     if cases.is_empty() {
         let headline = format!(
             "no case of {:?} has {} in its name or its tags",
@@ -276,10 +229,14 @@ pub(crate) fn selected<'a>(suite: &'a Suite, filter: &[String]) -> Result<Vec<&'
 /// Carries a suite out.
 ///
 /// # Errors
-/// What stood in the way of beginning; how the cases went is in the outcome.
-pub(crate) fn carry_out(suite: &Suite, request: &SuiteRequest) -> Result<SuiteOutcome, Failure> {
-    let jobs = jobs(suite, request)?;
-    for (path, option) in [(&request.junit, "--junit"), (&request.metrics, "--metrics")] {
+/// Why the suite did not begin; the results of the cases are in the outcome.
+fn carry_out(
+    suite: &Suite,
+    arguments: &Arguments,
+    terminal: &Terminal,
+) -> Result<SuiteOutcome, Failure> {
+    let jobs = jobs(suite, arguments)?;
+    for (path, option) in [(&arguments.junit, "--junit"), (&arguments.metrics, "--metrics")] {
         if let Some(path) = path {
             output::refuse_existing(path, option)?;
         }
@@ -288,21 +245,22 @@ pub(crate) fn carry_out(suite: &Suite, request: &SuiteRequest) -> Result<SuiteOu
     let real: Vec<&Job<'_>> = jobs.iter().filter(|job| is_real(job)).collect();
     let mut risks: Vec<String> = real.iter().filter_map(|job| risk(job.case)).collect();
     risks.dedup();
-    // Part of the question, and said as well where nobody is asked.
+    // Part of the question, and printed without one too.
     for line in risks {
-        output::message(&line);
+        terminal.message(&line);
     }
-    if !request.hardware && !real.is_empty() {
+    if !arguments.hardware && !real.is_empty() {
         consent(real.len())?;
     }
-    let baseline = Baseline::read(&request.baseline, request.any_machine)?;
+    let baseline = Baseline::read(&arguments.baseline, arguments.any_machine)?;
     let program = std::env::current_exe()
         .map_err(|error| Failure::internal(format!("cannot find this program itself: {error}")))?;
     let stop = signals::flag()?;
     let began = opening::now();
     let watch = Watch::start();
-    let folder = first_free(&request.out, &utc_stamp(began), &suite.name)?;
-    let home = request.file.parent().unwrap_or(Path::new(""));
+    let folder = RunFolder::create(&arguments.out, &utc_stamp(began), &suite.name)?;
+    let folder = folder.path();
+    let home = arguments.suite.parent().unwrap_or(Path::new(""));
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let total = jobs.len();
     let mut outcomes: Vec<Option<CaseOutcome>> = vec![None; total];
@@ -312,9 +270,8 @@ pub(crate) fn carry_out(suite: &Suite, request: &SuiteRequest) -> Result<SuiteOu
         .partition(|(_, job)| Port::parse(&job.port).is_some_and(|port| port.is_virtual()));
     let (by_themselves, on_a_line): (Vec<_>, Vec<_>) =
         on_a_line.into_iter().partition(|(_, job)| job.case.has_own_drive());
-    // Real time first and alone: what is done beside it would make its cycles late.
-    for (part, at_once) in [(by_themselves, OWN_DRIVES_AT_ONCE), (on_a_line, 1), (in_memory, cores)]
-    {
+    // Real time first and alone: other work would make its cycles late. Cases with a drive of their own mostly wait.
+    for (part, at_once) in [(by_themselves, 3), (on_a_line, 1), (in_memory, cores)] {
         let done = Mutex::new(&mut outcomes);
         each(part, at_once, |(index, job)| {
             let bench = Bench {
@@ -327,23 +284,23 @@ pub(crate) fn carry_out(suite: &Suite, request: &SuiteRequest) -> Result<SuiteOu
                 baseline: baseline.as_ref(),
             };
             let outcome = one(&bench, job, &folder.join(format!("{:04}", index + 1)));
-            output::message(&line(&outcome, job.case.repeat));
-            if outcome.verdict == Verdict::Passed && !request.keep {
-                // What cannot be removed stays; it is in nobody's way.
+            terminal.message(&line(&outcome, job.case.repeat));
+            if outcome.verdict == Verdict::Passed && !arguments.keep {
+                // A folder that cannot be removed does no harm.
                 let _ = fs::remove_dir_all(folder.join(format!("{:04}", index + 1)));
             }
             lock(&done)[index] = Some(outcome);
         });
     }
     let mut cases: Vec<CaseOutcome> = outcomes.into_iter().flatten().collect();
-    if !request.keep {
+    if !arguments.keep {
         for case in cases.iter_mut().filter(|case| case.verdict == Verdict::Passed) {
             case.evidence = None;
         }
     }
-    let outcome =
-        SuiteOutcome::of(&suite.name, began.to_string(), machine(), watch.took_s(), cases);
-    write_results(&outcome, request, &folder)?;
+    let machine = format!("{} {}", std::env::consts::OS, std::env::consts::ARCH);
+    let outcome = SuiteOutcome::of(&suite.name, began.to_string(), machine, watch.took_s(), cases);
+    write_results(&outcome, arguments, folder, terminal)?;
     if stop.load(Ordering::Acquire) {
         let headline = format!("interrupted after {} of {total} cases", outcome.cases.len());
         return Err(Failure::new(INTERRUPTED, headline));
@@ -381,7 +338,7 @@ fn unfit(job: &Job<'_>, bench: &Bench<'_>) -> Option<String> {
         .then(|| "it needs a line in real time, and sim: is a drive in memory".to_owned())
 }
 
-/// What a case does without, or undoes, that keeps a real motor safe.
+/// Waived checks and fault resets of a case.
 fn risk(case: &Case) -> Option<String> {
     let mut names: Vec<&str> = Vec::new();
     for step in &case.steps {
@@ -398,37 +355,33 @@ fn risk(case: &Case) -> Option<String> {
     let names = names.join(", ");
     (!names.is_empty()).then(|| {
         format!(
-            "case {:?} sets {names}: checks that keep a real motor safe are gone without, or a fault is reset",
+            "case {:?} sets {names}: checks that keep a real motor safe are waived, or a fault is reset",
             case.name
         )
     })
 }
 
-/// A person says that the shaft may turn.
+/// A person confirms that the shaft may turn.
 fn consent(cases: usize) -> Result<(), Failure> {
     let question = format!(
-        "{cases} cases move a real motor, one after the other and unasked. Is the shaft free and nobody near it? Type yes: "
+        "{cases} cases move a real motor, one after the other without a further question. Is the shaft free and nobody near it? Type yes: "
     );
     if output::ask(&question).is_some_and(|answer| answer.trim() == "yes") {
         return Ok(());
     }
-    let headline = "the port is no software drive, and nobody has said that its motor may turn";
+    let headline =
+        "the port is no software drive, and nobody has confirmed that its motor may turn";
     Err(Failure::link(
         headline,
         "clear the shaft, then give --hardware; --port sim: runs the suite without a drive",
     ))
 }
 
-/// A folder for this suite that holds nothing yet.
-fn first_free(root: &Path, stamp: &str, name: &str) -> Result<PathBuf, Failure> {
-    let folder = drivebench_bench::recording::RunFolder::create(root, stamp, name)?;
-    Ok(folder.path().to_owned())
-}
-
 fn write_results(
     outcome: &SuiteOutcome,
-    request: &SuiteRequest,
+    arguments: &Arguments,
     folder: &Path,
+    terminal: &Terminal,
 ) -> Result<(), Failure> {
     let json = serde_json::to_string_pretty(outcome)
         .map_err(|error| Failure::internal(format!("the result has no JSON form: {error}")))?;
@@ -436,14 +389,14 @@ fn write_results(
     if !outcome.confusion.is_empty() {
         files.push((folder.join("confusion.csv"), outcome.confusion.csv()));
     }
-    if let Some(path) = &request.junit {
+    if let Some(path) = &arguments.junit {
         files.push((path.clone(), junit::document(outcome)));
     }
-    if let Some(path) = &request.metrics {
+    if let Some(path) = &arguments.metrics {
         files.push((path.clone(), open_metrics::text(outcome)));
     }
     for (path, text) in files {
-        output::file(&path, &text)?;
+        terminal.file(&path, &text)?;
     }
     Ok(())
 }
@@ -451,13 +404,13 @@ fn write_results(
 /// One line for a case, and beneath it why it did not pass.
 fn line(outcome: &CaseOutcome, repeats: u64) -> String {
     let seed = if repeats > 1 { format!(", seed {}", outcome.seed) } else { String::new() };
-    let (word, reason) = match &outcome.verdict {
+    let (verdict, reason) = match &outcome.verdict {
         Verdict::Passed => ("PASSED", None),
         Verdict::Failed(reason) => ("FAILED", Some(reason)),
         Verdict::Error(reason) => ("ERROR", Some(reason)),
         Verdict::Skipped(reason) => ("skipped", Some(reason)),
     };
-    let mut line = format!("{word:<8}{:>7.1} s  {}{seed}", outcome.took_s, outcome.name);
+    let mut line = format!("{verdict:<8}{:>7.1} s  {}{seed}", outcome.took_s, outcome.name);
     let evidence = outcome.evidence.as_ref().filter(|_| reason.is_some());
     for text in reason.into_iter().chain(evidence) {
         line.push_str("\n                   ");
@@ -466,23 +419,18 @@ fn line(outcome: &CaseOutcome, repeats: u64) -> String {
     line
 }
 
-/// What the suite ran on.
-fn machine() -> String {
-    format!("{} {}", std::env::consts::OS, std::env::consts::ARCH)
-}
-
 fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Works on each in their order, on so many at once.
+/// Works on each in their order, `at_once` at a time.
 fn each<T: Send>(
     all: impl IntoIterator<Item = T, IntoIter: Send>,
     at_once: usize,
     work: impl Fn(T) + Sync,
 ) {
     let all = Mutex::new(all.into_iter());
-    // Its lock ends here: in the head of a loop it would be held while that one is worked on.
+    // A lock in the head of the loop would be held during the work.
     let next = || lock(&all).next();
     std::thread::scope(|scope| {
         for _ in 0..at_once {
@@ -503,7 +451,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn as_many_as_are_allowed_are_worked_on_at_once() {
+    fn work_runs_as_parallel_as_allowed() {
         let (begun, changed) = (Mutex::new(Vec::new()), Condvar::new());
         each(0..2, 2, |one| {
             lock(&begun).push(one);

@@ -13,12 +13,6 @@ use super::process;
 use super::process::Watch;
 use drivebench_link::Protocol;
 
-/// Longest wait for a drive that can be opened, s.
-const READY_S: f64 = 60.0;
-/// Longest wait beyond that, s: a machine that stands still.
-const PATIENCE_S: f64 = 10.0;
-
-/// What is asked of it.
 pub(super) struct DriveOrder<'a> {
     pub(super) program: &'a Path,
     pub(super) folder: &'a Path,
@@ -29,7 +23,7 @@ pub(super) struct DriveOrder<'a> {
     pub(super) profile: String,
     pub(super) protocol: Protocol,
     pub(super) seed: u64,
-    /// Nobody waits for it any more.
+    /// The suite was interrupted.
     pub(super) stop: &'a AtomicBool,
 }
 
@@ -42,7 +36,7 @@ pub(super) struct OwnDrive {
 }
 
 impl OwnDrive {
-    /// Starts the process; returns once the drive can be opened.
+    /// Starts the process; returns once the drive can be opened, within 60 s.
     pub(super) fn start(order: &DriveOrder<'_>) -> io::Result<Self> {
         let file = |ending: &str| order.folder.join(format!("{}{ending}", order.name));
         let is_network = order.protocol == Protocol::ModbusTcp;
@@ -59,14 +53,14 @@ impl OwnDrive {
         command.stdin(Stdio::null()).stdout(Stdio::piped());
         command.stderr(File::create(file(".txt"))?);
         let mut child = process::start(command)?;
-        match ready(&mut child, order.stop, READY_S) {
+        match ready(&mut child, order.stop, 60.0) {
             Ok(address) => Ok(Self { child, address, is_network }),
             Err(error) => {
                 let _ = child.kill();
                 let _ = child.wait();
-                let said = fs::read_to_string(file(".txt")).unwrap_or_default();
-                let said = said.lines().last().unwrap_or_default();
-                let text = format!("it did not start: {error} {said}");
+                let messages = fs::read_to_string(file(".txt")).unwrap_or_default();
+                let last = messages.lines().last().unwrap_or_default();
+                let text = format!("it did not start: {error} {last}");
                 Err(io::Error::other(text.trim_end().to_owned()))
             }
         }
@@ -77,12 +71,11 @@ impl OwnDrive {
         if self.is_network { format!("tcp:{}", self.address) } else { self.address.clone() }
     }
 
-    /// It is gone at once, and its motor with it.
     fn kill(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
         if !self.is_network {
-            // As a cable that is pulled: the name would lead to whichever drive is given the terminal's number next.
+            // The name would lead to whichever drive is given the terminal's number next.
             let _ = fs::remove_file(&self.address);
         }
     }
@@ -96,25 +89,25 @@ impl OwnDrive {
 impl Drop for OwnDrive {
     fn drop(&mut self) {
         process::signal(&self.child, Signal::SIGTERM);
-        let asked = Watch::start();
-        while asked.took_s() < PATIENCE_S {
+        let watch = Watch::start();
+        while watch.took_s() < 10.0 {
             if !self.child.try_wait().is_ok_and(|ended| ended.is_none()) {
                 return;
             }
-            std::thread::sleep(process::LOOK);
+            std::thread::sleep(process::POLL);
         }
         self.kill();
     }
 }
 
-/// The address that a drive says once it can be opened.
+/// The address that a drive prints once it can be opened.
 fn ready(child: &mut Child, stop: &AtomicBool, limit_s: f64) -> io::Result<String> {
-    let no_line = || io::Error::other("it has not said how it is opened;");
+    let no_line = || io::Error::other("it has not printed its address;");
     let stdout = child.stdout.as_mut().ok_or_else(no_line)?;
     process::do_not_block(&*stdout)?;
-    let (mut said, mut bytes) = (Vec::new(), [0; 1024]);
+    let (mut printed, mut bytes) = (Vec::new(), [0; 1024]);
     let watch = Watch::start();
-    while !said.contains(&b'\n') {
+    while !printed.contains(&b'\n') {
         if stop.load(Ordering::Acquire) {
             return Err(io::Error::other("interrupted"));
         }
@@ -123,14 +116,14 @@ fn ready(child: &mut Child, stop: &AtomicBool, limit_s: f64) -> io::Result<Strin
         }
         match stdout.read(&mut bytes) {
             Ok(0) => break,
-            Ok(count) => said.extend_from_slice(&bytes[..count]),
+            Ok(count) => printed.extend_from_slice(&bytes[..count]),
             Err(error) if error.kind() == ErrorKind::WouldBlock => {
-                std::thread::sleep(process::LOOK);
+                std::thread::sleep(process::POLL);
             }
             Err(error) => return Err(error),
         }
     }
-    let line = said.split(|byte| *byte == b'\n').next();
+    let line = printed.split(|byte| *byte == b'\n').next();
     let ready: Value = serde_json::from_slice(line.unwrap_or_default()).unwrap_or_default();
     let address = ready.get("address").and_then(Value::as_str);
     address.map(str::to_owned).ok_or_else(no_line)
@@ -140,7 +133,7 @@ fn ready(child: &mut Child, stop: &AtomicBool, limit_s: f64) -> io::Result<Strin
 mod tests {
     use super::*;
 
-    /// What a process that says this, and goes on, is taken for.
+    /// Address of a process that runs this script.
     fn opened(script: &str, stop: bool) -> Result<String, String> {
         let mut command = Command::new("sh");
         command.args(["-c", script]).stdout(Stdio::piped());
@@ -152,12 +145,15 @@ mod tests {
     }
 
     #[test]
-    fn a_drive_that_does_not_say_how_it_is_opened_is_not_waited_for_for_ever() {
-        let said = opened("echo '{\"address\": \"x\"}'; exec sleep 60", false);
-        assert_eq!(said.as_deref(), Ok("x"));
-        let silent = |stop| opened("exec sleep 60", stop).unwrap_err();
-        assert_eq!(silent(false), "not ready in 0.5 s;");
-        assert_eq!(silent(true), "interrupted");
-        assert!(opened("echo no", false).unwrap_err().contains("has not said"));
+    fn the_wait_for_the_address_of_a_drive_is_bounded() {
+        for (case, script, stop, expected) in [
+            ("ready", "echo '{\"address\": \"x\"}'; exec sleep 60", false, Ok("x")),
+            ("silent", "exec sleep 60", false, Err("not ready in 0.5 s;")),
+            ("interrupted", "exec sleep 60", true, Err("interrupted")),
+            ("no address", "echo no", false, Err("it has not printed its address;")),
+        ] {
+            let found = opened(script, stop);
+            assert_eq!(found.as_deref().map_err(String::as_str), expected, "{case}");
+        }
     }
 }

@@ -1,8 +1,8 @@
-//! A command of this program as a process of its own: a time limit, an end that stops the motor, and what it said.
+//! A command of this program as a process of its own: a time limit, an end that stops the motor, and its error message.
 //!
-//! A process and no thread: a case that crashes or hangs is an error of that case. It is asked to end first, so that its
-//! guard brings the motor to zero; only one that does not is killed, and then the drive's watchdog stops the motor. Where the
-//! suite itself is gone the kernel asks in its place (on Linux): no command runs on unwatched.
+//! A process and no thread: a case that crashes or hangs is an error of that case. It gets SIGTERM first, so that its guard
+//! brings the motor to zero; only one that does not end is killed, and then the drive's watchdog stops the motor. Where the
+//! suite itself is gone the kernel sends the signal (on Linux): no command runs on unwatched.
 
 use std::fs::{self, File};
 use std::io;
@@ -17,29 +17,26 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
 
-/// Between two looks at a process.
-pub(super) const LOOK: Duration = Duration::from_millis(5);
-/// Time that a process has to end in after it was asked to.
-const GRACE: Duration = Duration::from_secs(15);
+/// Between two polls of a process.
+pub(super) const POLL: Duration = Duration::from_millis(5);
 
 /// How a process ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum End {
     /// By itself, with this exit status.
     Status(u8),
-    /// It did not end in its time, and did so when it was asked to: with this exit status, or by a signal.
-    Asked(Option<u8>),
+    /// It did not end in its time, and did so by SIGTERM: with this exit status, or none.
+    Terminated(Option<u8>),
     /// It had to be killed, or was by a signal.
     Killed,
 }
 
-/// A process that ended.
 pub(super) struct Done {
     pub(super) end: End,
     pub(super) took_s: f64,
 }
 
-/// A watch on how long something takes.
+/// A stopwatch.
 pub(super) struct Watch(Instant);
 
 impl Watch {
@@ -53,8 +50,8 @@ impl Watch {
     }
 }
 
-/// Starts `command` in a group of its own. A key at the terminal is for the suite, which asks the command to end: twice at
-/// once would cut its ramp short.
+/// Starts `command` in a group of its own. Ctrl-C at the terminal is for the suite, which ends the command: two signals would
+/// cut its ramp short.
 pub(super) fn start(mut command: Command) -> io::Result<Child> {
     command.process_group(0);
     #[cfg(target_os = "linux")]
@@ -62,7 +59,7 @@ pub(super) fn start(mut command: Command) -> io::Result<Child> {
     command.spawn()
 }
 
-/// The process is asked to end when the thread that starts it is gone, however that came about.
+/// The process gets SIGTERM when the thread that starts it is gone, for whatever reason.
 #[cfg(target_os = "linux")]
 fn end_with_parent(command: &mut Command) {
     use rustix::process::{Signal, getpid, getppid, set_parent_process_death_signal};
@@ -79,7 +76,7 @@ fn end_with_parent(command: &mut Command) {
         unsafe_code,
         reason = "between fork and exec nothing may allocate or lock; these are system calls alone"
     )]
-    // SAFETY: as said; the closure reads what it has copied and calls the kernel.
+    // SAFETY: the closure reads its copy of `parent` and makes system calls alone.
     unsafe {
         command.pre_exec(prepare);
     }
@@ -91,7 +88,7 @@ pub(super) fn do_not_block(end: impl AsFd) -> io::Result<()> {
     Ok(rustix::fs::fcntl_setfl(&end, flags | rustix::fs::OFlags::NONBLOCK)?)
 }
 
-/// Sends a signal; a process that has just ended hears nothing.
+/// Sends a signal; a process that has just ended is no error.
 pub(super) fn signal(child: &Child, signal: Signal) {
     if let Ok(id) = i32::try_from(child.id()) {
         let _ = kill(Pid::from_raw(id), signal);
@@ -118,7 +115,7 @@ pub(super) fn finish(
         if watch.took_s() > timeout_s || stop.load(Ordering::Acquire) {
             break end(&mut child)?;
         }
-        std::thread::sleep(LOOK);
+        std::thread::sleep(POLL);
     };
     Ok(Done { end, took_s: watch.took_s() })
 }
@@ -127,32 +124,31 @@ fn code_of(status: ExitStatus) -> Option<u8> {
     status.code().and_then(|code| u8::try_from(code).ok())
 }
 
-/// Asks a process to end, and kills it where it does not.
+/// Terminates a process, and kills it where it does not end within 15 s.
 fn end(child: &mut Child) -> io::Result<End> {
     signal(child, Signal::SIGTERM);
-    let asked = Watch::start();
-    while asked.took_s() < GRACE.as_secs_f64() {
+    let watch = Watch::start();
+    while watch.took_s() < 15.0 {
         if let Some(status) = child.try_wait()? {
-            return Ok(End::Asked(code_of(status)));
+            return Ok(End::Terminated(code_of(status)));
         }
-        std::thread::sleep(LOOK);
+        std::thread::sleep(POLL);
     }
     child.kill()?;
     child.wait()?;
     Ok(End::Killed)
 }
 
-/// The error that a command ended with, as it says it to programs.
-pub(super) fn error_said(stderr: &Path) -> Option<String> {
+/// The message of the error that a command ended with.
+pub(super) fn error_message(stderr: &Path) -> Option<String> {
     let text = fs::read_to_string(stderr).ok()?;
     let mut lines = text.lines().filter(|line| line.starts_with("{\"error\""));
     let Some(line) = lines.next_back() else {
-        // As a person reads it.
-        let (_, said) = text.rsplit_once("error: ")?;
-        return said.lines().next().map(str::to_owned);
+        let (_, message) = text.rsplit_once("error: ")?;
+        return message.lines().next().map(str::to_owned);
     };
-    let said: Value = serde_json::from_str(line).ok()?;
-    said.pointer("/error/message")?.as_str().map(str::to_owned)
+    let error: Value = serde_json::from_str(line).ok()?;
+    error.pointer("/error/message")?.as_str().map(str::to_owned)
 }
 
 #[cfg(test)]
@@ -169,16 +165,22 @@ mod tests {
     }
 
     #[test]
-    fn a_process_ends_by_itself_or_is_asked_to() {
-        let (done, out) = shell("echo said; exit 4", 60.0);
-        assert_eq!((done.end, out.as_str()), (End::Status(4), "said\n"));
-        let (done, out) =
-            shell("trap 'echo stopped; exit 130' TERM; while :; do sleep 0.01; done", 0.3);
-        assert_eq!((done.end, out.as_str()), (End::Asked(Some(130)), "stopped\n"));
-        let (done, _) = shell("trap 'exit 6' TERM; while :; do sleep 0.01; done", 0.3);
-        assert_eq!(done.end, End::Asked(Some(6)));
-        // It has no answer to the signal.
-        assert_eq!(shell("exec sleep 60", 0.3).0.end, End::Asked(None));
-        assert_eq!(shell("kill -KILL $$", 60.0).0.end, End::Killed);
+    fn a_process_ends_by_itself_or_is_terminated() {
+        for (script, timeout_s, expected, output) in [
+            ("echo said; exit 4", 60.0, End::Status(4), "said\n"),
+            (
+                "trap 'echo stopped; exit 130' TERM; while :; do sleep 0.01; done",
+                0.3,
+                End::Terminated(Some(130)),
+                "stopped\n",
+            ),
+            ("trap 'exit 6' TERM; while :; do sleep 0.01; done", 0.3, End::Terminated(Some(6)), ""),
+            // It has no handler.
+            ("exec sleep 60", 0.3, End::Terminated(None), ""),
+            ("kill -KILL $$", 60.0, End::Killed, ""),
+        ] {
+            let (done, printed) = shell(script, timeout_s);
+            assert_eq!((done.end, printed.as_str()), (expected, output), "{script}");
+        }
     }
 }

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use rayon::prelude::*;
 use serde_json::Value;
 
-use drivebench::runtime::{Failure, output, progress, signals};
+use drivebench::runtime::{Failure, Terminal, signals};
 
 use super::{Answer, MysteryAnswer, Outcome, RecordAnswer, Size, Study, files, records, run};
 use crate::lines::{KINDS, line_study};
@@ -27,6 +27,7 @@ pub fn study(
     mysteries: u64,
     seed: u64,
     folder: Option<&Path>,
+    terminal: &Terminal,
 ) -> Result<Study, Failure> {
     // Before the study, which takes long.
     let real = folder.map_or(Ok(Vec::new()), real_records)?;
@@ -44,18 +45,20 @@ pub fn study(
         let help = "start it again, with a smaller --sets where it takes too long";
         Failure::interrupted(headline).helped_by(Some(help))
     };
-    output::message(&format!(
+    terminal.message(&format!(
         "{} machines are excited and diagnosed, {mysteries} mystery drives are commissioned; Ctrl-C ends it",
         size.machines()
     ));
-    progress::stage("excites and diagnoses machines", size.machines());
-    let mut found = run(size, &interrupted, report_answer).ok_or_else(ended)?;
+    terminal.stage("excites and diagnoses machines", size.machines());
+    let mut found =
+        run(size, &interrupted, |done, _, answer| report_answer(done, answer, terminal))
+            .ok_or_else(ended)?;
     if size.sets > 0 {
-        progress::stage("identifies over every kind of line", KINDS);
-        found.lines = Some(line_study(LINE_RUNS, size.seed, progress::at));
+        terminal.stage("identifies over every kind of line", KINDS);
+        found.lines = Some(line_study(LINE_RUNS, size.seed, |done| terminal.at(done)));
     }
     if mysteries > 0 {
-        let answers = commission(mysteries, size.seed, &interrupted)?;
+        let answers = commission(mysteries, size.seed, &interrupted, terminal)?;
         found.mysteries = answers.ok_or_else(ended)?;
     }
     found.records = real;
@@ -75,13 +78,13 @@ fn real_records(folder: &Path) -> Result<Vec<RecordAnswer>, Failure> {
 }
 
 /// How far it is, and every wrong name at once.
-fn report_answer(done: usize, _of: usize, answer: &Answer) {
+fn report_answer(done: usize, answer: &Answer, terminal: &Terminal) {
     if matches!(answer.outcome, Outcome::Wrong | Outcome::Failed) {
         let (group, excitation) = (answer.group.name(), &answer.excitation);
         let (hidden, sentence) = (&answer.class, &answer.sentence);
-        output::message(&format!("{group} ({excitation}), hidden {hidden}: {sentence}"));
+        terminal.message(&format!("{group} ({excitation}), hidden {hidden}: {sentence}"));
     }
-    progress::at(done);
+    terminal.at(done);
 }
 
 /// Commissions `count` mystery drives, the first with `seed`. `None` where it was interrupted: a part of a study would not be
@@ -90,6 +93,7 @@ fn commission(
     count: u64,
     seed: u64,
     interrupted: &AtomicBool,
+    terminal: &Terminal,
 ) -> Result<Option<Vec<MysteryAnswer>>, Failure> {
     let internal =
         |what: &str, error: std::io::Error| Failure::internal(format!("cannot {what}: {error}"));
@@ -98,7 +102,7 @@ fn commission(
     let made = std::fs::create_dir_all(&place);
     made.map_err(|error| internal("make a folder for the runs", error))?;
     let seeds: Vec<u64> = (seed..seed.saturating_add(count)).collect();
-    progress::stage("commissions mystery drives", seeds.len());
+    terminal.stage("commissions mystery drives", seeds.len());
     let done = AtomicUsize::new(0);
     let one = |seed: u64| {
         if interrupted.load(Ordering::Acquire) {
@@ -109,8 +113,8 @@ fn commission(
             Err(reason) => MysteryAnswer::failed(seed, reason),
         };
         let (hidden, column) = (&answer.hidden, answer.column());
-        output::message(&format!("mystery {seed}: hidden {hidden}, answer {column}"));
-        progress::at(1 + done.fetch_add(1, Ordering::AcqRel));
+        terminal.message(&format!("mystery {seed}: hidden {hidden}, answer {column}"));
+        terminal.at(1 + done.fetch_add(1, Ordering::AcqRel));
         Some(answer)
     };
     let answers: Option<Vec<MysteryAnswer>> =
