@@ -149,7 +149,8 @@ fn run(
     let _endable = terminal.endable()?;
     let shown = terminal.progress(if adding.is_some() { "add" } else { "remove" });
     let model = arguments.model.as_deref();
-    let prepared = arguments.evidence.prepare(&arguments.run, model, Judging::Refits, terminal)?;
+    let prepared =
+        arguments.evidence.prepare(&arguments.run, model, Judging::Refits, false, terminal)?;
     let (mut model, evidence) = (prepared.model.file.model.clone(), &prepared.evidence);
     terminal.stage("refits with the effect and without it", 0);
     let mut result = if let Some(AddArguments { definition, .. }) = adding {

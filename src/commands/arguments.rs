@@ -54,11 +54,11 @@ impl MapArguments {
 
     /// The maps as they are given here, for the commands that follow; each with a space before it.
     pub(super) fn words(&self) -> String {
-        let maps = [("map", &self.map), ("map-holdout", &self.map_holdout)];
-        let given = maps.into_iter().filter_map(|(name, map)| Some((name, map.as_deref()?)));
-        given.fold(String::new(), |words, (name, map)| {
-            words + " --" + name + " " + &output::quoted_word(map)
-        })
+        [("map", &self.map), ("map-holdout", &self.map_holdout)]
+            .into_iter()
+            .filter_map(|(name, map)| Some((name, map.as_deref()?)))
+            .map(|(name, map)| format!(" --{name} {}", output::quoted_word(map)))
+            .collect()
     }
 
     /// Opens the run with its map; the origins of the command line go before those of a manifest.
@@ -103,16 +103,16 @@ impl FromStr for Provenance {
     fn from_str(text: &str) -> Result<Self, String> {
         let mut provenance = Self::default();
         for item in text.split(',').map(str::trim).filter(|i| !i.is_empty()) {
-            let (key, word) = item
+            let (key, value) = item
                 .split_once('=')
                 .ok_or_else(|| format!("{item:?} is not of the form KEY=WORD"))?;
-            let (key, word) = (key.trim(), word.trim());
+            let (key, value) = (key.trim(), value.trim());
             let channel = Channel::from_key(key).ok_or_else(|| {
                 let keys = Channel::ALL.map(Channel::key).join(", ");
                 format!("unknown signal {key:?} (allowed: {keys})")
             })?;
-            let origin = Origin::ALL.into_iter().find(|origin| origin.name() == word);
-            let side = Side::ALL.into_iter().find(|side| side.name() == word);
+            let origin = Origin::ALL.into_iter().find(|origin| origin.name() == value);
+            let side = Side::ALL.into_iter().find(|side| side.name() == value);
             let has_sides =
                 matches!(channel, Channel::Voltage | Channel::VoltageCmd | Channel::Current);
             match (origin, side) {
@@ -127,7 +127,7 @@ impl FromStr for Provenance {
                     let origins = Origin::ALL.map(Origin::name).join(", ");
                     let sides = Side::ALL.map(Side::name).join(", ");
                     return Err(format!(
-                        "{item:?}: {word:?} is not allowed (allowed: {origins}, {sides})"
+                        "{item:?}: {value:?} is not allowed (allowed: {origins}, {sides})"
                     ));
                 }
             }
@@ -156,7 +156,7 @@ pub(super) struct EvidenceArguments {
     /// A third run, which has no part in the answer: the answer is repeated on it, and the headline error is from there
     #[arg(long, value_name = "RUN3", value_parser = run_path())]
     confirm: Option<PathBuf>,
-    /// A later run of the same machine, as a recommended one: fitted behind RUN, so that what both tell counts; may be
+    /// A later run of the same machine, as a recommended one: fitted behind RUN, so that both count; may be
     /// given again
     #[arg(long = "with", value_name = "RUN4", value_parser = run_path())]
     later: Vec<PathBuf>,
@@ -164,7 +164,7 @@ pub(super) struct EvidenceArguments {
     map: MapArguments,
 }
 
-/// What stands behind the run where one is asked for: a second one, that was to be an option.
+/// A second run behind the one that is allowed: refused with the option that was meant.
 #[derive(Args, Clone, Debug)]
 pub(super) struct MoreRuns {
     #[arg(hide = true, value_name = "ANOTHER")]
@@ -183,8 +183,7 @@ impl MoreRuns {
 
 /// The model as it is given, with a space before it.
 pub(super) fn model_words(model: Option<&Path>) -> String {
-    let model = model.map(output::quoted);
-    model.map_or_else(String::new, |model| format!(" --model {model}"))
+    model.map_or_else(String::new, |model| format!(" --model {}", output::quoted(model)))
 }
 
 impl EvidenceArguments {
@@ -195,49 +194,21 @@ impl EvidenceArguments {
 
     /// The options as they are given here, for the commands that follow; each with a space before it.
     pub(super) fn words(&self) -> String {
-        let path = |name: &str, path: &Option<PathBuf>| {
-            let path = path.as_deref().map(output::quoted);
-            path.map(|path| format!(" --{name} {path}"))
-        };
-        let words = [
-            path("holdout", &self.holdout),
-            path("confirm", &self.confirm),
-            Some(self.map.words()),
-        ];
-        let later = self.later.iter();
-        let later = later.map(|run| format!(" --with {}", output::quoted(run)));
-        words.into_iter().flatten().chain(later).collect()
+        let runs = [("holdout", &self.holdout), ("confirm", &self.confirm)];
+        let judging = runs.into_iter().filter_map(|(name, path)| Some((name, path.as_ref()?)));
+        let run = |(name, path): (&str, &PathBuf)| format!(" --{name} {}", output::quoted(path));
+        let later: String = self.later.iter().map(|path| run(("with", path))).collect();
+        judging.map(run).collect::<String>() + &self.map.words() + &later
     }
 
-    /// Opens the runs and the model; data that cannot be judged end the command.
+    /// Opens the runs; with every channel where a screen may show them.
     pub(super) fn prepare(
         &self,
         run: &Path,
         model: Option<&Path>,
         judging: Judging,
-        terminal: &Terminal,
-    ) -> Result<Prepared, Failure> {
-        self.prepared(run, model, judging, terminal, false)
-    }
-
-    /// The same with every channel, which a screen may show.
-    pub(super) fn prepare_for_screen(
-        &self,
-        run: &Path,
-        model: Option<&Path>,
-        judging: Judging,
-        terminal: &Terminal,
-    ) -> Result<Prepared, Failure> {
-        self.prepared(run, model, judging, terminal, true)
-    }
-
-    fn prepared(
-        &self,
-        run: &Path,
-        model: Option<&Path>,
-        judging: Judging,
-        terminal: &Terminal,
         for_screen: bool,
+        terminal: &Terminal,
     ) -> Result<Prepared, Failure> {
         let files = EvidenceFiles {
             terminal,
@@ -248,10 +219,9 @@ impl EvidenceArguments {
             later: &self.later,
             for_screen,
         };
-        let map = &self.map;
         let load = |path: &Path, is_other: bool| {
-            let own = map.map_holdout.as_deref().filter(|_| is_other);
-            map.load_with(path, own.or(map.map.as_deref()), terminal)
+            let other_map = self.map.map_holdout.as_deref().filter(|_| is_other);
+            self.map.load_with(path, other_map.or(self.map.map.as_deref()), terminal)
         };
         prepare(files, load, judging)
     }
@@ -456,23 +426,20 @@ impl LiveArguments {
 
     /// Bench, link and motor as they are given here, for the commands that follow; each with a space before it.
     pub(super) fn words(&self) -> String {
-        let bench = self.bench.as_deref().map(output::quoted);
         let option = |name: &str, value: Option<String>| {
-            let value = value.map(|value| output::quoted_word(&value));
-            value.map(|value| format!("--{name} {value}"))
+            value.map(|value| format!("--{name} {}", output::quoted_word(&value)))
         };
         let switch = |name: &str, is_set: bool| is_set.then(|| format!("--{name}"));
-        let number = |number: Option<u64>| number.map(|number| number.to_string());
-        let words = [
-            bench,
+        let given = [
+            self.bench.as_deref().map(output::quoted),
             option("port", self.port.clone()),
             option("emulator", self.emulator.clone()),
-            option("seed", number(self.seed)),
-            option("mystery", number(self.mystery)),
+            option("seed", self.seed.map(|seed| seed.to_string())),
+            option("mystery", self.mystery.map(|seed| seed.to_string())),
             switch("headless", self.headless),
             switch("hardware", self.hardware),
         ];
-        words.into_iter().flatten().fold(String::new(), |all, word| all + " " + &word)
+        given.into_iter().flatten().map(|option| format!(" {option}")).collect()
     }
 
     /// Name and text of the bench file, for what is wrong in it; no text of the embedded one.
@@ -512,7 +479,7 @@ impl LiveArguments {
 
 /// Checks that may be waived, each by its own option. The waivers stand in the manifest, the log and the messages.
 #[derive(Args, Clone, Copy, Debug)]
-#[expect(clippy::struct_field_names, reason = "the words of the command line")]
+#[expect(clippy::struct_field_names, reason = "the names of the options")]
 struct Waive {
     /// Go on although the drive's watchdog is not proven: if this computer or the cable fails, perhaps nothing stops the
     /// motor; the waiver is recorded
@@ -536,14 +503,23 @@ impl Waive {
     }
 }
 
-/// Part I of N of what is to be done.
+/// The value with this name.
+pub(super) fn by_name<T: Copy, const N: usize>(
+    all: [T; N],
+    name: impl Fn(T) -> &'static str,
+    text: &str,
+) -> Result<T, String> {
+    all.into_iter()
+        .find(|one| name(*one) == text)
+        .ok_or_else(|| format!("expected one of {}", all.map(name).join(", ")))
+}
+
+/// Part I of N of the work.
 pub(super) fn shard(text: &str) -> Result<(u64, u64), String> {
-    let parts = text.split_once('/');
-    let numbers = parts.and_then(|(part, of)| Some((part.parse().ok()?, of.parse().ok()?)));
-    match numbers {
-        Some((part, of)) if part >= 1 && part <= of => Ok((part, of)),
-        _ => Err("expected I/N with 1 <= I <= N, as 2/4".to_owned()),
-    }
+    text.split_once('/')
+        .and_then(|(part, of)| Some((part.parse().ok()?, of.parse().ok()?)))
+        .filter(|(part, of)| (1..=*of).contains(part))
+        .ok_or_else(|| "expected I/N with 1 <= I <= N, as 2/4".to_owned())
 }
 
 /// The time of `--reopen-s`.

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use crate::commands::arguments::{MapArguments, run_path};
+use crate::commands::arguments::{MapArguments, by_name, run_path};
 use crate::commands::by_hand::show_response;
 use crate::commands::evidence::{cautions, name_voltage};
 use crate::commands::view::needs_terminal;
@@ -60,9 +60,7 @@ pub(super) struct Arguments {
 }
 
 fn pathway(text: &str) -> Result<Pathway, String> {
-    let keys = Pathway::ALL.map(Pathway::key);
-    let mut all = Pathway::ALL.into_iter();
-    all.find(|own| own.key() == text).ok_or_else(|| format!("allowed: {}", keys.join(", ")))
+    by_name(Pathway::ALL, Pathway::key, text)
 }
 
 pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {

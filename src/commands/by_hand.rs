@@ -365,7 +365,7 @@ mod tests {
     use drivebench_model::plant::{Model, Motor};
 
     #[test]
-    fn a_name_that_is_taken_is_left_alone() {
+    fn a_file_that_exists_is_not_overwritten() {
         let folder = tempfile::tempdir().unwrap();
         let wanted = folder.path().join("model.toml");
         let (gone, terminal) = (AtomicBool::new(false), Terminal::default());
@@ -391,11 +391,11 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_behind_is_about_the_model_as_it_stands() {
+    fn the_result_is_that_of_the_model_as_it_is() {
         let mut discovery = discovery();
         let standing = Mutex::new(Standing::default());
         let now = || standing.lock().unwrap().clone();
-        // As if the screen were left in the middle: the answer is old, and it is said so.
+        // As if the screen were left in the middle: the answer is old, and marked so.
         let between = Mutex::new(None);
         for order in [Order::Diagnose, Order::Add("quadratic_load")] {
             discovery.carry_out(order, &|news| {

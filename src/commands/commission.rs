@@ -1,5 +1,5 @@
 //! `commission`: the whole loop, guided. The screen and the headless run drive the same state machine, whose tasks are carried out
-//! over a rig until it is finished. On its screen can follow: the run that would tell more, the speed loop with what was found, the
+//! over a rig until it is finished. On its screen can follow: the recommended run, the speed loop with what was found, the
 //! diagnosis by hand; then the page of the loop again.
 //!
 //! ```text

@@ -75,11 +75,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     };
     let (evidence, run) = (&arguments.evidence, &arguments.run);
     let judging = Judging::of(model);
-    let mut prepared = if arguments.screen {
-        evidence.prepare_for_screen(run, model, judging, terminal)?
-    } else {
-        evidence.prepare(run, model, judging, terminal)?
-    };
+    let mut prepared = evidence.prepare(run, model, judging, arguments.screen, terminal)?;
     let from = prepared.model.from.clone();
     let judged = prepared.judge_as_diagnose(model.is_some(), terminal)?;
     terminal.stage("compares", 0);
@@ -125,7 +121,8 @@ fn both(
         return Err(Failure::usage(headline, "leave one --model out"));
     }
     let judging = Judging::AsGiven;
-    let prepared = (arguments.evidence).prepare(&arguments.run, Some(first), judging, terminal)?;
+    let prepared =
+        (arguments.evidence).prepare(&arguments.run, Some(first), judging, false, terminal)?;
     let result = VersusResult::of(&prepared, second, &arguments.run, terminal)?;
     drop(shown);
     terminal.document(&result, arguments.json, arguments.full, &result.document())

@@ -92,11 +92,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     let mut attended = Some((terminal.endable()?, terminal.progress("diagnose")));
     let (model, judging) = (arguments.model.as_deref(), Judging::Refits);
     let (evidence, run) = (&arguments.evidence, &arguments.run);
-    let prepared = if on_screen.screen {
-        evidence.prepare_for_screen(run, model, judging, terminal)?
-    } else {
-        evidence.prepare(run, model, judging, terminal)?
-    };
+    let prepared = evidence.prepare(run, model, judging, on_screen.screen, terminal)?;
     if let Some(path) = &arguments.next_bench {
         output::refuse_existing(path, "--next-bench")?;
     }

@@ -10,6 +10,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use serde::Serialize;
+use serde_json::json;
 
 use crate::commands::arguments::{WireArguments, open_line};
 use crate::commands::probe::{Scan, scan};
@@ -36,25 +37,16 @@ pub(super) struct PortsArguments {
     json: bool,
 }
 
-#[derive(Serialize)]
-struct Ports {
-    ports: Vec<SerialPortInfo>,
-}
-
 pub(super) fn execute_ports(
     arguments: &PortsArguments,
     terminal: &Terminal,
 ) -> Result<(), Failure> {
-    let ports = Ports { ports: list(Path::new("/")) };
-    terminal.result(&ports, arguments.json, ports_text)
-}
-
-fn ports_text(ports: &Ports) -> String {
-    if ports.ports.is_empty() {
-        return "no serial port is plugged in; `drivebench emulate` makes one with a software drive behind it"
-            .to_owned();
-    }
-    ports.ports.iter().map(port_text).collect()
+    let ports = list(Path::new("/"));
+    terminal.result(&json!({ "ports": ports }), arguments.json, |_| match ports.as_slice() {
+        [] => "no serial port is plugged in; `drivebench emulate` makes one with a software drive behind it"
+            .to_owned(),
+        ports => ports.iter().map(port_text).collect(),
+    })
 }
 
 /// Check a line: permission, holder, latency, round trips, reachable loop rate, scan

@@ -3,7 +3,7 @@
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-use serde::Serialize;
+use serde_json::json;
 
 use crate::runtime::failure::{Failure, LINK, USAGE};
 use crate::runtime::files::read_text;
@@ -53,33 +53,6 @@ pub(super) struct Arguments {
     /// Print JSON: one object a line, `ready` when the drive can be opened and `stopped` at the end
     #[arg(long)]
     json: bool,
-}
-
-/// A line of `--json`.
-#[derive(Serialize)]
-#[serde(tag = "state", rename_all = "snake_case")]
-enum State<'a> {
-    Ready {
-        link: String,
-        /// Path of the pseudo-terminal, or HOST:PORT.
-        address: &'a str,
-        unit: u8,
-        baud: u32,
-        profile: &'a str,
-    },
-    Stopped {
-        link: String,
-        address: &'a str,
-    },
-}
-
-impl State<'_> {
-    /// A line that nobody reads is no error.
-    fn print(&self, terminal: &Terminal) {
-        if let Ok(text) = serde_json::to_string(self) {
-            let _ = terminal.line(&text);
-        }
-    }
 }
 
 pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), Failure> {
@@ -144,19 +117,21 @@ pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), F
     };
     serve(served_drive, &endpoint, &stop, |address| {
         address.clone_into(&mut served);
-        if arguments.json {
-            let state = State::Ready {
-                link: link.to_string(),
-                address,
-                unit,
-                baud,
-                profile: &profile.name,
-            };
-            state.print(terminal);
+        let line = if arguments.json {
+            json!({
+                "state": "ready",
+                "link": link.to_string(),
+                "address": address,
+                "unit": unit,
+                "baud": baud,
+                "profile": profile.name,
+            })
+            .to_string()
         } else {
-            // A line that nobody reads is no error.
-            let _ = terminal.line(&ready_line(link, address, &config, guise.as_ref()));
-        }
+            ready_line(link, address, &config, guise.as_ref())
+        };
+        // A line that nobody reads is no error.
+        let _ = terminal.line(&line);
     })
     .map_err(|error| {
         let status = if error.is_usage() { USAGE } else { LINK };
@@ -168,7 +143,8 @@ pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), F
         terminal.message(&format!("mystery {seed} hides {hidden}"));
     }
     if arguments.json {
-        State::Stopped { link: link.to_string(), address: &served }.print(terminal);
+        let state = json!({ "state": "stopped", "link": link.to_string(), "address": served });
+        let _ = terminal.line(&state.to_string());
     }
     Ok(())
 }

@@ -212,11 +212,11 @@ fn left_at_speed(
     let lab = Lab::new();
     let (at_speed, is_at_speed) = channel();
     let (controls, ends) = Controls::new(SnapshotCell::default());
-    let asked = Arc::clone(&controls.interrupted);
+    let interrupted = Arc::clone(&controls.interrupted);
     let work = lab.work(move || {
         at_speed.send(()).unwrap();
         // Virtual time stands until the screen is gone.
-        while !asked.load(Ordering::Acquire) {
+        while !interrupted.load(Ordering::Acquire) {
             thread::yield_now();
         }
     });
@@ -252,15 +252,15 @@ fn a_screen_that_panics_ends_the_run_with_status_6() {
     let headline = failure.headline();
     assert!(headline.contains("screen has panicked (on purpose)"), "{headline}");
     // Down a ramp: a second request would switch off at once.
-    let asked = lab.demands.lock().unwrap();
+    let demands = lab.demands.lock().unwrap();
     let volts = |demand: &Demand| match demand {
         Demand::Voltage(volts) => *volts,
         _ => 0.0,
     };
-    let fast = asked.iter().rposition(|demand| volts(demand) > 39.0);
-    let ramp = asked[fast.unwrap_or_default()..].iter();
+    let fast = demands.iter().rposition(|demand| volts(demand) > 39.0);
+    let ramp = demands[fast.unwrap_or_default()..].iter();
     let ramp = ramp.filter(|demand| volts(demand) > 0.0 && volts(demand) < 39.0);
-    assert!(ramp.count() > 3, "{asked:?}");
+    assert!(ramp.count() > 3, "{demands:?}");
 }
 
 #[test]
@@ -311,12 +311,12 @@ fn the_end_of_a_run_goes_before_that_of_its_screen() {
 fn a_computer_that_was_suspended_ends_the_run_as_a_lost_link() {
     let lab = Lab::new();
     let clock = lab.clock.clone();
-    let asked = Arc::clone(&lab.demands);
+    let demands = Arc::clone(&lab.demands);
     let before = Arc::new(Mutex::new(0));
     let mark = Arc::clone(&before);
     let done = headless(lab.work(move || {
         clock.suspend_s(30.0);
-        *mark.lock().unwrap() = asked.lock().unwrap().len();
+        *mark.lock().unwrap() = demands.lock().unwrap().len();
     }));
     let recorded = recorded(done);
     let failure = recorded.failure().unwrap();
@@ -324,8 +324,8 @@ fn a_computer_that_was_suspended_ends_the_run_as_a_lost_link() {
     let headline = failure.headline();
     assert!(headline.contains("this computer was suspended for 30.0 s"), "{headline}");
     // The command that was on its way, then nothing but stop.
-    let asked = lab.demands.lock().unwrap();
-    let after = &asked[*before.lock().unwrap() + 1..];
+    let demands = lab.demands.lock().unwrap();
+    let after = &demands[*before.lock().unwrap() + 1..];
     assert!(!after.is_empty() && after.iter().all(|demand| *demand == Demand::Stop), "{after:?}");
     let notices = format!("{:?}", recorded.summary.notices);
     let events = std::fs::read_to_string(recorded.folder.events()).unwrap();

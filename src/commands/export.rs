@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
-use crate::commands::arguments::{MapArguments, run_path};
+use crate::commands::arguments::{MapArguments, by_name, run_path};
 use crate::commands::tune::KeptGains;
 use crate::report::export::{Export, ExportError, Regulator, Target, formulas, map_as_c};
 use crate::runtime::failure::Failure;
@@ -73,8 +73,7 @@ enum Format {
 }
 
 fn mapped(text: &str) -> Result<MappedTorque, String> {
-    let all = MappedTorque::ALL.map(MappedTorque::name).join(", ");
-    MappedTorque::from_name(text).ok_or_else(|| format!("expected one of {all}"))
+    by_name(MappedTorque::ALL, MappedTorque::name, text)
 }
 
 pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
@@ -211,7 +210,7 @@ fn regulator(file: &ModelFile, path: &Path, limit_v: f64) -> Result<Regulator, F
     if !(limit_v.is_finite() && limit_v > 0.0) {
         let headline =
             format!("--limit-v {limit_v} is not allowed (expected a number of volts above 0)");
-        let help = "the largest voltage that the drive may be told to give";
+        let help = "the largest voltage that may be commanded";
         return Err(Failure::usage(headline, help));
     }
     let kept = KeptGains::read(path, &file.model)?;

@@ -7,7 +7,7 @@
 
 use std::path::{Path, PathBuf};
 
-use serde::Serialize;
+use serde_json::json;
 
 use crate::commands::probe::read_limits;
 use crate::commands::test::golden;
@@ -15,7 +15,6 @@ use crate::runtime::failure::Failure;
 use crate::runtime::files::read_text;
 use crate::runtime::output::Terminal;
 use crate::runtime::{opening, output};
-use crate::workflow::suite::golden::GoldenLimit;
 use drivebench_bench::{InitFile, InitRequest, MotorSection, Port, Reasoned, Told, init_file};
 use drivebench_link::serial_ports::describe;
 use drivebench_model::config_text::{self, ConfigError};
@@ -68,20 +67,6 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-/// The result as JSON.
-#[derive(Serialize)]
-struct InitResult<'a> {
-    /// Null: not written.
-    file: Option<String>,
-    bench: &'a str,
-    /// The drive's limits were read.
-    read_back: bool,
-    values: &'a [Reasoned],
-    remarks: &'a [String],
-    /// The commands that use the file.
-    next: Vec<String>,
-}
-
 pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     match (&arguments.drive, &arguments.port, &arguments.motor) {
         (Some(drive), Some(port), Some(motor)) => bench(arguments, drive, port, motor, terminal),
@@ -89,36 +74,23 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     }
 }
 
-/// A suite as JSON.
-#[derive(Serialize)]
-struct SuiteResult<'a> {
-    files: Vec<String>,
-    suite: &'a str,
-    limits: &'a [GoldenLimit],
-    /// The command that uses it.
-    next: String,
-}
-
 fn suite(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     let out = arguments.out.as_deref().unwrap_or(Path::new("suite.toml"));
     let written = golden::write(&arguments.suite, out, terminal)?;
-    let result = SuiteResult {
-        files: written.files.iter().map(|path| path.display().to_string()).collect(),
-        suite: &written.golden.text,
-        limits: &written.golden.limits,
-        next: format!("drivebench test {}", output::quoted_word(&out.display().to_string())),
-    };
-    terminal.result(&result, arguments.json, |result| {
-        let limits = result.limits.iter().map(|own| {
-            format!("  {:<10} {} = {}\n      {}", own.case, own.key, own.limit, own.reason)
-        });
-        let limits = limits.collect::<Vec<_>>().join("\n");
-        format!(
-            "{}: {} limits\n{limits}\nnext:\n  {}",
-            result.files.join(", "),
-            result.limits.len(),
-            result.next
-        )
+    let files: Vec<_> = written.files.iter().map(|path| path.display().to_string()).collect();
+    let limits = &written.golden.limits;
+    let next = format!("drivebench test {}", output::quoted_word(&out.display().to_string()));
+    let suite = &written.golden.text;
+    let result = json!({ "files": files, "suite": suite, "limits": limits, "next": next });
+    terminal.result(&result, arguments.json, |_| {
+        let lines: Vec<_> = limits
+            .iter()
+            .map(|one| {
+                format!("  {:<10} {} = {}\n      {}", one.case, one.key, one.limit, one.reason)
+            })
+            .collect();
+        let (files, count) = (files.join(", "), limits.len());
+        format!("{files}: {count} limits\n{}\nnext:\n  {next}", lines.join("\n"))
     })
 }
 
@@ -144,7 +116,7 @@ fn bench(
     profile.link.unit = arguments.unit.unwrap_or(profile.link.unit);
     let motor_file = motor.display().to_string();
     let motor = nameplate(&motor_file, &read_text(motor)?)?;
-    let told = if arguments.offline {
+    let limits = if arguments.offline {
         Told { is_offline: true, ..Told::default() }
     } else {
         read_limits(port, drive, &profile, terminal)?
@@ -161,7 +133,7 @@ fn bench(
         },
         motor: &motor,
         motor_file: &motor_file,
-        readback: told,
+        readback: limits,
     };
     let made = init_file(&request)?;
     if let Some(path) = out {
@@ -170,14 +142,14 @@ fn bench(
     let name = out.map(|path| path.display().to_string());
     let next = made.next(name.as_deref().unwrap_or(NAMELESS));
     if arguments.json {
-        let result = InitResult {
-            file: name.clone(),
-            bench: &made.text,
-            read_back: !request.readback.is_offline,
-            values: &made.reasons,
-            remarks: &made.remarks,
-            next,
-        };
+        let result = json!({
+            "file": name,
+            "bench": made.text,
+            "read_back": !request.readback.is_offline,
+            "values": made.reasons,
+            "remarks": made.remarks,
+            "next": next,
+        });
         return terminal.result(&result, true, |_| String::new());
     }
     if out.is_none() {

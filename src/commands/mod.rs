@@ -55,7 +55,7 @@ Exit status:
   0    done and passed (any verdict of diagnose)
   1    done and not accepted: --min-fit, a refused effect, a drive that is not plausible, a replay that differs, a run
        of many that cannot be read
-  2    usage or configuration, or more asked than plan or line allow
+  2    usage or configuration, or more than plan or line allow
   3    link or device: no answer, another drive, a failed check, no --hardware, a locked or open motor
   4    safety trip
   5    not identified: nothing at all, or a key of --require
@@ -189,14 +189,14 @@ fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), Failure> {
 /// The command of a program that these arguments begin with, and how it is called.
 fn called(
     mut command: clap::Command,
-    words: impl Iterator<Item = String>,
+    arguments: impl Iterator<Item = String>,
 ) -> (clap::Command, String) {
     let mut path = command.get_name().to_owned();
-    for word in words {
-        let Some(below) = command.find_subcommand(&word).cloned() else {
+    for name in arguments {
+        let Some(below) = command.find_subcommand(&name).cloned() else {
             break;
         };
-        path = format!("{path} {word}");
+        path = format!("{path} {name}");
         command = below;
     }
     (command, path)
@@ -250,7 +250,7 @@ fn usage_failure(error: &clap::Error, program: clap::Command) -> Failure {
         headline = headline.replace(of_library, plain);
     }
     let unexpected = headline.strip_prefix("unexpected argument '");
-    let is_option = unexpected.is_some_and(|word| word.starts_with('-'));
+    let is_option = unexpected.is_some_and(|argument| argument.starts_with('-'));
     let help = match (tip, usage) {
         (Some(tip), _) => tip,
         _ if is_option => page,
@@ -284,13 +284,14 @@ mod tests {
 
     #[test]
     fn a_usage_error_names_the_help_page_of_its_own_command() {
-        let path = |words: &[&str]| {
-            let words = words.iter().map(|word| (*word).to_owned());
-            called(Arguments::command(), words).1
-        };
-        assert_eq!(path(&["probe", "--baud", "x"]), "drivebench probe");
-        assert_eq!(path(&["registers", "write", "probe"]), "drivebench registers write");
-        assert_eq!(path(&["--what"]), "drivebench");
+        for (arguments, path) in [
+            (&["probe", "--baud", "x"][..], "drivebench probe"),
+            (&["registers", "write", "probe"], "drivebench registers write"),
+            (&["--what"], "drivebench"),
+        ] {
+            let given = arguments.iter().map(|text| (*text).to_owned());
+            assert_eq!(called(Arguments::command(), given).1, path, "{arguments:?}");
+        }
     }
 
     #[test]

@@ -250,7 +250,7 @@ pub(crate) fn stopped_at(prepared: &Prepared) -> Option<StoppedAt> {
     let stop = Stop { at_s: Some(at_s), ..stop(manifest)? };
     let kinds =
         [("current", Channel::Current), ("circuit", Channel::Current), ("bus", Channel::Bus)];
-    let kind = kinds.into_iter().find(|(word, _)| stop.cause.contains(word));
+    let kind = kinds.into_iter().find(|(name, _)| stop.cause.contains(name));
     Some(StoppedAt {
         run: prepared.run.run.name.clone(),
         at_s,
@@ -266,7 +266,7 @@ pub(crate) fn timing(manifest: &Manifest) -> Facts {
     let rate = achieved.zip(manifest.period_asked_s.map(hz));
     let late = manifest.lateness_p50_s.zip(manifest.lateness_p99_s);
     let facts = [
-        rate.map(|(achieved, asked)| fact("rate", format!("{achieved:.1} of {asked:.0} Hz"))),
+        rate.map(|(achieved, wanted)| fact("rate", format!("{achieved:.1} of {wanted:.0} Hz"))),
         (manifest.missed_cycles).map(|missed| fact("missed cycles", missed.to_string())),
         late.map(|(p50_s, p99_s)| {
             let lateness = format!("{:.2} ms, {:.2} ms", 1e3 * p50_s, 1e3 * p99_s);

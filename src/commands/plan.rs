@@ -69,7 +69,7 @@ fn unknown_text(unknown: &Unknown) -> String {
         let _ = writeln!(
             text,
             "in every stage a run ends beyond {:.1} A, {:.0} rad/s, {:.0} V, or after {:.2} s without a reply. What the sequence does \
-             is planned for the motor that was found, and made smaller where that asks for it",
+             is planned for the motor that was found, and made smaller where that is needed",
             steps.current_limit_a,
             steps.speed_limit_rad_s,
             steps.voltage_limit_v,

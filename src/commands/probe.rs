@@ -34,8 +34,8 @@ use drivebench_model::text::number::{reading, with_unit};
 The shaft has to stand still. Where a reading is not one of a drive at rest, other ways of reading it are shown: the address
 one lower or higher (base 0 or 1), the other word order, byte order or sign.
 Nothing is written: function codes 03, 04, 08 and 43, and over the stream only questions.
-Exit status: 0 plausible; 1 something is not; 3 no answer, or another drive. Without --drive: 0 a profile fits, or which one
-does cannot be told; 1 none fits; 3 no answer. The stream is not tried then, and the port emulator needs --drive.")]
+Exit status: 0 plausible; 1 something is not; 3 no answer, or another drive. Without --drive: 0 a profile fits, or more
+than one may; 1 none fits; 3 no answer. The stream is not tried then, and the port emulator needs --drive.")]
 pub(super) struct Arguments {
     /// Serial port, tcp:HOST:PORT, or emulator (the software drive in the guise of the profile)
     #[arg(long, value_name = "PORT")]
@@ -323,7 +323,7 @@ pub(crate) fn read_limits(
     let probed =
         far_end(port, profile, terminal).and_then(|end| look(&end, profile, &line, &no_tap));
     let report = probed.map_err(|failure| {
-        let help = "check cable, power and address (`drivebench doctor --port PORT`), or give --offline: the file then says that the drive's limits were not read back";
+        let help = "check cable, power and address (`drivebench doctor --port PORT`), or give --offline: the file then states that the drive's limits were not read back";
         Failure::with_help(failure.status, failure.headline(), help)
     })?;
     if matches!(report.verdict, ProbeVerdict::Plausible | ProbeVerdict::Unjudged) {

@@ -10,13 +10,13 @@ use crate::commands::arguments::MapArguments;
 use crate::commands::pages;
 use crate::report::{Document, EarlyEnd, RunReport, Tone, plot};
 use crate::runtime::failure::Failure;
-use crate::runtime::files::read_text;
+use crate::runtime::files::{estimates, read_text};
 use crate::runtime::output;
 use crate::runtime::output::Terminal;
 use drivebench_bench::recording::{LoadedRun, Manifest, RunFile, RunFolder};
 use drivebench_bench::{BenchFile, LastSeconds, Stop};
-use drivebench_model::plant::{Model, MotorKey};
-use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::plant::Model;
+use drivebench_model::sample::ParameterEstimate;
 
 /// The page of a recorded run, anew where none is kept, and its pictures, as files
 #[derive(clap::Args)]
@@ -208,28 +208,7 @@ fn page(loaded: &LoadedRun, estimates: &[ParameterEstimate]) -> Document {
 /// Values of the live estimators, as the run's folder keeps them.
 fn kept_estimates(loaded: &LoadedRun) -> Vec<ParameterEstimate> {
     let folder = loaded.folder.as_ref().map(RunFolder::existing);
-    let text = folder.and_then(|f| read_text(&f.file(RunFile::Result)).ok());
-    let result = text.and_then(|text| serde_json::from_str::<Value>(&text).ok());
-    let result = result.unwrap_or_default();
-    let kept = result["online"]["parameters"].as_object();
-    let estimate = |(key, value): (&String, &Value)| {
-        let verdicts = [
-            Verdict::Settled,
-            Verdict::Searching,
-            Verdict::NotObservable,
-            Verdict::Invalid,
-            Verdict::Fixed,
-        ];
-        let is_it =
-            |verdict: &Verdict| serde_json::to_value(verdict).ok().as_ref() == value.get("verdict");
-        Some(ParameterEstimate {
-            key: key.clone(),
-            value: value["value"].as_f64(),
-            std: value["std"].as_f64(),
-            unit: MotorKey::from_key(key)?.unit(),
-            verdict: verdicts.into_iter().find(is_it)?,
-            reason: value["reason"].as_str().map(str::to_owned),
-        })
-    };
-    kept.into_iter().flatten().filter_map(estimate).collect()
+    let text = folder.and_then(|folder| read_text(&folder.file(RunFile::Result)).ok());
+    let result: Value = text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default();
+    estimates(&result["online"]["parameters"])
 }

@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use serde::Serialize;
 use serde_json::json;
 
-use crate::commands::arguments::LiveArguments;
+use crate::commands::arguments::{LiveArguments, by_name};
 use crate::commands::run::print_checks;
 use crate::commands::{by_hand, cards, pages};
 use crate::runtime::controls::Controls;
@@ -65,22 +65,15 @@ pub(super) struct Arguments {
 }
 
 fn controller(text: &str) -> Result<ControllerKind, String> {
-    let all = ControllerKind::ALL.map(ControllerKind::id);
-    ControllerKind::from_id(text).ok_or_else(|| expected(&all))
+    by_name(ControllerKind::ALL, ControllerKind::id, text)
 }
 
 fn forward_use(text: &str) -> Result<ForwardUse, String> {
-    let all = ForwardUse::ALL.map(ForwardUse::id);
-    ForwardUse::from_id(text).ok_or_else(|| expected(&all))
+    by_name(ForwardUse::ALL, ForwardUse::id, text)
 }
 
 fn actuator(text: &str) -> Result<Actuator, String> {
-    let all = Actuator::ALL.map(Actuator::name);
-    Actuator::from_name(text).ok_or_else(|| expected(&all))
-}
-
-fn expected(all: &[&str]) -> String {
-    format!("expected one of {}", all.join(", "))
+    by_name(Actuator::ALL, Actuator::name, text)
 }
 
 pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), Failure> {

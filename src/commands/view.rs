@@ -36,7 +36,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     let attended = (terminal.endable()?, terminal.progress("view"));
     let model = arguments.model.as_deref();
     let (run, judging) = (&arguments.run, Judging::of(model));
-    let mut prepared = arguments.evidence.prepare_for_screen(run, model, judging, terminal)?;
+    let mut prepared = arguments.evidence.prepare(run, model, judging, true, terminal)?;
     let judged = prepared.judge_as_diagnose(model.is_some(), terminal)?;
     // From here on the screen owns the terminal and the signals.
     drop(attended);

@@ -1,4 +1,4 @@
-//! Controls of a run: signals, the intents of a screen, what the screen sees, and whether the drive may be on.
+//! Controls of a run: signals, the intents and the snapshots of a screen, and whether the drive may be on.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};

@@ -52,7 +52,7 @@ impl Failure {
         self
     }
 
-    /// Usage or configuration, or more asked than plan or line allow.
+    /// Usage or configuration, or more than plan or line allow.
     pub fn usage(headline: impl Into<String>, help: impl Into<String>) -> Self {
         Self::with_help(USAGE, headline, help)
     }
@@ -62,7 +62,7 @@ impl Failure {
         Self::with_help(LINK, headline, help)
     }
 
-    /// The data do not carry what was asked for.
+    /// The data do not carry the requested parameters.
     pub fn not_identifiable(headline: impl Into<String>, help: impl Into<String>) -> Self {
         Self::with_help(NOT_IDENTIFIABLE, headline, help)
     }
@@ -94,7 +94,7 @@ impl Failure {
             REFUSED => "the figures are on stdout; `drivebench diagnose` names what the model misses",
             LINK => "check cable, power and address of the drive",
             TRIP => "find the cause before the next run",
-            NOT_IDENTIFIABLE => "the reason of each parameter is on stdout; excite the motor more, or ask for less",
+            NOT_IDENTIFIABLE => "the reason of each parameter is on stdout; excite the motor more, or require less",
             INTERRUPTED => "start the command again to repeat the run",
             INTERNAL => "this is a fault of drivebench itself; please report it with the command that was given",
             _ => "see drivebench --help",

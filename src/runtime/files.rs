@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
+use serde_json::Value;
 
 use crate::report::{EarlyEnd, Tone};
 use crate::runtime::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP, USAGE};
@@ -16,8 +17,9 @@ use drivebench_bench::recording::{
 use drivebench_bench::{BenchFile, OnlineResult, Outcome, RunSummary};
 use drivebench_diagnose::{Fitted, Rung};
 use drivebench_identify::noise::FloorSource;
-use drivebench_identify::{sanity, speed_from_angle};
-use drivebench_model::plant::{FileHistory, FittedValue, ModelFile, Scenario};
+use drivebench_identify::{sanity, speed_from_angle, temperature};
+use drivebench_model::plant::{FileHistory, FittedValue, ModelFile, MotorKey, Scenario, effect};
+use drivebench_model::sample::ParameterEstimate;
 
 /// Opens a run, prints its warnings, and derives the speed from the angle where there is none.
 pub(crate) fn load(
@@ -74,6 +76,32 @@ fn meant(path: &Path) -> String {
     } else {
         "check the path".to_owned()
     }
+}
+
+/// The estimates of a JSON object of parameters, as `identify --json` and `result.json` have it.
+pub(crate) fn estimates(parameters: &Value) -> Vec<ParameterEstimate> {
+    let read = |(key, row): (&String, &Value)| {
+        let unit = match MotorKey::from_key(key) {
+            Some(key) => key.unit(),
+            None if key == temperature::KEY => MotorKey::Resistance.unit(),
+            None => unit_of_effect(key).unwrap_or_default(),
+        };
+        Some(ParameterEstimate {
+            key: key.clone(),
+            value: row["value"].as_f64(),
+            std: row["std"].as_f64(),
+            unit,
+            verdict: serde_json::from_value(row["verdict"].clone()).ok()?,
+            reason: row["reason"].as_str().map(str::to_owned),
+        })
+    };
+    parameters.as_object().into_iter().flatten().filter_map(read).collect()
+}
+
+fn unit_of_effect(key: &str) -> Option<&'static str> {
+    let (id, key) = key.split_once('.')?;
+    let parameters = effect::find(id)?.parameters();
+    parameters.iter().find(|spec| spec.key == key).map(|spec| spec.unit)
 }
 
 /// The model of a fit as a file: what it was fitted on, and its rungs after those of the model before it.

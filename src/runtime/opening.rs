@@ -188,7 +188,7 @@ pub(crate) fn address(protocol: drive::Protocol, handle: &ServerHandle) -> Strin
     }
 }
 
-/// The drive's profile, wired up as the bench file says, with its text: the profile only knows what is usual.
+/// The drive's profile with the settings of the bench file, and its text.
 pub(crate) fn wired_profile(bench: &mut BenchFile) -> Result<(DriveProfile, String), Failure> {
     let (mut profile, text) = drive_profile(bench)?;
     profile.link.protocol = bench.link.protocol;

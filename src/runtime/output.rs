@@ -150,11 +150,11 @@ impl Terminal {
         Held(self.clone())
     }
 
-    /// Two paragraphs on stderr, and where JSON was asked for one line of it before them.
+    /// Two paragraphs on stderr, and with `--json` one line for programs before them.
     pub(crate) fn failure(&self, failure: &Failure) {
         let mut messages = self.messages();
         messages.wipe();
-        if std::env::args_os().any(|word| word == "--json") {
+        if std::env::args_os().any(|argument| argument == "--json") {
             let _ = writeln!(std::io::stderr(), "{}", failure.json());
         }
         print_rows(&format!("error: {}", failure.headline()));

@@ -236,7 +236,7 @@ impl Rig {
         });
         let options = CheckOptions {
             rate_hz: self.bench.link.rate_hz,
-            // A person at a screen sees SIM or HARDWARE and starts by hand; without one the option is needed.
+            // A screen shows SIM or HARDWARE, and a person starts by hand; without one the option is needed.
             hardware_allowed: self.options.hardware || !self.options.headless,
             hardware_said: self.options.hardware,
             waivers: self.options.waivers,
@@ -322,7 +322,7 @@ impl Rig {
         self.record_session(name, seed, run, controls)
     }
 
-    /// Measures the delay of a loop over this link, with the output off; `None` where the drive does not tell.
+    /// Measures the delay of a loop over this link, with the output off; `None` where the drive does not report it.
     pub(crate) fn measure_delay(
         &mut self,
         controls: &Controls,

@@ -1,4 +1,4 @@
-//! The signals that ask for an end. While nothing is energised the program ends at once; work that must end in its own way
+//! The signals that request an end. While nothing is energised the program ends at once; work that must end in its own way
 //! reads a flag, and a run on a live drive handles every one.
 //!
 //! ```text
@@ -22,7 +22,7 @@ use crate::runtime::controls::Ends;
 use crate::runtime::failure::{Failure, INTERRUPTED};
 use crate::runtime::output::Terminal;
 
-/// Signals that ask for an end.
+/// Signals that request an end.
 const ENDINGS: [i32; 7] = [SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGUSR1, SIGUSR2, SIGALRM];
 /// Signals that would end or halt the program in the middle of a run, among them a pipe that nobody reads any more.
 const LIVE: [i32; 6] = [SIGPIPE, SIGTSTP, SIGVTALRM, SIGPROF, SIGXCPU, SIGIO];
@@ -102,7 +102,7 @@ impl Terminal {
     }
 }
 
-/// Raised by the first signal that asks for an end, for work that has something to finish first.
+/// Raised by the first of these signals, for work that has something to finish first.
 pub fn flag() -> Result<Arc<AtomicBool>, Failure> {
     let raised = Arc::new(AtomicBool::new(false));
     for signal in ENDINGS {

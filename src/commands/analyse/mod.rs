@@ -41,7 +41,7 @@ use drivebench_model::plant::{Model, Motor};
   drivebench analyse runs --shard 3/8 --out part-3.csv        the third of eight blocks, on one of eight machines
 
 The columns do not depend on the runs; docs/suites.md lists them, with queries in DuckDB and Polars. A run that cannot be
-read is a row that says why. Killed at any time, --resume goes on where it was.
+read is a row with the reason. Killed at any time, --resume goes on where it was.
 Exit status: 0 every run was read; 1 some could not be; 2 none.")]
 pub(super) struct Arguments {
     /// Run folders, folders of runs, CSV files, or quoted patterns with *, ? and **
@@ -65,7 +65,7 @@ pub(super) struct Arguments {
     /// Method, one of the schemes that `identify --help` lists
     #[arg(long, value_name = "S")]
     scheme: Option<String>,
-    /// Name the effects that each run asks for, too; some forty times as long
+    /// Name the effects that each run needs, too; some forty times as long
     #[arg(long)]
     diagnose: bool,
     #[command(flatten)]
@@ -135,7 +135,7 @@ impl Analysed {
         let (unread, runs) = (self.unread, self.runs);
         let status = if unread == runs { USAGE } else { REFUSED };
         let headline = format!("{unread} of {runs} runs could not be read");
-        let help = "each says why in the column `reason` of its row";
+        let help = "the column `reason` of each row has why";
         (unread > 0).then(|| Failure::with_help(status, headline, help))
     }
 }
@@ -325,10 +325,10 @@ impl<'a> Analysis<'a> {
             order.begun += 1;
             drop(order);
             let content = row::content(run);
-            let table = |order: &Order<'_>| {
-                order.sink.table.as_ref().and_then(|table| table.kept(&row::name(run), &content))
+            let kept = {
+                let table = &self.order().sink.table;
+                table.as_ref().and_then(|table| table.kept(&row::name(run), &content))
             };
-            let kept = table(&self.order());
             let ready = kept.map_or_else(
                 || {
                     let (cells, status) = row::row(run, &content, self);

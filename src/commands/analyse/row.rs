@@ -27,32 +27,28 @@ use drivebench_model::sample::{Channel, ParameterEstimate, Verdict};
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Cell {
     Empty,
-    Word(String),
+    Text(String),
     Quantity(f64),
     Count(u64),
 }
 
 impl Cell {
-    fn word(text: impl Into<String>) -> Self {
+    fn text_of(text: impl Into<String>) -> Self {
         let text: String = text.into();
         // A row is a line.
         let text = text.replace(['\n', '\r'], " ");
-        if text.is_empty() { Self::Empty } else { Self::Word(text) }
+        if text.is_empty() { Self::Empty } else { Self::Text(text) }
     }
 
     fn quantity(value: Option<f64>) -> Self {
         value.filter(|value| value.is_finite()).map_or(Self::Empty, Self::Quantity)
     }
 
-    fn count(count: Option<usize>) -> Self {
-        count.and_then(|count| u64::try_from(count).ok()).map_or(Self::Empty, Self::Count)
-    }
-
     /// As a cell of a CSV.
     pub(super) fn text(&self) -> String {
         match self {
             Self::Empty => String::new(),
-            Self::Word(text) => text.clone(),
+            Self::Text(text) => text.clone(),
             Self::Quantity(value) => number_text(*value),
             Self::Count(count) => count.to_string(),
         }
@@ -61,7 +57,7 @@ impl Cell {
     pub(super) fn json(&self) -> Value {
         match self {
             Self::Empty => Value::Null,
-            Self::Word(text) => text.as_str().into(),
+            Self::Text(text) => text.as_str().into(),
             Self::Quantity(value) => (*value).into(),
             Self::Count(count) => (*count).into(),
         }
@@ -93,46 +89,6 @@ impl Status {
     }
 }
 
-/// The columns before those of the parameters.
-const ABOUT: [(&str, ColumnKind); 22] = [
-    ("run", ColumnKind::Word),
-    ("status", ColumnKind::Word),
-    ("reason", ColumnKind::Word),
-    ("name", ColumnKind::Word),
-    ("begin", ColumnKind::Instant),
-    ("drive", ColumnKind::Word),
-    ("drive_serial", ColumnKind::Word),
-    ("motor", ColumnKind::Word),
-    ("link", ColumnKind::Word),
-    ("outcome", ColumnKind::Word),
-    ("recorded_by", ColumnKind::Word),
-    ("rows", ColumnKind::Count),
-    ("rows_used", ColumnKind::Count),
-    ("rows_dropped", ColumnKind::Count),
-    ("rows_limited", ColumnKind::Count),
-    ("exchanges", ColumnKind::Count),
-    ("exchanges_lost", ColumnKind::Count),
-    ("missed_cycles", ColumnKind::Count),
-    ("duration_s", ColumnKind::Quantity),
-    ("period_s", ColumnKind::Quantity),
-    ("input", ColumnKind::Word),
-    ("scheme", ColumnKind::Word),
-];
-/// The columns behind those of the parameters.
-const ANSWER: [(&str, ColumnKind); 11] = [
-    ("residual", ColumnKind::Quantity),
-    ("residual_in", ColumnKind::Word),
-    ("verdict", ColumnKind::Word),
-    ("effects", ColumnKind::Word),
-    ("effect_probabilities", ColumnKind::Word),
-    ("held_out_error", ColumnKind::Quantity),
-    ("explained_percent", ColumnKind::Quantity),
-    ("notes", ColumnKind::Word),
-    ("program", ColumnKind::Word),
-    ("analysis", ColumnKind::Word),
-    ("content", ColumnKind::Word),
-];
-
 /// The columns of the parameters: all of a motor, the resistance at 20 °C, and those of the effects of the model that all
 /// runs are identified with. They depend on no run, so that tables of any runs can be joined.
 #[derive(Clone, Debug)]
@@ -153,18 +109,98 @@ impl Columns {
 
     /// Every column with the kind of its values.
     pub(super) fn all(&self) -> Vec<(String, ColumnKind)> {
-        let own = |(name, kind): (&str, ColumnKind)| (name.to_owned(), kind);
-        let parameters = self.keys.iter().flat_map(|key| {
+        let nothing = Found::default();
+        let columns = self.of_run(("", "", ""), (Status::Unread, ""), &nothing, Vec::new());
+        columns.into_iter().map(|(name, kind, _)| (name, kind)).collect()
+    }
+
+    /// The columns of one run with name, kind and cell: run and status first, program, analysis and content last.
+    fn of_run(
+        &self,
+        (run, analysis, content): (&str, &str, &str),
+        (status, reason): (Status, &str),
+        found: &Found,
+        messages: Vec<String>,
+    ) -> Vec<(String, ColumnKind, Cell)> {
+        let (about, one) = (found.about.as_ref(), found.one.as_ref());
+        let answer = found.answer.as_ref();
+        let text =
+            |name: &str, text: &str| (name.to_owned(), ColumnKind::Word, Cell::text_of(text));
+        let quantity = |name: &str, value: Option<f64>| {
+            (name.to_owned(), ColumnKind::Quantity, Cell::quantity(value))
+        };
+        let count = |name: &str, value: Option<u64>| {
+            (name.to_owned(), ColumnKind::Count, value.map_or(Cell::Empty, Cell::Count))
+        };
+        let fact = |of: fn(&About) -> &str| about.map_or("", of);
+        let rows = |of: fn(&About) -> usize| about.map(|about| of(about) as u64);
+        let statistic = |key: &str| about?.manifest.link_statistics.get(key)?.as_u64();
+        let began = about.and_then(|about| about.manifest.began()).unwrap_or_default();
+        let lost = statistic("sent").zip(statistic("ok")).map(|(sent, ok)| sent.saturating_sub(ok));
+        let mut columns = vec![
+            text("run", run),
+            text("status", status.name()),
+            text("reason", reason),
+            text("name", fact(|about| &about.manifest.name)),
+            ("begin".to_owned(), ColumnKind::Instant, Cell::text_of(began)),
+            text("drive", fact(|about| &about.machine.drive)),
+            text("drive_serial", fact(|about| &about.machine.drive_serial)),
+            text("motor", fact(|about| &about.machine.motor)),
+            text("link", fact(|about| &about.manifest.link)),
+            text("outcome", fact(|about| about.manifest.outcome.as_deref().unwrap_or_default())),
+            text("recorded_by", fact(|about| &about.manifest.program_version)),
+            count("rows", rows(|about| about.rows)),
+            count("rows_used", one.map(|one| one.rows_used as u64)),
+            count("rows_dropped", rows(|about| about.rows_dropped)),
+            count("rows_limited", rows(|about| about.rows_limited)),
+            count("exchanges", statistic("sent")),
+            count("exchanges_lost", lost),
+            count("missed_cycles", about.and_then(|about| about.manifest.missed_cycles)),
+            quantity("duration_s", about.and_then(|about| about.duration_s)),
+            quantity("period_s", about.and_then(|about| about.period_s)),
+            text("input", one.map_or("", |one| one.input)),
+            text("scheme", one.map_or("", |one| one.scheme)),
+        ];
+        for key in &self.keys {
             let name = key.replace('.', "_");
-            [
-                (name.clone(), ColumnKind::Quantity),
-                (format!("{name}_std"), ColumnKind::Quantity),
-                (format!("{name}_low"), ColumnKind::Quantity),
-                (format!("{name}_high"), ColumnKind::Quantity),
-                (format!("{name}_verdict"), ColumnKind::Word),
-            ]
+            let parameter = one.and_then(|one| ParameterEstimate::find(&one.parameters, key));
+            let interval = parameter.and_then(ParameterEstimate::interval_95);
+            let verdict = parameter.map(|p| p.verdict.name().replace(' ', "_"));
+            columns.extend([
+                quantity(&name, parameter.and_then(|p| p.value)),
+                quantity(&format!("{name}_std"), parameter.and_then(|p| p.std)),
+                quantity(&format!("{name}_low"), interval.map(|interval| interval[0])),
+                quantity(&format!("{name}_high"), interval.map(|interval| interval[1])),
+                text(&format!("{name}_verdict"), verdict.as_deref().unwrap_or_default()),
+            ]);
+        }
+        let mut notes: Vec<String> = Vec::new();
+        let of_run = about.into_iter().flat_map(|about| &about.notes);
+        let known = of_run.chain(one.into_iter().flat_map(|one| &one.notes)).cloned();
+        for note in known.chain(messages) {
+            let note = note.strip_prefix("warning: ").map(str::to_owned).unwrap_or(note);
+            if !notes.contains(&note) {
+                notes.push(note);
+            }
+        }
+        let residual = one.and_then(|one| one.residual);
+        let [effects, probabilities] = answer.map_or_else(Default::default, |answer| {
+            [&answer.effects, &answer.probabilities].map(|all| all.join(";"))
         });
-        ABOUT.map(own).into_iter().chain(parameters).chain(ANSWER.map(own)).collect()
+        columns.extend([
+            quantity("residual", residual.map(|(size, _)| size)),
+            text("residual_in", residual.map_or("", |(_, unit)| unit)),
+            text("verdict", answer.and_then(|answer| answer.verdict.as_str()).unwrap_or_default()),
+            text("effects", &effects),
+            text("effect_probabilities", &probabilities),
+            quantity("held_out_error", answer.map(|answer| answer.holdout)),
+            quantity("explained_percent", answer.map(|answer| answer.explained)),
+            text("notes", &notes.join(" | ")),
+            text("program", env!("CARGO_PKG_VERSION")),
+            text("analysis", analysis),
+            text("content", content),
+        ]);
+        columns
     }
 }
 
@@ -193,7 +229,7 @@ pub(super) fn content(run: &Path) -> String {
 
 /// The run as the column `run` names it.
 pub(super) fn name(run: &Path) -> String {
-    Cell::word(run.display().to_string()).text()
+    Cell::text_of(run.display().to_string()).text()
 }
 
 /// The results of a run, as far as its analysis came.
@@ -243,9 +279,9 @@ pub(super) fn row(run: &Path, content: &str, request: &Analysis<'_>) -> (Vec<Cel
             Err(Failure::new(INTERNAL, "a fault of the program, which this run brings about"))
         });
     let (status, reason) = judged(ended, &found);
-    let messages = terminal.collected();
-    let cells = cells(run, content, request, (status, &reason), &found, messages);
-    (cells, status)
+    let known = (&*name(run), &*request.analysis, content);
+    let columns = request.columns.of_run(known, (status, &reason), &found, terminal.collected());
+    (columns.into_iter().map(|(_, _, cell)| cell).collect(), status)
 }
 
 /// How far it came, and why no further. A run that was read keeps that status whatever fails behind it.
@@ -330,10 +366,6 @@ impl About {
             manifest,
         }
     }
-
-    fn statistic(&self, key: &str) -> Option<u64> {
-        self.manifest.link_statistics.get(key)?.as_u64()
-    }
 }
 
 impl Identified {
@@ -364,86 +396,13 @@ fn residual(one: &OneRun) -> Option<(f64, &'static str)> {
     Some((score.nrms, unit))
 }
 
-fn cells(
-    run: &Path,
-    content: &str,
-    request: &Analysis<'_>,
-    (status, reason): (Status, &str),
-    found: &Found,
-    messages: Vec<String>,
-) -> Vec<Cell> {
-    let (about, one, answer) = (found.about.as_ref(), found.one.as_ref(), found.answer.as_ref());
-    let word = |of: fn(&About) -> String| about.map_or(Cell::Empty, |about| Cell::word(of(about)));
-    let count = |of: fn(&About) -> Option<u64>| about.and_then(of).map_or(Cell::Empty, Cell::Count);
-    let size = |of: fn(&About) -> usize| Cell::count(about.map(of));
-    let mut cells = vec![
-        Cell::word(name(run)),
-        Cell::word(status.name()),
-        Cell::word(reason),
-        word(|about| about.manifest.name.clone()),
-        word(|about| about.manifest.began().unwrap_or_default()),
-        word(|about| about.machine.drive.clone()),
-        word(|about| about.machine.drive_serial.clone()),
-        word(|about| about.machine.motor.clone()),
-        word(|about| about.manifest.link.clone()),
-        word(|about| about.manifest.outcome.clone().unwrap_or_default()),
-        word(|about| about.manifest.program_version.clone()),
-        size(|about| about.rows),
-        Cell::count(one.map(|one| one.rows_used)),
-        size(|about| about.rows_dropped),
-        size(|about| about.rows_limited),
-        count(|about| about.statistic("sent")),
-        count(|about| Some(about.statistic("sent")?.saturating_sub(about.statistic("ok")?))),
-        count(|about| about.manifest.missed_cycles),
-        Cell::quantity(about.and_then(|about| about.duration_s)),
-        Cell::quantity(about.and_then(|about| about.period_s)),
-        Cell::word(one.map_or("", |one| one.input)),
-        Cell::word(one.map_or("", |one| one.scheme)),
-    ];
-    for key in &request.columns.keys {
-        let parameter = one.and_then(|one| ParameterEstimate::find(&one.parameters, key));
-        let interval = parameter.and_then(ParameterEstimate::interval_95);
-        cells.extend([
-            Cell::quantity(parameter.and_then(|p| p.value)),
-            Cell::quantity(parameter.and_then(|p| p.std)),
-            Cell::quantity(interval.map(|interval| interval[0])),
-            Cell::quantity(interval.map(|interval| interval[1])),
-            Cell::word(parameter.map_or(String::new(), |p| p.verdict.name().replace(' ', "_"))),
-        ]);
-    }
-    let mut notes: Vec<String> = Vec::new();
-    let own = about.into_iter().flat_map(|about| &about.notes);
-    let own = own.chain(one.into_iter().flat_map(|one| &one.notes)).cloned();
-    for note in own.chain(messages) {
-        let note = note.strip_prefix("warning: ").map(str::to_owned).unwrap_or(note);
-        if !notes.contains(&note) {
-            notes.push(note);
-        }
-    }
-    let residual = one.and_then(|one| one.residual);
-    cells.extend([
-        Cell::quantity(residual.map(|(size, _)| size)),
-        Cell::word(residual.map_or("", |(_, unit)| unit)),
-        Cell::word(answer.and_then(|answer| answer.verdict.as_str()).unwrap_or_default()),
-        Cell::word(answer.map_or(String::new(), |answer| answer.effects.join(";"))),
-        Cell::word(answer.map_or(String::new(), |answer| answer.probabilities.join(";"))),
-        Cell::quantity(answer.map(|answer| answer.holdout)),
-        Cell::quantity(answer.map(|answer| answer.explained)),
-        Cell::word(notes.join(" | ")),
-        Cell::word(env!("CARGO_PKG_VERSION")),
-        Cell::word(request.analysis.clone()),
-        Cell::word(content),
-    ]);
-    cells
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn a_cell_is_one_line_and_a_finite_number() {
-        assert_eq!(Cell::word("a\nb").text(), "a b");
+        assert_eq!(Cell::text_of("a\nb").text(), "a b");
         assert_eq!(Cell::quantity(Some(f64::NAN)), Cell::Empty);
         assert_eq!(Cell::quantity(Some(0.1)).text(), "0.1");
         assert_eq!(Cell::Empty.json(), Value::Null);

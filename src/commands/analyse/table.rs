@@ -203,7 +203,7 @@ impl Table {
     }
 }
 
-/// Whether the name asks for Parquet; what it asks for else has to be CSV.
+/// Whether the name is that of Parquet; any other has to be of CSV.
 fn is_parquet(path: &Path) -> Result<bool, Failure> {
     match path.extension().and_then(|ending| ending.to_str()) {
         Some("csv") => Ok(false),

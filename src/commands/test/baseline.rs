@@ -15,13 +15,11 @@ use serde_json::Value;
 use super::process;
 use super::process::End;
 use crate::runtime::failure::Failure;
-use crate::runtime::files::read_text;
+use crate::runtime::files::{estimates, read_text};
 use crate::workflow::suite::{IdentifiedStep, SuiteOutcome};
 use drivebench_bench::recording::{Machine, Manifest, RunFile, RunFolder};
 use drivebench_identify::drift::{Drift, between, name};
-use drivebench_identify::temperature;
-use drivebench_model::plant::{MotorKey, effect};
-use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::sample::ParameterEstimate;
 
 /// What a suite is compared with.
 pub(super) struct Baseline {
@@ -38,8 +36,8 @@ enum Source {
 impl Baseline {
     /// Reads what is named; none where nothing is.
     pub(super) fn read(paths: &[PathBuf], any_machine: bool) -> Result<Option<Self>, Failure> {
-        let sources: Result<Vec<Source>, Failure> = paths.iter().map(|path| source(path)).collect();
-        let sources = sources?;
+        let sources: Vec<Source> =
+            paths.iter().map(|path| source(path)).collect::<Result<_, _>>()?;
         Ok((!sources.is_empty()).then_some(Self { sources, any_machine }))
     }
 
@@ -180,8 +178,8 @@ pub(super) fn identified(
     timeout_s: f64,
     stop: &AtomicBool,
 ) -> Result<Value, String> {
-    let done = process::finish(command, &stdout, &stderr, timeout_s, stop);
-    let done = done.map_err(|error| error.to_string())?;
+    let done = process::finish(command, &stdout, &stderr, timeout_s, stop)
+        .map_err(|error| error.to_string())?;
     if done.end != End::Status(0) {
         let reason = process::error_message(&stderr);
         let reason = reason.unwrap_or_else(|| "it did not end in its time".to_owned());
@@ -229,26 +227,13 @@ pub(super) fn manifest_of(run: &Path) -> Option<Manifest> {
 /// What a step found in the runs of an earlier suite; a result of before it kept that has none.
 fn steps_of(result: &Value, case: &str, step: &str) -> Vec<IdentifiedStep> {
     let list = |value: &Value| value.as_array().cloned().unwrap_or_default();
-    let cases = list(&result["cases"]).into_iter().filter(|own| own["name"] == case);
-    let steps = cases.flat_map(|own| list(&own["steps"])).filter(|own| own["name"] == step);
-    steps.filter_map(|own| serde_json::from_value(own["identified"].clone()).ok()).collect()
-}
-
-/// The estimates of `identify --json`, and of the parameters of its keys.
-fn estimates(parameters: &Value) -> Vec<ParameterEstimate> {
-    let rows = parameters.as_object().into_iter().flatten();
-    let read = rows.filter_map(|(key, row)| {
-        let verdict: Verdict = serde_json::from_value(row["verdict"].clone()).ok()?;
-        Some(ParameterEstimate {
-            key: key.clone(),
-            value: row["value"].as_f64(),
-            std: row["std"].as_f64(),
-            unit: unit(key),
-            verdict,
-            reason: row["reason"].as_str().map(str::to_owned),
-        })
-    });
-    read.collect()
+    list(&result["cases"])
+        .into_iter()
+        .filter(|one| one["name"] == case)
+        .flat_map(|one| list(&one["steps"]))
+        .filter(|one| one["name"] == step)
+        .filter_map(|one| serde_json::from_value(one["identified"].clone()).ok())
+        .collect()
 }
 
 /// Whether what was found is the same to the last digit, as two measurements never are.
@@ -259,20 +244,6 @@ fn has_figures(one: &[ParameterEstimate], other: &[ParameterEstimate]) -> bool {
     };
     let figures = carried(one);
     !figures.is_empty() && figures == carried(other)
-}
-
-fn unit(key: &str) -> &'static str {
-    let of_effect = || {
-        let (id, own) = key.split_once('.')?;
-        let effect = effect::find(id)?;
-        let spec = effect.parameters().iter().find(|spec| spec.key == own)?;
-        Some(spec.unit)
-    };
-    match MotorKey::from_key(key) {
-        Some(key) => key.unit(),
-        None if key == temperature::KEY => MotorKey::Resistance.unit(),
-        None => of_effect().unwrap_or_default(),
-    }
 }
 
 /// The figures of a comparison, for limits: none of them where nothing was compared, and a text, which no limit of a number or

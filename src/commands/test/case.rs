@@ -142,16 +142,16 @@ impl Progress<'_> {
         if self.case.has_own_drive() && verb.has_link() {
             self.start_drive()?;
         }
-        let words = self.words(verb, options, &self.port())?;
+        let arguments = self.arguments(verb, options, &self.port())?;
         let number = self.outcomes.len() + 1;
         let file = |ending: &str| self.folder.join(format!("{number:02}-{}.{ending}", step.name));
         let (stdout, stderr) = (file("json"), file("txt"));
-        let command = self.command_of(&words);
+        let command = self.command_of(&arguments);
         let timeout_s = step.timeout_s.unwrap_or(self.case.timeout_s);
         let before = runs_in(&self.folder.join("runs"));
         let done = process::finish(command, &stdout, &stderr, timeout_s, self.bench.stop)
             .map_err(|error| Ended::error(format!("{}: {error}", step.name)))?;
-        let shown: Vec<String> = words.iter().map(|word| output::quoted_word(word)).collect();
+        let shown: Vec<String> = arguments.iter().map(|text| output::quoted_word(text)).collect();
         let status = match done.end {
             End::Status(status) => Some(status),
             End::Terminated(status) => status,
@@ -208,11 +208,12 @@ impl Progress<'_> {
             let same = options.iter().filter(|(key, _)| key != "run").cloned();
             let run = toml::Value::String(run.display().to_string());
             let options: Vec<_> = same.chain([("run".to_owned(), run)]).collect();
-            let words = self.words(Verb::Identify, &options, &self.bench.port);
-            let words = words.map_err(|_| "its command cannot be put together".to_owned())?;
+            let arguments = self
+                .arguments(Verb::Identify, &options, &self.bench.port)
+                .map_err(|_| "its command cannot be put together".to_owned())?;
             let name = format!("{number:02}-{}-baseline-{earlier}", step.name);
             let files = ["json", "txt"].map(|ending| self.folder.join(format!("{name}.{ending}")));
-            baseline::identified(self.command_of(&words), files, timeout_s, self.bench.stop)
+            baseline::identified(self.command_of(&arguments), files, timeout_s, self.bench.stop)
         };
         let names = (self.case.name.as_str(), step.name.as_str());
         let found = baseline::found(self.bench.baseline, names, result, run.as_deref(), identify);
@@ -230,9 +231,9 @@ impl Progress<'_> {
     }
 
     /// This program with these arguments.
-    fn command_of(&self, words: &[String]) -> Command {
+    fn command_of(&self, arguments: &[String]) -> Command {
         let mut command = Command::new(self.bench.program);
-        command.args(words).env("RAYON_NUM_THREADS", self.bench.threads.to_string());
+        command.args(arguments).env("RAYON_NUM_THREADS", self.bench.threads.to_string());
         command
     }
 
@@ -371,25 +372,25 @@ impl Progress<'_> {
     }
 
     /// The arguments of a command.
-    fn words(
+    fn arguments(
         &self,
         verb: Verb,
         options: &[(String, toml::Value)],
         port: &str,
     ) -> Result<Vec<String>, Ended> {
-        let mut words = vec![verb.command().to_owned()];
+        let mut arguments = vec![verb.command().to_owned()];
         let option =
             |key: &str| options.iter().find(|(name, _)| name == key).map(|(_, value)| value);
         let given = |key: &str| option(key).and_then(toml::Value::as_str);
         if verb.is_live() || verb == Verb::Plan {
             if let Some(bench) = self.bench_path()? {
-                words.push(bench.display().to_string());
+                arguments.push(bench.display().to_string());
             }
         } else if let Some(effect) = given("effect") {
-            words.push(effect.to_owned());
+            arguments.push(effect.to_owned());
         }
         if verb == Verb::Probe {
-            words.extend(["--port".to_owned(), port.to_owned()]);
+            arguments.extend(["--port".to_owned(), port.to_owned()]);
         }
         if !verb.is_live() && verb.has_run() {
             let run = self.run_about(options)?;
@@ -397,20 +398,20 @@ impl Progress<'_> {
                 Ended::error(format!("{}: no earlier step has recorded a run", verb.command()))
             })?;
             if verb == Verb::Add {
-                words.push("--run".to_owned());
+                arguments.push("--run".to_owned());
             }
-            words.push(run.display().to_string());
+            arguments.push(run.display().to_string());
         }
         if verb.is_live() {
-            words.extend(["--port".to_owned(), port.to_owned()]);
-            words.extend(["--out".to_owned(), self.folder.join("runs").display().to_string()]);
+            arguments.extend(["--port".to_owned(), port.to_owned()]);
+            arguments.extend(["--out".to_owned(), self.folder.join("runs").display().to_string()]);
             if self.bench.hardware {
-                words.push("--hardware".to_owned());
+                arguments.push("--hardware".to_owned());
             } else if self.drive.is_none() {
                 if let Some(emulator) = self.emulator()? {
-                    words.extend(["--emulator".to_owned(), emulator]);
+                    arguments.extend(["--emulator".to_owned(), emulator]);
                 }
-                words.extend(["--seed".to_owned(), self.seed.to_string()]);
+                arguments.extend(["--seed".to_owned(), self.seed.to_string()]);
             }
         }
         for (key, value) in options {
@@ -419,20 +420,20 @@ impl Progress<'_> {
             }
             let name = format!("--{}", key.replace('_', "-"));
             match value {
-                toml::Value::Boolean(true) => words.push(name),
+                toml::Value::Boolean(true) => arguments.push(name),
                 toml::Value::Boolean(false) => {}
                 toml::Value::String(text) if is_written(key) => {
-                    words.extend([name, self.folder.join(text).display().to_string()]);
+                    arguments.extend([name, self.folder.join(text).display().to_string()]);
                 }
-                toml::Value::String(text) => words.extend([name, self.resolved(text)?]),
-                other => words.extend([name, other.to_string()]),
+                toml::Value::String(text) => arguments.extend([name, self.resolved(text)?]),
+                other => arguments.extend([name, other.to_string()]),
             }
         }
         if verb == Verb::Connect {
-            words.push("--check".to_owned());
+            arguments.push("--check".to_owned());
         }
-        words.push("--json".to_owned());
-        Ok(words)
+        arguments.push("--json".to_owned());
+        Ok(arguments)
     }
 
     /// An argument with the folder of the step that it refers to.
@@ -548,9 +549,8 @@ impl Progress<'_> {
 
 /// The folders in a folder of runs; the link to the newest is none.
 fn runs_in(runs: &Path) -> BTreeSet<PathBuf> {
-    let entries = fs::read_dir(runs).into_iter().flatten().flatten();
-    let folders = entries.map(|entry| entry.path());
-    folders.filter(|path| path.is_dir() && !path.is_symlink()).collect()
+    let entries = fs::read_dir(runs).into_iter().flatten().flatten().map(|entry| entry.path());
+    entries.filter(|path| path.is_dir() && !path.is_symlink()).collect()
 }
 
 /// The newest run that was not there `before`.

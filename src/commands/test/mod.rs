@@ -83,7 +83,7 @@ pub(super) struct Arguments {
     /// suite, and name what has drifted; may be given again
     #[arg(long, value_name = "RUN")]
     baseline: Vec<PathBuf>,
-    /// Compare also where the baseline is of another machine, or does not say of which
+    /// Compare also where the baseline is of another machine, or of an unknown one
     #[arg(long, requires = "baseline")]
     any_machine: bool,
     /// List the cases and do nothing
@@ -147,8 +147,8 @@ fn text(outcome: &SuiteOutcome) -> String {
     }
     let width = outcome.confusion.rows.iter().map(String::len).max();
     for (hidden, named) in outcome.confusion.named() {
-        let named = named.iter().map(|(name, count)| format!("{name} {count}"));
-        let named = named.collect::<Vec<_>>().join(", ");
+        let named: Vec<_> = named.iter().map(|(name, count)| format!("{name} {count}")).collect();
+        let named = named.join(", ");
         lines.push(format!("  {hidden:<0$}  {named}", width.unwrap_or(0)));
     }
     let wrong = outcome.cases.iter().filter_map(|case| match &case.verdict {
@@ -168,10 +168,12 @@ fn text(outcome: &SuiteOutcome) -> String {
 
 /// Long names of the options of the command that a verb is.
 fn options_of(verb: Verb) -> Vec<String> {
-    let program = super::Arguments::command();
-    let command = program.find_subcommand(verb.command());
-    let options = command.into_iter().flat_map(clap::Command::get_arguments);
-    options.filter_map(|option| option.get_long().map(str::to_owned)).collect()
+    super::Arguments::command()
+        .find_subcommand(verb.command())
+        .into_iter()
+        .flat_map(clap::Command::get_arguments)
+        .filter_map(|option| option.get_long().map(str::to_owned))
+        .collect()
 }
 
 /// One case with one of its seeds.
@@ -185,9 +187,8 @@ struct Job<'a> {
 fn jobs<'a>(suite: &'a Suite, arguments: &Arguments) -> Result<Vec<Job<'a>>, Failure> {
     let mut jobs = Vec::new();
     for case in selected(suite, &arguments.filter)? {
-        let port = arguments.port.clone().or_else(|| case.port.clone());
-        let port = port.unwrap_or_else(|| "sim:".to_owned());
-        if Port::parse(&port).is_none() {
+        let port = arguments.port.as_ref().or(case.port.as_ref()).map_or("sim:", String::as_str);
+        if Port::parse(port).is_none() {
             let headline = format!("case {:?}: {port:?} is not a port", case.name);
             return Err(Failure::usage(
                 headline,
@@ -195,7 +196,7 @@ fn jobs<'a>(suite: &'a Suite, arguments: &Arguments) -> Result<Vec<Job<'a>>, Fai
             ));
         }
         for repeat in 0..case.repeat {
-            jobs.push(Job { case, seed: case.seed.wrapping_add(repeat), port: port.clone() });
+            jobs.push(Job { case, seed: case.seed.wrapping_add(repeat), port: port.to_owned() });
         }
     }
     if let Some((part, of)) = arguments.shard {
