@@ -11,8 +11,7 @@ use crate::report::Document;
 use crate::report::comparison::change_document;
 use crate::runtime::failure::{Failure, REFUSED};
 use crate::runtime::files::{model_file, speed_command};
-use crate::runtime::output;
-use crate::runtime::output::Terminal;
+use crate::runtime::output::{self, Terminal};
 use crate::workflow::{curve_table, four_digits, hold_what_the_curve_holds};
 use drivebench_diagnose::{AddResult, AxisMap, Evidence, add, axis_map, remove};
 use drivebench_identify::output_error;
@@ -244,7 +243,7 @@ fn custom(id: &str, arguments: &DefinitionArguments) -> Result<&'static dyn Effe
     for text in &arguments.parameters {
         let (name, value) = parameter(text)?;
         if parameters.insert(name.clone(), value).is_some() {
-            let headline = format!("parameter `{name}` stands twice");
+            let headline = format!("parameter `{name}` is given twice");
             return Err(Failure::usage(headline, "each name once"));
         }
     }

@@ -12,9 +12,8 @@ use crate::report::plot::standalone;
 use crate::report::{Bars, Document, Tone, response_chart};
 use crate::runtime::failure::Failure;
 use crate::runtime::files::read_model;
-use crate::runtime::output;
-use crate::runtime::output::Terminal;
 use crate::runtime::output::quoted;
+use crate::runtime::output::{self, Terminal};
 use drivebench_bench::recording::{LoadedRun, RunFile, RunFolder};
 use drivebench_identify::frequency_response::{
     CARRIED, Compared, Departure, Mode, Pathway, PathwayResponse, ResponsePoint, compared, of_model,

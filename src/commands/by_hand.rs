@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde::Serialize;
 
-use crate::commands::evidence::{EvidenceFiles, Judging, Place, prepare};
+use crate::commands::evidence::{EvidenceFiles, Judging, Place, Prepared, prepare};
 use crate::commands::pages;
 use crate::report::Document;
 use crate::runtime::ending::{ScreenEnd, Watched, spawn, watched};
@@ -168,18 +168,29 @@ fn show_run(folder: &Path, opens: Opens, terminal: &Terminal) -> Result<Closed, 
         for_screen: true,
     };
     let prepared = prepare(files, |path, _| load(path, None, terminal), Judging::Refits)?;
-    let place = Place::of(None, &prepared, terminal)?;
+    show_prepared(&prepared, prepared.about.title.clone(), opens, terminal)
+}
+
+/// Shows a model beside its runs until the screen is left; from there a person may search for missing effects.
+pub(super) fn show_prepared(
+    prepared: &Prepared,
+    title: String,
+    opens: Opens,
+    terminal: &Terminal,
+) -> Result<Closed, Failure> {
+    let place = Place::of(None, prepared, terminal)?;
+    let discovery = Discovery::new(prepared.model.file.model.clone(), prepared.evidence.clone())
+        .with_recorded(prepared.recorded.clone())
+        .with_limits(place.limits());
     let shown = Shown {
-        title: prepared.about.title.clone(),
+        title,
         opens,
-        stopped_at: pages::stopped_at(&prepared),
+        stopped_at: pages::stopped_at(prepared),
         fitted_on: prepared.run.run.name.clone(),
         history: prepared.model.file.history.clone(),
         output: None,
     };
-    let discovery = Discovery::new(prepared.model.file.model, prepared.evidence)
-        .with_recorded(prepared.recorded);
-    show(discovery.with_limits(place.limits()), shown, terminal)
+    show(discovery, shown, terminal)
 }
 
 /// Shows the screen until it is left.

@@ -26,8 +26,7 @@ use crate::runtime::controls::Controls;
 use crate::runtime::ending::{Audience, ScreenEnd, conduct};
 use crate::runtime::failure::{Failure, USAGE};
 use crate::runtime::files::{Recorded, model_file, read_text};
-use crate::runtime::output::Terminal;
-use crate::runtime::output::quoted;
+use crate::runtime::output::{Terminal, quoted};
 use crate::runtime::rig::{OpenRig, Rig, RigOptions};
 use crate::runtime::signals;
 use crate::tui::{Exit, Opens};
@@ -140,7 +139,7 @@ fn go_on(document: &mut Document, result: &CommissionResult, rig: &Rig, records:
 }
 
 /// What the loop leaves behind.
-pub struct CommissionDone {
+struct CommissionDone {
     pub result: CommissionResult,
     pub document: Document,
     /// At the end, with the steps that can follow.
@@ -156,7 +155,7 @@ pub struct CommissionDone {
 ///
 /// # Errors
 /// A refusal, a trip, a lost drive or an interruption of a run.
-pub fn commission(
+fn commission(
     options: RigOptions,
     called: Called,
     open: OpenRig,

@@ -16,8 +16,7 @@ use crate::commands::arguments::{WireArguments, open_line};
 use crate::commands::probe::{Scan, scan};
 use crate::runtime::failure::{Failure, LINK};
 use crate::runtime::opening::Tap;
-use crate::runtime::output::Terminal;
-use crate::runtime::output::lines;
+use crate::runtime::output::{Terminal, lines};
 use drivebench_link::serial_ports::{SerialPortInfo, describe, latency_file, list};
 use drivebench_link::{
     Framing, LinkError, LoopRates, MeasuredLine, RawClient, RawCounters, RawSettings, ReadRequest,

@@ -138,7 +138,7 @@ impl Lab {
         };
         let clock = self.clock.clone();
         Box::new(move |options, _, purpose| {
-            Rig::with_link(options, purpose, Box::new(link), Box::new(clock), None)
+            Rig::with_link(options, purpose, Box::new(link), Box::new(clock))
         })
     }
 

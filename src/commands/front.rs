@@ -14,9 +14,9 @@ const LOOP: &str = "  connect   ports, doctor       what is plugged in; does the
   prepare   init, plan          the bench file; what will happen, before it does
   measure   run, identify       the motor turns; its figures, and how sure they are
   explain   compare, diagnose   where the model fails, and which effect it lacks <-.
-  mend      add                 the effect joins the model: the error falls -------'
+  extend    add                 the effect joins the model: the error falls -------'
   use       tune, speed         a speed loop that follows the motor
-  hand on   export              the model in other tools; report.html shows it all
+  share     export              the model in other tools; report.html shows it all
 
 `commission` goes the whole way by itself; `drivebench help` lists every command.
 ";

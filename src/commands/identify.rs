@@ -13,8 +13,7 @@ use crate::commands::evidence::{before_identify, model, name_voltage, signals};
 use crate::report::conventions;
 use crate::runtime::failure::{Failure, NOT_IDENTIFIABLE, USAGE};
 use crate::runtime::files::read_text;
-use crate::runtime::output;
-use crate::runtime::output::Terminal;
+use crate::runtime::output::{self, Terminal};
 use drivebench_bench::MotorSection;
 use drivebench_bench::recording::LoadedRun;
 use drivebench_diagnose::known_along;
@@ -301,7 +300,7 @@ pub(crate) fn is_usable(parameter: &ParameterEstimate) -> bool {
 }
 
 /// The motor of a nameplate file.
-pub(crate) fn plate(path: &Path) -> Result<Motor, Failure> {
+fn plate(path: &Path) -> Result<Motor, Failure> {
     let file: MotorSection = config_text::parse(&path.display().to_string(), &read_text(path)?)?;
     Ok(file.motor())
 }
@@ -328,7 +327,7 @@ pub(crate) fn identify(
 
 /// One fit to several runs of a machine behind each other, where each was fitted by its free run and no effect of the model is
 /// an event of a single run.
-pub(crate) fn jointly(runs: &[OneRun], model: &Model) -> Option<Identified> {
+fn jointly(runs: &[OneRun], model: &Model) -> Option<Identified> {
     let (first, others) = runs.split_first().filter(|(_, others)| !others.is_empty())?;
     let is_fitted = |run: &OneRun| run.found.scheme == scheme::FREE_RUN;
     let goes_on = |own: &ActiveEffect| own.effect.goes_on_over_runs();
@@ -371,7 +370,7 @@ fn judged(scheme: &Scheme, data: &Data<'_>, findings: &[Finding]) -> Result<Iden
 }
 
 /// The absolute scale from a run of the same machine with `added_kg_m2` on its shaft.
-pub(crate) fn absolute(
+fn absolute(
     without: &OneRun,
     with: &OneRun,
     added_kg_m2: f64,
@@ -390,10 +389,7 @@ pub(crate) fn absolute(
 
 /// Kt above Ke would give more power than the machine takes; far below, most of it would be lost in the iron. Real machines
 /// have 0.7 to 1.1 (ZK-22FC: 0.85), gains of the sensors included.
-pub(crate) fn caution(
-    combined: &[Repeated],
-    absolute: Option<&[ParameterEstimate]>,
-) -> Option<String> {
+fn caution(combined: &[Repeated], absolute: Option<&[ParameterEstimate]>) -> Option<String> {
     let of = |key: MotorKey| move |p: &&ParameterEstimate| p.key == key.key();
     let kt = absolute?.iter().find(of(MotorKey::TorqueConstant))?.value?;
     let mut found = combined.iter().map(|repeated| &repeated.estimate);
@@ -407,7 +403,7 @@ pub(crate) fn caution(
     })
 }
 
-pub(crate) fn json_of(answer: &Answer) -> Value {
+fn json_of(answer: &Answer) -> Value {
     let first = answer.runs.first();
     let of_runs = |of: fn(&OneRun) -> usize| answer.runs.iter().map(of).sum::<usize>();
     let mut notes: Vec<&String> = Vec::new();
@@ -467,7 +463,7 @@ pub(crate) fn json_of(answer: &Answer) -> Value {
 }
 
 /// The schemes of the runs, each once.
-pub(crate) fn schemes(answer: &Answer) -> String {
+fn schemes(answer: &Answer) -> String {
     let mut schemes: Vec<&str> = answer.runs.iter().map(|run| run.found.scheme).collect();
     schemes.dedup();
     schemes.join(" and ")

@@ -331,3 +331,31 @@ fn plan_facts(plan: &Plan) -> Facts {
 fn fact(label: &str, value: String) -> (String, String) {
     (label.to_owned(), value)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    #[test]
+    fn a_picture_is_drawn_once_and_by_html_alone() {
+        let drawn = Arc::new(AtomicUsize::new(0));
+        let count = Arc::clone(&drawn);
+        let mut document = Document::new("title", "subtitle");
+        document.figure(
+            move || {
+                count.fetch_add(1, Ordering::Relaxed);
+                "<svg></svg>".to_owned()
+            },
+            "a caption",
+        );
+        let _ = (document.card(100), document.full(100), document.markdown());
+        assert_eq!(drawn.load(Ordering::Relaxed), 0);
+        assert!(
+            document.clone().html().contains("<svg></svg>")
+                && document.html().contains("a caption")
+        );
+        assert_eq!(drawn.load(Ordering::Relaxed), 1);
+    }
+}

@@ -8,8 +8,7 @@ use serde::Serialize;
 use crate::runtime::failure::Failure;
 use crate::runtime::files::read_text;
 use crate::runtime::opening::wired_profile;
-use crate::runtime::output::Terminal;
-use crate::runtime::output::lines;
+use crate::runtime::output::{Terminal, lines};
 use drivebench_bench::{
     BenchFile, BenchFileError, EMBEDDED_DEFAULT, EMBEDDED_NAME, Foresight, Plan, Port, Reference,
     foresee, plan,

@@ -15,8 +15,7 @@ use serde::Serialize;
 
 use crate::commands::arguments::WireArguments;
 use crate::runtime::failure::Failure;
-use crate::runtime::output::Terminal;
-use crate::runtime::output::lines;
+use crate::runtime::output::{Terminal, lines};
 use crate::runtime::{output, signals};
 use drivebench_link::{
     Batch, LinkError, MOST_READ, MOST_WRITTEN, RawClient, RawCounters, ReadRequest, RegisterTable,

@@ -87,7 +87,7 @@ pub(super) const BETWEEN_RUNS: &str =
 
 /// The result as JSON.
 #[derive(Serialize)]
-pub(crate) struct RunResult<'a> {
+struct RunResult<'a> {
     folder: String,
     plan: &'a Plan,
     #[serde(flatten)]
@@ -97,18 +97,18 @@ pub(crate) struct RunResult<'a> {
     escalation: Option<&'a EscalationResult>,
     /// The found values beside the nameplate, where there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub(crate) nameplate: Option<Comparison>,
+    nameplate: Option<Comparison>,
     /// The estimates with their keys.
     parameters: Map<String, Value>,
 }
 
-pub enum RunDone {
+pub(crate) enum RunDone {
     /// The motor could not be found.
     Named(Box<EscalationResult>),
     Run(Box<Whole>),
 }
 
-pub struct Whole {
+pub(crate) struct Whole {
     plan: Plan,
     pub recorded: Recorded,
     pub(crate) escalation: Option<EscalationResult>,
@@ -123,7 +123,7 @@ pub struct Whole {
 ///
 /// # Errors
 /// Why no run began; the end of a run that began is in its record.
-pub fn run(
+pub(crate) fn run(
     options: RigOptions,
     run_seed: Option<u64>,
     open: OpenRig,
@@ -166,7 +166,7 @@ pub fn run(
 
 /// A drive that has answered every check before the first move.
 #[derive(Serialize)]
-pub struct Connection {
+struct Connection {
     link: String,
     /// Where its profile comes from, and how far it is proven.
     profile: String,
@@ -182,7 +182,7 @@ pub struct Connection {
 ///
 /// # Errors
 /// The check that is not passed, or why the sequence would be refused.
-pub fn connect(
+fn connect(
     options: RigOptions,
     run_seed: Option<u64>,
     open: OpenRig,
@@ -204,7 +204,7 @@ pub fn connect(
 
 impl Connection {
     /// For a person: each check, and what a run would do.
-    pub fn text(&self) -> String {
+    pub(crate) fn text(&self) -> String {
         let line = |name: &str, text: &str| format!("{name:<18} {text}");
         let mut lines = vec![line("link", &self.link), line("profile", &self.profile)];
         lines.extend(self.checks.items.iter().map(|item| line(item.name, &item.text)));
@@ -291,7 +291,7 @@ fn online_model(summary: &RunSummary, nameplate: &Motor, folder: &Path) -> Model
     file
 }
 
-pub(crate) fn run_result(whole: &Whole) -> RunResult<'_> {
+fn run_result(whole: &Whole) -> RunResult<'_> {
     let recorded = &whole.recorded;
     let estimates = recorded.summary.estimates.iter();
     RunResult {
@@ -370,7 +370,7 @@ pub(crate) fn escalate(
 }
 
 /// The failure of an escalation that found no motor.
-pub fn escalation_failure(result: &EscalationResult) -> Option<Failure> {
+pub(crate) fn escalation_failure(result: &EscalationResult) -> Option<Failure> {
     let ending = result.ending.as_ref()?;
     let status = match ending {
         Ending::NotIdentified { .. } => NOT_IDENTIFIABLE,

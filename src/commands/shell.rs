@@ -6,8 +6,7 @@ use std::path::PathBuf;
 use clap::CommandFactory;
 
 use crate::runtime::failure::Failure;
-use crate::runtime::output;
-use crate::runtime::output::Terminal;
+use crate::runtime::output::{self, Terminal};
 
 /// Print the completions of a shell
 #[derive(clap::Args)]

@@ -106,7 +106,7 @@ pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), F
 /// Smallest standard deviation that is taken for a speed sample, rad/s: at rest a sensor may show none.
 const LEAST_NOISE_RAD_S: f64 = 0.02;
 
-pub struct SpeedRequest {
+pub(crate) struct SpeedRequest {
     pub rig: RigOptions,
     /// Name and text of the bench file, for its errors.
     pub source: (String, String),
@@ -121,7 +121,7 @@ pub struct SpeedRequest {
 
 /// The result as JSON.
 #[derive(Serialize)]
-pub struct SpeedResult<'a> {
+pub(crate) struct SpeedResult<'a> {
     pub(crate) folder: String,
     rule: Rule,
     /// The model's file, or `nameplate`.
@@ -146,7 +146,7 @@ impl SpeedResult<'_> {
 const NAMEPLATE: &str = "nameplate";
 
 /// A loop that was recorded.
-pub struct SpeedDone {
+pub(super) struct SpeedDone {
     pub recorded: Recorded,
     rule: Rule,
     model: String,
@@ -218,7 +218,7 @@ impl LoopParts {
             let quadrants = limits.quadrants;
             return Err(Failure::usage(
                 format!(
-                    "the reference asks for {speed} rad/s, and the drive's converter has {quadrants} of 4 quadrants: it goes one way only"
+                    "the reference goes to {speed} rad/s, and the drive's converter has {quadrants} of 4 quadrants: it goes one way only"
                 ),
                 "use references that are not negative; see [converter] of the drive's profile",
             ));
@@ -280,7 +280,7 @@ fn maps(paths: &[PathBuf], used: ForwardUse) -> Result<Vec<TorqueMap>, Failure> 
 ///
 /// # Errors
 /// Why no run began; the end of a run that began is in its record.
-pub fn speed(
+pub(crate) fn speed(
     request: SpeedRequest,
     open: OpenRig,
     controls: &Controls,
@@ -433,7 +433,7 @@ pub(crate) fn delay_text(delay: &LoopDelay) -> String {
     format!("{median:.2} cycles ({median_ms:.2} ms), 99 % within {p99:.2}")
 }
 
-pub(crate) fn speed_result(done: &SpeedDone) -> SpeedResult<'_> {
+fn speed_result(done: &SpeedDone) -> SpeedResult<'_> {
     SpeedResult {
         folder: done.recorded.folder.path().display().to_string(),
         rule: done.rule,

@@ -108,7 +108,7 @@ fn timing(arguments: &Arguments) -> Result<LoopTiming, Failure> {
 }
 
 #[derive(Serialize)]
-pub(crate) struct TuneResult {
+struct TuneResult {
     #[serde(flatten)]
     tuning: Tuning,
     step: Vec<StepPoint>,

@@ -4,14 +4,12 @@ use std::io::IsTerminal as _;
 use std::path::PathBuf;
 
 use crate::commands::arguments::{EvidenceArguments, model_words, run_path};
-use crate::commands::by_hand::{Closed, Shown};
-use crate::commands::evidence::{Judging, Place, Prepared};
-use crate::commands::{by_hand, pages};
+use crate::commands::by_hand;
+use crate::commands::by_hand::Closed;
+use crate::commands::evidence::{Judging, Prepared};
 use crate::runtime::failure::Failure;
-use crate::runtime::output;
-use crate::runtime::output::Terminal;
+use crate::runtime::output::{self, Terminal};
 use crate::tui::Opens;
-use crate::workflow::Discovery;
 use drivebench_diagnose::ErrorOf;
 
 /// Look at a recorded run on the screen: measured and model over time, where the model fails, and why
@@ -60,26 +58,15 @@ pub(crate) fn needs_terminal(what: &str, help: &str) -> Result<(), Failure> {
     Err(Failure::usage(headline, help))
 }
 
-/// Shows the complete model beside its runs until the screen is left; from there a person may search for missing effects.
+/// Shows the complete model beside its runs until the screen is left.
 pub(crate) fn show(
     prepared: &Prepared,
     error_of: ErrorOf,
     terminal: &Terminal,
 ) -> Result<Closed, Failure> {
-    let model = prepared.model.file.model.clone();
-    let place = Place::of(None, prepared, terminal)?;
-    let discovery = Discovery::new(model, prepared.evidence.clone())
-        .with_recorded(prepared.recorded.clone())
-        .with_limits(place.limits());
-    let shown = Shown {
-        title: format!("{}; model: {}", prepared.about.title, prepared.model.from),
-        opens: Opens::Comparison(error_of),
-        stopped_at: pages::stopped_at(prepared),
-        fitted_on: prepared.run.run.name.clone(),
-        history: prepared.model.file.history.clone(),
-        output: None,
-    };
-    let closed = by_hand::show(discovery, shown, terminal)?;
+    let title = format!("{}; model: {}", prepared.about.title, prepared.model.from);
+    let opens = Opens::Comparison(error_of);
+    let closed = by_hand::show_prepared(prepared, title, opens, terminal)?;
     if closed.is_interrupted() {
         return Err(Failure::interrupted("interrupted"));
     }

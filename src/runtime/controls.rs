@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use drivebench_bench::{Intent, SnapshotCell};
 
 /// The inputs and outputs of the thread that works; whoever may end it holds [`Ends`].
-pub struct Controls {
+pub(crate) struct Controls {
     pub snapshots: SnapshotCell,
     /// Raised for each request to end: the first ramps down, the second switches the output off at once.
     pub interrupted: Arc<AtomicBool>,
@@ -19,7 +19,7 @@ pub struct Controls {
 }
 
 impl Controls {
-    pub fn new(snapshots: SnapshotCell) -> (Self, Ends) {
+    pub(crate) fn new(snapshots: SnapshotCell) -> (Self, Ends) {
         let (sender, intents) = channel();
         let controls = Self {
             snapshots,
@@ -42,7 +42,7 @@ impl Controls {
     }
 
     /// Whether nothing more is to be started.
-    pub fn is_stopped(&self) -> bool {
+    pub(crate) fn is_stopped(&self) -> bool {
         self.interrupted.load(Ordering::Acquire) || self.stop_requested.load(Ordering::Acquire)
     }
 
@@ -51,14 +51,14 @@ impl Controls {
         [&self.interrupted, &self.stop_requested].map(Arc::clone)
     }
 
-    pub const fn intents(&self) -> &Receiver<Intent> {
+    pub(crate) const fn intents(&self) -> &Receiver<Intent> {
         &self.intents
     }
 }
 
 /// The other ends of [`Controls`], for whoever may end the run.
 #[derive(Clone)]
-pub struct Ends {
+pub(crate) struct Ends {
     pub snapshots: SnapshotCell,
     pub interrupted: Arc<AtomicBool>,
     pub stop_requested: Arc<AtomicBool>,
@@ -71,14 +71,14 @@ pub struct Ends {
 
 impl Ends {
     /// A person or another program requests the end; requested twice, the output goes off at once.
-    pub fn interrupt(&self) {
+    pub(crate) fn interrupt(&self) {
         self.leaving.store(true, Ordering::Release);
         self.interrupted.store(true, Ordering::Release);
     }
 
     /// The terminal is closed, or the screen has failed. However often that is noticed it counts as one request, so that the
     /// output ramps down.
-    pub fn hang_up(&self) {
+    pub(crate) fn hang_up(&self) {
         self.leaving.store(true, Ordering::Release);
         self.stop_requested.store(true, Ordering::Release);
         if !self.hung_up.swap(true, Ordering::AcqRel) {
@@ -89,7 +89,7 @@ impl Ends {
 
 /// Whether a drive may be on.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub enum DrivePower {
+pub(crate) enum DrivePower {
     /// Nothing is energised by us.
     #[default]
     Off,
@@ -101,10 +101,10 @@ pub enum DrivePower {
 
 /// Shared between the rig and whoever waits for the end.
 #[derive(Clone, Debug, Default)]
-pub struct DriveCell(Arc<Mutex<DrivePower>>);
+pub(crate) struct DriveCell(Arc<Mutex<DrivePower>>);
 
 impl DriveCell {
-    pub fn get(&self) -> DrivePower {
+    pub(crate) fn get(&self) -> DrivePower {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 

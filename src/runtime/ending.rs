@@ -28,7 +28,7 @@ use drivebench_bench::{Level, Notice, SnapshotCell};
 const POLL: Duration = Duration::from_millis(50);
 
 /// Where the work is shown.
-pub enum Audience {
+pub(crate) enum Audience {
     /// Messages on stderr.
     Headless,
     /// A screen, with the steps of a workflow where there is one.
@@ -38,14 +38,14 @@ pub enum Audience {
 }
 
 /// Work that is over, with how its screen was left.
-pub struct Ended<T> {
+pub(crate) struct Ended<T> {
     pub work: T,
     pub screen: ScreenEnd,
 }
 
 /// How the screen beside the work ended.
 #[derive(Debug)]
-pub enum ScreenEnd {
+pub(crate) enum ScreenEnd {
     NoScreen,
     /// By its own ways out.
     Screen(Exit),
@@ -58,7 +58,7 @@ pub enum ScreenEnd {
 impl ScreenEnd {
     /// The failure of the command, where the run itself ended with `run`: a trip or a lost drive goes before anything that
     /// happened to the screen, a fault of this program before an interruption.
-    pub fn conclude(self, run: Option<Failure>) -> Result<(), Failure> {
+    pub(crate) fn conclude(self, run: Option<Failure>) -> Result<(), Failure> {
         let of_screen = match self {
             Self::NoScreen | Self::Screen(_) => None,
             Self::Gone(failure) | Self::Panicked(failure) => Some(failure),
@@ -80,7 +80,7 @@ impl ScreenEnd {
 ///
 /// # Errors
 /// The work's own failure; else that of a panic, after the drive was stopped.
-pub fn conduct<T: Send + 'static>(
+pub(crate) fn conduct<T: Send + 'static>(
     terminal: &Terminal,
     audience: Audience,
     work: impl FnOnce(&Controls) -> Result<T, Failure> + Send + 'static,
@@ -141,7 +141,7 @@ pub(crate) fn alone<T>(
 ///
 /// # Errors
 /// As [`conduct`]; and where the work does not come to its end in time.
-pub fn beside_screen<T: Send + 'static>(
+pub(crate) fn beside_screen<T: Send + 'static>(
     terminal: &Terminal,
     controls: Controls,
     ends: &Ends,

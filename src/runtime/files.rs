@@ -8,8 +8,7 @@ use serde_json::Value;
 
 use crate::report::{EarlyEnd, Tone};
 use crate::runtime::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP, USAGE};
-use crate::runtime::output;
-use crate::runtime::output::Terminal;
+use crate::runtime::output::{self, Terminal};
 use drivebench_bench::recording::{
     self, ColumnKind, ColumnMap, Kept, KeptLogs, LATEST, LoadedRun, Manifest, RecordingError,
     RunFile, RunFolder, open_run, run_from_memory, write_run,
@@ -136,7 +135,7 @@ fn rung_text(rung: &Rung, floor: FloorSource) -> String {
 }
 
 /// A run that was recorded, to its end or not.
-pub struct Recorded {
+pub(crate) struct Recorded {
     pub folder: RunFolder,
     pub summary: RunSummary,
     /// The result of the on-line estimators, with which `replay` compares its own.
@@ -327,7 +326,7 @@ impl Recorded {
     }
 
     /// The failure that ended the run early, else that of its record, if any.
-    pub fn failure(&self) -> Option<Failure> {
+    pub(crate) fn failure(&self) -> Option<Failure> {
         self.run_failure().or_else(|| self.record_failure())
     }
 

@@ -13,20 +13,15 @@
 //!   that there is no mutable state of the process. None of them panics.
 
 pub(crate) mod appearance;
-pub mod controls;
-pub mod ending;
-pub mod failure;
-pub mod files;
-pub mod opening;
-pub mod output;
-pub mod progress;
-pub mod rig;
+pub(crate) mod controls;
+pub(crate) mod ending;
+pub(crate) mod failure;
+pub(crate) mod files;
+pub(crate) mod opening;
+pub(crate) mod output;
+pub(crate) mod progress;
+pub(crate) mod rig;
 pub mod signals;
 
-pub use controls::{Controls, DriveCell, DrivePower, Ends};
-pub use ending::{Audience, Ended, ScreenEnd, beside_screen, conduct};
 pub use failure::Failure;
-pub use files::Recorded;
-pub use opening::Reopener;
 pub use output::Terminal;
-pub use rig::{OpenRig, Rig, RigOptions};

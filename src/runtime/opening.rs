@@ -10,8 +10,7 @@ use std::time::Instant;
 
 use crate::runtime::failure::Failure;
 use crate::runtime::files::read_text;
-use crate::runtime::output;
-use crate::runtime::output::Terminal;
+use crate::runtime::output::{self, Terminal};
 use drivebench_bench::{BenchFile, DriveFacts, Port, Protocol, check_signals};
 use drivebench_emulator::{
     EmulatorConfig, Endpoint, ForeignBus, ForeignDrive, Guise, Latency, MemoryLink, ServerHandle,
@@ -255,48 +254,41 @@ impl Drop for Tap {
     }
 }
 
-/// How a link is opened once more.
-type Open = dyn Fn(&DriveProfile, Option<&TapFile>) -> Result<Box<dyn DriveLink>, LinkError> + Send;
-
-/// What it takes to open a link again.
-pub struct Reopener {
+/// Opens a link again.
+pub(crate) struct Reopener {
     pub(crate) link: String,
     pub(crate) limit_s: Option<f64>,
-    pub(crate) open: Box<Open>,
+    anchor: Anchor,
+    epoch: Instant,
     /// Of a serial port.
     path: Option<PathBuf>,
 }
 
 impl Reopener {
-    /// To be made when the link has just been opened.
+    /// Made when the link has just been opened.
     pub(crate) fn of(target: &Target, epoch: Instant, limit_s: Option<f64>) -> Self {
         let anchor = Anchor::of(Path::new("/"), target);
-        Self {
-            link: anchor.target().to_string(),
-            limit_s,
-            path: match target {
-                Target::Serial { path, .. } => Some(PathBuf::from(path)),
-                Target::Tcp { .. } => None,
-            },
-            open: Box::new(move |profile, tap| {
-                if let Some(reason) = anchor.stranger(Path::new("/")) {
-                    return Err(LinkError::Identity(anchor.target().to_string(), reason));
-                }
-                open_tapped(anchor.target(), profile, epoch, tap)
-            }),
+        let path = match target {
+            Target::Serial { path, .. } => Some(PathBuf::from(path)),
+            Target::Tcp { .. } => None,
+        };
+        Self { link: anchor.target().to_string(), limit_s, anchor, epoch, path }
+    }
+
+    /// Refuses another adapter under the same name.
+    pub(crate) fn open(
+        &self,
+        profile: &DriveProfile,
+        tap: Option<&TapFile>,
+    ) -> Result<Box<dyn DriveLink>, LinkError> {
+        let target = self.anchor.target();
+        if let Some(reason) = self.anchor.stranger(Path::new("/")) {
+            return Err(LinkError::Identity(target.to_string(), reason));
         }
+        open_tapped(target, profile, self.epoch, tap)
     }
 
-    /// Over a link that is opened by `open`, for at most `limit_s`; `None`: as long as seems right.
-    pub fn with(
-        link: &str,
-        limit_s: Option<f64>,
-        open: impl Fn() -> Result<Box<dyn DriveLink>, LinkError> + Send + 'static,
-    ) -> Self {
-        Self { link: link.to_owned(), limit_s, open: Box::new(move |_, _| open()), path: None }
-    }
-
-    /// Who else has the serial port open, in a sentence: what another program reads of it is missing here.
+    /// Names of other programs that have the serial port open: the replies that they read are missing here.
     pub(crate) fn other_reader(&self) -> Option<String> {
         let names = holder_names(self.path.as_deref()?)?;
         Some(format!(

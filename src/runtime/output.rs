@@ -298,3 +298,21 @@ pub(crate) fn cannot_write(path: &Path, error: &std::io::Error) -> Failure {
     let help = "name a file that does not exist yet, in a folder that does";
     Failure::usage(headline, help)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn clones_collect_messages_in_order_and_each_topic_once() {
+        let terminal = Terminal::collecting();
+        let clone = terminal.clone();
+        terminal.message("first");
+        clone.warn(&["second".to_owned()]);
+        for text in ["third", "not printed"] {
+            clone.message_once("topic", text);
+        }
+        assert_eq!(terminal.collected(), ["first", "warning: second", "third"]);
+        assert!(clone.collected().is_empty());
+    }
+}

@@ -47,7 +47,7 @@ pub(crate) const MYSTERY: &str = "mystery";
     clippy::struct_excessive_bools,
     reason = "switches of a command line, each independent of the others"
 )]
-pub struct RigOptions {
+pub(crate) struct RigOptions {
     pub bench: BenchFile,
     /// Where run folders are made.
     pub out: PathBuf,
@@ -73,7 +73,8 @@ pub struct RigOptions {
 }
 
 /// Opens a rig: [`Rig::open`], or a test's own.
-pub type OpenRig = Box<dyn FnOnce(RigOptions, Option<u64>, Purpose) -> Result<Rig, Failure> + Send>;
+pub(crate) type OpenRig =
+    Box<dyn FnOnce(RigOptions, Option<u64>, Purpose) -> Result<Rig, Failure> + Send>;
 
 /// A session that is ready to be recorded.
 struct Planned {
@@ -94,7 +95,7 @@ pub(crate) struct SpeedAbout {
 /// An open drive with its clock, and the emulator's thread where it is ours.
 ///
 /// Whatever unwinds through it, in the checks, in a run or between two, stops the drive.
-pub struct Rig {
+pub(crate) struct Rig {
     /// As given, but for the bench, which changes with the motor that is found, and what is done once.
     pub(crate) options: RigOptions,
     pub(crate) bench: BenchFile,
@@ -136,7 +137,7 @@ impl Rig {
     ///
     /// `run_seed`: one run of several is requested; the emulator then has another day. What the drive's signals cannot carry of
     /// the `purpose` is refused before anything is opened.
-    pub fn open(
+    pub(crate) fn open(
         mut options: RigOptions,
         run_seed: Option<u64>,
         purpose: Purpose,
@@ -150,26 +151,19 @@ impl Rig {
         Ok(Self::of(options, profile, profile_text, opened))
     }
 
-    /// A rig over a link and a clock that are there already, as a test in virtual time has them; `reopener` opens the link
-    /// anew after a run that has lost it.
-    pub fn with_link(
+    /// A rig over a link and a clock in virtual time.
+    #[cfg(test)]
+    pub(crate) fn with_link(
         mut options: RigOptions,
         purpose: Purpose,
         link: Box<dyn DriveLink>,
         clock: Box<dyn Clock + Send>,
-        reopener: Option<Reopener>,
     ) -> Result<Self, Failure> {
         let (profile, profile_text) = wired_profile(&mut options.bench)?;
         suited(&profile, purpose)?;
-        let opened = Opened {
-            link,
-            clock,
-            reopener,
-            tap: Tap::create(None, &options.terminal)?,
-            emulator: None,
-            _server: None,
-        };
-        Ok(Self::of(options, profile, profile_text, opened))
+        let tap = Tap::create(None, &options.terminal)?;
+        let way = Opened { link, clock, reopener: None, tap, emulator: None, _server: None };
+        Ok(Self::of(options, profile, profile_text, way))
     }
 
     fn of(options: RigOptions, profile: DriveProfile, profile_text: String, way: Opened) -> Self {
@@ -595,7 +589,7 @@ impl Rig {
                 snapshots: &controls.snapshots,
             },
             &options,
-            &mut || (reopener.open)(profile, tap),
+            &mut || reopener.open(profile, tap),
         );
         if let Some(link) = link {
             self.way.link = link;

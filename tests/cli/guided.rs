@@ -37,7 +37,7 @@ fn the_whole_loop_is_driven_by_keys() {
     session.press("x");
     until_the_run_is_done(&mut session);
     session.press("q");
-    session.wait_for("the run that tells more");
+    session.wait_for("the recommended run");
     session.wait_for("a add");
     session.wait_for("current_offset");
     session.press("a");

@@ -16,8 +16,7 @@ use super::row;
 use super::row::{Cell, Status};
 use crate::runtime::failure::Failure;
 use crate::runtime::files::{parquet, require_parquet};
-use crate::runtime::output;
-use crate::runtime::output::Terminal;
+use crate::runtime::output::{self, Terminal};
 use drivebench_bench::recording::ColumnKind;
 
 /// Place of a row and checksum of its run.

@@ -215,7 +215,7 @@ fn source(path: &Path) -> Result<Source, Failure> {
 }
 
 /// The manifest of a run folder that has samples.
-pub(super) fn manifest_of(run: &Path) -> Option<Manifest> {
+fn manifest_of(run: &Path) -> Option<Manifest> {
     let folder = RunFolder::existing(run);
     if !folder.samples().is_file() {
         return None;

@@ -4,8 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::runtime::failure::Failure;
 use crate::runtime::files::read_text;
-use crate::runtime::output;
-use crate::runtime::output::Terminal;
+use crate::runtime::output::{self, Terminal};
 use crate::workflow::suite::golden::{Golden, GoldenRun, Place, golden};
 use drivebench_bench::recording::{Manifest, resolved};
 
