@@ -425,9 +425,8 @@ fn map(document: &mut Document, comparison: &Comparison) {
             chart.svg("error of the model over speed and current")
         },
         format!(
-            "Root mean square of what the {} equation lacks, over speed and current, on the held-out run. Where there is no \
-             cell the run never was.",
-            equation
+            "Root mean square of what the {equation} equation lacks, over speed and current, on the held-out run. Where there is no \
+             cell the run never was."
         ),
         map_in_digits(comparison),
     );

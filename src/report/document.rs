@@ -40,9 +40,11 @@ impl Bars {
     }
 }
 
+type Draw = Box<dyn FnOnce() -> Plot + Send>;
+
 /// A picture that is drawn by the first page that shows it: a card needs none.
 #[derive(Clone, Debug)]
-pub(super) struct Picture(Arc<LazyLock<Plot, Box<dyn FnOnce() -> Plot + Send>>>);
+pub(super) struct Picture(Arc<LazyLock<Plot, Draw>>);
 
 impl Picture {
     pub(super) fn plot(&self) -> &Plot {
