@@ -17,9 +17,10 @@ use crate::runtime::ending::{ScreenEnd, Watched, spawn, watched};
 use crate::runtime::failure::Failure;
 use crate::runtime::files::{Recorded, load, model_file};
 use crate::runtime::output::{Terminal, quoted_word};
-use crate::runtime::{appearance, signals};
+use crate::runtime::signals;
 use crate::tui::{
-    self, DiagnosisScreen, DiagnosisSources, Exit, Opens, ResponseScreen, Screen, StoppedAt,
+    self, Appearance, DiagnosisScreen, DiagnosisSources, Exit, Opens, ResponseScreen, Screen,
+    StoppedAt,
 };
 use crate::workflow::{Discovery, News, Order};
 use drivebench_diagnose::{Diagnosis, NextExperiment};
@@ -222,7 +223,7 @@ pub(crate) fn show(
     // Never joined: an analysis in progress has nothing to finish, and ends with the program.
     spawn("diagnosis", move || worker.carry_out(discovery, &received))?;
     let held = terminal.hold();
-    let exit = until_left(DiagnosisScreen::new(sources), &hang_up);
+    let exit = until_left(DiagnosisScreen::new(sources), &hang_up, terminal.appearance());
     {
         // A model that is being written is finished; one that was not begun is not begun any more.
         let _whole = terminal.writing();
@@ -241,10 +242,11 @@ pub(crate) fn show(
 fn until_left(
     screen: impl Screen + Send + 'static,
     hang_up: &AtomicBool,
+    appearance: Appearance,
 ) -> Result<Watched, Failure> {
     let closed = AtomicBool::new(false);
     watched(
-        move || tui::show(screen, appearance::get()),
+        move || tui::show(screen, appearance),
         || closed.store(true, Ordering::Release),
         || closed.load(Ordering::Acquire) || hang_up.load(Ordering::Acquire),
     )
@@ -274,7 +276,7 @@ pub(crate) fn show_response(
     let hang_up = signals::flag()?;
     let screen = ResponseScreen::new(title, compared, pathway, Arc::clone(&hang_up));
     let held = terminal.hold();
-    let closed = until_left(screen, &hang_up);
+    let closed = until_left(screen, &hang_up, terminal.appearance());
     drop(held);
     if exit_of(closed?)? == Exit::Interrupted {
         return Err(Failure::interrupted("interrupted"));

@@ -15,7 +15,7 @@ use crate::runtime::failure::Failure;
 use crate::runtime::files::read_text;
 use crate::runtime::output::Terminal;
 use crate::runtime::{opening, output};
-use drivebench_bench::{InitFile, InitRequest, MotorSection, Port, Reasoned, Told, init_file};
+use drivebench_bench::{InitFile, InitRequest, MotorSection, Port, Readback, Reasoned, init_file};
 use drivebench_link::serial_ports::describe;
 use drivebench_model::config_text::{self, ConfigError};
 
@@ -117,7 +117,7 @@ fn bench(
     let motor_file = motor.display().to_string();
     let motor = nameplate(&motor_file, &read_text(motor)?)?;
     let limits = if arguments.offline {
-        Told { is_offline: true, ..Told::default() }
+        Readback { is_offline: true, ..Readback::default() }
     } else {
         read_limits(port, drive, &profile, terminal)?
     };

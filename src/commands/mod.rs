@@ -44,7 +44,6 @@ use std::process::ExitCode;
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
 
-use crate::runtime::appearance;
 use crate::runtime::failure::Failure;
 use crate::runtime::output::Terminal;
 use crate::tui::Appearance;
@@ -147,7 +146,7 @@ fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), Failure> {
     if let Some(theme) = arguments.theme {
         crossterm::style::force_color_output(theme != Theme::Mono);
     }
-    appearance::set(Appearance {
+    terminal.set_appearance(Appearance {
         is_light: arguments.theme == Some(Theme::Light),
         takes_mouse: arguments.mouse,
     });

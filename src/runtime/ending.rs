@@ -19,7 +19,7 @@ use std::time::Duration;
 use crate::runtime::controls::{Controls, DrivePower, Ends};
 use crate::runtime::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP};
 use crate::runtime::output::Terminal;
-use crate::runtime::{appearance, signals};
+use crate::runtime::signals;
 use crate::tui::{Exit, LiveScreen, LiveSources, WorkerCell, is_gone, show};
 use crate::workflow::{ProgressCell, RankingCell, RankingWatch};
 use drivebench_bench::{Level, Notice, SnapshotCell};
@@ -106,8 +106,8 @@ fn on_screen<T: Send + 'static>(
 ) -> Result<Ended<T>, Failure> {
     let (controls, ends) = Controls::new(SnapshotCell::default());
     signals::pull(ends.clone())?;
-    let shown =
-        move |sources| show(LiveScreen::new(LiveSources { leads, ..sources }), appearance::get());
+    let appearance = terminal.appearance();
+    let shown = move |sources| show(LiveScreen::new(LiveSources { leads, ..sources }), appearance);
     beside_screen(terminal, controls, &ends, progress, shown, work)
 }
 

@@ -12,7 +12,6 @@
 //! * `files`: what a run leaves in its folder. `output`, `progress`: the [`Terminal`], made in `main` and handed down, so
 //!   that there is no mutable state of the process. None of them panics.
 
-pub(crate) mod appearance;
 pub(crate) mod controls;
 pub(crate) mod ending;
 pub(crate) mod failure;

@@ -5,7 +5,7 @@ use std::fmt::{Display, Write as _};
 use std::fs::File;
 use std::io::{BufRead as _, IsTerminal, Write};
 use std::path::Path;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use rustix::fs::{FileType, fstat};
 use rustix::io::Errno;
@@ -16,6 +16,7 @@ use crate::report::terminal::{COLUMNS, Row};
 use crate::runtime::failure::{Failure, INTERNAL};
 use crate::runtime::progress::Work;
 use crate::runtime::signals::Interrupts;
+use crate::tui::Appearance;
 use drivebench_model::text::lines::{folded, wrapped};
 
 pub(crate) use drivebench_model::text::shell::{quoted, quoted_word};
@@ -32,6 +33,8 @@ struct Streams {
     messages: Mutex<Messages>,
     progress_ended: Condvar,
     interrupts: Interrupts,
+    /// Set once, from the arguments of the program.
+    appearance: OnceLock<Appearance>,
 }
 
 /// What stands on stderr, and what waits for it.
@@ -97,6 +100,15 @@ impl Drop for Held {
 }
 
 impl Terminal {
+    /// How screens are shown; before any command is carried out.
+    pub(crate) fn set_appearance(&self, appearance: Appearance) {
+        let _ = self.0.appearance.set(appearance);
+    }
+
+    pub(crate) fn appearance(&self) -> Appearance {
+        self.0.appearance.get().copied().unwrap_or_default()
+    }
+
     /// Messages are collected and not printed, and there is no progress line.
     pub(crate) fn collecting() -> Self {
         let terminal = Self::default();

@@ -1,7 +1,7 @@
 //! In and out of the program as a user meets it: called alone, the link to the newest run, models and runs for other tools,
 //! two models on one run, what a shell and a script get.
 
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 use crate::kit::prelude::*;
 
